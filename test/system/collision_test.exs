@@ -5,6 +5,7 @@ defmodule Aerie.System.CollisionTest do
 
   alias MavRouter.Router
   alias MavRouter.Router.Endpoint
+  alias MavRouter.Router.LocalEndpoint
   alias MavCodec.Messages, as: M
 
   @moduletag :tmp_dir
@@ -30,7 +31,7 @@ defmodule Aerie.System.CollisionTest do
   defp says(client, message) do
     bytes = MavCodec.encode(message, system: 255, component: 190)
     {frames, _} = MavCodec.Parser.push_datagram(MavCodec.Parser.new(), bytes, System.os_time(:microsecond))
-    Endpoint.ingress(client, frames)
+    LocalEndpoint.ingress(client, frames)
   end
 
   defp metric(gateway) do
@@ -90,7 +91,7 @@ defmodule Aerie.System.CollisionTest do
       )
 
       # From here on everybody sees one vehicle only.
-      {:ok, client} = Endpoint.attach(gateway, id: "gcs", side: :client)
+      {:ok, client} = LocalEndpoint.attach(gateway, id: "gcs", side: :client)
       says(client, %M.Heartbeat{type: 6, autopilot: 8})
       collided = fn -> for %{counters: counters} <- Router.endpoints(gateway), do: counters.collided end
       before = Enum.sum(collided.())

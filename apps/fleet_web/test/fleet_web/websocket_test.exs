@@ -4,6 +4,7 @@ defmodule FleetWeb.WebSocketTest do
   alias Aerie.Base.Store
   alias MavRouter.Router
   alias MavRouter.Router.Endpoint
+  alias MavRouter.Router.LocalEndpoint
   alias FleetWeb.WSClient
 
   @settings %{
@@ -23,7 +24,7 @@ defmodule FleetWeb.WebSocketTest do
         [websocket: Map.merge(@settings, options[:websocket] || %{})] ++ Keyword.delete(options, :websocket)
       )
 
-    {:ok, link} = Endpoint.attach(c.gateway, id: "radio", side: :vehicle)
+    {:ok, link} = LocalEndpoint.attach(c.gateway, id: "radio", side: :vehicle)
     Map.merge(c, %{ws: FleetWeb.WebSocket.port(c.gateway), link: link})
   end
 
@@ -53,7 +54,7 @@ defmodule FleetWeb.WebSocketTest do
 
   defp say(link, bytes) do
     {frames, _parser} = MavCodec.Parser.push(MavCodec.Parser.new(), bytes, 1)
-    Endpoint.ingress(link, frames)
+    LocalEndpoint.ingress(link, frames)
   end
 
   describe "frames" do

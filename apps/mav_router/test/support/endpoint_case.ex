@@ -10,6 +10,7 @@ defmodule Aerie.EndpointCase do
 
   alias MavRouter.Router
   alias MavRouter.Router.Endpoint
+  alias MavRouter.Router.LocalEndpoint
   alias MavCodec.Messages
   alias MavCodec.Parser
 
@@ -21,6 +22,7 @@ defmodule Aerie.EndpointCase do
 
       alias MavRouter.Router
       alias MavRouter.Router.Endpoint
+      alias MavRouter.Router.LocalEndpoint
       alias MavCodec.Messages
     end
   end
@@ -38,7 +40,7 @@ defmodule Aerie.EndpointCase do
       start_supervised!(
         {Task,
          fn ->
-           {:ok, endpoint} = Endpoint.attach(gateway, [id: name] ++ options)
+           {:ok, endpoint} = LocalEndpoint.attach(gateway, [id: name] ++ options)
            send(test, {:attached, name, endpoint})
            relay(test, name, endpoint)
          end},
@@ -60,7 +62,7 @@ defmodule Aerie.EndpointCase do
         {frames, _} =
           Parser.push_datagram(Parser.new(), bytes, System.os_time(:microsecond))
 
-        outcome = Endpoint.ingress(endpoint, frames)
+        outcome = LocalEndpoint.ingress(endpoint, frames)
         send(test, {:done, name, outcome})
         relay(test, name, endpoint)
     end

@@ -6,7 +6,7 @@ defmodule MavRouter.ClientTest do
 
   alias Aerie.Base.Error
   alias MavRouter.Client
-  alias MavRouter.Router.Endpoint
+  alias MavRouter.Router.LocalEndpoint
 
   test "an endpoint for clients is a link of the clients' side, with its networks and access" do
     gateway = start_parts()
@@ -117,7 +117,7 @@ defmodule MavRouter.ClientTest do
   test "a client's process is ended by its id" do
     gateway = start_parts()
     :ok = Aerie.Base.Names.register(gateway, :websocket_client, "ws-1")
-    {:ok, _endpoint} = Endpoint.attach(gateway, id: "ws-1", kind: :websocket)
+    {:ok, _endpoint} = LocalEndpoint.attach(gateway, id: "ws-1", kind: :websocket)
     assert [_one] = Aerie.Base.Names.processes(gateway, :websocket_client)
     assert :ok = Client.remove(gateway, "ws-1")
     assert_receive :disconnect

@@ -6,9 +6,9 @@ defmodule Aerie.Base.PubSub do
   |-----------------|---------------------------------------------|--------------------------|
   | `:vehicles`     | ids of the vehicles that changed            | coalesced, once per tick |
   | `:roster`       | id of a vehicle that appeared or was forgotten | at once              |
-  | `{:vehicle, id}` | the vehicle's snapshot, nil when it is gone | coalesced, once per tick |
+  | `{:vehicle, id}` | its id: it changed, or is gone              | coalesced, once per tick |
   | `:links`        | ids of the links that changed               | coalesced, once per tick |
-  | `{:link, id}`   | the link's snapshot, nil when it is gone    | coalesced, once per tick |
+  | `{:link, id}`   | its id: it changed, or is gone              | coalesced, once per tick |
   | `:events`       | an `Aerie.Vehicle.Event`                    | at once                  |
   | `:journal`      | `:pending`: events wait for their acknowledgement | at once            |
   | `:bridge`       | `{part, info}`: the NATS side changed       | at once                  |
@@ -16,12 +16,12 @@ defmodule Aerie.Base.PubSub do
   | `{:commands, vehicle}` | the id of a command of this vehicle that began, went on or ended | at once |
   | `{:notice, part}` | what a part of the layers above tells of itself | at once               |
 
-  A vehicle may change 200 times a second; its subscribers get at most one notice per tick (`:tick_ms`, 100 by default), with the
-  state of that moment. Nothing but these messages is queued for a slow subscriber.
+  A vehicle may change 200 times a second; its subscribers get at most one notice per tick (`:tick_ms`, 200 by default), and read from
+  the store what they need. Nothing but these messages is queued for a slow subscriber.
   """
   use GenServer
 
-  alias Aerie.Base.{Names, Store}
+  alias Aerie.Base.Names
   alias Aerie.Base.Names.Book
 
   @type topic ::
@@ -84,7 +84,7 @@ defmodule Aerie.Base.PubSub do
     Process.set_label({:pubsub, gateway})
     dirty = :ets.new(:dirty, [:set, :public, write_concurrency: true])
     Names.put_value(gateway, :pubsub, {self(), dirty})
-    {:ok, %{gateway: gateway, dirty: dirty, tick_ms: Keyword.get(options, :tick_ms, 100), armed: false}}
+    {:ok, %{gateway: gateway, dirty: dirty, tick_ms: Keyword.get(options, :tick_ms, 200), armed: false}}
   end
 
   @impl GenServer
@@ -113,12 +113,6 @@ defmodule Aerie.Base.PubSub do
 
   defp notify(gateway, all, one, ids) do
     publish(gateway, all, ids)
-    for id <- ids, Book.members({gateway, {one, id}}) != [], do: notify_one(gateway, one, id)
-    :ok
+    Enum.each(ids, &publish(gateway, {one, &1}, &1))
   end
-
-  defp notify_one(gateway, :vehicle, id),
-    do: publish(gateway, {:vehicle, id}, Store.vehicle(gateway, id))
-
-  defp notify_one(gateway, :link, id), do: publish(gateway, {:link, id}, Store.Links.whole(gateway, id))
 end

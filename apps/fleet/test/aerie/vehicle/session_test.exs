@@ -44,7 +44,8 @@ defmodule Aerie.Vehicle.SessionTest do
     deliver(gateway, [frame(@copter, at(1), system: 7), frame(armed, at(2), system: 7)])
 
     assert_receive {:fleet, :events, %{type: "armed", vehicle: "VID-007", seq: 1, time: 2_000_000}}
-    assert_receive {:fleet, {:vehicle, "VID-007"}, %{groups: %{mode: %{data: %{armed: true}}}}}
+    assert_receive {:fleet, {:vehicle, "VID-007"}, "VID-007"}
+    assert eventually(fn -> Store.vehicle(gateway, "VID-007").groups.mode.data.armed end)
 
     assert [%{id: "VID-007", status: :online, links: ["radio"], vehicle_type: "copter"}] =
              Store.vehicles(gateway)

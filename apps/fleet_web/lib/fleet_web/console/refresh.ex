@@ -1,7 +1,7 @@
 defmodule FleetWeb.Console.Refresh do
   @moduledoc """
-  Tells a page when to read the read model again, by a message `:refresh`: at most five times a second however much has changed, and
-  once a second if nothing has, because ages grow.
+  Tells a page when to read the read model again, by a message `:refresh`: with each change notice, which `Aerie.Base.PubSub` sends at most
+  five times a second however much has changed, and once a second if nothing has, because ages grow.
   """
 
   import Phoenix.LiveView
@@ -9,7 +9,6 @@ defmodule FleetWeb.Console.Refresh do
   alias Aerie.Base.PubSub
   alias Phoenix.LiveView.Socket
 
-  @least_ms 200
   @idle_ms 1_000
 
   @doc """
@@ -39,26 +38,21 @@ defmodule FleetWeb.Console.Refresh do
   defp handle({:fleet, {kind, _id}, _changed}, socket) when kind in [:vehicle, :link], do: sooner(socket)
 
   defp handle(:refresh, socket) do
-    now = now()
-    next = due(now + @idle_ms, socket.private.console_refresh) |> Map.put(:last, now)
-    {:cont, put_private(socket, :console_refresh, next)}
+    {:cont, put_private(socket, :console_refresh, due(now() + @idle_ms, socket.private.console_refresh))}
   end
 
   defp handle(_other, socket), do: {:cont, socket}
 
-  defp sooner(%{private: %{console_refresh: %{at: at, last: last} = refresh}} = socket) do
-    wanted = max(last + @least_ms, now())
-
-    if wanted < at,
-      do: {:halt, put_private(socket, :console_refresh, due(wanted, refresh))},
-      else: {:halt, socket}
+  defp sooner(%{private: %{console_refresh: %{at: at} = refresh}} = socket) do
+    now = now()
+    if now < at, do: {:halt, put_private(socket, :console_refresh, due(now, refresh))}, else: {:halt, socket}
   end
 
   # One timer at a time. If it has fired meanwhile, the page refreshes once too often.
   defp due(at, refresh) do
     _ = if refresh, do: Process.cancel_timer(refresh.timer)
     timer = Process.send_after(self(), :refresh, at, abs: true)
-    %{at: at, timer: timer, last: if(refresh, do: refresh.last, else: at - @idle_ms)}
+    %{at: at, timer: timer}
   end
 
   defp now, do: System.monotonic_time(:millisecond)

@@ -2,7 +2,7 @@ defmodule FleetWeb.API.ClientsTest do
   use FleetWeb.APICase, async: true
 
   alias Aerie.Base.Store
-  alias MavRouter.Router.Endpoint
+  alias MavRouter.Router.LocalEndpoint
 
   @json {"content-type", "application/json"}
 
@@ -14,7 +14,7 @@ defmodule FleetWeb.API.ClientsTest do
 
   test "an endpoint for clients is added, carries frames both ways, is listed and removed, while the gateway runs" do
     %{gateway: gateway, port: port} = start_server(key: true, links: true)
-    {:ok, radio} = Endpoint.attach(gateway, id: "radio", side: :vehicle)
+    {:ok, radio} = LocalEndpoint.attach(gateway, id: "radio", side: :vehicle)
     {:ok, gcs} = :gen_udp.open(0, [:binary, ip: {127, 0, 0, 1}, active: false])
     {:ok, gcs_port} = :inet.port(gcs)
 
@@ -32,7 +32,7 @@ defmodule FleetWeb.API.ClientsTest do
     # It is called as soon as its link is up.
     {:ok, {_address, from, bytes}} =
       eventually(fn ->
-        Endpoint.ingress(radio, [frame])
+        LocalEndpoint.ingress(radio, [frame])
         with {:error, :timeout} <- :gen_udp.recv(gcs, 0, 50), do: nil
       end)
 
@@ -113,7 +113,7 @@ defmodule FleetWeb.API.ClientsTest do
 
   test "the metrics count clients by kind" do
     %{gateway: gateway} = start_server(links: true)
-    {:ok, _endpoint} = Endpoint.attach(gateway, id: "ws-1", kind: :websocket)
+    {:ok, _endpoint} = LocalEndpoint.attach(gateway, id: "ws-1", kind: :websocket)
     text = IO.iodata_to_binary(FleetWeb.Metrics.Text.render(FleetWeb.Metrics.families(gateway)))
     assert text =~ ~s(gateway_clients{kind="websocket"} 1)
     assert text =~ ~s(gateway_client_sent_frames{kind="websocket"} 0)

@@ -14,7 +14,7 @@ defmodule MavRouter.Link.Boot do
 
   @booted {:links, :booted}
 
-  @doc "Options: `:gateway`, `:links` (as `MavRouter.Link.Settings` has them)."
+  @doc "Options: `:gateway`, `:links` (as `MavRouter.Link.Settings` has them), `:start` (starts a link of a gateway)."
   @spec start_link(keyword) :: GenServer.on_start()
   def start_link(options), do: GenServer.start_link(__MODULE__, options)
 
@@ -22,7 +22,8 @@ defmodule MavRouter.Link.Boot do
   def init(options) do
     gateway = Keyword.fetch!(options, :gateway)
     Process.set_label({:link_boot, gateway})
-    Enum.each(specs(gateway, Keyword.fetch!(options, :links)), &start(gateway, &1))
+    start = Keyword.fetch!(options, :start)
+    Enum.each(specs(gateway, Keyword.fetch!(options, :links)), &start(start, gateway, &1))
     _times = Store.count(gateway, @booted)
     :ignore
   end
@@ -54,8 +55,8 @@ defmodule MavRouter.Link.Boot do
     end)
   end
 
-  defp start(gateway, spec) do
-    case MavRouter.Link.Supervisor.start_tree(gateway, spec: spec) do
+  defp start(start, gateway, spec) do
+    case start.(gateway, spec: spec) do
       {:ok, _tree} -> :ok
       {:error, reason} -> Logger.error("link #{spec.id} not started: #{inspect(reason)}")
     end

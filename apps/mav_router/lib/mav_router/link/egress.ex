@@ -16,7 +16,7 @@ defmodule MavRouter.Link.Egress do
   alias MavRouter.Router.Endpoints
   alias MavRouter.Router.SendQueue
   alias MavRouter.Router.Owner
-  alias MavRouter.Router.Rules
+  alias MavRouter.Router.SavedRules
   alias MavRouter.Router.Tables
   alias MavRouter.Router.EndpointCounters
 
@@ -47,7 +47,7 @@ defmodule MavRouter.Link.Egress do
     own = if rules[:side] == :client, do: [], else: [networks: [spec.network]]
     options = own |> Keyword.merge(rules) |> high_latency(spec.options) |> gcs(spec.options)
     tables = Tables.of(gateway)
-    owner = Rules.restore(gateway, owner(spec.id, options))
+    owner = SavedRules.restore(gateway, owner(spec.id, options))
 
     if tables do
       for endpoint <- Endpoints.of(tables, spec.id), do: Endpoints.remove(tables, endpoint.key)

@@ -85,7 +85,7 @@ defmodule MavRouter.Link.Supervisor do
        max_children: settings.max_links,
        max_restarts: 100,
        max_seconds: 1},
-      {Boot, gateway: gateway, links: settings.links},
+      {Boot, gateway: gateway, links: settings.links, start: &start_tree/2},
       {Announcer, gateway: gateway, settings: settings.identity}
     ]
 

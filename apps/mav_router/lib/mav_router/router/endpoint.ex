@@ -9,10 +9,10 @@ defmodule MavRouter.Router.Endpoint do
 
   ## An endpoint of your own
 
-      {:ok, endpoint} = MavRouter.Router.Endpoint.attach(gateway, id: "ws-7", text: "10.0.0.9:51234", side: :client)
+      {:ok, endpoint} = MavRouter.Router.LocalEndpoint.attach(gateway, id: "ws-7", text: "10.0.0.9:51234", side: :client)
 
       # frames from the other end
-      MavRouter.Router.Endpoint.ingress(endpoint, frames)
+      MavRouter.Router.LocalEndpoint.ingress(endpoint, frames)
 
       # frames to it
       receive do
@@ -30,10 +30,6 @@ defmodule MavRouter.Router.Endpoint do
 
   alias Aerie.Base.Names
   alias MavRouter.Router.RequestedData
-  alias MavRouter.Router.Endpoints
-  alias MavRouter.Router.Owner
-  alias MavRouter.Router.Rules
-  alias MavRouter.Router.Tables
   alias MavRouter.Router.EndpointCounters
 
   @enforce_keys [:key, :gateway]
@@ -130,35 +126,6 @@ defmodule MavRouter.Router.Endpoint do
     )
   end
 
-  @doc """
-  Makes the calling process an endpoint.
-
-  Options: `:id` (of its owner; required, unique among links and clients), `:text` (who is at the other end, for people),
-  `:kind` (an atom, for people: `:websocket`), `:principal` (who proved to be at the other end) and those of `MavRouter.Router.Owner`, of which `:side` is `:client` by default.
-  """
-  @spec attach(Names.gateway(), keyword) :: {:ok, t} | {:error, String.t() | :not_running}
-  def attach(gateway, options) do
-    {own, rules} = Keyword.split(options, [:id, :text, :kind, :principal])
-    id = Keyword.fetch!(own, :id)
-
-    with tables when is_map(tables) <- Tables.of(gateway),
-         {:ok, owner} <- Owner.new(id, Keyword.put_new(rules, :side, :client)),
-         owner = Rules.restore(gateway, owner),
-         endpoint = new(gateway, {id, :self}, [out: {:pid, self(), nil}] ++ Keyword.delete(own, :id)),
-         :ok <- Endpoints.attach(gateway, tables, owner, endpoint) do
-      {:ok, endpoint}
-    else
-      nil -> {:error, :not_running}
-      {:error, words} -> {:error, words}
-    end
-  end
-
-  @doc "Delivers frames that came from the other end; see `MavRouter.Router.deliver/3`."
-  @spec ingress(t, [MavCodec.Frame.t()]) :: MavRouter.Router.outcome()
-  def ingress(%__MODULE__{key: {owner, peer}} = endpoint, frames) do
-    MavRouter.Router.deliver(endpoint.gateway, %{id: owner, network: nil, peer: peer}, frames)
-  end
-
   @doc "So many frames left the mailbox."
   @spec taken(t, pos_integer) :: :ok
   def taken(%__MODULE__{waiting: waiting}, n), do: :atomics.sub(waiting, 1, n)
@@ -167,12 +134,5 @@ defmodule MavRouter.Router.Endpoint do
   @spec dropped(t, MavRouter.Router.ClassQueue.dropped()) :: :ok
   def dropped(%__MODULE__{counters: counters}, dropped) do
     Enum.each(dropped, fn {class, n} -> EndpointCounters.dropped(counters, class, n) end)
-  end
-
-  @doc "Ends an endpoint made by `attach/2`."
-  @spec detach(t) :: :ok
-  def detach(%__MODULE__{key: {owner, _peer}, gateway: gateway}) do
-    with tables when is_map(tables) <- Tables.of(gateway), do: Endpoints.close(gateway, tables, owner)
-    :ok
   end
 end

@@ -8,7 +8,7 @@ defmodule MavRouter.Router.Endpoints do
   alias MavRouter.Router.Endpoint
   alias MavRouter.Router.Owner
   alias MavRouter.Router.Routes
-  alias MavRouter.Router.Rules
+  alias MavRouter.Router.SavedRules
   alias MavRouter.Router.Tables
   alias MavRouter.Router.EndpointMonitor
   alias MavRouter.Router.StreamRequests
@@ -124,7 +124,7 @@ defmodule MavRouter.Router.Endpoints do
   @doc "Removes an owner with all its endpoints and routes."
   @spec close(Names.gateway(), Tables.t(), String.t()) :: :ok
   def close(gateway, tables, owner) do
-    Rules.forget(gateway, owner)
+    SavedRules.forget(gateway, owner)
     for endpoint <- of(tables, owner), do: remove(tables, endpoint.key)
     delete_owner(tables, owner)
     Routes.forget(tables, owner)
@@ -142,7 +142,7 @@ defmodule MavRouter.Router.Endpoints do
       if peer == :self do
         delete_owner(tables, owner)
         Tables.changed(tables)
-        Rules.forget(endpoint.gateway, owner)
+        SavedRules.forget(endpoint.gateway, owner)
       end
     end
 

@@ -14,7 +14,7 @@ defmodule MavRouter.Router.Pipe do
   """
 
   alias Aerie.Base.Names
-  alias MavRouter.Router.{ClassQueue, Endpoint}
+  alias MavRouter.Router.{ClassQueue, Endpoint, LocalEndpoint}
   alias MavCodec.Parser
 
   # Bytes of frames that are written at a time.
@@ -31,7 +31,7 @@ defmodule MavRouter.Router.Pipe do
   """
   @spec open(Names.gateway(), keyword()) :: {:ok, t()} | {:error, String.t() | :not_running}
   def open(gateway, options) do
-    with {:ok, endpoint} <- Endpoint.attach(gateway, options) do
+    with {:ok, endpoint} <- LocalEndpoint.attach(gateway, options) do
       {:ok, %__MODULE__{endpoint: endpoint, parser: Parser.new(), queue: ClassQueue.new()}}
     end
   end
@@ -42,7 +42,7 @@ defmodule MavRouter.Router.Pipe do
     {frames, parser} = Parser.push_datagram(pipe.parser, bytes, System.os_time(:microsecond))
     {requests?, queue} = ClassQueue.request(pipe.queue, frames, now())
     _room = if requests?, do: Endpoint.requested(pipe.endpoint, now())
-    _outcome = if frames != [], do: Endpoint.ingress(pipe.endpoint, frames)
+    _outcome = if frames != [], do: LocalEndpoint.ingress(pipe.endpoint, frames)
     %{pipe | parser: parser, queue: queue}
   end
 

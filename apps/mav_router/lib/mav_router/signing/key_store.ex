@@ -21,7 +21,7 @@ defmodule MavRouter.Signing.KeyStore do
   alias Aerie.Base.Error
   alias Aerie.Base.Secret
   alias Aerie.Base.Names
-  alias MavRouter.Signing.{Key, KeyFiles, Scope, Settings, State, Tables, Verifiers}
+  alias MavRouter.Signing.{Key, KeyFiles, Scope, Settings, State, Tables}
 
   require Logger
 
@@ -178,7 +178,7 @@ defmodule MavRouter.Signing.KeyStore do
     if last > :ets.lookup_element(tables.newest, stream, 2, 0), do: :ets.insert(tables.newest, {stream, last})
   end
 
-  defp clock(tables), do: Tables.setting(tables, :clock, &Verifiers.now/0).()
+  defp clock(tables), do: Tables.clock(tables).()
 
   @impl GenServer
   def handle_call({:stage, id, key}, _from, state) do

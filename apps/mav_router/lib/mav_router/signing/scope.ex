@@ -11,7 +11,7 @@ defmodule MavRouter.Signing.Scope do
 
   alias MavRouter.Mavlink.Message
   alias Aerie.Base.Secret
-  alias MavRouter.Signing.{Key, KeyFiles, Settings}
+  alias MavRouter.Signing.{Key, KeyFiles}
 
   @radio_status Message.id!("RADIO_STATUS")
 
@@ -42,8 +42,9 @@ defmodule MavRouter.Signing.Scope do
   The scopes of a configuration with their keys; those of keys that vehicles were given (`MavRouter.Signing.KeyFiles` in `dir`), which
   take precedence, since the vehicle has that key whatever the configuration says; and those of keys that vehicles may have.
   """
-  @spec all(Settings.t(), Path.t() | nil) :: {configured :: [t], given :: [t], candidates :: [t]}
-  def all(%Settings{keys: keys, identity: identity}, dir) do
+  @spec all(MavRouter.Signing.Settings.t(), Path.t() | nil) ::
+          {configured :: [t], given :: [t], candidates :: [t]}
+  def all(%{keys: keys, identity: identity}, dir) do
     configured = Enum.map(keys, &one(&1, identity.network))
 
     given =

@@ -68,6 +68,10 @@ defmodule MavRouter.Signing.Tables do
     with %{active: active} = tables <- of(gateway), do: if(:atomics.get(active, 1) == 1, do: tables)
   end
 
+  @doc "The clock of signatures, in unix microseconds; tests put one of their own in its place."
+  @spec clock(t()) :: (-> integer())
+  def clock(tables), do: setting(tables, :clock, fn -> System.os_time(:microsecond) end)
+
   @doc "A setting."
   @spec setting(t, atom, default) :: term | default when default: term
   def setting(tables, name, default), do: :ets.lookup_element(tables.settings, name, 2, default)

@@ -45,7 +45,7 @@ defmodule MavRouter.Signing.Verifiers do
   def proves?(_tables, _link, %Scope{secret: nil}, _frame), do: false
 
   def proves?(tables, link, scope, frame) do
-    clock = Tables.setting(tables, :clock, &__MODULE__.now/0)
+    clock = Tables.clock(tables)
     signing = Signing.new(Secret.reveal(scope.secret), clock: clock, stored: latest(tables, link))
     match?({:signed, _signing}, Signing.check(signing, frame))
   end
@@ -58,16 +58,13 @@ defmodule MavRouter.Signing.Verifiers do
         link_id: link_id(tables, link),
         stored: timestamp,
         streams: streams,
-        clock: Tables.setting(tables, :clock, &__MODULE__.now/0),
+        clock: Tables.clock(tables),
         save: &KeyStore.reserve(gateway, tables, key, &1)
       )
 
     put(tables, link, scope, signing)
     signing
   end
-
-  @doc false
-  def now, do: System.os_time(:microsecond)
 
   @doc "Keeps one; called by the link's process."
   @spec put(Tables.t(), String.t(), Scope.t(), Signing.t()) :: :ok
@@ -93,7 +90,7 @@ defmodule MavRouter.Signing.Verifiers do
   @doc "The present time stamp for a link and a scope, not below any that was used; it is not used up."
   @spec timestamp(Tables.t(), String.t(), Scope.t() | nil) :: Signing.timestamp()
   def timestamp(tables, link, scope) do
-    clock = Tables.setting(tables, :clock, &__MODULE__.now/0)
+    clock = Tables.clock(tables)
     now = Signing.timestamp(Signing.new(<<0::256>>, clock: clock))
 
     case scope && :ets.lookup(tables.verifiers, {link, scope.id}) do

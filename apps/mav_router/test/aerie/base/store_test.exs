@@ -54,13 +54,14 @@ defmodule Aerie.Base.StoreTest do
     PubSub.subscribe(gateway, {:vehicle, "A"})
     for n <- 1..500, do: Store.put_vehicle(gateway, {"main", 1}, vehicle("A", %{n: n}))
 
-    assert_receive {:fleet, {:vehicle, "A"}, %{n: 500}}
+    assert_receive {:fleet, {:vehicle, "A"}, "A"}
     assert_received {:fleet, :vehicles, ["A"]}
     {:message_queue_len, notices} = Process.info(self(), :message_queue_len)
     assert notices < 500
 
     Store.delete_vehicle(gateway, {"main", 1})
-    assert_receive {:fleet, {:vehicle, "A"}, nil}
+    assert_receive {:fleet, {:vehicle, "A"}, "A"}
+    assert Store.vehicle(gateway, "A") == nil
   end
 
   test "who asks for the roster is told at once of each vehicle that appears or is forgotten, and of nothing else" do
@@ -83,7 +84,7 @@ defmodule Aerie.Base.StoreTest do
     PubSub.subscribe(gateway, {:link, "radio"})
     Store.put_link(gateway, "radio", %{id: "radio", up: true})
     assert_receive {:fleet, :links, ["radio"]}
-    assert_receive {:fleet, {:link, "radio"}, %{up: true}}
+    assert_receive {:fleet, {:link, "radio"}, "radio"}
     assert Store.links(gateway) == [%{id: "radio", up: true}]
     Store.delete_link(gateway, "radio")
     assert Store.link(gateway, "radio") == nil

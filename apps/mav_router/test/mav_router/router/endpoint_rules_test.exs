@@ -33,7 +33,7 @@ defmodule MavRouter.Router.EndpointRulesTest do
 
   test "frames for an endpoint that takes none are dropped, and counted by class", c do
     lazy = self()
-    {:ok, endpoint} = Endpoint.attach(c.gateway, id: "lazy")
+    {:ok, endpoint} = LocalEndpoint.attach(c.gateway, id: "lazy")
     for n <- 1..5_000, do: deliver(c.gateway, "v", parse(attitude(1, n)))
 
     assert %{counters: %{dropped_state: 904, frames_out: 4_096}, waiting: 4_096} =
@@ -45,12 +45,13 @@ defmodule MavRouter.Router.EndpointRulesTest do
     assert %{counters: %{frames_out: 4_097}} = counted(c.gateway, "lazy")
 
     assert {:error, "there is an endpoint lazy already"} =
-             Task.async(fn -> Endpoint.attach(c.gateway, id: "lazy") end) |> Task.await(Aerie.Patience.ms())
+             Task.async(fn -> LocalEndpoint.attach(c.gateway, id: "lazy") end)
+             |> Task.await(Aerie.Patience.ms())
 
-    :ok = Endpoint.detach(endpoint)
+    :ok = LocalEndpoint.detach(endpoint)
     assert counted(c.gateway, "lazy") == nil
     # What it says now is heard by nobody.
-    assert %{delivered: 0, unclaimed: 1} = Endpoint.ingress(endpoint, parse(heartbeat(44)))
+    assert %{delivered: 0, unclaimed: 1} = LocalEndpoint.ingress(endpoint, parse(heartbeat(44)))
     assert Router.route(c.gateway, {"main", 44}) == nil
   end
 end

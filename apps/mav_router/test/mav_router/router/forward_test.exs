@@ -4,7 +4,7 @@ defmodule MavRouter.Router.ForwardTest do
 
   test "frames of an endpoint that has ended go nowhere and start no vehicle", c do
     gone = endpoint(c.gateway, "gone", [])
-    :ok = Endpoint.detach(gone.endpoint)
+    :ok = LocalEndpoint.detach(gone.endpoint)
     # Like a vehicle's heartbeat, which a client may well send (a simulator behind it).
     assert %{unclaimed: 1, delivered: 0} = say(gone, heartbeat(9))
     assert Router.systems(c.gateway) == %{}

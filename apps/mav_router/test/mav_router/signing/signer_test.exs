@@ -4,7 +4,7 @@ defmodule MavRouter.Signing.SealTest do
   use Aerie.SigningCase
 
   alias Aerie.Base.Store
-  alias MavRouter.Router.Endpoint
+  alias MavRouter.Router.LocalEndpoint
   alias MavRouter.{Router, Signing}
   alias MavCodec.{Frame, Parser}
   alias MavCodec.Messages, as: M
@@ -85,7 +85,7 @@ defmodule MavRouter.Signing.SealTest do
     end
 
     defp attach(gateway, options),
-      do: with({:ok, e} <- Endpoint.attach(gateway, [networks: ["main"]] ++ options), do: e)
+      do: with({:ok, e} <- LocalEndpoint.attach(gateway, [networks: ["main"]] ++ options), do: e)
 
     # What the vehicle gets from that system.
     defp heard(from, n) do
@@ -109,7 +109,7 @@ defmodule MavRouter.Signing.SealTest do
       {own, _} = MavCodec.Signing.sign(signer("its own"), read("A"), 214)
       old = read("B", version: 1)
 
-      Endpoint.ingress(
+      LocalEndpoint.ingress(
         client,
         parsed([read("C"), own, old, read("D"), heartbeat(255, component: 190, type: 6, autopilot: 8)])
       )
@@ -129,12 +129,12 @@ defmodule MavRouter.Signing.SealTest do
     test "it is believed, and is answered; one that is not signed for is neither, and goes out as it came",
          c do
       client = attach(c.gateway, id: "gcs", sign: true)
-      Endpoint.ingress(client, parsed(read("A")))
+      LocalEndpoint.ingress(client, parsed(read("A")))
       assert Router.route(c.gateway, {"main", 255}) == {"gcs", :self}
 
       other = attach(c.gateway, id: "other")
       bytes = read("A", system: 254)
-      Endpoint.ingress(other, parsed(bytes))
+      LocalEndpoint.ingress(other, parsed(bytes))
       assert [%{bytes: ^bytes}] = heard(254, 1)
       assert Router.route(c.gateway, {"main", 254}) == nil
     end
@@ -143,7 +143,7 @@ defmodule MavRouter.Signing.SealTest do
          c do
       client = attach(c.gateway, id: "gcs", sign: true)
       before = Store.counter(c.gateway, {:signing, "radio", :signed})
-      Endpoint.ingress(client, parsed(read("A")))
+      LocalEndpoint.ingress(client, parsed(read("A")))
       assert [signed] = heard(255, 1)
       assert Store.counter(c.gateway, {:signing, "radio", :signed}) >= before + 1
       assert byte_size(signed.bytes) == byte_size(read("A")) + 13
@@ -160,7 +160,7 @@ defmodule MavRouter.Signing.SealTest do
     test "S8: its SETUP_SIGNING goes nowhere, signed for or not", c do
       client = attach(c.gateway, id: "gcs", sign: true)
       key = MavCodec.encode(%M.SetupSigning{target_system: 1, secret_key: "x"}, system: 255, component: 190)
-      Endpoint.ingress(client, parsed([key, read("A")]))
+      LocalEndpoint.ingress(client, parsed([key, read("A")]))
       assert [%{id: 20}] = heard(255, 1)
     end
   end

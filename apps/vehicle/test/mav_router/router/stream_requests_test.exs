@@ -4,7 +4,7 @@ defmodule MavRouter.Router.WishesTest do
 
   alias Aerie.Vehicle.Services.StreamDemand
   alias Aerie.Base.Store
-  alias MavRouter.Router.Endpoint
+  alias MavRouter.Router.LocalEndpoint
   alias MavCodec.{Frame, Parser}
   alias MavCodec.Messages, as: M
 
@@ -31,14 +31,14 @@ defmodule MavRouter.Router.WishesTest do
   end
 
   defp client(gateway, id) do
-    {:ok, endpoint} = Endpoint.attach(gateway, id: id, text: id, side: :client)
+    {:ok, endpoint} = LocalEndpoint.attach(gateway, id: id, text: id, side: :client)
     endpoint
   end
 
   defp says(endpoint, message) do
     bytes = MavCodec.encode(message, system: 255, component: 190)
     {frames, _parser} = Parser.push_datagram(Parser.new(), bytes, System.os_time(:microsecond))
-    Endpoint.ingress(endpoint, frames)
+    LocalEndpoint.ingress(endpoint, frames)
     bytes
   end
 
@@ -82,7 +82,7 @@ defmodule MavRouter.Router.WishesTest do
     bytes = says(one, %M.ParamRequestList{target_system: 1, target_component: 1})
     assert heard(vehicle) == bytes
     assert %{messages: %{30 => 10.0}} = StreamDemand.merged(gateway, @key)
-    :ok = Endpoint.detach(one)
+    :ok = LocalEndpoint.detach(one)
     assert StreamDemand.merged(gateway, @key).messages == %{30 => 2.0}
   end
 
@@ -96,7 +96,7 @@ defmodule MavRouter.Router.WishesTest do
 
   test "a client that only may read notes nothing" do
     {gateway, _vehicle} = flying()
-    {:ok, endpoint} = Endpoint.attach(gateway, id: "reader", side: :client, role: :read_only)
+    {:ok, endpoint} = LocalEndpoint.attach(gateway, id: "reader", side: :client, role: :read_only)
     says(endpoint, set(30, 10))
     assert StreamDemand.list(gateway, @key) == []
   end

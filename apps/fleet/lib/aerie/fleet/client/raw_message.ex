@@ -12,7 +12,7 @@ defmodule Aerie.Fleet.Client.RawMessage do
   alias MavRouter.Authority.Principal
   alias Aerie.Control.Policy.Roles
   alias MavRouter.Router
-  alias MavRouter.Router.{Endpoint, EndpointCounters}
+  alias MavRouter.Router.{Endpoint, EndpointCounters, LocalEndpoint}
   alias MavCodec.{EncodeError, Frame, Parser}
 
   @wait_ms 1_500
@@ -62,17 +62,17 @@ defmodule Aerie.Fleet.Client.RawMessage do
     id = "message-#{System.unique_integer([:positive])}"
 
     # Broadcasts are not for us: only what has our ids as target is an answer.
-    case Endpoint.attach(
+    case LocalEndpoint.attach(
            gateway,
            [id: id, kind: :message, text: source.name, principal: principal, broadcasts: false, sign: true] ++
              networks
          ) do
       {:ok, endpoint} ->
         {frames, _parser} = Parser.push_datagram(Parser.new(), bytes, System.os_time(:microsecond))
-        _outcome = Endpoint.ingress(endpoint, frames)
+        _outcome = LocalEndpoint.ingress(endpoint, frames)
         answers = answers(endpoint, [], System.monotonic_time(:millisecond) + wait_ms)
         counters = EndpointCounters.read(endpoint.counters)
-        Endpoint.detach(endpoint)
+        LocalEndpoint.detach(endpoint)
         {:ok, %{outcome: outcome(counters, answers), bytes: bytes, answers: answers}}
 
       {:error, :not_running} ->

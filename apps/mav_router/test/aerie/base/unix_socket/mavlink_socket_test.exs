@@ -10,6 +10,7 @@ defmodule Aerie.Base.UnixSocket.MavlinkSocketTest do
   alias Aerie.Base.Names
   alias MavRouter.Router
   alias MavRouter.Router.Endpoint
+  alias MavRouter.Router.LocalEndpoint
 
   # The test process in the place of a link to vehicles.
   defp start do
@@ -21,7 +22,7 @@ defmodule Aerie.Base.UnixSocket.MavlinkSocketTest do
           Listener.children(gateway, :mavlink, {UnixClient, gateway: gateway, sign: false}, settings),
         do: start_supervised!(child)
 
-    {:ok, link} = Endpoint.attach(gateway, id: "radio", side: :vehicle)
+    {:ok, link} = LocalEndpoint.attach(gateway, id: "radio", side: :vehicle)
     %{gateway: gateway, path: Path.join(dir, "mavlink.sock"), link: link}
   end
 
@@ -44,7 +45,7 @@ defmodule Aerie.Base.UnixSocket.MavlinkSocketTest do
 
   defp say(link, bytes) do
     {frames, _parser} = MavCodec.Parser.push(MavCodec.Parser.new(), bytes, 1)
-    Endpoint.ingress(link, frames)
+    LocalEndpoint.ingress(link, frames)
   end
 
   defp frame(socket) do

@@ -6,7 +6,9 @@ defmodule DecisionBench do
 
   alias Aerie.Control.Policy
   alias Aerie.Control.Policy.MavlinkPolicy
-  alias MavRouter.Router.{Delivery, EndpointCounters, ForwardingTable, Gate, Source}
+  alias MavRouter.Router.{Delivery, Gate}
+  alias MavRouter.Router.Endpoint.Counters
+  alias MavRouter.Router.Forward.{Source, Table}
   alias MavCodec.{Frame, Parser}
   alias MavCodec.Messages, as: M
 
@@ -47,12 +49,12 @@ defmodule DecisionBench do
     owner = fields[:owner] || "link"
 
     struct!(
-      %ForwardingTable.Path{
+      %Table.Path{
         key: {owner, 1},
         owner: owner,
         side: fields[:side],
         networks: ["main"],
-        counters: EndpointCounters.new(),
+        counters: Counters.new(),
         gateway: @gateway,
         text: "10.0.0.9:14550"
       },

@@ -76,7 +76,7 @@ defmodule MavRouter.Client do
   end
 
   @doc """
-  The endpoints for clients in the order of their ids, as snapshots of links (`MavRouter.Link.Snapshot`) without peers and
+  The endpoints for clients in the order of their ids, as snapshots of links (`MavRouter.Link.Core.Snapshot`) without peers and
   sources.
   """
   @spec endpoints(Names.gateway()) :: [map]

@@ -7,7 +7,7 @@ defmodule MavRouter.Link do
       MavRouter.Link.list(:default)
       MavRouter.Link.stop(:default, "tcp:127.0.0.1:5760")
 
-  `MavRouter.Link.Spec` documents connection strings, `MavRouter.Link.Snapshot` what is known about a link, the README in the
+  `MavRouter.Link.Spec` documents connection strings, `MavRouter.Link.Core.Snapshot` what is known about a link, the README in the
   folder `link` how it works.
 
   ## Telemetry
@@ -125,7 +125,7 @@ defmodule MavRouter.Link do
     end
   end
 
-  @doc "The snapshots of all links (`MavRouter.Link.Snapshot`), at most a quarter of a second old."
+  @doc "The snapshots of all links (`MavRouter.Link.Core.Snapshot`), at most a quarter of a second old."
   @spec list(Names.gateway()) :: [map]
   def list(gateway), do: Store.Links.all(gateway)
 

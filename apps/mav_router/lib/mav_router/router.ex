@@ -15,15 +15,15 @@ defmodule MavRouter.Router do
   | `[:aerie, :router, :vehicle_found]` | | `gateway`, `network`, `system` |
   | `[:aerie, :router, :vehicle_refused]` | | and `reason`: `:too_many`, `:not_running` |
   | `[:aerie, :router, :reboot]` | | `gateway`, `network`, `system`: its boot time started over (R6) |
-  | `[:aerie, :router, :collision]` | | `gateway`, `network`, `system`, `links`, by which another vehicle with that id is heard (`MavRouter.Router.CollisionRoutes`); none: it is over |
+  | `[:aerie, :router, :collision]` | | `gateway`, `network`, `system`, `links`, by which another vehicle with that id is heard (`MavRouter.Router.Routes.Collisions`); none: it is over |
   | `[:aerie, :router, :carrier]` | `score` | `gateway`, `group`, `link`: another link of the group carries |
-  | `[:aerie, :router, :denied]` | `frames` | `gateway`, `network`, `link`, `peer`, `system`, `component`, `message`: an order from an endpoint that may not command (`MavRouter.Router.Refusal`); at most one a minute for each link |
+  | `[:aerie, :router, :denied]` | `frames` | `gateway`, `network`, `link`, `peer`, `system`, `component`, `message`: an order from an endpoint that may not command (`MavRouter.Router.Forward.Refusal`); at most one a minute for each link |
   | `[:aerie, :router, :dropped]` | `frames` | `gateway`, `network`, `system`, `reason`: `:overload`, or `:refused` for what was kept of a vehicle that could not be started |
   """
 
   alias Aerie.Base.Names
   alias MavRouter.Router.Deliver
-  alias MavRouter.Router.Dispatch
+  alias MavRouter.Router.Forward.Dispatch
   alias MavRouter.Router.Echo
   alias MavRouter.Router.Endpoint
   alias MavRouter.Router.Endpoints
@@ -80,7 +80,7 @@ defmodule MavRouter.Router do
 
   @doc """
   Sends bytes (one or more whole frames) to a vehicle or any other system, by the endpoint where it was heard last; of redundant
-  links by the one that carries their class (`MavRouter.Router.Carrier`).
+  links by the one that carries their class (`MavRouter.Router.Routes.LinkSelector`).
 
   `component:` prefers endpoints where that component was heard, `link:` allows that link only. `{:error, :no_route}` for a system
   that was never heard, or not for a long time. `:ok` means handed to the link, which counts what it cannot send.
@@ -116,11 +116,11 @@ defmodule MavRouter.Router do
   | `:owner`, `:side`, `:kind`, `:peer` | the same for people: `:vehicle` or `:client`; `:link`, `:websocket` …; text |
   | `:networks`, `:group`, `:role`, `:sniffer` | rules of its owner (`MavRouter.Router.Owner`) |
   | `:high_latency` | whether it gets only what links of high latency carry (X6): configured, or found out |
-  | `:id_offsets` | what is added to the system ids of a network for it (`MavRouter.Router.Renumber`) |
+  | `:id_offsets` | what is added to the system ids of a network for it (`MavRouter.Router.Owner.Renumber`) |
   | `:hidden` | `[{network, system}]` that it does not get, because an earlier one of its networks has a system that it sees under that id |
   | `:since` | unix microseconds |
   | `:waiting` | frames in the mailbox of its process |
-  | `:counters` | `MavRouter.Router.EndpointCounters` |
+  | `:counters` | `MavRouter.Router.Endpoint.Counters` |
   | `:rates` | of the last seconds, per second: `frames_in`, `frames_out`, `bytes_out` |
   """
   @spec endpoints(Names.gateway()) :: [map]
@@ -149,8 +149,8 @@ defmodule MavRouter.Router do
   defdelegate changes(gateway), to: Rules, as: :list
 
   @doc "Which endpoints of a link count as clients now (`MavRouter.Router.Access`)."
-  @spec gcs(Names.gateway(), String.t()) :: :auto | :allow | :deny
-  def gcs(gateway, link) do
+  @spec command_permission(Names.gateway(), String.t()) :: :auto | :allow | :deny
+  def command_permission(gateway, link) do
     with tables when is_map(tables) <- Tables.of(gateway), %{gcs: gcs} <- Endpoints.owner(tables, link) do
       gcs
     else

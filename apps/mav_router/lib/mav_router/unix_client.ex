@@ -8,7 +8,7 @@ defmodule MavRouter.UnixClient do
   """
   use GenServer, restart: :temporary
 
-  alias MavRouter.Router.Pipe
+  alias MavRouter.Router.ClientConnection
   alias Aerie.Base.Store
   alias Aerie.Base.UnixSocket.LengthPrefix
   alias MavRouter.Link.Transport.Net
@@ -37,7 +37,8 @@ defmodule MavRouter.UnixClient do
     options = [active: Net.active(), buffer: 65_536, high_watermark: 262_144, send_timeout: 1_000]
 
     with :ok <- Names.register(state.gateway, :unix_client, id),
-         {:ok, pipe} <- Pipe.open(state.gateway, id: id, kind: :unix, text: "mavlink.sock", sign: state.sign),
+         {:ok, pipe} <-
+           ClientConnection.open(state.gateway, id: id, kind: :unix, text: "mavlink.sock", sign: state.sign),
          :ok <- :inet.setopts(socket, options ++ [send_timeout_close: true]) do
       {:noreply, %{state | socket: socket, pipe: pipe, wrote: now()}}
     else
@@ -48,7 +49,7 @@ defmodule MavRouter.UnixClient do
   def handle_info({:tcp, socket, bytes}, %{socket: socket} = state) do
     case LengthPrefix.split(state.rest <> bytes) do
       {:ok, frames, rest} ->
-        pipe = Enum.reduce(frames, state.pipe, &Pipe.read(&2, &1))
+        pipe = Enum.reduce(frames, state.pipe, &ClientConnection.read(&2, &1))
         # What is kept must not keep the whole read alive.
         {:noreply, %{state | pipe: pipe, rest: :binary.copy(rest)}}
 
@@ -63,7 +64,7 @@ defmodule MavRouter.UnixClient do
   end
 
   def handle_info({:forward, frames, class}, state),
-    do: write(%{state | pipe: Pipe.queue(state.pipe, frames, class)})
+    do: write(%{state | pipe: ClientConnection.queue(state.pipe, frames, class)})
 
   def handle_info(:again, state), do: write(%{state | timer: nil})
   def handle_info(:disconnect, state), do: {:stop, :normal, state}
@@ -80,7 +81,7 @@ defmodule MavRouter.UnixClient do
   defp write(%{timer: timer} = state) when timer != nil, do: {:noreply, state}
 
   defp write(state) do
-    case Pipe.take(state.pipe) do
+    case ClientConnection.take(state.pipe) do
       {[], _pipe} ->
         {:noreply, %{state | wrote: now()}}
 

@@ -93,7 +93,7 @@ defmodule Aerie.CLI.Status do
 
   defp view(state) do
     links = state.gateway |> Store.links() |> Enum.sort_by(& &1.id)
-    commands = Map.new(links, &{&1.id, MavRouter.Router.gcs(state.gateway, &1.id)})
+    commands = Map.new(links, &{&1.id, MavRouter.Router.command_permission(state.gateway, &1.id)})
 
     clients = MavRouter.Client.endpoints(state.gateway)
 

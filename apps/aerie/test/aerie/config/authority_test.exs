@@ -14,7 +14,8 @@ defmodule Aerie.Config.AuthorityTest do
   alias Aerie.Config.Keys
   alias MavRouter.Link.{Clients, Configured, Egress}
   alias Aerie.Control.Policy.{Audit, Context, Intent, Lease, Rate, Signature, Sources}
-  alias MavRouter.Router.{Access, Endpoint, Filter}
+  alias MavRouter.Router.{Access, Endpoint}
+  alias MavRouter.Router.Owner.Filter
   alias Aerie.Base.Settings.Field
   alias FleetWeb.API
   alias FleetWeb.HTTP.Proxy

@@ -49,7 +49,7 @@ defmodule Aerie.Config.PartsTest do
       end
     end
 
-    # MavRouter.Router.Filter makes these names itself.
+    # MavRouter.Router.Owner.Filter makes these names itself.
     filters = ~r/^(allow|block)_(messages|systems|components|sources)$/
 
     for {name, field} <- named,

@@ -108,7 +108,7 @@ defmodule Aerie.Control.Policy do
     end)
   end
 
-  @typedoc "What the policy must know of where a frame came from: a `MavRouter.Router.ForwardingTable.Path`."
+  @typedoc "What the policy must know of where a frame came from: a `MavRouter.Router.Forward.Table.Path`."
   @type origin :: %{
           :owner => String.t(),
           :text => String.t() | nil,

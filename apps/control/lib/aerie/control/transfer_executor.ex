@@ -1,7 +1,7 @@
 defmodule Aerie.Control.TransferExecutor do
   @moduledoc """
   The process that carries out the transfers of one vehicle: `Aerie.Control.TransferExecutor.Core` with a clock, a path to the vehicle, and
-  the turn among ground stations (`MavRouter.Router.TransferTurns`).
+  the turn among ground stations (`MavRouter.Router.TransferLock`).
 
   As the executor of commands does, it sends through the vehicle's session, and is handed frames only while a transfer is under way.
   It has a supervisor of its own in the vehicle's tree, so that its death ends the transfers and nothing else.
@@ -14,7 +14,7 @@ defmodule Aerie.Control.TransferExecutor do
 
   alias Aerie.Base.{Names, Store}
   alias Aerie.Vehicle.Protocol
-  alias MavRouter.Router.TransferTurns
+  alias MavRouter.Router.TransferLock
   alias Aerie.Vehicle.CoreProcess
   alias Aerie.Control.TransferExecutor.{Core, Job}
 
@@ -224,14 +224,14 @@ defmodule Aerie.Control.TransferExecutor do
   defp act({:take, kind}, state) do
     state = watch_turns(state)
 
-    case TransferTurns.take(state.gateway, state.options.key, kind) do
+    case TransferLock.take(state.gateway, state.options.key, kind) do
       :go -> step(state, {:turn, kind, now()})
       {:hold, whose} -> step(state, {:held, kind, whose})
     end
   end
 
   defp act({:give_back, kind}, state) do
-    TransferTurns.give_back(state.gateway, state.options.key, kind)
+    TransferLock.give_back(state.gateway, state.options.key, kind)
     state
   end
 

@@ -44,7 +44,7 @@ defmodule Aerie.Fleet.Replay do
           to: integer,
           duration_us: non_neg_integer,
           vehicles: [String.t()],
-          stations: [MavRouter.Router.Stations.station()],
+          stations: [MavRouter.Router.GroundStations.station()],
           frames: pos_integer,
           bytes: pos_integer,
           own: non_neg_integer,

@@ -8,7 +8,8 @@ defmodule FleetWeb.API.RuleChanges do
   shape of a value; `MavRouter.Router.configure/3` checks its meaning.
   """
 
-  alias MavRouter.Router.{Filter, Settings}
+  alias MavRouter.Router.Owner.Filter
+  alias MavRouter.Router.Settings
   alias FleetWeb.API.{Error, Request}
 
   @keys Map.new(Settings.changeable(), &{Atom.to_string(&1), &1})

@@ -11,7 +11,7 @@ defmodule FleetWeb.API.View do
   alias Aerie.Control.Policy
   alias Aerie.Fleet
   alias Aerie.Fleet.Shadow
-  alias MavRouter.Router.EndpointCounters
+  alias MavRouter.Router.Endpoint.Counters
   alias Aerie.Vehicle.Fields
   alias FleetWeb.API.{VehicleDetails, EventsQuery, Recordings}
 
@@ -181,7 +181,7 @@ defmodule FleetWeb.API.View do
       waiting: endpoint.waiting,
       frames_in: endpoint.counters.frames_in,
       frames_out: endpoint.counters.frames_out,
-      dropped: EndpointCounters.dropped(endpoint.counters),
+      dropped: Counters.dropped(endpoint.counters),
       denied: endpoint.counters.denied
     })
   end

@@ -4,7 +4,7 @@ defmodule FleetWeb.Metrics.Clients do
   they are summed by kind; their ids are not labels.
   """
 
-  alias MavRouter.Router.EndpointCounters
+  alias MavRouter.Router.Endpoint.Counters
   alias FleetWeb.Metrics.Text
 
   @doc """
@@ -30,7 +30,7 @@ defmodule FleetWeb.Metrics.Clients do
        sums.(& &1.counters.frames_out)},
       {"gateway_client_dropped_frames", :gauge,
        "Frames dropped because clients that are connected now read too slowly.",
-       sums.(&EndpointCounters.dropped(&1.counters))},
+       sums.(&Counters.dropped(&1.counters))},
       {"gateway_client_unread_datagrams", :gauge,
        "Datagrams from clients dropped before they were read, by reason; of the endpoints that there are now.",
        for(

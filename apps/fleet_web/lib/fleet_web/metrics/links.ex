@@ -1,5 +1,5 @@
 defmodule FleetWeb.Metrics.Links do
-  @moduledoc "Metric families of links, from their snapshots (`MavRouter.Link.Snapshot`)."
+  @moduledoc "Metric families of links, from their snapshots (`MavRouter.Link.Core.Snapshot`)."
 
   alias FleetWeb.Metrics.Text
 

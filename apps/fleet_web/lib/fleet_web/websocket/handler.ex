@@ -11,13 +11,13 @@ defmodule FleetWeb.WebSocket.Handler do
   forwarded, as for a key with the role viewer).
 
   A client that does not answer a ping for a minute, or whose connection takes nothing for ten seconds, is disconnected. Until
-  then the oldest frames of the least important class are dropped (`MavRouter.Router.Pipe`).
+  then the oldest frames of the least important class are dropped (`MavRouter.Router.ClientConnection`).
   """
 
   @behaviour :cowboy_websocket
 
   alias MavRouter.Authority.Principal
-  alias MavRouter.Router.Pipe
+  alias MavRouter.Router.ClientConnection
   alias Aerie.Base.Address
   alias Aerie.Base.Names
   alias Aerie.Base.Store
@@ -148,7 +148,7 @@ defmodule FleetWeb.WebSocket.Handler do
     :ok = Names.register(state.gateway, :websocket_client, id)
     :ok = PubSub.subscribe(state.gateway, {:notice, :api_keys})
 
-    case Pipe.open(state.gateway, [id: id] ++ state.options) do
+    case ClientConnection.open(state.gateway, [id: id] ++ state.options) do
       {:ok, pipe} ->
         ping()
         {[], %{state | pipe: pipe}}
@@ -165,7 +165,8 @@ defmodule FleetWeb.WebSocket.Handler do
     do: struct!(%Principal{kind: :key, name: owner.name}, Map.take(owner, [:role, :permissions]))
 
   @impl :cowboy_websocket
-  def websocket_handle({:binary, bytes}, state), do: {[], %{state | pipe: Pipe.read(state.pipe, bytes)}}
+  def websocket_handle({:binary, bytes}, state),
+    do: {[], %{state | pipe: ClientConnection.read(state.pipe, bytes)}}
 
   def websocket_handle({:text, _text}, state) do
     Store.count_if_running(state.gateway, {:clients, :websocket, :text})
@@ -177,7 +178,7 @@ defmodule FleetWeb.WebSocket.Handler do
   @impl :cowboy_websocket
   def websocket_info({:forward, frames, class}, state) do
     # Messages queue here while a write waits; all of them are sorted by importance before the next write.
-    state.pipe |> Pipe.queue(frames, class) |> gather() |> write(state)
+    state.pipe |> ClientConnection.queue(frames, class) |> gather() |> write(state)
   end
 
   def websocket_info(:write, state), do: write(state.pipe, state)
@@ -195,15 +196,15 @@ defmodule FleetWeb.WebSocket.Handler do
 
   defp gather(pipe) do
     receive do
-      {:forward, frames, class} -> pipe |> Pipe.queue(frames, class) |> gather()
+      {:forward, frames, class} -> pipe |> ClientConnection.queue(frames, class) |> gather()
     after
       0 -> pipe
     end
   end
 
   defp write(pipe, state) do
-    {frames, pipe} = Pipe.take(pipe)
-    if Pipe.waiting?(pipe), do: send(self(), :write)
+    {frames, pipe} = ClientConnection.take(pipe)
+    if ClientConnection.waiting?(pipe), do: send(self(), :write)
     {Enum.map(frames, &{:binary, &1}), %{state | pipe: pipe}}
   end
 

@@ -57,7 +57,7 @@ defmodule MavRouter.Link.Core do
   alias MavRouter.Link.Reason
   alias MavRouter.Link.Serial.Finding
   alias MavRouter.Link.Settings
-  alias MavRouter.Link.Snapshot
+  alias MavRouter.Link.Core.Snapshot
   alias MavRouter.Link.Spec
   alias MavRouter.Link.Stall
 

@@ -4,21 +4,21 @@ defmodule MavRouter.Link.Egress do
 
   Senders write to a UDP peer without a budget themselves, past this process. Everything else comes here as
   `{:forward, peer, frames, class}`. It is written at once if possible, otherwise it waits in the peer's
-  `MavRouter.Router.SendQueue`: a peer that does not read does not slow other peers down.
+  `MavRouter.Router.Queue.SendQueue`: a peer that does not read does not slow other peers down.
   """
 
   alias MavRouter.Link.Spec
   alias MavRouter.Link.Stall
   alias Aerie.Base.Names
-  alias MavRouter.Router.Batch
-  alias MavRouter.Router.Budget
+  alias MavRouter.Router.Output.Batch
+  alias MavRouter.Router.Queue.Budget
   alias MavRouter.Router.Endpoint
   alias MavRouter.Router.Endpoints
-  alias MavRouter.Router.SendQueue
+  alias MavRouter.Router.Queue.SendQueue
   alias MavRouter.Router.Owner
-  alias MavRouter.Router.SavedRules
+  alias MavRouter.Router.Owner.SavedRules
   alias MavRouter.Router.Tables
-  alias MavRouter.Router.EndpointCounters
+  alias MavRouter.Router.Endpoint.Counters
 
   require Logger
 
@@ -240,7 +240,8 @@ defmodule MavRouter.Link.Egress do
   end
 
   @doc "Sends frames to a peer, or queues them."
-  @spec forward(t, term, MavRouter.Router.Classify.class(), [binary], integer, write, state) :: {t, state}
+  @spec forward(t, term, MavRouter.Router.Queue.TrafficClass.class(), [binary], integer, write, state) ::
+          {t, state}
         when state: term
   def forward(egress, id, class, frames, now, write, state) do
     case egress.peers do
@@ -332,7 +333,7 @@ defmodule MavRouter.Link.Egress do
 
   defp wait(peer, _ms, _id, state), do: {peer, state}
 
-  @doc "Notes the requests among frames that a peer sent: the answers have a buffer of their own (`MavRouter.Router.RequestedData`)."
+  @doc "Notes the requests among frames that a peer sent: the answers have a buffer of their own (`MavRouter.Router.Queue.RequestedData`)."
   @spec note_requests(t, term, [MavCodec.Frame.t()], integer) :: t
   def note_requests(egress, id, frames, now) do
     with %{^id => peer} <- egress.peers,
@@ -380,12 +381,12 @@ defmodule MavRouter.Link.Egress do
     direct? = match?({:udp, _, _}, out)
 
     %{
-      bytes_out: if(direct?, do: EndpointCounters.get(counters, :bytes_out), else: 0),
-      writes_out: if(direct?, do: EndpointCounters.get(counters, :frames_out), else: 0),
-      dropped_out: EndpointCounters.lost(counters),
-      denied: EndpointCounters.get(counters, :denied),
-      withheld: EndpointCounters.get(counters, :withheld),
-      routes_refused: EndpointCounters.get(counters, :routes_refused)
+      bytes_out: if(direct?, do: Counters.get(counters, :bytes_out), else: 0),
+      writes_out: if(direct?, do: Counters.get(counters, :frames_out), else: 0),
+      dropped_out: Counters.lost(counters),
+      denied: Counters.get(counters, :denied),
+      withheld: Counters.get(counters, :withheld),
+      routes_refused: Counters.get(counters, :routes_refused)
     }
   end
 

@@ -19,14 +19,14 @@ defmodule MavRouter.Link.Server do
   alias MavRouter.Link.Connector
   alias MavRouter.Link.Restarts
   alias MavRouter.Link.PublishedPeers
-  alias MavRouter.Link.Snapshot
+  alias MavRouter.Link.Core.Snapshot
   alias MavRouter.Link.Search
   alias MavRouter.Link.Spec
   alias MavRouter.Link.Writer
   alias Aerie.Base.Names
   alias MavRouter.Router
   alias MavRouter.Router.Meter
-  alias MavRouter.Router.Load
+  alias MavRouter.Router.SessionBackpressure
 
   @drops [:unclaimed, :refused, :overload, :looped]
 
@@ -225,7 +225,7 @@ defmodule MavRouter.Link.Server do
   defp delivered(%{conn: nil} = state), do: state
 
   defp delivered(state) do
-    backlog = state.sessions |> Enum.map(&Load.waiting/1) |> Enum.max(fn -> 0 end)
+    backlog = state.sessions |> Enum.map(&SessionBackpressure.waiting/1) |> Enum.max(fn -> 0 end)
     %{state | conn: state.transport.delivered(state.conn, backlog)}
   end
 

@@ -9,7 +9,7 @@ defmodule MavRouter.Link.Settings do
 
   alias MavRouter.Link.{Spec, Transport}
   alias Aerie.Base.Names
-  alias MavRouter.Router.RuleKeys
+  alias MavRouter.Router.Owner.RuleKeys
   alias Aerie.Base.Settings.Types
 
   @dialects %{

@@ -14,16 +14,16 @@ defmodule MavRouter.Router.Admission do
 
   The process that has a vehicle's frames starts it at once as long as few come, #{div(1_000, @at_once_ms)} a second of a link and #{@at_once}
   in a burst, and while no more than #{@busy} messages wait for that process, since other vehicles' frames are among them.
-  `MavRouter.Router.VehicleStarter` starts the others; at most #{@max_waiting} wait, with their first frames (`MavRouter.Router.EarlyFrames`), which
+  `MavRouter.Router.Admission.VehicleStarter` starts the others; at most #{@max_waiting} wait, with their first frames (`MavRouter.Router.Admission.EarlyFrames`), which
   their sessions take when they start (`first_frames/2`).
   """
 
   alias Aerie.Base.Names
   alias MavRouter.Router.AutoSystemId
   alias MavRouter.Router.Delivery
-  alias MavRouter.Router.EarlyFrames
+  alias MavRouter.Router.Admission.EarlyFrames
   alias MavRouter.Router.Tables
-  alias MavRouter.Router.VehicleStarter
+  alias MavRouter.Router.Admission.VehicleStarter
   alias Aerie.Base.TokenBucket
   alias MavCodec.Frame
 

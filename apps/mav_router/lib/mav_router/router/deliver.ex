@@ -1,25 +1,25 @@
 defmodule MavRouter.Router.Deliver do
   @moduledoc """
-  What becomes of the frames of one read, in the process that read them: they teach routes (`MavRouter.Router.Source`,
-  `MavRouter.Router.Intake`), go to other endpoints (`MavRouter.Router.Forward`) and to the sessions of their vehicles.
+  What becomes of the frames of one read, in the process that read them: they teach routes (`MavRouter.Router.Forward.Source`,
+  `MavRouter.Router.HeartbeatLearner`), go to other endpoints (`MavRouter.Router.Forward`) and to the sessions of their vehicles.
   """
 
   alias Aerie.Base.Names
   alias MavRouter.Router.Admission
   alias MavRouter.Router.Delivery
   alias MavRouter.Router.Echo
-  alias MavRouter.Router.EndpointCounters
+  alias MavRouter.Router.Endpoint.Counters
   alias MavRouter.Router.Forward
-  alias MavRouter.Router.ForwardCache
-  alias MavRouter.Router.ForwardingTable
+  alias MavRouter.Router.Forward.Cache
+  alias MavRouter.Router.Forward.Table
   alias MavRouter.Router.Gate
-  alias MavRouter.Router.Intake
-  alias MavRouter.Router.Load
-  alias MavRouter.Router.ServedReadings
-  alias MavRouter.Router.Source
+  alias MavRouter.Router.HeartbeatLearner
+  alias MavRouter.Router.SessionBackpressure
+  alias MavRouter.Router.ReadCache.Requests
+  alias MavRouter.Router.Forward.Source
   alias MavRouter.Router.StreamRequests
   alias MavRouter.Router.Tables
-  alias MavRouter.Router.TransferTurns
+  alias MavRouter.Router.TransferLock
   alias MavRouter.Signing
   alias MavCodec.Frame
 
@@ -38,7 +38,7 @@ defmodule MavRouter.Router.Deliver do
   end
 
   defp frames(gateway, tables, origin, frames) do
-    %{forwarding: forwarding} = cache = ForwardCache.fetch(gateway, tables)
+    %{forwarding: forwarding} = cache = Cache.fetch(gateway, tables)
 
     case path(forwarding, origin) do
       # A client whose endpoint is gone, as after a restart of the router: its frames are no vehicle's.
@@ -46,7 +46,7 @@ defmodule MavRouter.Router.Deliver do
         unclaimed(frames)
 
       path ->
-        EndpointCounters.add(path.counters, :frames_in, length(frames))
+        Counters.add(path.counters, :frames_in, length(frames))
         # What lacks a right signature where one is required is not taken in, but it is forwarded (S10).
         trusted = Signing.admit(gateway, trusted_origin(%{origin | network: hd(path.networks)}, path), frames)
 
@@ -71,7 +71,7 @@ defmodule MavRouter.Router.Deliver do
     case paths do
       %{{^id, ^peer} => path} -> path
       _unknown when network == nil -> nil
-      _unknown -> ForwardingTable.Path.unregistered(id, peer, network)
+      _unknown -> Table.Path.unregistered(id, peer, network)
     end
   end
 
@@ -112,7 +112,7 @@ defmodule MavRouter.Router.Deliver do
       |> Enum.group_by(&{&1.system, &1.component})
       |> Enum.reduce({delivery, []}, fn {{system, _component} = ids, frames}, {delivery, vehicles} ->
         # The source before it may have changed the path or a route.
-        cache = ForwardCache.fetch(delivery.gateway, delivery.tables)
+        cache = Cache.fetch(delivery.gateway, delivery.tables)
         own_trusted = if trusted == frames, do: frames, else: of_source(trusted, ids)
         delivery = route(frames, own_trusted, ids, cache, %{delivery | forwarding: cache.forwarding})
         vehicles = if delivery.vehicle, do: [system | vehicles], else: vehicles
@@ -148,13 +148,13 @@ defmodule MavRouter.Router.Deliver do
   # Learns from the frames of one component and forwards them. Frames with an unknown message id are forwarded too, but never
   # teach a route (R4).
   defp route(frames, trusted, {system, component}, cache, %{path: path} = delivery) do
-    before = ForwardCache.source(cache, path.key, system, component)
+    before = Cache.source(cache, path.key, system, component)
     source = Source.refresh(before, delivery, known?(trusted))
-    delivery = Intake.read(trusted, %{delivery | source: source})
+    delivery = HeartbeatLearner.read(trusted, %{delivery | source: source})
 
     _ =
       if delivery.source !== before,
-        do: ForwardCache.put_source(delivery.gateway, cache, path.key, delivery.source)
+        do: Cache.put_source(delivery.gateway, cache, path.key, delivery.source)
 
     for {scope, frames} <- Gate.sort(frames, delivery),
         do: forward(frames, trusted, %{delivery | scope: scope})
@@ -164,8 +164,8 @@ defmodule MavRouter.Router.Deliver do
 
   defp forward(frames, trusted, delivery) do
     frames = StreamRequests.pass(frames, trusted, delivery)
-    frames = ServedReadings.pass(frames, trusted, delivery)
-    frames = TransferTurns.pass(frames, delivery)
+    frames = Requests.pass(frames, trusted, delivery)
+    frames = TransferLock.pass(frames, delivery)
     Forward.frames(frames, delivery)
   end
 
@@ -206,7 +206,7 @@ defmodule MavRouter.Router.Deliver do
 
   # No session, so no vehicle yet: its texts are kept for the time when it is one.
   defp hold(frames, key, delivery) do
-    ForwardCache.hold(delivery.gateway, key, frames)
+    Cache.hold(delivery.gateway, key, frames)
     unclaimed(frames)
   end
 
@@ -229,12 +229,12 @@ defmodule MavRouter.Router.Deliver do
   defp find_session(key, %{source: source, path: path} = delivery) do
     epoch = Names.epoch()
     found = Names.whereis(delivery.gateway, :session, key)
-    ForwardCache.update_source(delivery.gateway, path.key, %{source | session: {key, found || epoch}})
+    Cache.update_source(delivery.gateway, path.key, %{source | session: {key, found || epoch}})
     found
   end
 
   defp admit(frames, key, %{gateway: gateway} = delivery) do
-    first = fn -> ForwardCache.held(gateway, key, hd(frames)) ++ frames end
+    first = fn -> Cache.held(gateway, key, hd(frames)) ++ frames end
 
     case Admission.session(key, first, delivery) do
       # It gets them when it is there.
@@ -246,7 +246,7 @@ defmodule MavRouter.Router.Deliver do
   end
 
   defp pass(frames, {network, system} = key, session, delivery) do
-    if Load.over?(delivery.tables, key, session, delivery.now) do
+    if SessionBackpressure.over?(delivery.tables, key, session, delivery.now) do
       metadata = %{gateway: delivery.gateway, network: network, system: system, reason: :overload}
       :telemetry.execute([:aerie, :router, :dropped], %{frames: length(frames)}, metadata)
       %{@nothing | overload: length(frames)}

@@ -14,8 +14,8 @@ defmodule MavRouter.Router.Delivery do
   | `scope` | whom the frames may reach (`MavRouter.Router.Gate`): clients only, unless the gate says more |
   """
 
-  alias MavRouter.Router.ForwardingTable
-  alias MavRouter.Router.Source
+  alias MavRouter.Router.Forward.Table
+  alias MavRouter.Router.Forward.Source
   alias MavRouter.Router.Tables
 
   @enforce_keys [:gateway, :tables, :forwarding, :path, :now]
@@ -24,8 +24,8 @@ defmodule MavRouter.Router.Delivery do
   @type t :: %__MODULE__{
           gateway: Aerie.Base.Names.gateway(),
           tables: Tables.t(),
-          forwarding: ForwardingTable.t(),
-          path: ForwardingTable.Path.t(),
+          forwarding: Table.t(),
+          path: Table.Path.t(),
           source: Source.t() | nil,
           now: integer,
           sender: String.t() | MavRouter.Router.Endpoint.key() | nil,

@@ -1,6 +1,6 @@
 defmodule MavRouter.Router.Endpoint do
   @max_waiting 4_096
-  # As much of a transfer as `MavRouter.Router.RequestedData` has room for, in small frames.
+  # As much of a transfer as `MavRouter.Router.Queue.RequestedData` has room for, in small frames.
   @max_requested 65_536
 
   @moduledoc """
@@ -21,16 +21,16 @@ defmodule MavRouter.Router.Endpoint do
           write(bytes)
       end
 
-  `bytes` is a list of whole frames as they were received, of one class (`MavRouter.Router.Classify`); usually at most one message
+  `bytes` is a list of whole frames as they were received, of one class (`MavRouter.Router.Queue.TrafficClass`); usually at most one message
   for each read. Frames count as waiting until `taken/2` is called: at #{@max_waiting} of them further ones are dropped and
-  counted. A process that cannot write at once keeps them in an `MavRouter.Router.SendQueue`, which drops the oldest frames of the
+  counted. A process that cannot write at once keeps them in an `MavRouter.Router.Queue.SendQueue`, which drops the oldest frames of the
   least important class. A new connection is a new endpoint, so that nothing old waits for it. The endpoint ends with its process
   or with `detach/1`.
   """
 
   alias Aerie.Base.Names
-  alias MavRouter.Router.RequestedData
-  alias MavRouter.Router.EndpointCounters
+  alias MavRouter.Router.Queue.RequestedData
+  alias MavRouter.Router.Endpoint.Counters
 
   @enforce_keys [:key, :gateway]
   defstruct [
@@ -68,7 +68,7 @@ defmodule MavRouter.Router.Endpoint do
           kind: atom,
           side: :vehicle | :client | nil,
           out: out,
-          counters: EndpointCounters.t(),
+          counters: Counters.t(),
           waiting: :atomics.atomics_ref(),
           pid: pid | nil,
           since: integer,
@@ -88,7 +88,7 @@ defmodule MavRouter.Router.Endpoint do
   Whether a frame of a class has room in the mailbox of an endpoint's process when so many wait. Data that the endpoint requested
   (`requested/2`) has room when other frames have none any more.
   """
-  @spec room?(:atomics.atomics_ref(), MavRouter.Router.Classify.class(), integer) :: boolean
+  @spec room?(:atomics.atomics_ref(), MavRouter.Router.Queue.TrafficClass.class(), integer) :: boolean
   def room?(waiting, class, n) do
     limit = :atomics.get(waiting, 3)
     n <= limit or (limit > 0 and requested?(waiting, class, n))
@@ -121,7 +121,7 @@ defmodule MavRouter.Router.Endpoint do
     :ok = :atomics.put(waiting, 3, @max_waiting)
 
     struct!(
-      %__MODULE__{key: key, gateway: gateway, counters: EndpointCounters.new(), waiting: waiting},
+      %__MODULE__{key: key, gateway: gateway, counters: Counters.new(), waiting: waiting},
       fields
     )
   end
@@ -130,9 +130,9 @@ defmodule MavRouter.Router.Endpoint do
   @spec taken(t, pos_integer) :: :ok
   def taken(%__MODULE__{waiting: waiting}, n), do: :atomics.sub(waiting, 1, n)
 
-  @doc "Counts frames that the endpoint's process dropped, as `MavRouter.Router.ClassQueue` gives them."
-  @spec dropped(t, MavRouter.Router.ClassQueue.dropped()) :: :ok
+  @doc "Counts frames that the endpoint's process dropped, as `MavRouter.Router.Queue.ClassQueue` gives them."
+  @spec dropped(t, MavRouter.Router.Queue.ClassQueue.dropped()) :: :ok
   def dropped(%__MODULE__{counters: counters}, dropped) do
-    Enum.each(dropped, fn {class, n} -> EndpointCounters.dropped(counters, class, n) end)
+    Enum.each(dropped, fn {class, n} -> Counters.dropped(counters, class, n) end)
   end
 end

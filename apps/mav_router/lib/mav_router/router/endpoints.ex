@@ -8,9 +8,9 @@ defmodule MavRouter.Router.Endpoints do
   alias MavRouter.Router.Endpoint
   alias MavRouter.Router.Owner
   alias MavRouter.Router.Routes
-  alias MavRouter.Router.SavedRules
+  alias MavRouter.Router.Owner.SavedRules
   alias MavRouter.Router.Tables
-  alias MavRouter.Router.EndpointMonitor
+  alias MavRouter.Router.Endpoints.Monitor
   alias MavRouter.Router.StreamRequests
 
   @max_listeners 32
@@ -74,7 +74,7 @@ defmodule MavRouter.Router.Endpoints do
   @spec put(Names.gateway(), Tables.t(), Endpoint.t()) :: :ok
   def put(gateway, tables, %Endpoint{key: key} = endpoint) do
     :ets.insert(tables.endpoints, {key, endpoint})
-    EndpointMonitor.monitor(gateway, endpoint.pid)
+    Monitor.monitor(gateway, endpoint.pid)
     Tables.changed(tables, key)
   end
 

@@ -18,18 +18,18 @@ defmodule MavRouter.Router.Forward do
 
   alias MavRouter.Mavlink.HighLatency
   alias MavRouter.Mavlink.Message
-  alias MavRouter.Router.Batch
-  alias MavRouter.Router.Carrier
-  alias MavRouter.Router.Classify
-  alias MavRouter.Router.Dedupe
+  alias MavRouter.Router.Output.Batch
+  alias MavRouter.Router.Routes.LinkSelector
+  alias MavRouter.Router.Queue.TrafficClass
+  alias MavRouter.Router.Forward.Dedupe
   alias MavRouter.Router.Delivery
-  alias MavRouter.Router.EndpointCounters
-  alias MavRouter.Router.Filter
+  alias MavRouter.Router.Endpoint.Counters
+  alias MavRouter.Router.Owner.Filter
   alias MavRouter.Router.Output
-  alias MavRouter.Router.RateLimit
-  alias MavRouter.Router.Reach
-  alias MavRouter.Router.Refusal
-  alias MavRouter.Router.Renumber
+  alias MavRouter.Router.Owner.RateLimit
+  alias MavRouter.Router.Forward.Reach
+  alias MavRouter.Router.Forward.Refusal
+  alias MavRouter.Router.Owner.Renumber
   alias MavRouter.Router.Routes
   alias Aerie.Base.TokenBucket
   alias MavCodec.Frame
@@ -48,10 +48,10 @@ defmodule MavRouter.Router.Forward do
   @doc "Forwards the frames of one source, in order."
   @spec frames([Frame.t()], Delivery.t()) :: :ok
   def frames(frames, %{path: %{role: :read_only} = path}),
-    do: EndpointCounters.add(path.counters, :read_only, length(frames))
+    do: Counters.add(path.counters, :read_only, length(frames))
 
   def frames(frames, %{path: path, source: source} = delivery) do
-    if source.collided, do: EndpointCounters.add(path.counters, :collided, length(frames))
+    if source.collided, do: Counters.add(path.counters, :collided, length(frames))
 
     case admitted(frames, delivery) do
       [] -> :ok
@@ -72,20 +72,20 @@ defmodule MavRouter.Router.Forward do
   defp secrets?([%{id: @setup_signing} | _rest]), do: true
   defp secrets?([_other | rest]), do: secrets?(rest)
 
-  defp secret?(%{id: @setup_signing}, path), do: EndpointCounters.add(path.counters, :secret, 1) == :ok
+  defp secret?(%{id: @setup_signing}, path), do: Counters.add(path.counters, :secret, 1) == :ok
   defp secret?(_frame, _path), do: false
 
   defp filtered_in?(frame, path),
     do:
       not Filter.pass?(path.in, frame, path.owner) and
-        EndpointCounters.add(path.counters, :filtered_in, 1) == :ok
+        Counters.add(path.counters, :filtered_in, 1) == :ok
 
   defp duplicate?(_frame, %{source: %{redundant: false}}), do: false
 
   defp duplicate?(frame, %{tables: tables, path: path, scope: scope, now: now}),
     do:
       Dedupe.duplicate?(tables, frame.bytes, path.key, scope, now) and
-        EndpointCounters.add(path.counters, :duplicates, 1) == :ok
+        Counters.add(path.counters, :duplicates, 1) == :ok
 
   # Broadcasts are gathered until a frame has a target, so that each receiver gets everything in its order.
   defp run([], gathered, delivery), do: broadcast(gathered, delivery)
@@ -189,7 +189,7 @@ defmodule MavRouter.Router.Forward do
   end
 
   defp classes(frames) do
-    frames |> Enum.chunk_by(&Classify.of(&1.id)) |> Enum.map(&{Classify.of(hd(&1).id), &1})
+    frames |> Enum.chunk_by(&TrafficClass.of(&1.id)) |> Enum.map(&{TrafficClass.of(hd(&1).id), &1})
   end
 
   defp send_to(target, frame, delivery) do
@@ -232,7 +232,7 @@ defmodule MavRouter.Router.Forward do
 
     case renumbered_in(frame, system, path) do
       {:ok, frame} -> reach(frame, system, keys, delivery)
-      :refused -> EndpointCounters.add(path.counters, :refused, 1)
+      :refused -> Counters.add(path.counters, :refused, 1)
     end
   end
 
@@ -256,7 +256,7 @@ defmodule MavRouter.Router.Forward do
     case heard do
       # A frame for the gateway itself has arrived and goes no further.
       [] ->
-        if Frame.target(frame) != forwarding.own, do: EndpointCounters.add(path.counters, :no_route, 1)
+        if Frame.target(frame) != forwarding.own, do: Counters.add(path.counters, :no_route, 1)
 
       heard ->
         heard |> one_of_each_group(system, frame, delivery) |> Enum.each(&emit(&1, batch, delivery))
@@ -297,11 +297,11 @@ defmodule MavRouter.Router.Forward do
 
   defp one_of_each_group(paths, system, frame, %{tables: tables}) do
     {grouped, single} = Enum.split_with(paths, &(&1.group != nil and &1.side == :vehicle))
-    class = Classify.of(frame.id)
+    class = TrafficClass.of(frame.id)
 
     single ++
       Enum.flat_map(Enum.group_by(grouped, & &1.group), fn {group, paths} ->
-        near = Carrier.within_reach(tables, system, Enum.map(paths, & &1.key))
+        near = LinkSelector.within_reach(tables, system, Enum.map(paths, & &1.key))
         carriers(tables, group, Enum.filter(paths, &(&1.key in near)), class)
       end)
   end
@@ -309,7 +309,9 @@ defmodule MavRouter.Router.Forward do
   defp carriers(_tables, _group, [path], _class), do: [path]
 
   defp carriers(tables, group, paths, class) do
-    links = Carrier.links(tables, group, Enum.map(paths, & &1.owner), Carrier.configured(paths, class))
+    links =
+      LinkSelector.links(tables, group, Enum.map(paths, & &1.owner), LinkSelector.configured(paths, class))
+
     Enum.filter(paths, &(&1.owner in links))
   end
 
@@ -336,7 +338,7 @@ defmodule MavRouter.Router.Forward do
           [frame]
 
         :refused ->
-          EndpointCounters.add(to.counters, :refused, 1)
+          Counters.add(to.counters, :refused, 1)
           []
       end
     end)
@@ -357,7 +359,7 @@ defmodule MavRouter.Router.Forward do
   end
 
   defp stopped(to, counter) do
-    EndpointCounters.add(to.counters, counter, 1)
+    Counters.add(to.counters, counter, 1)
     false
   end
 

@@ -7,12 +7,12 @@ defmodule MavRouter.Router.Gate do
   |---|---|
   | `:cleared` | every receiver |
   | `:clients` | clients only |
-  | `:related` | clients, and those vehicles and parts that the sender's relation to them allows (`MavRouter.Router.Reach`) |
+  | `:related` | clients, and those vehicles and parts that the sender's relation to them allows (`MavRouter.Router.Forward.Reach`) |
 
   - Frames of vehicles, their parts and strangers are `:related`.
   - Telemetry, heartbeats, questions, input and answers of a client are `:cleared` if the client has the row's permission, and
     nobody else is in charge of the vehicle. Otherwise they go to clients only. A question of a client that may not ask is
-    answered from the gateway's copies, or asked by the gateway (`MavRouter.Router.AskedFor`).
+    answered from the gateway's copies, or asked by the gateway (`MavRouter.Router.Gate.Questions`).
   - Everything else of a client is judged by `MavRouter.Router.Policy`. A refused command goes nowhere, and is counted as `denied`.
   - A message without a row reaches no vehicle, unless the policy opens it.
 
@@ -31,12 +31,12 @@ defmodule MavRouter.Router.Gate do
   alias MavRouter.Authority.Messages
   alias MavRouter.Authority.Principal
   alias MavRouter.Mavlink.CommandNumber
-  alias MavRouter.Router.AskedFor
+  alias MavRouter.Router.Gate.Questions
   alias MavRouter.Router.Delivery
-  alias MavRouter.Router.EndpointCounters
+  alias MavRouter.Router.Endpoint.Counters
   alias MavRouter.Router.Forward
-  alias MavRouter.Router.Refusal
-  alias MavRouter.Router.Renumber
+  alias MavRouter.Router.Forward.Refusal
+  alias MavRouter.Router.Owner.Renumber
   alias MavRouter.Router.Routes
   alias MavRouter.Router.StreamRequests
   alias MavRouter.Router.Tables
@@ -146,17 +146,17 @@ defmodule MavRouter.Router.Gate do
     end
   end
 
-  # `MavRouter.Router.ServedReadings` answers what it can.
+  # `MavRouter.Router.ReadCache.Requests` answers what it can.
   defp asked(frame, row, %{tables: %{readings: readings}, path: path} = delivery) do
     if path.side == :client and readings != nil and readings.reading?(frame) do
       [{:clients, frame}]
     else
-      case AskedFor.ask(frame, row, delivery) do
+      case Questions.ask(frame, row, delivery) do
         :asked ->
           []
 
         :too_often ->
-          EndpointCounters.add(path.counters, :withheld, 1)
+          Counters.add(path.counters, :withheld, 1)
           []
 
         :not_askable ->
@@ -207,7 +207,7 @@ defmodule MavRouter.Router.Gate do
           [{:clients, frame}]
 
         {:refuse, answers, instead} ->
-          EndpointCounters.add(path.counters, :denied, 1)
+          Counters.add(path.counters, :denied, 1)
           answer(answers, path, network)
           # A question, which needs its own permission.
           instead |> List.wrap() |> Enum.flat_map(&judged(&1, principal, delivery))

@@ -3,7 +3,8 @@ defmodule MavRouter.Router.LocalEndpoint do
 
   alias Aerie.Base.Names
   alias MavRouter.Router
-  alias MavRouter.Router.{Endpoint, Endpoints, Owner, SavedRules, Tables}
+  alias MavRouter.Router.{Endpoint, Endpoints, Owner, Tables}
+  alias MavRouter.Router.Owner.SavedRules
 
   @doc """
   Makes the calling process an endpoint.

@@ -8,7 +8,7 @@ defmodule MavRouter.Router.Meter do
   | in `:scores` | |
   |---|---|
   | `{:rates, endpoint}` | per second, of the last second |
-  | `{:score, link}` | `%{score, loss, rtt_ms, age_ms}`: 0 to 100 (`MavRouter.Router.Score`), and what it was made of |
+  | `{:score, link}` | `%{score, loss, rtt_ms, age_ms}`: 0 to 100 (`MavRouter.Router.Routes.Score`), and what it was made of |
   | `{:carrier, group}` | the link that carries |
 
   Loss follows from the sequence numbers heard on a link in the last seconds. Round trips are measured by the vehicles' sessions,
@@ -19,9 +19,9 @@ defmodule MavRouter.Router.Meter do
   alias Aerie.Base.Store
   alias Aerie.Base.Names
   alias MavRouter.Router.Endpoints
-  alias MavRouter.Router.Score
+  alias MavRouter.Router.Routes.Score
   alias MavRouter.Router.Tables
-  alias MavRouter.Router.EndpointCounters
+  alias MavRouter.Router.Endpoint.Counters
 
   # How much of the former loss stays in the mean after a second.
   @keep 0.8
@@ -99,7 +99,7 @@ defmodule MavRouter.Router.Meter do
   def measure(state, tables, now), do: state |> rates(tables, now) |> groups(tables, now)
 
   defp rates(state, tables, now) do
-    counts = Map.new(Endpoints.list(tables), &{&1.key, EndpointCounters.read(&1.counters)})
+    counts = Map.new(Endpoints.list(tables), &{&1.key, Counters.read(&1.counters)})
     seconds = if state.at, do: max(now - state.at, 1) / 1000
 
     for {key, now} <- counts, before = state.counts[key], seconds do

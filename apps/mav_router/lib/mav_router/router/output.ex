@@ -4,19 +4,19 @@ defmodule MavRouter.Router.Output do
   one message to the process of any other endpoint. What does not fit is dropped and counted.
   """
 
-  alias MavRouter.Router.Batch
+  alias MavRouter.Router.Output.Batch
   alias MavRouter.Router.Endpoint
-  alias MavRouter.Router.EndpointCounters
+  alias MavRouter.Router.Endpoint.Counters
 
   # More frames than this of one component in one read mean that we are behind, and then several share a datagram, to save system
   # calls. Otherwise each has its own, because some routers (gomavlib's, XMAVLink) read only the first frame of a datagram. A vehicle
   # that packs datagrams itself (PX4) puts fewer into one.
   @many 64
 
-  @typedoc "What is needed of an endpoint: an `MavRouter.Router.ForwardingTable.Path`, or an `Endpoint`."
+  @typedoc "What is needed of an endpoint: an `MavRouter.Router.Forward.Table.Path`, or an `Endpoint`."
   @type path :: %{
           :out => Endpoint.out(),
-          :counters => EndpointCounters.t(),
+          :counters => Counters.t(),
           :waiting => :atomics.atomics_ref(),
           optional(any) => any
         }
@@ -46,10 +46,10 @@ defmodule MavRouter.Router.Output do
 
     # A datagram that failed is not taken apart to count its frames: the whole batch counts as lost.
     if good do
-      EndpointCounters.add(path.counters, :frames_out, batch.n)
-      EndpointCounters.add(path.counters, :bytes_out, bytes)
+      Counters.add(path.counters, :frames_out, batch.n)
+      Counters.add(path.counters, :bytes_out, bytes)
     else
-      EndpointCounters.add(path.counters, :failed, batch.n)
+      Counters.add(path.counters, :failed, batch.n)
     end
 
     batch
@@ -87,7 +87,7 @@ defmodule MavRouter.Router.Output do
   def emit_to_be_signed(path, batch), do: emit(path, batch)
 
   @doc "Sends the bytes of `n` whole frames of one class."
-  @spec bytes(path, iodata, MavRouter.Router.Classify.class(), pos_integer) :: :ok
+  @spec bytes(path, iodata, MavRouter.Router.Queue.TrafficClass.class(), pos_integer) :: :ok
   def bytes(%{out: {:udp, socket, to}} = path, bytes, _class, n),
     do: datagram(socket, to, IO.iodata_to_binary(bytes), n, path.counters)
 
@@ -98,10 +98,10 @@ defmodule MavRouter.Router.Output do
 
   defp datagram(socket, to, bytes, n, counters) do
     if write(socket, to, bytes) do
-      EndpointCounters.add(counters, :frames_out, n)
-      EndpointCounters.add(counters, :bytes_out, byte_size(bytes))
+      Counters.add(counters, :frames_out, n)
+      Counters.add(counters, :bytes_out, byte_size(bytes))
     else
-      EndpointCounters.add(counters, :failed, n)
+      Counters.add(counters, :failed, n)
     end
   end
 
@@ -118,11 +118,11 @@ defmodule MavRouter.Router.Output do
   defp message(path, pid, tag, class, bytes, n) do
     if not Endpoint.room?(path.waiting, class, :atomics.add_get(path.waiting, 1, n)) do
       :atomics.sub(path.waiting, 1, n)
-      EndpointCounters.dropped(path.counters, class, n)
+      Counters.dropped(path.counters, class, n)
     else
       send(pid, if(tag == nil, do: {:forward, bytes, class}, else: {:forward, tag, bytes, class}))
-      EndpointCounters.add(path.counters, :frames_out, n)
-      EndpointCounters.add(path.counters, :bytes_out, IO.iodata_length(bytes))
+      Counters.add(path.counters, :frames_out, n)
+      Counters.add(path.counters, :bytes_out, IO.iodata_length(bytes))
     end
 
     :ok

@@ -6,28 +6,28 @@ defmodule MavRouter.Router.Owner do
   |---|---|
   | `:side` | `:vehicle` (a link to vehicles; default) or `:client` |
   | `:networks` | names in order of precedence, or `:all`, later ones included; default the gateway's own for a link, `:all` for a client |
-  | `:group` | redundant links to the same vehicles share a group: nothing goes from one to another, and one of them carries what goes to a vehicle (`MavRouter.Router.Carrier`) |
+  | `:group` | redundant links to the same vehicles share a group: nothing goes from one to another, and one of them carries what goes to a vehicle (`MavRouter.Router.Routes.LinkSelector`) |
   | `:carry` | which link of the group carries a class: `%{class => link id | :all}`; default the best one |
   | `:role` | `:full` or `:read_only`: its frames go to nobody |
   | `:sniffer` | true: it gets every frame of its networks, whatever the target |
-  | `:served` | of a client, true: what it reads of parameters and plans may be answered by the gateway (`MavRouter.Router.Readings`) |
-  | `:in`, `:out` | filters (`MavRouter.Router.Filter`) |
-  | `:rate_limits` | `%{message => Hz}` (`MavRouter.Router.RateLimit`) |
+  | `:served` | of a client, true: what it reads of parameters and plans may be answered by the gateway (`MavRouter.Router.ReadCache`) |
+  | `:in`, `:out` | filters (`MavRouter.Router.Owner.Filter`) |
+  | `:rate_limits` | `%{message => Hz}` (`MavRouter.Router.Owner.RateLimit`) |
   | `:bytes_per_s` | budget of what goes out to each of its peers; default none, for a serial line its rate |
-  | `:queue` | `[max_frames:, max_bytes:, max_asked:]` of what waits for one peer (`MavRouter.Router.ClassQueue`) |
+  | `:queue` | `[max_frames:, max_bytes:, max_asked:]` of what waits for one peer (`MavRouter.Router.Queue.ClassQueue`) |
   | `:coalesce` | frames may share a datagram when many wait (`MavRouter.Router.Output`); default true |
   | `:sign` | of a client, true: its unsigned frames are trusted, and signed for vehicles that require it (`MavRouter.Signing`) |
   | `:gcs` | of a link: which of its endpoints count as clients, `:auto`, `:allow` or `:deny` (`MavRouter.Router.Access`) |
-  | `:parts` | of a link, true: cameras, gimbals and companions of its vehicles are on it, and tell their autopilots what they have to tell (`MavRouter.Router.Reach`) |
+  | `:parts` | of a link, true: cameras, gimbals and companions of its vehicles are on it, and tell their autopilots what they have to tell (`MavRouter.Router.Forward.Reach`) |
   | `:broadcasts` | false: it gets only frames with its ids as target; default true |
-  | `:id_offsets` | for a client, what is added to the system ids of a network: `%{network => n}` (`MavRouter.Router.Renumber`) |
+  | `:id_offsets` | for a client, what is added to the system ids of a network: `%{network => n}` (`MavRouter.Router.Owner.Renumber`) |
   | `:high_latency` | true: it gets only what a link of high latency carries (X6), unless `:out` lists the messages |
   """
 
-  alias MavRouter.Router.Classify
-  alias MavRouter.Router.Filter
-  alias MavRouter.Router.RateLimit
-  alias MavRouter.Router.Renumber
+  alias MavRouter.Router.Queue.TrafficClass
+  alias MavRouter.Router.Owner.Filter
+  alias MavRouter.Router.Owner.RateLimit
+  alias MavRouter.Router.Owner.Renumber
 
   @enforce_keys [:id]
   defstruct [
@@ -67,7 +67,7 @@ defmodule MavRouter.Router.Owner do
           side: :vehicle | :client,
           gcs: :auto | :allow | :deny,
           networks: [String.t()] | :all,
-          carry: %{Classify.class() => String.t() | :all},
+          carry: %{TrafficClass.class() => String.t() | :all},
           role: :full | :read_only,
           sniffer: boolean,
           served: boolean,
@@ -147,7 +147,7 @@ defmodule MavRouter.Router.Owner do
 
   defp option(:carry, carry) when is_map(carry) do
     if Enum.all?(carry, fn {class, link} ->
-         class in Classify.classes() and (link == :all or is_binary(link))
+         class in TrafficClass.classes() and (link == :all or is_binary(link))
        end),
        do: {:ok, carry: carry},
        else: {:error, "expected classes with a link or :all"}

@@ -8,7 +8,7 @@ defmodule MavRouter.Router.Policy do
 
   alias MavRouter.Authority.Principal
   alias Aerie.Base.Names
-  alias MavRouter.Router.ForwardingTable.Path
+  alias MavRouter.Router.Forward.Table.Path
   alias MavCodec.Frame
 
   @typedoc "Who sends: the endpoint, its client or link, its address in words, and who that is."
@@ -24,7 +24,7 @@ defmodule MavRouter.Router.Policy do
 
   @doc """
   A frame on its way to a vehicle. Its target is the one that the sender uses, which may be 0 for all, or another number for the
-  vehicle (`MavRouter.Router.Renumber`). `{:refuse, answers, instead}`: it goes no further; `answers` are frames to the sender in
+  vehicle (`MavRouter.Router.Owner.Renumber`). `{:refuse, answers, instead}`: it goes no further; `answers` are frames to the sender in
   the vehicle's name, and `instead` goes to the vehicle in its place, with the same target, or is nil. `{:answer, answers}`: it
   was carried out here, and goes no further.
   """

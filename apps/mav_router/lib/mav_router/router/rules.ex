@@ -12,7 +12,7 @@ defmodule MavRouter.Router.Rules do
   alias Aerie.Base.Names
   alias MavRouter.Router.Endpoints
   alias MavRouter.Router.Owner
-  alias MavRouter.Router.SavedRules
+  alias MavRouter.Router.Owner.SavedRules
   alias MavRouter.Router.Settings
   alias MavRouter.Router.Tables
 

@@ -5,7 +5,7 @@ defmodule MavRouter.Router.Settings do
   """
   use Aerie.Base.Settings
 
-  alias MavRouter.Router.Classify
+  alias MavRouter.Router.Queue.TrafficClass
   alias MavRouter.Router.Owner
 
   @plain [
@@ -103,9 +103,10 @@ defmodule MavRouter.Router.Settings do
 
   defp carry(map) do
     Enum.reduce_while(map, {:ok, %{}}, fn {name, link}, {:ok, carry} ->
-      case Classify.parse(to_string(name)) do
+      case TrafficClass.parse(to_string(name)) do
         nil ->
-          {:halt, {:error, "carry: #{inspect(name)} is not one of #{Enum.join(Classify.classes(), ", ")}"}}
+          {:halt,
+           {:error, "carry: #{inspect(name)} is not one of #{Enum.join(TrafficClass.classes(), ", ")}"}}
 
         class ->
           {:cont, {:ok, Map.put(carry, class, if(link in ["all", :all], do: :all, else: link))}}

@@ -7,9 +7,9 @@ defmodule MavRouter.Router.StreamRequests do
   alias Aerie.Base.Store
   alias MavRouter.Router.Delivery
   alias MavRouter.Router.Endpoint
-  alias MavRouter.Router.Filter
+  alias MavRouter.Router.Owner.Filter
   alias MavRouter.Router.Output
-  alias MavRouter.Router.Renumber
+  alias MavRouter.Router.Owner.Renumber
   alias MavRouter.Router.Tables
   alias MavCodec.Frame
 
@@ -44,7 +44,7 @@ defmodule MavRouter.Router.StreamRequests do
     end
   end
 
-  # The client may see other ids (`MavRouter.Router.Renumber`).
+  # The client may see other ids (`MavRouter.Router.Owner.Renumber`).
   defp vehicle(gateway, path, id) do
     Enum.find_value(path.networks, fn network ->
       system = Renumber.meant(path.renumber, network, id)
@@ -53,7 +53,7 @@ defmodule MavRouter.Router.StreamRequests do
   end
 
   @doc "Sends a client a frame in the name of a vehicle, from the id under which it knows the vehicle."
-  @spec answer(MavRouter.Router.ForwardingTable.Path.t(), network :: String.t(), binary) :: term
+  @spec answer(MavRouter.Router.Forward.Table.Path.t(), network :: String.t(), binary) :: term
   def answer(%{renumber: nil} = path, _network, bytes), do: Output.bytes(path, bytes, :ack, 1)
 
   def answer(path, network, bytes) do

@@ -12,8 +12,8 @@ defmodule MavRouter.Router.Supervisor do
 
   @doc """
   Options: `:gateway`, `:settings` (`MavRouter.Router.Settings`); `:vehicles` (`MavRouter.Router.Vehicles`), `:requests`
-  (`MavRouter.Router.Requests`), `:policy` (`MavRouter.Router.Policy`) and `:readings` (`MavRouter.Router.Readings`), modules, none by default;
-  `:turns_clock`, see `MavRouter.Router.TransferTurns`; `:children`, child specifications of what is supervised beside the router's own
+  (`MavRouter.Router.Requests`), `:policy` (`MavRouter.Router.Policy`) and `:readings` (`MavRouter.Router.ReadCache`), modules, none by default;
+  `:turns_clock`, see `MavRouter.Router.TransferLock`; `:children`, child specifications of what is supervised beside the router's own
   processes.
   """
   @spec start_link(keyword) :: Supervisor.on_start()
@@ -35,11 +35,11 @@ defmodule MavRouter.Router.Supervisor do
       )
 
     children = [
-      {MavRouter.Router.EndpointMonitor, gateway: gateway},
-      {MavRouter.Router.VehicleStarter, gateway: gateway},
+      {MavRouter.Router.Endpoints.Monitor, gateway: gateway},
+      {MavRouter.Router.Admission.VehicleStarter, gateway: gateway},
       {MavRouter.Router.Sweeper, gateway: gateway},
       {MavRouter.Router.Meter, gateway: gateway},
-      {MavRouter.Router.TransferTurns, gateway: gateway, clock: Keyword.get(options, :turns_clock)}
+      {MavRouter.Router.TransferLock, gateway: gateway, clock: Keyword.get(options, :turns_clock)}
     ]
 
     further = Keyword.get(options, :children, [])

@@ -8,7 +8,7 @@ defmodule MavRouter.Router.Systems do
   Two links that hear one system at the same moment may overwrite each other's note of a component; the next heartbeat corrects that.
   """
 
-  alias MavRouter.Router.Stations
+  alias MavRouter.Router.GroundStations
   alias Aerie.Base.Store
   alias Aerie.Base.Names
   alias MavRouter.Mavlink.Heartbeat
@@ -32,7 +32,7 @@ defmodule MavRouter.Router.Systems do
 
     if not Heartbeat.vehicle?(heartbeat) do
       station = %{system: frame.system, component: frame.component, type: heartbeat.type}
-      Stations.hear(gateway, network, Map.merge(station, %{via: link, last_heard: frame.at}))
+      GroundStations.hear(gateway, network, Map.merge(station, %{via: link, last_heard: frame.at}))
     end
 
     Store.see_system(gateway, key, %{

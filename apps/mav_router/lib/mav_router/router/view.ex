@@ -2,16 +2,16 @@ defmodule MavRouter.Router.View do
   @moduledoc "The endpoints as plain maps, for people and programs (`MavRouter.Router.endpoints/1`)."
 
   alias MavRouter.Router.Endpoints
-  alias MavRouter.Router.ForwardingTable
-  alias MavRouter.Router.Renumber
+  alias MavRouter.Router.Forward.Table
+  alias MavRouter.Router.Owner.Renumber
   alias MavRouter.Router.Routes
   alias MavRouter.Router.Tables
-  alias MavRouter.Router.EndpointCounters
+  alias MavRouter.Router.Endpoint.Counters
 
   @doc "All endpoints, in the order of their ids."
   @spec endpoints(Tables.t()) :: [map]
   def endpoints(tables) do
-    paths = ForwardingTable.read(tables).paths
+    paths = Table.read(tables).paths
     heard = Routes.systems(tables)
 
     for endpoint <- Enum.sort_by(Endpoints.list(tables), & &1.key), path = paths[endpoint.key] do
@@ -30,7 +30,7 @@ defmodule MavRouter.Router.View do
         hidden: hidden(heard, path),
         since: endpoint.since,
         waiting: max(:atomics.get(endpoint.waiting, 1), 0),
-        counters: EndpointCounters.read(endpoint.counters),
+        counters: Counters.read(endpoint.counters),
         rates:
           :ets.lookup_element(tables.scores, {:rates, endpoint.key}, 2, %{
             frames_in: 0.0,

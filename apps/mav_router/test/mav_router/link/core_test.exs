@@ -5,7 +5,7 @@ defmodule MavRouter.Link.CoreTest do
   import :proper_types, except: [binary: 0]
 
   alias MavRouter.Link.Core
-  alias MavRouter.Link.Snapshot
+  alias MavRouter.Link.Core.Snapshot
   alias MavRouter.Link.Spec
 
   @at 1_700_000_000_000_000

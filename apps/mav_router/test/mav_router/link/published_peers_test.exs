@@ -4,7 +4,8 @@ defmodule MavRouter.Link.ShownTest do
   import Aerie.LinkCase, only: [attitude: 2]
 
   alias Aerie.Base.PubSub
-  alias MavRouter.Link.{Core, Peers, PublishedPeers, Snapshot, Spec}
+  alias MavRouter.Link.{Core, Peers, PublishedPeers, Spec}
+  alias MavRouter.Link.Core.Snapshot
   alias Aerie.Base.Store
 
   # Peers 1 to n, each with a system of its own, heard by one frame.

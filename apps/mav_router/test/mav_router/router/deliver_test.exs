@@ -290,7 +290,14 @@ defmodule MavRouter.Router.DeliverTest do
   end
 
   test "the longer the start of a vehicle takes, the longer is the pause before the next" do
-    assert Enum.map([0, 2, 5, 10, 20, 5_000], &Router.VehicleStarter.pause/1) == [10, 10, 20, 40, 80, 250]
+    assert Enum.map([0, 2, 5, 10, 20, 5_000], &Router.Admission.VehicleStarter.pause/1) == [
+             10,
+             10,
+             20,
+             40,
+             80,
+             250
+           ]
   end
 
   test "a session that does not keep up gets no frames until it does", c do

@@ -1,7 +1,7 @@
 defmodule MavRouter.Router.EarlyTest do
   use ExUnit.Case, async: true
 
-  alias MavRouter.Router.EarlyTexts
+  alias MavRouter.Router.Admission.EarlyTexts
   alias MavCodec.Messages, as: M
   alias MavCodec.Parser
 

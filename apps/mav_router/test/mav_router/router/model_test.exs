@@ -192,7 +192,7 @@ defmodule MavRouter.Router.ModelTest do
             ],
             do: stop_supervised!({module, gateway})
 
-        Process.delete({MavRouter.Router.ForwardCache, gateway})
+        Process.delete({MavRouter.Router.Forward.Cache, gateway})
         if result != :ok, do: IO.inspect(result, label: "after #{length(ops)}")
         result == :ok
       end)

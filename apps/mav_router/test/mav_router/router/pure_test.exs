@@ -4,23 +4,24 @@ defmodule MavRouter.Router.PureTest do
 
   import :proper_types, only: [list: 1, elements: 1, range: 2, oneof: 1, non_empty: 1, binary: 1]
 
-  alias MavRouter.Router.Batch
-  alias MavRouter.Router.Budget
-  alias MavRouter.Router.Classify
-  alias MavRouter.Router.Dedupe
-  alias MavRouter.Router.Filter
-  alias MavRouter.Router.SendQueue
+  alias MavRouter.Router.Output.Batch
+  alias MavRouter.Router.Queue.Budget
+  alias MavRouter.Router.Queue.TrafficClass
+  alias MavRouter.Router.Forward.Dedupe
+  alias MavRouter.Router.Owner.Filter
+  alias MavRouter.Router.Queue.SendQueue
   alias MavRouter.Router.Owner
-  alias MavRouter.Router.ClassQueue
-  alias MavRouter.Router.RateLimit
-  alias MavRouter.Router.Score
+  alias MavRouter.Router.Queue.ClassQueue
+  alias MavRouter.Router.Owner.RateLimit
+  alias MavRouter.Router.Routes.Score
   alias MavRouter.Router.Tables
   alias MavCodec.Frame
 
   defp check(property, n \\ 200), do: assert(:proper.quickcheck(property, [:quiet, numtests: n]) == true)
 
   describe "ForwardingTable" do
-    alias MavRouter.Router.{Endpoint, Endpoints, ForwardingTable, Routes}
+    alias MavRouter.Router.{Endpoint, Endpoints, Routes}
+    alias MavRouter.Router.Forward.Table
 
     defp tables do
       # Where endpoints tell that they are there is not needed here.
@@ -36,7 +37,7 @@ defmodule MavRouter.Router.PureTest do
         Endpoints.put_owner(tables, owner)
 
         {forwarding, _} =
-          Enum.reduce(steps, {ForwardingTable.read(tables), 0}, fn {n, what}, {forwarding, skipped} ->
+          Enum.reduce(steps, {Table.read(tables), 0}, fn {n, what}, {forwarding, skipped} ->
             key = {"l", n}
 
             case what do
@@ -50,11 +51,11 @@ defmodule MavRouter.Router.PureTest do
             # Several changes are taken in at once as well.
             if rem(skipped + n, 3) == 0,
               do: {forwarding, skipped + 1},
-              else: {ForwardingTable.refresh(forwarding, tables), skipped}
+              else: {Table.refresh(forwarding, tables), skipped}
           end)
 
-        forwarding = ForwardingTable.refresh(forwarding, tables)
-        Map.delete(forwarding, :audience) == Map.delete(ForwardingTable.read(tables), :audience)
+        forwarding = Table.refresh(forwarding, tables)
+        Map.delete(forwarding, :audience) == Map.delete(Table.read(tables), :audience)
       end)
       |> check()
     end
@@ -66,10 +67,10 @@ defmodule MavRouter.Router.PureTest do
         Endpoints.put_owner(tables, owner)
         put = &Endpoints.put(gateway, tables, Endpoint.new(gateway, {"l", &1}, heard_vehicle: true))
         for n <- 1..others, do: put.(n)
-        forwarding = ForwardingTable.read(tables)
+        forwarding = Table.read(tables)
         put.(:new)
         {:reductions, before} = Process.info(self(), :reductions)
-        forwarding = ForwardingTable.refresh(forwarding, tables)
+        forwarding = Table.refresh(forwarding, tables)
         {:reductions, later} = Process.info(self(), :reductions)
         assert map_size(forwarding.paths) == others + 1
         later - before
@@ -95,22 +96,27 @@ defmodule MavRouter.Router.PureTest do
 
   describe "Classify" do
     test "every message has a class, and what flies comes before what can wait" do
-      for id <- MavCodec.Dialects.All.ids(), do: assert(Classify.of(id) in Classify.classes())
-      of = &Classify.of(MavCodec.Dialects.All.message_id(&1))
-      assert Enum.map(~w(COMMAND_LONG COMMAND_ACK ATTITUDE PARAM_VALUE LOG_DATA), of) == Classify.classes()
-      assert Classify.of(0xABCDEF) == :state
-      assert for(class <- Classify.classes(), do: Classify.parse(Atom.to_string(class))) == Classify.classes()
+      for id <- MavCodec.Dialects.All.ids(), do: assert(TrafficClass.of(id) in TrafficClass.classes())
+      of = &TrafficClass.of(MavCodec.Dialects.All.message_id(&1))
+
+      assert Enum.map(~w(COMMAND_LONG COMMAND_ACK ATTITUDE PARAM_VALUE LOG_DATA), of) ==
+               TrafficClass.classes()
+
+      assert TrafficClass.of(0xABCDEF) == :state
+
+      assert for(class <- TrafficClass.classes(), do: TrafficClass.parse(Atom.to_string(class))) ==
+               TrafficClass.classes()
     end
 
     test "runs are the frames, cut where the class changes" do
       :proper.forall(non_empty(list(elements([0, 30, 33, 77, 22, 120]))), fn ids ->
         frames = for {id, n} <- Enum.with_index(ids), do: %Frame{id: id, bytes: <<n>>}
-        runs = Classify.runs(frames)
+        runs = TrafficClass.runs(frames)
 
         Enum.flat_map(runs, &elem(&1, 1)) == Enum.map(frames, & &1.bytes) and
           Enum.all?(runs, fn {_class, bytes, n} -> length(bytes) == n end) and
           Enum.flat_map(runs, fn {class, _, n} -> List.duplicate(class, n) end) ==
-            Enum.map(ids, &Classify.of/1) and
+            Enum.map(ids, &TrafficClass.of/1) and
           Enum.chunk_every(runs, 2, 1, :discard) |> Enum.all?(fn [a, b] -> elem(a, 0) != elem(b, 0) end)
       end)
       |> check()
@@ -246,11 +252,11 @@ defmodule MavRouter.Router.PureTest do
 
   describe "Queue" do
     test "bounded; drops the oldest of the least; within a class nothing is overtaken or lost but what was told" do
-      step = oneof([{:push, elements(Classify.classes()), range(1, 300)}, :pop])
+      step = oneof([{:push, elements(TrafficClass.classes()), range(1, 300)}, :pop])
 
       :proper.forall(list(step), fn steps ->
         start =
-          {ClassQueue.new(max_frames: 10, max_bytes: 1_000), Map.new(Classify.classes(), &{&1, []}), true}
+          {ClassQueue.new(max_frames: 10, max_bytes: 1_000), Map.new(TrafficClass.classes(), &{&1, []}), true}
 
         {_queue, _model, ok} =
           Enum.reduce(Enum.with_index(steps), start, fn
@@ -267,7 +273,7 @@ defmodule MavRouter.Router.PureTest do
               {queue, model, ok and sane?(queue, model, dropped)}
 
             {:pop, _n}, {queue, model, ok} ->
-              case {ClassQueue.pop(queue, 0), Enum.find(Classify.classes(), &(model[&1] != []))} do
+              case {ClassQueue.pop(queue, 0), Enum.find(TrafficClass.classes(), &(model[&1] != []))} do
                 {nil, nil} ->
                   {queue, model, ok}
 
@@ -286,8 +292,8 @@ defmodule MavRouter.Router.PureTest do
 
     defp sane?(queue, model, dropped) do
       depth = Map.new(queue.waiting, fn {class, waiting} -> {class, :queue.len(waiting)} end)
-      rank = fn class -> Enum.find_index(Classify.classes(), &(&1 == class)) end
-      least = Classify.classes() |> Enum.reverse() |> Enum.find(&(depth[&1] > 0))
+      rank = fn class -> Enum.find_index(TrafficClass.classes(), &(&1 == class)) end
+      least = TrafficClass.classes() |> Enum.reverse() |> Enum.find(&(depth[&1] > 0))
       all = model |> Map.values() |> Enum.concat()
 
       queue.frames <= 10 and queue.bytes <= 1_000 and

@@ -5,8 +5,8 @@ defmodule MavRouter.Router.AskedTest do
   import :proper_types, only: [list: 1, elements: 1, range: 2, oneof: 1]
 
   alias MavRouter.Router
-  alias MavRouter.Router.RequestedData
-  alias MavRouter.Router.ClassQueue
+  alias MavRouter.Router.Queue.RequestedData
+  alias MavRouter.Router.Queue.ClassQueue
   alias MavCodec.Messages, as: M
   alias MavCodec.Parser
 

@@ -12,7 +12,7 @@ defmodule Aerie.Vehicle.Core do
       waited for before is not waited for again
     * `{:shift, step}` - the clock was set by `step` (microseconds): everything was heard as long ago as before
     * `{:link, link, %{high_latency: boolean}}` - what is configured for a link
-    * `{:stations, stations}` - what else sends heartbeats on the vehicle's network (`MavRouter.Router.Stations`)
+    * `{:stations, stations}` - what else sends heartbeats on the vehicle's network (`MavRouter.Router.GroundStations`)
     * `{:vehicles, n}` - how many vehicles the gateway has: the more, the less often each is shown
     * `{:asked, request, at}` - a TIMESYNC request of ours that is in a recording, to recognise its answers
     * `{:hold_requests, hold?}` - no message or rate is to be requested until further notice
@@ -110,7 +110,7 @@ defmodule Aerie.Vehicle.Core do
           | {:rebase, integer()}
           | {:shift, integer()}
           | {:link, link :: term(), %{high_latency: boolean()}}
-          | {:stations, [MavRouter.Router.Stations.station()]}
+          | {:stations, [MavRouter.Router.GroundStations.station()]}
           | {:vehicles, non_neg_integer()}
           | {:demand, Aerie.Vehicle.Services.StreamDemand.merged(), non_neg_integer() | nil}
           | {:asked, struct(), integer()}

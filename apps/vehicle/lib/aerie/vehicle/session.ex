@@ -19,7 +19,7 @@ defmodule Aerie.Vehicle.Session do
   alias Aerie.Vehicle.Services.StreamDemand
   alias MavRouter.Identity
   alias Aerie.Vehicle.ArmAuthorization
-  alias MavRouter.Router.Stations
+  alias MavRouter.Router.GroundStations
   alias Aerie.Vehicle.Session.Clock
 
   @tick_ms 100
@@ -59,7 +59,7 @@ defmodule Aerie.Vehicle.Session do
     }
 
     # A collision that the last session knew of has to be detected again.
-    MavRouter.Router.CollisionRoutes.put(gateway, options.key, [])
+    MavRouter.Router.Routes.Collisions.put(gateway, options.key, [])
     # Newer frames may be in the mailbox already.
     {:ok, state, {:continue, {:first, MavRouter.Router.first_frames(gateway, options.key)}}}
   end
@@ -172,7 +172,7 @@ defmodule Aerie.Vehicle.Session do
     do: %{state | ticks: ticks + 1}
 
   defp look_around(state, _now) do
-    stations = Stations.list(state.gateway, state.options.network)
+    stations = GroundStations.list(state.gateway, state.options.network)
     {core, []} = Vehicle.Core.handle(state.core, {:stations, stations})
     {core, []} = count_vehicles(core, state.gateway)
     state = %{state | ticks: state.ticks + 1, core: core}
@@ -350,7 +350,7 @@ defmodule Aerie.Vehicle.Session do
   end
 
   defp act({:other_vehicle, paths}, state) do
-    MavRouter.Router.CollisionRoutes.put(state.gateway, state.options.key, paths)
+    MavRouter.Router.Routes.Collisions.put(state.gateway, state.options.key, paths)
     state
   end
 

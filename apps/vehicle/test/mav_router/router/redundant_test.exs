@@ -4,7 +4,8 @@ defmodule MavRouter.Router.RedundantTest do
 
   alias Aerie.Base.Store
   alias MavRouter.Router
-  alias MavRouter.Router.{Carrier, Meter, Routes, Score, Tables}
+  alias MavRouter.Router.{Meter, Routes, Tables}
+  alias MavRouter.Router.Routes.{LinkSelector, Score}
   alias MavCodec.Messages, as: M
   alias MavCodec.Parser
 
@@ -203,30 +204,30 @@ defmodule MavRouter.Router.RedundantTest do
 
     test "what is configured goes before what is measured, until nothing comes by it", c do
       both = ["a", "b"]
-      assert Carrier.links(c.tables, "mast", both, nil) == ["a"]
+      assert LinkSelector.links(c.tables, "mast", both, nil) == ["a"]
       :ets.insert(c.tables.scores, {{:carrier, "mast"}, "b"})
-      assert Carrier.links(c.tables, "mast", both, nil) == ["b"]
-      assert Carrier.links(c.tables, "mast", both, "a") == ["a"]
-      assert Carrier.links(c.tables, "mast", both, "c") == ["b"]
-      assert Carrier.links(c.tables, "mast", both, :all) == both
-      assert Carrier.links(c.tables, "mast", ["a"], "b") == ["a"]
+      assert LinkSelector.links(c.tables, "mast", both, nil) == ["b"]
+      assert LinkSelector.links(c.tables, "mast", both, "a") == ["a"]
+      assert LinkSelector.links(c.tables, "mast", both, "c") == ["b"]
+      assert LinkSelector.links(c.tables, "mast", both, :all) == both
+      assert LinkSelector.links(c.tables, "mast", ["a"], "b") == ["a"]
 
       for {score, carries} <- [{80.0, "a"}, {0.0, "b"}] do
         :ets.insert(c.tables.scores, {{:score, "a"}, %{score: score, loss: nil, rtt_ms: nil, age_ms: nil}})
-        assert Carrier.links(c.tables, "mast", both, "a") == [carries]
+        assert LinkSelector.links(c.tables, "mast", both, "a") == [carries]
       end
     end
 
     test "a link that does not hear the vehicle any more is passed over, however good it is for others", c do
       ways = [{"a", :self}, {"b", :self}]
       for way <- ways, do: Routes.learn(c.tables, "main", 1, 1, way, 10_000)
-      assert Carrier.within_reach(c.tables, @key, ways) == ways
+      assert LinkSelector.within_reach(c.tables, @key, ways) == ways
       Routes.learn(c.tables, "main", 1, 1, {"b", :self}, 14_000)
-      assert Carrier.within_reach(c.tables, @key, ways) == ways
+      assert LinkSelector.within_reach(c.tables, @key, ways) == ways
       Routes.learn(c.tables, "main", 1, 1, {"b", :self}, 15_001)
-      assert Carrier.within_reach(c.tables, @key, ways) == [{"b", :self}]
+      assert LinkSelector.within_reach(c.tables, @key, ways) == [{"b", :self}]
       # With neither heard any more both are as good as before.
-      assert Carrier.within_reach(c.tables, {"main", 9}, ways) == ways
+      assert LinkSelector.within_reach(c.tables, {"main", 9}, ways) == ways
     end
   end
 end

@@ -8,7 +8,7 @@ defmodule Aerie.Control.ReadCache.Vehicle do
   alias Aerie.Base.{Names, Store}
   alias Aerie.Control.{Mission, Missions, Params, ReadCache}
   alias Aerie.Vehicle.Protocol
-  alias MavRouter.Router.ServedReadings
+  alias MavRouter.Router.ReadCache.Requests
   alias MavCodec.Ftp.Packet
   alias MavCodec.Messages, as: M
 
@@ -211,7 +211,7 @@ defmodule Aerie.Control.ReadCache.Vehicle do
         # Not in this process, because the frame may be routed back to it.
         {:ok, _pid} =
           Task.Supervisor.start_child(state.tasks, fn ->
-            ServedReadings.forward(state.gateway, endpoint, frame)
+            Requests.forward(state.gateway, endpoint, frame)
           end)
 
         %{state | frames: frames}
@@ -248,7 +248,7 @@ defmodule Aerie.Control.ReadCache.Vehicle do
         {MavCodec.encode(message, system: system, component: component, seq: seq), rem(seq + 1, 256)}
       end)
 
-    ServedReadings.answer(state.gateway, endpoint, frames)
+    Requests.answer(state.gateway, endpoint, frames)
     Store.count(state.gateway, :served_messages, length(frames))
     %{state | seq: seq}
   end

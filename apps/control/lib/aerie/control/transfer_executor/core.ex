@@ -26,7 +26,7 @@ defmodule Aerie.Control.TransferExecutor.Core do
       begin
   """
 
-  alias MavRouter.Router.TransferTurns
+  alias MavRouter.Router.TransferLock
   alias Aerie.Control.TransferExecutor.Job
   alias MavCodec.Messages, as: M
 
@@ -58,14 +58,14 @@ defmodule Aerie.Control.TransferExecutor.Core do
   @type event ::
           {:submit, Job.t(), integer()}
           | {:cancel, String.t(), integer()}
-          | {:turn, TransferTurns.kind(), integer()}
-          | {:held, TransferTurns.kind(), {non_neg_integer(), 0..255} | nil}
+          | {:turn, TransferLock.kind(), integer()}
+          | {:held, TransferLock.kind(), {non_neg_integer(), 0..255} | nil}
           | {:message, non_neg_integer(), struct(), {non_neg_integer(), 0..255}, integer()}
           | {:vehicle, map()}
           | {:rebooted | :tick, integer()}
   @type action ::
           {:send, [struct(), ...]}
-          | {:take | :give_back, TransferTurns.kind()}
+          | {:take | :give_back, TransferLock.kind()}
           | {:progress, String.t(), {non_neg_integer(), non_neg_integer()} | map() | {:waiting, term()}}
           | {:data, String.t(), non_neg_integer(), binary()}
           | {:joined, String.t(), String.t()}
@@ -84,7 +84,7 @@ defmodule Aerie.Control.TransferExecutor.Core do
   def known?(core, id), do: is_map_key(core.jobs, id)
 
   @doc "The turns that are waited for."
-  @spec asked(t()) :: [TransferTurns.kind()]
+  @spec asked(t()) :: [TransferLock.kind()]
   def asked(core), do: for({_id, job} <- core.jobs, kind <- job.asked, do: kind)
 
   @doc "The ids of the messages that have to be handed over now."

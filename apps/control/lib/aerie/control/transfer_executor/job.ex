@@ -8,7 +8,7 @@ defmodule Aerie.Control.TransferExecutor.Job do
   besides, the number that the next one begins with.
   """
 
-  alias MavRouter.Router.TransferTurns
+  alias MavRouter.Router.TransferLock
 
   @enforce_keys [:id, :lanes, :start, :until]
   defstruct [:id, :lanes, :start, :until, :share, :machine, :start_by, phase: :queued, turns: [], asked: []]
@@ -52,11 +52,11 @@ defmodule Aerie.Control.TransferExecutor.Job do
           machine: struct() | nil,
           start_by: integer() | nil,
           phase: :queued | :turn | :running,
-          turns: [TransferTurns.kind()],
-          asked: [TransferTurns.kind()]
+          turns: [TransferLock.kind()],
+          asked: [TransferLock.kind()]
         }
 
-  @doc "The turns that it needs among the transfers of ground stations (`MavRouter.Router.TransferTurns`)."
-  @spec kinds(t()) :: [TransferTurns.kind()]
-  def kinds(job), do: for(lane <- job.lanes, lane in TransferTurns.kinds(), do: lane)
+  @doc "The turns that it needs among the transfers of ground stations (`MavRouter.Router.TransferLock`)."
+  @spec kinds(t()) :: [TransferLock.kind()]
+  def kinds(job), do: for(lane <- job.lanes, lane in TransferLock.kinds(), do: lane)
 end

@@ -12,7 +12,8 @@ defmodule Aerie.Fleet.Client.RawMessage do
   alias MavRouter.Authority.Principal
   alias Aerie.Control.Policy.Roles
   alias MavRouter.Router
-  alias MavRouter.Router.{Endpoint, EndpointCounters, LocalEndpoint}
+  alias MavRouter.Router.{Endpoint, LocalEndpoint}
+  alias MavRouter.Router.Endpoint.Counters
   alias MavCodec.{EncodeError, Frame, Parser}
 
   @wait_ms 1_500
@@ -71,7 +72,7 @@ defmodule Aerie.Fleet.Client.RawMessage do
         {frames, _parser} = Parser.push_datagram(Parser.new(), bytes, System.os_time(:microsecond))
         _outcome = LocalEndpoint.ingress(endpoint, frames)
         answers = answers(endpoint, [], System.monotonic_time(:millisecond) + wait_ms)
-        counters = EndpointCounters.read(endpoint.counters)
+        counters = Counters.read(endpoint.counters)
         LocalEndpoint.detach(endpoint)
         {:ok, %{outcome: outcome(counters, answers), bytes: bytes, answers: answers}}
 

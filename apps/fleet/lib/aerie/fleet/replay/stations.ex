@@ -1,13 +1,13 @@
 defmodule Aerie.Fleet.Replay.Stations do
   @moduledoc """
-  The other senders of heartbeats in a recording: `MavRouter.Router.Stations` as a value, with the same limits.
+  The other senders of heartbeats in a recording: `MavRouter.Router.GroundStations` as a value, with the same limits.
   """
 
-  alias MavRouter.Router.Stations
+  alias MavRouter.Router.GroundStations
   alias MavRouter.Mavlink.Heartbeat
   alias MavCodec.Frame
 
-  @type t :: %{{non_neg_integer, 0..255} => Stations.station()}
+  @type t :: %{{non_neg_integer, 0..255} => GroundStations.station()}
 
   @doc "Notes a heartbeat of something that is not a vehicle."
   @spec hear(t, Frame.t(), Heartbeat.t(), String.t()) :: t
@@ -24,18 +24,19 @@ defmodule Aerie.Fleet.Replay.Stations do
 
     stations = if is_map_key(stations, key), do: stations, else: room(stations, frame.at)
 
-    if is_map_key(stations, key) or map_size(stations) < Stations.max(),
+    if is_map_key(stations, key) or map_size(stations) < GroundStations.max(),
       do: Map.put(stations, key, station),
       else: stations
   end
 
   defp room(stations, now) do
-    if map_size(stations) < Stations.max(),
+    if map_size(stations) < GroundStations.max(),
       do: stations,
-      else: Map.filter(stations, fn {_key, station} -> station.last_heard >= now - Stations.forget_us() end)
+      else:
+        Map.filter(stations, fn {_key, station} -> station.last_heard >= now - GroundStations.forget_us() end)
   end
 
   @doc "All stations, sorted by their ids."
-  @spec list(t) :: [Stations.station()]
+  @spec list(t) :: [GroundStations.station()]
   def list(stations), do: stations |> Enum.sort() |> Enum.map(&elem(&1, 1))
 end

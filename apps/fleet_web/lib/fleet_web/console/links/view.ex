@@ -1,7 +1,7 @@
 defmodule FleetWeb.Console.Links.View do
   @moduledoc "Links, endpoints, routes and rules for the page, from the read model; and a link's history. Pure."
 
-  alias MavRouter.Router.EndpointCounters
+  alias MavRouter.Router.Endpoint.Counters
 
   @max_rows 200
   @samples 120
@@ -68,7 +68,7 @@ defmodule FleetWeb.Console.Links.View do
       in: endpoint.rates.frames_in,
       out: endpoint.rates.frames_out,
       bytes_out: endpoint.rates.bytes_out,
-      dropped: EndpointCounters.dropped(endpoint.counters),
+      dropped: Counters.dropped(endpoint.counters),
       notes: Enum.join(dropped, ", ")
     }
   end

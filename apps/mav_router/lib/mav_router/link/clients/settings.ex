@@ -12,7 +12,9 @@ defmodule MavRouter.Link.Clients.Settings do
   alias MavRouter.Identity
   alias MavRouter.Link
   alias MavRouter.Link.{Spec, Transport}
-  alias MavRouter.Router.{ClassQueue, Owner, RuleKeys, Settings}
+  alias MavRouter.Router.{Owner, Settings}
+  alias MavRouter.Router.Owner.RuleKeys
+  alias MavRouter.Router.Queue.ClassQueue
   alias Aerie.Base.Settings.Types
 
   part :link, MavRouter.Link.Settings

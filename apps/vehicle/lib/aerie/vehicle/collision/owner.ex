@@ -10,7 +10,7 @@ defmodule Aerie.Vehicle.Collision.Owner do
   one. Time in which neither is heard does not count, because then it may be this machine that stood still.
   """
 
-  alias MavRouter.Router.CollisionRoutes
+  alias MavRouter.Router.Routes.Collisions
 
   @hold_us 60_000_000
   @silent_us 5_000_000
@@ -153,7 +153,7 @@ defmodule Aerie.Vehicle.Collision.Owner do
         do: for(side <- [kept, other], do: Enum.reject(side, &(not is_tuple(&1) and peers?(side, &1)))),
         else: sides
 
-    for side <- sides, do: side |> Enum.map(&CollisionRoutes.text/1) |> Enum.sort()
+    for side <- sides, do: side |> Enum.map(&Collisions.text/1) |> Enum.sort()
   end
 
   # Until the second peer came, the vehicle was known by the link alone.

@@ -11,7 +11,7 @@ defmodule Aerie.Vehicle.Services.Gcs do
   used, too. Unknown values are nil.
   """
 
-  alias MavRouter.Router.Stations
+  alias MavRouter.Router.GroundStations
   alias MavCodec.Enums.MavType
   alias MavCodec.Messages.ParamRequestRead
 
@@ -78,10 +78,10 @@ defmodule Aerie.Vehicle.Services.Gcs do
   end
 
   @doc """
-  The stations heard on the vehicle's network (`MavRouter.Router.Stations`), without ourselves; another component with our system
+  The stations heard on the vehicle's network (`MavRouter.Router.GroundStations`), without ourselves; another component with our system
   id is another station.
   """
-  @spec stations(t(), [Stations.station()], own :: {system :: integer(), component :: integer()}) :: t()
+  @spec stations(t(), [GroundStations.station()], own :: {system :: integer(), component :: integer()}) :: t()
   def stations(gcs, stations, own) do
     stations = Enum.reject(stations, &({&1.system, &1.component} == own))
     # nil, an atom, is less than any tuple.

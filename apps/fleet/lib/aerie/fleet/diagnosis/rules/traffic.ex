@@ -6,7 +6,7 @@ defmodule Aerie.Fleet.Diagnosis.Rules.Traffic do
   import Aerie.Fleet.Diagnosis.Rules, only: [grown: 3]
 
   alias Aerie.Fleet.Diagnosis.Condition
-  alias MavRouter.Router.EndpointCounters
+  alias MavRouter.Router.Endpoint.Counters
 
   @impl true
   def names do
@@ -123,7 +123,7 @@ defmodule Aerie.Fleet.Diagnosis.Rules.Traffic do
 
     for owner <- owners,
         counts = Map.get(facts.grown, {:endpoints, owner}, %{}),
-        dropped = EndpointCounters.dropped(counts),
+        dropped = Counters.dropped(counts),
         dropped > 0 do
       Condition.new(:slow_client, :warning, {:client, owner},
         title: "#{owner} reads its frames too slowly",

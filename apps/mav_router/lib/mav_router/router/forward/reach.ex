@@ -1,0 +1,77 @@
+defmodule MavRouter.Router.Forward.Reach do
+  @moduledoc """
+  What vehicles, their parts and strangers reach on the side of vehicles: everything is refused that the table
+  (`MavRouter.Authority.Messages`) does not list. Frames of clients are judged by `MavRouter.Router.Gate` instead; clients hear everything.
+
+  | relation of the sender to the receiver | gets through |
+  |---|---|
+  | `:own`: an autopilot, to an endpoint of its own parts | everything |
+  | `:part`: a part, to its autopilot, by a link with `parts: true` or from this machine | rows with `part` |
+  | `:listener`: a vehicle, to an endpoint that has not said what it is | telemetry, questions and answers; what has a ground station's id as its target |
+  | `:vehicle`: a vehicle, to another one | rows with `crosses` |
+  | `:stranger`: anybody else | nothing |
+  """
+
+  import MavRouter.Mavlink.Heartbeat, only: [is_station: 1]
+
+  alias MavRouter.Authority.Messages
+  alias MavRouter.Mavlink.Heartbeat
+  alias MavRouter.Mavlink.Message
+  alias MavRouter.Router.Forward.Table.Path
+  alias MavRouter.Router.Routes
+  alias MavRouter.Router.Forward.Source
+  alias MavRouter.Router.Tables
+  alias MavCodec.Frame
+
+  @command_ack Message.id!("COMMAND_ACK")
+  @heartbeat Heartbeat.id()
+  @authorization MavCodec.Enums.MavCmd.value(:MAV_CMD_ARM_AUTHORIZATION_REQUEST)
+  @heard [:telemetry, :presence, :question, :answer]
+
+  @type relation :: :own | :part | :listener | :vehicle | :stranger
+
+  @doc "How a source on a link is related to an endpoint on the side of vehicles."
+  @spec relation(Source.t(), Path.t(), Path.t(), Tables.t()) :: relation
+  def relation(%{vehicle: vehicle?} = source, from, to, tables) do
+    own? = Enum.any?(from.networks, &Routes.on_endpoint?(tables, {&1, source.system}, to.key))
+
+    cond do
+      vehicle? and to.heard_vehicle != true -> if own?, do: :own, else: :listener
+      vehicle? -> :vehicle
+      own? and (from.parts or from.commands) -> :part
+      true -> :stranger
+    end
+  end
+
+  @doc "Whether a frame gets through. `between` is `router.between_vehicles`."
+  @spec passes?(relation, Frame.t(), between :: atom) :: boolean
+  def passes?(:own, _frame, _between), do: true
+  def passes?(:stranger, _frame, _between), do: false
+
+  def passes?(relation, frame, between) do
+    case Messages.row(frame.id) do
+      nil -> false
+      row -> listed?(relation, row, frame, between)
+    end
+  end
+
+  # A vehicle could take RC_CHANNELS of another one for its pilot's sticks before its own first heartbeat.
+  defp listed?(:listener, %{class: class, permission: permission}, frame, _between),
+    do: (class in @heard and permission != :manual) or for_station?(Frame.target(frame))
+
+  defp listed?(:part, %{part: part?}, %{id: @heartbeat} = frame, _between),
+    do: part? and not Heartbeat.station?(frame)
+
+  # Whether a vehicle may arm is not for its parts to say.
+  defp listed?(:part, _row, %{id: @command_ack} = frame, _between), do: not authorizes?(frame)
+  defp listed?(:part, %{part: part?}, _frame, _between), do: part?
+
+  defp listed?(:vehicle, %{crosses: :always}, frame, _between), do: not Heartbeat.station?(frame)
+  defp listed?(:vehicle, %{crosses: crosses}, _frame, between), do: crosses == :team and between == :all
+
+  defp for_station?({system, _component}) when is_station(system), do: true
+  defp for_station?(_other), do: false
+
+  defp authorizes?(%{payload: payload}),
+    do: match?(<<@authorization::16-little, _::binary>>, <<payload::binary, 0::16>>)
+end

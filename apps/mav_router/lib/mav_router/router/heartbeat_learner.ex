@@ -1,0 +1,149 @@
+defmodule MavRouter.Router.HeartbeatLearner do
+  @moduledoc """
+  The few messages that the router itself reads: heartbeats tell what their sender is, SYSTEM_TIME tells reboots (R6).
+  """
+
+  alias MavRouter.Mavlink.BootClock
+  alias MavRouter.Mavlink.Heartbeat
+  alias MavRouter.Mavlink.HighLatency
+  alias MavRouter.Mavlink.Message
+  alias MavRouter.Router.Delivery
+  alias MavRouter.Router.Endpoints
+  alias MavRouter.Router.Routes
+  alias MavRouter.Router.Systems
+  alias MavRouter.Router.Tables
+  alias MavCodec.Frame
+
+  @heartbeat Message.id!("HEARTBEAT")
+  # Takes the place of the heartbeat on a link of high latency (X6).
+  @high_latency2 Message.id!("HIGH_LATENCY2")
+  @system_time Message.id!("SYSTEM_TIME")
+  # An endpoint that sends a heartbeat after being there for so long has sent one before.
+  @repeated_us 500_000
+
+  @doc """
+  Reads frames of one source: the delivery with what is known of the source and of its path afterwards, and with whether one of
+  the frames was the heartbeat of a vehicle's autopilot (H2, H4).
+  """
+  @spec read([Frame.t()], Delivery.t()) :: Delivery.t()
+  def read([], delivery), do: delivery
+
+  def read([%Frame{id: id, crc_extra: extra} = frame | rest], delivery)
+      when id in [@heartbeat, @high_latency2] and extra != nil,
+      do: read(rest, heartbeat(frame, delivery))
+
+  def read([%Frame{id: @system_time, crc_extra: extra, at: at} = frame | rest], delivery)
+      when extra != nil and is_integer(at),
+      do: read(rest, system_time(frame, delivery))
+
+  def read([_other | rest], delivery), do: read(rest, delivery)
+
+  defp heartbeat(frame, %{tables: tables, path: path, source: source} = delivery) do
+    heartbeat = Heartbeat.read(frame)
+    # Too many systems are no reason not to forward.
+    for network <- path.networks,
+        do: _ = Systems.note(delivery.gateway, network, path.owner, frame, heartbeat)
+
+    vehicle? = Heartbeat.vehicle?(heartbeat)
+
+    path =
+      if vehicle?, do: latency(vehicle(path, tables), tables, frame), else: other(path, tables, heartbeat)
+
+    %{
+      delivery
+      | path: path,
+        source: source(source, vehicle?, path),
+        vehicle: delivery.vehicle or vehicle?
+    }
+  end
+
+  # The first heartbeat of an autopilot changes what its frames reach.
+  defp source(%{autopilot: vehicle?} = source, vehicle?, _path), do: source
+
+  defp source(source, true, %{side: :vehicle}),
+    do: %{source | autopilot: true, vehicle: true, looked: nil, marks: nil}
+
+  defp source(source, vehicle?, _path), do: %{source | autopilot: vehicle?}
+
+  # A ground station on a link to vehicles is a client for as long as no autopilot is heard from there.
+  defp vehicle(%{side: :client, heard_vehicle: false, role: :full, auto: true} = path, tables),
+    do: turn(path, tables, :vehicle, true)
+
+  defp vehicle(%{side: :vehicle, heard_vehicle: false} = path, tables), do: turn(path, tables, nil, true)
+  defp vehicle(path, _tables), do: path
+
+  defp other(%{side: :vehicle, heard_vehicle: false} = path, tables, heartbeat) do
+    path = listens(path, tables)
+    if Heartbeat.role(heartbeat) == "gcs", do: turn(path, tables, :client, false), else: path
+  end
+
+  defp other(%{auto: true, heard_vehicle: false} = path, tables, _heartbeat), do: listens(path, tables)
+  defp other(path, _tables, _heartbeat), do: path
+
+  # There was no room for one more listener when it came; there may be now.
+  defp listens(%{listens: true} = path, _tables), do: path
+
+  defp listens(path, tables) do
+    # A made-up sender says one heartbeat.
+    with %{since: since} <- Endpoints.get(tables, path.key),
+         true <- System.os_time(:microsecond) - since >= @repeated_us,
+         %{} = owner <- Endpoints.owner(tables, path.owner),
+         true <- Endpoints.listens?(tables, owner, :said) do
+      Endpoints.note(tables, path.key, listens: true)
+      %{path | listens: true}
+    else
+      _full -> path
+    end
+  end
+
+  # Summaries of a vehicle and no heartbeat for a while: a link of high latency, configured or not (X6). A heartbeat ends
+  # that at once.
+  defp latency(path, tables, %{id: @heartbeat, at: at}) do
+    :ets.insert(tables.scores, {{:heartbeat, path.key}, at})
+    if path.high_latency, do: Endpoints.note(tables, path.key, high_latency: false)
+    path
+  end
+
+  defp latency(%{high_latency: true} = path, _tables, _summary), do: path
+
+  defp latency(path, tables, %{at: at}) do
+    heartbeat_at = :ets.lookup_element(tables.scores, {:heartbeat, path.key}, 2, nil)
+
+    if heartbeat_at == nil or (at != nil and at - heartbeat_at > HighLatency.silent_us()),
+      do: Endpoints.note(tables, path.key, high_latency: true)
+
+    path
+  end
+
+  defp turn(path, tables, side, heard_vehicle?) do
+    Endpoints.note(tables, path.key, side: side, heard_vehicle: heard_vehicle?)
+    %{path | side: side || path.side, heard_vehicle: heard_vehicle?}
+  end
+
+  defp system_time(%Frame{payload: payload, at: at}, %{source: source} = delivery) do
+    # Zeros at the end are cut off (F7), as they are in every boot time of less than half a year.
+    <<_unix::64, boot::32-little, _::binary>> = <<payload::binary, 0::96>>
+
+    case BootClock.read(source.clock || BootClock.new(), @system_time, boot, at) do
+      {clock, :reboot} ->
+        reboot(delivery)
+        %{delivery | source: %{source | clock: clock, learned: nil}}
+
+      {clock, _going_on} ->
+        %{delivery | source: %{source | clock: clock}}
+    end
+  end
+
+  # The reboot of another vehicle with that id says nothing about this one.
+  defp reboot(%{source: %{collided: true}}), do: :ok
+
+  defp reboot(%{gateway: gateway, tables: tables, path: path, source: source}) do
+    for network <- path.networks do
+      Routes.clear(tables, {network, source.system})
+      metadata = %{gateway: gateway, network: network, system: source.system}
+      :telemetry.execute([:aerie, :router, :reboot], %{}, metadata)
+    end
+
+    Tables.rerouted(tables)
+  end
+end

@@ -1,0 +1,106 @@
+defmodule MavRouter.Router.ReadCache.Requests do
+  @moduledoc """
+  Requests of clients for parameters and plans, which `MavRouter.Router.ReadCache` may answer in the vehicle's name, so that a vehicle is read
+  once and not once per screen. The rule `served` of a client turns it on; for clients that may not ask the vehicle it is always on.
+  """
+
+  alias Aerie.Base.Names
+  alias MavRouter.Router.Queue.TrafficClass
+  alias MavRouter.Router.Delivery
+  alias MavRouter.Router.Endpoint
+  alias MavRouter.Router.Owner.Filter
+  alias MavRouter.Router.Forward
+  alias MavRouter.Router.Forward.Cache
+  alias MavRouter.Router.Gate
+  alias MavRouter.Router.Output
+  alias MavRouter.Router.Forward.Source
+  alias MavRouter.Router.Tables
+  alias MavRouter.Router.TransferLock
+  alias Aerie.Base.Store
+  alias MavCodec.Frame
+
+  @doc "The frames that go on. `trusted` are those whose signature was right, or that need none: only they are answered."
+  @spec pass([Frame.t()], trusted :: [Frame.t()], Delivery.t()) :: [Frame.t()]
+  def pass(
+        frames,
+        trusted,
+        %{tables: %{readings: readings}, path: %{side: :client, role: :full} = path} = delivery
+      )
+      when readings != nil and (path.served or delivery.scope == :clients) do
+    # Nearly always there is none.
+    if Enum.any?(frames, &readings.reading?/1),
+      do: Enum.reject(frames, &(readings.reading?(&1) and &1 in trusted and absorbed?(&1, delivery))),
+      else: frames
+  end
+
+  def pass(frames, _trusted, _delivery), do: frames
+
+  # A client that uses other ids for vehicles reads them itself.
+  defp absorbed?(_frame, %{path: %{renumber: offsets}}) when offsets != nil, do: false
+
+  defp absorbed?(frame, %{gateway: gateway, tables: %{readings: readings}, path: path}) do
+    with true <- path.in == nil or Filter.pass?(path.in, frame, path.owner),
+         {id, component} <- Frame.target(frame),
+         {_network, _system} = vehicle <- vehicle(gateway, path, id, component) do
+      readings.take(gateway, vehicle, path.key, frame) == :absorb
+    else
+      _other -> false
+    end
+  end
+
+  # A camera has parameters of its own.
+  defp vehicle(gateway, path, id, component) do
+    Enum.find_value(path.networks, fn network ->
+      with %{component: autopilot} <- Store.vehicle(gateway, {network, id}),
+           true <- component == autopilot or (component == 0 and alone?(gateway, {network, id})),
+           do: {network, id},
+           else: (_none -> nil)
+    end)
+  end
+
+  defp alone?(gateway, key), do: match?(%{components: all} when map_size(all) < 2, Store.system(gateway, key))
+
+  @doc "Sends frames to an endpoint; one that is gone gets none. They have the classes of their messages."
+  @spec answer(Names.gateway(), Endpoint.key(), [iodata]) :: :ok
+  def answer(gateway, key, frames) do
+    with %{path: path} <- delivery(gateway, key) do
+      Enum.each(frames, fn bytes ->
+        bytes = IO.iodata_to_binary(bytes)
+        {:ok, _header, _payload, _total, id, _system} = Frame.header(bytes)
+        Output.bytes(path, bytes, TrafficClass.of(id), 1)
+      end)
+    end
+
+    :ok
+  end
+
+  @doc "A request that was absorbed goes on to the vehicle, as if it came now; that of a client that may not ask goes nowhere."
+  @spec forward(Names.gateway(), Endpoint.key(), Frame.t()) :: :ok
+  def forward(gateway, key, frame) do
+    with %{} = delivery <- delivery(gateway, key) do
+      cache = Cache.fetch(gateway, delivery.tables)
+
+      source =
+        cache |> Cache.source(key, frame.system, frame.component) |> Source.refresh(delivery, false)
+
+      delivery = %{delivery | source: source}
+
+      Enum.each(Gate.sort([frame], delivery), fn {scope, frames} ->
+        delivery = %{delivery | scope: scope}
+        frames |> TransferLock.pass(delivery) |> Forward.frames(delivery)
+      end)
+    end
+
+    :ok
+  end
+
+  defp delivery(gateway, key) do
+    with tables when tables != nil <- Tables.of(gateway),
+         %{forwarding: %{paths: %{^key => path}} = forwarding} <- Cache.fetch(gateway, tables) do
+      now = :erlang.monotonic_time(:millisecond)
+      %Delivery{gateway: gateway, tables: tables, forwarding: forwarding, path: path, now: now}
+    else
+      _gone -> nil
+    end
+  end
+end

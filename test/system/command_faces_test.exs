@@ -1,6 +1,6 @@
 defmodule Aerie.System.CommandFacesTest do
   @moduledoc """
-  Simulated ArduPilot and PX4 flown by NATS and by REST through the whole gateway; the examples of docs/commands.md; and `kill -9` of a
+  Simulated ArduPilot and PX4 flown over NATS and over REST through the whole gateway; the examples of docs/commands.md; and `kill -9` of a
   gateway with commands under way.
   """
 
@@ -114,14 +114,14 @@ defmodule Aerie.System.CommandFacesTest do
   @ardupilot %{first: "GUIDED", hold: "BRAKE", rtl: "RTL"}
   @px4 %{first: "AUTO_LOITER", hold: "AUTO_LOITER", rtl: "AUTO_RTL"}
 
-  test("ArduPilot by NATS", context, do: context |> start() |> then(&fly(&1, nats(&1), @ardupilot)))
-  test("ArduPilot by REST", context, do: context |> start() |> then(&fly(&1, rest(&1), @ardupilot)))
+  test("ArduPilot over NATS", context, do: context |> start() |> then(&fly(&1, nats(&1), @ardupilot)))
+  test("ArduPilot over REST", context, do: context |> start() |> then(&fly(&1, rest(&1), @ardupilot)))
 
   @tag firmware: :px4
-  test("PX4 by NATS", context, do: context |> start() |> then(&fly(&1, nats(&1), @px4)))
+  test("PX4 over NATS", context, do: context |> start() |> then(&fly(&1, nats(&1), @px4)))
 
   @tag firmware: :px4
-  test("PX4 by REST", context, do: context |> start() |> then(&fly(&1, rest(&1), @px4)))
+  test("PX4 over REST", context, do: context |> start() |> then(&fly(&1, rest(&1), @px4)))
 
   for {firmware, words} <- [ardupilot: "Arm: ", px4: "arm denied resolve failures"] do
     @tag firmware: firmware, ready_s: 3600.0, words: words

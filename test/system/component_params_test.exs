@@ -1,6 +1,6 @@
 defmodule Aerie.System.ComponentParamsTest do
   @moduledoc """
-  The parameters of a vehicle's camera (PARAM_EXT, P8) by REST and NATS through the whole gateway, with the examples of docs/transfers.md,
+  The parameters of a vehicle's camera (PARAM_EXT, P8) over REST and NATS through the whole gateway, with the examples of docs/transfers.md,
   and by pymavlink as a ground station of the gateway.
   """
 
@@ -54,7 +54,7 @@ defmodule Aerie.System.ComponentParamsTest do
   end
 
   @tag policy: %{"unsigned" => "admin"}
-  test "by REST and NATS", c do
+  test "over REST and NATS", c do
     assert {200, %{"count" => 12, "params" => params}} = rest(c, :get, "params?component=100", nil, @wall)
     assert %{"value" => 0xFFFF_FFFF_FFFF_FFFF, "type" => 7} = Enum.find(params, &(&1["name"] == "CAM_FREE"))
     assert %{"result" => "completed", "count" => 12} = nats(c, "params.list", %{"component" => 100})

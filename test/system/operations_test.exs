@@ -1,6 +1,6 @@
 defmodule Aerie.System.OperationsTest do
   @moduledoc """
-  Three simulated vehicles behind a whole gateway, commanded and changed together by REST and NATS; the examples of docs/fleet.md and
+  Three simulated vehicles behind a whole gateway, commanded and changed together over REST and NATS; the examples of docs/fleet.md and
   docs/shadow.md.
   """
 
@@ -130,7 +130,7 @@ defmodule Aerie.System.OperationsTest do
   # The vehicles of the page, by the names that they have here.
   defp here(text), do: String.replace(text, ["sim-001", "sim-002"], &String.replace(&1, "sim", "VID"))
 
-  test "a roll-out by REST halts at the first vehicle that refuses; by NATS another one reaches all", c do
+  test "a roll-out over REST halts at the first vehicle that refuses; over NATS another one reaches all", c do
     change = fn params -> %{"desired" => %{"params" => params}, "reason" => "festival"} end
 
     begin = %{

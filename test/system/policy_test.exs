@@ -13,7 +13,7 @@ defmodule Aerie.System.PolicyTest do
   @moduletag capture_log: true
   @key {"main", 1}
 
-  test "a fence that changed is in force when the policy is read again by REST; one with errors is not", %{
+  test "a fence that changed is in force when the policy is read again over REST; one with errors is not", %{
     tmp_dir: folder
   } do
     fence = Path.join(folder, "fence.geojson")

@@ -1,6 +1,6 @@
 defmodule Aerie.System.TransferFacesTest do
   @moduledoc """
-  Parameters, plans and files of simulated ArduPilot and PX4 by NATS and by REST through the whole gateway, and the examples of
+  Parameters, plans and files of simulated ArduPilot and PX4 over NATS and over REST through the whole gateway, and the examples of
   docs/transfers.md.
   """
 
@@ -106,7 +106,7 @@ defmodule Aerie.System.TransferFacesTest do
 
   for firmware <- [:ardupilot, :px4] do
     @tag firmware: firmware
-    test "#{firmware} by REST", context do
+    test "#{firmware} over REST", context do
       c = start(context)
       name = if unquote(firmware) == :px4, do: "MIS_TAKEOFF_ALT", else: "WPNAV_SPEED"
 
@@ -186,7 +186,7 @@ defmodule Aerie.System.TransferFacesTest do
     end
 
     @tag firmware: firmware
-    test "#{firmware} by NATS", context do
+    test "#{firmware} over NATS", context do
       c = start(context)
       name = if unquote(firmware) == :px4, do: "MIS_TAKEOFF_ALT", else: "WPNAV_SPEED"
       {:ok, _sid} = Gnat.sub(c.conn, self(), "fleet.test.VID-001.*.*.progress.*")
@@ -245,7 +245,7 @@ defmodule Aerie.System.TransferFacesTest do
 
   for firmware <- [:ardupilot, :px4] do
     @tag firmware: firmware, logs: ["short", @log]
-    test "#{firmware}: a log by REST, whole, in parts, and none that is not there", context do
+    test "#{firmware}: a log over REST, whole, in parts, and none that is not there", context do
       c = start(context)
       assert {200, %{"logs" => [%{"size" => 5}, %{"id" => id, "time" => time}]}} = rest(c, :get, "logs")
       assert {200, headers, @log} = download(c, id)
@@ -280,7 +280,7 @@ defmodule Aerie.System.TransferFacesTest do
 
   @tag firmware: :px4,
        files: %{"/params.json" => @described, "etc/extras/component_general.json.xz" => :general}
-  test "descriptions of parameters by REST and NATS", context do
+  test "descriptions of parameters over REST and NATS", context do
     packed = Path.join(context.tmp_dir, "general")
     File.write!(packed, @general)
     {general, 0} = System.cmd("xz", ["--stdout", packed])

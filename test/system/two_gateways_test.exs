@@ -161,7 +161,7 @@ defmodule Aerie.System.TwoGatewaysTest do
 
   defp await(task), do: Task.await(task, Aerie.Patience.ms())
 
-  test "the same id at both at once, and by NATS: the vehicle gets it once, and each asker one answer",
+  test "the same id at both at once, and over NATS: the vehicle gets it once, and each asker one answer",
        context do
     %{holder: holder, other: other, wire: wire} = context
     before = reached(wire)

@@ -1,5 +1,5 @@
 # What a whole gateway (its NATS server included) costs with so many vehicles, each saying 50 frames a second from a socket of its own;
-# then what a hub costs that gets the state of many remote vehicles by NATS, once a second.
+# then what a hub costs that gets the state of many remote vehicles over NATS, once a second.
 #
 #     bin/bench fleet [--vehicles 10,50,200,500] [--rate 50] [--seconds 20] [--remote 1000] [--out FILE]
 #

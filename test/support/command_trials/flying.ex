@@ -14,7 +14,7 @@ defmodule Aerie.CommandTrials.Flying do
   @velocity 0xDC7
 
   @no_method {:no, "no method"}
-  @no_gimbal {:no, "its gimbal plugin needs a gimbal that tells of itself"}
+  @no_gimbal {:no, "its gimbal plugin needs a gimbal that announces itself"}
 
   @doc "The rows; `by` chooses between ArduPilot's and PX4's."
   @spec rows((term(), term() -> term())) :: [Aerie.CommandTrials.Row.t()]

@@ -11,8 +11,8 @@ defmodule Aerie.CommandTrials.Standing do
   @do_set_servo 183
 
   @no_method {:no, "no method"}
-  @no_gimbal {:no, "its gimbal plugin needs a gimbal that tells of itself"}
-  @no_camera {:no, "its camera plugin needs a camera that tells of itself"}
+  @no_gimbal {:no, "its gimbal plugin needs a gimbal that announces itself"}
+  @no_camera {:no, "its camera plugin needs a camera that announces itself"}
 
   @doc "The rows; `by` chooses between ArduPilot's and PX4's."
   @spec rows((term(), term() -> term())) :: [Aerie.CommandTrials.Row.t()]
@@ -152,7 +152,7 @@ defmodule Aerie.CommandTrials.Standing do
         mavsdk: @no_method
       ),
       row("vtol_transition", %{to: "fixed_wing"}, long("DO_VTOL_TRANSITION", [4]), :rejected, by.(3, nil),
-        mavsdk: {:no, "tells itself that it is no VTOL, and asks nobody"}
+        mavsdk: {:no, "decides by itself that it is not a VTOL, and asks nobody"}
       )
     ]
   end

@@ -39,7 +39,7 @@ defmodule Aerie.Shell do
     health()
 
     IO.puts(
-      "\nfleet(), links(), v ID, watch ID, :MESSAGE, cmd ID, :TYPE, top(), sup(): h Aerie.Shell tells of all. Ctrl-C twice leaves."
+      "\nfleet(), links(), v ID, watch ID, :MESSAGE, cmd ID, :TYPE, top(), sup(): h Aerie.Shell describes all of them. Ctrl-C twice leaves."
     )
   end
 

@@ -6,7 +6,7 @@ defmodule Aerie.Fleet do
   A snapshot is that of `Aerie.Base.Store`, with these beside it:
 
     * `:via` - the gateway by which it is reached; nil: this one's links
-    * `:gateways` - the other gateways that tell of it
+    * `:gateways` - the other gateways that report it
     * of a group, `:via` - the gateway that told the value; missing or nil: this one's links
 
   This gateway's links count until they have lost the vehicle; then another gateway does, if that hears it. Of a group that two

@@ -127,7 +127,7 @@ defmodule FleetWeb.WorkLimitTest do
     assert get(console, "/", sign_in(console, "operator", password(:operator)).jar).status == 200
   end
 
-  test "imports by REST have limits, and say when to ask again" do
+  test "imports over REST have limits, and say when to ask again" do
     [console: console] =
       start_console(
         config: %{http: %{port: 0}, api: %{key: Aerie.Base.Secret.new("a-key-for-the-tests-0123")}}

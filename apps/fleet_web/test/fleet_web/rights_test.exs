@@ -1,5 +1,5 @@
 defmodule FleetWeb.RightsTest do
-  @moduledoc "Who may change what: by REST with each kind of key, and in the console, against the one table."
+  @moduledoc "Who may change what: over REST with each kind of key, and in the console, against the one table."
   use FleetWeb.APICase, async: true
 
   alias Aerie.Base.Store
@@ -110,7 +110,7 @@ defmodule FleetWeb.RightsTest do
     assert {404, _answer} = ask(port, nil, "POST", "/api/vehicles/x/save")
   end
 
-  test "what an admin changes by REST stands in the audit log", %{tmp_dir: dir} do
+  test "what an admin changes over REST stands in the audit log", %{tmp_dir: dir} do
     %{gateway: gateway, port: port} = keyed(dir, links: true)
     DoorCase.start_door(dir, gateway: gateway)
 

@@ -68,7 +68,9 @@ defmodule Aerie.Control.Missions do
   end
 
   defp no_plan(text),
-    do: {:error, Result.new(Aerie.Vehicle.Command.id(), :failed, "what the vehicle has is no plan: #{text}")}
+    do:
+      {:error,
+       Result.new(Aerie.Vehicle.Command.id(), :failed, "what the vehicle has is not a valid plan: #{text}")}
 
   # Another gateway's answer (`plain/2`).
   defp told(plan, answer, type, protocol) do

@@ -76,7 +76,11 @@ defmodule Aerie.Control.Params do
   defp told(:error),
     do:
       {:error,
-       Result.new(Aerie.Vehicle.Command.id(), :failed, "the vehicle's gateway answered what is no parameter")}
+       Result.new(
+         Aerie.Vehicle.Command.id(),
+         :failed,
+         "the vehicle's gateway did not answer with a parameter"
+       )}
 
   defp list_of_component(gateway, vehicle, component, options) do
     with {:ok, snapshot} <- Transfers.vehicle(gateway, vehicle),

@@ -84,7 +84,7 @@ defmodule Aerie.Fleet.Bridge do
   @spec off?(Names.gateway()) :: boolean()
   def off?(gateway), do: Store.recall(gateway, {:bridge, :off}, false)
 
-  @doc "The fleet's environment: the second word of every subject, which signed commands name by REST, too."
+  @doc "The fleet's environment: the second word of every subject, which signed commands name over REST, too."
   @spec environment(Names.gateway()) :: String.t() | nil
   def environment(gateway), do: Store.recall(gateway, {:bridge, :environment})
 

@@ -62,7 +62,7 @@ defmodule Aerie.Fleet.Remote do
 
   # The other gateway's answer, or why there is none: nothing was sent, or nobody knows what became of it.
   defp ask(_gateway, %{status: :lost} = snapshot, _id, _what, _body, _timeout, _progress),
-    do: {:unreachable, "nothing was heard of it by NATS for a while; its gateway was #{snapshot.via}"}
+    do: {:unreachable, "nothing was heard of it over NATS for a while; its gateway was #{snapshot.via}"}
 
   defp ask(gateway, snapshot, id, what, body, timeout, progress) do
     case Bridge.connection(gateway) do

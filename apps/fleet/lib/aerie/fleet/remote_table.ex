@@ -1,6 +1,6 @@
 defmodule Aerie.Fleet.RemoteTable do
   @moduledoc """
-  Vehicles that other gateways hear, as they tell it by NATS: a table in the store, which `Aerie.Fleet.Remote.Listener` alone writes.
+  Vehicles that other gateways hear, as they tell it over NATS: a table in the store, which `Aerie.Fleet.Remote.Listener` alone writes.
 
       {{id, :gateway, name}, %{heard: us, facts: map}}                 a gateway that hears it, and what it says of it
       {{id, :group, group}, %{data, at, time_boot_ms, via}}            the newest value of a group, and whose it is

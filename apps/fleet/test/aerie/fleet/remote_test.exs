@@ -188,7 +188,7 @@ defmodule Aerie.Fleet.RemoteTest do
     assert %{status: :rejected} = command(gateway, "hold", vehicle: "VID-404")
   end
 
-  test "a command that came by NATS is not passed on", %{gateway: gateway} = context do
+  test "a command that came over NATS is not passed on", %{gateway: gateway} = context do
     known(context)
     assert %{status: :rejected, reason: "there is no vehicle VID-009"} = command(gateway, "hold", via: "nats")
   end

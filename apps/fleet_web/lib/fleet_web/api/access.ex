@@ -109,7 +109,7 @@ defmodule FleetWeb.API.Access do
          {:error,
           Error.new(
             :forbidden,
-            "the Host header is no name of this gateway; use its address, or add the name to http.hosts"
+            "the Host header is not a name of this gateway; use its address, or add the name to http.hosts"
           )}
   end
 

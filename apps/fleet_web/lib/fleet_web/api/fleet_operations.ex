@@ -1,5 +1,5 @@
 defmodule FleetWeb.API.FleetOperations do
-  @moduledoc "Operations on many vehicles by REST: `Aerie.Fleet.Operations` in the name of a key, as commands are (`FleetWeb.API.Commands`)."
+  @moduledoc "Operations on many vehicles over REST: `Aerie.Fleet.Operations` in the name of a key, as commands are (`FleetWeb.API.Commands`)."
 
   alias Aerie.Fleet.Operations
   alias FleetWeb.API.{Access, Commands, Error}

@@ -166,7 +166,7 @@ defmodule FleetWeb.API.KeyRing do
   def handle_call({:revoke, name, by}, _from, state) do
     case Enum.split_with(state.made, &(&1.name == name)) do
       {[], _made} ->
-        {:reply, {:error, "#{name} is no key that was made here: it is configured, or gone"}, state}
+        {:reply, {:error, "#{name} was not made here: it is configured, or gone"}, state}
 
       {[_key], made} ->
         reply = change(%{state | made: made}, state, "the key #{name} was revoked by #{by}")

@@ -82,7 +82,7 @@ defmodule FleetWeb.API.Operations do
                      later: true
                    }},
                   {:look_at_command, %{summary: "How far a command is, or its result."}},
-                  {:cancel_command, %{summary: "Asks a command to cease.", status: 202}},
+                  {:cancel_command, %{summary: "Cancels a command.", status: 202}},
                   {:shadow,
                    %{summary: "What is desired of a vehicle, what is reported, and how they differ."}},
                   {:update_shadow, %{summary: "Changes what is desired.", body: :object}},

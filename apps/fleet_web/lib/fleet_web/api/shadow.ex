@@ -1,5 +1,5 @@
 defmodule FleetWeb.API.Shadow do
-  @moduledoc "Desired and reported state by REST: `Aerie.Fleet.Shadow` in the name of a key, like commands (`FleetWeb.API.Commands`)."
+  @moduledoc "Desired and reported state over REST: `Aerie.Fleet.Shadow` in the name of a key, like commands (`FleetWeb.API.Commands`)."
 
   alias Aerie.Fleet.Shadow
   alias FleetWeb.API.{Access, Commands, Error}

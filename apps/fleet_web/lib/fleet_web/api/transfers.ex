@@ -1,6 +1,6 @@
 defmodule FleetWeb.API.Transfers do
   @moduledoc """
-  Parameters, plans, files and logs of a vehicle by REST: `Aerie.Control.Params`, `Aerie.Control.Missions`, `Aerie.Control.Files` and `Aerie.Control.Logs` in the name of a key.
+  Parameters, plans, files and logs of a vehicle over REST: `Aerie.Control.Params`, `Aerie.Control.Missions`, `Aerie.Control.Files` and `Aerie.Control.Logs` in the name of a key.
   `docs/transfers.md` describes it.
 
   A read takes up to `?timeout=` (seconds), and ends when the client hangs up. A change is waited for

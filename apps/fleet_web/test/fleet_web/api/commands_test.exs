@@ -1,5 +1,5 @@
 defmodule FleetWeb.API.CommandsTest do
-  @moduledoc "Commands by REST; the test is the vehicle's executor."
+  @moduledoc "Commands over REST; the test is the vehicle's executor."
   use FleetWeb.APICase, async: true
 
   import Aerie.DoorCase, only: [start_door: 2, answer: 3, executing: 1]
@@ -178,7 +178,7 @@ defmodule FleetWeb.API.CommandsTest do
       Task.async(fn -> request(context.port, "POST", @path, headers, Keyword.get(more, :body, text)) end)
     end
 
-    test "whoever signed it commands, by Ed25519 as by NATS; a copy is not carried out again", context do
+    test "whoever signed it commands, by Ed25519 as over NATS; a copy is not carried out again", context do
       body = %{"type" => "takeoff", "id" => "s1", "params" => %{"altitude" => 20}}
       task = sign(context, body)
       answer(executing(%{id: "s1", source: "signer"}), "s1", :completed)

@@ -1,5 +1,5 @@
 defmodule FleetWeb.API.ShadowTest do
-  @moduledoc "The shadow by REST, and its metrics; the test is the vehicle's executor."
+  @moduledoc "The shadow over REST, and its metrics; the test is the vehicle's executor."
   use FleetWeb.APICase, async: true
 
   import Aerie.DoorCase, only: [start_door: 2, answer: 3, executing: 1]

@@ -233,10 +233,11 @@ defmodule MavRouter.Link.Spec do
 
     cond do
       not (is_binary(id) and id != "" and byte_size(id) <= @max_bytes) ->
-        {:error, reason: "its id #{inspect(id)} is no text", expected: "an id", example: "radio-a"}
+        {:error, reason: "its id #{inspect(id)} is not a text", expected: "an id", example: "radio-a"}
 
       not Query.name?(network) ->
-        {:error, reason: "#{inspect(network)} is no network", expected: Query.name_form(), example: "radio-a"}
+        {:error,
+         reason: "#{inspect(network)} is not a valid network", expected: Query.name_form(), example: "radio-a"}
 
       true ->
         {:ok, %{id: id, network: network, options: tuning}}

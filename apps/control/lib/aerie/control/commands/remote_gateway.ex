@@ -3,7 +3,7 @@ defmodule Aerie.Control.Commands.RemoteGateway do
   The way to vehicles that another gateway hears. The door passes a command on by it when ledger, rates, policy and audit log of this
   gateway have let it through; those of the other gateway then decide, too. `Aerie.Fleet.Remote` is one; `Aerie.Gateway` plugs it in.
 
-  A command that came from another gateway, by NATS, is never passed on.
+  A command that came from another gateway, over NATS, is never passed on.
   """
 
   alias Aerie.Base.{Names, Store}

@@ -3,7 +3,7 @@ defmodule Aerie.Control.Commands.Settings do
   use Aerie.Base.Settings
 
   section "commands",
-          "Commands by NATS, REST and Elixir (docs/commands.md). What they may do, and who may give them, stands in policy."
+          "Commands over NATS, REST and Elixir (docs/commands.md). What they may do, and who may give them, stands in policy."
 
   setting :max_in_flight,
           {:integer, 1, 10_000},

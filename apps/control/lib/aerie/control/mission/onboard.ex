@@ -117,7 +117,7 @@ defmodule Aerie.Control.Mission.Onboard do
   end
 
   defp zones([item | _rest], seq, _plan),
-    do: {:error, "item #{seq} has command #{item.command}, which is no fence"}
+    do: {:error, "item #{seq} has command #{item.command}, which is not part of a fence"}
 
   defp corner?(corner, first),
     do:

@@ -72,7 +72,7 @@ defmodule Aerie.Control.Policy.Settings do
 
   setting :open,
           {:list, {:section, open_fields()}},
-          "Single ones of them that whoever has the permission maintain may send nevertheless.",
+          "Single ones of them that may be sent nevertheless with the permission maintain.",
           default: [],
           example: ~S([{command: 43999}, {message: 60000}])
 
@@ -88,7 +88,7 @@ defmodule Aerie.Control.Policy.Settings do
   setting :sources,
           {:list, {:section, source_fields()}},
           """
-          Who may sign commands by NATS: the public nkey of each (`nk -gen user -pubout`). Other keys can command nothing by
+          Who may sign commands over NATS: the public nkey of each (`nk -gen user -pubout`). Other keys can command nothing by
           NATS.
           """,
           default: [],
@@ -97,7 +97,7 @@ defmodule Aerie.Control.Policy.Settings do
   setting :unsigned,
           {:enum, Roles.all()},
           """
-          Role of unsigned commands by NATS, that is of everybody who may publish to fleet.*.*.cmd.>. Left out: they are denied.
+          Role of unsigned commands over NATS, that is of everybody who may publish to fleet.*.*.cmd.>. Left out: they are denied.
           """,
           example: "operator"
 

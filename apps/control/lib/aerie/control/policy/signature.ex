@@ -11,7 +11,7 @@ defmodule Aerie.Control.Policy.Signature do
 
       aerie-command-1\\nSUBJECT\\nTIME\\nBODY
 
-  `SUBJECT` is `fleet.{environment}.{vehicle}.cmd.{type}`, by REST too, so that a command for one vehicle is none for another; `TIME`
+  `SUBJECT` is `fleet.{environment}.{vehicle}.cmd.{type}`, over REST too, so that a command for one vehicle is none for another; `TIME`
   is the text of the header, and `BODY` the bytes of the message.
 
   A signature counts for a minute. Within that a message that is sent again has the same id, and gets the stored result.

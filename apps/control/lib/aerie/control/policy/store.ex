@@ -85,7 +85,7 @@ defmodule Aerie.Control.Policy.Store do
   end
 
   defp told(:ok, gateway, by) do
-    Logger.info("policy: loaded anew (#{by})")
+    Logger.info("policy: reloaded (#{by})")
     Audit.note(gateway, %{"type" => "policy", "loaded" => true, "source" => by})
   end
 

@@ -181,7 +181,7 @@ defmodule Aerie.Control.Mission.PlanTest do
                {:error, "item 0 begins a polygon of 3 corners, which is not complete"}
 
       assert Onboard.put(%Plan{}, 1, [%{corner | command: 16}], Protocol.Px4) ==
-               {:error, "item 0 has command 16, which is no fence"}
+               {:error, "item 0 has command 16, which is not part of a fence"}
 
       assert Onboard.put(%Plan{}, 2, [corner], Protocol.Px4) == {:error, "item 0 is not a rally point"}
     end

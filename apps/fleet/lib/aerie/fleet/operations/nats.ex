@@ -1,6 +1,6 @@
 defmodule Aerie.Fleet.Operations.Nats do
   @moduledoc """
-  Operations by NATS: request and reply on `fleet.{environment}.{gateway}.operation.{begin,stop,get,list}`, `gateway` being the name that
+  Operations over NATS: request and reply on `fleet.{environment}.{gateway}.operation.{begin,stop,get,list}`, `gateway` being the name that
   the gateway's own events have.
 
   To begin or stop one takes a signature as a command does (`Aerie.Control.Policy.Signature`), and an `id`: so a copy that is sent again is the
@@ -61,7 +61,7 @@ defmodule Aerie.Fleet.Operations.Nats do
     do: gateway |> Operations.begin(object, source, "nats") |> body()
 
   defp act(_gateway, "begin", _object, _source),
-    do: refusal("malformed", "id: an operation by NATS has one, so that a copy of it is the same one")
+    do: refusal("malformed", "id: an operation over NATS has one, so that a copy of it is the same one")
 
   defp act(gateway, "stop", %{"id" => id}, source) when is_binary(id),
     do: gateway |> Operations.stop(id, source) |> body()

@@ -4,7 +4,7 @@ defmodule Aerie.Fleet.Remote.Settings do
 
   part :bridge, Aerie.Fleet.Bridge.Settings
 
-  section "remote", "Vehicles that are reached by NATS, through another gateway (docs/fleet.md)."
+  section "remote", "Vehicles that are reached over NATS, through another gateway (docs/fleet.md)."
 
   setting :enabled,
           :boolean,

@@ -4,7 +4,7 @@ defmodule Aerie.Fleet.Shadow.Attempts do
   give up. A pure value.
 
   Each attempt that does not lead to agreement doubles the wait (`Aerie.Base.Backoff`), and after `max` attempts the field is refused
-  until it is set anew or the vehicle restarts. A field that stops agreeing uses an attempt, too, so the gateway gives up on a vehicle
+  until it is set again or the vehicle restarts. A field that stops agreeing uses an attempt, too, so the gateway gives up on a vehicle
   that keeps changing it back. Ten minutes of agreement reset the count.
   """
 

@@ -189,7 +189,7 @@ defmodule Aerie.Fleet.Shadow.Document do
     end
   end
 
-  def parse(_other, _vehicle), do: {:error, "it is no document of this vehicle"}
+  def parse(_other, _vehicle), do: {:error, "it is not a document of this vehicle"}
 
   defp entry({path, %{"value" => value} = entry}) do
     with {:ok, field} <- Field.fetch(path),

@@ -7,7 +7,7 @@ defmodule Aerie.Fleet.Shadow.Holds do
   |---|---|
   | `failsafe` | the vehicle is in a failsafe |
   | `rc` | it is armed in a mode that is flown by sticks and its receiver is healthy, or a stick or switch moved |
-  | `operator` | somebody commanded it directly: by NATS, REST, Elixir, or a ground station through the gateway |
+  | `operator` | somebody commanded it directly: over NATS, REST, Elixir, or a ground station through the gateway |
   | `begun` | the gateway has just begun to watch it, and it is or may be armed |
   | `other` | its mode or arming changed without a command through this gateway: a switch, another ground station, the vehicle itself |
 

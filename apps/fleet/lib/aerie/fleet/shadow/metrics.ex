@@ -33,7 +33,7 @@ defmodule Aerie.Fleet.Shadow.Metrics do
       {"gateway_shadow_reports_shortened_total",
        "Reported documents that were too large and left fields out (omitted_fields)."},
     dropped:
-      {"gateway_shadow_requests_dropped_total", "Requests by NATS dropped because too many came at once."}
+      {"gateway_shadow_requests_dropped_total", "Requests over NATS dropped because too many came at once."}
   ]
   @states [:converged, :pending, :held, :refused]
 

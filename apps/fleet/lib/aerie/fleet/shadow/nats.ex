@@ -1,6 +1,6 @@
 defmodule Aerie.Fleet.Shadow.Nats do
   @moduledoc """
-  The shadow by NATS: request and reply on `fleet.{environment}.{vehicle}.shadow.{get,update,delete,delta}`.
+  The shadow over NATS: request and reply on `fleet.{environment}.{vehicle}.shadow.{get,update,delete,delta}`.
 
   Gateways with one NATS share the subjects (queue group): any of them answers for any vehicle, heard or not, because the
   documents are in NATS. `Aerie.Fleet.Shadow.Nats.Request` reads a message, `Aerie.Fleet.Shadow` handles it, each message in a task.

@@ -6,7 +6,7 @@ defmodule Aerie.Fleet.Shadow.Supervisor do
   |---|---|
   | `Documents` | the lease, for a moment; documents come back from disk and NATS |
   | the tasks' supervisor | attempts under way: they count as refused, and are in the ledger |
-  | `Nats` | requests by NATS under way |
+  | `Nats` | requests over NATS under way |
   | `Uplink`, on a leaf node with a `vehicle_id` | nothing: it compares with the hub again |
 
   The loops themselves are in the vehicles' trees (`Aerie.Fleet.Shadow.Loop`).

@@ -1,6 +1,6 @@
 defmodule Aerie.Fleet.Shadow.Update do
   @moduledoc """
-  A change of a desired state as it comes by NATS and REST, checked against the table of fields:
+  A change of a desired state as it comes over NATS and REST, checked against the table of fields:
 
       {"desired": {"mode": "LOITER", "params": {"FENCE_ALT_MAX": 80, "RTL_ALT": null}},
        "version": 12, "reason": "storm", "expires_in_s": 3600, "token": "tablet-3"}

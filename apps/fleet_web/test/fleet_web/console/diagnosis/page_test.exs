@@ -52,7 +52,7 @@ defmodule FleetWeb.Console.Diagnosis.PageTest do
     eventually(fn -> not has_element?(view, "h2", "two vehicles use system id") end)
   end
 
-  test "the same by REST", %{console: console} do
+  test "the same over REST", %{console: console} do
     busy(console)
 
     [condition] =

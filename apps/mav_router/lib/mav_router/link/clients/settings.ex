@@ -183,7 +183,7 @@ defmodule MavRouter.Link.Clients.Settings do
   defp allowed(%{client: client}, :remote) when client != :remote,
     do: {:error, "url must be one of #{Transport.usage(:remote)} for a client"}
 
-  defp allowed(%{client: nil}, _from), do: {:error, "a recording is no client: it is a link"}
+  defp allowed(%{client: nil}, _from), do: {:error, "a recording is a link, not a client"}
   defp allowed(spec, _from), do: {:ok, spec}
 
   defp name?(name), do: is_binary(name) and name =~ @name

@@ -89,7 +89,8 @@ defmodule MavRouter.Link.Transport.Query do
 
   defp option("gcs", value, _transport, _form),
     do:
-      {:error, reason: "#{inspect(value)} is no setting of gcs", expected: "gcs=auto, gcs=allow or gcs=deny"}
+      {:error,
+       reason: "#{inspect(value)} is not a valid value of gcs", expected: "gcs=auto, gcs=allow or gcs=deny"}
 
   defp option(key, value, transport, form) do
     if key in form.options do

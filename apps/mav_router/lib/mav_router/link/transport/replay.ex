@@ -69,7 +69,8 @@ defmodule MavRouter.Link.Transport.Replay do
         {:ok, :speed, number}
 
       _other ->
-        {:error, reason: "#{inspect(value)} is no speed", expected: "speed=N (0.01 to 10000) or speed=max"}
+        {:error,
+         reason: "#{inspect(value)} is not a valid speed", expected: "speed=N (0.01 to 10000) or speed=max"}
     end
   end
 

@@ -235,7 +235,7 @@ defmodule MavRouter.Link.Transport.Serial do
 
   # Reasons that mean something particular for a serial port.
   defp words(:eagain), do: :ebusy
-  defp words(:enotty), do: "it is no serial port"
+  defp words(:enotty), do: "it is not a serial port"
   defp words(:einval), do: "the port does not support this baud rate"
   defp words(:epipe), do: "the program that serves the port ended"
 

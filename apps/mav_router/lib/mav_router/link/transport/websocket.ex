@@ -202,7 +202,7 @@ defmodule MavRouter.Link.Transport.WebSocket do
     [{:closed, "the server closed the WebSocket (#{code || "no code"}#{said})"}]
   end
 
-  defp ending(:bad), do: [{:closed, "the server sent something that is no WebSocket frame"}]
+  defp ending(:bad), do: [{:closed, "the server sent something other than a WebSocket frame"}]
   defp ending(_other), do: []
 
   @impl MavRouter.Link.Transport

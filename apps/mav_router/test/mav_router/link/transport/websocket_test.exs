@@ -151,7 +151,7 @@ defmodule MavRouter.Link.Transport.WebSocketTest do
       {by, socket, _request} = client
       :ok = by.send(socket, "hello, who is there?")
 
-      assert_receive {:down, _wait, %{reason: "the server sent something that is no WebSocket frame"}},
+      assert_receive {:down, _wait, %{reason: "the server sent something other than a WebSocket frame"}},
                      @patience
     end
 
@@ -297,12 +297,12 @@ defmodule MavRouter.Link.Transport.WebSocketTest do
     assert {:error, "it answered 301 Moved (https://x/)"} =
              Handshake.answer("HTTP/1.1 301 Moved\r\nLocation: https://x/\r\n\r\n", key)
 
-    assert {:error, "it is no WebSocket server"} = Handshake.answer(good <> "\r\n", :cow_ws.key())
+    assert {:error, "it is not a WebSocket server"} = Handshake.answer(good <> "\r\n", :cow_ws.key())
 
     assert {:error, "it chose extensions" <> _} =
              Handshake.answer(good <> "Sec-WebSocket-Extensions: x\r\n\r\n", key)
 
-    assert {:error, "it is no HTTP server"} = Handshake.answer("SSH-2.0-OpenSSH\r\n\r\n", key)
+    assert {:error, "it is not an HTTP server"} = Handshake.answer("SSH-2.0-OpenSSH\r\n\r\n", key)
     assert {:error, "the answer has no end"} = Handshake.answer(String.duplicate("x", 20_000), key)
   end
 end

@@ -34,7 +34,7 @@ defmodule Aerie.Vehicle.Enrolment.SecureLink do
     do:
       Error.new(
         {:invalid,
-         "#{inspect(other, limit: 5)} is no vehicle: expected its name, like \"VID-007\", or its network and system id, like {\"main\", 7}"}
+         "#{inspect(other, limit: 5)} is not a vehicle: expected its name, like \"VID-007\", or its network and system id, like {\"main\", 7}"}
       )
 
   defp known(gateway) do

@@ -145,7 +145,7 @@ defmodule Aerie.Vehicle.Event.Types do
      ], severity: 3, text: "contact lost"},
     {"link.restored", "a lost vehicle is heard again", "any frame of its autopilot", [],
      severity: 5, text: "contact restored"},
-    {"reboot", "the vehicle was restarted", "`time_boot_ms` begins anew",
+    {"reboot", "the vehicle was restarted", "`time_boot_ms` starts again",
      [{"time_boot_ms", :integer, "ms", "the vehicle's clock"}],
      severity: 4, text: "the vehicle restarted", ends: :all},
     {"collision", "two vehicles use one system id",

@@ -36,7 +36,7 @@ defmodule Aerie.Vehicle.Fields.Object do
   rest = [
     {"recording", nil, "how it is recorded (recordings.md); also in `/api/status`"},
     {"tags", nil, "words that people gave it (shadow.md); also in `/api/status`"},
-    {"gateways", nil, "the other gateways that tell of it; also in `/api/status`"},
+    {"gateways", nil, "the other gateways that report it; also in `/api/status`"},
     {"groups", nil, "all state groups: `time`, `age`, `via`, `time_boot_ms`, `data`"},
     {"firmware", nil, "firmware version"},
     {"capabilities", nil, "MAV_PROTOCOL_CAPABILITY flags"},

@@ -6,6 +6,6 @@ defmodule Aerie.Vehicle.Journal.Settings do
 
   setting :max_pending_events,
           {:integer, 100, 10_000_000},
-          "Events in memory, neither confirmed by NATS nor on disk; the oldest go first, and are counted.",
+          "Events in memory, neither confirmed by the NATS server nor on disk; the oldest go first, and are counted.",
           default: 20_000
 end

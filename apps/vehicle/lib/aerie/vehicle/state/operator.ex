@@ -21,7 +21,7 @@ defmodule Aerie.Vehicle.State.Operator do
       {:reason, nil, nil, "why it was taken over", "`take_control`"},
       {:offered_to, nil, nil, "who may take it without a reason; `*` for anybody", "`hand_over_control`"},
       {:system, 0, nil, "the ground station in control as the vehicle tells; 0 for none", "CONTROL_STATUS"},
-      {:takeover_allowed, nil, nil, "whether the vehicle gives control to whoever asks", "CONTROL_STATUS"}
+      {:takeover_allowed, nil, nil, "whether the vehicle gives control to anyone who asks", "CONTROL_STATUS"}
     ]
 
   # Who is in control (X15); only the component that manages the system says it of the whole of it.

@@ -57,7 +57,7 @@ defmodule Aerie.Control.Mission.Transfer.Outcome do
   defp undone(:acked, how), do: {:failed, "the vehicle acknowledged the plan and has another one: " <> how}
   defp undone({_doubt_or_refused, result}, _how), do: {:rejected, refusal(result)}
   defp undone(:cancelled, _how), do: {:cancelled, nil}
-  defp undone(:silent, _how), do: {:failed, "the vehicle ceased to answer, and does not have the plan"}
+  defp undone(:silent, _how), do: {:failed, "the vehicle stopped answering, and does not have the plan"}
   defp undone(:rebooted, _how), do: {:failed, "the vehicle rebooted, and does not have the plan"}
 
   @doc "The outcome if the plan could not be read back, for this reason."
@@ -68,14 +68,14 @@ defmodule Aerie.Control.Mission.Transfer.Outcome do
         :acked -> "the vehicle acknowledged it"
         {_doubt_or_refused, result} -> refusal(result)
         :cancelled -> "it was cancelled"
-        :silent -> "the vehicle ceased to answer"
+        :silent -> "the vehicle stopped answering"
         :rebooted -> "the vehicle rebooted"
       end
 
     {:unknown, "#{said}, and what it has could not be read back: #{reason}", :unknown}
   end
 
-  @stalls "the vehicle ceased to answer in the middle of it, however often it was begun again"
+  @stalls "the vehicle stopped answering in the middle of it, however often it was begun again"
 
   @doc "The outcome if reading was begun again and again, and never came to its end."
   @spec stalled(:upload | :download | :clear, cause() | nil) :: t()

@@ -290,7 +290,7 @@ defmodule Aerie.Fleet.Bridge.Commands.Transfers do
       reply
     else
       reason =
-        "the reply has #{IO.iodata_length(body)} bytes, more than the #{@max_bytes} that NATS carries; ask by REST"
+        "the reply has #{IO.iodata_length(body)} bytes, more than the #{@max_bytes} that NATS carries; ask over REST"
 
       %{"id" => short(id), "result" => "failed", "rule" => "size", "reason" => reason}
     end

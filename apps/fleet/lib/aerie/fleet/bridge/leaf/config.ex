@@ -94,7 +94,7 @@ defmodule Aerie.Fleet.Bridge.Leaf.Config do
        "the hub's address beside #{Enum.join(given, ", ")}", "nothing"},
       {match?([_, _ | _], logins), ["nats", "leaf"], "one way to sign in", Enum.join(logins, ", ")},
       {on?(leaf) and logins == [], ["nats", "leaf"],
-       "nkey_seed_file or credentials (bin/nats-setup writes them): a hub that lets anybody in is no fleet's",
+       "nkey_seed_file or credentials (bin/nats-setup writes them): a hub must not let anybody in",
        "neither"},
       {Enum.any?(leaf.url, &(URI.parse(&1).userinfo != nil)), ["nats", "leaf", "url"],
        "no password in the address: it would be in the logs", "one with a password"},

@@ -49,7 +49,7 @@ defmodule MavRouter.Link.Transport.Serial.ConnectionString do
     case parse("", text) do
       {:ok, %{baud: _given} = fields} -> {:ok, fields}
       {:ok, fields} -> {:ok, Map.put(fields, :detect, :baud)}
-      {:error, :unknown} -> {:error, "#{inspect(text)} is no serial device"}
+      {:error, :unknown} -> {:error, "#{inspect(text)} is not a serial device"}
       {:error, words} -> {:error, words}
     end
   end
@@ -69,7 +69,7 @@ defmodule MavRouter.Link.Transport.Serial.ConnectionString do
   defp port(device, [text]) do
     case rate(text) do
       {:ok, rate} -> {:ok, %{device: device, baud: rate}}
-      :error -> {:error, "#{inspect(text)} is no baud rate"}
+      :error -> {:error, "#{inspect(text)} is not a valid baud rate"}
     end
   end
 
@@ -94,7 +94,7 @@ defmodule MavRouter.Link.Transport.Serial.ConnectionString do
       do: {:ok, :bauds, Enum.map(rates, &elem(&1, 1))},
       else:
         {:error,
-         reason: "#{inspect(value)} are no baud rates",
+         reason: "#{inspect(value)} is not a list of baud rates",
          expected: "up to #{@max_candidates} rates with commas between them",
          example: "serial:auto?bauds=57600,921600"}
   end
@@ -106,7 +106,7 @@ defmodule MavRouter.Link.Transport.Serial.ConnectionString do
       do: {:ok, :ports, ports},
       else:
         {:error,
-         reason: "#{inspect(value)} are no serial ports",
+         reason: "#{inspect(value)} is not a list of serial ports",
          expected: "up to #{@max_candidates} ports with commas between them",
          example: "serial:auto?ports=/dev/ttyAMA0,/dev/ttyUSB0"}
   end

@@ -42,12 +42,12 @@ defmodule MavRouter.Link.Transport.WebSocket.Handshake do
          {:ok, headers} <- headers(headers, %{}) do
       cond do
         status != 101 -> {:error, "it answered #{status} #{printable(words)}#{location(headers)}"}
-        headers["sec-websocket-accept"] != :cow_ws.encode_key(key) -> {:error, "it is no WebSocket server"}
+        headers["sec-websocket-accept"] != :cow_ws.encode_key(key) -> {:error, "it is not a WebSocket server"}
         headers["sec-websocket-extensions"] != nil -> {:error, "it chose extensions that nobody offered"}
         true -> {:ok, rest}
       end
     else
-      _no_http -> {:error, "it is no HTTP server"}
+      _no_http -> {:error, "it is not an HTTP server"}
     end
   end
 

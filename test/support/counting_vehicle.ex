@@ -6,7 +6,7 @@ defmodule Aerie.CountingVehicle do
 
   use GenServer
 
-  alias MavRouter.Mavlink.CommandNumber
+  alias MavCodec.CommandNumber
   alias MavCodec.{Frame, Parser, Signing}
   alias MavCodec.Messages, as: M
 

@@ -7,7 +7,7 @@ defmodule MavRouter.Link.Connector do
   exit of an opener that crashed.
   """
 
-  alias MavRouter.Link.PortOwner
+  alias Aerie.Base.PortOwner
   alias MavRouter.Link.Spec
 
   @doc "Starts opening; the calling process is the link."

@@ -92,7 +92,7 @@ defmodule MavRouter.Link.Transport do
   - `{:closed, reason}`: the connection ended, and is to be made again
   - `{:ended, text}`: nothing more will ever come
   - `{:warning, text}`: for the log
-  - `{:sniffed, place, baud, sniffed}`: what bytes without frames are (`MavRouter.Link.Serial.Sniff`)
+  - `{:sniffed, place, baud, sniffed}`: what bytes without frames are (`MavCodec.Sniff`)
   - `{:count, name, n}`: something to count (`MavRouter.Link.Counters`)
   - `{:written, result}`: the late result of a write, `{:ok, bytes} | {:error, reason}`
   """
@@ -105,7 +105,7 @@ defmodule MavRouter.Link.Transport do
           | :redirected
           | {:closed, term}
           | {:ended | :warning, String.t()}
-          | {:sniffed, String.t(), pos_integer, MavRouter.Link.Serial.Sniff.t()}
+          | {:sniffed, String.t(), pos_integer, MavCodec.Sniff.t()}
           | {:count, atom, pos_integer}
           | {:written, {:ok, non_neg_integer} | {:error, term}}
 

@@ -6,7 +6,7 @@ defmodule MavRouter.Recorder.Core do
   after all are disarmed. `{:until, at}` records up to a time. Times are those of the frames.
   """
 
-  alias MavRouter.Mavlink.Heartbeat
+  alias MavCodec.Heartbeat
   alias MavCodec.Frame
 
   @heartbeat Heartbeat.id()

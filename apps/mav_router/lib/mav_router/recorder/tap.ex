@@ -6,13 +6,13 @@ defmodule MavRouter.Recorder.Tap do
   or hangs), further frames are dropped here, and counted. So a bad disk costs records, never frames, and a bounded amount of memory.
   """
 
-  alias MavRouter.Mavlink.Message
+  alias MavCodec.MessageName
   alias MavRouter.Recorder.Tables
   alias MavCodec.{Frame, Redact}
 
   @waiting 1
   @dropped 2
-  @setup_signing Message.id!("SETUP_SIGNING")
+  @setup_signing MessageName.id!("SETUP_SIGNING")
   # A frame's part of the message that carries it, and of the list that it is in.
   @overhead 200
 

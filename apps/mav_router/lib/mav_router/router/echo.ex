@@ -6,8 +6,8 @@ defmodule MavRouter.Router.Echo do
   one says so, because a sender without a key could otherwise keep the gateway from being ready.
   """
 
-  alias MavRouter.Mavlink.Heartbeat
-  alias MavRouter.Mavlink.Message
+  alias MavCodec.Heartbeat
+  alias MavCodec.MessageName
   alias Aerie.Base.Names
   alias MavRouter.Router.Delivery
   alias MavRouter.Router.Tables
@@ -15,7 +15,7 @@ defmodule MavRouter.Router.Echo do
 
   require Logger
 
-  @heartbeat Message.id!("HEARTBEAT")
+  @heartbeat MessageName.id!("HEARTBEAT")
   @silent_ms 10_000
 
   @doc "Looks at frames with our own ids that are trusted (`MavRouter.Signing.admit/3`)."

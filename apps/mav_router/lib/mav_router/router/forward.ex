@@ -16,8 +16,8 @@ defmodule MavRouter.Router.Forward do
   Runs in the process that received the frames. Each receiver gets its frames in their order.
   """
 
-  alias MavRouter.Mavlink.HighLatency
-  alias MavRouter.Mavlink.Message
+  alias MavCodec.HighLatency
+  alias MavCodec.MessageName
   alias MavRouter.Router.Output.Batch
   alias MavRouter.Router.Routes.LinkSelector
   alias MavRouter.Router.Queue.TrafficClass
@@ -34,15 +34,15 @@ defmodule MavRouter.Router.Forward do
   alias Aerie.Base.TokenBucket
   alias MavCodec.Frame
 
-  @heartbeat Message.id!("HEARTBEAT")
-  @setup_signing Message.id!("SETUP_SIGNING")
+  @heartbeat MessageName.id!("HEARTBEAT")
+  @setup_signing MessageName.id!("SETUP_SIGNING")
   # Other vehicles hear two heartbeats a second of one component, and up to four at once.
   @heartbeat_us 500_000
   @heartbeats 4
   # Commands that an autopilot sends to 1/0 or 0/0 are for itself: PX4 says its internal ones so.
   @commands Enum.map(
               ~w(COMMAND_INT COMMAND_LONG COMMAND_INT_STAMPED COMMAND_LONG_STAMPED),
-              &Message.id!/1
+              &MessageName.id!/1
             )
 
   @doc "Forwards the frames of one source, in order."

@@ -25,12 +25,12 @@ defmodule MavRouter.Router.Gate do
   endpoint has an autopilot of that id.
   """
 
-  import MavRouter.Mavlink.Heartbeat, only: [is_station: 1]
+  import MavCodec.Heartbeat, only: [is_station: 1]
 
   alias MavRouter.Authority.Commands
   alias MavRouter.Authority.Messages
   alias MavRouter.Authority.Principal
-  alias MavRouter.Mavlink.CommandNumber
+  alias MavCodec.CommandNumber
   alias MavRouter.Router.Gate.Questions
   alias MavRouter.Router.Delivery
   alias MavRouter.Router.Endpoint.Counters

@@ -3,10 +3,10 @@ defmodule MavRouter.Router.HeartbeatLearner do
   The few messages that the router itself reads: heartbeats tell what their sender is, SYSTEM_TIME tells reboots (R6).
   """
 
-  alias MavRouter.Mavlink.BootClock
-  alias MavRouter.Mavlink.Heartbeat
-  alias MavRouter.Mavlink.HighLatency
-  alias MavRouter.Mavlink.Message
+  alias MavCodec.BootClock
+  alias MavCodec.Heartbeat
+  alias MavCodec.HighLatency
+  alias MavCodec.MessageName
   alias MavRouter.Router.Delivery
   alias MavRouter.Router.Endpoints
   alias MavRouter.Router.Routes
@@ -14,10 +14,10 @@ defmodule MavRouter.Router.HeartbeatLearner do
   alias MavRouter.Router.Tables
   alias MavCodec.Frame
 
-  @heartbeat Message.id!("HEARTBEAT")
+  @heartbeat MessageName.id!("HEARTBEAT")
   # Takes the place of the heartbeat on a link of high latency (X6).
-  @high_latency2 Message.id!("HIGH_LATENCY2")
-  @system_time Message.id!("SYSTEM_TIME")
+  @high_latency2 MessageName.id!("HIGH_LATENCY2")
+  @system_time MessageName.id!("SYSTEM_TIME")
   # An endpoint that sends a heartbeat after being there for so long has sent one before.
   @repeated_us 500_000
 

@@ -11,7 +11,7 @@ defmodule MavRouter.Router.Systems do
   alias MavRouter.Router.GroundStations
   alias Aerie.Base.Store
   alias Aerie.Base.Names
-  alias MavRouter.Mavlink.Heartbeat
+  alias MavCodec.Heartbeat
   alias MavCodec.Frame
 
   @max_components 64

@@ -9,11 +9,11 @@ defmodule MavRouter.Signing.Scope do
   A scope whose key cannot be read fails closed: it refuses everything for which its policy requires a signature.
   """
 
-  alias MavRouter.Mavlink.Message
+  alias MavCodec.MessageName
   alias Aerie.Base.Secret
   alias MavRouter.Signing.{Key, KeyFiles}
 
-  @radio_status Message.id!("RADIO_STATUS")
+  @radio_status MessageName.id!("RADIO_STATUS")
 
   @enforce_keys [:id]
   defstruct [:id, :secret, :error, :source, policy: :required, allow: [@radio_status], generation: 0]

@@ -12,7 +12,7 @@ defmodule MavRouter.Signing.Signer do
   alias Aerie.Base.Store
   alias Aerie.Base.Names
   alias MavRouter.Signing.{Scope, Tables, Verifier, Verifiers}
-  alias MavRouter.Wire
+  alias MavCodec.FrameSplitter
   alias MavCodec.Frame
 
   # The size of link id, time stamp and signature.
@@ -59,7 +59,7 @@ defmodule MavRouter.Signing.Signer do
 
   defp filled(<<0::size(@room)-unit(8), bytes::binary>>, gateway, link, network, peer) do
     with tables when is_map(tables) <- Tables.active(gateway),
-         {[frame], ""} <- Wire.frames(bytes),
+         {[frame], ""} <- FrameSplitter.frames(bytes),
          [_ | _] = scopes <- scopes(tables, link, peer, {network, target(frame)}) do
       Enum.map(scopes, &sign(gateway, tables, link, &1, bytes, :any))
     else

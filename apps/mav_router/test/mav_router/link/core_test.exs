@@ -308,7 +308,7 @@ defmodule MavRouter.Link.CoreTest do
 
   describe "a serial port" do
     alias MavRouter.Link.Serial.Finding
-    alias MavRouter.Link.Serial.Sniff
+    alias MavCodec.Sniff
 
     @sniffed %{protocol: :nmea, confidence: 0.99, evidence: "2 sentences (GPGGA)", heartbeat: false}
 

@@ -1,7 +1,7 @@
 defmodule MavRouter.Link.ReasonTest do
   use ExUnit.Case, async: true
 
-  alias MavRouter.Link.PortOwner
+  alias Aerie.Base.PortOwner
   alias MavRouter.Link.Reason
   alias MavRouter.Link.Restarts
   alias MavRouter.Link.Spec

@@ -46,7 +46,7 @@ defmodule Aerie.Vehicle.Core do
   as heard on the link and change nothing else.
   """
 
-  alias MavRouter.Mavlink.BootClock
+  alias MavCodec.BootClock
   alias Aerie.Vehicle.{Collision, Options, Reports, Sampling, State}
   alias Aerie.Vehicle.Services.{Gcs, Switches, Timesync}
   alias Aerie.Vehicle.Core.{Collisions, Effects, Frames, Reporting, Services, SnapshotSchedule, Texts, Timers}

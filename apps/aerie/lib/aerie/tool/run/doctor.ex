@@ -8,7 +8,7 @@ defmodule Aerie.Tool.Run.Doctor do
   alias Aerie.Base.Files.Disk
   alias Aerie.Config
   alias Aerie.Config.Preflight
-  alias MavRouter.Link.Serial.Ports
+  alias Aerie.Base.SerialPorts
   alias Aerie.Tool.{Columns, Gateway, Run}
 
   @type finding :: %{
@@ -77,7 +77,7 @@ defmodule Aerie.Tool.Run.Doctor do
       serial(config) ++ modem_manager("/proc") ++ clock("/run/systemd/timesync/synchronized") ++ disk(config)
 
   defp serial(config) do
-    case Ports.list(%{ports: config.serial.ports}) do
+    case SerialPorts.list(%{ports: config.serial.ports}) do
       [] -> [ok("serial ports", "none is plugged in")]
       ports -> Enum.map(ports, &port/1)
     end

@@ -8,7 +8,7 @@ defmodule Aerie.Fleet.Client.Supervisor do
   alias Aerie.Fleet.Client.{Settings, StateClient, StateFeed}
   alias Aerie.Base.Names
   alias Aerie.Base.UnixSocket.Listener
-  alias MavRouter.UnixClient
+  alias Aerie.Fleet.Client.MavlinkSocket
 
   @doc "Options: `:gateway`, `:settings` (`Aerie.Fleet.Client.Settings`)."
   @spec start_link(keyword()) :: Supervisor.on_start()
@@ -30,7 +30,7 @@ defmodule Aerie.Fleet.Client.Supervisor do
       Listener.children(
         gateway,
         :mavlink,
-        {UnixClient, gateway: gateway, sign: settings.sign},
+        {MavlinkSocket, gateway: gateway, sign: settings.sign},
         settings
       )
   end

@@ -16,7 +16,7 @@ defmodule Aerie.Fleet.Replay.Machine do
   """
 
   alias Aerie.Fleet.Replay.{Clock, Settings, Stations, Vehicle}
-  alias MavRouter.Mavlink.Heartbeat
+  alias MavCodec.Heartbeat
   alias MavRouter.Router.Admission.EarlyTexts
   alias Aerie.Vehicle.{Core, Options}
   alias Aerie.Vehicle.Services.Timesync

@@ -4,7 +4,7 @@ defmodule Aerie.Fleet.Replay.Stations do
   """
 
   alias MavRouter.Router.GroundStations
-  alias MavRouter.Mavlink.Heartbeat
+  alias MavCodec.Heartbeat
   alias MavCodec.Frame
 
   @type t :: %{{non_neg_integer, 0..255} => GroundStations.station()}

@@ -1,7 +1,7 @@
 defmodule MavRouter.Authority.Messages.Rows do
   @moduledoc "The rows of `MavRouter.Authority.Messages`, by the names of the messages: class, permission, what else, names."
 
-  alias MavRouter.Mavlink.Message
+  alias MavCodec.MessageName
 
   @rows [
     # Heartbeats of other vehicles may be heard; a ground station's, or what poses as one, is an operator's.
@@ -135,7 +135,7 @@ defmodule MavRouter.Authority.Messages.Rows do
     rows =
       for {class, permission, more, names} <- @rows,
           name <- names,
-          do: {Message.id!(name), [class: class, permission: permission] ++ more}
+          do: {MessageName.id!(name), [class: class, permission: permission] ++ more}
 
     case Enum.map(rows, &elem(&1, 0)) -- Enum.uniq(Enum.map(rows, &elem(&1, 0))) do
       [] -> Enum.sort(rows)

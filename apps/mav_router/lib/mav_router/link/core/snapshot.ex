@@ -27,7 +27,7 @@ defmodule MavRouter.Link.Core.Snapshot do
   | `:recording` | `t:Aerie.Recorder.Status.t/0` without its names, nil if it was never recorded |
   | `:restarts` | monotonic ms of the last restarts of the link's process |
   | `:label` | the label of the configuration, or nil |
-  | `:high_latency` | whether it is configured as a high-latency link (`MavRouter.Mavlink.HighLatency`) |
+  | `:high_latency` | whether it is configured as a high-latency link (`MavCodec.HighLatency`) |
   """
 
   alias MavRouter.Link.Core

@@ -7,7 +7,7 @@ defmodule MavRouter.Link.Serial.Detection do
 
   alias MavRouter.Link.Serial.Detector
   alias MavRouter.Link.Serial.Finding
-  alias MavRouter.Link.Serial.Ports
+  alias Aerie.Base.SerialPorts
   alias MavRouter.Link.Serial.UartProcess
 
   @tick_ms 250
@@ -17,7 +17,7 @@ defmodule MavRouter.Link.Serial.Detection do
   @doc """
   Searches; returns the holder of the port, which is open but not being read, and the bytes that were received.
 
-  Options: those of `MavRouter.Link.Serial.Ports` as `:ports`, and `:bauds` and `:hint` of `MavRouter.Link.Serial.Detector.new/1`.
+  Options: those of `Aerie.Base.SerialPorts` as `:ports`, and `:bauds` and `:hint` of `MavRouter.Link.Serial.Detector.new/1`.
   """
   @spec run(keyword) :: {:ok, pid, Finding.t(), binary} | {:error, {:undetected, [Finding.t()]}}
   def run(options) do
@@ -67,7 +67,7 @@ defmodule MavRouter.Link.Serial.Detection do
 
   defp list_ports(%{list_at: at} = state) do
     if state.result == nil and (at == nil or now() >= at) do
-      step(%{state | list_at: now() + @list_ms}, {:ports, Ports.list(state.names)})
+      step(%{state | list_at: now() + @list_ms}, {:ports, SerialPorts.list(state.names)})
     else
       state
     end

@@ -12,7 +12,7 @@ defmodule MavRouter.Link.Serial.Finding do
   | `:no_permission`, `:in_use`, `:absent`, `:not_serial`, `:fault` | it cannot be opened, or was lost |
   """
 
-  alias MavRouter.Link.Serial.Sniff
+  alias MavCodec.Sniff
 
   @enforce_keys [:path, :condition]
   defstruct [:path, :condition, :protocol, :baud, :evidence, :advice]

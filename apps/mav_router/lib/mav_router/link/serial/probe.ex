@@ -14,7 +14,7 @@ defmodule MavRouter.Link.Serial.Probe do
   """
 
   alias MavRouter.Link.Serial.Finding
-  alias MavRouter.Link.Serial.Sniff
+  alias MavCodec.Sniff
   alias MavCodec.Parser
 
   # Heartbeats come once a second.

@@ -19,8 +19,8 @@ defmodule MavRouter.Link.Transport.Serial do
   alias MavRouter.Link.Transport.Serial.ConnectionString
   alias MavRouter.Link.Serial.Detection
   alias MavRouter.Link.Serial.Finding
-  alias MavRouter.Link.Serial.Ports
-  alias MavRouter.Link.Serial.Sniff
+  alias Aerie.Base.SerialPorts
+  alias MavCodec.Sniff
   alias MavRouter.Link.Serial.UartProcess
 
   @batch 64
@@ -91,7 +91,8 @@ defmodule MavRouter.Link.Transport.Serial do
   # There are ports, but other links have them.
   defp explain_taken({:error, {:undetected, []}}, %{taken: [_ | _]} = ports) do
     {:error,
-     {:undetected, for(%{path: path} <- Ports.list(%{ports | taken: []}), do: Finding.of_another_link(path))}}
+     {:undetected,
+      for(%{path: path} <- SerialPorts.list(%{ports | taken: []}), do: Finding.of_another_link(path))}}
   end
 
   defp explain_taken(result, _ports), do: result
@@ -109,7 +110,7 @@ defmodule MavRouter.Link.Transport.Serial do
   defp dev(_options), do: %{}
 
   @impl MavRouter.Link.Transport
-  def watch(spec), do: spec |> ports() |> Ports.fingerprint()
+  def watch(spec), do: spec |> ports() |> SerialPorts.fingerprint()
 
   @impl MavRouter.Link.Transport
   def give(conn, link), do: UartProcess.give(conn.holder, link)

@@ -10,10 +10,10 @@ defmodule MavRouter.Router.Admission.EarlyTexts do
   At most #{@max_texts} texts of each of #{@max_systems} systems are held, for #{div(@patience_us, 1_000_000)} s; further ones are not.
   """
 
-  alias MavRouter.Mavlink.Message
+  alias MavCodec.MessageName
   alias MavCodec.Frame
 
-  @statustext Message.id!("STATUSTEXT")
+  @statustext MessageName.id!("STATUSTEXT")
 
   @typedoc "Frames by system (any term), the newest first."
   @type t :: %{term() => [Frame.t()]}

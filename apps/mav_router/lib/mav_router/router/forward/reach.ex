@@ -12,18 +12,18 @@ defmodule MavRouter.Router.Forward.Reach do
   | `:stranger`: anybody else | nothing |
   """
 
-  import MavRouter.Mavlink.Heartbeat, only: [is_station: 1]
+  import MavCodec.Heartbeat, only: [is_station: 1]
 
   alias MavRouter.Authority.Messages
-  alias MavRouter.Mavlink.Heartbeat
-  alias MavRouter.Mavlink.Message
+  alias MavCodec.Heartbeat
+  alias MavCodec.MessageName
   alias MavRouter.Router.Forward.Table.Path
   alias MavRouter.Router.Routes
   alias MavRouter.Router.Forward.Source
   alias MavRouter.Router.Tables
   alias MavCodec.Frame
 
-  @command_ack Message.id!("COMMAND_ACK")
+  @command_ack MessageName.id!("COMMAND_ACK")
   @heartbeat Heartbeat.id()
   @authorization MavCodec.Enums.MavCmd.value(:MAV_CMD_ARM_AUTHORIZATION_REQUEST)
   @heard [:telemetry, :presence, :question, :answer]

@@ -9,7 +9,7 @@ defmodule MavRouter.Router.Forward.Refusal do
   """
 
   alias MavRouter.Authority.Messages
-  alias MavRouter.Mavlink.CommandNumber
+  alias MavCodec.CommandNumber
   alias MavRouter.Router.Delivery
   alias MavRouter.Router.Endpoint.Counters
   alias MavRouter.Router.Output

@@ -5,7 +5,7 @@ defmodule MavRouter.Router.Gate.Questions do
   because the vehicle acknowledges it to the gateway.
   """
 
-  alias MavRouter.Mavlink.CommandNumber
+  alias MavCodec.CommandNumber
   alias MavRouter.Router.Delivery
   alias MavRouter.Router.Forward.Dispatch
   alias MavRouter.Router.Output

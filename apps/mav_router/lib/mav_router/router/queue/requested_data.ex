@@ -16,7 +16,7 @@ defmodule MavRouter.Router.Queue.RequestedData do
   A request lasts until #{@lasts_ms} ms after its last repetition or answer.
   """
 
-  alias MavRouter.Mavlink.Message
+  alias MavCodec.MessageName
   alias MavCodec.Frame
 
   @kinds [
@@ -60,13 +60,13 @@ defmodule MavRouter.Router.Queue.RequestedData do
   end
 
   for {kind, {requests, _answers}} <- @kinds, name <- requests do
-    defp request(unquote(Message.id!(name))), do: unquote(kind)
+    defp request(unquote(MessageName.id!(name))), do: unquote(kind)
   end
 
   defp request(_other), do: nil
 
   for {kind, {_requests, answers}} <- @kinds, name <- answers do
-    defp answer(unquote(Message.id!(name))), do: unquote(kind)
+    defp answer(unquote(MessageName.id!(name))), do: unquote(kind)
   end
 
   defp answer(_other), do: nil

@@ -11,7 +11,7 @@ defmodule MavRouter.Router.Queue.TrafficClass do
   | `:bulk` | last | files, logs, tunnels, images, debug vectors |
   """
 
-  alias MavRouter.Mavlink.Message
+  alias MavCodec.MessageName
 
   @type class :: :control | :ack | :state | :transfer | :bulk
 
@@ -52,7 +52,7 @@ defmodule MavRouter.Router.Queue.TrafficClass do
   @doc "The class of a message id."
   @spec of(non_neg_integer) :: class
   for {class, names} <- @names, name <- names do
-    def of(unquote(Message.id!(name))), do: unquote(class)
+    def of(unquote(MessageName.id!(name))), do: unquote(class)
   end
 
   def of(_other), do: :state

@@ -1,12 +1,12 @@
-defmodule MavRouter.Link.Serial.Sniff.Words do
+defmodule MavCodec.Sniff.Words do
   @moduledoc "Counted nouns."
 
   @doc """
   A number of things.
 
-      iex> MavRouter.Link.Serial.Sniff.Words.count(1, "frame")
+      iex> MavCodec.Sniff.Words.count(1, "frame")
       "1 frame"
-      iex> MavRouter.Link.Serial.Sniff.Words.count(3, "frame")
+      iex> MavCodec.Sniff.Words.count(3, "frame")
       "3 frames"
   """
   @spec count(non_neg_integer, String.t()) :: String.t()

@@ -1,4 +1,4 @@
-defmodule MavRouter.Link.Serial.Sniff do
+defmodule MavCodec.Sniff do
   @moduledoc """
   Recognises the protocol of bytes from a serial line, by listening only: a pure function that accepts any bytes.
 
@@ -17,7 +17,7 @@ defmodule MavRouter.Link.Serial.Sniff do
   wins: a flight controller prints its boot messages on the same line.
   """
 
-  alias MavRouter.Link.Serial.Sniff.{Crsf, Mavlink, Msp, Nmea, Text, Ublox}
+  alias MavCodec.Sniff.{Crsf, Mavlink, Msp, Nmea, Text, Ublox}
 
   # Scanning takes linear time in practice, but quadratic time at worst.
   @max_bytes 4_096
@@ -66,9 +66,9 @@ defmodule MavRouter.Link.Serial.Sniff do
   @doc """
   Names the protocol.
 
-      iex> MavRouter.Link.Serial.Sniff.classify("$GPGLL,5057.970,N,00146.110,E,142451,A*27\\r\\n").protocol
+      iex> MavCodec.Sniff.classify("$GPGLL,5057.970,N,00146.110,E,142451,A*27\\r\\n").protocol
       :nmea
-      iex> MavRouter.Link.Serial.Sniff.classify("").protocol
+      iex> MavCodec.Sniff.classify("").protocol
       :silence
   """
   @spec classify(binary) :: t

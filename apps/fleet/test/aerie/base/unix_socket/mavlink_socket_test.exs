@@ -5,7 +5,7 @@ defmodule Aerie.Base.UnixSocket.MavlinkSocketTest do
 
   alias Aerie.ShortDir
   alias Aerie.Base.UnixSocket.{LengthPrefix, Listener}
-  alias MavRouter.UnixClient
+  alias Aerie.Fleet.Client.MavlinkSocket
   alias Aerie.Base.Store
   alias Aerie.Base.Names
   alias MavRouter.Router
@@ -19,7 +19,7 @@ defmodule Aerie.Base.UnixSocket.MavlinkSocketTest do
     settings = %{dir: dir, max_clients: 4}
 
     for child <-
-          Listener.children(gateway, :mavlink, {UnixClient, gateway: gateway, sign: false}, settings),
+          Listener.children(gateway, :mavlink, {MavlinkSocket, gateway: gateway, sign: false}, settings),
         do: start_supervised!(child)
 
     {:ok, link} = LocalEndpoint.attach(gateway, id: "radio", side: :vehicle)

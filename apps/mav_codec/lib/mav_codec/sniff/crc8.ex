@@ -1,4 +1,4 @@
-defmodule MavRouter.Link.Serial.Sniff.Crc8 do
+defmodule MavCodec.Sniff.Crc8 do
   @moduledoc "CRC-8/DVB-S2 (polynomial 0xD5, initial value 0), which MSP v2 and CRSF use."
 
   import Bitwise
@@ -13,7 +13,7 @@ defmodule MavRouter.Link.Serial.Sniff.Crc8 do
   @doc """
   The CRC of all bytes.
 
-      iex> MavRouter.Link.Serial.Sniff.Crc8.of("123456789")
+      iex> MavCodec.Sniff.Crc8.of("123456789")
       0xBC
   """
   @spec of(binary) :: byte

@@ -1,12 +1,12 @@
-defmodule MavRouter.Link.Serial.Sniff.Msp do
+defmodule MavCodec.Sniff.Msp do
   @moduledoc """
   Finds MSP, which Betaflight and iNav speak (Q1): `$M` and `$X`, each with `<` (request), `>` (answer) or `!` (refusal).
   """
 
   import Bitwise
 
-  alias MavRouter.Link.Serial.Sniff
-  alias MavRouter.Link.Serial.Sniff.Crc8
+  alias MavCodec.Sniff
+  alias MavCodec.Sniff.Crc8
 
   @directions ~c"<>!"
 

@@ -1,4 +1,4 @@
-defmodule MavRouter.Mavlink.Message do
+defmodule MavCodec.MessageName do
   @moduledoc "Ids of messages by their names, for module attributes and function heads."
 
   @doc "The id of a message. A name that is not in the definitions raises, which stops the compilation."

@@ -1,8 +1,8 @@
-defmodule MavRouter.Mavlink.HighLatencyTest do
+defmodule MavCodec.HighLatencyTest do
   use ExUnit.Case, async: true
 
-  alias MavRouter.Mavlink.HighLatency
-  alias MavRouter.Mavlink.Message
+  alias MavCodec.HighLatency
+  alias MavCodec.MessageName
   alias MavCodec.Frame
   alias MavCodec.Messages
 
@@ -20,7 +20,7 @@ defmodule MavRouter.Mavlink.HighLatencyTest do
   end
 
   test "a message that is not in the definitions has no id" do
-    assert Message.id!("HEARTBEAT") == 0
-    assert_raise ArgumentError, ~r/no message HEART/, fn -> Message.id!("HEART") end
+    assert MessageName.id!("HEARTBEAT") == 0
+    assert_raise ArgumentError, ~r/no message HEART/, fn -> MessageName.id!("HEART") end
   end
 end

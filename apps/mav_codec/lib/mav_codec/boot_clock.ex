@@ -1,4 +1,4 @@
-defmodule MavRouter.Mavlink.BootClock do
+defmodule MavCodec.BootClock do
   @tolerance_ms 2_000
   @readings 3
   @span_us 1_000_000

@@ -1,9 +1,9 @@
-defmodule MavRouter.Link.Serial.Sniff.Nmea do
+defmodule MavCodec.Sniff.Nmea do
   @moduledoc "Finds NMEA 0183, the protocol of GPS receivers and ship instruments: sentences like `$GPGGA,…*47`."
 
   import Bitwise
 
-  alias MavRouter.Link.Serial.Sniff
+  alias MavCodec.Sniff
 
   @doc "At most one finding."
   @spec scan(binary) :: [Sniff.found()]

@@ -1,11 +1,11 @@
-defmodule MavRouter.Link.Serial.Sniff.Crsf do
+defmodule MavCodec.Sniff.Crsf do
   @moduledoc """
   Finds CRSF, the protocol between radio control receivers (Crossfire, ExpressLRS) and flight controllers: address, length,
   type, payload, CRC.
   """
 
-  alias MavRouter.Link.Serial.Sniff
-  alias MavRouter.Link.Serial.Sniff.Crc8
+  alias MavCodec.Sniff
+  alias MavCodec.Sniff.Crc8
 
   # Flight controller, transmitter module, receiver, radio handset.
   @addresses [0xC8, 0xEE, 0xEC, 0xEA]

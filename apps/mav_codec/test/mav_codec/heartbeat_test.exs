@@ -1,7 +1,7 @@
-defmodule MavRouter.Mavlink.HeartbeatTest do
+defmodule MavCodec.HeartbeatTest do
   use ExUnit.Case, async: true
 
-  alias MavRouter.Mavlink.Heartbeat
+  alias MavCodec.Heartbeat
   alias MavCodec.Frame
 
   test "a heartbeat is read as far as it was sent (F7)" do

@@ -1,7 +1,7 @@
-defmodule MavRouter.Mavlink.BootClockTest do
+defmodule MavCodec.BootClockTest do
   use ExUnit.Case, async: true
 
-  alias MavRouter.Mavlink.BootClock
+  alias MavCodec.BootClock
 
   @second 1_000_000
 

@@ -1,7 +1,7 @@
-defmodule MavRouter.Link.Serial.PortsTest do
+defmodule Aerie.Base.SerialPortsTest do
   use ExUnit.Case, async: true
 
-  alias MavRouter.Link.Serial.Ports
+  alias Aerie.Base.SerialPorts
 
   # Devices that every machine has, in place of serial ports.
   setup do
@@ -14,7 +14,7 @@ defmodule MavRouter.Link.Serial.PortsTest do
   defp make(dev, name, target), do: File.ln_s!(target, Path.join(dev, name))
 
   defp names(options),
-    do: for(%{path: path, origin: origin} <- Ports.list(options), do: {Path.basename(path), origin})
+    do: for(%{path: path, origin: origin} <- SerialPorts.list(options), do: {Path.basename(path), origin})
 
   test "configured, by-id, ACM, USB, each device once", %{dev: dev} do
     make(dev, "ttyUSB10", "/dev/null")
@@ -44,20 +44,20 @@ defmodule MavRouter.Link.Serial.PortsTest do
   end
 
   test "no folder, no ports; the number of ports is bounded", %{dev: dev} do
-    assert Ports.list(%{dev: "/nowhere"}) == []
+    assert SerialPorts.list(%{dev: "/nowhere"}) == []
     ports = for n <- 1..40, do: "/nowhere/tty#{n}"
-    assert length(Ports.list(%{dev: dev, ports: ports})) == 16
+    assert length(SerialPorts.list(%{dev: dev, ports: ports})) == 16
   end
 
   test "the fingerprint changes when a device comes, goes, or becomes another", %{dev: dev} do
     options = %{dev: dev}
-    none = Ports.fingerprint(options)
+    none = SerialPorts.fingerprint(options)
     make(dev, "ttyACM0", "/dev/null")
-    one = Ports.fingerprint(options)
-    assert one != none and one == Ports.fingerprint(options)
+    one = SerialPorts.fingerprint(options)
+    assert one != none and one == SerialPorts.fingerprint(options)
     File.rm!(Path.join(dev, "ttyACM0"))
-    assert Ports.fingerprint(options) == none
+    assert SerialPorts.fingerprint(options) == none
     make(dev, "ttyACM0", "/dev/zero")
-    assert Ports.fingerprint(options) not in [none, one]
+    assert SerialPorts.fingerprint(options) not in [none, one]
   end
 end

@@ -1,14 +1,14 @@
-defmodule MavRouter.Link.Serial.SniffTest do
+defmodule MavCodec.SniffTest do
   use ExUnit.Case, async: true
 
   alias Aerie.BaudModel
-  alias MavRouter.Link.Serial.Sniff
+  alias MavCodec.Sniff
 
   doctest Sniff
   doctest Sniff.Crc8
   doctest Sniff.Words
 
-  @fixtures Path.expand("../../../fixtures/serial", __DIR__)
+  @fixtures Path.expand("../../../mav_router/test/fixtures/serial", __DIR__)
   defp fixture(name), do: File.read!(Path.join(@fixtures, name))
 
   describe "recordings of real firmware" do

@@ -1,4 +1,4 @@
-defmodule MavRouter.Wire do
+defmodule MavCodec.FrameSplitter do
   @moduledoc """
   Cuts bytes on their way out into whole frames. It does not search for frames, as a parser would: bytes that do not begin with a
   frame have none.

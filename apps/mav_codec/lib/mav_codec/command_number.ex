@@ -1,10 +1,10 @@
-defmodule MavRouter.Mavlink.CommandNumber do
+defmodule MavCodec.CommandNumber do
   @moduledoc "The MAV_CMD of a COMMAND_LONG or COMMAND_INT, read straight from the payload."
 
-  alias MavRouter.Mavlink.Message
+  alias MavCodec.MessageName
   alias MavCodec.Frame
 
-  @carriers Enum.map(~w(COMMAND_INT COMMAND_LONG), &Message.id!/1)
+  @carriers Enum.map(~w(COMMAND_INT COMMAND_LONG), &MessageName.id!/1)
   @offset 28
 
   @doc "The command's number; nil of any other frame."

@@ -1,7 +1,7 @@
-defmodule MavRouter.Link.Serial.Sniff.Mavlink do
+defmodule MavCodec.Sniff.Mavlink do
   @moduledoc "Finds MAVLink 1 and 2: frames of known messages with a good CRC."
 
-  alias MavRouter.Link.Serial.Sniff
+  alias MavCodec.Sniff
   alias MavCodec.Frame
   alias MavCodec.Parser
 

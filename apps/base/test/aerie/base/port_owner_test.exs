@@ -1,7 +1,7 @@
-defmodule MavRouter.Link.PortOwnerTest do
+defmodule Aerie.Base.PortOwnerTest do
   use ExUnit.Case, async: true
 
-  alias MavRouter.Link.PortOwner
+  alias Aerie.Base.PortOwner
 
   @tag :tmp_dir
   test "the program that has a device open, by any of its names", %{tmp_dir: dir} do

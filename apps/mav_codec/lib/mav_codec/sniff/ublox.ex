@@ -1,9 +1,9 @@
-defmodule MavRouter.Link.Serial.Sniff.Ublox do
+defmodule MavCodec.Sniff.Ublox do
   @moduledoc "Finds UBX, the binary protocol of u-blox GPS receivers: `B5 62`, class, id, length, payload, checksum."
 
   import Bitwise
 
-  alias MavRouter.Link.Serial.Sniff
+  alias MavCodec.Sniff
 
   @doc "At most one finding."
   @spec scan(binary) :: [Sniff.found()]

@@ -1,19 +1,19 @@
-defmodule MavRouter.Mavlink.HighLatency do
+defmodule MavCodec.HighLatency do
   @moduledoc """
   What links of high latency carry: satellite modems and the like, where bytes cost money and minutes (X6). Commands and their
   answers go over them; heartbeats, streams, parameters, missions and clock measurements do not.
   """
 
-  alias MavRouter.Mavlink.Message
+  alias MavCodec.MessageName
   alias MavCodec.Enums.MavCmd
   alias MavCodec.Frame
 
   @silent_us 10_000_000
-  @commands Enum.map(~w(COMMAND_INT COMMAND_LONG), &Message.id!/1)
+  @commands Enum.map(~w(COMMAND_INT COMMAND_LONG), &MessageName.id!/1)
   @carried @commands ++
              Enum.map(
                ~w(SET_MODE MISSION_SET_CURRENT COMMAND_ACK COMMAND_CANCEL HIGH_LATENCY HIGH_LATENCY2),
-               &Message.id!/1
+               &MessageName.id!/1
              )
   # Commands that only ask for more to be sent.
   @asking Enum.map(

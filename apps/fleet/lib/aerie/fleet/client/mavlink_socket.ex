@@ -1,4 +1,4 @@
-defmodule MavRouter.UnixClient do
+defmodule Aerie.Fleet.Client.MavlinkSocket do
   @moduledoc """
   One program at `mavlink.sock`: an endpoint of the router like any ground station. Who may open the socket may command
   vehicles; the file's permissions say who that is.

@@ -1,4 +1,4 @@
-defmodule MavRouter.Mavlink.Heartbeat do
+defmodule MavCodec.Heartbeat do
   @moduledoc """
   What a HEARTBEAT or HIGH_LATENCY2 says about its sender, read straight from the payload.
 
@@ -7,12 +7,12 @@ defmodule MavRouter.Mavlink.Heartbeat do
   only the component of an autopilot is one.
   """
 
-  alias MavRouter.Mavlink.Message
+  alias MavCodec.MessageName
   alias MavCodec.Enums.{MavAutopilot, MavComponent, MavType}
   alias MavCodec.Frame
 
-  @id Message.id!("HEARTBEAT")
-  @high_latency2 Message.id!("HIGH_LATENCY2")
+  @id MessageName.id!("HEARTBEAT")
+  @high_latency2 MessageName.id!("HIGH_LATENCY2")
   @gcs MavType.value(:MAV_TYPE_GCS)
   @autopilot_invalid MavAutopilot.value(:MAV_AUTOPILOT_INVALID)
 

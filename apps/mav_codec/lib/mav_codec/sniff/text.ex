@@ -1,4 +1,4 @@
-defmodule MavRouter.Link.Serial.Sniff.Text do
+defmodule MavCodec.Sniff.Text do
   @moduledoc """
   Finds readable text, and what prints it: a flight controller that boots, a boot loader, a shell.
 

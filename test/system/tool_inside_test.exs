@@ -16,7 +16,7 @@ defmodule Aerie.System.ToolInsideTest do
 
   # What the table says runs in the gateway is run here, with the same words.
   defp aerie(words, input \\ "") do
-    {:ok, row, arguments, options} = Parse.words(words)
+    {:ok, row, arguments, options} = Parse.command_line(words)
     request = %{name: row.name, arguments: arguments, options: options, folder: "."}
     me = self()
     run = fn -> send(me, {:answer, Gateway.call(node(), row.module, :run, [request])}) end

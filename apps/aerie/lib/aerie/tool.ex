@@ -6,7 +6,7 @@ defmodule Aerie.Tool do
 
   alias Aerie.CLI.Output
   alias Aerie.Base.Printable
-  alias Aerie.Tool.{Gateway, Help, Parse}
+  alias Aerie.Tool.{Gateway, Help, Parse, Table}
 
   @doc "For a release, whose words come after `-extra`."
   @spec main() :: no_return()
@@ -33,13 +33,16 @@ defmodule Aerie.Tool do
   @doc "Does what the words say: the exit status and what is left to print, or what was wrong."
   @spec call([String.t()], Path.t()) :: {0..255, iodata()} | {:error, String.t()}
   def call(words, folder) do
-    case Parse.words(words) do
+    case Parse.command_line(words) do
       {:help, row} ->
         {0, Help.text(row)}
 
       {:ok, row, arguments, options} ->
         request = %{name: row.name, arguments: arguments, options: options, folder: folder}
-        if row.where == :gateway, do: Gateway.run(row.module, request), else: row.module.run(request)
+
+        if row.where == :gateway,
+          do: Gateway.run(row.module, request),
+          else: row.module.run(Map.put(request, :rows, Table.all()))
 
       {:error, text} ->
         {:error, text}

@@ -1,23 +1,23 @@
 defmodule Aerie.Tool.Completion do
-  @moduledoc "The completion of `aerie` for bash, made from `Aerie.Tool.Table`. Pure."
+  @moduledoc "The completion of `aerie` for bash, made from the rows of its subcommands. Pure."
 
-  alias Aerie.Tool.{Subcommand, Table}
+  alias Aerie.Tool.Subcommand
 
   @doc "A script that bash reads."
-  @spec bash() :: String.t()
-  def bash do
+  @spec bash([Subcommand.t()]) :: String.t()
+  def bash(rows) do
     """
     # Completion of aerie for bash. Made by: aerie completion
     _aerie() {
       local word=${COMP_WORDS[COMP_CWORD]} words
       case "${COMP_WORDS[1]:-} ${COMP_WORDS[2]:-}" in
-    #{Enum.map_join(Enum.sort_by(Table.all(), &(-length(String.split(&1.name)))), "\n", &options/1)}
+    #{Enum.map_join(Enum.sort_by(rows, &(-length(String.split(&1.name)))), "\n", &options/1)}
         *) words= ;;
       esac
-      [ "$COMP_CWORD" -gt 1 ] || words="#{first() |> Enum.join(" ")}"
+      [ "$COMP_CWORD" -gt 1 ] || words="#{first(rows) |> Enum.join(" ")}"
       if [ "$COMP_CWORD" = 2 ]; then
         case ${COMP_WORDS[1]} in
-    #{Enum.map_join(second(), "\n", fn {first, words} -> "      #{first}) words=\"#{Enum.join(words, " ")}\" ;;" end)}
+    #{Enum.map_join(second(rows), "\n", fn {first, words} -> "      #{first}) words=\"#{Enum.join(words, " ")}\" ;;" end)}
         esac
       fi
       COMPREPLY=($(compgen -W "$words" -- "$word"))
@@ -30,7 +30,7 @@ defmodule Aerie.Tool.Completion do
   defp options(row) do
     names =
       for(
-        {name, _kind, _placeholder, _meaning} <- row.options ++ Table.common(row),
+        {name, _kind, _placeholder, _meaning} <- row.options ++ Subcommand.common(row),
         do: Subcommand.switch(name)
       )
 
@@ -40,10 +40,10 @@ defmodule Aerie.Tool.Completion do
     "    #{pattern}) words=\"#{Enum.join(words, " ")}\" ;;"
   end
 
-  defp first, do: Table.all() |> Enum.map(&hd(String.split(&1.name))) |> Enum.uniq()
+  defp first(rows), do: rows |> Enum.map(&hd(String.split(&1.name))) |> Enum.uniq()
 
-  defp second do
-    pairs = for row <- Table.all(), [first, second] <- [String.split(row.name)], do: {first, second}
+  defp second(rows) do
+    pairs = for row <- rows, [first, second] <- [String.split(row.name)], do: {first, second}
     pairs |> Enum.group_by(&elem(&1, 0), &elem(&1, 1)) |> Enum.sort()
   end
 end

@@ -1,26 +1,26 @@
 defmodule Aerie.Tool.Help do
   @moduledoc "The text of `--help`, of all subcommands or of one. Pure."
 
-  alias Aerie.Tool.{Subcommand, Table}
+  alias Aerie.Tool.Subcommand
 
   @width 100
 
-  @doc "The help of a subcommand, or of all for nil."
-  @spec text(Subcommand.t() | nil) :: String.t()
-  def text(nil) do
-    width = Table.all() |> Enum.map(&String.length(&1.name)) |> Enum.max()
+  @doc "The help of one subcommand, or of all."
+  @spec text(Subcommand.t() | [Subcommand.t()]) :: String.t()
+  def text(rows) when is_list(rows) do
+    width = rows |> Enum.map(&String.length(&1.name)) |> Enum.max()
 
     """
     usage: aerie COMMAND [ARGUMENT ...]
 
-    #{Enum.map_join(Table.all(), "\n", &entry(&1.name, &1.summary, width))}
+    #{Enum.map_join(rows, "\n", &entry(&1.name, &1.summary, width))}
 
     aerie COMMAND --help explains one command.
     """
   end
 
   def text(%Subcommand{} = row) do
-    options = row.options ++ Enum.reject(Table.common(row), &(&1 in row.options))
+    options = row.options ++ Enum.reject(Subcommand.common(row), &(&1 in row.options))
 
     sections = [
       section(row.arguments, fn {name, meaning} -> {name, meaning} end),

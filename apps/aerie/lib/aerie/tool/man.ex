@@ -1,11 +1,11 @@
 defmodule Aerie.Tool.Man do
-  @moduledoc "The man page of `aerie`, made from `Aerie.Tool.Table`. Pure."
+  @moduledoc "The man page of `aerie`, made from the rows of its subcommands. Pure."
 
-  alias Aerie.Tool.{Help, Subcommand, Table}
+  alias Aerie.Tool.{Help, Subcommand}
 
   @doc "The page, as roff."
-  @spec page(version :: String.t()) :: String.t()
-  def page(version) do
+  @spec page([Subcommand.t()], version :: String.t()) :: String.t()
+  def page(rows, version) do
     """
     .TH AERIE 1 "" "Aerie #{version}"
     .SH NAME
@@ -15,7 +15,7 @@ defmodule Aerie.Tool.Man do
     .I COMMAND
     .RI [ ARGUMENT ...]
     .SH COMMANDS
-    #{Enum.map_join(Table.all(), "\n", &row/1)}
+    #{Enum.map_join(rows, "\n", &row/1)}
     .SH ENVIRONMENT
     .TP
     .B AERIE_CONFIG
@@ -32,7 +32,7 @@ defmodule Aerie.Tool.Man do
   end
 
   defp row(row) do
-    entries = Enum.map(row.arguments, & &1) ++ Enum.map(row.options ++ Table.common(row), &Help.option/1)
+    entries = Enum.map(row.arguments, & &1) ++ Enum.map(row.options ++ Subcommand.common(row), &Help.option/1)
 
     ".SS #{escape("aerie " <> Subcommand.usage(row))}\n#{escape(row.summary)}\n" <>
       Enum.map_join(Enum.uniq(entries), fn {name, meaning} ->

@@ -5,15 +5,15 @@ defmodule Aerie.Tool.Parse do
 
   @type result ::
           {:ok, Subcommand.t(), %{String.t() => String.t() | [String.t()]}, %{atom() => term()}}
-          | {:help, Subcommand.t() | nil}
+          | {:help, Subcommand.t() | [Subcommand.t()]}
           | {:error, String.t()}
 
   @doc "Finds the subcommand, and checks its options and arguments. An error says what is wrong, what was expected, and where to look."
-  @spec words([String.t()]) :: result()
-  def words([]), do: {:help, nil}
-  def words([help | _rest]) when help in ["help", "--help", "-h"], do: {:help, nil}
+  @spec command_line([String.t()]) :: result()
+  def command_line([]), do: {:help, Table.all()}
+  def command_line([help | _rest]) when help in ["help", "--help", "-h"], do: {:help, Table.all()}
 
-  def words(words) do
+  def command_line(words) do
     case find(words) do
       {row, rest} -> subcommand(row, rest)
       nil -> {:error, unknown(words)}
@@ -50,7 +50,7 @@ defmodule Aerie.Tool.Parse do
   defp subcommand(%{where: :script} = row, _rest), do: {:help, row}
 
   defp subcommand(row, rest) do
-    options = row.options ++ Table.common(row)
+    options = row.options ++ Subcommand.common(row)
     switches = [help: :boolean] ++ for {name, kind, _placeholder, _meaning} <- options, do: {name, kind}
     {given, arguments, invalid} = OptionParser.parse(rest, strict: switches, aliases: [h: :help])
 

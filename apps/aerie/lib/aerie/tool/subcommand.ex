@@ -26,13 +26,15 @@ defmodule Aerie.Tool.Subcommand do
         }
 
   @typedoc """
-  What `c:run/1` gets: the subcommand's name, its arguments by their names, its options, and the user's folder.
+  What `c:run/1` gets: the subcommand's name, its arguments by their names, its options, and the user's folder; in this VM also the rows of all
+  subcommands.
   """
   @type request :: %{
-          name: String.t(),
-          arguments: %{String.t() => String.t() | [String.t()]},
-          options: %{atom() => term()},
-          folder: Path.t()
+          :name => String.t(),
+          :arguments => %{String.t() => String.t() | [String.t()]},
+          :options => %{atom() => term()},
+          :folder => Path.t(),
+          optional(:rows) => [t()]
         }
 
   @doc """
@@ -40,6 +42,18 @@ defmodule Aerie.Tool.Subcommand do
   runs in a gateway still has the standard input and output of `aerie`.
   """
   @callback run(request()) :: {0..255, iodata()} | {:error, String.t()}
+
+  @doc "The options that every subcommand of this kind has."
+  @spec common(t() | %{where: :gateway}) :: [option()]
+  def common(%{where: :gateway}) do
+    [
+      {:gateway, :string, "NAME", "the gateway to use if several run (default: the only one)"},
+      {:dir, :string, "FOLDER",
+       "the folder by which running gateways are found (default: AERIE_SHELL_DIR, else var/shell)"}
+    ]
+  end
+
+  def common(_row), do: []
 
   @doc "How it is called: `status [OPTION ...]`."
   @spec usage(t()) :: String.t()

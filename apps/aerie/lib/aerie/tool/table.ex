@@ -25,18 +25,6 @@ defmodule Aerie.Tool.Table do
     end
   end
 
-  @doc "The options that every subcommand of this kind has."
-  @spec common(Subcommand.t() | %{where: :gateway}) :: [Subcommand.option()]
-  def common(%{where: :gateway}) do
-    [
-      {:gateway, :string, "NAME", "the gateway to use if several run (default: the only one)"},
-      {:dir, :string, "FOLDER",
-       "the folder by which running gateways are found (default: AERIE_SHELL_DIR, else var/shell)"}
-    ]
-  end
-
-  def common(_row), do: []
-
   defp starting do
     [
       %Subcommand{
@@ -56,7 +44,7 @@ defmodule Aerie.Tool.Table do
         summary: "shut the gateway down, and wait until it has ended",
         where: :here,
         module: Run.Stop,
-        options: common(%{where: :gateway})
+        options: Subcommand.common(%{where: :gateway})
       },
       %Subcommand{name: "version", summary: "print the version", where: :here, module: Run.Version}
     ]
@@ -164,7 +152,7 @@ defmodule Aerie.Tool.Table do
         where: :here,
         module: Run.ParamsFile,
         arguments: [@vehicle, {"FILE", "the file to write; an existing one is replaced"}],
-        options: common(%{where: :gateway})
+        options: Subcommand.common(%{where: :gateway})
       },
       %Subcommand{
         name: "mission show",
@@ -192,7 +180,7 @@ defmodule Aerie.Tool.Table do
           {"FILE", "a plan of QGroundControl or Mission Planner"},
           {"[KIND]", "mission, fence or rally"}
         ],
-        options: [@yes, @force | common(%{where: :gateway})]
+        options: [@yes, @force | Subcommand.common(%{where: :gateway})]
       },
       %Subcommand{
         name: "record",
@@ -258,7 +246,7 @@ defmodule Aerie.Tool.Table do
         summary: "open an Elixir shell in the gateway (Aerie.Shell)",
         where: :here,
         module: Run.Remote,
-        options: common(%{where: :gateway})
+        options: Subcommand.common(%{where: :gateway})
       },
       %Subcommand{
         name: "rpc",

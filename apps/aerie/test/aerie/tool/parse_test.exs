@@ -4,9 +4,9 @@ defmodule Aerie.Tool.ParseTest do
   alias Aerie.Tool.{Completion, Help, Man, Parse, Subcommand, Table}
 
   test "every row of the table has a module that does it, help, completion and a place in the man page" do
-    man = Man.page("1.2.3")
-    bash = Completion.bash()
-    all = Help.text(nil)
+    man = Man.page(Table.all(), "1.2.3")
+    bash = Completion.bash(Table.all())
+    all = Help.text(Table.all())
 
     for row <- Table.all() do
       assert row.where == :script or
@@ -19,7 +19,7 @@ defmodule Aerie.Tool.ParseTest do
       help = Help.text(row)
       assert help =~ "usage: aerie #{row.name}"
       for {name, _kind, _placeholder, _meaning} <- row.options, do: assert(help =~ Subcommand.switch(name))
-      assert {:help, found} = Parse.words(String.split(row.name) ++ ["--help"])
+      assert {:help, found} = Parse.command_line(String.split(row.name) ++ ["--help"])
       assert found.name == row.name
     end
 
@@ -28,42 +28,42 @@ defmodule Aerie.Tool.ParseTest do
 
   test "words become a request" do
     assert {:ok, %{name: "rpc"}, %{"EXPRESSION" => "1 + 1"}, %{gateway: "aerie-7"}} =
-             Parse.words(["rpc", "1 + 1", "--gateway", "aerie-7"])
+             Parse.command_line(["rpc", "1 + 1", "--gateway", "aerie-7"])
 
     assert {:ok, %{name: "config check"}, %{"FILE" => "g.yaml"}, %{}} =
-             Parse.words(["config", "check", "g.yaml"])
+             Parse.command_line(["config", "check", "g.yaml"])
 
-    assert {:ok, _row, arguments, %{}} = Parse.words(["config", "check"])
+    assert {:ok, _row, arguments, %{}} = Parse.command_line(["config", "check"])
     assert arguments == %{}
-    assert {:ok, _row, %{"NAME=VALUE" => []}, %{}} = Parse.words(["cmd", "v", "arm"])
+    assert {:ok, _row, %{"NAME=VALUE" => []}, %{}} = Parse.command_line(["cmd", "v", "arm"])
 
     assert {:ok, %{name: "cmd"}, %{"VEHICLE" => "v", "TYPE" => "goto", "NAME=VALUE" => ["lat=-1", "lon=2"]},
             %{yes: true}} =
-             Parse.words(["cmd", "v", "goto", "lat=-1", "--yes", "lon=2"])
+             Parse.command_line(["cmd", "v", "goto", "lat=-1", "--yes", "lon=2"])
 
-    assert {:ok, _row, %{"VALUE" => "-5"}, %{}} = Parse.words(["params", "set", "v", "ANGLE", "-5"])
-    assert {:error, "config: expected config check, config show"} = Parse.words(["config"])
-    assert {:help, nil} = Parse.words([])
-    assert {:help, nil} = Parse.words(["--help"])
-    assert {:help, %{name: "start"}} = Parse.words(["start", "--link", "x"])
+    assert {:ok, _row, %{"VALUE" => "-5"}, %{}} = Parse.command_line(["params", "set", "v", "ANGLE", "-5"])
+    assert {:error, "config: expected config check, config show"} = Parse.command_line(["config"])
+    assert {:help, [_ | _]} = Parse.command_line([])
+    assert {:help, [_ | _]} = Parse.command_line(["--help"])
+    assert {:help, %{name: "start"}} = Parse.command_line(["start", "--link", "x"])
   end
 
   test "what is wrong is said, with what was probably meant" do
-    assert {:error, "unknown command stpo; did you mean stop?" <> _} = Parse.words(["stpo"])
-    assert {:error, "unknown command qqq; aerie --help" <> _} = Parse.words(["qqq"])
+    assert {:error, "unknown command stpo; did you mean stop?" <> _} = Parse.command_line(["stpo"])
+    assert {:error, "unknown command qqq; aerie --help" <> _} = Parse.command_line(["qqq"])
 
     assert {:error, "stop: unknown option --gatewy; did you mean --gateway?" <> _} =
-             Parse.words(["stop", "--gatewy", "x"])
+             Parse.command_line(["stop", "--gatewy", "x"])
 
-    assert {:error, "stop: --gateway needs a value" <> _} = Parse.words(["stop", "--gateway"])
-    assert {:error, "stop: unexpected 'now'" <> _} = Parse.words(["stop", "now"])
-    assert {:error, "rpc: EXPRESSION is missing: aerie rpc EXPRESSION" <> _} = Parse.words(["rpc"])
+    assert {:error, "stop: --gateway needs a value" <> _} = Parse.command_line(["stop", "--gateway"])
+    assert {:error, "stop: unexpected 'now'" <> _} = Parse.command_line(["stop", "now"])
+    assert {:error, "rpc: EXPRESSION is missing: aerie rpc EXPRESSION" <> _} = Parse.command_line(["rpc"])
   end
 
   @tag :tmp_dir
   test "bash completes commands and options", %{tmp_dir: folder} do
     file = Path.join(folder, "completion")
-    File.write!(file, Completion.bash())
+    File.write!(file, Completion.bash(Table.all()))
 
     complete = fn words ->
       script = """

@@ -3,5 +3,5 @@ defmodule Aerie.Tool.Run.Completion do
   @behaviour Aerie.Tool.Subcommand
 
   @impl Aerie.Tool.Subcommand
-  def run(_request), do: {0, Aerie.Tool.Completion.bash()}
+  def run(%{rows: rows}), do: {0, Aerie.Tool.Completion.bash(rows)}
 end

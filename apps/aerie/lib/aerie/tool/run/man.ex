@@ -3,8 +3,8 @@ defmodule Aerie.Tool.Run.Man do
   @behaviour Aerie.Tool.Subcommand
 
   @impl Aerie.Tool.Subcommand
-  def run(_request) do
+  def run(%{rows: rows}) do
     _ = Application.load(:aerie)
-    {0, Aerie.Tool.Man.page(to_string(Application.spec(:aerie, :vsn)))}
+    {0, Aerie.Tool.Man.page(rows, to_string(Application.spec(:aerie, :vsn)))}
   end
 end

@@ -12,7 +12,7 @@ defmodule FleetWeb.Console do
         def handle_info(:refresh, socket), do: {:noreply, load(socket)}
       end
 
-  A page gets the assigns `@gateway` (`t:Aerie.Names.gateway/0`), `@user` (`t:Aerie.Policy.Roles.source/0`), `@path` and `@alarms` before
+  A page gets the assigns `@gateway` (`t:Aerie.Base.Names.gateway/0`), `@user` (`t:Aerie.Control.Policy.Roles.source/0`), `@path` and `@alarms` before
   its `mount/3`. Its options:
 
     * `:role` - the least role that may open the page, `:viewer` unless given

@@ -64,7 +64,7 @@ defmodule MavRouter.Signing do
   @doc """
   Those of the frames that a link received which are taken in; the others are counted. All of them are forwarded (S10).
 
-  `origin` is `t:Aerie.Router.origin/0`; its `:trust` says how far the link is trusted (`trust/1`).
+  `origin` is `t:MavRouter.Router.origin/0`; its `:trust` says how far the link is trusted (`trust/1`).
   """
   @spec admit(Names.gateway(), map, [Frame.t()]) :: [Frame.t()]
   def admit(gateway, origin, frames) do

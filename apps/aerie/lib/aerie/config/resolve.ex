@@ -2,7 +2,7 @@ defmodule Aerie.Config.Resolve do
   @moduledoc """
   Handles what concerns several keys: derived values, contradictions, and warnings. Pure.
 
-  The rules of one part are beside its keys (`c:Aerie.Settings.problems/1`); the rules here concern the keys of several
+  The rules of one part are beside its keys (`c:Aerie.Base.Settings.problems/1`); the rules here concern the keys of several
   parts.
   """
 

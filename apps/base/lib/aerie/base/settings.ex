@@ -22,7 +22,7 @@ defmodule Aerie.Base.Settings do
 
   `part :identity, MavRouter.Identity.Settings` puts the settings of another part into a field.
 
-  A part is started with its struct (`settings: %Aerie.Recorder.Settings{}`) and sees nothing else of the configuration.
+  A part is started with its struct (`settings: %MavRouter.Recorder.Settings{}`) and sees nothing else of the configuration.
   `Aerie.Config` in `apps/aerie` reads files, the environment and the command line, and checks all sections at once; `from/1`
   then picks a part's settings from it. `new/1` checks the settings of one part by itself.
   """

@@ -43,7 +43,7 @@ defmodule Aerie.Control.Commands do
 
   @doc """
   Carries out a command given by the fields of `Aerie.Vehicle.Command.new/2` and by options, `:as` among them: who commands
-  (`t:Aerie.Policy.Roles.source/0`), an admin called `elixir` unless given.
+  (`t:Aerie.Control.Policy.Roles.source/0`), an admin called `elixir` unless given.
   """
   @spec submit(Names.gateway(), keyword()) :: answer()
   def submit(gateway, fields) do

@@ -5,7 +5,7 @@ defmodule Aerie.Control.Files do
       {:ok, entries} = Aerie.Control.Files.list(gateway, "VID-001", "/APM")
       {:ok, bytes} = Aerie.Control.Files.read(gateway, "VID-001", "/APM/LOGS/LASTLOG.TXT")
 
-  The options of all functions are those of `t:Aerie.Transfers.option/0`. A path has at most 239 bytes; the vehicle defines
+  The options of all functions are those of `t:Aerie.Control.Transfers.option/0`. A path has at most 239 bytes; the vehicle defines
   what its beginning means. Names that are not UTF-8 on board are text as `Aerie.Control.Ftp.Name` writes it (`caf\\xE9.txt`), in both
   directions. A refusal is `:failed` or `:rejected`; for a file that the vehicle does not have, with the rule `"file"`.
   """

@@ -5,7 +5,7 @@ defmodule Aerie.Control.Logs do
       {:ok, logs} = Aerie.Control.Logs.list(gateway, "VID-001")
       {:ok, size} = Aerie.Control.Logs.download(gateway, "VID-001", hd(logs), "flight.bin")
 
-  The options are those of `t:Aerie.Transfers.option/0`. Where a vehicle shows its logs as files, `Aerie.Control.Files` reads them faster.
+  The options are those of `t:Aerie.Control.Transfers.option/0`. Where a vehicle shows its logs as files, `Aerie.Control.Files` reads them faster.
 
   After a restart of the vehicle a log may have another id. A restart ends a download, and before a download continues the vehicle is asked
   whether the id is still that of the same log.

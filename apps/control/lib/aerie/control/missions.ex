@@ -3,11 +3,11 @@ defmodule Aerie.Control.Missions do
   The missions, fences and rally points of a vehicle, for programs in Elixir:
 
       {:ok, plan} = Aerie.Control.Missions.import(File.read!("survey.plan"), :plan)
-      {:ok, %Aerie.Command.Result{status: :completed}} = Aerie.Control.Missions.upload(gateway, "VID-001", :mission, plan)
+      {:ok, %Aerie.Vehicle.Command.Result{status: :completed}} = Aerie.Control.Missions.upload(gateway, "VID-001", :mission, plan)
       {:ok, %{plan: plan}} = Aerie.Control.Missions.download(gateway, "VID-001", :mission)
 
   A plan (`Aerie.Control.Mission.Plan`) has all three; each kind is sent and read separately. The policy judges every item before the first one
-  is sent (`Aerie.Control.Mission.Review`), and the plan is read back afterwards. The options are those of `t:Aerie.Transfers.option/0`.
+  is sent (`Aerie.Control.Mission.Review`), and the plan is read back afterwards. The options are those of `t:Aerie.Control.Transfers.option/0`.
   """
 
   alias Aerie.Control.Commands.RemoteGateway

@@ -3,12 +3,12 @@ defmodule Aerie.Control.Params do
   The parameters of a vehicle, for programs in Elixir:
 
       {:ok, table} = Aerie.Control.Params.list(gateway, "VID-001")
-      {:ok, %Aerie.Command.Result{status: :completed}} = Aerie.Control.Params.set(gateway, "VID-001", "WPNAV_SPEED", 500)
+      {:ok, %Aerie.Vehicle.Command.Result{status: :completed}} = Aerie.Control.Params.set(gateway, "VID-001", "WPNAV_SPEED", 500)
 
-  The options of all functions are those of `t:Aerie.Transfers.option/0`. With `component: 1..255`, `list`, `get` and `set` are for a camera,
+  The options of all functions are those of `t:Aerie.Control.Transfers.option/0`. With `component: 1..255`, `list`, `get` and `set` are for a camera,
   gimbal or companion that has parameters of its own (PARAM_EXT). Their values are numbers or text (`Aerie.Vehicle.Protocol.ExtValue`):
 
-      {:ok, %Aerie.Params.Param{value: 200}} = Aerie.Control.Params.get(gateway, "VID-001", "CAM_ISO", component: 100)
+      {:ok, %Aerie.Control.Params.Param{value: 200}} = Aerie.Control.Params.get(gateway, "VID-001", "CAM_ISO", component: 100)
 
   A result that is not a success gives the reason, in the terms of
   `Aerie.Vehicle.Command.Result`.

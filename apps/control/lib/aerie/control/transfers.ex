@@ -17,7 +17,7 @@ defmodule Aerie.Control.Transfers do
   alias Aerie.Control.TransferExecutor.Job
 
   @typedoc """
-    * `:as` - who asks (`t:Aerie.Policy.Roles.source/0`), by default an admin called `elixir`; `:via` - the interface, for the audit log
+    * `:as` - who asks (`t:Aerie.Control.Policy.Roles.source/0`), by default an admin called `elixir`; `:via` - the interface, for the audit log
     * `:id` - the id of a change: the same id with the same content is carried out once. 1 to 64 letters, digits, `-` and `_`
     * `:progress` - a process, or one with a term: it gets `{:command_progress, term, id, progress}` as for commands; the progress has
       `"phase"` (`"waiting"`, `"sending"`, `"reading"` or `"checking"`), `"done"` and `"total"` besides
@@ -33,7 +33,7 @@ defmodule Aerie.Control.Transfers do
           | {:wait_ms, timeout()}
 
   @typedoc """
-  A transfer: the lanes that it uses, the function that makes its machine (`t:Aerie.Vehicle.Transfers.Job.t/0`), its default time limit,
+  A transfer: the lanes that it uses, the function that makes its machine (`t:Aerie.Control.TransferExecutor.Job.t/0`), its default time limit,
   and for reads a term: identical reads, which have the same term, share one transfer.
   """
   @type transfer :: %{
@@ -44,7 +44,7 @@ defmodule Aerie.Control.Transfers do
         }
 
   @typedoc """
-  What a transfer changes: its type for the policy, what the audit log records, `review` of `t:Aerie.Commands.Work.t/0`, and `before`: what is
+  What a transfer changes: its type for the policy, what the audit log records, `review` of `t:Aerie.Control.Commands.Change.t/0`, and `before`: what is
   found out, when the change was allowed, before it begins; gives a function that adds it to the result.
   """
   @type change :: %{

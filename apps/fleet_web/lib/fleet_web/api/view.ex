@@ -127,7 +127,7 @@ defmodule FleetWeb.API.View do
   def signing(gateway),
     do: Map.new(MavRouter.Signing.list(gateway), fn {name, value} -> {name, Json.plain(value)} end)
 
-  @doc "The state of a vehicle's signing (`t:Aerie.Signing.status/0`); nil without a key."
+  @doc "The state of a vehicle's signing (`t:MavRouter.Signing.status/0`); nil without a key."
   @spec signed(map() | nil) :: map() | nil
   def signed(nil), do: nil
 

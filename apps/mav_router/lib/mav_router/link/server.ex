@@ -67,7 +67,7 @@ defmodule MavRouter.Link.Server do
       restarts: restarts,
       opener: nil,
       retry: nil,
-      # What the transport watches for while the link is down (`c:Aerie.Link.Transport.watch/1`), as of the last attempt.
+      # What the transport watches for while the link is down (`c:MavRouter.Link.Transport.watch/1`), as of the last attempt.
       watched: nil,
       conn: nil,
       sessions: [],

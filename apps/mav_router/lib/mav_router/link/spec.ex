@@ -58,7 +58,7 @@ defmodule MavRouter.Link.Spec do
   @typedoc """
   - `id`: identity of the link, unique in a gateway; it outlives restarts and reconnections
   - `text`: the connection string as given, without what only a WebSocket server should see
-  - `kind`, `transport` (its module), and what that says of itself: `t:Aerie.Link.Transport.traits/0`
+  - `kind`, `transport` (its module), and what that says of itself: `t:MavRouter.Link.Transport.traits/0`
   - `host`, `port`: UDP, TCP and WebSocket; a host that is a string is a name still to be resolved
   - `broadcast`: whether everybody at the address hears it
   - `path` (with the query), `tls`, `ca`: WebSocket

@@ -22,7 +22,7 @@ defmodule MavRouter.Signing.Signer do
   @again_s 10
   @proven_s 60
 
-  @doc "Signs our own bytes for a peer. `key` is as in `t:Aerie.Signing.marked/0`."
+  @doc "Signs our own bytes for a peer. `key` is as in `t:MavRouter.Signing.marked/0`."
   @spec own(Names.gateway(), String.t(), term, {String.t(), non_neg_integer | nil} | Scope.t(), iodata) ::
           iodata
   def own(gateway, link, peer, key, bytes) do

@@ -4,7 +4,7 @@ defmodule Aerie.Config.Yaml.Lines do
   their order: the third `id` of the document is the third `id:` of the text that is neither in a comment nor in quotes. Where the
   counts differ (a key inside of a block of text) a key has no line, never a wrong one.
 
-  A path is that of `t:Aerie.Settings.Schema.path/0`; the second occurrence of a key that stands twice is below `:again`.
+  A path is that of `t:Aerie.Base.Settings.Schema.path/0`; the second occurrence of a key that stands twice is below `:again`.
   """
 
   @type t :: %{optional([String.t() | non_neg_integer() | :again]) => pos_integer()}

@@ -1,5 +1,5 @@
 defmodule Aerie.Base.Settings.Rules do
-  @moduledoc "Words for what is wrong with several keys together (`c:Aerie.Settings.problems/1`)."
+  @moduledoc "Words for what is wrong with several keys together (`c:Aerie.Base.Settings.problems/1`)."
 
   alias Aerie.Base.Settings.Schema
 

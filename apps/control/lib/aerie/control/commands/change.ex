@@ -14,7 +14,7 @@ defmodule Aerie.Control.Commands.Change do
   @typedoc """
     * `:facts` - what the rules judge it by; its type is that of the envelope
     * `:review` - what the rules have to say beyond that, asked before anything is sent; nil for nothing
-    * `:elsewhere` - how another gateway is asked to do it to a vehicle that it hears (`t:Aerie.Commands.Elsewhere.request/0`); nil: it
+    * `:elsewhere` - how another gateway is asked to do it to a vehicle that it hears (`t:Aerie.Control.Commands.RemoteGateway.request/0`); nil: it
       is not passed on
     * `:run` - does it, given the vehicle's snapshot and a function for its progress
   """

@@ -19,7 +19,7 @@ defmodule Aerie.Control.Mission.Transfer do
 
     * `{:send, message}`
     * `{:progress, %{phase: :sending | :reading | :checking, done: n, total: n}}` - at most a hundred per phase
-    * `{:result, result}` - `t:Aerie.Mission.Result.t/0`, once, as the last
+    * `{:result, result}` - `t:Aerie.Control.Mission.Result.t/0`, once, as the last
   """
 
   alias Aerie.Control.Mission.{Item, Result}
@@ -80,7 +80,7 @@ defmodule Aerie.Control.Mission.Transfer do
   @doc """
   A transfer of `type` 0 (mission), 1 (fence) or 2 (rally points). Items are those of the wire (`Aerie.Control.Mission.Onboard`).
 
-    * `:protocol` - the firmware's adapter; `:kind` - the kind of vehicle, as `t:Aerie.Protocol.Vehicle.t/0` has it
+    * `:protocol` - the firmware's adapter; `:kind` - the kind of vehicle, as `t:Aerie.Vehicle.Protocol.Vehicle.t/0` has it
     * `:target` - system and component of the vehicle; `:us` - ours
     * `:until` - the deadline, by the clock of the events
     * `:rtt` - the measured round trip in microseconds, or nil

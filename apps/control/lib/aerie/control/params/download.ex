@@ -91,7 +91,7 @@ defmodule Aerie.Control.Params.Download do
   @doc """
   A download that has not begun. `target` is `{system, component}`, `deadline` in the clock of the events.
 
-  Options: `:encoding` (`c:Aerie.Protocol.param_encoding/0`, or `:extended` for PARAM_EXT), `:hash` (whether the firmware has `_HASH_CHECK`), `:rtt_us`.
+  Options: `:encoding` (`c:Aerie.Vehicle.Protocol.param_encoding/0`, or `:extended` for PARAM_EXT), `:hash` (whether the firmware has `_HASH_CHECK`), `:rtt_us`.
   """
   @spec new({non_neg_integer(), 0..255}, deadline :: integer(), keyword()) :: t()
   def new(target, deadline, options \\ []) do

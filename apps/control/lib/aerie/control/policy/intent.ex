@@ -90,7 +90,7 @@ defmodule Aerie.Control.Policy.Intent do
   @type unknown :: {:message, non_neg_integer()} | {:command, non_neg_integer()}
 
   @typedoc """
-    * `:permission` - what a source must be allowed to do (`t:Aerie.Command.Type.permission/0`)
+    * `:permission` - what a source must be allowed to do (`t:Aerie.Vehicle.Command.Type.permission/0`)
     * `:also` - permissions that it needs besides
     * `:unknown` - that no table of the gateway knows the message or command; `:number` - what is wrong with one of its numbers
     * `:mode` - the mode that it asks for, by its name; `:modes` - others for which a firmware may take it;

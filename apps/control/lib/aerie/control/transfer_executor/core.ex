@@ -2,7 +2,7 @@ defmodule Aerie.Control.TransferExecutor.Core do
   @moduledoc """
   The transfers of one vehicle, without the process: `handle(core, event) -> {core, actions}`.
 
-  Of each lane (`t:Aerie.Vehicle.Transfers.Job.lane/0`) one transfer is under way; the others wait in the order of their arrival, at most
+  Of each lane (`t:Aerie.Control.TransferExecutor.Job.lane/0`) one transfer is under way; the others wait in the order of their arrival, at most
   32 in all. Before a transfer of missions, files or logs begins, it takes its turn among those of ground stations.
 
   Events, with the time `now` in microseconds of a clock that is never set:
@@ -11,7 +11,7 @@ defmodule Aerie.Control.TransferExecutor.Core do
     * `{:cancel, id, now}`
     * `{:turn, kind, now}` - it is our turn; `{:held, kind, whose}` - it is that of a ground station, whose ids are given, or nil
     * `{:message, id, message, source, now}` - a message of the vehicle's system, with its MAVLink id
-    * `{:vehicle, facts}` - what is known of the vehicle: the fields of `t:Aerie.Vehicle.Transfers.Job.context/0` but `seq`, `ftp?` and `now`
+    * `{:vehicle, facts}` - what is known of the vehicle: the fields of `t:Aerie.Control.TransferExecutor.Job.context/0` but `seq`, `ftp?` and `now`
     * `{:rebooted, now}` - the vehicle has rebooted
     * `{:tick, now}` - at `wake_at/1` at the latest
 

@@ -272,7 +272,7 @@ defmodule Aerie.Fleet.Replay.Machine do
         do: {snapshot.id, snapshot}
   end
 
-  @doc "See `t:Aerie.Replay.summary/0`."
+  @doc "See `t:Aerie.Fleet.Replay.summary/0`."
   @spec summary(t) :: Aerie.Fleet.Replay.summary()
   def summary(machine) do
     parser = Parser.stats(machine.parser)

@@ -19,7 +19,7 @@ defmodule Aerie.Fleet.Replay.Vehicle do
           params: %{String.t() => term}
         }
 
-  @typedoc "See `t:Aerie.Replay.output/0`."
+  @typedoc "See `t:Aerie.Fleet.Replay.output/0`."
   @type output :: Aerie.Fleet.Replay.output()
 
   @doc "A vehicle that is heard for the first time."

@@ -14,7 +14,7 @@ defmodule Aerie.Fleet.Shadow.Field do
   defstruct [:name, :permission, :check, :stage, :meaning]
 
   @typedoc """
-    * `:permission` - the permission that its author needs (`t:Aerie.Command.Type.permission/0`)
+    * `:permission` - the permission that its author needs (`t:Aerie.Vehicle.Command.Type.permission/0`)
     * `:check` - checks a value from outside
     * `:stage` - the order: a stage waits for lower ones; stage 0 neither waits nor is waited for
   """

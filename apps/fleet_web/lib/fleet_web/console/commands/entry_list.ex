@@ -3,7 +3,7 @@ defmodule FleetWeb.Console.Commands.EntryList do
   use FleetWeb.Console, :component
 
   attr :id, :string, required: true
-  attr :lives, :list, required: true, doc: "`t:FleetWeb.Console.Commands.Life.t/0`"
+  attr :lives, :list, required: true, doc: "`t:FleetWeb.Console.Commands.Entry.t/0`"
   attr :now, :integer, required: true
   attr :user, :map, required: true
   attr :class, :string, default: nil

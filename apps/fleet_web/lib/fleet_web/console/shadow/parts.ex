@@ -5,7 +5,7 @@ defmodule FleetWeb.Console.Shadow.Parts do
   alias Aerie.Fleet.Shadow.Field
   alias FleetWeb.Console.Shadow.{Input, Rows}
 
-  attr :rows, :list, required: true, doc: "`t:FleetWeb.Console.Shadow.Shown.row/0`"
+  attr :rows, :list, required: true, doc: "`t:FleetWeb.Console.Shadow.Rows.row/0`"
   attr :version, :integer, required: true, doc: "that is shown: a change is one of it"
 
   @doc "What is desired, and how each field stands."

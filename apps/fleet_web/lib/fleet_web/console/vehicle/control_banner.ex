@@ -7,7 +7,7 @@ defmodule FleetWeb.Console.Vehicle.ControlBanner do
 
   attr :view, View, required: true
   attr :user, :map, required: true
-  attr :lease, :any, required: true, doc: "`t:Aerie.Policy.Lease.t/0`, nil for nobody"
+  attr :lease, :any, required: true, doc: "`t:Aerie.Control.Policy.Lease.t/0`, nil for nobody"
 
   @doc "One line, with the form of what the user may change."
   def charge(assigns) do

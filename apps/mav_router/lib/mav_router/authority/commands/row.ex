@@ -9,7 +9,7 @@ defmodule MavRouter.Authority.Commands.Row do
   @permissions ~w(arm fly mission manual payload telemetry sensors maintain protection force_disarm terminate)a
 
   @typedoc """
-  What a source must be allowed to do, as `t:Aerie.Command.Type.permission/0` describes it. It is the least that any form of the command
+  What a source must be allowed to do, as `t:Aerie.Vehicle.Command.Type.permission/0` describes it. It is the least that any form of the command
   needs; its parameters may make it need more (`Aerie.Control.Policy.Mavlink.Commands`).
   """
   @type permission :: unquote(Enum.reduce(@permissions, &{:|, [], [&1, &2]}))

@@ -94,7 +94,7 @@ defmodule MavRouter.Link.Transport.Net do
 
   defp kib(bytes), do: div(bytes, 1024)
 
-  @doc "Handles what a UDP socket sends besides datagrams, as `c:Aerie.Link.Transport.handle/2`."
+  @doc "Handles what a UDP socket sends besides datagrams, as `c:MavRouter.Link.Transport.handle/2`."
   @spec udp_message(conn, term) :: {[{:closed, :closed}], conn} | :unknown
         when conn: %{socket: :gen_udp.socket()}
   def udp_message(%{socket: socket} = conn, {:udp_passive, socket}) do

@@ -12,7 +12,7 @@ defmodule MavRouter.Link.Transport.Query do
 
   @doc """
   The options, and what belongs to the other end (with its `?`, empty if nothing does). Options of a form are read by its
-  transport (`c:Aerie.Link.Transport.option/3`).
+  transport (`c:MavRouter.Link.Transport.option/3`).
   """
   @spec parse(String.t(), module, Form.t()) :: {:ok, map, String.t()} | {:error, reasons}
   def parse(query, transport, form) do

@@ -6,7 +6,7 @@ defmodule Aerie.Vehicle.Protocol.Condition do
     * `{:mode, [name]}` - one of these modes
     * `{:home, lat, lon, metres}` - home is within this distance of a position
     * `{:booted, count}` - it has rebooted more than `count` times
-    * `:told` - its messages report it (`c:Aerie.Protocol.read/4` gives `:done`); its state does not show it
+    * `:told` - its messages report it (`c:Aerie.Vehicle.Protocol.read/4` gives `:done`); its state does not show it
     * `{:any, [condition]}`
   """
 

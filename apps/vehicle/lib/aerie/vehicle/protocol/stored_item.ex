@@ -1,6 +1,6 @@
 defmodule Aerie.Vehicle.Protocol.StoredItem do
   @moduledoc """
-  What a firmware keeps of an item of a plan, and returns when it is read back (`c:Aerie.Protocol.kept/3`): what each field may be then.
+  What a firmware keeps of an item of a plan, and returns when it is read back (`c:Aerie.Vehicle.Protocol.kept/3`): what each field may be then.
   """
 
   @type field ::

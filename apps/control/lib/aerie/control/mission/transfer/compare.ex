@@ -1,6 +1,6 @@
 defmodule Aerie.Control.Mission.Transfer.Compare do
   @moduledoc """
-  Compares the plan that was read back with the one that was sent (W8), by what the firmware keeps of it (`c:Aerie.Protocol.kept/3`), without
+  Compares the plan that was read back with the one that was sent (W8), by what the firmware keeps of it (`c:Aerie.Vehicle.Protocol.kept/3`), without
   `current`. What the firmware does not keep is a remark if it was sent; everything else that differs is a difference. What comes back as it
   was sent is right whatever is known of the firmware: a later version may keep more.
   """
@@ -17,7 +17,7 @@ defmodule Aerie.Control.Mission.Transfer.Compare do
 
   @doc """
   `{:same, remarks}`, or the number of the first item that differs, and how. `kind` is that of the vehicle
-  (`t:Aerie.Protocol.Vehicle.t/0`).
+  (`t:Aerie.Vehicle.Protocol.Vehicle.t/0`).
   """
   @spec plans([Item.t()], [Item.t()], 0..2, module(), kind :: String.t()) :: t()
   def plans(sent, read, type, protocol, kind) do

@@ -19,7 +19,7 @@ defmodule Aerie.Control.Mission.Transfer.Outcome do
   """
   @type cause :: :acked | {:doubt | :refused, non_neg_integer()} | :cancelled | :silent | :rebooted
 
-  @typedoc "The last verdict of `c:Aerie.Protocol.plan_verdict/3`, or nil."
+  @typedoc "The last verdict of `c:Aerie.Vehicle.Protocol.plan_verdict/3`, or nil."
   @type verdict :: :valid | {:invalid | :doubtful, String.t()} | nil
 
   @type t :: {Command.Result.status(), reason :: String.t() | nil, Result.on_board()}

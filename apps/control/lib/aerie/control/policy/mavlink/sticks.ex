@@ -1,5 +1,5 @@
 defmodule Aerie.Control.Policy.Mavlink.Sticks do
-  @moduledoc "RC_CHANNELS_OVERRIDE and MANUAL_CONTROL: the channels and buttons that they work, as `t:Aerie.Policy.Facts.switches/0` has them."
+  @moduledoc "RC_CHANNELS_OVERRIDE and MANUAL_CONTROL: the channels and buttons that they work, as `t:Aerie.Control.Policy.Intent.switches/0` has them."
 
   import Bitwise
 

@@ -1,6 +1,6 @@
 defmodule Aerie.Control.Policy.Rules.Disarmed do
   @moduledoc """
-  Raw MAVLink that a disarmed vehicle may keep, and drive off with when it is armed, is refused (`t:Aerie.Command.Type.t/0`, `disarmed`).
+  Raw MAVLink that a disarmed vehicle may keep, and drive off with when it is armed, is refused (`t:Aerie.Vehicle.Command.Type.t/0`, `disarmed`).
   Commands of the table are refused by the firmware's adapter, with its reason (`Aerie.Vehicle.Protocol.plan/3`).
   """
 

@@ -34,7 +34,7 @@ defmodule Aerie.Fleet.Bridge.Outbox.Record do
 
   def encode(%__MODULE__{}), do: :too_large
 
-  @doc "Reads the next record of a file (`t:Aerie.Segments.Segment.codec/0`)."
+  @doc "Reads the next record of a file (`t:Aerie.Base.Segments.Segment.codec/0`)."
   @spec read(:file.fd()) :: {:ok, t(), pos_integer()} | Segment.ending() | {:error, term()}
   def read(file) do
     case :file.read(file, 8) do

@@ -18,7 +18,7 @@ defmodule MavRouter.Link.Transport.Serial.ConnectionString do
   @rates 50..20_000_000
   @max_candidates 20
 
-  @doc "See `c:Aerie.Link.Transport.forms/0`."
+  @doc "See `c:MavRouter.Link.Transport.forms/0`."
   @spec forms() :: [Form.t()]
   def forms do
     [
@@ -41,7 +41,7 @@ defmodule MavRouter.Link.Transport.Serial.ConnectionString do
     ]
   end
 
-  @doc "See `c:Aerie.Link.Transport.parse/2`."
+  @doc "See `c:MavRouter.Link.Transport.parse/2`."
   @spec parse(String.t(), String.t()) :: {:ok, map} | {:error, String.t() | :unknown}
   def parse("serial:", "auto"), do: {:ok, %{detect: :port}}
 
@@ -83,7 +83,7 @@ defmodule MavRouter.Link.Transport.Serial.ConnectionString do
   defp device?("/" <> rest), do: rest != ""
   defp device?(name), do: name =~ ~r/\A(tty|cu\.|rfcomm|COM)[\w.-]+\z/
 
-  @doc "See `c:Aerie.Link.Transport.option/3`."
+  @doc "See `c:MavRouter.Link.Transport.option/3`."
   @spec option(String.t(), String.t(), String.t()) :: {:ok, atom, term} | {:error, Query.reasons()}
   def option(_prefix, "only", value), do: Query.boolean(:only, value)
 

@@ -9,7 +9,7 @@ defmodule MavRouter.Link.Transport.WebSocket.ConnectionString do
   alias MavRouter.Link.Transport.Form
   alias MavRouter.Link.Transport.Query
 
-  @doc "See `c:Aerie.Link.Transport.forms/0`."
+  @doc "See `c:MavRouter.Link.Transport.forms/0`."
   @spec forms() :: [Form.t()]
   def forms do
     for {prefix, example, help} <- [
@@ -21,7 +21,7 @@ defmodule MavRouter.Link.Transport.WebSocket.ConnectionString do
     end
   end
 
-  @doc "See `c:Aerie.Link.Transport.parse/2`."
+  @doc "See `c:MavRouter.Link.Transport.parse/2`."
   @spec parse(String.t(), String.t()) :: {:ok, map} | {:error, String.t()}
   def parse(prefix, rest) do
     {authority, path} = authority(rest)
@@ -34,7 +34,7 @@ defmodule MavRouter.Link.Transport.WebSocket.ConnectionString do
     end
   end
 
-  @doc "See `c:Aerie.Link.Transport.option/3`."
+  @doc "See `c:MavRouter.Link.Transport.option/3`."
   @spec option(String.t(), String.t(), String.t()) :: {:ok, atom, term} | {:error, Query.reasons()}
   def option("wss://", "ca", file) when file != "", do: {:ok, :ca, file}
 

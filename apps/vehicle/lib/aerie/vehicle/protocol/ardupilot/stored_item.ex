@@ -130,7 +130,7 @@ defmodule Aerie.Vehicle.Protocol.Ardupilot.StoredItem do
     i16: -0x8000..0x7FFF
   }
 
-  @doc "`c:Aerie.Protocol.kept/3`."
+  @doc "`c:Aerie.Vehicle.Protocol.kept/3`."
   @spec item(map(), 0..2, kind :: String.t()) :: StoredItem.t()
   def item(item, @mission, kind), do: mission(item, kind)
 

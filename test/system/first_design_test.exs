@@ -47,7 +47,7 @@ defmodule Aerie.System.FirstDesignTest do
   end
 
   defp ready(gateway) do
-    {ready?, report} = FleetWeb.Health.ready(gateway)
+    {ready?, report} = Aerie.Fleet.Health.ready(gateway)
     {ready?, JSON.decode!(JSON.encode!(report))["identity"]}
   end
 
@@ -66,7 +66,7 @@ defmodule Aerie.System.FirstDesignTest do
 
     eventually(
       fn -> match?({true, %{"system" => 1, "component" => 191, "alarm" => nil}}, ready(gateway)) end,
-      fn -> "it is ready: #{inspect(FleetWeb.Health.ready(gateway))}" end
+      fn -> "it is ready: #{inspect(Aerie.Fleet.Health.ready(gateway))}" end
     )
 
     assert %{identity: %{system: 1, component: 191}} = FleetWeb.API.View.status(gateway)

@@ -37,6 +37,6 @@ defmodule Aerie.System.OpenAPITest do
 
     findings(peer)
     # Whatever was asked, the gateway is as it was.
-    eventually(fn -> match?({true, _report}, FleetWeb.Health.ready(gateway)) end, "it is ready")
+    eventually(fn -> match?({true, _report}, Aerie.Fleet.Health.ready(gateway)) end, "it is ready")
   end
 end

@@ -1,10 +1,10 @@
-defmodule FleetWeb.HealthTest do
+defmodule Aerie.Fleet.HealthTest do
   use ExUnit.Case, async: true
 
   import Aerie.Patience, only: [eventually: 1]
 
   alias Aerie.Fleet.Bridge.Tables
-  alias FleetWeb.Health
+  alias Aerie.Fleet.Health
 
   @moduletag :tmp_dir
   @moduletag :capture_log

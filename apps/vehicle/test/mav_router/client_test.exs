@@ -99,7 +99,7 @@ defmodule MavRouter.ClientTest do
   test "what is no endpoint for clients is refused in words" do
     gateway = start_parts()
     assert {:error, %Error{reason: {:invalid, words}}} = Client.add(gateway, "replay:/tmp/x.tlog")
-    assert words =~ "no client"
+    assert words =~ "not a client"
     assert {:error, %Error{reason: {:invalid, words}}} = Client.add(gateway, "tcp:nowhere")
     assert words =~ "port"
     {:ok, _id} = Client.add(gateway, "udpin:127.0.0.1:0", id: "a")

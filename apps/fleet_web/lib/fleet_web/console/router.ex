@@ -3,9 +3,10 @@ defmodule FleetWeb.Console.Router do
   use Phoenix.Router, helpers: false
   import Phoenix.LiveView.Router
 
-  alias FleetWeb.Console.{Access, Alarms, Layout}
+  alias FleetWeb.Console.{Access, Layout}
+  alias FleetWeb.Console.Alarms.OnMount
 
-  live_session :console, on_mount: [Access.OnMount, Alarms.OnMount], layout: {Layout, :app} do
+  live_session :console, on_mount: [Access.OnMount, OnMount], layout: {Layout, :app} do
     live "/", FleetWeb.Console.Fleet.Page
     live "/vehicles/:id", FleetWeb.Console.Vehicle.Page
     live "/vehicles/:id/shadow", FleetWeb.Console.Shadow.Page

@@ -20,7 +20,8 @@ defmodule FleetWeb.Console.Supervisor do
 
   alias Aerie.Base.Names
   alias FleetWeb.{API, Console}
-  alias FleetWeb.Console.{Access, Alarms, Assets, Layout, PageHandler, Router}
+  alias Aerie.Fleet.Alarms
+  alias FleetWeb.Console.{Access, Assets, Layout, PageHandler, Router}
   alias FleetWeb.Console.Settings.Configuration
   alias Phoenix.LiveView.Server
 

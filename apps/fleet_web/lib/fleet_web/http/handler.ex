@@ -7,7 +7,8 @@ defmodule FleetWeb.HTTP.Handler do
   @behaviour :cowboy_handler
 
   alias FleetWeb.API.{Access, KeyRing, Request}
-  alias FleetWeb.{Health, Metrics}
+  alias Aerie.Fleet.Health
+  alias FleetWeb.Metrics
 
   @json "application/json; charset=utf-8"
   @text "text/plain; charset=utf-8"

@@ -1,11 +1,11 @@
-defmodule FleetWeb.Console.AlarmsTest do
+defmodule Aerie.Fleet.AlarmsTest do
   use FleetWeb.ConsoleCase, async: true
 
   alias Aerie.Fleet.Diagnosis.Condition
   alias Aerie.Base.PubSub
   alias Aerie.Vehicle.Event
-  alias FleetWeb.Console.Alarms
-  alias FleetWeb.Console.Alarms.{Conditions, EventAlarms, Server}
+  alias Aerie.Fleet.Alarms
+  alias Aerie.Fleet.Alarms.{Conditions, EventAlarms, Server}
 
   defp condition(key, severity \\ :warning),
     do: %{key: key, severity: severity, text: inspect(key), vehicle: nil}

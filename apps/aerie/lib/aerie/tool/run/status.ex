@@ -4,7 +4,7 @@ defmodule Aerie.Tool.Run.Status do
 
   alias Aerie.Tool.Columns
   alias FleetWeb.API.View
-  alias FleetWeb.Health
+  alias Aerie.Fleet.Health
 
   @impl Aerie.Tool.Subcommand
   def run(%{options: options}) do

@@ -5,7 +5,7 @@ defmodule FleetWeb.Console.Alarms.OnMount do
   import Phoenix.LiveView
 
   alias Aerie.Base.PubSub
-  alias FleetWeb.Console.Alarms.Server
+  alias Aerie.Fleet.Alarms.Server
   alias FleetWeb.Console.Clock
   alias FleetWeb.Console.UI.Age
 

@@ -3,8 +3,9 @@ defmodule FleetWeb.Console.Alarms.Page do
   use FleetWeb.Console, :page
 
   alias FleetWeb.Console.Access.Role
-  alias FleetWeb.Console.Alarms
-  alias FleetWeb.Console.Alarms.{Server, Strip}
+  alias Aerie.Fleet.Alarms
+  alias Aerie.Fleet.Alarms.Server
+  alias FleetWeb.Console.Alarms.Strip
   alias FleetWeb.Console.Clock
   alias FleetWeb.Console.UI.Age
   alias FleetWeb.Console.Vehicle.Sections

@@ -5,7 +5,7 @@ defmodule FleetWeb.Console.Alarms.Strip do
   """
   use FleetWeb.Console, :component
 
-  alias FleetWeb.Console.Alarms
+  alias Aerie.Fleet.Alarms
   alias FleetWeb.Console.Vehicle.Sections
 
   attr :alarms, :map, required: true

@@ -28,7 +28,7 @@ defmodule Aerie.Vehicle.Enrolment.SecureLinkTest do
     assert {:error, error} = SecureLink.key(gateway, "VID-002")
     assert Exception.message(error) =~ "known are VID-001"
     assert {:error, %{reason: {:invalid, text}}} = SecureLink.key(gateway, :vid)
-    assert text =~ "is no vehicle"
+    assert text =~ "is not a vehicle"
   end
 
   test "S8: a key goes only over a secure link of the vehicle's network", %{gateway: gateway} do

@@ -1,4 +1,4 @@
-defmodule FleetWeb.Console.Alarms.Server do
+defmodule Aerie.Fleet.Alarms.Server do
   @moduledoc """
   Keeps a gateway's alarms, for all operators together. It looks at the snapshots when they have changed, at most twice a second, and
   handles events as they come. After a restart it begins with the events that the journal still has, and nothing is acknowledged.
@@ -12,8 +12,8 @@ defmodule FleetWeb.Console.Alarms.Server do
   alias Aerie.Fleet.Diagnosis
   alias Aerie.Vehicle.Journal
   alias Aerie.Base.PubSub
-  alias FleetWeb.Console.Alarms
-  alias FleetWeb.Console.Alarms.{Conditions, EventAlarms}
+  alias Aerie.Fleet.Alarms
+  alias Aerie.Fleet.Alarms.{Conditions, EventAlarms}
 
   @look_ms 500
   # No notice announces a new diagnosis, or a problem of the gateway itself.

@@ -1,11 +1,11 @@
-defmodule FleetWeb.Console.Alarms do
+defmodule Aerie.Fleet.Alarms do
   @most 200
 
   @moduledoc """
   The alarms of a gateway. A pure value.
 
   A *condition* is something that is wrong. Conditions have two kinds of sources: snapshots and the diagnosis say what is wrong now (`put/4`,
-  all of one source at once), events say what began or ended (`FleetWeb.Console.Alarms.EventAlarms`). Each condition has a key, so it is one
+  all of one source at once), events say what began or ended (`Aerie.Fleet.Alarms.EventAlarms`). Each condition has a key, so it is one
   alarm however often it is reported.
 
   An alarm goes through these states:

@@ -1,4 +1,4 @@
-defmodule FleetWeb.Console.Alarms.Conditions do
+defmodule Aerie.Fleet.Alarms.Conditions do
   @moduledoc """
   What is wrong now: from snapshots of vehicles and links, from the diagnosis, and from the gateway's own state. Pure.
 
@@ -6,7 +6,7 @@ defmodule FleetWeb.Console.Alarms.Conditions do
   """
 
   alias Aerie.Fleet.Diagnosis.Condition
-  alias FleetWeb.Console.Alarms
+  alias Aerie.Fleet.Alarms
   alias Aerie.Vehicle.Snapshot
 
   # Which conditions of the diagnosis are alarms, too, and how severe.

@@ -1,8 +1,8 @@
-defmodule FleetWeb.Console.Alarms.EventAlarms do
+defmodule Aerie.Fleet.Alarms.EventAlarms do
   @moduledoc "Turns events of vehicles into alarms: which condition begins, which is over. Pure."
 
   alias Aerie.Vehicle.Event
-  alias FleetWeb.Console.Alarms
+  alias Aerie.Fleet.Alarms
   alias Aerie.Vehicle.Snapshot
 
   @doc "The alarms after an event. Events that neither begin nor end one (`Aerie.Vehicle.Event.Types`) change nothing."

@@ -1,4 +1,4 @@
-defmodule FleetWeb.Health do
+defmodule Aerie.Fleet.Health do
   @moduledoc """
   Says whether a gateway is ready, part by part from the read model, so that a failing probe gives the reason.
 

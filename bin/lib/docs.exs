@@ -129,8 +129,9 @@ defmodule Docs do
   defp subsystem(beam, source) do
     [_all, app] = Regex.run(~r{/lib/([^/]+)/ebin/}, beam)
 
-    case Regex.run(~r{/lib/(?:aerie|#{app})/([^/.]+)(?:/|\.ex)}, source) do
-      [_all, part] -> if File.dir?("apps/#{app}/lib/aerie/#{part}") or File.dir?("apps/#{app}/lib/#{app}/#{part}"), do: "#{app}: #{part}", else: app
+    # lib/aerie/control/policy.ex and lib/fleet_web/api/view.ex are of control: policy and fleet_web: api.
+    case Regex.run(~r{/lib/(aerie/#{app}|#{app}|aerie)/([^/.]+)(?:/|\.ex)}, source) do
+      [_all, root, part] -> if File.dir?("apps/#{app}/lib/#{root}/#{part}"), do: "#{app}: #{part}", else: app
       nil -> app
     end
   end

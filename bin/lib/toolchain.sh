@@ -171,7 +171,7 @@ toolchain_licences() {
           if (word[1] == "Package:") name = word[2]; else if (word[1] == "Source:") from = word[2]; else if (word[1] == "Size:") size = word[2] }
         if ((from == "" ? name : from) == source && (best == "" || size + 0 < least)) { best = name; least = size + 0 } }
       END { print best }' "$work/known")
-    [ -n "$package" ] || fail "no package has the licence of $source" "it is gone from $TOOLCHAIN_SUITE" "make the toolchain anew: remove $folder and run this again"
+    [ -n "$package" ] || fail "no package has the licence of $source" "it is gone from $TOOLCHAIN_SUITE" "make the toolchain again: remove $folder and run this again"
     toolchain_fetch "$work" "$package"
     dpkg-deb -x "$work/debs/${package}"_*.deb "$work/$source"
     cp "$work/$source/usr/share/doc/$package/copyright" "$folder/packages/$source.copyright"

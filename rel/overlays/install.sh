@@ -29,7 +29,7 @@ fail() {
 
 # stage ROOT: the program and the files of systemd and udev, below ROOT (empty: this machine)
 stage() {
-  [ -e "$here/releases/start_erl.data" ] || fail "$here is no release: unpack aerie-VERSION-linux-ARCHITECTURE.tar.gz, and call its install.sh"
+  [ -e "$here/releases/start_erl.data" ] || fail "$here is not a release: unpack aerie-VERSION-linux-ARCHITECTURE.tar.gz, and call its install.sh"
   mkdir -p "$1/opt" "$1/usr/bin" "$1/usr/share/man/man1" "$1/usr/share/bash-completion/completions" "$1/lib/systemd/system" "$1/lib/udev/rules.d" "$1/etc/aerie"
   rm -rf "$1/opt/aerie.new"
   mkdir "$1/opt/aerie.new"

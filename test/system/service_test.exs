@@ -53,7 +53,7 @@ defmodule Aerie.System.ServiceTest do
     File.mkdir_p!(empty)
     File.cp!(Path.join(@overlays, "install.sh"), Path.join(empty, "install.sh"))
     assert {"error: " <> text, 1} = install(empty, ["--stage", Path.join(dir, "nothing")])
-    assert text =~ "is no release"
+    assert text =~ "is not a release"
     refute File.exists?(Path.join(dir, "nothing"))
   end
 

@@ -41,7 +41,7 @@ defmodule FleetWeb.API.KeyRingTest do
     refute inspect(KeyRing.list(gateway)) =~ "digest"
 
     assert {:error, "there is a key ops already"} = KeyRing.make(gateway, "ops", "viewer", "", "ann")
-    assert {:error, "api.key is no key that was made here" <> _} = KeyRing.revoke(gateway, "api.key", "ann")
+    assert {:error, "api.key was not made here" <> _} = KeyRing.revoke(gateway, "api.key", "ann")
     assert :ok = KeyRing.revoke(gateway, "ops", "ann")
     assert owner(gateway, ops) == {:error, :unknown}
     text = File.read!(Path.join([dir, "console", "keys"]))

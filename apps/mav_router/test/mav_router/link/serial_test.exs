@@ -73,7 +73,7 @@ defmodule MavRouter.Link.SerialTest do
     {none, _} = add_link(c.gateway, "/dev/ttyNOWHERE7")
     {file, _} = add_link(c.gateway, "/etc/hostname")
     eventually(fn -> Link.get(c.gateway, none).reason == "there is no /dev/ttyNOWHERE7" end)
-    eventually(fn -> (Link.get(c.gateway, file).reason || "") =~ "no serial port" end)
+    eventually(fn -> (Link.get(c.gateway, file).reason || "") =~ "not a serial port" end)
   end
 
   @tag :capture_log

@@ -27,7 +27,7 @@ defmodule MavRouter.Router.ClientConnection do
   @type t :: %__MODULE__{endpoint: Endpoint.t(), parser: Parser.t(), queue: ClassQueue.t()}
 
   @doc """
-  Makes the calling process a client endpoint. Options are those of `MavRouter.Router.Endpoint.attach/2`; without `:networks`
+  Makes the calling process a client endpoint. Options are those of `MavRouter.Router.LocalEndpoint.attach/2`; without `:networks`
   it sees all, the gateway's own first.
   """
   @spec open(Names.gateway(), keyword()) :: {:ok, t()} | {:error, String.t() | :not_running}

@@ -48,7 +48,7 @@ defmodule MavRouter.Link.SpecTest do
             {"ws://host/a b", "its path has characters"},
             {"ws://host/#top", "no fragment"},
             {"ws://host/?ca=/etc/ca.pem", "is not an option"},
-            {"ws://host/?network=a b", "is no network"},
+            {"ws://host/?network=a b", "is not a valid network"},
             {"http://host/", "another program's form"}
           ] do
         assert {:error, %Spec.Error{} = error} = Spec.parse(wrong)
@@ -143,13 +143,13 @@ defmodule MavRouter.Link.SpecTest do
           {"tcp:::1:5760", "an IPv6 address needs brackets"},
           {"tcp:[::g]:5760", "\"::g\" is not an IPv6 address"},
           {"tcp:[::1", "the port is missing"},
-          {"/dev/ttyACM0,fast", "\"fast\" is no baud rate"},
+          {"/dev/ttyACM0,fast", "\"fast\" is not a valid baud rate"},
           {"/dev/ttyACM0,57600,8N1", "too many commas"},
           {"replay:", "the file is missing"},
-          {"replay:x?speed=0", "\"0\" is no speed"},
+          {"replay:x?speed=0", "\"0\" is not a valid speed"},
           {"replay:x?loop=maybe", "\"maybe\" is neither true nor false"},
           {"udpin::1?speed=2", "\"speed\" is not an option"},
-          {"udpin::1?network=a b", "\"a b\" is no network"},
+          {"udpin::1?network=a b", "\"a b\" is not a valid network"},
           {"udp://:14540", "udp:// is another program's form"},
           {"127.0.0.1:14550", "write udpin:127.0.0.1:14550 to listen there"}
         ] do

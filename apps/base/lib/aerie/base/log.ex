@@ -16,16 +16,13 @@ defmodule Aerie.Base.Log do
   @levels ~w(debug info notice warning error none)a
   # What has a level of its own, with what it is about.
   @areas %{
-    "mav_router" => :mav_router,
-    "base" => :base,
-    "control" => :control,
-    "fleet" => :fleet,
-    "vehicle" => :vehicle,
-    "fleet_web" => :fleet_web,
-    "aerie" => :aerie,
-    "gnat" => :gnat,
-    "circuits_uart" => :circuits_uart,
-    "phoenix_live_view" => :phoenix_live_view
+    "mav_router" => [:mav_router, :base],
+    "vehicle" => [:vehicle, :control, :fleet],
+    "fleet_web" => [:fleet_web],
+    "aerie" => [:aerie],
+    "gnat" => [:gnat],
+    "circuits_uart" => [:circuits_uart],
+    "phoenix_live_view" => [:phoenix_live_view]
   }
 
   @type level :: :debug | :info | :notice | :warning | :error | :none
@@ -34,7 +31,7 @@ defmodule Aerie.Base.Log do
   @spec level_names() :: [level()]
   def level_names, do: @levels
 
-  @doc "The applications whose level can be another one than that of everything."
+  @doc "The areas whose level can be another one than that of everything: an application, or several."
   @spec areas() :: [String.t()]
   def areas, do: @areas |> Map.keys() |> Enum.sort()
 
@@ -60,7 +57,7 @@ defmodule Aerie.Base.Log do
   @spec levels() :: %{level: level(), areas: %{String.t() => level()}}
   def levels do
     own =
-      for {name, app} <- @areas,
+      for {name, [app | _others]} <- @areas,
           [module | _] <- [Application.spec(app, :modules) || []],
           [{^module, level}] <- [Logger.get_module_level(module)],
           into: %{},
@@ -76,20 +73,19 @@ defmodule Aerie.Base.Log do
   @doc "Logs an area (`areas/0`) from this level on."
   @spec set_level(String.t(), level()) :: :ok | {:error, :unknown_area}
   def set_level(area, level) when level in @levels do
-    with {:ok, app} <- Map.fetch(@areas, area),
-         # {:error, :not_loaded}: nothing of it runs here.
-         :ok <- Logger.put_application_level(app, level) do
-      :ok
-    else
-      _unknown -> {:error, :unknown_area}
-    end
+    each(area, &Logger.put_application_level(&1, level))
   end
 
   @doc "An area follows the level of everything again."
   @spec reset(String.t()) :: :ok | {:error, :unknown_area}
   def reset(area) do
-    with {:ok, app} <- Map.fetch(@areas, area),
-         :ok <- Logger.delete_application_level(app) do
+    each(area, &Logger.delete_application_level/1)
+  end
+
+  # {:error, :not_loaded}: nothing of it runs here.
+  defp each(area, fun) do
+    with {:ok, apps} <- Map.fetch(@areas, area),
+         true <- :ok in Enum.map(apps, fun) do
       :ok
     else
       _unknown -> {:error, :unknown_area}

@@ -3,6 +3,7 @@
 defmodule Words do
   @banned [
     {~r/(?<!there )(?<!here )\b(is|are|was|were) no (?!longer\b|more than\b|less than\b|one\b)[a-z]+/i, "is not a ..."},
+    {~r/(?<!there )\b(is|are) no $/i, "is not a ..."},
     {~r/\bby (NATS|REST)\b/, "over NATS, over REST"},
     {~r/\banew\b/i, "again, or leave it out"},
     {~r/\bceas(e|es|ed|ing)\b/i, "stop, cancel"},
@@ -18,7 +19,7 @@ defmodule Words do
     if found != [], do: System.halt(1)
   end
 
-  defp code, do: Path.wildcard("apps/{base,mav_router,vehicle,control,fleet,fleet_web,aerie}/lib/**/*.ex")
+  defp code, do: Path.wildcard("apps/{mav_codec,base,mav_router,vehicle,control,fleet,fleet_web,aerie}/lib/**/*.ex")
   defp pages, do: ["README.md", "CHANGELOG.md", "docs/openapi.json", "config/gateway.example.yaml"] ++ Path.wildcard("docs/**/*.md")
 
   # Texts of the code, not its documentation, which users do not see.

@@ -107,7 +107,7 @@ defmodule MavCodec.Sniff do
         result(
           :noise,
           min(0.95, count / @enough),
-          "#{count} bytes that are no known protocol#{pattern(bytes)}"
+          "#{count} bytes of no known protocol#{pattern(bytes)}"
         )
     end
   end

@@ -108,7 +108,7 @@ defmodule MavRouter.Link.Transport.Query do
       do: {:ok, key, value},
       else:
         {:error,
-         reason: "#{inspect(value)} is no #{key}",
+         reason: "#{inspect(value)} is not a valid #{key}",
          expected: @name_form,
          example: String.split(form.example, "?") |> hd() |> Kernel.<>("?#{key}=radio-a")}
   end

@@ -1,7 +1,7 @@
 defmodule MavCodec.SniffTest do
   use ExUnit.Case, async: true
 
-  alias Aerie.BaudModel
+  alias MavCodec.Test.BaudModel
   alias MavCodec.Sniff
 
   doctest Sniff

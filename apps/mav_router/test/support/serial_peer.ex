@@ -1,7 +1,7 @@
 defmodule Aerie.SerialPeer do
   @moduledoc """
   The other end of a serial cable, over a PTY, as a device with a baud rate of its own: what it says to a port that is set
-  to another rate arrives as a real receiver would read it (`Aerie.BaudModel`).
+  to another rate arrives as a real receiver would read it (`MavCodec.Test.BaudModel`).
 
   It speaks by itself, `every` so many milliseconds what `says` gives for the number of the turn, and can be unplugged,
   plugged in as another device, paused and flooded with. The PTY's master is held by the small program of circuits_uart's
@@ -9,7 +9,7 @@ defmodule Aerie.SerialPeer do
   """
   use GenServer
 
-  alias Aerie.BaudModel
+  alias MavCodec.Test.BaudModel
 
   @source Path.expand("../../../../packages/circuits_uart/test/support/pty_peer.c", __DIR__)
 

@@ -2,7 +2,7 @@ defmodule MavRouter.Link.Serial.AutoTest do
   use ExUnit.Case, async: true
   use Aerie.LinkCase
 
-  alias Aerie.BaudModel
+  alias MavCodec.Test.BaudModel
   alias MavRouter.Link
   alias Aerie.SerialPeer
 

@@ -1,4 +1,4 @@
-defmodule Aerie.BaudModel do
+defmodule MavCodec.Test.BaudModel do
   @moduledoc """
   What a receiver reads when it is set to another baud rate than the sender: the line of the sender's bits (8N1, lowest bit
   first) is looked at in the middle of each of the receiver's bits, from each falling edge on.

@@ -71,7 +71,11 @@ defmodule Aerie.Base.Segments do
 
   @doc "The bytes on the disk."
   @spec bytes(t()) :: non_neg_integer()
-  def bytes(store), do: store.segments |> Enum.map(&(&1.bytes + &1.waste)) |> Enum.sum()
+  def bytes(store) do
+    for %{bytes: bytes, waste: waste} when is_integer(bytes) and is_integer(waste) <- store.segments,
+        reduce: 0,
+        do: (sum -> sum + bytes + waste)
+  end
 
   @doc "Begins a file; the one before it is closed."
   @spec begin(t(), first :: pos_integer()) :: {:ok, t()} | {:error, File.posix()}

@@ -41,7 +41,8 @@ defmodule Aerie.Base.Segments.Segment do
 
   @doc "The number after the last record."
   @spec next(t()) :: pos_integer()
-  def next(%__MODULE__{first: first, count: count}), do: first + count
+  def next(%__MODULE__{first: first, count: count}) when is_integer(first) and is_integer(count),
+    do: first + count
 
   @doc "Calls `fun` with each record. The segment that is returned knows how much is readable."
   @spec fold(t(), codec(), acc, (record :: term(), acc -> acc)) ::

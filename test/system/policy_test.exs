@@ -40,7 +40,16 @@ defmodule Aerie.System.PolicyTest do
 
     assert Aerie.Control.Policy.Store.get(gateway) == second
     assert {200, %{"problem" => %{"errors" => [line]}}} = rest(gateway, :get, "/api/policy", chief)
-    assert {200, %{"policy" => %{"problem" => ^line}}} = rest(gateway, :get, "/readyz", chief)
+
+    # Ready once all code is loaded, which another suite's work may delay.
+    assert {200, %{"policy" => %{"problem" => ^line}}} =
+             eventually(fn ->
+               with(
+                 {200, _body} = ready <- rest(gateway, :get, "/readyz", chief),
+                 do: ready,
+                 else: (_not_yet -> false)
+               )
+             end)
   end
 
   defp rest(gateway, method, path, key) do

@@ -41,15 +41,12 @@ defmodule Aerie.System.PolicyTest do
     assert Aerie.Control.Policy.Store.get(gateway) == second
     assert {200, %{"problem" => %{"errors" => [line]}}} = rest(gateway, :get, "/api/policy", chief)
 
-    # Ready once all code is loaded, which another suite's work may delay.
-    assert {200, %{"policy" => %{"problem" => ^line}}} =
-             eventually(fn ->
-               with(
-                 {200, _body} = ready <- rest(gateway, :get, "/readyz", chief),
-                 do: ready,
-                 else: (_not_yet -> false)
-               )
-             end)
+    # Ready once all code is loaded, which the work of other tests may delay.
+    ready = fn ->
+      with({200, body} <- rest(gateway, :get, "/readyz", chief), do: body, else: (_not_yet -> nil))
+    end
+
+    assert %{"policy" => %{"problem" => ^line}} = eventually(ready, "the gateway is ready")
   end
 
   defp rest(gateway, method, path, key) do

@@ -36,10 +36,6 @@ defmodule SimVehicle.Faults do
   @spec new(integer) :: t
   def new(seed), do: %__MODULE__{rand: :rand.seed_s(:exsss, seed)}
 
-  @doc "The names that `set/4` knows."
-  @spec names() :: [atom]
-  def names, do: @shares ++ [:delay] ++ @switches
-
   @doc "Sets a fault; `{:error, text}` says what was expected."
   @spec set(t, atom, term, direction) :: {:ok, t} | {:error, String.t()}
   def set(faults, name, share, direction)
@@ -61,7 +57,7 @@ defmodule SimVehicle.Faults do
 
   def set(_faults, name, value, direction) do
     {:error,
-     "expected a fault of #{inspect(names())} with its value (see SimVehicle.Faults) and direction :out or :in, " <>
+     "expected a fault of #{inspect(@shares ++ [:delay] ++ @switches)} with its value (see SimVehicle.Faults) and direction :out or :in, " <>
        "got: #{inspect(name)} = #{inspect(value)}, #{inspect(direction)}"}
   end
 

@@ -83,9 +83,8 @@ defmodule SimVehicle.Telemetry do
   def landed_state(%{landed: :taking_off}), do: 3
   def landed_state(%{landed: :landing}), do: 4
 
-  @doc "UNIX time in microseconds as the vehicle knows it; 0 before it has GPS time."
-  @spec unix(Vehicle.t()) :: non_neg_integer
-  def unix(%{now: now, epoch: epoch} = v) when is_integer(now) and is_integer(epoch),
+  # UNIX time in microseconds as the vehicle knows it; 0 before it has GPS time.
+  defp unix(%{now: now, epoch: epoch} = v) when is_integer(now) and is_integer(epoch),
     do: if(now * 4 < v.ready_us, do: 0, else: epoch + now)
 
   @mission_states %{none: 1, not_started: 2, active: 3, paused: 4, complete: 5}

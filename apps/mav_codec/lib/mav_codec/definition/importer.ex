@@ -38,9 +38,8 @@ defmodule MavCodec.Definition.Importer do
     {:import, error} -> {:error, error}
   end
 
-  @doc "The name of the facts file of a definition file."
-  @spec facts_name(String.t()) :: String.t()
-  def facts_name(file), do: Path.basename(file, ".xml") <> ".facts"
+  # The name of the facts file of a definition file.
+  defp facts_name(file), do: Path.basename(file, ".xml") <> ".facts"
 
   @doc "The name of the definition file that a path, of XML or of facts, is for."
   @spec document_name(Path.t()) :: String.t()

@@ -207,10 +207,9 @@ defmodule SimVehicle.Ardupilot.Commands do
     Vehicle.ack(v, c, result)
   end
 
-  @doc "Takes off to `alt` metres above home: only armed, on the ground and in a mode that can."
-  @spec takeoff(Vehicle.t(), number) :: {non_neg_integer, Vehicle.t()}
-  def takeoff(%{armed: true, airborne: false, mode: mode} = v, alt)
-      when mode in ["GUIDED", "LOITER", "ALT_HOLD"] do
+  # Takes off to `alt` metres above home: only armed, on the ground and in a mode that can.
+  defp takeoff(%{armed: true, airborne: false, mode: mode} = v, alt)
+       when mode in ["GUIDED", "LOITER", "ALT_HOLD"] do
     if alt > Vehicle.relative_altitude(v) + 0.1 do
       from = max(v.now, v.armed_at + round(v.limits.spool * 1.0e6))
       d = v.origin.alt - (v.home || v.origin).alt - alt
@@ -220,7 +219,7 @@ defmodule SimVehicle.Ardupilot.Commands do
     end
   end
 
-  def takeoff(v, _alt), do: {@failed, v}
+  defp takeoff(v, _alt), do: {@failed, v}
 
   defp turn(%{airborne: true, mode: "GUIDED"} = v, angle, relative?, direction) do
     sign = if direction < 0, do: -1, else: 1

@@ -46,9 +46,8 @@ defmodule SimVehicle.Ardupilot.Modes do
   @spec number(String.t()) :: non_neg_integer
   def number(name), do: Map.fetch!(@numbers, name)
 
-  @doc "Name of a mode number, nil for an unknown one."
-  @spec name(integer) :: String.t() | nil
-  def name(number), do: Map.get(@modes, number)
+  # Name of a mode number, nil for an unknown one.
+  defp name(number), do: Map.get(@modes, number)
 
   @doc "True for a mode that flies by position."
   @spec position?(String.t()) :: boolean

@@ -27,9 +27,8 @@ defmodule SimVehicle.Flight.Mission do
 
   def stop(%{mission: mission}), do: %{mission | goal: nil}
 
-  @doc "The number of the first item that is flown: ArduPilot's item 0 is home."
-  @spec first(Vehicle.t()) :: 0 | 1
-  def first(v), do: if(v.plans.style == :ardupilot, do: 1, else: 0)
+  # The number of the first item that is flown: ArduPilot's item 0 is home.
+  defp first(v), do: if(v.plans.style == :ardupilot, do: 1, else: 0)
 
   @doc "True when there is something to fly."
   @spec any?(Vehicle.t()) :: boolean
@@ -200,8 +199,7 @@ defmodule SimVehicle.Flight.Mission do
   defp place(v, %{x: x, y: y}) when abs(x) > 900_000_000 or abs(y) > 1_800_000_000, do: {v.kin.n, v.kin.e}
   defp place(v, item), do: Geo.to_local(v.origin, item.x, item.y)
 
-  @doc "The height of an item as metres down of the origin; altitudes are above home or above the sea."
-  @spec down(Vehicle.t(), map) :: number
-  def down(v, %{frame: frame, z: z}) when frame in [0, 5], do: v.origin.alt - z
-  def down(v, %{z: z}), do: v.origin.alt - ((v.home || v.origin).alt + z)
+  # The height of an item as metres down of the origin; altitudes are above home or above the sea.
+  defp down(v, %{frame: frame, z: z}) when frame in [0, 5], do: v.origin.alt - z
+  defp down(v, %{z: z}), do: v.origin.alt - ((v.home || v.origin).alt + z)
 end

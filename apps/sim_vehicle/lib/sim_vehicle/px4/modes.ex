@@ -46,10 +46,9 @@ defmodule SimVehicle.Px4.Modes do
   @spec main?(integer) :: boolean
   def main?(main), do: main in @main_modes
 
-  @doc "Name of a main and sub mode, nil when there is none; the sub mode counts for AUTO and position only."
-  @spec name(integer, integer) :: String.t() | nil
-  def name(main, sub) when main in [3, 4], do: Map.get(@by_number, {main, sub})
-  def name(main, _sub), do: Map.get(@by_number, {main, 0})
+  # Name of a main and sub mode, nil when there is none; the sub mode counts for AUTO and position only.
+  defp name(main, sub) when main in [3, 4], do: Map.get(@by_number, {main, sub})
+  defp name(main, _sub), do: Map.get(@by_number, {main, 0})
 
   @doc "Bits of base_mode without the armed one."
   @spec base_mode(String.t()) :: non_neg_integer
@@ -89,9 +88,8 @@ defmodule SimVehicle.Px4.Modes do
   @spec mission?(Vehicle.t()) :: boolean
   def mission?(v), do: Mission.any?(v) and Vehicle.own(v, :mission_feasible, true)
 
-  @doc "True while setpoints come often enough for OFFBOARD (rule X7)."
-  @spec setpoints?(Vehicle.t()) :: boolean
-  def setpoints?(v) do
+  # True while setpoints come often enough for OFFBOARD (rule X7).
+  defp setpoints?(v) do
     case Vehicle.own(v, :setpoints) do
       %{first: first, last: last} = stream -> steady?(v, stream) and last - first >= 800_000
       nil -> false

@@ -56,13 +56,57 @@ defmodule SimVehicle.Peer do
 
   @doc "Waits for a message of a kind of which `fun` is true; `{message, peer}`."
   def await(peer, module, fun \\ fn _message -> true end, deadline \\ deadline()) do
-    {found, rest} = search(peer.frames, module, fun)
+    {found, rest} = search(peer.frames, [module], fun)
 
     if found do
       {found, %{peer | frames: rest}}
     else
       peer |> receive_bytes(deadline) |> await(module, fun, deadline)
     end
+  end
+
+  @doc "The same for messages of some kinds until a time, in milliseconds of the monotonic clock; `{nil, peer}` if nothing comes."
+  def within(peer, modules, fun, until) do
+    {found, rest} = search(peer.frames, List.wrap(modules), fun)
+    peer = %{peer | frames: rest}
+
+    with nil <- found, %{} = more <- receive_until(%{peer | frames: []}, until) do
+      within(more, modules, fun, until)
+    else
+      :late -> {nil, %{peer | frames: []}}
+      found -> {found, peer}
+    end
+  end
+
+  @doc "All messages of a kind that come until one of which `last?` is true, or a time."
+  def collect(peer, module, last?, until, got \\ []) do
+    {taken, peer} = take(peer, module)
+    got = got ++ taken
+
+    with false <- Enum.any?(taken, last?), %{} = peer <- receive_until(peer, until) do
+      collect(peer, module, last?, until, got)
+    else
+      _over -> {got, peer}
+    end
+  end
+
+  defp receive_until(%{socket: socket} = peer, until) do
+    receive do
+      {:udp, ^socket, ip, port, bytes} -> took(peer, bytes, {ip, port})
+      {:tcp, ^socket, bytes} -> took(peer, bytes, nil)
+    after
+      max(until - System.monotonic_time(:millisecond), 0) -> :late
+    end
+  end
+
+  @doc "Forgets the messages of a kind that have come."
+  def forget(peer, module), do: elem(take(peer, module), 1)
+
+  @doc "Takes the messages of a kind that have come."
+  def take(peer, module) do
+    peer = drain(peer)
+    {taken, left} = Enum.split_with(peer.frames, &(&1.__struct__ == module))
+    {taken, %{peer | frames: left}}
   end
 
   @doc "Waits until bytes contain `text`."
@@ -98,8 +142,8 @@ defmodule SimVehicle.Peer do
   @doc "All messages that were heard and not awaited."
   def messages(peer), do: peer.frames
 
-  defp search(frames, module, fun) do
-    case Enum.split_while(frames, fn message -> not (message.__struct__ == module and fun.(message)) end) do
+  defp search(frames, modules, fun) do
+    case Enum.split_while(frames, fn message -> not (message.__struct__ in modules and fun.(message)) end) do
       {all, []} -> {nil, all}
       {_before, [found | rest]} -> {found, rest}
     end

@@ -71,7 +71,7 @@ section = %{geofence_file: fence, max_altitude: 120, takeoff_battery: 0.3, rates
 # --- A gateway of a store, a policy and a door; one process is the session, another the executor that answers at once
 
 start = fn gateway ->
-  tables = [Commands.Recent.table(), Policy.Leases.table()]
+  tables = [Commands.Recent.table(), Policy.Leases.table(), Policy.ClientHistory.table()]
   {:ok, _} = Store.start_link(gateway: gateway, tables: tables)
   {:ok, _} = PubSub.start_link(gateway: gateway)
   config = %{policy: Map.put(section, :audit, %{dir: Path.join(dir, "audit")})}

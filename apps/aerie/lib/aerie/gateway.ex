@@ -140,7 +140,8 @@ defmodule Aerie.Gateway do
          StreamDemand.table(),
          Fleet.RemoteTable.table(),
          Commands.Recent.table(),
-         Policy.Leases.table()
+         Policy.Leases.table(),
+         Policy.ClientHistory.table()
        ]},
       {Aerie.Base.PubSub, []},
       {Bridge.LastPublished, settings: bridge},

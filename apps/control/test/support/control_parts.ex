@@ -9,7 +9,11 @@ defmodule Aerie.ControlParts do
   @spec plugs(map()) :: keyword()
   def plugs(_config) do
     [
-      tables: [Aerie.Control.Commands.Recent.table(), Aerie.Control.Policy.Leases.table()],
+      tables: [
+        Aerie.Control.Commands.Recent.table(),
+        Aerie.Control.Policy.Leases.table(),
+        Aerie.Control.Policy.ClientHistory.table()
+      ],
       policy: Aerie.Control.Policy.MavlinkPolicy,
       readings: Aerie.Control.ReadCache,
       arming: Aerie.Control.Policy.Arming,

@@ -2,7 +2,7 @@ defmodule MavRouter.Router do
   @moduledoc """
   From links to vehicles and back: plain functions that run in the process of their caller, over shared tables.
 
-  - `deliver/3`: frames of a link go to other endpoints and to the sessions of their vehicles, and teach who is heard where
+  - `deliver/4`: frames of a link go to other endpoints and to the sessions of their vehicles, and teach who is heard where
   - `send/4`: bytes for a vehicle go out by the endpoint where it was heard last
   - `routes/1`, `systems/1`: what was learned
 
@@ -46,6 +46,9 @@ defmodule MavRouter.Router do
           optional(:high_latency) => boolean
         }
 
+  @typedoc "What a process that delivers frames keeps between two reads (`MavRouter.Router.Forward.Cache`)."
+  @type cache :: MavRouter.Router.Forward.Cache.t()
+
   @type vehicle_key :: {network :: String.t(), system :: non_neg_integer}
 
   @typedoc """
@@ -66,13 +69,14 @@ defmodule MavRouter.Router do
   [frame]}`, or `{:frames, {link_id, peer}, [frame]}` while several endpoints bring a system of the read.
 
   An autopilot's heartbeat of an unknown vehicle starts the vehicle, and the frames of the read are its first ones (H2, H4).
-  Never raises because of a frame.
+  `cache` is what the call before gave, nil for the first one: a process that delivers again and again keeps it. Never raises because
+  of a frame.
   """
-  @spec deliver(Names.gateway(), origin, [Frame.t()]) :: outcome
-  defdelegate deliver(gateway, origin, frames), to: Deliver, as: :frames
+  @spec deliver(Names.gateway(), origin, [Frame.t()], cache() | nil) :: {outcome, cache() | nil}
+  defdelegate deliver(gateway, origin, frames, cache), to: Deliver, as: :frames
 
   @doc """
-  Takes the frames by which a vehicle was found, if it was started beside the link that heard it: a message of `deliver/3`, or nil. A
+  Takes the frames by which a vehicle was found, if it was started beside the link that heard it: a message of `deliver/4`, or nil. A
   session asks for it when it starts, before it reads its mailbox, where newer frames may be already.
   """
   @spec first_frames(Names.gateway(), vehicle_key) :: {:frames, term, [Frame.t()]} | nil

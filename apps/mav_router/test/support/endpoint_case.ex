@@ -42,7 +42,7 @@ defmodule Aerie.EndpointCase do
          fn ->
            {:ok, endpoint} = LocalEndpoint.attach(gateway, [id: name] ++ options)
            send(test, {:attached, name, endpoint})
-           relay(test, name, endpoint)
+           relay(test, name, endpoint, nil)
          end},
         id: name
       )
@@ -51,20 +51,20 @@ defmodule Aerie.EndpointCase do
     %{pid: pid, name: name, endpoint: endpoint}
   end
 
-  defp relay(test, name, endpoint) do
+  defp relay(test, name, endpoint, cache) do
     receive do
       {:forward, bytes, class} ->
         Endpoint.taken(endpoint, length(bytes))
         for one <- bytes, do: send(test, {name, one, class})
-        relay(test, name, endpoint)
+        relay(test, name, endpoint, cache)
 
       {:ingress, bytes} ->
         {frames, _} =
           Parser.push_datagram(Parser.new(), bytes, System.os_time(:microsecond))
 
-        outcome = LocalEndpoint.ingress(endpoint, frames)
+        {outcome, cache} = LocalEndpoint.ingress(endpoint, frames, cache)
         send(test, {:done, name, outcome})
-        relay(test, name, endpoint)
+        relay(test, name, endpoint, cache)
     end
   end
 
@@ -135,5 +135,5 @@ defmodule Aerie.EndpointCase do
   @doc "Delivers frames by an endpoint, from the calling process."
   @spec deliver(term, String.t(), [MavCodec.Frame.t()]) :: Router.outcome()
   def deliver(gateway, id, frames),
-    do: Router.deliver(gateway, %{id: id, network: "main", peer: :self}, frames)
+    do: Aerie.Reader.deliver(gateway, %{id: id, network: "main", peer: :self}, frames)
 end

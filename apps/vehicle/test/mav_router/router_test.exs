@@ -11,7 +11,7 @@ defmodule MavRouter.RouterTest do
 
   defp deliver(gateway, bytes, origin \\ @origin) do
     {frames, _parser} = MavCodec.Parser.push(MavCodec.Parser.new(), IO.iodata_to_binary(bytes), 5)
-    Router.deliver(gateway, origin, frames)
+    Aerie.Reader.deliver(gateway, origin, frames)
   end
 
   # Of a vehicle that was not shown: is it waited for, is there a session, what has that heard, what does the starter do?

@@ -25,7 +25,7 @@ defmodule MavRouter.SigningTest do
       # 4,435 unsigned frames: no state, no route, no vehicle.
       assert Signing.admit(gateway, source(), unsigned) == []
       assert Signing.vehicle(gateway, {"main", 1}).state == :rejected
-      assert Router.deliver(gateway, source(), unsigned).delivered == 0
+      assert Aerie.Reader.deliver(gateway, source(), unsigned).delivered == 0
       assert Router.routes(gateway) == []
       assert Router.systems(gateway) == %{}
 
@@ -105,12 +105,12 @@ defmodule MavRouter.SigningTest do
 
     for read <- [[own], [forged], [heartbeat(1), own]] do
       frames = Enum.map(read, &frame/1)
-      assert Router.deliver(gateway, source(), frames).looped == 1
+      assert Aerie.Reader.deliver(gateway, source(), frames).looped == 1
       assert Router.Echo.alarm(gateway) == nil
     end
 
     {proved, _signer} = signed(signer(), 245, component: 191)
-    assert Router.deliver(gateway, source(), [frame(heartbeat(1)), frame(proved)]).looped == 1
+    assert Aerie.Reader.deliver(gateway, source(), [frame(heartbeat(1)), frame(proved)]).looped == 1
     assert Router.Echo.alarm(gateway) =~ "this gateway's own ids"
   end
 
@@ -151,7 +151,7 @@ defmodule MavRouter.SigningTest do
     assert [_] = Signing.admit(gateway, source(), [status.(68)])
     assert [_] = Signing.admit(gateway, source(), [frame(bytes)])
     assert [] = Signing.admit(gateway, source(), [status.(68), status.(1)])
-    Router.deliver(gateway, source(peer: :forger), [status.(1)])
+    Aerie.Reader.deliver(gateway, source(peer: :forger), [status.(1)])
     assert Router.route(gateway, {"main", 1}) == nil
   end
 

@@ -13,7 +13,7 @@ defmodule Aerie.Base.Application do
   def init(nil) do
     :ok = Names.prepare()
 
-    Supervisor.init([{Names.Cleaner, owners: &Names.Book.owners/0, forget: &Names.Book.forget/1}],
+    Supervisor.init([{Names.Cleaner, owners: &Names.Book.owners/0, forget: &Names.forget/1}],
       strategy: :one_for_one,
       max_restarts: 100,
       max_seconds: 10

@@ -119,32 +119,37 @@ defmodule Aerie.Base.Names do
   end
 
   @doc """
-  The same as `value/2`, for callers that ask with every frame: the calling process remembers the value (in its dictionary) while its
-  owner lives and no value is attached to any name, so that asking costs neither a look at a table nor a copy.
+  The same as `put_value/3`, for a value that processes read with every frame, by `held/2`, and that its owner attaches once: a map of
+  tables, say. Replacing it costs every process that has read it a garbage collection.
   """
-  @spec held(gateway(), role()) :: term() | nil
-  def held(gateway, role) do
-    epoch = epoch()
-    key = {__MODULE__, role, gateway}
-
-    case :erlang.get(key) do
-      {^epoch, nil, nil} -> nil
-      {^epoch, owner, value} -> if Process.alive?(owner), do: value, else: hold(gateway, role, key, epoch)
-      _old_or_none -> hold(gateway, role, key, epoch)
-    end
+  @spec put_held(gateway(), role(), term()) :: :ok
+  def put_held(gateway, role, value) do
+    put_value(gateway, role, value)
+    :persistent_term.put({__MODULE__, gateway, role}, {self(), value})
   end
 
-  defp hold(gateway, role, key, epoch) do
-    {owner, value} =
-      case Book.lookup({gateway, role, nil}) do
-        # The owner of the name is still starting.
-        {_owner, nil} -> {nil, nil}
-        nil -> {nil, nil}
-        found -> found
-      end
+  @doc "A value of `put_held/3` whose owner lives, or nil. Reading it copies nothing and waits for nobody."
+  @spec held(gateway(), role()) :: term() | nil
+  def held(gateway, role) do
+    with {owner, value} <- :persistent_term.get({__MODULE__, gateway, role}, nil),
+         do: if(Process.alive?(owner), do: value)
+  end
 
-    Process.put(key, {epoch, owner, value})
-    value
+  @doc false
+  # What an ended process leaves.
+  @spec forget(pid()) :: :ok
+  def forget(pid) do
+    for {gateway, role, nil} <- Book.keys(pid), do: forget_held({__MODULE__, gateway, role}, pid)
+    Book.forget(pid)
+  end
+
+  defp forget_held({_names, gateway, role} = key, pid) do
+    with {^pid, _value} <- :persistent_term.get(key, nil) do
+      :persistent_term.erase(key)
+      # Its successor may have attached its value just before.
+      with {owner, value} when owner != pid and value != nil <- Book.lookup({gateway, role, nil}),
+           do: :persistent_term.put(key, {owner, value})
+    end
   end
 
   @doc false

@@ -83,7 +83,7 @@ defmodule Aerie.Base.PubSub do
     gateway = Keyword.fetch!(options, :gateway)
     Process.set_label({:pubsub, gateway})
     dirty = :ets.new(:dirty, [:set, :public, write_concurrency: true])
-    Names.put_value(gateway, :pubsub, {self(), dirty})
+    Names.put_held(gateway, :pubsub, {self(), dirty})
     {:ok, %{gateway: gateway, dirty: dirty, tick_ms: Keyword.get(options, :tick_ms, 200), armed: false}}
   end
 

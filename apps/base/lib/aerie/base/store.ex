@@ -281,7 +281,7 @@ defmodule Aerie.Base.Store do
       notes: :ets.new(:notes, [:set | shared])
     }
 
-    Names.put_value(gateway, :store, Enum.into(options[:tables] || [], tables, &create/1))
+    Names.put_held(gateway, :store, Enum.into(options[:tables] || [], tables, &create/1))
     {:ok, gateway}
   end
 

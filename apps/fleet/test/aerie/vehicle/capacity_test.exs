@@ -84,7 +84,7 @@ defmodule Aerie.Vehicle.CapacityTest do
     # A heartbeat; the vehicle is lost 0.2 s after it.
     defp beat(gateway, system, message \\ @copter) do
       frames = [frame(message, System.os_time(:microsecond), system: system)]
-      Router.deliver(gateway, %{id: "radio", network: "main", peer: :one}, frames)
+      Aerie.Reader.deliver(gateway, %{id: "radio", network: "main", peer: :one}, frames)
     end
 
     defp await_lost(id), do: assert_receive({:fleet, :events, %{type: "link.lost", vehicle: ^id}})

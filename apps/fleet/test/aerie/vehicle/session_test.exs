@@ -19,7 +19,7 @@ defmodule Aerie.Vehicle.SessionTest do
   end
 
   defp deliver(gateway, frames),
-    do: Router.deliver(gateway, %{id: "radio", network: "main", peer: :one}, frames)
+    do: Aerie.Reader.deliver(gateway, %{id: "radio", network: "main", peer: :one}, frames)
 
   # Waits until everything that was delivered is in the journal: session and event loop answer after what came before.
   defp settle(gateway, key) do

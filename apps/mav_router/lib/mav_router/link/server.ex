@@ -2,7 +2,7 @@ defmodule MavRouter.Link.Server do
   @moduledoc """
   The process of one link: owns the connection, feeds `MavRouter.Link.Core` and performs its actions.
 
-  It reads, checks and counts frames and delivers them to the sessions itself (`MavRouter.Router.deliver/3` runs here): links
+  It reads, checks and counts frames and delivers them to the sessions itself (`MavRouter.Router.deliver/4` runs here): links
   share no process and do not slow each other down. The README of this folder describes the data path and what a restart
   costs.
   """
@@ -70,6 +70,7 @@ defmodule MavRouter.Link.Server do
       # What the transport watches for while the link is down (`c:MavRouter.Link.Transport.watch/1`), as of the last attempt.
       watched: nil,
       conn: nil,
+      router_cache: nil,
       sessions: [],
       quality: nil,
       published: PublishedPeers.new(),
@@ -266,10 +267,10 @@ defmodule MavRouter.Link.Server do
     spec = state.spec
     source = source(spec, peer)
     if state.home == Store, do: MavRouter.Recorder.link_frames(state.gateway, spec.id, frames)
-    outcome = Router.deliver(state.gateway, source, frames)
+    {outcome, cache} = Router.deliver(state.gateway, source, frames, state.router_cache)
     egress = state.egress |> Egress.radio(peer, frames) |> Egress.note_requests(peer, frames, mono())
     sessions = if outcome.sessions == [], do: state.sessions, else: outcome.sessions
-    dropped(%{state | egress: egress, sessions: sessions}, outcome)
+    dropped(%{state | egress: egress, sessions: sessions, router_cache: cache}, outcome)
   end
 
   defp act({:join, peer, text}, state) do

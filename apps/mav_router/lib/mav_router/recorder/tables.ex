@@ -45,7 +45,7 @@ defmodule MavRouter.Recorder.Tables do
       settings: settings
     }
 
-    Names.put_value(gateway, :recorder, tables)
+    Names.put_held(gateway, :recorder, tables)
     tables
   end
 

@@ -28,10 +28,10 @@ defmodule MavRouter.Router.Admission do
   alias MavCodec.Frame
 
   @doc """
-  The session of a vehicle, started if need be. `:coming`: it is being started and gets the frames that `first` gives.
+  The session of a vehicle, started if need be. `:coming`: it is being started and gets the `first` frames.
   `:not_yet`: the gateway does not know its own ids, or the vehicle is being started and got frames already.
   """
-  @spec session({String.t(), non_neg_integer}, first :: (-> [struct]), Delivery.t()) ::
+  @spec session({String.t(), non_neg_integer}, first :: [Frame.t()], Delivery.t()) ::
           {:ok, pid} | :refused | :coming | :not_yet
   def session(key, first, %{gateway: gateway, tables: tables, now: now} = delivery) do
     if AutoSystemId.open?(gateway, tables, key, now) and tables.vehicles != nil,
@@ -70,7 +70,7 @@ defmodule MavRouter.Router.Admission do
   defp ask(key, first, %{gateway: gateway, tables: tables, sender: sender}) do
     if not :ets.member(tables.waiting, key) and :ets.info(tables.waiting, :size) < @max_waiting do
       # In this order: whoever takes the row finds the frames.
-      :ok = EarlyFrames.put(tables, key, first.())
+      :ok = EarlyFrames.put(tables, key, first)
       :ets.insert(tables.waiting, {key, sender})
       if not handed_over?(gateway, tables, key), do: VehicleStarter.ask(gateway, key)
       :coming

@@ -22,9 +22,14 @@ defmodule MavRouter.Router.ClientConnection do
   @chunk 16_384
 
   @enforce_keys [:endpoint, :parser, :queue]
-  defstruct [:endpoint, :parser, :queue]
+  defstruct [:endpoint, :parser, :queue, :cache]
 
-  @type t :: %__MODULE__{endpoint: Endpoint.t(), parser: Parser.t(), queue: ClassQueue.t()}
+  @type t :: %__MODULE__{
+          endpoint: Endpoint.t(),
+          parser: Parser.t(),
+          queue: ClassQueue.t(),
+          cache: MavRouter.Router.cache() | nil
+        }
 
   @doc """
   Makes the calling process a client endpoint. Options are those of `MavRouter.Router.LocalEndpoint.attach/2`; without `:networks`
@@ -43,8 +48,8 @@ defmodule MavRouter.Router.ClientConnection do
     {frames, parser} = Parser.push_datagram(pipe.parser, bytes, System.os_time(:microsecond))
     {requests?, queue} = ClassQueue.request(pipe.queue, frames, now())
     _room = if requests?, do: Endpoint.requested(pipe.endpoint, now())
-    _outcome = if frames != [], do: LocalEndpoint.ingress(pipe.endpoint, frames)
-    %{pipe | parser: parser, queue: queue}
+    {_outcome, cache} = LocalEndpoint.ingress(pipe.endpoint, frames, pipe.cache)
+    %{pipe | parser: parser, queue: queue, cache: cache}
   end
 
   @doc "Frames for the client; call it for every `{:forward, frames, class}` message."

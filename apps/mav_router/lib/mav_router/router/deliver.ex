@@ -25,25 +25,25 @@ defmodule MavRouter.Router.Deliver do
 
   @nothing %{delivered: 0, unclaimed: 0, refused: 0, overload: 0, looped: 0, sessions: []}
 
-  @doc "See `MavRouter.Router.deliver/3`."
-  @spec frames(Names.gateway(), MavRouter.Router.origin(), [Frame.t()]) :: MavRouter.Router.outcome()
-  def frames(_gateway, _origin, []), do: @nothing
+  @typep result :: {MavRouter.Router.outcome(), Cache.t() | nil}
 
-  def frames(gateway, origin, frames) do
+  @doc "See `MavRouter.Router.deliver/4`."
+  @spec frames(Names.gateway(), MavRouter.Router.origin(), [Frame.t()], Cache.t() | nil) :: result
+  def frames(_gateway, _origin, [], cache), do: {@nothing, cache}
+
+  def frames(gateway, origin, frames, cache) do
     case Tables.of(gateway) do
       # The router is being restarted, and the link with it.
-      nil -> unclaimed(frames)
-      tables -> frames(gateway, tables, origin, frames)
+      nil -> {unclaimed(frames), nil}
+      tables -> read(gateway, tables, origin, frames, Cache.refresh(cache, tables))
     end
   end
 
-  defp frames(gateway, tables, origin, frames) do
-    %{forwarding: forwarding} = cache = Cache.fetch(gateway, tables)
-
+  defp read(gateway, tables, origin, frames, %{forwarding: forwarding} = cache) do
     case path(forwarding, origin) do
       # A client whose endpoint is gone, as after a restart of the router: its frames are no vehicle's.
       nil ->
-        unclaimed(frames)
+        {unclaimed(frames), cache}
 
       path ->
         Counters.add(path.counters, :frames_in, length(frames))
@@ -78,8 +78,8 @@ defmodule MavRouter.Router.Deliver do
   # Nearly every read is of one component.
   defp by_source([%Frame{system: system, component: component} | rest] = frames, trusted, cache, delivery) do
     cond do
-      not same?(rest, system, component) -> several(frames, trusted, delivery)
-      {system, component} == delivery.forwarding.own -> echo(frames, trusted, delivery)
+      not same?(rest, system, component) -> several(frames, trusted, cache, delivery)
+      {system, component} == delivery.forwarding.own -> {echo(frames, trusted, delivery), cache}
       true -> one(frames, trusted, {system, component}, cache, delivery)
     end
   end
@@ -95,55 +95,56 @@ defmodule MavRouter.Router.Deliver do
   end
 
   defp one(frames, trusted, {system, _component} = ids, cache, delivery) do
-    delivery = route(frames, trusted, ids, cache, delivery)
+    {delivery, cache} = route(frames, trusted, ids, cache, delivery)
 
     cond do
-      trusted == [] -> @nothing
-      delivery.path.side != :vehicle -> unclaimed(trusted)
-      true -> to_session(trusted, system, sender(delivery))
+      trusted == [] -> {@nothing, cache}
+      delivery.path.side != :vehicle -> {unclaimed(trusted), cache}
+      true -> to_session(trusted, system, cache, sender(delivery))
     end
   end
 
-  defp several(frames, trusted, %{forwarding: %{own: own}} = delivery) do
+  defp several(frames, trusted, cache, %{tables: tables, forwarding: %{own: own}} = delivery) do
     {looped, others} = Enum.split_with(frames, &({&1.system, &1.component} == own))
 
-    {delivery, vehicles} =
+    {delivery, cache, vehicles} =
       others
       |> Enum.group_by(&{&1.system, &1.component})
-      |> Enum.reduce({delivery, []}, fn {{system, _component} = ids, frames}, {delivery, vehicles} ->
+      |> Enum.reduce({delivery, cache, []}, fn {{system, _component} = ids, frames},
+                                               {delivery, cache, vehicles} ->
         # The source before it may have changed the path or a route.
-        cache = Cache.fetch(delivery.gateway, delivery.tables)
+        cache = Cache.refresh(cache, tables)
         own_trusted = if trusted == frames, do: frames, else: of_source(trusted, ids)
-        delivery = route(frames, own_trusted, ids, cache, %{delivery | forwarding: cache.forwarding})
+        {delivery, cache} = route(frames, own_trusted, ids, cache, %{delivery | forwarding: cache.forwarding})
         vehicles = if delivery.vehicle, do: [system | vehicles], else: vehicles
-        {%{sender(delivery) | source: nil, vehicle: false}, vehicles}
+        {%{sender(delivery) | source: nil, vehicle: false}, cache, vehicles}
       end)
 
     {echoes, claimed} = Enum.split_with(trusted, &({&1.system, &1.component} == own))
     if echoes != [], do: Echo.check(delivery, echoes)
 
-    outcome =
+    {outcome, cache} =
       if delivery.path.side == :vehicle,
-        do: to_sessions(claimed, vehicles, delivery),
-        else: unclaimed(claimed)
+        do: to_sessions(claimed, vehicles, cache, delivery),
+        else: {unclaimed(claimed), cache}
 
-    %{outcome | looped: length(looped)}
+    {%{outcome | looped: length(looped)}, cache}
   end
 
   defp of_source(frames, ids), do: Enum.filter(frames, &({&1.system, &1.component} == ids))
 
   # Each vehicle gets its frames in their order, whichever of its components sent them.
-  defp to_sessions(frames, vehicles, delivery) do
+  defp to_sessions(frames, vehicles, cache, delivery) do
     frames
     |> Enum.group_by(& &1.system)
-    |> Enum.reduce(@nothing, fn {system, frames}, outcome ->
-      Map.merge(outcome, to_session(frames, system, %{delivery | vehicle: system in vehicles}), fn
-        :sessions, before, [session] -> [session | before]
-        :sessions, before, [] -> before
-        _count, before, n -> before + n
-      end)
+    |> Enum.reduce({@nothing, cache}, fn {system, frames}, {sum, cache} ->
+      {outcome, cache} = to_session(frames, system, cache, %{delivery | vehicle: system in vehicles})
+      {Map.merge(sum, outcome, &add/3), cache}
     end)
   end
+
+  defp add(:sessions, sessions, more), do: more ++ sessions
+  defp add(_count, sum, more), do: sum + more
 
   # Learns from the frames of one component and forwards them. Frames with an unknown message id are forwarded too, but never
   # teach a route (R4).
@@ -152,14 +153,12 @@ defmodule MavRouter.Router.Deliver do
     source = Source.refresh(before, delivery, known?(trusted))
     delivery = HeartbeatLearner.read(trusted, %{delivery | source: source})
 
-    _ =
-      if delivery.source !== before,
-        do: Cache.put_source(delivery.gateway, cache, path.key, delivery.source)
-
     for {scope, frames} <- Gate.sort(frames, delivery),
         do: forward(frames, trusted, %{delivery | scope: scope})
 
-    delivery
+    if delivery.source === before,
+      do: {delivery, cache},
+      else: {delivery, Cache.put_source(cache, path.key, delivery.source)}
   end
 
   defp forward(frames, trusted, delivery) do
@@ -177,71 +176,66 @@ defmodule MavRouter.Router.Deliver do
   defp sender(%{source: %{redundant: false, collided: false}} = delivery), do: delivery
   defp sender(%{path: path} = delivery), do: %{delivery | sender: path.key}
 
-  defp to_session(frames, system, %{path: %{networks: [network | _]}} = delivery) do
+  defp to_session(frames, system, cache, %{path: %{networks: [network | _]}} = delivery) do
     key = {network, system}
 
-    case session(key, delivery) do
-      nil when delivery.vehicle -> admit(frames, key, delivery)
-      nil -> keep(frames, key, delivery)
-      session -> pass(frames, key, session, delivery)
+    case session(key, cache, delivery) do
+      {nil, cache} when delivery.vehicle -> admit(frames, key, cache, delivery)
+      {nil, cache} -> keep(frames, key, cache, delivery)
+      {session, cache} -> {pass(frames, key, session, delivery), cache}
     end
   end
 
   # It may be a vehicle that is being started.
-  defp keep(frames, key, delivery) do
+  defp keep(frames, key, cache, delivery) do
     case Admission.keep(key, frames, delivery) do
-      :kept -> %{@nothing | delivered: length(frames)}
-      {:ok, session} -> pass(frames, key, session, delivery)
-      :none -> hold_or_pass(frames, key, delivery)
+      :kept -> {%{@nothing | delivered: length(frames)}, cache}
+      {:ok, session} -> {pass(frames, key, session, delivery), cache}
+      :none -> hold_or_pass(frames, key, cache, delivery)
     end
   end
 
   # Its session may have taken its name and its first frames since it was looked for.
-  defp hold_or_pass(frames, key, delivery) do
-    case session(key, delivery) do
-      nil -> hold(frames, key, delivery)
-      session -> pass(frames, key, session, delivery)
+  defp hold_or_pass(frames, key, cache, delivery) do
+    case session(key, cache, delivery) do
+      # No session, so no vehicle yet: its texts are kept for the time when it is one.
+      {nil, cache} -> {unclaimed(frames), Cache.hold(cache, key, frames)}
+      {session, cache} -> {pass(frames, key, session, delivery), cache}
     end
-  end
-
-  # No session, so no vehicle yet: its texts are kept for the time when it is one.
-  defp hold(frames, key, delivery) do
-    Cache.hold(delivery.gateway, key, frames)
-    unclaimed(frames)
   end
 
   # The session is remembered with the source while it lives; that there is none, until some process takes a name.
-  defp session(key, %{source: source} = delivery) do
+  defp session(key, cache, %{source: source} = delivery) do
     case source do
       %{session: {^key, session}} when is_pid(session) ->
-        if Process.alive?(session), do: session, else: find_session(key, delivery)
+        if Process.alive?(session), do: {session, cache}, else: find_session(key, cache, delivery)
 
       %{session: {^key, epoch}} when is_integer(epoch) ->
-        if epoch == Names.epoch(), do: nil, else: find_session(key, delivery)
+        if epoch == Names.epoch(), do: {nil, cache}, else: find_session(key, cache, delivery)
 
       _new_or_none ->
-        find_session(key, delivery)
+        find_session(key, cache, delivery)
     end
   end
 
-  defp find_session(key, %{source: nil} = delivery), do: Names.whereis(delivery.gateway, :session, key)
-
-  defp find_session(key, %{source: source, path: path} = delivery) do
+  defp find_session(key, cache, %{source: source, path: path} = delivery) do
     epoch = Names.epoch()
     found = Names.whereis(delivery.gateway, :session, key)
-    Cache.update_source(delivery.gateway, path.key, %{source | session: {key, found || epoch}})
-    found
+
+    if source == nil,
+      do: {found, cache},
+      else: {found, Cache.put_source(cache, path.key, %{source | session: {key, found || epoch}})}
   end
 
-  defp admit(frames, key, %{gateway: gateway} = delivery) do
-    first = fn -> Cache.held(gateway, key, hd(frames)) ++ frames end
+  defp admit(frames, key, cache, delivery) do
+    {texts, without} = Cache.take_held(cache, key, hd(frames))
 
-    case Admission.session(key, first, delivery) do
+    case Admission.session(key, texts ++ frames, delivery) do
       # It gets them when it is there.
-      :coming -> %{@nothing | delivered: length(frames)}
-      {:ok, session} -> pass(first.(), key, session, delivery)
-      :refused -> %{@nothing | refused: length(frames)}
-      :not_yet -> keep(frames, key, delivery)
+      :coming -> {%{@nothing | delivered: length(frames)}, without}
+      {:ok, session} -> {pass(texts ++ frames, key, session, delivery), without}
+      :refused -> {%{@nothing | refused: length(frames)}, cache}
+      :not_yet -> keep(frames, key, cache, delivery)
     end
   end
 

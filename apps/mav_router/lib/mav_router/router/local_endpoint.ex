@@ -29,10 +29,11 @@ defmodule MavRouter.Router.LocalEndpoint do
     end
   end
 
-  @doc "Delivers frames that came from the other end; see `MavRouter.Router.deliver/3`."
-  @spec ingress(Endpoint.t(), [MavCodec.Frame.t()]) :: Router.outcome()
-  def ingress(%Endpoint{key: {owner, peer}} = endpoint, frames) do
-    Router.deliver(endpoint.gateway, %{id: owner, network: nil, peer: peer}, frames)
+  @doc "Delivers frames that came from the other end; see `MavRouter.Router.deliver/4`."
+  @spec ingress(Endpoint.t(), [MavCodec.Frame.t()], Router.cache() | nil) ::
+          {Router.outcome(), Router.cache() | nil}
+  def ingress(%Endpoint{key: {owner, peer}} = endpoint, frames, cache \\ nil) do
+    Router.deliver(endpoint.gateway, %{id: owner, network: nil, peer: peer}, frames, cache)
   end
 
   @doc "Ends an endpoint made by `attach/2`."

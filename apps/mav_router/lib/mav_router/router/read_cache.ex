@@ -12,7 +12,7 @@ defmodule MavRouter.Router.ReadCache do
   @callback reading?(Frame.t()) :: boolean
 
   @doc """
-  A request of a client to a vehicle; its target is the vehicle's own id. `:absorb`: it is answered by `MavRouter.Router.ReadCache.Requests.answer/3`, or
+  A request of a client to a vehicle; its target is the vehicle's own id. `:absorb`: it is answered by `MavRouter.Router.ReadCache.Requests.answer/4`, or
   goes on later by `forward/3` there.
   """
   @callback take(Names.gateway(), MavRouter.Router.vehicle_key(), Endpoint.key(), Frame.t()) ::

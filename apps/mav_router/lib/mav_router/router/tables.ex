@@ -83,7 +83,7 @@ defmodule MavRouter.Router.Tables do
     }
 
     :ets.insert(tables.settings, [{:seen_turn, {0, System.monotonic_time(:millisecond)}} | settings])
-    Names.put_value(gateway, :router, tables)
+    Names.put_held(gateway, :router, tables)
     tables
   end
 

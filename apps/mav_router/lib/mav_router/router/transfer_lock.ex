@@ -19,6 +19,7 @@ defmodule MavRouter.Router.TransferLock do
 
   alias Aerie.Base.Names
   alias MavRouter.Router.Delivery
+  alias MavRouter.Router.Endpoints
   alias MavRouter.Router.Owner.Filter
   alias MavRouter.Router.Forward
   alias MavRouter.Router.Forward.Cache
@@ -149,7 +150,7 @@ defmodule MavRouter.Router.TransferLock do
     Process.set_label({:transfer_turns, gateway})
     tables = Tables.of(gateway)
     if tables, do: :ets.match_delete(tables.settings, {{:transfer, :_}, :_})
-    {:ok, %{gateway: gateway, clock: clock, turns: %{}, own: %{}, timer: nil}}
+    {:ok, %{gateway: gateway, clock: clock, turns: %{}, own: %{}, timer: nil, cache: nil}}
   end
 
   @impl GenServer
@@ -210,8 +211,7 @@ defmodule MavRouter.Router.TransferLock do
       %{^key => turn} ->
         {items, gave_up, turn} = Turn.next(turn, state.clock.())
         Enum.each(gave_up, &count(state.gateway, &1))
-        Enum.each(items, &forward(state.gateway, &1))
-        keep(state, key, turn)
+        items |> Enum.reduce(state, &forward/2) |> keep(key, turn)
 
       _none ->
         state
@@ -240,33 +240,25 @@ defmodule MavRouter.Router.TransferLock do
   # It waited in vain: its sender has stopped asking.
   defp count(gateway, {{key, _system, _component}, _frame}) do
     with tables when tables != nil <- Tables.of(gateway),
-         %{forwarding: %{paths: %{^key => path}}} <- Cache.fetch(gateway, tables),
-         do: Counters.add(path.counters, :out_of_turn, 1)
+         %{counters: counters} <- Endpoints.get(tables, key),
+         do: Counters.add(counters, :out_of_turn, 1)
   end
 
-  defp forward(_gateway, {:tell, pid, turn}) do
+  defp forward({:tell, pid, turn}, state) do
     send(pid, turn)
-    :ok
+    state
   end
 
   # As if it came now. A sender that is gone meanwhile waits for nothing.
-  defp forward(gateway, {{key, _system, _component}, frame}) do
+  defp forward({{key, _system, _component}, frame}, %{gateway: gateway} = state) do
     with tables when tables != nil <- Tables.of(gateway),
-         %{forwarding: %{paths: %{^key => path}} = forwarding} = cache <- Cache.fetch(gateway, tables) do
-      delivery = %Delivery{
-        gateway: gateway,
-        tables: tables,
-        forwarding: forwarding,
-        path: path,
-        now: now()
-      }
-
-      source =
-        cache |> Cache.source(key, frame.system, frame.component) |> Source.refresh(delivery, false)
-
+         cache = Cache.refresh(state.cache, tables),
+         %Delivery{} = delivery <- Cache.delivery(cache, gateway, tables, key) do
+      source = cache |> Cache.source(key, frame.system, frame.component) |> Source.refresh(delivery, false)
       Forward.frames([frame], %{delivery | source: source, scope: :cleared})
+      %{state | cache: cache}
     else
-      _gone -> :ok
+      _gone -> state
     end
   end
 

@@ -4,7 +4,7 @@ defmodule MavRouter.Router.Vehicles do
   forwards frames and knows no vehicles.
 
   A vehicle's frames are sent to the process that is registered as its session (`Aerie.Base.Names`, role `:session`); see
-  `MavRouter.Router.deliver/3`. Its first ones may wait for it: it asks for them (`MavRouter.Router.first_frames/2`) before it handles any
+  `MavRouter.Router.deliver/4`. Its first ones may wait for it: it asks for them (`MavRouter.Router.first_frames/2`) before it handles any
   other.
   """
 

@@ -54,7 +54,7 @@ defmodule MavRouter.Signing.Tables do
       |> Map.put(:active, :atomics.new(1, signed: false))
 
     :ets.insert(tables.settings, settings)
-    Names.put_value(gateway, :signing, tables)
+    Names.put_held(gateway, :signing, tables)
     tables
   end
 

@@ -95,7 +95,7 @@ defmodule MavRouter.Router.BetweenVehiclesTest do
     end
 
     defp by_port(gateway, peer, bytes) do
-      Router.deliver(gateway, %{id: "port", network: "main", peer: peer}, parse(bytes))
+      Aerie.Reader.deliver(gateway, %{id: "port", network: "main", peer: peer}, parse(bytes))
     end
 
     test "on each link 8 unknown peers get broadcasts, and 32 that said what they are; vehicles do not count",
@@ -124,9 +124,9 @@ defmodule MavRouter.Router.BetweenVehiclesTest do
           for n <- 1..50, bytes <- [attitude(1, n), heartbeat(1, type: 2, autopilot: 3)], do: parse(bytes)
 
         source = %{id: "port", network: "main", peer: 1}
-        for one <- frames, do: Router.deliver(gateway, source, one)
+        for one <- frames, do: Aerie.Reader.deliver(gateway, source, one)
         {:reductions, before} = Process.info(self(), :reductions)
-        for one <- frames, do: Router.deliver(gateway, source, one)
+        for one <- frames, do: Aerie.Reader.deliver(gateway, source, one)
         {:reductions, later} = Process.info(self(), :reductions)
         div(later - before, length(frames))
       end

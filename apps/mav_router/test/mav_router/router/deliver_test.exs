@@ -21,7 +21,7 @@ defmodule MavRouter.Router.DeliverTest do
   defp parse(bytes),
     do: bytes |> IO.iodata_to_binary() |> then(&MavCodec.Parser.push(MavCodec.Parser.new(), &1, 5)) |> elem(0)
 
-  defp deliver(gateway, bytes, origin \\ @origin), do: Router.deliver(gateway, origin, parse(bytes))
+  defp deliver(gateway, bytes, origin \\ @origin), do: Aerie.Reader.deliver(gateway, origin, parse(bytes))
 
   test "each vehicle in a read gets one message, in order", c do
     be_session(c.gateway, 1)
@@ -305,29 +305,29 @@ defmodule MavRouter.Router.DeliverTest do
     frames = parse(attitude(1, 1))
     tables = Tables.of(c.gateway)
     forget = fn -> :ets.delete_all_objects(tables.load) end
-    for _ <- 1..2001, do: Router.deliver(c.gateway, @origin, frames)
+    for _ <- 1..2001, do: Aerie.Reader.deliver(c.gateway, @origin, frames)
     forget.()
-    assert %{overload: 1, delivered: 0} = Router.deliver(c.gateway, @origin, frames)
+    assert %{overload: 1, delivered: 0} = Aerie.Reader.deliver(c.gateway, @origin, frames)
     frames(1500)
     forget.()
-    assert %{overload: 0, delivered: 1} = Router.deliver(c.gateway, @origin, frames)
+    assert %{overload: 0, delivered: 1} = Aerie.Reader.deliver(c.gateway, @origin, frames)
   end
 
   test "system ids may have 32 bits (N3)", c do
     id = 4_000_000_000
     be_session(c.gateway, id)
     frame = %Frame{system: id, component: 1, id: 30, crc_extra: 39, payload: <<1::32-little>>, at: 1}
-    assert %{delivered: 1} = Router.deliver(c.gateway, @origin, [frame])
+    assert %{delivered: 1} = Aerie.Reader.deliver(c.gateway, @origin, [frame])
     assert Router.route(c.gateway, {"main", id}) == {"a", :remote}
   end
 
   test "frames with an unknown message id go to the session and teach no route (R4)", c do
     be_session(c.gateway, 1)
     frame = %Frame{system: 1, component: 9, id: 0xABCDEF, payload: <<1>>, crc_extra: nil, at: 1}
-    assert %{delivered: 1} = Router.deliver(c.gateway, @origin, [frame])
+    assert %{delivered: 1} = Aerie.Reader.deliver(c.gateway, @origin, [frame])
     # Not even when the id is a heartbeat's.
     assert %{unclaimed: 1} =
-             Router.deliver(c.gateway, @origin, [%{frame | system: 2, id: 0, payload: <<0::32, 2, 3>>}])
+             Aerie.Reader.deliver(c.gateway, @origin, [%{frame | system: 2, id: 0, payload: <<0::32, 2, 3>>}])
 
     assert Router.routes(c.gateway) == []
   end

@@ -51,7 +51,7 @@ defmodule MavRouter.Router.EndpointRulesTest do
     :ok = LocalEndpoint.detach(endpoint)
     assert counted(c.gateway, "lazy") == nil
     # What it says now is heard by nobody.
-    assert %{delivered: 0, unclaimed: 1} = LocalEndpoint.ingress(endpoint, parse(heartbeat(44)))
+    assert {%{delivered: 0, unclaimed: 1}, _cache} = LocalEndpoint.ingress(endpoint, parse(heartbeat(44)))
     assert Router.route(c.gateway, {"main", 44}) == nil
   end
 end

@@ -136,7 +136,7 @@ defmodule MavRouter.Router.ModelTest do
 
   defp say(gateway, name, bytes) do
     {frames, _} = MavCodec.Parser.push_datagram(MavCodec.Parser.new(), bytes, 5)
-    Router.deliver(gateway, %{id: name, network: hd(networks(name)), peer: :self}, frames)
+    Aerie.Reader.deliver(gateway, %{id: name, network: hd(networks(name)), peer: :self}, frames)
   end
 
   defp got(bytes) do
@@ -192,7 +192,7 @@ defmodule MavRouter.Router.ModelTest do
             ],
             do: stop_supervised!({module, gateway})
 
-        Process.delete({MavRouter.Router.Forward.Cache, gateway})
+        Process.delete({Aerie.Reader, gateway})
         if result != :ok, do: IO.inspect(result, label: "after #{length(ops)}")
         result == :ok
       end)

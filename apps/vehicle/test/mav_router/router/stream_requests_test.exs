@@ -149,7 +149,7 @@ defmodule MavRouter.Router.WishesTest do
     {frames, _} = Parser.push_datagram(Parser.new(), heartbeat(1), now)
     %{id: {id, peer}} = link.()
     assert {_address, ^port} = peer
-    MavRouter.Router.deliver(gateway, %{id: id, network: "main", peer: peer}, frames)
+    Aerie.Reader.deliver(gateway, %{id: id, network: "main", peer: peer}, frames)
     refute link.().high_latency
     bytes = says(one, %M.ParamRequestList{target_system: 1, target_component: 1})
     assert heard(vehicle) == bytes
@@ -157,7 +157,7 @@ defmodule MavRouter.Router.WishesTest do
     # One summary among heartbeats changes nothing; one that comes long after the last of them does.
     again = fn us ->
       {frames, _} = Parser.push_datagram(Parser.new(), summary(), now + us)
-      MavRouter.Router.deliver(gateway, %{id: id, network: "main", peer: peer}, frames)
+      Aerie.Reader.deliver(gateway, %{id: id, network: "main", peer: peer}, frames)
       link.().high_latency
     end
 

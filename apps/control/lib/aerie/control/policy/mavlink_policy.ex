@@ -3,8 +3,8 @@ defmodule Aerie.Control.Policy.MavlinkPolicy do
   The policy for raw MAVLink of clients (`MavRouter.Router.Policy`): reads what a message asks for (`Aerie.Control.Policy.Mavlink`), decides by
   the gateway's policy, answers a refusal (`Aerie.Control.Policy.Mavlink.Refusal`), and writes it into the audit log.
 
-  It runs in the process that received the message and waits for nobody: rates and what was told when are remembered there,
-  for each client's process. A refusal that repeats itself (set-points, sticks) is answered each time where its protocol has
+  It runs in the process that received the message and waits for nobody; rates, uploads and what was told when are in a table
+  (`Aerie.Control.Policy.ClientHistory`). A refusal that repeats itself (set-points, sticks) is answered each time where its protocol has
   an answer; its STATUSTEXT comes every 5 s, and so does its record.
 
   Telemetry: `[:aerie, :policy, :refused]` (`count` 1; `gateway`, `vehicle`, `source`, `type`, `rule`), with each refusal.
@@ -15,14 +15,27 @@ defmodule Aerie.Control.Policy.MavlinkPolicy do
   alias MavRouter.Authority.Principal
   alias Aerie.Base.Store
   alias Aerie.Control.Policy
-  alias Aerie.Control.Policy.{Audit, Context, Intent, Leases, Mavlink, Rate, RecentCommands, Rules}
+
+  alias Aerie.Control.Policy.{
+    Audit,
+    ClientHistory,
+    Context,
+    Intent,
+    Leases,
+    Mavlink,
+    Rate,
+    RecentCommands,
+    Rules
+  }
+
   alias MavCodec.Dialects.All
   alias MavCodec.Frame
   alias MavCodec.Messages, as: M
 
   @input %Intent{type: "sensor_input", permission: :sensors}
   @told_us 5_000_000
-  @max_told 500
+  # A vehicle gives an upload up long before.
+  @upload_us 600_000_000
   # Frames of streams and of uploads are too many for the log; what they begin with is in it.
   @recorded [
     M.CommandLong,
@@ -79,7 +92,7 @@ defmodule Aerie.Control.Policy.MavlinkPolicy do
     snapshot = Store.vehicle(gateway, key)
     message = message(frame)
 
-    case message |> facts(snapshot) |> on_the_way(message, key) do
+    case message |> facts(snapshot) |> on_the_way(message, gateway, sender.endpoint, key) do
       :free ->
         if Principal.may?(source, :telemetry),
           do: :forward,
@@ -142,14 +155,25 @@ defmodule Aerie.Control.Policy.MavlinkPolicy do
   defp facts(message, nil), do: Mavlink.facts(message, %{autopilot: :generic, vehicle_type: "unknown"})
   defp facts(message, snapshot), do: Mavlink.facts(message, Map.take(snapshot, [:autopilot, :vehicle_type]))
 
-  # Where the last item of the mission was is remembered here, for each vehicle.
-  defp on_the_way(%{type: "mission_upload"} = facts, message, key) do
-    {facts, upload} = Mavlink.Upload.next(Process.get({__MODULE__, :upload}, %{}), key, message, facts)
-    Process.put({__MODULE__, :upload}, upload)
-    facts
+  # From the item of the mission before it; nobody knows from where when there is no room to remember it.
+  defp on_the_way(%{type: "mission_upload"} = facts, message, gateway, endpoint, key) do
+    now = System.monotonic_time(:microsecond)
+
+    next = fn last ->
+      case Mavlink.Upload.next(last, message, facts) do
+        {facts, ^last} -> {:keep, facts}
+        {facts, nil} -> {:put, facts, nil, now}
+        {facts, item} -> {:put, facts, item, now + @upload_us}
+      end
+    end
+
+    case ClientHistory.update(gateway, {endpoint, :upload, key}, now, next) do
+      :full -> %{facts | path: :anywhere}
+      facts -> facts
+    end
   end
 
-  defp on_the_way(facts, _message, _key), do: facts
+  defp on_the_way(facts, _message, _gateway, _endpoint, _key), do: facts
 
   defp groups(nil), do: %{}
   defp groups(snapshot), do: snapshot.groups
@@ -161,14 +185,20 @@ defmodule Aerie.Control.Policy.MavlinkPolicy do
   defp rate(_policy, _gateway, _source, _vehicle, %{ends_flight?: true}), do: :ok
 
   defp rate(policy, gateway, source, vehicle, facts) do
-    key = {__MODULE__, :rate, gateway}
-    rate = Process.get(key) || Rate.new()
+    now = System.monotonic_time(:microsecond)
 
-    with {:ok, rate} <-
-           Rate.take(rate, policy, source, vehicle, facts.type, System.monotonic_time(:microsecond)) do
-      Process.put(key, rate)
-      :ok
+    take = fn rate ->
+      rate = rate || Rate.new()
+
+      case Rate.take(rate, policy, source, vehicle, facts.type, now) do
+        {:ok, ^rate} -> {:keep, :ok}
+        {:ok, rate} -> {:put, :ok, rate, Rate.full_at(rate, now)}
+        deny -> {:keep, deny}
+      end
     end
+
+    with :full <- ClientHistory.update(gateway, {source, :rate, vehicle}, now, take),
+         do: {:deny, :rate, "#{source} commanded too many vehicles just now to be counted"}
   end
 
   defp recorded(gateway, facts, required?) do
@@ -217,7 +247,7 @@ defmodule Aerie.Control.Policy.MavlinkPolicy do
     :telemetry.execute([:aerie, :policy, :refused], %{count: 1}, metadata)
 
     texts =
-      if due?({gateway, entry["source"], entry["vehicle"], entry["command"], rule}) do
+      if due?(gateway, entry["source"], {entry["vehicle"], entry["command"], rule}) do
         Audit.note(gateway, Map.merge(entry, %{"decision" => "deny", "rule" => rule, "reason" => reason}))
         Mavlink.Refusal.texts(reason, :erlang.phash2(reason, 0xFFFF) + 1)
       else
@@ -250,16 +280,10 @@ defmodule Aerie.Control.Policy.MavlinkPolicy do
     end
   end
 
-  defp due?(what) do
+  # While there is no room to remember it, it is told each time.
+  defp due?(gateway, owner, what) do
     now = System.monotonic_time(:microsecond)
-    told = Process.get({__MODULE__, :told}, %{})
-
-    if now - Map.get(told, what, now - @told_us) >= @told_us do
-      told = if map_size(told) >= @max_told, do: %{}, else: told
-      Process.put({__MODULE__, :told}, Map.put(told, what, now))
-      true
-    else
-      false
-    end
+    told = fn value -> if value, do: {:keep, false}, else: {:put, true, true, now + @told_us} end
+    ClientHistory.update(gateway, {owner, :told, what}, now, told) in [true, :full]
   end
 end

@@ -62,6 +62,10 @@ defmodule Aerie.Control.Policy.Rate do
     |> room(rate, now)
   end
 
+  @doc "When all buckets are full again: until then a rate is worth keeping. `now` without any."
+  @spec full_at(t(), now :: integer()) :: integer()
+  def full_at(rate, now), do: rate.buckets |> Map.values() |> Enum.max(fn -> now end)
+
   defp types?(:all, type), do: type not in @streams
   defp types?(types, type), do: type in types
 

@@ -41,7 +41,8 @@ defmodule Aerie.Control.ReadCache.Vehicle do
       endpoints: %{},
       out: %{},
       seq: 0,
-      timer: nil
+      timer: nil,
+      router_cache: nil
     }
 
     {:ok, state |> listen() |> known()}
@@ -248,9 +249,9 @@ defmodule Aerie.Control.ReadCache.Vehicle do
         {MavCodec.encode(message, system: system, component: component, seq: seq), rem(seq + 1, 256)}
       end)
 
-    Requests.answer(state.gateway, endpoint, frames)
+    cache = Requests.answer(state.gateway, endpoint, frames, state.router_cache)
     Store.count(state.gateway, :served_messages, length(frames))
-    %{state | seq: seq}
+    %{state | seq: seq, router_cache: cache}
   end
 
   defp send_out(state, _endpoint, _messages), do: state

@@ -22,7 +22,7 @@ defmodule Aerie.Control.CommandExecutor.RecordedTest do
   end
 
   defp deliver(gateway, frames),
-    do: Router.deliver(gateway, %{id: "radio", network: "main", peer: :one}, frames)
+    do: Aerie.Reader.deliver(gateway, %{id: "radio", network: "main", peer: :one}, frames)
 
   # Seconds since the first frame.
   defp between(frames, from, to) do

@@ -67,7 +67,7 @@ defmodule Aerie.Control.Params.EventDefinitionsTest do
     }
 
     frame = frame(message, System.os_time(:microsecond), component: 42, seq: sequence)
-    Router.deliver(gateway, %{id: "radio", network: "main", peer: :one}, [frame])
+    Aerie.Reader.deliver(gateway, %{id: "radio", network: "main", peer: :one}, [frame])
   end
 
   defp reports(gateway),

@@ -396,11 +396,11 @@ defmodule Aerie.Control.Policy.FirmwareReadingTest do
       %M.MissionCount{count: length(items)} | for({item, n} <- Enum.with_index(items), do: %{item | seq: n})
     ]
 
-    {decisions, _uploads} =
-      Enum.map_reduce(messages, %{}, fn message, uploads ->
+    {decisions, _last} =
+      Enum.map_reduce(messages, nil, fn message, last ->
         message = wired(message)
-        {facts, uploads} = Mavlink.Upload.next(uploads, :it, message, Mavlink.facts(message, vehicle))
-        {Policy.decide(policy, facts, context), uploads}
+        {facts, last} = Mavlink.Upload.next(last, message, Mavlink.facts(message, vehicle))
+        {Policy.decide(policy, facts, context), last}
       end)
 
     Enum.find(decisions, :allow, &(&1 != :allow))

@@ -6,7 +6,7 @@ defmodule Aerie.Control.Policy.MavlinkPolicyTest do
   alias Aerie.Base.{Names, Store}
   alias Aerie.Control.Policy
   alias MavRouter.{Link, Router}
-  alias Aerie.Control.Policy.{Audit, Leases, MavlinkPolicy, RecentCommands}
+  alias Aerie.Control.Policy.{Audit, ClientHistory, Leases, MavlinkPolicy, RecentCommands}
   alias Aerie.Control.Policy.Audit.Verify
   alias MavCodec.Enums.MavCmd
   alias MavCodec.Frame
@@ -36,7 +36,7 @@ defmodule Aerie.Control.Policy.MavlinkPolicyTest do
 
     gateway =
       start_parts(%{mavlink: %{system_id: 245, component_id: 191}},
-        options: [policy: MavlinkPolicy, tables: [Leases.table()]]
+        options: [policy: MavlinkPolicy, tables: [Leases.table(), ClientHistory.table()]]
       )
 
     start_supervised!({Policy.Store, gateway: gateway, policy: policy})
@@ -348,6 +348,14 @@ defmodule Aerie.Control.Policy.MavlinkPolicyTest do
     assert MavlinkPolicy.decide(c.gateway, sender, {"main", 1}, frame) == :forward
     operator = %{sender | principal: who.(role: :operator)}
     assert {:refuse, _answers, _instead} = MavlinkPolicy.decide(c.gateway, operator, {"main", 1}, frame)
+  end
+
+  test "two connections of one client share its rates", c do
+    :ok = Policy.Store.put(c.gateway, Map.put(c.section, :rates, [%{per_minute: 1, burst: 2}]))
+    one = client(c.gateway, "operator")
+    two = udp(Link.snapshot(c.gateway, "operator").port)
+    for socket <- [one, two, one, two], do: say(socket, goto(47.01, 50.0))
+    assert [%M.CommandInt{}, %M.CommandInt{}] = reached(one, c)
   end
 
   test "a refusal can be answered whatever ids the sender and the vehicle have", c do

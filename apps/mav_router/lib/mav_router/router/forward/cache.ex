@@ -1,17 +1,18 @@
 defmodule MavRouter.Router.Forward.Cache do
   @moduledoc """
   What one forwarding process keeps between two reads: the forwarding table, the sources that it hears, and texts of systems
-  that are no vehicles yet.
+  that are no vehicles yet. A value, which the process gives to `MavRouter.Router.deliver/4` and gets back; nil before the first read.
 
-  It is in the process dictionary, because frames are delivered by a plain function in processes that know nothing of the
-  router (links, WebSockets). All of it but the texts comes from the router's tables, and all of it goes with them.
+  All of it but the texts comes from the router's tables, and all of it goes with them.
   """
 
-  alias Aerie.Base.Names
   alias MavRouter.Router.Admission.EarlyTexts
+  alias MavRouter.Router.Delivery
+  alias MavRouter.Router.Endpoint
   alias MavRouter.Router.Forward.Table
   alias MavRouter.Router.Forward.Source
   alias MavRouter.Router.Tables
+  alias Aerie.Base.Names
   alias MavCodec.Frame
 
   # Invented ids must not fill the memory.
@@ -28,26 +29,32 @@ defmodule MavRouter.Router.Forward.Cache do
           early_texts: EarlyTexts.t()
         }
 
-  @doc "The cache of the calling process, with a forwarding table that is up to date."
-  @spec fetch(Names.gateway(), Tables.t()) :: t
-  def fetch(gateway, tables) do
+  @doc "Brings a cache up to date with the tables; makes one if there is none of these tables."
+  @spec refresh(t() | nil, Tables.t()) :: t
+  def refresh(cache, tables) do
     generation = Tables.generation(tables)
 
-    case :erlang.get({__MODULE__, gateway}) do
-      %__MODULE__{tables: id, forwarding: %{generation: ^generation}} = cache when id == tables.id ->
+    case cache do
+      %__MODULE__{tables: id, forwarding: %{generation: ^generation}} when id == tables.id ->
         cache
 
-      %__MODULE__{tables: id} = cache when id == tables.id ->
-        put(gateway, %{cache | forwarding: Table.refresh(cache.forwarding, tables)})
+      %__MODULE__{tables: id} when id == tables.id ->
+        %{cache | forwarding: Table.refresh(cache.forwarding, tables)}
 
       _none ->
-        put(gateway, %__MODULE__{tables: tables.id, forwarding: Table.read(tables)})
+        %__MODULE__{tables: tables.id, forwarding: Table.read(tables)}
     end
   end
 
-  defp put(gateway, cache) do
-    Process.put({__MODULE__, gateway}, cache)
-    cache
+  @doc "A delivery of frames that an endpoint sent before; nil when the endpoint is gone."
+  @spec delivery(t, Names.gateway(), Tables.t(), Endpoint.key()) :: Delivery.t() | nil
+  def delivery(%{forwarding: forwarding}, gateway, tables, key) do
+    with %{^key => path} <- forwarding.paths do
+      now = :erlang.monotonic_time(:millisecond)
+      %Delivery{gateway: gateway, tables: tables, forwarding: forwarding, path: path, now: now}
+    else
+      _gone -> nil
+    end
   end
 
   @doc "A source by the key of its endpoint and its ids; a new one if it is not known."
@@ -59,42 +66,23 @@ defmodule MavRouter.Router.Forward.Cache do
     end
   end
 
-  @doc "Keeps a source in the cache that was fetched for it."
-  @spec put_source(Names.gateway(), t, term, Source.t()) :: t
-  def put_source(gateway, cache, key, source) do
+  @doc "Keeps a source."
+  @spec put_source(t, term, Source.t()) :: t
+  def put_source(cache, key, source) do
     sources = if map_size(cache.sources) >= @max_sources, do: %{}, else: cache.sources
-    put(gateway, %{cache | sources: Map.put(sources, {key, source.system, source.component}, source)})
-  end
-
-  @doc "Keeps what was found out about a source after `put_source/4`."
-  @spec update_source(Names.gateway(), term, Source.t()) :: :ok
-  def update_source(gateway, key, source) do
-    # The cache may have gone with its tables meanwhile.
-    with %__MODULE__{} = cache <- Process.get({__MODULE__, gateway}),
-         do: put_source(gateway, cache, key, source)
-
-    :ok
+    %{cache | sources: Map.put(sources, {key, source.system, source.component}, source)}
   end
 
   @doc "Holds the texts among the frames of a system that has no session."
-  @spec hold(Names.gateway(), term, [Frame.t()]) :: :ok
-  def hold(gateway, key, frames) do
-    with %__MODULE__{early_texts: texts} = cache <- Process.get({__MODULE__, gateway}),
-         do: put(gateway, %{cache | early_texts: EarlyTexts.hold(texts, key, frames)})
-
-    :ok
-  end
+  @spec hold(t, term, [Frame.t()]) :: t
+  def hold(cache, key, frames), do: %{cache | early_texts: EarlyTexts.hold(cache.early_texts, key, frames)}
 
   @doc "Takes the texts that are held of a system that has a session now; `frame` is the one by which it was found."
-  @spec held(Names.gateway(), term, frame :: Frame.t()) :: [Frame.t()]
-  def held(gateway, key, %{at: now}) do
-    with %__MODULE__{early_texts: texts} = cache when is_map_key(texts, key) <-
-           Process.get({__MODULE__, gateway}) do
-      {frames, texts} = EarlyTexts.take(texts, key, now)
-      _ = put(gateway, %{cache | early_texts: texts})
-      frames
-    else
-      _nothing -> []
-    end
+  @spec take_held(t, term, frame :: Frame.t()) :: {[Frame.t()], t}
+  def take_held(%{early_texts: texts} = cache, key, %{at: now}) when is_map_key(texts, key) do
+    {frames, texts} = EarlyTexts.take(texts, key, now)
+    {frames, %{cache | early_texts: texts}}
   end
+
+  def take_held(cache, _key, _frame), do: {[], cache}
 end

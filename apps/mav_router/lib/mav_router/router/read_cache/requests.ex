@@ -60,29 +60,32 @@ defmodule MavRouter.Router.ReadCache.Requests do
 
   defp alone?(gateway, key), do: match?(%{components: all} when map_size(all) < 2, Store.system(gateway, key))
 
-  @doc "Sends frames to an endpoint; one that is gone gets none. They have the classes of their messages."
-  @spec answer(Names.gateway(), Endpoint.key(), [iodata]) :: :ok
-  def answer(gateway, key, frames) do
-    with %{path: path} <- delivery(gateway, key) do
-      Enum.each(frames, fn bytes ->
-        bytes = IO.iodata_to_binary(bytes)
-        {:ok, _header, _payload, _total, id, _system} = Frame.header(bytes)
-        Output.bytes(path, bytes, TrafficClass.of(id), 1)
-      end)
+  @doc """
+  Sends frames to an endpoint; one that is gone gets none. They have the classes of their messages. `cache` is what the call before gave,
+  nil for the first one.
+  """
+  @spec answer(Names.gateway(), Endpoint.key(), [iodata], Cache.t() | nil) :: Cache.t() | nil
+  def answer(gateway, key, frames, cache) do
+    with tables when tables != nil <- Tables.of(gateway) do
+      cache = Cache.refresh(cache, tables)
+      path = cache.forwarding.paths[key]
+      if path, do: Enum.each(frames, &send_out(IO.iodata_to_binary(&1), path))
+      cache
     end
+  end
 
-    :ok
+  defp send_out(bytes, path) do
+    {:ok, _header, _payload, _total, id, _system} = Frame.header(bytes)
+    Output.bytes(path, bytes, TrafficClass.of(id), 1)
   end
 
   @doc "A request that was absorbed goes on to the vehicle, as if it came now; that of a client that may not ask goes nowhere."
   @spec forward(Names.gateway(), Endpoint.key(), Frame.t()) :: :ok
   def forward(gateway, key, frame) do
-    with %{} = delivery <- delivery(gateway, key) do
-      cache = Cache.fetch(gateway, delivery.tables)
-
-      source =
-        cache |> Cache.source(key, frame.system, frame.component) |> Source.refresh(delivery, false)
-
+    with tables when tables != nil <- Tables.of(gateway),
+         cache = Cache.refresh(nil, tables),
+         %Delivery{} = delivery <- Cache.delivery(cache, gateway, tables, key) do
+      source = frame.system |> Source.new(frame.component) |> Source.refresh(delivery, false)
       delivery = %{delivery | source: source}
 
       Enum.each(Gate.sort([frame], delivery), fn {scope, frames} ->
@@ -92,15 +95,5 @@ defmodule MavRouter.Router.ReadCache.Requests do
     end
 
     :ok
-  end
-
-  defp delivery(gateway, key) do
-    with tables when tables != nil <- Tables.of(gateway),
-         %{forwarding: %{paths: %{^key => path}} = forwarding} <- Cache.fetch(gateway, tables) do
-      now = :erlang.monotonic_time(:millisecond)
-      %Delivery{gateway: gateway, tables: tables, forwarding: forwarding, path: path, now: now}
-    else
-      _gone -> nil
-    end
   end
 end

@@ -17,7 +17,7 @@ defmodule Aerie.Vehicle.Services.StreamsTest do
   defp gateway do
     gateway = start_gateway(%{}, with: [:router])
     heartbeat = frame(%M.Heartbeat{type: 2, autopilot: 3}, @second)
-    Router.deliver(gateway, %{id: "radio", network: "main", peer: :one}, [heartbeat])
+    Aerie.Reader.deliver(gateway, %{id: "radio", network: "main", peer: :one}, [heartbeat])
     eventually(fn -> Store.vehicle(gateway, @key) end)
     gateway
   end

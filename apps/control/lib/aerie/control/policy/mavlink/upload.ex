@@ -1,7 +1,7 @@
 defmodule Aerie.Control.Policy.Mavlink.Upload do
   @moduledoc """
-  Where the last item of a mission was while it is uploaded, for each vehicle, as a plain map: the vehicle flies straight from
-  item to item, so the way is judged with each of them.
+  Where the last item of a mission was while it is uploaded to a vehicle: the vehicle flies straight from item to item, so the way is
+  judged with each of them.
 
   Items come in order (W3). One that comes again is judged from the same item as before; one with a lower number begins anew, as
   a MISSION_COUNT does.
@@ -10,39 +10,32 @@ defmodule Aerie.Control.Policy.Mavlink.Upload do
   alias Aerie.Control.Policy.Intent
   alias MavCodec.Messages, as: M
 
-  @max_vehicles 100
-
-  @typedoc "The number and the place of the last item, and the place before it."
-  @type t :: %{term() => %{seq: non_neg_integer(), place: Intent.place(), before: Intent.place() | nil}}
+  @typedoc "The number and the place of the last item, and the place before it; nil before the first one."
+  @type t :: %{seq: non_neg_integer(), place: Intent.place(), before: Intent.place() | nil} | nil
 
   @doc "The facts of a message of an upload, with the way from the item before it if there is one."
-  @spec next(t(), vehicle :: term(), struct(), Intent.t()) :: {Intent.t(), t()}
-  def next(uploads, vehicle, %module{} = item, %{path: {:at, [place]}} = facts)
+  @spec next(t(), struct(), Intent.t()) :: {Intent.t(), t()}
+  def next(last, %module{} = item, %{path: {:at, [place]}} = facts)
       when module in [M.MissionItem, M.MissionItemInt] do
-    {way, _place, uploads} = way(uploads, vehicle, item.seq, place)
-    {%{facts | path: way}, uploads}
+    {way, item} = way(last, item.seq, place)
+    {%{facts | path: way}, item}
   end
 
-  def next(
-        uploads,
-        vehicle,
-        %module{} = item,
-        %{path: {:all, [{:at, [place]}, {:ring, place, metres}]}} = facts
-      )
+  def next(last, %module{} = item, %{path: {:all, [{:at, [place]}, {:ring, place, metres}]}} = facts)
       when module in [M.MissionItem, M.MissionItemInt] do
-    {way, place, uploads} = way(uploads, vehicle, item.seq, place)
-    {%{facts | path: {:all, [way, {:ring, place, metres}]}}, uploads}
+    {way, item} = way(last, item.seq, place)
+    {%{facts | path: {:all, [way, {:ring, item.place, metres}]}}, item}
   end
 
-  def next(uploads, vehicle, %M.MissionCount{}, facts), do: {facts, Map.delete(uploads, vehicle)}
-  def next(uploads, _vehicle, _other, facts), do: {facts, uploads}
+  def next(_last, %M.MissionCount{}, facts), do: {facts, nil}
+  def next(last, _other, facts), do: {facts, last}
 
-  # The way to an item, and its place.
-  defp way(uploads, vehicle, seq, place) do
+  # The way to an item, and where it is.
+  defp way(last, seq, place) do
     before =
-      case uploads do
-        %{^vehicle => %{seq: ^seq, before: before}} -> before
-        %{^vehicle => %{seq: last, place: place}} when last < seq -> place
+      case last do
+        %{seq: ^seq, before: before} -> before
+        %{seq: earlier, place: place} when earlier < seq -> place
         _first -> nil
       end
 
@@ -50,8 +43,7 @@ defmodule Aerie.Control.Policy.Mavlink.Upload do
     place =
       if place.lat == nil and before != nil, do: %{place | lat: before.lat, lon: before.lon}, else: place
 
-    uploads = if map_size(uploads) >= @max_vehicles, do: %{}, else: uploads
     way = if before, do: {:from, before, place}, else: {:at, [place]}
-    {way, place, Map.put(uploads, vehicle, %{seq: seq, place: place, before: before})}
+    {way, %{seq: seq, place: place, before: before}}
   end
 end

@@ -131,8 +131,11 @@ defmodule Aerie.Base.Names do
   @doc "A value of `put_held/3` whose owner lives, or nil. Reading it copies nothing and waits for nobody."
   @spec held(gateway(), role()) :: term() | nil
   def held(gateway, role) do
-    with {owner, value} <- :persistent_term.get({__MODULE__, gateway, role}, nil),
-         do: if(Process.alive?(owner), do: value)
+    case :persistent_term.get({__MODULE__, gateway, role}, nil) do
+      {owner, value} -> if Process.alive?(owner), do: value, else: value(gateway, role)
+      # There is none, or it is just being cleaned up after the owner before.
+      nil -> value(gateway, role)
+    end
   end
 
   @doc false

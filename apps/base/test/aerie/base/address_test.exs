@@ -15,4 +15,34 @@ defmodule Aerie.Base.AddressTest do
         ],
         do: refute(Address.loopback?(ip))
   end
+
+  test "HOST:PORT is read, and written as it is read" do
+    assert Address.parse("127.0.0.1:14550", false) == {:ok, {127, 0, 0, 1}, 14_550}
+    assert Address.parse("[::1]:14550", false) == {:ok, {0, 0, 0, 0, 0, 0, 0, 1}, 14_550}
+    assert Address.parse("gcs.local:1", false) == {:ok, "gcs.local", 1}
+    assert Address.parse(":0", true) == {:ok, {0, 0, 0, 0}, 0}
+
+    for text <- ["127.0.0.1:14550", "[::1]:14550", "gcs.local:1"] do
+      {:ok, host, port} = Address.parse(text, false)
+      assert Address.format(host, port) == text
+    end
+  end
+
+  test "what is wrong is named" do
+    for {text, words} <- [
+          {"", "host and port are missing"},
+          {"host", "the port is missing"},
+          {"host:", "the port is missing"},
+          {"[::1]", "the port is missing"},
+          {"::1:5", "an IPv6 address needs brackets: [::1]:PORT"},
+          {":5760", "the host is missing"},
+          {"host:0", "\"0\" is not a port (1 to 65535)"},
+          {"host:70000", "\"70000\" is not a port (1 to 65535)"},
+          {"[fe80]:1", "\"fe80\" is not an IPv6 address"},
+          {"1.2.3:1", "\"1.2.3\" is neither an address nor a name"},
+          {"300.1.1.1:1", "\"300.1.1.1\" is neither an address nor a name"},
+          {"a b:1", "\"a b\" is neither an address nor a name"}
+        ],
+        do: assert(Address.parse(text, false) == {:error, words})
+  end
 end

@@ -22,7 +22,8 @@ defmodule Aerie.Base.Files.Disk do
   """
   @spec sync(Path.t()) :: :ok | {:error, File.posix()}
   def sync(path) do
-    with {:ok, file} <- :file.open(path, [:read, :write, :raw]) do
+    # For reading: one that is gone must not be made.
+    with {:ok, file} <- :file.open(path, [:read, :raw]) do
       result = :file.datasync(file)
       _ = :file.close(file)
       result

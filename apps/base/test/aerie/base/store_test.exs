@@ -3,6 +3,7 @@ defmodule Aerie.Base.StoreTest do
 
   alias Aerie.Base.PubSub
   alias Aerie.Base.Store
+  alias Aerie.Base.Store.Links
 
   defp start_gateway do
     gateway = make_ref()
@@ -27,19 +28,8 @@ defmodule Aerie.Base.StoreTest do
   test "the size of a table that a link asks for on its way waits for no scheduler" do
     gateway = start_gateway()
 
-    start_supervised!(
-      {MavRouter.Router.Supervisor, gateway: gateway, settings: MavRouter.Router.Settings.from(%{})}
-    )
-
-    router =
-      gateway |> MavRouter.Router.Tables.of() |> Map.take([:routes, :heard_by, :limits, :waiting, :refused])
-
-    store =
-      for name <- [:vehicles, :vehicle_keys, :systems, :stations, :claims],
-          do: {name, Store.table!(gateway, name)}
-
-    for {name, table} <- Enum.concat(router, store),
-        do: assert({name, false} == {name, :ets.info(table, :decentralized_counters)})
+    for name <- [:vehicles, :vehicle_keys, :systems, :stations, :claims],
+        do: assert({name, false} == {name, :ets.info(Store.table!(gateway, name), :decentralized_counters)})
   end
 
   test "gateways do not see each other's vehicles" do
@@ -140,5 +130,59 @@ defmodule Aerie.Base.StoreTest do
     assert Store.vehicle(make_ref(), "A") == nil
     assert Store.counters(make_ref()) == %{}
     assert_raise ArgumentError, ~r/is not running/, fn -> Store.put_link(make_ref(), "l", %{}) end
+  end
+
+  test "a link is put together from its snapshot and the rows of its peers" do
+    gateway = start_gateway()
+    now = System.monotonic_time(:millisecond)
+
+    peer = fn id, heard, sources ->
+      {{:peer, id}, %{peer: id, text: "10.0.0.#{id}:1", heard: heard, frames_in: id, sources: sources}}
+    end
+
+    rows = [
+      peer.(1, now - 500, %{{1, 1} => %{lost: 1}}),
+      peer.(2, now, %{{1, 1} => %{lost: 2}}),
+      {{:source, {9, 1}}, %{lost: 9}}
+    ]
+
+    Store.put_link(gateway, "radio", %{id: "radio"}, %{put: rows, delete: []})
+    assert %{id: "radio", peers: peers, sources: sources} = Links.whole(gateway, "radio")
+    assert [%{peer: 1, silent_ms: silent}, %{peer: 2, frames_in: 2}] = Enum.sort_by(peers, & &1.peer)
+    assert silent >= 500
+    # Of one component by two peers the newest counts.
+    assert sources == %{{1, 1} => %{lost: 2}, {9, 1} => %{lost: 9}}
+    assert [%{peers: [_, _]}] = Links.all(gateway)
+
+    Store.put_link(gateway, "radio", %{id: "radio"}, %{put: [], delete: [{:peer, 1}]})
+    assert %{peers: [%{peer: 2}]} = Links.whole(gateway, "radio")
+    Store.put_link(gateway, "radio", %{id: "radio"})
+    assert %{peers: [], sources: sources} = Links.whole(gateway, "radio")
+    assert sources == %{}
+    Store.delete_link(gateway, "radio")
+    assert Links.whole(gateway, "radio") == nil
+  end
+
+  test "without a gateway reading gives nothing, and writing raises" do
+    nowhere = make_ref()
+    assert Store.vehicles(nowhere) == [] and Store.links(nowhere) == [] and Store.counters(nowhere) == %{}
+    assert Store.vehicle(nowhere, "A") == nil and Store.recall(nowhere, :key, :none) == :none
+    assert Store.count_if_running(nowhere, :frames, 1) == :ok
+    assert_raise ArgumentError, ~r/is not running/, fn -> Store.count(nowhere, :frames) end
+  end
+
+  test "what a part remembers is there after that part, until it is forgotten" do
+    gateway = start_gateway()
+    Task.await(Task.async(fn -> Store.remember(gateway, :part, 1) end))
+    assert Store.recall(gateway, :part) == 1
+    assert {:part, 1} in Store.remembered(gateway)
+    Store.forget(gateway, :part)
+    assert Store.recall(gateway, :part) == nil
+    refute Store.starting?(gateway)
+    starter = start_supervised!({Task, fn -> Process.sleep(:infinity) end})
+    Store.starting(gateway, starter)
+    assert Store.starting?(gateway)
+    stop_supervised!(Task)
+    refute Store.starting?(gateway)
   end
 end

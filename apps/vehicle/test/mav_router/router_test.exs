@@ -4,7 +4,6 @@ defmodule MavRouter.RouterTest do
   use Aerie.VehicleCase
 
   alias Aerie.Base.Names
-  alias MavRouter.Router
   alias MavRouter.Router.Tables
 
   @origin %{id: "a", network: "main", peer: :remote}

@@ -10,7 +10,6 @@ defmodule Aerie.Vehicle.CapacityTest do
   alias Aerie.Base.{Names, Store}
   alias Aerie.Vehicle
   alias Aerie.Vehicle.Journal
-  alias MavRouter.Router
   alias Aerie.Base.PubSub
   alias Aerie.Vehicle.Capacity
   alias MavCodec.Messages, as: M

@@ -7,7 +7,6 @@ defmodule Aerie.Vehicle.SessionTest do
   alias Aerie.Base.{Names, Store}
   alias Aerie.Vehicle
   alias Aerie.Vehicle.Journal
-  alias MavRouter.Router
   alias Aerie.Base.PubSub
   alias MavCodec.Messages, as: M
 

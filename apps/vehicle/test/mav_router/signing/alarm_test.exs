@@ -2,7 +2,6 @@ defmodule MavRouter.Signing.AlarmTest do
   use Aerie.VehicleCase, async: true
   import Aerie.SigningCase, except: [start_signing: 1, start_signing: 2]
 
-  alias MavRouter.Router
   alias Aerie.Base.Store
 
   @moduletag :tmp_dir

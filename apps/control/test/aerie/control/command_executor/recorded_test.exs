@@ -7,7 +7,6 @@ defmodule Aerie.Control.CommandExecutor.RecordedTest do
   alias Aerie.Base.{Names, Store}
   alias Aerie.Control.CommandExecutor
   alias Aerie.Vehicle.Command
-  alias MavRouter.Router
 
   @key {"main", 1}
   # As pymavlink, which was refused, so that the acknowledgements are ours. A vehicle that a busy machine delays is not lost.

@@ -7,7 +7,6 @@ defmodule Aerie.Control.Params.EventDefinitionsTest do
 
   alias Aerie.Base.Names
   alias Aerie.Vehicle
-  alias MavRouter.Router
   alias Aerie.Control.Params.EventDefinitions
   alias MavCodec.Messages, as: M
 

@@ -3,7 +3,7 @@ defmodule Aerie.Fleet.Shadow.UplinkTest do
   use Aerie.ShadowCase, async: true
 
   alias Aerie.HubServer
-  alias Aerie.Fleet.Shadow.{Plans, Uplink}
+  alias Aerie.Fleet.Shadow.Plans
 
   @moduletag :tmp_dir
   @moduletag :capture_log

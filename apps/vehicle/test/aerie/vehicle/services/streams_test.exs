@@ -5,7 +5,6 @@ defmodule Aerie.Vehicle.Services.StreamsTest do
   import Aerie.Flight, only: [frame: 2, frame: 3]
 
   alias Aerie.Base.{Names, Store}
-  alias MavRouter.Router
   alias Aerie.Vehicle.Services.StreamDemand
   alias Aerie.Vehicle.Services.Streams
   alias Aerie.Vehicle.Services.Streams.Intercept

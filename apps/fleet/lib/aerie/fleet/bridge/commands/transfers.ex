@@ -265,7 +265,8 @@ defmodule Aerie.Fleet.Bridge.Commands.Transfers do
   # --- Replies
 
   defp plain({:ok, %Result{} = result}, _id), do: Result.plain(result)
-  defp plain({:error, %Result{} = result}, _id), do: Result.plain(result)
+  # A vehicle that is not known is told before there is anything with an id.
+  defp plain({:error, %Result{} = result}, id), do: Result.plain(%{result | id: id || result.id})
   defp plain({:ok, value}, id), do: Map.merge(%{"id" => id, "result" => "completed", "reason" => nil}, value)
   defp plain({:pending, id}, _id), do: %{"id" => id, "result" => nil, "reason" => "it is under way"}
 

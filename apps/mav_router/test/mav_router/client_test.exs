@@ -1,8 +1,7 @@
 defmodule MavRouter.ClientTest do
   use ExUnit.Case, async: true
 
-  import Aerie.LinkCase, only: [eventually: 1]
-  import Aerie.VehicleCase, only: [start_parts: 0]
+  import Aerie.LinkCase, only: [eventually: 1, start_parts: 0]
 
   alias Aerie.Base.Error
   alias MavRouter.Client

@@ -7,7 +7,7 @@ defmodule MavRouter.Signing.SecretsTest do
 
   alias Aerie.Base.Secret
   alias Aerie.Base.Names
-  alias MavRouter.{Link, Signing}
+  alias MavRouter.Signing
 
   @moduletag :tmp_dir
   @key :binary.copy(<<0xA5, 0x5A>>, 16)
@@ -97,37 +97,5 @@ defmodule MavRouter.Signing.SecretsTest do
     # What is in force outlives it.
     eventually(fn -> Names.whereis(c.gateway, :key_store) not in [nil, key_store] end)
     assert Signing.list(c.gateway).pending == ["main/1"]
-  end
-
-  test "the events and the log of an enrolment", c do
-    test = self()
-    events = [:enrolled, :failed]
-
-    :telemetry.attach_many(
-      {c.gateway, :secrets},
-      for(e <- events, do: [:aerie, :signing, e]),
-      fn name, measurements, metadata, _ -> send(test, {:told, [name, measurements, metadata]}) end,
-      nil
-    )
-
-    on_exit(fn -> :telemetry.detach({c.gateway, :secrets}) end)
-
-    log =
-      capture_log(fn ->
-        assert {:error, %Aerie.Base.Error{} = error} =
-                 Aerie.Vehicle.Enrolment.enrol(c.gateway, {"main", 1},
-                   link: "usb",
-                   key: :generate,
-                   timeout_ms: 50
-                 )
-
-        refute_key(Exception.message(error))
-      end)
-
-    assert log =~ "main/1"
-    refute_key(log)
-    assert_receive {:told, told}
-    refute_key(shown(told))
-    assert Link.get(c.gateway, "usb").signing.secure
   end
 end

@@ -53,7 +53,17 @@ defmodule MavRouter.Link.Serial.CableTest do
 
   # A module that is loaded when it is needed brings its atoms.
   defp load_all do
-    for app <- [:vehicle, :mav_router, :base, :mav_codec, :circuits_uart, :telemetry],
+    for app <- [
+          :vehicle,
+          :mav_router,
+          :base,
+          :mav_codec,
+          :circuits_uart,
+          :telemetry,
+          :logger,
+          :elixir,
+          :ex_unit
+        ],
         module <- Application.spec(app, :modules) do
       Code.ensure_loaded!(module)
     end

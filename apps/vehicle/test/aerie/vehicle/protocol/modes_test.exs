@@ -187,11 +187,10 @@ defmodule Aerie.Vehicle.Protocol.ModesTest do
       snapshot = Map.put(Core.snapshot(run.core), :key, {"main", 1})
       assert snapshot.memory.standard_modes == %{"position_hold" => 3 * 0x10000, "land" => @external}
 
-      # The policy knows them by the names of the vehicle's state, and so do commands.
-      context = Aerie.Control.Policy.Context.of(make_ref(), snapshot, nil, 0)
-      assert %{"land" => "Soft landing", "safe_recovery" => "AUTO_RTL"} = context.standard_modes
-      vehicle = Aerie.Control.CommandExecutor.Observed.vehicle(snapshot, {245, 191})
+      # Commands know them by the names of the vehicle's state.
       command = Aerie.CommandSamples.command("set_mode", %{standard_mode: "land"})
+      told = Map.take(snapshot.memory, [:mode_names, :standard_modes])
+      vehicle = struct!(%Aerie.Vehicle.Protocol.Vehicle{system: 1, autopilot: :px4, kind: "copter"}, told)
 
       assert {:ok, [%{confirm: {:mode, ["Soft landing"]}}]} =
                Aerie.Vehicle.Protocol.plan(Aerie.Vehicle.Protocol.Px4, command, vehicle)

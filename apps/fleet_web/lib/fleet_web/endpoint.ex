@@ -131,7 +131,7 @@ defmodule FleetWeb.Endpoint do
   # The console takes every path that nobody else has.
   defp routes(gateway, policy, reload, console) do
     api =
-      for {path, resource} <- API.Resources.paths(),
+      for {path, resource} <- API.Routes.paths(),
           do: {path, API.Handler, %{resource: resource, gateway: gateway, policy: policy, reload: reload}}
 
     plain = [{"/metrics", :metrics}, {"/healthz", :healthz}, {"/readyz", :readyz}]

@@ -2,7 +2,7 @@ defmodule FleetWeb.AttackTest do
   @moduledoc "What somebody sends who means no good: each is refused by its kind, none makes an error of ours."
   use FleetWeb.APICase, async: true
 
-  alias FleetWeb.API.Resources
+  alias FleetWeb.API.Routes
 
   @pages ["/", "/metrics", "/healthz", "/readyz", "/nothing"]
   @methods ~w(GET HEAD OPTIONS POST PUT PATCH DELETE BREW)
@@ -17,7 +17,7 @@ defmodule FleetWeb.AttackTest do
   ]
 
   defp paths(segment) do
-    @pages ++ for {path, _resource} <- Resources.paths(), do: filled(path, segment)
+    @pages ++ for {path, _resource} <- Routes.paths(), do: filled(path, segment)
   end
 
   defp filled(path, segment), do: String.replace(path, ~r/:id|:name|\[\.\.\.\]/, segment)
@@ -76,11 +76,9 @@ defmodule FleetWeb.AttackTest do
     %{port: port} = start_server()
 
     admins =
-      for {path, method, action} <- Resources.actions(),
-          FleetWeb.Rights.least(action, method) == :admin,
-          do: {method, path}
+      for %{role: :admin, method: method, path: path} <- Routes.all(), do: {method, path}
 
-    for {path, _resource} <- Resources.paths(), method <- @methods do
+    for {path, _resource} <- Routes.paths(), method <- @methods do
       status = ask(port, method, path |> filled("x"), [@json], "{}")
 
       cond do
@@ -110,14 +108,14 @@ defmodule FleetWeb.AttackTest do
   test "an allowed page may use every method of a route" do
     %{port: port} = start_server(key: true, origins: ["https://gcs.example.org"])
 
-    for {path, resource} <- Resources.paths(), resource != :missing do
+    for {path, resource} <- Routes.paths(), resource != :missing do
       path = String.replace(path, ~r/:id|:name|\[\.\.\.\]/, "x")
       assert {204, headers, nil} = request(port, "OPTIONS", path, [{"origin", "https://gcs.example.org"}])
       allowed = String.split(headers["access-control-allow-methods"], ", ")
-      assert Enum.sort(allowed) == Enum.sort(Resources.methods(resource))
+      assert Enum.sort(allowed) == Enum.sort(Routes.methods(resource))
 
       for method <- ~w(PUT PATCH),
-          match?({:ok, _}, Resources.action(resource, method)),
+          match?({:ok, _}, Routes.find(resource, method)),
           do: assert(method in allowed)
     end
   end

@@ -16,7 +16,6 @@ defmodule FleetWeb.API.Access do
   alias Aerie.Control.Policy.Roles
   alias FleetWeb.API.Keys
   alias FleetWeb.API.Error
-  alias FleetWeb.Rights
 
   @typedoc """
   * `peer` - address of the other end
@@ -45,7 +44,7 @@ defmodule FleetWeb.API.Access do
 
   @typedoc """
   Who asks: the owner of a key, or a program of this machine (`local`). `may`: the role in which it changes the gateway
-  (`FleetWeb.Rights`). Any user of this machine may be behind `local`, so it is never more than an operator there, and nobody who may
+  (`FleetWeb.API.Routes`). Any user of this machine may be behind `local`, so it is never more than an operator there, and nobody who may
   command vehicles.
   """
   @type requester :: %{
@@ -61,12 +60,10 @@ defmodule FleetWeb.API.Access do
     with :ok <- origin(policy, facts), do: key(policy, facts)
   end
 
-  @doc "Whether somebody may run an action of `FleetWeb.API.Resources`, by a method."
-  @spec may(requester(), Rights.change(), method :: String.t()) :: :ok | {:error, Error.t()}
-  def may(%{may: role} = requester, action, method) do
-    least = Rights.least(action, method)
-
-    if Rights.at_least?(role, least),
+  @doc "Whether somebody may do what needs a role."
+  @spec may(requester(), least :: Roles.role()) :: :ok | {:error, Error.t()}
+  def may(%{may: role} = requester, least) do
+    if Roles.at_least?(role, least),
       do: :ok,
       else: {:error, Error.new(:forbidden, refusal(requester, least))}
   end

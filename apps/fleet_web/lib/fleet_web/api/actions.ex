@@ -1,5 +1,5 @@
 defmodule FleetWeb.API.Actions do
-  @moduledoc "What the methods of `FleetWeb.API.Resources` do: each reads its request, calls Aerie's public functions and answers."
+  @moduledoc "What the methods of `FleetWeb.API.Routes` do: each reads its request, calls Aerie's public functions and answers."
 
   alias Aerie.Control.Policy
   alias Aerie.Vehicle.Enrolment
@@ -17,7 +17,7 @@ defmodule FleetWeb.API.Actions do
     OpenAPI,
     Recordings,
     Request,
-    Resources,
+    Routes,
     RuleChanges,
     Shadow,
     SigningCapability,
@@ -41,7 +41,7 @@ defmodule FleetWeb.API.Actions do
 
   @doc "Runs an action. `state` has the gateway, the requester (`t:FleetWeb.API.Access.requester/0`) and its name."
   @spec run(atom() | tuple(), map(), :cowboy_req.req()) :: result()
-  def run(:index, _state, request), do: {:ok, 200, %{resources: Resources.index()}, request}
+  def run(:index, _state, request), do: {:ok, 200, %{resources: Routes.index()}, request}
   def run(:openapi, _state, request), do: {:ok, 200, OpenAPI.document(), request}
   def run(:status, state, request), do: {:ok, 200, View.status(state.gateway), request}
   def run(:diagnosis, state, request), do: {:ok, 200, View.diagnosis(state.gateway), request}

@@ -10,8 +10,7 @@ defmodule FleetWeb.API.Handler do
 
   alias Aerie.Base.Store
   alias Aerie.Control.Policy
-  alias FleetWeb.API.{Access, Actions, Error, KeyRing, Misdirected, Request, Resources}
-  alias FleetWeb.Rights
+  alias FleetWeb.API.{Access, Actions, Error, KeyRing, Misdirected, Request, Routes}
 
   @json "application/json; charset=utf-8"
   @binary "application/octet-stream"
@@ -52,32 +51,29 @@ defmodule FleetWeb.API.Handler do
 
   defp answer(method, resource, facts, state, request) do
     with {:ok, requester} <- Access.decide(state.policy, facts),
-         {:ok, action} <- Resources.action(resource, method),
-         :ok <- Access.may(requester, action, method),
-         :ok <- Misdirected.check(action, state.gateway, request) do
-      action
+         {:ok, route} <- Routes.find(resource, method),
+         :ok <- Access.may(requester, route.role),
+         :ok <- Misdirected.check(route.action, state.gateway, request) do
+      route.action
       |> Actions.run(Map.merge(state, %{name: requester.name, requester: requester}), request)
-      |> recorded(action, method, requester, state.gateway)
+      |> recorded(route, requester, state.gateway)
     else
       {:error, error} -> {:error, error, request}
     end
   end
 
   # What an admin changed stands in the audit log, as it does for the console. A policy that is read again says so itself.
-  defp recorded({:ok, _status, body, request} = answer, action, method, requester, gateway)
+  defp recorded({:ok, _status, body, request} = answer, %{role: :admin, action: action}, requester, gateway)
        when action != :reload_policy do
-    if Rights.least(action, method) == :admin do
-      id = if is_map(body) and is_binary(body[:id]), do: body.id, else: :cowboy_req.binding(:id, request, nil)
-      url = if is_map(body), do: body[:url]
-      entry = %{"type" => "change", "action" => Atom.to_string(action), "source" => "http:" <> requester.name}
-      entry = for {key, text} <- [{"target", id}, {"url", url}], is_binary(text), into: entry, do: {key, text}
-      Policy.Audit.note(gateway, entry)
-    end
-
+    id = if is_map(body) and is_binary(body[:id]), do: body.id, else: :cowboy_req.binding(:id, request, nil)
+    url = if is_map(body), do: body[:url]
+    entry = %{"type" => "change", "action" => Atom.to_string(action), "source" => "http:" <> requester.name}
+    entry = for {key, text} <- [{"target", id}, {"url", url}], is_binary(text), into: entry, do: {key, text}
+    Policy.Audit.note(gateway, entry)
     answer
   end
 
-  defp recorded(answer, _action, _method, _requester, _gateway), do: answer
+  defp recorded(answer, _route, _requester, _gateway), do: answer
 
   defp reply(_status, _headers, :sent, request), do: request
   defp reply(204, headers, nil, request), do: :cowboy_req.reply(204, headers, request)
@@ -107,7 +103,7 @@ defmodule FleetWeb.API.Handler do
 
   defp common, do: %{"cache-control" => "no-store", "x-content-type-options" => "nosniff"}
 
-  defp methods(resource), do: Enum.join(Resources.methods(resource), ", ")
+  defp methods(resource), do: Enum.join(Routes.methods(resource), ", ")
 
   defp cross_origin(resource, policy, %{origin: origin} = facts) when is_binary(origin) do
     case Access.origin(policy, facts) do

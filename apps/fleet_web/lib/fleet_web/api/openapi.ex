@@ -1,11 +1,10 @@
 defmodule FleetWeb.API.OpenAPI do
   @moduledoc """
-  `docs/openapi.json` and `GET /api/openapi`: the REST interface as OpenAPI 3.1, made from the routes
-  (`FleetWeb.API.Resources.actions/0`) and what is said about them (`FleetWeb.API.Operations`). Pure.
+  `docs/openapi.json` and `GET /api/openapi`: the REST interface as OpenAPI 3.1, made from
+  `FleetWeb.API.Routes`. Pure.
   """
 
-  alias FleetWeb.API.{Error, Operations, Resources}
-  alias FleetWeb.Rights
+  alias FleetWeb.API.{Error, Parameters, Routes}
 
   # Every answer may be one of these; those of commands only where a vehicle is asked.
   @errors [400, 401, 403, 404, 405, 409, 413, 415, 422, 429, 503]
@@ -31,7 +30,7 @@ defmodule FleetWeb.API.OpenAPI do
           key: %{type: :apiKey, in: :header, name: "X-Aerie-Key"},
           bearer: %{type: :http, scheme: :bearer}
         },
-        schemas: Map.merge(Operations.schemas(), %{error: error()}),
+        schemas: Map.merge(schemas(), %{error: error()}),
         responses: Map.new(@errors ++ @command_errors, &{"error#{&1}", response(&1)})
       }
     }
@@ -45,32 +44,34 @@ defmodule FleetWeb.API.OpenAPI do
   defp version, do: :fleet_web |> Application.spec(:vsn) |> to_string()
 
   defp paths do
-    Resources.actions()
-    |> Enum.group_by(fn {path, _method, _action} -> path end)
-    |> Map.new(fn {path, actions} ->
-      methods =
-        Map.new(actions, fn {_path, method, action} ->
-          {String.downcase(method), operation(path, method, action)}
-        end)
-
-      {template(path), methods}
+    Routes.all()
+    |> Enum.group_by(& &1.path)
+    |> Map.new(fn {path, routes} ->
+      {template(path), Map.new(routes, &{String.downcase(&1.method), operation(&1)})}
     end)
   end
 
+  # What several bodies are.
+  @common %{
+    object: %{type: :object},
+    nothing: %{type: :object, maxProperties: 0},
+    mode: %{type: :object, required: [:mode], properties: %{mode: %{enum: ~w(always armed off)}}}
+  }
+
+  defp schemas, do: for(%{body: {name, %{} = schema}} <- Routes.all(), into: @common, do: {name, schema})
+
   defp template(path), do: path |> String.replace(~r/:([a-z]+)/, "{\\1}") |> String.replace("[...]", "{path}")
 
-  defp operation(path, method, action) do
-    about = Map.fetch!(Operations.all(), action)
-
+  defp operation(%{path: path} = route) do
     %{
       operationId:
-        "#{String.downcase(method)}#{path |> String.replace(~r/[^a-z]+/, "_") |> String.trim_trailing("_")}",
-      summary: about.summary <> for_whom(Rights.least(action, method)),
+        "#{String.downcase(route.method)}#{path |> String.replace(~r/[^a-z]+/, "_") |> String.trim_trailing("_")}",
+      summary: route.summary <> for_whom(route.role),
       tags: [path |> String.split("/", trim: true) |> Enum.at(1, "api")],
-      parameters: in_path(path) ++ Enum.map(about[:query] || [], &in_query/1),
-      responses: responses(path, about)
+      parameters: in_path(path) ++ Enum.map(route.query, &in_query/1),
+      responses: responses(route)
     }
-    |> with_body(about[:body])
+    |> with_body(route.body)
   end
 
   defp for_whom(:viewer), do: ""
@@ -82,7 +83,7 @@ defmodule FleetWeb.API.OpenAPI do
   end
 
   defp in_query(name) do
-    {schema, meaning} = Map.fetch!(Operations.parameters(), name)
+    {schema, meaning} = Map.fetch!(Parameters.all(), name)
     %{name: name, in: :query, required: false, description: meaning, schema: schema}
   end
 
@@ -90,6 +91,8 @@ defmodule FleetWeb.API.OpenAPI do
 
   defp with_body(operation, {:bytes, types}),
     do: Map.put(operation, :requestBody, %{required: true, content: content(types)})
+
+  defp with_body(operation, {name, %{} = _schema}), do: with_body(operation, name)
 
   defp with_body(operation, schema),
     do:
@@ -105,10 +108,12 @@ defmodule FleetWeb.API.OpenAPI do
     end)
   end
 
-  defp responses(path, about) do
-    errors = if String.starts_with?(path, "/api/vehicles/:id/"), do: @errors ++ @command_errors, else: @errors
-    done = %{"#{about[:status] || 200}" => answer(Map.get(about, :answer, :object))}
-    later = if about[:later], do: %{"202" => answer(:object)}, else: %{}
+  defp responses(route) do
+    errors =
+      if String.starts_with?(route.path, "/api/vehicles/:id/"), do: @errors ++ @command_errors, else: @errors
+
+    done = %{"#{route.status}" => answer(route.answer)}
+    later = if route.later, do: %{"202" => answer(:object)}, else: %{}
 
     errors
     |> Map.new(&{"#{&1}", %{"$ref": "#/components/responses/error#{&1}"}})

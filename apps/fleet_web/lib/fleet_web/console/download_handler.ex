@@ -10,7 +10,8 @@ defmodule FleetWeb.Console.DownloadHandler do
   alias Aerie.Control.Policy.Audit.Reader
   alias FleetWeb.API
   alias FleetWeb.API.{Recordings, Request}
-  alias FleetWeb.Console.Access.{Role, Session}
+  alias Aerie.Control.Policy.Roles
+  alias FleetWeb.Console.Access.Session
   alias Phoenix.LiveView.Cookie
 
   @least %{recording: :viewer, audit: :admin}
@@ -33,7 +34,7 @@ defmodule FleetWeb.Console.DownloadHandler do
   defp allowed(request, least, %{gateway: gateway, server: server}) do
     case Session.user(gateway, Cookie.read(request, server.secret, server.cookie)) do
       nil -> {:error, :nobody}
-      user -> if Role.at_least?(user.role, least), do: {:ok, user}, else: {:error, {:role, least}}
+      user -> if Roles.at_least?(user.role, least), do: {:ok, user}, else: {:error, {:role, least}}
     end
   end
 

@@ -4,7 +4,7 @@ defmodule FleetWeb.Console.Layout do
 
   import FleetWeb.Console.Alarms.Strip
 
-  alias FleetWeb.Console.{Assets, Navigation}
+  alias FleetWeb.Console.{Assets, Pages}
 
   @doc """
   The document. The banner for a lost gateway is outside the live page, because it shows when that is dead. Until the page is live, all its
@@ -85,7 +85,7 @@ defmodule FleetWeb.Console.Layout do
           </summary>
           <div class="menu-list">
             <p class="menu-head">{@user.name} <.badge>{@user.role}</.badge> <span class="clock phone-only">{@clock}</span></p>
-            <.nav_link :for={entry <- Navigation.entries(@user.role)} :if={not entry.main} entry={entry} path={@path} class="phone-only" />
+            <.nav_link :for={entry <- Pages.entries(@user.role)} :if={not entry.main} entry={entry} path={@path} class="phone-only" />
             <button type="button" data-action="theme"><.icon name="contrast" /> Dark or light</button>
             <button type="button" data-action="help"><.icon name="keyboard" /> Keyboard shortcuts <kbd>?</kbd></button>
             <form action="/sign-out" method="post">
@@ -96,11 +96,11 @@ defmodule FleetWeb.Console.Layout do
         </details>
       </header>
       <nav class="nav" aria-label="Pages">
-        <.nav_link :for={entry <- Navigation.entries(@user.role)} entry={entry} path={@path} class={if(not entry.main, do: "wide-only")} />
+        <.nav_link :for={entry <- Pages.entries(@user.role)} entry={entry} path={@path} class={if(not entry.main, do: "wide-only")} />
       </nav>
       <main id="main" class="main" tabindex="-1">{@inner_content}</main>
       <.flash flash={@flash} />
-      <.help entries={Navigation.entries(@user.role)} />
+      <.help entries={Pages.entries(@user.role)} />
     </div>
     """
   end
@@ -152,7 +152,7 @@ defmodule FleetWeb.Console.Layout do
       navigate={@entry.path}
       class={["nav-link", @class]}
       data-key={@entry.key}
-      aria-current={if(Navigation.current?(@entry, @path), do: "page")}
+      aria-current={if(Pages.current?(@entry, @path), do: "page")}
     ><.icon name={@entry.icon} /><span>{@entry.label}</span></.link>
     """
   end

@@ -1,7 +1,7 @@
 defmodule Mix.Tasks.Aerie.Openapi do
   @shortdoc "Writes docs/openapi.json from the routes of /api"
   @moduledoc """
-  Writes `docs/openapi.json` from `FleetWeb.API.Resources` and `FleetWeb.API.Operations`. Give a file name to write elsewhere.
+  Writes `docs/openapi.json` from `FleetWeb.API.Routes`. Give a file name to write elsewhere.
 
       mix aerie.openapi [FILE]
   """

@@ -1,7 +1,7 @@
 defmodule FleetWeb.API.OpenAPITest do
   use FleetWeb.APICase, async: true
 
-  alias FleetWeb.API.{OpenAPI, Operations, Resources}
+  alias FleetWeb.API.{OpenAPI, Parameters, Routes}
 
   @file_ Path.expand("../../../../../docs/openapi.json", __DIR__)
 
@@ -11,9 +11,17 @@ defmodule FleetWeb.API.OpenAPITest do
     assert JSON.decode!(text) == OpenAPI.document() |> JSON.encode!() |> JSON.decode!()
   end
 
-  test "each action is described, and nothing else" do
-    actions = for {_path, _method, action} <- Resources.actions(), uniq: true, do: action
-    assert Enum.sort(actions) == Enum.sort(Map.keys(Operations.all()))
+  test "each route is described, by parameters that have a meaning, and has one row" do
+    for route <- Routes.all() do
+      assert route.summary =~ ~r/\A[A-Z].*\.\z/
+      assert route.query -- Map.keys(Parameters.all()) == []
+    end
+
+    rows = for route <- Routes.all(), do: {route.method, route.path}
+    assert rows == Enum.uniq(rows)
+
+    assert Routes.all() |> Enum.flat_map(& &1.query) |> Enum.uniq() |> Enum.sort() ==
+             Parameters.all() |> Map.keys() |> Enum.sort()
   end
 
   test "ids of operations differ, references lead somewhere" do

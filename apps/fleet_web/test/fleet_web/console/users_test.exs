@@ -3,7 +3,8 @@ defmodule FleetWeb.Console.UsersTest do
 
   import Bitwise
 
-  alias FleetWeb.Console.Access.{Password, Role, Users}
+  alias Aerie.Control.Policy.Roles
+  alias FleetWeb.Console.Access.{Password, Users}
 
   @moduletag :tmp_dir
 
@@ -36,10 +37,10 @@ defmodule FleetWeb.Console.UsersTest do
   end
 
   test "roles stand in an order, and no other text is one" do
-    assert Role.at_least?(:admin, :operator) and Role.at_least?(:operator, :operator)
-    refute Role.at_least?(:viewer, :operator)
-    assert Role.parse("admin") == {:ok, :admin}
-    for bad <- ["root", "Admin", "", nil, 1], do: assert(Role.parse(bad) == :error)
+    assert Roles.at_least?(:admin, :operator) and Roles.at_least?(:operator, :operator)
+    refute Roles.at_least?(:viewer, :operator)
+    assert Roles.parse("admin") == {:ok, :admin}
+    for bad <- ["root", "Admin", "", nil, 1], do: assert(Roles.parse(bad) == :error)
   end
 
   test "a file of users is read; what is wrong with it is said, without its text", %{tmp_dir: dir} do

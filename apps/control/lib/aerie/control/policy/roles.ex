@@ -28,6 +28,19 @@ defmodule Aerie.Control.Policy.Roles do
   @spec all() :: [role(), ...]
   def all, do: [:viewer, :operator, :admin]
 
+  @doc "Whether a role may do what `least` may."
+  @spec at_least?(role(), role()) :: boolean()
+  def at_least?(role, least), do: rank(role) >= rank(least)
+
+  defp rank(:viewer), do: 0
+  defp rank(:operator), do: 1
+  defp rank(:admin), do: 2
+
+  @doc "The role with a name from outside."
+  @spec parse(term()) :: {:ok, role()} | :error
+  def parse(name),
+    do: with(nil <- Enum.find(all(), &(Atom.to_string(&1) == name)), do: :error, else: (role -> {:ok, role}))
+
   @doc "The permissions that no role includes."
   @spec own() :: [Type.permission(), ...]
   def own, do: @own

@@ -14,7 +14,8 @@ defmodule FleetWeb.Console.Access.OnMount do
 
   alias Aerie.Base.Names
   alias Aerie.Base.PubSub
-  alias FleetWeb.Console.Access.{Role, Session}
+  alias Aerie.Control.Policy.Roles
+  alias FleetWeb.Console.Access.Session
   alias FleetWeb.WorkLimit
 
   @page_cost 4
@@ -47,7 +48,7 @@ defmodule FleetWeb.Console.Access.OnMount do
   defp admit(socket, gateway, user, session) do
     page = socket.view.__console__()
 
-    if Role.at_least?(user.role, page.role) do
+    if Roles.at_least?(user.role, page.role) do
       if connected?(socket), do: watch(gateway)
 
       {:cont,
@@ -91,7 +92,7 @@ defmodule FleetWeb.Console.Access.OnMount do
       Session.user(gateway, session) != user ->
         {:halt, leave(socket)}
 
-      Role.at_least?(user.role, least) ->
+      Roles.at_least?(user.role, least) ->
         {:cont, socket}
 
       true ->

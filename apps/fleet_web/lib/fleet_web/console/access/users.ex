@@ -16,9 +16,9 @@ defmodule FleetWeb.Console.Access.Users do
 
   alias Aerie.Base.Files.{Damaged, Private}
   alias Aerie.Base.Names
-  alias Aerie.Control.Policy.Roles
   alias Aerie.Base.PubSub
-  alias FleetWeb.Console.Access.{Password, Role}
+  alias Aerie.Control.Policy.Roles
+  alias FleetWeb.Console.Access.Password
   alias FleetWeb.WorkLimit
 
   @most 100
@@ -177,7 +177,7 @@ defmodule FleetWeb.Console.Access.Users do
   defp name(_other), do: {:error, "the name is missing"}
 
   defp role(role) do
-    with :error <- Role.parse(to_string(role)),
+    with :error <- Roles.parse(to_string(role)),
          do: {:error, "expected the role #{Enum.join(Roles.all(), ", ")}"}
   end
 

@@ -2,7 +2,7 @@ defmodule FleetWeb.Console.Alarms.Page do
   @moduledoc "The page of all alarms: which vehicle, what, how old, and who has acknowledged them."
   use FleetWeb.Console, :page
 
-  alias FleetWeb.Console.Access.Role
+  alias Aerie.Control.Policy.Roles
   alias Aerie.Fleet.Alarms
   alias Aerie.Fleet.Alarms.Server
   alias FleetWeb.Console.Alarms.Strip
@@ -21,7 +21,7 @@ defmodule FleetWeb.Console.Alarms.Page do
     {list, dropped} = Server.list(socket.assigns.gateway)
     now = System.os_time(:microsecond)
     rows = for alarm <- list, do: Map.merge(alarm, %{state: Alarms.state(alarm), age: now - alarm.since})
-    assign(socket, rows: rows, dropped: dropped, may?: Role.at_least?(socket.assigns.user.role, :operator))
+    assign(socket, rows: rows, dropped: dropped, may?: Roles.at_least?(socket.assigns.user.role, :operator))
   end
 
   @impl Phoenix.LiveView

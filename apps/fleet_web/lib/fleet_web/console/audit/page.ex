@@ -8,7 +8,7 @@ defmodule FleetWeb.Console.Audit.Page do
 
   alias Aerie.Control.Policy.Audit
   alias Aerie.Control.Policy.Audit.{Reader, Verify}
-  alias FleetWeb.Console.Access.Role
+  alias Aerie.Control.Policy.Roles
   alias FleetWeb.Console.Clock
   alias FleetWeb.WorkLimit
 
@@ -31,7 +31,7 @@ defmodule FleetWeb.Console.Audit.Page do
        reading: nil,
        verifying: nil,
        report: nil,
-       admin?: Role.at_least?(user.role, :admin)
+       admin?: Roles.at_least?(user.role, :admin)
      )
      |> subscribe([])
      |> load()}

@@ -4,7 +4,7 @@ defmodule FleetWeb.Console.Fleet.Actions do
 
   import FleetWeb.Console.Fleet.ControlForms, only: [charge: 1]
 
-  alias FleetWeb.Console.Access.Role
+  alias Aerie.Control.Policy.Roles
   alias FleetWeb.Console.Commands.Catalog
   alias FleetWeb.Console.Fleet.{Batch, Plans, Selection}
 
@@ -29,7 +29,7 @@ defmodule FleetWeb.Console.Fleet.Actions do
           <strong :if={@seen}>{@seen}</strong>
           <strong :if={@hidden} class="fleet-hidden" role="status"><.icon name="alert" /> {@hidden}</strong>
         </p>
-        <div :if={Role.at_least?(@user.role, :operator)} class="row">
+        <div :if={Roles.at_least?(@user.role, :operator)} class="row">
           <.hold_button
             :for={{type, label, icon, key} <- types()}
             id={"fleet-#{type}"}
@@ -44,7 +44,7 @@ defmodule FleetWeb.Console.Fleet.Actions do
         </div>
         <.button icon="plan" phx-click={JS.push("plans", value: @value)} aria-pressed={to_string(Enum.all?(@chosen, &Plans.on?(@plans, &1.id)))}>Missions</.button>
         <.button kind="quiet" icon="x" label="Select none" phx-click="none" />
-        <.charge :if={Role.at_least?(@user.role, :operator)} rows={@chosen} user={@user} />
+        <.charge :if={Roles.at_least?(@user.role, :operator)} rows={@chosen} user={@user} />
       </div>
     </div>
     """

@@ -14,7 +14,7 @@ defmodule FleetWeb.Console.Inspector.Page do
   alias Aerie.Base.Store
   alias Aerie.Fleet.Inspector
   alias Aerie.Fleet.Inspector.{Compose, Fields}
-  alias FleetWeb.Console.Access.Role
+  alias Aerie.Control.Policy.Roles
   alias FleetWeb.Console.Inspector.Rows
   alias FleetWeb.Console.UI.Age
 
@@ -35,7 +35,7 @@ defmodule FleetWeb.Console.Inspector.Page do
        sort: {:name, :asc},
        chosen: nil,
        detail: nil,
-       may_send?: Role.at_least?(user.role, :operator),
+       may_send?: Roles.at_least?(user.role, :operator),
        compose: nil,
        sending: nil,
        log: []

@@ -16,7 +16,7 @@ defmodule FleetWeb.Console.Links.Page do
   alias Aerie.Base.Store
   alias Aerie.Control.Policy
   alias MavRouter.{Client, Link, Router}
-  alias FleetWeb.Console.Access.Role
+  alias Aerie.Control.Policy.Roles
   alias FleetWeb.Console.Links.View
 
   @parts [{"links", "Links"}, {"clients", "Clients"}, {"routes", "Routes"}, {"rules", "Changed rules"}]
@@ -32,7 +32,7 @@ defmodule FleetWeb.Console.Links.Page do
        link: nil,
        samples: [],
        sampled_at: nil,
-       admin?: Role.at_least?(user.role, :admin),
+       admin?: Roles.at_least?(user.role, :admin),
        asking: nil,
        form: %{},
        error: nil

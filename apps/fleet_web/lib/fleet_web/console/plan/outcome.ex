@@ -3,7 +3,6 @@ defmodule FleetWeb.Console.Plan.Outcome do
   use FleetWeb.Console, :component
 
   alias Aerie.Control.Policy.Roles
-  alias FleetWeb.Console.Access.Role
   alias FleetWeb.Console.Plan.Transfer
 
   attr :transfer, :map, required: true
@@ -27,7 +26,7 @@ defmodule FleetWeb.Console.Plan.Outcome do
         <.badge kind="info">{Transfer.label(@transfer.kind)}</.badge> <.meter value={Transfer.share(@transfer)} label="Progress" text={phase(@transfer.progress)} />
       </p>
       <.hold_button
-        :if={@transfer.aboard && @transfer.vehicle == @vehicle && Role.at_least?(@user.role, :operator)}
+        :if={@transfer.aboard && @transfer.vehicle == @vehicle && Roles.at_least?(@user.role, :operator)}
         id="plan-remove"
         event="remove_aboard"
         icon="trash"

@@ -3,7 +3,7 @@ defmodule FleetWeb.Console.Plan.Panel do
   use FleetWeb.Console, :component
 
   alias Aerie.Control.Mission.{Item, Plan}
-  alias FleetWeb.Console.Access.Role
+  alias Aerie.Control.Policy.Roles
   alias FleetWeb.Console.Plan.{Edit, Kinds, Profile, Transfer}
 
   @width 600
@@ -50,7 +50,7 @@ defmodule FleetWeb.Console.Plan.Panel do
         <.button icon="download" phx-click="download" disabled={@vehicle == nil or @busy?}>Read</.button>
         <.button icon="check" phx-click="verify" disabled={@vehicle == nil or @busy?}>Compare</.button>
         <.hold_button
-          :if={Role.at_least?(@user.role, :operator)}
+          :if={Roles.at_least?(@user.role, :operator)}
           id="plan-upload"
           event="upload"
           value={%{shown: Transfer.target(@vehicle, @draft.plan)}}
@@ -69,7 +69,7 @@ defmodule FleetWeb.Console.Plan.Panel do
         <.button icon="download" phx-click="export" phx-value-format="plan">Save as .plan</.button>
         <.button icon="download" phx-click="export" phx-value-format="waypoints">Save as .waypoints</.button>
       </span>
-      <p :if={@vehicle && @sent != [] && Role.at_least?(@user.role, :operator)} id="plan-sends" class="muted">Send sends: {Enum.join(@sent, ", ")}. What is aboard otherwise stays.</p>
+      <p :if={@vehicle && @sent != [] && Roles.at_least?(@user.role, :operator)} id="plan-sends" class="muted">Send sends: {Enum.join(@sent, ", ")}. What is aboard otherwise stays.</p>
     </div>
     """
   end
@@ -120,7 +120,7 @@ defmodule FleetWeb.Console.Plan.Panel do
         <.button :if={@draft.part == :mission} small icon="home" phx-click="home" disabled={@vehicle == nil}>Use vehicle's home</.button>
         <.button small icon="trash" phx-click="clear_part">Clear</.button>
         <.button
-          :if={@vehicle && Role.at_least?(@user.role, :operator)}
+          :if={@vehicle && Roles.at_least?(@user.role, :operator)}
           small
           phx-click="look"
           disabled={busy?(@transfer)}

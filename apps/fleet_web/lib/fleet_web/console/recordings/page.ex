@@ -17,7 +17,7 @@ defmodule FleetWeb.Console.Recordings.Page do
   alias Aerie.Base.Store
   alias Aerie.Control.Policy
   alias MavRouter.{Link, Recorder}
-  alias FleetWeb.Console.Access.Role
+  alias Aerie.Control.Policy.Roles
   alias FleetWeb.Console.Clock
   alias FleetWeb.Console.Recordings.{TimeLine, TlogFile}
   alias FleetWeb.Console.UI.Age
@@ -33,8 +33,8 @@ defmodule FleetWeb.Console.Recordings.Page do
      socket
      |> assign(
        page_title: "Recordings",
-       admin?: Role.at_least?(user.role, :admin),
-       may_save?: Role.at_least?(user.role, :operator),
+       admin?: Roles.at_least?(user.role, :admin),
+       may_save?: Roles.at_least?(user.role, :operator),
        asking: nil,
        line: nil,
        reading: nil,

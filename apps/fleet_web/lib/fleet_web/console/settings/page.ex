@@ -15,9 +15,9 @@ defmodule FleetWeb.Console.Settings.Page do
   import FleetWeb.Console.Settings.Configuration, only: [configuration: 1]
   import FleetWeb.Console.Settings.ProgramKeys
 
-  alias Aerie.Control.Policy.Roles
   alias FleetWeb.API.KeyRing
-  alias FleetWeb.Console.Access.{Password, Role, Users}
+  alias Aerie.Control.Policy.Roles
+  alias FleetWeb.Console.Access.{Password, Users}
   alias FleetWeb.Console.Settings.Configuration
 
   @impl Phoenix.LiveView
@@ -27,7 +27,7 @@ defmodule FleetWeb.Console.Settings.Page do
     socket =
       assign(socket,
         page_title: "Settings",
-        admin?: Role.at_least?(user.role, :admin),
+        admin?: Roles.at_least?(user.role, :admin),
         own?: Users.find(gateway, user.name) != nil,
         asking: nil,
         errors: %{},

@@ -1,0 +1,152 @@
+defmodule FleetWeb.API.Routes.Gateway do
+  @moduledoc "The routes of the gateway: links, clients, rules, recordings, policy, configuration, operations (`FleetWeb.API.Routes`)."
+
+  import FleetWeb.API.Route
+
+  @text %{type: :string}
+  @bytes {:bytes, ["application/octet-stream"]}
+  @plan {:bytes, ["application/json", "text/plain", "application/octet-stream"]}
+  @level ~w(debug info notice warning error none)
+
+  @doc "The rows."
+  @spec rows() :: [FleetWeb.API.Route.t()]
+  def rows do
+    [
+      get("/api", :index, "The resources and their methods."),
+      get("/api/openapi", :openapi, "This description."),
+      get("/api/status", :status, "The most used state of all vehicles."),
+      get("/api/diagnosis", :diagnosis, "What is wrong, and what to do about it."),
+      get("/api/vehicles", :vehicles, "All vehicles.", query: [:tag]),
+      get("/api/events", :events, "The latest events of all vehicles.", query: [:limit, :since]),
+      get("/api/signing", :signing, "Signed links and vehicles."),
+      get(
+        "/api/signing/capability",
+        :signing_capability,
+        "Which vehicles can sign, and by which links they can be given a key."
+      ),
+      get("/api/links", :links, "All links."),
+      post("/api/links", :add_link, :admin, "Adds a link; it lives until it is removed, or the gateway ends.",
+        body:
+          {:link,
+           %{
+             type: :object,
+             required: [:url],
+             additionalProperties: false,
+             properties: %{
+               id: @text,
+               label: @text,
+               group: @text,
+               url: @text,
+               high_latency: %{type: :boolean},
+               network: @text
+             }
+           }},
+        status: 201
+      ),
+      delete("/api/links/:id", :remove_link, :admin, "Closes and forgets a link.", status: 204, answer: nil),
+      put("/api/links/:id/recording", :record_link, :admin, "Starts or stops recording a link.", body: :mode),
+      get("/api/recorder", :recorder, "What is being recorded, and the recordings on disk."),
+      get("/api/recordings/:name", :download, "A recording.", answer: @bytes),
+      get("/api/clients", :clients, "Endpoints for clients, and the clients that are connected."),
+      post("/api/clients", :add_client, :admin, "Adds an endpoint for clients.",
+        body:
+          {:client,
+           %{
+             type: :object,
+             required: [:url],
+             additionalProperties: false,
+             properties: %{
+               access: %{enum: ["full", "read"]},
+               id: @text,
+               networks: %{type: :array, items: @text},
+               url: @text
+             }
+           }},
+        status: 201
+      ),
+      delete("/api/clients/:id", :remove_client, :admin, "Removes an endpoint, or disconnects a client.",
+        status: 204,
+        answer: nil
+      ),
+      get("/api/rules", :rules, "The routing rules of links and clients."),
+      patch("/api/rules/:id", :change_rules, :admin, "Changes the rules of a link or client.",
+        body: {:rules, %{type: :object, minProperties: 1}}
+      ),
+      delete("/api/rules/:id", :reset_rules, :admin, "Restores the configured rules.",
+        status: 204,
+        answer: nil
+      ),
+      post(
+        "/api/config/reload",
+        :reload_config,
+        :admin,
+        "Reads the configuration again and puts in force what can change without a restart.",
+        body: :nothing
+      ),
+      get("/api/log", :log, "The levels of the log."),
+      patch("/api/log", :change_log, :admin, "Changes the levels of the log.",
+        body:
+          {:log,
+           %{
+             type: :object,
+             additionalProperties: false,
+             properties: %{
+               level: %{enum: @level},
+               areas: %{type: :object, additionalProperties: %{enum: @level ++ [nil]}}
+             },
+             minProperties: 1
+           }}
+      ),
+      get("/api/operations", :operations, "Operations on many vehicles, without their vehicles."),
+      post(
+        "/api/operations",
+        :begin_operation,
+        :operator,
+        "Begins an operation on many vehicles, which goes on by itself.",
+        body:
+          {:operation,
+           %{
+             type: :object,
+             additionalProperties: false,
+             properties: %{
+               command: %{
+                 type: :object,
+                 required: [:type],
+                 properties: %{type: @text, params: %{type: :object}}
+               },
+               id: @text,
+               tag: @text,
+               step: %{default: 20, maximum: 100, type: :integer, minimum: 1},
+               shadow: %{type: :object},
+               await: %{enum: ["written", "converged"]},
+               vehicles: %{type: :array, items: @text, maxItems: 2000, minItems: 1},
+               halt_ratio: %{default: 1, maximum: 1, type: :number, minimum: 0},
+               pause_s: %{default: 0, maximum: 3600, type: :number, minimum: 0},
+               timeout_s: %{maximum: 300, type: :number, minimum: 1}
+             }
+           }},
+        status: 202
+      ),
+      get("/api/operations/:id", :operation, "An operation, and what became of each vehicle."),
+      delete(
+        "/api/operations/:id",
+        :stop_operation,
+        :operator,
+        "Stops an operation: no further vehicle is begun."
+      ),
+      get("/api/policy", :policy, "The policy in force."),
+      post("/api/policy/reload", :reload_policy, :admin, "Reads the policy and its fences again.",
+        body: :nothing
+      ),
+      post("/api/plans", :store_plan, :operator, "Stores a .plan file for desired states.",
+        body: @plan,
+        status: 201
+      ),
+      get("/api/commands/types", :command_types, "The commands with their parameters."),
+      post("/api/tickets", :issue_ticket, :viewer, "Issues a ticket that opens one WebSocket.",
+        body: :nothing,
+        status: 201
+      )
+    ]
+  end
+end

@@ -354,7 +354,13 @@ defmodule Aerie.Control.Policy.MavlinkPolicyTest do
     :ok = Policy.Store.put(c.gateway, Map.put(c.section, :rates, [%{per_minute: 1, burst: 2}]))
     one = client(c.gateway, "operator")
     two = udp(Link.snapshot(c.gateway, "operator").port)
-    for socket <- [one, two, one, two], do: say(socket, goto(47.01, 50.0))
+    # Frames of one station by two ways would be taken for duplicates.
+    ids = fn system, n -> [system: system, component: 190, seq: n] end
+
+    for {socket, system} <- [{one, 255}, {two, 254}],
+        n <- 1..2,
+        do: say(socket, MavCodec.encode(goto(47.01, 50.0), ids.(system, n)))
+
     assert [%M.CommandInt{}, %M.CommandInt{}] = reached(one, c)
   end
 

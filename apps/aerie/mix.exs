@@ -24,10 +24,10 @@ defmodule Aerie.MixProject do
           # They are about distribution, which this VM is not started for; tool_test.exs and release_test.exs run them in VMs of their own.
           Aerie.Node,
           Aerie.Node.Directory,
-          Aerie.Tool.Run.MissionFile,
-          Aerie.Tool.Run.ParamsFile,
-          Aerie.Tool.Run.Remote,
-          Aerie.Tool.Run.Stop
+          Aerie.CLI.Subcommand.MissionFile,
+          Aerie.CLI.Subcommand.ParamsFile,
+          Aerie.CLI.Subcommand.Remote,
+          Aerie.CLI.Subcommand.Stop
         ]
       ],
       # The system tests of the whole gateway stand at the top of the repository; this app depends on all they need.

@@ -95,7 +95,7 @@ release_aerie() {
   read -r _ version <"$release/releases/start_erl.data" || true
   env -i PATH="$PATH" erl -boot "$release/releases/$version/start_clean" -boot_var RELEASE_LIB "$release/lib" \
     -config "$release/releases/$version/sys" -args_file "$release/releases/$version/vm.args" \
-    +Bd -noshell -eval "'Elixir.Aerie.Tool':main()" -extra "$@"
+    +Bd -noshell -eval "'Elixir.Aerie.CLI':main()" -extra "$@"
 }
 
 # Runs it, and has it write its own man page and completion.

@@ -8,15 +8,15 @@ defmodule Aerie.System.ToolInsideTest do
 
   import ExUnit.CaptureIO
 
-  alias Aerie.{Shell, Tool}
-  alias Aerie.Tool.{Gateway, Parse}
+  alias Aerie.{CLI, Shell}
+  alias Aerie.CLI.{Gateway, Parser}
 
   @moduletag :tmp_dir
   @moduletag :capture_log
 
   # What the table says runs in the gateway is run here, with the same words.
   defp aerie(words, input \\ "") do
-    {:ok, row, arguments, options} = Parse.command_line(words)
+    {:ok, row, arguments, options} = Parser.command_line(words)
     request = %{name: row.name, arguments: arguments, options: options, folder: "."}
     me = self()
     run = fn -> send(me, {:answer, Gateway.call(node(), row.module, :run, [request])}) end
@@ -136,7 +136,7 @@ defmodule Aerie.System.ToolInsideTest do
 
   # What needs no gateway.
   defp here(words, folder) do
-    case Tool.call(words, folder) do
+    case CLI.call(words, folder) do
       {:error, text} -> {text, 2}
       {status, text} -> {IO.iodata_to_binary(text), status}
     end

@@ -102,7 +102,7 @@ defmodule RouterBench do
         config = Path.join(folder, "gateway.yaml")
         File.mkdir_p!(folder)
         File.write!(config, config(folder, source, client))
-        start = ["run", "--no-compile", "--no-halt", "-e", "Aerie.CLI.main(System.argv())", "--"]
+        start = ["run", "--no-compile", "--no-halt", "-e", "Aerie.CLI.Start.main(System.argv())", "--"]
         words = ["--quiet", "--config", config, "--http", "0", "--nats", "embedded"]
         {System.find_executable("mix"), start ++ words}
       end

@@ -45,8 +45,8 @@ defmodule Aerie.Application do
   # Who starts the VM says whether it is to have a gateway: `bin/run` puts its words there, a release those after -extra.
   # Tests, benchmarks and `bin/aerie eval` have none.
   defp gateway(nil), do: :ok
-  defp gateway(:plain_arguments), do: CLI.main(Enum.map(:init.get_plain_arguments(), &List.to_string/1))
-  defp gateway(words), do: CLI.main(words)
+  defp gateway(:plain_arguments), do: CLI.Start.main(Enum.map(:init.get_plain_arguments(), &List.to_string/1))
+  defp gateway(words), do: CLI.Start.main(words)
 
   # Before anything is stopped, so that links still carry the vehicles' answers.
   @impl Application

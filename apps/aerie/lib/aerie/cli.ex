@@ -1,122 +1,83 @@
 defmodule Aerie.CLI do
   @moduledoc """
-  The command line of Aerie, which `bin/run` starts.
-
-  `main/1` parses the options (`Aerie.CLI.Options`), plans the run (`Aerie.CLI.Plan`), checks the whole configuration,
-  and starts everything below `Aerie.CLI.Supervisor` (`Aerie.CLI.Run`). Nothing is left half started: an error ends the
-  program with status 2 and a message that says where the error is and how to correct it.
+  `bin/aerie`: watches, commands and debugs gateways from a terminal. `Aerie.CLI.Subcommands` lists what it can do, `Aerie.CLI.Parser` reads
+  the words, and the modules in `subcommand/` do it: in this VM, or in a running gateway (`Aerie.CLI.Gateway`).
   """
 
-  alias Aerie.CLI.{CheckAudit, CheckPolicy, LogKeeper, Options, Output, Plan, Run, ReplayEvents}
+  alias Aerie.CLI.Output
+  alias Aerie.Base.Printable
+  alias Aerie.CLI.{Gateway, Help, Parser, Subcommands}
 
-  @doc "Entry point of `bin/run`. Returns once everything is started; the VM runs until it is told to end."
-  @spec main([String.t()]) :: :ok
+  @doc "For a release, whose words come after `-extra`."
+  @spec main() :: no_return()
+  def main do
+    {:ok, _started} = Application.ensure_all_started(:elixir)
+    :init.get_plain_arguments() |> Enum.map(&List.to_string/1) |> main()
+  end
+
+  @doc "Does what the words say, and ends the VM."
+  @spec main([String.t()]) :: no_return()
   def main(words) do
-    :ok = LogKeeper.take(Output.stdout())
+    # What it prints is the answer; a library's remarks are none.
+    :ok = :logger.set_primary_config(:level, :error)
 
-    case call(words, System.get_env(), log: true) do
-      :ok -> :ok
-      {:finish, text} -> halt(Output.stdout(), text, 0)
-      {:denied, text} -> halt(Output.stdout(), text, 1)
-      {:fail, text} -> halt(Output.stderr(), text, 2)
+    case call(words, System.get_env("AERIE_CWD") || File.cwd!()) do
+      {:error, text} ->
+        System.halt(failed(text))
+
+      {status, text} ->
+        System.halt(print(text) || status)
     end
   end
 
-  @doc """
-  Does what `main/1` does, but does not end the program. Returns `:ok` if a gateway was started, `{:finish, text}` to
-  print and end with status 0, `{:denied, text}` (a check that was not passed) with status 1, or `{:fail, text}` with status 2.
+  @doc "Does what the words say: the exit status and what is left to print, or what was wrong."
+  @spec call([String.t()], Path.t()) :: {0..255, iodata()} | {:error, String.t()}
+  def call(words, folder) do
+    case Parser.command_line(words) do
+      {:help, row} ->
+        {0, Help.text(row)}
 
-  The environment gives `AERIE_CONFIG` (a configuration file, unless the options name one), `AERIE_CWD` (the user's current directory), `AERIE_TERMINAL` (`yes`: the output is a terminal),
-  `AERIE_COLUMNS` and `AERIE_LINES` (its size). `bin/run` sets them, because this program has no standard input that it
-  could ask. `options` are those of `Aerie.CLI.Run.start/2`.
-  """
-  @spec call([String.t()], %{String.t() => String.t()}, keyword()) ::
-          :ok | {:finish | :denied | :fail, String.t()}
-  def call(words, environment, options \\ []) do
-    # A release starts it by another name.
-    program = environment["AERIE_PROGRAM"] || "bin/run"
+      {:ok, row, arguments, options} ->
+        request = %{name: row.name, arguments: arguments, options: options, folder: folder}
 
-    case Options.parse(words) do
-      {:ok, parsed} ->
-        parsed |> configured(environment) |> start(environment, options)
+        if row.where == :gateway,
+          do: Gateway.run(row.module, request),
+          else: row.module.run(Map.put(request, :rows, Subcommands.all()))
 
-      :help ->
-        {:finish, String.replace(Options.help(), "bin/run", program)}
-
-      :version ->
-        {:finish, "aerie #{Application.spec(:aerie, :vsn)}\n"}
-
-      {:error, message} ->
-        {:fail, String.replace("error: #{message}\nbin/run --help lists the options\n", "bin/run", program)}
+      {:error, text} ->
+        {:error, text}
     end
   end
 
-  defp configured(%{config: nil} = parsed, %{"AERIE_CONFIG" => file}) when file != "",
-    do: %{parsed | config: file}
-
-  defp configured(parsed, _environment), do: parsed
-
-  defp start(%{print: [_ | _]} = parsed, environment, options) do
-    # No gateway runs, so there is nothing to log; a closed pipe would only log an error.
-    if options[:log], do: :ok = :logger.set_primary_config(:level, :none)
-
-    # Not by way of the application's own leader, which waits forever for a device that has ended.
-    options = Keyword.put_new(options, :device, :user)
-
-    case ReplayEvents.print(parsed, folder(environment), options) do
-      :ok -> {:finish, ""}
-      {:error, message} -> {:fail, "error: #{message}\n"}
-    end
+  # The status of an error, nil when it was printed.
+  defp print(text) do
+    IO.write(Printable.lines(text))
+    nil
+  rescue
+    ErlangError ->
+      with {:error, why} <- Output.repeat(Printable.lines(text)),
+           do: complain(why),
+           else: (_written_or_closed -> nil)
   end
 
-  defp start(%{check_policy: file} = parsed, environment, _options) when file != nil,
-    do: CheckPolicy.run(parsed, folder(environment))
-
-  defp start(%{check_audit: dir}, environment, _options) when dir != nil,
-    do: CheckAudit.run(dir, folder(environment))
-
-  defp start(parsed, environment, options) do
-    folder = folder(environment)
-
-    defaults = [
-      style: style(parsed, environment),
-      size: size(environment),
-      device: Output.stdout(),
-      warnings: Output.stderr()
-    ]
-
-    # A release has none.
-    demo? = Code.ensure_loaded?(SimVehicle.Fleet)
-
-    case Run.start(Plan.from(parsed, folder, demo?), Keyword.merge(defaults, options)) do
-      {:ok, _run} -> :ok
-      {:error, messages} -> {:fail, Enum.map_join(messages, &"error: #{&1}\n")}
-    end
+  # What was printed on the way may have ended the device, and so what printed it.
+  defp failed(text) do
+    IO.write("")
+    complain(text)
+  rescue
+    ErlangError ->
+      case Output.repeat("\n") do
+        :closed -> 0
+        {:error, why} -> complain(why)
+        :ok -> complain(text)
+      end
   end
 
-  defp folder(environment), do: Map.get_lazy(environment, "AERIE_CWD", &File.cwd!/0)
-
-  defp style(%{quiet: true}, _environment), do: :lines
-  defp style(_parsed, %{"AERIE_TERMINAL" => "yes"}), do: :table
-  defp style(_parsed, _environment), do: :lines
-
-  defp size(environment),
-    do: {whole(environment["AERIE_COLUMNS"], 120), whole(environment["AERIE_LINES"], 40)}
-
-  defp whole(nil, default), do: default
-
-  defp whole(text, default) do
-    case Integer.parse(text) do
-      {number, ""} when number >= 10 and number <= 1000 -> number
-      _other -> default
-    end
-  end
-
-  @spec halt(atom(), String.t(), 0..2) :: no_return()
-  defp halt(device, text, status) do
-    if text != "", do: IO.write(device, text)
-    why = if status != 2, do: Output.problem(device)
-    if why, do: IO.write(Output.stderr(), "error: #{why}\n")
-    System.halt(if(why, do: 2, else: status))
+  # Its status says it, too, if nobody can be told.
+  defp complain(text) do
+    IO.puts(:stderr, "error: " <> Printable.lines(text))
+    2
+  rescue
+    _full in [ArgumentError, ErlangError] -> 2
   end
 end

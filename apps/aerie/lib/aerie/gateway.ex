@@ -23,29 +23,7 @@ defmodule Aerie.Gateway do
   └─ Aerie.Fleet.Client.Supervisor       unix sockets of programs on this machine
   ```
 
-  A child depends only on those before it, and a restart also restarts those after it. What a restart costs:
-
-  | child that dies    | what is lost                                                      | what goes on                  |
-  |--------------------|-------------------------------------------------------------------|-------------------------------|
-  | a vehicle's process | frames in its mailbox; state comes back from the store and wire  | every other vehicle, all links |
-  | a link's process   | bytes in its socket buffer; vehicles stay, marked stale in time   | every other link, all vehicles |
-  | Client.Supervisor  | the connections of its clients                                    | everything else                |
-  | Link.Supervisor    | the same for all links                                            | vehicles, bridge, store        |
-  | Serving.Supervisor | what was read: the vehicles are read again; then as above            | commands, vehicles, bridge, store |
-  | Params.CacheWriter      | nothing: the lists are on the disk; then as above                   | commands, vehicles, bridge, store |
-  | Shadow.Supervisor | the lease, for a moment; desired states come back from disk and NATS; then as above | commands, vehicles, bridge, store |
-  | Operations.Supervisor | what is left of an operation is not done; then as above            | shadow, commands, vehicles, store |
-  | Commands.Supervisor | what is under way is `unknown`, and observed; then as above         | vehicles, bridge, store        |
-  | Remote.Supervisor  | nothing: what was heard is in the store; then as above               | vehicles, bridge, store        |
-  | Vehicle.Supervisor | links reconnect; vehicles are rebuilt from the store              | router, bridge, store          |
-  | Router.Supervisor  | learned routes, then as above                                     | bridge, store                  |
-  | Policy.Supervisor  | nothing: the policy stays in force, the log is on the disk; then as above | recorder, signing, bridge, store |
-  | Recorder.Supervisor | rings, what was not written; then as above                      | signing, bridge, store         |
-  | Signing.Supervisor | nothing: time stamps were stored; then as above                  | bridge, store                  |
-  | Bridge.Supervisor  | nothing: unacknowledged events wait in the journal; then as above | store                          |
-  | Bridge.LastPublished | nothing: what it keeps is on the disk; then as above             | store                          |
-  | PubSub             | notices of one tick, then as above                                | store                          |
-  | Store              | the snapshots and the journal's unacknowledged events; then all   | nothing                        |
+  A child depends only on those before it, and a restart also restarts those after it. The app's README says what each restart costs.
 
   The store therefore does nothing but own tables: it has no code that could fail on input.
 

@@ -26,7 +26,8 @@ defmodule Aerie.Shell do
   alias MavRouter.Link
   alias Aerie.Fleet.Age
   alias Aerie.Shell.Text
-  alias Aerie.Tool.{Ask, Columns, Run}
+  alias Aerie.CLI.{Ask, Columns, Subcommand}
+  alias Aerie.CLI.Status.{Table, View}
   alias FleetWeb.Console.System.Sampler
 
   @gateway :default
@@ -46,16 +47,13 @@ defmodule Aerie.Shell do
   @doc "Whether the gateway is ready, and what is wrong."
   @spec health() :: :ok
   def health do
-    {_status, text} = Run.Status.run(%{name: "status", arguments: %{}, options: %{}, folder: "."})
+    {_status, text} = Subcommand.Status.run(%{name: "status", arguments: %{}, options: %{}, folder: "."})
     IO.write(text)
   end
 
   @doc "All vehicles; `VIA` is the gateway by which one is reached that this gateway's links do not hear."
   @spec fleet() :: :ok
-  def fleet do
-    now = System.os_time(:microsecond)
-    IO.write(Text.fleet(Fleet.vehicles(@gateway), Store.links(@gateway), now))
-  end
+  def fleet, do: @gateway |> View.collect() |> Table.vehicles() |> IO.write()
 
   @doc "One vehicle: its state by groups, with ages."
   @spec v(String.t()) :: :ok
@@ -68,7 +66,7 @@ defmodule Aerie.Shell do
 
   @doc "All links."
   @spec links() :: :ok
-  def links, do: IO.write(Text.links(Store.links(@gateway)))
+  def links, do: @gateway |> View.collect() |> Table.links() |> IO.write()
 
   @doc "Prints a message of a vehicle whenever it comes, `count` times, for at most half a minute."
   @spec watch(String.t(), atom(), pos_integer()) :: :ok
@@ -119,7 +117,7 @@ defmodule Aerie.Shell do
   @doc "Commands a vehicle, and prints the result. What moves a vehicle asks first."
   @spec cmd(String.t(), atom() | String.t(), keyword()) :: :ok
   def cmd(id, type, params \\ []) do
-    case Run.Command.give(
+    case Subcommand.Command.give(
            id,
            to_string(type),
            Map.new(params, fn {name, value} -> {to_string(name), value} end),
@@ -205,7 +203,7 @@ defmodule Aerie.Shell do
 
   defp with_vehicle(id, fun) do
     case Fleet.vehicle(@gateway, id) do
-      nil -> IO.puts(Run.Tail.unknown(id))
+      nil -> IO.puts(Subcommand.Tail.unknown(id))
       vehicle -> fun.(vehicle)
     end
   end
@@ -213,7 +211,7 @@ defmodule Aerie.Shell do
   # What is seen only on the links.
   defp with_vehicle_here(id, fun) do
     with_vehicle(id, fn
-      %{via: via} when via != nil -> IO.puts(Run.Tail.elsewhere(id, via))
+      %{via: via} when via != nil -> IO.puts(Subcommand.Tail.elsewhere(id, via))
       vehicle -> fun.(vehicle)
     end)
   end

@@ -1,6 +1,6 @@
 defmodule Aerie.CLI.Options do
   @moduledoc """
-  Parses and checks the command line of `bin/run`. Pure: from words to a struct or an error.
+  The options of `aerie start` (`bin/run`): their rows for `Aerie.CLI.Subcommands`, and the check of what was given. Pure.
   """
 
   defstruct links: [],
@@ -55,107 +55,63 @@ defmodule Aerie.CLI.Options do
 
   @max_sim 200
 
-  @switches [
-    link: :keep,
-    replay: :string,
-    speed: :string,
-    events: :boolean,
-    samples: :boolean,
-    sim: :integer,
-    config: :string,
-    http: :integer,
-    nats: :string,
-    check_policy: :string,
-    command: :string,
-    vehicle: :string,
-    role: :string,
-    permission: :keep,
-    check_audit: :string,
-    quiet: :boolean,
-    help: :boolean,
-    version: :boolean
+  @all [
+    {:link, :keep, "STRING", "connect to vehicles"},
+    {:replay, :string, "FILE", "play a recorded flight (a .tlog file) instead of connecting to vehicles"},
+    {:speed, :string, "N|max",
+     "with --replay: playback speed, up to 1000 times real time (default 1); with --sim: the vehicles' time, 0.1 to 100 times real time"},
+    {:events, :boolean, nil, "with --replay: print the events of the flight as JSON lines and exit"},
+    {:samples, :boolean, nil, "with --replay: print the state samples and exit; with --events, print both"},
+    {:sim, :integer, "N", "number of simulated vehicles (0 to #{@max_sim}); also together with links"},
+    {:config, :string, "FILE", "configuration file; config/gateway.example.yaml documents every key"},
+    {:http, :integer, "PORT",
+     "port of the HTTP server: /api, /metrics, /healthz, /readyz (0 takes a free one)"},
+    {:nats, :string, "WHERE", "embedded (the default) or a URL such as nats://hub:4222"},
+    {:quiet, :boolean, nil,
+     "log lines instead of the status table (the default if the output is not a terminal)"},
+    {:check_policy, :string, "FILE",
+     "with --command: print what the policy of a configuration decides about a command, and exit: status 0 allowed, 1 denied, 2 error"},
+    {:command, :string, "JSON", "with --check-policy: the command, or the name of a file that has it"},
+    {:vehicle, :string, "JSON",
+     ~s(with --check-policy: what is known about the vehicle, e.g. {"mode": {"armed": false}})},
+    {:role, :string, "ROLE", "with --check-policy: viewer, operator (the default) or admin"},
+    {:permission, :keep, "NAME", "with --check-policy: a permission beyond the role's, e.g. force_disarm"},
+    {:check_audit, :string, "FOLDER",
+     "check an audit log, and exit: status 0 intact, 1 damaged or changed, 2 error"},
+    {:version, :boolean, nil, "print the version"}
   ]
 
-  @help """
-  usage: bin/run [OPTION ...]
+  @doc "The rows of the options (`t:Aerie.CLI.Subcommand.option/0`)."
+  @spec all() :: [Aerie.CLI.Subcommand.option()]
+  def all, do: @all
 
-    Starts the gateway with an embedded NATS server. Without --link, --replay and --config, three simulated vehicles
-    fly (in a checkout; a release has none), and UDP port 14550 is open for real ones. Press Ctrl-C to stop it.
-
-    --link STRING      connect to vehicles (may be repeated):
-                         #{Enum.join(MavRouter.Link.Transport.help(), "\n" <> String.duplicate(" ", 23))}
-    --replay FILE      play a recorded flight (a .tlog file) instead of connecting to vehicles
-    --speed N|max      with --replay: playback speed, up to 1000 times real time (default 1)
-                       with --sim: the vehicles' time, 0.1 to 100 times real time
-    --events           with --replay: print the events of the flight as JSON lines and exit
-    --samples          with --replay: print the state samples and exit; with --events, print both
-    --sim N            number of simulated vehicles (0 to #{@max_sim}); also together with links
-    --config FILE      configuration file; config/gateway.example.yaml documents every key
-    --http PORT        port of the HTTP server: /api, /metrics, /healthz, /readyz (0 takes a free one)
-    --nats WHERE       embedded (the default) or a URL such as nats://hub:4222
-    --quiet            log lines instead of the status table (the default if the output is not a terminal)
-    --check-policy FILE --command JSON
-                       print what the policy of a configuration decides about a command, and exit: status 0 allowed,
-                       1 denied, 2 error. JSON may be the name of a file.
-    --vehicle JSON     with --check-policy: what is known about the vehicle, e.g. {"mode": {"armed": false}}
-    --role ROLE        with --check-policy: viewer, operator (the default) or admin
-    --permission NAME  with --check-policy: a permission beyond the role's, e.g. force_disarm (may be repeated)
-    --check-audit DIR  check an audit log, and exit: status 0 intact, 1 damaged or changed, 2 error
-    --version          print the version
-    --help             print this text
-  """
-
-  @doc "The text of `--help`."
-  @spec help() :: String.t()
-  def help, do: @help
-
-  @doc """
-  Parses the words of the command line.
-
-  Returns `{:ok, options}`, `:help`, `:version`, or `{:error, message}`, which says what is wrong and what is expected.
-  """
-  @spec parse([String.t()]) :: {:ok, t()} | :help | :version | {:error, String.t()}
-  def parse(words) do
-    case OptionParser.parse(words, strict: @switches, aliases: [h: :help, q: :quiet]) do
-      {switches, [], []} -> build(switches)
-      {_switches, [word | _rest], []} -> {:error, "unexpected '#{word}': every option starts with --"}
-      {_switches, _rest, [{name, value} | _more]} -> {:error, invalid(name, value)}
-    end
-  end
-
-  defp build(switches) do
-    cond do
-      switches[:help] -> :help
-      switches[:version] -> :version
-      true -> validate(switches)
-    end
-  end
-
-  defp validate(switches) do
+  @doc "Checks the options that were given: the struct, or what is wrong and what is expected."
+  @spec check(%{atom() => term()}) :: {:ok, t()} | {:error, String.t()}
+  def check(given) do
     options = %__MODULE__{
-      links: Keyword.get_values(switches, :link),
-      replay: switches[:replay],
-      print: for(what <- [:events, :samples], switches[what], do: what),
-      sim: switches[:sim],
-      config: switches[:config],
-      http: switches[:http],
-      nats: switches[:nats],
-      check_policy: switches[:check_policy],
-      command: switches[:command],
-      vehicle: switches[:vehicle],
-      check_audit: switches[:check_audit],
-      quiet: switches[:quiet] || false
+      links: given[:link] || [],
+      replay: given[:replay],
+      print: for(what <- [:events, :samples], given[what], do: what),
+      sim: given[:sim],
+      config: given[:config],
+      http: given[:http],
+      nats: given[:nats],
+      check_policy: given[:check_policy],
+      command: given[:command],
+      vehicle: given[:vehicle],
+      check_audit: given[:check_audit],
+      quiet: given[:quiet] || false
     }
 
-    with {:ok, speed} <- speed(switches[:speed]),
+    with {:ok, speed} <- speed(given[:speed]),
          :ok <- range("--sim", options.sim, 0, @max_sim),
          :ok <- range("--http", options.http, 0, 65_535),
-         :ok <- replay_alone(options, switches),
-         :ok <- print_alone(options, switches),
+         :ok <- replay_alone(options, given),
+         :ok <- print_alone(options, given),
          :ok <- nats(options.nats),
-         :ok <- check_alone(switches),
-         {:ok, role} <- one_of("--role", switches[:role] || "operator", Roles.all()),
-         {:ok, permissions} <- permissions(Keyword.get_values(switches, :permission)) do
+         :ok <- check_alone(given),
+         {:ok, role} <- one_of("--role", given[:role] || "operator", Roles.all()),
+         {:ok, permissions} <- permissions(given[:permission] || []) do
       {:ok, %{options | speed: speed, role: role, permissions: permissions}}
     end
   end
@@ -174,27 +130,27 @@ defmodule Aerie.CLI.Options do
   defp range(_name, value, low, high) when value >= low and value <= high, do: :ok
   defp range(name, value, low, high), do: {:error, "#{name}: expected #{low} to #{high}, got: #{value}"}
 
-  defp replay_alone(%{replay: nil}, switches) do
-    case switches[:speed] && {switches[:sim], speed(switches[:speed])} do
+  defp replay_alone(%{replay: nil}, given) do
+    case given[:speed] && {given[:sim], speed(given[:speed])} do
       nil -> :ok
       {nil, _speed} -> {:error, "--speed needs --replay FILE or --sim N"}
       {_sim, {:ok, speed}} when is_float(speed) and speed >= 0.1 and speed <= 100 -> :ok
-      _other -> {:error, "--speed: expected 0.1 to 100 with --sim, got: #{switches[:speed]}"}
+      _other -> {:error, "--speed: expected 0.1 to 100 with --sim, got: #{given[:speed]}"}
     end
   end
 
-  defp replay_alone(%{links: [_ | _]}, _switches),
+  defp replay_alone(%{links: [_ | _]}, _given),
     do: {:error, "--replay and --link exclude each other: a recording must not mix with live vehicles"}
 
-  defp replay_alone(_options, _switches), do: :ok
+  defp replay_alone(_options, _given), do: :ok
 
-  defp print_alone(%{print: []}, _switches), do: :ok
+  defp print_alone(%{print: []}, _given), do: :ok
 
-  defp print_alone(%{replay: nil, print: [what | _]}, _switches),
+  defp print_alone(%{replay: nil, print: [what | _]}, _given),
     do: {:error, "--#{what} needs --replay FILE"}
 
-  defp print_alone(%{print: [what | _]}, switches) do
-    case Enum.find([:speed, :sim, :http, :nats, :quiet], &(switches[&1] != nil)) do
+  defp print_alone(%{print: [what | _]}, given) do
+    case Enum.find([:speed, :sim, :http, :nats, :quiet], &(given[&1] != nil)) do
       nil -> :ok
       other -> {:error, "--#{what} only prints and starts no gateway: leave out --#{other}"}
     end
@@ -202,8 +158,8 @@ defmodule Aerie.CLI.Options do
 
   @with_check [:check_policy, :command, :vehicle, :role, :permission]
 
-  defp check_alone(switches) do
-    given = switches |> Keyword.keys() |> Enum.uniq()
+  defp check_alone(given) do
+    given = Map.keys(given)
 
     cond do
       :check_policy in given and :command not in given -> {:error, "--check-policy needs --command JSON"}
@@ -246,21 +202,5 @@ defmodule Aerie.CLI.Options do
       _other ->
         {:error, "--nats: expected embedded or a URL such as nats://127.0.0.1:4222, got: #{url}"}
     end
-  end
-
-  defp invalid(name, nil) do
-    case closest(name) do
-      nil -> "unknown option #{name}, or its value is missing; bin/run --help lists the options"
-      ^name -> "#{name} needs a value; see bin/run --help"
-      other -> "unknown option #{name}; did you mean #{other}?"
-    end
-  end
-
-  defp invalid(name, value), do: "#{name}: '#{value}' is not a whole number"
-
-  defp closest(name) do
-    names = for {switch, _type} <- @switches, do: "--" <> String.replace("#{switch}", "_", "-")
-    best = Enum.max_by(names, &String.jaro_distance(&1, name))
-    if String.jaro_distance(best, name) > 0.8, do: best
   end
 end

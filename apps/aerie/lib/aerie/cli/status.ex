@@ -7,11 +7,8 @@ defmodule Aerie.CLI.Status do
   use GenServer
 
   alias Aerie.Base.Log
-  alias Aerie.Fleet
-  alias Aerie.Vehicle.Journal
   alias Aerie.Base.Log.Formatter
   alias Aerie.Base.PubSub
-  alias Aerie.Base.Store
   alias FleetWeb.Console.Access.Launch
   alias Aerie.CLI.Status.{Access, Format, Lines, Table, View}
 
@@ -91,29 +88,22 @@ defmodule Aerie.CLI.Status do
     end
   end
 
-  defp view(state) do
-    links = state.gateway |> Store.links() |> Enum.sort_by(& &1.id)
-    commands = Map.new(links, &{&1.id, MavRouter.Router.command_permission(state.gateway, &1.id)})
+  defp view(%{gateway: gateway} = state) do
+    terminal? = state.style == :table
 
-    clients = MavRouter.Client.endpoints(state.gateway)
+    view =
+      View.collect(gateway,
+        started: state.started,
+        nats_login: if(terminal?, do: Aerie.Fleet.Bridge.login_url(gateway)),
+        published: published(gateway),
+        warnings: if(state.config, do: state.config.warnings, else: []),
+        http: state.http,
+        console: if(terminal? and state.http != nil, do: Launch.url(gateway, state.http)),
+        notes: state.notes
+      )
 
-    %View{
-      now: System.os_time(:microsecond),
-      started: state.started,
-      vehicles: state.gateway |> Fleet.vehicles() |> Enum.sort_by(& &1.id),
-      links: links,
-      interfaces: Access.list(links, commands, clients, bound(state), listed(state.gateway)),
-      clients: clients,
-      nats: Aerie.Fleet.Bridge.info(state.gateway),
-      nats_login: if(state.style == :table, do: Aerie.Fleet.Bridge.login_url(state.gateway)),
-      published: published(state.gateway),
-      pending: Journal.pending_size(state.gateway),
-      identity: MavRouter.Router.identity(state.gateway),
-      warnings: if(state.config, do: state.config.warnings, else: []),
-      http: state.http,
-      console: if(state.style == :table and state.http != nil, do: Launch.url(state.gateway, state.http)),
-      notes: state.notes
-    }
+    commands = Map.new(view.links, &{&1.id, MavRouter.Router.command_permission(gateway, &1.id)})
+    %{view | interfaces: Access.list(view.links, commands, view.clients, bound(state), listed(gateway))}
   end
 
   # The configuration with the ports that the servers really got.

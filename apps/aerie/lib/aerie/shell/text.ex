@@ -2,35 +2,9 @@ defmodule Aerie.Shell.Text do
   @moduledoc "What `Aerie.Shell` prints, as text. Pure: from snapshots, rows and samples."
 
   alias Aerie.CLI.Status.Format
-  alias Aerie.Fleet.Age
   alias Aerie.Fleet.Inspector.Fields
-  alias Aerie.Tool.Columns
+  alias Aerie.CLI.Columns
   alias MavCodec.Frame
-
-  @doc "All vehicles; `links` are the snapshots of links, `now` is in unix microseconds."
-  @spec fleet([map()], [map()], integer()) :: iodata()
-  def fleet([], _links, _now), do: "no vehicle was heard\n"
-
-  def fleet(vehicles, links, now) do
-    rows =
-      for vehicle <- vehicles do
-        mode = data(vehicle, :mode)
-        heard = Age.silent_us(vehicle, links, now)
-
-        [
-          vehicle.id,
-          vehicle.status,
-          vehicle.autopilot,
-          vehicle.vehicle_type,
-          mode[:mode],
-          mode[:armed],
-          Format.age(heard),
-          vehicle[:via]
-        ]
-      end
-
-    Columns.render(~w(VEHICLE STATUS AUTOPILOT TYPE MODE ARMED HEARD VIA), rows)
-  end
 
   @doc "One vehicle: a line for each value that is known, with the age of its group."
   @spec vehicle(map(), integer()) :: iodata()
@@ -46,27 +20,6 @@ defmodule Aerie.Shell.Text do
       end
 
     [head, Columns.render(~w(FIELD VALUE AGE), rows)]
-  end
-
-  @doc "All links."
-  @spec links([map()]) :: iodata()
-  def links([]), do: "there is no link\n"
-
-  def links(links) do
-    rows =
-      for link <- links do
-        [
-          link.id,
-          link.status,
-          link.network,
-          round(link.rates.frames_in),
-          link.counters.crc_errors,
-          link.counters.lost,
-          link.text
-        ]
-      end
-
-    Columns.render(~w(LINK STATUS NETWORK FRAMES/s CRC LOST TEXT), rows)
   end
 
   @doc "The last message of a row as one line."
@@ -117,8 +70,6 @@ defmodule Aerie.Shell.Text do
 
   defp restarts(nil), do: nil
   defp restarts(%{count: count, reason: reason}), do: "#{count}, the last: #{reason}"
-
-  defp data(vehicle, group), do: get_in(vehicle, [:groups, group, :data]) || %{}
 
   defp value(value) when is_binary(value) or is_atom(value) or is_number(value), do: Columns.cell(value)
   defp value(value), do: value |> inspect(limit: 20, printable_limit: 200) |> Columns.cell()

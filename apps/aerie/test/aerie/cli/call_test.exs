@@ -31,15 +31,15 @@ defmodule Aerie.CLI.CallTest do
   """
 
   test "help, version and errors end the program with a text" do
-    assert {:finish, "usage: bin/run" <> _} = Aerie.CLI.call(["--help"], %{})
-    assert {:finish, "aerie 0." <> _} = Aerie.CLI.call(["--version"], %{})
-    assert {:fail, text} = Aerie.CLI.call(["--htpp", "1"], %{})
+    assert {:finish, "usage: bin/run" <> _} = Aerie.CLI.Start.call(["--help"], %{})
+    assert {:finish, "aerie 0." <> _} = Aerie.CLI.Start.call(["--version"], %{})
+    assert {:fail, text} = Aerie.CLI.Start.call(["--htpp", "1"], %{})
     assert text =~ "did you mean --http?"
   end
 
   test "a wrong configuration starts nothing and says file, key and what was expected", context do
     path = config(context.tmp_dir, "nats: {mode: off}\nmavlink:\n  sytem_id: 3\nhttp: {port: high}\n")
-    assert {:fail, text} = Aerie.CLI.call(["--config", path], %{}, context.options)
+    assert {:fail, text} = Aerie.CLI.Start.call(["--config", path], %{}, context.options)
     assert text =~ "gateway.yaml"
     assert text =~ "mavlink.sytem_id"
     assert text =~ "system_id"
@@ -52,7 +52,7 @@ defmodule Aerie.CLI.CallTest do
     {:ok, socket} = :gen_tcp.listen(0, ip: {127, 0, 0, 1})
     {:ok, port} = :inet.port(socket)
     path = config(context.tmp_dir, "nats: {mode: off}\nmavlink: {local_addr: off}\nhttp: {port: #{port}}\n")
-    assert {:fail, text} = Aerie.CLI.call(["--config", path], %{}, context.options)
+    assert {:fail, text} = Aerie.CLI.Start.call(["--config", path], %{}, context.options)
     assert text =~ "http.port"
     assert Supervisor.which_children(context.options[:supervisor]) == []
   end
@@ -60,7 +60,7 @@ defmodule Aerie.CLI.CallTest do
   test "all modules of a running gateway are loaded, so that none is read when descriptors have run out",
        context do
     path = config(context.tmp_dir, @quiet_config)
-    assert :ok = Aerie.CLI.call(["--config", path], %{}, context.options)
+    assert :ok = Aerie.CLI.Start.call(["--config", path], %{}, context.options)
     all = Aerie.CLI.ModuleLoader.all()
 
     for known <- [
@@ -84,7 +84,7 @@ defmodule Aerie.CLI.CallTest do
     config(context.tmp_dir, @quiet_config)
 
     assert :ok =
-             Aerie.CLI.call(
+             Aerie.CLI.Start.call(
                ["--config", "gateway.yaml", "--sim", "1"],
                %{"AERIE_CWD" => context.tmp_dir},
                context.options
@@ -106,7 +106,7 @@ defmodule Aerie.CLI.CallTest do
       )
 
     environment = %{"AERIE_TERMINAL" => "yes", "AERIE_COLUMNS" => "90", "AERIE_LINES" => "many"}
-    assert :ok = Aerie.CLI.call(["--config", path, "--sim", "1"], environment, context.options)
+    assert :ok = Aerie.CLI.Start.call(["--config", path, "--sim", "1"], environment, context.options)
 
     text =
       await_text(context.device, [
@@ -148,7 +148,7 @@ defmodule Aerie.CLI.CallTest do
     File.write!(Path.join(context.tmp_dir, "c.yaml"), config)
 
     assert :ok =
-             Aerie.CLI.call(
+             Aerie.CLI.Start.call(
                ["--replay", "short.tlog", "--speed", "max", "--config", "c.yaml"],
                %{"AERIE_CWD" => context.tmp_dir},
                context.options
@@ -184,9 +184,9 @@ defmodule Aerie.CLI.CallTest do
       config(context.tmp_dir, "vehicles: [{id: HAWK, system_id: 1}]\n")
       words = ["--replay", @flight, "--events", "--config", "gateway.yaml"]
       environment = %{"AERIE_CWD" => context.tmp_dir}
-      assert {:finish, ""} = Aerie.CLI.call(words, environment, context.options)
+      assert {:finish, ""} = Aerie.CLI.Start.call(words, environment, context.options)
       once = StringIO.flush(context.device)
-      assert {:finish, ""} = Aerie.CLI.call(words, environment, context.options)
+      assert {:finish, ""} = Aerie.CLI.Start.call(words, environment, context.options)
       assert once == StringIO.flush(context.device)
 
       events = once |> String.split("\n", trim: true) |> Enum.map(&JSON.decode!/1)
@@ -204,24 +204,24 @@ defmodule Aerie.CLI.CallTest do
     end
 
     test "or its samples, or both", context do
-      assert {:finish, ""} = Aerie.CLI.call(["--replay", @flight, "--samples"], %{}, context.options)
+      assert {:finish, ""} = Aerie.CLI.Start.call(["--replay", @flight, "--samples"], %{}, context.options)
       samples = lines(context.device)
       assert length(samples) > 800
       assert Enum.all?(samples, &is_map_key(&1, "group"))
 
       assert {:finish, ""} =
-               Aerie.CLI.call(["--replay", @flight, "--samples", "--events"], %{}, context.options)
+               Aerie.CLI.Start.call(["--replay", @flight, "--samples", "--events"], %{}, context.options)
 
       assert length(lines(context.device)) == length(samples) + 38
     end
 
     test "says what is wrong with a file, and which parts of it are damaged", context do
       assert {:fail, "error: /nowhere.tlog: no such file or directory\n"} =
-               Aerie.CLI.call(["--replay", "/nowhere.tlog", "--events"], %{}, context.options)
+               Aerie.CLI.Start.call(["--replay", "/nowhere.tlog", "--events"], %{}, context.options)
 
       cut = Path.join(context.tmp_dir, "cut.tlog")
       File.write!(cut, @flight |> File.read!() |> :zlib.gunzip() |> binary_part(0, 100_001))
-      assert {:finish, ""} = Aerie.CLI.call(["--replay", cut, "--events"], %{}, context.options)
+      assert {:finish, ""} = Aerie.CLI.Start.call(["--replay", cut, "--events"], %{}, context.options)
       assert StringIO.flush(context.notes) =~ "the file ends in the middle of a record"
     end
   end

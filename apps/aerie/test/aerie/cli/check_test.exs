@@ -8,7 +8,7 @@ defmodule Aerie.CLI.CheckTest do
 
   @fence ~s({"type": "Point", "coordinates": [8.0, 47.0]})
 
-  defp check(dir, words), do: CLI.call(words, %{"AERIE_CWD" => dir})
+  defp check(dir, words), do: CLI.Start.call(words, %{"AERIE_CWD" => dir})
 
   defp policy(dir, command, more \\ []),
     do: check(dir, ["--check-policy", "gateway.yaml", "--command", command] ++ more)

@@ -3,12 +3,18 @@ defmodule Aerie.CLI.NatsSetupTest do
 
   import Bitwise
 
-  alias Aerie.CLI.NatsSetup
   alias Aerie.Config
 
   @moduletag :tmp_dir
 
-  defp setup_in(dir, words), do: NatsSetup.call(["set" | words], dir)
+  defp call(words, dir) do
+    case Aerie.CLI.call(["nats-setup" | words], dir) do
+      {0, text} -> {:ok, IO.iodata_to_binary(text)}
+      error -> error
+    end
+  end
+
+  defp setup_in(dir, words), do: call(["set" | words], dir)
   defp read(dir, name), do: File.read!(Path.join([dir, "set", name]))
 
   test "a set for a hub and two vehicles: secrets for their owner, configurations that load", %{tmp_dir: dir} do
@@ -117,15 +123,15 @@ defmodule Aerie.CLI.NatsSetupTest do
           {~w(set --host hub --vehicle a.b), "a name has at most 64 letters"},
           {~w(set --host a/b), "--host is a name such as"},
           {~w(set --host hub --revoke X), "there is no such vehicle"},
-          {[], "expected one FOLDER"},
-          {~w(set --hots hub), "--hots is not an option"}
+          {[], "FOLDER is missing"},
+          {~w(set --hots hub), "unknown option --hots; did you mean --host?"}
         ] do
-      assert {:error, text} = NatsSetup.call(words, dir)
+      assert {:error, text} = call(words, dir)
       assert text =~ said
     end
 
     assert File.ls!(dir) == []
-    assert {:ok, "usage: bin/nats-setup" <> _} = NatsSetup.call(["--help"], dir)
+    assert {:ok, "usage: aerie nats-setup" <> _} = call(["--help"], dir)
     {:ok, _} = setup_in(dir, ~w(--host hub))
     assert {:error, text} = setup_in(dir, ~w(--environment other))
     assert text =~ "the fleet's environment is prod"

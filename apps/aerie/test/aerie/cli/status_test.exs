@@ -158,9 +158,9 @@ defmodule Aerie.CLI.StatusTest do
     refute view() |> Table.render(140, 40) |> text() =~ "VIA"
     remote = vehicle(%{id: "VID-002", via: "gateway-VID-002", links: []})
     table = [vehicles: [vehicle(), remote]] |> view() |> Table.render(160, 40) |> text()
-    assert table =~ ~r/VEHICLE +VIA +TYPE/
-    assert table =~ ~r/VID-002 +gateway-VID-002 +copter/
-    assert table =~ ~r/VID-001 {10,}copter/
+    assert table =~ ~r/VEHICLE +VIA +STATUS +TYPE/
+    assert table =~ ~r/VID-002 +gateway-VID-002 +online +copter/
+    assert table =~ ~r/VID-001 {10,}online +copter/
     assert [vehicles: [remote]] |> view() |> rendered() |> text() =~ "via=gateway-VID-002"
   end
 

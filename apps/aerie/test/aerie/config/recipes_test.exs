@@ -49,7 +49,7 @@ defmodule Aerie.Config.RecipesTest do
           for "--" <> _ = option <- options, do: assert(help =~ option)
 
         ["aerie" | words] ->
-          assert {:ok, _subcommand, _arguments, _options} = Aerie.Tool.Parse.command_line(words)
+          assert {:ok, _subcommand, _arguments, _options} = Aerie.CLI.Parser.command_line(words)
 
         ["mix", task | _arguments] ->
           assert Mix.Task.get(task)

@@ -4,7 +4,7 @@ defmodule Aerie.Node.EntryTest do
   import Bitwise
 
   alias Aerie.Node.Entry
-  alias Aerie.Tool.Gateway
+  alias Aerie.CLI.Gateway
 
   @moduletag :tmp_dir
 

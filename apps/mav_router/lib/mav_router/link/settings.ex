@@ -27,8 +27,7 @@ defmodule MavRouter.Link.Settings do
           {:list, {:section, link_fields()}},
           """
           The connections to vehicles. url is a connection string like those of pymavlink:
-            #{Enum.join(Transport.help(), "
-  ")}
+            #{strings()}
           id (default: the string), network, label, high_latency, gcs and enabled may be left out. With gcs: allow every program that
           reaches the link may command vehicles, otherwise only programs of this machine; ground stations belong to clients.
           secure: true (or ?secure=true in the url) marks a cable that nobody else can hear: a vehicle may be given its signing
@@ -227,5 +226,14 @@ defmodule MavRouter.Link.Settings do
       ["links"],
       "addresses to listen on that differ"
     )
+  end
+
+  # One a line, with what each does.
+  defp strings do
+    width = Transport.help() |> Enum.map(fn {string, _does} -> String.length(string) end) |> Enum.max()
+
+    Enum.map_join(Transport.help(), "\n  ", fn {string, does} ->
+      String.pad_trailing(string, width + 2) <> does
+    end)
   end
 end

@@ -197,13 +197,9 @@ defmodule MavRouter.Link.Transport do
   @spec usage() :: String.t()
   def usage, do: Enum.map_join(@transports, ", ", &hd(&1.forms()).expected)
 
-  @doc "All connection strings, one a line, each with what it does; for the command line's help and the configuration."
-  @spec help() :: [String.t()]
-  def help do
-    help = for transport <- @transports, form <- transport.forms(), line <- form.help, do: line
-    width = help |> Enum.map(fn {string, _text} -> String.length(string) end) |> Enum.max()
-    for {string, text} <- help, do: String.pad_trailing(string, width + 2) <> text
-  end
+  @doc "All connection strings, each with what it does; for the command line's help and the configuration."
+  @spec help() :: [{String.t(), String.t()}]
+  def help, do: for(transport <- @transports, form <- transport.forms(), line <- form.help, do: line)
 
   @doc "All forms of the transports whose `client` trait is this one, in one line."
   @spec usage(:remote | :local) :: String.t()

@@ -7,6 +7,7 @@ defmodule Aerie.CLI.Status.Table do
   import Aerie.CLI.Status.Format
 
   alias Aerie.Fleet.Age
+  alias Aerie.CLI.Columns
   alias Aerie.CLI.Status.View
 
   @reset "\e[0m"
@@ -15,6 +16,7 @@ defmodule Aerie.CLI.Status.Table do
   # name, width, side
   @vehicle_columns [
     {"VEHICLE", 14, :left},
+    {"STATUS", 7, :left},
     {"TYPE", 18, :left},
     {"MODE", 13, :left},
     {"ARMED", 8, :left},
@@ -37,6 +39,28 @@ defmodule Aerie.CLI.Status.Table do
     {"CRC ERR", 8, :right},
     {"LOST", 8, :right}
   ]
+
+  @doc "The vehicles as plain text, as wide as they are: for `aerie status` and `Aerie.Shell`."
+  @spec vehicles(View.t()) :: iodata()
+  def vehicles(%View{vehicles: []}), do: "no vehicle was heard\n"
+
+  def vehicles(%View{} = view) do
+    {columns, rows} = via(view.vehicles, Enum.map(view.vehicles, &vehicle(&1, view)))
+    plain(columns, rows)
+  end
+
+  @doc "The links likewise, with what is wrong with each that is not up."
+  @spec links(View.t()) :: iodata()
+  def links(%View{links: []}), do: "there is no link\n"
+
+  def links(%View{links: links}) do
+    rows = for link <- links, {cells, style} = link(link), do: {cells ++ [text(link.text)], style}
+    plain(@link_columns ++ [{"TEXT", 1, :left}], rows)
+  end
+
+  defp plain(columns, rows),
+    do:
+      Columns.render(for({name, _width, _side} <- columns, do: name), for({cells, _style} <- rows, do: cells))
 
   @doc "The lines of the table, the header first."
   @spec render(View.t(), pos_integer(), pos_integer()) :: [String.t()]
@@ -164,6 +188,7 @@ defmodule Aerie.CLI.Status.Table do
   defp vehicle(vehicle, view) do
     cells = [
       text(vehicle.id),
+      text(vehicle.status),
       "#{text(vehicle.vehicle_type)} #{text(vehicle.autopilot)}",
       text(View.field(vehicle, :mode, :mode)),
       armed(View.armed(vehicle)),

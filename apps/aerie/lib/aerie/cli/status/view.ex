@@ -1,8 +1,13 @@
 defmodule Aerie.CLI.Status.View do
   @moduledoc """
   One snapshot of a gateway for display: vehicles, links, NATS, HTTP. It is collected from the read model, and rendered
-  by `Aerie.CLI.Status.Table` (a terminal) or `Aerie.CLI.Status.Lines` (a pipe). No vehicle's process is called for it.
+  by `Aerie.CLI.Status.Table` (a terminal, `aerie status`, `Aerie.Shell`) or `Aerie.CLI.Status.Lines` (a pipe). No vehicle's process is
+  called for it.
   """
+
+  alias Aerie.Base.{Names, Store}
+  alias Aerie.Fleet
+  alias Aerie.Vehicle.Journal
 
   defstruct [
     :now,
@@ -51,6 +56,26 @@ defmodule Aerie.CLI.Status.View do
           warnings: [String.t()],
           notes: [String.t()]
         }
+
+  @doc "What the read model has of a gateway; `more` are further fields."
+  @spec collect(Names.gateway(), keyword()) :: t()
+  def collect(gateway, more \\ []) do
+    now = System.os_time(:microsecond)
+
+    struct!(
+      %__MODULE__{
+        now: now,
+        started: now,
+        vehicles: gateway |> Fleet.vehicles() |> Enum.sort_by(& &1.id),
+        links: gateway |> Store.links() |> Enum.sort_by(& &1.id),
+        clients: MavRouter.Client.endpoints(gateway),
+        nats: Fleet.Bridge.info(gateway),
+        pending: Journal.pending_size(gateway),
+        identity: MavRouter.Router.identity(gateway)
+      },
+      more
+    )
+  end
 
   @doc "Whether the vehicle of a snapshot is armed, or nil if that is not known."
   @spec armed(map()) :: boolean() | nil

@@ -1,0 +1,19 @@
+defmodule Aerie.CLI.Subcommand.NatsSetup do
+  @moduledoc "`aerie nats-setup`: keys, certificates and accounts of a fleet (`Aerie.Fleet.Bridge.Hub.Setup`)."
+  @behaviour Aerie.CLI.Subcommand
+
+  alias Aerie.Fleet.Bridge.Hub.Setup
+
+  @impl Aerie.CLI.Subcommand
+  def run(%{arguments: %{"FOLDER" => dir}, options: options, folder: folder}) do
+    wish = %{
+      environment: options[:environment],
+      hosts: options[:host] || [],
+      vehicles: options[:vehicle] || [],
+      revoked: options[:revoke] || [],
+      new_gateway_key: options[:new_gateway_key] == true
+    }
+
+    with {:ok, lines} <- Setup.write(Path.expand(dir, folder), wish), do: {0, Enum.map(lines, &(&1 <> "\n"))}
+  end
+end

@@ -1,0 +1,76 @@
+defmodule Aerie.CLI.Subcommand.Status do
+  @moduledoc "`aerie status`: vehicles, links, NATS and problems, from the read model."
+  @behaviour Aerie.CLI.Subcommand
+
+  alias Aerie.CLI.{Columns, Status}
+  alias FleetWeb.API.View
+  alias Aerie.Fleet.Health
+
+  @impl Aerie.CLI.Subcommand
+  def run(%{options: options}) do
+    {ready?, health} = Health.ready(:default)
+
+    status =
+      :default
+      |> View.status()
+      |> Map.merge(%{health: health, conditions: View.diagnosis(:default).conditions})
+
+    json = JSON.encode!(status)
+    text = if options[:json], do: [json, ?\n], else: render(JSON.decode!(json), Status.View.collect(:default))
+    {if(ready?, do: 0, else: 1), text}
+  end
+
+  @doc "The status as text. Pure; `status` is what `--json` prints: that of `GET /api/status` with `health` and `conditions`."
+  @spec render(map(), Status.View.t()) :: iodata()
+  def render(status, view) do
+    [
+      head(status),
+      "\n",
+      Status.Table.vehicles(view),
+      "\n",
+      Status.Table.links(view),
+      for(condition <- status["conditions"], do: condition(condition))
+    ]
+  end
+
+  defp head(%{"health" => %{"nats" => nats} = health} = status) do
+    place = if nats["url"], do: " #{Columns.cell(nats["url"])}", else: ""
+    waiting = if nats["outbox"] in [nil, 0], do: "", else: ", #{nats["outbox"]} events wait"
+
+    problems = [
+      nats["problem"],
+      if(nats["hub"]["stores"] == false, do: "the hub does not store events: #{nats["hub"]["problem"]}"),
+      health["identity"]["alarm"],
+      health["audit"]["problem"],
+      health["policy"]["problem"]
+    ]
+
+    [
+      "#{health["status"]}: #{length(status["vehicles"])} vehicles, #{length(status["links"])} links\n",
+      "NATS #{if nats["connected"], do: "connected", else: "not connected"}#{place}#{waiting}\n",
+      hub(nats["hub"]),
+      for(
+        problem <- problems ++ health["problems"],
+        problem != nil,
+        do: "problem: #{Columns.cell(problem)}\n"
+      )
+    ]
+  end
+
+  defp hub(nil), do: []
+
+  defp hub(hub),
+    do:
+      "hub #{if hub["connected"], do: "connected", else: "not connected"}" <>
+        if(hub["waiting"] == 0, do: "\n", else: ", #{hub["waiting"]} events wait\n")
+
+  defp condition(condition) do
+    subject = if condition["id"], do: "#{condition["subject"]} #{condition["id"]}: ", else: ""
+
+    [
+      "\n#{condition["severity"]}: #{Columns.cell(subject <> condition["title"])}\n",
+      for(line <- condition["evidence"], do: "  #{Columns.cell(line)}\n"),
+      "  to mend it: #{Columns.cell(condition["mend"])}\n"
+    ]
+  end
+end

@@ -1,0 +1,301 @@
+defmodule Aerie.CLI.Subcommands do
+  @moduledoc "The subcommands of `bin/aerie`, in the order of its help."
+
+  alias Aerie.CLI.{Options, Subcommand}
+
+  @vehicle {"VEHICLE", "its name in the fleet, as aerie status shows it"}
+  @json {:json, :boolean, nil, "print JSON"}
+  @yes {:yes, :boolean, nil, "do not ask for confirmation"}
+  @force {:force, :boolean, nil, "send a fence that the vehicle, which flies, breaches at once"}
+  @component {:component, :integer, "ID",
+              "of the camera, gimbal or companion with this component id, not of the autopilot"}
+  @config {:config, :string, "FILE",
+           "the configuration file (default: AERIE_CONFIG, else the default values and the environment)"}
+
+  @doc "All of them."
+  @spec all() :: [Subcommand.t()]
+  def all, do: starting() ++ looking() ++ commanding() ++ keeping() ++ scripting()
+
+  @doc "The one of this name."
+  @spec fetch(String.t()) :: {:ok, Subcommand.t()} | :error
+  def fetch(name) do
+    case Enum.find(all(), &(&1.name == name)) do
+      nil -> :error
+      row -> {:ok, row}
+    end
+  end
+
+  defp starting do
+    [
+      %Subcommand{
+        name: "start",
+        summary: "start a gateway in the foreground",
+        where: :script,
+        options: Options.all(),
+        more:
+          "NATS is embedded unless --nats or the configuration names a server. Without --link, --replay and --config, three simulated vehicles " <>
+            "fly (in a checkout; a release has none), and UDP port 14550 is open for real ones. Ctrl-C stops it.",
+        terms: {"STRING is one of:", MavRouter.Link.Transport.help()}
+      },
+      %Subcommand{
+        name: "daemon",
+        summary: "start a gateway in the background; its output goes to var/log",
+        where: :script,
+        arguments: [{"[OPTION ...]", "those of start"}]
+      },
+      %Subcommand{
+        name: "stop",
+        summary: "shut the gateway down, and wait until it has ended",
+        where: :here,
+        module: Subcommand.Stop,
+        options: Subcommand.common(%{where: :gateway})
+      },
+      %Subcommand{name: "version", summary: "print the version", where: :here, module: Subcommand.Version}
+    ]
+  end
+
+  defp looking do
+    [
+      %Subcommand{
+        name: "status",
+        summary: "show vehicles, links, NATS and problems",
+        where: :gateway,
+        module: Subcommand.Status,
+        options: [@json],
+        more: "Exit status: 0 ready, 1 not ready, 3 no gateway is running."
+      },
+      %Subcommand{
+        name: "tail",
+        summary: "print a vehicle's events and changes of state as they come, until Ctrl-C",
+        where: :gateway,
+        module: Subcommand.Tail,
+        arguments: [@vehicle],
+        options: [
+          {:events, :boolean, nil, "events only"},
+          {:count, :integer, "N", "stop after N lines"},
+          {:json, :boolean, nil, "print JSON lines, as in NATS"}
+        ]
+      },
+      %Subcommand{
+        name: "probe",
+        summary:
+          "find out what is connected to a serial port or an address: protocol, rate, ids, versions, messages",
+        where: :here,
+        module: Subcommand.Probe,
+        arguments: [
+          {"PORT|URL", "a device such as /dev/ttyACM0, or a connection string such as udpin:0.0.0.0:14550"}
+        ],
+        options: [{:seconds, :float, "N", "how long to listen (default 5)"}, @json],
+        more:
+          "Exit status: 0 a vehicle was found, 1 something else or nothing, 2 the port or address cannot be opened."
+      },
+      %Subcommand{
+        name: "doctor",
+        summary: "check whether this machine has what a gateway needs, and say how to fix what is wrong",
+        where: :here,
+        module: Subcommand.Doctor,
+        options: [@config, @json],
+        more: "Exit status: 0 everything works, perhaps with warnings; 1 something will not work."
+      },
+      %Subcommand{
+        name: "replay",
+        summary: "print the events of a recorded flight as JSON lines",
+        where: :here,
+        module: Subcommand.Replay,
+        arguments: [{"FILE", "a .tlog file"}],
+        options: [{:samples, :boolean, nil, "print the state samples, too"}, @config],
+        more: "aerie start --replay FILE plays it to clients and the console."
+      }
+    ]
+  end
+
+  defp commanding do
+    [
+      %Subcommand{
+        name: "cmd",
+        summary: "send a command to a vehicle, and print its result",
+        where: :gateway,
+        module: Subcommand.Command,
+        arguments: [
+          @vehicle,
+          {"TYPE", "such as arm, takeoff, goto (docs/commands.md)"},
+          {"[NAME=VALUE ...]", "parameters"}
+        ],
+        options: [@yes, @json],
+        more:
+          "Commands that move a vehicle ask for confirmation. Exit status: 0 completed or accepted, 1 any other result, 2 not a valid command."
+      },
+      %Subcommand{
+        name: "params list",
+        summary: "print a vehicle's parameters",
+        where: :gateway,
+        module: Subcommand.Params,
+        arguments: [@vehicle, {"[PATTERN]", "only names that contain this text"}],
+        options: [{:refresh, :boolean, nil, "read them from the vehicle again"}, @component, @json]
+      },
+      %Subcommand{
+        name: "params get",
+        summary: "read one parameter from the vehicle",
+        where: :gateway,
+        module: Subcommand.Params,
+        arguments: [@vehicle, {"NAME", "the parameter"}],
+        options: [@component]
+      },
+      %Subcommand{
+        name: "params set",
+        summary: "set one parameter, and wait until the vehicle confirms it",
+        where: :gateway,
+        module: Subcommand.Params,
+        arguments: [@vehicle, {"NAME", "the parameter"}, {"VALUE", "a number; with --component also text"}],
+        options: [@component, @yes]
+      },
+      %Subcommand{
+        name: "params save",
+        summary:
+          "write all parameters to a file for Mission Planner and MAVProxy, or for QGroundControl (.params)",
+        where: :here,
+        module: Subcommand.ParamsFile,
+        arguments: [@vehicle, {"FILE", "the file to write; an existing one is replaced"}],
+        options: Subcommand.common(%{where: :gateway})
+      },
+      %Subcommand{
+        name: "mission show",
+        summary: "print a vehicle's mission, fence or rally points",
+        where: :gateway,
+        module: Subcommand.Mission,
+        arguments: [@vehicle, {"[KIND]", "mission (the default), fence or rally"}],
+        options: [@json]
+      },
+      %Subcommand{
+        name: "mission clear",
+        summary: "remove a plan from a vehicle",
+        where: :gateway,
+        module: Subcommand.Mission,
+        arguments: [@vehicle, {"[KIND]", "mission (the default), fence or rally"}],
+        options: [@yes]
+      },
+      %Subcommand{
+        name: "mission load",
+        summary: "send the mission of a .plan or .waypoints file to a vehicle, and read it back",
+        where: :here,
+        module: Subcommand.MissionFile,
+        arguments: [
+          @vehicle,
+          {"FILE", "a plan of QGroundControl or Mission Planner"},
+          {"[KIND]", "mission, fence or rally"}
+        ],
+        options: [@yes, @force | Subcommand.common(%{where: :gateway})]
+      },
+      %Subcommand{
+        name: "record",
+        summary: "start, stop, save or list recordings",
+        where: :gateway,
+        module: Subcommand.Record,
+        arguments: [
+          {"ACTION", "start, stop, save (the last minutes) or list"},
+          {"[VEHICLE]", "the vehicle; list takes none"}
+        ],
+        options: [@json]
+      }
+    ]
+  end
+
+  defp keeping do
+    [
+      %Subcommand{
+        name: "config check",
+        summary: "check a configuration completely, without starting anything",
+        where: :here,
+        module: Subcommand.Config,
+        arguments: [{"[FILE]", "default: AERIE_CONFIG, else the default values and the environment"}],
+        more:
+          "Exit status: 0 a gateway can start with it, 1 it cannot. Every error names its file, its key and what was expected."
+      },
+      %Subcommand{
+        name: "config show",
+        summary: "print the keys that are set, their values, and where they were set",
+        where: :here,
+        module: Subcommand.Config,
+        arguments: [{"[FILE]", "as for config check"}],
+        options: [{:all, :boolean, nil, "print the keys with default values, too"}]
+      },
+      %Subcommand{
+        name: "nats-setup",
+        summary:
+          "write what a hub's nats-server and the leaf nodes of its vehicles need: accounts, keys, certificates, configuration",
+        where: :here,
+        module: Subcommand.NatsSetup,
+        arguments: [{"FOLDER", "where the files are; run it again to add or remove vehicles"}],
+        options: [
+          {:host, :keep, "NAME",
+           "a server of the hub, by the name or address at which vehicles reach it; three make a cluster"},
+          {:vehicle, :keep, "ID", "a vehicle to add"},
+          {:revoke, :keep, "ID", "a vehicle to remove: its key stops working"},
+          {:new_gateway_key, :boolean, nil,
+           "make another key for the hub's gateways and operators: the one that they have stops working"},
+          {:environment, :string, "NAME", "second word of every subject (default: prod)"}
+        ],
+        more: "--host is required the first time. docs/fleet.md explains the files."
+      },
+      %Subcommand{
+        name: "user add",
+        summary: "add a user of the console; the password is the first line of standard input",
+        where: :gateway,
+        module: Subcommand.User,
+        arguments: [{"NAME", "a-z, 0-9, dot, underscore, hyphen"}],
+        options: [{:role, :string, "ROLE", "viewer, operator (the default) or admin"}]
+      },
+      %Subcommand{
+        name: "user list",
+        summary: "list the users of the console",
+        where: :gateway,
+        module: Subcommand.User
+      },
+      %Subcommand{
+        name: "user remove",
+        summary: "remove a user of the console",
+        where: :gateway,
+        module: Subcommand.User,
+        arguments: [{"NAME", "the user's name"}]
+      }
+    ]
+  end
+
+  defp scripting do
+    [
+      %Subcommand{
+        name: "remote",
+        summary: "open an Elixir shell in the gateway (Aerie.Shell)",
+        where: :here,
+        module: Subcommand.Remote,
+        options: Subcommand.common(%{where: :gateway})
+      },
+      %Subcommand{
+        name: "rpc",
+        summary: "evaluate Elixir in the gateway, and print the value",
+        where: :gateway,
+        module: Subcommand.Evaluate,
+        arguments: [{"EXPRESSION", "Aerie.Shell's functions are imported"}]
+      },
+      %Subcommand{
+        name: "eval",
+        summary: "evaluate Elixir without a gateway",
+        where: :here,
+        module: Subcommand.Evaluate,
+        arguments: [{"EXPRESSION", "such as 'Application.spec(:aerie, :vsn)'"}]
+      },
+      %Subcommand{
+        name: "completion",
+        summary: "print the completion for bash: . <(aerie completion)",
+        where: :here,
+        module: Subcommand.Completion
+      },
+      %Subcommand{
+        name: "man",
+        summary: "print the man page: aerie man | man -l -",
+        where: :here,
+        module: Subcommand.Man
+      }
+    ]
+  end
+end

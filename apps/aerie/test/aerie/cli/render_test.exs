@@ -1,0 +1,183 @@
+defmodule Aerie.CLI.RenderTest do
+  @moduledoc "What `bin/aerie` and its shell print, from values."
+  use ExUnit.Case, async: true
+
+  alias Aerie.Shell.Text
+  alias Aerie.CLI.{Columns, Subcommand}
+  alias Aerie.CLI.Status.{Table, View}
+
+  test "columns are as wide as their widest text; what is not known is a gap, and nothing steers the terminal" do
+    text =
+      IO.iodata_to_binary(
+        Columns.render(["A", "LONG NAME"], [["x", nil], ["wide one", 1.5], ["\e[2Jx\n", <<0xFF>>]])
+      )
+
+    assert text == """
+           A         LONG NAME
+           x         -
+           wide one  1.5
+           ?[2Jx?    ?
+           """
+  end
+
+  @now 1_795_213_318_000_000
+  @view %View{
+    now: @now,
+    started: @now,
+    vehicles: [
+      %{
+        id: "VID-001",
+        status: :online,
+        vehicle_type: "copter",
+        autopilot: :px4,
+        last_heard: @now,
+        links: ["radio"],
+        groups: %{
+          mode: %{at: @now, data: %{mode: "AUTO_LOITER", armed: true}},
+          position: %{at: @now, data: %{lat: 47.5, lon: 8.25, alt_rel: 12.5}},
+          battery: %{at: @now, data: %{remaining: 0.98}}
+        }
+      }
+    ],
+    links: [
+      %{
+        id: "radio",
+        url: "/dev/ttyACM0",
+        status: :down,
+        text: "no such file",
+        rates: %{frames_in: 0.0, writes_out: 0.0, bytes_in: 0.0},
+        counters: %{crc_errors: 3, lost: 7}
+      }
+    ]
+  }
+
+  @status %{
+    "vehicles" => [%{}],
+    "links" => [%{}],
+    "health" => %{
+      "status" => "not ready",
+      "nats" => %{"connected" => false, "url" => nil, "outbox" => 7, "problem" => "connection refused"},
+      "identity" => %{"alarm" => nil},
+      "audit" => %{"problem" => nil},
+      "policy" => %{"problem" => nil},
+      "problems" => []
+    },
+    "conditions" => [
+      %{
+        "severity" => "error",
+        "subject" => "link",
+        "id" => "radio",
+        "title" => "gone",
+        "evidence" => ["e1"],
+        "mend" => "plug it in"
+      }
+    ]
+  }
+
+  test "the status says what is there, what is wrong, and the mend" do
+    text = IO.iodata_to_binary(Subcommand.Status.render(@status, @view))
+
+    assert text =~
+             "not ready: 1 vehicles, 1 links\nNATS not connected, 7 events wait\nproblem: connection refused\n"
+
+    assert text =~ ~r/VID-001 +online +copter px4 +AUTO_LOITER +ARMED +47.500000 +8.250000 +12.5 m +- +98% -/
+    assert text =~ ~r/radio +.dev.ttyACM0 +down +0 +0 +0.0 +3 +7 +no such file/
+    assert text =~ "error: link radio: gone\n  e1\n  to mend it: plug it in\n"
+
+    # What a vehicle has not told is a gap.
+    silent = %{hd(@view.vehicles) | id: "x", status: :stale, autopilot: nil, vehicle_type: nil, groups: %{}}
+
+    assert IO.iodata_to_binary(Subcommand.Status.render(@status, %{@view | vehicles: [silent]})) =~
+             ~r/x +stale +- - +- +- +- +- +- +- +- - +- +0.0 s\n/
+
+    none = IO.iodata_to_binary(Subcommand.Status.render(@status, %{@view | vehicles: [], links: []}))
+    assert none =~ "no vehicle was heard" and none =~ "there is no link"
+  end
+
+  test "parameters of a command are JSON where they can be" do
+    assert {:ok, %{"altitude" => 20, "mode" => "RTL", "force" => true, "empty" => "", "x" => "a=b"}} =
+             Subcommand.Command.params(~w(altitude=20 mode=RTL force=true empty= x=a=b))
+
+    assert {:error, "'altitude': expected NAME=VALUE"} = Subcommand.Command.params(["altitude"])
+    assert {:error, _text} = Subcommand.Command.params(["=5"])
+  end
+
+  test "the doctor looks at processes, clock and findings" do
+    folder = Path.join(System.tmp_dir!(), "aerie-doctor-#{System.unique_integer([:positive])}")
+    File.mkdir_p!(Path.join(folder, "17"))
+    on_exit(fn -> File.rm_rf!(folder) end)
+
+    File.write!(Path.join(folder, "17/comm"), "bash\n")
+    assert [%{level: :ok}] = Subcommand.Doctor.modem_manager(folder)
+    File.write!(Path.join(folder, "17/comm"), "ModemManager\n")
+    assert [%{level: :warning, mend: "sudo systemctl mask" <> _}] = Subcommand.Doctor.modem_manager(folder)
+
+    now = System.os_time(:second)
+    mark = Path.join(folder, "timesync/synchronized")
+    assert [%{level: :ok}] = Subcommand.Doctor.clock(mark, now)
+    File.mkdir_p!(Path.dirname(mark))
+    assert [%{level: :warning}] = Subcommand.Doctor.clock(mark, now)
+    File.write!(mark, "")
+    assert [%{level: :ok}] = Subcommand.Doctor.clock(mark, now)
+    assert [%{level: :error, text: "1970-01-01" <> _}] = Subcommand.Doctor.clock(mark, 0)
+
+    findings = [
+      %{what: "disk", level: :ok, text: "much", mend: nil},
+      %{what: "clock", level: :error, text: "wrong", mend: "set it"}
+    ]
+
+    assert IO.iodata_to_binary(Subcommand.Doctor.render(findings)) ==
+             "error    clock: wrong\n         to mend it: set it\nok       disk: much\n"
+  end
+
+  test "a probe's report names what was heard, or that nothing was" do
+    report = %{
+      url: "udpin:0.0.0.0:14550",
+      status: :up,
+      text: "listening",
+      baud: nil,
+      frames: 120,
+      crc_errors: 1,
+      protocol: "MAVLink",
+      found: [],
+      vehicles: [%{system: 1, component: 1, autopilot: :px4, type: :copter, firmware: "1.16.0"}],
+      messages: [%{system: 1, component: 1, name: "ATTITUDE", hz: 10.0, count: 50}]
+    }
+
+    text = IO.iodata_to_binary(Subcommand.Probe.render(report))
+    assert text =~ "MAVLink: 120 frames, 1 with a wrong checksum"
+    assert text =~ ~r/1 +1 +px4 +copter +1.16.0/
+    assert text =~ ~r/1 +1 +ATTITUDE +10.0 +50/
+
+    silent = %{
+      report
+      | frames: 0,
+        protocol: nil,
+        vehicles: [],
+        messages: [],
+        baud: 57_600,
+        found: ["/dev/ttyUSB0: a GPS receiver (NMEA)"]
+    }
+
+    text = IO.iodata_to_binary(Subcommand.Probe.render(silent))
+    assert text =~ "baud rate 57600" and text =~ "no MAVLink was heard" and text =~ "a GPS receiver"
+  end
+
+  test "the shell's tree shows restarts" do
+    leaf = %{
+      path: [:a],
+      name: "Link radio",
+      pid: self(),
+      type: :worker,
+      memory: 10,
+      queue: 0,
+      restarts: %{count: 2, at: 0, reason: "killed"},
+      children: []
+    }
+
+    root = %{leaf | name: "gateway", pid: nil, restarts: nil, children: [leaf]}
+    text = IO.iodata_to_binary(Text.tree(root))
+    assert text =~ ~r/  Link radio +#PID<.*> +10 +0 +2, the last: killed/
+    assert IO.iodata_to_binary(Table.vehicles(%View{now: 0})) =~ "no vehicle"
+  end
+end

@@ -87,7 +87,7 @@ defmodule Aerie.Reload do
           )
 
         report = report(changes, links ++ clients)
-        told(state, report, by)
+        log_report(state, report, by)
         {:reply, {:ok, report}, share(%{state | config: without(config, report.failed)})}
 
       {:error, lines} ->
@@ -129,20 +129,20 @@ defmodule Aerie.Reload do
     %{config | links: Enum.reject(config.links, &(&1.id in gone)), clients: clients}
   end
 
-  defp told(state, report, by) do
+  defp log_report(state, report, by) do
     level = if report.failed == [], do: :info, else: :error
 
     Logger.log(level, "configuration reloaded",
-      fields: [by: by] ++ Enum.map(report, fn {k, v} -> {k, shown(v)} end)
+      fields: [by: by] ++ Enum.map(report, fn {k, v} -> {k, format(v)} end)
     )
 
     Audit.note(state.gateway, %{"type" => "configuration", "loaded" => true, "source" => by})
   end
 
-  defp shown(list) when is_list(list), do: if(list != [], do: Enum.map_join(list, ",", &shown/1))
-  defp shown(%{what: id, reason: reason}), do: "#{id}: #{reason}"
-  defp shown(%{} = lists), do: Map.new(lists, fn {key, list} -> {key, shown(list)} end)
-  defp shown(text), do: text
+  defp format(list) when is_list(list), do: if(list != [], do: Enum.map_join(list, ",", &format/1))
+  defp format(%{what: id, reason: reason}), do: "#{id}: #{reason}"
+  defp format(%{} = lists), do: Map.new(lists, fn {key, list} -> {key, format(list)} end)
+  defp format(text), do: text
 
   defp refused(state, lines, by) do
     Logger.error("configuration not reloaded (#{by}), the old one stays in force: " <> Enum.join(lines, "; "))

@@ -48,7 +48,7 @@ defmodule Aerie.Systemd do
         }
 
         # The parts before this one have started.
-        tell(state, "READY=1\n")
+        notify(state, "READY=1\n")
         {:ok, state, {:continue, :tell}}
     end
   end
@@ -61,12 +61,12 @@ defmodule Aerie.Systemd do
   def handle_info(_other, state), do: {:noreply, state}
 
   @impl GenServer
-  def terminate(_reason, state), do: tell(state, "STOPPING=1\nSTATUS=ending\n")
+  def terminate(_reason, state), do: notify(state, "STOPPING=1\nSTATUS=ending\n")
 
   defp again(state) do
     Process.send_after(self(), :tell, state.every)
     {alive?, text} = condition(state.gateway)
-    tell(state, [if(alive?, do: "WATCHDOG=1\n", else: ""), "STATUS=", text, "\n"])
+    notify(state, [if(alive?, do: "WATCHDOG=1\n", else: ""), "STATUS=", text, "\n"])
     state
   end
 
@@ -109,7 +109,7 @@ defmodule Aerie.Systemd do
   defp address(path), do: path
 
   # A service manager that does not listen is not our fault.
-  defp tell(state, text) do
+  defp notify(state, text) do
     _ = :gen_udp.send(state.socket, {:local, state.path}, 0, text)
     :ok
   end

@@ -60,7 +60,7 @@ defmodule FleetWeb.Endpoint do
         ] ++
           console ++
           [listener(gateway, settings, options[:max_connections], routes)] ++
-          told(gateway, settings) ++
+          warnings(gateway, settings) ++
           WebSocket.listener(gateway, settings.websocket, policy)
 
       Supervisor.init(children, strategy: :one_for_one, max_restarts: 20, max_seconds: 10)
@@ -82,9 +82,9 @@ defmodule FleetWeb.Endpoint do
   end
 
   # Only a listener that has started knows its port.
-  defp told(_gateway, %Settings{console: %{enabled: false}}), do: []
+  defp warnings(_gateway, %Settings{console: %{enabled: false}}), do: []
 
-  defp told(gateway, %Settings{http: http}) do
+  defp warnings(gateway, %Settings{http: http}) do
     tell = fn -> Console.Access.Launch.write(gateway, Settings.ip(http.address)) end
     [%{id: :console_address, start: {__MODULE__, :run_once, [tell]}, restart: :transient}]
   end

@@ -10,11 +10,11 @@ defmodule MavCodec.EncodeError do
 
   @impl Exception
   def message(%__MODULE__{message: message, field: nil} = error),
-    do: "cannot encode #{inspect(message)}: expected #{error.expected}, got: #{show(error.got)}"
+    do: "cannot encode #{inspect(message)}: expected #{error.expected}, got: #{format(error.got)}"
 
   def message(%__MODULE__{message: message, field: field} = error),
     do:
-      "cannot encode #{inspect(message)}: expected #{field} to be #{error.expected}, got: #{show(error.got)}"
+      "cannot encode #{inspect(message)}: expected #{field} to be #{error.expected}, got: #{format(error.got)}"
 
-  defp show(term), do: inspect(term, limit: 20, printable_limit: 80)
+  defp format(term), do: inspect(term, limit: 20, printable_limit: 80)
 end

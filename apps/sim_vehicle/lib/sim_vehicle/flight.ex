@@ -62,30 +62,30 @@ defmodule SimVehicle.Flight do
     case Goal.advance(v.flight, v) do
       {:cont, goal, setpoint, events} ->
         before = v.flight
-        v = Enum.reduce(events, %{v | flight: goal}, &tell(&2, &1))
+        v = Enum.reduce(events, %{v | flight: goal}, &notify(&2, &1))
         if v.flight == goal or events == [], do: {setpoint, v}, else: again(v, before, left, setpoint)
 
       {:done, event, next} ->
-        setpoint(tell(%{v | flight: next}, event), left - 1)
+        setpoint(notify(%{v | flight: next}, event), left - 1)
     end
   end
 
   defp again(%{flight: same} = v, same, _left, setpoint), do: {setpoint, v}
   defp again(v, _before, left, _setpoint), do: setpoint(v, left - 1)
 
-  defp tell(v, event) do
+  defp notify(v, event) do
     v = if event == :arrived, do: Vehicle.notify(v, :arrived), else: v
     v.personality.flight_event(v, event)
   end
 
   defp lift_off(%{airborne: false, kin: %{d: d}} = v) when d < -@lift_off do
-    %{v | airborne: true} |> Vehicle.notify(:airborne) |> tell(:airborne)
+    %{v | airborne: true} |> Vehicle.notify(:airborne) |> notify(:airborne)
   end
 
   defp lift_off(v), do: v
 
   defp touch_down(%{airborne: true, kin: %{impact: speed}} = v) when speed != nil do
-    v = tell(v, {:touchdown, speed})
+    v = notify(v, {:touchdown, speed})
     if v.armed, do: %{v | flight: Goal.settle(v.now + @settle_us)}, else: landed(v)
   end
 
@@ -99,6 +99,6 @@ defmodule SimVehicle.Flight do
 
   defp landed(v) do
     flight = if v.armed, do: :idle, else: :off
-    %{v | airborne: false, flight: flight} |> Vehicle.notify(:landed) |> tell(:landed)
+    %{v | airborne: false, flight: flight} |> Vehicle.notify(:landed) |> notify(:landed)
   end
 end

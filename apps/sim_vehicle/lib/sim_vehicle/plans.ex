@@ -300,14 +300,14 @@ defmodule SimVehicle.Plans do
     %M.MissionCount{
       target_system: system,
       target_component: component,
-      count: length(shown(plans, type, home)),
+      count: length(read_back(plans, type, home)),
       mission_type: type,
       opaque_id: if(plans.style == :px4, do: Map.get(plans.opaque, type, 0), else: 0)
     }
   end
 
   defp read(plans, m, from, home, coding) do
-    shown = if valid_type(plans, m.mission_type), do: shown(plans, m.mission_type, home), else: []
+    shown = if valid_type(plans, m.mission_type), do: read_back(plans, m.mission_type, home), else: []
 
     case Enum.at(shown, m.seq) do
       nil when plans.style == :ardupilot -> {plans, [ack(plans, from, @invalid_sequence, m.mission_type)]}
@@ -317,14 +317,14 @@ defmodule SimVehicle.Plans do
   end
 
   # ArduPilot keeps home as item 0 once a mission was loaded, whatever was uploaded there.
-  defp shown(%{style: :ardupilot} = plans, 0, home) when home != nil do
+  defp read_back(%{style: :ardupilot} = plans, 0, home) when home != nil do
     case items(plans, 0) do
       [] -> []
       [_uploaded | rest] -> [home | rest]
     end
   end
 
-  defp shown(plans, type, _home), do: items(plans, type)
+  defp read_back(plans, type, _home), do: items(plans, type)
 
   defp item_message(item, seq, type, {system, component}, :int) do
     {p1, p2, p3, p4} = item.params

@@ -215,7 +215,7 @@ defmodule SimVehicle.Server do
   end
 
   defp do_action(state, {:notify, event}) do
-    tell(state, event)
+    notify(state, event)
     %{state | pilot: state.pilot && Pilot.notified(state.pilot, event)}
   end
 
@@ -228,7 +228,7 @@ defmodule SimVehicle.Server do
         off_for: @reboot_us
     }
 
-  defp tell(state, event),
+  defp notify(state, event),
     do: Enum.each(state.subscribers, fn {pid, _ref} -> send(pid, {:sim, self(), event}) end)
 
   defp encode(state, message, component) do
@@ -317,7 +317,7 @@ defmodule SimVehicle.Server do
       {:ok, message} ->
         source = {frame.system, frame.component}
         state = %{state | pilot: state.pilot && Pilot.overheard(state.pilot, message, state.vehicle)}
-        tell(state, {:heard, message, source})
+        notify(state, {:heard, message, source})
         apply_event(state, {:message, message, source})
 
       {:error, _unknown} ->

@@ -147,7 +147,7 @@ defmodule SimVehicle.Simulation do
 
   defp on(vehicle, {:message, message, source}) do
     case Command.from(message, source) do
-      nil -> vehicle |> heard(message, source) |> on_message(message, source)
+      nil -> vehicle |> note_station(message, source) |> on_message(message, source)
       command -> on_command(vehicle, command)
     end
   end
@@ -172,12 +172,12 @@ defmodule SimVehicle.Simulation do
       else: vehicle
   end
 
-  defp heard(vehicle, %M.Heartbeat{type: 6}, {system, _component}) do
+  defp note_station(vehicle, %M.Heartbeat{type: 6}, {system, _component}) do
     vehicle = %{vehicle | gcs_heard: vehicle.now}
     vehicle.personality.gcs_heard(vehicle, system)
   end
 
-  defp heard(vehicle, _message, _source), do: vehicle
+  defp note_station(vehicle, _message, _source), do: vehicle
 
   # ArduPilot hears what is for the camera, too.
   defp on_message(%{camera: %{component: id}, system: system} = vehicle, message, source) do

@@ -34,10 +34,10 @@ defmodule Aerie.Config.Example do
 
   defp env(_field, _above), do: ""
 
-  defp line(field, above), do: "#{indent(above)}##{Field.name(field)}: #{shown(field)}\n"
+  defp line(field, above), do: "#{indent(above)}##{Field.name(field)}: #{example(field)}\n"
 
-  defp shown(%Field{example: example}) when is_binary(example), do: example
-  defp shown(%Field{default: default}), do: value(default)
+  defp example(%Field{example: example}) when is_binary(example), do: example
+  defp example(%Field{default: default}), do: value(default)
 
   defp facts(%Field{type: type} = field) do
     default =

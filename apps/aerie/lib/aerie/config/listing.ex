@@ -69,43 +69,43 @@ defmodule Aerie.Config.Listing do
   defp text(:secret, _value), do: "set"
 
   defp text(type, value) do
-    case shown(type, value) do
+    case format(type, value) do
       text when byte_size(text) > @max_text -> String.slice(text, 0, @max_text) <> " …"
       text -> text
     end
   end
 
-  defp shown(_type, nil), do: "–"
-  defp shown(_type, []), do: "none"
-  defp shown(_type, map) when map == %{}, do: "none"
-  defp shown(:secret, _value), do: "set"
+  defp format(_type, nil), do: "–"
+  defp format(_type, []), do: "none"
+  defp format(_type, map) when map == %{}, do: "none"
+  defp format(:secret, _value), do: "set"
 
-  defp shown({list, type}, values) when list in [:list, :one_or_list] and is_list(values),
-    do: Enum.map_join(values, "; ", &shown(type, &1))
+  defp format({list, type}, values) when list in [:list, :one_or_list] and is_list(values),
+    do: Enum.map_join(values, "; ", &format(type, &1))
 
-  defp shown({:map, type}, values) when is_map(values) and not is_struct(values),
-    do: Enum.map_join(Enum.sort(values), "; ", fn {name, value} -> "#{name}: #{shown(type, value)}" end)
+  defp format({:map, type}, values) when is_map(values) and not is_struct(values),
+    do: Enum.map_join(Enum.sort(values), "; ", fn {name, value} -> "#{name}: #{format(type, value)}" end)
 
-  defp shown({:section, fields}, values) when is_map(values) do
+  defp format({:section, fields}, values) when is_map(values) do
     for(field <- fields, value = Map.get(values, field.key), value not in [nil, []], do: {field, value})
-    |> Enum.map_join(", ", fn {field, value} -> "#{field.key}: #{shown(field.type, value)}" end)
+    |> Enum.map_join(", ", fn {field, value} -> "#{field.key}: #{format(field.type, value)}" end)
   end
 
-  defp shown(_type, number) when is_float(number) and trunc(number) == number and abs(number) < 1.0e15,
+  defp format(_type, number) when is_float(number) and trunc(number) == number and abs(number) < 1.0e15,
     do: Integer.to_string(trunc(number))
 
-  defp shown(_type, value) when is_number(value) or is_atom(value), do: to_string(value)
+  defp format(_type, value) when is_number(value) or is_atom(value), do: to_string(value)
 
   # A login in an address is as good as a password.
-  defp shown(_type, text) when is_binary(text), do: String.replace(text, ~r|//[^/@\s]*@|, "//…@")
+  defp format(_type, text) when is_binary(text), do: String.replace(text, ~r|//[^/@\s]*@|, "//…@")
 
-  defp shown(_type, list) when is_list(list), do: Enum.map_join(list, ", ", &shown(:any, &1))
-  defp shown(_type, {host, port}) when is_integer(port), do: "#{shown(:any, host)}:#{port}"
-  defp shown(_type, {_, _, _, _} = ip), do: List.to_string(:inet.ntoa(ip))
-  defp shown(_type, %_{}), do: "set"
+  defp format(_type, list) when is_list(list), do: Enum.map_join(list, ", ", &format(:any, &1))
+  defp format(_type, {host, port}) when is_integer(port), do: "#{format(:any, host)}:#{port}"
+  defp format(_type, {_, _, _, _} = ip), do: List.to_string(:inet.ntoa(ip))
+  defp format(_type, %_{}), do: "set"
 
-  defp shown(_type, map) when is_map(map),
-    do: Enum.map_join(map, ", ", fn {k, v} -> "#{shown(:any, k)}: #{shown(:any, v)}" end)
+  defp format(_type, map) when is_map(map),
+    do: Enum.map_join(map, ", ", fn {k, v} -> "#{format(:any, k)}: #{format(:any, v)}" end)
 
-  defp shown(_type, _other), do: "set"
+  defp format(_type, _other), do: "set"
 end

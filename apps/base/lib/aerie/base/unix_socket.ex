@@ -43,8 +43,8 @@ defmodule Aerie.Base.UnixSocket do
     with :ok <- short(Path.join(hidden, "s")),
          :ok <- folder(dir),
          :ok <- vacant(path),
-         :ok <- said(File.mkdir(hidden), hidden),
-         :ok <- said(File.chmod(hidden, 0o700), hidden) do
+         :ok <- with_path(File.mkdir(hidden), hidden),
+         :ok <- with_path(File.chmod(hidden, 0o700), hidden) do
       result = bind(Path.join(hidden, "s"), path)
       _ = File.rm(Path.join(hidden, "s"))
       _ = File.rmdir(hidden)
@@ -67,9 +67,9 @@ defmodule Aerie.Base.UnixSocket do
     options = [:binary, ifaddr: {:local, from}, active: false, backlog: 1024]
 
     with {:ok, socket} <- listening(options, to) do
-      with :ok <- said(File.chmod(from, @mode), to),
+      with :ok <- with_path(File.chmod(from, @mode), to),
            {:ok, identity} <- identity(from),
-           :ok <- said(File.rename(from, to), to) do
+           :ok <- with_path(File.rename(from, to), to) do
         {:ok, socket, identity}
       else
         {:error, reason} ->
@@ -97,7 +97,7 @@ defmodule Aerie.Base.UnixSocket do
     if File.dir?(dir) do
       :ok
     else
-      with :ok <- said(File.mkdir_p(dir), dir), do: said(File.chmod(dir, 0o700), dir)
+      with :ok <- with_path(File.mkdir_p(dir), dir), do: with_path(File.chmod(dir, 0o700), dir)
     end
   end
 
@@ -106,7 +106,7 @@ defmodule Aerie.Base.UnixSocket do
       {:error, :enoent} -> :ok
       {:ok, %File.Stat{type: :other}} -> stale(path)
       {:ok, _file} -> {:error, "#{path} is there and is not a socket"}
-      {:error, reason} -> said({:error, reason}, path)
+      {:error, reason} -> with_path({:error, reason}, path)
     end
   end
 
@@ -134,10 +134,10 @@ defmodule Aerie.Base.UnixSocket do
         {:error, "#{path} is not a socket"}
 
       {:error, reason} ->
-        said({:error, reason}, path)
+        with_path({:error, reason}, path)
     end
   end
 
-  defp said(:ok, _path), do: :ok
-  defp said({:error, reason}, path), do: {:error, "#{path}: #{:file.format_error(reason)}"}
+  defp with_path(:ok, _path), do: :ok
+  defp with_path({:error, reason}, path), do: {:error, "#{path}: #{:file.format_error(reason)}"}
 end

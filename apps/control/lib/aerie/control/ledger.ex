@@ -292,20 +292,20 @@ defmodule Aerie.Control.Ledger do
   defp failed(%{failing: nil} = state, reason) do
     Logger.error("ledger: #{reason}. Commands are refused until it can be written")
     :telemetry.execute([:aerie, :ledger, :failing], %{count: 1}, %{gateway: state.gateway, reason: reason})
-    told(%{state | failing: reason})
+    put_failing(%{state | failing: reason})
   end
 
-  defp failed(state, reason), do: told(%{state | failing: reason})
+  defp failed(state, reason), do: put_failing(%{state | failing: reason})
 
   defp works(%{failing: nil} = state), do: state
 
   defp works(state) do
     Logger.warning("ledger: written again")
-    told(%{state | failing: nil})
+    put_failing(%{state | failing: nil})
   end
 
   # For `problem/1`.
-  defp told(state) do
+  defp put_failing(state) do
     Names.put_value(state.gateway, :ledger, state.failing)
     state
   end

@@ -60,7 +60,7 @@ defmodule Aerie.Control.Missions do
       {:ok,
        %{plan: plan, items: result.items, opaque_id: result.opaque_id, digest: Plan.digest(result.items)}}
     else
-      {:ok, %{"plan" => plan} = answer} -> told(plan, answer, type, protocol(gateway, vehicle))
+      {:ok, %{"plan" => plan} = answer} -> outcome(plan, answer, type, protocol(gateway, vehicle))
       {:ok, _other} -> no_plan("its gateway told none")
       {:error, %Result{}} = error -> error
       {:error, text} -> no_plan(text)
@@ -73,7 +73,7 @@ defmodule Aerie.Control.Missions do
        Result.new(Aerie.Vehicle.Command.id(), :failed, "what the vehicle has is not a valid plan: #{text}")}
 
   # Another gateway's answer (`plain/2`).
-  defp told(plan, answer, type, protocol) do
+  defp outcome(plan, answer, type, protocol) do
     case plan |> JSON.encode!() |> __MODULE__.import(:plan) do
       {:ok, plan} ->
         items = Onboard.items(plan, type, protocol)

@@ -62,7 +62,7 @@ defmodule Aerie.Control.Params do
     case Transfers.read_elsewhere(gateway, vehicle, asked, options, @list_ms) do
       :here when component == nil -> list_of_autopilot(gateway, vehicle, refresh?, options)
       :here -> list_of_component(gateway, vehicle, component, options)
-      {:ok, answer} -> told(Table.parse(answer))
+      {:ok, answer} -> remote_answer(Table.parse(answer))
       error -> error
     end
   end
@@ -71,9 +71,9 @@ defmodule Aerie.Control.Params do
   defp of(nil, body), do: body
   defp of(component, body), do: Map.put(body, "component", component)
 
-  defp told({:ok, value}), do: {:ok, value}
+  defp remote_answer({:ok, value}), do: {:ok, value}
 
-  defp told(:error),
+  defp remote_answer(:error),
     do:
       {:error,
        Result.new(
@@ -171,7 +171,7 @@ defmodule Aerie.Control.Params do
       {result, nil} = Transfers.read(gateway, snapshot, transfer, options)
       result
     else
-      {:ok, answer} -> told(Param.parse(answer))
+      {:ok, answer} -> remote_answer(Param.parse(answer))
       error -> error
     end
   end

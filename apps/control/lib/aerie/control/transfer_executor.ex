@@ -121,7 +121,7 @@ defmodule Aerie.Control.TransferExecutor do
     end
   end
 
-  def handle_info({:frames, frames}, state), do: {:noreply, Enum.reduce(frames, state, &heard/2)}
+  def handle_info({:frames, frames}, state), do: {:noreply, Enum.reduce(frames, state, &receive_frame/2)}
   def handle_info({:rebooted, _boot_ms}, state), do: {:noreply, step(state, {:rebooted, now()})}
 
   def handle_info({:transfer_turn, _vehicle, kind}, state),
@@ -193,7 +193,7 @@ defmodule Aerie.Control.TransferExecutor do
     end
   end
 
-  defp heard(frame, state) do
+  defp receive_frame(frame, state) do
     with true <- frame.id in (state.listening || []),
          {:ok, message} <- MavCodec.decode(frame) do
       step(state, {:message, frame.id, message, {frame.system, frame.component}, now()})
@@ -235,17 +235,17 @@ defmodule Aerie.Control.TransferExecutor do
     state
   end
 
-  defp act({:progress, id, progress}, state), do: tell(state, id, {:progress, progress})
-  defp act({:data, id, offset, bytes}, state), do: tell(state, id, {:data, offset, bytes})
+  defp act({:progress, id, progress}, state), do: notify(state, id, {:progress, progress})
+  defp act({:data, id, offset, bytes}, state), do: notify(state, id, {:data, offset, bytes})
 
   defp act({:done, id, result}, state) do
-    state = tell(state, id, {:done, result})
+    state = notify(state, id, {:done, result})
     {all, watchers} = Map.pop(state.watchers, id, %{})
     for {monitor, _watcher} <- all, do: Process.demonitor(monitor, [:flush])
     %{state | watchers: watchers}
   end
 
-  defp tell(state, id, what) do
+  defp notify(state, id, what) do
     for {_monitor, {pid, ref}} <- Map.get(state.watchers, id, %{}), do: send(pid, {ref, what})
     state
   end

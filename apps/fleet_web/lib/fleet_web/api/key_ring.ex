@@ -53,11 +53,11 @@ defmodule FleetWeb.API.KeyRing do
   @spec list(Names.gateway()) :: [shown()]
   def list(gateway) do
     with %{configured: configured, made: made} <- Names.value(gateway, :api_keys),
-         do: shown(configured, false) ++ shown(made, true),
+         do: summary(configured, false) ++ summary(made, true),
          else: (nil -> [])
   end
 
-  defp shown(keys, made?),
+  defp summary(keys, made?),
     do: for(key <- keys, do: key |> Map.take([:name, :role, :permissions, :until]) |> Map.put(:made, made?))
 
   @doc "Makes a key in the name of `by`; gives its text, which is known nowhere else. `expires`: a day as `2027-12-31`, or nothing."
@@ -67,7 +67,7 @@ defmodule FleetWeb.API.KeyRing do
     text = Base.url_encode64(:crypto.strong_rand_bytes(24), padding: false)
 
     with :ok <- name(name),
-         :ok <- words([role, expires]),
+         :ok <- parse_words([role, expires]),
          {:ok, key} <- Keys.make(name, text, [{"role", role}, {"expires", expires}]),
          :ok <- future(key),
          :ok <- call(gateway, {:add, key, by}),
@@ -85,7 +85,7 @@ defmodule FleetWeb.API.KeyRing do
   defp name(_missing), do: {:error, "the name is missing"}
 
   # They become part of a line.
-  defp words(words) do
+  defp parse_words(words) do
     if Enum.all?(words, &(is_binary(&1) and &1 =~ ~r/\A[a-z0-9-]{0,20}\z/)),
       do: :ok,
       else: {:error, "expected a role, and a day such as 2027-12-31 or nothing"}

@@ -43,7 +43,7 @@ defmodule MavCodec.Parser.Search do
           {ahead(), errors :: non_neg_integer(), open :: non_neg_integer() | nil, Checksums.t()}
   def good(data, pos, known, accepted, mode, sums) do
     <<_::binary-size(^pos), rest::binary>> = data
-    look(rest, pos, known.pages, known.lengths, fixed(data, known, accepted, mode), 0, nil, sums)
+    scan(rest, pos, known.pages, known.lengths, fixed(data, known, accepted, mode), 0, nil, sums)
   end
 
   # What stays the same during a search; `refused` are the flags that are not accepted (F6).
@@ -52,7 +52,7 @@ defmodule MavCodec.Parser.Search do
 
   # This function and its helpers begin with a match, so that the runtime makes no binary of the rest, and keep their
   # arguments in their places, so that no register is moved.
-  defp look(<<0xFE, rest::binary>>, pos, pages, lengths, fixed, errors, open, sums) do
+  defp scan(<<0xFE, rest::binary>>, pos, pages, lengths, fixed, errors, open, sums) do
     case rest do
       <<len, _seq, system, _component, id, _::binary>> when system > 0 ->
         case elem(lengths, id) do
@@ -61,36 +61,36 @@ defmodule MavCodec.Parser.Search do
             candidate(rest, pos, pages, lengths, fixed, errors, open, sums, 5 + len, 0, extra)
 
           other when is_integer(other) ->
-            look(rest, pos + 1, pages, lengths, fixed, errors, open, sums)
+            scan(rest, pos + 1, pages, lengths, fixed, errors, open, sums)
 
           nil ->
             case elem(elem(pages, 0), id) do
               nil when open == nil -> nobody(rest, pos, pages, lengths, fixed, errors, nil, sums, 5 + len, 0)
-              nil -> look(rest, pos + 1, pages, lengths, fixed, errors, open, sums)
+              nil -> scan(rest, pos + 1, pages, lengths, fixed, errors, open, sums)
               extra -> candidate(rest, pos, pages, lengths, fixed, errors, open, sums, 5 + len, 0, extra)
             end
         end
 
       <<_::5-binary, _::binary>> ->
-        look(rest, pos + 1, pages, lengths, fixed, errors, open, sums)
+        scan(rest, pos + 1, pages, lengths, fixed, errors, open, sums)
 
       _incomplete ->
         incomplete(rest, pos, pages, lengths, fixed, errors, open, sums)
     end
   end
 
-  defp look(<<0xFD, rest::binary>>, pos, pages, lengths, fixed, errors, open, sums) do
+  defp scan(<<0xFD, rest::binary>>, pos, pages, lengths, fixed, errors, open, sums) do
     case rest do
       <<len, flags, _::2-binary, system, _component, id::24-little, _::binary>>
       when (flags &&& @source32) == 0 ->
         if system == 0,
-          do: look(rest, pos + 1, pages, lengths, fixed, errors, open, sums),
+          do: scan(rest, pos + 1, pages, lengths, fixed, errors, open, sums),
           else: v2(rest, pos, pages, lengths, fixed, errors, open, sums, 9 + len, flags, id)
 
       <<len, flags, _::2-binary, system::32, _component, id::24-little, _::binary>>
       when (flags &&& @source32) != 0 ->
         if system == 0,
-          do: look(rest, pos + 1, pages, lengths, fixed, errors, open, sums),
+          do: scan(rest, pos + 1, pages, lengths, fixed, errors, open, sums),
           else: v2(rest, pos, pages, lengths, fixed, errors, open, sums, 12 + len, flags, id)
 
       _incomplete ->
@@ -98,10 +98,10 @@ defmodule MavCodec.Parser.Search do
     end
   end
 
-  defp look(<<_, rest::binary>>, pos, pages, lengths, fixed, errors, open, sums),
-    do: look(rest, pos + 1, pages, lengths, fixed, errors, open, sums)
+  defp scan(<<_, rest::binary>>, pos, pages, lengths, fixed, errors, open, sums),
+    do: scan(rest, pos + 1, pages, lengths, fixed, errors, open, sums)
 
-  defp look(<<>>, _pos, _pages, _lengths, _fixed, errors, open, sums), do: {:none, errors, open, sums}
+  defp scan(<<>>, _pos, _pages, _lengths, _fixed, errors, open, sums), do: {:none, errors, open, sums}
 
   # Only tail calls: any other call would save all registers of the loop. `covered` as with short ids.
   defp v2(<<rest::binary>>, pos, pages, lengths, fixed, errors, open, sums, covered, flags, id)
@@ -111,7 +111,7 @@ defmodule MavCodec.Parser.Search do
         nobody(rest, pos, pages, lengths, fixed, errors, nil, sums, covered + (flags &&& @target32), flags)
 
       nil ->
-        look(rest, pos + 1, pages, lengths, fixed, errors, open, sums)
+        scan(rest, pos + 1, pages, lengths, fixed, errors, open, sums)
 
       extra ->
         covered = covered + (flags &&& @target32)
@@ -122,7 +122,7 @@ defmodule MavCodec.Parser.Search do
 
   defp v2(<<rest::binary>>, pos, pages, lengths, fixed, errors, open, sums, _covered, flags, _id)
        when elem(fixed, 5) == [] and (open != nil or (flags &&& elem(fixed, 1)) != 0),
-       do: look(rest, pos + 1, pages, lengths, fixed, errors, open, sums)
+       do: scan(rest, pos + 1, pages, lengths, fixed, errors, open, sums)
 
   defp v2(<<rest::binary>>, pos, pages, lengths, fixed, errors, open, sums, covered, flags, id) do
     covered = covered + (flags &&& @target32)
@@ -132,7 +132,7 @@ defmodule MavCodec.Parser.Search do
         nobody(rest, pos, pages, lengths, fixed, errors, nil, sums, covered, flags)
 
       nil ->
-        look(rest, pos + 1, pages, lengths, fixed, errors, open, sums)
+        scan(rest, pos + 1, pages, lengths, fixed, errors, open, sums)
 
       extra ->
         signed = 13 * (flags &&& @signed)
@@ -146,14 +146,14 @@ defmodule MavCodec.Parser.Search do
 
     case rest do
       _refused when (flags &&& elem(fixed, 1)) != 0 ->
-        look(rest, pos + 1, pages, lengths, fixed, errors, nil, sums)
+        scan(rest, pos + 1, pages, lengths, fixed, errors, nil, sums)
 
       <<_::binary-size(^covered), _crc::16, _::binary-size(^signed), magic, _::binary>>
       when magic not in [0xFD, 0xFE] ->
-        look(rest, pos + 1, pages, lengths, fixed, errors, nil, sums)
+        scan(rest, pos + 1, pages, lengths, fixed, errors, nil, sums)
 
       _possible_or_incomplete ->
-        look(rest, pos + 1, pages, lengths, fixed, errors, pos, sums)
+        scan(rest, pos + 1, pages, lengths, fixed, errors, pos, sums)
     end
   end
 
@@ -172,8 +172,8 @@ defmodule MavCodec.Parser.Search do
 
         cond do
           Checksums.frame(before, behind, covered, extra) == crc -> {{:good, pos}, errors, open, sums}
-          open == nil -> look(rest, pos + 1, pages, lengths, fixed, errors + 1, nil, sums)
-          true -> look(rest, pos + 1, pages, lengths, fixed, errors, open, sums)
+          open == nil -> scan(rest, pos + 1, pages, lengths, fixed, errors + 1, nil, sums)
+          true -> scan(rest, pos + 1, pages, lengths, fixed, errors, open, sums)
         end
 
       stop + signed + 3 > elem(fixed, 3) ->
@@ -210,17 +210,17 @@ defmodule MavCodec.Parser.Search do
   end
 
   defp wrong(<<rest::binary>>, pos, pages, lengths, fixed, errors, nil, sums),
-    do: look(rest, pos + 1, pages, lengths, fixed, errors + 1, nil, sums)
+    do: scan(rest, pos + 1, pages, lengths, fixed, errors + 1, nil, sums)
 
   defp wrong(<<rest::binary>>, pos, pages, lengths, fixed, errors, open, sums),
-    do: look(rest, pos + 1, pages, lengths, fixed, errors, open, sums)
+    do: scan(rest, pos + 1, pages, lengths, fixed, errors, open, sums)
 
   # The header, or the frame of a known id, ends behind the data.
   defp incomplete(<<_::binary>>, pos, _pages, _lengths, {_, _, :stream, _, _, _}, errors, open, sums),
     do: {{:doubt, pos}, errors, open, sums}
 
   defp incomplete(<<rest::binary>>, pos, pages, lengths, fixed, errors, open, sums),
-    do: look(rest, pos + 1, pages, lengths, fixed, errors, open || pos, sums)
+    do: scan(rest, pos + 1, pages, lengths, fixed, errors, open || pos, sums)
 
   @doc """
   Returns the next frame of an unknown id in `data` from `pos` on, `{:take, place, size}`, or the beginning of a frame that

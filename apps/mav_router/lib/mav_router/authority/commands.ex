@@ -67,14 +67,14 @@ defmodule MavRouter.Authority.Commands do
 
     case wrong || Enum.find_value(params, &infinite/1) do
       nil -> :ok
-      {index, value, expected} -> {:error, "parameter #{index} is #{shown(value)}, not #{expected}"}
+      {index, value, expected} -> {:error, "parameter #{index} is #{format(value)}, not #{expected}"}
     end
   end
 
   defp infinite({index, value}) when value in [:infinity, :neg_infinity], do: {index, value, "a number"}
   defp infinite(_finite), do: nil
 
-  defp shown(:infinity), do: "infinite"
-  defp shown(:neg_infinity), do: "infinite"
-  defp shown(value), do: "#{value}"
+  defp format(:infinity), do: "infinite"
+  defp format(:neg_infinity), do: "infinite"
+  defp format(value), do: "#{value}"
 end

@@ -121,7 +121,7 @@ defmodule MavRouter.Identity.Watchdog do
       if pid != nil and state.owing[tag] != pid, do: send(pid, {:watchdog, self(), tag})
     end
 
-    tell(%{state | asked: now(), owing: loops})
+    notify(%{state | asked: now(), owing: loops})
   end
 
   defp restart_time(table, tag) do
@@ -149,7 +149,7 @@ defmodule MavRouter.Identity.Watchdog do
   end
 
   # A process that has yet to answer for the first time is waited for, not complained of: a gateway that starts is no fault.
-  defp tell(state) do
+  defp notify(state) do
     %{silent: silent} = status(state.gateway)
     :ets.insert(state.table, {:silent, silent != []})
     silent = Enum.reject(silent, &awaited?(state, &1))

@@ -82,20 +82,20 @@ defmodule MavRouter.Link.Backlog do
   def measure(%__MODULE__{measured: at, waiting: before} = backlog, waiting, now) do
     busy? = at != nil and before > some(backlog) and waiting > some(backlog)
     excess = if busy?, do: excess(waiting, backlog.done / max(now - at, 1))
-    judge(%{backlog | measured: now, waiting: waiting, done: 0}, excess, now)
+    evaluate(%{backlog | measured: now, waiting: waiting, done: 0}, excess, now)
   end
 
   # In an overload a link may be so slow that these few are seconds.
   defp some(%{strained: nil}), do: @some
   defp some(_strained), do: 0
 
-  defp judge(%{strained: strained} = backlog, nil, now) do
+  defp evaluate(%{strained: strained} = backlog, nil, now) do
     if strained != nil and now - strained < @relief_ms,
       do: %{backlog | late: nil},
       else: %{backlog | late: nil, strained: nil, began: nil}
   end
 
-  defp judge(%{late: late, strained: strained} = backlog, excess, now) do
+  defp evaluate(%{late: late, strained: strained} = backlog, excess, now) do
     backlog = %{backlog | late: late || now, began: backlog.began || now}
 
     if strained != nil or now - backlog.late >= @patience_ms,

@@ -309,7 +309,7 @@ defmodule MavRouter.Link.Core do
   # Every received byte comes through here.
   defp read(core, reads, {mono, at}) do
     {deliveries, changes, peers} = Reads.push(core.peers, reads, mono, at)
-    core = heard(%{core | peers: peers}, deliveries, mono, at)
+    core = note_senders(%{core | peers: peers}, deliveries, mono, at)
 
     if changes == [] do
       {core, deliver(deliveries)}
@@ -321,12 +321,12 @@ defmodule MavRouter.Link.Core do
 
   defp replay(core, records, {mono, at}) do
     {deliveries, peers} = Reads.replay(core.peers, records, mono)
-    {heard(%{core | peers: peers}, deliveries, mono, at), deliver(deliveries)}
+    {note_senders(%{core | peers: peers}, deliveries, mono, at), deliver(deliveries)}
   end
 
-  defp heard(core, [], _mono, _at), do: core
+  defp note_senders(core, [], _mono, _at), do: core
 
-  defp heard(core, deliveries, mono, at) do
+  defp note_senders(core, deliveries, mono, at) do
     counters =
       Enum.reduce(deliveries, core.counters, fn {_peer, frames}, c -> Counters.messages(c, frames) end)
 

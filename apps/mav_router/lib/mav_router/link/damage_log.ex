@@ -32,11 +32,11 @@ defmodule MavRouter.Link.DamageLog do
     new = Map.new(@names, &{&1, Map.fetch!(counters, &1) - damage.logged[&1]})
 
     if new.crc_errors + new.incompatible > 0 or new.resync_bytes >= @noise_bytes,
-      do: {words(new), %__MODULE__{logged: Map.take(counters, @names), at: now}},
+      do: {summary(new), %__MODULE__{logged: Map.take(counters, @names), at: now}},
       else: {nil, damage}
   end
 
-  defp words(new) do
+  defp summary(new) do
     "received damaged data: #{new.crc_errors} frames with a wrong CRC, #{new.incompatible} with unknown flags, " <>
       "#{new.resync_bytes} bytes outside of frames (logged every #{div(@every_ms, 1000)} s at most)"
   end

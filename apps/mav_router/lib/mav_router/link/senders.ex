@@ -38,17 +38,17 @@ defmodule MavRouter.Link.Senders do
         do: senders,
         else: %{senders | recent: %{}, former: senders.recent, turned: now}
 
-    %{senders | recent: heard(datagrams, senders.recent, senders.former, now)}
+    %{senders | recent: latest(datagrams, senders.recent, senders.former, now)}
   end
 
-  defp heard([], recent, _former, _now), do: recent
+  defp latest([], recent, _former, _now), do: recent
 
-  defp heard([datagram | rest], recent, former, now) do
+  defp latest([datagram | rest], recent, former, now) do
     sender = of(datagram)
 
     if is_map_key(recent, sender),
-      do: heard(rest, recent, former, now),
-      else: heard(rest, add(recent, sender, former, now), former, now)
+      do: latest(rest, recent, former, now),
+      else: latest(rest, add(recent, sender, former, now), former, now)
   end
 
   defp add(recent, sender, former, now) do

@@ -83,7 +83,7 @@ defmodule MavRouter.Recorder.Archive do
       {:reply, {:ok, path}, put_in(state.open[Process.monitor(pid)], path)}
     else
       {:error, :low} -> {:reply, {:error, :low}, state}
-      {:error, reason} -> {:reply, {:error, "#{state.settings.dir}: #{words(reason)}"}, state}
+      {:error, reason} -> {:reply, {:error, "#{state.settings.dir}: #{reason_text(reason)}"}, state}
     end
   end
 
@@ -133,7 +133,7 @@ defmodule MavRouter.Recorder.Archive do
 
   # The index is corrected when room is made.
   defp removed(path) do
-    with {:error, reason} <- Raw.rm(path), do: {:error, "#{path}: #{words(reason)}"}
+    with {:error, reason} <- Raw.rm(path), do: {:error, "#{path}: #{reason_text(reason)}"}
   end
 
   defp stat(path), do: Raw.stat(path)
@@ -211,7 +211,7 @@ defmodule MavRouter.Recorder.Archive do
       if length(found) < length(names) or removed != [],
         do: rewrite(state, Enum.map(found, &elem(&1, 0)) -- removed)
 
-    told(state, if(removed == [], do: free, else: files.free(dir)), min_free)
+    report(state, if(removed == [], do: free, else: files.free(dir)), min_free)
   end
 
   defp missing(:unknown, _min_free), do: 0
@@ -239,13 +239,13 @@ defmodule MavRouter.Recorder.Archive do
     Private.write(index(state), text)
   end
 
-  defp told(state, free, min_free) do
+  defp report(state, free, min_free) do
     low = match?({:ok, bytes} when bytes < min_free, free)
     bytes = with {:ok, bytes} <- free, do: bytes
     :ets.insert(state.tables.notes, {:space, %{free: bytes, low: low}})
     state
   end
 
-  defp words(reason) when is_atom(reason), do: reason |> :file.format_error() |> to_string()
-  defp words(reason), do: inspect(reason)
+  defp reason_text(reason) when is_atom(reason), do: reason |> :file.format_error() |> to_string()
+  defp reason_text(reason), do: inspect(reason)
 end

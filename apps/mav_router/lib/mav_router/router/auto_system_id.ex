@@ -36,11 +36,11 @@ defmodule MavRouter.Router.AutoSystemId do
   def open?(gateway, tables, key, now) do
     case Tables.setting(tables, :auto_component, nil) do
       nil -> true
-      component -> heard(gateway, tables, key, component, now)
+      component -> note_heard(gateway, tables, key, component, now)
     end
   end
 
-  defp heard(gateway, tables, key, component, now) do
+  defp note_heard(gateway, tables, key, component, now) do
     before = autopilots(tables)
     if length(before) < @max_heard, do: :ets.insert_new(tables.settings, {{:autopilot, key}, now})
     first = tables |> autopilots() |> Enum.map(&elem(&1, 1)) |> Enum.min()
@@ -72,7 +72,7 @@ defmodule MavRouter.Router.AutoSystemId do
     if :ets.take(tables.settings, :auto_component) != [] do
       Tables.changed(tables)
       :ets.match_delete(tables.settings, {{:autopilot, :_}, :_})
-      tell(gateway, system, Enum.sort(keys))
+      notify(gateway, system, Enum.sort(keys))
     end
   end
 
@@ -81,7 +81,7 @@ defmodule MavRouter.Router.AutoSystemId do
   def system([{_network, system}]), do: system
   def system(_several), do: elem(Identity.default_ids(), 0)
 
-  defp tell(gateway, system, keys) do
+  defp notify(gateway, system, keys) do
     case keys do
       [_one] -> Logger.info("this gateway belongs to system #{system}")
       several -> Logger.error(text(several))

@@ -89,7 +89,7 @@ defmodule MavRouter.Router.Gate do
 
   defp of_client(frames, delivery) do
     principal = principal(delivery)
-    frames |> Enum.flat_map(&judged(&1, principal, delivery)) |> runs()
+    frames |> Enum.flat_map(&decision(&1, principal, delivery)) |> runs()
   end
 
   defp runs([]), do: []
@@ -100,7 +100,7 @@ defmodule MavRouter.Router.Gate do
     |> Enum.map(fn [{scope, _frame} | _] = run -> {scope, Enum.map(run, &elem(&1, 1))} end)
   end
 
-  defp judged(frame, principal, %{path: path} = delivery) do
+  defp decision(frame, principal, %{path: path} = delivery) do
     case Messages.row(frame.id) do
       nil ->
         unknown(frame, principal, delivery)
@@ -210,7 +210,7 @@ defmodule MavRouter.Router.Gate do
           Counters.add(path.counters, :denied, 1)
           answer(answers, path, network)
           # A question, which needs its own permission.
-          instead |> List.wrap() |> Enum.flat_map(&judged(&1, principal, delivery))
+          instead |> List.wrap() |> Enum.flat_map(&decision(&1, principal, delivery))
       end
     end)
   end

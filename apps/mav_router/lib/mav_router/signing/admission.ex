@@ -41,7 +41,7 @@ defmodule MavRouter.Signing.Admission do
       counts: []
     }
 
-    acc = Enum.reduce(frames, acc, &judge/2)
+    acc = Enum.reduce(frames, acc, &verify/2)
 
     # Only right signatures change a state (S5).
     for {_slot, {scope, signing, true}} <- acc.verifiers do
@@ -58,7 +58,7 @@ defmodule MavRouter.Signing.Admission do
     Enum.reverse(acc.kept)
   end
 
-  defp judge(frame, acc) do
+  defp verify(frame, acc) do
     case slot(acc, frame.system) do
       {nil, acc} ->
         {verdict, scope, acc} = candidate({:no_scope, nil}, acc, frame)
@@ -181,22 +181,22 @@ defmodule MavRouter.Signing.Admission do
 
       case what do
         {:rejected, component, reason} ->
-          heard(tables, key, nil, 6, n, at)
+          count_heard(tables, key, nil, 6, n, at)
           _ = Store.count(gateway, {:signing, origin.id, :rejected}, n)
           Alarm.rejected(gateway, tables, origin, {system, component}, reason, n, at)
 
         :verified ->
-          heard(tables, key, 2, 4, n, at)
+          count_heard(tables, key, 2, 4, n, at)
           _ = Store.count(gateway, {:signing, origin.id, :verified}, n)
 
         :unsigned ->
-          heard(tables, key, 3, 5, n, at)
+          count_heard(tables, key, 3, 5, n, at)
           _ = Store.count(gateway, {:signing, origin.id, :unsigned}, n)
       end
     end)
   end
 
-  defp heard(tables, key, time, counter, n, at) do
+  defp count_heard(tables, key, time, counter, n, at) do
     if :ets.member(tables.sources, key) or :ets.info(tables.sources, :size) < @max_sources do
       _ = :ets.update_counter(tables.sources, key, {counter, n}, {key, nil, nil, 0, 0, 0})
       _ = if time, do: :ets.update_element(tables.sources, key, {time, at})

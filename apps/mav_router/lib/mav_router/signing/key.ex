@@ -47,7 +47,7 @@ defmodule MavRouter.Signing.Key do
   end
 
   defp stat(path) do
-    with {:error, reason} <- File.stat(path), do: {:error, "#{path}: #{words(reason)}"}
+    with {:error, reason} <- File.stat(path), do: {:error, "#{path}: #{reason_text(reason)}"}
   end
 
   defp regular(_path, %{type: :regular, size: size}) when size <= @max_bytes, do: :ok
@@ -72,10 +72,10 @@ defmodule MavRouter.Signing.Key do
   end
 
   defp text(path) do
-    with {:error, reason} <- File.read(path), do: {:error, "#{path}: #{words(reason)}"}
+    with {:error, reason} <- File.read(path), do: {:error, "#{path}: #{reason_text(reason)}"}
   end
 
-  defp words(reason), do: reason |> :file.format_error() |> to_string()
+  defp reason_text(reason), do: reason |> :file.format_error() |> to_string()
 
   @doc "A key from text, see above."
   @spec parse(binary) :: {:ok, Secret.t()} | {:error, String.t()}

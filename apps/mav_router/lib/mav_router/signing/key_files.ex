@@ -80,14 +80,14 @@ defmodule MavRouter.Signing.KeyFiles do
   @spec remove(Path.t(), id, kind) :: :ok | {:error, String.t()}
   def remove(dir, id, kind) do
     case File.rm(path(dir, id, kind)) do
-      {:error, reason} when reason != :enoent -> words(path(dir, id, kind), reason)
+      {:error, reason} when reason != :enoent -> file_error(path(dir, id, kind), reason)
       _gone -> :ok
     end
   end
 
   defp move(from, to) do
-    with {:error, reason} <- File.rename(from, to), do: words(to, reason)
+    with {:error, reason} <- File.rename(from, to), do: file_error(to, reason)
   end
 
-  defp words(path, reason), do: {:error, "#{path}: #{:file.format_error(reason)}"}
+  defp file_error(path, reason), do: {:error, "#{path}: #{:file.format_error(reason)}"}
 end

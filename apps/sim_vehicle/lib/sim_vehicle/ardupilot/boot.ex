@@ -51,7 +51,7 @@ defmodule SimVehicle.Ardupilot.Boot do
     case Vehicle.own(v, :timeline, []) do
       [{at, what} | rest] ->
         if v.now >= at / @recorded_ready * v.ready_us,
-          do: v |> say(what) |> Vehicle.put_own(:timeline, rest) |> tick(),
+          do: v |> send_text(what) |> Vehicle.put_own(:timeline, rest) |> tick(),
           else: v
 
       [] ->
@@ -69,7 +69,7 @@ defmodule SimVehicle.Ardupilot.Boot do
     )
   end
 
-  defp say(v, :origin) do
+  defp send_text(v, :origin) do
     v = if v.home, do: v, else: home(v)
 
     Vehicle.emit(v, %M.GpsGlobalOrigin{
@@ -80,8 +80,8 @@ defmodule SimVehicle.Ardupilot.Boot do
     })
   end
 
-  defp say(v, :field_elevation), do: Vehicle.text(v, 6, "Field Elevation Set: #{round(v.origin.alt)}m")
-  defp say(v, text), do: Vehicle.text(v, 6, text)
+  defp send_text(v, :field_elevation), do: Vehicle.text(v, 6, "Field Elevation Set: #{round(v.origin.alt)}m")
+  defp send_text(v, text), do: Vehicle.text(v, 6, text)
 
   defp home(v) do
     {lat, lon} = Vehicle.position(v)

@@ -127,20 +127,20 @@ defmodule SimVehicle.Px4.Arming do
         v |> Vehicle.put_own(:calibrating, nil) |> Vehicle.text(6, "[cal] calibration done: #{sensor}")
 
       {sensor, over, look_at} when v.now >= look_at ->
-        look(v, {sensor, over, v.now + @look_us}, Vehicle.own(v, :last_command))
+        check_calibration(v, {sensor, over, v.now + @look_us}, Vehicle.own(v, :last_command))
 
       _none_or_running ->
         v
     end
   end
 
-  defp look(v, calibration, {cmd(:PREFLIGHT_CALIBRATION), params}) do
+  defp check_calibration(v, calibration, {cmd(:PREFLIGHT_CALIBRATION), params}) do
     if Enum.all?(Tuple.to_list(params), &(&1 == 0)),
       do: v |> Vehicle.put_own(:calibrating, nil) |> Vehicle.text(2, "[cal] calibration cancelled"),
-      else: look(v, calibration, nil)
+      else: check_calibration(v, calibration, nil)
   end
 
-  defp look(v, calibration, _other),
+  defp check_calibration(v, calibration, _other),
     do: v |> Vehicle.put_own(:calibrating, calibration) |> Vehicle.put_own(:last_command, nil)
 
   defp idle_for(%{flight: :idle} = v), do: v.now - v.armed_at

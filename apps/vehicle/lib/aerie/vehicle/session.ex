@@ -161,7 +161,7 @@ defmodule Aerie.Vehicle.Session do
     end)
   end
 
-  defp tell(%{listeners: listeners}, what),
+  defp notify(%{listeners: listeners}, what),
     do: Enum.each(listeners, fn {pid, _wants} -> send(pid, what) end)
 
   # Not :timer.send_interval/2: all ticks would pass through its one process, a thousand a second for a hundred vehicles.
@@ -288,9 +288,9 @@ defmodule Aerie.Vehicle.Session do
 
   defp act({:observe, observation}, state) do
     case observation do
-      %{kind: :reboot, boot_ms: boot_ms} -> tell(state, {:rebooted, boot_ms})
+      %{kind: :reboot, boot_ms: boot_ms} -> notify(state, {:rebooted, boot_ms})
       # Whole, whatever chunks it came in (X2).
-      %{kind: :text, data: text} -> tell(state, {:text, text})
+      %{kind: :text, data: text} -> notify(state, {:text, text})
       _other -> :ok
     end
 
@@ -299,7 +299,7 @@ defmodule Aerie.Vehicle.Session do
   end
 
   defp act({:reported, report}, state) do
-    tell(state, {:reported, report})
+    notify(state, {:reported, report})
     state
   end
 

@@ -198,7 +198,7 @@ defmodule Aerie.CLI.Status.Table do
       number(View.field(vehicle, :velocity, :groundspeed), 1, " m/s"),
       battery(vehicle),
       text(View.field(vehicle, :gps, :fix_name)),
-      heard(vehicle, view)
+      silence(vehicle, view)
     ]
 
     {cells, vehicle_style(vehicle)}
@@ -213,8 +213,8 @@ defmodule Aerie.CLI.Status.Table do
       " " <> number(View.field(vehicle, :battery, :voltage), 1, " V")
   end
 
-  defp heard(%{status: :lost}, _view), do: "LOST"
-  defp heard(vehicle, view), do: age(Age.silent_us(vehicle, view.links, view.now))
+  defp silence(%{status: :lost}, _view), do: "LOST"
+  defp silence(vehicle, view), do: age(Age.silent_us(vehicle, view.links, view.now))
 
   defp vehicle_style(%{status: :lost}), do: :red
   defp vehicle_style(%{status: :stale}), do: :yellow

@@ -17,7 +17,7 @@ defmodule Aerie.CLI.Subcommand.Command do
   def give(vehicle, type, params, options) do
     with {:known, %{}} <- {:known, Fleet.vehicle(:default, vehicle)},
          {:type, {:ok, row}} <- {:type, Types.fetch(type)},
-         :ok <- if(row.moves_vehicle?, do: Ask.first(words(vehicle, type, params), options), else: :ok) do
+         :ok <- if(row.moves_vehicle?, do: Ask.first(command_text(vehicle, type, params), options), else: :ok) do
       envelope = %{"vehicle" => vehicle, "type" => type, "params" => params}
       answer(Commands.submit(:default, envelope, source(), via: "bin/aerie"), options)
     else
@@ -27,7 +27,7 @@ defmodule Aerie.CLI.Subcommand.Command do
     end
   end
 
-  defp words(vehicle, type, params),
+  defp command_text(vehicle, type, params),
     do:
       Enum.join(
         [type | for({name, value} <- params, do: "#{name}=#{JSON.encode!(value)}")] ++ ["to", vehicle],
@@ -59,7 +59,7 @@ defmodule Aerie.CLI.Subcommand.Command do
   @doc "An answer as text, with its exit status."
   @spec answer(Commands.answer() | {:error, Result.t()}, map()) :: {0..1, iodata()} | {:error, String.t()}
   def answer({:ok, %Result{} = result}, options) do
-    text = if options[:json], do: JSON.encode!(Result.plain(result)), else: words(result)
+    text = if options[:json], do: JSON.encode!(Result.plain(result)), else: command_text(result)
     {if(result.status in [:completed, :accepted], do: 0, else: 1), [text, ?\n]}
   end
 
@@ -67,7 +67,7 @@ defmodule Aerie.CLI.Subcommand.Command do
   def answer({:pending, id}, _options), do: {1, "command #{id} is under way\n"}
   def answer({:error, errors}, _options), do: {:error, Error.text(errors)}
 
-  defp words(%{reason: reason, status: status, details: details}) do
+  defp command_text(%{reason: reason, status: status, details: details}) do
     removed = if details["removed"], do: "removed: #{details["removed"]}"
     said = for text <- [reason, removed | details["remarks"] || []], text != nil, do: Columns.cell(text)
     Enum.join([status | said], ": ")

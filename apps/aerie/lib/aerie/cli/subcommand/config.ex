@@ -57,7 +57,7 @@ defmodule Aerie.CLI.Subcommand.Config do
         key = Config.Error.path(path),
         from <- [config.given[key]],
         all? || from != nil do
-      [key, shown(key, at(config, path)), from || "default"]
+      [key, format(key, at(config, path)), from || "default"]
     end
   end
 
@@ -69,7 +69,7 @@ defmodule Aerie.CLI.Subcommand.Config do
   end
 
   # What is secret is not shown (Aerie.Base.Secret hides itself in inspect); keys that name files are.
-  defp shown(_key, nil), do: nil
-  defp shown(_key, value) when is_binary(value), do: value
-  defp shown(_key, value), do: inspect(value, limit: 30, printable_limit: 200)
+  defp format(_key, nil), do: nil
+  defp format(_key, value) when is_binary(value), do: value
+  defp format(_key, value), do: inspect(value, limit: 30, printable_limit: 200)
 end

@@ -21,7 +21,7 @@ defmodule Aerie.CLI.Subcommand.Params do
 
   def run(%{name: "params get", arguments: %{"VEHICLE" => vehicle, "NAME" => name}, options: options}) do
     case Params.get(:default, vehicle, name, component(options)) do
-      {:ok, param} -> {0, "#{Columns.cell(shown(param))}\n"}
+      {:ok, param} -> {0, "#{Columns.cell(format(param))}\n"}
       error -> Subcommand.Command.answer(error, %{})
     end
   end
@@ -55,9 +55,12 @@ defmodule Aerie.CLI.Subcommand.Params do
 
   defp rows(params),
     do:
-      Columns.render(~w(NAME VALUE TYPE DEFAULT), for(p <- params, do: [p.name, shown(p), p.type, p.default]))
+      Columns.render(
+        ~w(NAME VALUE TYPE DEFAULT),
+        for(p <- params, do: [p.name, format(p), p.type, p.default])
+      )
 
-  defp shown(param), do: if(param.value == nil, do: "not a number", else: param.value)
+  defp format(param), do: if(param.value == nil, do: "not a number", else: param.value)
 
   defp component(options), do: for({:component, id} <- Map.take(options, [:component]), do: {:component, id})
 

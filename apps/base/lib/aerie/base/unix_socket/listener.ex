@@ -79,7 +79,7 @@ defmodule Aerie.Base.UnixSocket.Listener do
 
       {:error, :max_children} ->
         Store.count(state.gateway, {:clients, state.socket, :refused})
-        told(state, :refused)
+        emit(state, :refused)
         :gen_tcp.close(socket)
 
       {:error, _gone} ->
@@ -142,8 +142,8 @@ defmodule Aerie.Base.UnixSocket.Listener do
         accept(listener, owner)
       end)
 
-    told(state, :listening)
-    show(state, :up)
+    emit(state, :listening)
+    put_info(state, :up)
     again(%{state | acceptor: acceptor})
   end
 
@@ -171,11 +171,11 @@ defmodule Aerie.Base.UnixSocket.Listener do
       # A place that nobody chose may well be out of reach (no /run for an ordinary user): that is no alarm.
       level = if Map.get(state, :chosen, true), do: :warning, else: :info
       Logger.log(level, "unix socket #{state.socket}.sock is not served: #{reason}")
-      told(%{state | reason: reason}, :unavailable)
+      emit(%{state | reason: reason}, :unavailable)
     end
 
     state = %{state | reason: reason}
-    show(state, :down)
+    put_info(state, :down)
     again(state)
   end
 
@@ -193,7 +193,7 @@ defmodule Aerie.Base.UnixSocket.Listener do
     state
   end
 
-  defp show(state, status) do
+  defp put_info(state, status) do
     Names.put_value(state.gateway, :unix_listener, state.socket, %{
       path: state.path,
       status: status,
@@ -201,7 +201,7 @@ defmodule Aerie.Base.UnixSocket.Listener do
     })
   end
 
-  defp told(state, event) do
+  defp emit(state, event) do
     metadata = Map.take(state, [:gateway, :socket, :path, :reason])
     :telemetry.execute([:aerie, :client, event], %{}, metadata)
   end

@@ -263,7 +263,7 @@ defmodule Aerie.Control.CommandExecutor.Steps do
         keep(acc, %{job | phase: :observing, due: now + Timing.observe()})
 
       true ->
-        judge(acc, job, now)
+        evaluate(acc, job, now)
     end
   end
 
@@ -285,9 +285,9 @@ defmodule Aerie.Control.CommandExecutor.Steps do
     do: finish(acc, %{job | phase: :given_up}, {:unknown, "cancel was sent; the vehicle did not answer"}, now)
 
   def due(acc, %{phase: :refused} = job, now), do: finish(acc, job, job.refusal, now)
-  def due(acc, job, now), do: judge(acc, job, now)
+  def due(acc, job, now), do: evaluate(acc, job, now)
 
-  defp judge({core, _actions} = acc, job, now) do
+  defp evaluate({core, _actions} = acc, job, now) do
     case Verdict.of(job, core.vehicle, Timing.quiet(core.rtt)) do
       {:completed, reason} -> step_done(acc, job, :completed, reason, now)
       verdict -> finish(acc, %{job | phase: :given_up}, verdict, now)
@@ -330,7 +330,7 @@ defmodule Aerie.Control.CommandExecutor.Steps do
 
   # What the vehicle said since the step was sent, in its own words.
   defp why(core, job, reason) do
-    words = if (texts = texts(core, job)) == [], do: said(core, job, :report), else: texts
+    words = if (texts = texts(core, job)) == [], do: note_message(core, job, :report), else: texts
     words = Enum.reject(words, &String.contains?(reason, &1))
 
     checks =
@@ -341,9 +341,9 @@ defmodule Aerie.Control.CommandExecutor.Steps do
     reason <> if(words == [], do: "", else: "; it said: " <> Enum.join(words, "; ")) <> checks
   end
 
-  defp texts(core, job), do: said(core, job, :text)
+  defp texts(core, job), do: note_message(core, job, :text)
 
-  defp said(core, job, kind),
+  defp note_message(core, job, kind),
     do: for({at, ^kind, words} <- core.said, at >= job.first_sent, do: words) |> Enum.uniq() |> Enum.reverse()
 
   # Another of the same key waits until no answer to this one can come any more (C8).

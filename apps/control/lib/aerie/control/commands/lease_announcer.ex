@@ -23,13 +23,13 @@ defmodule Aerie.Control.Commands.LeaseAnnouncer do
     :ok = PubSub.subscribe(gateway, :leases)
     leases = Leases.all(gateway)
     # What changed while this process was away.
-    for {key, lease} <- leases, do: show(gateway, key, lease)
+    for {key, lease} <- leases, do: announce(gateway, key, lease)
     {:ok, %{gateway: gateway, holders: Map.new(leases, fn {key, lease} -> {key, lease.holder} end)}}
   end
 
   @impl GenServer
   def handle_info({:fleet, :leases, {key, lease}}, %{gateway: gateway} = state) do
-    show(gateway, key, lease)
+    announce(gateway, key, lease)
     before = state.holders[key]
     holder = lease && lease.holder
 
@@ -44,7 +44,7 @@ defmodule Aerie.Control.Commands.LeaseAnnouncer do
 
   def handle_info(_other, state), do: {:noreply, state}
 
-  defp show(gateway, key, lease) do
+  defp announce(gateway, key, lease) do
     with session when is_pid(session) <- Names.whereis(gateway, :session, key),
          %{} <- Store.vehicle(gateway, key),
          do: send(session, {:operator, fields(lease)})

@@ -20,13 +20,13 @@ defmodule Aerie.Control.Commands.OffboardPrecondition do
 
   def check(gateway, command, snapshot) do
     if Protocol.of(snapshot.autopilot).setpoints_first?(command, Observed.vehicle(snapshot, {1, 1})),
-      do: judge(RecentCommands.setpoints_ms(gateway, command.vehicle)),
+      do: check_stream(RecentCommands.setpoints_ms(gateway, command.vehicle)),
       else: :ok
   end
 
-  defp judge(ms) when is_integer(ms) and ms >= @wanted_ms, do: :ok
+  defp check_stream(ms) when is_integer(ms) and ms >= @wanted_ms, do: :ok
 
-  defp judge(ms) do
+  defp check_stream(ms) do
     since = if ms, do: "they have come for #{ms} ms", else: "none come"
 
     {:error,

@@ -61,7 +61,7 @@ defmodule Aerie.Control.Commands.Recovery do
 
   def handle_info(:look, state) do
     waiting =
-      Map.new(state.waiting, fn {id, {command, heard}} -> {id, look(state, command, heard)} end)
+      Map.new(state.waiting, fn {id, {command, heard}} -> {id, find_evidence(state, command, heard)} end)
       |> Map.reject(&match?({_id, :done}, &1))
 
     {:noreply, again(%{state | waiting: waiting})}
@@ -90,9 +90,9 @@ defmodule Aerie.Control.Commands.Recovery do
   end
 
   # `heard`: when the vehicle was first heard.
-  defp look(_state, nil, _heard), do: :done
+  defp find_evidence(_state, nil, _heard), do: :done
 
-  defp look(state, command, heard) do
+  defp find_evidence(state, command, heard) do
     case Store.vehicle(state.gateway, command.vehicle) do
       %{last_heard: last} = snapshot when is_integer(last) and last >= state.since ->
         heard = heard || now()

@@ -68,7 +68,7 @@ defmodule Aerie.Control.Logs.List do
       m.num_logs == 0 -> finish(list, {:ok, []})
       list.only != nil -> one(list, m)
       m.num_logs > @max -> finish(list, {:error, {:too_many, m.num_logs}})
-      true -> heard(list, m, now)
+      true -> receive_entry(list, m, now)
     end
   end
 
@@ -83,7 +83,7 @@ defmodule Aerie.Control.Logs.List do
 
   defp entry(m), do: %{id: m.id, size: m.size, time: if(m.time_utc > 0, do: m.time_utc)}
 
-  defp heard(list, m, now) do
+  defp receive_entry(list, m, now) do
     entry = entry(m)
     entries = if list.count in [nil, m.num_logs], do: list.entries, else: %{}
 

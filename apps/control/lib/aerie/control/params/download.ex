@@ -125,7 +125,7 @@ defmodule Aerie.Control.Params.Download do
 
   def handle(%{target: from} = d, {:message, message, from, now}) do
     case Message.value(message, d.encoding) do
-      {:ok, param} -> heard(d, param, message, now)
+      {:ok, param} -> receive_param(d, param, message, now)
       :garbage -> {%{d | ignored: d.ignored + 1}, []}
       :other -> {d, []}
     end
@@ -135,7 +135,7 @@ defmodule Aerie.Control.Params.Download do
 
   # --- incoming ---
 
-  defp heard(d, %Param{name: "_HASH_CHECK"} = param, _message, now) do
+  defp receive_param(d, %Param{name: "_HASH_CHECK"} = param, _message, now) do
     d = %{d | last_hash: param.value, heard_at: now}
 
     if d.phase == :hash,
@@ -144,14 +144,14 @@ defmodule Aerie.Control.Params.Download do
   end
 
   # Not part of the list, but the answer to somebody's PARAM_SET.
-  defp heard(d, param, %{param_index: @no_index}, _now) do
+  defp receive_param(d, param, %{param_index: @no_index}, _now) do
     case Map.fetch(d.indices, param.name) do
       {:ok, index} -> {%{d | list: %{d.list | index => param}}, []}
       :error -> {d, []}
     end
   end
 
-  defp heard(d, param, %{param_index: index, param_count: count}, now) do
+  defp receive_param(d, param, %{param_index: index, param_count: count}, now) do
     cond do
       count > Table.max() -> finish(d, {:error, {:too_many, count}})
       index >= count -> {%{d | ignored: d.ignored + 1}, []}

@@ -114,12 +114,12 @@ defmodule Aerie.Control.Params.Responder do
 
   def handle(served, {:vehicle, %M.ParamValue{param_id: name} = m, now}) do
     case ParamValue.decode(m.param_value, m.param_type, served.encoding) do
-      {:ok, value, _exact?} -> {heard(served, name, value, now), []}
+      {:ok, value, _exact?} -> {note_value(served, name, value, now), []}
       :error -> {served, []}
     end
   end
 
-  defp heard(%{table: table} = served, name, value, now) do
+  defp note_value(%{table: table} = served, name, value, now) do
     served =
       if served.seen && name != @hash && served.seen[name] != :set,
         do: %{served | seen: Map.put(served.seen, name, value)},

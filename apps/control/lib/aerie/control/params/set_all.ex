@@ -83,11 +83,11 @@ defmodule Aerie.Control.Params.SetAll do
 
   defp next(%{refused: refused} = all, _now) do
     first = refused |> Enum.reverse() |> Enum.take(@shown)
-    shown = Enum.map_join(first, "; ", fn {name, why} -> "#{name}: #{says(why)}" end)
+    shown = Enum.map_join(first, "; ", fn {name, why} -> "#{name}: #{reason_text(why)}" end)
 
     {all, [{:done, {:error, {:failed, "#{length(refused)} of #{all.total} were not set: #{shown}"}}}]}
   end
 
-  defp says(reason) when is_binary(reason), do: reason
-  defp says(value), do: "the vehicle keeps #{value}"
+  defp reason_text(reason) when is_binary(reason), do: reason
+  defp reason_text(value), do: "the vehicle keeps #{value}"
 end

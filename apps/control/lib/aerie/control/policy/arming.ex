@@ -14,7 +14,7 @@ defmodule Aerie.Control.Policy.Arming do
     decision =
       case Policy.Store.get(gateway) do
         nil -> {:deny, :policy, "the gateway has no policy"}
-        policy -> judge(policy, Context.of(gateway, snapshot, nil, now))
+        policy -> verdict(policy, Context.of(gateway, snapshot, nil, now))
       end
 
     entry = %{
@@ -24,17 +24,17 @@ defmodule Aerie.Control.Policy.Arming do
       "via" => "arm authorization"
     }
 
-    Audit.note(gateway, Map.merge(entry, told(decision)))
+    Audit.note(gateway, Map.merge(entry, record(decision)))
     decision
   end
 
   # As whoever is in charge: the rule about that asks only whether somebody has to be.
-  defp judge(policy, context) do
+  defp verdict(policy, context) do
     name = with %Lease{holder: holder} <- context.lease, do: holder
     source = Roles.principal(:vehicle, name || "the vehicle", :admin)
     Policy.decide(policy, Intent.named("arm"), %{context | source: source})
   end
 
-  defp told(:allow), do: %{"decision" => "allow"}
-  defp told({:deny, rule, reason}), do: %{"decision" => "deny", "rule" => rule, "reason" => reason}
+  defp record(:allow), do: %{"decision" => "allow"}
+  defp record({:deny, rule, reason}), do: %{"decision" => "deny", "rule" => rule, "reason" => reason}
 end

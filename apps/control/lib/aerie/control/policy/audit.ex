@@ -148,12 +148,12 @@ defmodule Aerie.Control.Policy.Audit do
   end
 
   def handle_call(:status, _from, %{log: nil} = state),
-    do: {:reply, {:ok, Map.merge(%{n: nil, hash: nil, bytes: nil}, shown(state))}, state}
+    do: {:reply, {:ok, Map.merge(%{n: nil, hash: nil, bytes: nil}, info(state))}, state}
 
   def handle_call(:status, _from, state) do
     {n, hash} = Log.head(state.log)
 
-    {:reply, {:ok, Map.merge(%{n: n, hash: hash, bytes: Log.bytes(state.log)}, shown(state))}, state}
+    {:reply, {:ok, Map.merge(%{n: n, hash: hash, bytes: Log.bytes(state.log)}, info(state))}, state}
   end
 
   @impl GenServer
@@ -203,7 +203,7 @@ defmodule Aerie.Control.Policy.Audit do
     end
   end
 
-  defp shown(state), do: Map.take(state, [:dir, :failing, :missed])
+  defp info(state), do: Map.take(state, [:dir, :failing, :missed])
 
   defp reopen(%{log: nil} = state) do
     if System.monotonic_time(:millisecond) - state.tried >= @retry_ms, do: open(state), else: state

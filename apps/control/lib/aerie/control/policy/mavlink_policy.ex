@@ -84,11 +84,11 @@ defmodule Aerie.Control.Policy.MavlinkPolicy do
   def decide(gateway, sender, key, frame) do
     case Policy.Store.get(gateway) do
       nil -> :forward
-      policy -> judge(policy, gateway, sender, key, frame)
+      policy -> decide_by(policy, gateway, sender, key, frame)
     end
   end
 
-  defp judge(policy, gateway, %{principal: source} = sender, key, frame) do
+  defp decide_by(policy, gateway, %{principal: source} = sender, key, frame) do
     snapshot = Store.vehicle(gateway, key)
     message = message(frame)
 

@@ -69,7 +69,7 @@ defmodule Aerie.Control.Policy.Page do
     end)
     |> Enum.map(fn {row, names} ->
       [
-        words(row.class),
+        label(row.class),
         if(row.permission, do: "`#{row.permission}`", else: "nobody"),
         who_else(row),
         if(row.per_minute > 0, do: "#{row.per_minute}", else: ""),
@@ -81,8 +81,8 @@ defmodule Aerie.Control.Policy.Page do
 
   @classes ~w(telemetry presence question answer input stick setpoint command parameter mission file internal)a
   defp order(class), do: Enum.find_index(@classes, &(&1 == class))
-  defp words(:setpoint), do: "set-point"
-  defp words(class), do: Atom.to_string(class)
+  defp label(:setpoint), do: "set-point"
+  defp label(class), do: Atom.to_string(class)
 
   defp who_else(row) do
     crosses = %{always: ["other vehicles"], team: ["other vehicles with `between_vehicles: all`"], never: []}

@@ -75,7 +75,7 @@ defmodule Aerie.Control.Policy.Store do
            {:ok, policy} <- Policy.compile(section),
            do: in_force(gateway, policy)
 
-    told(result, gateway, by)
+    report(result, gateway, by)
     {:reply, result, state}
   end
 
@@ -84,12 +84,12 @@ defmodule Aerie.Control.Policy.Store do
     :persistent_term.put({__MODULE__, gateway, :status}, %{since: now(), problem: nil})
   end
 
-  defp told(:ok, gateway, by) do
+  defp report(:ok, gateway, by) do
     Logger.info("policy: reloaded (#{by})")
     Audit.note(gateway, %{"type" => "policy", "loaded" => true, "source" => by})
   end
 
-  defp told({:error, lines}, gateway, by) do
+  defp report({:error, lines}, gateway, by) do
     status = %{status(gateway) | problem: %{at: now(), errors: lines}}
     :persistent_term.put({__MODULE__, gateway, :status}, status)
     since = DateTime.from_unix!(status.since, :microsecond)

@@ -19,14 +19,14 @@ defmodule Aerie.Control.ReadCache.Starter do
   def init(gateway) do
     Process.set_label({:serving_starter, gateway})
     :ok = PubSub.subscribe(gateway, :roster)
-    {:ok, Enum.reduce(Store.vehicles(gateway), %{gateway: gateway, keys: %{}}, &look(&2, &1.id))}
+    {:ok, Enum.reduce(Store.vehicles(gateway), %{gateway: gateway, keys: %{}}, &start_if_needed(&2, &1.id))}
   end
 
   @impl GenServer
-  def handle_info({:fleet, :roster, id}, state), do: {:noreply, look(state, id)}
+  def handle_info({:fleet, :roster, id}, state), do: {:noreply, start_if_needed(state, id)}
   def handle_info(_other, state), do: {:noreply, state}
 
-  defp look(state, id) do
+  defp start_if_needed(state, id) do
     case {Store.vehicle(state.gateway, id), state.keys} do
       {%{key: key}, keys} when not is_map_key(keys, id) ->
         started =

@@ -91,7 +91,7 @@ defmodule Aerie.Control.ReadCache.Vehicle do
   defp forward?(_other, _from, _message), do: false
 
   @impl GenServer
-  def handle_info({:frames, frames}, state), do: {:noreply, Enum.reduce(frames, state, &heard/2)}
+  def handle_info({:frames, frames}, state), do: {:noreply, Enum.reduce(frames, state, &receive_frame/2)}
   def handle_info({:rebooted, _boot_ms}, state), do: {:noreply, both(state, {:rebooted, now()})}
   def handle_info(:session, state), do: {:noreply, listen(state)}
 
@@ -145,7 +145,7 @@ defmodule Aerie.Control.ReadCache.Vehicle do
     %{state | params: Params.Responder.new(protocol.param_encoding()), plans: Mission.Responder.new(protocol)}
   end
 
-  defp heard(frame, %{vehicle: %{component: component}} = state) when frame.component == component do
+  defp receive_frame(frame, %{vehicle: %{component: component}} = state) when frame.component == component do
     case MavCodec.decode(frame) do
       {:ok, %M.ParamValue{} = message} -> event(state, :params, {:vehicle, message, now()})
       {:ok, message} -> event(state, :plans, {:vehicle, message, now()})
@@ -153,7 +153,7 @@ defmodule Aerie.Control.ReadCache.Vehicle do
     end
   end
 
-  defp heard(_frame, state), do: state
+  defp receive_frame(_frame, state), do: state
 
   defp both(%{params: nil} = state, _event), do: state
   defp both(state, event), do: state |> event(:params, event) |> event(:plans, event)

@@ -63,14 +63,14 @@ defmodule Aerie.Fleet.Alarms.EventAlarms do
     do: ", #{Float.round(voltage / 1, 1)} V"
 
   defp detail(:failsafe, data) do
-    action = if data["action"] in [nil, "none"], do: "", else: " → #{words(data["action"])}"
-    ": #{words(data["reason"] || data["type"] || "unknown")}#{action}"
+    action = if data["action"] in [nil, "none"], do: "", else: " → #{spaced(data["action"])}"
+    ": #{spaced(data["reason"] || data["type"] || "unknown")}#{action}"
   end
 
-  defp detail(:fence, %{"breach" => breach}) when is_binary(breach), do: " (#{words(breach)})"
+  defp detail(:fence, %{"breach" => breach}) when is_binary(breach), do: " (#{spaced(breach)})"
   defp detail(_kind, _data), do: ""
 
-  defp words(name), do: name |> to_string() |> String.replace("_", " ")
+  defp spaced(name), do: name |> to_string() |> String.replace("_", " ")
 
   defp by_event?({:failsafe, {vehicle, _type}}, vehicle), do: true
 

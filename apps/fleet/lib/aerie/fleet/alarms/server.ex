@@ -61,19 +61,19 @@ defmodule Aerie.Fleet.Alarms.Server do
       look_ms: options[:look_ms] || @look_ms
     }
 
-    {:ok, look(state)}
+    {:ok, refresh(state)}
   end
 
   @impl GenServer
   def handle_call({:acknowledge, ids, by}, _from, state),
-    do: {:reply, :ok, show(%{state | alarms: Alarms.acknowledge(state.alarms, ids, by)})}
+    do: {:reply, :ok, publish(%{state | alarms: Alarms.acknowledge(state.alarms, ids, by)})}
 
   @impl GenServer
   def handle_info({:fleet, :events, event}, state),
-    do: {:noreply, show(%{state | alarms: EventAlarms.apply(state.alarms, event)})}
+    do: {:noreply, publish(%{state | alarms: EventAlarms.apply(state.alarms, event)})}
 
   def handle_info({:fleet, _topic, _changed}, state), do: {:noreply, soon(state)}
-  def handle_info(:look, state), do: {:noreply, look(state)}
+  def handle_info(:look, state), do: {:noreply, refresh(state)}
 
   # Changes within `look_ms` of each other are handled together.
   defp soon(%{timer: {:idle, timer}} = state) do
@@ -83,7 +83,7 @@ defmodule Aerie.Fleet.Alarms.Server do
 
   defp soon(state), do: state
 
-  defp look(%{gateway: gateway} = state) do
+  defp refresh(%{gateway: gateway} = state) do
     now = System.os_time(:microsecond)
     state = %{state | problem_since: problem_since(state, now)}
     vehicles = Fleet.vehicles(gateway)
@@ -98,7 +98,7 @@ defmodule Aerie.Fleet.Alarms.Server do
       |> diagnosed(gateway, now)
 
     _ = with {_kind, timer} <- state.timer, do: Process.cancel_timer(timer)
-    show(%{state | alarms: alarms, timer: {:idle, Process.send_after(self(), :look, @idle_ms)}})
+    publish(%{state | alarms: alarms, timer: {:idle, Process.send_after(self(), :look, @idle_ms)}})
   end
 
   # A diagnosis that does not answer in time changes nothing.
@@ -121,9 +121,9 @@ defmodule Aerie.Fleet.Alarms.Server do
   defp problem_since(%{problem_since: since, gateway: gateway}, now),
     do: if(problem(gateway) == nil, do: now, else: since)
 
-  defp show(%{alarms: alarms, shown: alarms} = state), do: state
+  defp publish(%{alarms: alarms, shown: alarms} = state), do: state
 
-  defp show(%{alarms: alarms} = state) do
+  defp publish(%{alarms: alarms} = state) do
     summary = Alarms.summary(alarms)
     true = :ets.insert(state.table, list: {Alarms.list(alarms), alarms.dropped}, summary: summary)
     PubSub.publish(state.gateway, {:notice, :console_alarms}, summary)

@@ -102,7 +102,7 @@ defmodule Aerie.Fleet.Bridge.Commands do
   @impl GenServer
   def handle_cast({:leave, why, ids}, %{left: left} = state) do
     changed = MapSet.symmetric_difference(ids, Map.get(left, why, MapSet.new()))
-    {:noreply, Enum.reduce(changed, %{state | left: Map.put(left, why, ids)}, &look/2)}
+    {:noreply, Enum.reduce(changed, %{state | left: Map.put(left, why, ids)}, &follow_vehicle/2)}
   end
 
   @impl GenServer
@@ -135,17 +135,17 @@ defmodule Aerie.Fleet.Bridge.Commands do
   def handle_info({:bridge, :up, conn}, %{conn: conn} = state), do: {:noreply, state}
   def handle_info({:bridge, :up, conn}, state), do: {:noreply, connected(state, conn)}
   def handle_info({:bridge, :down}, state), do: {:noreply, %{state | conn: nil, subscribed: %{}}}
-  def handle_info({:fleet, :roster, id}, state), do: {:noreply, look(id, state)}
+  def handle_info({:fleet, :roster, id}, state), do: {:noreply, follow_vehicle(id, state)}
   def handle_info(_late, state), do: {:noreply, state}
 
   defp connected(state, conn) do
     state = %{state | conn: conn, subscribed: %{}}
-    Enum.reduce(Store.vehicles(state.gateway), state, &look(&1.id, &2))
+    Enum.reduce(Store.vehicles(state.gateway), state, &follow_vehicle(&1.id, &2))
   end
 
-  defp look(_id, %{conn: nil} = state), do: state
+  defp follow_vehicle(_id, %{conn: nil} = state), do: state
 
-  defp look(id, state) do
+  defp follow_vehicle(id, state) do
     left? = Enum.any?(state.left, fn {_why, ids} -> id in ids end)
 
     case {if(not left?, do: Store.vehicle(state.gateway, id)), state.subscribed} do

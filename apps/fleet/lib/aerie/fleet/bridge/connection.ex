@@ -78,7 +78,7 @@ defmodule Aerie.Fleet.Bridge.Connection do
 
   def handle_info({:EXIT, conn, reason}, %{conn: conn} = state) when conn != nil do
     up_ms = now() - state.up_at
-    tell(state, {:bridge, :down})
+    notify(state, {:bridge, :down})
 
     :telemetry.execute([:aerie, :bridge, :disconnected], %{up_ms: up_ms}, %{
       gateway: state.gateway,
@@ -148,7 +148,7 @@ defmodule Aerie.Fleet.Bridge.Connection do
     timer = Process.send_after(self(), :check_streams, pause)
     Tables.put_info(state.gateway, state.tables, :streams, %{result: result, report: report})
     state = put_info(%{state | streams_timer: timer}, :up, result)
-    tell(state, {:bridge, :up, state.conn})
+    notify(state, {:bridge, :up, state.conn})
     state
   end
 
@@ -168,7 +168,7 @@ defmodule Aerie.Fleet.Bridge.Connection do
 
   defp log_stream({_name, _usable}), do: :ok
 
-  defp tell(state, message) do
+  defp notify(state, message) do
     for role <- @publishers, pid = Names.whereis(state.gateway, role), do: send(pid, message)
     :ok
   end

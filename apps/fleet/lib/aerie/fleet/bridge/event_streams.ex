@@ -64,7 +64,7 @@ defmodule Aerie.Fleet.Bridge.EventStreams do
 
   def handle_info(:look, state) do
     Process.send_after(self(), :look, @look_ms)
-    {:noreply, state |> connect() |> look()}
+    {:noreply, state |> connect() |> check()}
   end
 
   def handle_info(_late, state), do: {:noreply, state}
@@ -82,7 +82,7 @@ defmodule Aerie.Fleet.Bridge.EventStreams do
 
   defp connect(%{conn: before} = state) do
     state = Subscriber.follow(state, "fleet.#{state.settings.environment}.*.event.>")
-    if state.conn not in [nil, before], do: state |> retire() |> look(), else: state
+    if state.conn not in [nil, before], do: state |> retire() |> check(), else: state
   end
 
   # Its subjects are those of the streams of the vehicles; the server gives one without a subject its name as one.
@@ -97,9 +97,9 @@ defmodule Aerie.Fleet.Bridge.EventStreams do
     end
   end
 
-  defp look(%{conn: nil} = state), do: state
+  defp check(%{conn: nil} = state), do: state
 
-  defp look(state) do
+  defp check(state) do
     case names(state.conn, 0, []) do
       {:ok, there} ->
         Enum.reduce(MapSet.difference(state.known, there), %{state | known: there}, &make(&2, &1))

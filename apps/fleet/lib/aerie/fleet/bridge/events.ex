@@ -93,7 +93,7 @@ defmodule Aerie.Fleet.Bridge.Events do
     state = if state.outbox == nil, do: Disk.open(state), else: state
 
     {:noreply,
-     state |> look_again() |> send_overdue() |> pump() |> Disk.sync() |> stalled() |> put_info() |> tell()}
+     state |> look_again() |> send_overdue() |> pump() |> Disk.sync() |> stalled() |> put_info() |> report()}
   end
 
   def handle_info(_message, state), do: {:noreply, state}
@@ -320,17 +320,17 @@ defmodule Aerie.Fleet.Bridge.Events do
     %{state | stall: stall, silent?: silent?}
   end
 
-  defp tell(%{silent?: true, told?: false} = state) do
+  defp report(%{silent?: true, told?: false} = state) do
     Logger.error(Tables.problem(state.tables) || stall_text(state))
     %{state | told?: true}
   end
 
-  defp tell(%{stall: %{problem?: false}, told?: true} = state) do
+  defp report(%{stall: %{problem?: false}, told?: true} = state) do
     Logger.notice("NATS confirms events again")
     %{state | told?: false}
   end
 
-  defp tell(state), do: state
+  defp report(state), do: state
 
   defp stall_text(%{stall: %{problem?: false}}), do: nil
   defp stall_text(%{refusal: nil}), do: "NATS does not confirm events"

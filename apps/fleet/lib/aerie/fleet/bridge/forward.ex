@@ -85,7 +85,7 @@ defmodule Aerie.Fleet.Bridge.Forward do
   @impl GenServer
   def handle_info(:tick, state) do
     Process.send_after(self(), :tick, @tick_ms)
-    {:noreply, state |> connect() |> ask() |> look() |> send_overdue() |> pump() |> save() |> put_info()}
+    {:noreply, state |> connect() |> ask() |> check() |> send_overdue() |> pump() |> save() |> put_info()}
   end
 
   # The local stream has new events (`Aerie.Fleet.Bridge.Events`), or there are more to read.
@@ -96,7 +96,7 @@ defmodule Aerie.Fleet.Bridge.Forward do
 
   def handle_info({:msg, %{topic: topic} = message}, state) do
     if topic == "#{state.inbox}.hub",
-      do: {:noreply, state |> heard(message) |> pump() |> put_info()},
+      do: {:noreply, state |> receive_message(message) |> pump() |> put_info()},
       else: {:noreply, message |> answer(state) |> pump()}
   end
 
@@ -155,13 +155,13 @@ defmodule Aerie.Fleet.Bridge.Forward do
     topic = "#{inbox}.hub"
 
     receive do
-      {:msg, %{topic: ^topic} = message} -> heard(state, message)
+      {:msg, %{topic: ^topic} = message} -> receive_message(state, message)
     after
       0 -> down(state, "it does not answer")
     end
   end
 
-  defp heard(state, message) do
+  defp receive_message(state, message) do
     state = %{state | heard_at: now()}
 
     case Hub.answer(message) do
@@ -195,9 +195,9 @@ defmodule Aerie.Fleet.Bridge.Forward do
     %{state | hub: :down, problem: why, stalled: nil}
   end
 
-  defp look(%{conn: nil} = state), do: state
+  defp check(%{conn: nil} = state), do: state
 
-  defp look(state) do
+  defp check(state) do
     case Local.info(state.conn) do
       {:ok, born, last} -> looked(state, born, last)
       {:error, _why} -> state

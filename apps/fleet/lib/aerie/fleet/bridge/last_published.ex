@@ -168,7 +168,7 @@ defmodule Aerie.Fleet.Bridge.LastPublished do
     Process.send_after(self(), :look, @look_ms)
     up_us = System.monotonic_time(:microsecond) - state.started
     unheard = Missing.check(state.unheard, state.gateway, state.settings.vehicle, now(), up_us)
-    {:noreply, look(%{state | unheard: unheard})}
+    {:noreply, check(%{state | unheard: unheard})}
   end
 
   def handle_info(:lock, state) do
@@ -198,13 +198,13 @@ defmodule Aerie.Fleet.Bridge.LastPublished do
     begin(state)
     # The next epoch must be greater than both.
     state = %{state | epoch: max(state.epoch, state.former.epoch || 0)}
-    state |> look() |> write(now(), false)
+    state |> check() |> write(now(), false)
   end
 
   @impl GenServer
-  def terminate(_reason, state), do: state |> look() |> write(now(), true)
+  def terminate(_reason, state), do: state |> check() |> write(now(), true)
 
-  defp look(state) do
+  defp check(state) do
     now = now()
     waiting = Journal.waiting(state.gateway)
     recorded = recorded(state.gateway)

@@ -175,7 +175,7 @@ defmodule Aerie.Fleet.Bridge.Streams do
   @spec differences(struct(), struct()) :: [String.t()]
   def differences(wanted, there) do
     for key <- @compared, Map.fetch!(wanted, key) != nil, normal(wanted, key) != normal(there, key) do
-      "#{key} is #{there |> Map.get(key) |> show()}, configured #{wanted |> Map.get(key) |> show()}"
+      "#{key} is #{there |> Map.get(key) |> format()}, configured #{wanted |> Map.get(key) |> format()}"
     end
   end
 
@@ -188,7 +188,7 @@ defmodule Aerie.Fleet.Bridge.Streams do
   defp normal(atom) when is_atom(atom) and not is_nil(atom), do: Atom.to_string(atom)
   defp normal(value), do: value
 
-  defp show(list) when is_list(list), do: Enum.join(list, " ")
-  defp show(nil), do: "not set"
-  defp show(value), do: to_string(value)
+  defp format(list) when is_list(list), do: Enum.join(list, " ")
+  defp format(nil), do: "not set"
+  defp format(value), do: to_string(value)
 end

@@ -54,13 +54,13 @@ defmodule Aerie.Fleet.Client.StateFeed do
   def handle_info(:tick, state) do
     case Names.Book.members({state.gateway, @topic}) do
       [] -> :ets.delete(state.table, :text)
-      readers -> tell(state, readers)
+      readers -> notify(state, readers)
     end
 
     {:noreply, tick(state)}
   end
 
-  defp tell(state, readers) do
+  defp notify(state, readers) do
     now = System.os_time(:microsecond)
     lines = StateForm.lines(Fleet.vehicles(state.gateway), Store.links(state.gateway), now)
     :ets.insert(state.table, {:text, lines})

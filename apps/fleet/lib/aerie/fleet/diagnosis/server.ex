@@ -51,19 +51,19 @@ defmodule Aerie.Fleet.Diagnosis.Server do
   @impl GenServer
   def handle_call(:list, _from, state) do
     now = System.monotonic_time(:millisecond)
-    state = if state.at == nil or now - state.at >= state.fresh_ms, do: look(state, now), else: state
+    state = if state.at == nil or now - state.at >= state.fresh_ms, do: refresh(state, now), else: state
     {:reply, state.conditions, state}
   end
 
   @impl GenServer
   def handle_info(:look, state) do
     Process.send_after(self(), :look, state.every_ms)
-    {:noreply, look(state, System.monotonic_time(:millisecond))}
+    {:noreply, refresh(state, System.monotonic_time(:millisecond))}
   end
 
   def handle_info(_stray, state), do: {:noreply, state}
 
-  defp look(state, now) do
+  defp refresh(state, now) do
     {conditions, diagnosis} = Diagnosis.step(state.diagnosis, Observations.of(state.gateway))
     %{state | conditions: conditions, diagnosis: diagnosis, at: now}
   end

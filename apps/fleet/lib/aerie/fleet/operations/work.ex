@@ -86,7 +86,7 @@ defmodule Aerie.Fleet.Operations.Work do
   defp standing(gateway, vehicle, version, paths) do
     case Shadow.get(gateway, vehicle) do
       {:ok, %{"reported" => %{"desired_version" => seen, "fields" => fields}}} when seen >= version ->
-        judge(Map.take(fields, paths))
+        evaluate(Map.take(fields, paths))
 
       {:ok, %{"reported" => %{"gateway" => name}}} ->
         {:waiting, "the gateway #{name} has not looked at it yet"}
@@ -99,7 +99,7 @@ defmodule Aerie.Fleet.Operations.Work do
     end
   end
 
-  defp judge(fields) do
+  defp evaluate(fields) do
     refused = Enum.find(fields, &match?({_path, %{"state" => "refused"}}, &1))
     open = Enum.find(fields, fn {_path, status} -> status["state"] != "converged" end)
 

@@ -118,14 +118,14 @@ defmodule Aerie.Fleet.Remote.Listener do
          {:ok, message} <- Message.parse(id, group, body) do
       if {message.gateway, message.epoch} == state.me,
         do: state,
-        else: state |> count(:taken) |> heard(message, how)
+        else: state |> count(:taken) |> receive_message(message, how)
     else
       false -> state
       :error -> count(state, :malformed)
     end
   end
 
-  defp heard(state, %{vehicle: id} = message, how) do
+  defp receive_message(state, %{vehicle: id} = message, how) do
     name = message.gateway || "unnamed"
 
     case admit(state, id, name) do

@@ -58,7 +58,7 @@ defmodule Aerie.Fleet.Shadow.Loop do
     schedule()
     state = join(%{state | ticks: state.ticks + 1})
     idle? = state.core != nil and Core.idle?(state.core)
-    {:noreply, if(idle? and rem(state.ticks, @idle_ticks) != 1, do: state, else: look(state))}
+    {:noreply, if(idle? and rem(state.ticks, @idle_ticks) != 1, do: state, else: refresh(state))}
   end
 
   def handle_info({:desired, document}, %{core: %Core{} = core} = state),
@@ -68,7 +68,7 @@ defmodule Aerie.Fleet.Shadow.Loop do
   def handle_info(:changed, state), do: {:noreply, soon(state)}
 
   def handle_info({:timeout, timer, :look}, %{looking: timer} = state),
-    do: {:noreply, look(%{state | looking: nil})}
+    do: {:noreply, refresh(%{state | looking: nil})}
 
   def handle_info({task, {:set, outcome}}, state) when is_map_key(state.tasks, task) do
     Process.demonitor(task, [:flush])
@@ -115,23 +115,23 @@ defmodule Aerie.Fleet.Shadow.Loop do
   defp soon(%{looking: nil} = state), do: %{state | looking: :erlang.start_timer(@soon_ms, self(), :look)}
   defp soon(state), do: state
 
-  defp look(%{documents: nil} = state), do: state
+  defp refresh(%{documents: nil} = state), do: state
 
-  defp look(state) do
+  defp refresh(state) do
     case Store.vehicle(state.gateway, state.vehicle.key) do
       nil -> state
-      snapshot -> state |> heard(snapshot.status != :lost) |> look(snapshot)
+      snapshot -> state |> note_contact(snapshot.status != :lost) |> refresh(snapshot)
     end
   end
 
-  defp heard(%{heard?: heard?} = state, heard?), do: state
+  defp note_contact(%{heard?: heard?} = state, heard?), do: state
 
-  defp heard(state, heard?) do
+  defp note_contact(state, heard?) do
     Documents.vehicle_heard(state.documents, state.vehicle.id, heard?)
     %{state | heard?: heard?}
   end
 
-  defp look(state, snapshot) do
+  defp refresh(state, snapshot) do
     %{gateway: gateway, vehicle: %{id: id}} = state = clock(state)
 
     commanded = Policy.RecentCommands.last(gateway, id)

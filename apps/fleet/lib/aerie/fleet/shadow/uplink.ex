@@ -92,7 +92,7 @@ defmodule Aerie.Fleet.Shadow.Uplink do
 
   def handle_info(:tick, state) do
     Process.send_after(self(), :tick, @tick_ms)
-    state = if due?(state.looked_at, @look_ms), do: look(state), else: state
+    state = if due?(state.looked_at, @look_ms), do: check(state), else: state
     {:noreply, state |> connect() |> report() |> work()}
   end
 
@@ -104,20 +104,20 @@ defmodule Aerie.Fleet.Shadow.Uplink do
         [HubBuckets.news(@desired, state.key)]
 
     state = Subscriber.follow(state, subjects)
-    state = if state.conn != before, do: look(%{state | hub: :down}), else: state
+    state = if state.conn != before, do: check(%{state | hub: :down}), else: state
     hub(state, with(%{hub: %{status: status}} <- Bridge.info(state.gateway), do: status))
   end
 
   defp hub(state, :up) when state.hub == :down and state.conn != nil,
-    do: %{state | hub: :up, again_at: nil} |> look() |> report() |> work()
+    do: %{state | hub: :up, again_at: nil} |> check() |> report() |> work()
 
   defp hub(state, :up), do: state
   defp hub(state, _down), do: %{state | hub: :down}
 
   # Everything is compared anew.
-  defp look(%{conn: nil} = state), do: state
+  defp check(%{conn: nil} = state), do: state
 
-  defp look(%{conn: conn} = state) do
+  defp check(%{conn: conn} = state) do
     reported =
       with {:ok, value, _revision} <- KV.get(conn, @reported, state.key), do: value, else: (_none -> nil)
 
@@ -183,7 +183,7 @@ defmodule Aerie.Fleet.Shadow.Uplink do
            # The hub's document now has all of ours, which is what the next one is compared with if the way back fails.
            state = keep(state, dir, aboard, seal),
            :ok <- down(state, aboard, merged) do
-        told(%{keep(state, dir, merged, seal) | desired?: false}, nil)
+        put_problem(%{keep(state, dir, merged, seal) | desired?: false}, nil)
       else
         # With the next tick, or sooner if what was written meanwhile is told.
         :lost_race -> state
@@ -258,9 +258,9 @@ defmodule Aerie.Fleet.Shadow.Uplink do
 
   defp folder(dir), do: Path.join(dir, "hub")
 
-  defp later(state, why), do: told(%{state | again_at: now() + @again_ms}, why)
+  defp later(state, why), do: put_problem(%{state | again_at: now() + @again_ms}, why)
 
-  defp told(state, why) do
+  defp put_problem(state, why) do
     if why != nil and why != Names.value(state.gateway, :shadow_uplink), do: Logger.warning("shadow: " <> why)
     Names.put_value(state.gateway, :shadow_uplink, why)
     state

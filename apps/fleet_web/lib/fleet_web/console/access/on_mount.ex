@@ -65,7 +65,9 @@ defmodule FleetWeb.Console.Access.OnMount do
        |> attach_hook(:console_role, :handle_event, fn event, _value, socket ->
          event(page, event, session, socket)
        end)
-       |> attach_hook(:console_users, :handle_info, fn message, socket -> told(message, session, socket) end)}
+       |> attach_hook(:console_users, :handle_info, fn message, socket ->
+         handle_notice(message, session, socket)
+       end)}
     else
       {:halt, socket |> put_flash(:error, "This page is for #{page.role}s.") |> redirect(to: "/")}
     end
@@ -87,7 +89,7 @@ defmodule FleetWeb.Console.Access.OnMount do
 
     cond do
       not WorkLimit.spend(gateway, user.name, cost) ->
-        {:halt, tell(socket, "That was too much at once. Wait a moment, and try again.")}
+        {:halt, flash(socket, "That was too much at once. Wait a moment, and try again.")}
 
       Session.user(gateway, session) != user ->
         {:halt, leave(socket)}
@@ -96,11 +98,11 @@ defmodule FleetWeb.Console.Access.OnMount do
         {:cont, socket}
 
       true ->
-        {:halt, tell(socket, "As #{user.role} you may not do this: it needs the role #{least}.")}
+        {:halt, flash(socket, "As #{user.role} you may not do this: it needs the role #{least}.")}
     end
   end
 
-  defp tell(socket, words) do
+  defp flash(socket, words) do
     now = System.monotonic_time(:millisecond)
     told = socket.private[:console_told]
 
@@ -124,14 +126,14 @@ defmodule FleetWeb.Console.Access.OnMount do
 
   def over?(_gateway, _message, _session), do: false
 
-  defp told({:fleet, {:notice, notice}, _who}, session, %{assigns: %{user: user}} = socket)
+  defp handle_notice({:fleet, {:notice, notice}, _who}, session, %{assigns: %{user: user}} = socket)
        when notice in [:console_users, :console_sessions] do
     if Session.user(socket.assigns.gateway, session) == user,
       do: {:halt, socket},
       else: {:halt, leave(socket)}
   end
 
-  defp told(_message, _session, socket), do: {:cont, socket}
+  defp handle_notice(_message, _session, socket), do: {:cont, socket}
 
   # The user and the session are told of one after the other, and the first leads away already.
   defp leave(%{redirected: nil} = socket), do: redirect(socket, to: socket.assigns.path)

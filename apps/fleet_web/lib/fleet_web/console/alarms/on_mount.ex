@@ -23,23 +23,23 @@ defmodule FleetWeb.Console.Alarms.OnMount do
      socket
      |> assign(:alarms, Server.summary(gateway))
      |> clock()
-     |> attach_hook(:console_alarms, :handle_info, &told/2)
+     |> attach_hook(:console_alarms, :handle_info, &handle_notice/2)
      |> attach_hook(:console_acknowledge, :handle_event, &asked/3)}
   end
 
   # The page that lists them reads the whole list now.
-  defp told({:fleet, {:notice, :console_alarms}, summary}, socket) do
+  defp handle_notice({:fleet, {:notice, :console_alarms}, summary}, socket) do
     socket = socket |> assign(:alarms, summary) |> clock()
     if socket.private[:console_refresh], do: send(self(), :refresh)
     {:halt, socket}
   end
 
-  defp told(:console_clock, socket) do
+  defp handle_notice(:console_clock, socket) do
     _timer = tick()
     {:halt, clock(socket)}
   end
 
-  defp told(_message, socket), do: {:cont, socket}
+  defp handle_notice(_message, socket), do: {:cont, socket}
 
   defp tick, do: Process.send_after(self(), :console_clock, @tick_ms)
 

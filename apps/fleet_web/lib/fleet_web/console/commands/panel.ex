@@ -57,7 +57,7 @@ defmodule FleetWeb.Console.Commands.Panel do
     ~H"""
     <p class={["policy-answer", if(@answer == :allow, do: "ok", else: "bad")]} role="status" data-answer={if(@answer == :allow, do: "allow", else: "deny")}>
       <.icon name={if(@answer == :allow, do: "check", else: "alert")} />
-      <span>{words(@answer)}</span>
+      <span>{verdict_text(@answer)}</span>
     </p>
     <ul :if={@answer == :allow and @obstacles != []} class="reasons obstacles" aria-label="What speaks against it">
       <li :for={text <- @obstacles}><.icon name="alert" /> {text}</li>
@@ -65,13 +65,13 @@ defmodule FleetWeb.Console.Commands.Panel do
     """
   end
 
-  defp words(:allow), do: "The policy allows it"
-  defp words({:deny, :firmware, reason}), do: "The vehicle cannot do it: #{reason}"
+  defp verdict_text(:allow), do: "The policy allows it"
+  defp verdict_text({:deny, :firmware, reason}), do: "The vehicle cannot do it: #{reason}"
 
-  defp words({:deny, _rule, reason}),
+  defp verdict_text({:deny, _rule, reason}),
     do: "The policy refuses it: #{FleetWeb.Console.Commands.Entry.advice(reason)}"
 
-  defp words({:error, errors}), do: "Not complete: #{Aerie.Vehicle.Command.Error.text(errors)}"
+  defp verdict_text({:error, errors}), do: "Not complete: #{Aerie.Vehicle.Command.Error.text(errors)}"
 
   attr :field, :map, required: true
   attr :error, :string, default: nil

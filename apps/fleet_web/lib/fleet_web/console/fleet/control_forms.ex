@@ -14,7 +14,7 @@ defmodule FleetWeb.Console.Fleet.ControlForms do
 
     ~H"""
     <details class={["charge", if(@others != [], do: "other", else: "free")]} id="fleet-charge" phx-mounted={JS.ignore_attributes("open")}>
-      <summary><.icon name={if @others != [], do: "lock", else: "user"} /> <span>{words(@own, @others, @free)}</span></summary>
+      <summary><.icon name={if @others != [], do: "lock", else: "user"} /> <span>{lease_text(@own, @others, @free)}</span></summary>
       <div class="charge-forms">
         <form :if={@others != [] or @free != []} id="fleet-take" class="control" phx-hook="CommandForm" phx-auto-recover="ignore" data-type="take_control" data-value={@value}>
           <.field :if={@others != []} id="fleet-take-reason" name="reason" label="Reason, told to who is in charge" maxlength="200" required={true} autocomplete="off" />
@@ -57,10 +57,10 @@ defmodule FleetWeb.Console.Fleet.ControlForms do
     {own, others, free}
   end
 
-  defp words([], [], _free), do: "Nobody is in charge"
-  defp words(_own, [], []), do: "You are in charge"
+  defp lease_text([], [], _free), do: "Nobody is in charge"
+  defp lease_text(_own, [], []), do: "You are in charge"
 
-  defp words(own, others, free) do
+  defp lease_text(own, others, free) do
     held =
       for {holder, rows} <- Enum.group_by(others, & &1.holder),
           do: "#{holder} is in charge of #{vehicles(rows)}"

@@ -67,7 +67,7 @@ defmodule FleetWeb.Console.Fleet.Page do
      |> subscribe([:vehicles, :links, :leases])
      |> push_event("map:zones", %{map: @map, zones: Zones.of(Policy.Store.get(socket.assigns.gateway))})
      |> read()
-     |> show()}
+     |> assign_view()}
   end
 
   @impl Phoenix.LiveView
@@ -75,18 +75,18 @@ defmodule FleetWeb.Console.Fleet.Page do
     view = if params["view"] == "table", do: "table", else: "map"
     socket = assign(socket, filter: Filter.parse(params), order: Order.parse(params["sort"]), view: view)
     same? = {socket.assigns.filter, socket.assigns.order} == {filter, order}
-    {:noreply, if(same?, do: show(socket), else: sort(socket))}
+    {:noreply, if(same?, do: assign_view(socket), else: sort(socket))}
   end
 
   @impl Phoenix.LiveView
   def handle_info(:refresh, socket) do
     before = states(socket.assigns.all)
     socket = read(socket)
-    socket = if due?(socket) or states(socket.assigns.all) != before, do: show(socket), else: socket
+    socket = if due?(socket) or states(socket.assigns.all) != before, do: assign_view(socket), else: socket
     {:noreply, update_private(socket, &%{&1 | round: &1.round + 1})}
   end
 
-  def handle_info({:fleet, :leases, _change}, socket), do: {:noreply, socket |> read() |> show()}
+  def handle_info({:fleet, :leases, _change}, socket), do: {:noreply, socket |> read() |> assign_view()}
 
   def handle_info({:plan, id, ref, message}, socket) do
     {:noreply, socket |> update(:plans, &Plans.update(&1, id, ref, message)) |> tell_plans()}
@@ -108,7 +108,7 @@ defmodule FleetWeb.Console.Fleet.Page do
   def handle_info(:tag, %{assigns: %{tagging: %{left: [{id, words} | left]} = tagging} = assigns} = socket) do
     case Shadow.tag(assigns.gateway, id, words, assigns.user, "console") do
       :ok when left == [] ->
-        {:noreply, socket |> assign(:tagging, nil) |> read() |> show()}
+        {:noreply, socket |> assign(:tagging, nil) |> read() |> assign_view()}
 
       :ok ->
         send(self(), :tag)
@@ -170,7 +170,7 @@ defmodule FleetWeb.Console.Fleet.Page do
   def handle_event("pointer", %{"over" => over} = event, socket) do
     shown = if is_list(event["ids"]), do: event["ids"], else: []
     sequence = Sequence.adopt(socket.assigns.sequence, shown)
-    {:noreply, socket |> assign(hand: over == true, sequence: sequence) |> show()}
+    {:noreply, socket |> assign(hand: over == true, sequence: sequence) |> assign_view()}
   end
 
   def handle_event("sort_now", _value, socket), do: {:noreply, sort(socket)}
@@ -333,7 +333,7 @@ defmodule FleetWeb.Console.Fleet.Page do
     do: put_rows(socket, Sequence.sort(sequence, ids(sorted(socket)), now_ms()))
 
   # Filters and sorts the rows for the table, but for those that keep their places.
-  defp show(%{assigns: %{all: all, hand: hand} = assigns} = socket) do
+  defp assign_view(%{assigns: %{all: all, hand: hand} = assigns} = socket) do
     selection = Selection.keep(assigns.selection, ids(all))
     held? = hand or Selection.size(selection) > 0
     sequence = Sequence.follow(assigns.sequence, ids(sorted(socket)), ids(all), held?, now_ms())

@@ -46,12 +46,12 @@ defmodule FleetWeb.Console.Inspector.Page do
 
   @impl Phoenix.LiveView
   def handle_event("filter", params, socket),
-    do: {:noreply, socket |> assign(:filter, Rows.filter(params)) |> show()}
+    do: {:noreply, socket |> assign(:filter, Rows.filter(params)) |> assign_rows()}
 
   def handle_event("sort", %{"by" => by}, socket) when is_map_key(@sorts, by) do
     column = @sorts[by]
     sort = if socket.assigns.sort == {column, :asc}, do: {column, :desc}, else: {column, :asc}
-    {:noreply, socket |> assign(:sort, sort) |> show()}
+    {:noreply, socket |> assign(:sort, sort) |> assign_rows()}
   end
 
   # The id is compared with those that are shown, and not parsed.
@@ -180,11 +180,11 @@ defmodule FleetWeb.Console.Inspector.Page do
       choices: Rows.choices(rows, networks, vehicles),
       now: System.os_time(:microsecond)
     )
-    |> show()
+    |> assign_rows()
     |> detail()
   end
 
-  defp show(%{assigns: assigns} = socket) do
+  defp assign_rows(%{assigns: assigns} = socket) do
     {shown, more} =
       Rows.rows(assigns.rows, assigns.filter, assigns.networks, assigns.vehicles, assigns.sort, assigns.now)
 

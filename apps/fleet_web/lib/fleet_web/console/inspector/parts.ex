@@ -69,7 +69,7 @@ defmodule FleetWeb.Console.Inspector.Parts do
         <li :for={entry <- @log} :key={entry.n} id={"sent-#{entry.n}"} class="card">
           <div class="spread">
             <strong class="mono">{entry.name}</strong>
-            <span><.badge kind={kind(entry.outcome)}>{words(entry.outcome)}</.badge> <span class="muted">{Age.text(max(@now - entry.at, 0))} ago</span></span>
+            <span><.badge kind={kind(entry.outcome)}>{label(entry.outcome)}</.badge> <span class="muted">{Age.text(max(@now - entry.at, 0))} ago</span></span>
           </div>
           <p :if={entry.text}>{entry.text}</p>
           <p :if={entry.answers == [] && entry.outcome == :sent} class="muted">No answer within 1.5 s</p>
@@ -140,8 +140,8 @@ defmodule FleetWeb.Console.Inspector.Parts do
   defp kind(:sent), do: "ok"
   defp kind(_other), do: "bad"
 
-  defp words(:sent), do: "sent"
-  defp words(:denied), do: "denied"
-  defp words(:no_route), do: "no vehicle with these ids"
-  defp words(:failed), do: "not sent"
+  defp label(:sent), do: "sent"
+  defp label(:denied), do: "denied"
+  defp label(:no_route), do: "no vehicle with these ids"
+  defp label(:failed), do: "not sent"
 end

@@ -97,7 +97,7 @@ defmodule FleetWeb.Console.Params.Parts do
   @doc "The table."
   def table(assigns) do
     ~H"""
-    <p class="muted" role="status">{words(@total)}</p>
+    <p class="muted" role="status">{count_text(@total)}</p>
     <.empty :if={@rows == []} icon="search" title="No parameter matches" />
     <.data_table :if={@rows != []} id="params" label="Parameters" rows={@rows} row_id={&"param-#{&1.name}"} row_class={&(&1.changed && "changed")}>
       <:col :let={row} label="Name"><.link patch={@path.(row.name)} class="mono">{row.name}</.link><span :if={row.about[:short]} class="muted param-about">{row.about.short}</span></:col>
@@ -112,9 +112,9 @@ defmodule FleetWeb.Console.Params.Parts do
   defp unit(%{unit: unit}) when is_binary(unit) and unit != "", do: " " <> unit
   defp unit(_unknown), do: ""
 
-  defp words(1), do: "1 parameter"
+  defp count_text(1), do: "1 parameter"
 
-  defp words(total) do
+  defp count_text(total) do
     if total > Listing.max(),
       do: "The first #{Listing.max()} of #{total}; search for the others",
       else: "#{total} parameters"

@@ -102,12 +102,12 @@ defmodule FleetWeb.Console.Shadow.Page do
     socket = assign(socket, now: System.os_time(:microsecond), heard: Fleet.vehicle(gateway, id) != nil)
 
     case Shadow.status(gateway, id) do
-      {:ok, shadow} -> shown(assign(socket, :problem, shadow["problem"]), shadow, user)
-      :elsewhere -> socket |> ask() |> shown(socket.assigns.answer || Shadow.nothing(id), user)
+      {:ok, shadow} -> assign_shadow(assign(socket, :problem, shadow["problem"]), shadow, user)
+      :elsewhere -> socket |> ask() |> assign_shadow(socket.assigns.answer || Shadow.nothing(id), user)
     end
   end
 
-  defp shown(socket, shadow, user), do: assign(socket, shadow: shadow, rows: Rows.rows(shadow, user))
+  defp assign_shadow(socket, shadow, user), do: assign(socket, shadow: shadow, rows: Rows.rows(shadow, user))
 
   defp ask(%{assigns: %{now: now, asked_at: asked, gateway: gateway, id: id}} = socket)
        when now - asked > @ask_us do

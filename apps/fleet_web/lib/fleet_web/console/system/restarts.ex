@@ -29,12 +29,12 @@ defmodule FleetWeb.Console.System.Restarts do
         restarts
 
       {path, refs} ->
-        dead = Map.put(restarts.dead, path, %{at: at, reason: words(reason)})
+        dead = Map.put(restarts.dead, path, %{at: at, reason: reason_text(reason)})
         %{restarts | refs: refs, known: Map.delete(restarts.known, path), dead: dead}
     end
   end
 
-  defp words(reason),
+  defp reason_text(reason),
     do: reason |> Exception.format_exit() |> String.split("\n") |> hd() |> String.slice(0, 200)
 
   @doc "Sets the present processes by their places."

@@ -15,12 +15,12 @@ defmodule FleetWeb.Console.UI.Meter do
       <span :if={@value != nil} class="meter-bar" role="meter" aria-label={@label} aria-valuemin="0" aria-valuemax="100" aria-valuenow={per_cent(@value)}>
         <svg viewBox="0 0 100 1" preserveAspectRatio="none" aria-hidden="true"><rect width={per_cent(@value)} height="1" /></svg>
       </span>
-      <span class="meter-text">{@text || words(@value)}</span>
+      <span class="meter-text">{@text || label(@value)}</span>
     </span>
     """
   end
 
-  defp words(nil), do: "–"
-  defp words(value), do: "#{per_cent(value)} %"
+  defp label(nil), do: "–"
+  defp label(value), do: "#{per_cent(value)} %"
   defp per_cent(value), do: value |> max(0) |> min(1) |> Kernel.*(100) |> round()
 end

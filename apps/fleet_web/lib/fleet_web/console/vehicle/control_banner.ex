@@ -22,7 +22,7 @@ defmodule FleetWeb.Console.Vehicle.ControlBanner do
     <details class={["charge", Atom.to_string(@relation)]} id="charge" phx-mounted={JS.ignore_attributes("open")}>
       <summary>
         <.icon name={if @relation == :other, do: "lock", else: "user"} />
-        <span>{words(@relation, @lease)}</span>
+        <span>{lease_text(@relation, @lease)}</span>
         <span :if={@lease != nil and @lease.reason != nil} class="muted">({@lease.reason})</span>
         <span :if={@able} class="charge-open">{offer(@relation)}</span>
       </summary>
@@ -65,14 +65,14 @@ defmodule FleetWeb.Console.Vehicle.ControlBanner do
   defp relation(%{offered_to: to}, %{name: name}) when to == :anyone or to == name, do: :offered
   defp relation(_lease, _user), do: :other
 
-  defp words(:free, _lease), do: "Nobody is in charge"
+  defp lease_text(:free, _lease), do: "Nobody is in charge"
 
-  defp words(:own, %{offered_to: nil} = lease),
+  defp lease_text(:own, %{offered_to: nil} = lease),
     do: "You have been in charge since #{Clock.minute(lease.since)}"
 
-  defp words(:own, lease), do: "You are in charge and offer to hand over to #{to(lease)}"
-  defp words(:offered, lease), do: "#{lease.holder} offers to hand over"
-  defp words(:other, lease), do: "#{lease.holder} has been in charge since #{Clock.minute(lease.since)}"
+  defp lease_text(:own, lease), do: "You are in charge and offer to hand over to #{to(lease)}"
+  defp lease_text(:offered, lease), do: "#{lease.holder} offers to hand over"
+  defp lease_text(:other, lease), do: "#{lease.holder} has been in charge since #{Clock.minute(lease.since)}"
 
   defp to(%{offered_to: :anyone}), do: "anyone"
   defp to(%{offered_to: name}), do: name

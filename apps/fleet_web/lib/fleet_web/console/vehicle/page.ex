@@ -245,7 +245,7 @@ defmodule FleetWeb.Console.Vehicle.Page do
   end
 
   defp aim(socket, target) do
-    socket |> assign(:target, target) |> mark() |> judge()
+    socket |> assign(:target, target) |> mark() |> preview()
   end
 
   # What is prepared goes first; then where the vehicle is on its way to.
@@ -260,7 +260,7 @@ defmodule FleetWeb.Console.Vehicle.Page do
       else: socket |> assign(:marked, place) |> push_event("map:target", %{map: "vehicle-map", place: place})
   end
 
-  defp judge(%{assigns: assigns} = socket) do
+  defp preview(%{assigns: assigns} = socket) do
     type = Obstacles.prepared(assigns)
 
     obstacles =
@@ -299,7 +299,7 @@ defmodule FleetWeb.Console.Vehicle.Page do
         |> assign(view: View.new(vehicle, Store.links(gateway), now), lease: Leases.of(gateway, vehicle.key))
         |> lives()
         |> part()
-        |> judge()
+        |> preview()
     end
   end
 

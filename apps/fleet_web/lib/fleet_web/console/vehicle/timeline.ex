@@ -69,24 +69,24 @@ defmodule FleetWeb.Console.Vehicle.Timeline do
   defp text("statustext", _row, data), do: data["text"] || ""
 
   defp text("report", _row, data),
-    do: join(words(data["name"] || "report #{data["id"]}"), [values(data["values"])])
+    do: join(label(data["name"] || "report #{data["id"]}"), [values(data["values"])])
 
   defp text("failsafe", _row, data) do
-    join("failsafe: #{words(data["reason"] || data["type"])}", [
+    join("failsafe: #{label(data["reason"] || data["type"])}", [
       action(data["action"]),
       brackets(data["text"])
     ])
   end
 
-  defp text("failsafe.cleared", _row, data), do: "failsafe over: #{words(data["reason"] || data["type"])}"
+  defp text("failsafe.cleared", _row, data), do: "failsafe over: #{label(data["reason"] || data["type"])}"
 
   defp text("operator.changed", _row, data),
     do: charge_of(data["operator"], data["before"], data["reason"])
 
   defp text(type, template, data) when template != nil, do: render(template, data) <> amount(type, data)
 
-  defp text(type, _row, %{"text" => text}) when is_binary(text) and text != "", do: "#{words(type)}: #{text}"
-  defp text(type, _row, data), do: join(words(type), [plain(data)])
+  defp text(type, _row, %{"text" => text}) when is_binary(text) and text != "", do: "#{label(type)}: #{text}"
+  defp text(type, _row, data), do: join(label(type), [plain(data)])
 
   # As `t:Aerie.Vehicle.Event.Types.t/0` describes it. In one pass: a value may have braces.
   defp render(template, data) do
@@ -101,8 +101,8 @@ defmodule FleetWeb.Console.Vehicle.Timeline do
 
   defp insert(part, data) do
     Regex.replace(~r/(\(?){(\w+)}/, part, fn
-      _all, "(", name -> "(" <> words(shown(data[name]))
-      _all, "", name -> shown(data[name])
+      _all, "(", name -> "(" <> label(format(data[name]))
+      _all, "", name -> format(data[name])
     end)
   end
 
@@ -110,7 +110,7 @@ defmodule FleetWeb.Console.Vehicle.Timeline do
     do: ": #{round(share * 100)} %"
 
   defp amount("battery." <> _level, %{"voltage" => volts}) when is_number(volts),
-    do: ": #{shown(volts * 1.0)} V"
+    do: ": #{format(volts * 1.0)} V"
 
   defp amount("link.lost", %{"silent_s" => seconds}) when is_number(seconds), do: " for #{round(seconds)} s"
   defp amount(_type, _data), do: ""
@@ -121,14 +121,14 @@ defmodule FleetWeb.Console.Vehicle.Timeline do
   defp charge_of(operator, before, reason),
     do: join("#{operator} took over from #{before}", [brackets(reason)])
 
-  defp brackets(text) when is_binary(text) and text != "", do: "(#{words(text)})"
+  defp brackets(text) when is_binary(text) and text != "", do: "(#{label(text)})"
   defp brackets(_none), do: nil
 
   defp action(action) when action in [nil, "none"], do: nil
-  defp action(action), do: "→ #{words(action)}"
+  defp action(action), do: "→ #{label(action)}"
 
   defp values(list) when is_list(list) and list != [],
-    do: list |> Enum.take(6) |> Enum.map_join(" ", &shown/1)
+    do: list |> Enum.take(6) |> Enum.map_join(" ", &format/1)
 
   defp values(_none), do: nil
 
@@ -136,21 +136,21 @@ defmodule FleetWeb.Console.Vehicle.Timeline do
   defp plain(data) do
     case for {name, value} <- Enum.sort(data),
              is_binary(value) or is_number(value) or is_boolean(value),
-             do: "#{name} #{shown(value)}" do
+             do: "#{name} #{format(value)}" do
       [] -> nil
       fields -> fields |> Enum.take(4) |> Enum.join(", ")
     end
   end
 
   defp join(text, more), do: Enum.join([text | Enum.reject(more, &(&1 in [nil, ""]))], " ")
-  defp words(nil), do: "unknown"
-  defp words(name), do: name |> to_string() |> String.replace(["_", "."], " ")
+  defp label(nil), do: "unknown"
+  defp label(name), do: name |> to_string() |> String.replace(["_", "."], " ")
 
-  defp shown(number) when is_float(number),
+  defp format(number) when is_float(number),
     do: number |> Float.round(3) |> Aerie.Vehicle.Command.Param.format()
 
-  defp shown(list) when is_list(list), do: Enum.map_join(list, " ", &shown/1)
-  defp shown(nil), do: "unknown"
-  defp shown(other) when is_binary(other) or is_number(other) or is_boolean(other), do: to_string(other)
-  defp shown(other), do: inspect(other, limit: 5)
+  defp format(list) when is_list(list), do: Enum.map_join(list, " ", &format/1)
+  defp format(nil), do: "unknown"
+  defp format(other) when is_binary(other) or is_number(other) or is_boolean(other), do: to_string(other)
+  defp format(other), do: inspect(other, limit: 5)
 end

@@ -45,19 +45,19 @@ defmodule FleetWeb.Console.Vehicle.View do
   @spec text(t(), path(), %{optional(:decimals) => non_neg_integer()}) :: String.t()
   def text(view, path, changes \\ %{}) do
     field = Map.get(@fields, path, %{decimals: nil, unit: nil})
-    shown(get(view, path), Map.merge(field, changes))
+    format(get(view, path), Map.merge(field, changes))
   end
 
-  defp shown(nil, _field), do: "–"
-  defp shown(true, _field), do: "yes"
-  defp shown(false, _field), do: "no"
-  defp shown(number, %{unit: "0..1"}) when is_number(number), do: "#{round(number * 100)} %"
-  defp shown(number, %{unit: nil} = field) when is_number(number), do: number(number, field.decimals)
-  defp shown(number, field) when is_number(number), do: number(number, field.decimals) <> " " <> field.unit
-  defp shown(list, field) when is_list(list), do: Enum.map_join(list, ", ", &shown(&1, field))
-  defp shown(text, _field) when is_binary(text), do: text
-  defp shown(other, _field) when is_atom(other), do: Atom.to_string(other)
-  defp shown(other, _field), do: inspect(other, limit: 10, printable_limit: 100)
+  defp format(nil, _field), do: "–"
+  defp format(true, _field), do: "yes"
+  defp format(false, _field), do: "no"
+  defp format(number, %{unit: "0..1"}) when is_number(number), do: "#{round(number * 100)} %"
+  defp format(number, %{unit: nil} = field) when is_number(number), do: number(number, field.decimals)
+  defp format(number, field) when is_number(number), do: number(number, field.decimals) <> " " <> field.unit
+  defp format(list, field) when is_list(list), do: Enum.map_join(list, ", ", &format(&1, field))
+  defp format(text, _field) when is_binary(text), do: text
+  defp format(other, _field) when is_atom(other), do: Atom.to_string(other)
+  defp format(other, _field), do: inspect(other, limit: 10, printable_limit: 100)
 
   @doc "A number with a given number of decimals; `–` for nil."
   @spec number(number() | nil, non_neg_integer() | nil) :: String.t()

@@ -131,7 +131,7 @@ defmodule MavRouter.Link.Clients.Settings do
     networks = List.wrap(map[:networks])
 
     with :ok <- id(map),
-         :ok <- said(Spec.said(url), map),
+         :ok <- gcs_problem(Spec.said(url), map),
          :ok <- networks(networks),
          {:ok, options} <-
            Settings.owner_options(map |> Map.put(:networks, networks) |> Map.put(:side, :client)),
@@ -162,16 +162,16 @@ defmodule MavRouter.Link.Clients.Settings do
   defp id(_client), do: :ok
 
   # What is for links would have no effect here, and what contradicts a key would hide which one counts.
-  defp said(%{gcs: _}, _map),
+  defp gcs_problem(%{gcs: _}, _map),
     do: {:error, "url: gcs is an option of links; what a client may do is said by role and policy.clients"}
 
-  defp said(%{network: _}, _map),
+  defp gcs_problem(%{network: _}, _map),
     do: {:error, "url: network is an option of links; the networks that a client sees are its key networks"}
 
-  defp said(%{id: said}, %{id: id}) when id != nil and id != said,
+  defp gcs_problem(%{id: said}, %{id: id}) when id != nil and id != said,
     do: {:error, "id: #{id} contradicts id=#{said} in the url"}
 
-  defp said(_said, _map), do: :ok
+  defp gcs_problem(_said, _map), do: :ok
 
   defp spec(url, map, network, options) do
     case Spec.parse(url, id: map[:id], network: network, options: [label: map[:label], router: options]) do

@@ -151,14 +151,14 @@ defmodule MavRouter.Link.Serial.Finding do
   @doc "One line for people, without the advice."
   @spec format(t) :: String.t()
   def format(%__MODULE__{condition: condition} = finding) do
-    "#{finding.path}: #{words(condition, finding)}"
+    "#{finding.path}: #{result_text(condition, finding)}"
   end
 
-  defp words(:vehicle, finding), do: heard_words(finding)
-  defp words(:no_heartbeat, finding), do: heard_words(finding)
-  defp words(:other_protocol, finding), do: heard_words(finding)
-  defp words(:noise, finding), do: "at #{finding.baud} baud #{finding.evidence}"
-  defp words(_condition, finding), do: finding.evidence
+  defp result_text(:vehicle, finding), do: heard_words(finding)
+  defp result_text(:no_heartbeat, finding), do: heard_words(finding)
+  defp result_text(:other_protocol, finding), do: heard_words(finding)
+  defp result_text(:noise, finding), do: "at #{finding.baud} baud #{finding.evidence}"
+  defp result_text(_condition, finding), do: finding.evidence
 
   defp heard_words(%{protocol: protocol, baud: baud, evidence: evidence}) do
     "#{Sniff.name(protocol)} at #{baud} baud, #{evidence}"

@@ -167,15 +167,15 @@ defmodule MavRouter.Link.Serial.Probe do
   defp decide(probe, now) do
     cond do
       now >= probe.deadline and (probe.framed or probe.staying) -> over(note(probe), now)
-      now >= probe.deadline -> judge(probe, now)
+      now >= probe.deadline -> evaluate(probe, now)
       probe.framed or probe.staying -> {probe, [read(probe, now)]}
-      probe.count >= @enough_bytes -> judge(probe, now)
+      probe.count >= @enough_bytes -> evaluate(probe, now)
       true -> {probe, [read(probe, now)]}
     end
   end
 
   # No frame at this rate.
-  defp judge(probe, now) do
+  defp evaluate(probe, now) do
     case Sniff.classify(probe.buffer) do
       %{protocol: :console, confidence: confidence} when confidence >= @text ->
         probe = %{probe | staying: true, deadline: now + @heartbeat_ms}

@@ -64,7 +64,7 @@ defmodule MavRouter.Link.Transport.Serial do
 
       {:error, reason} ->
         UartProcess.stop(holder)
-        {:error, words(reason)}
+        {:error, posix(reason)}
     end
   end
 
@@ -232,16 +232,16 @@ defmodule MavRouter.Link.Transport.Serial do
   # The name in the spec may be no port's. `:ebadf` is the same fault, a moment later.
   # Which one it is depends on the driver, and on what was being done.
   defp gone(conn, reason) when reason in [:eio, :ebadf, :enodev, :enxio], do: "#{conn.device} was unplugged"
-  defp gone(_conn, reason), do: words(reason)
+  defp gone(_conn, reason), do: posix(reason)
 
   # Reasons that mean something particular for a serial port.
-  defp words(:eagain), do: :ebusy
-  defp words(:enotty), do: "it is not a serial port"
-  defp words(:einval), do: "the port does not support this baud rate"
-  defp words(:epipe), do: "the program that serves the port ended"
+  defp posix(:eagain), do: :ebusy
+  defp posix(:enotty), do: "it is not a serial port"
+  defp posix(:einval), do: "the port does not support this baud rate"
+  defp posix(:epipe), do: "the program that serves the port ended"
 
-  defp words(:port_program_missing),
+  defp posix(:port_program_missing),
     do: "serial ports need a C compiler when the gateway is built: install gcc, then run bin/setup"
 
-  defp words(reason), do: reason
+  defp posix(reason), do: reason
 end

@@ -53,10 +53,10 @@ defmodule MavRouter.Link.Transport.TcpAcceptor do
   defp accept(state) do
     case :gen_tcp.accept(state.listener, @every_ms) do
       {:ok, socket} ->
-        state |> forget() |> admit(socket) |> tell() |> accept()
+        state |> forget() |> admit(socket) |> report() |> accept()
 
       {:error, :timeout} ->
-        state |> forget() |> tell() |> accept()
+        state |> forget() |> report() |> accept()
 
       # A limit of the machine: wait, so that the other links live on.
       {:error, reason} when reason in [:emfile, :enfile, :enobufs, :enomem] ->
@@ -104,9 +104,9 @@ defmodule MavRouter.Link.Transport.TcpAcceptor do
     end
   end
 
-  defp tell(%{refused: 0} = state), do: state
+  defp report(%{refused: 0} = state), do: state
 
-  defp tell(state) do
+  defp report(state) do
     now = :erlang.monotonic_time(:millisecond)
 
     if state.told == nil or now - state.told >= @every_ms do

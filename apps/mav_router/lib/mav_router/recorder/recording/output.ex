@@ -94,7 +94,7 @@ defmodule MavRouter.Recorder.Recording.Output do
     if settings.fsync != :never, do: settings.files.sync(output.device)
     _ = settings.files.close(output.device)
     Archive.closed(output.gateway, output.file)
-    tell(output, :closed, %{bytes: output.size}, %{})
+    emit(output, :closed, %{bytes: output.size}, %{})
     %{output | device: nil, file: nil, since: nil, size: 0, synced: true}
   end
 
@@ -132,11 +132,11 @@ defmodule MavRouter.Recorder.Recording.Output do
          {:ok, device} <- settings.files.open(path) do
       output = %{output | device: device, file: path, size: 0, reason: nil}
       output = %{output | since: System.os_time(:second), opened: now()}
-      tell(output, :opened, %{count: 1}, %{})
+      emit(output, :opened, %{count: 1}, %{})
       count(output, :files, 1)
     else
       {:error, :low} -> pause(output, low(settings))
-      {:error, reason} -> pause(output, words(reason))
+      {:error, reason} -> pause(output, reason_text(reason))
     end
   end
 
@@ -155,7 +155,7 @@ defmodule MavRouter.Recorder.Recording.Output do
         |> count(:bytes, size)
 
       {:error, reason} ->
-        output |> dropped(frames) |> close() |> pause(words(reason))
+        output |> dropped(frames) |> close() |> pause(reason_text(reason))
     end
   end
 
@@ -163,7 +163,7 @@ defmodule MavRouter.Recorder.Recording.Output do
        when device != nil do
     case settings.files.sync(device) do
       :ok -> %{output | synced: true}
-      {:error, reason} -> output |> close() |> pause(words(reason))
+      {:error, reason} -> output |> close() |> pause(reason_text(reason))
     end
   end
 
@@ -176,7 +176,7 @@ defmodule MavRouter.Recorder.Recording.Output do
 
   defp pause(output, reason) do
     Archive.check(output.gateway)
-    tell(output, :paused, %{count: 1}, %{reason: reason})
+    emit(output, :paused, %{count: 1}, %{reason: reason})
     # Once, not for each retry of each recording.
     if reason != output.logged and :ets.insert_new(output.tables.notes, {{:logged, reason}, output.label}),
       do: Logger.warning("#{output.label} is not recorded: #{reason}")
@@ -200,14 +200,14 @@ defmodule MavRouter.Recorder.Recording.Output do
 
   defp count(output, what, n), do: %{output | totals: Map.update!(output.totals, what, &(&1 + n))}
 
-  defp tell(output, event, measurements, metadata) do
+  defp emit(output, event, measurements, metadata) do
     metadata = Map.merge(%{gateway: output.gateway, target: output.target, file: output.file}, metadata)
     :telemetry.execute([:aerie, :recorder, event], measurements, metadata)
   end
 
-  defp words(text) when is_binary(text), do: text
-  defp words(reason) when is_atom(reason), do: reason |> :file.format_error() |> to_string()
-  defp words(reason), do: inspect(reason)
+  defp reason_text(text) when is_binary(text), do: text
+  defp reason_text(reason) when is_atom(reason), do: reason |> :file.format_error() |> to_string()
+  defp reason_text(reason), do: inspect(reason)
 
   defp now, do: System.monotonic_time(:millisecond)
 end

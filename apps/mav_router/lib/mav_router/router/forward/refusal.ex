@@ -30,7 +30,7 @@ defmodule MavRouter.Router.Forward.Refusal do
     if Messages.order?(frame.id) do
       Counters.add(path.counters, :denied, 1)
       answer(frame, Frame.target(frame), delivery)
-      tell(frame, delivery)
+      report(frame, delivery)
     else
       Counters.add(path.counters, :withheld, 1)
     end
@@ -93,7 +93,7 @@ defmodule MavRouter.Router.Forward.Refusal do
 
   defp answer(_frame, _everyone, _delivery), do: :ok
 
-  defp tell(frame, %{path: %{owner: owner} = path, source: source, tables: tables}) do
+  defp report(frame, %{path: %{owner: owner} = path, source: source, tables: tables}) do
     if due?(tables, {:told, owner}, @told_ms) do
       metadata = %{
         gateway: path.gateway,

@@ -76,10 +76,10 @@ defmodule MavRouter.Router.Forward.Source do
       cond do
         # The route may be forgotten, or be wanted in another network as well.
         source.marks != marks ->
-          look(%{source | marks: marks, looked: now, learned: nil}, delivery)
+          find_receivers(%{source | marks: marks, looked: now, learned: nil}, delivery)
 
         now - source.looked >= @fresh_ms ->
-          look(%{source | looked: now}, delivery)
+          find_receivers(%{source | looked: now}, delivery)
 
         true ->
           source
@@ -106,7 +106,7 @@ defmodule MavRouter.Router.Forward.Source do
   defp elsewhere(tables, path, source, network),
     do: Routes.endpoints(tables, {network, source.system}, source.component) -- [path.key]
 
-  defp look(source, %{path: path} = delivery) do
+  defp find_receivers(source, %{path: path} = delivery) do
     if path.side == :vehicle and collided?(delivery, source, path),
       do: of_collided(source, delivery),
       else: of_known(%{source | collided: false}, delivery)

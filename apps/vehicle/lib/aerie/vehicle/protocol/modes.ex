@@ -147,11 +147,11 @@ defmodule Aerie.Vehicle.Protocol.Modes do
   @spec find(Vehicle.t(), String.t()) :: {:ok, non_neg_integer(), String.t()} | :error
   def find(vehicle, name) do
     with :error <- number(vehicle.autopilot, vehicle.kind, name),
-         :error <- told(vehicle, String.upcase(name)) do
+         :error <- number_of(vehicle, String.upcase(name)) do
       :error
     else
       {:ok, number} ->
-        {:ok, number, shown(vehicle.autopilot, vehicle.kind, vehicle.mode_names, number)}
+        {:ok, number, name_of(vehicle.autopilot, vehicle.kind, vehicle.mode_names, number)}
     end
   end
 
@@ -174,16 +174,18 @@ defmodule Aerie.Vehicle.Protocol.Modes do
         :generic -> %{}
       end
 
-    told = Map.new(vehicle.standard_modes, fn {name, mode} -> {name, shown(autopilot, kind, names, mode)} end)
+    told =
+      Map.new(vehicle.standard_modes, fn {name, mode} -> {name, name_of(autopilot, kind, names, mode)} end)
+
     Map.merge(known, told)
   end
 
-  defp shown(autopilot, kind, names, mode) do
+  defp name_of(autopilot, kind, names, mode) do
     name = name(autopilot, kind, @custom, mode)
     if unnamed?(name), do: Map.get(names, mode, name), else: name
   end
 
-  defp told(vehicle, name) do
+  defp number_of(vehicle, name) do
     Enum.find_value(vehicle.mode_names, :error, fn {number, told} ->
       if String.upcase(told) == name, do: {:ok, number}
     end)

@@ -93,14 +93,14 @@ defmodule Aerie.Vehicle.Services.Gcs do
   @spec expire(t(), integer(), target :: {integer(), integer()}, ask :: boolean()) ::
           {t(), [ParamRequestRead.t()], [notice()]}
   def expire(gcs, now, target, ask) do
-    {gcs, notices} = judge(gcs, now)
+    {gcs, notices} = evaluate(gcs, now)
     {gcs, messages} = if ask, do: ask(gcs, now, target), else: {gcs, []}
     {gcs, messages, notices}
   end
 
-  defp judge(%{heard: nil} = gcs, _now), do: {gcs, []}
+  defp evaluate(%{heard: nil} = gcs, _now), do: {gcs, []}
 
-  defp judge(%{heard: {at, system}} = gcs, now) do
+  defp evaluate(%{heard: {at, system}} = gcs, now) do
     timeout = timeout_us(gcs)
     quiet = now - at < timeout
     facts = %{system: system, timeout_s: timeout / 1_000_000, enabled: enabled?(gcs)}

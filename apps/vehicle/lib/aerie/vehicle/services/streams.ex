@@ -30,7 +30,7 @@ defmodule Aerie.Vehicle.Services.Streams do
           :ok | {:error, :too_many}
   def want(gateway, key, client, what, hz) do
     case StreamDemand.put(gateway, key, client, what, hz) do
-      :ok -> tell(gateway, key, nil)
+      :ok -> notify(gateway, key, nil)
       :same -> :ok
       error -> error
     end
@@ -40,7 +40,7 @@ defmodule Aerie.Vehicle.Services.Streams do
   @impl MavRouter.Router.Requests
   @spec forget(Names.gateway(), StreamDemand.client()) :: :ok
   def forget(gateway, client),
-    do: gateway |> StreamDemand.forget(client) |> Enum.each(&tell(gateway, &1, nil))
+    do: gateway |> StreamDemand.forget(client) |> Enum.each(&notify(gateway, &1, nil))
 
   @doc """
   A client's frame to a vehicle for which `request?/1` is true: `:forward` it as it is, or `{:absorb, answer}`, where
@@ -93,18 +93,18 @@ defmodule Aerie.Vehicle.Services.Streams do
 
   defp forward(gateway, key, client, id, hz) do
     _full_is_counted = StreamDemand.put(gateway, key, client, id, hz)
-    tell(gateway, key, if(hz, do: id))
+    notify(gateway, key, if(hz, do: id))
     :forward
   end
 
   defp absorb(gateway, key, client, what, hz, answer) do
     changes = for one <- List.wrap(what), do: StreamDemand.put(gateway, key, client, one, hz)
-    if :ok in changes, do: tell(gateway, key, nil)
+    if :ok in changes, do: notify(gateway, key, nil)
     Store.count(gateway, {:streams, :absorbed})
     {:absorb, answer}
   end
 
-  defp tell(gateway, key, forwarded) do
+  defp notify(gateway, key, forwarded) do
     with session when is_pid(session) <- Names.whereis(gateway, :session, key),
          do: send(session, {:demand, forwarded})
 

@@ -28,13 +28,13 @@ defmodule Aerie.Vehicle.State.Flight do
   def in_air(state, at) do
     mode = State.data(state, :mode)
 
-    case judge(state, mode, at) do
+    case evaluate(state, mode, at) do
       same when same == mode.in_air -> :same
       in_air -> in_air
     end
   end
 
-  defp judge(state, mode, at) do
+  defp evaluate(state, mode, at) do
     cond do
       mode.armed == nil -> nil
       not Kind.flies?(state.kind) -> false

@@ -37,7 +37,7 @@ defmodule Aerie.Control.Mission.File.Value do
   @doc "The numbers of an item as files store them."
   @spec numbers(Item.t()) :: [number() | nil]
   def numbers(item) do
-    Tuple.to_list(item.params) ++ [shown(item.x, item), shown(item.y, item), item.z]
+    Tuple.to_list(item.params) ++ [format(item.x, item), format(item.y, item), item.z]
   end
 
   @doc "A position from degrees."
@@ -149,9 +149,9 @@ defmodule Aerie.Control.Mission.File.Value do
       else: error(at, "degrees from -#{most} to #{most}", value)
   end
 
-  defp shown(nil, _item), do: nil
+  defp format(nil, _item), do: nil
 
-  defp shown(value, item) do
+  defp format(value, item) do
     cond do
       not Item.place?(item.command, item.frame) -> value
       Item.local?(item.frame) -> value / 1.0e4

@@ -64,10 +64,10 @@ defmodule Aerie.Control.Mission.Transfer.Compare do
       nil ->
         for {name, a, b} <- fields,
             not StoredItem.same?(Map.get(kept, name, [a]), a, b),
-            do: "item #{seq}: the vehicle keeps #{name} #{shown(b)} and not #{shown(a)}"
+            do: "item #{seq}: the vehicle keeps #{name} #{format(b)} and not #{format(a)}"
 
       {name, a, b} ->
-        {:differs, seq, "item #{seq} has #{name} #{shown(b)} and not #{shown(a)}"}
+        {:differs, seq, "item #{seq} has #{name} #{format(b)} and not #{format(a)}"}
     end
   end
 
@@ -75,9 +75,9 @@ defmodule Aerie.Control.Mission.Transfer.Compare do
   defp right?(expected, a, b), do: StoredItem.match?([a], b) or StoredItem.match?(expected, b)
 
   # 20.119998931884766 m are 2012 cm.
-  defp shown(value) when is_float(value) and abs(value) < 1.0e6, do: "#{Float.round(value, 4)}"
-  defp shown(nil), do: "unset"
-  defp shown(value), do: "#{value}"
+  defp format(value) when is_float(value) and abs(value) < 1.0e6, do: "#{Float.round(value, 4)}"
+  defp format(nil), do: "unset"
+  defp format(value), do: "#{value}"
 
   defp fields(item) do
     %{params: {p1, p2, p3, p4}} = item = Item.rounded(item)

@@ -222,7 +222,7 @@ defmodule Aerie.Control.Policy.Fence.GeoJson do
 
     with {:ok, position} <- position(join(path, "coordinates"), geometry["coordinates"]),
          [] <- errors,
-         {:ok, polygon} <- said(sibling(path) <> "radius", Polygon.circle(position, radius, side)) do
+         {:ok, polygon} <- with_path(sibling(path) <> "radius", Polygon.circle(position, radius, side)) do
       {:ok, %{zone | polygons: [polygon]}}
     else
       {:error, more} -> {:error, Enum.reverse(errors) ++ more}
@@ -273,7 +273,7 @@ defmodule Aerie.Control.Policy.Fence.GeoJson do
            |> Enum.with_index()
            |> Enum.map(fn {ring, n} -> ring("#{path}[#{n}]", ring) end)
            |> collect() do
-      said(path, Polygon.new(rings))
+      with_path(path, Polygon.new(rings))
     end
   end
 
@@ -301,8 +301,8 @@ defmodule Aerie.Control.Policy.Fence.GeoJson do
     {:error, ["#{path}: expected [longitude, latitude] in degrees, longitude first, got: #{got(other)}"]}
   end
 
-  defp said(_path, {:ok, polygon}), do: {:ok, polygon}
-  defp said(path, {:error, text}), do: {:error, ["#{path}: #{text}"]}
+  defp with_path(_path, {:ok, polygon}), do: {:ok, polygon}
+  defp with_path(path, {:error, text}), do: {:error, ["#{path}: #{text}"]}
 
   defp collect(results) do
     case for({:error, errors} <- results, error <- errors, do: error) do

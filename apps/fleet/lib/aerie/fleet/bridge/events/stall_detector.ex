@@ -27,14 +27,14 @@ defmodule Aerie.Fleet.Bridge.Events.StallDetector do
   @spec check(t(), integer(), boolean()) :: t()
   def check(stall, now, waiting?) do
     since = if waiting?, do: stall.since || now
-    judge(%{stall | since: since}, now, since != nil and now - since >= @after_ms)
+    evaluate(%{stall | since: since}, now, since != nil and now - since >= @after_ms)
   end
 
-  defp judge(stall, _now, true), do: %{stall | problem?: true, calm_since: nil}
-  defp judge(%{problem?: false} = stall, _now, false), do: stall
-  defp judge(%{calm_since: nil} = stall, now, false), do: %{stall | calm_since: now}
-  defp judge(stall, now, false) when now - stall.calm_since < @calm_ms, do: stall
-  defp judge(stall, _now, false), do: %{stall | problem?: false, calm_since: nil}
+  defp evaluate(stall, _now, true), do: %{stall | problem?: true, calm_since: nil}
+  defp evaluate(%{problem?: false} = stall, _now, false), do: stall
+  defp evaluate(%{calm_since: nil} = stall, now, false), do: %{stall | calm_since: now}
+  defp evaluate(stall, now, false) when now - stall.calm_since < @calm_ms, do: stall
+  defp evaluate(stall, _now, false), do: %{stall | problem?: false, calm_since: nil}
 
   @doc "How long events have waited without any confirmation."
   @spec ms(t(), integer()) :: non_neg_integer()

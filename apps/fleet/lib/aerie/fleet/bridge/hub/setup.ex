@@ -125,7 +125,7 @@ defmodule Aerie.Fleet.Bridge.Hub.Setup do
   defp folders(dir, fleet) do
     ["", "hub", "vehicles" | Enum.map(fleet["hosts"], &Path.join("hub", &1))]
     |> Enum.map(&Path.join(dir, &1))
-    |> all(&said(Private.folder(&1), &1))
+    |> all(&with_path(Private.folder(&1), &1))
   end
 
   defp gateway(dir, fleet, wish) do
@@ -165,21 +165,21 @@ defmodule Aerie.Fleet.Bridge.Hub.Setup do
   defp moved(file, former) do
     case File.rename(file, former) do
       {:error, :enoent} -> :ok
-      result -> said(result, former)
+      result -> with_path(result, former)
     end
   end
 
   defp own_key(dir, environment, id, common) do
     file = Path.join([dir, "vehicles", id, "shadow.key"])
 
-    with :ok <- said(Private.folder(Path.dirname(file)), file),
-         do: said(Private.write(file, VehicleKey.derive(common, environment, id) <> "\n"), file)
+    with :ok <- with_path(Private.folder(Path.dirname(file)), file),
+         do: with_path(Private.write(file, VehicleKey.derive(common, environment, id) <> "\n"), file)
   end
 
   defp key(file) do
     with {:ok, nil} <- kept(file),
          key = Base.encode16(:crypto.strong_rand_bytes(32), case: :lower),
-         :ok <- said(Private.write(file, key <> "\n"), file),
+         :ok <- with_path(Private.write(file, key <> "\n"), file),
          do: {:ok, key}
   end
 
@@ -193,7 +193,7 @@ defmodule Aerie.Fleet.Bridge.Hub.Setup do
 
   defp seed(file) do
     key = Nkey.generate(:user)
-    with :ok <- said(Private.write(file, Nkey.seed(key) <> "\n"), file), do: {:ok, key.public}
+    with :ok <- with_path(Private.write(file, Nkey.seed(key) <> "\n"), file), do: {:ok, key.public}
   end
 
   defp vehicles(dir, fleet, wish) do
@@ -202,7 +202,7 @@ defmodule Aerie.Fleet.Bridge.Hub.Setup do
     Enum.reduce_while(new, {:ok, fleet, new}, fn id, {:ok, fleet, new} ->
       folder = Path.join([dir, "vehicles", id])
 
-      with :ok <- said(Private.folder(folder), folder),
+      with :ok <- with_path(Private.folder(folder), folder),
            {:ok, public} <- seed(Path.join(folder, "leaf.nk")) do
         {:cont, {:ok, put_in(fleet["vehicles"][id], public), new}}
       else
@@ -254,7 +254,7 @@ defmodule Aerie.Fleet.Bridge.Hub.Setup do
           do: {"vehicles/#{id}/#{name}", text}
 
     all([gateway | hub] ++ own ++ vehicle, fn {name, text} ->
-      said(Private.write(Path.join(dir, name), text), name)
+      with_path(Private.write(Path.join(dir, name), text), name)
     end)
   end
 
@@ -330,7 +330,7 @@ defmodule Aerie.Fleet.Bridge.Hub.Setup do
 
   defp save(dir, fleet) do
     file = Path.join(dir, "fleet.json")
-    said(Private.write(file, JSON.encode!(fleet)), file)
+    with_path(Private.write(file, JSON.encode!(fleet)), file)
   end
 
   defp lines(dir, made, revoked) do
@@ -351,6 +351,6 @@ defmodule Aerie.Fleet.Bridge.Hub.Setup do
     end)
   end
 
-  defp said(:ok, _file), do: :ok
-  defp said({:error, reason}, file), do: {:error, "cannot write #{file}: #{:file.format_error(reason)}"}
+  defp with_path(:ok, _file), do: :ok
+  defp with_path({:error, reason}, file), do: {:error, "cannot write #{file}: #{:file.format_error(reason)}"}
 end

@@ -25,7 +25,7 @@ defmodule Aerie.Fleet.Bridge.LastPublished.Missing do
     options = Options.new(settings, {"any", 0})
 
     if up_us >= patience(gateway, options) do
-      Enum.each(unheard, fn {id, since} -> tell(gateway, %{options | id: id}, now, since) end)
+      Enum.each(unheard, fn {id, since} -> report(gateway, %{options | id: id}, now, since) end)
       %{}
     else
       unheard
@@ -39,7 +39,7 @@ defmodule Aerie.Fleet.Bridge.LastPublished.Missing do
       else: options.lost_us
   end
 
-  defp tell(gateway, options, now, since) do
+  defp report(gateway, options, now, since) do
     found = Aerie.Fleet.Bridge.LastPublished.of(gateway, options.id)
     detector = options |> Detector.new() |> Detector.remember(found)
     {detector, events, %{}} = Detector.observe(detector, Observation.new(:unheard, now, nil, since))

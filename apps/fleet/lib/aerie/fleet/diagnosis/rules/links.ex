@@ -75,15 +75,15 @@ defmodule Aerie.Fleet.Diagnosis.Rules.Links do
     condition(link, :link_silent, :warning, "nothing arrives on #{link.id}",
       evidence: [
         link.text,
-        heard(link, facts),
+        silence(link, facts),
         "#{grown(facts, {:endpoints, link.id}, :frames_out)} frames sent in #{facts.seconds} s"
       ],
       mend: "Check the vehicle's power and range; on a cable, check that TX and RX are crossed."
     )
   end
 
-  defp heard(%{last_heard: nil}, _facts), do: "never heard anything"
-  defp heard(%{last_heard: at}, facts), do: "last frame #{div(facts.now - at, 1_000_000)} s ago"
+  defp silence(%{last_heard: nil}, _facts), do: "never heard anything"
+  defp silence(%{last_heard: at}, facts), do: "last frame #{div(facts.now - at, 1_000_000)} s ago"
 
   defp no_vehicle(link, facts) do
     if link.sources != %{} and not Enum.any?(facts.vehicles, &(link.id in &1.links)) and

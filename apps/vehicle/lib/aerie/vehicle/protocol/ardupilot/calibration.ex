@@ -39,10 +39,10 @@ defmodule Aerie.Vehicle.Protocol.Ardupilot.Calibration do
     do: {:error, "ArduPilot's remote control is calibrated by its parameters RCn_MIN, RCn_MAX and RCn_TRIM"}
 
   def steps("calibrate", %{sensor: "accelerometer" = sensor}, _vehicle),
-    do: [Commands.preflight(sensor, told(sensor) ++ [cancel: {:never, @no_cancel}])]
+    do: [Commands.preflight(sensor, confirmed_by_text(sensor) ++ [cancel: {:never, @no_cancel}])]
 
   def steps("calibrate", %{sensor: "compass_motor" = sensor}, _vehicle),
-    do: [Commands.preflight(sensor, told(sensor) ++ [cancel: {:message, acknowledgement()}])]
+    do: [Commands.preflight(sensor, confirmed_by_text(sensor) ++ [cancel: {:message, acknowledgement()}])]
 
   def steps("calibrate", %{sensor: sensor}, _vehicle),
     do: [Commands.preflight(sensor, answer_ms: @blocks_ms)]
@@ -64,7 +64,7 @@ defmodule Aerie.Vehicle.Protocol.Ardupilot.Calibration do
   def steps("calibrate_cancel", _params, _vehicle),
     do: [Mavlink.message(acknowledgement()), Mavlink.long(:MAV_CMD_DO_CANCEL_MAG_CAL)]
 
-  defp told(sensor), do: [confirm: :told, watch: :texts, holds: sensor, within_ms: @lasts_ms]
+  defp confirmed_by_text(sensor), do: [confirm: :told, watch: :texts, holds: sensor, within_ms: @lasts_ms]
 
   # The accelerometer's takes only one of the commands 0 to 6 with TEMPORARILY_REJECTED for a position
   # (AP_AccelCal::handle_command_ack): this one does not disturb it.

@@ -58,7 +58,7 @@ defmodule Aerie.Vehicle.Services.Streams.Arbiter.Check do
 
       {id, %{next: next} = wanted}, arbiter when now >= next ->
         # A request that is still queued cannot have had an effect.
-        if {:set, id} in arbiter.queue, do: arbiter, else: judge(arbiter, wanted, now)
+        if {:set, id} in arbiter.queue, do: arbiter, else: evaluate(arbiter, wanted, now)
 
       _later, arbiter ->
         arbiter
@@ -72,14 +72,14 @@ defmodule Aerie.Vehicle.Services.Streams.Arbiter.Check do
     # A message that is wanted at any rate and never came is missing at once; others have to be measured first.
     wait = if wanted.hz == nil and last == nil and wanted.state == :new, do: 0, else: long(wanted)
     wanted = %{wanted | next: now + wait}
-    if wait == 0, do: judge(arbiter, wanted, now), else: Arbiter.put(arbiter, wanted)
+    if wait == 0, do: evaluate(arbiter, wanted, now), else: Arbiter.put(arbiter, wanted)
   end
 
   defp long(%{state: :new, hz: nil}), do: @first_us
   defp long(%{state: :new, hz: hz}), do: max(@first_us, round(3_000_000 / hz))
   defp long(wanted), do: WantedMessage.window(wanted)
 
-  defp judge(arbiter, wanted, now) do
+  defp evaluate(arbiter, wanted, now) do
     rate = Meter.rate(arbiter.meter, wanted.id, now, long(wanted))
     verdict = WantedMessage.evaluate(wanted, rate, Meter.last(arbiter.meter, wanted.id), now)
     wanted = %{wanted | rate: rate || wanted.rate, initial: initial(wanted, rate)}

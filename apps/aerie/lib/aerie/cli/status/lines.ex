@@ -8,6 +8,7 @@ defmodule Aerie.CLI.Status.Lines do
 
   alias Aerie.Fleet.Age
   alias Aerie.CLI.Status.View
+  alias Aerie.Vehicle.Snapshot
 
   @type line :: {message :: String.t(), [{atom(), term()}]}
 
@@ -70,14 +71,14 @@ defmodule Aerie.CLI.Status.Lines do
        via: vehicle[:via],
        type: vehicle.vehicle_type,
        autopilot: vehicle.autopilot,
-       mode: View.field(vehicle, :mode, :mode),
-       armed: View.armed(vehicle),
-       lat: rounded(View.field(vehicle, :position, :lat), 6),
-       lon: rounded(View.field(vehicle, :position, :lon), 6),
-       alt_rel: rounded(View.field(vehicle, :position, :alt_rel), 1),
-       groundspeed: rounded(View.field(vehicle, :velocity, :groundspeed), 1),
-       battery: rounded(View.field(vehicle, :battery, :remaining), 2),
-       gps: View.field(vehicle, :gps, :fix_name),
+       mode: Snapshot.data(vehicle, :mode)[:mode],
+       armed: Snapshot.data(vehicle, :mode)[:armed],
+       lat: rounded(Snapshot.data(vehicle, :position)[:lat], 6),
+       lon: rounded(Snapshot.data(vehicle, :position)[:lon], 6),
+       alt_rel: rounded(Snapshot.data(vehicle, :position)[:alt_rel], 1),
+       groundspeed: rounded(Snapshot.data(vehicle, :velocity)[:groundspeed], 1),
+       battery: rounded(Snapshot.data(vehicle, :battery)[:remaining], 2),
+       gps: Snapshot.data(vehicle, :gps)[:fix_name],
        age: seconds(Age.silent_us(vehicle, view.links, view.now))
      ]}
   end

@@ -9,6 +9,7 @@ defmodule Aerie.CLI.Status.Table do
   alias Aerie.Fleet.Age
   alias Aerie.CLI.Columns
   alias Aerie.CLI.Status.View
+  alias Aerie.Vehicle.Snapshot
 
   @reset "\e[0m"
   @styles %{bold: "\e[1m", dim: "\e[2m", red: "\e[31m", green: "\e[32m", yellow: "\e[33m"}
@@ -190,14 +191,14 @@ defmodule Aerie.CLI.Status.Table do
       text(vehicle.id),
       text(vehicle.status),
       "#{text(vehicle.vehicle_type)} #{text(vehicle.autopilot)}",
-      text(View.field(vehicle, :mode, :mode)),
-      armed(View.armed(vehicle)),
-      number(View.field(vehicle, :position, :lat), 6),
-      number(View.field(vehicle, :position, :lon), 6),
-      number(View.field(vehicle, :position, :alt_rel), 1, " m"),
-      number(View.field(vehicle, :velocity, :groundspeed), 1, " m/s"),
+      text(Snapshot.data(vehicle, :mode)[:mode]),
+      armed(Snapshot.data(vehicle, :mode)[:armed]),
+      number(Snapshot.data(vehicle, :position)[:lat], 6),
+      number(Snapshot.data(vehicle, :position)[:lon], 6),
+      number(Snapshot.data(vehicle, :position)[:alt_rel], 1, " m"),
+      number(Snapshot.data(vehicle, :velocity)[:groundspeed], 1, " m/s"),
       battery(vehicle),
-      text(View.field(vehicle, :gps, :fix_name)),
+      text(Snapshot.data(vehicle, :gps)[:fix_name]),
       silence(vehicle, view)
     ]
 
@@ -209,8 +210,8 @@ defmodule Aerie.CLI.Status.Table do
   defp armed(nil), do: "-"
 
   defp battery(vehicle) do
-    percent(View.field(vehicle, :battery, :remaining)) <>
-      " " <> number(View.field(vehicle, :battery, :voltage), 1, " V")
+    percent(Snapshot.data(vehicle, :battery)[:remaining]) <>
+      " " <> number(Snapshot.data(vehicle, :battery)[:voltage], 1, " V")
   end
 
   defp silence(%{status: :lost}, _view), do: "LOST"
@@ -218,7 +219,7 @@ defmodule Aerie.CLI.Status.Table do
 
   defp vehicle_style(%{status: :lost}), do: :red
   defp vehicle_style(%{status: :stale}), do: :yellow
-  defp vehicle_style(vehicle), do: if(View.armed(vehicle), do: :green, else: nil)
+  defp vehicle_style(vehicle), do: if(Snapshot.data(vehicle, :mode)[:armed], do: :green, else: nil)
 
   defp link(link) do
     cells = [

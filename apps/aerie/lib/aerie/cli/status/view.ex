@@ -77,21 +77,8 @@ defmodule Aerie.CLI.Status.View do
     )
   end
 
-  @doc "Whether the vehicle of a snapshot is armed, or nil if that is not known."
-  @spec armed(map()) :: boolean() | nil
-  def armed(vehicle), do: field(vehicle, :mode, :armed)
-
   @doc "Datagrams and frames that came by a link or an endpoint for clients, and were dropped because they came too fast."
   @spec dropped_in(map()) :: number()
   def dropped_in(%{counters: counters}),
     do: for(name <- [:kernel_dropped, :shed, :overload], do: Map.get(counters, name, 0)) |> Enum.sum()
-
-  @doc "A field of a state group, or nil if the group or the field is not known."
-  @spec field(map(), atom(), atom()) :: term()
-  def field(vehicle, group, key) do
-    case vehicle do
-      %{groups: %{^group => %{data: %{^key => value}}}} -> value
-      _other -> nil
-    end
-  end
 end

@@ -26,7 +26,7 @@ defmodule Aerie.System.ReplayBesideTest do
     """)
 
     gateway = open(["--config", config, "--quiet"])
-    await_output(gateway, "", ["connected to NATS at"])
+    await_output(gateway, "", ["connected to NATS at", "nats=connected"])
     owners = owners(folder)
 
     replay = open(["--config", config, "--replay", @flight, "--speed", "max", "--quiet"])

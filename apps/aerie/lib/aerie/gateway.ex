@@ -14,7 +14,7 @@ defmodule Aerie.Gateway do
   ├─ MavRouter.Router.Supervisor       routes, client endpoints
   ├─ Aerie.Vehicle.Supervisor      one tree per vehicle, made when its autopilot is first heard
   ├─ Aerie.Fleet.Remote.Supervisor       vehicles of other gateways, and telling them of ours
-  ├─ Aerie.Control.Commands.Supervisor     the door for commands: ledger, what is under way
+  ├─ Aerie.Control.Commands.Supervisor     commands: ledger, what is under way
   ├─ Aerie.Control.Params.CacheWriter           lists of parameters, over restarts
   ├─ Aerie.Control.ReadCache.Supervisor      answers ground stations that read parameters and plans
   ├─ Aerie.Fleet.Shadow.Supervisor       desired states, which of several gateways acts
@@ -141,7 +141,7 @@ defmodule Aerie.Gateway do
        loops: [CommandExecutor, TransferExecutor, Shadow.Loop, Params.EventDefinitions]},
       {Remote.Supervisor, settings: Remote.Settings.from(config)},
       {Commands.Supervisor,
-       settings: Commands.Settings.from(config), elsewhere: Remote, holder: Shadow.Ownership},
+       settings: Commands.Settings.from(config), remote_gateway: Remote, holder: Shadow.Ownership},
       {Params.CacheWriter, settings: Params.Settings.from(config)},
       {ReadCache.Supervisor, []},
       {Shadow.Supervisor, settings: Shadow.Settings.from(config)},

@@ -22,7 +22,7 @@ defmodule Aerie.Base.Names do
   | `:policies`      | nil                    | `Aerie.Control.Policy.Supervisor`            |
   | `:policy`        | nil                    | `Aerie.Control.Policy.Store`                 |
   | `:ledger`        | nil                    | `Aerie.Control.Ledger`                       |
-  | `:command_door`, `:command_desk`, `:command_tasks`, `:command_recovery` | nil | of `Aerie.Control.Commands.Supervisor` |
+  | `:command_supervisor`, `:command_server`, `:command_tasks`, `:command_recovery` | nil | of `Aerie.Control.Commands.Supervisor` |
   | `:remote_supervisor`, `:remote_listener`, `:remote_announcer` | nil | of `Aerie.Fleet.Remote.Supervisor` |
   | `:transfers`     | `{network, system_id}` | `Aerie.Control.TransferExecutor`            |
   | `:params_cache` | nil                    | `Aerie.Control.Params.CacheWriter`                |

@@ -1,6 +1,6 @@
 defmodule Aerie.Control.Commands do
   @moduledoc """
-  The one door to a vehicle. NATS, REST and Elixir command only by it:
+  The only way to command a vehicle. NATS, REST and Elixir command only by it:
 
       {:ok, result} = Aerie.Control.Commands.submit(gateway, vehicle: "VID-001", type: "takeoff", params: %{altitude: 20})
 
@@ -74,7 +74,7 @@ defmodule Aerie.Control.Commands do
   """
   @spec drain(Names.gateway()) :: [String.t()]
   def drain(gateway) do
-    case Names.value(gateway, :command_desk) do
+    case Names.value(gateway, :command_server) do
       %{grace_ms: grace_ms} -> Server.drain(gateway, grace_ms)
       nil -> []
     end
@@ -94,8 +94,8 @@ defmodule Aerie.Control.Commands do
   that its facts name: what it changes is in `params`, short enough for the audit log. The caller has checked its id and deadline.
   """
   @spec carry_out(Names.gateway(), Command.t(), Change.t(), Roles.source(), [option()]) :: answer()
-  def carry_out(gateway, command, %Change{} = work, source, options),
-    do: pass(gateway, %{command | source: source.name}, source, nil, [work: work] ++ options)
+  def carry_out(gateway, command, %Change{} = change, source, options),
+    do: pass(gateway, %{command | source: source.name}, source, nil, [change: change] ++ options)
 
   defp pass(gateway, command, source, says, options) do
     wait_ms = Keyword.get(options, :wait_ms, :infinity)
@@ -106,7 +106,7 @@ defmodule Aerie.Control.Commands do
       via: via(options),
       says: says,
       progress: progress(options[:progress]),
-      work: options[:work],
+      change: options[:change],
       wait?: wait_ms != 0
     }
 
@@ -195,7 +195,7 @@ defmodule Aerie.Control.Commands do
   defp cease(gateway, %{via: via} = snapshot, _job, id) when via != nil,
     do: RemoteGateway.module(gateway).cancel(gateway, snapshot, id)
 
-  defp cease(gateway, %{key: key}, %{work?: true}, id), do: TransferExecutor.cancel(gateway, key, id)
+  defp cease(gateway, %{key: key}, %{change?: true}, id), do: TransferExecutor.cancel(gateway, key, id)
   defp cease(gateway, %{key: key}, _command, id), do: CommandExecutor.cancel(gateway, key, id)
 
   defp of_vehicle(%{vehicle: vehicle} = job, vehicle, _id), do: {:ok, job}

@@ -54,7 +54,7 @@ defmodule Aerie.Control.Missions do
     type = Map.fetch!(@kinds, kind)
     asked = {"mission", "get", %{"kind" => Atom.to_string(kind)}}
 
-    with :here <- Transfers.read_elsewhere(gateway, vehicle, asked, options, @timeout_ms),
+    with :here <- Transfers.read_remote(gateway, vehicle, asked, options, @timeout_ms),
          {:ok, result} <- read(gateway, vehicle, kind, options),
          {:ok, plan} <- Onboard.put(%Plan{}, type, result.items, protocol(gateway, vehicle)) do
       {:ok,
@@ -151,7 +151,7 @@ defmodule Aerie.Control.Missions do
 
         change = %{
           params: Map.merge(sent("upload", items), forced),
-          elsewhere: put(kind, plan, force),
+          remote_request: put(kind, plan, force),
           review: &review(&1, &2, &3, items, {kind, plan, force}),
           before: &remark(&1, kind, plan)
         }
@@ -168,7 +168,7 @@ defmodule Aerie.Control.Missions do
   def clear(gateway, vehicle, kind, options \\ []) do
     change = %{
       params: sent("clear", []),
-      elsewhere: {"mission", "clear", %{"kind" => Atom.to_string(kind)}},
+      remote_request: {"mission", "clear", %{"kind" => Atom.to_string(kind)}},
       review: &review(&1, &2, &3, [], {kind, %Plan{}, true}),
       before: &removing(gateway, &1, kind)
     }

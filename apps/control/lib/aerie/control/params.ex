@@ -59,7 +59,7 @@ defmodule Aerie.Control.Params do
     {component, options} = Keyword.pop(options, :component)
     asked = {"params", "list", of(component, %{})}
 
-    case Transfers.read_elsewhere(gateway, vehicle, asked, options, @list_ms) do
+    case Transfers.read_remote(gateway, vehicle, asked, options, @list_ms) do
       :here when component == nil -> list_of_autopilot(gateway, vehicle, refresh?, options)
       :here -> list_of_component(gateway, vehicle, component, options)
       {:ok, answer} -> remote_answer(Table.parse(answer))
@@ -156,7 +156,7 @@ defmodule Aerie.Control.Params do
     with :ok <- readable(check_name(name)),
          :ok <- readable(Component.check(component)),
          asked = {"params", "get", of(component, %{"name" => name})},
-         :here <- Transfers.read_elsewhere(gateway, vehicle, asked, options, @one_ms),
+         :here <- Transfers.read_remote(gateway, vehicle, asked, options, @one_ms),
          {:ok, snapshot} <- Transfers.vehicle(gateway, vehicle) do
       transfer = %{
         lanes: [:params],
@@ -201,7 +201,7 @@ defmodule Aerie.Control.Params do
       }
 
       asked = {"params", "set", of(component, %{"name" => name, "value" => value})}
-      change = Map.put(change([name], Map.merge(%{name: name, value: value}, whose)), :elsewhere, asked)
+      change = Map.put(change([name], Map.merge(%{name: name, value: value}, whose)), :remote_request, asked)
 
       Transfers.change(gateway, vehicle, change, transfer, options, fn param ->
         %{"name" => param.name, "value" => param.value}

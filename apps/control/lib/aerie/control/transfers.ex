@@ -52,7 +52,7 @@ defmodule Aerie.Control.Transfers do
           required(:params) => %{atom() => term()},
           optional(:before) => (snapshot :: map() -> (Result.t() -> Result.t())),
           optional(:review) => term(),
-          optional(:elsewhere) => RemoteGateway.request()
+          optional(:remote_request) => RemoteGateway.request()
         }
 
   @doc "The longest time limit that NATS and REST accept, in seconds."
@@ -78,7 +78,7 @@ defmodule Aerie.Control.Transfers do
   Asks the gateway that hears a vehicle to read something, and gives its answer; `:here` for one that is not to be asked for elsewhere:
   this gateway hears it, nobody does, or the question came from another gateway.
   """
-  @spec read_elsewhere(
+  @spec read_remote(
           Names.gateway(),
           String.t(),
           RemoteGateway.request(),
@@ -86,7 +86,7 @@ defmodule Aerie.Control.Transfers do
           timeout_ms :: pos_integer()
         ) ::
           :here | {:ok, %{String.t() => term()}} | {:error, Result.t()}
-  def read_elsewhere(gateway, vehicle, request, options, timeout_ms) do
+  def read_remote(gateway, vehicle, request, options, timeout_ms) do
     with true <- options[:via] != "nats",
          %{via: via} = snapshot when via != nil <- RemoteGateway.vehicle(gateway, vehicle),
          module when module != nil <- RemoteGateway.module(gateway) do
@@ -137,7 +137,7 @@ defmodule Aerie.Control.Transfers do
     work = %Change{
       facts: change.facts,
       review: change[:review],
-      elsewhere: change[:elsewhere],
+      remote_request: change[:remote_request],
       run: fn snapshot, tell ->
         complete = Map.get(change, :before, fn _snapshot -> & &1 end).(snapshot)
         {result, nil} = run(gateway, snapshot, command.id, transfer, options, tell, nil, fn _, acc -> acc end)

@@ -449,7 +449,7 @@ defmodule Aerie.Control.CommandsTest do
     first = command(gateway, "takeoff", id: "a", params: %{altitude: 20})
     from = executing(%{id: "a"})
     drain = Task.async(fn -> Commands.drain(gateway) end)
-    desk = Aerie.Base.Names.whereis(gateway, :command_desk)
+    desk = Aerie.Base.Names.whereis(gateway, :command_server)
     eventually(fn -> :sys.get_state(desk, Aerie.Patience.ms()).draining != nil end)
     assert {:denied, "unavailable"} = gateway |> command("arm") |> rule()
     answer(from, "a", :completed)

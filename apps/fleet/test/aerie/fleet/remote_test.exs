@@ -24,7 +24,7 @@ defmodule Aerie.Fleet.RemoteTest do
     }
 
     start_part(Policy.Supervisor, gateway, sections)
-    door = LinkCase.options(Commands.Supervisor, gateway, sections) ++ [elsewhere: Remote]
+    door = LinkCase.options(Commands.Supervisor, gateway, sections) ++ [remote_gateway: Remote]
     start_supervised!(%{id: :door, start: {Commands.Supervisor, :start_link, [door]}, type: :supervisor})
 
     {:ok, settings} =

@@ -20,7 +20,7 @@ defmodule FleetWeb.Metrics.Clients do
     end
 
     requests = for {{:api, status}, n} <- counters, is_integer(status), do: {[status: status], n}
-    refused = for {{:clients, face, why}, n} <- counters, do: {[face: face, reason: why], n}
+    refused = for {{:clients, interface, why}, n} <- counters, do: {[interface: interface, reason: why], n}
 
     [
       {"gateway_clients", :gauge, "Clients connected or heard, by kind.", sums.(fn _client -> 1 end)},
@@ -42,7 +42,7 @@ defmodule FleetWeb.Metrics.Clients do
        [{[], Enum.count(endpoints, &(&1[:overload] != nil))}]},
       {"gateway_api_requests_total", :counter, "Requests to /api, by status of the answer.",
        Enum.sort(requests)},
-      {"gateway_clients_refused_total", :counter, "Clients refused or disconnected, by face and reason.",
+      {"gateway_clients_refused_total", :counter, "Clients refused or disconnected, by interface and reason.",
        Enum.sort(refused)}
     ]
   end
@@ -50,6 +50,6 @@ defmodule FleetWeb.Metrics.Clients do
   @doc "Whether these families show a counter."
   @spec own?(term()) :: boolean()
   def own?({:api, _status}), do: true
-  def own?({:clients, _face, _why}), do: true
+  def own?({:clients, _interface, _why}), do: true
   def own?(_other), do: false
 end

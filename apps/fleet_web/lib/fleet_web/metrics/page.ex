@@ -44,7 +44,7 @@ defmodule FleetWeb.Metrics.Page do
     {"gateway_recorder_files", [:recording]},
     {"gateway_recorder_dropped", [:recording]},
     {"gateway_recorder_errors", [:recording]},
-    {"gateway_clients_refused_total", [:face, :reason]},
+    {"gateway_clients_refused_total", [:interface, :reason]},
     {"gateway_client_unread_datagrams", [:reason]},
     {"gateway_client_endpoints_overloaded", []},
     {"gateway_client", [:kind]},

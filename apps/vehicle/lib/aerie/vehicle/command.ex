@@ -33,13 +33,13 @@ defmodule Aerie.Vehicle.Command do
         }
 
   @keys ~w(id vehicle type params source issued_at deadline)
-  # What a face adds to the envelope and reads itself.
+  # What an interface adds to the envelope and reads itself.
   @others ~w(signature key)
   @token "1 to 64 letters, digits, - and _"
 
   @doc """
-  A command from a map with text keys, as NATS and REST bring it. `id`, `vehicle`, `type` and `source` must be there; a face
-  that knows some of them from elsewhere (a subject, a path) puts them in. `params` may be missing, times as in
+  A command from a map with text keys, as NATS and REST bring it. `id`, `vehicle`, `type` and `source` must be there; an
+  interface that knows some of them from elsewhere (a subject, a path) adds them. `params` may be missing, times as in
   `Aerie.Vehicle.Command.Deadline`.
   """
   @spec parse(term(), now :: integer()) :: {:ok, t()} | {:error, [Error.t(), ...]}

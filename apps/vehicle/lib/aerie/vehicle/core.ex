@@ -78,7 +78,7 @@ defmodule Aerie.Vehicle.Core do
     collision_detector: Collision.Detector.new(),
     owner: Collision.Owner.new(),
     suspicion: Collision.Suspicion.new(),
-    twin: %{collision: nil, paths: []},
+    other_vehicle: %{collision: nil, paths: []},
     texts: %Texts{},
     reports: Reports.new(),
     streams: Arbiter.new(),
@@ -99,7 +99,7 @@ defmodule Aerie.Vehicle.Core do
   - `heard_again_at`: the first frame after a silence, until the vehicle's clock shows whether it was restarted
   - `settle_at`: when the detector looks again for the cause of a failsafe
   - `confirm_status`: the detector is told the status again, after a crash
-  - `path`: that of the frames at hand; `twin`: the last collision, and what the last `:other_vehicle` action said
+  - `path`: that of the frames at hand; `other_vehicle`: the last collision, and what the last `:other_vehicle` action said
   """
   @type t :: %__MODULE__{}
   @type status :: :online | :stale | :lost
@@ -284,8 +284,9 @@ defmodule Aerie.Vehicle.Core do
     |> Map.merge(view)
   end
 
-  defp collision(%{twin: %{collision: %{at: at} = collision}, now: now}) when now - at < @collision_us,
-    do: collision
+  defp collision(%{other_vehicle: %{collision: %{at: at} = collision}, now: now})
+       when now - at < @collision_us,
+       do: collision
 
   defp collision(_core), do: nil
 

@@ -380,7 +380,7 @@ defmodule Aerie.Vehicle.CoreTest do
       run = both("a", "b")
       core = Core.new(run.core.options, Core.snapshot(run.core))
       {core, _actions} = Core.handle(core, {:tick, 16 * @second})
-      assert core.twin.paths == []
+      assert core.other_vehicle.paths == []
     end
   end
 

@@ -1,6 +1,6 @@
 defmodule Aerie.Control.Commands.Change do
   @moduledoc """
-  Work that passes the door without being a command of the table: setting a parameter, sending a plan, writing a file. It has an envelope like a
+  A change of the vehicle that is not a command of the table: setting a parameter, sending a plan, writing a file. It has an envelope like a
   command, so that ledger, rates, policy, audit log and metrics treat it like one.
   """
 
@@ -9,20 +9,20 @@ defmodule Aerie.Control.Commands.Change do
   alias Aerie.Control.Policy.{Context, Intent}
 
   @enforce_keys [:facts, :run]
-  defstruct [:facts, :run, :review, :elsewhere]
+  defstruct [:facts, :run, :review, :remote_request]
 
   @typedoc """
-    * `:facts` - what the rules judge it by; its type is that of the envelope
-    * `:review` - what the rules have to say beyond that, asked before anything is sent; nil for nothing
-    * `:elsewhere` - how another gateway is asked to do it to a vehicle that it hears (`t:Aerie.Control.Commands.RemoteGateway.request/0`); nil: it
-      is not passed on
-    * `:run` - does it, given the vehicle's snapshot and a function for its progress
+    * `:facts` - the intent by which the rules judge it; its type is that of the envelope
+    * `:review` - a further check by the policy before anything is sent; nil for none
+    * `:remote_request` - the request to the gateway that hears the vehicle (`t:Aerie.Control.Commands.RemoteGateway.request/0`); nil: it is
+      not passed on
+    * `:run` - makes the change, given the vehicle's snapshot and a function that reports progress
   """
   @type t :: %__MODULE__{
           facts: Intent.t(),
           review:
             nil | (Policy.t(), Context.t(), snapshot :: map() -> :allow | {:deny, Policy.rule(), String.t()}),
-          elsewhere: nil | Aerie.Control.Commands.RemoteGateway.request(),
+          remote_request: nil | Aerie.Control.Commands.RemoteGateway.request(),
           run: (snapshot :: map(), (map() -> :ok) -> Result.t())
         }
 end

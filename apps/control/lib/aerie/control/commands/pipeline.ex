@@ -1,10 +1,11 @@
 defmodule Aerie.Control.Commands.Pipeline do
   @moduledoc """
-  The way of one command through the door: known id, rate, vehicle, who holds it, ledger, policy, audit log, claim of the id, ledger
-  again, executor, ledger, audit log. Runs in a task of its own; the deadline is checked between steps.
+  Runs one command through every check, in this order: known id, rate, vehicle, who holds it, ledger, policy, audit log, claim of the id,
+  ledger again, executor, ledger, audit log. It is a task of its own; the deadline is checked between steps.
 
   `unrecorded/3` decides what happens if ledger or audit log cannot be written: the command is denied, unless it holds the
-  vehicle or brings it down, or the configuration says otherwise. Such a command waits only `commands.urgent_s` for either of them.
+  vehicle or brings it down, or the configuration allows it. A command that holds the vehicle or brings it down waits only
+  `commands.urgent_s` for either of them.
   """
 
   alias Aerie.Base.{Names, Store}
@@ -15,28 +16,33 @@ defmodule Aerie.Control.Commands.Pipeline do
   alias Aerie.Control.Policy.{Audit, Context, Intent, Leases, RecentCommands}
 
   @typedoc """
-  Where it runs. `rate` takes a token of the source. `ledger_required?`: nothing is commanded while the ledger cannot be written. `urgent_ms`: how long what holds a
-  vehicle or brings it down waits for the ledger and the audit log, `record_ms`: how long others do. `elsewhere`: the way to
-  vehicles of other gateways; `holder`: how it is known which gateway holds a vehicle, nil if this one is alone.
+  Where it runs.
+
+    * `rate` - takes a token of the source
+    * `ledger_required?` - nothing is sent while the ledger cannot be written
+    * `urgent_ms` - how long a command that holds a vehicle or brings it down waits for the ledger and the audit log
+    * `record_ms` - how long other commands wait for them
+    * `remote_gateway` - passes commands on to the gateways of other vehicles (`Aerie.Control.Commands.RemoteGateway`)
+    * `holder` - knows which gateway holds a vehicle (`Aerie.Control.Commands.Ownership`); nil if this one is alone
   """
   @type environment :: %{
           gateway: Names.gateway(),
-          desk: pid(),
+          server: pid(),
           rate: (Command.t() -> :ok | {:deny, :rate, String.t()}),
           ledger_required?: boolean(),
           urgent_ms: pos_integer(),
           record_ms: pos_integer(),
-          elsewhere: module() | nil,
+          remote_gateway: module() | nil,
           holder: module() | nil
         }
 
-  @doc "Brings a command to its result, which is in ledger, audit log and metrics then."
+  @doc "Runs a command to its result, which is then in the ledger, the audit log and the metrics."
   @spec run(Aerie.Control.Commands.Server.request(), environment()) :: Result.t()
   def run(%{command: command} = request, environment) do
     facts = facts(request)
     patience = if facts.ends_flight?, do: environment.urgent_ms, else: environment.record_ms
 
-    way =
+    ctx =
       Map.merge(environment, %{
         request: request,
         command: command,
@@ -45,37 +51,37 @@ defmodule Aerie.Control.Commands.Pipeline do
         started: System.monotonic_time(:microsecond)
       })
 
-    with :new <- known(way),
-         :ok <- rate(way),
-         {:ok, snapshot} <- vehicle(way),
-         {:ok, snapshot, holding} <- SharedVehicle.evaluate(way, snapshot),
-         {:ok, snapshot} <- reachable(way, snapshot),
-         :ok <- in_time(way),
-         :ok <- admit(way),
-         {:admitted, {:ok, promise}} <- {:admitted, allowed(way, snapshot, holding)} do
-      commanded(way)
+    with :new <- known(ctx),
+         :ok <- rate(ctx),
+         {:ok, snapshot} <- vehicle(ctx),
+         {:ok, snapshot, holding} <- SharedVehicle.evaluate(ctx, snapshot),
+         {:ok, snapshot} <- reachable(ctx, snapshot),
+         :ok <- in_time(ctx),
+         :ok <- admit(ctx),
+         {:admitted, {:ok, promise}} <- {:admitted, allowed(ctx, snapshot, holding)} do
+      commanded(ctx)
 
-      way
+      ctx
       |> Map.put(:promise, promise)
       |> carry_out(snapshot)
-      |> SharedVehicle.done(way, promise)
-      |> finish(way)
+      |> SharedVehicle.done(ctx, promise)
+      |> finish(ctx)
     else
       {:stored, result} -> result
-      {:stop, status, rule, reason} -> Record.refused(way.gateway, request, status, rule, reason)
-      {:admitted, {:known, result}} -> finish(result, way)
-      {:admitted, {:stop, status, rule, reason}} -> stop(way, status, rule, reason)
+      {:stop, status, rule, reason} -> Record.refused(ctx.gateway, request, status, rule, reason)
+      {:admitted, {:known, result}} -> finish(result, ctx)
+      {:admitted, {:stop, status, rule, reason}} -> stop(ctx, status, rule, reason)
     end
   end
 
-  # The shadow waits for everybody else, and not for itself.
+  # Commands of the shadow do not count as operator activity.
   defp commanded(%{request: %{via: "shadow"}}), do: :ok
 
-  defp commanded(%{gateway: gateway, command: command} = way) do
-    RecentCommands.note(gateway, command.vehicle, way.request.source.name, way.facts)
+  defp commanded(%{gateway: gateway, command: command} = ctx) do
+    RecentCommands.note(gateway, command.vehicle, ctx.request.source.name, ctx.facts)
 
     case command do
-      # It is repeated for as long as it is held.
+      # The executor repeats it for as long as it is held.
       %{type: "setpoint_" <> _what, params: %{hold: hold}} ->
         RecentCommands.setpoint(gateway, command.vehicle, round(hold * 1000))
 
@@ -84,10 +90,10 @@ defmodule Aerie.Control.Commands.Pipeline do
     end
   end
 
-  @doc "What the rules judge a request by."
+  @doc "The intent by which the rules judge a request."
   @spec facts(Aerie.Control.Commands.Server.request()) :: Intent.t()
-  def facts(%{work: nil, command: command}), do: Intent.of(command)
-  def facts(%{work: work}), do: work.facts
+  def facts(%{change: nil, command: command}), do: Intent.of(command)
+  def facts(%{change: change}), do: change.facts
 
   @doc "The result of a command whose task died."
   @spec lost(Command.t()) :: Result.t()
@@ -98,7 +104,7 @@ defmodule Aerie.Control.Commands.Pipeline do
         command
       )
 
-  @doc "Writes down the end of a command whose task died."
+  @doc "Records the end of a command whose task died."
   @spec broken(Aerie.Control.Commands.Server.request(), Names.gateway()) :: :ok
   def broken(%{command: command}, gateway) do
     result = lost(command)
@@ -106,82 +112,82 @@ defmodule Aerie.Control.Commands.Pipeline do
     Record.done(gateway, command, result, nil)
   end
 
-  defp known(way) do
-    case Ledger.known(way.gateway, way.command, way.patience) do
-      :in_flight -> {:stored, lost(way.command)}
+  defp known(ctx) do
+    case Ledger.known(ctx.gateway, ctx.command, ctx.patience) do
+      :in_flight -> {:stored, lost(ctx.command)}
       {:refused, reason} -> {:stop, :rejected, :id, reason}
-      # Whether it can be admitted is asked in its turn.
+      # `admit/1` handles the error.
       {:error, _reason} -> :new
       answer -> answer
     end
   end
 
-  # What brings a vehicle down is not counted: a stuck key must not use it up.
+  # Commands that bring a vehicle down are exempt, so that a stuck key cannot exhaust the rate limit.
   defp rate(%{facts: %{ends_flight?: true}}), do: :ok
 
-  defp rate(way) do
-    with {:deny, :rate, reason} <- way.rate.(way.command), do: {:stop, :denied, :rate, reason}
+  defp rate(ctx) do
+    with {:deny, :rate, reason} <- ctx.rate.(ctx.command), do: {:stop, :denied, :rate, reason}
   end
 
-  defp vehicle(way) do
-    case known_vehicle(way) do
-      nil -> {:stop, :rejected, :vehicle, "there is no vehicle #{way.command.vehicle}"}
+  defp vehicle(ctx) do
+    case known_vehicle(ctx) do
+      nil -> {:stop, :rejected, :vehicle, "there is no vehicle #{ctx.command.vehicle}"}
       snapshot -> {:ok, snapshot}
     end
   end
 
-  defp reachable(%{request: %{work: %{elsewhere: nil}}}, %{via: via}) when via != nil,
+  defp reachable(%{request: %{change: %{remote_request: nil}}}, %{via: via}) when via != nil,
     do: {:stop, :rejected, :elsewhere, RemoteGateway.only(via)}
 
-  defp reachable(_way, snapshot), do: {:ok, snapshot}
+  defp reachable(_ctx, snapshot), do: {:ok, snapshot}
 
-  # What another gateway passed on is not passed on again.
-  defp known_vehicle(%{elsewhere: elsewhere, request: %{via: via}} = way)
-       when elsewhere == nil or via == "nats",
-       do: Store.vehicle(way.gateway, way.command.vehicle)
+  # A command from another gateway is not passed on again.
+  defp known_vehicle(%{remote_gateway: remote_gateway, request: %{via: via}} = ctx)
+       when remote_gateway == nil or via == "nats",
+       do: Store.vehicle(ctx.gateway, ctx.command.vehicle)
 
-  defp known_vehicle(way), do: RemoteGateway.vehicle(way.gateway, way.command.vehicle)
+  defp known_vehicle(ctx), do: RemoteGateway.vehicle(ctx.gateway, ctx.command.vehicle)
 
-  defp in_time(way) do
-    if Command.expired?(way.command, System.os_time(:microsecond)),
+  defp in_time(ctx) do
+    if Command.expired?(ctx.command, System.os_time(:microsecond)),
       do: {:stop, :expired, :deadline, "its deadline passed before it was sent"},
       else: :ok
   end
 
-  defp admit(way) do
-    case Ledger.admit(way.gateway, way.command, way.patience) do
+  defp admit(ctx) do
+    case Ledger.admit(ctx.gateway, ctx.command, ctx.patience) do
       :new -> :ok
-      :in_flight -> {:stored, lost(way.command)}
+      :in_flight -> {:stored, lost(ctx.command)}
       {:stored, result} -> {:stored, result}
-      {_refused_or_error, reason} -> unrecorded(way, :ledger, reason)
+      {_refused_or_error, reason} -> unrecorded(ctx, :ledger, reason)
     end
   end
 
-  defp allowed(way, snapshot, holding) do
-    with :ok <- decide(way, snapshot),
-         :ok <- setpoints(way, snapshot),
-         :ok <- in_time(way),
-         {:ok, holding} <- SharedVehicle.claim(way, holding),
-         :ok <- sending(way),
-         do: SharedVehicle.send?(way, holding)
+  defp allowed(ctx, snapshot, holding) do
+    with :ok <- decide(ctx, snapshot),
+         :ok <- setpoints(ctx, snapshot),
+         :ok <- in_time(ctx),
+         {:ok, holding} <- SharedVehicle.claim(ctx, holding),
+         :ok <- sending(ctx),
+         do: SharedVehicle.send?(ctx, holding)
   end
 
-  defp setpoints(_way, %{via: via}) when via != nil, do: :ok
+  defp setpoints(_ctx, %{via: via}) when via != nil, do: :ok
 
-  defp setpoints(%{request: %{work: nil}} = way, snapshot) do
-    with {:error, reason} <- OffboardPrecondition.check(way.gateway, way.command, snapshot),
+  defp setpoints(%{request: %{change: nil}} = ctx, snapshot) do
+    with {:error, reason} <- OffboardPrecondition.check(ctx.gateway, ctx.command, snapshot),
          do: {:stop, :rejected, :setpoints, reason}
   end
 
-  defp setpoints(_work, _snapshot), do: :ok
+  defp setpoints(_change, _snapshot), do: :ok
 
-  defp decide(%{gateway: gateway, request: request, facts: facts} = way, snapshot) do
+  defp decide(%{gateway: gateway, request: request, facts: facts} = ctx, snapshot) do
     context = Context.of(gateway, snapshot, request.source, System.os_time(:microsecond))
 
     with %Policy{} = policy <- Policy.Store.get(gateway),
          :allow <- Policy.decide(policy, facts, context),
-         :allow <- review(request.work, policy, context, snapshot),
-         recorded = Audit.append(gateway, Record.decision(request, :allow), way.patience),
+         :allow <- review(request.change, policy, context, snapshot),
+         recorded = Audit.append(gateway, Record.decision(request, :allow), ctx.patience),
          :allow <- Audit.verdict(recorded, facts, policy.audit_required) do
       Record.decided(gateway, :allow, nil)
     else
@@ -199,23 +205,23 @@ defmodule Aerie.Control.Commands.Pipeline do
 
   defp review(_none, _policy, _context, _snapshot), do: :allow
 
-  defp carry_out(way, %{via: via} = snapshot) when via != nil do
-    progress = fn told -> send(way.desk, {:command_progress, way.command.id, told}) end
-    pass_on(way.request.work, way, snapshot, progress)
+  defp carry_out(ctx, %{via: via} = snapshot) when via != nil do
+    progress = fn told -> send(ctx.server, {:command_progress, ctx.command.id, told}) end
+    pass_on(ctx.request.change, ctx, snapshot, progress)
   end
 
-  defp carry_out(%{facts: %{control: nil}} = way, snapshot), do: execute(way, snapshot)
+  defp carry_out(%{facts: %{control: nil}} = ctx, snapshot), do: execute(ctx, snapshot)
 
-  # A vehicle that has an operator of its own (X15) is asked first. Who lets go of one that does not answer is not kept.
-  defp carry_out(%{facts: %{control: change}} = way, snapshot) do
-    result = if asked?(snapshot), do: execute(way, snapshot), else: Result.new(way.command.id, :completed)
+  # A vehicle that has an operator of its own (X15) is asked first. A release succeeds even if the vehicle does not answer.
+  defp carry_out(%{facts: %{control: change}} = ctx, snapshot) do
+    result = if asked?(snapshot), do: execute(ctx, snapshot), else: Result.new(ctx.command.id, :completed)
 
     if result.status in [:accepted, :completed] or change == :release do
-      %Policy{lease: rules} = Policy.Store.get(way.gateway)
+      %Policy{lease: rules} = Policy.Store.get(ctx.gateway)
 
-      case Leases.change(way.gateway, snapshot.key, change, way.request.source, way.request.via, rules) do
+      case Leases.change(ctx.gateway, snapshot.key, change, ctx.request.source, ctx.request.via, rules) do
         {:ok, _lease} -> result
-        {:deny, reason} -> Result.new(way.command.id, :denied, reason, %{"rule" => "lease"})
+        {:deny, reason} -> Result.new(ctx.command.id, :denied, reason, %{"rule" => "lease"})
       end
     else
       result
@@ -225,69 +231,69 @@ defmodule Aerie.Control.Commands.Pipeline do
   defp asked?(%{status: :lost}), do: false
   defp asked?(snapshot), do: get_in(snapshot.groups, [:operator, :data, :system]) != nil
 
-  defp execute(%{request: %{work: nil}} = way, snapshot),
+  defp execute(%{request: %{change: nil}} = ctx, snapshot),
     do:
-      CommandExecutor.submit(way.gateway, snapshot.key, way.command,
-        progress: way.desk,
-        still?: SharedVehicle.still?(way)
+      CommandExecutor.submit(ctx.gateway, snapshot.key, ctx.command,
+        progress: ctx.server,
+        still?: SharedVehicle.still?(ctx)
       )
 
-  defp execute(%{request: %{work: work}, desk: desk, command: command}, snapshot) do
-    work.run.(snapshot, fn progress ->
-      send(desk, {:command_progress, command.id, progress})
+  defp execute(%{request: %{change: change}, server: server, command: command}, snapshot) do
+    change.run.(snapshot, fn progress ->
+      send(server, {:command_progress, command.id, progress})
       :ok
     end)
   end
 
-  defp pass_on(nil, way, snapshot, progress),
-    do: way.elsewhere.submit(way.gateway, snapshot, way.command, way.request, progress)
+  defp pass_on(nil, ctx, snapshot, progress),
+    do: ctx.remote_gateway.submit(ctx.gateway, snapshot, ctx.command, ctx.request, progress)
 
-  defp pass_on(%{elsewhere: request}, %{command: command} = way, snapshot, progress) do
+  defp pass_on(%{remote_request: request}, %{command: command} = ctx, snapshot, progress) do
     left_ms = max(div(command.deadline - System.os_time(:microsecond), 1000), 1)
-    who = "#{way.request.source.name} by #{way.request.via}"
+    who = "#{ctx.request.source.name} by #{ctx.request.via}"
 
-    case way.elsewhere.transfer(way.gateway, snapshot, command.id, request, who, left_ms, progress) do
+    case ctx.remote_gateway.transfer(ctx.gateway, snapshot, command.id, request, who, left_ms, progress) do
       {:ok, details} -> Result.new(command.id, :completed, nil, details)
       {:error, result} -> result
     end
   end
 
-  # Sent twice, a value, a plan or a file is the same as sent once.
-  defp retry(%{work: nil, command: command}), do: Command.type(command).retry
-  defp retry(_work), do: :safe
+  # A value, a plan or a file may be sent twice.
+  defp retry(%{change: nil, command: command}), do: Command.type(command).retry
+  defp retry(_change), do: :safe
 
-  defp sending(way) do
-    retry = retry(way.request)
+  defp sending(ctx) do
+    retry = retry(ctx.request)
 
-    case Ledger.sending(way.gateway, way.command.id, retry, way.patience) do
+    case Ledger.sending(ctx.gateway, ctx.command.id, retry, ctx.patience) do
       :ok -> :ok
-      # Whether it was done before, nobody knows.
+      # It is unknown whether it was done before.
       {:refused, reason} when retry == :never -> {:stop, :denied, :ledger, reason}
-      {_refused_or_error, reason} -> unrecorded(way, :ledger, reason)
+      {_refused_or_error, reason} -> unrecorded(ctx, :ledger, reason)
     end
   end
 
   defp unrecorded(%{facts: %{ends_flight?: true}}, _where, _reason), do: :ok
   defp unrecorded(%{ledger_required?: false}, _where, _reason), do: :ok
 
-  defp unrecorded(way, where, reason) do
+  defp unrecorded(ctx, where, reason) do
     {:stop, :denied, where,
-     "#{way.command.type} must be kept from being done twice, and the ledger cannot be written (#{reason})"}
+     "#{ctx.command.type} must be kept from being done twice, and the ledger cannot be written (#{reason})"}
   end
 
-  # It is in the ledger, so its refusal is, too: who asks again gets the same.
-  defp stop(way, status, rule, reason) do
-    result = Record.refused(way.gateway, way.request, status, rule, reason)
-    _ = Ledger.finish(way.gateway, result, way.patience)
+  # The command is in the ledger, so the refusal is stored and a retry gets the same result.
+  defp stop(ctx, status, rule, reason) do
+    result = Record.refused(ctx.gateway, ctx.request, status, rule, reason)
+    _ = Ledger.finish(ctx.gateway, result, ctx.patience)
     result
   end
 
-  defp finish(result, way) do
-    result = complete(result, way.command)
+  defp finish(result, ctx) do
+    result = complete(result, ctx.command)
 
-    # A vehicle has done it, or not; that it could not be written down changes nothing, and the ledger tells it by itself.
-    _ = Ledger.finish(way.gateway, result, way.patience)
-    Record.done(way.gateway, way.command, result, System.monotonic_time(:microsecond) - way.started)
+    # A failed write does not change what the vehicle did, and the ledger reports it.
+    _ = Ledger.finish(ctx.gateway, result, ctx.patience)
+    Record.done(ctx.gateway, ctx.command, result, System.monotonic_time(:microsecond) - ctx.started)
     result
   end
 

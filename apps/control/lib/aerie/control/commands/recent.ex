@@ -3,7 +3,7 @@ defmodule Aerie.Control.Commands.Recent do
 
   @moduledoc """
   The commands under way and the last #{@max} that ended, of all vehicles and all operators: a table of the store that everybody
-  may read. The desk writes it; subscribers of `{:commands, vehicle}` (`Aerie.Base.PubSub`) get the id of the command that changed.
+  may read. `Aerie.Control.Commands.Server` writes it; subscribers of `{:commands, vehicle}` (`Aerie.Base.PubSub`) get the id of the command that changed.
 
       {{:under_way, id}, entry}     {{:done, n}, entry}
   """
@@ -86,7 +86,7 @@ defmodule Aerie.Control.Commands.Recent do
     end
   end
 
-  @doc "An earlier desk is gone: what it had under way has an unknown end."
+  @doc "The server was restarted: what it had under way has an unknown end."
   @spec abandoned(Names.gateway()) :: :ok
   def abandoned(gateway) do
     ids =

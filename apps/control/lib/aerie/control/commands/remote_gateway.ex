@@ -46,7 +46,8 @@ defmodule Aerie.Control.Commands.RemoteGateway do
 
   @doc "The module that reaches vehicles of other gateways; nil if there is none."
   @spec module(Names.gateway()) :: module() | nil
-  def module(gateway), do: with(%{elsewhere: module} <- Names.value(gateway, :command_desk), do: module)
+  def module(gateway),
+    do: with(%{remote_gateway: module} <- Names.value(gateway, :command_server), do: module)
 
   @doc "The snapshot of a vehicle, wherever it is heard; nil if it is not known."
   @spec vehicle(Names.gateway(), id :: String.t()) :: map() | nil

@@ -1,9 +1,9 @@
 defmodule Aerie.Control.Commands.Server do
   @moduledoc """
-  Where commands arrive: which are under way, who waits for them, how many there may be, and how often each source may command.
+  Receives commands: keeps those under way, their waiting callers, the limit on their number, and the rate of each source.
 
-  The desk waits for nobody. A task (`Aerie.Control.Commands.Pipeline`) brings each command through ledger, policy and executor, and goes
-  on if its sender is gone.
+  This process never blocks. A task (`Aerie.Control.Commands.Pipeline`) takes each command through ledger, policy and executor, and
+  continues if its sender is gone.
   """
   use GenServer
 
@@ -14,18 +14,18 @@ defmodule Aerie.Control.Commands.Server do
   alias Aerie.Control.Policy
   alias Aerie.Control.Policy.{Rate, Roles}
 
-  # Places beyond `max_in_flight` for what holds a vehicle or brings it down.
+  # Places beyond `max_in_flight` for commands that hold a vehicle or bring it down.
   @reserve 64
-  # Of one command; whoever came first is told that it is under way, and may ask again.
+  # For one command; beyond that the first caller is told that it is under way, and may ask again.
   @max_waiting 8
-  # For the answer, after the grace time: an answer that is late on a busy machine must not read as "nothing is left".
+  # Extra time for the answer after the grace time: a late answer on a busy machine must not read as "no command is left".
   @drained_ms 30_000
 
   @typedoc """
-    * `:source` - who commands, as authentication found out; the command's source is its name
+    * `:source` - the authenticated sender; the command's source is its name
     * `:via` - `"nats"`, `"rest"` or `"elixir"`; `:says` - the source that the envelope names
-    * `:progress` - a process that is told of the progress, with a term that it wants to have in the message
-    * `:work` - what is to be done if it is no command of the table
+    * `:progress` - a process to notify of progress, and a term for the message
+    * `:change` - the change to make, if it is not a command of the table
     * `:wait?` - whether the caller wants the result, or only to know that the command is under way
   """
   @type request :: %{
@@ -34,13 +34,13 @@ defmodule Aerie.Control.Commands.Server do
           via: String.t(),
           says: String.t() | nil,
           progress: {pid(), term()} | nil,
-          work: Change.t() | nil,
+          change: Change.t() | nil,
           wait?: boolean()
         }
 
   @typedoc """
-  A command under way; `progress` is the vehicle's last word about it, `permission` what is needed to cancel it. `work?`: it is no
-  command of the table.
+  A command under way; `progress` is the vehicle's last word about it, `permission` what is needed to cancel it. `change?`: it is
+  not a command of the table.
   """
   @type under_way :: %{
           vehicle: String.t(),
@@ -48,26 +48,26 @@ defmodule Aerie.Control.Commands.Server do
           source: String.t(),
           progress: map() | nil,
           permission: Command.Type.permission(),
-          work?: boolean()
+          change?: boolean()
         }
 
   @doc """
-  `:elsewhere`: the way to vehicles of other gateways (`Aerie.Control.Commands.RemoteGateway`); `:holder`: who holds a vehicle
-  (`Aerie.Control.Commands.Ownership`).
+  `:remote_gateway` passes commands on to other gateways (`Aerie.Control.Commands.RemoteGateway`); `:holder` knows which gateway holds a
+  vehicle (`Aerie.Control.Commands.Ownership`).
   """
   @spec start_link(
           gateway: Names.gateway(),
           settings: Settings.t(),
-          elsewhere: module() | nil,
+          remote_gateway: module() | nil,
           holder: module() | nil
         ) :: GenServer.on_start()
   def start_link(options),
-    do: GenServer.start_link(__MODULE__, options, name: Names.via(options[:gateway], :command_desk))
+    do: GenServer.start_link(__MODULE__, options, name: Names.via(options[:gateway], :command_server))
 
-  @doc "A command has come. Waits for its result for `wait_ms`; `:pending`: it goes on without the caller."
+  @doc "Submits a command and waits `wait_ms` for its result; `:pending`: it continues without the caller."
   @spec submit(Names.gateway(), request(), timeout()) :: {:ok, Result.t()} | {:pending, String.t()}
   def submit(gateway, %{command: %{id: id}} = request, wait_ms) do
-    GenServer.call(Names.via(gateway, :command_desk), {:submit, request}, wait_ms)
+    GenServer.call(Names.via(gateway, :command_server), {:submit, request}, wait_ms)
   catch
     :exit, {:timeout, _call} ->
       {:pending, id}
@@ -81,12 +81,12 @@ defmodule Aerie.Control.Commands.Server do
   end
 
   @doc """
-  Takes no more commands and waits for those under way, `grace_ms` at most. Whoever waits for the result of one that is left then
-  is told that it is unknown. Gives the ids of those that are left.
+  Takes no more commands and waits for those under way, `grace_ms` at most. Callers of the commands that are left then get the
+  result `unknown`. Returns the ids of those commands.
   """
   @spec drain(Names.gateway(), grace_ms :: non_neg_integer()) :: [String.t()]
   def drain(gateway, grace_ms) do
-    GenServer.call(Names.via(gateway, :command_desk), {:drain, grace_ms}, grace_ms + @drained_ms)
+    GenServer.call(Names.via(gateway, :command_server), {:drain, grace_ms}, grace_ms + @drained_ms)
   catch
     :exit, _gone -> []
   end
@@ -96,19 +96,19 @@ defmodule Aerie.Control.Commands.Server do
   def under_way(gateway, id), do: call(gateway, {:under_way, id}, nil)
 
   defp call(gateway, message, absent) do
-    GenServer.call(Names.via(gateway, :command_desk), message)
+    GenServer.call(Names.via(gateway, :command_server), message)
   catch
     :exit, _gone -> absent
   end
 
   @impl GenServer
   def init(options) do
-    %{gateway: gateway, settings: settings, elsewhere: elsewhere, holder: holder} = Map.new(options)
-    Process.set_label({:command_desk, gateway})
+    %{gateway: gateway, settings: settings, remote_gateway: remote_gateway, holder: holder} = Map.new(options)
+    Process.set_label({:command_server, gateway})
     Recent.abandoned(gateway)
 
-    Names.put_value(gateway, :command_desk, %{
-      elsewhere: elsewhere,
+    Names.put_value(gateway, :command_server, %{
+      remote_gateway: remote_gateway,
       holder: holder,
       grace_ms: settings.grace_ms
     })
@@ -117,7 +117,7 @@ defmodule Aerie.Control.Commands.Server do
      %{
        gateway: gateway,
        settings: settings,
-       elsewhere: elsewhere,
+       remote_gateway: remote_gateway,
        holder: holder,
        jobs: %{},
        tasks: %{},
@@ -128,7 +128,7 @@ defmodule Aerie.Control.Commands.Server do
 
   @doc "How it is known who holds a vehicle; nil if this gateway is alone."
   @spec holder(Names.gateway()) :: module() | nil
-  def holder(gateway), do: with(%{holder: module} <- Names.value(gateway, :command_desk), do: module)
+  def holder(gateway), do: with(%{holder: module} <- Names.value(gateway, :command_server), do: module)
 
   @impl GenServer
   def handle_call({:submit, %{command: %{id: id} = command} = request}, from, state) do
@@ -164,7 +164,7 @@ defmodule Aerie.Control.Commands.Server do
           source: command.source,
           progress: progress,
           permission: Pipeline.facts(request).permission,
-          work?: request.work != nil
+          change?: request.change != nil
         }
       end
 
@@ -237,12 +237,12 @@ defmodule Aerie.Control.Commands.Server do
     if map_size(state.jobs) < state.settings.max_in_flight + reserve do
       environment = %{
         gateway: state.gateway,
-        desk: self(),
+        server: self(),
         rate: rate(self()),
         ledger_required?: state.settings.ledger.required,
         urgent_ms: state.settings.urgent_ms,
         record_ms: state.settings.record_ms,
-        elsewhere: state.elsewhere,
+        remote_gateway: state.remote_gateway,
         holder: state.holder
       }
 
@@ -258,7 +258,7 @@ defmodule Aerie.Control.Commands.Server do
   end
 
   # Takes a token for a command of its source; for the task.
-  defp rate(desk), do: fn command -> GenServer.call(desk, {:rate, command}) end
+  defp rate(server), do: fn command -> GenServer.call(server, {:rate, command}) end
 
   defp join(state, job, request, from) do
     id = request.command.id

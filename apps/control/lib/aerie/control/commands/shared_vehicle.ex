@@ -11,37 +11,37 @@ defmodule Aerie.Control.Commands.SharedVehicle do
   # For a claim that nobody needs.
   @alone_ms 500
 
-  @type way :: map()
+  @type ctx :: map()
   @type stop :: {:stop, Result.status(), rule :: atom(), reason :: String.t()}
 
   @doc """
   Finds out who holds the vehicle. If another gateway does, the snapshot is that of a vehicle which is reached by that one (`:via`); such a
   command, and one for a vehicle that is not heard here, needs no claim of this gateway (nil).
   """
-  @spec evaluate(way(), snapshot :: map()) :: {:ok, map(), OwnershipCheck.t() | nil} | stop()
+  @spec evaluate(ctx(), snapshot :: map()) :: {:ok, map(), OwnershipCheck.t() | nil} | stop()
   def evaluate(%{holder: nil}, snapshot), do: {:ok, snapshot, nil}
   def evaluate(_way, %{via: via} = snapshot) when via != nil, do: {:ok, snapshot, nil}
 
-  def evaluate(%{request: request, patience: patience} = way, snapshot),
-    do: evaluate(way, snapshot, OwnershipCheck.new(now() + patience, request.via == "nats"))
+  def evaluate(%{request: request, patience: patience} = ctx, snapshot),
+    do: evaluate(ctx, snapshot, OwnershipCheck.new(now() + patience, request.via == "nats"))
 
-  defp evaluate(way, snapshot, holding) do
-    case OwnershipCheck.handle(holding, {:holder, holder(way), now()}) do
+  defp evaluate(ctx, snapshot, holding) do
+    case OwnershipCheck.handle(holding, {:holder, holder(ctx), now()}) do
       {holding, :go_on} -> {:ok, snapshot, holding}
-      {_over, {:pass_on, name}} -> pass_on(way, snapshot, name)
+      {_over, {:pass_on, name}} -> pass_on(ctx, snapshot, name)
       {_over, {:refuse, rule, why}} -> refuse(rule, why)
-      {holding, {:again, ms}} -> again(ms, way, snapshot, holding)
+      {holding, {:again, ms}} -> again(ms, ctx, snapshot, holding)
     end
   end
 
-  defp again(ms, way, snapshot, holding) do
+  defp again(ms, ctx, snapshot, holding) do
     receive do
     after
-      ms -> evaluate(way, snapshot, holding)
+      ms -> evaluate(ctx, snapshot, holding)
     end
   end
 
-  defp pass_on(%{elsewhere: nil}, _snapshot, name),
+  defp pass_on(%{remote_gateway: nil}, _snapshot, name),
     do: refuse(:holder, "the gateway #{name} holds the vehicle")
 
   defp pass_on(%{holder: holder, gateway: gateway}, snapshot, name),
@@ -51,7 +51,7 @@ defmodule Aerie.Control.Commands.SharedVehicle do
   A vehicle's snapshot as that of one which is reached by another gateway (`:via`), if another one holds it. `:holds?` says whether it still
   does.
   """
-  @spec by(module() | nil, Names.gateway(), snapshot :: map()) :: map()
+  @spec by(module() | nil, Names.gatectx(), snapshot :: map()) :: map()
   def by(nil, _gateway, snapshot), do: snapshot
   def by(_holder, _gateway, %{via: via} = snapshot) when via != nil, do: snapshot
   def by(holder, gateway, snapshot), do: by(holder, gateway, snapshot, holder.holder(gateway, snapshot.id))
@@ -64,14 +64,14 @@ defmodule Aerie.Control.Commands.SharedVehicle do
   defp by(_holder, _gateway, snapshot, _mine_or_unknown), do: snapshot
 
   @doc "Claims the id of a command that this gateway is to send."
-  @spec claim(way(), OwnershipCheck.t() | nil) ::
+  @spec claim(ctx(), OwnershipCheck.t() | nil) ::
           {:ok, OwnershipCheck.t() | nil} | {:known, Result.t()} | stop()
   def claim(_way, nil), do: {:ok, nil}
 
-  def claim(%{holder: holder, command: command} = way, holding) do
-    with {holding, :claim} <- OwnershipCheck.handle(holding, {:holder, holder(way), now()}),
-         patience = if(holding.lease == :alone, do: min(@alone_ms, way.patience), else: way.patience),
-         claimed = holder.claim(way.gateway, command.vehicle, command.id, patience),
+  def claim(%{holder: holder, command: command} = ctx, holding) do
+    with {holding, :claim} <- OwnershipCheck.handle(holding, {:holder, holder(ctx), now()}),
+         patience = if(holding.lease == :alone, do: min(@alone_ms, ctx.patience), else: ctx.patience),
+         claimed = holder.claim(ctx.gateway, command.vehicle, command.id, patience),
          {holding, :go_on} <- OwnershipCheck.handle(holding, {:claimed, claimed}) do
       {:ok, holding}
     else
@@ -86,11 +86,11 @@ defmodule Aerie.Control.Commands.SharedVehicle do
       Result.new(id, :unknown, "the gateway #{by} had this command, and what became of it is not known here")
 
   @doc "Whether it may be sent now, and what then holds: that no gateway of the fleet sends it again, or that this one does not."
-  @spec send?(way(), OwnershipCheck.t() | nil) :: {:ok, :fleet | :gateway | nil} | stop()
+  @spec send?(ctx(), OwnershipCheck.t() | nil) :: {:ok, :fleet | :gateway | nil} | stop()
   def send?(_way, nil), do: {:ok, nil}
 
-  def send?(way, holding) do
-    case OwnershipCheck.handle(holding, {:send?, holder(way), now()}) do
+  def send?(ctx, holding) do
+    case OwnershipCheck.handle(holding, {:send?, holder(ctx), now()}) do
       {_over, {:send, promise}} -> {:ok, promise}
       {_over, {:refuse, rule, why}} -> refuse(rule, why)
     end
@@ -98,16 +98,16 @@ defmodule Aerie.Control.Commands.SharedVehicle do
 
   @doc """
   Whether the vehicle is still held, for the executor of a command that sends more than one message; nil if no other gateway can hold it.
-  `:promise` of the way is what `send?/2` said.
+  `:promise` of the context is the answer of `send?/2`.
   """
-  @spec still?(way()) :: (-> boolean()) | nil
+  @spec still?(ctx()) :: (-> boolean()) | nil
   def still?(%{promise: nil}), do: nil
   # Its shadow may be restarting, so that it knows nothing for a moment.
-  def still?(%{promise: :gateway} = way), do: fn -> not match?({:other, _name}, holder(way)) end
+  def still?(%{promise: :gateway} = ctx), do: fn -> not match?({:other, _name}, holder(ctx)) end
 
-  def still?(way) do
+  def still?(ctx) do
     fn ->
-      case holder(way) do
+      case holder(ctx) do
         :alone -> true
         {:mine, until} -> now() < until
         _other_or_unknown -> false
@@ -116,12 +116,12 @@ defmodule Aerie.Control.Commands.SharedVehicle do
   end
 
   @doc "Tells the others of the result, and says in it what holds."
-  @spec done(Result.t(), way(), :fleet | :gateway | nil) :: Result.t()
+  @spec done(Result.t(), ctx(), :fleet | :gateway | nil) :: Result.t()
   def done(result, _way, nil), do: result
 
-  def done(result, %{holder: holder} = way, promise) do
+  def done(result, %{holder: holder} = ctx, promise) do
     result = %{result | details: Map.put(result.details, "once", Atom.to_string(promise))}
-    :ok = holder.done(way.gateway, way.command.vehicle, result)
+    :ok = holder.done(ctx.gateway, ctx.command.vehicle, result)
     result
   end
 

@@ -1,9 +1,8 @@
 defmodule Aerie.Control.Commands.Supervisor do
   @moduledoc """
-  The door to the vehicles: the ledger, the desk, the tasks that bring commands through, and the recovery of what an earlier run
-  left behind.
+  The ledger, the server of commands, their tasks, and the recovery of what an earlier run left under way.
 
-  If one dies, all restart (`one_for_all`): what was under way then is `unknown` in the ledger, as after a kill, and is observed.
+  If one dies, all restart (`one_for_all`): what was under way becomes `unknown` in the ledger, as after a kill, and is observed.
   """
   use Supervisor
 
@@ -12,19 +11,24 @@ defmodule Aerie.Control.Commands.Supervisor do
   alias Aerie.Control.Ledger
 
   @doc """
-  `:elsewhere`: the way to vehicles of other gateways (`Aerie.Control.Commands.RemoteGateway`); without one there are none. `:holder`: who holds
-  a vehicle (`Aerie.Control.Commands.Ownership`); without one this gateway is alone.
+  `:remote_gateway` passes commands on to other gateways (`Aerie.Control.Commands.RemoteGateway`); without it there are none. `:holder` knows which
+  gateway holds a vehicle (`Aerie.Control.Commands.Ownership`); without one this gateway is alone.
   """
-  @spec start_link(gateway: Names.gateway(), settings: Settings.t(), elsewhere: module(), holder: module()) ::
+  @spec start_link(
+          gateway: Names.gateway(),
+          settings: Settings.t(),
+          remote_gateway: module(),
+          holder: module()
+        ) ::
           Supervisor.on_start()
   def start_link(options),
-    do: Supervisor.start_link(__MODULE__, options, name: Names.via(options[:gateway], :command_door))
+    do: Supervisor.start_link(__MODULE__, options, name: Names.via(options[:gateway], :command_supervisor))
 
   @impl Supervisor
   def init(options) do
     gateway = Keyword.fetch!(options, :gateway)
     %Settings{ledger: ledger} = settings = Keyword.fetch!(options, :settings)
-    Process.set_label({:command_door, gateway})
+    Process.set_label({:command_supervisor, gateway})
 
     Supervisor.init(
       [
@@ -35,7 +39,10 @@ defmodule Aerie.Control.Commands.Supervisor do
          max_age_s: round(ledger.max_age_s)},
         {Task.Supervisor, name: Names.via(gateway, :command_tasks)},
         {Server,
-         gateway: gateway, settings: settings, elsewhere: options[:elsewhere], holder: options[:holder]},
+         gateway: gateway,
+         settings: settings,
+         remote_gateway: options[:remote_gateway],
+         holder: options[:holder]},
         {Recovery, gateway: gateway},
         {LeaseAnnouncer, gateway: gateway}
       ],

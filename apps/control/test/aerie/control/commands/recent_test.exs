@@ -71,11 +71,11 @@ defmodule Aerie.Control.Commands.RecentTest do
     assert [%{id: "land", result: %{status: :accepted}}] = Commands.recent(gateway, "VID-007", 1)
   end
 
-  test "the desk dies: what was under way has an unknown end", %{tmp_dir: dir} do
+  test "the server of commands dies: what was under way has an unknown end", %{tmp_dir: dir} do
     gateway = start_door(dir)
     {:pending, "h1"} = Commands.submit(gateway, vehicle: "VID-007", type: "hold", id: "h1", wait_ms: 0)
     _from = executing(%{id: "h1"})
-    Process.exit(Aerie.Base.Names.whereis(gateway, :command_desk), :kill)
+    Process.exit(Aerie.Base.Names.whereis(gateway, :command_server), :kill)
 
     assert eventually(fn -> match?([%{result: %{status: :unknown}}], Commands.recent(gateway, "VID-007")) end)
   end

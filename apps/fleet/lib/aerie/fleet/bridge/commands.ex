@@ -244,7 +244,7 @@ defmodule Aerie.Fleet.Bridge.Commands do
 
   defp run(state, message, phase) do
     %{gateway: gateway, tables: tables} = state
-    face = self()
+    server = self()
     under_way = map_size(state.running)
 
     # This process never waits for the connection, which may be busy with a flood.
@@ -252,7 +252,7 @@ defmodule Aerie.Fleet.Bridge.Commands do
       Task.Supervisor.async_nolink(state.tasks, fn ->
         if phase == :busy,
           do: reply(tables, message, busy(under_way)),
-          else: answer(gateway, tables, face, message)
+          else: answer(gateway, tables, server, message)
       end)
 
     entry = %{message: message, phase: phase, pid: task.pid}
@@ -269,11 +269,11 @@ defmodule Aerie.Fleet.Bridge.Commands do
     refusal(%{}, :busy, reason)
   end
 
-  defp answer(gateway, tables, face, message) do
+  defp answer(gateway, tables, server, message) do
     body =
       with {:ok, request} <- Request.read(message, Policy.Store.get(gateway), System.os_time(:microsecond)),
-           :ok <- admitted(face, request, Request.signature(message)) do
-        obey(gateway, face, message.topic, request)
+           :ok <- admitted(server, request, Request.signature(message)) do
+        obey(gateway, server, message.topic, request)
       else
         {:refused, envelope, {rule, reason}} -> turn_away(gateway, envelope, rule, reason)
         {:busy, number} -> busy(number)
@@ -285,8 +285,8 @@ defmodule Aerie.Fleet.Bridge.Commands do
   # An unsigned one has its place already.
   defp admitted(_face, _request, nil), do: :ok
 
-  defp admitted(face, request, signature),
-    do: GenServer.call(face, {:verified, request.type, signature}, :infinity)
+  defp admitted(server, request, signature),
+    do: GenServer.call(server, {:verified, request.type, signature}, :infinity)
 
   defp obey(gateway, _face, _topic, %{type: "cancel", envelope: %{"id" => id}} = request)
        when is_binary(id) do
@@ -298,13 +298,13 @@ defmodule Aerie.Fleet.Bridge.Commands do
     end
   end
 
-  defp obey(gateway, face, topic, %{type: type} = request) do
+  defp obey(gateway, server, topic, %{type: type} = request) do
     case String.split(type, ".") do
       [area, operation] ->
-        Transfers.answer(gateway, {area, operation}, request.envelope, request.source, {face, topic})
+        Transfers.answer(gateway, {area, operation}, request.envelope, request.source, {server, topic})
 
       [_command] ->
-        command(gateway, face, topic, request)
+        command(gateway, server, topic, request)
     end
   end
 
@@ -318,8 +318,8 @@ defmodule Aerie.Fleet.Bridge.Commands do
 
   defp accepted(id), do: %{"id" => id, "result" => "accepted", "reason" => nil}
 
-  defp command(gateway, face, topic, request) do
-    case Commands.submit(gateway, request.envelope, request.source, via: "nats", progress: {face, topic}) do
+  defp command(gateway, server, topic, request) do
+    case Commands.submit(gateway, request.envelope, request.source, via: "nats", progress: {server, topic}) do
       {:ok, result} ->
         Result.plain(result)
 

@@ -92,8 +92,8 @@ defmodule MavRouter.Router.ReadCache.Requests do
         delivery = %{delivery | scope: scope}
         frames |> TransferLock.pass(delivery) |> Forward.frames(delivery)
       end)
+    else
+      _gone -> :ok
     end
-
-    :ok
   end
 end

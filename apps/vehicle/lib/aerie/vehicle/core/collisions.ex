@@ -118,8 +118,8 @@ defmodule Aerie.Vehicle.Core.Collisions do
     {owner, kept, other} = Collision.Owner.decide(core.owner, ones, others, at)
     collision = %{at: at, sign: name(sign), links: Collision.Owner.describe(kept, other)}
     observation = Observation.new(:collision, at, core.state.boot_ms, Map.take(collision, [:sign, :links]))
-    twin = %{core.twin | collision: collision}
-    core = %{core | collision_detector: detector, owner: owner, twin: twin, dirty: true}
+    other_vehicle = %{core.other_vehicle | collision: collision}
+    core = %{core | collision_detector: detector, owner: owner, other_vehicle: other_vehicle, dirty: true}
     separate({core, [{:observe, observation} | actions]}, at)
   end
 
@@ -128,7 +128,7 @@ defmodule Aerie.Vehicle.Core.Collisions do
 
   @doc "Tells by which paths the other vehicle is heard, if that has changed."
   @spec separate(acc(), integer()) :: acc()
-  def separate({%{twin: %{paths: last}} = core, actions} = acc, now) do
+  def separate({%{other_vehicle: %{paths: last}} = core, actions} = acc, now) do
     case Collision.Owner.others(core.owner, now) do
       ^last ->
         acc
@@ -137,8 +137,8 @@ defmodule Aerie.Vehicle.Core.Collisions do
         links =
           Enum.map(paths, &Collision.Owner.link/1) -- Enum.map(core.owner.kept, &Collision.Owner.link/1)
 
-        twin = %{core.twin | paths: paths}
-        core = %{core | twin: twin, reception: Reception.without(core.reception, links)}
+        other_vehicle = %{core.other_vehicle | paths: paths}
+        core = %{core | other_vehicle: other_vehicle, reception: Reception.without(core.reception, links)}
         {core, [{:other_vehicle, paths} | actions]}
     end
   end

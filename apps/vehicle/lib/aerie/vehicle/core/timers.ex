@@ -45,7 +45,7 @@ defmodule Aerie.Vehicle.Core.Timers do
       | now: now,
         last_heard: core.last_heard && now,
         expired_at: nil,
-        twin: %{core.twin | collision: nil},
+        other_vehicle: %{core.other_vehicle | collision: nil},
         observed_at: core.observed_at && now,
         heard_again_at: nil,
         settle_at: core.settle_at && now,
@@ -75,7 +75,7 @@ defmodule Aerie.Vehicle.Core.Timers do
     shifted = %{
       rebased
       | last_heard: core.last_heard && core.last_heard + step,
-        twin: shifted_twin(core.twin, step),
+        other_vehicle: shifted_other(core.other_vehicle, step),
         reception: Reception.shifted(core.reception, step),
         owner: Collision.Owner.shifted(core.owner, step),
         state: State.shifted(core.state, step),
@@ -85,8 +85,8 @@ defmodule Aerie.Vehicle.Core.Timers do
     Effects.show({Services.shifted(core, shifted, step), actions}, now)
   end
 
-  defp shifted_twin(%{collision: nil} = twin, _step), do: twin
-  defp shifted_twin(twin, step), do: update_in(twin.collision.at, &(&1 + step))
+  defp shifted_other(%{collision: nil} = other_vehicle, _step), do: other_vehicle
+  defp shifted_other(other_vehicle, step), do: update_in(other_vehicle.collision.at, &(&1 + step))
 
   @doc "Handles the deadlines before `now`. Actions are newest first."
   @spec expire(Core.t(), [Core.action()], integer()) :: {Core.t(), [Core.action()]}

@@ -1,5 +1,5 @@
-# Turns of phrase that read as translated, in what users see: texts in the code (errors, pages, help, OpenAPI), README, docs. Called by
-# bin/test; prints file, line and what to write instead.
+# Turns of phrase that read as translated, in what users see (errors, pages, help, OpenAPI, README, docs) and in comments and READMEs of
+# the code. Called by bin/test; prints file, line and what to write instead.
 defmodule Words do
   @banned [
     {~r/(?<!there )(?<!here )\b(is|are|was|were) no (?!longer\b|more than\b|less than\b|one\b)[a-z]+/i, "is not a ..."},
@@ -14,15 +14,30 @@ defmodule Words do
   ]
 
   def main do
-    found = Enum.flat_map(code(), &in_code/1) ++ Enum.flat_map(pages(), &in_page/1)
+    found = Enum.flat_map(code(), &(in_code(&1) ++ in_comments(&1))) ++ Enum.flat_map(pages(), &in_page/1)
     for {file, line, text, instead} <- Enum.sort(found), do: IO.puts(:stderr, "#{file}:#{line}: \"#{text}\": #{instead}")
     if found != [], do: System.halt(1)
   end
 
   defp code, do: Path.wildcard("apps/{mav_codec,base,mav_router,vehicle,control,fleet,fleet_web,aerie}/lib/**/*.ex")
-  defp pages, do: ["README.md", "CHANGELOG.md", "docs/openapi.json", "config/gateway.example.yaml"] ++ Path.wildcard("docs/**/*.md")
+  defp pages, do: ["README.md", "CHANGELOG.md", "docs/openapi.json", "config/gateway.example.yaml"] ++ Path.wildcard("docs/**/*.md") ++ Path.wildcard("apps/*/*.md") ++ Path.wildcard("apps/*/lib/**/*.md")
 
-  # Texts of the code, not its documentation, which users do not see.
+  # Comments and documentation: lines that are not code.
+  defp in_comments(file) do
+    {found, _doc?} =
+      file
+      |> File.read!()
+      |> String.split("\n")
+      |> Enum.with_index(1)
+      |> Enum.flat_map_reduce(false, fn {text, line}, doc? ->
+        doc? = if text =~ ~r/^\s*@(module|type|)doc """/, do: true, else: doc? and not (text =~ ~r/^\s*"""/)
+        {if(doc? or text =~ ~r/^\s*(#|@(module|type|)doc ")/, do: found(file, line, text), else: []), doc?}
+      end)
+
+    found
+  end
+
+  # Texts of the code.
   defp in_code(file) do
     file
     |> File.read!()

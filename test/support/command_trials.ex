@@ -62,5 +62,5 @@ defmodule Aerie.CommandTrials do
     )
   end
 
-  defp answers(row), do: ["`#{row.door}`", Row.acknowledgement(row), Row.result(row)]
+  defp answers(row), do: ["`#{row.own}`", Row.acknowledgement(row), Row.result(row)]
 end

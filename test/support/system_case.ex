@@ -155,7 +155,7 @@ defmodule Aerie.SystemCase do
         case request.() do
           {:ok, answer} -> answer
           {:error, :timeout} -> nil
-          # Its leaders are elected anew.
+          # Its leaders are elected again.
           {:error, %{"code" => 503}} -> nil
           {:error, reason} -> ExUnit.Assertions.flunk("JetStream: #{inspect(reason)}")
         end

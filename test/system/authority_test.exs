@@ -71,7 +71,7 @@ defmodule Aerie.System.AuthorityTest do
         overrides: %{"signing" => signing}
       )
 
-    # As itself, as the vehicle, with another key, and with the right one, which is no permission.
+    # As itself, as the vehicle, with another key, and with the right one, which is not a permission.
     signers = [{230, nil}, {1, nil}, {231, "another key"}, {232, "a-passphrase-of-the-system-tests"}]
 
     for {system, passphrase} <- signers, address = lan_address() || flunk_without_address() do

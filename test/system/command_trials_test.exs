@@ -1,6 +1,6 @@
 defmodule Aerie.System.CommandTrialsTest do
   @moduledoc """
-  Every command of the table against simulated ArduPilot and PX4, by Aerie's own door and by pymavlink and MAVSDK through the
+  Every command of the table against simulated ArduPilot and PX4, by Aerie's own interface and by pymavlink and MAVSDK through the
   gateway: its answer, and what the vehicle heard and did. Then the same commands from clients and a source that may only look
   on: each is refused and answered, and the vehicle hears none of them.
   """
@@ -79,23 +79,23 @@ defmodule Aerie.System.CommandTrialsTest do
   end
 
   # A reboot shows in the vehicle's clock, which must run as ours does: commands_test.exs.
-  defp door do
+  defp own_interface do
     %{
       tries?: &(&1.type != "reboot"),
-      done?: &(&1.door in [:accepted, :completed]),
-      try: fn row, context -> {answer(context, row), row.door} end,
+      done?: &(&1.own in [:accepted, :completed]),
+      try: fn row, context -> {answer(context, row), row.own} end,
       hears: & &1.hears
     }
   end
 
   # On a busy machine an answer may come too late, and a command that must not be repeated blindly is then unknown. Once more, as a person
   # would.
-  defp answer(context, %{door: door} = row) do
+  defp answer(context, %{own: own} = row) do
     case submit(context, row, @crew).status do
-      :unknown when door != :unknown ->
+      :unknown when own != :unknown ->
         # ArduPilot refuses a take-off in the air.
         if row.type == "takeoff" and SimVehicle.state(context.sim).airborne,
-          do: door,
+          do: own,
           else: submit(context, row, @crew).status
 
       status ->
@@ -187,9 +187,9 @@ defmodule Aerie.System.CommandTrialsTest do
   end
 
   for firmware <- [:ardupilot, :px4] do
-    test "#{firmware}: Aerie's own door", context do
+    test "#{firmware}: Aerie's own interface", context do
       # Its set-points come ten times a second, and PX4 wants two in a second of its own (X7).
-      context |> start(unquote(firmware), 3.0) |> fly(door())
+      context |> start(unquote(firmware), 3.0) |> fly(own_interface())
     end
 
     @tag :python
@@ -209,7 +209,7 @@ defmodule Aerie.System.CommandTrialsTest do
       fly(flight, mavsdk(peer))
     end
 
-    test "#{firmware}: Aerie's own door, for who only looks on", context do
+    test "#{firmware}: Aerie's own interface, for who only looks on", context do
       flight = start(context, unquote(firmware))
 
       for row <- CommandTrials.rows(unquote(firmware)) do

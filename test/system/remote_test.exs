@@ -2,7 +2,7 @@ defmodule Aerie.System.RemoteTest do
   @moduledoc "A hub and a companion with real nats-servers: the hub shows and commands a vehicle that only the companion hears."
   use Aerie.SystemCase, async: true
 
-  alias Aerie.{DoorCase, Fleet, HubServer}
+  alias Aerie.{CommandCase, Fleet, HubServer}
   alias Aerie.Control.{Commands, Files, Missions, Params}
   alias Aerie.Fleet.Bridge
   alias Aerie.Vehicle.Journal
@@ -358,7 +358,7 @@ defmodule Aerie.System.RemoteTest do
 
   # What the companion let through, of a command.
   defp done(folder, id) do
-    for %{"id" => ^id, "type" => "decision"} = record <- DoorCase.audit(Path.join(folder, "companion")),
+    for %{"id" => ^id, "type" => "decision"} = record <- CommandCase.audit(Path.join(folder, "companion")),
         do: record
   end
 

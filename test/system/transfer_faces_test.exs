@@ -315,7 +315,7 @@ defmodule Aerie.System.TransferFacesTest do
     assert [] =
              :sys.get_state(Aerie.Base.Names.whereis(c.gateway, :transfers, @key), Aerie.Patience.ms()).core.order
 
-    # A clock that falls back by a few seconds is no reboot (R6).
+    # A clock that falls back by a few seconds is not a reboot (R6).
     eventually(
       fn -> Store.vehicle(c.gateway, @key).time_boot_ms > 10_000 end,
       "the vehicle has been up for a while"

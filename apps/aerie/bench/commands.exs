@@ -1,10 +1,10 @@
-# What a command costs on its way to a vehicle: the policy, the executor, the door around them (ledger, audit log, rates), and
-# each step of the door by itself.
+# What a command costs on its way to a vehicle: the policy, the executor, the pipeline around them (ledger, audit log, rates), and
+# each step of the pipeline by itself.
 #
 #     bin/bench commands [--commands 5000] [--dir FOLDER]
 #
 # Each line is that many single calls (of the executor at most 1,020), one after the other: median, p99 and the longest, in microseconds. The fence has 100
-# corners. `executor` is a command to a vehicle that acknowledges at once: submit to result, with the way to the session and back. `door` is submit to result with an executor that answers at once; takeoff must reach the disk before it is sent,
+# corners. `executor` is a command to a vehicle that acknowledges at once: submit to result, with the way to the session and back. `pipeline` is submit to result with an executor that answers at once; takeoff must reach the disk before it is sent,
 # because it is never sent twice. Last, 1, 5 and 20 ground stations ask for all parameters of a simulated vehicle at once, with and without `served`:
 # what the vehicle had to send. FOLDER is on the disk whose writes count (the system's temporary folder unless given).
 
@@ -68,7 +68,7 @@ goto = fn n -> %{lat: 47.0 + rem(n, 100) * 1.0e-5, lon: 8.001, altitude: 30} end
 section = %{geofence_file: fence, max_altitude: 120, takeoff_battery: 0.3, rates: []}
 {:ok, policy} = Policy.compile(section)
 
-# --- A gateway of a store, a policy and a door; one process is the session, another the executor that answers at once
+# --- A gateway of a store, a policy and a pipeline; one process is the session, another the executor that answers at once
 
 start = fn gateway ->
   tables = [Commands.Recent.table(), Policy.Leases.table(), Policy.ClientHistory.table()]
@@ -183,7 +183,7 @@ GenServer.stop(executor)
 _executor = register.(:commands, instant)
 submit = fn fields -> {:ok, %{status: :completed}} = Commands.submit(gateway, fields) end
 
-door = fn type, params ->
+pipeline = fn type, params ->
   fn n -> [vehicle: "VID-007", type: type, id: "#{type}-#{n}", params: params.(n), as: operator] end
 end
 
@@ -192,9 +192,9 @@ fresh = fn fields ->
   submit.(fields)
 end
 
-measure.("door: goto", count, door.("goto", goto), fresh)
-measure.("door: takeoff (to the disk)", count, door.("takeoff", fn _n -> %{altitude: 20} end), fresh)
-measure.("door: rtl", count, door.("rtl", fn _n -> %{} end), fresh)
+measure.("pipeline: goto", count, pipeline.("goto", goto), fresh)
+measure.("pipeline: takeoff (to the disk)", count, pipeline.("takeoff", fn _n -> %{altitude: 20} end), fresh)
+measure.("pipeline: rtl", count, pipeline.("rtl", fn _n -> %{} end), fresh)
 
 own = fn n -> %{command.("goto", goto.(n)) | id: "step-#{n}"} end
 measure.("  ledger: known", count, own, &(:new = Ledger.known(gateway, &1)))

@@ -286,7 +286,7 @@ defmodule RouterBench do
     )
   end
 
-  # A machine that does something else for a moment is no router's fault: three tries.
+  # A machine that does something else for a moment is not a router's fault: three tries.
   defp lossless?(run, rate) do
     Enum.any?(1..3, fn _ ->
       result = run.({rate, 3})

@@ -7,7 +7,7 @@ defmodule Aerie.CommandTrials.Row do
     :type,
     :params,
     :raw,
-    :door,
+    :own,
     :ack,
     :mavsdk,
     :mavsdk_hears,
@@ -18,7 +18,7 @@ defmodule Aerie.CommandTrials.Row do
   ]
 
   @typedoc """
-    * `params`, `door` - the command as Aerie takes it, and the status of its result
+    * `params`, `own` - the command as Aerie takes it, and the status of its result
     * `raw`, `ack` - the message that pymavlink sends (`test/peers/pymavlink_commands.py`), and the result of its COMMAND_ACK; nil: no such
       answer
     * `mavsdk`, `result` - MAVSDK's methods with their arguments, and the last one's result; `{:no, reason}` if it has none
@@ -31,8 +31,8 @@ defmodule Aerie.CommandTrials.Row do
 
   @doc "A row; `more` are further fields."
   @spec row(String.t(), map(), map(), atom(), 0..9 | nil, keyword()) :: t()
-  def row(type, params, raw, door, ack, more) do
-    row = %__MODULE__{type: type, params: params, raw: raw, door: door, ack: ack, hears: heard(raw)}
+  def row(type, params, raw, own, ack, more) do
+    row = %__MODULE__{type: type, params: params, raw: raw, own: own, ack: ack, hears: heard(raw)}
     struct!(row, more)
   end
 

@@ -42,7 +42,7 @@ defmodule Aerie.Application do
          do: {:ok, run}
   end
 
-  # Who starts the VM says whether it is to have a gateway: `bin/run` puts its words there, a release those after -extra.
+  # The command line of the VM says whether it has a gateway: `bin/run` puts its words there, a release those after -extra.
   # Tests, benchmarks and `bin/aerie eval` have none.
   defp gateway(nil), do: :ok
   defp gateway(:plain_arguments), do: CLI.Start.main(Enum.map(:init.get_plain_arguments(), &List.to_string/1))

@@ -73,7 +73,7 @@ defmodule Aerie.CLI do
       end
   end
 
-  # Its status says it, too, if nobody can be told.
+  # The exit status also reports it, in case nobody reads the output.
   defp complain(text) do
     IO.puts(:stderr, "error: " <> Printable.lines(text))
     2

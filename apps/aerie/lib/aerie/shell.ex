@@ -33,7 +33,7 @@ defmodule Aerie.Shell do
   @gateway :default
   @sim_link "sim-shell"
 
-  @doc "What a shell begins with."
+  @doc "The banner of a shell."
   @spec greet() :: :ok
   def greet do
     IO.puts("Aerie #{Application.spec(:aerie, :vsn)} on #{node()}")
@@ -74,7 +74,7 @@ defmodule Aerie.Shell do
     with_vehicle_here(id, fn vehicle ->
       inspecting(fn ->
         wanted = to_string(message)
-        # Of two vehicles with one id in two networks, this one's links tell which it is.
+        # Two networks may each have a vehicle with this id; the links tell which one it is.
         of = fn ->
           for(
             %{key: {link, :in, _s, _c, id} = key} = row <- Inspector.rows(@gateway, system: vehicle.system_id),
@@ -128,7 +128,7 @@ defmodule Aerie.Shell do
     end
   end
 
-  @doc "What is desired and reported of a vehicle, and how each field stands."
+  @doc "The desired and reported state of a vehicle, and the status of each field."
   @spec shadow(String.t()) :: map() | :ok
   def shadow(id) do
     case Shadow.get(@gateway, id) do

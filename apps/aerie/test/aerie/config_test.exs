@@ -147,7 +147,7 @@ defmodule Aerie.ConfigTest do
       assert config.sampling.groups.position.hz == 2.0
     end
 
-    test "an AERIE_ variable below a section that is no key is refused, and an empty one of a key; others are left alone",
+    test "an AERIE_ variable below a section that is not a key is refused, and an empty one of a key; others are left alone",
          context do
       env = %{"AERIE_NATS_PROT" => "1", "AERIE_TOOLCHAIN" => "x", "AERIE_LOG_DIR" => "/tmp", "PATH" => "y"}
 
@@ -156,7 +156,7 @@ defmodule Aerie.ConfigTest do
                  ~s|(did you mean "AERIE_NATS_PORT"?)|
              ]
 
-      # A section is no key: its keys are given one by one, and leave each other alone.
+      # A section is not a key: its keys are given one by one, and leave each other alone.
       assert [error] = lines(load(context, "", [], %{"AERIE_NATS" => "{url: 'nats://a'}"}), context)
       assert error =~ "AERIE_NATS: expected a variable of a key"
 

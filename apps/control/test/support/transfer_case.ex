@@ -1,11 +1,11 @@
 defmodule Aerie.TransferCase do
-  @moduledoc "Tests of transfers: a gateway with a door, and a simulated vehicle behind a UDP link on the loopback."
+  @moduledoc "Tests of transfers: a gateway that takes commands, and a simulated vehicle behind a UDP link on the loopback."
   use ExUnit.CaseTemplate
 
   import Aerie.GatewayCase, only: [eventually: 1]
   import Aerie.LinkCase, only: [add_link: 3]
 
-  alias Aerie.{DoorCase, VehicleCase}
+  alias Aerie.{CommandCase, VehicleCase}
   alias Aerie.Base.Store
   alias Aerie.Control.{Commands, Params, Policy}
 
@@ -18,17 +18,17 @@ defmodule Aerie.TransferCase do
     end
   end
 
-  @doc "A gateway with links, vehicles and a door; gives its name and the port of its link. `policy` is that section."
+  @doc "A gateway with links, vehicles and commands; gives its name and the port of its link. `policy` is that section."
   @spec start(Path.t(), map()) :: {reference(), :inet.port_number()}
   def start(dir, policy \\ %{}) do
     # A vehicle that a busy machine keeps from running is not lost.
     gateway = VehicleCase.start_parts(%{timeouts: %{vehicle_stale_s: 60.0, vehicle_lost_s: 120.0}})
     audit = %{dir: Path.join(dir, "audit"), max_mb: 8, required: true}
-    config = %{policy: Map.merge(%{audit: audit}, policy), commands: DoorCase.commands(dir)}
+    config = %{policy: Map.merge(%{audit: audit}, policy), commands: CommandCase.commands(dir)}
     config = Map.put(config, :params, %{dir: Path.join(dir, "params")})
 
     for part <- [Policy.Supervisor, Commands.Supervisor, Params.CacheWriter],
-        do: DoorCase.start_part(part, gateway, config)
+        do: CommandCase.start_part(part, gateway, config)
 
     {_id, port} = add_link(gateway, "udpin:127.0.0.1:0", id: "radio")
     {gateway, port}

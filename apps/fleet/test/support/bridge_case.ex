@@ -397,7 +397,7 @@ defmodule Aerie.BridgeCase do
   @spec answered(pid(), (-> answer)) :: answer when answer: term()
   def answered(conn, request) do
     eventually(fn ->
-      # 503: servers that stood still elect their leaders anew.
+      # 503: servers that stood still elect their leaders again.
       case Aerie.Fleet.Nats.call(conn, request) do
         {:error, :timeout} -> nil
         {:error, %{"code" => 503}} -> nil

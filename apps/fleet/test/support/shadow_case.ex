@@ -8,7 +8,7 @@ defmodule Aerie.ShadowCase do
   using do
     quote do
       import Aerie.BridgeCase
-      import Aerie.DoorCase
+      import Aerie.CommandCase
       import Aerie.ShadowCase
       alias Aerie.Base.Store
       alias Aerie.Fleet.{Bridge, Shadow}

@@ -121,7 +121,7 @@ defmodule FleetWeb.Endpoint do
     {Listener, {Listener.ref(gateway), :ranch_tcp, transport, :cowboy_clear, protocol}}
   end
 
-  # Who decides about a request takes the keys of that moment.
+  # A request is decided by the keys of that moment.
   defp policy(%Settings{api: api, http: http}),
     do: %{keys: API.KeyRing.nobody(), origins: api.origins, ports: [], hosts: http.hosts}
 

@@ -182,7 +182,7 @@ defmodule FleetWeb.Settings do
     ])
   end
 
-  # Who may sign in stands in a file, which the console itself writes.
+  # The users are in a file that the console itself writes.
   defp users?(%{enabled: true, dir: dir}), do: Users.any?(dir)
   defp users?(_off), do: false
 

@@ -1,8 +1,8 @@
 defmodule FleetWeb.WorkLimit do
   @moduledoc """
   Work of the console and of `/api` that costs more than a page: hashing passwords, reading files that somebody sends, and recordings and logs of
-  the gateway. It is done by processes of low priority, a few at once, so that telemetry goes first; whoever asks for more than
-  that, or too often, is refused.
+  the gateway. It is done by processes of low priority, a few at once, so that telemetry goes first. Requests beyond
+  that number, or too frequent ones, are refused.
 
   | kind | at once | of one user or key |
   |---|---|---|

@@ -3,7 +3,7 @@ defmodule FleetWeb.RightsTest do
   use FleetWeb.APICase, async: true
 
   alias Aerie.Base.Store
-  alias Aerie.DoorCase
+  alias Aerie.CommandCase
   alias MavRouter.{Client, Link, Router}
   alias FleetWeb.API.{Access, OpenAPI, Routes}
   alias FleetWeb.Console
@@ -109,7 +109,7 @@ defmodule FleetWeb.RightsTest do
 
   test "what an admin changes over REST stands in the audit log", %{tmp_dir: dir} do
     %{gateway: gateway, port: port} = keyed(dir, links: true)
-    DoorCase.start_door(dir, gateway: gateway)
+    CommandCase.start_commands(dir, gateway: gateway)
 
     {201, _answer} =
       ask(port, :admin, "POST", "/api/clients", %{"url" => "tcpin:127.0.0.1:0", "id" => "mine"})
@@ -120,7 +120,7 @@ defmodule FleetWeb.RightsTest do
     entries =
       eventually(fn ->
         found =
-          for %{"type" => "change"} = entry <- DoorCase.audit(dir),
+          for %{"type" => "change"} = entry <- CommandCase.audit(dir),
               do: Map.take(entry, ["action", "target", "source"])
 
         if length(found) >= 2, do: found

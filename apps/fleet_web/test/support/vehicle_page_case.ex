@@ -4,7 +4,7 @@ defmodule FleetWeb.VehiclePageCase do
   """
   use ExUnit.CaseTemplate
 
-  import Aerie.DoorCase, only: [start_door: 2]
+  import Aerie.CommandCase, only: [start_commands: 2]
   import FleetWeb.ConsoleCase
   import Phoenix.LiveViewTest, except: [conn: 1, conn: 2]
 
@@ -20,7 +20,7 @@ defmodule FleetWeb.VehiclePageCase do
 
   using do
     quote do
-      import Aerie.DoorCase, only: [answer: 3, executing: 1]
+      import Aerie.CommandCase, only: [answer: 3, executing: 1]
       import FleetWeb.{ConsoleCase, VehiclePageCase}
       import Phoenix.LiveViewTest, except: [conn: 1, conn: 2]
 
@@ -31,7 +31,7 @@ defmodule FleetWeb.VehiclePageCase do
 
   setup %{tmp_dir: dir} = context do
     [console: console] = start_console()
-    start_door(dir, gateway: console.gateway, policy: context[:policy] || [max_altitude: 100])
+    start_commands(dir, gateway: console.gateway, policy: context[:policy] || [max_altitude: 100])
     put(console)
     %{console: console}
   end

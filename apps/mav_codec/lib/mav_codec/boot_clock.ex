@@ -10,11 +10,11 @@ defmodule MavCodec.BootClock do
 
   Each kind of message has a clock of its own, because firmware fills the field differently: Betaflight's GLOBAL_POSITION_INT has
   microseconds in it, its ATTITUDE milliseconds. Clocks are compared with the time of arrival. One that runs at least #{@too_fast}
-  times too fast is no clock; as soon as one clock has kept time, only those that keep time count.
+  times too fast is not a clock; as soon as one clock has kept time, only those that keep time count.
 
   A clock that falls more than #{div(@tolerance_ms, 1_000)} s behind means a reboot only if it stays behind: #{@readings} readings in
   a row, over at least #{div(@span_us, 1_000_000)} s. Frames that were overtaken (by a slower second link, or PX4's two sending
-  threads) show an old time between new ones, which is no reboot. Nor is the 32-bit wrap after 49.7 days.
+  threads) show an old time between new ones, which is not a reboot. Nor is the 32-bit wrap after 49.7 days.
   """
 
   import Bitwise

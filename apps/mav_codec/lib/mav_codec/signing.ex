@@ -157,7 +157,7 @@ defmodule MavCodec.Signing do
   The `:streams` to begin with after a crash: upper bounds of the time stamps received before it.
 
   `streams` has the last time stamp of each and the result of `ahead/1` (nil: unknown), `stored` is what `save` was given, all
-  at `at`. `now` is the clock (`at` and `now` in unix microseconds). A stream was no further ahead of the clock than that, nor
+  at `at`. `now` is the clock (`at` and `now` in unix microseconds). A stream was not further ahead of the clock than that, nor
   beyond the stored time stamp. If the clock was set back meanwhile, only the latter counts.
   """
   @spec resumed(%{optional(stream()) => {timestamp(), integer() | nil}}, timestamp(), {

@@ -73,7 +73,7 @@ defmodule MavCodec.Conformance.MessagesTest do
              label(message, frame)
 
       assert Message.encode_payload(frame.message, 1, dialect) == {:ok, id, dialect.crc_extra(id), payload}
-      # Something behind the base fields of a v1 frame is no extension.
+      # Something behind the base fields of a v1 frame is not an extension.
       surplus = payload <> <<1, 2, 3>>
 
       assert MavCodec.decode(%{version: 1, id: id, payload: surplus}, dialect) == {:ok, base},

@@ -37,7 +37,7 @@ defmodule MavCodec.Definition.ImporterTest do
     assert {:ok, ^files} = import_file(context, "a.xml")
   end
 
-  test "F11: a cycle of includes is no error", context do
+  test "F11: a cycle of includes is not an error", context do
     write(context, [
       {"a.xml", "<include>b.xml</include>" <> message(1, "A")},
       {"b.xml", "<include>a.xml</include><include>b.xml</include>" <> message(2, "B")}

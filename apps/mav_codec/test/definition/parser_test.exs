@@ -193,7 +193,7 @@ defmodule MavCodec.Definition.ParserTest do
      "<feild> inside of message M, expected one of description, deprecated, superseded, wip, field, extensions"},
     {"stray text", message.("oops"), 2, ~S(text inside of message M: "\noops\n")},
     {"an empty include", "<include> </include>", 1, "empty <include>"},
-    {"a version that is no number", "<version>three</version>", 1,
+    {"a version that is not a number", "<version>three</version>", 1,
      ~S(version is "three", expected an integer from 0 to 255)},
     {"a message without id", "<messages><message name='M'/></messages>", 1, "message M has no attribute id"},
     {"a message without name", "<messages><message id='1'/></messages>", 1, "message has no attribute name"},

@@ -17,7 +17,7 @@ defmodule MavCodec.BootClockTest do
     verdicts
   end
 
-  test "R6: a clock that begins anew and stays there is a reboot, once" do
+  test "R6: a clock that begins again and stays there is a reboot, once" do
     assert verdicts([{60_000, 0}, {100, 5}, {600, 5.5}, {1100, 6}, {1600, 6.5}]) ==
              [:ok, :behind, :behind, :reboot, :ok]
   end
@@ -28,12 +28,12 @@ defmodule MavCodec.BootClockTest do
     refute :reboot in verdicts(late)
   end
 
-  test "a burst of old frames is no reboot" do
+  test "a burst of old frames is not a reboot" do
     burst = for n <- 1..30, do: {50_000 + n, 1 + n / 100}
     refute :reboot in verdicts([{60_000, 0}] ++ burst ++ [{61_500, 1.5}])
   end
 
-  test "the wrap after 49.7 days is no reboot" do
+  test "the wrap after 49.7 days is not a reboot" do
     assert verdicts([{0xFFFFFFF0, 0}, {500, 1}, {1500, 2}]) == [:ok, :ok, :ok]
   end
 
@@ -64,7 +64,7 @@ defmodule MavCodec.BootClockTest do
       assert readings |> verdicts() |> Enum.count(&(&1 == :reboot)) == 1
     end
 
-    test "R6: all clocks of a vehicle begin anew, and that is one reboot" do
+    test "R6: all clocks of a vehicle begin again, and that is one reboot" do
       all = fn from_s, at ->
         for n <- 0..50, id <- [30, 33, 2], do: {round(from_s * 1000) + n * 200, at + n / 5, id}
       end

@@ -26,7 +26,7 @@ defmodule MavRouter.Link do
   | `[:aerie, :link, :garbled]` | | `finding`: what a serial port receives instead of MAVLink (`MavRouter.Link.Serial.Finding`) |
   | `[:aerie, :link, :added]`, `[:aerie, :link, :removed]` | | |
 
-  Bytes, frames and drops are no events: they are in the counters of the snapshot, which is published four times a second.
+  Bytes, frames and drops are not events: they are in the counters of the snapshot, which is published four times a second.
   """
 
   alias Aerie.Base.Error
@@ -114,7 +114,7 @@ defmodule MavRouter.Link do
   end
 
   @doc """
-  Ends a link's process in order and starts it again: it closes its connection and connects anew. Counters, routes and rules stay.
+  Ends a link's process in order and starts it again: it closes its connection and connects again. Counters, routes and rules stay.
   """
   @spec restart(Names.gateway(), String.t()) :: :ok | {:error, Error.t()}
   def restart(gateway, id) do

@@ -100,7 +100,7 @@ defmodule MavRouter.Signing do
   def sign(gateway, link, peer, {:sign, key, bytes}), do: Signer.own(gateway, link, peer, key, bytes)
   def sign(_gateway, _link, _peer, bytes), do: bytes
 
-  @doc "What may be recorded of bytes that went out: nothing of a key (S9)."
+  @doc "The part of sent bytes that may be recorded: nothing of a key (S9)."
   @spec without_key(iodata | marked, iodata) :: iodata
   def without_key({:secret, _key, _secret}, bytes) do
     {frames, _rest} = bytes |> IO.iodata_to_binary() |> MavCodec.FrameSplitter.frames()

@@ -95,7 +95,7 @@ defmodule MavRouter.ClientTest do
     end
   end
 
-  test "what is no endpoint for clients is refused in words" do
+  test "what is not an endpoint for clients is refused in words" do
     gateway = start_parts()
     assert {:error, %Error{reason: {:invalid, words}}} = Client.add(gateway, "replay:/tmp/x.tlog")
     assert words =~ "not a client"

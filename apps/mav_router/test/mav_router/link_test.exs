@@ -457,7 +457,7 @@ defmodule MavRouter.LinkTest do
     end
   end
 
-  test "restarted on request, a link connects anew and keeps its counters", c do
+  test "restarted on request, a link connects again and keeps its counters", c do
     be_session(c.gateway, 1)
     {id, port} = add_link(c.gateway, "udpin:127.0.0.1:0")
     say(socket(), port, attitude(1, 1))

@@ -98,7 +98,7 @@ defmodule Aerie.Base.Settings.RulesTest do
              Signing.Settings.warnings(config(both))
   end
 
-  test "recordings: a file is no larger than all of them" do
+  test "recordings: no file is larger than all of them" do
     assert ["recorder.max_file_mb: at most recorder.max_mb (1.0)"] =
              problems(Recorder.Settings, %{recorder: %{max_mb: 1, max_file_mb: 2}})
   end

@@ -270,7 +270,7 @@ defmodule MavRouter.SigningTest do
       assert [true, false, false, true] = Enum.map(frames, &Frame.signed?/1)
       assert [_, ^foreign, ^old, _] = Enum.map(frames, & &1.bytes)
       assert count(c.gateway, :not_signed) == 1
-      # What is no frame goes out as it came.
+      # What is not a frame goes out as it came.
       assert IO.iodata_to_binary(
                Signing.sign(c.gateway, "radio", :peer, Signing.mark(c.gateway, {"main", 1}, "?!"))
              ) ==

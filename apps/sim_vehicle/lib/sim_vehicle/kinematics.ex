@@ -4,7 +4,7 @@ defmodule SimVehicle.Kinematics do
 
   Position is in metres north, east and down of the take-off point; the ground is the plane `d = 0`. Velocity is in
   m/s, angles in radians, angular rates in rad/s. Speed and acceleration are limited; attitude follows from the
-  acceleration that the motion needs, so that telemetry is consistent in itself. It is no flight-dynamics model.
+  acceleration that the motion needs, so that telemetry is consistent in itself. It is not a flight-dynamics model.
   """
 
   alias SimVehicle.Geo

@@ -87,7 +87,7 @@ defmodule SimVehicle.Params do
 
   @doc """
   Stores what a PARAM_SET carried. PX4 (bytewise) refuses a type that is not the parameter's; ArduPilot ignores the
-  type (rule P7). A value that is no number is refused.
+  type (rule P7). A value that is not a number is refused.
   """
   @spec set(t, String.t(), Real32.value(), integer) :: {:ok, t} | {:error, :unknown | :type | :value}
   def set(params, name, wire, wire_type) do

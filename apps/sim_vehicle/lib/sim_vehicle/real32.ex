@@ -2,7 +2,7 @@ defmodule SimVehicle.Real32 do
   @moduledoc """
   32-bit floats as bit patterns, for PX4's habit of carrying an integer's bytes in a float field.
 
-  A pattern that is no number is what the codec makes of it: `:infinity`, `:neg_infinity`, `:nan` or `{:nan, bits}`.
+  A pattern that is not a number is what the codec makes of it: `:infinity`, `:neg_infinity`, `:nan` or `{:nan, bits}`.
   """
 
   alias MavCodec.Message.Value

@@ -26,7 +26,7 @@ defmodule SimVehicle.Simulation do
 
   @doc """
   Powers the vehicle up at UNIX time `epoch` (microseconds). Parameters, plans, position and charge survive a reboot;
-  everything else starts anew.
+  everything else starts again.
   """
   @spec boot(Vehicle.t(), integer) :: {Vehicle.t(), [Vehicle.action()]}
   def boot(vehicle, epoch) do

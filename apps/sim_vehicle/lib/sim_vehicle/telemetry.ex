@@ -89,7 +89,7 @@ defmodule SimVehicle.Telemetry do
 
   @mission_states %{none: 1, not_started: 2, active: 3, paused: 4, complete: 5}
 
-  @doc "MISSION_CURRENT as ArduPilot counts (home is no item)."
+  @doc "MISSION_CURRENT as ArduPilot counts (home is not an item)."
   @spec mission_current(Vehicle.t()) :: struct
   def mission_current(v) do
     flying = if v.flight == :mission, do: 1, else: 0

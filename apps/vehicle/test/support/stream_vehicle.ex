@@ -53,7 +53,7 @@ defmodule Aerie.StreamVehicle do
     %{vehicle | arbiter: Arbiter.demand(vehicle.arbiter, wants, options[:forwarded])}
   end
 
-  @doc "It begins anew, with these rates."
+  @doc "It begins again, with these rates."
   def reboot(vehicle, rates),
     do: %{
       vehicle

@@ -21,7 +21,7 @@ defmodule Aerie.CLI.Columns do
     |> String.trim_trailing()
   end
 
-  @doc "A value as text: a gap for what is not known, no control characters, whoever wrote it."
+  @doc "A value as text: a gap for an unknown value, no control characters."
   @spec cell(term()) :: String.t()
   def cell(nil), do: "-"
 

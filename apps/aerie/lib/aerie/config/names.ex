@@ -20,7 +20,7 @@ defmodule Aerie.Config.Names do
 
   @typep named :: {Schema.path(), name :: String.t()}
 
-  @doc "What is wrong, and what is only worth a warning."
+  @doc "Errors, and warnings."
   @spec check(Config.t()) :: {[Schema.problem()], warnings :: [String.t()]}
   def check(%Config{} = config) do
     ends = ends(config)
@@ -69,7 +69,7 @@ defmodule Aerie.Config.Names do
         do: "#{Config.Error.path(path)}: #{problem.got} is not #{problem.expected}"
       )
 
-  # Whose frames come in, by the ids that the policy and filters see.
+  # The senders of incoming frames, by the ids that the policy and filters see.
   defp ends(config) do
     clients =
       if config.clients == :default, do: [MavRouter.Link.Clients.Boot.default_id()], else: ids(config.clients)

@@ -10,7 +10,7 @@ defmodule Aerie.Node.Directory do
   @spec start_link() :: :ignore
   def start_link, do: :ignore
 
-  @doc "What a node of this name is to be reached by, before it is connected to."
+  @doc "Sets the port of a node; call it before connecting to the node."
   @spec put(name :: String.t(), :inet.port_number()) :: :ok
   def put(name, port), do: :persistent_term.put({__MODULE__, name}, port)
 

@@ -1,7 +1,7 @@
 defmodule Aerie.Node.Entry do
   @moduledoc """
-  The files of running gateways in the folder of `Aerie.Node.Settings`: one for each, named after its node, and the cookie. Whoever
-  can read them gets into these gateways, so they are for their owner only.
+  The files of running gateways in the folder of `Aerie.Node.Settings`: one for each, named after its node, and the cookie. They
+  give access to these gateways, so only their owner can read them.
   """
 
   alias Aerie.Base.Files.Private
@@ -53,7 +53,7 @@ defmodule Aerie.Node.Entry do
     end
   end
 
-  # Whoever can write there can command the gateway already; a file that is damaged is none.
+  # A program that can write there can command the gateway anyway; a damaged file is ignored.
   defp read(path) do
     with {:ok, %{size: size}} when size <= @max_bytes <- File.stat(path),
          {:ok, text} <- File.read(path),
@@ -79,7 +79,7 @@ defmodule Aerie.Node.Entry do
     with :ok <- Private.folder(dir),
          {:error, :enoent} <- read_cookie(path),
          :ok <- Private.write(path, Base.url_encode64(:crypto.strong_rand_bytes(24))) do
-      # Of two that start at once, one has written last.
+      # If two start at once, the last write wins.
       read_cookie(path)
     end
   end

@@ -51,7 +51,7 @@ defmodule Aerie.Reload.Changes do
   defp by_id(entries),
     do: for(%{id: id} = entry <- entries, entry[:enabled] != false, into: %{}, do: {id, entry})
 
-  # Where it was given is no difference.
+  # Where it was given is not a difference.
   defp plain(entry), do: Map.drop(entry, [:given])
 
   # The one that there is without any stays.

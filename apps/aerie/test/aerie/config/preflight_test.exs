@@ -76,7 +76,7 @@ defmodule Aerie.Config.PreflightTest do
     for error <- errors, do: assert(error.got =~ "newer version of Aerie")
   end
 
-  test "a taken default is no error: the next free one is taken", %{tmp_dir: dir} do
+  test "a taken default is not an error: the next free one is taken", %{tmp_dir: dir} do
     {:ok, socket} = :gen_tcp.listen(0, ip: {127, 0, 0, 1})
     {:ok, port} = :inet.port(socket)
     config = config(dir, [])
@@ -324,7 +324,7 @@ defmodule Aerie.Config.PreflightTest do
     assert Enum.all?(warnings, &(&1 =~ "expected a network that a link has (main)"))
   end
 
-  test "a replay file that is no recording is refused", %{tmp_dir: dir} do
+  test "a replay file that is not a recording is refused", %{tmp_dir: dir} do
     heartbeat = MavCodec.encode(%MavCodec.Messages.Heartbeat{type: 2, autopilot: 3}, system: 1)
     record = <<1_700_000_000_000_000::64, heartbeat::binary>>
 

@@ -14,7 +14,7 @@ defmodule Aerie.Base.PubSub do
   | `:bridge`       | `{part, info}`: the NATS side changed       | at once                  |
   | `:leases`       | `{key, lease}`: who is in charge of a vehicle changed, nil for nobody | at once |
   | `{:commands, vehicle}` | the id of a command of this vehicle that began, went on or ended | at once |
-  | `{:notice, part}` | what a part of the layers above tells of itself | at once               |
+  | `{:notice, part}` | a notice of a part of the layers above | at once               |
 
   A vehicle may change 200 times a second; its subscribers get at most one notice per tick (`:tick_ms`, 200 by default), and read from
   the store what they need. Nothing but these messages is queued for a slow subscriber.

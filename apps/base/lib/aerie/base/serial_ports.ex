@@ -90,7 +90,7 @@ defmodule Aerie.Base.SerialPorts do
   defp absolute("/" <> _rest = path, _dev), do: path
   defp absolute(name, dev), do: Path.join(dev, name)
 
-  # The number of the device, symbolic links followed; a file that is no device has its inode.
+  # The number of the device, symbolic links followed; a file that is not a device has its inode.
   defp key(path) do
     case File.stat(path) do
       {:ok, %File.Stat{type: :device, minor_device: number}} -> {:device, number}

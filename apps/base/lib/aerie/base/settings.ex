@@ -50,7 +50,7 @@ defmodule Aerie.Base.Settings do
   derived values filled in (`Aerie.Config`).
   """
   @callback problems(config :: map()) :: [Schema.problem()]
-  @doc "What is allowed and probably not meant, as lines for a person."
+  @doc "Warnings: values that are allowed but probably not meant."
   @callback warnings(config :: map()) :: [String.t()]
 
   defmacro __using__(_options) do

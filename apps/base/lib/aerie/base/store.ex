@@ -193,7 +193,7 @@ defmodule Aerie.Base.Store do
     end
   end
 
-  @doc "What was remembered about a system; nil when it was not heard."
+  @doc "The notes about a system; nil if it was not heard."
   @spec system(Names.gateway(), vehicle_key()) :: map() | nil
   def system(gateway, key) do
     with_table(gateway, :systems, nil, &:ets.lookup_element(&1, key, 2, nil))

@@ -74,7 +74,7 @@ defmodule Aerie.Base.Successor do
     end
   end
 
-  # Who holds the name: of the process itself, or of a child that its supervisor could not start.
+  # The holder of the name: of the process itself, or of a child that its supervisor could not start.
   defp holder({:already_started, pid}), do: pid
   defp holder({:shutdown, {:failed_to_start_child, _id, reason}}), do: holder(reason)
   defp holder(_other), do: nil

@@ -4,7 +4,7 @@ defmodule Aerie.Base.UnixSocket do
 
   It is bound inside a folder that only we can enter, given its mode, and then renamed to its place: at no moment can
   somebody connect whom the mode would keep out. A socket left behind by a gateway that was killed is replaced; one that
-  answers belongs to somebody, and a file that is no socket is never touched.
+  answers belongs to somebody, and a file that is not a socket is never touched.
   """
 
   @mode 0o660

@@ -21,7 +21,7 @@ defmodule Aerie.Base.BackoffTest do
     assert {0, _} = Backoff.next(Backoff.soon(Backoff.new()), 0.5)
   end
 
-  test "a reset begins anew" do
+  test "a reset begins again" do
     {_, backoff} = Backoff.next(Backoff.new(), 0.5)
     {_, backoff} = Backoff.next(backoff, 0.5)
     assert {0, _} = Backoff.next(Backoff.reset(backoff), 0.5)

@@ -29,7 +29,7 @@ defmodule Aerie.Base.PubSubTest do
     assert ids -- ["a", "b"] == []
   end
 
-  test "a subscriber that ended costs nothing, and without the process a change is no error", %{
+  test "a subscriber that ended costs nothing, and without the process a change is not an error", %{
     gateway: gateway
   } do
     test = self()

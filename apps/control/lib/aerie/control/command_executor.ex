@@ -4,7 +4,7 @@ defmodule Aerie.Control.CommandExecutor do
 
   It sends through the vehicle's session, which has our sequence numbers and the path. Only while a command is carried out does
   the session hand over what the executor wants to see: frames with some ids, its snapshots, texts, reports and reboots. It dies with the
-  session; a command that was in flight then is `unknown` to whoever submitted it, and is not sent again.
+  session; the result of a command that was in flight then is `unknown`, and it is not sent again.
   """
   use GenServer
 
@@ -48,7 +48,7 @@ defmodule Aerie.Control.CommandExecutor do
     call(gateway, key, command.id, request)
   end
 
-  @doc "Asks a command to cease; its result goes to whoever submitted it. `:error` when nothing can cancel it."
+  @doc "Cancels a command; its submitter gets the result. `:error` if it cannot be cancelled."
   @spec cancel(Names.gateway(), Store.vehicle_key(), id :: String.t()) :: :ok | {:error, reason :: String.t()}
   def cancel(gateway, key, id) do
     case call(gateway, key, id, {:cancel, id}) do
@@ -261,7 +261,7 @@ defmodule Aerie.Control.CommandExecutor do
     state
   end
 
-  # Its job comes to its end without a message; whoever waits is told now.
+  # Its job ends without a message; waiting callers get the result now.
   defp withheld(state, _id, nil), do: state
 
   defp withheld(state, id, from) do

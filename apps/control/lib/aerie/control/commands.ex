@@ -27,7 +27,7 @@ defmodule Aerie.Control.Commands do
   alias Aerie.Control.Policy.{Audit, Context, Roles}
   alias Aerie.Control.CommandExecutor.Observed
 
-  # Whoever calls from Elixir runs inside the gateway.
+  # A caller from Elixir runs inside the gateway.
   @inside Aerie.Control.Policy.Roles.principal(:gateway, "elixir", :admin)
 
   @typedoc """
@@ -69,8 +69,8 @@ defmodule Aerie.Control.Commands do
   end
 
   @doc """
-  For a gateway that is told to end: no more commands are taken, and those under way are waited for, `commands.grace_s` at most, while
-  links and vehicles still run. Who waits for one that is left is told `unknown`, which the ledger keeps; gives their ids.
+  For a gateway that shuts down: no more commands are taken, and those under way are waited for, `commands.grace_s` at most, while
+  links and vehicles still run. Callers of those that are left get `unknown`, which the ledger keeps; returns their ids.
   """
   @spec drain(Names.gateway()) :: [String.t()]
   def drain(gateway) do
@@ -90,7 +90,7 @@ defmodule Aerie.Control.Commands do
   end
 
   @doc """
-  Carries out something that is no command of the table (`Aerie.Control.Commands.Change`) with the authority of a source, as a command of the type
+  Carries out something that is not a command of the table (`Aerie.Control.Commands.Change`) with the authority of a source, as a command of the type
   that its facts name: what it changes is in `params`, short enough for the audit log. The caller has checked its id and deadline.
   """
   @spec carry_out(Names.gateway(), Command.t(), Change.t(), Roles.source(), [option()]) :: answer()
@@ -113,7 +113,7 @@ defmodule Aerie.Control.Commands do
     Server.submit(gateway, request, if(wait_ms == 0, do: 5_000, else: wait_ms))
   end
 
-  @doc "Who calls from Elixir and names nobody: an admin, who runs inside the gateway anyway."
+  @doc "The source of calls from Elixir without `:as`: an admin, because such code runs inside the gateway anyway."
   @spec inside() :: Roles.source()
   def inside, do: @inside
 
@@ -129,7 +129,7 @@ defmodule Aerie.Control.Commands do
     * `:allow`
     * `{:deny, rule, reason}` - a rule of the policy, or `:policy` (there is none), `:vehicle` (there is no such vehicle),
       `:firmware` (this firmware lacks the command, or cannot do it in the present state)
-    * `{:error, errors}` - the fields are no command
+    * `{:error, errors}` - the fields are not a valid command
 
   It changes nothing: no rate is used up and nothing is recorded. Rates, ledger and audit log may still refuse the command.
   """
@@ -165,7 +165,7 @@ defmodule Aerie.Control.Commands do
   defp setpoints(gateway, command, snapshot), do: OffboardPrecondition.check(gateway, command, snapshot)
 
   @doc """
-  Asks a command under way to cease; whoever submitted it gets its result. The source must be allowed to give that command.
+  Cancels a command under way; its submitter gets the result. The source must be allowed to give that command.
   """
   @spec cancel(Names.gateway(), vehicle :: String.t(), id :: String.t(), Roles.source(), via :: String.t()) ::
           :ok | {:error, :unknown | :role | :impossible, String.t()}
@@ -209,7 +209,7 @@ defmodule Aerie.Control.Commands do
          "cancelling #{job.type} needs the permission #{permission}, which #{source.name} does not have"}
   end
 
-  @doc "What is known of a command: under way with its last progress, its result, or nothing."
+  @doc "The state of a command: under way with its last progress, its result, or unknown."
   @spec state(Names.gateway(), vehicle :: String.t(), id :: String.t()) ::
           {:under_way, Server.under_way()} | {:ok, Result.t()} | nil | {:error, String.t()}
   def state(gateway, vehicle, id) do

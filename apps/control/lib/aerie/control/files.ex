@@ -37,7 +37,7 @@ defmodule Aerie.Control.Files do
   @doc """
   The bytes of a file of at most 16 MiB, or `max_bytes: n`. With `into: path` they go into a file of this machine without that limit,
   and the answer is its size. The name is `path` with `.part` until it is complete. An interrupted download continues if the vehicle's
-  checksum of the file is the same as before; without checksums, and for a file that the vehicle makes while it is read, it begins anew.
+  checksum of the file is the same as before; without checksums, and for a file that the vehicle makes while it is read, it begins again.
   """
   @spec read(Names.gateway(), vehicle :: String.t(), Path.t(), [
           Transfers.option() | {:max_bytes, pos_integer()} | {:into, Path.t()}

@@ -67,7 +67,7 @@ defmodule Aerie.Control.Ledger do
           :new | :in_flight | {:stored, Result.t()} | {:refused, String.t()} | {:error, String.t()}
   def known(gateway, command, timeout \\ @call_ms), do: call(gateway, {:known, command}, timeout)
 
-  @doc "What became of an id, or nil."
+  @doc "The state of an id, or nil."
   @spec lookup(Names.gateway(), String.t()) :: :in_flight | Result.t() | nil | {:error, String.t()}
   def lookup(gateway, id), do: call(gateway, {:lookup, id})
 
@@ -180,7 +180,7 @@ defmodule Aerie.Control.Ledger do
   def terminate(_reason, %{journal: nil}), do: :ok
   def terminate(_reason, state), do: Journal.close(state.journal)
 
-  # Who comes while a task is under way waits for the next: what it wrote may be too late for this one.
+  # A caller that comes while a task runs waits for the next one, because its record may be too late for this sync.
   defp sync(%{syncing: nil, unsynced: [_ | _]} = state) do
     %{journal: %{path: path}, sync: sync} = state
     task = Task.async(fn -> Journal.sync(path, sync) end)

@@ -183,7 +183,7 @@ defmodule Aerie.Control.Missions do
     &Result.remark(&1, remarks)
   end
 
-  # Who removes something is told what it was.
+  # The result says what was removed.
   defp removing(gateway, snapshot, kind) do
     case Transfers.read(gateway, snapshot, transfer(:download, @kinds[kind], snapshot.vehicle_type), []) do
       {{:ok, %{items: items}}, nil} ->
@@ -199,7 +199,7 @@ defmodule Aerie.Control.Missions do
     end
   end
 
-  @doc "What a vehicle has of a kind, for people, from its items: `\"4 corners\"`, `\"nothing\"`."
+  @doc "Describes a plan of a kind from its items: `\"4 corners\"`, `\"nothing\"`."
   @spec contents([Item.t()], kind(), module()) :: String.t()
   def contents(items, kind, protocol) do
     with {:ok, plan} <- Onboard.put(%Plan{}, @kinds[kind], items, protocol),

@@ -49,7 +49,7 @@ defmodule Aerie.Control.Params do
 
   @doc """
   All parameters, read from the vehicle in the best way that it offers (P4). A list that was read earlier, even before a restart, is
-  returned if the vehicle's checksum shows that it is still right. `refresh: true` reads it anew. Lists of other components have no
+  returned if the vehicle's checksum shows that it is still right. `refresh: true` reads it again. Lists of other components have no
   checksum and are read each time.
   """
   @spec list(Names.gateway(), vehicle :: String.t(), [option() | {:refresh, boolean()}]) ::

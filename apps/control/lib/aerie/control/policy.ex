@@ -121,7 +121,7 @@ defmodule Aerie.Control.Policy do
         }
 
   @doc """
-  Who sends raw MAVLink from somewhere. In this order: who proved it by a key or by signing in; an entry of `policy.clients` with the
+  The sender of raw MAVLink, in this order: who proved it by a key or by signing in; an entry of `policy.clients` with the
   client's or link's id; the entry without an id. Without any of these it is an operator on this machine, and on a link with
   `gcs: allow`; elsewhere a viewer. Who does not count as a client on a link is a viewer, whatever is listed.
   """

@@ -17,7 +17,7 @@ defmodule Aerie.Control.ReadCache do
   @ids Enum.map(@params ++ @plans ++ @files, & &1.id())
   @call_ms 1_000
 
-  @doc "What a message is about."
+  @doc "The kind of data that a message requests."
   @spec about(struct()) :: :params | :plans | :files
   def about(%module{}) when module in @params, do: :params
   def about(%module{}) when module in @files, do: :files

@@ -76,7 +76,7 @@ defmodule Aerie.Control.TransferExecutor do
     end
   end
 
-  @doc "Asks a transfer to cease, for all who wait for it."
+  @doc "Cancels a transfer, for all its callers."
   @spec cancel(Names.gateway(), Store.vehicle_key(), id :: String.t()) :: :ok | {:error, String.t()}
   def cancel(gateway, key, id) do
     GenServer.call(Names.via(gateway, :transfers, key), {:cancel, id})

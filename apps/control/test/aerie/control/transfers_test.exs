@@ -4,7 +4,7 @@ defmodule Aerie.Control.TransfersTest do
 
   alias Aerie.Base.Names
   alias Aerie.Control.{Commands, Files, Logs, Missions, Params}
-  alias Aerie.DoorCase
+  alias Aerie.CommandCase
   alias Aerie.Control.Mission.{Item, Plan}
 
   @moduletag :tmp_dir
@@ -167,7 +167,7 @@ defmodule Aerie.Control.TransfersTest do
     end
   end
 
-  test "a component without parameters, and what is no component", %{tmp_dir: dir} do
+  test "a component without parameters, and what is not a component", %{tmp_dir: dir} do
     {gateway, port} = start(dir)
     fly(gateway, port, firmware: :px4)
 
@@ -212,7 +212,7 @@ defmodule Aerie.Control.TransfersTest do
              }
              | _
            ] =
-             for(%{"id" => "high"} = record <- DoorCase.audit(dir), do: record)
+             for(%{"id" => "high"} = record <- CommandCase.audit(dir), do: record)
 
     assert {:error, [%{key: "name"}]} = Params.set(gateway, "VID-001", "A NAME", 1)
 

@@ -55,7 +55,7 @@ defmodule Aerie.Fleet.Bridge do
   @spec publish_state(Names.gateway(), String.t(), atom(), map(), integer()) :: :ok
   defdelegate publish_state(gateway, vehicle, group, map, at), to: State, as: :put
 
-  @doc "What the gateway last published of a vehicle before it was restarted (`Aerie.Fleet.Bridge.LastPublished`), or nil."
+  @doc "The vehicle's state as last published before the gateway was restarted (`Aerie.Fleet.Bridge.LastPublished`), or nil."
   @impl Aerie.Vehicle.Publisher
   @spec remembered(Names.gateway(), String.t()) :: Aerie.Vehicle.Detector.OfflineChanges.t()
   defdelegate remembered(gateway, vehicle), to: LastPublished, as: :of

@@ -8,7 +8,7 @@ defmodule Aerie.Fleet.Health do
   (`Aerie.Control.Ledger.problem/1`), and that no link, no endpoint for clients and no
   session of a vehicle drops what comes faster than it takes it (what the gateway shows would be incomplete). Links that are down are
   listed but do not make it unready, because a gateway that waits for a radio to return does its work. Nor do an audit log that cannot
-  be written (the gateway then refuses commands, and shows everything), a policy that could not be loaded anew (the old one is in
+  be written (the gateway then refuses commands, and shows everything), a policy that could not be loaded again (the old one is in
   force), and a leaf node's hub that is away or stores nothing (events are stored aboard).
   """
 
@@ -83,7 +83,7 @@ defmodule Aerie.Fleet.Health do
       problem: hub.problem
     }
 
-  # A policy that could not be loaded anew: the old one is in force.
+  # A policy that could not be loaded again: the old one is in force.
   defp policy_problem(gateway) do
     with %{problem: %{errors: lines}} <- Aerie.Control.Policy.Store.status(gateway),
          do: Enum.join(lines, "; "),

@@ -8,7 +8,7 @@ defmodule Aerie.Fleet.Inspector do
 
   It looks only while somebody watches (`watch/1`, until that process ends): without watchers the links pay nothing. It gets frames by the
   recorder's taps, so it never makes a link wait: what it does not take in time is left out and counted (`skipped`). Nothing is decoded
-  but what somebody asks for, in the process of whoever asks (`Aerie.Fleet.Inspector.Fields`).
+  but what somebody asks for, in the process of the caller (`Aerie.Fleet.Inspector.Fields`).
 
   What a link sends is seen as far as the recorder sees it (`recorder.sent`); without a recorder there is nothing to see. Keys in
   SETUP_SIGNING are never shown (S9).

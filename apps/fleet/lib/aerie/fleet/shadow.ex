@@ -46,7 +46,7 @@ defmodule Aerie.Fleet.Shadow do
       else: :elsewhere
   end
 
-  @doc "What `get/2` gives of a vehicle of which nothing is desired or known."
+  @doc "The answer of `get/2` for a vehicle without desired or known state."
   @spec nothing(String.t()) :: map()
   def nothing(vehicle),
     do: vehicle |> Document.new() |> desired() |> Map.merge(%{"history" => [], "reported" => nil})

@@ -1,6 +1,6 @@
 defmodule Aerie.Control.CommandsTest do
-  @moduledoc "The door; the test is the vehicle's executor."
-  use Aerie.DoorCase, async: true
+  @moduledoc "The pipeline of commands; the test is the vehicle's executor."
+  use Aerie.CommandCase, async: true
 
   import Aerie.BridgeCase, only: [other_vm: 2, kill9: 1]
 
@@ -24,7 +24,7 @@ defmodule Aerie.Control.CommandsTest do
   end
 
   test "a command passes, and is in ledger, audit log and metrics", %{tmp_dir: dir} do
-    gateway = start_door(dir)
+    gateway = start_commands(dir)
     task = command(gateway, "takeoff", id: "t1", params: %{altitude: 20}, source: "tablet 3")
     from = executing(%{id: "t1", source: "ops"})
     assert {:under_way, %{type: "takeoff", source: "ops"}} = Commands.state(gateway, "VID-007", "t1")
@@ -50,7 +50,7 @@ defmodule Aerie.Control.CommandsTest do
 
   test "the same id: whoever asks meanwhile waits, later it is the stored result, another command is refused",
        %{tmp_dir: dir} do
-    gateway = start_door(dir)
+    gateway = start_commands(dir)
     first = command(gateway, "land", id: "a")
     from = executing(%{id: "a"})
     second = command(gateway, "land", id: "a")
@@ -71,7 +71,9 @@ defmodule Aerie.Control.CommandsTest do
     tmp_dir: dir
   } do
     gateway =
-      start_door(dir, policy: [max_altitude: 100, rates: [%{types: ["gripper"], per_minute: 1, burst: 1}]])
+      start_commands(dir,
+        policy: [max_altitude: 100, rates: [%{types: ["gripper"], per_minute: 1, burst: 1}]]
+      )
 
     viewer = %{operator() | role: :viewer}
     assert {:denied, "role"} = gateway |> command("arm", as: viewer) |> rule()
@@ -113,7 +115,7 @@ defmodule Aerie.Control.CommandsTest do
   end
 
   test "too many at once: denied, but for what holds a vehicle or brings it down", %{tmp_dir: dir} do
-    gateway = start_door(dir, commands: [max_in_flight: 1])
+    gateway = start_commands(dir, commands: [max_in_flight: 1])
     goto = command(gateway, "goto", id: "g", params: %{lat: 47.0001, lon: 8.0, altitude: 10})
     from = executing(%{id: "g"})
     assert {:denied, "busy"} = gateway |> command("arm") |> rule()
@@ -125,7 +127,7 @@ defmodule Aerie.Control.CommandsTest do
   end
 
   test "a caller that does not wait, or no longer: the command goes on", %{tmp_dir: dir} do
-    gateway = start_door(dir)
+    gateway = start_commands(dir)
 
     assert {:pending, "a"} =
              gateway |> command("land", id: "a", wait_ms: 0) |> Task.await(Aerie.Patience.ms())
@@ -140,7 +142,7 @@ defmodule Aerie.Control.CommandsTest do
   end
 
   test "progress and cancelling, for who may give the command", %{tmp_dir: dir} do
-    gateway = start_door(dir)
+    gateway = start_commands(dir)
     task = command(gateway, "takeoff", id: "t", params: %{altitude: 9}, progress: {self(), :mine})
     assert_receive {:"$gen_call", from, {:submit, %{id: "t"}, desk}}
     send(desk, {:command_progress, "t", %{"progress" => 0.5, "text" => nil}})
@@ -160,7 +162,7 @@ defmodule Aerie.Control.CommandsTest do
   test "one is in charge: hand-over, take-over with a reason, release; all of it in the audit log", %{
     tmp_dir: dir
   } do
-    gateway = start_door(dir, policy: [lease: %{required: true}])
+    gateway = start_commands(dir, policy: [lease: %{required: true}])
     other = %{operator() | name: "other"}
     done = fn type, more -> assert %{status: :completed} = gateway |> command(type, more) |> result() end
     assert {:denied, "lease"} = gateway |> command("arm") |> rule()
@@ -197,7 +199,7 @@ defmodule Aerie.Control.CommandsTest do
   test "a vehicle that has an operator itself (X15) is asked, and what it refuses changes nothing", %{
     tmp_dir: dir
   } do
-    gateway = start_door(dir)
+    gateway = start_commands(dir)
     snapshot = Store.vehicle(gateway, "VID-007")
     operator = %{at: System.os_time(:microsecond), data: %{system: 0, takeover_allowed: true}}
     Store.put_vehicle(gateway, {"main", 7}, put_in(snapshot.groups[:operator], operator))
@@ -218,7 +220,9 @@ defmodule Aerie.Control.CommandsTest do
 
   test "what would become of a command, without giving it", %{tmp_dir: dir} do
     gateway =
-      start_door(dir, policy: [max_altitude: 100, rates: [%{types: ["gripper"], per_minute: 1, burst: 1}]])
+      start_commands(dir,
+        policy: [max_altitude: 100, rates: [%{types: ["gripper"], per_minute: 1, burst: 1}]]
+      )
 
     check = fn type, more ->
       Commands.check(gateway, [vehicle: "VID-007", type: type, as: operator()] ++ more)
@@ -246,7 +250,7 @@ defmodule Aerie.Control.CommandsTest do
        %{
          tmp_dir: dir
        } do
-    gateway = start_door(dir)
+    gateway = start_commands(dir)
     offboard = [params: %{mode: "offboard"}]
     guided = command(gateway, "set_mode", id: "g", params: %{mode: "GUIDED"})
     answer(executing(%{id: "g"}), "g", :completed)
@@ -302,7 +306,7 @@ defmodule Aerie.Control.CommandsTest do
       tmp_dir: dir
     } do
       block(dir, "ledger")
-      gateway = start_door(dir)
+      gateway = start_commands(dir)
       assert {:denied, "ledger"} = gateway |> command("arm") |> rule()
       goto = %{lat: 47.0001, lon: 8.0, altitude: 10}
       assert {:denied, "ledger"} = gateway |> command("goto", params: goto) |> rule()
@@ -321,7 +325,7 @@ defmodule Aerie.Control.CommandsTest do
     test "the ledger, not required: everything goes that may be done twice", %{tmp_dir: dir} do
       block(dir, "ledger")
       ledger = %{dir: Path.join(dir, "ledger"), max_entries: 1000, max_age_s: 3600.0, required: false}
-      gateway = start_door(dir, commands: [ledger: ledger])
+      gateway = start_commands(dir, commands: [ledger: ledger])
       task = command(gateway, "goto", id: "g", params: %{lat: 47.0001, lon: 8.0, altitude: 10})
       answer(executing(%{id: "g"}), "g", :completed)
       assert %{status: :completed} = result(task)
@@ -330,7 +334,7 @@ defmodule Aerie.Control.CommandsTest do
 
     test "the audit log: likewise, and `policy.audit.required: false` lets all pass", %{tmp_dir: dir} do
       block(dir, "audit")
-      gateway = start_door(dir)
+      gateway = start_commands(dir)
       assert {:denied, "audit"} = gateway |> command("arm") |> rule()
       task = command(gateway, "land", id: "l")
       answer(executing(%{id: "l"}), "l", :completed)
@@ -343,7 +347,7 @@ defmodule Aerie.Control.CommandsTest do
   end
 
   test "a task that dies: the result is unknown, and the command is never sent again", %{tmp_dir: dir} do
-    gateway = start_door(dir)
+    gateway = start_commands(dir)
     task = command(gateway, "arm", id: "a")
     {pid, _tag} = executing(%{id: "a"})
     Process.exit(pid, :kill)
@@ -353,10 +357,11 @@ defmodule Aerie.Control.CommandsTest do
     refute_received {:"$gen_call", _from, {:submit, _command, _progress}}
   end
 
-  test "the door dies with commands under way: they are unknown, observed, and not sent again", %{
-    tmp_dir: dir
-  } do
-    gateway = start_door(dir)
+  test "the supervisor of commands dies with commands under way: they are unknown, observed, and not sent again",
+       %{
+         tmp_dir: dir
+       } do
+    gateway = start_commands(dir)
     arm = command(gateway, "arm", id: "a")
     executing(%{id: "a"})
     reset = command(gateway, "set_home", id: "s", params: %{here: true})
@@ -365,7 +370,7 @@ defmodule Aerie.Control.CommandsTest do
     assert %{status: :unknown} = result(arm)
     assert %{status: :unknown} = result(reset)
 
-    # Heard anew, and armed.
+    # Heard again, and armed.
     eventually(fn ->
       put_vehicle(gateway)
 
@@ -387,25 +392,25 @@ defmodule Aerie.Control.CommandsTest do
     Application.put_env(:vehicle, :gateway_parts, [Aerie.ControlParts])
     {:ok, _} = Aerie.GatewayCase.start_link(%{}, name: :g, with: [])
     dir = #{inspect(dir)}
-    config = %{policy: %{audit: %{dir: Path.join(dir, "audit"), max_mb: 8, required: true}}, commands: Aerie.DoorCase.commands(dir)}
+    config = %{policy: %{audit: %{dir: Path.join(dir, "audit"), max_mb: 8, required: true}}, commands: Aerie.CommandCase.commands(dir)}
     for part <- [Aerie.Control.Policy.Supervisor, Aerie.Control.Commands.Supervisor], do: {:ok, _} = part.start_link(Aerie.LinkCase.options(part, :g, config))
     Aerie.Base.Names.register(:g, :commands, {"main", 7})
-    Aerie.DoorCase.put_vehicle(:g)
+    Aerie.CommandCase.put_vehicle(:g)
     for {id, type} <- [{"done", "land"}, {"arm", "arm"}, {"off", "disarm"}, {"drop", "gripper"}] do
       params = if type == "gripper", do: %{action: "release"}, else: %{}
-      Task.start(fn -> Aerie.Control.Commands.submit(:g, vehicle: "VID-007", id: id, type: type, params: params, as: Aerie.DoorCase.operator()) end)
+      Task.start(fn -> Aerie.Control.Commands.submit(:g, vehicle: "VID-007", id: id, type: type, params: params, as: Aerie.CommandCase.operator()) end)
       receive do
-        {:"$gen_call", from, {:submit, %{id: ^id}, _}} -> if id == "done", do: Aerie.DoorCase.answer(from, id, :completed)
+        {:"$gen_call", from, {:submit, %{id: ^id}, _}} -> if id == "done", do: Aerie.CommandCase.answer(from, id, :completed)
       end
     end
-    {:ok, %{status: :completed}} = Aerie.Control.Commands.submit(:g, vehicle: "VID-007", id: "done", type: "land", as: Aerie.DoorCase.operator())
+    {:ok, %{status: :completed}} = Aerie.Control.Commands.submit(:g, vehicle: "VID-007", id: "done", type: "land", as: Aerie.CommandCase.operator())
     IO.puts("under way \#{System.pid()}")
     Process.sleep(:infinity)
     """
 
     {_port, pid} = other_vm(script, "under way ")
     kill9(pid)
-    gateway = start_door(dir)
+    gateway = start_commands(dir)
     assert %{status: :completed} = gateway |> command("land", id: "done") |> result()
     assert %{status: :unknown} = gateway |> command("disarm", id: "off") |> result()
 
@@ -424,7 +429,7 @@ defmodule Aerie.Control.CommandsTest do
   end
 
   test "what an interrupted command did, is judged by the state", %{tmp_dir: dir} do
-    gateway = start_door(dir)
+    gateway = start_commands(dir)
     snapshot = Store.vehicle(gateway, "VID-007")
 
     judge = fn type, params ->
@@ -444,7 +449,7 @@ defmodule Aerie.Control.CommandsTest do
        %{
          tmp_dir: dir
        } do
-    gateway = start_door(dir, commands: %{grace_s: 300})
+    gateway = start_commands(dir, commands: %{grace_s: 300})
     assert Commands.drain(make_ref()) == []
     first = command(gateway, "takeoff", id: "a", params: %{altitude: 20})
     from = executing(%{id: "a"})
@@ -458,7 +463,7 @@ defmodule Aerie.Control.CommandsTest do
   end
 
   test "what cannot be drained is told as unknown, and stays in the ledger as sent", %{tmp_dir: dir} do
-    gateway = start_door(dir, commands: %{grace_s: 0})
+    gateway = start_commands(dir, commands: %{grace_s: 0})
     task = command(gateway, "takeoff", id: "b", params: %{altitude: 20})
     _from = executing(%{id: "b"})
     assert Commands.drain(gateway) == ["b"]
@@ -468,13 +473,13 @@ defmodule Aerie.Control.CommandsTest do
   end
 
   test "no policy: nothing may be commanded", %{tmp_dir: dir} do
-    gateway = start_door(dir)
+    gateway = start_commands(dir)
     :ok = stop_supervised(Policy.Supervisor)
     assert {:denied, "policy"} = gateway |> command("land") |> rule()
   end
 
-  test "no door: nothing was sent", %{tmp_dir: dir} do
-    gateway = start_door(dir)
+  test "without the server of commands nothing is sent", %{tmp_dir: dir} do
+    gateway = start_commands(dir)
     :ok = stop_supervised(Commands.Supervisor)
     assert {:denied, "unavailable"} = gateway |> command("land") |> rule()
   end

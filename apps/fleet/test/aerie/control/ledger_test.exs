@@ -289,7 +289,7 @@ defmodule Aerie.Control.LedgerTest do
     refute_received {:sync, _third}
   end
 
-  test "a disk that fails: who waits for it is told, and the file is written anew", %{tmp_dir: dir} do
+  test "a disk that fails: who waits for it is told, and the file is written again", %{tmp_dir: dir} do
     broken = :atomics.new(1, [])
     sync = fn _path -> if :atomics.get(broken, 1) == 1, do: {:error, :eio}, else: :ok end
     {gateway, _pid} = start(dir, 1000, sync: sync)
@@ -308,7 +308,7 @@ defmodule Aerie.Control.LedgerTest do
     assert %{failing: nil} = Ledger.status(gateway)
   end
 
-  test "the file is written anew when most of it is out of date", %{tmp_dir: dir} do
+  test "the file is rewritten when most of it is out of date", %{tmp_dir: dir} do
     {gateway, pid} = start(dir, 10_000)
     for n <- 1..50, do: run(gateway, "c#{n}")
     %{bytes: before} = Ledger.status(gateway)

@@ -1,6 +1,6 @@
 defmodule Aerie.Fleet.OperationsTest do
-  @moduledoc "Operations on many vehicles through the real door; the test is the executor of the vehicles."
-  use Aerie.DoorCase, async: true
+  @moduledoc "Operations on many vehicles through the real pipeline; the test is the executor of the vehicles."
+  use Aerie.CommandCase, async: true
 
   alias Aerie.Base.Names
   alias Aerie.Fleet.Operations
@@ -11,7 +11,7 @@ defmodule Aerie.Fleet.OperationsTest do
   @viewer %{name: "guest", role: :viewer, permissions: []}
 
   setup %{tmp_dir: dir} do
-    gateway = start_door(dir)
+    gateway = start_commands(dir)
     start_supervised!({Operations.Supervisor, gateway: gateway})
     executors = for n <- 11..16, do: executor(gateway, n)
     %{gateway: gateway, executors: executors}

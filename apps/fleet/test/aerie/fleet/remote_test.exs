@@ -2,7 +2,7 @@ defmodule Aerie.Fleet.RemoteTest do
   @moduledoc "A hub whose other gateway is the test, on a real nats-server: what it shows of it, and what becomes of commands."
   use Aerie.BridgeCase, async: true
 
-  import Aerie.DoorCase, only: [start_part: 3, commands: 1, audit: 1]
+  import Aerie.CommandCase, only: [start_part: 3, commands: 1, audit: 1]
 
   alias Aerie.Base.Names
   alias Aerie.Control.{Commands, Policy}
@@ -24,8 +24,13 @@ defmodule Aerie.Fleet.RemoteTest do
     }
 
     start_part(Policy.Supervisor, gateway, sections)
-    door = LinkCase.options(Commands.Supervisor, gateway, sections) ++ [remote_gateway: Remote]
-    start_supervised!(%{id: :door, start: {Commands.Supervisor, :start_link, [door]}, type: :supervisor})
+    options = LinkCase.options(Commands.Supervisor, gateway, sections) ++ [remote_gateway: Remote]
+
+    start_supervised!(%{
+      id: :commands,
+      start: {Commands.Supervisor, :start_link, [options]},
+      type: :supervisor
+    })
 
     {:ok, settings} =
       Remote.Settings.new(%{

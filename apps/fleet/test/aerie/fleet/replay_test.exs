@@ -278,7 +278,7 @@ defmodule Aerie.Fleet.ReplayTest do
               }} = play(frames)
     end
 
-    test "a second recording in the same file begins time anew, and loses no vehicle" do
+    test "a second recording in the same file begins time again, and loses no vehicle" do
       later = for second <- 100..103, do: beat(second)
       earlier = for second <- 0..3, do: beat(second, base_mode: 209)
       assert {:ok, flight} = play(later ++ earlier)
@@ -304,7 +304,7 @@ defmodule Aerie.Fleet.ReplayTest do
       assert [{9, 154}, {255, 190}] = Enum.map(flight.summary.stations, &{&1.system, &1.component})
     end
 
-    test "a recording without a vehicle is none, which is no error" do
+    test "a recording without a vehicle is none, which is not an error" do
       assert {:ok, %{events: [], snapshots: %{}, summary: %{vehicles: []}}} =
                play([beat(0, [type: 6, autopilot: 8], system: 255)])
     end
@@ -320,7 +320,7 @@ defmodule Aerie.Fleet.ReplayTest do
       assert offset == 7_000_000 - at(2.01)
     end
 
-    test "a gateway that got no time recorded what it sent before what came meanwhile: that is no silence" do
+    test "a gateway that got no time recorded what it sent before what came meanwhile: that is not a silence" do
       own = fn second -> beat(second, [type: 18, autopilot: 8], system: 237, component: 191) end
       late = Enum.map(2..30, &beat/1)
       assert {:ok, %{events: [], statuses: [], summary: summary}} = play([beat(0), beat(1), own.(30) | late])

@@ -188,7 +188,7 @@ defmodule Aerie.Vehicle.SessionTest do
       end
     end
 
-    test "a live frame that is late by seconds, and one after a silence of seconds, begin no time anew" do
+    test "a live frame that is late by seconds, and one after a silence of seconds, do not restart time" do
       gateway = gateway(%{timeouts: %{vehicle_stale_s: 300.0, vehicle_lost_s: 600.0}})
       PubSub.subscribe(gateway, :events)
       now = System.os_time(:microsecond)
@@ -416,7 +416,7 @@ defmodule Aerie.Vehicle.SessionTest do
     assert Store.counter(gateway, {:vehicle, "VID-001", :invalid}) == 1
   end
 
-  test "a removed vehicle starts anew" do
+  test "a removed vehicle starts again" do
     gateway = gateway()
     deliver(gateway, [frame(@copter, at(1))])
     settle(gateway, {"main", 1})

@@ -47,7 +47,7 @@ defmodule MavRouter.Client.StateSocketTest do
     refute File.exists?(path)
   end
 
-  test "what a killed gateway left behind is replaced; what answers, or is no socket, is left alone" do
+  test "what a killed gateway left behind is replaced; what answers, or is not a socket, is left alone" do
     path = Path.join(short_dir(), "s.sock")
     {:ok, left, _identity} = UnixSocket.listen(path)
     assert {:error, text} = UnixSocket.listen(path)

@@ -43,7 +43,7 @@ defmodule FleetWeb.API.Access do
         }
 
   @typedoc """
-  Who asks: the owner of a key, or a program of this machine (`local`). `may`: the role in which it changes the gateway
+  The requester: the owner of a key, or a program of this machine (`local`). `may`: the role in which it changes the gateway
   (`FleetWeb.API.Routes`). Any user of this machine may be behind `local`, so it is never more than an operator there, and nobody who may
   command vehicles.
   """
@@ -54,7 +54,7 @@ defmodule FleetWeb.API.Access do
           may: Roles.role()
         }
 
-  @doc "Who asks, or why access is refused."
+  @doc "The requester, or why access is refused."
   @spec decide(policy(), facts()) :: {:ok, requester()} | {:error, Error.t()}
   def decide(policy, facts) do
     with :ok <- origin(policy, facts), do: key(policy, facts)

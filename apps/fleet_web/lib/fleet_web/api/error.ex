@@ -106,7 +106,7 @@ defmodule FleetWeb.API.Error do
   @spec codes() :: [code()]
   def codes, do: @statuses |> Map.keys() |> Enum.sort()
 
-  @doc "What a status means, for people."
+  @doc "The meaning of a status."
   @spec meaning(400..599) :: String.t()
   def meaning(status), do: Map.fetch!(@meanings, status)
 

@@ -3,7 +3,7 @@ defmodule FleetWeb.API.KeyRing do
   The keys that open `/api` and the WebSocket at this moment: those of the configuration, and those that an admin made in the console. Of the
   latter a file of the console's folder has the digests, in the form of `api.keys_file`; the key itself is shown once and kept nowhere.
 
-  Whoever decides about a request reads the list without waiting (`admit/2`). While this process restarts nobody is let in, because no keys
+  A request reads the list without waiting (`admit/2`). While this process restarts nobody is let in, because no keys
   at all would mean that programs of this machine need none.
   """
   use GenServer

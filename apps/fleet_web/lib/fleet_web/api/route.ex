@@ -45,7 +45,7 @@ defmodule FleetWeb.API.Route do
           answer: :object | nil | {:bytes, [String.t()]}
         }
 
-  @doc "A route that reads: whoever is let in may."
+  @doc "A route that reads: open to every admitted requester."
   @spec get(String.t(), action(), String.t(), keyword()) :: t()
   def get(path, action, summary, options \\ []), do: new("GET", path, action, :viewer, summary, options)
 

@@ -1,7 +1,7 @@
 defmodule FleetWeb.HTTP.Proxy do
   @moduledoc """
   A middleware that believes a proxy what it says of the client, if it is one of `http.proxies`: `X-Forwarded-Proto` becomes the request's scheme,
-  so that cookies are marked for TLS, and the last address of `X-Forwarded-For` that is no proxy of ours its peer, so that each client
+  so that cookies are marked for TLS, and the last address of `X-Forwarded-For` that is not a proxy of ours its peer, so that each client
   has its own tries to sign in. Anybody can write these headers, so from others they change nothing.
   """
 

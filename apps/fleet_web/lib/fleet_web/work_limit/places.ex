@@ -2,8 +2,8 @@ defmodule FleetWeb.WorkLimit.Places do
   @moduledoc """
   Places for work that costs more than a page: so many of a kind at once, a few wait, the rest is refused. Pure.
 
-  Of whoever asks one piece of a kind waits or runs at a time, so nobody fills the places alone. Those who are known (`known?`) have a
-  queue of their own, which comes first.
+  Each requester has one piece of work of a kind waiting or running at a time, so none fills the places alone. Known requesters (`known?`)
+  have a queue of their own, which comes first.
   """
 
   @waiting 16

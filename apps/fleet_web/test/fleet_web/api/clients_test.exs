@@ -40,7 +40,7 @@ defmodule FleetWeb.API.ClientsTest do
     :ok = :gen_udp.send(gcs, {127, 0, 0, 1}, from, heartbeat.(6, 8, 255))
     ours = heartbeat.(6, 8, 255)
     assert_receive {:forward, [^ours], :control}
-    # A client is no vehicle, whatever it says.
+    # A client is not a vehicle, whatever it says.
     :ok = :gen_udp.send(gcs, {127, 0, 0, 1}, from, heartbeat.(2, 3, 77))
     assert_receive {:forward, _frames, _class}
     assert Store.vehicle(gateway, {"main", 77}) == nil

@@ -2,7 +2,7 @@ defmodule FleetWeb.API.CommandsTest do
   @moduledoc "Commands over REST; the test is the vehicle's executor."
   use FleetWeb.APICase, async: true
 
-  import Aerie.DoorCase, only: [start_door: 2, answer: 3, executing: 1]
+  import Aerie.CommandCase, only: [start_commands: 2, answer: 3, executing: 1]
 
   alias Aerie.Control.Policy.Signature
 
@@ -24,7 +24,7 @@ defmodule FleetWeb.API.CommandsTest do
     rates = [%{types: ["gripper"], per_minute: 1, burst: 1}]
     nkey = Nkey.generate(:user)
     sources = [%{name: "signer", nkey: nkey.public, role: :operator}]
-    start_door(dir, gateway: server.gateway, policy: [max_altitude: 100, rates: rates, sources: sources])
+    start_commands(dir, gateway: server.gateway, policy: [max_altitude: 100, rates: rates, sources: sources])
     :ok = Aerie.Fleet.Bridge.note_environment(server.gateway, "test")
     Map.put(server, :nkey, nkey)
   end

@@ -2,7 +2,7 @@ defmodule FleetWeb.API.ShadowTest do
   @moduledoc "The shadow over REST, and its metrics; the test is the vehicle's executor."
   use FleetWeb.APICase, async: true
 
-  import Aerie.DoorCase, only: [start_door: 2, answer: 3, executing: 1]
+  import Aerie.CommandCase, only: [start_commands: 2, answer: 3, executing: 1]
   import Aerie.ShadowCase, only: [start_shadow: 3, start_loop: 1, standing: 3]
 
   @moduletag :tmp_dir
@@ -19,8 +19,8 @@ defmodule FleetWeb.API.ShadowTest do
     File.write!(file, @keys)
     File.chmod!(file, 0o600)
     server = start_server(keys_file: file, key: true)
-    start_door(dir, gateway: server.gateway)
-    Aerie.DoorCase.put_vehicle(server.gateway, %{in_air: true})
+    start_commands(dir, gateway: server.gateway)
+    Aerie.CommandCase.put_vehicle(server.gateway, %{in_air: true})
     # The vehicle is armed: the shadow would stay away for as long.
     start_shadow(server.gateway, dir, [{"shadow.hold_s", 0.1}])
     start_loop(server.gateway)
@@ -47,7 +47,7 @@ defmodule FleetWeb.API.ShadowTest do
              delta(context)
 
     # The vehicle shows it first: a mode that is late would be asked for again.
-    Aerie.DoorCase.put_vehicle(context.gateway, %{in_air: true, mode: "LOITER"})
+    Aerie.CommandCase.put_vehicle(context.gateway, %{in_air: true, mode: "LOITER"})
     answer(from, id, :accepted)
     standing(context.gateway, "mode", :converged)
 

@@ -25,7 +25,7 @@ defmodule FleetWeb.Console.AssetsTest do
     for style <- styles, do: assert(page =~ Assets.path(console.gateway, style))
   end
 
-  test "an address of before an update gets the present asset, to be asked for anew", %{console: console} do
+  test "an address of before an update gets the present asset, to be asked for again", %{console: console} do
     answer = get(console, "/assets/older/console.js")
     assert answer.status == 200
     assert answer.headers["cache-control"] == "no-cache"

@@ -10,7 +10,7 @@ defmodule FleetWeb.Console.BrowserTest do
 
   setup %{tmp_dir: dir} do
     [console: console] = start_console()
-    Aerie.DoorCase.start_door(dir, gateway: console.gateway, policy: [max_altitude: 100])
+    Aerie.CommandCase.start_commands(dir, gateway: console.gateway, policy: [max_altitude: 100])
     put_vehicle(console, "VID-007", [], %{key: {"main", 7}, system_id: 7, component: 1})
 
     put_vehicle(console, "VID-002", [mode: %{armed: false, mode: "STABILIZE", in_air: false}], %{

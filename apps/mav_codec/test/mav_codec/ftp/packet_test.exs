@@ -119,7 +119,7 @@ defmodule MavCodec.Ftp.PacketTest do
         do: assert(Packet.error(%Packet{data: data}) == reason)
   end
 
-  test "opcodes are those of MAVLink; an unknown one is no operation" do
+  test "opcodes are those of MAVLink; an unknown one is not an operation" do
     assert Packet.opcode(:list) == 3
     assert Packet.operation(@read) == :read
     for code <- [0, 9, 10, 12, 13, 99, 128, 255], do: assert(Packet.operation(%Packet{opcode: code}) == nil)

@@ -1,6 +1,6 @@
 defmodule MavRouter.Authority.Principal do
   @moduledoc """
-  Who sends a frame or asks for something: a value that is made where it enters, and travels with it.
+  The sender of a frame or request: a value that is made where it enters, and travels with it.
 
   | kind | made of |
   |---|---|
@@ -13,7 +13,7 @@ defmodule MavRouter.Authority.Principal do
 
   `permissions` are those beyond the role's; `may` is all that it may do, worked out once (`:all` for a router without a policy).
   `program` tells the programs of one client apart (the address of each), and `endpoint` is where they are connected; both are nil for
-  whoever has a name of his own.
+  a sender with a name of its own.
   """
 
   @enforce_keys [:kind, :name]

@@ -84,7 +84,7 @@ defmodule MavRouter.Identity.Watchdog do
     :ets.insert(table, for(tag <- @needed, do: {tag, now(), false}))
     %Settings{deadman_ms: deadman_ms} = Keyword.fetch!(options, :settings)
     Names.put_value(gateway, :watchdog, {table, deadman_ms})
-    # Often enough that one late answer is no missed one.
+    # Often enough that one late answer is not a missed one.
     {:ok, _timer} = :timer.send_interval(min(@max_every_ms, div(deadman_ms, 4)), :ask)
     state = %{gateway: gateway, table: table, deadman_ms: deadman_ms, asked: now(), owing: %{}, silent: []}
     {:ok, state, {:continue, :ask}}
@@ -139,7 +139,7 @@ defmodule MavRouter.Identity.Watchdog do
     for {role, id} <- @needed, into: vehicles, do: {{role, id}, Names.whereis(gateway, role, id)}
   end
 
-  # Vehicles that are no more. The needed ones stay, dead or alive.
+  # Removed vehicles. The needed ones stay, dead or alive.
   defp forget(table, loops) do
     for {tag, _at, _answered} <- :ets.tab2list(table), tag != {:watchdog, nil}, not is_map_key(loops, tag) do
       :ets.delete(table, tag)
@@ -148,7 +148,7 @@ defmodule MavRouter.Identity.Watchdog do
     :ok
   end
 
-  # A process that has yet to answer for the first time is waited for, not complained of: a gateway that starts is no fault.
+  # A process that has yet to answer for the first time is waited for, not complained of: a gateway that starts is not a fault.
   defp notify(state) do
     %{silent: silent} = status(state.gateway)
     :ets.insert(state.table, {:silent, silent != []})

@@ -7,7 +7,7 @@ defmodule MavRouter.Link.Backlog do
   A socket keeps the oldest datagrams and drops the newest, so a link that does not keep up would show a state that is
   seconds old for as long as the overload lasts. Instead, when what waits would take half a second to read at the pace of the
   last #{@every_ms} ms, datagrams are discarded until a tenth of a second is left. A burst, or a machine that was busy for a
-  moment, is no overload: discarding begins when this has lasted for a second, and ends after five seconds without it.
+  moment, is not an overload: discarding begins when this has lasted for a second, and ends after five seconds without it.
 
   It is fair to senders (`MavRouter.Link.Senders`). Of the datagrams read at a time, those are kept first whose senders had been heard for
   a minute when the overload began, then those of senders heard for five seconds, then those of new ones: hundreds of strangers take
@@ -20,7 +20,7 @@ defmodule MavRouter.Link.Backlog do
   @keep_ms 100
   @patience_ms 1_000
   @relief_ms 5_000
-  # Fewer datagrams than this are no backlog.
+  # Fewer datagrams than this are not a backlog.
   @some 64
   @many 256
 
@@ -106,7 +106,7 @@ defmodule MavRouter.Link.Backlog do
   defp excess(waiting, per_ms) when waiting > per_ms * @late_ms, do: {round(per_ms * @keep_ms), waiting}
   defp excess(_waiting, _per_ms), do: nil
 
-  @doc "What is kept of the datagrams that were read, in their order, and how many were discarded."
+  @doc "The kept ones of the datagrams that were read, in order, and the number of discarded ones."
   @spec take(t, [{term, binary}]) :: {[{term, binary}], discarded, t}
   def take(%__MODULE__{shed: 0} = backlog, datagrams),
     do: {datagrams, @none, noted(%{backlog | done: backlog.done + length(datagrams)}, datagrams)}

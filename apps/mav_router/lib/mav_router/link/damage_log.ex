@@ -5,7 +5,7 @@ defmodule MavRouter.Link.DamageLog do
   When damaged frames are worth a line in the log: the first at once, then one line every #{div(@every_ms, 1000)} s with how many there were. A
   value.
 
-  A few bytes between frames are no damage: every serial port that is opened in the middle of a frame has them.
+  A few bytes between frames are not damage: every serial port that is opened in the middle of a frame has them.
   """
 
   alias MavRouter.Link.Counters

@@ -49,7 +49,7 @@ defmodule MavRouter.Link.Overload do
     {%{core | behind: behind}, if(change == :begins, do: [{:warn, warn}], else: [])}
   end
 
-  @doc "What is over by now."
+  @doc "Ends overloads that are over by now."
   @spec relieved(core, integer) :: {core, [term]}
         when core: %{:overload => t() | nil, :behind => t() | nil, optional(atom) => term}
   def relieved(core, mono) do

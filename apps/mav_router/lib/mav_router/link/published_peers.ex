@@ -17,7 +17,7 @@ defmodule MavRouter.Link.PublishedPeers do
   @spec new() :: t
   def new, do: %__MODULE__{}
 
-  @doc "What to write so that the store has the current peers."
+  @doc "The writes that bring the store's peers up to date."
   @spec changes(t, Peers.t()) :: {Store.Links.changes(), t}
   def changes(published, peers) do
     before = published.peers || %{}

@@ -4,7 +4,7 @@ defmodule MavRouter.Link.Reason do
   alias MavRouter.Link.Serial.Finding
   alias MavRouter.Link.Spec
 
-  @doc "What a reason means for a link. Every reason has words; an unknown one is inspected."
+  @doc "A reason as a text for people. An unknown one is inspected."
   @spec format(term, Spec.t()) :: String.t()
   def format(reason, spec), do: explain(reason, spec) || reason_text(reason, spec)
 

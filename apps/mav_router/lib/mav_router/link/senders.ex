@@ -24,7 +24,7 @@ defmodule MavRouter.Link.Senders do
   @spec new() :: t
   def new, do: %__MODULE__{}
 
-  @doc "Who sent a datagram. Nothing is checked: a made-up system id makes a new sender, which has been heard since now."
+  @doc "The sender of a datagram. Nothing is checked: a made-up system id makes a new sender, which has been heard since now."
   @spec of({term, binary}) :: sender
   def of({address, <<0xFD, _::32, system, _::binary>>}), do: {address, system}
   def of({address, <<0xFE, _::16, system, _::binary>>}), do: {address, system}

@@ -175,7 +175,7 @@ defmodule MavRouter.Link.Server do
 
   defp retry_if_changed(state), do: state
 
-  # A link's quality falls with silence, which is no event; the new value is published with this tick.
+  # A link's quality falls with silence, which is not an event; the new value is published with this tick.
   defp measure_quality(state) do
     case rounded(Meter.quality(state.gateway, state.spec.id)) do
       same when same == state.quality -> state

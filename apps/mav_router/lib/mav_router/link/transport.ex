@@ -109,7 +109,7 @@ defmodule MavRouter.Link.Transport do
           | {:count, atom, pos_integer}
           | {:written, {:ok, non_neg_integer} | {:error, term}}
 
-  @doc "What it is."
+  @doc "The transport's traits."
   @callback traits() :: traits
 
   @doc "The forms of its connection strings, the usual one first."
@@ -122,7 +122,7 @@ defmodule MavRouter.Link.Transport do
   @callback option(prefix :: String.t(), name :: String.t(), value :: String.t()) ::
               {:ok, atom, term} | {:error, keyword}
 
-  @doc "Where the link goes, for people; only asked if that is no host and port."
+  @doc "Where the link goes, for people; only asked if that is not a host and port."
   @callback place(Spec.t()) :: String.t()
 
   @doc "Words for a fault that means something particular here, or nil."

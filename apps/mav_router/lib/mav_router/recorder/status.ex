@@ -75,7 +75,7 @@ defmodule MavRouter.Recorder.Status do
   defp known?(gateway, {:link, id}), do: Store.link(gateway, id) != nil
   defp known?(gateway, {_vehicle_or_saved, key}), do: Store.vehicle(gateway, key) != nil
 
-  @doc "What the snapshot of a target shows: the status without the target's names; nil for none."
+  @doc "The status of a target for its snapshot, without its names; nil for none."
   @spec summary(Tables.t(), Tables.target()) :: map | nil
   def summary(tables, target) do
     with %{} = status <- of(tables, target), do: Map.drop(status, [:target, :label])

@@ -57,7 +57,7 @@ defmodule MavRouter.Recorder.Tables do
   @spec settings(t) :: Settings.t()
   def settings(tables), do: tables.settings
 
-  @doc "What is to be recorded of a target."
+  @doc "The recording mode of a target."
   @spec mode(t, target) :: mode
   def mode(tables, {kind, _id} = target) do
     case :ets.lookup(tables.wanted, target) do

@@ -69,7 +69,7 @@ defmodule MavRouter.Router.Admission do
 
   defp ask(key, first, %{gateway: gateway, tables: tables, sender: sender}) do
     if not :ets.member(tables.waiting, key) and :ets.info(tables.waiting, :size) < @max_waiting do
-      # In this order: whoever takes the row finds the frames.
+      # In this order: the process that takes the row finds the frames.
       :ok = EarlyFrames.put(tables, key, first)
       :ets.insert(tables.waiting, {key, sender})
       if not handed_over?(gateway, tables, key), do: VehicleStarter.ask(gateway, key)

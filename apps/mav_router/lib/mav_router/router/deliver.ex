@@ -41,7 +41,7 @@ defmodule MavRouter.Router.Deliver do
 
   defp read(gateway, tables, origin, frames, %{forwarding: forwarding} = cache) do
     case path(forwarding, origin) do
-      # A client whose endpoint is gone, as after a restart of the router: its frames are no vehicle's.
+      # A client whose endpoint is gone, as after a restart of the router: its frames are not a vehicle's.
       nil ->
         {unclaimed(frames), cache}
 
@@ -88,7 +88,7 @@ defmodule MavRouter.Router.Deliver do
   defp same?([%Frame{system: s, component: c} | rest], s, c), do: same?(rest, s, c)
   defp same?(_rest, _system, _component), do: false
 
-  # What anybody could have sent on a link with keys is no alarm.
+  # Unsigned echoes on a link with keys raise no alarm: anyone can forge them.
   defp echo(frames, trusted, delivery) do
     Echo.check(delivery, trusted)
     %{@nothing | looped: length(frames)}

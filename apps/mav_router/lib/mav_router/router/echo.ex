@@ -1,7 +1,7 @@
 defmodule MavRouter.Router.Echo do
   @moduledoc """
   Frames that carry the gateway's own ids. They are echoes, brought back by a loop between routers, and are dropped. An
-  autopilot's heartbeat is no echo, because the gateway sends none: it means that a vehicle has the same ids and is therefore
+  autopilot's heartbeat is not an echo, because the gateway sends none: it means that a vehicle has the same ids and is therefore
   not seen. The log says so, and `alarm/1`, until that vehicle has been silent for ten seconds. On a link with keys only a signed
   one says so, because a sender without a key could otherwise keep the gateway from being ready.
   """

@@ -58,7 +58,7 @@ defmodule MavRouter.Router.Endpoint do
     virtual machine); 3, how many frames may wait there (`limit/2`)
   - `since`: unix microseconds
   - `principal`: who is at the other end, if that was proved by a key or by signing in
-  - `listens`: it gets broadcasts although it is no vehicle's (`MavRouter.Router.Endpoints.listens?/3`)
+  - `listens`: it gets broadcasts although it is not a vehicle's (`MavRouter.Router.Endpoints.listens?/3`)
   - `high_latency`: summaries of vehicles come by it and no heartbeats (X6)
   """
   @type t :: %__MODULE__{

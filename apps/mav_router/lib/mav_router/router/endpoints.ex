@@ -23,7 +23,7 @@ defmodule MavRouter.Router.Endpoints do
     Tables.changed(tables)
   end
 
-  # Who sees all networks sees them in the order in which they came.
+  # A client of all networks sees them in the order in which they came.
   defp insert_owner(tables, %Owner{id: id} = owner) do
     names = if owner.side == :vehicle and is_list(owner.networks), do: owner.networks, else: []
 
@@ -83,7 +83,7 @@ defmodule MavRouter.Router.Endpoints do
   def get(tables, key), do: :ets.lookup_element(tables.endpoints, key, 2, nil)
 
   @doc """
-  Whether one more endpoint of a link to vehicles that is no vehicle's may get broadcasts: #{@max_listeners} of each link whose
+  Whether one more endpoint of a link to vehicles that is not a vehicle's may get broadcasts: #{@max_listeners} of each link whose
   heartbeat said what they are (`:said`: ground stations, cameras), #{@max_unknown} of which nothing is known yet (`:unknown`). So
   neither vehicles whose heartbeat has not come yet nor a thousand made-up senders multiply the traffic of the link. Frames with
   their id as target reach all of them; the peers of a client endpoint are as many as its rules allow.

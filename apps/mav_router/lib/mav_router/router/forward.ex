@@ -102,7 +102,7 @@ defmodule MavRouter.Router.Forward do
     end
   end
 
-  @doc "Who a frame is for: a system and a component of it (0 for all), or everybody."
+  @doc "The receiver of a frame: a system and a component of it (0 for all), or everybody."
   @spec target(Frame.t(), Delivery.t()) :: :all | {pos_integer, 0..255}
   # A collided vehicle's frames go to sniffers, whatever their target.
   def target(_frame, %{source: %{collided: true}}), do: :all

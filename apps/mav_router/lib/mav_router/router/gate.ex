@@ -63,7 +63,7 @@ defmodule MavRouter.Router.Gate do
 
   def sort(frames, delivery), do: of_client(frames, delivery)
 
-  @doc "Who sends by an endpoint."
+  @doc "The principal of an endpoint."
   @spec principal(Delivery.t()) :: Principal.t()
   def principal(%{gateway: gateway, tables: %{policy: policy}, path: path}) do
     if policy, do: policy.principal(gateway, path), else: anybody(path)

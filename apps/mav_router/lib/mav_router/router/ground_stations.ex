@@ -3,7 +3,7 @@ defmodule MavRouter.Router.GroundStations do
   @forget_us 600_000_000
 
   @moduledoc """
-  Everything on a network that sends heartbeats and is no vehicle: ground stations, on-board computers, trackers. The router writes
+  Everything on a network that sends heartbeats and is not a vehicle: ground stations, on-board computers, trackers. The router writes
   them into a table of the store (`hear/3`), for heartbeats of links and of clients; the vehicles' sessions read it once a second,
   since what a vehicle hears on its network may keep its failsafe from triggering (H5).
 

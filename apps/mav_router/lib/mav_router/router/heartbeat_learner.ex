@@ -40,7 +40,7 @@ defmodule MavRouter.Router.HeartbeatLearner do
 
   defp heartbeat(frame, %{tables: tables, path: path, source: source} = delivery) do
     heartbeat = Heartbeat.read(frame)
-    # Too many systems are no reason not to forward.
+    # Beyond the limit of systems, frames are still forwarded.
     for network <- path.networks,
         do: _ = Systems.note(delivery.gateway, network, path.owner, frame, heartbeat)
 

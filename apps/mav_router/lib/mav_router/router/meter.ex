@@ -90,7 +90,7 @@ defmodule MavRouter.Router.Meter do
     end
   end
 
-  @doc "What is kept between two measurements; nothing yet."
+  @doc "The state between two measurements; empty."
   @spec new(Names.gateway()) :: map
   def new(gateway), do: %{gateway: gateway, at: nil, counts: %{}, sequences: %{}, losses: %{}, choices: %{}}
 
@@ -156,7 +156,7 @@ defmodule MavRouter.Router.Meter do
         :ets.insert(tables.scores, {{:score, link}, down})
         {[], state}
 
-      # An owner that is no link is not measured.
+      # An owner that is not a link is not measured.
       nil ->
         {[], state}
     end

@@ -19,7 +19,7 @@ defmodule MavRouter.Router.Policy do
           principal: Principal.t()
         }
 
-  @doc "Who sends from an endpoint that counts as a client (`MavRouter.Router.Access`), or from one that does not."
+  @doc "The principal of an endpoint, whether it counts as a client (`MavRouter.Router.Access`) or not."
   @callback principal(Names.gateway(), Path.t()) :: Principal.t()
 
   @doc """

@@ -41,7 +41,7 @@ defmodule MavRouter.Router.View do
     end
   end
 
-  # Of two networks that have a system with the same id, the one that is named first is seen.
+  # If two networks have a system with the same id, the one named first is seen.
   defp hidden(_heard, %{networks: [_one]}), do: []
 
   defp hidden(heard, path) do

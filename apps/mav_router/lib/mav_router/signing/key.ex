@@ -11,7 +11,7 @@ defmodule MavRouter.Signing.Key do
   | anything else | a passphrase: its SHA-256, as QGroundControl, Mission Planner and MAVProxy do |
 
   A prefix `hex:`, `base64:` or `passphrase:` says which, for a passphrase that looks like a key. White space around the text is
-  ignored. A file of exactly 32 bytes that are no text is the key itself.
+  ignored. A file of exactly 32 bytes that are not text is the key itself.
 
   A key is held only as `Aerie.Base.Secret`, and no error of this module contains any of it.
   """

@@ -42,7 +42,7 @@ defmodule MavRouter.Signing.Verifier do
     end
   end
 
-  # A component that can sign must, and an autopilot is no radio. Otherwise anybody could attract the vehicle's frames by a
+  # A component that can sign must, and an autopilot is not a radio. Otherwise anybody could attract the vehicle's frames by a
   # RADIO_STATUS in its name.
   defp unsigned(scope, signing, frame, trust) do
     cond do

@@ -55,7 +55,7 @@ defmodule MavRouter.Link.EgressTest do
     assert run.(slow) < 2_500
   end
 
-  test "frames that the line does not accept wait; a peer that is gone is no error", c do
+  test "frames that the line does not accept wait; a peer that is gone is not an error", c do
     {egress, []} = forward(c.egress, :state, ["one"], 0, &full/2)
     assert_receive {:pump, :remote}
     {egress, written} = Egress.pump(egress, :remote, 10, &takes/2, [])

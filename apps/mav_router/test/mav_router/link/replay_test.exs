@@ -113,7 +113,7 @@ defmodule MavRouter.Link.ReplayTest do
     assert {:error, %{reason: {:invalid, "the recording is empty"}}} =
              Link.start(c.gateway, "replay:#{c.path}")
 
-    File.write!(c.path, "this is no recording")
+    File.write!(c.path, "this is not a recording")
     be_session(c.gateway, 1)
     listen(c.gateway, [:ended])
     add_link(c.gateway, "replay:#{c.path}?speed=max&loop=true")

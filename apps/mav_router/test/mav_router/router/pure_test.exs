@@ -30,7 +30,7 @@ defmodule MavRouter.Router.PureTest do
       {name, Tables.create(name, [])}
     end
 
-    test "brought up to date it is what reading it anew gives, whatever changed" do
+    test "brought up to date it is what reading it again gives, whatever changed" do
       :proper.forall(list({range(1, 5), elements([:put, :remove, :vehicle, :client, :owner])}), fn steps ->
         {gateway, tables} = tables()
         {:ok, owner} = Owner.new("l", side: :vehicle, networks: ["main"])

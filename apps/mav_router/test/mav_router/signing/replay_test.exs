@@ -54,7 +54,7 @@ defmodule MavRouter.Signing.ReplayTest do
     # Nor does it help to begin with a fresh one and then to dawdle.
     assert heard(gateway, [List.last(frames)], "forger") == 1
     assert heard(gateway, Enum.slice(frames, 250, 100), "forger") == 0
-    # By a link of high latency half a minute is no wonder.
+    # By a link of high latency half a minute is normal.
     slow = fn frame -> Signing.admit(gateway, source(id: "satellite", high_latency: true), [frame]) != [] end
     assert slow.(Enum.at(frames, 298))
     # The vehicle itself is not hindered by any of this.

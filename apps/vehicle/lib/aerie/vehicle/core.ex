@@ -8,7 +8,7 @@ defmodule Aerie.Vehicle.Core do
       link's id, or `{link, peer}` if several peers bring the system
     * `{:link_reconnected, link}` - a link on which the vehicle was heard was interrupted and is connected again
     * `{:tick, now}` - it is `now` (unix microseconds), and nothing has come
-    * `{:rebase, now}` - time goes on from `now`, which is not comparable with the time before: a recording began anew. What was
+    * `{:rebase, now}` - time goes on from `now`, which is not comparable with the time before: a recording began again. What was
       waited for before is not waited for again
     * `{:shift, step}` - the clock was set by `step` (microseconds): everything was heard as long ago as before
     * `{:link, link, %{high_latency: boolean}}` - what is configured for a link

@@ -119,7 +119,7 @@ defmodule Aerie.Vehicle.Detector do
     }
   end
 
-  @doc "What was published before the gateway was started, to be compared with what is observed (`Detector.OfflineChanges`)."
+  @doc "Sets the state published before the gateway was started, to be compared with what is observed (`Detector.OfflineChanges`)."
   @spec remember(t(), OfflineChanges.t()) :: t()
   def remember(detector, published), do: %{detector | published: published}
 
@@ -332,7 +332,7 @@ defmodule Aerie.Vehicle.Detector do
   def fence_reported?(%{fence_event_at: nil}, _at), do: false
   def fence_reported?(%{fence_event_at: reported}, at), do: at - reported < @fence_again_us
 
-  @doc "What the detector knows of the vehicle: the last digest, and what is wrong with it (`:troubles`)."
+  @doc "The detector's knowledge of the vehicle: the last digest, and its faults (`:troubles`)."
   @spec facts(t()) :: map()
   def facts(detector), do: Map.put(detector.last, :troubles, Losses.troubles(detector))
 

@@ -56,7 +56,7 @@ defmodule Aerie.Vehicle.Protocol do
   @doc "The messages that end a stream and release what it controlled."
   @callback release(Step.t(), Vehicle.t()) :: [message()]
 
-  @doc "What a message from the vehicle says about a step."
+  @doc "The verdict of a message from the vehicle on a step."
   @callback read(Step.t(), message(), source(), Vehicle.t()) :: answer()
 
   @doc "The ids of the messages that `c:read/4` needs for a step, besides texts, of which it gets all, each reassembled."

@@ -10,6 +10,6 @@ defmodule Aerie.Vehicle.Publisher do
   @callback publish_state(Names.gateway(), vehicle :: String.t(), group :: atom, sample :: map, at :: integer) ::
               :ok
 
-  @doc "What was last published of a vehicle before the gateway was started, or nil."
+  @doc "The vehicle's state as last published before the gateway was started, or nil."
   @callback remembered(Names.gateway(), vehicle :: String.t()) :: Aerie.Vehicle.Detector.OfflineChanges.t()
 end

@@ -58,7 +58,7 @@ defmodule Aerie.Vehicle.Reports do
   @spec new() :: t()
   def new, do: %__MODULE__{}
 
-  @doc "What the vehicle itself says about its events (`Names.own/1`); `Definitions.none/0` if it says nothing."
+  @doc "Sets the vehicle's own event definitions (`Names.own/1`); `Definitions.none/0` if it has none."
   @spec define(t(), Definitions.t()) :: t()
   def define(reports, own), do: %{reports | own: own}
 

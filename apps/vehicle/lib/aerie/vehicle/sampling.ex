@@ -30,7 +30,7 @@ defmodule Aerie.Vehicle.Sampling do
   @callback new(State.group(), settings :: map(), period_us :: pos_integer()) :: term()
   @doc "A value that came `at`."
   @callback push(term(), integer(), data()) :: {term(), [sample()]}
-  @doc "What is due at `now` without a new value."
+  @doc "The publications due at `now` without a new value."
   @callback expire(term(), integer()) :: {term(), [sample()]}
 
   @strategies %{time: Time, change: Change, threshold: Threshold, aggregate: Aggregate}
@@ -54,7 +54,7 @@ defmodule Aerie.Vehicle.Sampling do
     {%{samplers | group => {module, sampler}}, samples}
   end
 
-  @doc "What is to be published at `now`."
+  @doc "The publications due at `now`."
   @spec expire(t(), integer()) :: {t(), [{State.group(), sample()}]}
   def expire(samplers, now) do
     Enum.reduce(samplers, {samplers, []}, fn {group, {module, sampler}}, {samplers, due} ->

@@ -79,8 +79,8 @@ defmodule Aerie.Vehicle.Session do
     {speed, state} = speed(state, link)
     state = check_host_clock(%{state | live?: speed == :live, link: link})
     moment = monotonic()
-    anew? = Clock.anew?(state.clock, speed, state.core.now, hd(frames).at, moment, state.host)
-    state = if anew?, do: step(state, {:rebase, hd(frames).at}), else: state
+    restarted? = Clock.restarted?(state.clock, speed, state.core.now, hd(frames).at, moment, state.host)
+    state = if restarted?, do: step(state, {:rebase, hd(frames).at}), else: state
     clock = Clock.frame(List.last(frames).at, moment, speed)
     hand_over(state.listeners, frames)
     {:noreply, step(%{state | clock: clock}, {:frames, path, frames})}
@@ -111,7 +111,7 @@ defmodule Aerie.Vehicle.Session do
   def handle_info({:event_definitions, definitions}, state),
     do: {:noreply, step(state, {:event_definitions, definitions})}
 
-  # Who is in charge of the vehicle changed.
+  # Another operator is in charge of the vehicle.
   def handle_info({:operator, fields}, state), do: {:noreply, step(state, {:operator, fields})}
 
   def handle_info({:high_latency, on?}, state) do

@@ -155,7 +155,7 @@ defmodule Aerie.Vehicle.State do
     :modes_seq
   ]
 
-  @doc "What a snapshot keeps for `restore/1` besides what it shows."
+  @doc "The part of a snapshot that only `restore/1` needs."
   @spec memory(t()) :: map()
   def memory(state), do: Map.take(state, @memory)
 

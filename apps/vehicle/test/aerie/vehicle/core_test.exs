@@ -250,7 +250,7 @@ defmodule Aerie.Vehicle.CoreTest do
     assert %{component: 1, groups: %{mode: %{data: %{mode: "GUIDED"}}}} = Core.snapshot(run.core)
   end
 
-  test "R6: a reboot is an event, and streams are requested anew" do
+  test "R6: a reboot is an event, and streams are requested again" do
     attitude = fn at, boot -> frame(%M.Attitude{time_boot_ms: boot}, round(at * @second)) end
     before = for n <- 0..10, do: attitude.(10 + n, 600_000 + n * 1000)
     later = for n <- 0..10, do: attitude.(24 + n / 2, 500 + n * 500)
@@ -419,7 +419,7 @@ defmodule Aerie.Vehicle.CoreTest do
   end
 
   describe "another time" do
-    test "a recording that begins anew stops nothing and is no event" do
+    test "a recording that begins again stops nothing and is not an event" do
       run = start() |> beat(1000) |> beat(1001) |> step({:rebase, 10 * @second})
       shown = length(for {:snapshot, _} <- run.actions, do: 1)
       run = Enum.reduce(1..20, run, &beat(&2, 10 + &1 / 2))

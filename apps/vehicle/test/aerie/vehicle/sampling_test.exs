@@ -71,7 +71,7 @@ defmodule Aerie.Vehicle.SamplingTest do
       assert_in_delta abs(lon), 180.0, 1.0e-6
     end
 
-    test "unknown values are left out; what is no number is the last" do
+    test "unknown values are left out; what is not a number is the last" do
       inputs = [
         {0, %{}},
         {0.1, %{alt_rel: nil, x: "a"}},
@@ -84,7 +84,7 @@ defmodule Aerie.Vehicle.SamplingTest do
       assert [{_, %{alt_rel: nil}}] = run(:position, %{strategy: :time}, [{0, %{alt_rel: nil}}, {1, nil}])
     end
 
-    test "a period without values gives nothing, and periods begin anew after a pause" do
+    test "a period without values gives nothing, and periods begin again after a pause" do
       inputs = [{0, %{a: 1.0}}, {1, nil}, {2, nil}, {7.3, %{a: 5.0}}, {8.2, nil}, {8.3, nil}]
       assert run(:position, %{strategy: :time}, inputs) == [{0.0, %{a: 1.0}}, {7.3, %{a: 5.0}}]
     end

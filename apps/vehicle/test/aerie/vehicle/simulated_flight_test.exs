@@ -85,7 +85,7 @@ defmodule Aerie.Vehicle.SimulatedFlightTest do
              data(run, "failsafe")
   end
 
-  test "ArduPilot leaves its fence: FENCE_STATUS says so, and the text is no second event" do
+  test "ArduPilot leaves its fence: FENCE_STATUS says so, and the text is not a second event" do
     breach = %M.FenceStatus{breach_status: 1, breach_count: 1, breach_type: 3}
 
     run =

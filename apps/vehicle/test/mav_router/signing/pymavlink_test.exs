@@ -30,7 +30,7 @@ defmodule MavRouter.Signing.PymavlinkTest do
     hears(peer, "HEARTBEAT 237 signed")
   end
 
-  test "one that signs with another key is no vehicle", c do
+  test "one that signs with another key is not a vehicle", c do
     gateway = start_signing(c.tmp_dir)
     {_id, port} = add_link(gateway, "udpin:127.0.0.1:0", id: "radio")
     start("signing_peer.py", ["udpout:127.0.0.1:#{port}", "7", "3", "another"])

@@ -8,7 +8,7 @@ defmodule Aerie.CLI.Status.Access do
   alias Aerie.Control.Policy
   alias MavRouter.Router.Access
 
-  # Whom no entry of `policy.clients` names: on this machine, and on a link with `gcs: allow`.
+  # Clients that no entry of `policy.clients` names: on this machine, and on a link with `gcs: allow`.
   @unlisted %{role: :operator, permissions: []}
 
   @typedoc "`wide`: other machines may do more here than look on"

@@ -57,7 +57,7 @@ defmodule Aerie.CLI.Status.View do
           notes: [String.t()]
         }
 
-  @doc "What the read model has of a gateway; `more` are further fields."
+  @doc "The read model of a gateway; `more` are further fields."
   @spec collect(Names.gateway(), keyword()) :: t()
   def collect(gateway, more \\ []) do
     now = System.os_time(:microsecond)

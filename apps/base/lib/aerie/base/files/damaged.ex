@@ -43,7 +43,7 @@ defmodule Aerie.Base.Files.Damaged do
     ArgumentError -> :ok
   end
 
-  @doc "What was set aside since the gateway started."
+  @doc "The files set aside since the gateway started."
   @spec list(Names.gateway()) :: [t()]
   def list(gateway), do: for({{__MODULE__, _path}, damaged} <- Store.remembered(gateway), do: damaged)
 

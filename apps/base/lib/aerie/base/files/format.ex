@@ -18,7 +18,7 @@ defmodule Aerie.Base.Files.Format do
   @spec check(Path.t(), kind()) :: :ok | {:error, String.t()}
   def check(dir, {name, version}) do
     case read(Path.join(dir, @name)) do
-      # No folder: whoever makes it says why that is not possible.
+      # No folder: the code that makes it reports the reason.
       {:error, reason} when reason in [:enoent, :enotdir] -> :ok
       {:error, reason} -> {:error, "#{Path.join(dir, @name)}: #{:file.format_error(reason)}"}
       {:ok, ^name, found} when found <= version -> :ok

@@ -102,7 +102,7 @@ defmodule Aerie.Base.Names.Book do
   @spec leave(key()) :: :ok
   def leave(topic), do: remove(self(), @topics, topic)
 
-  @doc "Who is in a topic, each with its value."
+  @doc "The processes in a topic, each with its value."
   @spec members(key()) :: [{pid(), term()}]
   def members(topic), do: for({_topic, pid, value} <- :ets.lookup(@topics, topic), do: {pid, value})
 

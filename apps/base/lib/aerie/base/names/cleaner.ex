@@ -1,7 +1,7 @@
 defmodule Aerie.Base.Names.Cleaner do
   @moduledoc """
-  Removes the entries of ended processes from the tables of names. Nobody waits for it: whoever meets such an entry before sees that its
-  process is dead. If it is restarted it looks at all entries once.
+  Removes the entries of ended processes from the tables of names. No caller waits for it: a reader that finds such an
+  entry earlier sees that its process is dead. After a restart it checks all entries once.
   """
   use GenServer
 

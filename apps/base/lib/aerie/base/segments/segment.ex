@@ -160,7 +160,7 @@ defmodule Aerie.Base.Segments.Segment do
     %{segment | file: nil}
   end
 
-  @doc "Closes and deletes the file; a missing one is no error."
+  @doc "Closes and deletes the file; a missing one is not an error."
   @spec delete(t()) :: :ok | {:error, File.posix()}
   def delete(segment), do: with({:error, :enoent} <- Raw.rm(close(segment).path), do: :ok)
 end

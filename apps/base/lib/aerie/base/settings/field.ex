@@ -55,7 +55,7 @@ defmodule Aerie.Base.Settings.Field do
   @spec name(t()) :: String.t()
   def name(%__MODULE__{key: key}), do: Atom.to_string(key)
 
-  @doc "What a value of this type must be, in words."
+  @doc "Describes the values of this type."
   @spec expected(type()) :: String.t()
   def expected(:string), do: "text that is not empty"
   def expected(:secret), do: "text that is not empty"

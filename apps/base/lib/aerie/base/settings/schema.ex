@@ -116,7 +116,7 @@ defmodule Aerie.Base.Settings.Schema do
 
   defp key(field, :error, _path), do: {field.default, []}
 
-  # Whoever writes `max_altitude:` means a limit. The default would be none.
+  # `max_altitude:` without a value was meant as a limit; the default would be no limit.
   defp key(field, {:ok, nil}, path),
     do: {field.default, [problem(path, Field.expected(field.type), nil, "leave the key out for its default")]}
 

@@ -168,7 +168,7 @@ defmodule Aerie.Base.UnixSocket.Listener do
 
   defp failed(state, reason) do
     if reason != state.reason do
-      # A place that nobody chose may well be out of reach (no /run for an ordinary user): that is no alarm.
+      # A place that nobody chose may well be out of reach (no /run for an ordinary user): that is not an alarm.
       level = if Map.get(state, :chosen, true), do: :warning, else: :info
       Logger.log(level, "unix socket #{state.socket}.sock is not served: #{reason}")
       emit(%{state | reason: reason}, :unavailable)

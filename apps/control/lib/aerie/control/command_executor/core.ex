@@ -188,7 +188,7 @@ defmodule Aerie.Control.CommandExecutor.Core do
     end
   end
 
-  # What it takes the place of is given up: whose answer comes next cannot be told.
+  # The replaced command is abandoned, because the next acknowledgement cannot be attributed.
   defp seize({core, actions}, job, now) do
     {quiet?, ids, lanes} = Turns.seize(core.lanes, Job.key(job))
     reason = job.command.type <> " took its place"

@@ -134,7 +134,7 @@ defmodule Aerie.Control.CommandExecutor.Job do
 
   @doc """
   Whether the vehicle's state shows now that it did the step. What it showed before as well proves nothing until it was
-  heard anew after the vehicle accepted.
+  heard again after the vehicle accepted.
   """
   @spec confirmed?(t(), Vehicle.t()) :: boolean()
   def confirmed?(%{steps: [%{confirm: nil} | _others]}, _vehicle), do: false

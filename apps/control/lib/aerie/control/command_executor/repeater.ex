@@ -33,14 +33,14 @@ defmodule Aerie.Control.CommandExecutor.Repeater do
     {%__MODULE__{id: command.id, type: command.type, step: step, until: until, next_at: now}, given_back}
   end
 
-  @doc "What is due: another message, the end, or nothing yet."
+  @doc "The next step: another message, the end, or nothing yet."
   @spec tick(t(), now :: integer()) :: {:send, id :: String.t(), Step.t(), t()} | {:end, ended(), t()} | :wait
   def tick(%{step: nil}, _now), do: :wait
   def tick(%{until: until} = ended, now) when now >= until, do: {:end, {ended.id, ended.step}, new()}
   def tick(%{next_at: next_at}, now) when now < next_at, do: :wait
 
   def tick(repeater, now) do
-    # Who was late does not catch up with a burst.
+    # A late repeater does not catch up with a burst.
     period = div(1_000_000, repeater.step.stream.hz)
     next_at = max(repeater.next_at + period, now + div(period, 2))
     {:send, repeater.id, repeater.step, %{repeater | next_at: next_at}}

@@ -98,7 +98,7 @@ defmodule Aerie.Control.CommandExecutor.Steps do
 
   # --- Answers
 
-  @doc "What a message says about a job."
+  @doc "Applies a message to a job."
   @spec answer(Core.acc(), Job.t(), Protocol.answer(), now :: integer()) :: Core.acc()
   def answer(acc, _job, :ignore, _now), do: acc
   # Late answers to a form that is given up.
@@ -207,7 +207,7 @@ defmodule Aerie.Control.CommandExecutor.Steps do
   @doc "The vehicle was observed: its state may show that the step is done."
   @spec observe(Core.acc(), Job.t(), now :: integer()) :: Core.acc()
   def observe({core, _actions} = acc, job, now) do
-    # Who tells of its progress tells of its end.
+    # A vehicle that reports progress also reports the end.
     if job.phase not in [:instead, :running, :refused] and Job.confirmed?(job, core.vehicle),
       do: step_done(acc, job, :completed, nil, now),
       else: acc
@@ -243,7 +243,7 @@ defmodule Aerie.Control.CommandExecutor.Steps do
   def due?(%{phase: :queued} = job, now), do: now >= job.until
   def due?(job, now), do: now >= job.due
 
-  @doc "What is due about a job."
+  @doc "The next step of a job."
   @spec due(Core.acc(), Job.t(), now :: integer()) :: Core.acc()
   def due(acc, %{phase: phase} = job, now) when phase in [:queued, :turn],
     do: finish(acc, job, {:expired, expired(job)}, now)

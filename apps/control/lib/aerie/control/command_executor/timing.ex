@@ -11,7 +11,7 @@ defmodule Aerie.Control.CommandExecutor.Timing do
   @sends 5
   @shortest 500 * @ms
   @longest 30 * @second
-  # A vehicle that tells of its progress may be silent for a while (C4).
+  # A vehicle that reports progress may be silent for a while (C4).
   @progress 30 * @second
   # Two heartbeats and a little.
   @observe 2_500 * @ms

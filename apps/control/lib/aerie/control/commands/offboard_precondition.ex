@@ -3,8 +3,8 @@ defmodule Aerie.Control.Commands.OffboardPrecondition do
   PX4 flies OFFBOARD only while set-points come: they must have come for a second before the mode is requested (X7). Without them PX4 may
   acknowledge the request all the same, so the gateway refuses it at once.
 
-  Set-points of commands and of clients' raw MAVLink are known (`Aerie.Control.Policy.RecentCommands`). Whoever sends them in a way that does not lead
-  through the gateway says so with `setpoints_elsewhere`.
+  Set-points of commands and of clients' raw MAVLink are known (`Aerie.Control.Policy.RecentCommands`). A sender whose set-points do not
+  pass through the gateway says so with `setpoints_elsewhere`.
   """
 
   alias Aerie.Base.Names

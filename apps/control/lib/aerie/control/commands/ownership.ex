@@ -1,6 +1,6 @@
 defmodule Aerie.Control.Commands.Ownership do
   @moduledoc """
-  How the door knows which of several gateways holds a vehicle, and where they claim the ids of commands. `Aerie.Fleet.Shadow.Ownership` is one;
+  Which of several gateways holds a vehicle, and where gateways claim the ids of commands. `Aerie.Fleet.Shadow.Ownership` is one;
   `Aerie.Gateway` plugs it in. Without one a gateway is alone.
   """
 

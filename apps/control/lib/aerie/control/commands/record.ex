@@ -74,7 +74,7 @@ defmodule Aerie.Control.Commands.Record do
     })
   end
 
-  @doc "Something came that is no command, or from nobody who may command: `rule` is `:malformed`, `:signature` or `:size`."
+  @doc "Records a malformed message or one from a sender without rights: `rule` is `:malformed`, `:signature` or `:size`."
   @spec turned_away(
           Names.gateway(),
           map(),
@@ -144,7 +144,7 @@ defmodule Aerie.Control.Commands.Record do
     })
   end
 
-  # A name from outside is no label.
+  # Client-supplied names must not become metric labels.
   defp type(name),
     do: if(name in Intent.raw() or match?({:ok, _type}, Types.fetch(name)), do: name, else: "unknown")
 

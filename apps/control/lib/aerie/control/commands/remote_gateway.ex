@@ -1,7 +1,7 @@
 defmodule Aerie.Control.Commands.RemoteGateway do
   @moduledoc """
-  The way to vehicles that another gateway hears. The door passes a command on by it when ledger, rates, policy and audit log of this
-  gateway have let it through; those of the other gateway then decide, too. `Aerie.Fleet.Remote` is one; `Aerie.Gateway` plugs it in.
+  Passes commands on to the gateway that hears the vehicle, after ledger, rates, policy and audit log of this gateway have let them
+  through; those of the other gateway then decide, too. `Aerie.Fleet.Remote` implements it; `Aerie.Gateway` plugs it in.
 
   A command that came from another gateway, over NATS, is never passed on.
   """
@@ -12,8 +12,8 @@ defmodule Aerie.Control.Commands.RemoteGateway do
   alias Aerie.Control.Commands.Server
 
   @doc """
-  Gives the command to the gateway of the vehicle's snapshot (`:via`), and waits for its result. `progress` is called with what the other
-  gateway tells meanwhile.
+  Passes the command to the gateway of the vehicle's snapshot (`:via`), and waits for its result. `progress` is called with that
+  gateway's progress.
   """
   @callback submit(
               Names.gateway(),
@@ -28,7 +28,7 @@ defmodule Aerie.Control.Commands.RemoteGateway do
   @type request :: {area :: String.t(), operation :: String.t(), body :: %{String.t() => term()}}
 
   @doc """
-  Asks the gateway of the vehicle's snapshot for something that is no command, in the name of `who`, and waits at most a little longer
+  Asks the gateway of the vehicle's snapshot for something that is not a command, in the name of `who`, and waits at most a little longer
   than `timeout_ms`. Gives what it answered beside its result, or the result that says why there is nothing.
   """
   @callback transfer(
@@ -63,6 +63,6 @@ defmodule Aerie.Control.Commands.RemoteGateway do
   def only(via),
     do: "not available for a remote vehicle: it is heard by the gateway #{via}; ask that one (docs/fleet.md)"
 
-  @doc "Asks the other gateway to let a command cease."
+  @doc "Asks the other gateway to cancel a command."
   @callback cancel(Names.gateway(), snapshot :: map(), id :: String.t()) :: :ok | {:error, String.t()}
 end

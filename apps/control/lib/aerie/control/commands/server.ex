@@ -282,7 +282,7 @@ defmodule Aerie.Control.Commands.Server do
   defp ended(state, task, result) do
     {id, tasks} = Map.pop!(state.tasks, task)
     {job, jobs} = Map.pop!(state.jobs, id)
-    # Whoever has the result finds the command among those that are done.
+    # A caller that has the result finds the command among the finished ones.
     Recent.done(state.gateway, result)
     for caller <- job.waiting, do: GenServer.reply(caller, {:ok, result})
     drained(%{state | tasks: tasks, jobs: jobs})

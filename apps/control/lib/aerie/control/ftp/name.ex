@@ -4,7 +4,7 @@ defmodule Aerie.Control.Ftp.Name do
   or cut in the middle of a character.
 
   What is not UTF-8, and control characters, are written as `\\xE9`, byte by byte, and read back so that the file can be asked for. A name that has such
-  characters itself has its backslash as `\\x5C`. What can be seen of ASCII has no other form, so that nothing is hidden from whoever looks at
+  characters itself has its backslash as `\\x5C`. What can be seen of ASCII has no other form, so that nothing is hidden from a reader of
   the text.
   """
 

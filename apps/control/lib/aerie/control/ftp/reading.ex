@@ -78,7 +78,7 @@ defmodule Aerie.Control.Ftp.Reading do
   @spec without_bursts(t()) :: t()
   def without_bursts(reading), do: %{reading | bursts?: false}
 
-  @doc "What to request next, or that the file is complete."
+  @doc "The next request, or that the file is complete."
   @spec next(t()) :: {:done, non_neg_integer()} | {:burst | :read, offset :: non_neg_integer(), t()}
   def next(reading) do
     top = Ranges.top(reading.ranges)

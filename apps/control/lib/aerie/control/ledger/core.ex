@@ -95,7 +95,7 @@ defmodule Aerie.Control.Ledger.Core do
   @spec blind(t(), now :: integer()) :: {[line()], t()}
   def blind(core, now), do: {[["blind", now]], %{core | blind: now}}
 
-  @doc "What became of an id, or nil."
+  @doc "The state of an id, or nil."
   @spec lookup(t(), String.t()) :: :in_flight | Result.t() | nil
   def lookup(core, id) do
     case core.entries do
@@ -265,7 +265,7 @@ defmodule Aerie.Control.Ledger.Core do
     end
   end
 
-  # This needs no records: whoever reads the old ones drops the same entries.
+  # This needs no records: reading the old ones drops the same entries.
   defp forget(core, now) do
     with false <- :gb_sets.is_empty(core.by_age),
          {at, id} when now - at > core.max_age_us <- :gb_sets.smallest(core.by_age) do

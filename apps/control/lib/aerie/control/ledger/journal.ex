@@ -6,7 +6,7 @@ defmodule Aerie.Control.Ledger.Journal do
       8f2a90c1 ["new","a1","…",1795339800000000,{…}]
 
   An incomplete last line was never answered and is cut off. A line that is damaged in any other way is left out, and the
-  damaged file is kept beside the new one. A file without such a beginning is not a ledger any more: whoever opens it sets it aside. The file is rewritten (`compact/2`) when most of it is out of date.
+  damaged file is kept beside the new one. A file without such a beginning is not a ledger any more; the opener sets it aside. The file is rewritten (`compact/2`) when most of it is out of date.
   """
 
   alias Aerie.Base.Files.{Disk, Format, Private, Raw}
@@ -159,7 +159,7 @@ defmodule Aerie.Control.Ledger.Journal do
     with {:ok, _bytes} <- File.copy(path, path <> ".damaged"), do: File.chmod(path <> ".damaged", 0o600)
   end
 
-  # With the mode of its own, whoever made it.
+  # With its own mode, whatever the umask was.
   defp begin(journal) do
     with {:ok, journal} <- Segment.writer(journal),
          :ok <- Raw.chmod(journal.path, 0o600),

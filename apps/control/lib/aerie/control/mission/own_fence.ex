@@ -16,7 +16,7 @@ defmodule Aerie.Control.Mission.OwnFence do
   @shown 20
 
   @typedoc """
-  Who the plan is for: firmware and kind, and where it is just now, in degrees, nil if that is not known. `flying?`: it is known to be in
+  The vehicle that the plan is for: firmware and kind, and where it is just now, in degrees, nil if that is not known. `flying?`: it is known to be in
   the air; `fenced?`: its fence is known to be on.
   """
   @type vehicle :: %{

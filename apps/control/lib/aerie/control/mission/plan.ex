@@ -37,7 +37,7 @@ defmodule Aerie.Control.Mission.Plan do
   def empty?(plan, :fence), do: plan.fence == []
   def empty?(plan, :rally), do: plan.rally == []
 
-  @doc "What a plan has of a kind, for people: `\"3 items\"`, `\"4 corners and 1 circle\"`, `\"2 rally points\"`; nil for nothing."
+  @doc "Describes a part of a plan: `\"3 items\"`, `\"4 corners and 1 circle\"`, `\"2 rally points\"`; nil for nothing."
   @spec contents(t(), :mission | :fence | :rally) :: String.t() | nil
   def contents(%{items: items}, :mission), do: counted([{length(items), "item"}])
   def contents(%{rally: points}, :rally), do: counted([{length(points), "rally point"}])

@@ -1,7 +1,7 @@
 defmodule Aerie.Control.Params.Component do
   @moduledoc """
-  Whose parameters are meant: those of the autopilot, or of another component of the vehicle, such as a camera, which has its own and
-  speaks PARAM_EXT (P8). MAVLink has no capability for that: whoever does not answer has none.
+  The component whose parameters are meant: those of the autopilot, or of another component of the vehicle, such as a camera, which has its own and
+  speaks PARAM_EXT (P8). MAVLink has no capability for that: a component that does not answer has no such parameters.
   """
 
   alias Aerie.Vehicle.Command.Error
@@ -36,7 +36,7 @@ defmodule Aerie.Control.Params.Component do
   def check_value(other),
     do: {:error, [Error.new("value", "a number of up to 64 bits, or text of up to 128 bytes", other)]}
 
-  @doc "Who is asked."
+  @doc "The system and component that are asked."
   @spec target(Job.context(), t()) :: Message.target()
   def target(context, nil), do: context.target
   def target(%{target: {system, _autopilot}}, component), do: {system, component}

@@ -1,8 +1,8 @@
 defmodule Aerie.Control.Params.Fetch do
   @moduledoc """
   Reads the whole list in the best way that the vehicle offers: ArduPilot's parameter file by MAVLink FTP; otherwise, or if that fails,
-  `Aerie.Control.Params.Download`. A vehicle that says that it has FTP and does not answer is asked for eight seconds; `heard?/1` says so to
-  whoever remembers it.
+  `Aerie.Control.Params.Download`. A vehicle that announces FTP and does not answer is asked for eight seconds; `heard?/1` lets the
+  caller remember that.
 
   A stored list (`:stored`) is returned, and nothing else is read, if the vehicle's checksum or `_HASH_CHECK` is still the
   list's.

@@ -22,7 +22,7 @@ defmodule Aerie.Control.Params.FileResponder do
   @typedoc "By station: number, list, whether with defaults, the size of its reads with the file made for it, and the last answer"
   @type t :: %__MODULE__{sessions: %{term() => map()}}
 
-  @doc "What a station asks for: to open the file, something in an open session, or nothing of the sort."
+  @doc "Classifies a station's request: open the file, a request of an open session, or neither."
   @spec request(struct()) :: {:open, Packet.t()} | {:more, Packet.t()} | :other
   def request(message) do
     with {:ok, packet} <- Packet.request(message),
@@ -101,7 +101,7 @@ defmodule Aerie.Control.Params.FileResponder do
     act(%{session | size: size, bytes: bytes}, read, packet)
   end
 
-  # The last piece may be a short one: where it ends is no multiple.
+  # The last piece may be a short one: where it ends is not a multiple.
   defp act(%{bytes: bytes} = session, _read, %{offset: offset} = packet)
        when bytes != nil and offset >= byte_size(bytes),
        do: {[Packet.nak(packet, :eof)], session}

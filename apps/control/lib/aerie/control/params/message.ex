@@ -90,7 +90,7 @@ defmodule Aerie.Control.Params.Message do
     %Param{name: m.param_id, value: value, type: m.param_type, exact: exact?}
   end
 
-  @doc "What a message says about the parameter of a name."
+  @doc "The value of a named parameter in a message, or its refusal."
   @spec about(struct(), String.t(), encoding()) :: {:value, Param.t()} | {:refused, String.t()} | :other
   # PX4 1.18 answers a read by index with random memory as the name; after a read by name it is right.
   def about(%M.ParamError{param_id: name, error: error}, name, _encoding),

@@ -24,7 +24,7 @@ defmodule Aerie.Control.Params.MetadataReader do
   def read(gateway, vehicle, options),
     do: read(gateway, vehicle, :parameters, &Metadata.decode/1, options)
 
-  @doc "What the vehicle says about its events; why it says nothing."
+  @doc "The vehicle's event definitions, or why there are none."
   @spec events(Names.gateway(), String.t(), [Transfers.option()]) ::
           {:ok, Definitions.t()} | {:error, Result.t()}
   def events(gateway, vehicle, options \\ []),

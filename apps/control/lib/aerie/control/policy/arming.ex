@@ -28,7 +28,7 @@ defmodule Aerie.Control.Policy.Arming do
     decision
   end
 
-  # As whoever is in charge: the rule about that asks only whether somebody has to be.
+  # In the name of the lease's holder: the rule only asks whether a lease is required.
   defp verdict(policy, context) do
     name = with %Lease{holder: holder} <- context.lease, do: holder
     source = Roles.principal(:vehicle, name || "the vehicle", :admin)

@@ -82,7 +82,7 @@ defmodule Aerie.Control.Policy.Audit do
   @spec status(Names.gateway()) :: {:ok, status()} | {:error, String.t()}
   def status(gateway), do: call(gateway, :status)
 
-  @doc "What becomes of a command whose decision could be recorded, or could not."
+  @doc "Whether a command may go on, given the result of recording its decision."
   @spec verdict({:ok, pos_integer()} | {:error, String.t()}, Intent.t(), required? :: boolean()) ::
           :allow | {:deny, :audit, String.t()}
   def verdict({:error, reason}, %{ends_flight?: false} = facts, true) do

@@ -22,7 +22,7 @@ defmodule Aerie.Control.Policy.Compile do
   # Fifty a second and a hundred at once: more than any stream of set-points, less than a flood.
   @rates [%{types: :all, sources: :all, vehicles: :all, interval_us: 20_000, burst: 100}]
   @max_items 100
-  # Who is in charge, and how often somebody commands, goes by names.
+  # Leases and rates go by names.
   @own ~w(elixir shadow unsigned)
   # Commands of MAV_CMD that have no name in Aerie's table.
   @by_number for %{type: "mav_cmd_" <> _id = type} <- Commands.all(), do: type

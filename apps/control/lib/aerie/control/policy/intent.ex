@@ -144,7 +144,7 @@ defmodule Aerie.Control.Policy.Intent do
 
   @transfers ~w(mission_upload fence_upload rally_upload set_parameter write_file payload raw)
 
-  @doc "Types that are no command of the table: what raw MAVLink asks for besides (`Aerie.Control.Policy.Mavlink`)."
+  @doc "Types outside the table of commands: other requests of raw MAVLink (`Aerie.Control.Policy.Mavlink`)."
   @spec raw() :: [String.t()]
   def raw, do: ["aux_function" | @transfers]
 
@@ -208,7 +208,7 @@ defmodule Aerie.Control.Policy.Intent do
     }
   end
 
-  @doc "What refusals call the place to which a velocity leads."
+  @doc "The name, in refusals, of the place to which a velocity leads."
   @spec drift_what() :: String.t()
   def drift_what, do: "where that velocity leads before the vehicle stands"
 

@@ -95,14 +95,14 @@ defmodule Aerie.Control.Policy.Lease do
     }
   end
 
-  @doc "Who is in charge, as a sentence."
+  @doc "The lease as a sentence."
   @spec in_charge(t()) :: String.t()
   def in_charge(lease) do
     time = lease.since |> DateTime.from_unix!(:microsecond) |> Calendar.strftime("%H:%M:%S")
     "#{lease.holder} is in charge of the vehicle (since #{time} UTC)"
   end
 
-  @doc "What to do about it. The console says it in words of its pages."
+  @doc "Advice after a refusal. The console has a text of its own."
   @spec take_over() :: String.t()
   def take_over, do: "take_control takes over"
 

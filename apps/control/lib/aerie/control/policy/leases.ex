@@ -1,6 +1,6 @@
 defmodule Aerie.Control.Policy.Leases do
   @moduledoc """
-  Who is in charge of each vehicle of a gateway: a table of the store, which any process reads and changes without waiting for
+  The leases of a gateway: who is in charge of each vehicle. A table of the store, which any process reads and changes without waiting for
   another. Subscribers of `:leases` (`Aerie.Base.PubSub`) get `{vehicle_key, lease}` of each change, nil for nobody in charge.
 
   The table ends with the gateway: after its restart nobody is in charge.
@@ -16,7 +16,7 @@ defmodule Aerie.Control.Policy.Leases do
   def table, do: {:leases, [:set, read_concurrency: true], []}
 
   @doc """
-  Who is in charge of a vehicle; nil for nobody. A program that is gone cannot hand over, so anybody who may fly may take it then.
+  The lease of a vehicle; nil if nobody is in charge. A program that is gone cannot hand over, so anybody who may fly may take it then.
   """
   @spec of(Names.gateway(), Store.vehicle_key()) :: Lease.t() | nil
   def of(gateway, key) do

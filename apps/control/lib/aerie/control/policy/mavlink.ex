@@ -40,7 +40,7 @@ defmodule Aerie.Control.Policy.Mavlink do
     MavCmd.value(:MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION),
     MavCmd.value(:MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION)
   ]
-  # Operations of FTP that only read, or end what is read, and its answers; the one of the others whose data are no path.
+  # Operations of FTP that only read or end a read, and answers; of the others, the one whose data is not a path.
   @ftp_reads [0, 1, 2, 3, 4, 5, 14, 15, 128, 129]
   @ftp_write 7
 

@@ -27,7 +27,7 @@ defmodule Aerie.Control.Policy.Page do
   @spec sections() :: %{String.t() => String.t()}
   def sections, do: %{"ways" => ways(), "messages" => messages(), "mav-commands" => commands()}
 
-  @doc "Who may send what by which way in, with no entry of `policy.clients`."
+  @doc "What each interface may send without an entry of `policy.clients`."
   @spec ways() :: String.t()
   def ways do
     {:ok, policy} = Policy.compile(%{})

@@ -1,7 +1,7 @@
 defmodule Aerie.Control.Policy.Rate do
   @moduledoc """
   How often each source may give each vehicle each type of command: token buckets as data. A value of its own beside the
-  policy, so that a policy that is loaded anew forgives nobody anything.
+  policy, so that reloading the policy does not reset rate limits.
 
   Every rule that names a command has a bucket of it for each source, vehicle and type; all of them must have a token. The
   number of buckets is bounded: full ones are dropped first, and while there is no room for another one, commands that would

@@ -1,6 +1,6 @@
 defmodule Aerie.Control.Policy.RecentCommands do
   @moduledoc """
-  Which source commanded a vehicle last, through the door for commands or by raw MAVLink. Parts that change vehicles on their own
+  Which source commanded a vehicle last, through `Aerie.Control.Commands` or by raw MAVLink. Parts that change vehicles on their own
   initiative, such as the shadow, look here first.
   """
 

@@ -7,7 +7,7 @@ defmodule Aerie.Control.Policy.Signature do
 
       Aerie-Signature: UDXU4RCS… 2026-11-22T09:30:00Z 5mZ8…
 
-  These bytes are signed, `\\n` being a line feed; nothing is encoded anew, so there is nothing to agree on but this:
+  These bytes are signed, `\\n` being a line feed; nothing is encoded again, so there is nothing to agree on but this:
 
       aerie-command-1\\nSUBJECT\\nTIME\\nBODY
 

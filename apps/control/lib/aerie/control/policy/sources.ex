@@ -1,6 +1,6 @@
 defmodule Aerie.Control.Policy.Sources do
   @moduledoc """
-  Who commands, for the interfaces that carry a signature: those whose public nkeys the policy lists. An unknown source
+  The senders of commands on interfaces that carry a signature: those whose public nkeys the policy lists. An unknown source
   can command nothing.
   """
 

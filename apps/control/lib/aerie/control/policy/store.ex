@@ -15,7 +15,7 @@ defmodule Aerie.Control.Policy.Store do
 
   @reload_ms 30_000
 
-  @typedoc "Reads the section of the configuration anew, or gives a line for everything that is wrong with it."
+  @typedoc "Reads the section of the configuration again, or gives a line for everything that is wrong with it."
   @type reader :: (-> {:ok, map()} | {:error, [String.t(), ...]})
 
   @typedoc """

@@ -181,7 +181,7 @@ defmodule Aerie.Control.TransferExecutor.Core do
     {%{put(core, job) | order: core.order ++ [job.id]}, []}
   end
 
-  # Whoever has no lane in common with those before it begins.
+  # A job begins when it has no lane in common with those before it.
   defp next({core, actions}, now) do
     taken = for {_id, %{phase: phase} = job} <- core.jobs, phase != :queued, lane <- job.lanes, do: lane
 

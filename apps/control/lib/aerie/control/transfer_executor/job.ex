@@ -40,7 +40,7 @@ defmodule Aerie.Control.TransferExecutor.Job do
   @typedoc """
     * `:start` - makes the machine; an error is the end of the transfer
     * `:until` - its deadline in microseconds of `System.monotonic_time/1`; nothing is sent from then on
-    * `:share` - transfers with the same term (not nil) are one: whoever asks while it is under way gets its result
+    * `:share` - transfers with the same term (not nil) are one: callers that come while it is under way get its result
     * the others are the state of it: the machine, when it has to have begun, and which turns it has and waits for
   """
   @type t :: %__MODULE__{

@@ -1,6 +1,6 @@
 defmodule Aerie.Control.Commands.RecentTest do
   @moduledoc "What those who look on see of the commands of all operators."
-  use Aerie.DoorCase, async: true
+  use Aerie.CommandCase, async: true
 
   alias Aerie.Vehicle.Command.Result
   alias Aerie.Control.Commands.Recent
@@ -9,7 +9,7 @@ defmodule Aerie.Control.Commands.RecentTest do
   @moduletag :tmp_dir
 
   test "a command from its beginning to its end, and the same again", %{tmp_dir: dir} do
-    gateway = start_door(dir)
+    gateway = start_commands(dir)
     PubSub.subscribe(gateway, {:commands, "VID-007"})
     assert Commands.recent(gateway, "VID-007") == []
 
@@ -46,7 +46,7 @@ defmodule Aerie.Control.Commands.RecentTest do
   end
 
   test "a command that is asked for again stands there once, under way", %{tmp_dir: dir} do
-    gateway = start_door(dir)
+    gateway = start_commands(dir)
     {:ok, command} = Command.new(id: "h1", vehicle: "VID-007", type: "hold", source: "ops")
     Recent.begun(gateway, command, "rest")
     Recent.done(gateway, Result.new("h1", :completed))
@@ -57,7 +57,7 @@ defmodule Aerie.Control.Commands.RecentTest do
   end
 
   test "refusals are there with their reason; the latest stand first", %{tmp_dir: dir} do
-    gateway = start_door(dir, policy: [max_altitude: 100])
+    gateway = start_commands(dir, policy: [max_altitude: 100])
     Task.await(command(gateway, "takeoff", id: "high", params: %{altitude: 200}), Aerie.Patience.ms())
     land = command(gateway, "land", id: "land")
     from = executing(%{id: "land"})
@@ -72,7 +72,7 @@ defmodule Aerie.Control.Commands.RecentTest do
   end
 
   test "the server of commands dies: what was under way has an unknown end", %{tmp_dir: dir} do
-    gateway = start_door(dir)
+    gateway = start_commands(dir)
     {:pending, "h1"} = Commands.submit(gateway, vehicle: "VID-007", type: "hold", id: "h1", wait_ms: 0)
     _from = executing(%{id: "h1"})
     Process.exit(Aerie.Base.Names.whereis(gateway, :command_server), :kill)

@@ -138,7 +138,7 @@ defmodule Aerie.Control.Mission.ReviewTest do
     assert {:deny, :role, nil, _reason} = review([at(47.03, 8.004)], policy(), context(%{source: viewer}))
   end
 
-  test "ArduPilot's home is no place to fly to" do
+  test "ArduPilot's home is not a place to fly to" do
     plan = %Plan{home: {{100_000_000, 100_000_000}, 0.0}, items: [at(47.01, 8.004)]}
     vehicle = %{@vehicle | autopilot: :ardupilot}
     items = Onboard.items(plan, 0, Protocol.Ardupilot)

@@ -243,7 +243,7 @@ defmodule Aerie.Control.Mission.TransferTest do
       assert %{status: :completed} = result(actions)
     end
 
-    test "a warning is no rejection" do
+    test "a warning is not a rejection" do
       assert Protocol.Px4.plan_verdict(%M.Event{id: 22_091_529, log_levels: 0x64}, 0, 1) == :ignore
     end
   end

@@ -43,7 +43,7 @@ defmodule Aerie.Control.Params.DownloadTest do
     assert reads |> Enum.take_while(fn {at, _m} -> at == elem(hd(reads), 0) end) |> length() == 10
   end
 
-  test "a list that changes while it is read begins anew (P5, P7)" do
+  test "a list that changes while it is read begins again (P5, P7)" do
     appears = &ParamsVehicle.appear(&1, 50, {"NEW", 1, 6})
     run = run(ParamsVehicle.new(ParamsVehicle.some(200)), script: [{200_000, appears}], loss: 0.1)
     assert {:ok, table} = run.result
@@ -96,7 +96,7 @@ defmodule Aerie.Control.Params.DownloadTest do
     assert {:ok, %Table{hash: ^hash}} = LossyLink.run(Download, download, v, still).result
   end
 
-  test "a vehicle that restarts is read anew" do
+  test "a vehicle that restarts is read again" do
     script = [{200_000, fn v -> {:reboot, v} end}]
     run = run(ParamsVehicle.new(ParamsVehicle.some(200)), script: script)
     assert {:ok, _table} = run.result

@@ -55,7 +55,7 @@ defmodule Aerie.Control.Params.FileTest do
     assert length(errors) == 20
   end
 
-  test "a file is no crash, whatever is in it" do
+  test "a file is not a crash, whatever is in it" do
     property =
       :proper.forall(:proper_types.binary(), fn bytes -> elem(File.parse(bytes), 0) in [:ok, :error] end)
 

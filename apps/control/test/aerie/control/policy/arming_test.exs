@@ -1,6 +1,6 @@
 defmodule Aerie.Control.Policy.ArmingTest do
   @moduledoc "A vehicle that asks before it arms (X13), through a link and a session."
-  use Aerie.DoorCase, async: true
+  use Aerie.CommandCase, async: true
 
   import Aerie.Flight, only: [frame: 3]
 
@@ -15,7 +15,7 @@ defmodule Aerie.Control.Policy.ArmingTest do
   defp decide(gateway), do: Arming.decide(gateway, Store.vehicle(gateway, @key), System.os_time(:microsecond))
 
   test "the policy decides, whoever told it to arm, and it is on record", %{tmp_dir: dir} do
-    gateway = start_door(dir, policy: [takeoff_battery: 0.5])
+    gateway = start_commands(dir, policy: [takeoff_battery: 0.5])
     # Its battery is not known.
     assert {:deny, :battery, reason} = decide(gateway)
     :ok = Policy.Store.put(gateway, %{})
@@ -31,7 +31,7 @@ defmodule Aerie.Control.Policy.ArmingTest do
 
   test "where somebody has to be in charge, somebody has to be", %{tmp_dir: dir} do
     lease = %{required: true, take_over: :operator}
-    gateway = start_door(dir, policy: [lease: lease])
+    gateway = start_commands(dir, policy: [lease: lease])
     assert {:deny, :lease, _reason} = decide(gateway)
     assert {:ok, _lease} = Leases.change(gateway, @key, {:take, nil, nil}, operator(), "rest", lease)
     assert :allow = decide(gateway)

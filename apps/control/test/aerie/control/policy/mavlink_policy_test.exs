@@ -207,7 +207,7 @@ defmodule Aerie.Control.Policy.MavlinkPolicyTest do
            ] = reached(operator, c)
   end
 
-  test "a viewer's refused write is no question of the viewer to the vehicle: the gateway asks", c do
+  test "a viewer's refused write is not a question of the viewer to the vehicle: the gateway asks", c do
     viewer = client(c.gateway, "viewer")
     say(viewer, %M.ParamSet{target_system: 1, target_component: 1, param_id: "RTL_ALT", param_value: 0.0})
     say(viewer, %M.ParamExtSet{target_system: 1, target_component: 1, param_id: "CAM_MODE"})

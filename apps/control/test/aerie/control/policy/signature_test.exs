@@ -107,7 +107,7 @@ defmodule Aerie.Control.Policy.SignatureTest do
     assert {:ok, %{name: "unsigned", role: :viewer, permissions: []}} =
              Sources.identify(open, nil, @subject, @body, @now)
 
-    # A wrong signature is no unsigned command.
+    # A wrong signature is not an unsigned command.
     assert {:error, _reason} = Sources.identify(open, header <> "x", @subject, @body, @now)
   end
 

@@ -18,7 +18,7 @@ defmodule Aerie.Fleet.Alarms.Server do
   @look_ms 500
   # No notice announces a new diagnosis, or a problem of the gateway itself.
   @idle_ms 2_000
-  # A gateway that starts is not connected to NATS at once, and that is no alarm.
+  # A gateway that starts is not connected to NATS at once, and that is not an alarm.
   @settle_us 10_000_000
 
   @doc "Options: `:gateway`; `:look_ms`, 500."

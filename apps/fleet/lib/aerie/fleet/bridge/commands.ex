@@ -308,7 +308,7 @@ defmodule Aerie.Fleet.Bridge.Commands do
     end
   end
 
-  # A reading is no command: whoever may read may end it.
+  # A read is not a command: everyone who may read may cancel it.
   defp cease(gateway, vehicle, id, reason) do
     case Aerie.Control.Transfers.cancel(gateway, vehicle, id) do
       :ok -> accepted(id)

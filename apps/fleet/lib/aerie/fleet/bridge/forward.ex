@@ -207,7 +207,7 @@ defmodule Aerie.Fleet.Bridge.Forward do
   defp looked(%{position: %{born: born} = position} = state, born, last),
     do: %{state | last: last, dry: last < position.next}
 
-  # A stream that was deleted and made anew numbers anew.
+  # A stream that was deleted and recreated starts its numbers again.
   defp looked(state, born, last) do
     position = Position.of(state.position, born)
     %{again(state) | position: position, last: last, dry: false, backfill_to: last}

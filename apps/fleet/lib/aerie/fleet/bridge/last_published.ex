@@ -57,7 +57,7 @@ defmodule Aerie.Fleet.Bridge.LastPublished do
     end
   end
 
-  @doc "What was published of a vehicle before the restart, or nil."
+  @doc "The vehicle's state as published before the restart, or nil."
   @spec of(Names.gateway(), String.t()) :: Detector.OfflineChanges.t()
   def of(gateway, vehicle) do
     with %{} = remembered <- Names.value(gateway, :bridge_last_published), do: remembered[vehicle]

@@ -252,7 +252,7 @@ defmodule Aerie.Fleet.Bridge.NatsServer do
           "NATS server on #{url(state)}; its address with the login is in #{Token.url_file(state.nats)}"
         )
 
-    # Who hears that it is up finds the file.
+    # The file exists before the notice that the server is up.
     write_url(state)
     state = put_info(%{state | last_problem: nil, up_at: now()}, :up)
 

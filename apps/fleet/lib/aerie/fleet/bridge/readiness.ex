@@ -8,7 +8,7 @@ defmodule Aerie.Fleet.Bridge.Readiness do
       events(parts.server, parts.connection, parts.outbox)
   end
 
-  @doc "What to do about a nats-server, named in words, that is connected and confirms nothing, as after a failed write."
+  @doc "Advice about a nats-server that is connected but confirms nothing, as after a failed write."
   @spec mend(String.t()) :: String.t()
   def mend(server),
     do:

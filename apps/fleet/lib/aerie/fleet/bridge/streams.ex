@@ -92,7 +92,7 @@ defmodule Aerie.Fleet.Bridge.Streams do
   end
 
   @doc """
-  A stream as it is, but for what must be as wanted whoever made it: roll-up, the size of a message, and the window in which the server
+  A stream as it is, except for what must be right even if another program made it: roll-up, the size of a message, and the window in which the server
   looks for copies where messages have no ids.
   """
   @spec guarded(there :: struct(), wanted :: struct()) :: struct()

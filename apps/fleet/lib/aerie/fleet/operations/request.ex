@@ -123,7 +123,7 @@ defmodule Aerie.Fleet.Operations.Request do
       [key | _more] -> {:error, Error.new("command." <> Error.key(key), "only type and params", :unknown)}
     end
   rescue
-    # Params that are no object.
+    # Params that are not an object.
     Protocol.UndefinedError -> {:error, Error.new("command.params", "an object", command["params"])}
   end
 

@@ -1,7 +1,7 @@
 defmodule Aerie.Fleet.Operations.Work do
   @moduledoc """
-  What an operation does to one vehicle, in a task of its own: a command through the door, or a change of its desired state. Either is
-  done in the name of whoever began the operation, and policy, rates and permissions hold for each vehicle by itself.
+  What an operation does to one vehicle, in a task of its own: a command, or a change of its desired state. Either is
+  done in the name of the operation's author, and policy, rates and permissions hold for each vehicle by itself.
   """
 
   alias Aerie.Base.Names

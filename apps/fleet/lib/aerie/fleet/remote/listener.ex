@@ -188,7 +188,7 @@ defmodule Aerie.Fleet.Remote.Listener do
   end
 
   defp begin(state, id, name) do
-    # Known by a value only until its gateway tells of it.
+    # Known only by a value until its gateway announces it.
     :ok = RemoteTable.put_gateway(state.gateway, id, name, nil, 0)
     %{state | known: Map.update(state.known, id, [name], &[name | &1])}
   end

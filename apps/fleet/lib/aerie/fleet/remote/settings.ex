@@ -1,5 +1,5 @@
 defmodule Aerie.Fleet.Remote.Settings do
-  @moduledoc "Vehicles that other gateways hear: whether this one shows and commands them, and how it tells of its own."
+  @moduledoc "Vehicles that other gateways hear: whether this one shows and commands them, and how it announces its own."
   use Aerie.Base.Settings
 
   part :bridge, Aerie.Fleet.Bridge.Settings

@@ -1,7 +1,7 @@
 defmodule Aerie.Fleet.Remote.Supervisor do
   @moduledoc """
   The processes of `Aerie.Fleet.Remote`: one tells the other gateways which vehicles this one hears, one follows those of the others
-  (`remote.enabled`). None depends on the other, and both begin anew without harm: what was heard is in the store.
+  (`remote.enabled`). None depends on the other, and both begin again without harm: what was heard is in the store.
   """
   use Supervisor
 
@@ -32,7 +32,7 @@ defmodule Aerie.Fleet.Remote.Supervisor do
     )
   end
 
-  # Commands are passed on unsigned then, and refused with a reason by whoever wants a signature.
+  # Commands are passed on unsigned then, and refused with a reason by gateways that require a signature.
   defp nkey(nil), do: nil
 
   defp nkey(file) do

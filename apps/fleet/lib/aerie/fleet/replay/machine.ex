@@ -7,7 +7,7 @@ defmodule Aerie.Fleet.Replay.Machine do
                                                 └─ samplers ──────▶ {:sample, …}
 
   Only those of the router's rules apply that decide what a vehicle's session receives. Our own frames are not a vehicle's
-  (but our TIMESYNC requests are needed to recognise its answers) and are no reason for time to go on: a gateway that got no time for
+  (but our TIMESYNC requests are needed to recognise its answers) and do not advance time: a gateway that got no time for
   seconds recorded them before what it had not read yet. An autopilot's heartbeat admits a vehicle (H2, H4), other
   heartbeats are noted as stations, and frames of systems without a vehicle are counted. Forwarding does not affect events.
 

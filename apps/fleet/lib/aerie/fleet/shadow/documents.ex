@@ -146,7 +146,7 @@ defmodule Aerie.Fleet.Shadow.Documents do
       {:error, {:unavailable, "the shadow is being restarted, or NATS does not answer; try again"}}
   end
 
-  # Who is answered finds it in what this gateway shows. If its process is busy with NATS, that follows later.
+  # A caller that has its answer finds the change in the gateway's state. If the process is busy with NATS, that follows later.
   defp written(gateway, document) do
     GenServer.call(Names.via(gateway, :shadow_documents), {:written, document}, @shown_ms)
   catch

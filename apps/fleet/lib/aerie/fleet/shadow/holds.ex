@@ -1,6 +1,6 @@
 defmodule Aerie.Fleet.Shadow.Holds do
   @moduledoc """
-  Who is in charge of a vehicle besides the gateway: as long as somebody is, and for a configured time afterwards, the shadow does
+  Operators other than the gateway: while one is in charge, and for a configured time afterwards, the shadow does
   nothing to the vehicle. A pure value.
 
   | held by | when |

@@ -1,6 +1,6 @@
 defmodule Aerie.Fleet.Shadow.Keys do
   @moduledoc """
-  The keys by which desired documents are sealed: one for each vehicle, so that whoever has the key of one cannot open another one's.
+  The keys by which desired documents are sealed: one for each vehicle, so that the key of one does not open another one's.
   Pure.
 
   The key of a vehicle is derived from a common one (`shadow.key`), which stays at the hub; a companion has that of its own vehicle

@@ -4,7 +4,7 @@ defmodule Aerie.Fleet.Shadow.Loop do
   It runs `Aerie.Fleet.Shadow.Core` with a clock and the vehicle's snapshot, and carries out its actions.
 
   It wakes up for events of the vehicle (sent by `Aerie.Vehicle.Events`), for a new document, and once a second. Each attempt is a
-  task; at most one of them changes the vehicle. The loop dies with the session and the event loop; a new one reads everything anew,
+  task; at most one of them changes the vehicle. The loop dies with the session and the event loop; a new one reads everything again,
   and the ledger knows a command that was under way.
   """
   use GenServer

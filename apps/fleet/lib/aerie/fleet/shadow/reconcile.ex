@@ -58,7 +58,7 @@ defmodule Aerie.Fleet.Shadow.Reconcile do
   @waits_for_pilot ~w(STABILIZE STABILIZED ACRO MANUAL ALT_HOLD ALTCTL POSCTL FBWA FBWB TRAINING)
   @mission_modes ~w(AUTO AUTO_MISSION AUTO_RTL)
 
-  @doc "What to do now, and the state of each field."
+  @doc "The next actions, and the state of each field."
   @spec reconcile(%{Field.path() => Document.entry()}, actual(), context()) :: {[action()], report()}
   def reconcile(desired, actual, context) do
     fields =

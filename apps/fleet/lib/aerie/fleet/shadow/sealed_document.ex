@@ -5,7 +5,7 @@ defmodule Aerie.Fleet.Shadow.SealedDocument do
 
   The seal is an HMAC-SHA-256 over environment, vehicle and content by the vehicle's key (`Aerie.Fleet.Shadow.Keys`), so that neither the document
   nor the key of one vehicle is valid for another. Earlier versions sealed all vehicles' documents with the common key; these are still
-  read, and whoever reads one seals it again.
+  read, and a reader seals it again.
   """
 
   alias Aerie.Base.Secret

@@ -122,7 +122,7 @@ defmodule Aerie.Fleet.Shadow.Settings do
 
   @shortest 16
 
-  # Who reads what is sealed may try keys at leisure.
+  # A reader of sealed documents can try keys offline.
   @impl Aerie.Base.Settings
   def problems(%{shadow: shadow, vehicle_id: id}) do
     short =

@@ -114,7 +114,7 @@ defmodule Aerie.Fleet.Shadow.Uplink do
   defp hub(state, :up), do: state
   defp hub(state, _down), do: %{state | hub: :down}
 
-  # Everything is compared anew.
+  # Everything is compared again.
   defp check(%{conn: nil} = state), do: state
 
   defp check(%{conn: conn} = state) do
@@ -155,7 +155,7 @@ defmodule Aerie.Fleet.Shadow.Uplink do
     case {state.owner, HubBuckets.get(state.conn, @leases, state.lease)} do
       {_any, {:error, why}} -> later(state, why)
       {:aboard, {:ok, ^name, _revision}} -> %{state | owner: nil}
-      # Whoever has it at the hub gives way to the gateway aboard.
+      # The holder at the hub gives way to the gateway aboard.
       {:aboard, _other} -> owner(state, name)
       {:nobody, {:ok, ^name, _revision}} -> owner(state, :delete)
       {:nobody, _other} -> %{state | owner: nil}

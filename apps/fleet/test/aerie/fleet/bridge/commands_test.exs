@@ -2,7 +2,7 @@ defmodule Aerie.Fleet.Bridge.CommandsTest do
   @moduledoc "Commands by a real nats-server; the test is the vehicle's executor."
   use Aerie.BridgeCase, async: true
 
-  import Aerie.DoorCase
+  import Aerie.CommandCase
 
   alias Aerie.Control.Policy.Signature
 
@@ -22,7 +22,7 @@ defmodule Aerie.Fleet.Bridge.CommandsTest do
     policy =
       [sources: sources, rates: [%{types: ["gripper"], per_minute: 1, burst: 1}]] ++ (context[:policy] || [])
 
-    start_door(dir, gateway: gateway, policy: policy)
+    start_commands(dir, gateway: gateway, policy: policy)
     conn = client(await_up(gateway))
     await_listening(gateway, ["VID-007"])
     %{gateway: gateway, conn: conn, key: key, wall: wall}

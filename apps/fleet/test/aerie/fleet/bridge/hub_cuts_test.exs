@@ -115,7 +115,7 @@ defmodule Aerie.Fleet.Bridge.HubCutsTest do
     await_all(conn(hub), leaves, 40)
   end
 
-  test "somebody deletes the hub's stream: its gateway makes it anew, and what comes then is there", %{
+  test "somebody deletes the hub's stream: its gateway makes it again, and what comes then is there", %{
     tmp_dir: dir
   } do
     %{hub: hub, leaves: [{id, leaf}] = leaves} = start(dir, 1)

@@ -176,7 +176,7 @@ defmodule Aerie.Fleet.Diagnosis.RulesTest do
     assert evidence =~ "812 ms"
   end
 
-  test "counters that begin anew, and links that are new, have not grown by what they were" do
+  test "counters that begin again, and links that are new, have not grown by what they were" do
     assert names(
              facts(%{links: [link(%{counters: %{denied: 50}})]}),
              facts(%{links: [link(%{counters: %{denied: 0}})]})

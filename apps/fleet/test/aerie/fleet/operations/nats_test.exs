@@ -2,7 +2,7 @@ defmodule Aerie.Fleet.Operations.NatsTest do
   @moduledoc "Operations by a real nats-server: who may begin one, and what is wrong with a request."
   use Aerie.BridgeCase, async: true
 
-  import Aerie.DoorCase
+  import Aerie.CommandCase
 
   alias Aerie.Control.Policy.Signature
   alias Aerie.Fleet.Operations
@@ -13,7 +13,7 @@ defmodule Aerie.Fleet.Operations.NatsTest do
   setup %{tmp_dir: dir} do
     gateway = start_bridge(config(dir))
     key = Nkey.generate(:user)
-    start_door(dir, gateway: gateway, policy: [sources: [%{name: "ops", nkey: key.public}]])
+    start_commands(dir, gateway: gateway, policy: [sources: [%{name: "ops", nkey: key.public}]])
     start_supervised!({Operations.Supervisor, gateway: gateway})
     conn = client(await_up(gateway))
     c = %{gateway: gateway, conn: conn, key: key}

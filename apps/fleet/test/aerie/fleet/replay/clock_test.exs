@@ -36,7 +36,7 @@ defmodule Aerie.Fleet.Replay.ClockTest do
     assert clock.passed == 7 * @second
   end
 
-  test "frames that overtake each other stop time, an older recording begins it anew" do
+  test "frames that overtake each other stop time, an older recording begins it again" do
     clock = at(10 * @second)
     assert {[], %{now: 10_000_000}} = Clock.advance(clock, 8 * @second)
     assert {:restarted, clock} = Clock.advance(clock, 8 * @second - 1)

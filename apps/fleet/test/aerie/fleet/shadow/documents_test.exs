@@ -303,7 +303,7 @@ defmodule Aerie.Fleet.Shadow.DocumentsTest do
                eventually(fn -> with {:error, _why} <- update(gateway, %{"tags" => ["x"]}), do: false end)
     end
 
-    test "what an earlier version sealed with the common key is read, and sealed anew with the vehicle's", %{
+    test "what an earlier version sealed with the common key is read, and sealed again with the vehicle's", %{
       tmp_dir: dir
     } do
       %{gateway: gateway, conn: conn} =

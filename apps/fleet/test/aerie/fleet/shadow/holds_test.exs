@@ -59,7 +59,7 @@ defmodule Aerie.Fleet.Shadow.HoldsTest do
     assert holds |> look(1, %{armed: false}) |> by(1) == ["other"]
   end
 
-  test "the first word of mode and arming is no change" do
+  test "the first word of mode and arming is not a change" do
     holds = Holds.new(30 * @second) |> look(0, %{mode: nil, armed: nil}) |> look(31, %{})
     assert by(holds, 31) == []
   end
@@ -70,7 +70,7 @@ defmodule Aerie.Fleet.Shadow.HoldsTest do
     assert by(holds, 6) == ["operator"]
     assert by(holds, 33) == ["operator"]
     assert by(holds, 34) == []
-    # The same note is no new command.
+    # The same note is not a new command.
     assert holds |> look(40, %{mode: "LOITER"}, %{}, commanded) |> by(40) == []
   end
 

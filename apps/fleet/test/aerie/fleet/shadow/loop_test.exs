@@ -1,5 +1,5 @@
 defmodule Aerie.Fleet.Shadow.LoopTest do
-  @moduledoc "The loop of a vehicle behind the real door, with policy, ledger and audit log; the test is the vehicle's executor."
+  @moduledoc "The loop of a vehicle behind the real pipeline, with policy, ledger and audit log; the test is the vehicle's executor."
   use Aerie.ShadowCase, async: true
 
   @moduletag :tmp_dir
@@ -8,7 +8,7 @@ defmodule Aerie.Fleet.Shadow.LoopTest do
   @vehicle "VID-007"
 
   setup %{tmp_dir: dir} = context do
-    gateway = start_door(dir, policy: context[:policy] || [])
+    gateway = start_commands(dir, policy: context[:policy] || [])
     flying(gateway)
     start_shadow(gateway, dir, [{"shadow.hold_s", 1} | context[:shadow] || []])
     loop = start_loop(gateway)
@@ -103,7 +103,7 @@ defmodule Aerie.Fleet.Shadow.LoopTest do
     hour = 3_600_000_000
     # As if the clock had been an hour behind until now.
     :sys.replace_state(loop, &%{&1 | clock: &1.clock - hour})
-    # The offset of two clocks is read anew, and is a little different each time.
+    # The offset of two clocks is read again, and is a little different each time.
     eventually(fn -> held(gateway, "mode", "failsafe").until >= until + hour - 500_000 end)
   end
 

@@ -11,7 +11,7 @@ defmodule Aerie.Fleet.Shadow.NatsTest do
     gateway = start_bridge(config(dir))
     key = Nkey.generate(:user)
     policy = [sources: [%{name: "ops", nkey: key.public}]] ++ (context[:policy] || [])
-    start_door(dir, gateway: gateway, policy: policy)
+    start_commands(dir, gateway: gateway, policy: policy)
     conn = Aerie.HubServer.local_client(await_up(gateway))
     start_shadow(gateway, dir, [{"nats.mode", "embedded"}, {"shadow.lease_s", 1}])
     start_loop(gateway)

@@ -152,7 +152,7 @@ defmodule Aerie.Fleet.Shadow.ReconcileTest do
     end
   end
 
-  test "refusals: growing waits, then an end; setting it anew or a restart of the vehicle begins again" do
+  test "refusals: growing waits, then an end; setting it again or a restart of the vehicle begins again" do
     {waits, attempts} =
       Enum.map_reduce(1..6, Attempts.new(), fn _n, attempts ->
         attempts = Attempts.tried(attempts, "mode", 1, "the vehicle refused it", @now)

@@ -8,8 +8,8 @@ defmodule FleetWeb.Console.Access.Attempts do
   | an address | 20 | this address waits |
   | an account, wrong passwords from addresses that are not known | 10 | attempts from such addresses take up to 3 s longer |
 
-  An address is known if somebody signed in from it lately, or if it is this machine. So nobody can keep anybody else out: whoever tries
-  passwords locks only the address that tries them, and from many addresses makes signing in from a new one slower, never impossible. The
+  An address is known if somebody signed in from it lately, or if it is this machine. So no attacker can lock others out: wrong
+  passwords lock only the address that sends them, and from many addresses they make signing in from a new one slower, never impossible. The
   printed address is not counted at all: its token cannot be guessed.
 
   Addresses of IPv6 count by their first 64 bits, which one host has to itself.
@@ -31,7 +31,7 @@ defmodule FleetWeb.Console.Access.Attempts do
   @typedoc "`place/1` of an address."
   @type place :: tuple()
 
-  @doc "What an address counts as."
+  @doc "The place that an address counts as: IPv4 as it is, a network of IPv6."
   @spec place(:inet.ip_address()) :: place()
   def place({0, 0, 0, 0, 0, 0xFFFF, high, low}),
     do: {div(high, 256), rem(high, 256), div(low, 256), rem(low, 256)}
@@ -65,7 +65,7 @@ defmodule FleetWeb.Console.Access.Attempts do
     end
   end
 
-  @doc "What became of an attempt. `:none`: nothing, the password was not looked at."
+  @doc "Records the outcome of an attempt. `:none`: the password was not checked."
   @spec outcome(t(), place(), account :: term(), :right | :wrong | :none, now :: integer()) :: t()
   def outcome(attempts, place, account, :right, _now) do
     %{

@@ -25,7 +25,7 @@ defmodule FleetWeb.Console.Access.Limiter do
     do:
       GenServer.call(Names.via(gateway, :console_limiter), {:try, Attempts.place(address), account(account)})
 
-  @doc "What became of an attempt."
+  @doc "Records the outcome of an attempt."
   @spec outcome(Names.gateway(), :inet.ip_address(), term(), :right | :wrong | :none) :: :ok
   def outcome(gateway, address, account, outcome) do
     message = {:outcome, Attempts.place(address), account(account), outcome}

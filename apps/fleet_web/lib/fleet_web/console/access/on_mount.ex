@@ -82,7 +82,7 @@ defmodule FleetWeb.Console.Access.OnMount do
       else: {:halt, socket}
   end
 
-  # Who is signed in now, not when the page began.
+  # The user signed in now, not when the page was opened.
   defp event(page, event, session, %{assigns: %{user: user, gateway: gateway}} = socket) do
     least = Map.get(page.events, event, :operator)
     cost = if event in page.costly, do: @costly, else: 1

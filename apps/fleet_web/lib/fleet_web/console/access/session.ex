@@ -23,7 +23,7 @@ defmodule FleetWeb.Console.Access.Session do
     "aerie_" <> Base.encode16(short, case: :lower)
   end
 
-  @doc "What a page learns from a request besides the signed session: the theme."
+  @doc "The part of a request, besides the signed session, that a page gets: the theme."
   @spec extra(:cowboy_req.req()) :: %{String.t() => String.t()}
   def extra(request) do
     case List.keyfind(Cookie.cookies(request), @theme_cookie, 0) do

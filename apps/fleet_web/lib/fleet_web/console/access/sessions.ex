@@ -133,7 +133,7 @@ defmodule FleetWeb.Console.Access.Sessions do
     end
   end
 
-  # Whoever is not in a readable file signs in again.
+  # Users without a readable entry sign in again.
   defp read(file) do
     with {:ok, %File.Stat{size: size}} when size <= @max_file <- File.stat(file),
          {:ok, text} <- File.read(file),

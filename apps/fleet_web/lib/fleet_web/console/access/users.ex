@@ -74,7 +74,7 @@ defmodule FleetWeb.Console.Access.Users do
          do: {:error, busy(seconds)}
   end
 
-  @doc "What is said to whoever has to ask again later."
+  @doc "The text for a requester that has to retry later."
   @spec busy(seconds :: pos_integer()) :: String.t()
   def busy(seconds), do: "too many passwords at once: try again in #{seconds} s"
 

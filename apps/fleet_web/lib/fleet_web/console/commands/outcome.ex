@@ -167,7 +167,7 @@ defmodule FleetWeb.Console.Commands.Outcome do
 
   defp height_left(_entry, _vehicle), do: nil
 
-  @doc "What is told of a course while it is going: `118 m, 20 s`."
+  @doc "The progress of a course: `118 m, 20 s`."
   @spec progress(Recent.entry(), map()) :: String.t() | nil
   def progress(%{type: type} = entry, vehicle) when type in ["goto", "rtl"] do
     case distance(target(entry, vehicle), vehicle) do

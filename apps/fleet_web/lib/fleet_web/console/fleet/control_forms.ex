@@ -28,7 +28,7 @@ defmodule FleetWeb.Console.Fleet.ControlForms do
     """
   end
 
-  @doc "What its forms show: the vehicles, and who is in charge of which."
+  @doc "The data of its forms: the vehicles, and who is in charge of which."
   @spec value([Row.t()]) :: %{ids: [String.t()], holders: %{String.t() => String.t()}}
   def value(rows), do: %{ids: Enum.map(rows, & &1.id), holders: holders(rows)}
 

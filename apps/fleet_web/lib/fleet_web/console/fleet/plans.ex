@@ -47,7 +47,7 @@ defmodule FleetWeb.Console.Fleet.Plans do
       else: ids |> Enum.reject(&on?(plans, &1)) |> Enum.reduce(plans, &read(&2, gateway, &1, counts[&1]))
   end
 
-  @doc "Forgets vehicles that are gone, and reads missions anew whose number of items has changed."
+  @doc "Forgets vehicles that are gone, and reads missions again whose number of items has changed."
   @spec keep(t(), Names.gateway(), %{String.t() => term()}) :: t()
   def keep(plans, gateway, counts) do
     shown = Map.take(plans.shown, Map.keys(counts))
@@ -100,7 +100,7 @@ defmodule FleetWeb.Console.Fleet.Plans do
         do: plan |> MapPayload.aboard() |> Map.merge(%{vehicle: id, current: current[id]})
   end
 
-  @doc "What is under way or went wrong, in words; `[]` for nothing."
+  @doc "Texts of what is under way or went wrong; `[]` for nothing."
   @spec summary(t()) :: [String.t()]
   def summary(plans) do
     for {id, entry} <- Enum.sort_by(plans.shown, &elem(&1, 0)),

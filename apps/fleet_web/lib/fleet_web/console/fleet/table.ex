@@ -12,7 +12,7 @@ defmodule FleetWeb.Console.Fleet.Table do
   attr :selection, :map, required: true
   attr :filter, Filter, required: true
 
-  @doc "The table. Its rows are keyed by vehicle, so that a row that moves is not rendered anew."
+  @doc "The table. Its rows are keyed by vehicle, so that a row that moves is not rendered again."
   def vehicles(assigns) do
     first = assigns.selection.anchor || List.first(assigns.rows).id
     assigns = assign(assigns, :first, first)

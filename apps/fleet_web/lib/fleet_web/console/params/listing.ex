@@ -93,7 +93,7 @@ defmodule FleetWeb.Console.Params.Listing do
     {differing, Enum.map(missing, & &1.name)}
   end
 
-  @doc "What a button that sets parameters is for: the vehicle, its component (nil: the autopilot), and the entries of a file that it would set."
+  @doc "What a button that sets parameters applies to: the vehicle, its component (nil: the autopilot), and the entries of a file that it would set."
   @spec target(vehicle :: String.t(), 1..255 | nil, [File.entry()] | nil) :: String.t()
   def target(vehicle, component, entries),
     do: Enum.join([vehicle, component || "autopilot", :erlang.phash2(entries)], " ")

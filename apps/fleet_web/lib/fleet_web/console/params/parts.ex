@@ -67,7 +67,7 @@ defmodule FleetWeb.Console.Params.Parts do
   attr :able, :boolean, required: true
   attr :via, :string, required: true, doc: "the gateway that hears the vehicle; nil: this one"
 
-  @doc "What an opened file would change."
+  @doc "The changes that an opened file would make."
   def file(assigns) do
     ~H"""
     <section class="card" id="params-file" aria-labelledby="params-file-title">

@@ -31,7 +31,7 @@ defmodule FleetWeb.Console.Plan.Edit do
   @spec shape({atom(), atom()}) :: String.t()
   def shape(shape), do: Enum.find_value(@shapes, fn {name, one} -> if one == shape, do: name end)
 
-  @doc "What heights may refer to, for a select."
+  @doc "The references of heights, for a select."
   @spec frames() :: [{String.t(), String.t()}]
   def frames, do: [{"above home", "3"}, {"above sea level", "0"}, {"above ground", "10"}]
 
@@ -88,7 +88,7 @@ defmodule FleetWeb.Console.Plan.Edit do
   def or_zero(number) when is_number(number), do: number
   def or_zero(_unknown), do: 0.0
 
-  @doc "What a click on the map adds, after a new choice."
+  @doc "Sets what a click on the map adds."
   @spec what(map(), map()) :: map()
   def what(what, %{"command" => command}) do
     case Kinds.parse(command) do

@@ -31,7 +31,7 @@ defmodule FleetWeb.Console.Plan.MapPayload do
     }
   end
 
-  @doc "What a vehicle has aboard as the map draws it: a plan of `map:plans`, without its vehicle."
+  @doc "The plan aboard a vehicle as the map draws it: a plan of `map:plans`, without its vehicle."
   @spec aboard(Aerie.Control.Mission.Plan.t()) :: map()
   def aboard(plan) do
     places =

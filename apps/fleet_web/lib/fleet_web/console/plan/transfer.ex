@@ -40,7 +40,7 @@ defmodule FleetWeb.Console.Plan.Transfer do
           aboard: aboard() | nil
         }
 
-  @doc "What becomes of each part when a plan is sent; `read` is the plan as it was read from that vehicle, nil if it was not."
+  @doc "The effect on each part when a plan is sent; `read` is the plan as it was read from that vehicle, nil if it was not."
   @spec parts(Plan.t(), Plan.t() | nil) :: [{Missions.kind(), :send | {:skip, String.t()}}]
   def parts(plan, read) do
     for kind <- @kinds do
@@ -61,7 +61,7 @@ defmodule FleetWeb.Console.Plan.Transfer do
   defp part(plan, :fence), do: {plan.fence, plan.fence_return}
   defp part(plan, :rally), do: plan.rally
 
-  @doc "What a button that sends is for: the vehicle and the plan that it shows."
+  @doc "What a button that sends applies to: the vehicle and the plan that it shows."
   @spec target(vehicle :: String.t() | nil, Plan.t()) :: String.t()
   def target(vehicle, plan), do: "#{vehicle} #{:erlang.phash2(plan)}"
 

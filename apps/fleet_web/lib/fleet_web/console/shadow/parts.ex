@@ -8,7 +8,7 @@ defmodule FleetWeb.Console.Shadow.Parts do
   attr :rows, :list, required: true, doc: "`t:FleetWeb.Console.Shadow.Rows.row/0`"
   attr :version, :integer, required: true, doc: "that is shown: a change is one of it"
 
-  @doc "What is desired, and how each field stands."
+  @doc "The desired state, and the status of each field."
   def fields(assigns) do
     ~H"""
     <.data_table id="shadow" label="Desired and reported" rows={@rows} row_id={&"field-#{&1.path}"}>

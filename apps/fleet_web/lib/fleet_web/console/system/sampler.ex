@@ -106,7 +106,7 @@ defmodule FleetWeb.Console.System.Sampler do
       top: top
     }
 
-    # Two seconds from its end: whoever asked during a long measurement gets this one, not another one.
+    # Two seconds from its end: a caller during a long measurement gets this one, not another one.
     measured = System.monotonic_time(:millisecond)
     %{state | sample: sample, begun: now, measured: measured, facts: facts, reductions: reductions}
   end

@@ -192,12 +192,12 @@ defmodule FleetWeb.Console.Fleet.PageTest do
       for id <- ["V1", "V3"], do: render_hook(view, "select", %{"id" => id, "how" => "toggle"})
       render_hook(view, "command", %{"type" => "rtl", "id" => "web-0001", "ids" => ["V1", "V3"]})
 
-      # This gateway has no door for commands, so each is denied, with the reason.
+      # This gateway takes no commands, so each is denied, with the reason.
       html = eventually(fn -> (html = render(view)) =~ "2 of 2 ended, 2 not done" && html end)
       assert html =~ "Return to launch"
       assert html |> String.split("the gateway takes no commands just now") |> length() == 3
 
-      # The same press again is no second one.
+      # The same press again is not a second one.
       render_hook(view, "close_batch", %{})
       refute has_element?(view, "#fleet-batch")
     end
@@ -211,7 +211,7 @@ defmodule FleetWeb.Console.Fleet.PageTest do
       refute has_element?(view, "#fleet-batch")
     end
 
-    test "what is no command of this page does nothing", %{console: console} do
+    test "what is not a command of this page does nothing", %{console: console} do
       view = open(console)
       render_hook(view, "select", %{"id" => "V1", "how" => "only"})
       render_hook(view, "command", %{"type" => "terminate", "id" => "web-0001", "ids" => ["V1"]})

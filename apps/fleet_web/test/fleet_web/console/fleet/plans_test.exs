@@ -53,7 +53,7 @@ defmodule FleetWeb.Console.Fleet.PlansTest do
     assert Plans.update(plans, "B", make_ref(), :done) == plans
   end
 
-  test "what is gone is forgotten; another number of items is read anew, the same is not" do
+  test "what is gone is forgotten; another number of items is read again, the same is not" do
     {plans, ref} = reading("A")
     gateway = make_ref()
     assert Plans.keep(plans, gateway, %{}).shown == %{}

@@ -73,7 +73,7 @@ defmodule FleetWeb.Console.Fleet.RowsTest do
       assert Row.new(put_in(vehicle.groups.position.data.alt_rel, 120.4), links, %{}, @now).height == 120
     end
 
-    test "a value that is no number is not known" do
+    test "a value that is not a number is not known" do
       row = Row.new(snapshot(%{position: %{alt_rel: :nan}, velocity: %{groundspeed: nil}}), [], %{}, @now)
       assert row.height == nil and row.speed == nil
     end

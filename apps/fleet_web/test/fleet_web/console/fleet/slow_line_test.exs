@@ -13,7 +13,7 @@ defmodule FleetWeb.Console.Fleet.SlowLineTest do
 
   setup %{tmp_dir: dir} do
     [console: console] = start_console()
-    Aerie.DoorCase.start_door(dir, gateway: console.gateway)
+    Aerie.CommandCase.start_commands(dir, gateway: console.gateway)
     :ok = Store.delete_vehicle(console.gateway, {"main", 7})
     put_link(console, "radio")
     for n <- 1..4, do: vehicle(console, n, 0.5 + n / 100)

@@ -133,7 +133,7 @@ defmodule FleetWeb.Console.Plan.DraftTest do
              inspect(:proper.counterexample())
     end
 
-    test "a change that changes nothing is no step" do
+    test "a change that changes nothing is not a step" do
       draft = added(%Draft{})
       {:ok, same} = Draft.move(draft, {:mission, 0, nil}, @place)
       assert length(same.undo) == 1

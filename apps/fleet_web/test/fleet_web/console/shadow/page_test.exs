@@ -2,7 +2,7 @@ defmodule FleetWeb.Console.Shadow.PageTest do
   @moduledoc "The page of a shadow; the test is the vehicle's executor."
   use FleetWeb.ConsoleCase, async: true
 
-  import Aerie.DoorCase, only: [start_door: 2, answer: 3, executing: 1]
+  import Aerie.CommandCase, only: [start_commands: 2, answer: 3, executing: 1]
   import Aerie.ShadowCase, only: [start_shadow: 3, start_loop: 1, standing: 3]
 
   alias Aerie.Fleet.Shadow
@@ -15,8 +15,8 @@ defmodule FleetWeb.Console.Shadow.PageTest do
 
   setup %{tmp_dir: dir} do
     [console: console] = start_console()
-    start_door(dir, gateway: console.gateway)
-    Aerie.DoorCase.put_vehicle(console.gateway, %{in_air: true})
+    start_commands(dir, gateway: console.gateway)
+    Aerie.CommandCase.put_vehicle(console.gateway, %{in_air: true})
     # The vehicle is armed: the shadow would stay away for as long.
     start_shadow(console.gateway, dir, [{"shadow.hold_s", 0.1}])
     start_loop(console.gateway)
@@ -50,7 +50,7 @@ defmodule FleetWeb.Console.Shadow.PageTest do
     assert has_element?(view, "#change-1", "mode")
 
     # The vehicle shows it first: a mode that is late would be asked for again.
-    Aerie.DoorCase.put_vehicle(console.gateway, %{in_air: true, mode: "LOITER"})
+    Aerie.CommandCase.put_vehicle(console.gateway, %{in_air: true, mode: "LOITER"})
     answer(from, id, :accepted)
     standing(console.gateway, "mode", :converged)
     eventually(fn -> shown?(view, "#field-mode", "converged") end)

@@ -5,7 +5,7 @@ defmodule FleetWeb.Console.Vehicle.FlightTest do
   import Aerie.TransferCase, only: [fly: 3]
 
   alias Aerie.Base.Store
-  alias Aerie.DoorCase
+  alias Aerie.CommandCase
 
   @moduletag :tmp_dir
   @moduletag :capture_log
@@ -79,7 +79,7 @@ defmodule FleetWeb.Console.Vehicle.FlightTest do
     tmp_dir: dir
   } do
     [console: console] = start_console()
-    DoorCase.start_door(dir, gateway: console.gateway)
+    CommandCase.start_commands(dir, gateway: console.gateway)
 
     put_vehicle(console, "VID-007", [], %{
       key: {"main", 7},
@@ -91,7 +91,7 @@ defmodule FleetWeb.Console.Vehicle.FlightTest do
 
     browse(console, "vehicle_pending.mjs")
     assert_received {:"$gen_call", from, {:submit, %{type: "rtl"} = command, _progress}}
-    DoorCase.answer(from, command.id, :completed)
+    CommandCase.answer(from, command.id, :completed)
     refute_received {:"$gen_call", _from, {:submit, _command, _progress}}
   end
 end

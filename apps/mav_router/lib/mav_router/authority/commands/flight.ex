@@ -31,7 +31,7 @@ defmodule MavRouter.Authority.Commands.Flight do
       {:NAV_ALTITUDE_WAIT, :fly, []},
       {:NAV_VTOL_TAKEOFF, :fly, place: :flown},
       {:NAV_VTOL_LAND, :fly, as_item: :flown},
-      # Whoever steers then, is judged by himself.
+      # The commands of the program that then steers are judged separately.
       {:NAV_GUIDED_ENABLE, :fly, []},
       {:NAV_DELAY, :mission, []},
       {:NAV_PAYLOAD_PLACE, :fly, place: :flown},

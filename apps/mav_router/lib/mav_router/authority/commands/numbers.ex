@@ -65,7 +65,7 @@ defmodule MavRouter.Authority.Commands.Numbers do
   defp within?(number, {:flags, mask}), do: number >= 0 and band(number, bnot(mask)) == 0
   defp within?(number, {:index, min, max}), do: number in min..max
 
-  @doc "What a parameter has to be, in words."
+  @doc "Describes the values of a parameter."
   @spec text(kind()) :: String.t()
   def text({:values, values}), do: "one of #{Enum.join(values, ", ")}"
   def text({:flags, 1}), do: "0 or 1"

@@ -42,7 +42,7 @@ defmodule MavRouter.Link.Serial.Finding do
           advice: String.t() | nil
         }
 
-  @doc "What was heard at a baud rate."
+  @doc "The finding of listening at a baud rate."
   @spec from_listening(Path.t(), pos_integer, Sniff.t()) :: t
   def from_listening(path, baud, %{protocol: protocol} = sniffed) do
     condition = condition(sniffed)

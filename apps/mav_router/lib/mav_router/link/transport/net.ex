@@ -198,7 +198,7 @@ defmodule MavRouter.Link.Transport.Net do
 
   def sockaddr(address, port), do: %{family: :inet, addr: address, port: port}
 
-  @doc "Writes one datagram, by the second handle if there is one. It is no error if nobody listens there."
+  @doc "Writes one datagram, by the second handle if there is one. It is not an error if nobody listens there."
   @spec udp_write(:gen_udp.socket(), :socket.socket() | nil, :inet.ip_address(), :inet.port_number(), iodata) ::
           :ok | :busy | {:error, term}
   def udp_write(socket, nil, address, port, bytes),
@@ -223,7 +223,7 @@ defmodule MavRouter.Link.Transport.Net do
     :ok
   end
 
-  @doc "What a link with a UDP socket tells of it."
+  @doc "The facts of a UDP socket for the link's snapshot."
   @spec udp_info(:gen_udp.socket()) :: MavRouter.Link.Transport.info()
   def udp_info(socket), do: Map.put(local(socket), :warning, short_buffer(socket))
 

@@ -50,7 +50,7 @@ defmodule MavRouter.Link.Transport.Query do
   @spec name?(term) :: boolean
   def name?(name), do: is_binary(name) and name =~ @name
 
-  @doc "What a name has to be, in words."
+  @doc "Describes valid names."
   @spec name_form() :: String.t()
   def name_form, do: @name_form
 

@@ -1,7 +1,7 @@
 defmodule MavRouter.Recorder.Archive.Name do
   @moduledoc """
   Names of recordings: `main-radio-1-20261121T013005Z.tlog`, from the network, the link or vehicle, and the UTC of the start; a second one
-  in the same second is `…Z-2.tlog`. Characters of a label that do not belong into a file name become `_`.
+  in the same second is `…Z-2.tlog`. Characters of a label that do not belong in a file name become `_`.
   """
 
   @max 100

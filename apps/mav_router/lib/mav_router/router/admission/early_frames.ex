@@ -7,9 +7,9 @@ defmodule MavRouter.Router.Admission.EarlyFrames do
   @moduledoc """
   Frames of vehicles whose sessions are being started (`MavRouter.Router.Admission`), in the order in which they came, for those to take.
 
-  A row in the table `waiting` is the gate: whoever takes the row collects the frames. Who keeps more of them writes first and looks
+  A row in the table `waiting` is the gate: the process that takes the row collects the frames. A process that keeps more writes first and looks
   for the row afterwards. If it is there, it will be taken later, and what was written will be found. If it is gone, the writer takes
-  back what it wrote, unless it was collected in between. So each frame arrives once, whoever is faster.
+  back what it wrote, unless it was collected in between. So each frame arrives once, whichever process is faster.
 
   The frames of at most #{@max_reads} reads of a vehicle are kept besides those of the read in which it was found, #{@max_frames} of a read, and
   those of #{@max_kept} reads together: 64 MiB if all are as long as can be.

@@ -1,6 +1,6 @@
 defmodule MavRouter.Router.Admission.StartQueue do
   @moduledoc """
-  Who is next of those that wait, by who brought them: each of these has its turn, so that hundreds from one link keep none of another
+  The next waiting vehicle, in turn by the link that brought it, so that hundreds from one link keep none of another
   waiting. A value; who asks bounds it (`MavRouter.Router.Admission`).
   """
 

@@ -1,7 +1,7 @@
 defmodule MavRouter.Router.Endpoints.Monitor do
   @moduledoc """
   Monitors the processes that have endpoints, and removes the endpoints of those that end without doing so themselves. After a
-  restart it monitors all of them anew.
+  restart it monitors all of them again.
   """
   use GenServer
 

@@ -1,7 +1,7 @@
 defmodule MavRouter.Router.Forward.Cache do
   @moduledoc """
   What one forwarding process keeps between two reads: the forwarding table, the sources that it hears, and texts of systems
-  that are no vehicles yet. A value, which the process gives to `MavRouter.Router.deliver/4` and gets back; nil before the first read.
+  that are not vehicles yet. A value, which the process gives to `MavRouter.Router.deliver/4` and gets back; nil before the first read.
 
   All of it but the texts comes from the router's tables, and all of it goes with them.
   """

@@ -59,7 +59,7 @@ defmodule MavRouter.Router.Forward.Table do
     end
   end
 
-  @doc "Brings it up to date: unchanged, with the endpoints that changed, or read anew."
+  @doc "Brings it up to date: unchanged, with the endpoints that changed, or read again."
   @spec refresh(t, Tables.t()) :: t
   def refresh(%__MODULE__{generation: before} = forwarding, tables) do
     case Tables.generation(tables) do

@@ -120,7 +120,7 @@ defmodule MavRouter.Router.Owner.Renumber do
   defp system_at(%{version: 1}), do: 3
   defp system_at(_v2), do: 5
 
-  # Bytes that were cut off are zero, which is no id.
+  # Bytes that were cut off are zero, which is not an id.
   defp target_at(frame) do
     case All.targets(frame.id) do
       {at, _component} when is_integer(at) and at < byte_size(frame.payload) -> header(frame) + at

@@ -52,7 +52,7 @@ defmodule MavRouter.Router.TransferLock.Transfer do
   @doc "Whether a message may be a step of a transfer. Cheap, because it is asked of every frame."
   defguard is_part(id) when id in @ids
 
-  @doc "The step of a frame to a vehicle; nil for what is no part of a transfer."
+  @doc "The step of a frame to a vehicle; nil for what is not part of a transfer."
   @spec asked(Frame.t()) :: t | nil
   def asked(frame) do
     case decoded(frame) do
@@ -88,7 +88,7 @@ defmodule MavRouter.Router.TransferLock.Transfer do
     end
   end
 
-  @doc "The step of a frame from a vehicle to its partner; nil for what is no part of a transfer."
+  @doc "The step of a frame from a vehicle to its partner; nil for what is not part of a transfer."
   @spec answered(Frame.t()) :: t | nil
   def answered(frame) do
     case decoded(frame) do

@@ -4,7 +4,7 @@ defmodule MavRouter.Router.TransferLock.Turn do
   @once_ms 10_000
 
   @moduledoc """
-  Who has a transfer with a vehicle, and who waits for one: a pure state machine, one for each vehicle and kind of transfer.
+  The owner of a transfer with a vehicle, and the waiting ones: a pure state machine, one for each vehicle and kind of transfer.
 
   The first to begin has the turn until its transfer has ended, or until neither it nor the vehicle has said anything of it for
   #{@silent_ms} ms. Others wait with the frame by which they begin; a repetition takes the place of the frame before it. They get

@@ -135,7 +135,7 @@ defmodule MavRouter.Link.Transport.WebSocketTest do
       assert [%{id: 0}] = frames(1)
     end
 
-    test "a server that is no WebSocket is reported in words", c do
+    test "a server that is not a WebSocket is reported in words", c do
       {_by, _listener, port} = server = serve()
       listen(c.gateway, [:down])
       {:ok, _id} = Link.start(c.gateway, "ws://127.0.0.1:#{port}", id: "agent", options: @patient)

@@ -6,7 +6,7 @@ defmodule Aerie.Vehicle.Command.Deadline do
     * a command is issued now unless it says otherwise, at most 10 minutes ago and at most 5 seconds ahead of our clock
     * its deadline is 10 seconds after it was issued unless it says otherwise, and at most 5 minutes from now
 
-  A deadline that has passed is no error here: such a command is answered with `expired`.
+  A deadline that has passed is not an error here: such a command is answered with `expired`.
   """
 
   alias Aerie.Vehicle.Command.Error

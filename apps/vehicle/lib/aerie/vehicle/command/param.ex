@@ -119,7 +119,7 @@ defmodule Aerie.Vehicle.Command.Param do
 
   defp error(param, value, key), do: {:error, key, expected(param), value}
 
-  @doc "What a value has to be, in words: `a number from 0 to 500 (m)`."
+  @doc "Describes valid values: `a number from 0 to 500 (m)`."
   @spec expected(t()) :: String.t()
   def expected(%{type: :number} = param), do: "a number #{range(param)}"
   def expected(%{type: :integer} = param), do: "an integer #{range(param)}"

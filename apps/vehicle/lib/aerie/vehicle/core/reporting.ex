@@ -24,7 +24,7 @@ defmodule Aerie.Vehicle.Core.Reporting do
     outputs({%{core | reports: reports}, actions}, outputs, at)
   end
 
-  @doc "What the vehicle itself says about its events."
+  @doc "The vehicle's own event definitions."
   @spec definitions(Core.t(), Reports.Definitions.t()) :: Core.t()
   def definitions(core, own), do: %{core | reports: Reports.define(core.reports, own)}
 

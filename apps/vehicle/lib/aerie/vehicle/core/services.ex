@@ -291,7 +291,7 @@ defmodule Aerie.Vehicle.Core.Services do
   defp heartbeat(acc, _now, _reachable), do: acc
 
   @doc """
-  Whether the vehicle would take our heartbeat for its operator's although we are no ground station: its failsafe listens
+  Whether the vehicle would take our heartbeat for its operator's although we are not a ground station: its failsafe listens
   to our id (H5).
   """
   @spec mistaken?(Core.t()) :: boolean()
@@ -304,7 +304,7 @@ defmodule Aerie.Vehicle.Core.Services do
     Gcs.keeps_quiet?(gcs, %{system: options.own_system, type: Identity.type(options)})
   end
 
-  @doc "What a snapshot shows of these services now."
+  @doc "The data of these services for a snapshot."
   @spec show(Core.t()) :: map()
   def show(%{now: now} = core) do
     now = now || 0

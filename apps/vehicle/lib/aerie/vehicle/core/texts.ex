@@ -77,7 +77,7 @@ defmodule Aerie.Vehicle.Core.Texts do
     {%{texts | open: open}, done}
   end
 
-  @doc "Gives up on all missing chunks at once, and on recognising copies: time begins anew."
+  @doc "Gives up on all missing chunks at once, and on recognising copies: time begins again."
   @spec finish(t(), integer()) :: {t(), [StatusText.text()]}
   def finish(texts, now) do
     {open, done} = StatusText.finish(texts.open, now)

@@ -33,7 +33,7 @@ defmodule Aerie.Vehicle.Core.Timers do
   defp overdue?(deadline, at), do: at >= deadline
 
   @doc """
-  Time goes on from `now`, which is not comparable with the time before. Waiting begins anew, and what was heard counts as
+  Time goes on from `now`, which is not comparable with the time before. Waiting begins again, and what was heard counts as
   heard now.
   """
   @spec rebase(Core.t(), [Core.action()], integer()) :: {Core.t(), [Core.action()]}
@@ -64,7 +64,7 @@ defmodule Aerie.Vehicle.Core.Timers do
   end
 
   @doc """
-  The clock was set by `step`: waiting begins anew as in `rebase/3`, and everything was heard as long ago as before. The
+  The clock was set by `step`: waiting begins again as in `rebase/3`, and everything was heard as long ago as before. The
   snapshot is written at once, because its readers go by the new time already.
   """
   @spec shift(Core.t(), [Core.action()], integer()) :: {Core.t(), [Core.action()]}

@@ -50,7 +50,7 @@ defmodule Aerie.Vehicle.Detector.Digest do
   defp violation("check_gf_violation_" <> what = name), do: {String.upcase(what), name}
   defp violation(_other), do: nil
 
-  @doc "What events need besides the digest, however often it changes: the position and the batteries' voltages."
+  @doc "Data that events need besides the digest, however often it changes: the position and the batteries' voltages."
   @spec beside(State.t()) :: map()
   def beside(state), do: %{where: position(state), voltages: Detector.Batteries.voltages(state)}
 

@@ -78,7 +78,7 @@ defmodule Aerie.Vehicle.Detector.Failsafe do
   defp wait_us(%{status: true}), do: @settle_us
   defp wait_us(%{by: by}), do: settle_us(by)
 
-  @doc "What follows from the difference of two digests."
+  @doc "The events that follow from the difference of two digests."
   @spec changed(t(), map(), map(), Step.moment()) :: {t(), [Step.t()]}
   def changed(failsafe, last, now, moment) do
     Enum.reduce([&mode_change/4, &status/4, &disarmed/4], {failsafe, []}, fn part, {failsafe, steps} ->

@@ -9,7 +9,7 @@ defmodule Aerie.Vehicle.Detector.Losses do
   alias Aerie.Vehicle.Detector
   alias Aerie.Vehicle.Detector.{Failsafe, Step}
 
-  @doc "What follows from the difference of two digests."
+  @doc "The events that follow from the difference of two digests."
   @spec changed(Detector.t(), map(), map(), Step.moment()) :: {Detector.t(), [Step.t()]}
   def changed(detector, last, now, %{at: at} = moment) do
     parts = [&gps/4, &position/4, &receiver/4, &fence_end/4]
@@ -114,7 +114,7 @@ defmodule Aerie.Vehicle.Detector.Losses do
     {%{detector | killed: on?}, [Step.event(type, %{"text" => text})]}
   end
 
-  @doc "What is wrong with the vehicle now that may cause a failsafe, the most likely cause first."
+  @doc "The vehicle's present faults that may cause a failsafe, the most likely cause first."
   @spec troubles(Detector.t()) :: [String.t()]
   def troubles(detector) do
     for {type, true} <- [

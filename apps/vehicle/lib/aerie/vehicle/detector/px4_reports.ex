@@ -27,7 +27,7 @@ defmodule Aerie.Vehicle.Detector.Px4Reports do
   @spec known?(String.t() | nil) :: boolean()
   def known?(name), do: name in @names
 
-  @doc "What follows from a report and its values."
+  @doc "The events that follow from a report and its values."
   @spec steps(Detector.t(), String.t(), list() | nil, Step.moment()) :: {Detector.t(), [Step.t()]}
   def steps(detector, name, values, moment) when name in @enter and is_list(values) do
     {action, delay, cause} = entered(name, values)

@@ -124,7 +124,7 @@ defmodule Aerie.Vehicle.Detector.StatusTexts do
     end
   end
 
-  @doc "Who or what armed or disarmed, if the text says so: `{armed?, reason}`."
+  @doc "The cause of arming or disarming, if the text names it: `{armed?, reason}`."
   @spec armed_by(String.t()) :: {boolean(), String.t()} | nil
   def armed_by(text) do
     case Regex.run(@armed_by, text) do

@@ -3,7 +3,7 @@ defmodule Aerie.Vehicle.Protocol.ExtValue do
   The value of an extended parameter and the 128 bytes that PARAM_EXT_VALUE, PARAM_EXT_SET and PARAM_EXT_ACK carry (P8).
 
   A number is in the first bytes, little-endian, as its MAV_PARAM_EXT_TYPE says: integers of 8 to 64 bits, floats of 32 and 64. The
-  type CUSTOM, and any that MAVLink does not know, has text, or bytes: a value that is no printable text is `base64:` followed by
+  type CUSTOM, and any that MAVLink does not know, has text, or bytes: a value that is not printable text is `base64:` followed by
   them, so that each value can be shown, stored and sent back as it was. Zeros at the end do not count.
   """
 

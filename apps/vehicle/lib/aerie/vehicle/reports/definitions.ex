@@ -124,7 +124,7 @@ defmodule Aerie.Vehicle.Reports.Definitions do
     end
   end
 
-  @doc "What the first has otherwise than the second, or in addition."
+  @doc "The definitions of the first that differ from the second or are missing there."
   @spec differing(t(), t()) :: t()
   def differing(definitions, known) do
     events =

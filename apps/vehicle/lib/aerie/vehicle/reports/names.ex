@@ -24,7 +24,7 @@ defmodule Aerie.Vehicle.Reports.Names do
   @typedoc "A number, the label of an enum's value (its number where it has none), or the labels of a bit field."
   @type value :: integer() | float() | String.t() | [String.t()] | nil
 
-  @doc "What a vehicle's own file has otherwise than Aerie's, or in addition: it wins in `name/2` and `values/3`."
+  @doc "The definitions of a vehicle's own file that differ from Aerie's or are missing there: they win in `name/2` and `values/3`."
   @spec own(Definitions.t()) :: Definitions.t()
   def own(definitions), do: Definitions.differing(definitions, @known)
 

@@ -9,7 +9,7 @@ defmodule Aerie.Vehicle.Reports.Sequence do
   as they are when RESPONSE_EVENT_ERROR says that the component does not keep them any more. Late events are accepted;
   duplicates, by a second link or another program's request, count once.
 
-  A restarted component begins anew: CURRENT_EVENT_SEQUENCE says so, or its clock goes back.
+  A restarted component begins again: CURRENT_EVENT_SEQUENCE says so, or its clock goes back.
   """
 
   import Bitwise

@@ -3,8 +3,8 @@ defmodule Aerie.Vehicle.Session.Clock do
   The time of one vehicle between its frames: that of the last frame plus what has passed since by the monotonic clock, at the
   link's speed. A pure value; all times are in microseconds, and a `moment` is one of the monotonic clock.
 
-  It knows, too, when time begins anew, because the next frames' time is not comparable with that of the last ones: when a recording
-  begins anew, and perhaps with the first frames after a restart. A live frame that is late by seconds, as after a pause of the whole
+  It knows, too, when time begins again, because the next frames' time is not comparable with that of the last ones: when a recording
+  begins again, and perhaps with the first frames after a restart. A live frame that is late by seconds, as after a pause of the whole
   machine, is only late.
   """
 
@@ -40,7 +40,7 @@ defmodule Aerie.Vehicle.Session.Clock do
   def frame(at, moment, :live), do: %__MODULE__{at: at, moment: moment, speed: 1.0, by: :host}
   def frame(at, moment, speed), do: %__MODULE__{at: at, moment: moment, speed: speed, by: :recording}
 
-  @doc "The time at a moment; nil before anything was heard. What waited behind a frame is no older than the frame."
+  @doc "The time at a moment; nil before anything was heard. What waited behind a frame is not older than the frame."
   @spec expected(t() | nil, moment :: integer()) :: integer() | nil
   def expected(nil, _moment), do: nil
 
@@ -48,10 +48,10 @@ defmodule Aerie.Vehicle.Session.Clock do
     do: at + round(max(moment - clock.moment, 0) * clock.speed)
 
   @doc """
-  Whether time begins anew with a frame that came `at`. `now` is the newest time that is known, `host` the machine's clock less the
+  Whether time begins again with a frame that came `at`. `now` is the newest time that is known, `host` the machine's clock less the
   monotonic one (`Aerie.Base.HostClock`).
   """
-  @spec anew?(
+  @spec restarted?(
           t() | nil,
           speed(),
           now :: integer() | nil,
@@ -60,18 +60,18 @@ defmodule Aerie.Vehicle.Session.Clock do
           host :: integer()
         ) ::
           boolean()
-  def anew?(_clock, _speed, nil, _at, _moment, _host), do: false
+  def restarted?(_clock, _speed, nil, _at, _moment, _host), do: false
 
   # What the machine's clock has not reached was stamped before it was set back. A frame that is late by seconds waited for a busy
   # link, or the machine stood still: what was waited for meanwhile is waited for still.
-  def anew?(%{by: :host}, :live, now, at, moment, host), do: max(now, at) > moment + host + @clock_set_us
+  def restarted?(%{by: :host}, :live, now, at, moment, host), do: max(now, at) > moment + host + @clock_set_us
 
   # The first frames since the process was started, or since those of a recording.
-  def anew?(clock, :live, _now, at, moment, _host) do
+  def restarted?(clock, :live, _now, at, moment, _host) do
     expected = expected(clock, moment)
     expected != nil and abs(at - expected) > @clock_set_us
   end
 
   # Another recording, the same once more, or one whose clock was set.
-  def anew?(_clock, _recording, now, at, _moment, _host), do: at < now - @back_us or at > now + @day_us
+  def restarted?(_clock, _recording, now, at, _moment, _host), do: at < now - @back_us or at > now + @day_us
 end

@@ -61,7 +61,7 @@ defmodule Aerie.Vehicle.State.Group do
     struct!(__MODULE__, Keyword.put(group, :fields, fields))
   end
 
-  @doc "What the state has of a group so far; empty before its first message."
+  @doc "The data of a group so far; empty before its first message."
   @spec data(State.t(), State.group()) :: map()
   def data(%{groups: groups}, name) do
     case groups do

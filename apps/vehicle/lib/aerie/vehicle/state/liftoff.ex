@@ -9,7 +9,7 @@ defmodule Aerie.Vehicle.State.Liftoff do
   @typedoc "`:home` - the last one on the ground, or the first that was heard in the air; `:ground` - metres above mean sea level."
   @type t :: %{home: State.place() | nil, ground: float() | nil}
 
-  @doc "What is known after a message."
+  @doc "The knowledge after a message."
   @spec next(t() | nil, State.t()) :: t() | nil
   def next(liftoff, state) do
     case State.data(state, :mode).in_air do

@@ -35,7 +35,7 @@ defmodule Aerie.Vehicle.State.Mission do
     {[], mission: %{fence_breach: m.breach_status != 0, fence_breach_type: breach(m)}}
   end
 
-  @doc "What is known of a breach when the fence is off: nothing."
+  @doc "The state of a breach while the fence is off: unknown."
   @spec fence_unknown() :: map()
   def fence_unknown, do: %{fence_breach: nil, fence_breach_type: nil}
 

@@ -88,7 +88,7 @@ defmodule Aerie.Vehicle.State.Mode do
     {if(standard == state.standard_modes, do: fields, else: [{:standard_modes, standard} | fields]), changes}
   end
 
-  # Whoever sends one of these has AVAILABLE_MODES, and its modes changed with the number (X4).
+  # A vehicle that sends one of these has AVAILABLE_MODES, and its modes changed with the number (X4).
   def read(%M.CurrentMode{}, %{modes_seq: nil}, _at), do: {[modes_seq: 0], []}
   def read(%M.CurrentMode{}, _state, _at), do: {[], []}
   def read(%M.AvailableModesMonitor{seq: seq}, %{modes_seq: seq}, _at), do: {[], []}

@@ -24,7 +24,7 @@ defmodule Aerie.Vehicle.State.Operator do
       {:takeover_allowed, nil, nil, "whether the vehicle gives control to anyone who asks", "CONTROL_STATUS"}
     ]
 
-  # Who is in control (X15); only the component that manages the system says it of the whole of it.
+  # The operator in control (X15); only the component that manages the system speaks for all of it.
   @impl Group
   def read(%M.ControlStatus{flags: flags} = m, _state, _at) when (flags &&& @manages_system) != 0,
     do: {[], operator: %{system: m.gcs_main, takeover_allowed: (flags &&& @takeover_allowed) != 0}}

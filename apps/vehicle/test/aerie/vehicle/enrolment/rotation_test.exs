@@ -88,7 +88,8 @@ defmodule Aerie.Vehicle.Enrolment.RotationTest do
                Task.await(task, Aerie.Patience.ms())
     end
 
-    test "a second one who asks is told; an armed vehicle is left alone; a key itself is no argument", c do
+    test "a second one who asks is told; an armed vehicle is left alone; a key itself is not an argument",
+         c do
       {bytes, _signer} = signed(signer(), 1)
       say(c, bytes)
       eventually(fn -> MavRouter.Router.route(c.gateway, @key) end)

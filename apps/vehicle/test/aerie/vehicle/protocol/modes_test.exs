@@ -157,7 +157,7 @@ defmodule Aerie.Vehicle.Protocol.ModesTest do
           &step(&2, {:frames, "link", [&1]})
         )
 
-      # The name that comes later is no change of the mode.
+      # The name that comes later is not a change of the mode.
       assert for(
                %{type: "mode_change", data: data} <- Enum.reverse(run.events),
                do: {data["from"], data["to"]}

@@ -56,7 +56,7 @@ defmodule Aerie.Vehicle.Reports.SequenceTest do
     assert Sequence.gone(sequence, 5) == sequence
   end
 
-  test "a component that was restarted begins anew (R6)" do
+  test "a component that was restarted begins again (R6)" do
     {_, sequence} = seen([500, 501])
     assert {:new, again} = Sequence.event(%{sequence | boot_ms: 60_000}, 3, 2000, 0)
     refute Sequence.waiting?(again)

@@ -119,7 +119,7 @@ defmodule Aerie.Vehicle.Services.IdentityTest do
     assert {:error, :timeout} = :gen_udp.recv(socket, 0, 1_300)
   end
 
-  test "a killed loop is asked anew" do
+  test "a killed loop is asked again" do
     {gateway, _port, socket} = flying()
     assert heard(socket)
     Process.exit(Names.whereis(gateway, :watchdog), :kill)
@@ -173,7 +173,7 @@ defmodule Aerie.Vehicle.Services.IdentityTest do
     on_exit(fn -> :telemetry.detach(gateway) end)
   end
 
-  test "a machine that stood still is no silence of its loops, which nobody asked" do
+  test "a machine that stood still is not a silence of its loops, which nobody asked" do
     {gateway, _port, _socket} = flying(%{heartbeat_deadman_s: 60})
     complaints(gateway)
     tag = {:session, {"main", 1}}

@@ -178,7 +178,7 @@ defmodule Aerie.Vehicle.Services.TimesyncTest do
     end
   end
 
-  test "after a reboot measuring begins anew" do
+  test "after a reboot measuring begins again" do
     sync = run(0..30, 0, fn _ -> {100, 100} end) |> Timesync.restarted()
     assert Timesync.offset(sync, now(31)) == nil
     assert {7, _} = sync |> run(31..35, 7, fn _ -> {100, 100} end) |> Timesync.offset(now(35))

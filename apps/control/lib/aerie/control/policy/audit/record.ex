@@ -16,7 +16,7 @@ defmodule Aerie.Control.Policy.Audit.Record do
 
   @type t :: %{n: pos_integer(), prev: String.t(), hash: String.t(), fields: %{String.t() => term()}}
 
-  @doc "What the first record of all has in place of a hash before it."
+  @doc "The previous hash of the first record."
   @spec start() :: String.t()
   def start, do: @start
 
@@ -25,7 +25,7 @@ defmodule Aerie.Control.Policy.Audit.Record do
   def max_bytes, do: @max_bytes
 
   @doc """
-  The line of an entry, its newline included, and its hash. What is no text becomes hexadecimal; an entry that is too long keeps
+  The line of an entry, its newline included, and its hash. What is not text becomes hexadecimal; an entry that is too long keeps
   its short values and says that it was cut.
   """
   @spec encode(%{String.t() => term()}, pos_integer(), String.t(), at :: integer()) ::

@@ -3,7 +3,7 @@ defmodule Aerie.Control.Policy.Audit.Verify do
   Checks an audit log from its first record to its last, without changing it: whether every line is what was written, and
   none is missing.
 
-  What a hash chain cannot show: that somebody who may write the files wrote all of them anew, or cut records off the end and
+  What a hash chain cannot show: that somebody who may write the files rewrote all of them, or cut records off the end and
   the head with them. For that, keep the head (`Aerie.Control.Policy.Audit.status/1`) somewhere else, and give it here.
   """
 

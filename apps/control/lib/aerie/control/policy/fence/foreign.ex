@@ -1,7 +1,7 @@
 defmodule Aerie.Control.Policy.Fence.Foreign do
   @moduledoc """
   Members of a GeoJSON file that a fence does not read. Most belong to other programs (colours, ids, notes). One that looks as if it
-  limited something is refused, because whoever wrote it relies on it: `type: exclusion`, `maxAltitude`, `ceiling`, a `radius`
+  limited something is refused, because its author relies on it: `type: exclusion`, `maxAltitude`, `ceiling`, a `radius`
   beside the properties instead of in them.
   """
 

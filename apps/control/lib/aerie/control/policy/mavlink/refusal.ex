@@ -82,7 +82,7 @@ defmodule Aerie.Control.Policy.Mavlink.Refusal do
   @spec accepted(struct(), Frame.t()) :: struct()
   def accepted(%{command: command}, frame), do: %{ack(command, frame) | result: @accepted}
 
-  @doc "What goes to the vehicle in place of a refused message: a question whose answer tells the sender what is so."
+  @doc "The message to the vehicle in place of a refused one: a request whose answer shows the sender the present value."
   @spec instead(struct()) :: Message.t() | nil
   def instead(%M.ParamSet{} = m),
     do: %M.ParamRequestRead{

@@ -3,7 +3,7 @@ defmodule Aerie.Control.Policy.Mavlink.Upload do
   Where the last item of a mission was while it is uploaded to a vehicle: the vehicle flies straight from item to item, so the way is
   judged with each of them.
 
-  Items come in order (W3). One that comes again is judged from the same item as before; one with a lower number begins anew, as
+  Items come in order (W3). One that comes again is judged from the same item as before; one with a lower number begins again, as
   a MISSION_COUNT does.
   """
 

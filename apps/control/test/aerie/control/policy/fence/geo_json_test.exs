@@ -176,7 +176,7 @@ defmodule Aerie.Control.Policy.Fence.GeoJsonTest do
     assert {:ok, _fence} = [exclusion] |> collection() |> Aerie.Control.Policy.Fence.parse()
   end
 
-  test "what is no GeoJSON is refused with its line, and a fence without zones" do
+  test "what is not a GeoJSON is refused with its line, and a fence without zones" do
     assert {:error, ["line 3: expected JSON" <> _]} = GeoJson.parse("{\n\"type\":\n oops")
     assert {:error, ["line 1: expected JSON, got the end" <> _]} = GeoJson.parse("{")
     assert {:error, ["expected a GeoJSON FeatureCollection" <> _]} = GeoJson.parse("[]")

@@ -148,7 +148,7 @@ defmodule Aerie.Control.Policy.Fence.PolygonTest do
     end
   end
 
-  test "what is no area is refused with a reason" do
+  test "what is not an area is refused with a reason" do
     for {rings, words} <- [
           {[[{0, 0}, {1, 1}]], "three different positions"},
           {[[{0, 0}, {1, 1}, {0, 0}]], "three different positions"},

@@ -31,7 +31,7 @@ defmodule Aerie.Fleet.Bridge.Events.Gaps do
   def size(nil), do: 0
   def size({_vehicle, _epoch, from, to}) when is_integer(from) and is_integer(to), do: to - from + 1
 
-  @doc "What is missing, for the log."
+  @doc "The missing ranges, for the log."
   @spec text(place()) :: String.t()
   def text({vehicle, _epoch, from, to}),
     do:
@@ -108,7 +108,7 @@ defmodule Aerie.Fleet.Bridge.Events.Gaps do
     known |> Map.delete(oldest) |> Map.put(vehicle, place)
   end
 
-  @doc "What did not arrive is read again."
+  @doc "Starts again after what was confirmed, so that the missing ones are read again."
   @spec reset(t()) :: t()
   def reset(gaps), do: %{gaps | seen: gaps.confirmed}
 

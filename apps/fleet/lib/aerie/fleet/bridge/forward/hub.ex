@@ -4,7 +4,7 @@ defmodule Aerie.Fleet.Bridge.Forward.Hub do
   # A connection that lasts longer was not refused. A busy hub needs a while to refuse one.
   @refused_ms 30_000
 
-  @doc "What the answer to `hub.info` says: that the hub is there, or why not."
+  @doc "Interprets the answer to `hub.info`: the hub is there, or why not."
   @spec answer(map()) :: :there | {:away, String.t()}
   def answer(%{status: "503"}), do: {:away, "there is no connection to it"}
 

@@ -13,7 +13,7 @@ defmodule Aerie.Fleet.Bridge.Forward.Position do
 
   @typedoc """
   `next`: the message to read next; `pending`: those that were read and that the hub has not confirmed; `born`: when the stream was
-  made, as text, because another one numbers anew.
+  made, as text, because another one starts its numbers again.
   """
   @type t :: %__MODULE__{next: pos_integer(), pending: MapSet.t(pos_integer()), born: String.t() | nil}
 
@@ -31,7 +31,7 @@ defmodule Aerie.Fleet.Bridge.Forward.Position do
 
   defp before(seq) when is_integer(seq) and seq > 0, do: seq - 1
 
-  @doc "What the hub does not have is read again."
+  @doc "Reads again what the hub does not have."
   @spec reset(t()) :: t()
   def reset(position), do: %{position | next: reached(position) + 1, pending: MapSet.new()}
 

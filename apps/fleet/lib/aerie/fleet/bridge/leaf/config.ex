@@ -80,7 +80,7 @@ defmodule Aerie.Fleet.Bridge.Leaf.Config do
     ]
   end
 
-  @doc "What is wrong with the section; `mode` is `nats.mode`."
+  @doc "Errors of the section; `mode` is `nats.mode`."
   @spec problems(map(), atom()) :: [Schema.problem()]
   def problems(leaf, mode) do
     logins = for key <- @logins, Map.fetch!(leaf, key), do: "nats.leaf.#{key}"
@@ -107,7 +107,7 @@ defmodule Aerie.Fleet.Bridge.Leaf.Config do
     ])
   end
 
-  @doc "What is probably not meant."
+  @doc "Warnings."
   @spec warnings(map()) :: [String.t()]
   def warnings(leaf) do
     texts([

@@ -102,7 +102,7 @@ defmodule Aerie.Fleet.Shadow.Documents.Ownership do
         if own_server?, do: :alone, else: {:mine, until, System.os_time(:millisecond) + until - now}
 
       {:other, id} ->
-        # Whoever uses this server cannot renew its lease while it is away.
+        # No gateway can renew its lease while this server is away.
         if own_server? and state.conn == nil and Lease.gone?(state.lease, id, now),
           do: :alone,
           else: {:other, Map.get(state.names, id, id)}

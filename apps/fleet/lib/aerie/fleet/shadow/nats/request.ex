@@ -2,7 +2,7 @@ defmodule Aerie.Fleet.Shadow.Nats.Request do
   @moduledoc """
   Reads a message on `fleet.{environment}.{vehicle}.shadow.{action}`: which action, on which vehicle, by whom. Pure.
 
-  Reading needs no signature: whoever may use NATS sees the buckets anyway. A change is made in the name of the key that signed
+  Reading needs no signature: every user of NATS sees the buckets anyway. A change is made in the name of the key that signed
   the message, as for commands (`Aerie.Control.Policy.Signature`); such an update has the version that it is based on, so that a replayed
   copy changes nothing.
   """

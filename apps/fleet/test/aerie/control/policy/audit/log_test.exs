@@ -78,7 +78,7 @@ defmodule Aerie.Control.Policy.Audit.LogTest do
     end
   end
 
-  test "what is no text, or too long, spoils nothing", %{tmp_dir: dir} do
+  test "what is not text, or too long, spoils nothing", %{tmp_dir: dir} do
     log =
       open(dir)
       |> append(%{
@@ -128,7 +128,7 @@ defmodule Aerie.Control.Policy.Audit.LogTest do
       assert report(dir).problems != []
     end
 
-    # Somebody who writes the head anew too is found by who kept it.
+    # Somebody who rewrites the head too is found by comparing with a copy.
     {:ok, %{n: n, hash: hash}} = lines |> Enum.at(-2) |> Record.decode()
     File.write!(Path.join(dir, "head"), "#{n} #{hash}\n")
     assert report(dir).problems == []

@@ -1,13 +1,13 @@
 defmodule Aerie.Fleet.Bridge.Commands.TransfersTest do
   @moduledoc "What is wrong with a request for a transfer is named before a vehicle is asked; transfer_faces_test.exs flies the rest."
-  use Aerie.DoorCase, async: true
+  use Aerie.CommandCase, async: true
 
   alias Aerie.Fleet.Bridge.Commands.Transfers
 
   @moduletag :tmp_dir
   @ops %{name: "ops", role: :admin, permissions: []}
 
-  setup %{tmp_dir: dir}, do: {:ok, gateway: start_door(dir)}
+  setup %{tmp_dir: dir}, do: {:ok, gateway: start_commands(dir)}
 
   defp ask(gateway, what, request) do
     request = Map.merge(%{"vehicle" => "VID-404", "id" => "t1"}, request)

@@ -127,7 +127,7 @@ defmodule MavRouter.Router.Forward.Table.Path do
       Map.get(owner.options[:out] || %{}, :allow_messages, []) in [nil, []]
   end
 
-  @doc "The path of frames that are delivered by a peer which is no endpoint."
+  @doc "The path of frames that are delivered by a peer which is not an endpoint."
   @spec unregistered(owner :: String.t(), peer :: term, network :: String.t()) :: t
   def unregistered(owner, peer, network) do
     %__MODULE__{

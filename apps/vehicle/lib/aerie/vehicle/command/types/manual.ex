@@ -2,8 +2,8 @@ defmodule Aerie.Vehicle.Command.Types.Manual do
   @moduledoc """
   Commands that steer by hand or by a stream of set-points: rows of `Aerie.Vehicle.Command.Types`.
 
-  The gateway repeats such a command to the vehicle for as long as `hold` says, and never beyond the deadline; then it ceases,
-  and gives back what it took. So who steers has to go on sending: a source that died steers nothing (X7).
+  The gateway repeats such a command to the vehicle for as long as `hold` says, and never beyond the deadline; then it stops
+  and gives back what it took. So a source has to keep sending: one that died steers nothing (X7).
   """
 
   import Aerie.Vehicle.Command.Types.Shared

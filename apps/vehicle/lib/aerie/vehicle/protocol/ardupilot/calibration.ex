@@ -71,7 +71,7 @@ defmodule Aerie.Vehicle.Protocol.Ardupilot.Calibration do
   defp acknowledgement,
     do: %M.CommandAck{command: MavCmd.value(:MAV_CMD_PREFLIGHT_CALIBRATION), result: 0}
 
-  @doc "What a text or a report says about the calibration under way."
+  @doc "The verdict of a text or a report on the calibration under way."
   @spec read(Step.t(), struct(), Aerie.Vehicle.Protocol.source(), Vehicle.t()) ::
           Aerie.Vehicle.Protocol.answer()
   def read(%Step{watch: :texts}, %M.Statustext{text: text}, {system, _component}, %{system: system}) do

@@ -47,7 +47,7 @@ defmodule Aerie.Vehicle.Protocol.Ardupilot.Steering do
   def setpoint(_type, %{mode: mode}),
     do: {:error, "it is in #{mode}, and obeys set-points in GUIDED only: set_mode GUIDED first"}
 
-  @doc "What keeps it from obeying a set-point as long as that does not change, nil for nothing."
+  @doc "The lasting reason why it does not obey a set-point; nil for none."
   @spec note(Vehicle.t()) :: String.t() | nil
   def note(vehicle) do
     if vehicle.in_air == false and Vehicle.flies?(vehicle),

@@ -186,7 +186,7 @@ defmodule Aerie.Vehicle.Protocol.Ardupilot.StoredItem do
   defp value(%{params: {_, _, _, value}}, :param4), do: value
   defp value(item, name), do: Map.fetch!(item, name)
 
-  # Of what was unset, ArduPilot makes 0.
+  # ArduPilot stores unset values as 0.
   defp kept(:sign, nil), do: [1.0]
   defp kept(_how, nil), do: [0.0, nil]
   defp kept(:float, number), do: [number]

@@ -52,7 +52,7 @@ defmodule Aerie.Vehicle.Protocol.Px4.Calibration do
     ]
   end
 
-  @doc "What a text says about the calibration under way."
+  @doc "The verdict of a text on the calibration under way."
   @spec read(Step.t(), struct(), Aerie.Vehicle.Protocol.source(), Vehicle.t()) ::
           Aerie.Vehicle.Protocol.answer()
   def read(%Step{watch: :texts}, %M.Statustext{text: "[cal] " <> text}, {system, _component}, %{

@@ -171,7 +171,7 @@ defmodule Aerie.Vehicle.Services.Streams.Arbiter do
     })
   end
 
-  @doc "The vehicle is heard again after a silence: measuring begins anew."
+  @doc "The vehicle is heard again after a silence: measuring begins again."
   @spec back(t(), integer()) :: t()
   def back(arbiter, at), do: resume(arbiter, at, arbiter.starts_at)
 
@@ -198,7 +198,7 @@ defmodule Aerie.Vehicle.Services.Streams.Arbiter do
     }
   end
 
-  @doc "What to send at `now` to a vehicle that is heard, and what to report; mostly nothing."
+  @doc "The messages and reports due at `now` for a vehicle that is heard; mostly none."
   @spec expire(t(), integer(), Request.target()) :: {t(), [struct()], [notice()]}
   def expire(%{starts_at: starts_at} = arbiter, now, _target) when starts_at == nil or now < starts_at,
     do: {arbiter, [], []}

@@ -1,6 +1,6 @@
-defmodule Aerie.DoorCase do
+defmodule Aerie.CommandCase do
   @moduledoc """
-  Tests of the door for commands: a gateway with a policy and a door of its own, and a vehicle of which the test is the executor.
+  Tests of commands: a gateway with a policy and the pipeline of commands, and a vehicle of which the test is the executor.
   """
   use ExUnit.CaseTemplate
 
@@ -15,7 +15,7 @@ defmodule Aerie.DoorCase do
 
   using do
     quote do
-      import Aerie.DoorCase
+      import Aerie.CommandCase
       import Aerie.GatewayCase, only: [eventually: 1]
       alias Aerie.Base.Store
       alias Aerie.Control.{Commands, Ledger, Policy}
@@ -24,10 +24,10 @@ defmodule Aerie.DoorCase do
   end
 
   @doc """
-  Starts a gateway with a door, or one for `:gateway`; `policy` and `commands` are those sections of the configuration. Gives its name.
+  Starts a gateway that takes commands, or one for `:gateway`; `policy` and `commands` are those sections of the configuration. Gives its name.
   """
-  @spec start_door(Path.t(), keyword()) :: reference()
-  def start_door(dir, sections \\ []) do
+  @spec start_commands(Path.t(), keyword()) :: reference()
+  def start_commands(dir, sections \\ []) do
     gateway = Keyword.get_lazy(sections, :gateway, &start_gateway/0)
     audit = %{dir: Path.join(dir, "audit"), max_mb: 8, required: true}
 
@@ -91,7 +91,7 @@ defmodule Aerie.DoorCase do
   @doc "Submits a command of an operator, in a task."
   @spec command(reference(), String.t(), keyword()) :: Task.t()
   def command(gateway, type, more \\ []) do
-    # The longest that there is: on a busy machine ten seconds may not be enough to pass the door.
+    # The longest that there is: on a busy machine ten seconds may not be enough.
     deadline = System.os_time(:second) + 290
     fields = Keyword.merge([vehicle: "VID-007", type: type, as: @operator, deadline: deadline], more)
     Task.async(fn -> Commands.submit(gateway, fields) end)

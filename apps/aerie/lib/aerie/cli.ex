@@ -18,7 +18,7 @@ defmodule Aerie.CLI do
   @doc "Does what the words say, and ends the VM."
   @spec main([String.t()]) :: no_return()
   def main(words) do
-    # What it prints is the answer; a library's remarks are none.
+    # Log output of libraries must not mix with the answer.
     :ok = :logger.set_primary_config(:level, :error)
 
     case call(words, System.get_env("AERIE_CWD") || File.cwd!()) do
@@ -60,7 +60,7 @@ defmodule Aerie.CLI do
            else: (_written_or_closed -> nil)
   end
 
-  # What was printed on the way may have ended the device, and so what printed it.
+  # Printing may have ended the device, and with it the printing process.
   defp failed(text) do
     IO.write("")
     complain(text)

@@ -208,7 +208,7 @@ defmodule Aerie.Shell do
     end
   end
 
-  # What is seen only on the links.
+  # Seen only on the links.
   defp with_vehicle_here(id, fun) do
     with_vehicle(id, fn
       %{via: via} when via != nil -> IO.puts(Subcommand.Tail.elsewhere(id, via))

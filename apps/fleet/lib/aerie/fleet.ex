@@ -29,7 +29,7 @@ defmodule Aerie.Fleet do
       for({id, vehicle} <- Enum.sort(remote), id not in known, do: vehicle)
   end
 
-  @doc "One vehicle by its id; nil if nobody has told of it."
+  @doc "One vehicle by its id; nil if no gateway knows it."
   @spec vehicle(Names.gateway(), String.t()) :: map() | nil
   def vehicle(gateway, id),
     do: merge(Store.vehicle(gateway, id), RemoteTable.vehicle(gateway, id, now()))

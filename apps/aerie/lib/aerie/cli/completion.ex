@@ -35,7 +35,7 @@ defmodule Aerie.CLI.Completion do
       )
 
     words = Enum.uniq(names ++ ["--help"])
-    # Of one word: whatever comes after it.
+    # After one word: any word that may follow.
     pattern = if row.name =~ " ", do: ~s("#{row.name}"), else: ~s("#{row.name} "*)
     "    #{pattern}) words=\"#{Enum.join(words, " ")}\" ;;"
   end

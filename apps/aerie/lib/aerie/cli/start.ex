@@ -21,7 +21,7 @@ defmodule Aerie.CLI.Start do
     Subcommands
   }
 
-  @doc "Entry point of `bin/run`. Returns once everything is started; the VM runs until it is told to end."
+  @doc "Entry point of `bin/run`. Returns once everything is started; the VM runs until it is stopped."
   @spec main([String.t()]) :: :ok
   def main(words) do
     :ok = LogKeeper.take(Output.stdout())

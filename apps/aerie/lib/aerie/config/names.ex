@@ -119,7 +119,7 @@ defmodule Aerie.Config.Names do
         do: {[section, index, "filter_out", Atom.to_string(key)], name}
   end
 
-  # Of a group; `all` is for all of its links.
+  # Keys of a group; `all` is for all of its links.
   defp carried(config) do
     for {link, index} <- Enum.with_index(config.links),
         {class, name} <- link[:carry] || %{},
@@ -127,7 +127,7 @@ defmodule Aerie.Config.Names do
         do: {["links", index, "carry", class], name}
   end
 
-  # By the name that a vehicle of one of the networks has or would have.
+  # Matches the name that a vehicle of one of the networks has or would get.
   defp vehicle?(config, name) do
     settings = Vehicle.Settings.from(config)
 

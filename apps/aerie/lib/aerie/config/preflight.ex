@@ -51,7 +51,7 @@ defmodule Aerie.Config.Preflight do
       Enum.flat_map(Enum.with_index(clients(config)), &client(config, &1))
   end
 
-  # By default there is one at the first free port.
+  # The default one takes the first free port.
   defp clients(%{clients: :default}), do: []
   defp clients(%{clients: clients}), do: clients
 
@@ -131,7 +131,7 @@ defmodule Aerie.Config.Preflight do
     store ++ outbox(config) ++ sockets(config) ++ console(config) ++ formats(config)
   end
 
-  # What a newer version wrote is not for this one.
+  # This version must not use files of a newer one.
   defp formats(%Config{outbox: outbox, shadow: shadow, commands: %{ledger: ledger}} = config) do
     for {key, {:error, text}} <- [
           {"outbox.dir", Format.check(outbox.dir, Outbox.format())},

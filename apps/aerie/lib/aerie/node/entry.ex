@@ -68,7 +68,7 @@ defmodule Aerie.Node.Entry do
     end
   end
 
-  # Of this process id there may be another program by now; then connecting fails, and says so.
+  # The pid may have been reused; then connecting fails with an error.
   defp runs?(pid), do: File.exists?("/proc/#{pid}") or not File.exists?("/proc/self")
 
   @doc "The cookie of a folder; made when there is none."

@@ -36,7 +36,7 @@ defmodule Aerie.Reload.Changes do
     start |> Map.merge(live) |> Map.put(:given, given)
   end
 
-  # What is not open is not there.
+  # A closed interface counts as absent.
   defp entries(old, new) do
     old = by_id(old)
     new = by_id(new)
@@ -51,7 +51,7 @@ defmodule Aerie.Reload.Changes do
   defp by_id(entries),
     do: for(%{id: id} = entry <- entries, entry[:enabled] != false, into: %{}, do: {id, entry})
 
-  # Where it was given is not a difference.
+  # The source of a value (file, environment) does not count as a difference.
   defp plain(entry), do: Map.drop(entry, [:given])
 
   # The one that there is without any stays.

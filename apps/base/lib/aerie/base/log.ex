@@ -14,7 +14,7 @@ defmodule Aerie.Base.Log do
   alias Aerie.Base.Log.{Formatter, Settings}
 
   @levels ~w(debug info notice warning error none)a
-  # What has a level of its own, with what it is about.
+  # Subjects with a level of their own.
   @areas %{
     "mav_router" => [:mav_router, :base],
     "vehicle" => [:vehicle, :control, :fleet],

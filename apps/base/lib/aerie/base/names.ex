@@ -139,7 +139,7 @@ defmodule Aerie.Base.Names do
   end
 
   @doc false
-  # What an ended process leaves.
+  # The remains of an ended process.
   @spec forget(pid()) :: :ok
   def forget(pid) do
     for {gateway, role, nil} <- Book.keys(pid), do: forget_held({__MODULE__, gateway, role}, pid)

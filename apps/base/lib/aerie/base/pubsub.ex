@@ -50,7 +50,7 @@ defmodule Aerie.Base.PubSub do
   @spec unsubscribe(Names.gateway(), topic()) :: :ok
   def unsubscribe(gateway, topic), do: Book.leave({gateway, topic})
 
-  @doc "Notes that a vehicle or a link changed; its subscribers are told at the next tick."
+  @doc "Notes that a vehicle or a link changed; its subscribers are notified at the next tick."
   @spec changed(Names.gateway(), {:vehicle | :link, term()}) :: :ok
   def changed(gateway, {_kind, _id} = what) do
     case Names.held(gateway, :pubsub) do

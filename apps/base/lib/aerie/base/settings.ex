@@ -213,7 +213,7 @@ defmodule Aerie.Base.Settings do
   defp at(%{} = map, [key | path]), do: map |> Map.get(key) |> at(path)
   defp at(_absent, _path), do: nil
 
-  # Of a section that is given in part, the rest has its defaults.
+  # Keys left out of a given section have their defaults.
   defp complete({:section, fields}, %{} = map) do
     given =
       for field <- fields,

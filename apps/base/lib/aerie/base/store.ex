@@ -248,7 +248,7 @@ defmodule Aerie.Base.Store do
   end
 
   @doc false
-  # What one call of ETS gives of a table, or `absent`. It does nothing else, so that no other error is taken for a missing table.
+  # The result of one ETS call on a table, or `absent`. It does nothing else, so that no other error is mistaken for a missing table.
   @spec with_table(Names.gateway(), atom(), result, (:ets.table() -> result)) :: result when result: term()
   def with_table(gateway, name, absent, fun) do
     case Names.held(gateway, :store) do

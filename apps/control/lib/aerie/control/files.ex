@@ -61,7 +61,7 @@ defmodule Aerie.Control.Files do
   defp checksum(_gateway, _vehicle, "@" <> _made, _options), do: {:ok, nil}
 
   defp checksum(gateway, vehicle, path, options) do
-    # What has no checksums refuses to make one.
+    # A server without checksums refuses the request.
     with {:error, %Result{status: :failed}} <-
            crc(gateway, vehicle, path, Keyword.delete(options, :timeout_ms)),
          do: {:ok, nil}

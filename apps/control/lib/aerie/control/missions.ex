@@ -25,7 +25,7 @@ defmodule Aerie.Control.Missions do
   @kinds %{mission: 0, fence: 1, rally: 2}
   @names %{mission: "a mission", fence: "a fence", rally: "rally points"}
   @timeout_ms 300_000
-  # Of a file, to see whether it is JSON.
+  # The beginning of a file that shows whether it is JSON.
   @looked_at 1_000
 
   @type kind :: :mission | :fence | :rally
@@ -211,7 +211,7 @@ defmodule Aerie.Control.Missions do
     end
   end
 
-  # What another gateway is asked for, if it is that which hears the vehicle.
+  # The request to the gateway that hears the vehicle.
   defp put(kind, plan, force) do
     asked = %{"kind" => Atom.to_string(kind), "plan" => JSON.decode!(export(plan, :plan))}
     {"mission", "put", if(force, do: Map.put(asked, "force", true), else: asked)}

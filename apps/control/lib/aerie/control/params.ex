@@ -67,7 +67,7 @@ defmodule Aerie.Control.Params do
     end
   end
 
-  # What another gateway is asked for.
+  # The request to the gateway that hears the vehicle.
   defp of(nil, body), do: body
   defp of(component, body), do: Map.put(body, "component", component)
 

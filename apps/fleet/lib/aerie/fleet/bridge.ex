@@ -93,7 +93,7 @@ defmodule Aerie.Fleet.Bridge do
   def note_environment(gateway, environment),
     do: Store.remember(gateway, {:bridge, :environment}, environment)
 
-  @doc "The name by which this gateway is told from others: in its messages, and of its own events."
+  @doc "The name that distinguishes this gateway from others, in its messages and its own events."
   @spec name(Names.gateway()) :: String.t() | nil
   def name(gateway), do: Store.recall(gateway, {:bridge, :name})
 

@@ -72,7 +72,7 @@ defmodule Aerie.Fleet.Health do
   defp ledger(nil), do: []
   defp ledger(reason), do: ["no command is accepted, because the ledger fails: #{reason}"]
 
-  # Of a leaf node; nil without a hub.
+  # The hub of a leaf node; nil without one.
   defp hub(nil), do: nil
 
   defp hub(hub),
@@ -120,7 +120,7 @@ defmodule Aerie.Fleet.Health do
     Enum.reject([datagrams, frames], &is_nil/1)
   end
 
-  # What keeps events from being stored, or nil. A problem of the outbox is shown, but does not keep them.
+  # The reason why events cannot be stored, or nil. A problem of the outbox is shown, but does not stop them.
   defp nats_problem(gateway, nil),
     do: if(not Aerie.Fleet.Bridge.off?(gateway), do: "the bridge to NATS does not run")
 

@@ -20,7 +20,7 @@ defmodule Aerie.Fleet.Inspector do
   alias MavRouter.Recorder.{Tables, Tap}
   alias MavCodec.Frame
 
-  # Of frames of one link that wait for this process.
+  # The number of frames of one link that wait for this process.
   @queue 256 * 1024
   @every_ms 1_000
   @call_ms 30_000

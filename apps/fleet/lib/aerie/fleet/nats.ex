@@ -131,7 +131,7 @@ defmodule Aerie.Fleet.Nats do
   # A crash of the client.
   def text({{:badmatch, {:error, reason}}, [_ | _]}), do: text(reason)
 
-  # Of the client in `packages/`, without its "cannot connect to the NATS server".
+  # The error of the client in `packages/`, without its "cannot connect to the NATS server".
   def text(%{reason: {:connect, reason}}), do: text(reason)
 
   def text({:tls_alert, {_alert, text}}),

@@ -55,7 +55,7 @@ defmodule Aerie.Fleet.RemoteTable do
     :ok
   end
 
-  @doc "Which gateways have told of which vehicles: `[{id, name, what}]`."
+  @doc "Which gateways announced which vehicles: `[{id, name, what}]`."
   @spec gateways(Names.gateway()) :: [{String.t(), String.t(), %{heard: integer(), facts: facts() | nil}}]
   def gateways(gateway) do
     Store.with_table(gateway, :remote_vehicles, [], fn table ->
@@ -80,7 +80,7 @@ defmodule Aerie.Fleet.RemoteTable do
     end
   end
 
-  @doc "A remote vehicle as a snapshot; nil if no gateway has told of it."
+  @doc "A remote vehicle as a snapshot; nil if no gateway announced it."
   @spec vehicle(Names.gateway(), String.t(), now :: integer()) :: map() | nil
   def vehicle(gateway, id, now) do
     rows =
@@ -133,7 +133,7 @@ defmodule Aerie.Fleet.RemoteTable do
     }
   end
 
-  # Of several, the one that hears it and spoke last.
+  # Among several gateways, the one that hears it and spoke last.
   defp rank({_name, %{heard: heard, facts: facts}}, limits, now) do
     order = %{online: 2, stale: 1, lost: 0}
     {order[status((facts || @nothing).status, now - heard, limits)], heard}

@@ -62,7 +62,7 @@ defmodule FleetWeb.API.Handler do
     end
   end
 
-  # What an admin changed stands in the audit log, as it does for the console. A policy that is read again says so itself.
+  # An admin's change is recorded in the audit log, as for the console. Reloading a policy records itself.
   defp recorded({:ok, _status, body, request} = answer, %{role: :admin, action: action}, requester, gateway)
        when action != :reload_policy do
     id = if is_map(body) and is_binary(body[:id]), do: body.id, else: :cowboy_req.binding(:id, request, nil)

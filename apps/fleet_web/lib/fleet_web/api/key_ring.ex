@@ -17,7 +17,7 @@ defmodule FleetWeb.API.KeyRing do
 
   @most 100
   @name ~r/\A[a-z0-9][a-z0-9._-]{0,31}\z/
-  # What programs of this machine are called.
+  # The name of programs of this machine.
   @taken ["local"]
   @head "# Keys that were made in the console; of each its digest. A line goes with its key there: \"Revoke\".\n"
   @nobody [%{name: "nobody", digest: <<0::256>>, role: nil, permissions: [], until: nil}]

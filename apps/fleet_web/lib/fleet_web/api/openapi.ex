@@ -40,7 +40,7 @@ defmodule FleetWeb.API.OpenAPI do
   @spec text() :: String.t()
   def text, do: IO.iodata_to_binary([pretty(document(), 0), "\n"])
 
-  # That of the release; a checkout's has no other.
+  # The version of the release; a checkout has the same.
   defp version, do: :fleet_web |> Application.spec(:vsn) |> to_string()
 
   defp paths do
@@ -51,7 +51,7 @@ defmodule FleetWeb.API.OpenAPI do
     end)
   end
 
-  # What several bodies are.
+  # Bodies that several routes share.
   @common %{
     object: %{type: :object},
     nothing: %{type: :object, maxProperties: 0},

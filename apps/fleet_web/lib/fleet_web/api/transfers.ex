@@ -250,7 +250,7 @@ defmodule FleetWeb.API.Transfers do
   defp force(value) when value in [false, "false"], do: {:ok, false}
   defp force(_other), do: Error.invalid("force: expected true or false")
 
-  # What somebody sends is read in the places that there are for that.
+  # Uploads are parsed within the limit of `FleetWeb.WorkLimit`.
   defp parsed(gateway, options, parse) do
     case WorkLimit.run(gateway, :parse, {:name, options[:as].name}, parse) do
       {:ok, result} -> result

@@ -6,7 +6,7 @@ defmodule FleetWeb.Metrics.Page do
 
   alias FleetWeb.Metrics
 
-  # By the beginning of the name; the first that fits.
+  # By the beginning of the name; the first match counts.
   @sections [
     {"gateway_mavlink_", "MAVLink"},
     {"gateway_link_", "Links"},

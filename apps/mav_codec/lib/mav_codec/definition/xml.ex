@@ -51,7 +51,7 @@ defmodule MavCodec.Definition.XML do
   defp root("", line), do: fail(line, "no element")
   defp root(_rest, line), do: fail(line, "text outside of the root element")
 
-  # What may come before and after the root element.
+  # Parts that may come before and after the root element.
   defp misc(<<c, rest::binary>>, line, start?) when c in @space, do: misc(rest, next(c, line), start?)
   defp misc("<!--" <> rest, line, _start?), do: rest |> skip("-->", line, "comment") |> misc_on()
 

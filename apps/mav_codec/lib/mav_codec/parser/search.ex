@@ -46,7 +46,7 @@ defmodule MavCodec.Parser.Search do
     scan(rest, pos, known.pages, known.lengths, fixed(data, known, accepted, mode), 0, nil, sums)
   end
 
-  # What stays the same during a search; `refused` are the flags that are not accepted (F6).
+  # Constant during a search; `refused` are the flags that are not accepted (F6).
   defp fixed(data, known, accepted, mode),
     do: {known, 0xFF - accepted, mode, byte_size(data), data, known.others}
 

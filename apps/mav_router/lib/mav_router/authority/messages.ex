@@ -36,7 +36,7 @@ defmodule MavRouter.Authority.Messages do
   @enforce_keys [:class]
   defstruct [:class, :permission, crosses: :never, part: false, per_minute: 0, order?: false]
 
-  # What a vehicle obeys or keeps. The rest is told, asked, or believed.
+  # Messages that a vehicle obeys or stores. The others report, request, or inform.
   @orders [:stick, :setpoint, :command, :parameter, :mission, :file, :internal]
 
   @type class ::

@@ -30,7 +30,7 @@ defmodule MavRouter.Link.Egress do
   @radio [MavCodec.Messages.RadioStatus.id(), MavCodec.Messages.Radio.id()]
 
   @enforce_keys [:gateway, :owner]
-  # What is counted for each peer and added up for the link.
+  # Counted for each peer and added up for the link.
   @sums %{bytes_out: 0, writes_out: 0, dropped_out: 0, denied: 0, withheld: 0, routes_refused: 0}
 
   defstruct [:gateway, :owner, :baud, :datagrams?, peers: %{}, room: nil, gone: @sums]

@@ -67,7 +67,7 @@ defmodule MavRouter.Link.Server do
       restarts: restarts,
       opener: nil,
       retry: nil,
-      # What the transport watches for while the link is down (`c:MavRouter.Link.Transport.watch/1`), as of the last attempt.
+      # The transport's watch while the link is down (`c:MavRouter.Link.Transport.watch/1`), as of the last attempt.
       watched: nil,
       conn: nil,
       router_cache: nil,
@@ -168,7 +168,7 @@ defmodule MavRouter.Link.Server do
     if now > before, do: step(state, {:count, :kernel_dropped, now - before}), else: state
   end
 
-  # What a link that is down waits for may have come: a device was plugged in.
+  # The event that a link waits for may have come: a device was plugged in.
   defp retry_if_changed(%{core: %{phase: :down}, watched: watched} = state) do
     if watch(state) == watched, do: state, else: step(state, :retry)
   end

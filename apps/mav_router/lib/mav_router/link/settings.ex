@@ -199,7 +199,7 @@ defmodule MavRouter.Link.Settings do
     |> Enum.concat(links |> Enum.with_index() |> Enum.flat_map(&link_problems/1))
   end
 
-  # What the type of a single key cannot check: names of messages and classes.
+  # Checks beyond the type of a single key: names of messages and classes.
   defp link_problems({link, index}) do
     exposed =
       with true <- link[:secure], {:error, words} <- Spec.secure(%{link.spec | options: %{secure: true}}) do

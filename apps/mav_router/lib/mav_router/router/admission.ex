@@ -57,7 +57,7 @@ defmodule MavRouter.Router.Admission do
     waiting > @busy
   end
 
-  # What a link's process spends on new vehicles, the frames of the others wait for.
+  # While a link's process admits new vehicles, frames of the others wait.
   defp at_once?(tables, %{sender: sender, now: now}) do
     owner = brought_by(sender)
 
@@ -96,7 +96,7 @@ defmodule MavRouter.Router.Admission do
   @spec keep(MavRouter.Router.vehicle_key(), [Frame.t()], Delivery.t()) :: :kept | {:ok, pid} | :none
   def keep(key, frames, %{gateway: gateway, tables: tables, sender: sender}) do
     with ^sender <- :ets.lookup_element(tables.waiting, key, 2, :none),
-         # What it was sent directly is not overtaken.
+         # It does not overtake frames that were sent directly.
          nil <- Names.whereis(gateway, :session, key),
          :none <- EarlyFrames.keep(tables, key, frames),
          nil <- Names.whereis(gateway, :session, key) do
@@ -108,7 +108,7 @@ defmodule MavRouter.Router.Admission do
     end
   end
 
-  @doc "The link that brought a vehicle, of the sender that its session is told."
+  @doc "The link that brought a vehicle, from the sender that its session gets."
   @spec brought_by(sender :: term) :: term
   def brought_by({owner, _peer}), do: owner
   def brought_by(owner), do: owner

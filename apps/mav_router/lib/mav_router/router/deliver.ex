@@ -47,7 +47,7 @@ defmodule MavRouter.Router.Deliver do
 
       path ->
         Counters.add(path.counters, :frames_in, length(frames))
-        # What lacks a right signature where one is required is not taken in, but it is forwarded (S10).
+        # A frame without the required signature is forwarded, but not processed (S10).
         trusted = Signing.admit(gateway, trusted_origin(%{origin | network: hd(path.networks)}, path), frames)
 
         by_source(frames, trusted, cache, %Delivery{
@@ -172,7 +172,7 @@ defmodule MavRouter.Router.Deliver do
   defp known?([%Frame{crc_extra: nil} | rest]), do: known?(rest)
   defp known?([_checked | _rest]), do: true
 
-  # While several endpoints bring a system, its session is told which of them it was.
+  # While several endpoints bring a system, its session gets the endpoint with the frames.
   defp sender(%{source: %{redundant: false, collided: false}} = delivery), do: delivery
   defp sender(%{path: path} = delivery), do: %{delivery | sender: path.key}
 

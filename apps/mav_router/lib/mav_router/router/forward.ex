@@ -318,7 +318,7 @@ defmodule MavRouter.Router.Forward do
   defp emit(%{plain: true} = to, batch, delivery), do: out(to, batch, delivery.path)
 
   defp emit(to, batch, delivery) do
-    # What passes here is a batch of its own: no other path can use its bytes.
+    # These frames are a batch of their own: no other path can use its bytes.
     _ =
       case batch.frames |> renumbered_out(to, delivery) |> Enum.filter(&passes?(&1, to, delivery)) do
         [] -> :ok

@@ -102,7 +102,7 @@ defmodule MavRouter.Router.TransferLock do
     true
   end
 
-  # What reaches no vehicle keeps nobody waiting.
+  # A frame that reaches no vehicle delays no other sender.
   defp passes?(_frame, %{scope: scope}) when scope != :cleared, do: true
 
   defp passes?(frame, %{path: path} = delivery) do

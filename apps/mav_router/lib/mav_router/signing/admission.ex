@@ -89,7 +89,7 @@ defmodule MavRouter.Signing.Admission do
     %{acc | kept: kept, counts: note(acc.counts, frame, verdict)}
   end
 
-  # What other links heard is looked up once a read for each stream, and what this one heard is written once.
+  # Other links' time stamps are looked up once a read for each stream, and this link's are written once.
   defp elsewhere(
          :verified,
          %{newest: newest} = acc,

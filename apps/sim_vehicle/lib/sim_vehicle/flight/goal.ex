@@ -58,7 +58,7 @@ defmodule SimVehicle.Flight.Goal do
   @spec wait(float, float, float, non_neg_integer) :: t
   def wait(n, e, d, us), do: %{do: :wait, n: n, e: e, d: d, us: us, until: nil}
 
-  @doc "Goals one after the other, each with a tag that is told when it begins."
+  @doc "Goals one after the other, each with a tag that is announced when it begins."
   @spec steps([{atom, t}]) :: t
   def steps(steps), do: %{do: :steps, steps: steps, told: false}
 

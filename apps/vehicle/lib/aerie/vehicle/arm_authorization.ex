@@ -11,7 +11,7 @@ defmodule Aerie.Vehicle.ArmAuthorization do
   @request MavCmd.value(:MAV_CMD_ARM_AUTHORIZATION_REQUEST)
   @in_progress MavResult.value(:MAV_RESULT_IN_PROGRESS)
   @accepted MavResult.value(:MAV_RESULT_ACCEPTED)
-  # What is refused now may be allowed later: a battery, a time of day.
+  # A refusal may not last: a battery, a time of day.
   @not_now MavResult.value(:MAV_RESULT_TEMPORARILY_REJECTED)
   # For so long it may arm.
   @window_s 10

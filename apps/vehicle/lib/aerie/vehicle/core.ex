@@ -98,7 +98,7 @@ defmodule Aerie.Vehicle.Core do
   - `heartbeat`: when ours was last due, and the version of the last one
   - `heard_again_at`: the first frame after a silence, until the vehicle's clock shows whether it was restarted
   - `settle_at`: when the detector looks again for the cause of a failsafe
-  - `confirm_status`: the detector is told the status again, after a crash
+  - `confirm_status`: the detector gets the status again, after a crash
   - `path`: that of the frames at hand; `other_vehicle`: the last collision, and what the last `:other_vehicle` action said
   """
   @type t :: %__MODULE__{}

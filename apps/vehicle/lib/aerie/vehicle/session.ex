@@ -107,7 +107,7 @@ defmodule Aerie.Vehicle.Session do
 
   def handle_info({:demand, forwarded}, state), do: {:noreply, demand(state, forwarded)}
 
-  # What the vehicle itself says about its events.
+  # The vehicle's own event definitions.
   def handle_info({:event_definitions, definitions}, state),
     do: {:noreply, step(state, {:event_definitions, definitions})}
 

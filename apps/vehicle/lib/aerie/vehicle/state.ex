@@ -140,7 +140,7 @@ defmodule Aerie.Vehicle.State do
     %{state | landed: landed, sources: sources, groups: groups}
   end
 
-  # What the next message needs besides the groups.
+  # State for the next message besides the groups.
   @memory [
     :landed,
     :quadplane,

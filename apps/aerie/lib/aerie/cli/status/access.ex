@@ -90,7 +90,7 @@ defmodule Aerie.CLI.Status.Access do
   defp may(%{role: :operator} = source), do: "look on and command vehicles (#{named(source)})"
   defp may(%{role: :admin} = source), do: "look on, command and maintain vehicles (#{named(source)})"
 
-  # What a role does not have is said by name.
+  # Missing permissions of a role are listed by name.
   defp named(%{role: role, permissions: permissions}), do: Enum.join([role | permissions], ", ")
 
   # A server shows the port that it really got.

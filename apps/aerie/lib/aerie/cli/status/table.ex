@@ -119,7 +119,7 @@ defmodule Aerie.CLI.Status.Table do
     ] ++ hub(nats[:hub])
   end
 
-  # Of a leaf node. That it is away is usual; that it stores nothing is not.
+  # The hub of a leaf node. Its absence is normal; its storing nothing is not.
   defp hub(nil), do: []
 
   defp hub(hub) do

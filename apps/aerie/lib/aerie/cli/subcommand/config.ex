@@ -68,7 +68,7 @@ defmodule Aerie.CLI.Subcommand.Config do
     end)
   end
 
-  # What is secret is not shown (Aerie.Base.Secret hides itself in inspect); keys that name files are.
+  # Secrets are hidden (Aerie.Base.Secret hides itself in inspect); keys that name files are shown.
   defp format(_key, nil), do: nil
   defp format(_key, value) when is_binary(value), do: value
   defp format(_key, value), do: inspect(value, limit: 30, printable_limit: 200)

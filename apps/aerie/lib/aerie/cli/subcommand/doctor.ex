@@ -180,7 +180,7 @@ defmodule Aerie.CLI.Subcommand.Doctor do
     end
   end
 
-  # What is not made yet will be made on the disk of the folder above.
+  # A missing folder will be made on the disk of the folder above.
   defp existing(dir) do
     dir = Path.expand(dir)
     if File.dir?(dir) or dir == "/", do: dir, else: existing(Path.dirname(dir))

@@ -3,7 +3,7 @@ defmodule Aerie.CLI.Subcommand.Remote do
   `aerie remote`: IEx in the gateway, with `Aerie.Shell`.
 
   IEx runs on the gateway's node, and so would the halt that it can do at the end of its input. It only stops there; the VM of
-  `aerie remote` is told to end by `shell/1`. Without a terminal, whose end could come at any time, there is `aerie rpc`.
+  `shell/1` ends `aerie remote`. Without a terminal, use `aerie rpc`.
   """
   @behaviour Aerie.CLI.Subcommand
 

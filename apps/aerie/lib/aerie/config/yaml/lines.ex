@@ -46,7 +46,7 @@ defmodule Aerie.Config.Yaml.Lines do
   end
 
   defp in_line({line, number}) do
-    # What is in quotes is a value, unless a colon follows.
+    # A text in quotes is a value, unless a colon follows.
     plain = Regex.replace(@quoted, line, fn all, _text, colon -> if colon == "", do: "\"\"", else: all end)
     plain = String.replace(plain, @comment, "")
     for [_all | groups] <- Regex.scan(@key, plain), do: {List.last(groups), number}

@@ -48,7 +48,7 @@ defmodule Aerie.Base.Names.Book do
     end
   end
 
-  # After the entry: a cleaner that starts meanwhile finds it in the tables, one that runs is told.
+  # After the entry: a cleaner that starts meanwhile finds it in the tables, a running one gets a message.
   defp own(table, key) do
     true = :ets.insert(@owned, {self(), table, key})
     Cleaner.watch(self())
@@ -115,7 +115,7 @@ defmodule Aerie.Base.Names.Book do
   def forget(pid),
     do: Enum.each(:ets.lookup(@owned, pid), fn {_pid, table, key} -> remove(pid, table, key) end)
 
-  # By the rows found, because a key may be anything, also what a pattern takes for a variable.
+  # By the rows found, because a key may be any term, even one that a pattern takes for a variable.
   defp remove(pid, table, key) do
     for {_key, ^pid, _value} = row <- :ets.lookup(table, key), do: :ets.delete_object(table, row)
     true = :ets.delete_object(@owned, {pid, table, key})

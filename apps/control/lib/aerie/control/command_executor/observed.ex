@@ -2,7 +2,7 @@ defmodule Aerie.Control.CommandExecutor.Observed do
   @moduledoc """
   A vehicle's snapshot as the executor wants it: `Aerie.Vehicle.Protocol.Vehicle`, and what of it was heard since the last time. Pure.
 
-  What was heard is told by the messages, not by the times of the groups: the mode's group is renewed by EXTENDED_SYS_STATE
+  The messages say what was heard, not the times of the groups: the mode's group is renewed by EXTENDED_SYS_STATE
   too, which says nothing about the mode.
   """
 

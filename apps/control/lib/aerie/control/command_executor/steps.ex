@@ -248,7 +248,7 @@ defmodule Aerie.Control.CommandExecutor.Steps do
   def due(acc, %{phase: phase} = job, now) when phase in [:queued, :turn],
     do: finish(acc, job, {:expired, expired(job)}, now)
 
-  # What the vehicle said while the gateway stood still waits to be read: it is waited for once more, for as long.
+  # The vehicle's answers from the time when the gateway stood still have yet to be read, so the wait is extended once by the same time.
   def due(acc, %{due: due, prolonged: prolonged} = job, now) when now - due > @stall and due != prolonged do
     due = now + min(now - due, @longest_stall)
     keep(acc, %{job | due: due, prolonged: due})
@@ -322,13 +322,13 @@ defmodule Aerie.Control.CommandExecutor.Steps do
     {core, [{:result, Job.result(job, status, reason, now)} | actions]}
   end
 
-  # What the steps before it have changed.
+  # The changes of the steps before it.
   defp changed(%{vehicle: %{mode: now}}, %{mode: before}, reason) when before != nil and now != before,
     do: "#{reason}; its mode is now #{now}, and was #{before}"
 
   defp changed(_core, _job, reason), do: reason
 
-  # What the vehicle said since the step was sent, in its own words.
+  # The vehicle's own texts since the step was sent.
   defp why(core, job, reason) do
     words = if (texts = texts(core, job)) == [], do: note_message(core, job, :report), else: texts
     words = Enum.reject(words, &String.contains?(reason, &1))

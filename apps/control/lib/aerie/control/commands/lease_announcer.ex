@@ -22,7 +22,7 @@ defmodule Aerie.Control.Commands.LeaseAnnouncer do
     Process.set_label({:command_control, gateway})
     :ok = PubSub.subscribe(gateway, :leases)
     leases = Leases.all(gateway)
-    # What changed while this process was away.
+    # The changes while this process was away.
     for {key, lease} <- leases, do: announce(gateway, key, lease)
     {:ok, %{gateway: gateway, holders: Map.new(leases, fn {key, lease} -> {key, lease.holder} end)}}
   end

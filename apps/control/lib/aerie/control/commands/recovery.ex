@@ -41,7 +41,7 @@ defmodule Aerie.Control.Commands.Recovery do
          false <- match?({:booted, _count}, condition) do
       if Condition.met?(condition, vehicle), do: :shown, else: :not_shown
     else
-      # What is missing, such as its position, may come yet.
+      # A missing value, such as its position, may still come.
       {:error, _reason} -> :not_shown
       _nothing_to_see -> :cannot_tell
     end

@@ -46,7 +46,7 @@ defmodule Aerie.Control.Ledger.Journal do
   @doc "Whether the file of a folder, if there is one, is of a format that this version reads."
   @spec check(Path.t()) :: :ok | {:error, String.t()}
   def check(dir) do
-    # What else is wrong is found when it is opened.
+    # Other damage is found when it is opened.
     with {:error, text} when is_binary(text) <- dir |> path() |> head(),
          do: {:error, text},
          else: (_other -> :ok)

@@ -87,7 +87,7 @@ defmodule Aerie.Control.Mission.OwnFence do
   defp corners({_kind, {:polygon, corners}}), do: length(corners)
   defp corners(_circle), do: 1
 
-  # What the plan would have the vehicle fly to, and what to call it.
+  # The places that the plan makes the vehicle fly to, and their names.
   defp places(plan, vehicle) do
     items =
       for {item, n} <- Enum.with_index(plan.items),
@@ -130,7 +130,7 @@ defmodule Aerie.Control.Mission.OwnFence do
     end
   end
 
-  # What is wrong with a place, and whether it is so whatever the vehicle's options are.
+  # The violation at a place, and whether it holds for every setting of the vehicle's options.
   defp wrong(place, areas, vehicle) do
     {inclusions, exclusions} = Enum.split_with(areas, &(&1.kind == :inclusion))
     without = Enum.reject(inclusions, &Area.inside?(&1, place))

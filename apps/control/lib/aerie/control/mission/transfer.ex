@@ -195,7 +195,7 @@ defmodule Aerie.Control.Mission.Transfer do
     end
   end
 
-  # If the vehicle still requests items, it is told that the upload is over (W6).
+  # If the vehicle still requests items, it gets the message that the upload is over (W6).
   defp message({%{phase: phase, op: :upload} = t, _actions} = acc, %module{mission_type: type}, _now)
        when module in [M.MissionRequest, M.MissionRequestInt] and phase in [:settling, :reading, :watching] and
               type == t.type do

@@ -92,7 +92,7 @@ defmodule Aerie.Control.Params.File do
     end
   end
 
-  # Of a name that comes twice the last one counts.
+  # If a name comes twice, the last value counts.
   defp last(entries) do
     lines = Enum.group_by(entries, & &1.name, & &1.line)
     entries = Enum.filter(entries, &(&1.line == List.last(lines[&1.name])))

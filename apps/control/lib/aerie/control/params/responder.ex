@@ -97,7 +97,7 @@ defmodule Aerie.Control.Params.Responder do
     differs? = Enum.any?(seen, fn {name, value} -> not same?(table, name, value) end)
 
     cond do
-      # What is not a number is not kept as it came.
+      # A value that is not a number cannot be served exactly.
       Enum.any?(table.params, fn {_name, param} -> param.value == nil end) -> handle(served, {:unlisted, now})
       differs? and not served.again? -> {%{served | seen: %{}, again?: true}, [:fetch]}
       differs? -> handle(served, {:unlisted, now})

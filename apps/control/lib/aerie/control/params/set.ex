@@ -116,7 +116,7 @@ defmodule Aerie.Control.Params.Set do
   defp acknowledged(%{phase: phase} = set, verdict, now) when phase in [:set, :progress],
     do: enter(%{set | verdict: verdict}, :check, now)
 
-  # Of a set that was repeated, or of somebody else's.
+  # The answer to a repeated set, or to another client's.
   defp acknowledged(set, _verdict, _now), do: {set, []}
 
   defp reported(%{phase: :type, value: nil} = read, param, _now), do: finish(read, {:ok, param})

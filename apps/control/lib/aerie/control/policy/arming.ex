@@ -1,7 +1,7 @@
 defmodule Aerie.Control.Policy.Arming do
   @moduledoc """
   Decides whether a vehicle that asks before it arms may do so (`Aerie.Vehicle.ArmAuthorization`): the policy decides as about
-  `arm`, but for roles and rates, because it is not known who told the vehicle to arm.
+  `arm`, but for roles and rates, because the source of the order to arm is unknown.
   """
 
   alias Aerie.Control.Policy

@@ -5,7 +5,7 @@ defmodule Aerie.Control.Policy.Audit do
 
   When it cannot be written (a full disk, a folder that is gone), `append/3` says so, and `verdict/3` says what follows:
   with `required: true`, the default, commands are denied until it can be again, but for those that hold a vehicle or bring
-  it down. A task brings it to the disk once a second, so that nobody waits for a slow one. What was not recorded is counted, shown by `status/1`, and told in the log itself as soon as it can be written.
+  it down. A task brings it to the disk once a second, so that no caller waits for a slow one. Records that could not be written are counted, shown by `status/1`, and noted in the log itself as soon as it can be written.
 
   Telemetry: `[:aerie, :audit, :failing]` (`count` 1; `gateway`, `reason`) when writing begins to fail, and
   `[:aerie, :audit, :writing]` (`missed`; `gateway`) when it works again.
@@ -130,7 +130,7 @@ defmodule Aerie.Control.Policy.Audit do
     Process.flag(:priority, :low)
 
     with {:ok, %{problems: [_ | _] = problems}} <- Verify.folder(dir),
-         # What is being written meanwhile.
+         # The record being written meanwhile.
          [_ | _] = problems <- Enum.reject(problems, &(&1 =~ "ends within a line")) do
       words = "records of the audit log are not what was written: " <> Enum.join(Enum.take(problems, 3), "; ")
       Damaged.note(gateway, dir, dir, words)
@@ -162,7 +162,7 @@ defmodule Aerie.Control.Policy.Audit do
     {:noreply, state}
   end
 
-  # It is told with the next failure, or by `status/1`.
+  # It is reported with the next failure, or by `status/1`.
   def handle_cast(:missed, state), do: {:noreply, missed(state)}
 
   @impl GenServer
@@ -220,7 +220,7 @@ defmodule Aerie.Control.Policy.Audit do
     end
   end
 
-  # What was missed comes first, so that nobody takes the log for whole.
+  # The note about missed records comes first, so that the log never looks complete.
   defp write(state, entry) do
     missed = %{
       "type" => "missed",

@@ -13,7 +13,7 @@ defmodule Aerie.Control.Policy.Compile do
   alias Aerie.Base.Settings.Schema
   alias MavCodec.Dialects.All
 
-  # What a vehicle must not be told in flight, unless the configuration says otherwise.
+  # Commands that are refused in flight by default.
   @conditions %{
     "reboot" => %{armed: false, in_air: nil},
     "calibrate" => %{armed: false, in_air: nil},

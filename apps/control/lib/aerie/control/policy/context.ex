@@ -12,7 +12,7 @@ defmodule Aerie.Control.Policy.Context do
 
   # A position that is older than this is none: the vehicle has moved since.
   @fresh_us 10_000_000
-  # What home moves by itself at a take-off, and what a barometer drifts on the ground.
+  # How far home moves by itself at take-off, and a barometer drifts on the ground.
   @home_m 1.0
   @ground_m 5.0
 
@@ -136,7 +136,7 @@ defmodule Aerie.Control.Policy.Context do
     )
   end
 
-  # What a description of a vehicle in JSON may have: the groups of a snapshot with the fields that rules ask for.
+  # The parts that a description of a vehicle in JSON may have: the groups of a snapshot with the fields that rules ask for.
   @plain %{
     "position" => %{
       "lat" => :lat,

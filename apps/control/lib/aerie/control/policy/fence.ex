@@ -169,7 +169,7 @@ defmodule Aerie.Control.Policy.Fence do
   defp height(from, to, share) when is_number(from) and is_number(to), do: from + (to - from) * share
   defp height(_from, _to, _share), do: nil
 
-  # What is wrong with a place: `:outside` all inclusion zones, or in an exclusion zone, by its number.
+  # The violation at a place: `:outside` all inclusion zones, or in an exclusion zone, by its number.
   defp violations(zones, place) do
     inclusions = inclusions(zones)
 

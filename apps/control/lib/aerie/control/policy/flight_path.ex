@@ -235,7 +235,7 @@ defmodule Aerie.Control.Policy.FlightPath do
     {:ok, {north, east}}
   end
 
-  # From a place, along each way that the drift may take.
+  # From a place, along each direction that the drift may take.
   defp drift(start, drift, context) do
     with {:ok, ways} <- Drift.ways(drift, context) do
       {:ok,

@@ -128,7 +128,7 @@ defmodule Aerie.Control.Policy.Intent do
     BRAKE HOLD SURFACE)
   @ending_standard ~w(position_hold safe_recovery land)
 
-  # What may make a vehicle leave the ground, or arm (PX4 does with a mission's start).
+  # Commands that may make a vehicle leave the ground, or arm (PX4 arms at a mission's start).
   @implies Map.merge(
              Map.new(~w(resume jump mission_set_current land_start goto orbit), &{&1, ["takeoff"]}),
              %{"mission_start" => ["takeoff", "arm"]}
@@ -238,7 +238,7 @@ defmodule Aerie.Control.Policy.Intent do
     }
   end
 
-  # What a mode does that has no name here, nobody knows.
+  # The effect of a mode without a name here is unknown.
   defp lifts?("MODE(" <> _number), do: true
   defp lifts?("EXTERNAL" <> _number), do: true
   defp lifts?(mode), do: mode in @lifting_modes

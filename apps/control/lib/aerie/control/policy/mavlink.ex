@@ -198,7 +198,7 @@ defmodule Aerie.Control.Policy.Mavlink do
   @spec unknown(message :: non_neg_integer()) :: Intent.t()
   def unknown(message), do: own("raw", :maintain, unknown: {:message, message})
 
-  # What its command needs beyond `mission`. An operator may put the rest into a mission.
+  # The permission of its command beyond `mission`. An operator may put the rest into a mission.
   @strong [:terminate, :force_disarm, :protection, :maintain]
 
   defp item(m, vehicle) do

@@ -3,7 +3,7 @@ defmodule Aerie.Control.Policy.MavlinkPolicy do
   The policy for raw MAVLink of clients (`MavRouter.Router.Policy`): reads what a message asks for (`Aerie.Control.Policy.Mavlink`), decides by
   the gateway's policy, answers a refusal (`Aerie.Control.Policy.Mavlink.Refusal`), and writes it into the audit log.
 
-  It runs in the process that received the message and waits for nobody; rates, uploads and what was told when are in a table
+  It runs in the process that received the message and never blocks; rates, uploads and the times of notices are in a table
   (`Aerie.Control.Policy.ClientHistory`). A refusal that repeats itself (set-points, sticks) is answered each time where its protocol has
   an answer; its STATUSTEXT comes every 5 s, and so does its record.
 
@@ -155,7 +155,7 @@ defmodule Aerie.Control.Policy.MavlinkPolicy do
   defp facts(message, nil), do: Mavlink.facts(message, %{autopilot: :generic, vehicle_type: "unknown"})
   defp facts(message, snapshot), do: Mavlink.facts(message, Map.take(snapshot, [:autopilot, :vehicle_type]))
 
-  # From the item of the mission before it; nobody knows from where when there is no room to remember it.
+  # From the item of the mission before it; from an unknown place when there was no room to remember that.
   defp on_the_way(%{type: "mission_upload"} = facts, message, gateway, endpoint, key) do
     now = System.monotonic_time(:microsecond)
 
@@ -181,7 +181,7 @@ defmodule Aerie.Control.Policy.MavlinkPolicy do
   defp name(nil, {network, system}), do: "#{network}/#{system}"
   defp name(snapshot, _key), do: snapshot.id
 
-  # What brings a vehicle down is not counted: a stuck key must not use it up.
+  # Commands that bring a vehicle down are exempt, so that a stuck key cannot exhaust the rate limit.
   defp rate(_policy, _gateway, _source, _vehicle, %{ends_flight?: true}), do: :ok
 
   defp rate(policy, gateway, source, vehicle, facts) do
@@ -280,7 +280,7 @@ defmodule Aerie.Control.Policy.MavlinkPolicy do
     end
   end
 
-  # While there is no room to remember it, it is told each time.
+  # Without room to remember it, it is reported each time.
   defp due?(gateway, owner, what) do
     now = System.monotonic_time(:microsecond)
     told = fn value -> if value, do: {:keep, false}, else: {:put, true, true, now + @told_us} end

@@ -2,7 +2,7 @@ defmodule Aerie.Control.Transfers.Outcome do
   @moduledoc """
   Translates the end of a transfer into the terms of `Aerie.Vehicle.Command.Result`. Pure.
 
-  The machines decide whether the vehicle did what it was told; this gives their reasons a status and a sentence.
+  The machines decide whether the vehicle did what was asked; this module turns their reasons into a status and a sentence.
   """
 
   alias Aerie.Vehicle.Command.Result

@@ -42,7 +42,7 @@ defmodule Aerie.Fleet.Alarms.EventAlarms do
         do: (alarms -> Alarms.reword(alarms, {:battery, id}, &(battery_text(&1.severity) <> charge)))
   end
 
-  # Of several batteries the emptiest.
+  # The emptiest of several batteries.
   defp charge(battery) do
     shares = for %{remaining: share} when is_number(share) <- [battery | battery[:batteries] || []], do: share
 

@@ -82,7 +82,7 @@ defmodule Aerie.Fleet.Bridge.Commands do
   @impl GenServer
   def handle_call(:vehicles, _from, state), do: {:reply, Enum.sort(Map.keys(state.subscribed)), state}
 
-  # Of a task whose message's signature was good: whether it may go on.
+  # From a task whose message had a valid signature: whether it may continue.
   def handle_call({:verified, type, signature}, {pid, _tag}, state) do
     task = Map.fetch!(state.tasks_of, pid)
 
@@ -93,7 +93,7 @@ defmodule Aerie.Fleet.Bridge.Commands do
         answer = if phase, do: :ok, else: {:busy, map_size(state.running)}
         {:reply, answer, turn(state, next, {:checking, key})}
 
-      # Its time, or the policy, changed since it was told apart: it goes on in the lane that it is in.
+      # Its time or the policy changed since it was classified: it stays in its lane.
       _another_lane ->
         {:reply, :ok, state}
     end
@@ -229,7 +229,7 @@ defmodule Aerie.Fleet.Bridge.Commands do
   defp turn(state, {:ok, message}, phase), do: run(state, message, phase)
   defp turn(state, :none, _phase), do: state
 
-  # Of what is counted by its subject.
+  # Messages counted by subject.
   defp label("cancel"), do: "cmd.cancel"
 
   defp label(type) do

@@ -29,11 +29,11 @@ defmodule Aerie.Fleet.Bridge.Forward do
   @ask_ms 1_000
   @silence_ms 4_000
   @answer_ms 2_000
-  # After so many sendings without a confirmation, that is told.
+  # After so many sends without a confirmation, that is reported.
   @patience 3
   @batch 64
   @told_ms 60_000
-  # What was published so long before this process started is taken for delivered.
+  # Messages published so long before this process started count as delivered.
   @unknown_ms 30_000
 
   @spec start_link(gateway: Names.gateway(), settings: Settings.t()) :: GenServer.on_start()
@@ -178,7 +178,7 @@ defmodule Aerie.Fleet.Bridge.Forward do
     case Local.info(state.conn) do
       {:ok, born, last} ->
         Logger.notice("the hub is there")
-        # What was sent a moment before the last answer may have been lost on the way.
+        # Messages sent just before the last answer may have been lost.
         State.hub_up(state.gateway, state.good_at - @ask_ms)
         state = looked(%{state | hub: :up, problem: nil}, born, last)
         %{state | good_at: now(), backfill_to: state.last}

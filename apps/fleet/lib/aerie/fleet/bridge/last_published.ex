@@ -11,7 +11,7 @@ defmodule Aerie.Fleet.Bridge.LastPublished do
   A vehicle that was not lost and is not heard again gives `link.lost` (`Aerie.Fleet.Bridge.LastPublished.Missing`).
 
   Each start gives an event `gateway.started`, under the gateway's own name. With `nats.mode: off` there is no file and no
-  process: the start is told, the epoch comes from the clock alone, and no offline changes are found.
+  process: the start is reported, the epoch comes from the clock alone, and no offline changes are found.
 
   The file is `last/vehicles.json` in the outbox's folder. If it is damaged or missing, no offline changes are found.
 
@@ -117,7 +117,7 @@ defmodule Aerie.Fleet.Bridge.LastPublished do
     end
   end
 
-  # What this process has seen itself is newer than the file.
+  # State seen by this process is newer than the file.
   defp read(state) do
     file = Path.join(state.dir, "vehicles.json")
     former = Kept.read(file)

@@ -26,7 +26,7 @@ defmodule Aerie.Fleet.Bridge.NatsServer do
 
   # A server that was up for this long was healthy: its end is a new fault, so the pauses start over.
   @healthy_ms 5_000
-  # It is told to end, killed after three seconds, and on a busy machine gone some seconds later. The VM must not leave
+  # It gets TERM, is killed after three seconds, and on a busy machine gone some seconds later. The VM must not leave
   # it behind.
   @stop_ms 15_000
   @max_port_tries 100
@@ -34,7 +34,7 @@ defmodule Aerie.Fleet.Bridge.NatsServer do
   @look_ms 2_000
   # A server that starts reads its store before it accepts connections, which takes long on a slow disk.
   @starting_ms 300_000
-  # What has just come up is not to blame for what its clients waited for before.
+  # A server that has just come up is not blamed for earlier waits of its clients.
   @settled_ms 10_000
 
   @spec start_link(gateway: Names.gateway(), settings: Bridge.Settings.t()) :: GenServer.on_start()

@@ -126,7 +126,7 @@ defmodule Aerie.Fleet.Bridge.Outbox do
 
   defp make_room(outbox, _size), do: outbox
 
-  # What is lost counts as acknowledged.
+  # Lost records count as acknowledged.
   defp lose(outbox, seqs) do
     lost = Enum.filter(seqs, &pending?(outbox, &1))
     outbox |> dropped(length(lost)) |> ack(lost)
@@ -180,7 +180,7 @@ defmodule Aerie.Fleet.Bridge.Outbox do
     # No more than are counted: a record that was not written to its end may follow.
     case Segment.read(segment, &Record.read/1, offset, min(left, Segment.next(segment) - seq)) do
       {[], 0} ->
-        # What was readable before is no longer: the rest of this segment is lost.
+        # A part that was readable before is not any more: the rest of this segment is lost.
         after_it = Segment.next(segment)
         outbox = lose(%{outbox | damaged: outbox.damaged + 1}, seq..(after_it - 1)//1)
         read(%{outbox | cursor: %{seq: after_it, offset: 0}}, left, chunks)

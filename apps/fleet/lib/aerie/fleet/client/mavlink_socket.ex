@@ -50,7 +50,7 @@ defmodule Aerie.Fleet.Client.MavlinkSocket do
     case LengthPrefix.split(state.rest <> bytes) do
       {:ok, frames, rest} ->
         pipe = Enum.reduce(frames, state.pipe, &ClientConnection.read(&2, &1))
-        # What is kept must not keep the whole read alive.
+        # A kept part must not keep the whole read in memory.
         {:noreply, %{state | pipe: pipe, rest: :binary.copy(rest)}}
 
       {:error, _length} ->

@@ -17,7 +17,7 @@ defmodule Aerie.Fleet.Client.StateForm do
 
   Names, units and decimals are those of `Aerie.Vehicle.Fields`; `timestamp` is unix time in seconds. What is not known is
   null. `via` is the gateway by which a remote vehicle is reached, null for one on this gateway's links. `fc_connected` says
-  whether the vehicle is heard; `age` how long ago it was heard, and `ages` how long ago each part of the state was: a value that is no longer told stays, and can be seen to be old. `fc_port` is the device or address of
+  whether the vehicle is heard; `age` how long ago it was heard, and `ages` how long ago each part of the state was: a value that is no longer reported stays, with its age. `fc_port` is the device or address of
   the link that it is heard on, `fc_baud` is null for other links than serial ones. The ages of a vehicle that is heard from
   a recording are those in the recording.
   """

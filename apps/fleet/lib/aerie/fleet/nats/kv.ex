@@ -43,7 +43,7 @@ defmodule Aerie.Fleet.Nats.KV do
     end
   end
 
-  # By a client, or by the server because of its age.
+  # Deleted by a client, or by the server because of its age.
   defp removed?(message),
     do: (JetStream.header(message, "KV-Operation") || JetStream.header(message, "Nats-Marker-Reason")) != nil
 

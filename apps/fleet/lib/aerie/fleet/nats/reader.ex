@@ -27,7 +27,7 @@ defmodule Aerie.Fleet.Nats.Reader do
     end
   end
 
-  # What is written meanwhile is not waited for.
+  # Records written meanwhile are not waited for.
   defp first(_reader, 0), do: :ok
 
   defp first(reader, count) do

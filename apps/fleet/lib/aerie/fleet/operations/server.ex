@@ -1,7 +1,7 @@
 defmodule Aerie.Fleet.Operations.Server do
   @moduledoc """
   Keeps the operations of a gateway: `Aerie.Fleet.Operations.Core` with tasks and timers. What became of each vehicle is in the store, so that it
-  outlives this process; an operation does not, and is told as `interrupted`.
+  outlives this process; an operation does not, and is reported as `interrupted`.
 
   | what | limit | beyond it |
   |---|---|---|

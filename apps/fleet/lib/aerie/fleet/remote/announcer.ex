@@ -1,7 +1,7 @@
 defmodule Aerie.Fleet.Remote.Announcer do
   @moduledoc """
   Tells the other gateways which vehicles this one hears: the state group `gateway` of each, every `remote.announce_s`. A vehicle
-  that is not heard is told too, so that the others know it is lost; one of a recording is not.
+  that is not heard is announced too, so that the others know it is lost; one of a recording is not.
   """
   use GenServer
 

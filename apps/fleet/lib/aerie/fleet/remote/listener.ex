@@ -28,7 +28,7 @@ defmodule Aerie.Fleet.Remote.Listener do
   @max_waiting 20_000
   @max_gateways 8
   @tick_ms 1_000
-  # What a clock may be wrong without being put right.
+  # A clock error up to this is not corrected.
   @offset_us 2_000_000
 
   @spec start_link(gateway: Names.gateway(), settings: Settings.t()) :: GenServer.on_start()
@@ -76,7 +76,7 @@ defmodule Aerie.Fleet.Remote.Listener do
   def handle_info({:fleet, :bridge, {:connection, _info}}, state), do: {:noreply, connect(state)}
   def handle_info(_late, state), do: {:noreply, state}
 
-  # Of the task that reads the stream, which waits, so that its pages do not pile up here.
+  # From the task that reads the stream; it waits, so that its pages do not pile up here.
   @impl GenServer
   def handle_call({:last, messages}, _from, state),
     do:
@@ -139,7 +139,7 @@ defmodule Aerie.Fleet.Remote.Listener do
     state = clock(state, name, message, how, now)
     offset = Map.get(state.offsets, name, 0)
     at = min(now, message.time + offset)
-    # What the stream has kept was said then, and not just now.
+    # A stored message was published at its time, not now.
     heard = if how == :live, do: now, else: at
 
     case message.content do

@@ -109,7 +109,7 @@ defmodule Aerie.Fleet.Replay.Machine do
     end
   end
 
-  # What a recorder without a clock wrote before it got one says nothing about when that was.
+  # Time stamps that a recorder wrote before its clock was set do not give the time.
   defp first(nil, at), do: at
   defp first(first, at) when first < @year_2000 and at >= @year_2000, do: at
   defp first(first, _at), do: first

@@ -12,7 +12,7 @@ defmodule Aerie.Fleet.Shadow.Buckets do
   | `fleet_plans` | SHA-256 of the file | a `.plan` file |
 
   Sizes, ages, history and copies are in the configuration (`shadow.buckets`, `nats.streams.replicas`). A bucket that differs is changed on
-  the embedded server. On another server it is left as it is and the difference is told, because an operator may have set it.
+  the embedded server. On another server it is left as it is and the difference is reported, because an operator may have set it.
   """
 
   alias Aerie.Fleet.Bridge.Streams
@@ -117,7 +117,7 @@ defmodule Aerie.Fleet.Shadow.Buckets do
     end
   end
 
-  # What is not configured stays as it is.
+  # Settings that are not configured stay as they are.
   defp adapted(there, wanted) do
     keys =
       ~w(max_msgs_per_subject max_bytes max_msg_size max_age num_replicas allow_direct allow_rollup_hdrs duplicate_window)a
@@ -207,7 +207,7 @@ defmodule Aerie.Fleet.Shadow.Buckets do
     end
   end
 
-  # The answer may have come too late, and who is told to try again would make the change twice.
+  # The answer may have come too late, and a client that tries again would make the change twice.
   defp stored?(conn, kept, document) do
     %{environment: environment, keys: keys} = kept
     text = SealedDocument.encode(document, environment, keys)

@@ -13,7 +13,7 @@ defmodule Aerie.Fleet.Shadow.Documents do
 
   # For how long an answer waits to be shown here.
   @shown_ms 1_000
-  # The change is made however long it takes: who were told "try again" would make it twice.
+  # The change is made however long it takes: a client that got "try again" would make it twice.
   @change_ms 30_000
 
   ## For loops

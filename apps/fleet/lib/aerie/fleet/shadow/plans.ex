@@ -12,7 +12,7 @@ defmodule Aerie.Fleet.Shadow.Plans do
   alias Aerie.Control.Mission.Plan
   alias Aerie.Fleet.Shadow.{Buckets, Documents, HubBuckets}
 
-  # By default a NATS message has at most a megabyte.
+  # A NATS message has at most a megabyte by default.
   @max_bytes 524_288
   @max_copies 100
 

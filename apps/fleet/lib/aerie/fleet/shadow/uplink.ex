@@ -9,7 +9,7 @@ defmodule Aerie.Fleet.Shadow.Uplink do
   | who acts on the vehicle | to the hub: `gateway-{vehicle}` while a gateway aboard does (`Aerie.Fleet.Shadow.Lease.aboard?/2`) |
 
   Both buckets are written with compare-and-set, the hub's first. The last document that both had is in `hub/` in the shadow's folder,
-  so that a change is told from the lack of one after a restart.
+  so that a change is recognised after a restart.
 
   The value of its name is why the documents differ, or nil (`Aerie.Fleet.Shadow.Documents.problem/1`). It works for the vehicle of `vehicle_id`: the hub lets nobody read or write other keys.
   """
@@ -62,7 +62,7 @@ defmodule Aerie.Fleet.Shadow.Uplink do
       base: nil,
       conn: nil,
       hub: :down,
-      # What is to be brought to the hub, nil for nothing.
+      # The change to bring to the hub; nil for none.
       desired?: true,
       reported: nil,
       owner: nil,
@@ -131,7 +131,7 @@ defmodule Aerie.Fleet.Shadow.Uplink do
     %{state | desired?: true, reported: state.reported || reported, owner: owner, looked_at: now()}
   end
 
-  # It comes once a second as long as something changes, and is told again with the next change, if this one is lost.
+  # It comes once a second as long as something changes, and again with the next change, if this notice is lost.
   defp report(%{hub: :up, reported: text, conn: conn} = state) when text != nil and conn != nil do
     case HubBuckets.send(conn, @reported, state.key, text) do
       :ok -> %{state | reported: nil}
@@ -185,7 +185,7 @@ defmodule Aerie.Fleet.Shadow.Uplink do
            :ok <- down(state, aboard, merged) do
         put_problem(%{keep(state, dir, merged, seal) | desired?: false}, nil)
       else
-        # With the next tick, or sooner if what was written meanwhile is told.
+        # With the next tick, or sooner if a notice of a change comes.
         :lost_race -> state
         {:error, why} -> later(state, why)
       end

@@ -21,7 +21,7 @@ defmodule FleetWeb.Console.Access.Attempts do
   @free 10
   @step_ms 100
   @longest_ms 3_000
-  # Of each table. Beyond it something else is forgotten.
+  # Entries of each table; beyond it others are dropped.
   @most 4_096
   @known 256
 

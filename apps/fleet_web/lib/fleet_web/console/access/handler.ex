@@ -136,7 +136,7 @@ defmodule FleetWeb.Console.Access.Handler do
     :cowboy_req.reply(status, headers(server), html, request)
   end
 
-  # What a password is sent over, if others can read it there.
+  # The path of a password, if others can read it there.
   defp exposed(request) do
     facts = Request.facts(request)
 

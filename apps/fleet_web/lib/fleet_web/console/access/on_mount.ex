@@ -73,7 +73,7 @@ defmodule FleetWeb.Console.Access.OnMount do
     end
   end
 
-  # Of a page that is not live yet: how old its values are.
+  # On a page that is not live yet: the age of its values.
   defp clock, do: Calendar.strftime(DateTime.utc_now(), "%H:%M:%S UTC")
 
   defp path(_params, uri, %{assigns: %{gateway: gateway, user: user}} = socket) do
@@ -135,7 +135,7 @@ defmodule FleetWeb.Console.Access.OnMount do
 
   defp handle_notice(_message, _session, socket), do: {:cont, socket}
 
-  # The user and the session are told of one after the other, and the first leads away already.
+  # User and session are notified one after the other, and the first notice already leads away.
   defp leave(%{redirected: nil} = socket), do: redirect(socket, to: socket.assigns.path)
   defp leave(socket), do: socket
 end

@@ -6,7 +6,7 @@ defmodule FleetWeb.Console.Access.Sessions do
   A session is listed by the digest of its random id, in a file that only its owner can read, so that a restart signs nobody out and brings no
   session back. Each user has 20 at most, and so has the printed address; the oldest ends for a new one.
 
-  The end of a session is told as `{:notice, :console_sessions}` of `Aerie.Base.PubSub`.
+  The end of a session is announced as `{:notice, :console_sessions}` of `Aerie.Base.PubSub`.
   """
   use GenServer
 
@@ -116,7 +116,7 @@ defmodule FleetWeb.Console.Access.Sessions do
     state
   end
 
-  # What cannot be written holds until the next start.
+  # A change that cannot be written holds until the next start.
   defp write(%{file: file, table: table}) do
     sessions =
       for {digest, owner, until} <- :ets.tab2list(table),

@@ -22,7 +22,7 @@ defmodule FleetWeb.Console.Commands.Outcome do
           at: integer() | nil
         }
 
-  # What is told while it is going, and at its end.
+  # Texts during a command, and at its end.
   @words %{
     "land" => {"Landing", "Landed"},
     "rtl" => {"Returning", "Arrived"},
@@ -127,7 +127,7 @@ defmodule FleetWeb.Console.Commands.Outcome do
 
   defp arrived?(%{type: "land"}, vehicle), do: Snapshot.data(vehicle, :mode)[:in_air] == false
 
-  # What flies goes on to land at home; that is told by an event.
+  # A flying vehicle continues to land at home, which an event reports.
   defp arrived?(%{type: "rtl"} = entry, vehicle) do
     not Kind.flies?(vehicle.vehicle_type) and
       near?(distance(target(entry, vehicle), vehicle), vehicle.vehicle_type)

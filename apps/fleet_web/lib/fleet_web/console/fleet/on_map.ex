@@ -1,5 +1,5 @@
 defmodule FleetWeb.Console.Fleet.OnMap do
-  @moduledoc "Tells the page's map what has changed. What it was told is in `socket.private.fleet`: `:sent`, `:homes`."
+  @moduledoc "Sends changes to the page's map. What it has got is in `socket.private.fleet`: `:sent`, `:homes`."
 
   import Phoenix.LiveView
 

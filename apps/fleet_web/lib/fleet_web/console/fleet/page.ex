@@ -313,7 +313,7 @@ defmodule FleetWeb.Console.Fleet.Page do
     |> tell_plans()
   end
 
-  # Of the item, counted from 1.
+  # The number of the item, counted from 1.
   defp number(vehicle, seq), do: seq - Protocol.of(vehicle.autopilot).item_offset()
 
   defp tell_plans(%{assigns: %{plans: plans}, private: %{fleet: %{plans: sent, current: current}}} = socket) do

@@ -57,7 +57,7 @@ defmodule FleetWeb.Console.Links.Page do
 
   def handle_event("cancel", _value, socket), do: {:noreply, assign(socket, asking: nil, error: nil)}
 
-  # What is confirmed is what the dialog named (`id`), and not what was asked since.
+  # The confirmation applies to what the dialog named (`id`), not to a later request.
 
   def handle_event("add", %{"url" => url} = form, %{assigns: %{gateway: gateway}} = socket)
       when is_binary(url) do

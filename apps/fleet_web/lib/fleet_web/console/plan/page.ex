@@ -230,7 +230,7 @@ defmodule FleetWeb.Console.Plan.Page do
 
   defp job("look", _value, %{draft: draft}), do: {:look, draft.part}
 
-  # What the button named is removed, and nothing that was looked at since.
+  # The button names what is removed, whatever the page shows since.
   defp job("remove_aboard", value, %{vehicle: vehicle, transfer: transfer}) do
     case transfer do
       %{vehicle: ^vehicle, aboard: %{digest: digest} = aboard} when digest != nil ->
@@ -252,7 +252,7 @@ defmodule FleetWeb.Console.Plan.Page do
        ) do
     options = [as: user, via: "console", read: was_read(socket)]
     transfer = Transfer.start(what, gateway, vehicle, draft.plan, press, options)
-    # What is aboard is about to change.
+    # The plan aboard is about to change.
     socket = if what == :upload or match?({:remove, _}, what), do: was_read(socket, nil), else: socket
     assign(socket, transfer: transfer, error: nil)
   end

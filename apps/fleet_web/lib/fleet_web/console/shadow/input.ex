@@ -93,7 +93,7 @@ defmodule FleetWeb.Console.Shadow.Input do
   defp value(name, text) when name in ["params.*", "intervals.*"], do: number(text)
   defp value(_text, text), do: text
 
-  # What is not a number stays a text, which the shadow refuses with what it expects.
+  # A text that is not a number stays one; the shadow refuses it and says what it expects.
   defp number(text) do
     case {Integer.parse(text), Float.parse(text)} do
       {{number, ""}, _float} -> number

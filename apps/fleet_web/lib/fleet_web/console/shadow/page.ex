@@ -50,7 +50,7 @@ defmodule FleetWeb.Console.Shadow.Page do
     end
   end
 
-  # Of the version that the page showed, which may not be the latest.
+  # Based on the version that the page showed, which may not be the latest.
   def handle_event("desire", %{"version" => version} = form, socket) do
     version = Input.version(version)
     form = texts(socket, form)
@@ -97,7 +97,7 @@ defmodule FleetWeb.Console.Shadow.Page do
     end
   end
 
-  # What this gateway knows itself costs nothing. Of a vehicle that another one hears, NATS is asked now and then, by a task.
+  # Data of this gateway is free. For a vehicle that another one hears, a task asks NATS now and then.
   defp load(%{assigns: %{gateway: gateway, id: id, user: user}} = socket) do
     socket = assign(socket, now: System.os_time(:microsecond), heard: Fleet.vehicle(gateway, id) != nil)
 

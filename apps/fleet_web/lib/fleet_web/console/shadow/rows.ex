@@ -30,7 +30,7 @@ defmodule FleetWeb.Console.Shadow.Rows do
 
     for {path, set} <- shadow["set"] do
       status = statuses[path] || %{}
-      # What was compared may be an older wish.
+      # The comparison may be with an older desired value.
       status = if status["version"] in [nil, set["version"]], do: status, else: %{}
 
       %{

@@ -248,7 +248,7 @@ defmodule FleetWeb.Console.Vehicle.Page do
     socket |> assign(:target, target) |> mark() |> preview()
   end
 
-  # What is prepared goes first; then where the vehicle is on its way to.
+  # A prepared target comes first, then the one that the vehicle flies to.
   defp mark(%{assigns: %{target: target, marked: marked, entries: entries, courses: courses}} = socket) do
     place =
       if target,

@@ -17,7 +17,7 @@ defmodule FleetWeb.Console.Vehicle.Series do
           path: [atom() | non_neg_integer()] | tuple()
         }
 
-  # What the names of the state do not say well.
+  # Better labels than the names of the state.
   labels = %{
     "position.lat" => "Latitude",
     "position.lon" => "Longitude",

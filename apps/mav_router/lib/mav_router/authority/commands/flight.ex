@@ -123,7 +123,7 @@ defmodule MavRouter.Authority.Commands.Flight do
     ]
   end
 
-  # What starts and ends flights, and what protects them.
+  # Commands that start, end and protect flights.
   defp ends do
     [
       {:COMPONENT_ARM_DISARM, :arm, numbers: [{2, {:values, [0, 2989, 21_196]}}]},

@@ -27,7 +27,7 @@ defmodule MavRouter.Authority.Commands.Upkeep do
     ]
   end
 
-  # What the vehicle believes of itself and of the world.
+  # Commands that set the vehicle's estimate of itself and of the world.
   defp estimators do
     [
       {:EXTERNAL_ATTITUDE_ESTIMATE, :sensors, []},

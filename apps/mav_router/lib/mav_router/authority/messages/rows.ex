@@ -40,7 +40,7 @@ defmodule MavRouter.Authority.Messages.Rows do
      ~w(PARAM_VALUE PARAM_VALUE_ARRAY PARAM_EXT_VALUE LOG_ENTRY LOG_DATA LOGGING_DATA LOGGING_DATA_ACKED REMOTE_LOG_DATA_BLOCK
        DATA_TRANSMISSION_HANDSHAKE ENCAPSULATED_DATA TERRAIN_REQUEST)},
 
-    # What cameras, gimbals, winches and their like tell the autopilot.
+    # Messages of cameras, gimbals, winches and the like to the autopilot.
     {:telemetry, :payload, [crosses: :team, part: true],
      ~w(MOUNT_STATUS CAMERA_STATUS CAMERA_FEEDBACK GIMBAL_REPORT GOPRO_HEARTBEAT GOPRO_GET_RESPONSE GOPRO_SET_RESPONSE
        CAMERA_INFORMATION CAMERA_SETTINGS STORAGE_INFORMATION CAMERA_CAPTURE_STATUS CAMERA_IMAGE_CAPTURED MOUNT_ORIENTATION
@@ -51,7 +51,7 @@ defmodule MavRouter.Authority.Messages.Rows do
     # A pilot's sticks to PX4, when they come from somebody else.
     {:telemetry, :manual, [], ~w(RC_CHANNELS)},
 
-    # What an autopilot takes for the state of its own vehicle.
+    # Messages that an autopilot takes for the state of its own vehicle.
     {:telemetry, :sensors, [part: true],
      ~w(BATTERY_STATUS BATTERY_STATUS_V2 GENERATOR_STATUS EFI_STATUS ONBOARD_COMPUTER_STATUS CELLULAR_STATUS)},
     {:telemetry, :sensors, [],
@@ -78,7 +78,7 @@ defmodule MavRouter.Authority.Messages.Rows do
      ~w(CHANGE_OPERATOR_CONTROL_ACK PARAM_EXT_ACK PARAM_ERROR RESPONSE_EVENT_ERROR CUBEPILOT_FIRMWARE_UPDATE_RESP
        AIRLINK_AUTH_RESPONSE)},
 
-    # What a companion measures for its autopilot.
+    # Measurements of a companion for its autopilot.
     {:input, :sensors, [part: true],
      ~w(VISION_POSITION_ESTIMATE VISION_SPEED_ESTIMATE VISION_POSITION_DELTA GLOBAL_VISION_POSITION_ESTIMATE
        VICON_POSITION_ESTIMATE ATT_POS_MOCAP ODOMETRY OPTICAL_FLOW OPTICAL_FLOW_RAD DISTANCE_SENSOR OBSTACLE_DISTANCE

@@ -161,7 +161,7 @@ defmodule MavRouter.Link.Clients.Settings do
 
   defp id(_client), do: :ok
 
-  # What is for links would have no effect here, and what contradicts a key would hide which one counts.
+  # Keys for links would have no effect here, and contradictory keys would hide which one counts.
   defp gcs_problem(%{gcs: _}, _map),
     do: {:error, "url: gcs is an option of links; what a client may do is said by role and policy.clients"}
 

@@ -123,7 +123,7 @@ defmodule MavRouter.Link.Serial.UartProcess do
   def handle_cast({:active, active}, state) do
     result = UART.configure(state.uart, active: active)
 
-    # Nobody is told of the end of a port that nobody reads.
+    # The end of a port without a reader is not reported.
     case {result, UART.configuration(state.uart)} do
       {:ok, {name, _options}} when name != :closed -> {:noreply, state}
       {:ok, {:closed, _options}} -> {:stop, {:shutdown, :eio}, state}

@@ -139,7 +139,7 @@ defmodule MavRouter.Link.Transport.WebSocket do
     with {:ok, {address, port}} <- options(conn).peername(socket),
          {:ok, {own, own_port}} <- options(conn).sockname(socket),
          :ok <- options(conn).setopts(socket, active: Net.active()) do
-      # What came together with the answer is handled like any other message.
+      # Data that came together with the answer is handled like any other message.
       if conn.early != "", do: send(self(), {:websocket, :early, socket})
 
       {:ok, ping_later(conn),
@@ -186,7 +186,7 @@ defmodule MavRouter.Link.Transport.WebSocket do
   defp read(conn, bytes) do
     {events, frames} = Frames.push(conn.frames, bytes)
     conn = %{conn | frames: frames, silent: 0}
-    # What one read brings is one delivery.
+    # One read is one delivery.
     data = for {:data, data} <- events, do: data
     # If the socket does not accept the pong, the next write finds out.
     for {:ping, payload} <- events, do: _ = put(conn, Frames.control({:pong, payload}))

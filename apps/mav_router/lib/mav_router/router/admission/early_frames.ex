@@ -1,7 +1,7 @@
 defmodule MavRouter.Router.Admission.EarlyFrames do
   @max_reads 128
   @max_kept 16_384
-  # Of one read: many times those of a datagram or of a radio's read.
+  # Frames of one read: many times those of a datagram or of a radio's read.
   @max_frames 16
 
   @moduledoc """

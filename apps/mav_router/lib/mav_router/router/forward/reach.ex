@@ -62,7 +62,7 @@ defmodule MavRouter.Router.Forward.Reach do
   defp listed?(:part, %{part: part?}, %{id: @heartbeat} = frame, _between),
     do: part? and not Heartbeat.station?(frame)
 
-  # Whether a vehicle may arm is not for its parts to say.
+  # Parts of a vehicle do not decide whether it may arm.
   defp listed?(:part, _row, %{id: @command_ack} = frame, _between), do: not authorizes?(frame)
   defp listed?(:part, %{part: part?}, _frame, _between), do: part?
 

@@ -2,10 +2,10 @@ defmodule MavRouter.Router.Forward.Refusal do
   @moduledoc """
   What is done about frames that did not reach a vehicle because their sender may not send them there.
 
-  - Orders are counted as `denied` and told in the log once a minute for each link or client. A COMMAND_LONG or COMMAND_INT is
+  - Orders are counted as `denied` and logged once a minute for each link or client. A COMMAND_LONG or COMMAND_INT is
     answered with DENIED, once a second for each: so a lost answer costs nothing, and an invented sender gains nothing (the answer is
     shorter than the command).
-  - Everything else is counted as `withheld`. Messages that nobody has decided about are told in the log as well.
+  - Everything else is counted as `withheld`. Messages without a row in the table are logged as well.
   """
 
   alias MavRouter.Authority.Messages
@@ -40,7 +40,7 @@ defmodule MavRouter.Router.Forward.Refusal do
   @spec of_broadcast([Frame.t()], Delivery.t()) :: :ok
   def of_broadcast(_frames, %{scope: :cleared}), do: :ok
 
-  # Telemetry of a vehicle is not for other vehicles, which nobody has to be told.
+  # Telemetry of a vehicle is not for other vehicles, which is not worth a line in the log.
   def of_broadcast(frames, %{source: %{vehicle: vehicle?}} = delivery) do
     for frame <- frames,
         not vehicle? or Messages.order?(frame.id),

@@ -184,7 +184,7 @@ defmodule MavRouter.Router.Forward.Source do
          Enum.any?(path.networks, &Routes.talks?(tables, {&1, source.system, @autopilot}, path.key)))
   end
 
-  # What other vehicles hear of a vehicle: heartbeats, in a crowd nothing. Of a client that a router brings by the vehicle's
+  # Other vehicles hear heartbeats of a vehicle, in a crowd nothing. Of a client that a router brings by the vehicle's
   # endpoint they hear what the gate clears. Each of these costs the receivers' radios, and us, in
   # proportion to the number of senders. The vehicle's own other parts, and clients, get everything.
   defp of_vehicle(%{forwarding: forwarding, path: path} = delivery, source) do

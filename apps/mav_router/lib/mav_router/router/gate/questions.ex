@@ -18,7 +18,7 @@ defmodule MavRouter.Router.Gate.Questions do
   alias MavCodec.Messages.CommandAck
 
   @minute_us 60_000_000
-  # Of commands that ask, whatever they ask for.
+  # Commands that request data, whatever the data.
   @commands_per_minute 60
   @accepted MavResult.value(:MAV_RESULT_ACCEPTED)
   @later MavResult.value(:MAV_RESULT_TEMPORARILY_REJECTED)

@@ -20,7 +20,7 @@ defmodule MavRouter.Router.TransferLock.Transfer do
   alias MavCodec.Messages, as: M
 
   @kinds [:mission, :file, :log]
-  # What ends by itself within a transfer of logs.
+  # Parts of a log transfer that end by themselves.
   @list 0
   @data 1
   @erase 2

@@ -101,7 +101,7 @@ defmodule Aerie.Vehicle.Core.Effects do
   def held({%{suspicion: %{held: nil}}, _actions} = acc, _now), do: acc
   def held({core, actions}, now), do: check_digest(core, actions, now)
 
-  # What may be the sign of a failsafe.
+  # Possible signs of a failsafe.
   defp failsafe_sign(last, %{fence_breach: true}) when last == nil or last.fence_breach != true, do: :fence
   defp failsafe_sign(nil, _digest), do: :status
 

@@ -77,7 +77,7 @@ defmodule Aerie.Vehicle.Core.Frames do
     end
   end
 
-  # What the autopilot said before its component was known to be one.
+  # Frames of the autopilot from before its component was known to be one.
   defp early_texts({core, actions}) do
     {early, texts} = Texts.release(core.texts, core.component)
 
@@ -105,7 +105,7 @@ defmodule Aerie.Vehicle.Core.Frames do
     end
   end
 
-  # A frame of the autopilot came. With the first one the detector is told that the vehicle is heard: its state, which
+  # A frame of the autopilot came. With the first one the detector learns that the vehicle is heard: its state, which
   # outlives a restart of the session, may say that the vehicle is lost.
   defp alive(%{status: :online, last_heard: nil} = core, actions, at),
     do: {%{core | last_heard: at}, [restored(core, at) | actions]}

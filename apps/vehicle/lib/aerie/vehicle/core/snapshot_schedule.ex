@@ -3,7 +3,7 @@ defmodule Aerie.Vehicle.Core.SnapshotSchedule do
   How often a vehicle's snapshot is written to the store, and what it shows of `Aerie.Vehicle.Core.Services`. A pure value.
   """
 
-  # Of all vehicles together the store is written a thousand times a second, but for each at least twenty times while that does not
+  # For all vehicles together the store is written a thousand times a second, but for each at least twenty times while that does not
   # exceed four thousand.
   @each_us 1_000
   @longest_us 50_000

@@ -9,13 +9,13 @@ defmodule Aerie.Vehicle.Core.Timers do
 
   # Deadlines are checked ten times a second.
   @period_us 100_000
-  # How long after the last observation the detector is told that there was none since.
+  # How long after the last observation the detector learns that there was none since.
   @quiet_us 3_000_000
 
   @doc "Does what is due before a frame that came `at`."
   @spec before(Core.t(), [Core.action()], integer()) :: {Core.t(), [Core.action()]}
   def before(core, actions, at) do
-    # What has waited long enough counts before the frame changes it, whether or not a tick came in between.
+    # Expired waits count before the frame changes them, whether or not a tick came in between.
     if due?(core, at),
       do: expire(core, actions, at),
       else: {core, actions} |> Effects.held(at) |> Effects.settled(at)

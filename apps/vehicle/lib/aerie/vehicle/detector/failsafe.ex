@@ -28,7 +28,7 @@ defmodule Aerie.Vehicle.Detector.Failsafe do
   @again_us 3_000_000
   @max_hints 8
   @max_active 16
-  # What a fence makes the vehicle do (FENCE_ACTION of ArduCopter, ArduPlane and Rover).
+  # The vehicle's action at a fence (FENCE_ACTION of ArduCopter, ArduPlane and Rover).
   @fence_modes ~w(RTL SMART_RTL LAND BRAKE QRTL QLAND AUTOLAND GUIDED HOLD)
   # Modes that only the vehicle itself chooses.
   @forced %{"AUTO_DESCEND" => "descend", "TERMINATION" => "terminate", "AVOID_ADSB" => "avoid_adsb"}

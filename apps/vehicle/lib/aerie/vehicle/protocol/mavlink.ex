@@ -16,7 +16,7 @@ defmodule Aerie.Vehicle.Protocol.Mavlink do
   alias MavCodec.Enums.{MavCmd, MavResult}
   alias MavCodec.Messages, as: M
 
-  # What COMMAND_INT has in x and y for "not given" (C9).
+  # The value of x and y in COMMAND_INT for "not given" (C9).
   @no_place 2_147_483_647
   @accepted MavResult.value(:MAV_RESULT_ACCEPTED)
   @busy MavResult.value(:MAV_RESULT_TEMPORARILY_REJECTED)

@@ -41,7 +41,7 @@ defmodule Aerie.Vehicle.Protocol.StoredItem do
   def match?({:near, values, tolerance}, value), do: Enum.any?(values, &(abs(&1 - value) <= tolerance))
   def match?({:angle, degrees, tolerance}, value), do: turned(degrees - value) <= tolerance
 
-  @doc "Whether a value that was read is so close to the one that was sent that nobody has to be told."
+  @doc "Whether a value that was read is so close to the one that was sent that it needs no remark."
   @spec same?(expected(), sent :: number() | nil, read :: number() | nil) :: boolean()
   def same?(_expected, nil, _read), do: true
   def same?(_expected, _sent, nil), do: false

@@ -62,7 +62,7 @@ defmodule Aerie.Vehicle.Session.Clock do
           boolean()
   def restarted?(_clock, _speed, nil, _at, _moment, _host), do: false
 
-  # What the machine's clock has not reached was stamped before it was set back. A frame that is late by seconds waited for a busy
+  # Times that the machine's clock has not reached were stamped before it was set back. A frame that is late by seconds waited for a busy
   # link, or the machine stood still: what was waited for meanwhile is waited for still.
   def restarted?(%{by: :host}, :live, now, at, moment, host), do: max(now, at) > moment + host + @clock_set_us
 

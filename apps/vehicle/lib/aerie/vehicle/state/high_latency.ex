@@ -53,7 +53,7 @@ defmodule Aerie.Vehicle.State.HighLatency do
   defp armed(mode, :ardupilot, m), do: Map.put(mode, :armed, (m.custom0 &&& @safety_armed) != 0)
   defp armed(mode, _autopilot, _m), do: mode
 
-  # Of the failures only the fence has a field of its own.
+  # Among the failures only the fence has a field of its own.
   defp mission(m) do
     %{
       seq: Value.unsigned(m.wp_num, 16),

@@ -108,7 +108,7 @@ defmodule Aerie.Vehicle.State.Mode do
   defp standard_modes(%{standard_mode: standard, custom_mode: mode}, known) do
     case MavStandardMode.label(standard) do
       nil -> known
-      # Of several, the first is the firmware's choice.
+      # The first of several is the firmware's choice.
       label -> Map.put_new(known, String.downcase(label), mode)
     end
   end

@@ -16,7 +16,7 @@ defmodule Aerie.Control.Mission.File.QgcPlan do
   @max_corners 2_000
   @max_rally 500
   @sections ["mission", "geoFence", "rallyPoints"]
-  # What people write by hand, without capitals and the plural's s.
+  # Hand-written names, without capitals and the plural's s.
   @misspelt %{
     "mission" => "mission",
     "geofence" => "geoFence",

@@ -6,7 +6,7 @@ defmodule Aerie.Control.Policy.Audit.Reader do
 
   alias Aerie.Control.Policy.Audit.Chain
 
-  # Of one page: what is searched before the page is given as it is, with `more?` set.
+  # Records searched for one page; then the page is returned as it is, with `more?` set.
   @max_searched 20_000
 
   @typedoc """

@@ -129,7 +129,7 @@ defmodule Aerie.Control.Policy.Audit.Verify do
     end
   end
 
-  # What was safe and was not met: it is behind the end, or before the beginning.
+  # The known head was not found: it is behind the end, or before the beginning.
   defp ends(state) do
     Enum.reduce(state.heads, state, fn {n, _hash}, state ->
       if n >= (state.first || 1),

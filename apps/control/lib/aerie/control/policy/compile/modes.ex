@@ -44,7 +44,7 @@ defmodule Aerie.Control.Policy.Compile.Modes do
         do: {"#{@path}.transitions", "each mode once", "#{name} twice"}
   end
 
-  # By whichever of its names: all that the name may mean is denied.
+  # By any of its names: every mode that the name may mean is denied.
   defp denied(listed, denied) do
     meanings = Enum.flat_map(denied, &Modes.meanings/1)
 

@@ -9,7 +9,7 @@ defmodule Aerie.Control.Policy.Fence.Foreign do
   # As other programs call what a fence has; in any place of a word, and as a word of its own.
   @parts ~w(fence exclu inclu radius diameter altitude maxalt minalt height ceiling keepout keepin nofly forbid prohib restrict)
   @words ~w(alt floor upper lower limit limits max min maximum minimum agl msl amsl buffer allow allowed deny denied permitted)
-  # What only the property `fence` says.
+  # Given only by the property `fence`.
   @kinds ~w(inclusion inclusive include included exclusion exclusive exclude excluded nofly noflyzone keepout keepin forbidden
             prohibited restricted allowed denied geofence)
   @alike 0.87

@@ -52,7 +52,7 @@ defmodule Aerie.Control.Policy.Fence.Zone do
       for(limit <- [zone.floor, zone.ceiling], limit != nil, share <- passing(limit, heights), do: share)
   end
 
-  @doc "Metres from a point to the nearest border of the zone; `:far` for more than can be told."
+  @doc "Metres from a point to the nearest border of the zone; `:far` beyond the range of the projection."
   @spec distance(t(), Earth.vector()) :: float() | :far
   def distance(zone, point), do: zone.polygons |> Enum.map(&Polygon.distance(&1, point)) |> Enum.min()
 

@@ -14,7 +14,7 @@ defmodule Aerie.Control.Policy.Mavlink.Commands do
 
   import Bitwise
 
-  # What makes it disarm in flight, or arm without its checks.
+  # Parameters that make it disarm in flight, or arm without its checks.
   @force [21_196, 2989]
   # Forces a reboot while it is armed.
   @force_reboot Enum.map(RebootShutdownConditions.all(), &elem(&1, 1)) -- [0]
@@ -43,7 +43,7 @@ defmodule Aerie.Control.Policy.Mavlink.Commands do
   def read(request, row, vehicle) do
     facts = asked(row.name, request, row, vehicle)
 
-    # What cannot be read in one way only, is nothing that may pass whatever happens.
+    # An ambiguous command is never exempt from rules.
     case Authority.Commands.check(row, request.params) do
       :ok -> facts
       {:error, reason} -> %{facts | number: facts.number || reason, ends_flight?: false}
@@ -145,7 +145,7 @@ defmodule Aerie.Control.Policy.Mavlink.Commands do
   defp asked("DO_AUX_FUNCTION", request, _row, _vehicle),
     do: AuxFunctions.facts(Request.int(request, 1), Request.int(request, 2))
 
-  # By its number, which says nothing here.
+  # Known only by its number.
   defp asked("DO_SET_PARAMETER", _request, _row, _vehicle), do: Intent.set_parameters([nil])
 
   # Besides 0 and 1, which read and write, all of them reset something.
@@ -201,7 +201,7 @@ defmodule Aerie.Control.Policy.Mavlink.Commands do
   defp set_altitude(places),
     do: Intent.named("set_altitude", path: {:to, places}, what: "the height to fly at")
 
-  # PX4 flies to 0, 0 if it is told to.
+  # PX4 flies to 0, 0 if ordered to.
   defp takeoff({:to, places}, %{autopilot: :px4}), do: {:to, places}
   defp takeoff({:to, places}, _vehicle), do: {:to, Enum.map(places, &here/1)}
   defp takeoff(local, _vehicle), do: local
@@ -234,7 +234,7 @@ defmodule Aerie.Control.Policy.Mavlink.Commands do
   defp path(:anywhere, _request), do: :anywhere
   defp path(_none, _request), do: :none
 
-  # By its type of the table of commands, or by its row alone.
+  # By its type in the table of commands, or by its row alone.
   defp plain(row) do
     case Types.name_of_mav_cmd(row.id) do
       name when name != nil ->

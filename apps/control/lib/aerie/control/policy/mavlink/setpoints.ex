@@ -131,7 +131,7 @@ defmodule Aerie.Control.Policy.Mavlink.Setpoints do
     end
   end
 
-  # What an acceleration adds to a velocity that is asked for, the controller takes back within a second.
+  # The controller corrects the effect of an acceleration on a requested velocity within a second.
   defp led(axes), do: for({_place, v, a} <- axes, do: (v || 0) + (a || 0))
 
   defp axes(values, used) do
@@ -145,7 +145,7 @@ defmodule Aerie.Control.Policy.Mavlink.Setpoints do
     end
   end
 
-  # Of a global position all counts, or nothing.
+  # A global position counts as a whole or not at all.
   defp place_values(%M.SetPositionTargetGlobalInt{}, false), do: [:nan, :nan, :nan]
   defp place_values(%M.SetPositionTargetGlobalInt{} = m, true), do: [m.lat_int, m.lon_int, m.alt]
   defp place_values(m, _whole?), do: [m.x, m.y, m.z]

@@ -42,7 +42,7 @@ defmodule Aerie.Control.Policy.Rules.Altitude do
     end)
   end
 
-  # What is stored (a home, a landing place) may be on the ground.
+  # A stored place (a home, a landing place) may be on the ground.
   defp floor(_policy, %{path: {kind, _places}}) when kind in [:at, :along, :level], do: nil
   defp floor(_policy, %{path: {:from, _start, _place}}), do: nil
   defp floor(policy, _facts), do: policy.min_altitude

@@ -82,7 +82,7 @@ defmodule Aerie.Control.Policy.Rules.Mode do
 
   defp named?(names, wanted, context), do: Enum.any?(names, &(known_as(&1, context) == wanted))
 
-  # The firmware's own name for it, or the one that the vehicle has told.
+  # The firmware's own name for it, or the one that the vehicle reported.
   defp known_as(name, %{autopilot: autopilot, vehicle_type: kind} = context) do
     with true <- known_firmware?(context),
          {:ok, number} <- Modes.number(autopilot, kind, name),
@@ -94,7 +94,7 @@ defmodule Aerie.Control.Policy.Rules.Mode do
     end
   end
 
-  # What the firmware makes of the number: PX4 takes no notice of some sub modes.
+  # The firmware's reading of the number: PX4 ignores some sub modes.
   defp effects(name, %{autopilot: autopilot, vehicle_type: kind} = context) do
     with true <- known_firmware?(context),
          {:ok, number} <- Modes.number(autopilot, kind, name),

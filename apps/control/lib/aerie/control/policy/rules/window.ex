@@ -37,7 +37,7 @@ defmodule Aerie.Control.Policy.Rules.Window do
     end
   end
 
-  # What holds the vehicle or brings it down does not wait, but what arms it besides does.
+  # Commands that hold the vehicle or bring it down are exempt, but not those that also arm it.
   defp types(%{ends_flight?: true} = facts, context),
     do: facts |> Intent.types(context) |> List.delete(facts.type)
 

@@ -21,7 +21,7 @@ defmodule Aerie.Fleet.Bridge.Commands.Transfers do
   alias Aerie.Control.Params.{Param, Table}
   alias Aerie.Control.Policy.Roles
 
-  # NATS carries a mebibyte unless its server is told otherwise.
+  # A message of NATS is a mebibyte at most by default.
   @max_bytes 1_000_000
   @areas %{
     "params" => ~w(list get set load metadata),
@@ -265,7 +265,7 @@ defmodule Aerie.Fleet.Bridge.Commands.Transfers do
   # --- Replies
 
   defp plain({:ok, %Result{} = result}, _id), do: Result.plain(result)
-  # A vehicle that is not known is told before there is anything with an id.
+  # An unknown vehicle is reported before there is an id.
   defp plain({:error, %Result{} = result}, id), do: Result.plain(%{result | id: id || result.id})
   defp plain({:ok, value}, id), do: Map.merge(%{"id" => id, "result" => "completed", "reason" => nil}, value)
   defp plain({:pending, id}, _id), do: %{"id" => id, "result" => nil, "reason" => "it is under way"}

@@ -87,7 +87,7 @@ defmodule Aerie.Fleet.Bridge.Hub.Accounts do
   # Requests that a vehicle answers.
   defp obeyed(environment, id), do: for(area <- @areas, do: "fleet.#{environment}.#{id}.#{area}.*")
 
-  # What the fleet takes from a vehicle, or shows it: `{kind, subject of the fleet, subject on the leaf, nil for the same}`.
+  # Subjects that the fleet imports from a vehicle, or exports to it: `{kind, subject of the fleet, subject on the leaf, nil for the same}`.
   defp granted(environment, id) do
     vehicle = "fleet.#{environment}.#{id}"
 

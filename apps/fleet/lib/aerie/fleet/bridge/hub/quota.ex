@@ -14,7 +14,7 @@ defmodule Aerie.Fleet.Bridge.Hub.Quota do
   # A document in fleet_desired and how many it keeps, and one in fleet_reported (`Aerie.Fleet.Shadow.Buckets`).
   @document 128 * @kb
   @documents 5
-  # Of the 20 GB in hub.conf, for events: of each vehicle and of its gateway.
+  # The share of the 20 GB in hub.conf for events: of each vehicle and of its gateway.
   @events_mb 16_384
 
   @type t :: %{

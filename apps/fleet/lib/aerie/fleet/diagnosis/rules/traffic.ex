@@ -105,7 +105,7 @@ defmodule Aerie.Fleet.Diagnosis.Rules.Traffic do
     end)
   end
 
-  # What clients send is read from a socket like what vehicles send.
+  # Frames of clients are read from a socket like those of vehicles.
   defp unread(facts) do
     for %{overload: %{datagrams: datagrams}, id: id} <- facts.clients do
       Condition.new(:overload, :error, {:client, id},

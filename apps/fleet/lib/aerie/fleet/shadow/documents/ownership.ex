@@ -112,7 +112,7 @@ defmodule Aerie.Fleet.Shadow.Documents.Ownership do
     end
   end
 
-  # Of a server of our own we know who else uses it, once we have asked for the lease.
+  # The other users of our own server are known once the lease was requested.
   defp unheld(state, vehicle, true) do
     if state.conn != nil and MapSet.member?(state.lease.wanted, vehicle),
       do: {:unknown, "the lease of the vehicle is being asked for"},

@@ -105,7 +105,7 @@ defmodule Aerie.Fleet.Shadow.Documents.Server do
   def handle_call({:kv, bucket, key, change}, _from, state),
     do: {:reply, :ok, changed(bucket, key, change, state)}
 
-  # Of vehicles that are not heard here only the tags are kept.
+  # For vehicles that are not heard here only the tags are kept.
   def handle_call({:written, document}, _from, state) do
     if is_map_key(state.loops, document.vehicle),
       do: {:reply, :ok, Desired.accept(state, document)},

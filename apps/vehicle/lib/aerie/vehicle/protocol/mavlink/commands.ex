@@ -180,7 +180,7 @@ defmodule Aerie.Vehicle.Protocol.Mavlink.Commands do
   end
 
   def steps("request_message", params, _vehicle) do
-    # A requested COMMAND_ACK could not be told from any command's acknowledgement.
+    # A requested COMMAND_ACK could not be distinguished from any command's acknowledgement.
     seen? = params.message_id != M.CommandAck.id()
 
     [

@@ -28,7 +28,7 @@ defmodule Aerie.Vehicle.Services.Streams.Arbiter.Groups do
   @doc "Queues the groups that have to be requested at `now`."
   @spec check(Arbiter.t(), integer()) :: Arbiter.t()
   def check(%{held: true} = arbiter, _now) do
-    # What comes while nothing may be requested is not what the vehicle sends by itself.
+    # Rates measured while nothing may be requested are not those that the vehicle sends by itself.
     %{arbiter | before: Map.reject(arbiter.before, fn {_group, rate} -> rate == :measuring end)}
   end
 
@@ -146,7 +146,7 @@ defmodule Aerie.Vehicle.Services.Streams.Arbiter.Groups do
     {done(arbiter, group), Request.group(target, group, hz)}
   end
 
-  # What is recorded as requested is the clients' rate. Members that nobody wants are watched while there is one.
+  # The recorded request is the clients' rate. Unwanted members are watched while there is one.
   defp done(arbiter, group) do
     case arbiter.groups do
       %{^group => hz} ->

@@ -238,7 +238,7 @@ defmodule FleetWeb.Console.Recordings.Page do
         {@line.from}, {@line.seconds} s, {@line.frames} frames, vehicles: {Enum.join(@line.vehicles, ", ")}{if @line.damaged > 0, do: ", #{@line.damaged} damaged parts"}
       </p>
       <svg class="track" viewBox="0 0 1000 20" preserveAspectRatio="none" role="img" aria-label={"#{length(@line.events)} events over #{@line.seconds} s"}>
-        <line :for={event <- @line.events} x1={event.x} x2={event.x} y1="2" y2="18" class={event.kind}><title>{event.type} at {event.at} s</title></line>
+        <line :for={event <- @line.events} x1={event.x} x2={event.x} y1="2" y2="18" class={event.tone}><title>{event.type} at {event.at} s</title></line>
       </svg>
       <.empty :if={@line.events == []} title="No events">This recording has no events.</.empty>
       <ol class="timeline-list">

@@ -8,7 +8,6 @@ defmodule FleetWeb.Console.Recordings.TimeLine do
   @max_events 500
   # Ten megabytes of a file take about a second and a few megabytes of memory.
   @max_bytes 128 * 1024 * 1024
-  @bad ~w(failsafe geofence battery.low battery.critical link.lost collision gps.lost position.lost rc.lost)
 
   @typedoc "`x`: 0 to 1000 over the recording; `at`: seconds since its beginning, as text; `more`: events beyond the first #{@max_events}."
   @type t :: %{
@@ -47,6 +46,7 @@ defmodule FleetWeb.Console.Recordings.TimeLine do
 
   defp row(event, n, from, length_us) do
     since = max(event.time - from, 0)
+    line = Timeline.line(event)
 
     %{
       n: n,
@@ -54,8 +54,8 @@ defmodule FleetWeb.Console.Recordings.TimeLine do
       vehicle: event.vehicle,
       at: :erlang.float_to_binary(since / 1_000_000, decimals: 1),
       x: "#{min(round(since * 1000 / length_us), 1000)}",
-      kind: if(event.type in @bad, do: "bad"),
-      text: Timeline.line(event).text
+      tone: line.tone,
+      text: line.text
     }
   end
 end

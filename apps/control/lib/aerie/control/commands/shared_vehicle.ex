@@ -51,7 +51,7 @@ defmodule Aerie.Control.Commands.SharedVehicle do
   A vehicle's snapshot as that of one which is reached by another gateway (`:via`), if another one holds it. `:holds?` says whether it still
   does.
   """
-  @spec by(module() | nil, Names.gatectx(), snapshot :: map()) :: map()
+  @spec by(module() | nil, Names.gateway(), snapshot :: map()) :: map()
   def by(nil, _gateway, snapshot), do: snapshot
   def by(_holder, _gateway, %{via: via} = snapshot) when via != nil, do: snapshot
   def by(holder, gateway, snapshot), do: by(holder, gateway, snapshot, holder.holder(gateway, snapshot.id))

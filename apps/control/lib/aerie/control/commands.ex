@@ -183,7 +183,7 @@ defmodule Aerie.Control.Commands do
 
       with %{} = snapshot <- RemoteGateway.vehicle(gateway, vehicle),
            snapshot = SharedVehicle.by(Server.holder(gateway), gateway, snapshot),
-           :ok <- cease(gateway, snapshot, job, id) do
+           :ok <- cancel_job(gateway, snapshot, job, id) do
         :ok
       else
         nil -> {:error, :impossible, "the vehicle is not known"}
@@ -192,11 +192,11 @@ defmodule Aerie.Control.Commands do
     end
   end
 
-  defp cease(gateway, %{via: via} = snapshot, _job, id) when via != nil,
+  defp cancel_job(gateway, %{via: via} = snapshot, _job, id) when via != nil,
     do: RemoteGateway.module(gateway).cancel(gateway, snapshot, id)
 
-  defp cease(gateway, %{key: key}, %{change?: true}, id), do: TransferExecutor.cancel(gateway, key, id)
-  defp cease(gateway, %{key: key}, _command, id), do: CommandExecutor.cancel(gateway, key, id)
+  defp cancel_job(gateway, %{key: key}, %{change?: true}, id), do: TransferExecutor.cancel(gateway, key, id)
+  defp cancel_job(gateway, %{key: key}, _command, id), do: CommandExecutor.cancel(gateway, key, id)
 
   defp of_vehicle(%{vehicle: vehicle} = job, vehicle, _id), do: {:ok, job}
   defp of_vehicle(_other, vehicle, id), do: {:error, :unknown, "no command #{id} of #{vehicle} is under way"}

@@ -31,7 +31,7 @@ defmodule MavRouter.Signing.KeyTest do
     assert {:error, "the key must be base64 of 32 bytes after base64:"} = Key.parse("base64:eHh4")
   end
 
-  test "nothing, zeros, and what is not text are no key" do
+  test "an empty key, zeros, and bytes that are not text are refused" do
     assert {:error, "the key is empty"} = Key.parse(" \n")
     assert {:error, "the passphrase is empty"} = Key.parse("passphrase:")
     assert {:error, _} = Key.parse("hex:" <> String.duplicate("0", 64))

@@ -283,16 +283,16 @@ defmodule Aerie.Fleet.Bridge.Commands do
   end
 
   # An unsigned one has its place already.
-  defp admitted(_face, _request, nil), do: :ok
+  defp admitted(_server, _request, nil), do: :ok
 
   defp admitted(server, request, signature),
     do: GenServer.call(server, {:verified, request.type, signature}, :infinity)
 
-  defp obey(gateway, _face, _topic, %{type: "cancel", envelope: %{"id" => id}} = request)
+  defp obey(gateway, _server, _topic, %{type: "cancel", envelope: %{"id" => id}} = request)
        when is_binary(id) do
     case Commands.cancel(gateway, request.vehicle, id, request.source, "nats") do
       :ok -> accepted(id)
-      {:error, :unknown, reason} -> cease(gateway, request.vehicle, id, reason)
+      {:error, :unknown, reason} -> cancel_read(gateway, request.vehicle, id, reason)
       {:error, :role, reason} -> %{"id" => id, "result" => "denied", "rule" => "role", "reason" => reason}
       {:error, _why, reason} -> %{"id" => id, "result" => "rejected", "reason" => reason}
     end
@@ -309,7 +309,7 @@ defmodule Aerie.Fleet.Bridge.Commands do
   end
 
   # A read is not a command: everyone who may read may cancel it.
-  defp cease(gateway, vehicle, id, reason) do
+  defp cancel_read(gateway, vehicle, id, reason) do
     case Aerie.Control.Transfers.cancel(gateway, vehicle, id) do
       :ok -> accepted(id)
       {:error, _none} -> %{"id" => id, "result" => "rejected", "reason" => reason}

@@ -15,7 +15,7 @@ defmodule Aerie.Vehicle.Protocol.Ardupilot.Calibration do
   @positions %{"level" => 1, "left" => 2, "right" => 3, "nose_down" => 4, "nose_up" => 5, "back" => 6}
   @blocks_ms 30_000
   @lasts_ms 300_000
-  @cease_ms 5_000
+  @stop_ms 5_000
   @no_cancel "ArduPilot cannot cancel the calibration of the accelerometer: confirm the positions that it asks for " <>
                "(calibrate_position), or reboot it"
   @mag_success MagCalStatus.value(:MAG_CAL_SUCCESS)
@@ -55,7 +55,7 @@ defmodule Aerie.Vehicle.Protocol.Ardupilot.Calibration do
   def steps("calibrate_cancel", _params, %{busy_with: "accelerometer"}), do: {:error, @no_cancel}
 
   def steps("calibrate_cancel", _params, %{busy_with: "compass_motor"}),
-    do: [Mavlink.message(acknowledgement(), confirm: {:armed, false}, within_ms: @cease_ms)]
+    do: [Mavlink.message(acknowledgement(), confirm: {:armed, false}, within_ms: @stop_ms)]
 
   def steps("calibrate_cancel", _params, %{busy_with: "magnetometer"}),
     do: [Mavlink.long(:MAV_CMD_DO_CANCEL_MAG_CAL)]

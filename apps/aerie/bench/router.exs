@@ -16,14 +16,15 @@
 # What is not there is said and left out.
 
 Code.require_file("../../mav_codec/bench/support/options.ex", __DIR__)
+Code.require_file("support/os_process.ex", __DIR__)
 Code.require_file("support/decision.exs", __DIR__)
 
 defmodule RouterBench do
+  alias Aerie.Bench.OSProcess
+
   @clients "1,5,20"
   @rates [20_000, 40_000, 60_000, 80_000, 100_000, 125_000, 150_000, 200_000]
-  # As bin/run starts it: on one core that is one scheduler.
   @mavp2p "v1.3.3"
-  @emulator "+fnu +Bi +C multi_time_warp"
 
   def main(argv) do
     options =
@@ -104,7 +105,7 @@ defmodule RouterBench do
         File.write!(config, config(folder, source, client))
         start = ["run", "--no-compile", "--no-halt", "-e", "Aerie.CLI.Start.main(System.argv())", "--"]
         words = ["--quiet", "--config", config, "--http", "0", "--nats", "embedded"]
-        {System.find_executable("mix"), start ++ words}
+        OSProcess.command(start ++ words)
       end
     }
   end
@@ -129,17 +130,13 @@ defmodule RouterBench do
       step: 0,
       ready: "ready",
       command: fn source, client, _n ->
-        {System.find_executable("mix"),
-         [
-           "run",
-           "--no-compile",
-           Path.join(__DIR__, "support/router_node.exs"),
-           "udpin:127.0.0.1:#{client}",
-           "udpin:127.0.0.1:#{source}"
-         ]}
+        router_node(["udpin:127.0.0.1:#{client}", "udpin:127.0.0.1:#{source}"])
       end
     }
   end
+
+  defp router_node(urls),
+    do: OSProcess.command(["run", "--no-compile", Path.join(__DIR__, "support/router_node.exs") | urls])
 
   defp mavp2p(dir) do
     with nil <- System.find_executable("mavp2p"),
@@ -308,8 +305,7 @@ defmodule RouterBench do
     if router[:vehicle] == false, do: System.delete_env("ROUTER_LOAD_VEHICLE")
 
     env =
-      for {k, v} <- [{"ELIXIR_ERL_OPTIONS", @emulator}, {"MIX_ENV", "prod"}] ++ env,
-          do: {to_charlist(k), to_charlist(v)}
+      for {k, v} <- [{"MIX_ENV", "prod"}] ++ env, do: {to_charlist(k), to_charlist(v)}
 
     port =
       Port.open({:spawn_executable, command}, [
@@ -437,13 +433,7 @@ defmodule RouterBench do
       | command: fn source, client, _n ->
           links = for i <- 0..99, do: "udpin:127.0.0.1:#{source + i}"
 
-          {System.find_executable("mix"),
-           [
-             "run",
-             "--no-compile",
-             Path.join(__DIR__, "support/router_node.exs"),
-             "udpin:127.0.0.1:#{client}" | links
-           ]}
+          router_node(["udpin:127.0.0.1:#{client}" | links])
         end
     }
 

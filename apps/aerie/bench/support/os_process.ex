@@ -1,6 +1,8 @@
 defmodule Aerie.Bench.OSProcess do
   @moduledoc "A gateway in an OS process of its own, for benchmarks: `mix run` of a script that answers lines with lines."
 
+  @vm_args Path.expand("../../../../rel/vm.args.eex", __DIR__)
+
   @doc "Compiles a C program."
   @spec compile(Path.t(), Path.t()) :: Path.t()
   def compile(source, out) do
@@ -12,11 +14,16 @@ defmodule Aerie.Bench.OSProcess do
     out
   end
 
-  @doc "Starts `mix` with arguments."
+  @doc "Starts `mix` with arguments, on the emulator's flags of `bin/run`."
   @spec start([String.t()]) :: port()
   def start(args) do
-    Port.open({:spawn_executable, System.find_executable("mix")}, [:binary, :exit_status, args: args])
+    {command, args} = command(args)
+    Port.open({:spawn_executable, command}, [:binary, :exit_status, args: args])
   end
+
+  @doc "The command that `start/1` runs, and its arguments."
+  @spec command([String.t()]) :: {Path.t(), [String.t()]}
+  def command(args), do: {System.find_executable("elixir"), ["--vm-args", @vm_args, "-S", "mix" | args]}
 
   @doc "Ends it: it ends with its standard input."
   @spec stop(port()) :: :ok

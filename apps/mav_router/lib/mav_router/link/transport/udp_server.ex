@@ -5,12 +5,11 @@ defmodule MavRouter.Link.Transport.UdpServer do
   """
   @behaviour MavRouter.Link.Transport
 
-  alias MavRouter.Link.Transport.Form
-  alias MavRouter.Link.Backlog
-  alias MavRouter.Link.Transport.Net
+  alias MavRouter.Link.{Backlog, Gathering}
+  alias MavRouter.Link.Transport.{Form, Net}
 
   @enforce_keys [:socket]
-  defstruct [:socket, :sender, backlog: Backlog.new()]
+  defstruct [:socket, :sender, backlog: Backlog.new(), gathering: Gathering.new(), resting?: false]
 
   @impl MavRouter.Link.Transport
   def traits, do: %{kind: :udp_server, framing: :datagram, protocol: :udp, server: true, client: :remote}
@@ -45,10 +44,32 @@ defmodule MavRouter.Link.Transport.UdpServer do
   @impl MavRouter.Link.Transport
   def handle(%{socket: socket} = conn, {:udp, socket, address, port, bytes}) do
     {reads, shed, backlog} = Net.take(socket, conn.backlog, {{address, port}, bytes})
-    {Net.events(reads, shed), %{conn | backlog: backlog}}
+    gathering = Gathering.read(conn.gathering, reads, :erlang.monotonic_time(:millisecond))
+    {Net.events(reads, shed), rest(%{conn | backlog: backlog, gathering: gathering})}
   end
 
+  def handle(%{socket: socket} = conn, {:gathered, socket}) do
+    _ = :inet.setopts(socket, active: Net.active())
+    {[], %{conn | resting?: false}}
+  end
+
+  def handle(%{socket: socket, resting?: true} = conn, {:udp_passive, socket}), do: {[], conn}
   def handle(conn, message), do: Net.udp_message(conn, message)
+
+  # What comes meanwhile waits in the kernel.
+  defp rest(%{resting?: true} = conn), do: conn
+
+  defp rest(%{socket: socket, gathering: gathering} = conn) do
+    case Gathering.wait_ms(gathering) do
+      0 ->
+        conn
+
+      ms ->
+        _ = :inet.setopts(socket, active: false)
+        _timer = :erlang.send_after(ms, self(), {:gathered, socket})
+        %{conn | resting?: true}
+    end
+  end
 
   @impl MavRouter.Link.Transport
   def write(conn, {address, port}, bytes) do

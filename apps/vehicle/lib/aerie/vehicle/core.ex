@@ -54,6 +54,7 @@ defmodule Aerie.Vehicle.Core do
   alias Aerie.Vehicle.Services.Links.{HighLatency, Reception}
   alias Aerie.Vehicle.Services.Streams.Arbiter
 
+  # At most 32 keys with __struct__: the BEAM keeps a larger map as a tree, which takes several times as long to read and to change.
   defstruct [
     :options,
     :now,
@@ -71,7 +72,6 @@ defmodule Aerie.Vehicle.Core do
     heartbeat: %{at: nil, version: 1},
     shown: %SnapshotSchedule{},
     dirty: false,
-    confirm_status: false,
     state: %State{},
     reception: Reception.new(),
     boot_clock: BootClock.new(),
@@ -98,7 +98,7 @@ defmodule Aerie.Vehicle.Core do
   - `heartbeat`: when ours was last due, and the version of the last one
   - `heard_again_at`: the first frame after a silence, until the vehicle's clock shows whether it was restarted
   - `settle_at`: when the detector looks again for the cause of a failsafe
-  - `confirm_status`: the detector gets the status again, after a crash
+  - `digest`: what the detector was shown last; `:restored` after a crash, until it has got the status again
   - `path`: that of the frames at hand; `other_vehicle`: the last collision, and what the last `:other_vehicle` action said
   """
   @type t :: %__MODULE__{}
@@ -164,8 +164,7 @@ defmodule Aerie.Vehicle.Core do
         high_latency: HighLatency.new(snapshot[:high_latency], snapshot.last_heard),
         # Digest and status are shown to the detector again: the crash may have come between writing the snapshot and
         # telling the detector, and the detector knows what it has seen.
-        digest: nil,
-        confirm_status: true
+        digest: :restored
     }
   end
 
@@ -198,8 +197,8 @@ defmodule Aerie.Vehicle.Core do
   def handle(core, {:asked, request, at}),
     do: {%{core | timesync: Timesync.asked(core.timesync, request, at)}, []}
 
-  def handle(%{confirm_status: true} = core, event) do
-    {next, actions} = handle(%{core | confirm_status: false}, event)
+  def handle(%{digest: :restored} = core, event) do
+    {next, actions} = handle(%{core | digest: nil}, event)
     {next, [confirm_status(core) | actions]}
   end
 

@@ -23,6 +23,7 @@ defmodule Aerie.Vehicle.Session do
   alias Aerie.Vehicle.Session.Clock
 
   @tick_ms 100
+  @grid_ms 10
   @look_around_ticks 10
 
   @spec start_link(gateway: Names.gateway(), options: Vehicle.Options.t()) :: GenServer.on_start()
@@ -164,8 +165,13 @@ defmodule Aerie.Vehicle.Session do
   defp notify(%{listeners: listeners}, what),
     do: Enum.each(listeners, fn {pid, _wants} -> send(pid, what) end)
 
-  # Not :timer.send_interval/2: all ticks would pass through its one process, a thousand a second for a hundred vehicles.
-  defp schedule_tick, do: :erlang.start_timer(@tick_ms, self(), {:tick, monotonic() + @tick_ms * 1_000})
+  # Not :timer.send_interval/2: all ticks would pass through its one process, a thousand a second for a hundred vehicles. Those of all
+  # vehicles come at full hundredths of a second, so that they wake the machine a hundred times a second, not ten times for each.
+  defp schedule_tick do
+    now = System.monotonic_time(:millisecond)
+    at = now + @tick_ms - Integer.mod(now + @tick_ms, @grid_ms)
+    :erlang.start_timer(at, self(), {:tick, at * 1_000}, abs: true)
+  end
 
   # Once a second: what other processes have written to the tables.
   defp look_around(%{ticks: ticks} = state, _now) when rem(ticks, @look_around_ticks) != 0,

@@ -32,6 +32,10 @@ defmodule Aerie.Vehicle.CoreTest do
     assert {_core, []} = Core.handle(Core.new(options([])), {:link_reconnected, "a"})
   end
 
+  test "the BEAM keeps the state as a flat map" do
+    assert map_size(Core.new(options([]))) <= 32
+  end
+
   describe "silence (H1)" do
     test "stale after three seconds, lost after five, exactly then; restored with the next frame" do
       run = start() |> beat(10) |> tick(12.9)

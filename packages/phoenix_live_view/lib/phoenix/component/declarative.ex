@@ -151,12 +151,12 @@ defmodule Phoenix.Component.Declarative do
 
     overrides =
       for {name, %{kind: kind} = entry} <- declared do
-        entry = Macro.escape(entry)
+        call_of = entry |> contract() |> Macro.escape()
         assigns = Macro.var(:assigns, __MODULE__)
 
         call =
           quote do
-            super(Phoenix.Component.Declarative.given(unquote(assigns), unquote(entry), unquote(name)))
+            super(Phoenix.Component.Declarative.given(unquote(assigns), unquote(call_of), unquote(name)))
           end
 
         definition =
@@ -181,55 +181,49 @@ defmodule Phoenix.Component.Declarative do
     end
   end
 
+  # What a call needs of the declarations, worked out once.
+  defp contract(%{attrs: attrs, slots: slots}) do
+    {globals, plain} = Enum.split_with(attrs, fn {_name, type, _options} -> type == :global end)
+    required = for {name, _type, options} <- slots ++ plain, options[:required], do: {name, word(name, slots)}
+
+    defaults =
+      for {name, _type, options} <- plain,
+          {:ok, default} <- [Keyword.fetch(options, :default)],
+          do: {name, default}
+
+    none = for {name, :slot, options} <- slots, !options[:required], do: {name, []}
+    own = [:__changed__, :__slot__, :inner_block | Enum.map(slots ++ attrs, &elem(&1, 0))]
+
+    globals =
+      for {name, :global, options} <- globals,
+          do: {name, options[:include] || [], Map.new(options[:default] || %{})}
+
+    %{defaults: Map.new(none ++ defaults), required: required, own: own, globals: globals}
+  end
+
+  defp word(name, slots),
+    do: if(List.keymember?(slots, name, 0), do: "the slot :#{name}", else: "the attribute #{name}")
+
   @doc false
   # The assigns of a call, with defaults, globals and empty slots; a missing required one is an error.
-  def given(assigns, %{attrs: attrs, slots: slots}, component) do
-    assigns = Enum.reduce(slots, assigns, &slot_default(&1, &2, component))
-    {globals, plain} = Enum.split_with(attrs, fn {_name, type, _options} -> type == :global end)
-    assigns = Enum.reduce(plain, assigns, &attr_default(&1, &2, component))
-    Enum.reduce(globals, assigns, &global(&1, &2, attrs))
-  end
+  def given(assigns, %{defaults: defaults, required: required, own: own, globals: globals}, component) do
+    for {name, word} <- required,
+        not is_map_key(assigns, name),
+        do: raise(ArgumentError, "#{word} of <.#{component}> is required")
 
-  defp slot_default({name, :slot, _options}, assigns, _component) when is_map_key(assigns, name), do: assigns
-
-  defp slot_default({name, :slot, options}, assigns, component) do
-    if options[:required],
-      do: raise(ArgumentError, "the slot :#{name} of <.#{component}> is required"),
-      else: Map.put(assigns, name, [])
-  end
-
-  defp attr_default({name, _type, options}, assigns, component) do
-    case assigns do
-      %{^name => _value} ->
-        assigns
-
-      _missing ->
-        case Keyword.fetch(options, :default) do
-          {:ok, default} ->
-            Map.put(assigns, name, default)
-
-          :error ->
-            if options[:required],
-              do: raise(ArgumentError, "the attribute #{name} of <.#{component}> is required"),
-              else: assigns
-        end
-    end
+    Enum.reduce(globals, Map.merge(defaults, assigns), &global(&1, &2, assigns, own))
   end
 
   # Undeclared attributes that every element may have.
-  defp global({name, :global, options}, assigns, attrs) do
-    declared = Enum.map(attrs, &elem(&1, 0))
-    include = options[:include] || []
-
+  defp global({name, include, default}, merged, assigns, own) do
     rest =
       for {key, value} <- assigns,
-          key not in declared,
+          key not in own,
           global?(to_string(key), include),
           into: %{},
           do: {key, value}
 
-    rest = Map.merge(Map.new(options[:default] || %{}), rest)
-    assigns |> Map.drop(Map.keys(rest)) |> Map.put(name, rest)
+    merged |> Map.drop(Map.keys(rest)) |> Map.put(name, Map.merge(default, rest))
   end
 
   @doc false

@@ -66,8 +66,10 @@ defmodule Phoenix.LiveView.Diff do
   defp change(same, same) when is_binary(same), do: :same
   defp change(_text, text) when is_binary(text), do: {:changed, text}
 
-  defp change(%Rendered{static: static} = previous, %Rendered{static: static} = next),
-    do: positions(previous.dynamic, next.dynamic)
+  # A view may keep a part that it rendered before and give it again.
+  defp change(%Rendered{static: static} = previous, %Rendered{static: static} = next) do
+    if :erts_debug.same(previous, next), do: :same, else: positions(previous.dynamic, next.dynamic)
+  end
 
   defp change(
          %Comprehension{static: static, stream: nil} = previous,

@@ -13,8 +13,15 @@ defmodule Phoenix.LiveView.Engine do
   def node(nil), do: ""
   def node(value), do: value |> Safe.to_iodata() |> IO.iodata_to_binary()
 
+  # The names of attributes in a template are checked when it is compiled.
   @spec attribute(String.t(), term()) :: String.t()
-  def attribute(name, value), do: {name, value} |> Phoenix.HTML.attribute() |> IO.iodata_to_binary()
+  def attribute(_name, value) when value in [nil, false], do: ""
+  def attribute(name, true), do: " " <> name
+
+  def attribute(name, value) when name in ["class", "style"],
+    do: IO.iodata_to_binary([" ", name, "=\"", Phoenix.HTML.class_value(value), "\""])
+
+  def attribute(name, value), do: IO.iodata_to_binary([" ", name, "=\"", Safe.to_iodata(value), "\""])
 
   @spec attributes(Enumerable.t()) :: String.t()
   def attributes(attributes),

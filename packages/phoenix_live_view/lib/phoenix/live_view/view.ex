@@ -329,8 +329,12 @@ defmodule Phoenix.LiveView.View do
     }
 
     socket = if rendered, do: Lifecycle.after_render(socket), else: socket
-    %{view | socket: socket, sent: if(rendered, do: Diff.sent(rendered), else: view.sent)}
+    %{view | socket: socket, sent: if(rendered, do: sent(rendered, assigns), else: view.sent)}
   end
+
+  # Without streams the whole tree is remembered as it is.
+  defp sent(rendered, %{streams: _streams}), do: Diff.sent(rendered)
+  defp sent(rendered, _assigns), do: rendered
 
   defp away(view, how, {kind, target}) do
     {event, payload} = elsewhere(view.server, kind, target, view.socket.assigns.flash)

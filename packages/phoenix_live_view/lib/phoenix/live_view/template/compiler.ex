@@ -133,7 +133,7 @@ defmodule Phoenix.LiveView.Template.Compiler do
           inner_block: [quote(do: %{__slot__: :inner_block, inner_block: unquote(inner(inner, let, file))})]
         ]
 
-    assigns = quote(do: Map.merge(unquote(given), %{unquote_splicing(slots ++ inner), __changed__: nil}))
+    assigns = merged(given, slots ++ inner ++ [__changed__: nil])
     [{:dynamic, quote(do: Engine.component(unquote(call(name, assigns, meta)), unquote(name)))}]
   end
 
@@ -157,8 +157,7 @@ defmodule Phoenix.LiveView.Template.Compiler do
   defp slot({:element, :slot, name, attributes, children, _meta}, file) do
     {special, attributes} = special(attributes, file)
     inner = if children == [], do: nil, else: inner(children, special[:let], file)
-    base = quote(do: %{__slot__: unquote(String.to_atom(name)), inner_block: unquote(inner)})
-    entry = quote(do: Map.merge(unquote(given(attributes, file)), unquote(base)))
+    entry = attributes |> given(file) |> merged(__slot__: String.to_atom(name), inner_block: inner)
 
     case {special, condition(special)} do
       {%{for: generator}, condition} ->
@@ -194,9 +193,9 @@ defmodule Phoenix.LiveView.Template.Compiler do
     end
   end
 
-  # The attributes of a component, as a map.
+  # The attributes of a component, as the code of a map: pairs while every name is known, the last of a name holds.
   defp given(attributes, _file) do
-    Enum.reduce(attributes, quote(do: %{}), fn
+    Enum.reduce(attributes, {:%{}, [], []}, fn
       {:root, {:expr, quoted}, _meta}, map ->
         quote(do: Map.merge(unquote(map), Map.new(unquote(assigns(quoted)))))
 
@@ -204,9 +203,12 @@ defmodule Phoenix.LiveView.Template.Compiler do
         map
 
       {name, value, _meta}, map ->
-        quote(do: Map.put(unquote(map), unquote(String.to_atom(name)), unquote(value(value))))
+        merged(map, [{String.to_atom(name), value(value)}])
     end)
   end
+
+  defp merged({:%{}, [], pairs}, more), do: {:%{}, [], Keyword.merge(pairs, more)}
+  defp merged(map, more), do: quote(do: Map.merge(unquote(map), unquote({:%{}, [], more})))
 
   defp value(true), do: true
   defp value({:text, text}), do: text

@@ -92,8 +92,8 @@ defmodule ConsoleBench do
     {:ok, _endpoint} =
       FleetWeb.Endpoint.start_link(gateway: gateway, settings: FleetWeb.Settings.from(config))
 
-    {:ok, secret} = Access.Secret.load(Path.join(dir, "console"))
-    session = Phoenix.LiveView.Cookie.with_csrf(Access.Session.of_launch())
+    {:ok, secret} = Access.Secret.load(gateway, Path.join(dir, "console"))
+    session = Phoenix.LiveView.Cookie.with_csrf(Access.Session.of_launch(gateway))
     cookie = Access.Session.cookie(secret) <> "=" <> Phoenix.LiveView.Token.sign(secret, "cookie", session)
     %{gateway: gateway, port: FleetWeb.Endpoint.port(gateway), cookie: cookie}
   end

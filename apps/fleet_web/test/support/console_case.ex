@@ -241,6 +241,14 @@ defmodule FleetWeb.ConsoleCase do
     end
   end
 
+  @doc "Has a page of the fleet read the store now, and not at the next notice."
+  @spec refresh_fleet(Phoenix.LiveViewTest.View.t()) :: String.t()
+  def refresh_fleet(%{pid: pid, conn: %{session: %{"gateway" => gateway}}} = view) do
+    _news = Console.Fleet.Board.Server.news(gateway, nil, :now)
+    send(pid, :refresh)
+    Phoenix.LiveViewTest.render(view)
+  end
+
   @doc "See `Aerie.Patience.eventually/1`."
   @spec eventually((-> result)) :: result when result: term()
   defdelegate eventually(fun), to: Aerie.Patience

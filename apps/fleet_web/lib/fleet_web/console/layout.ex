@@ -4,7 +4,7 @@ defmodule FleetWeb.Console.Layout do
 
   import FleetWeb.Console.Alarms.Strip
 
-  alias FleetWeb.Console.{Assets, Pages}
+  alias FleetWeb.Console.Assets
 
   @doc """
   The document. The banner for a lost gateway is outside the live page, because it shows when that is dead. Until the page is live, all its
@@ -70,7 +70,7 @@ defmodule FleetWeb.Console.Layout do
     """
   end
 
-  @doc "Header, navigation and messages around a page."
+  @doc "Header, navigation (`FleetWeb.Console.Frame`) and messages around a page."
   def app(assigns) do
     ~H"""
     <div id="app" class="app">
@@ -85,7 +85,7 @@ defmodule FleetWeb.Console.Layout do
           </summary>
           <div class="menu-list">
             <p class="menu-head">{@user.name} <.badge>{@user.role}</.badge> <span class="clock phone-only">{@clock}</span></p>
-            <.nav_link :for={entry <- Pages.entries(@user.role)} :if={not entry.main} entry={entry} path={@path} class="phone-only" />
+            {@frame.menu}
             <button type="button" data-action="theme"><.icon name="contrast" /> Dark or light</button>
             <button type="button" data-action="help"><.icon name="keyboard" /> Keyboard shortcuts <kbd>?</kbd></button>
             <form action="/sign-out" method="post">
@@ -95,65 +95,11 @@ defmodule FleetWeb.Console.Layout do
           </div>
         </details>
       </header>
-      <nav class="nav" aria-label="Pages">
-        <.nav_link :for={entry <- Pages.entries(@user.role)} entry={entry} path={@path} class={if(not entry.main, do: "wide-only")} />
-      </nav>
+      {@frame.nav}
       <main id="main" class="main" tabindex="-1">{@inner_content}</main>
       <.flash flash={@flash} />
-      <.help entries={Pages.entries(@user.role)} />
+      {@frame.help}
     </div>
-    """
-  end
-
-  attr :entries, :list, required: true
-
-  defp help(assigns) do
-    ~H"""
-    <dialog id="help" class="dialog" aria-labelledby="help-title" phx-mounted={JS.ignore_attributes("open")}>
-      <header>
-        <h2 id="help-title">Keyboard shortcuts</h2>
-        <.button kind="quiet" icon="x" label="Close" data-action="close" />
-      </header>
-      <div class="dialog-body">
-        <dl class="facts">
-          <dt><kbd>h</kbd> held</dt>
-          <dd>hold: the selected vehicle stays where it is</dd>
-          <dt><kbd>r</kbd> held</dt>
-          <dd>return the selected vehicle to its home</dd>
-          <dt><kbd>l</kbd> held</dt>
-          <dd>land the selected vehicle where it is</dd>
-          <.go :for={entry <- @entries} entry={entry} />
-          <dt><kbd>?</kbd></dt>
-          <dd>this list</dd>
-          <dt><kbd>Esc</kbd></dt>
-          <dd>close, cancel</dd>
-        </dl>
-      </div>
-    </dialog>
-    """
-  end
-
-  attr :entry, :map, required: true
-
-  defp go(assigns) do
-    ~H"""
-    <dt><kbd>g</kbd> <kbd>{@entry.key}</kbd></dt>
-    <dd>{@entry.label}</dd>
-    """
-  end
-
-  attr :entry, :map, required: true
-  attr :path, :string, required: true
-  attr :class, :string, default: nil
-
-  defp nav_link(assigns) do
-    ~H"""
-    <.link
-      navigate={@entry.path}
-      class={["nav-link", @class]}
-      data-key={@entry.key}
-      aria-current={if(Pages.current?(@entry, @path), do: "page")}
-    ><.icon name={@entry.icon} /><span>{@entry.label}</span></.link>
     """
   end
 end

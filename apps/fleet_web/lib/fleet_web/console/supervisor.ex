@@ -12,6 +12,7 @@ defmodule FleetWeb.Console.Supervisor do
   ├─ Access.Launch              the token of the address that `bin/run` prints
   ├─ Alarms.Server              the alarms, for all operators
   ├─ Aerie.Fleet.Inspector            the messages on the links, while somebody looks
+  ├─ Fleet.Board.Server         the rows of the fleet's table, for all who look
   ├─ System.Sampler             what the system page shows, for all who look
   └─ a DynamicSupervisor        one process for each open page
   ```
@@ -47,7 +48,8 @@ defmodule FleetWeb.Console.Supervisor do
         {Access.Launch, gateway: gateway, file: Path.join(dir, "url")},
         {Alarms.Server, gateway: gateway},
         {Aerie.Fleet.Inspector, gateway: gateway},
-        {FleetWeb.Console.System.Sampler, gateway: gateway},
+        {Console.Fleet.Board.Server, gateway: gateway},
+        {Console.System.Sampler, gateway: gateway},
         {DynamicSupervisor, name: pages(gateway), max_children: max_pages}
       ],
       strategy: :one_for_one,

@@ -3,17 +3,16 @@ defmodule FleetWeb.Console.Fleet.OnMap do
 
   import Phoenix.LiveView
 
+  alias FleetWeb.Console.Fleet.Row
   alias FleetWeb.Console.Map.Payload
   alias Phoenix.LiveView.Socket
 
   @doc "Pushes the vehicles and homes that differ from those of the last time; nothing before the page is connected."
-  @spec push_vehicles(Socket.t(), map_id :: String.t(), [map()]) :: Socket.t()
-  def push_vehicles(%{private: %{fleet: fleet}} = socket, map, vehicles) do
+  @spec push_vehicles(Socket.t(), map_id :: String.t(), [Row.t()]) :: Socket.t()
+  def push_vehicles(%{private: %{fleet: fleet}} = socket, map, rows) do
     if connected?(socket) do
-      {payload, sent} =
-        Payload.changes(fleet.sent, for(vehicle <- vehicles, row = Payload.row(vehicle), do: row))
-
-      homes = Payload.homes(vehicles)
+      {payload, sent} = Payload.changes(fleet.sent, for(%{on_map: [_ | _] = row} <- rows, do: row))
+      homes = Payload.homes(Enum.map(rows, & &1.home))
 
       socket
       |> push(payload != nil, "map:vehicles", payload, map)

@@ -29,13 +29,13 @@ defmodule FleetWeb.Console.Fleet.Order do
   @doc "The rows in order."
   @spec sort([Row.t()], t()) :: [Row.t()]
   def sort(rows, {column, direction}) do
-    rows = Enum.sort_by(rows, &natural(&1.id))
+    rows = Enum.sort_by(rows, & &1.order)
     {known, unknown} = Enum.split_with(rows, &(value(&1, column) != nil))
     # Stable in both directions.
     Enum.sort_by(known, &value(&1, column), direction) ++ unknown
   end
 
-  defp value(row, "id"), do: natural(row.id)
+  defp value(row, "id"), do: row.order
   defp value(row, "state"), do: Map.fetch!(@states, row.state)
   defp value(row, "mode"), do: row.mode
   defp value(row, "battery"), do: row.battery
@@ -48,14 +48,4 @@ defmodule FleetWeb.Console.Fleet.Order do
   # The worst first.
   defp value(%{problems: []}, "problems"), do: nil
   defp value(%{problems: [{severity, text} | _]}, "problems"), do: {severity != :bad, text}
-
-  # VID-9 comes before VID-10. In Erlang numbers sort before texts, so the parts need no tags.
-  defp natural(id) do
-    for part <- Regex.split(~r/\d+/, id, include_captures: true) do
-      case Integer.parse(part) do
-        {number, ""} -> number
-        _text -> part
-      end
-    end
-  end
 end

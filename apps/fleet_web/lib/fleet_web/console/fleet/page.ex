@@ -16,24 +16,19 @@ defmodule FleetWeb.Console.Fleet.Page do
   import FleetWeb.Console.Fleet.{Actions, Table, Toolbar}
   import FleetWeb.Console.Map, only: [map: 1]
 
-  alias Aerie.Base.Store
   alias Aerie.Control.{Commands, Policy}
-  alias Aerie.Fleet
   alias Aerie.Fleet.Shadow
-  alias Aerie.Vehicle.Protocol
-  alias Aerie.Control.Policy.Leases
-  alias Aerie.Fleet.Shadow.Tags
   alias Aerie.Base.PubSub
 
   alias FleetWeb.Console.Fleet.{
     Address,
     Batch,
+    Board,
     ControlForms,
     Filter,
     OnMap,
     Order,
     Plans,
-    Row,
     Selection,
     Sequence,
     Tagging
@@ -63,7 +58,16 @@ defmodule FleetWeb.Console.Fleet.Page do
        all: [],
        words: []
      )
-     |> put_private(:fleet, %{sent: %{}, homes: nil, plans: [], counts: %{}, current: %{}, round: 0})
+     |> put_private(:fleet, %{
+       seen: nil,
+       rows: %{},
+       sent: %{},
+       homes: nil,
+       plans: [],
+       counts: %{},
+       current: %{},
+       round: 0
+     })
      |> subscribe([:vehicles, :links, :leases])
      |> push_event("map:zones", %{map: @map, zones: Zones.of(Policy.Store.get(socket.assigns.gateway))})
      |> read()
@@ -81,7 +85,7 @@ defmodule FleetWeb.Console.Fleet.Page do
   @impl Phoenix.LiveView
   def handle_info(:refresh, socket) do
     before = states(socket.assigns.all)
-    socket = read(socket)
+    socket = read(socket, :recent)
     socket = if due?(socket) or states(socket.assigns.all) != before, do: assign_view(socket), else: socket
     {:noreply, update_private(socket, &%{&1 | round: &1.round + 1})}
   end
@@ -284,37 +288,31 @@ defmodule FleetWeb.Console.Fleet.Page do
     push_patch(socket, to: Address.of(filter, order, view), replace: true)
   end
 
-  # Reads the read model and updates the map.
-  defp read(%{assigns: %{gateway: gateway}} = socket) do
-    now = System.os_time(:microsecond)
-    links = Store.links(gateway)
-    tags = Shadow.tags(gateway)
-    vehicles = Fleet.vehicles(gateway)
-    leases = Leases.all(gateway)
+  # Takes what is new on the board and updates the map.
+  defp read(%{assigns: %{gateway: gateway}, private: %{fleet: fleet}} = socket, age \\ :now) do
+    news = Board.Server.news(gateway, fleet.seen, age)
+    known = for row <- news.rows, into: fleet.rows, do: {row.id, row}
+    all = Enum.map(news.ids, &Map.fetch!(known, &1))
 
     socket
-    |> assign(:all, for(vehicle <- vehicles, do: Row.new(vehicle, links, tags, now, leases)))
-    |> assign(:words, Tags.all(tags))
-    |> OnMap.push_vehicles(@map, vehicles)
-    |> missions(vehicles)
+    |> update_private(&%{&1 | seen: news.seen, rows: Map.take(known, news.ids)})
+    |> assign(all: all, words: news.words)
+    |> OnMap.push_vehicles(@map, all)
+    |> missions(all)
   end
 
   # How many items each mission has, and which one is flown to.
-  defp missions(%{assigns: %{plans: plans, gateway: gateway}} = socket, vehicles) do
-    told = Map.new(vehicles, &{&1.id, get_in(&1.groups, [:mission, :data]) || %{}})
-    counts = Map.new(told, fn {id, mission} -> {id, mission[:total]} end)
+  defp missions(%{assigns: %{plans: plans, gateway: gateway}} = socket, rows) do
+    counts = Map.new(rows, &{&1.id, &1.mission.total})
 
     current =
-      for vehicle <- vehicles, seq = told[vehicle.id][:seq], into: %{}, do: {vehicle.id, number(vehicle, seq)}
+      for %{id: id, mission: %{current: number}} when number != nil <- rows, into: %{}, do: {id, number}
 
     socket
     |> update_private(&Map.merge(&1, %{counts: counts, current: current}))
     |> assign(:plans, Plans.keep(plans, gateway, counts))
     |> tell_plans()
   end
-
-  # The number of the item, counted from 1.
-  defp number(vehicle, seq), do: seq - Protocol.of(vehicle.autopilot).item_offset()
 
   defp tell_plans(%{assigns: %{plans: plans}, private: %{fleet: %{plans: sent, current: current}}} = socket) do
     case Plans.payload(plans, current) do
@@ -341,9 +339,8 @@ defmodule FleetWeb.Console.Fleet.Page do
   end
 
   # A table that disappears takes the hand along.
-  defp put_rows(%{assigns: %{all: all, hand: hand}} = socket, sequence) do
-    by_id = Map.new(all, &{&1.id, &1})
-    rows = for id <- sequence.ids, row = by_id[id], do: row
+  defp put_rows(%{assigns: %{hand: hand}} = socket, sequence) do
+    rows = for id <- sequence.ids, row = socket.private.fleet.rows[id], do: row
     assign(socket, sequence: sequence, rows: rows, hand: hand and rows != [])
   end
 

@@ -8,7 +8,9 @@ defmodule FleetWeb.Console.Fleet.Row do
   alias Aerie.Fleet.Age
   alias FleetWeb.Console.Fleet.Problems
   alias FleetWeb.Console.Map.Payload
-  alias Aerie.Vehicle.Snapshot
+  alias Aerie.Vehicle.{Protocol, Snapshot}
+
+  @digits for digit <- ?0..?9, do: <<digit>>
 
   @enforce_keys [:id, :network, :system_id, :kind, :autopilot, :status, :state]
   defstruct [
@@ -32,6 +34,11 @@ defmodule FleetWeb.Console.Fleet.Row do
     :link,
     :silent_us,
     :via,
+    :order,
+    :on_map,
+    :home,
+    :mission,
+    :cells,
     problems: [],
     holder: nil,
     tags: []
@@ -43,6 +50,10 @@ defmodule FleetWeb.Console.Fleet.Row do
     * `:link` - 0..100, the best of its links, nil if none was measured
     * `:silent_us` - time since it was heard, in whole seconds
     * `:via` - the gateway by which it is reached, nil for a link of this one
+    * `:order` - the id's place among ids, where VID-9 comes before VID-10
+    * `:on_map` - the row of `FleetWeb.Console.Map.Payload`; `:home` - its position there; both nil where not known
+    * `:mission` - how many items it has (`:total`), and the number of the one that is flown to, counted from 1 (`:current`)
+    * `:cells` - the rendered cells (`FleetWeb.Console.Fleet.Board`)
     * `:holder` - who is in charge; nil for nobody
     * `:tags` - sorted
   """
@@ -67,6 +78,11 @@ defmodule FleetWeb.Console.Fleet.Row do
           link: 0..100 | nil,
           silent_us: integer() | nil,
           via: String.t() | nil,
+          order: [integer() | String.t()],
+          on_map: Payload.row() | nil,
+          home: [float()] | nil,
+          mission: %{total: term(), current: integer() | nil},
+          cells: term(),
           problems: [Problems.problem()],
           holder: String.t() | nil,
           tags: [String.t()]
@@ -105,10 +121,31 @@ defmodule FleetWeb.Console.Fleet.Row do
       link: quality(own),
       silent_us: seconds(Age.silent_us(vehicle, own, now)),
       via: vehicle[:via],
+      order: order(vehicle.id),
+      on_map: Payload.row(vehicle),
+      home: Payload.home(vehicle),
+      mission: mission(vehicle, Snapshot.data(vehicle, :mission)),
       problems: Problems.of(vehicle),
       holder: with(%{holder: name} <- leases[vehicle[:key]], do: name),
       tags: Map.get(tags, vehicle.id, [])
     }
+  end
+
+  @doc "The place of an id among others (`:order`)."
+  @spec order(String.t()) :: [non_neg_integer() | String.t()]
+  # In Erlang numbers sort before texts, so the parts need no tags.
+  def order(<<digit, _rest::binary>> = id) when digit in ?0..?9 do
+    {number, rest} = Integer.parse(id)
+    [number | order(rest)]
+  end
+
+  def order(""), do: []
+
+  def order(id) do
+    case :binary.match(id, @digits) do
+      {at, 1} -> [binary_part(id, 0, at) | order(binary_part(id, at, byte_size(id) - at))]
+      :nomatch -> [id]
+    end
   end
 
   defp text(mode) when is_binary(mode), do: mode
@@ -130,6 +167,11 @@ defmodule FleetWeb.Console.Fleet.Row do
   defp quality(links) do
     scores = for %{quality: %{score: score}} when is_number(score) <- links, do: score
     if scores != [], do: scores |> Enum.max() |> round() |> max(0) |> min(100)
+  end
+
+  defp mission(vehicle, data) do
+    seq = data[:seq]
+    %{total: data[:total], current: seq && seq - Protocol.of(vehicle.autopilot).item_offset()}
   end
 
   defp seconds(nil), do: nil

@@ -5,7 +5,7 @@ defmodule FleetWeb.Console.Fleet.Table do
   """
   use FleetWeb.Console, :component
 
-  alias FleetWeb.Console.Fleet.Filter
+  alias FleetWeb.Console.Fleet.{Filter, Row}
 
   attr :rows, :list, required: true
   attr :order, :any, required: true
@@ -49,35 +49,62 @@ defmodule FleetWeb.Console.Fleet.Table do
             tabindex={if row.id == @first, do: "0", else: "-1"}
           >
             <td class="fleet-check"><input type="checkbox" tabindex="-1" aria-label={"Select #{row.id}"} checked={row.id in @selection.ids} /></td>
-            <th scope="row" data-label="Vehicle" class="fleet-name">
-              <div class="fleet-line">
-                <.link navigate={"/vehicles/#{URI.encode(row.id, &URI.char_unreserved?/1)}"} tabindex="-1">{row.id}</.link>
-                <.badge :if={row.holder} kind="info" title={"In charge: #{row.holder}"}><.icon name="lock" />{row.holder}</.badge>
-              </div>
-              <div class="fleet-line muted" title={Enum.join(row.tags, ", ")}>
-                <span class="fleet-kind">{row.kind} {row.firmware}</span>
-                <span :if={row.via} class="fleet-via">via {row.via}</span>
-                <span :for={tag <- row.tags} class="badge">{tag}</span>
-              </div>
-            </th>
-            <td data-label="State" class="fleet-state">
-              <.badge kind={kind(row.state)}>{word(row)}</.badge><.age us={row.silent_us} />
-            </td>
-            <td data-label="Alarms" class="fleet-problems" title={Enum.map_join(row.problems, ", ", &elem(&1, 1))}>
-              <.badge :for={{severity, text} <- row.problems} kind={Atom.to_string(severity)}>{text}</.badge>
-            </td>
-            <td data-label="Mode" title={row.mode}>{row.mode || "–"}</td>
-            <td data-label="Battery"><.meter value={row.battery} label="Battery" kind={battery(row.battery)} text={charge(row)} /></td>
-            <td data-label="GPS" class={gps(row.fix)}>{fix(row)}</td>
-            <td data-label="Height" class="number">{unit(row.height, "m")}</td>
-            <td data-label="Speed" class="number">{unit(row.speed, "m/s")}</td>
-            <td data-label="Link" class={["number", weak(row.link)]}>{unit(row.link, "%")}</td>
+            {row.cells}
           </tr>
         </tbody>
       </table>
     </div>
     """
   end
+
+  @doc """
+  The cells of a vehicle's row beside the first one, which says whether it is selected. They are the same for everyone who looks. What is in a
+  cell is one text, so that it costs little to hand them to many pages.
+  """
+  @spec cells(Row.t()) :: Phoenix.LiveView.Rendered.t()
+  def cells(%Row{} = row) do
+    assigns = %{row: row, __changed__: nil}
+
+    ~H"""
+    <th scope="row" data-label="Vehicle" class="fleet-name">{flat(name(assigns))}</th>
+    <td data-label="State" class="fleet-state">{flat(state(assigns))}</td>
+    <td data-label="Alarms" class="fleet-problems" title={Enum.map_join(@row.problems, ", ", &elem(&1, 1))}>{flat(problems(assigns))}</td>
+    <td data-label="Mode" title={@row.mode}>{@row.mode || "–"}</td>
+    <td data-label="Battery">{flat(battery(assigns))}</td>
+    <td data-label="GPS" class={gps(@row.fix)}>{fix(@row)}</td>
+    <td data-label="Height" class="number">{unit(@row.height, "m")}</td>
+    <td data-label="Speed" class="number">{unit(@row.speed, "m/s")}</td>
+    <td data-label="Link" class={["number", weak(@row.link)]}>{unit(@row.link, "%")}</td>
+    """
+  end
+
+  defp name(assigns) do
+    ~H"""
+    <div class="fleet-line">
+      <.link navigate={"/vehicles/#{URI.encode(@row.id, &URI.char_unreserved?/1)}"} tabindex="-1">{@row.id}</.link>
+      <.badge :if={@row.holder} kind="info" title={"In charge: #{@row.holder}"}><.icon name="lock" />{@row.holder}</.badge>
+    </div>
+    <div class="fleet-line muted" title={Enum.join(@row.tags, ", ")}>
+      <span class="fleet-kind">{@row.kind} {@row.firmware}</span>
+      <span :if={@row.via} class="fleet-via">via {@row.via}</span>
+      <span :for={tag <- @row.tags} class="badge">{tag}</span>
+    </div>
+    """
+  end
+
+  defp state(assigns),
+    do: ~H"<.badge kind={kind(@row.state)}>{word(@row)}</.badge><.age us={@row.silent_us} />"
+
+  defp problems(assigns) do
+    ~H"""
+    <.badge :for={{severity, text} <- @row.problems} kind={Atom.to_string(severity)}>{text}</.badge>
+    """
+  end
+
+  defp battery(assigns),
+    do: ~H[<.meter value={@row.battery} label="Battery" kind={charged(@row.battery)} text={charge(@row)} />]
+
+  defp flat(rendered), do: {:safe, rendered |> Phoenix.HTML.Safe.to_iodata() |> IO.iodata_to_binary()}
 
   attr :order, :any, required: true
   attr :by, :string, required: true
@@ -110,10 +137,10 @@ defmodule FleetWeb.Console.Fleet.Table do
   defp word(%{armed: nil, state: :disarmed}), do: "unknown"
   defp word(%{state: state}), do: Atom.to_string(state)
 
-  defp battery(nil), do: nil
-  defp battery(left) when left <= 0.15, do: "bad"
-  defp battery(left) when left <= 0.3, do: "warn"
-  defp battery(_left), do: "ok"
+  defp charged(nil), do: nil
+  defp charged(left) when left <= 0.15, do: "bad"
+  defp charged(left) when left <= 0.3, do: "warn"
+  defp charged(_left), do: "ok"
 
   # Many vehicles report only the voltage.
   defp charge(%{battery: nil, voltage: volts}) when is_number(volts), do: "#{volts} V"

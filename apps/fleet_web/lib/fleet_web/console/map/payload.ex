@@ -64,17 +64,16 @@ defmodule FleetWeb.Console.Map.Payload do
     end
   end
 
-  @doc "The homes of vehicles, each position once, at most 200."
-  @spec homes([map()]) :: [[float()]]
-  def homes(vehicles) do
-    for(
-      %{groups: %{home: %{data: %{lat: lat, lon: lon}}}} when is_number(lat) and is_number(lon) <- vehicles,
-      uniq: true,
-      # About a metre: vehicles that stand together share one symbol for home.
-      do: [rounded(lat, 5), rounded(lon, 5)]
-    )
-    |> Enum.take(200)
-  end
+  @doc "Where a vehicle's home is drawn, to about a metre: vehicles that stand together share one symbol. Nil where it is not known."
+  @spec home(map()) :: [float()] | nil
+  def home(%{groups: %{home: %{data: %{lat: lat, lon: lon}}}}) when is_number(lat) and is_number(lon),
+    do: [rounded(lat, 5), rounded(lon, 5)]
+
+  def home(_vehicle), do: nil
+
+  @doc "The homes, each position once, at most 200."
+  @spec homes([[float()] | nil]) :: [[float()]]
+  def homes(homes), do: for(home when home != nil <- homes, uniq: true, do: home) |> Enum.take(200)
 
   defp over_ground(%{vn: north, ve: east} = velocity) when is_number(north) and is_number(east) do
     speed = velocity[:groundspeed]

@@ -312,7 +312,7 @@ defmodule FleetWeb.Console.Vehicle.Page do
     |> assign(:map, map)
     |> push_event("instruments", Instruments.sample(view.vehicle, view.now))
     |> onto_map(changes)
-    |> homes(Payload.homes([view.vehicle]))
+    |> homes(Payload.homes([Payload.home(view.vehicle)]))
     |> follow_mission()
   end
 

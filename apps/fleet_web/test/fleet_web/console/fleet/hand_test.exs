@@ -66,7 +66,7 @@ defmodule FleetWeb.Console.Fleet.HandTest do
       select(view, "V1")
       select(view, "V2", "toggle")
       Aerie.Base.Store.delete_vehicle(console.gateway, {"main", 2})
-      send(view.pid, :refresh)
+      refresh_fleet(view)
       assert press(view, "rtl", ["V1", "V2"]) =~ @changed
     end
 
@@ -144,7 +144,7 @@ defmodule FleetWeb.Console.Fleet.HandTest do
       do: put_vehicle(console, "V#{n}", [battery: %{remaining: left}], %{key: {"main", n}, system_id: n})
 
     defp order(view) do
-      send(view.pid, :refresh)
+      refresh_fleet(view)
       Regex.scan(~r/<tr[^>]*data-id="([^"]+)"/, render(view), capture: :all_but_first) |> List.flatten()
     end
 

@@ -13,12 +13,6 @@ defmodule FleetWeb.Console.Fleet.PageTest do
     view
   end
 
-  # As the store's notice would, at once.
-  defp refresh(view) do
-    send(view.pid, :refresh)
-    render(view)
-  end
-
   defp shown(view),
     do: Regex.scan(~r/data-id="([^"]+)"/, render(view), capture: :all_but_first) |> List.flatten()
 
@@ -76,7 +70,7 @@ defmodule FleetWeb.Console.Fleet.PageTest do
     assert_push_event(view, "map:homes", %{homes: [[47.3975, 8.545]]})
 
     put_vehicle(console, "VID-001", position: %{lat: 47.5})
-    refresh(view)
+    refresh_fleet(view)
 
     assert_push_event(view, "map:vehicles", %{
       all: false,
@@ -86,7 +80,7 @@ defmodule FleetWeb.Console.Fleet.PageTest do
 
     %{key: key} = Aerie.Base.Store.vehicle(console.gateway, "VID-002")
     Aerie.Base.Store.delete_vehicle(console.gateway, key)
-    refresh(view)
+    refresh_fleet(view)
     assert_push_event(view, "map:vehicles", %{vehicles: [], gone: ["VID-002"]})
     assert shown(view) == ["VID-001"]
   end
@@ -176,7 +170,7 @@ defmodule FleetWeb.Console.Fleet.PageTest do
       render_hook(view, "select", %{"id" => "never", "how" => "toggle"})
       assert selected(view) == ["V2"]
       Aerie.Base.Store.delete_vehicle(console.gateway, {"main", 2})
-      refresh(view)
+      refresh_fleet(view)
       refute has_element?(view, "#fleet-actions")
     end
   end

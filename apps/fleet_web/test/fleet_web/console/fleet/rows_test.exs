@@ -31,6 +31,7 @@ defmodule FleetWeb.Console.Fleet.RowsTest do
       struct!(
         %Row{
           id: id,
+          order: Row.order(id),
           network: "main",
           system_id: 7,
           kind: "copter",
@@ -320,7 +321,9 @@ defmodule FleetWeb.Console.Fleet.RowsTest do
     test "each home once" do
       home = fn lat -> snapshot(%{home: %{lat: lat, lon: 8.0, alt_msl: 1.0}}) end
 
-      assert Payload.homes([home.(47.0), home.(47.0000001), home.(48.0), snapshot()]) == [
+      homes = Enum.map([home.(47.0), home.(47.0000001), home.(48.0), snapshot()], &Payload.home/1)
+
+      assert Payload.homes(homes) == [
                [47.0, 8.0],
                [48.0, 8.0]
              ]

@@ -16,6 +16,9 @@ defmodule Aerie.Fleet.BridgeTest do
       assert %{subjects: ["fleet.*.*.state.>"], max_msgs_per_subject: 1, discard: :old, max_bytes: 67_108_864} =
                state
 
+      # Values that change several times a second would wear out a flash card.
+      assert state.storage == :memory
+
       assert %{config: events} = stream(conn, "FLEET_EVENTS")
 
       assert %{subjects: ["fleet.*.*.event.>"], max_bytes: 536_870_912, discard: :old, storage: :file} =
@@ -140,6 +143,13 @@ defmodule Aerie.Fleet.BridgeTest do
     end
   end
 
+  defp home(conn) do
+    case Gnat.Jetstream.API.Stream.get_message(conn, "FLEET_STATE", %{last_by_subj: "fleet.test.V.state.home"}) do
+      {:ok, %{data: data}} -> JSON.decode!(data)["data"]["n"]
+      _none -> nil
+    end
+  end
+
   describe "state" do
     test "goes to its subject at once, and the stream keeps the last", %{tmp_dir: dir} do
       gateway = start_bridge(config(dir))
@@ -206,6 +216,39 @@ defmodule Aerie.Fleet.BridgeTest do
       end
 
       assert eventually(last) == 50
+    end
+
+    test "a stream that was made anew gets all values, however old: after a restart of the server, and in a new place",
+         %{tmp_dir: dir} do
+      gateway = start_bridge(config(dir, [{"nats.streams.state_storage", "file"}]))
+      conn = client(await_up(gateway))
+      assert %{config: %{storage: :file}} = stream(conn, "FLEET_STATE")
+      :ok = Bridge.publish_state(gateway, "V", :home, %{n: 1}, 0)
+      eventually(fn -> home(conn) == 1 end)
+      # As if it had been sent long ago.
+      sent = Bridge.Tables.get(gateway).sent
+      eventually(fn -> :ets.info(sent, :size) == 1 end)
+      [{subject, message, at}] = :ets.tab2list(sent)
+      :ets.insert(sent, {subject, message, at - 3_600_000})
+      Process.unlink(conn)
+      stop_bridge(gateway)
+
+      # The values on the disk go with the stream.
+      start_bridge_again(gateway, config(dir))
+      conn = client(await_up(gateway))
+      assert %{config: %{storage: :memory}} = stream(conn, "FLEET_STATE")
+      :ok = Bridge.publish_state(gateway, "V", :home, %{n: 2}, 0)
+      eventually(fn -> home(conn) == 2 end)
+      sent = Bridge.Tables.get(gateway).sent
+      eventually(fn -> :ets.info(sent, :size) == 1 end)
+      [{subject, message, at}] = :ets.tab2list(sent)
+      :ets.insert(sent, {subject, message, at - 3_600_000})
+      Process.unlink(conn)
+      old = Bridge.connection(gateway)
+      kill9(server_pid(dir))
+      await_reconnected(gateway, old)
+      conn = client(await_up(gateway))
+      assert eventually(fn -> home(conn) end) == 2
     end
 
     test "without a bridge is nothing" do

@@ -3,7 +3,7 @@ defmodule Aerie.Fleet.Bridge.NatsServer do
   Embedded mode: runs nats-server and keeps it running.
 
   The folder `nats.store_dir` has its configuration (`nats.conf`, written at each start), its JetStream data (`data/`),
-  its log (`nats-server.log`, bounded), its process id, its login (`token`) and its address with the login (`url`). Only their
+  its log (`nats-server.log`, bounded, repetitions left out), its process id, its login (`token`) and its address with the login (`url`). Only their
   owner can read them. A server that ends is restarted, at first immediately, then with growing pauses. A process that an
   earlier gateway left behind is ended first. A missing program, an unusable folder or a taken port is logged once and retried;
   meanwhile the gateway runs without NATS. A server that runs but stores nothing, as after a full disk, is restarted
@@ -16,7 +16,7 @@ defmodule Aerie.Fleet.Bridge.NatsServer do
 
   alias Aerie.Base.Backoff
   alias Aerie.Fleet.Bridge.{Leaf, Tables, Token}
-  alias Aerie.Fleet.Bridge.NatsServer.{LogFile, LogLine, OsProcess, RestartPolicy, Settings}
+  alias Aerie.Fleet.Bridge.NatsServer.{LogFile, LogLine, OsProcess, Repeats, RestartPolicy, Settings}
   alias Aerie.Base.Files.FolderLock
   alias Aerie.Base.Files.{Disk, Private}
   alias Aerie.Base.Names
@@ -74,6 +74,7 @@ defmodule Aerie.Fleet.Bridge.NatsServer do
        started_at: nil,
        up_at: nil,
        log: %LogFile{},
+       repeats: Repeats.new(),
        backoff: Backoff.new(settings.nats.retry_min_ms, settings.nats.retry_max_ms),
        restarts: 0,
        restart_policy: RestartPolicy.new(),
@@ -239,8 +240,16 @@ defmodule Aerie.Fleet.Bridge.NatsServer do
 
   defp line(line, state) do
     {level, text, fact} = LogLine.parse(line)
-    Logger.log(level, "nats-server: #{text}")
-    fact(fact, %{state | log: LogFile.write(state.log, line)})
+    {left_out, repeats} = Repeats.observe(state.repeats, text, now())
+    fact(fact, log(%{state | repeats: repeats}, level, line, text, left_out))
+  end
+
+  defp log(state, _level, _line, _text, nil), do: state
+
+  defp log(state, level, line, text, left_out) do
+    more = if left_out > 0, do: " (#{left_out} more like it in the meantime)"
+    Logger.log(level, "nats-server: #{text}#{more}")
+    %{state | log: LogFile.write(state.log, "#{line}#{more}")}
   end
 
   defp fact({:listening, tcp_port}, state), do: %{state | tcp_port: tcp_port}

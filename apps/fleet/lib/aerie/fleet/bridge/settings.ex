@@ -102,7 +102,7 @@ defmodule Aerie.Fleet.Bridge.Settings do
         "Embedded: folder of the server's data, configuration, log, login and address (`url`).",
         default: "var/nats"
       ),
-      field(:max_memory_mb, {:integer, 1, 65_536}, "Embedded: memory that JetStream may use.", default: 64),
+      field(:max_memory_mb, {:integer, 1, 65_536}, "Embedded: memory that JetStream may use.", default: 128),
       field(:max_store_mb, {:integer, 1, 1_048_576}, "Embedded: disk that JetStream may use.", default: 2048),
       field(:binary, :path, "Embedded: the server's program.", default: "nats-server"),
       field(
@@ -131,6 +131,14 @@ defmodule Aerie.Fleet.Bridge.Settings do
           {:integer, 1, 1_048_576},
           "Size of FLEET_STATE, the last value of each state group.",
           default: 64
+        ),
+        field(
+          :state_storage,
+          {:enum, [:memory, :file]},
+          """
+          Where FLEET_STATE is kept. By default: on the embedded server in memory, because values that change several times a second wear
+          out a flash card, and a gateway that starts again soon knows them anew; with nats.url in a file.
+          """
         ),
         field(
           :state_max_age_days,
@@ -203,7 +211,9 @@ defmodule Aerie.Fleet.Bridge.Settings do
     # TLS is for the servers at nats.url.
     tls = nats.tls.enabled or (mode != :embedded and Enum.any?(uris, &(&1.scheme == "tls")))
     nats = %{nats | mode: mode, url: Enum.map(uris, &plain_url/1), tls: %{nats.tls | enabled: tls}}
+    storage = nats.streams.state_storage || if(mode == :embedded, do: :memory)
     nats = %{nats | leaf: Leaf.Config.derive(nats.leaf), domain: nats.domain || domain(settings)}
+    nats = put_in(nats.streams.state_storage, storage)
     %{settings | nats: sign_in(nats, Enum.find_value(uris, & &1.userinfo))}
   end
 
@@ -308,7 +318,12 @@ defmodule Aerie.Fleet.Bridge.Settings do
       |> Enum.filter(&Map.fetch!(nats, &1))
       |> Enum.map_join(", ", &"nats.#{&1}")
 
-    streams_mb = nats.streams.state_max_mb + nats.streams.event_max_mb
+    state_mb = nats.streams.state_max_mb
+
+    {in_memory_mb, in_files_mb} =
+      if nats.streams.state_storage == :memory, do: {state_mb, 0}, else: {0, state_mb}
+
+    streams_mb = in_files_mb + nats.streams.event_max_mb
 
     Leaf.Config.problems(nats.leaf, nats.mode) ++
       of_embedded(nats) ++
@@ -321,8 +336,11 @@ defmodule Aerie.Fleet.Bridge.Settings do
         {nats.mode == :embedded and nats.tls.enabled, ["nats", "tls", "enabled"],
          "false with nats.mode embedded (the connection does not leave this machine)", "true"},
         {nats.mode == :embedded and nats.max_store_mb < streams_mb, ["nats", "max_store_mb"],
-         "at least #{streams_mb}: nats.streams.state_max_mb (#{nats.streams.state_max_mb}) and event_max_mb " <>
+         "at least #{streams_mb}: nats.streams.state_max_mb (#{in_files_mb} in files) and event_max_mb " <>
            "(#{nats.streams.event_max_mb}), which the server reserves", "#{nats.max_store_mb}"},
+        {nats.mode == :embedded and nats.max_memory_mb < in_memory_mb, ["nats", "max_memory_mb"],
+         "at least #{in_memory_mb}: nats.streams.state_max_mb, which the server reserves",
+         "#{nats.max_memory_mb}"},
         {nats.mode == :embedded and nats.streams.replicas > 1, ["nats", "streams", "replicas"],
          "1 with nats.mode embedded, which is one server", "#{nats.streams.replicas}"},
         {nats.mode != :url and nats.streams.events_per_vehicle, ["nats", "streams", "events_per_vehicle"],

@@ -11,11 +11,11 @@ defmodule Aerie.Fleet.Bridge.State do
   replaces the older one, which is counted as superseded. A value is sent at once, or with all others #{@gather_ms} ms after the last
   were: many vehicles' values then need few writes. When NATS is back, the last value of each subject is published, also
   if it was sent within the last #{div(@doubtful_ms, 1000)} seconds, because the lost connection may have dropped it. Older
-  values are not sent again: another gateway may have published newer ones.
+  values are sent again only if their stream is a new one: else another gateway may have published newer ones.
   """
   use GenServer
 
-  alias Aerie.Fleet.Bridge.{Connection, Message, Settings, Tables}
+  alias Aerie.Fleet.Bridge.{Connection, Message, Settings, Streams, Tables}
   alias Aerie.Vehicle.Journal
   alias Aerie.Base.Names
   alias Aerie.Fleet.{Bridge, Nats}
@@ -120,11 +120,14 @@ defmodule Aerie.Fleet.Bridge.State do
   def handle_info(:gathered, %{waiting: waiting} = state),
     do: {:noreply, publish(%{state | waiting: [], timer: nil}, Enum.reverse(waiting))}
 
-  def handle_info({:bridge, :up, conn}, %{last_conn: conn} = state),
-    do: {:noreply, sweep(%{state | conn: conn})}
+  def handle_info({:bridge, :up, conn}, %{tables: tables} = state) do
+    _again =
+      cond do
+        Streams.state_created?(Tables.info(tables, :streams)[:report]) -> again(tables, :infinity)
+        conn != state.last_conn -> again(tables, @doubtful_ms)
+        true -> :ok
+      end
 
-  def handle_info({:bridge, :up, conn}, state) do
-    doubtful(state.tables)
     {:noreply, sweep(%{state | conn: conn, last_conn: conn})}
   end
 
@@ -186,9 +189,9 @@ defmodule Aerie.Fleet.Bridge.State do
     %{state | conn: nil}
   end
 
-  defp doubtful(%{sent: sent, values: values}) do
+  defp again(%{sent: sent, values: values}, young_ms) do
     for {_subject, message, at} <- :ets.tab2list(sent),
-        now() - at <= @doubtful_ms,
+        now() - at <= young_ms,
         do: put_back(values, message)
 
     :ets.delete_all_objects(sent)

@@ -9,7 +9,8 @@ defmodule Aerie.Fleet.Bridge.Streams do
 
   At a hub each vehicle's events have a stream of their own in the place of the second one (`Aerie.Fleet.Bridge.EventStreams`).
 
-  A missing stream is created. A stream that differs from the configuration is changed on the embedded server. On another
+  A missing stream is created. A stream that differs from the configuration is changed on the embedded server; one that is kept in the wrong
+  place, which cannot be changed, is made anew if it has only last values. On another
   server it is left as it is and the difference is reported, because another gateway or an operator may have set it, except for what keeps vehicles
   from having an effect on each other (`guarded/2`): that is changed everywhere.
   """
@@ -33,6 +34,7 @@ defmodule Aerie.Fleet.Bridge.Streams do
     :storage,
     :allow_rollup_hdrs
   ]
+  @state "FLEET_STATE"
   @guarded [:max_msg_size, :duplicate_window, :allow_rollup_hdrs]
   # Name, headers and subject of a message beside its body.
   @beside 1_024
@@ -47,7 +49,8 @@ defmodule Aerie.Fleet.Bridge.Streams do
   def wanted(%Settings{nats: %{streams: streams}} = settings) do
     # State messages have no ids; with one, they would be dropped as copies of others.
     state = %{
-      name: "FLEET_STATE",
+      name: @state,
+      storage: streams.state_storage,
       subjects: ["fleet.*.*.state.>"],
       description: "Last value of each state group of each vehicle",
       max_msgs_per_subject: 1,
@@ -63,6 +66,10 @@ defmodule Aerie.Fleet.Bridge.Streams do
       | if(streams.events_per_vehicle, do: [], else: [events(settings, "FLEET_EVENTS", "*")])
     ]
   end
+
+  @doc "Whether a report says that last values were lost or never there: all that is known has to be published."
+  @spec state_created?(report() | nil) :: boolean()
+  def state_created?(report), do: report[@state] == :created
 
   @doc "A stream of the events of a vehicle, `*` for all."
   @spec events(Settings.t(), name :: String.t(), vehicle :: String.t()) :: struct()
@@ -126,7 +133,8 @@ defmodule Aerie.Fleet.Bridge.Streams do
   end
 
   defp create(conn, wanted) do
-    case Nats.call(conn, fn -> Api.create(conn, wanted) end) do
+    # Unless it is configured, the storage of a stream that is there is right.
+    case Nats.call(conn, fn -> Api.create(conn, %{wanted | storage: wanted.storage || :file}) end) do
       {:ok, _info} -> :created
       {:error, reason} -> {:error, not_made(reason, wanted)}
     end
@@ -134,11 +142,20 @@ defmodule Aerie.Fleet.Bridge.Streams do
 
   # The server reserves a stream's size when it creates it.
   defp not_made(%{"err_code" => code} = reason, wanted) when code in @no_room do
-    key = if wanted.name == "FLEET_STATE", do: "state_max_mb", else: "event_max_mb"
+    key = if wanted.name == @state, do: "state_max_mb", else: "event_max_mb"
     "#{Nats.text(reason)} for #{div(wanted.max_bytes, 1_048_576)} MB (nats.streams.#{key})"
   end
 
   defp not_made(reason, _wanted), do: Nats.text(reason)
+
+  # Its values come again.
+  defp compare(conn, %{name: @state, storage: storage} = wanted, %{storage: other}, :embedded)
+       when storage != nil and storage != other do
+    case Nats.call(conn, fn -> Api.delete(conn, @state) end) do
+      :ok -> create(conn, wanted)
+      {:error, reason} -> {:error, Nats.text(reason)}
+    end
+  end
 
   defp compare(conn, wanted, there, mode) do
     case {differences(wanted, there), mode} do

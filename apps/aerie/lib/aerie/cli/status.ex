@@ -1,7 +1,7 @@
 defmodule Aerie.CLI.Status do
   @moduledoc """
-  Shows a running gateway in the terminal that started it: a table that is redrawn twice a second, or log lines if the
-  output is a pipe. It reads the store and subscribes to the events. No other process waits for it.
+  Shows a running gateway in the terminal that started it: a table that is redrawn twice a second, or log lines (`Aerie.CLI.Status.Lines.due/3`)
+  if the output is a pipe. It reads the store and subscribes to the events. No other process waits for it.
   """
 
   use GenServer
@@ -39,6 +39,7 @@ defmodule Aerie.CLI.Status do
           interfaces: nil,
           started: System.os_time(:microsecond),
           notes: [],
+          told: nil,
           drawn: 0
         },
         options
@@ -65,8 +66,9 @@ defmodule Aerie.CLI.Status do
         do: [],
         else: Lines.console(state.http, state.config) ++ Enum.map(view.interfaces, &Lines.interface/1)
 
-    write_lines(state, interfaces ++ Lines.render(view))
-    {:noreply, schedule(%{state | interfaces: view.interfaces}, @lines_period)}
+    {lines, told} = view |> Lines.render() |> Lines.due(state.told, System.monotonic_time(:millisecond))
+    write_lines(state, interfaces ++ lines)
+    {:noreply, schedule(%{state | interfaces: view.interfaces, told: told}, @lines_period)}
   end
 
   def handle_info({:fleet, :events, event}, %{style: :lines} = state) do

@@ -93,6 +93,21 @@ defmodule Aerie.CLI.StatusTest do
     assert table =~ "up 2 min"
   end
 
+  test "lines are written once a minute, and in between those of what changed its state" do
+    lines = Lines.render(view())
+    assert {^lines, told} = Lines.due(lines, nil, 0)
+    moved = Lines.render(view(vehicles: [vehicle(%{last_heard: @now})], published: 20))
+    assert {[], told} = Lines.due(moved, told, 5_000)
+
+    lost = Lines.render(view(vehicles: [vehicle(%{status: :lost})], published: 20))
+    assert {[{"vehicle", pairs}], told} = Lines.due(lost, told, 10_000)
+    assert pairs[:status] == :lost
+    assert {[], told} = Lines.due(lost, told, 15_000)
+    # Back as it was is a change, too.
+    assert {[{"vehicle", _pairs}], told} = Lines.due(lines, told, 20_000)
+    assert {^lines, _told} = Lines.due(lines, told, 60_000)
+  end
+
   test "the table and the lines show who may use each way in, refused commands and dropped frames" do
     interface = %{address: "udpin:0.0.0.0:14550 (udp)", who: "anyone who reaches it: vehicles", wide: false}
     [link] = view().links

@@ -11,6 +11,12 @@ defmodule Aerie.CLI.Status.Lines do
   alias Aerie.Vehicle.Snapshot
 
   @type line :: {message :: String.t(), [{atom(), term()}]}
+  @typedoc "When all lines were written, monotonic ms, and what was said of each since then."
+  @type told :: {all_at :: integer(), MapSet.t()} | nil
+
+  # Numbers grow old with the next line, but a change of one of these is a reason for it.
+  @reasons ~w(vehicle status via mode armed gps link client nats url hub problem system component ALARM)a
+  @all_ms 60_000
 
   @doc "The lines of one snapshot."
   @spec render(View.t()) :: [line()]
@@ -19,6 +25,25 @@ defmodule Aerie.CLI.Status.Lines do
       Enum.map(view.links, &link/1) ++
       Enum.flat_map(view.clients, &client/1) ++ nats(view) ++ identity(view.identity)
   end
+
+  @doc """
+  The lines to write: all of them at first and once a minute, and in between those that say that something is in another state, because
+  a log that is kept on a flash card wears it out.
+  """
+  @spec due([line()], told(), now :: integer()) :: {[line()], told()}
+  def due(lines, told, now) do
+    said = MapSet.new(lines, &state/1)
+
+    case told do
+      {all_at, before} when now - all_at < @all_ms ->
+        {Enum.reject(lines, &(state(&1) in before)), {all_at, said}}
+
+      _never_or_long_ago ->
+        {lines, {now, said}}
+    end
+  end
+
+  defp state({message, pairs}), do: {message, Keyword.take(pairs, @reasons)}
 
   @doc "Where the console is, and the file with the address that signs in: a log must not have that itself."
   @spec console(String.t() | nil, Aerie.Config.t() | nil) :: [line()]

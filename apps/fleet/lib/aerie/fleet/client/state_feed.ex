@@ -29,6 +29,7 @@ defmodule Aerie.Fleet.Client.StateFeed do
   def join(gateway) do
     told = :atomics.new(1, [])
     :ok = Names.Book.join({gateway, @topic}, told)
+    if pid = Names.whereis(gateway, :state_feed), do: send(pid, :joined)
     {gateway, told}
   end
 
@@ -53,12 +54,19 @@ defmodule Aerie.Fleet.Client.StateFeed do
   @impl GenServer
   def handle_info(:tick, state) do
     case Names.Book.members({state.gateway, @topic}) do
-      [] -> :ets.delete(state.table, :text)
-      readers -> notify(state, readers)
-    end
+      [] ->
+        :ets.delete(state.table, :text)
+        {:noreply, %{state | due: nil}}
 
-    {:noreply, tick(state)}
+      readers ->
+        notify(state, readers)
+        {:noreply, tick(state)}
+    end
   end
+
+  # The first reader after a time without any.
+  def handle_info(:joined, %{due: nil} = state), do: {:noreply, tick(%{state | due: now_ms()})}
+  def handle_info(:joined, state), do: {:noreply, state}
 
   defp notify(state, readers) do
     now = System.os_time(:microsecond)

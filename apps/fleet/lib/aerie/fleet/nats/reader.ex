@@ -65,7 +65,9 @@ defmodule Aerie.Fleet.Nats.Reader do
       ack_policy: :none,
       deliver_policy: :last_per_subject,
       filter_subject: subjects,
-      inactive_threshold: 60 * @second
+      inactive_threshold: 60 * @second,
+      # It goes with its connection, so its place need not be written at each message.
+      mem_storage: true
     }
 
     body = JSON.encode_to_iodata!(%{stream_name: stream, config: config})

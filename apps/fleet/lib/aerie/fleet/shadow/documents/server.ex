@@ -21,6 +21,8 @@ defmodule Aerie.Fleet.Shadow.Documents.Server do
   @rate_ms 100
   @burst 50
   @max_sources 1_000
+  # How often the buckets are checked. A lease that cannot be renewed is a reason to do it at once.
+  @look_ms 10_000
 
   @spec start_link(gateway: Names.gateway(), settings: Settings.t()) :: GenServer.on_start()
   def start_link(options),
@@ -59,6 +61,7 @@ defmodule Aerie.Fleet.Shadow.Documents.Server do
       conn: nil,
       watchers: [],
       differs: [],
+      looked_at: monotonic(),
       problem: nil
     }
 
@@ -206,7 +209,8 @@ defmodule Aerie.Fleet.Shadow.Documents.Server do
     with {:ok, %{made: made, differs: differs}} <-
            Buckets.ensure(conn, state.settings.bridge, state.settings.buckets) do
       for text <- differs -- state.differs, do: Logger.warning("shadow: the bucket #{text}")
-      {:ok, made, %{state | differs: differs}}
+      state = if Buckets.leases() in made, do: %{state | lease: Lease.forget(state.lease)}, else: state
+      {:ok, made, %{state | differs: differs, looked_at: monotonic()}}
     end
   end
 
@@ -249,19 +253,29 @@ defmodule Aerie.Fleet.Shadow.Documents.Server do
 
   defp renew(%{conn: nil} = state), do: state
 
-  defp renew(state) do
+  defp renew(%{looked_at: looked_at} = state) do
+    sent_at = monotonic()
+
+    if sent_at - looked_at < @look_ms and put_lease(state) == :ok,
+      do: %{state | lease: Lease.renewed(state.lease, sent_at)},
+      else: look(state)
+  end
+
+  # Somebody may have deleted a bucket.
+  defp look(state) do
     sent_at = monotonic()
 
     with {:ok, made, state} <- buckets(state, state.conn),
-         :ok <- Buckets.renew(state.conn, state.kept.environment, state.lease.me, state.name) do
+         :ok <- put_lease(state) do
       state = %{state | lease: Lease.renewed(state.lease, sent_at)}
-      # Somebody deleted a bucket.
-      state = if Buckets.leases() in made, do: %{state | lease: Lease.forget(state.lease)}, else: state
       if made == [], do: state, else: all(state)
     else
       {:error, why} -> Desired.problem(disconnected(state), why)
     end
   end
+
+  defp put_lease(state),
+    do: Buckets.renew(state.conn, state.kept.environment, state.lease.me, state.name)
 
   defp left(state, vehicle) do
     lease = Lease.want(state.lease, vehicle, false)

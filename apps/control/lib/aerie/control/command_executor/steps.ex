@@ -351,7 +351,7 @@ defmodule Aerie.Control.CommandExecutor.Steps do
     quiet =
       cond do
         not Job.sent?(job) -> now
-        job.accepted_at -> now + Timing.quiet(core.rtt)
+        job.accepted_at -> now + Timing.quiet(core.rtt, job.sends)
         # The vehicle may be at it, and only have been not heard.
         job.phase == :given_up -> now + Timing.busy(core.rtt)
         true -> max(now + Timing.quiet(core.rtt), job.last_sent + Timing.answer(core.rtt))

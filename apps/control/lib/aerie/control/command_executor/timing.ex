@@ -11,6 +11,8 @@ defmodule Aerie.Control.CommandExecutor.Timing do
   @sends 5
   @shortest 500 * @ms
   @longest 30 * @second
+  # Between the two copies of a frame that the link doubled.
+  @doubled 50 * @ms
   # A vehicle that reports progress may be silent for a while (C4).
   @progress 30 * @second
   # Two heartbeats and a little.
@@ -35,6 +37,14 @@ defmodule Aerie.Control.CommandExecutor.Timing do
   @doc "For how long after an answer another of the same command may still come (C8)."
   @spec quiet(rtt()) :: pos_integer()
   def quiet(rtt), do: clamp(2 * measured(rtt))
+
+  @doc """
+  The same of a command that was sent `sends` times. Each sending has one answer, so after the answer to the only one no other comes, unless the link
+  doubles a frame: both copies are then under way together.
+  """
+  @spec quiet(rtt(), sends :: pos_integer()) :: pos_integer()
+  def quiet(rtt, 1) when rtt != nil, do: (2 * rtt) |> max(@doubled) |> min(@longest)
+  def quiet(rtt, _sends), do: quiet(rtt)
 
   @doc "For how long a repetition that was answered with \"busy\" may still be answered with the end."
   @spec busy(rtt()) :: pos_integer()

@@ -356,6 +356,26 @@ defmodule Aerie.Control.CommandExecutor.CoreTest do
       assert Core.size(core) == 1
     end
 
+    test "after the answer to what was sent once only a copy of it can come, and that soon (C8)" do
+      {core, []} = Core.handle(core(), {:rtt, 5 * @ms})
+      {core, _sent} = submit(core, "set_speed", %{speed: 3}, 1, id: "a")
+      {core, []} = submit(core, "set_speed", %{speed: 4}, 2, id: "b")
+      {core, actions} = ack(core, [command: 178], 20 * @ms)
+      assert results(actions) == [{"a", :accepted}]
+      # The copy is not taken for an answer to the next.
+      {core, []} = ack(core, [command: 178], 60 * @ms)
+      assert {core, []} = until(core, 69 * @ms)
+      assert {core, [{:send, [%M.CommandLong{command: 178, param2: 4.0}], "b"}]} = until(core, 70 * @ms)
+
+      # Of what was sent again, another answer may be under way.
+      {core, _sent_again} = until(core, 70 * @ms + 500 * @ms)
+      {core, []} = submit(core, "set_speed", %{speed: 5}, 575 * @ms, id: "c")
+      {core, actions} = ack(core, [command: 178], 600 * @ms)
+      assert results(actions) == [{"b", :accepted}]
+      assert {core, []} = until(core, 1_099 * @ms)
+      assert {_core, [{:send, _messages, "c"}]} = until(core, 1_100 * @ms)
+    end
+
     test "commands of different keys do not wait for each other" do
       {core, _sent} = submit(core(), "arm")
       {_core, actions} = submit(core, "set_speed", %{speed: 3})

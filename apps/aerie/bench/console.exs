@@ -2,12 +2,12 @@
 # vehicles whose numbers change five times a second, spread over time; twice a second the mode of one of them changes, too. The gateway's VM has
 # one scheduler if it is started so (ELIXIR_ERL_OPTIONS="+S 1:1"); the viewers are another OS process.
 #
-#     mix run bench/console.exs [--vehicles 10,50,200] [--viewers 0,1,5,20] [--seconds 10] [--browser]       or  bin/bench console
+#     bin/bench console [--vehicles 10,50,200] [--viewers 0,1,5,20] [--seconds 10] [--browser] [--out FILE]
 #
 # Prints a table in Markdown: how often each vehicle changed in a second, CPU of the gateway's OS process in per cent of one core (all, and what each viewer adds to none), bytes a second
 # that a viewer gets, and the time from a change in the store to the frame that has it at the viewer (ms): of a mode, which shows at once, and
 # of numbers, which the table of more than 50 vehicles shows less often. With --browser one more viewer is a page in Chromium (without WebGL),
-# and the last column is the time until its DOM has the change of a mode.
+# and the last column is the time until its DOM has the change of a mode. FILE gets the rows as JSON, for bench/support/plot_console.py.
 
 Code.require_file("../../mav_codec/bench/support/options.ex", __DIR__)
 Code.require_file("../../../test/browser/browser.ex", __DIR__)
@@ -23,7 +23,7 @@ defmodule ConsoleBench do
   # Twice a second, at another place of the round each time.
   @mode_slices 23
   @settle_ms 2_000
-  @defaults [vehicles: "10,50,200", viewers: "0,1,5,20", seconds: 10, browser: false]
+  @defaults [vehicles: "10,50,200", viewers: "0,1,5,20", seconds: 10, browser: false, out: ""]
 
   def main(argv) do
     options = MavCodec.Bench.Options.read(__ENV__.file, argv, @defaults)
@@ -40,15 +40,17 @@ defmodule ConsoleBench do
       |---|---|---|---|---|---|---|---|---|\
       """)
 
-      for vehicles <- numbers(options[:vehicles]) do
-        for %{key: key} <- Store.vehicles(bench.gateway), do: Store.delete_vehicle(bench.gateway, key)
+      rows =
+        for vehicles <- numbers(options[:vehicles]) do
+          for %{key: key} <- Store.vehicles(bench.gateway), do: Store.delete_vehicle(bench.gateway, key)
 
-        Enum.reduce(
-          numbers(options[:viewers]),
-          nil,
-          &measure(Map.merge(bench, %{vehicles: vehicles, viewers: &1, idle: &2}))
-        )
-      end
+          options[:viewers]
+          |> numbers()
+          |> Enum.map_reduce(nil, &measure(Map.merge(bench, %{vehicles: vehicles, viewers: &1, idle: &2})))
+          |> elem(0)
+        end
+
+      if options[:out] != "", do: File.write!(options[:out], JSON.encode!(List.flatten(rows)))
 
       IO.puts("\n#{System.schedulers_online()} schedulers of the gateway, load #{load()} at the end")
     after
@@ -98,7 +100,7 @@ defmodule ConsoleBench do
     %{gateway: gateway, port: FleetWeb.Endpoint.port(gateway), cookie: cookie}
   end
 
-  # Gives the CPU without viewers, to be taken off the next ones'.
+  # Gives the row for a picture, and the CPU without viewers, to be taken off the next ones'.
   defp measure(%{gateway: gateway, viewers: viewers, seconds: seconds} = bench) do
     marks = for n <- 1..bench.vehicles, into: %{}, do: {n, {now(), now()}}
     for n <- 1..bench.vehicles, do: put(gateway, n, marks)
@@ -138,7 +140,12 @@ defmodule ConsoleBench do
         "#{quantiles(Task.await(page, 120_000))} |"
     )
 
-    idle
+    {%{
+       vehicles: bench.vehicles,
+       viewers: viewers,
+       cpu: percent,
+       mode_p99_ms: sums |> Enum.flat_map(& &1.mode) |> quantile(0.99)
+     }, idle}
   end
 
   # What a page in Chromium measures, microseconds.
@@ -155,10 +162,14 @@ defmodule ConsoleBench do
 
   defp quantiles([]), do: "–"
 
-  defp quantiles(late) do
+  defp quantiles(late), do: Enum.map_join([0.5, 0.99, 1.0], " / ", &(late |> quantile(&1) |> to_string()))
+
+  # In milliseconds.
+  defp quantile([], _share), do: nil
+
+  defp quantile(late, share) do
     sorted = Enum.sort(late)
-    at = fn share -> Enum.at(sorted, min(length(sorted) - 1, trunc(length(sorted) * share))) end
-    Enum.map_join([0.5, 0.99, 1.0], " / ", &(&1 |> at.() |> div(1000) |> to_string()))
+    sorted |> Enum.at(min(length(sorted) - 1, trunc(length(sorted) * share))) |> div(1000)
   end
 
   defp round1(number), do: Float.round(number * 1.0, 1)

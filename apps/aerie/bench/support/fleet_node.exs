@@ -55,6 +55,8 @@ defmodule FleetNode do
         # What was under way arrives.
         Process.sleep(1_500)
         now = counted()
+        # Before the memory is tidied up, which takes so long that vehicles become stale.
+        heard = Enum.count(Store.vehicles(@gateway), &(&1.status == :online))
 
         now
         |> Map.new(fn {name, n} -> {name, n - Map.fetch!(before, name)} end)
@@ -64,7 +66,7 @@ defmodule FleetNode do
           memory: memory(),
           ring: ring(),
           watched: for(n <- 1..@watched, %{id: id} <- [Store.vehicle(@gateway, {"n0", n})], do: id),
-          heard: Enum.count(Store.vehicles(@gateway), &(&1.status == :online))
+          heard: heard
         })
         |> JSON.encode!()
         |> IO.puts()

@@ -6,26 +6,9 @@ defmodule FleetWeb.API.Actions do
   alias MavRouter.{Client, Link, Router}
   alias Aerie.Vehicle.Command.Types
 
-  alias FleetWeb.API.{
-    Commands,
-    Error,
-    EventsQuery,
-    FleetOperations,
-    ClientRequest,
-    LinkRequest,
-    LogLevels,
-    OpenAPI,
-    Recordings,
-    Request,
-    Routes,
-    RuleChanges,
-    Shadow,
-    SigningCapability,
-    SigningRequest,
-    Tickets,
-    Transfers,
-    View
-  }
+  alias FleetWeb.API.{Commands, Error, EventsQuery, FleetOperations, ClientRequest, LinkRequest, LogLevels}
+  alias FleetWeb.API.{OpenAPI, Recordings, Request, Routes, RuleChanges, Shadow, SigningCapability}
+  alias FleetWeb.API.{SigningRequest, Tickets, Transfers, View}
 
   @signing_results %{enrol: "enrolled", revoke: "revoked", discard: "discarded"}
 

@@ -43,7 +43,7 @@ defmodule Aerie.Control.CommandExecutor.Timing do
   doubles a frame: both copies are then under way together.
   """
   @spec quiet(rtt(), sends :: pos_integer()) :: pos_integer()
-  def quiet(rtt, 1) when rtt != nil, do: (2 * rtt) |> max(@doubled) |> min(@longest)
+  def quiet(rtt, 1) when is_integer(rtt), do: (2 * rtt) |> max(@doubled) |> min(@longest)
   def quiet(rtt, _sends), do: quiet(rtt)
 
   @doc "For how long a repetition that was answered with \"busy\" may still be answered with the end."

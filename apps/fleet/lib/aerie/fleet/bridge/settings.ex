@@ -137,7 +137,7 @@ defmodule Aerie.Fleet.Bridge.Settings do
           {:enum, [:memory, :file]},
           """
           Where FLEET_STATE is kept. By default: on the embedded server in memory, because values that change several times a second wear
-          out a flash card, and a gateway that starts again soon knows them anew; with nats.url in a file.
+          out a flash card, and a gateway that starts again is soon told them by its vehicles; with nats.url in a file.
           """
         ),
         field(

@@ -1,6 +1,6 @@
 defmodule Aerie.Fleet.Bridge.State do
   @doubtful_ms 30_000
-  @gather_ms 10
+  @gather_ms 5
   @at_once 64
 
   @moduledoc """

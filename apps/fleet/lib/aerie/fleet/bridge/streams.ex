@@ -10,7 +10,7 @@ defmodule Aerie.Fleet.Bridge.Streams do
   At a hub each vehicle's events have a stream of their own in the place of the second one (`Aerie.Fleet.Bridge.EventStreams`).
 
   A missing stream is created. A stream that differs from the configuration is changed on the embedded server; one that is kept in the wrong
-  place, which cannot be changed, is made anew if it has only last values. On another
+  place, which cannot be changed, is deleted and made again if it has only last values. On another
   server it is left as it is and the difference is reported, because another gateway or an operator may have set it, except for what keeps vehicles
   from having an effect on each other (`guarded/2`): that is changed everywhere.
   """

@@ -20,19 +20,8 @@ defmodule FleetWeb.Console.Fleet.Page do
   alias Aerie.Fleet.Shadow
   alias Aerie.Base.PubSub
 
-  alias FleetWeb.Console.Fleet.{
-    Address,
-    Batch,
-    Board,
-    ControlForms,
-    Filter,
-    OnMap,
-    Order,
-    Plans,
-    Selection,
-    Sequence,
-    Tagging
-  }
+  alias FleetWeb.Console.Fleet.{Address, Batch, Board, ControlForms, Filter, OnMap, Order, Plans, Selection}
+  alias FleetWeb.Console.Fleet.{Sequence, Tagging}
 
   alias FleetWeb.Console.Map.{Tiles, Zones}
 

@@ -25,24 +25,9 @@ defmodule FleetWeb.Console.Vehicle.Page do
   alias FleetWeb.Console.Fleet.Plans
   alias FleetWeb.Console.Map.Payload
 
-  alias FleetWeb.Console.Vehicle.{
-    Actions,
-    Arming,
-    CommandCheck,
-    ControlBanner,
-    Header,
-    Instruments,
-    Links,
-    MessageSeries,
-    Obstacles,
-    Route,
-    Section,
-    Sections,
-    Series,
-    Target,
-    Timeline,
-    View
-  }
+  alias FleetWeb.Console.Vehicle.{Actions, Arming, CommandCheck, ControlBanner, Header, Instruments, Links}
+  alias FleetWeb.Console.Vehicle.{MessageSeries, Obstacles, Route, Section, Sections, Series, Target}
+  alias FleetWeb.Console.Vehicle.{Timeline, View}
 
   # How long an ended command stays in sight in all sections.
   @shown_us 20_000_000

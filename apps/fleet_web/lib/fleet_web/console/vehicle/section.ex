@@ -6,17 +6,8 @@ defmodule FleetWeb.Console.Vehicle.Section do
   alias FleetWeb.Console.Commands.{Catalog, EntryList, Form, Panel}
   alias FleetWeb.Console.Map.Tiles
 
-  alias FleetWeb.Console.Vehicle.{
-    Arming,
-    Calibration,
-    Charts,
-    Events,
-    Fly,
-    Health,
-    LinkTable,
-    Sections,
-    Timeline
-  }
+  alias FleetWeb.Console.Vehicle.{Arming, Calibration, Charts, Events, Fly, Health, LinkTable, Sections}
+  alias FleetWeb.Console.Vehicle.Timeline
 
   @doc "Draws the section `:section`."
   @spec section(map()) :: Phoenix.LiveView.Rendered.t()

@@ -404,11 +404,18 @@ defmodule Aerie.ConfigTest do
   end
 
   test "an own quota that is smaller than the streams is refused before anything starts", context do
-    assert {:error, errors} = load(context, "nats: {max_store_mb: 100}\n")
-
-    assert Config.format_errors(errors) =~
-             "nats.max_store_mb: expected at least 576: nats.streams.state_max_mb (64) and event_max_mb (512)"
+    for {nats, text} <- [
+          {"max_store_mb: 100",
+           "nats.max_store_mb: expected at least 512: nats.streams.state_max_mb (0 in files)"},
+          {"max_store_mb: 550, streams: {state_storage: file}",
+           "nats.max_store_mb: expected at least 576: nats.streams.state_max_mb (64 in files) and event_max_mb (512)"},
+          {"max_memory_mb: 63", "nats.max_memory_mb: expected at least 64: nats.streams.state_max_mb"}
+        ] do
+      assert {:error, errors} = load(context, "nats: {#{nats}}\n")
+      assert Config.format_errors(errors) =~ text
+    end
 
     assert {:ok, _config} = load(context, "nats: {max_store_mb: 100, streams: {event_max_mb: 30}}\n")
+    assert {:ok, _config} = load(context, "nats: {max_memory_mb: 1, streams: {state_storage: file}}\n")
   end
 end

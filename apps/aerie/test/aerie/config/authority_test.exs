@@ -35,7 +35,7 @@ defmodule Aerie.Config.AuthorityTest do
     clients[].transfer_kb clients[].rate_limits clients[].bytes_per_s
     signing.dir
     nats.port nats.store_dir nats.max_memory_mb nats.max_store_mb nats.binary nats.domain nats.connect_timeout_s nats.retry_min_ms
-    nats.retry_max_ms nats.streams.state_max_mb nats.streams.state_max_age_days nats.streams.event_max_mb
+    nats.retry_max_ms nats.streams.state_max_mb nats.streams.state_storage nats.streams.state_max_age_days nats.streams.event_max_mb
     nats.streams.event_max_age_days nats.streams.events_per_vehicle nats.streams.duplicate_window_s nats.streams.replicas
     remote.max_vehicles remote.lost_s remote.announce_s
     commands.max_in_flight commands.grace_s commands.urgent_s commands.record_s commands.ledger.dir commands.ledger.max_entries

@@ -138,7 +138,8 @@ defmodule Aerie.Fleet.Bridge.Settings do
           """
           Where FLEET_STATE is kept. By default: on the embedded server in memory, because values that change several times a second wear
           out a flash card, and a gateway that starts again is soon told them by its vehicles; with nats.url in a file.
-          """
+          """,
+          example: "file"
         ),
         field(
           :state_max_age_days,
@@ -211,9 +212,7 @@ defmodule Aerie.Fleet.Bridge.Settings do
     # TLS is for the servers at nats.url.
     tls = nats.tls.enabled or (mode != :embedded and Enum.any?(uris, &(&1.scheme == "tls")))
     nats = %{nats | mode: mode, url: Enum.map(uris, &plain_url/1), tls: %{nats.tls | enabled: tls}}
-    storage = nats.streams.state_storage || if(mode == :embedded, do: :memory)
     nats = %{nats | leaf: Leaf.Config.derive(nats.leaf), domain: nats.domain || domain(settings)}
-    nats = put_in(nats.streams.state_storage, storage)
     %{settings | nats: sign_in(nats, Enum.find_value(uris, & &1.userinfo))}
   end
 
@@ -232,6 +231,11 @@ defmodule Aerie.Fleet.Bridge.Settings do
 
   defp plain_url(uri),
     do: URI.to_string(%{uri | userinfo: nil, authority: nil, path: nil, port: uri.port || 4222})
+
+  @doc "Where a FLEET_STATE that this gateway makes is kept; nil if one that is there may be kept elsewhere."
+  @spec state_storage(nats :: map()) :: :memory | :file | nil
+  def state_storage(%{mode: :embedded, streams: %{state_storage: nil}}), do: :memory
+  def state_storage(%{streams: %{state_storage: storage}}), do: storage
 
   @doc "Whether there is a bridge at all."
   @spec on?(t()) :: boolean()
@@ -321,7 +325,7 @@ defmodule Aerie.Fleet.Bridge.Settings do
     state_mb = nats.streams.state_max_mb
 
     {in_memory_mb, in_files_mb} =
-      if nats.streams.state_storage == :memory, do: {state_mb, 0}, else: {0, state_mb}
+      if state_storage(nats) == :memory, do: {state_mb, 0}, else: {0, state_mb}
 
     streams_mb = in_files_mb + nats.streams.event_max_mb
 

@@ -50,7 +50,7 @@ defmodule Aerie.Fleet.Bridge.Streams do
     # State messages have no ids; with one, they would be dropped as copies of others.
     state = %{
       name: @state,
-      storage: streams.state_storage,
+      storage: Settings.state_storage(settings.nats),
       subjects: ["fleet.*.*.state.>"],
       description: "Last value of each state group of each vehicle",
       max_msgs_per_subject: 1,

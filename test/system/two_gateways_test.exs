@@ -202,14 +202,15 @@ defmodule Aerie.System.TwoGatewaysTest do
     %{holder: holder, other: other, wire: wire} = context
     before = reached(wire)
 
-    assert %{status: :completed, details: %{"gateway" => _name, "once" => "fleet"}} =
+    assert %{status: :completed, details: %{"gateway" => _name, "once" => "fleet", "sent" => first}} =
              other |> mode("o1", "GUIDED") |> await()
 
-    assert %{status: :completed, details: %{"once" => "fleet"} = details} =
+    assert %{status: :completed, details: %{"once" => "fleet", "sent" => second} = details} =
              holder |> mode("h1", "LOITER") |> await()
 
     refute is_map_key(details, "gateway")
-    assert reached(wire) == before + 2
+    # On a busy machine an answer may come so late that a mode, which is safe, is sent again.
+    assert reached(wire) == before + first + second
   end
 
   test "the holder ends: the other takes over, and knows what was done", context do

@@ -16,7 +16,8 @@ from mavsdk.plugins.telemetry.telemetry import Telemetry
 
 
 def say(name, value):
-    print("%s %s" % (name, value), flush=True)
+    # One write: MAVSDK's server logs into the same pipe.
+    print("%s %s\n" % (name, value), end="", flush=True)
 
 
 def until(what, fun, seconds=300):

@@ -218,18 +218,13 @@ defmodule Aerie.Fleet.BridgeTest do
       assert eventually(last) == 50
     end
 
-    test "a stream that was made anew gets all values, however old: after a restart of the server, and in a new place",
+    test "a new stream gets all values, however old: after a restart of the server, and in a new place",
          %{tmp_dir: dir} do
       gateway = start_bridge(config(dir, [{"nats.streams.state_storage", "file"}]))
       conn = client(await_up(gateway))
       assert %{config: %{storage: :file}} = stream(conn, "FLEET_STATE")
       :ok = Bridge.publish_state(gateway, "V", :home, %{n: 1}, 0)
       eventually(fn -> home(conn) == 1 end)
-      # As if it had been sent long ago.
-      sent = Bridge.Tables.get(gateway).sent
-      eventually(fn -> :ets.info(sent, :size) == 1 end)
-      [{subject, message, at}] = :ets.tab2list(sent)
-      :ets.insert(sent, {subject, message, at - 3_600_000})
       Process.unlink(conn)
       stop_bridge(gateway)
 
@@ -239,6 +234,7 @@ defmodule Aerie.Fleet.BridgeTest do
       assert %{config: %{storage: :memory}} = stream(conn, "FLEET_STATE")
       :ok = Bridge.publish_state(gateway, "V", :home, %{n: 2}, 0)
       eventually(fn -> home(conn) == 2 end)
+      # As if it had been sent long ago.
       sent = Bridge.Tables.get(gateway).sent
       eventually(fn -> :ets.info(sent, :size) == 1 end)
       [{subject, message, at}] = :ets.tab2list(sent)

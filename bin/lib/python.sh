@@ -1,4 +1,4 @@
-# A private Python environment with the peers that the tests talk to (pymavlink, MAVSDK, MAVProxy). Sourced by bin/setup
+# A private Python environment with the peers that the tests talk to (pymavlink, MAVSDK, MAVProxy, YAMSPy). Sourced by bin/setup
 # and bin/test.
 # Only tests and benchmark comparisons need it; the gateway itself uses no Python.
 
@@ -10,13 +10,15 @@ PYTHON_PEERS="pymavlink==2.4.50 wsproto==1.3.2 pyserial==3.5 defusedxml==0.7.1"
 
 # Installed without their dependencies: MAVProxy's are half a gigabyte of GUI, maps and video.
 PYTHON_PEERS_ALONE="MAVProxy==1.8.75"
+# YAMSPy, the peer of MSP, has no wheel.
+PYTHON_PEERS_BUILT="YAMSPy==0.3.3"
 
 # MAVSDK has binaries for these machines only; elsewhere its tests are left out.
 case "$(uname -s) $(uname -m)" in
   "Linux x86_64" | "Linux aarch64") PYTHON_PEERS_ALONE="$PYTHON_PEERS_ALONE mavsdk==4.1.0" ;;
 esac
 
-python_stamp() { printf '%s %s %s' "$PYTHON_PEERS" "$PYTHON_PEERS_ALONE" "$(python3 -c 'import sys; print(sys.version_info[:2])' 2>/dev/null)"; }
+python_stamp() { printf '%s %s %s %s' "$PYTHON_PEERS" "$PYTHON_PEERS_ALONE" "$PYTHON_PEERS_BUILT" "$(python3 -c 'import sys; print(sys.version_info[:2])' 2>/dev/null)"; }
 
 python_pip() { "$AERIE_VENV/bin/pip" install --quiet --disable-pip-version-check "$@"; }
 
@@ -30,7 +32,7 @@ python_install() {
     return 0
   fi
   local log="$AERIE_VENV.log"
-  step "python: installing $PYTHON_PEERS $PYTHON_PEERS_ALONE into .venv/ (for the tests only)"
+  step "python: installing $PYTHON_PEERS $PYTHON_PEERS_ALONE $PYTHON_PEERS_BUILT into .venv/ (for the tests only)"
   rm -rf "$AERIE_VENV"
   if ! python3 -m venv "$AERIE_VENV" >"$log" 2>&1; then
     rm -rf "$AERIE_VENV"
@@ -39,10 +41,11 @@ python_install() {
   fi
   # shellcheck disable=SC2086 # lists of words on purpose
   if ! { python_pip --only-binary :all: $PYTHON_PEERS || python_pip $PYTHON_PEERS; } >"$log" 2>&1 ||
-    ! python_pip --no-deps --only-binary :all: $PYTHON_PEERS_ALONE >>"$log" 2>&1; then
+    ! python_pip --no-deps --only-binary :all: $PYTHON_PEERS_ALONE >>"$log" 2>&1 ||
+    ! python_pip --no-deps $PYTHON_PEERS_BUILT >>"$log" 2>&1; then
     rm -rf "$AERIE_VENV"
     tail -n 3 "$log" >&2
-    fail "pip could not install $PYTHON_PEERS $PYTHON_PEERS_ALONE" "no network, or PyPI does not answer" \
+    fail "pip could not install $PYTHON_PEERS $PYTHON_PEERS_ALONE $PYTHON_PEERS_BUILT" "no network, or PyPI does not answer" \
       "check the network and run this again"
   fi
   rm -f "$log"

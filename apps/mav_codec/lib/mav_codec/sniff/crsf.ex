@@ -5,7 +5,7 @@ defmodule MavCodec.Sniff.Crsf do
   """
 
   alias MavCodec.Sniff
-  alias MavCodec.Sniff.Crc8
+  alias MavCodec.Crc8
 
   # Flight controller, transmitter module, receiver, radio handset.
   @addresses [0xC8, 0xEE, 0xEC, 0xEA]

@@ -6,7 +6,7 @@ defmodule MavRouter.Link.Serial.DetectorTest do
 
   alias MavRouter.Link.Serial.Detector
   alias MavRouter.Link.Serial.Finding
-  alias MavCodec.Sniff.Crc8
+  alias MavCodec.Crc8
 
   defp port(n, origin \\ :usb), do: %{path: "/dev/p#{n}", key: n, origin: origin}
 

@@ -26,7 +26,7 @@ defmodule Aerie.Base.MixProject do
   def application do
     [
       mod: {Aerie.Base.Application, []},
-      extra_applications: [:logger, :crypto] ++ test_applications(Mix.env())
+      extra_applications: [:logger, :crypto, :cowlib] ++ test_applications(Mix.env())
     ]
   end
 

@@ -13,8 +13,8 @@ defmodule MavRouter.Link.Transport.WebSocket do
   alias MavRouter.Link.Transport.WebSocket.ConnectionString
   alias Aerie.Base.Address
   alias MavRouter.Link.Transport.Net
-  alias MavRouter.Link.Transport.WebSocket.Frames
-  alias MavRouter.Link.Transport.WebSocket.Handshake
+  alias Aerie.Base.WebSocket.Frames
+  alias Aerie.Base.WebSocket.Handshake
   alias MavCodec.Frame
 
   @connect_ms 5_000

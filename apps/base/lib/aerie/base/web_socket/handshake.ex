@@ -1,4 +1,4 @@
-defmodule MavRouter.Link.Transport.WebSocket.Handshake do
+defmodule Aerie.Base.WebSocket.Handshake do
   @moduledoc "The request that opens a WebSocket, and the check of its answer (RFC 6455, section 4.1). Pure."
 
   alias Aerie.Base.Address

@@ -1,4 +1,4 @@
-defmodule MavRouter.Link.Transport.WebSocket.Frames do
+defmodule Aerie.Base.WebSocket.Frames do
   @moduledoc """
   Parses what a WebSocket server sends (RFC 6455): a value into which bytes are pushed in any pieces.
 

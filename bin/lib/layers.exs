@@ -8,6 +8,7 @@ defmodule Layers do
   @apps [
     mav_codec: ["MavCodec"],
     base: ["Aerie.Base"],
+    msp: ["Msp"],
     mav_router: ["MavRouter"],
     vehicle: ["Aerie.Vehicle"],
     control: ["Aerie.Control"],

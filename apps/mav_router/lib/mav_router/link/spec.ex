@@ -38,6 +38,8 @@ defmodule MavRouter.Link.Spec do
     :detect,
     :bauds,
     :ca,
+    :inner,
+    :sysid,
     :network,
     server: false,
     recorded: false,
@@ -64,6 +66,7 @@ defmodule MavRouter.Link.Spec do
   - `path` (with the query), `tls`, `ca`: WebSocket
   - `device`, `baud`: serial; `detect` is what is found by listening: nothing (nil), `:baud`, or `:port` for both
   - `bauds`, `ports`, `only`: candidates for that
+  - `inner`, `sysid`: MSP: the module of the transport that it goes over, and the MAVLink id of the vehicle
   - `file`, `speed` (factor of real time, or `:max`), `loop`: replay
   - `network`: links of one network share one space of system ids
   - `options`: tuning of the link that is not part of the string (`MavRouter.Link.Settings`)
@@ -86,6 +89,8 @@ defmodule MavRouter.Link.Spec do
           path: String.t(),
           tls: boolean,
           ca: Path.t() | nil,
+          inner: module | nil,
+          sysid: 1..254 | nil,
           device: String.t() | nil,
           baud: pos_integer,
           detect: nil | :baud | :port,

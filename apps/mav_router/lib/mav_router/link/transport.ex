@@ -35,6 +35,7 @@ defmodule MavRouter.Link.Transport do
     __MODULE__.TcpServer,
     __MODULE__.WebSocket,
     __MODULE__.Serial,
+    __MODULE__.Msp,
     __MODULE__.Replay
   ]
 

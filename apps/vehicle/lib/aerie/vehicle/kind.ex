@@ -33,11 +33,23 @@ defmodule Aerie.Vehicle.Kind do
   @ardupilot MavAutopilot.value(:MAV_AUTOPILOT_ARDUPILOTMEGA)
   @px4 MavAutopilot.value(:MAV_AUTOPILOT_PX4)
 
-  @type autopilot :: :ardupilot | :px4 | :generic
+  @autopilots [:ardupilot, :px4, :betaflight, :inav, :generic]
+  # What COMPONENT_INFORMATION_BASIC calls those that MAV_AUTOPILOT has no number for.
+  @vendors %{"Betaflight" => :betaflight, "iNav" => :inav}
+
+  @type autopilot :: :ardupilot | :px4 | :betaflight | :inav | :generic
 
   @doc "The kind of vehicle of a MAV_TYPE; `\"unknown\"` for a generic or unknown one."
   @spec name(integer()) :: String.t()
   def name(type), do: Map.get(@by_type, type, "unknown")
+
+  @doc "The firmware families by their names."
+  @spec autopilots() :: %{String.t() => autopilot()}
+  def autopilots, do: Map.new(@autopilots, &{Atom.to_string(&1), &1})
+
+  @doc "The firmware family of a vendor's name that a vehicle sends, nil for another one."
+  @spec vendor(String.t()) :: autopilot() | nil
+  def vendor(name), do: @vendors[name]
 
   @doc "The firmware family of a MAV_AUTOPILOT."
   @spec autopilot(integer()) :: autopilot()

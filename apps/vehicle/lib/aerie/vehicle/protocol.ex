@@ -96,9 +96,10 @@ defmodule Aerie.Vehicle.Protocol do
               :ignore | :valid | {:invalid | :doubtful, reason :: String.t()}
 
   @doc "The adapter of a firmware."
-  @spec of(:ardupilot | :px4 | :generic) :: module()
+  @spec of(Aerie.Vehicle.Kind.autopilot()) :: module()
   def of(:ardupilot), do: Aerie.Vehicle.Protocol.Ardupilot
   def of(:px4), do: Aerie.Vehicle.Protocol.Px4
+  def of(msp) when msp in [:betaflight, :inav], do: Aerie.Vehicle.Protocol.Msp
   def of(:generic), do: Aerie.Vehicle.Protocol.Unknown
 
   @doc "The steps of a command, or why there are none: `:gap` is permanent, `:error` temporary."

@@ -18,7 +18,14 @@ defmodule Aerie.Vehicle.State do
   @fresh_us 2_000_000
   # Only these can show that the vehicle left the ground or came back to it.
   @flight Enum.map(
-            [M.Heartbeat, M.LocalPositionNed, M.GlobalPositionInt, M.HighLatency2, M.ExtendedSysState],
+            [
+              M.Heartbeat,
+              M.LocalPositionNed,
+              M.GlobalPositionInt,
+              M.Altitude,
+              M.HighLatency2,
+              M.ExtendedSysState
+            ],
             & &1.id()
           )
 

@@ -43,6 +43,14 @@ defmodule Aerie.Vehicle.StateUnknownTest do
   # Fields that the state does not have. 0 of CONTROL_STATUS is nobody, which is an answer.
   @unread %{
     M.GpsRawInt => [:vel, :cog, :yaw],
+    M.ComponentInformationBasic => [
+      :time_manufacture_s,
+      :vendor_name,
+      :model_name,
+      :software_version,
+      :hardware_version,
+      :serial_number
+    ],
     M.AttitudeQuaternion => [:repr_offset_q],
     M.BatteryStatus => [:energy_consumed, :time_remaining],
     M.MissionCurrent => [:mission_mode, :mission_id, :fence_id, :rally_points_id],

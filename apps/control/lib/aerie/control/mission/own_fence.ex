@@ -20,7 +20,7 @@ defmodule Aerie.Control.Mission.OwnFence do
   the air; `fenced?`: its fence is known to be on.
   """
   @type vehicle :: %{
-          autopilot: :ardupilot | :px4 | :generic,
+          autopilot: Aerie.Vehicle.Kind.autopilot(),
           vehicle_type: String.t(),
           place: {number(), number()} | nil,
           flying?: boolean(),

@@ -51,7 +51,7 @@ defmodule Aerie.Control.Policy.Context do
           in_air: boolean() | nil,
           mode: String.t() | nil,
           battery: number() | nil,
-          autopilot: :ardupilot | :px4 | :generic | nil,
+          autopilot: Aerie.Vehicle.Kind.autopilot() | nil,
           vehicle_type: String.t() | nil,
           standard_modes: %{String.t() => String.t()},
           mode_names: %{non_neg_integer() => String.t()}
@@ -150,7 +150,7 @@ defmodule Aerie.Control.Policy.Context do
     "battery" => %{"remaining" => :remaining}
   }
   @group %{"position" => :position, "home" => :home, "mode" => :mode, "battery" => :battery}
-  @autopilots %{"ardupilot" => :ardupilot, "px4" => :px4, "generic" => :generic}
+  @autopilots Aerie.Vehicle.Kind.autopilots()
   @top ~w(position home mode battery autopilot vehicle_type at)
 
   @doc """
@@ -228,7 +228,8 @@ defmodule Aerie.Control.Policy.Context do
   defp autopilot(nil), do: {:ok, nil}
 
   defp autopilot(name) do
-    with :error <- Map.fetch(@autopilots, name), do: {:error, "autopilot: expected ardupilot, px4 or generic"}
+    with :error <- Map.fetch(@autopilots, name),
+         do: {:error, "autopilot: expected one of #{@autopilots |> Map.keys() |> Enum.join(", ")}"}
   end
 
   @doc "The vehicle's position, or why there is none that counts."

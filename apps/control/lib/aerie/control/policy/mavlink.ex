@@ -29,7 +29,7 @@ defmodule Aerie.Control.Policy.Mavlink do
   alias MavCodec.Messages, as: M
 
   @typedoc "What is known of the vehicle: its firmware and its kind, as its snapshot has them."
-  @type vehicle :: %{autopilot: :ardupilot | :px4 | :generic, vehicle_type: String.t()}
+  @type vehicle :: %{autopilot: Aerie.Vehicle.Kind.autopilot(), vehicle_type: String.t()}
 
   @fence MavMissionType.value(:MAV_MISSION_TYPE_FENCE)
   @rally MavMissionType.value(:MAV_MISSION_TYPE_RALLY)

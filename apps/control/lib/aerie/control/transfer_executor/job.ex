@@ -28,7 +28,7 @@ defmodule Aerie.Control.TransferExecutor.Job do
           target: {non_neg_integer(), 0..255},
           us: {non_neg_integer(), 0..255},
           protocol: module(),
-          autopilot: :ardupilot | :px4 | :generic,
+          autopilot: Aerie.Vehicle.Kind.autopilot(),
           capabilities: non_neg_integer() | nil,
           rtt_us: non_neg_integer() | nil,
           links: [term()],

@@ -22,7 +22,7 @@ defmodule Aerie.Fleet.Remote.Message do
             {Atom.to_string(group), {group, Map.new(names)}}
           end)
   # Fields of a nested object have a name of their own; the object itself is not a number.
-  @autopilots %{"ardupilot" => :ardupilot, "px4" => :px4, "generic" => :generic}
+  @autopilots Aerie.Vehicle.Kind.autopilots()
   @statuses %{"online" => :online, "stale" => :stale, "lost" => :lost}
 
   @typedoc "`time` is the sender's, in unix microseconds."

@@ -203,8 +203,9 @@ defmodule Aerie.Vehicle.Core.Services do
 
   defp streams(acc, _now, _ask), do: acc
 
-  # Only the vehicle knows the name of its mode.
-  defp ask_for_mode_names(%{state: %{autopilot: :generic}} = core), do: core
+  # Only the vehicle knows the name of its mode; by MSP it tells unasked.
+  defp ask_for_mode_names(%{state: %{autopilot: autopilot}} = core) when autopilot not in [:ardupilot, :px4],
+    do: core
 
   # The standard modes, and again when the vehicle tells that its modes have changed (X4).
   defp ask_for_mode_names(%{state: %{modes_seq: seq}, modes_asked: asked} = core)

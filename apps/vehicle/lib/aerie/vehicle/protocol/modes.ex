@@ -18,7 +18,7 @@ defmodule Aerie.Vehicle.Protocol.Modes do
   @stabilize 0x10
   @manual 0x40
 
-  @type autopilot :: :ardupilot | :px4 | :generic
+  @type autopilot :: Aerie.Vehicle.Kind.autopilot()
 
   @doc "The name of the mode that a heartbeat shows."
   @spec name(autopilot(), String.t(), base_mode :: integer(), custom_mode :: integer()) :: String.t()
@@ -110,7 +110,8 @@ defmodule Aerie.Vehicle.Protocol.Modes do
   @spec all(autopilot(), String.t()) :: [String.t()]
   def all(:ardupilot, kind), do: kind |> Ardupilot.Modes.names() |> Enum.sort() |> Enum.map(&elem(&1, 1))
   def all(:px4, _kind), do: Px4.Modes.all()
-  def all(:generic, _kind), do: []
+  # Those of other firmwares are known from the vehicle itself (AVAILABLE_MODES).
+  def all(_other, _kind), do: []
 
   @doc """
   What a name may mean: the numbers of the modes that the firmwares have under it, by autopilot and kind of vehicle. Empty for a
@@ -171,7 +172,7 @@ defmodule Aerie.Vehicle.Protocol.Modes do
       case autopilot do
         :ardupilot -> Ardupilot.Modes.standard(kind)
         :px4 -> Px4.Modes.standard()
-        :generic -> %{}
+        _other -> %{}
       end
 
     told =
@@ -198,7 +199,7 @@ defmodule Aerie.Vehicle.Protocol.Modes do
   end
 
   defp by_name(:px4, _kind, name), do: Px4.Modes.number(name)
-  defp by_name(:generic, _kind, _name), do: :error
+  defp by_name(_other, _kind, _name), do: :error
 
   @doc "Whether the vehicle itself may report a better name: for an external mode, and for an unknown one."
   @spec unnamed?(String.t() | nil) :: boolean()

@@ -4,7 +4,7 @@ defmodule Aerie.Vehicle.Protocol.Page do
   alias Aerie.Vehicle.Command.{Page, Types}
   alias Aerie.Vehicle.Protocol
 
-  @firmwares [{"ArduPilot", Protocol.Ardupilot}, {"PX4", Protocol.Px4}]
+  @firmwares [{"ArduPilot", Protocol.Ardupilot}, {"PX4", Protocol.Px4}, {"Betaflight, iNav", Protocol.Msp}]
   @kinds ~w(copter plane vtol rover boat sub)
 
   @doc "The section by its name."

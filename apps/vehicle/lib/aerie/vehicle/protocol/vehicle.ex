@@ -51,7 +51,7 @@ defmodule Aerie.Vehicle.Protocol.Vehicle do
   @type t :: %__MODULE__{
           system: pos_integer(),
           component: 1..255,
-          autopilot: :ardupilot | :px4 | :generic,
+          autopilot: Aerie.Vehicle.Kind.autopilot(),
           kind: String.t(),
           us: {non_neg_integer(), non_neg_integer()},
           mode: String.t() | nil,

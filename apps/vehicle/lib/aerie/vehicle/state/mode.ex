@@ -30,7 +30,14 @@ defmodule Aerie.Vehicle.State.Mode do
     name: :mode,
     title: "Mode, arming and flight state.",
     sampling: {:change, 10.0, %{}, 30.0},
-    messages: [M.Heartbeat, M.ExtendedSysState, M.AvailableModes, M.AvailableModesMonitor, M.CurrentMode],
+    messages: [
+      M.Heartbeat,
+      M.ComponentInformationBasic,
+      M.ExtendedSysState,
+      M.AvailableModes,
+      M.AvailableModesMonitor,
+      M.CurrentMode
+    ],
     fields: [
       {:mode, nil, nil, "name of the flight mode, which depends on firmware and type",
        "HEARTBEAT, HIGH_LATENCY2"},
@@ -46,7 +53,7 @@ defmodule Aerie.Vehicle.State.Mode do
 
   @impl Group
   def read(%M.Heartbeat{} = m, state, _at) do
-    autopilot = Kind.autopilot(m.autopilot)
+    autopilot = autopilot(Kind.autopilot(m.autopilot), state.autopilot)
     named = Kind.name(m.type)
     # Only a quadplane enters one of these.
     quadplane =
@@ -81,6 +88,17 @@ defmodule Aerie.Vehicle.State.Mode do
      }}
   end
 
+  # Which of the firmwares that MAV_AUTOPILOT has no number for.
+  def read(%M.ComponentInformationBasic{} = m, state, _at) do
+    case Kind.vendor(m.vendor_name) do
+      autopilot when autopilot != nil and state.autopilot in [:generic, :betaflight, :inav] ->
+        {[autopilot: autopilot], []}
+
+      _other ->
+        {[], []}
+    end
+  end
+
   # A mode that an application registered (PX4's external modes, ArduPilot's scripts) has its own name.
   def read(%M.AvailableModes{custom_mode: mode} = m, state, _at) do
     standard = standard_modes(m, state.standard_modes)
@@ -99,6 +117,9 @@ defmodule Aerie.Vehicle.State.Mode do
   def quadplane(%{quadplane: true}), do: []
   def quadplane(%{autopilot: :ardupilot, kind: "plane" = kind}), do: [quadplane: true, kind: kind(kind, true)]
   def quadplane(_state), do: []
+
+  defp autopilot(:generic, told) when told in [:betaflight, :inav], do: told
+  defp autopilot(autopilot, _told), do: autopilot
 
   defp kind("plane", true), do: "vtol"
   defp kind(kind, _quadplane), do: kind

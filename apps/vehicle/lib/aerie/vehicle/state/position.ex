@@ -8,12 +8,12 @@ defmodule Aerie.Vehicle.State.Position do
     name: :position,
     title: "The vehicle's position.",
     sampling: {:time, 1.0, %{}, 30.0},
-    messages: [M.GlobalPositionInt],
+    messages: [M.GlobalPositionInt, {M.Altitude, M.GlobalPositionInt}],
     fields: [
       {:lat, 7, "°", "latitude, WGS 84, north is positive", "GLOBAL_POSITION_INT, HIGH_LATENCY2"},
       {:lon, 7, "°", "longitude, east is positive", "GLOBAL_POSITION_INT, HIGH_LATENCY2"},
       {:alt_msl, 2, "m", "height above mean sea level", "GLOBAL_POSITION_INT, HIGH_LATENCY2"},
-      {:alt_rel, 2, "m", "height above home, not above the ground", "GLOBAL_POSITION_INT"},
+      {:alt_rel, 2, "m", "height above home, not above the ground", "GLOBAL_POSITION_INT, ALTITUDE"},
       {:heading, 2, "°", "direction of the nose, 0..360 from north", "GLOBAL_POSITION_INT, HIGH_LATENCY2"}
     ]
 
@@ -44,6 +44,21 @@ defmodule Aerie.Vehicle.State.Position do
 
         {[], position: position, velocity: velocity}
     end
+  end
+
+  # By MSP, while there is no position: one from before is none. PX4 sends it besides.
+  def read(%M.Altitude{}, %{autopilot: autopilot}, _at) when autopilot not in [:betaflight, :inav],
+    do: {[], []}
+
+  def read(%M.Altitude{} = m, _state, _at) do
+    {[],
+     position: %{
+       lat: nil,
+       lon: nil,
+       alt_msl: Value.float(m.altitude_amsl),
+       alt_rel: Value.float(m.altitude_relative),
+       heading: nil
+     }}
   end
 
   defp heading(hdg) when hdg in 0..36_000, do: rem(hdg, 36_000) / 100

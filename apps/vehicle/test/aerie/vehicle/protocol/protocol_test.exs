@@ -10,7 +10,7 @@ defmodule Aerie.Vehicle.ProtocolTest do
   alias MavCodec.Messages, as: M
 
   @kinds Protocol.Page.kinds()
-  @adapters [ardupilot: Protocol.Ardupilot, px4: Protocol.Px4]
+  @adapters [ardupilot: Protocol.Ardupilot, px4: Protocol.Px4, betaflight: Protocol.Msp]
 
   defp steps(autopilot, name, params, more \\ %{}) do
     Protocol.plan(Protocol.of(autopilot), command(name, params), vehicle(autopilot, more))

@@ -1,0 +1,140 @@
+defmodule MavRouter.Link.Transport.Msp do
+  @moduledoc """
+  A flight controller that speaks MSP (Betaflight, iNav) at another transport: `msp:/dev/ttyACM0,115200`, `msp:tcp:HOST:PORT`. `Msp.Session`
+  asks it and speaks MAVLink in its place, so for the link and everything behind it a MAVLink vehicle is there.
+
+  Its MAVLink id is the option `sysid`; without it a number from 100 to 199 that follows from the link's id.
+  """
+  @behaviour MavRouter.Link.Transport
+
+  alias MavRouter.Link.Transport
+  alias MavRouter.Link.Transport.{Form, Serial, TcpClient}
+  alias Msp.Session
+
+  @at "msp:DEVICE,BAUD or msp:tcp:HOST:PORT"
+
+  @enforce_keys [:inner, :conn, :session, :ref]
+  defstruct [:inner, :conn, :session, :ref, :timer]
+
+  @impl Transport
+  def traits, do: %{kind: :msp, framing: :stream, client: nil}
+
+  @impl Transport
+  def forms do
+    help = [
+      {"msp:DEVICE,BAUD", "Betaflight or iNav at a serial port"},
+      {"msp:tcp:HOST:PORT", "the same over TCP"}
+    ]
+
+    [%Form{prefix: "msp:", expected: @at, example: "msp:/dev/ttyACM0,115200", help: help, options: ["sysid"]}]
+  end
+
+  @impl Transport
+  def parse(_prefix, rest) do
+    {inner, form} = Transport.form(rest)
+
+    with true <- inner in [Serial, TcpClient] || {:error, "MSP goes over serial ports and TCP"},
+         {:ok, fields} <- inner.parse(form.prefix, String.replace_prefix(rest, form.prefix, "")) do
+      if fields[:detect],
+        do: {:error, "a port with MSP is not searched for: name the device and its baud rate"},
+        else: {:ok, Map.put(fields, :inner, inner)}
+    end
+  end
+
+  @impl Transport
+  def option(_prefix, "sysid", value) do
+    case Integer.parse(value) do
+      {id, ""} when id in 1..254 ->
+        {:ok, :sysid, id}
+
+      _other ->
+        {:error,
+         reason: "#{inspect(value)} is not a MAVLink id", expected: "sysid=1 to sysid=254", example: "sysid=7"}
+    end
+  end
+
+  @impl Transport
+  def place(spec), do: spec.inner.place(spec)
+  @impl Transport
+  def explain(reason, spec),
+    do: if(function_exported?(spec.inner, :explain, 2), do: spec.inner.explain(reason, spec))
+
+  @impl Transport
+  def watch(spec), do: if(function_exported?(spec.inner, :watch, 1), do: spec.inner.watch(spec))
+
+  @impl Transport
+  def open(spec) do
+    with {:ok, conn} <- spec.inner.open(spec) do
+      session = Session.new(spec.sysid || 100 + :erlang.phash2(spec.id, 100))
+      {:ok, %__MODULE__{inner: spec.inner, conn: conn, session: session, ref: make_ref()}}
+    end
+  end
+
+  @impl Transport
+  def give(msp, link), do: msp.inner.give(msp.conn, link)
+
+  @impl Transport
+  def activate(msp) do
+    with {:ok, conn, info} <- msp.inner.activate(msp.conn) do
+      {[], msp} = step(%{msp | conn: conn}, :opened)
+      {:ok, msp, info}
+    end
+  end
+
+  @impl Transport
+  def handle(%{ref: ref} = msp, {__MODULE__, ref, :tick}), do: step(%{msp | timer: nil}, :tick)
+  def handle(%{ref: ref} = msp, {__MODULE__, ref, events}), do: {events, msp}
+
+  def handle(msp, message) do
+    with {events, conn} <- msp.inner.handle(msp.conn, message),
+         do: Enum.reduce(events, {[], %{msp | conn: conn}}, &event/2)
+  end
+
+  defp event({:read, reads}, acc) do
+    Enum.reduce(reads, acc, fn {:remote, bytes}, {events, msp} ->
+      {more, msp} = step(msp, {:bytes, bytes})
+      {events ++ more, msp}
+    end)
+  end
+
+  defp event(event, {events, msp}), do: {events ++ [event], msp}
+
+  @impl Transport
+  def write(msp, _peer, bytes) do
+    {events, msp} = step(msp, {:mavlink, IO.iodata_to_binary(bytes)})
+    # The caller expects no events: they come as a message.
+    if events != [], do: send(self(), {__MODULE__, msp.ref, events})
+    {:ok, msp}
+  end
+
+  @impl Transport
+  def close(msp), do: msp.inner.close(msp.conn)
+
+  defp step(msp, event) do
+    {session, actions} = Session.handle(msp.session, event, now())
+    Enum.reduce(actions, {[], %{msp | session: session}}, &act/2)
+  end
+
+  defp act({:mavlink, bytes}, {events, msp}), do: {events ++ [{:read, [{:remote, bytes}]}], msp}
+  defp act({:fail, text}, {events, msp}), do: {events ++ [{:closed, text}], msp}
+
+  defp act({:write, bytes}, {events, msp}) do
+    case msp.inner.write(msp.conn, :remote, bytes) do
+      {:error, reason, conn} -> {events ++ [{:closed, reason}], %{msp | conn: conn}}
+      # A request that did not fit is one without an answer.
+      {_result, conn} -> {events, %{msp | conn: conn}}
+    end
+  end
+
+  defp act({:wake, at}, {events, msp}) do
+    _ = if msp.timer, do: Process.cancel_timer(msp.timer)
+
+    {events,
+     %{
+       msp
+       | timer: Process.send_after(self(), {__MODULE__, msp.ref, :tick}, max(div(at - now() + 999, 1000), 0))
+     }}
+  end
+
+  defp now, do: :erlang.monotonic_time(:microsecond)
+end

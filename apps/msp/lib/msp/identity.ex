@@ -1,0 +1,100 @@
+defmodule Msp.Identity do
+  @moduledoc """
+  Who answers at an MSP port: what API_VERSION, FC_VARIANT and FC_VERSION say, and whether that is a vehicle.
+
+  | answer | is |
+  |---|---|
+  | BTFL, API 1.40 to 1.49 | Betaflight; versions of messages are those of the API |
+  | INAV, API 2, firmware 7 to 9 | iNav; versions of messages are those of the firmware |
+  | INAV, API 1 | iNav's port for a DJI video unit: a few messages, some of them made up |
+  | ARDU | ArduPilot, whose MSP is for displays and answers what it does not know with success |
+  | anything else | named, and left alone |
+  """
+
+  alias MavCodec.Msp.Guard
+
+  @betaflight_minors 40..49
+  @inav_majors 7..9
+  @others %{
+    "CLFL" => "Cleanflight",
+    "BAFL" => "Baseflight",
+    "RTFL" => "Rotorflight, whose messages have other meanings",
+    "ARDU" => "ArduPilot, whose MSP is for displays: use its MAVLink",
+    "EMUF" => "EmuFlight",
+    "QUIC" => "Quicksilver"
+  }
+
+  @enforce_keys [:firmware, :version, :text]
+  defstruct [:firmware, :version, :text, :api, :release, :uid, :name]
+
+  @typedoc """
+  - `version`: by which messages are read (`t:MavCodec.Msp.Guard.target/0`)
+  - `text`: for people, as "Betaflight 4.5.5 (API 1.46)"
+  - `uid`: of the processor, the same after a restart; simulators all have the same one
+  """
+  @type t :: %__MODULE__{
+          firmware: :betaflight | :inav,
+          version: {non_neg_integer, non_neg_integer},
+          text: String.t(),
+          api: {non_neg_integer, non_neg_integer},
+          release: {non_neg_integer, non_neg_integer, non_neg_integer},
+          uid: String.t() | nil,
+          name: String.t() | nil
+        }
+
+  @doc """
+  The vehicle that gave these answers, or why it is none.
+
+      iex> {:ok, identity} = Msp.Identity.of({1, 46}, "BTFL", %{major_or_year: 4, minor_or_month: 5, patch: 5})
+      iex> {identity.version, identity.text}
+      {{1, 46}, "Betaflight 4.5.5 (API 1.46)"}
+      iex> Msp.Identity.of({1, 42}, "INAV", %{major_or_year: 4, minor_or_month: 1, patch: 0})
+      {:error, "iNav's port for a video unit, which cannot be controlled: use another port of the vehicle"}
+  """
+  @spec of({non_neg_integer, non_neg_integer}, binary, map) :: {:ok, t} | {:error, String.t()}
+  def of({major, minor} = api, "BTFL", version) do
+    text = "Betaflight #{release(version)} (API #{dotted(api)})"
+
+    if major == 1 and minor in @betaflight_minors,
+      do:
+        {:ok,
+         %__MODULE__{firmware: :betaflight, version: api, text: text, api: api, release: numbers(version)}},
+      else: {:error, "#{text}, which Aerie does not know: it knows API 1.40 to 1.49 (3.5 to 2026.12)"}
+  end
+
+  def of({1, _minor}, "INAV", _version),
+    do: {:error, "iNav's port for a video unit, which cannot be controlled: use another port of the vehicle"}
+
+  def of(api, "INAV", version) do
+    text = "iNav #{release(version)}"
+    {major, minor, _patch} = numbers(version)
+
+    if major in @inav_majors,
+      do:
+        {:ok,
+         %__MODULE__{
+           firmware: :inav,
+           version: {major, minor},
+           text: text,
+           api: api,
+           release: numbers(version)
+         }},
+      else: {:error, "#{text}, which Aerie does not know: it knows iNav 7 to 9"}
+  end
+
+  def of(api, variant, _version) do
+    name = Map.get(@others, variant, "a firmware that calls itself #{inspect(variant)}")
+    {:error, "#{name} (MSP API #{dotted(api)}): not a vehicle that Aerie can use over MSP"}
+  end
+
+  @doc "The firmware and version by which its messages are read."
+  @spec target(t) :: Guard.target()
+  def target(%__MODULE__{firmware: firmware, version: version}), do: {firmware, version}
+
+  defp numbers(version),
+    do: {version[:major_or_year] || 0, version[:minor_or_month] || 0, version[:patch] || 0}
+
+  defp release(%{text: text}) when is_binary(text) and text != "", do: text
+  defp release(version), do: version |> numbers() |> Tuple.to_list() |> Enum.join(".")
+  defp dotted({major, minor}), do: "#{major}.#{minor}"
+end

@@ -1,0 +1,156 @@
+defmodule Msp.Readings do
+  @moduledoc """
+  What the replies of a flight controller say, in one form for both firmwares: SI units, pitch positive with the nose up, and no
+  value where the firmware sends a stand-in for an unknown one.
+  """
+
+  alias Msp.Modes
+
+  @typedoc """
+  - `boxes`: permanent ids of the boxes that are on; `arming`: the arming flags; `sensors`: the sensors' bits
+  - `load`: 0..1; `profile`: the number of the control profile
+  - `roll`, `pitch`, `yaw`: degrees; `alt_rel`: m above the start; `climb`: m/s
+  - `fix`: GPS_FIX_TYPE; `satellites`; `lat`, `lon`: degrees; `alt_msl`: m; `speed`: m/s; `course`: degrees; `dilution`
+  - `voltage`: V; `current`: A; `drawn`: mAh; `cells`; `remaining`: 0..1; `charge`: `:ok | :low | :critical | :absent`
+  - `rssi`: 0..1; `channels`: µs in the order of the receiver (AETR)
+  - `nav_mode`, `nav_state`, `nav_error`, `waypoint`: NAV_STATUS of iNav; `home`: `{lat, lon, alt_msl | nil}`
+  - `on_s`, `flight_s`: iNav's seconds since its start and in the air
+  - `unhealthy`: bits of `sensors` that do not work
+  """
+  @type t :: %{optional(atom) => term}
+
+  @betaflight_charge %{0 => :ok, 1 => :low, 2 => :critical, 3 => :absent}
+  @inav_charge %{0 => :ok, 1 => :low, 2 => :critical, 3 => :absent}
+  # SENSOR_STATUS, in the order of the bits of STATUS.
+  @inav_sensors [acc: 0, baro: 1, mag: 2, gps: 3, rangefinder: 4, opflow: 5, pitot: 6]
+
+  @doc "What a reply says; `ids` is the vehicle's BOXIDS. Nothing for messages that say nothing about the state."
+  @spec read(Modes.firmware(), name :: String.t(), MavCodec.Msp.Payload.values(), ids :: [byte]) :: t
+  def read(firmware, name, values, ids)
+
+  def read(:betaflight, name, v, ids) when name in ["STATUS", "STATUS_EX"] do
+    flags =
+      for {%{flags: byte}, n} <- Enum.with_index(v[:more_flags] || []),
+          reduce: v.mode_flags,
+          do: (sum -> sum + Bitwise.bsl(byte, 32 + 8 * n))
+
+    %{
+      boxes: Modes.boxes(flags, ids),
+      arming: v[:arming_disable_flags],
+      sensors: v[:sensors],
+      load: percent(v[:cpu_load]),
+      profile: v[:pid_profile],
+      restart_required: v[:config_state] && Bitwise.band(v.config_state, 1) == 1
+    }
+  end
+
+  def read(:inav, "MSP2_INAV_STATUS", v, ids) do
+    %{
+      boxes: Modes.boxes(v.mode_flags, ids),
+      arming: v[:arming_flags],
+      sensors: v[:sensors],
+      load: percent(v[:cpu_load]),
+      profile: v[:profiles] && Bitwise.band(v.profiles, 15)
+    }
+  end
+
+  def read(_firmware, "ATTITUDE", %{roll: roll, pitch: pitch, yaw: yaw}, _ids),
+    do: %{roll: roll / 10, pitch: -pitch / 10, yaw: yaw * 1.0}
+
+  def read(_firmware, "ALTITUDE", %{altitude: altitude} = v, _ids),
+    do: %{alt_rel: altitude / 100, climb: v[:vario] && v.vario / 100}
+
+  def read(firmware, "RAW_GPS", %{fix: fix, lat: lat, lon: lon} = v, _ids) do
+    fix = gps_fix(firmware, fix)
+    found? = fix >= 2
+
+    %{
+      fix: fix,
+      satellites: v[:satellites],
+      # Without a fix they are those of the last one.
+      lat: if(found?, do: lat / 1.0e7),
+      lon: if(found?, do: lon / 1.0e7),
+      alt_msl: if(found?, do: v[:altitude] && v.altitude * 1.0),
+      speed: if(found?, do: v[:ground_speed] && v.ground_speed / 100),
+      course: if(found?, do: v[:course] && v.course / 10),
+      dilution: v[:dop] || v[:hdop]
+    }
+  end
+
+  def read(:betaflight, "ANALOG", v, _ids),
+    do: %{rssi: rssi(v[:rssi])}
+
+  def read(:betaflight, "BATTERY_STATE", %{cells: cells} = v, _ids) do
+    there? = cells > 0
+    capacity = v[:capacity] || 0
+
+    %{
+      cells: if(there?, do: cells),
+      voltage: if(there?, do: volts(v)),
+      current: if(there?, do: v[:current] && v.current / 100),
+      drawn: if(there?, do: v[:drawn]),
+      remaining: if(there? and capacity > 0 and is_integer(v[:drawn]), do: max(0.0, 1 - v.drawn / capacity)),
+      charge: @betaflight_charge[v[:state]]
+    }
+  end
+
+  def read(:inav, "MSP2_INAV_ANALOG", %{battery_flags: flags} = v, _ids) do
+    charge = @inav_charge[flags |> Bitwise.bsr(2) |> Bitwise.band(3)]
+    there? = charge != :absent
+
+    %{
+      cells: if(there?, do: Bitwise.bsr(flags, 4)),
+      voltage: if(there?, do: v[:voltage] && v.voltage / 100),
+      current: if(there?, do: v[:current] && v.current / 100),
+      drawn: if(there?, do: v[:drawn]),
+      remaining: if(there?, do: percent(v[:percentage])),
+      charge: charge,
+      rssi: rssi(v[:rssi])
+    }
+  end
+
+  # Roll, pitch, yaw, throttle here; MAVLink and transmitters have the throttle before the yaw.
+  def read(_firmware, "RC", %{entries: entries}, _ids) do
+    case Enum.map(entries, & &1.channel) do
+      [roll, pitch, yaw, throttle | more] -> %{channels: [roll, pitch, throttle, yaw | more]}
+      few -> %{channels: few}
+    end
+  end
+
+  def read(:inav, "NAV_STATUS", v, _ids),
+    do: %{nav_mode: v[:mode], nav_state: v[:state], nav_error: v[:error], waypoint: v[:wp_number]}
+
+  def read(:inav, "MSP2_INAV_MISC2", v, _ids), do: %{on_s: v[:on_time], flight_s: v[:flight_time]}
+
+  def read(:inav, "SENSOR_STATUS", v, _ids) do
+    # 1 is healthy, 2 unavailable although wanted, 3 unhealthy.
+    bits =
+      for {key, bit} <- @inav_sensors, v[key] in [2, 3], reduce: 0, do: (sum -> sum + Bitwise.bsl(1, bit))
+
+    %{unhealthy: bits}
+  end
+
+  def read(:inav, "WP", %{number: 0, lat: lat, lon: lon}, _ids) do
+    if lat == 0 and lon == 0, do: %{home: nil}, else: %{home: {lat / 1.0e7, lon / 1.0e7}}
+  end
+
+  def read(_firmware, _name, _values, _ids), do: %{}
+
+  # A mask with Betaflight, of which a fix is a bit; it does not say whether there is a height.
+  defp gps_fix(:betaflight, 0), do: 1
+  defp gps_fix(:betaflight, _mask), do: 3
+  defp gps_fix(:inav, fix) when fix in 0..2, do: fix + 1
+  defp gps_fix(:inav, _other), do: 1
+
+  # The byte saturates at 25.5 V; the word came with API 1.41.
+  defp volts(%{voltage: centivolts}), do: centivolts / 100
+  defp volts(%{voltage_dv: decivolts}) when decivolts < 255, do: decivolts / 10
+  defp volts(_saturated), do: nil
+
+  defp percent(nil), do: nil
+  defp percent(value), do: min(value, 100) / 100
+
+  # 0 where there is no source for it.
+  defp rssi(value) when value in 1..1023, do: value / 1023
+  defp rssi(_none), do: nil
+end

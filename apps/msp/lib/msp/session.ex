@@ -1,0 +1,341 @@
+defmodule Msp.Session do
+  @listen_us 1_200_000
+  @tries 3
+  @silent_us 1_000_000
+
+  @moduledoc """
+  One flight controller that speaks MSP, as an autopilot that speaks MAVLink: `handle(session, event, now) -> {session, actions}`. Time is in
+  microseconds of a clock that is never set.
+
+  | event | |
+  |---|---|
+  | `:opened` | the line is there |
+  | `{:bytes, bytes}` | from the flight controller |
+  | `{:mavlink, bytes}` | frames from clients and from the gateway itself, for this vehicle or for all |
+  | `:tick` | the time that an action asked for has come |
+
+  | action | |
+  |---|---|
+  | `{:write, bytes}` | to the flight controller |
+  | `{:mavlink, bytes}` | frames of the vehicle |
+  | `{:wake, at}` | a `:tick` then; the latest one counts |
+  | `{:fail, text}` | what is there is not a vehicle that can be used: the line is to be closed |
+
+  For #{@listen_us / 1_000_000} s it only listens: a port where MAVLink comes is never asked by MSP (Q3). Then it asks who is there, #{@tries} times at most,
+  and polls a vehicle's state (`Msp.Polls`). A vehicle that is silent for #{div(@silent_us, 1_000_000)} s is asked again who it is: it may
+  have been restarted, with other boxes, or be another one.
+  """
+
+  alias MavCodec.{Encoder, Sniff}
+  alias MavCodec.Msp.Frame
+  alias Msp.{Exchange, Identity, Polls, Telemetry}
+  alias Msp.Session.{Commands, Output, Reports}
+
+  @identify ["API_VERSION", "FC_VARIANT", "FC_VERSION"]
+  # What is needed once for each start; a vehicle may refuse any of it.
+  @about %{
+    betaflight: ["UID", "NAME", "BOXIDS", "MIXER_CONFIG"],
+    inav: ["UID", "NAME", "BOXIDS", "MSP2_INAV_MIXER"]
+  }
+  # As long as it is not known who is there: what is asked then is the same in all firmware.
+  @nobody {:betaflight, nil}
+  @max_heard 4_096
+  @again_us 10_000
+
+  @enforce_keys [:system, :encoder, :parser]
+  defstruct [
+    :system,
+    :encoder,
+    :parser,
+    :until,
+    :identity,
+    :type,
+    :polls,
+    :boot,
+    :heartbeat,
+    :complaint,
+    :answered_at,
+    phase: :closed,
+    exchange: Exchange.new(),
+    todo: [],
+    tries: 0,
+    found: %{},
+    heard: "",
+    ids: [],
+    readings: %{},
+    tasks: [],
+    texts: 0,
+    outbox: []
+  ]
+
+  @typedoc """
+  - `system`: the MAVLink id that the vehicle has
+  - `phase`: `:closed`, `:listening` until `until`, `:identifying`, `:up`
+  - `todo`: messages still to be asked; `found`: their answers; `heard`: the last bytes before it was known who is there
+  - `boot`: when the vehicle's clock began; `heartbeat`: the last one, and when it was sent
+  - `complaint`: the names of the last text about what keeps it from being armed
+  """
+  @type t :: %__MODULE__{}
+  @type event :: :opened | {:bytes, binary} | {:mavlink, binary} | :tick
+  @type action :: {:write, binary} | {:mavlink, binary} | {:wake, integer} | {:fail, String.t()}
+
+  @doc "The session of a line that is not open yet; the vehicle has this MAVLink id."
+  @spec new(system :: 1..254) :: t
+  def new(system) do
+    %__MODULE__{
+      system: system,
+      encoder: Encoder.new(system: system, component: 1),
+      parser: MavCodec.Parser.new()
+    }
+  end
+
+  @doc "One step."
+  @spec handle(t, event, integer) :: {t, [action]}
+  def handle(%{system: system}, :opened, now),
+    do: {%{new(system) | phase: :listening, until: now + @listen_us}, [{:wake, now + @listen_us}]}
+
+  def handle(%{phase: :closed} = session, _event, _now), do: {session, []}
+
+  def handle(%{phase: :listening} = session, {:bytes, bytes}, _now) do
+    session = hear(session, bytes)
+
+    case Sniff.classify(session.heard) do
+      %{protocol: protocol} when protocol in [:mavlink1, :mavlink2] ->
+        fail(session, "it speaks MAVLink: configure it without msp:")
+
+      _other ->
+        {session, [{:wake, session.until}]}
+    end
+  end
+
+  def handle(%{phase: :listening, until: until} = session, :tick, now) when now >= until,
+    do: session |> identify() |> proceed(now)
+
+  def handle(%{phase: :listening} = session, _event, _now), do: {session, [{:wake, session.until}]}
+
+  def handle(session, {:bytes, bytes}, now) do
+    session = if session.identity, do: session, else: hear(session, bytes)
+    {answers, exchange} = Exchange.push(session.exchange, bytes, now)
+    answered(%{session | exchange: exchange}, answers, now)
+  end
+
+  def handle(session, {:mavlink, bytes}, now) do
+    {frames, parser} = MavCodec.Parser.push(session.parser, bytes, now)
+    frames |> Enum.reduce(%{session | parser: parser}, &Commands.frame(&2, &1, now)) |> proceed(now)
+  end
+
+  def handle(session, :tick, now) do
+    with {:timeout, tag, answers, exchange} <- Exchange.expire(session.exchange, now),
+         {:ok, session} <- timeout(%{session | exchange: exchange}, tag, now) do
+      answered(session, answers, now)
+    else
+      :wait -> proceed(session, now)
+      {:fail, text} -> fail(session, text)
+    end
+  end
+
+  @doc false
+  # For `Msp.Session.Commands`: the vehicle restarts.
+  @spec restarting(t, integer) :: t
+  def restarting(session, now), do: %{identify(session) | boot: now}
+
+  defp hear(session, bytes) do
+    heard = session.heard <> bytes
+    %{session | heard: binary_slice(heard, max(byte_size(heard) - @max_heard, 0)..-1//1)}
+  end
+
+  defp identify(session),
+    do: %{
+      session
+      | phase: :identifying,
+        identity: nil,
+        todo: @identify,
+        tries: 0,
+        found: %{},
+        heard: "",
+        tasks: []
+    }
+
+  defp answered(session, answers, now) do
+    answers
+    |> Enum.reduce_while({:ok, session}, fn answer, {:ok, session} ->
+      case answer(session, answer, now) do
+        {:ok, session} -> {:cont, {:ok, session}}
+        {:fail, text} -> {:halt, {:fail, text}}
+      end
+    end)
+    |> case do
+      {:ok, session} -> proceed(session, now)
+      {:fail, text} -> fail(session, text)
+    end
+  end
+
+  # What comes in before it is known who is there is for the diagnosis; later it is none of ours (DisplayPort).
+  defp answer(%{phase: :identifying} = session, {:unasked, %{direction: :request} = frame}, _now),
+    do: {:fail, asked_by(frame, session)}
+
+  defp answer(session, {:unasked, _push}, _now), do: {:ok, session}
+
+  defp answer(session, {:refused, {:about, name}}, now), do: known(session, name, %{}, now)
+
+  defp answer(session, {:refused, {:poll, name}}, now),
+    do: {:ok, alive(%{session | polls: Polls.refused(session.polls, name)}, now)}
+
+  defp answer(session, {:refused, {:task, task}}, now),
+    do: {:ok, session |> alive(now) |> Commands.reply(task, :refused, now)}
+
+  defp answer(session, {:reply, {:task, task}, frame}, now),
+    do: {:ok, session |> alive(now) |> Commands.reply(task, {:ok, frame.payload}, now)}
+
+  defp answer(session, {:reply, {kind, name}, frame}, now) do
+    case {kind, MavCodec.Msp.decode(frame, target(session))} do
+      {:about, {:ok, values}} -> known(session, name, values, now)
+      {:about, {:error, _damaged}} -> known(session, name, %{}, now)
+      {:poll, {:ok, values}} -> {:ok, session |> alive(now) |> Reports.polled(name, values, now)}
+      {:poll, {:error, _damaged}} -> {:ok, session}
+    end
+  end
+
+  defp alive(session, now), do: %{session | answered_at: now}
+
+  # Our own request as an echo, or the other end asks.
+  defp asked_by(%Frame{id: id}, _session) when id in 1..3,
+    do: "our own requests come back: the line is looped back"
+
+  defp asked_by(_frame, _session),
+    do: "it asks instead of answering: a video unit or another program is at this port"
+
+  defp target(%{identity: nil}), do: @nobody
+  defp target(%{identity: identity}), do: Identity.target(identity)
+
+  defp known(session, name, values, now) do
+    session = %{
+      session
+      | todo: List.delete(session.todo, name),
+        tries: 0,
+        found: Map.put(session.found, name, values)
+    }
+
+    session = alive(session, now)
+
+    cond do
+      session.todo != [] -> {:ok, session}
+      session.identity -> {:ok, up(session, now)}
+      true -> recognise(session)
+    end
+  end
+
+  defp recognise(%{found: found} = session) do
+    with %{"API_VERSION" => %{api_major: major, api_minor: minor}, "FC_VARIANT" => %{variant: variant}} <-
+           found,
+         {:ok, identity} <- Identity.of({major, minor}, variant, found["FC_VERSION"]) do
+      {:ok, %{session | identity: identity, todo: @about[identity.firmware]}}
+    else
+      {:error, text} -> {:fail, text}
+      _answers_missing -> {:fail, "it answers, but does not say which firmware it is"}
+    end
+  end
+
+  defp up(%{found: found} = session, now) do
+    identity = %{session.identity | uid: uid(found["UID"]), name: found["NAME"][:name]}
+    mixer = found["MIXER_CONFIG"][:mixer] || found["MSP2_INAV_MIXER"][:platform_type]
+
+    %{
+      session
+      | phase: :up,
+        identity: identity,
+        type: Telemetry.type(identity.firmware, mixer),
+        ids: Reports.ids(found["BOXIDS"]),
+        polls: Polls.new(identity.firmware, now),
+        boot: session.boot || now,
+        # Whether it was restarted shows in what it says now and said then.
+        readings: Map.take(session.readings, [:arming]),
+        heartbeat: nil,
+        complaint: nil,
+        heard: ""
+    }
+  end
+
+  defp uid(%{id0: a, id1: b, id2: c}), do: Base.encode16(<<a::32, b::32, c::32>>, case: :lower)
+  defp uid(_unknown), do: nil
+
+  defp timeout(%{phase: :identifying, tries: tries} = session, {:about, name}, now) do
+    cond do
+      tries + 1 < @tries -> {:ok, %{session | tries: tries + 1}}
+      name not in @identify -> known(session, name, %{}, now)
+      # It was there: it is restarting, or its line is interrupted.
+      session.answered_at -> {:ok, %{session | tries: 0}}
+      true -> {:fail, silent(session)}
+    end
+  end
+
+  defp timeout(session, {:task, task}, now), do: {:ok, Commands.reply(session, task, :timeout, now)}
+
+  defp timeout(%{answered_at: at} = session, _poll, now) when now - at > @silent_us,
+    do: {:ok, identify(session)}
+
+  defp timeout(session, _poll, _now), do: {:ok, session}
+
+  defp silent(%{heard: ""}), do: "it does not answer MSP"
+
+  defp silent(%{heard: heard}) do
+    if String.contains?(heard, "$M<"),
+      do:
+        "its command line is open, as each request comes back as $M<: close it with exit or restart the vehicle, which cannot be armed until then",
+      else: "it does not answer MSP, but sends #{Sniff.name(Sniff.classify(heard).protocol)}"
+  end
+
+  defp fail(session, text), do: {%{session | phase: :closed, outbox: []}, [{:fail, text}]}
+
+  # After each event: the next request, what is to be told, and when to look again.
+  defp proceed(session, now) do
+    {session, written} = ask(session, now)
+    {told, session} = Output.take(session)
+    {session, written ++ told ++ [{:wake, wake(session, now)}]}
+  end
+
+  defp ask(%{exchange: %{asked: asked}} = session, _now) when asked != nil, do: {session, []}
+
+  defp ask(%{phase: :identifying, todo: [name | more]} = session, now) do
+    case MavCodec.Msp.request(target(session), name) do
+      {:ok, frame} -> send_if_ready(session, {:about, name}, frame, now, 0)
+      # This version does not have it.
+      {:error, _why} -> ask(%{session | todo: more}, now)
+    end
+  end
+
+  defp ask(session, now) do
+    with :none <- Commands.next(session),
+         {:ask, name, arguments} <- Polls.next(session.polls, now) do
+      {:ok, frame} = MavCodec.Msp.request(target(session), name, arguments)
+      {session, written} = send_if_ready(session, {:poll, name}, frame, now, 0)
+
+      if written == [],
+        do: {session, []},
+        else: {%{session | polls: Polls.asked(session.polls, name, now)}, written}
+    else
+      {:ask, task, frame, patience} -> send_if_ready(session, {:task, task}, frame, now, patience)
+      _nothing_due -> {session, []}
+    end
+  end
+
+  defp send_if_ready(session, tag, frame, now, patience) do
+    if Exchange.ready(session.exchange, frame, now) == :now do
+      {bytes, exchange} = Exchange.send(session.exchange, tag, frame, now, patience)
+      {%{session | exchange: exchange}, [{:write, bytes}]}
+    else
+      {session, []}
+    end
+  end
+
+  defp wake(%{exchange: %{deadline: deadline}}, _now) when deadline != nil, do: deadline
+
+  defp wake(%{phase: :up, tasks: []} = session, now) do
+    case Polls.next(session.polls, now) do
+      {:at, at} -> at
+      _due -> now + @again_us
+    end
+  end
+
+  defp wake(_session, now), do: now + @again_us
+end

@@ -1,0 +1,157 @@
+defmodule Msp.Session.Commands do
+  @moduledoc """
+  Commands that come as MAVLink and are carried out over MSP, one after the other, and their COMMAND_ACK. The acknowledgement says what the
+  flight controller said: a refusal is FAILED. Without an answer there is none, because nobody knows.
+
+  Betaflight restarts while it is armed if it is asked to, and writes its settings whenever; so what `MavCodec.Msp.Message` says is not for
+  armed vehicles is refused here.
+  """
+
+  alias MavCodec.Enums.{MavCmd, MavResult}
+  alias MavCodec.Messages, as: M
+  alias MavCodec.Msp.Messages
+  alias Msp.{Identity, Modes, Polls, Session}
+  alias Msp.Session.{Output, Requests}
+
+  @command_long M.CommandLong.id()
+  @commands Map.new(
+              [
+                :REQUEST_MESSAGE,
+                :SET_MESSAGE_INTERVAL,
+                :GET_MESSAGE_INTERVAL,
+                :PREFLIGHT_REBOOT_SHUTDOWN,
+                :PREFLIGHT_CALIBRATION,
+                :PREFLIGHT_STORAGE
+              ],
+              &{MavCmd.value(:"MAV_CMD_#{&1}"), &1}
+            )
+  @results Map.new(
+             [:ACCEPTED, :TEMPORARILY_REJECTED, :DENIED, :UNSUPPORTED, :FAILED, :IN_PROGRESS],
+             &{&1, MavResult.value(:"MAV_RESULT_#{&1}")}
+           )
+  @max_tasks 16
+  # Writing the EEPROM takes up to two seconds on hardware; configurators wait for five.
+  @slow_us 5_000_000
+  @notice 5
+
+  @typedoc "A request to the flight controller that waits for its turn, and who is to know."
+  @type task :: %{command: non_neg_integer, from: {byte, byte}, name: String.t(), patience: non_neg_integer}
+
+  @doc "A frame of a client."
+  @spec frame(Session.t(), MavCodec.Frame.t(), integer) :: Session.t()
+  def frame(%{phase: :up, system: system} = session, %{id: @command_long} = frame, now) do
+    case MavCodec.decode(frame) do
+      {:ok, %{target_system: ^system, target_component: component} = command} when component in [0, 1] ->
+        command(session, Map.get(@commands, command.command), command, {frame.system, frame.component}, now)
+
+      _for_another ->
+        session
+    end
+  end
+
+  def frame(session, _frame, _now), do: session
+
+  defp command(session, :REQUEST_MESSAGE, command, from, _now) do
+    with id when id != nil <- whole(command.param1),
+         {:ok, messages} <- Requests.message(session, id, whole(command.param2) || 0) do
+      session |> acknowledge(command.command, from, :ACCEPTED) |> Output.emit(messages)
+    else
+      _none -> acknowledge(session, command.command, from, :UNSUPPORTED)
+    end
+  end
+
+  defp command(session, :SET_MESSAGE_INTERVAL, command, from, _now) do
+    with id when id != nil <- whole(command.param1),
+         us when us != nil <- whole(command.param2),
+         {:ok, polls} <- Polls.interval(session.polls, id, us) do
+      acknowledge(%{session | polls: polls}, command.command, from, :ACCEPTED)
+    else
+      _none -> acknowledge(session, command.command, from, :UNSUPPORTED)
+    end
+  end
+
+  defp command(session, :GET_MESSAGE_INTERVAL, command, from, _now) do
+    case whole(command.param1) do
+      nil ->
+        acknowledge(session, command.command, from, :DENIED)
+
+      id ->
+        session
+        |> acknowledge(command.command, from, :ACCEPTED)
+        |> Output.emit(Requests.interval(session, id))
+    end
+  end
+
+  defp command(session, name, command, from, _now) do
+    case message(session.identity.firmware, name, command) do
+      nil -> acknowledge(session, command.command, from, :UNSUPPORTED)
+      message -> queue(session, message, command.command, from)
+    end
+  end
+
+  defp message(_firmware, :PREFLIGHT_REBOOT_SHUTDOWN, %{param1: 1.0}), do: "REBOOT"
+  defp message(_firmware, :PREFLIGHT_CALIBRATION, %{param2: 1.0}), do: "MAG_CALIBRATION"
+  defp message(_firmware, :PREFLIGHT_CALIBRATION, %{param5: p}) when p in [1.0, 4.0], do: "ACC_CALIBRATION"
+  defp message(_firmware, :PREFLIGHT_STORAGE, %{param1: 1.0}), do: "EEPROM_WRITE"
+  defp message(_firmware, _name, _command), do: nil
+
+  # What is repeated while it is being done is not done twice.
+  defp queue(%{tasks: tasks} = session, name, command, from) do
+    {:ok, message} = Messages.fetch(session.identity.firmware, name)
+
+    cond do
+      Enum.any?(tasks, &(&1.name == name)) ->
+        acknowledge(session, command, from, :IN_PROGRESS)
+
+      length(tasks) >= @max_tasks ->
+        acknowledge(session, command, from, :TEMPORARILY_REJECTED)
+
+      message.armed != :yes and Modes.armed?(session.readings[:boxes] || MapSet.new()) ->
+        session
+        |> acknowledge(command, from, :DENIED)
+        |> Output.text(@notice, "#{name} refused: it is armed")
+
+      true ->
+        task = %{command: command, from: from, name: name, patience: @slow_us}
+        %{session | tasks: tasks ++ [task]}
+    end
+  end
+
+  @doc "The next request to the flight controller, or `:none`."
+  @spec next(Session.t()) :: {:ask, task, MavCodec.Msp.Frame.t(), patience :: non_neg_integer} | :none
+  def next(%{tasks: []}), do: :none
+
+  def next(%{tasks: [task | _]} = session) do
+    {:ok, frame} = MavCodec.Msp.request(Identity.target(session.identity), task.name)
+    {:ask, task, frame, task.patience}
+  end
+
+  @doc "The answer to a task's request."
+  @spec reply(Session.t(), task, {:ok, binary} | :refused | :timeout, integer) :: Session.t()
+  def reply(session, task, answer, now) do
+    session = %{session | tasks: List.delete(session.tasks, task)}
+
+    case answer do
+      {:ok, _payload} -> session |> acknowledge(task.command, task.from, :ACCEPTED) |> done(task.name, now)
+      :refused -> acknowledge(session, task.command, task.from, :FAILED)
+      :timeout -> session
+    end
+  end
+
+  # Its clock begins again, and its boxes may be others.
+  defp done(session, "REBOOT", now), do: Session.restarting(session, now)
+  defp done(session, _name, _now), do: session
+
+  defp acknowledge(session, command, {system, component}, result) do
+    Output.emit(session, %M.CommandAck{
+      command: command,
+      result: Map.fetch!(@results, result),
+      target_system: system,
+      target_component: component
+    })
+  end
+
+  # A number that MAVLink puts into a float.
+  defp whole(number) when is_float(number) and number >= -1.0 and number <= 16_777_216.0, do: round(number)
+  defp whole(_other), do: nil
+end

@@ -1,0 +1,47 @@
+defmodule Msp.Session.Output do
+  @moduledoc "What a session tells in MAVLink: messages of the vehicle's autopilot, in the order of their sending."
+
+  alias MavCodec.Encoder
+  alias MavCodec.Messages, as: M
+  alias Msp.Session
+
+  # STATUSTEXT
+  @chunk 50
+
+  @doc "Sends messages."
+  @spec emit(Session.t(), struct | [struct]) :: Session.t()
+  def emit(session, messages) when is_list(messages), do: Enum.reduce(messages, session, &emit(&2, &1))
+
+  def emit(session, message) do
+    {bytes, encoder} = Encoder.encode(session.encoder, message)
+    %{session | encoder: encoder, outbox: [bytes | session.outbox]}
+  end
+
+  @doc "Sends a text, in several chunks if it is long."
+  @spec text(Session.t(), severity :: 0..7, String.t()) :: Session.t()
+  def text(session, severity, text) do
+    chunks = chunks(text)
+    texts = session.texts + 1
+    id = if length(chunks) > 1, do: rem(texts, 0xFFFF) + 1, else: 0
+
+    messages =
+      for {chunk, n} <- Enum.with_index(chunks),
+          do: %M.Statustext{severity: severity, text: chunk, id: id, chunk_seq: n}
+
+    emit(%{session | texts: texts}, messages)
+  end
+
+  defp chunks(text) when byte_size(text) <= @chunk, do: [text]
+  defp chunks(text), do: [binary_slice(text, 0, @chunk) | chunks(binary_slice(text, @chunk..-1//1))]
+
+  @doc "What was sent since the last call, as one action."
+  @spec take(Session.t()) :: {[{:mavlink, binary}], Session.t()}
+  def take(%{outbox: []} = session), do: {[], session}
+
+  def take(session),
+    do: {[{:mavlink, session.outbox |> Enum.reverse() |> IO.iodata_to_binary()}], %{session | outbox: []}}
+
+  @doc "The vehicle's clock in milliseconds since its start, as far as that is known."
+  @spec boot_ms(Session.t(), integer) :: non_neg_integer
+  def boot_ms(%{boot: boot}, now), do: max(div(now - boot, 1000), 0)
+end

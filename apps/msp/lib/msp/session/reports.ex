@@ -1,0 +1,115 @@
+defmodule Msp.Session.Reports do
+  @moduledoc """
+  What follows from the reply to a poll: readings, the vehicle's clock, MAVLink messages, and a text when something else keeps the
+  vehicle from being armed.
+  """
+
+  alias Msp.{Arming, Identity, Modes, Readings, Session, Telemetry}
+  alias Msp.Session.{Output, Requests}
+
+  @heartbeat_us 1_000_000
+  # iNav's clock has seconds.
+  @clock_us 2_000_000
+  @warning 4
+  @info 6
+
+  @doc "The reply to a poll, decoded."
+  @spec polled(Session.t(), name :: String.t(), values :: map, integer) :: Session.t()
+  def polled(session, "BOXIDS", values, _now), do: %{session | ids: ids(values)}
+
+  def polled(session, name, values, now) do
+    readings = Readings.read(session.identity.firmware, name, values, session.ids)
+    session = clock(session, readings, now)
+    show(%{session | readings: Map.merge(session.readings, readings)}, name, now)
+  end
+
+  @doc "The ids of BOXIDS."
+  @spec ids(map | nil) :: [byte]
+  def ids(%{entries: entries}), do: Enum.map(entries, & &1.id)
+  def ids(_none), do: []
+
+  # iNav says for how long it has been running. Betaflight does not arm in its first seconds: if that comes again, it was restarted.
+  defp clock(session, %{on_s: on_s}, now) when is_integer(on_s) do
+    boot = now - on_s * 1_000_000
+    if abs(boot - session.boot) > @clock_us, do: %{session | boot: boot}, else: session
+  end
+
+  defp clock(%{readings: %{arming: before}} = session, %{arming: flags}, now)
+       when is_integer(flags) and is_integer(before) do
+    target = Identity.target(session.identity)
+    restarted? = Arming.booting?(target, flags) and not Arming.booting?(target, before)
+    if restarted?, do: %{session | boot: now}, else: session
+  end
+
+  defp clock(session, _readings, _now), do: session
+
+  defp show(session, name, now) when name in ["STATUS_EX", "MSP2_INAV_STATUS"] do
+    heartbeat = Telemetry.heartbeat(session.identity, session.type, session.readings)
+
+    case session.heartbeat do
+      {^heartbeat, at} when now - at < @heartbeat_us -> session
+      nil -> session |> Output.emit(heartbeat) |> introduce() |> status(heartbeat, now)
+      _changed_or_due -> session |> Output.emit(heartbeat) |> status(heartbeat, now)
+    end
+    |> complain()
+  end
+
+  defp show(%{readings: readings} = session, "ATTITUDE", now),
+    do: Output.emit(session, Telemetry.attitude(readings, Output.boot_ms(session, now)))
+
+  defp show(session, "RAW_GPS", now),
+    do: session |> Output.emit(Telemetry.gps_raw(session.readings, now - session.boot)) |> position(now)
+
+  # With a position the height goes with it.
+  defp show(%{readings: %{lat: lat}} = session, "ALTITUDE", _now) when is_number(lat), do: session
+  defp show(session, "ALTITUDE", now), do: position(session, now)
+
+  defp show(session, name, _now) when name in ["BATTERY_STATE", "MSP2_INAV_ANALOG"],
+    do: Output.emit(session, Telemetry.battery(session.readings))
+
+  defp show(session, "RC", now),
+    do: Output.emit(session, Telemetry.rc(session.readings, Output.boot_ms(session, now)))
+
+  defp show(session, "WP", _now), do: Output.emit(session, Telemetry.home(session.readings))
+  defp show(session, _name, _now), do: session
+
+  defp position(session, now),
+    do:
+      Output.emit(
+        session,
+        Telemetry.position(session.readings, Output.boot_ms(session, now), now - session.boot)
+      )
+
+  # After the first heartbeat: who it is, and what its modes are called.
+  defp introduce(session) do
+    session
+    |> Output.emit([Requests.identity(session), Requests.version(session) | Requests.modes(session)])
+    |> Output.text(@info, session.identity.text)
+  end
+
+  defp status(session, heartbeat, now) do
+    Output.emit(
+      %{session | heartbeat: {heartbeat, now}},
+      Telemetry.sys_status(session.identity, session.readings)
+    )
+  end
+
+  # Once for each change, while it is disarmed.
+  defp complain(%{readings: %{arming: flags, boxes: boxes}} = session) when is_integer(flags) do
+    names = if Modes.armed?(boxes), do: [], else: Arming.names(Identity.target(session.identity), flags)
+    before = session.complaint
+
+    cond do
+      names == before ->
+        session
+
+      names == [] ->
+        %{session | complaint: []}
+
+      true ->
+        Output.text(%{session | complaint: names}, @warning, "Arming disabled: " <> Enum.join(names, ", "))
+    end
+  end
+
+  defp complain(session), do: session
+end

@@ -1,0 +1,258 @@
+defmodule Msp.Telemetry do
+  @moduledoc """
+  MAVLink messages for what a flight controller said: what an autopilot would have sent. A message is sent when a reply brought what is
+  in it, never from memory alone, so that its age is that of the reply. What is not known has MAVLink's value for that.
+  """
+
+  import Bitwise
+
+  alias MavCodec.Enums.{MavSysStatusSensor, MavType}
+  alias MavCodec.Messages, as: M
+  alias Msp.{Arming, Identity, Modes, Readings}
+
+  @nan :nan
+  # MAV_MODE_FLAG
+  @custom 1
+  @armed 128
+  # MAV_STATE
+  @calibrating 2
+  @standby 3
+  @active 4
+  @critical 5
+  @prearm MavSysStatusSensor.value(:MAV_SYS_STATUS_PREARM_CHECK)
+  @receiver MavSysStatusSensor.value(:MAV_SYS_STATUS_SENSOR_RC_RECEIVER)
+  # The sensors of both firmwares by their bits, as far as MAVLink has them.
+  @sensors for {bit, name} <- [
+                 {0, :"3D_ACCEL"},
+                 {1, :ABSOLUTE_PRESSURE},
+                 {2, :"3D_MAG"},
+                 {3, :GPS},
+                 {4, :LASER_POSITION}
+               ],
+               do: {bit, MavSysStatusSensor.value(:"MAV_SYS_STATUS_SENSOR_#{name}")}
+  @more_sensors %{
+    betaflight: [{5, :"3D_GYRO"}, {6, :OPTICAL_FLOW}],
+    inav: [{5, :OPTICAL_FLOW}, {6, :DIFFERENTIAL_PRESSURE}]
+  }
+  @charge %{ok: 1, low: 2, critical: 3}
+  # iNav's platform types, and Betaflight's mixers, which are all copters but for the wings.
+  @types %{
+    betaflight: %{
+      TRICOPTER: [1],
+      QUADROTOR: [2, 3],
+      HEXAROTOR: [7, 10],
+      OCTOROTOR: [11, 12, 13],
+      FIXED_WING: [8, 14]
+    },
+    inav: %{FIXED_WING: [1], HELICOPTER: [2], TRICOPTER: [3], GROUND_ROVER: [4], SURFACE_BOAT: [5]}
+  }
+  @type_numbers (for {firmware, types} <- @types, {name, numbers} <- types, number <- numbers, into: %{} do
+                   {{firmware, number}, MavType.value(:"MAV_TYPE_#{name}")}
+                 end)
+  @quadrotor MavType.value(:MAV_TYPE_QUADROTOR)
+  @multirotor MavType.value(:MAV_TYPE_GENERIC_MULTIROTOR)
+
+  @doc "The MAV_TYPE of a vehicle: by the mixer of Betaflight, by the platform type of iNav."
+  @spec type(Modes.firmware(), non_neg_integer | nil) :: non_neg_integer
+  def type(firmware, number) do
+    case @type_numbers do
+      %{{^firmware, ^number} => type} -> type
+      _other -> if firmware == :inav, do: @multirotor, else: @quadrotor
+    end
+  end
+
+  @doc "HEARTBEAT."
+  @spec heartbeat(Identity.t(), non_neg_integer, Readings.t()) :: struct
+  def heartbeat(identity, type, readings) do
+    armed? = Modes.armed?(readings.boxes)
+
+    %M.Heartbeat{
+      type: type,
+      autopilot: 0,
+      base_mode: @custom + if(armed?, do: @armed, else: 0),
+      custom_mode: Modes.mode(identity.firmware, readings.boxes),
+      system_status: status(readings, armed?)
+    }
+  end
+
+  defp status(readings, armed?) do
+    cond do
+      Modes.failsafe?(readings.boxes) -> @critical
+      armed? -> @active
+      calibrating?(readings[:arming]) -> @calibrating
+      true -> @standby
+    end
+  end
+
+  defp calibrating?(nil), do: false
+  defp calibrating?(flags), do: (flags >>> 12 &&& 1) == 1
+
+  @doc "SYS_STATUS: sensors, what keeps it from being armed, load, and the battery."
+  @spec sys_status(Identity.t(), Readings.t()) :: struct
+  def sys_status(identity, readings) do
+    target = Identity.target(identity)
+    armed? = Modes.armed?(readings.boxes)
+    present = sensors(identity.firmware, readings[:sensors] || 0)
+    failing = sensors(identity.firmware, readings[:unhealthy] || 0)
+    {rc, rc_fails} = bit(Arming.rc_lost?(target, readings.arming || 0, armed?), @receiver)
+    {ready, not_ready} = bit(readings.arming && Arming.names(target, readings.arming) != [], @prearm)
+    all = present ||| failing ||| rc ||| ready
+
+    %M.SysStatus{
+      onboard_control_sensors_present: all,
+      onboard_control_sensors_enabled: all,
+      onboard_control_sensors_health: all &&& bnot(failing ||| rc_fails ||| not_ready),
+      load: if(readings[:load], do: round(readings.load * 1000), else: 0xFFFF),
+      voltage_battery: scaled(readings[:voltage], 1000, 0xFFFF),
+      current_battery: scaled(readings[:current], 100, -1),
+      battery_remaining: scaled(readings[:remaining], 100, -1),
+      drop_rate_comm: 0xFFFF
+    }
+  end
+
+  # An unknown one is not there.
+  defp bit(nil, _bit), do: {0, 0}
+  defp bit(fails?, bit), do: {bit, if(fails?, do: bit, else: 0)}
+
+  defp sensors(firmware, bits) do
+    for {bit, value} <- @sensors ++ more(firmware),
+        (bits >>> bit &&& 1) == 1,
+        reduce: 0,
+        do: (sum -> sum ||| value)
+  end
+
+  defp more(firmware) do
+    for {bit, name} <- @more_sensors[firmware],
+        do: {bit, MavSysStatusSensor.value(:"MAV_SYS_STATUS_SENSOR_#{name}")}
+  end
+
+  @doc "ATTITUDE; the rates are not known."
+  @spec attitude(Readings.t(), boot_ms :: non_neg_integer) :: struct
+  def attitude(readings, boot_ms) do
+    %M.Attitude{
+      time_boot_ms: boot_ms,
+      roll: radians(readings.roll),
+      pitch: radians(readings.pitch),
+      yaw: radians(wrap(readings.yaw)),
+      rollspeed: @nan,
+      pitchspeed: @nan,
+      yawspeed: @nan
+    }
+  end
+
+  defp wrap(yaw) when yaw > 180, do: yaw - 360
+  defp wrap(yaw), do: yaw
+  defp radians(degrees), do: degrees * :math.pi() / 180
+
+  @doc "GPS_RAW_INT."
+  @spec gps_raw(Readings.t(), boot_us :: integer) :: struct
+  def gps_raw(readings, boot_us) do
+    %M.GpsRawInt{
+      time_usec: boot_us,
+      fix_type: readings.fix,
+      lat: scaled(readings.lat, 1.0e7, 0),
+      lon: scaled(readings.lon, 1.0e7, 0),
+      alt: scaled(readings.alt_msl, 1000, 0),
+      eph: readings.dilution || 0xFFFF,
+      epv: 0xFFFF,
+      vel: scaled(readings.speed, 100, 0xFFFF),
+      cog: scaled(readings.course, 100, 0xFFFF),
+      satellites_visible: readings.satellites || 255
+    }
+  end
+
+  @doc "GLOBAL_POSITION_INT, or without a position of the receiver ALTITUDE, which has the height above the start alone."
+  @spec position(Readings.t(), boot_ms :: non_neg_integer, boot_us :: integer) :: [struct]
+  def position(%{lat: lat, lon: lon, alt_msl: msl} = readings, boot_ms, _boot_us)
+      when is_number(lat) and is_number(msl) do
+    {north, east} = velocity(readings[:speed], readings[:course])
+
+    [
+      %M.GlobalPositionInt{
+        time_boot_ms: boot_ms,
+        lat: round(lat * 1.0e7),
+        lon: round(lon * 1.0e7),
+        alt: round(msl * 1000),
+        relative_alt: scaled(readings[:alt_rel], 1000, 0x7FFFFFFF),
+        vx: scaled(north, 100, 0x7FFF),
+        vy: scaled(east, 100, 0x7FFF),
+        vz: scaled(readings[:climb] && -readings.climb, 100, 0x7FFF),
+        hdg: scaled(readings[:yaw], 100, 0xFFFF)
+      }
+    ]
+  end
+
+  def position(%{alt_rel: height}, _boot_ms, boot_us) when is_number(height) do
+    [
+      %M.Altitude{
+        time_usec: boot_us,
+        altitude_monotonic: @nan,
+        altitude_amsl: @nan,
+        altitude_local: height,
+        altitude_relative: height,
+        altitude_terrain: @nan,
+        bottom_clearance: @nan
+      }
+    ]
+  end
+
+  def position(_readings, _boot_ms, _boot_us), do: []
+
+  defp velocity(speed, course) when is_number(speed) and is_number(course),
+    do: {speed * :math.cos(radians(course)), speed * :math.sin(radians(course))}
+
+  defp velocity(_speed, _course), do: {nil, nil}
+
+  @doc "BATTERY_STATUS; none while no battery is connected."
+  @spec battery(Readings.t()) :: [struct]
+  def battery(%{voltage: nil}), do: []
+
+  def battery(readings) do
+    [
+      %M.BatteryStatus{
+        voltages: [min(round(readings.voltage * 1000), 0xFFFE) | List.duplicate(0xFFFF, 9)],
+        current_battery: scaled(readings.current, 100, -1),
+        current_consumed: readings.drawn || -1,
+        energy_consumed: -1,
+        battery_remaining: scaled(readings.remaining, 100, -1),
+        temperature: 0x7FFF,
+        charge_state: Map.get(@charge, readings.charge, 0)
+      }
+    ]
+  end
+
+  @doc "RC_CHANNELS."
+  @spec rc(Readings.t(), boot_ms :: non_neg_integer) :: struct
+  def rc(readings, boot_ms) do
+    channels = Enum.take(readings.channels, 18)
+    known = for {us, n} <- Enum.with_index(channels, 1), do: {:"chan#{n}_raw", us}
+    none = for n <- (length(channels) + 1)..18//1, do: {:"chan#{n}_raw", 0xFFFF}
+
+    struct!(
+      %M.RcChannels{
+        time_boot_ms: boot_ms,
+        chancount: length(channels),
+        rssi: scaled(readings[:rssi], 254, 255)
+      },
+      known ++ none
+    )
+  end
+
+  @doc "HOME_POSITION of iNav, whose height follows from the two heights of the vehicle; none as long as one is not known."
+  @spec home(Readings.t()) :: [struct]
+  def home(%{home: {lat, lon}, alt_msl: msl, alt_rel: height}) when is_number(msl) and is_number(height) do
+    [
+      %M.HomePosition{
+        latitude: round(lat * 1.0e7),
+        longitude: round(lon * 1.0e7),
+        altitude: round((msl - height) * 1000),
+        q: [1.0, 0.0, 0.0, 0.0]
+      }
+    ]
+  end
+
+  def home(_readings), do: []
+
+  defp scaled(nil, _factor, unknown), do: unknown
+  defp scaled(value, factor, _unknown), do: round(value * factor)
+end

@@ -1,0 +1,450 @@
+defmodule Msp.SessionTest do
+  use ExUnit.Case, async: true
+
+  import Msp.Test.Controller, only: [betaflight: 0, betaflight: 1, status: 1]
+
+  alias MavCodec.Messages, as: M
+  alias MavCodec.Msp.Frame
+  alias Msp.Test.{Line, Recorded}
+
+  @second 1_000_000
+
+  defp run(answers, seconds, options \\ []),
+    do: answers |> Line.open(options) |> Line.run(round(seconds * @second))
+
+  defp command(line, command, params) do
+    fields = for {n, value} <- params, do: {:"param#{n}", value * 1.0}
+    message = struct!(%M.CommandLong{target_system: 42, target_component: 1, command: command}, fields)
+    Line.handle(line, {:mavlink, MavCodec.encode(message, system: 237, component: 191)})
+  end
+
+  defp acks(line), do: for({_at, ack} <- Line.told(line, M.CommandAck), do: {ack.command, ack.result})
+  defp texts(line), do: for({_at, text} <- Line.told(line, M.Statustext), do: text.text)
+  defp requests(line), do: for({_at, <<_, _, _, _, id, _::binary>>} <- Enum.reverse(line.written), do: id)
+
+  describe "who is there" do
+    test "a port that speaks MAVLink is never asked (Q3)" do
+      heartbeat = MavCodec.encode(%M.Heartbeat{type: 2, autopilot: 3}, system: 1, component: 1)
+
+      line =
+        betaflight()
+        |> Line.open()
+        |> Line.run(900_000)
+        |> Line.handle({:bytes, heartbeat})
+        |> Line.run(5 * @second)
+
+      assert line.failed =~ "it speaks MAVLink"
+      assert line.written == []
+    end
+
+    test "nothing is said for a second" do
+      line = run(betaflight(), 1.1)
+      assert line.written == []
+
+      assert [{1_200_000, "$M<" <> <<0, 1, 1>>}] =
+               for({at, bytes} <- run(betaflight(), 1.205).written, do: {at - 1_000_000_000_000, bytes})
+    end
+
+    test "silence: three requests, and no more" do
+      line = run(fn _bytes, _us -> nil end, 30)
+      assert line.failed == "it does not answer MSP"
+      assert length(line.written) == 3
+    end
+
+    test "a command line that echoes what can be printed of each request" do
+      for echo <- ["$M<", "\r\n# $M<"] do
+        assert run(fn _bytes, _us -> echo end, 30).failed =~ "line"
+      end
+
+      assert run(fn _bytes, _us -> "$M<" end, 30).failed =~ "its command line is open"
+    end
+
+    test "a cable that is looped back" do
+      assert run(fn bytes, _us -> bytes end, 30).failed =~ "looped back"
+    end
+
+    test "a video unit that asks us" do
+      ask = Frame.encode(%Frame{id: 101})
+
+      line =
+        betaflight() |> Line.open() |> Line.run(1_205_000) |> Line.handle({:bytes, ask}) |> Line.run(@second)
+
+      assert line.failed =~ "asks instead of answering"
+    end
+
+    test "something else that talks" do
+      assert run(fn _bytes, _us -> "ets Jun  8 2016 00:22:57 rst:0x1 (POWERON_RESET)\r\n" end, 30).failed =~
+               "sends console text"
+    end
+
+    test "firmware that is no vehicle over MSP is named, and asked nothing else" do
+      for {api, variant, version, why} <- [
+            {{12, 9}, "RTFL", {4, 6, 0}, "Rotorflight"},
+            {{1, 42}, "ARDU", {4, 2, 0}, "ArduPilot"},
+            {{1, 42}, "INAV", {4, 1, 0}, "port for a video unit"},
+            {{1, 39}, "BTFL", {3, 4, 0}, "Betaflight 3.4.0 (API 1.39), which Aerie does not know"},
+            {{2, 4}, "INAV", {5, 1, 0}, "iNav 5.1.0, which Aerie does not know"},
+            {{1, 46}, "ABCD", {1, 0, 0}, ~s(calls itself "ABCD")}
+          ] do
+        {major, minor} = api
+        {a, b, c} = version
+
+        line =
+          run(
+            betaflight(%{
+              "API_VERSION" => %{protocol: 0, api_major: major, api_minor: minor},
+              "FC_VARIANT" => %{variant: variant},
+              "FC_VERSION" => %{major_or_year: a, minor_or_month: b, patch: c}
+            }),
+            10
+          )
+
+        assert line.failed =~ why
+        assert requests(line) == [1, 2, 3]
+      end
+    end
+  end
+
+  describe "a vehicle" do
+    test "comes with its heartbeat, then who it is and what its modes are called" do
+      line = run(betaflight(), 2, system: 7)
+
+      assert [{_at, %M.Heartbeat{type: 2, autopilot: 0, base_mode: 1, custom_mode: 0, system_status: 3}} | _] =
+               Line.told(line, M.Heartbeat)
+
+      assert [first, second | _] = Line.told(line)
+      assert {_, %M.Heartbeat{}} = first
+
+      assert {_,
+              %M.ComponentInformationBasic{
+                vendor_name: "Betaflight",
+                model_name: "racer",
+                software_version: "Betaflight 4.5.5 (API 1"
+              }} = second
+
+      assert [{_, %M.AutopilotVersion{uid2: <<0, 0, 0, 1, 0, 0, 0, 2, _::binary>>}}] =
+               Line.told(line, M.AutopilotVersion)
+
+      modes = for {_at, mode} <- Line.told(line, M.AvailableModes), do: {mode.custom_mode, mode.mode_name}
+      assert {1, "ANGLE"} in modes and {46, "GPS RESCUE"} in modes and {27, "FAILSAFE"} in modes
+      assert texts(line) == ["Betaflight 4.5.5 (API 1.46)"]
+    end
+
+    test "values: degrees to radians, pitch with the nose up, heights and speeds, and what is not known" do
+      line = run(betaflight(), 3)
+      [{_at, attitude} | _] = Line.told(line, M.Attitude)
+      assert_in_delta attitude.roll, 12.3 * :math.pi() / 180, 1.0e-6
+      assert_in_delta attitude.pitch, 4.5 * :math.pi() / 180, 1.0e-6
+      assert_in_delta attitude.yaw, -90 * :math.pi() / 180, 1.0e-6
+      assert attitude.rollspeed == :nan
+      # No position, as this one has no receiver: the height alone.
+      assert [{_, %M.Altitude{altitude_relative: 2.5, altitude_amsl: :nan}} | _] = Line.told(line, M.Altitude)
+      assert Line.told(line, M.GlobalPositionInt) == []
+      [{_, status} | _] = Line.told(line, M.SysStatus)
+      assert %{voltage_battery: 0xFFFF, current_battery: -1, battery_remaining: -1, load: 120} = status
+      # A reply that it refuses once is not asked for again.
+      assert Enum.count(requests(line), &(&1 == 106)) == 1
+    end
+
+    test "a position" do
+      gps = %{
+        fix: 2,
+        satellites: 12,
+        lat: 473_977_420,
+        lon: 85_455_940,
+        altitude: 500,
+        ground_speed: 1000,
+        course: 900,
+        dop: 120
+      }
+
+      line = run(betaflight(%{"RAW_GPS" => gps}), 4)
+
+      assert [{_, %M.GpsRawInt{fix_type: 3, lat: 473_977_420, satellites_visible: 12, eph: 120}} | _] =
+               Line.told(line, M.GpsRawInt)
+
+      {_, position} = line |> Line.told(M.GlobalPositionInt) |> List.last()
+
+      assert %{
+               lat: 473_977_420,
+               lon: 85_455_940,
+               alt: 500_000,
+               relative_alt: 2500,
+               vx: 0,
+               vy: 1000,
+               vz: 30,
+               hdg: 27_000
+             } = position
+
+      # Without a fix it is none, although the numbers are still there.
+      line = run(betaflight(%{"RAW_GPS" => %{gps | fix: 0}}), 4)
+      assert [{_, %M.GpsRawInt{fix_type: 1, lat: 0, lon: 0, cog: 0xFFFF}} | _] = Line.told(line, M.GpsRawInt)
+      assert Line.told(line, M.GlobalPositionInt) == []
+    end
+
+    test "a battery; without cells there is none" do
+      battery = %{
+        cells: 4,
+        capacity: 1500,
+        voltage_dv: 168,
+        drawn: 300,
+        current: 1234,
+        state: 1,
+        voltage: 1655
+      }
+
+      line = run(betaflight(%{"BATTERY_STATE" => battery}), 4)
+      {_, sent} = line |> Line.told(M.BatteryStatus) |> List.last()
+
+      assert %{
+               voltages: [16_550 | _],
+               current_battery: 1234,
+               current_consumed: 300,
+               battery_remaining: 80,
+               charge_state: 2
+             } = sent
+
+      assert Line.told(
+               run(betaflight(%{"BATTERY_STATE" => %{battery | cells: 0, voltage: 0}}), 4),
+               M.BatteryStatus
+             ) == []
+    end
+
+    test "channels in the order of the transmitter: throttle before yaw" do
+      channels = for us <- [1100, 1200, 1300, 1400, 1500], do: %{channel: us}
+      line = run(betaflight(%{"RC" => %{entries: channels}}), 4)
+
+      assert [
+               {_,
+                %M.RcChannels{
+                  chancount: 5,
+                  chan1_raw: 1100,
+                  chan3_raw: 1400,
+                  chan4_raw: 1300,
+                  chan6_raw: 0xFFFF
+                }}
+               | _
+             ] = Line.told(line, M.RcChannels)
+    end
+
+    test "what keeps it from being armed is told once for each change, and not of an armed one" do
+      line =
+        run(
+          betaflight(%{
+            "STATUS_EX" => fn us ->
+              cond do
+                us < 4 * @second -> status(%{arming_disable_flags: 0b100})
+                us < 6 * @second -> status(%{arming_disable_flags: 0b10000100})
+                us < 8 * @second -> status(%{arming_disable_flags: 0})
+                us < 10 * @second -> status(%{mode_flags: 1, arming_disable_flags: 0b100})
+                true -> status(%{})
+              end
+            end
+          }),
+          12
+        )
+
+      assert texts(line) == [
+               "Betaflight 4.5.5 (API 1.46)",
+               "Arming disabled: RX_FAILSAFE",
+               "Arming disabled: RX_FAILSAFE, THROTTLE"
+             ]
+
+      [{_, first} | _] = Line.told(line, M.SysStatus)
+      prearm = MavCodec.Enums.MavSysStatusSensor.value(:MAV_SYS_STATUS_PREARM_CHECK)
+      assert Bitwise.band(first.onboard_control_sensors_enabled, prearm) != 0
+      assert Bitwise.band(first.onboard_control_sensors_health, prearm) == 0
+    end
+
+    test "a long text goes in chunks that belong together" do
+      line = run(betaflight(%{"STATUS_EX" => status(%{arming_disable_flags: 0x3F_FFFF})}), 3)
+      chunks = for {_, %{id: id} = text} when id > 0 <- Line.told(line, M.Statustext), do: text
+      assert length(chunks) > 2 and length(Enum.uniq_by(chunks, & &1.id)) == 1
+      assert Enum.map(chunks, & &1.chunk_seq) == Enum.to_list(0..(length(chunks) - 1))
+      assert "Arming disabled: NO_GYRO, FAILSAFE, RX_FAILSAFE" <> _ = Enum.map_join(chunks, & &1.text)
+    end
+
+    test "no heartbeat without a reply: a vehicle that falls silent is not made up" do
+      line = run(betaflight(%{"STATUS_EX" => fn us -> if us < 5 * @second, do: status(%{}) end}), 20)
+      assert line |> Line.told(M.Heartbeat) |> List.last() |> elem(0) < 5.1 * @second
+    end
+  end
+
+  describe "a line that fails" do
+    test "is asked again who is there, with the boxes that it has then" do
+      answers =
+        betaflight(%{
+          "BOXIDS" => fn us ->
+            if us < 5 * @second, do: %{entries: [%{id: 0}, %{id: 1}]}, else: %{entries: [%{id: 0}, %{id: 46}]}
+          end,
+          "STATUS_EX" => status(%{mode_flags: 0b10})
+        })
+
+      line =
+        run(fn bytes, us -> if us in (5 * @second)..(8 * @second), do: nil, else: answers.(bytes, us) end, 14)
+
+      assert for({_, %{custom_mode: mode}} <- Line.told(line, M.Heartbeat), do: mode) |> Enum.dedup() == [
+               1,
+               46
+             ]
+
+      refute line.failed
+    end
+
+    test "a restart shows in Betaflight's first seconds, which it does not arm in: its clock begins again" do
+      status = fn us ->
+        status(%{arming_disable_flags: if(us in (9 * @second)..(13 * @second), do: 0x200, else: 0)})
+      end
+
+      answers = betaflight(%{"STATUS_EX" => status})
+
+      line =
+        run(fn bytes, us -> if us in (7 * @second)..(9 * @second), do: nil, else: answers.(bytes, us) end, 20)
+
+      boots = for {at, %{time_boot_ms: ms}} <- Line.told(line, M.Attitude), do: {at, ms}
+      {_, before} = boots |> Enum.filter(fn {at, _} -> at < 7 * @second end) |> List.last()
+      {_, behind} = List.last(boots)
+      assert before > 5000 and behind < 12_000
+    end
+
+    test "a late reply is not taken for another's, and half a frame holds nothing up" do
+      answers = betaflight()
+      # Each tenth reply comes after its time; each seventh is cut.
+      counter = :counters.new(1, [])
+
+      odd = fn bytes, us ->
+        :counters.add(counter, 1, 1)
+
+        case :counters.get(counter, 1) do
+          n when us > 3 * @second and rem(n, 7) == 0 -> binary_slice(answers.(bytes, us), 0..-4//1)
+          _n -> answers.(bytes, us)
+        end
+      end
+
+      line = run(odd, 30)
+      refute line.failed
+      late = Line.told(line, M.Attitude)
+      assert length(late) > 40
+
+      assert Enum.all?(late, fn {_at, attitude} ->
+               attitude == %{hd_value(late) | time_boot_ms: attitude.time_boot_ms}
+             end)
+    end
+  end
+
+  defp hd_value([{_at, first} | _]), do: first
+
+  describe "requests of clients" do
+    test "for a message, its interval, and the names of modes" do
+      line = run(betaflight(), 3) |> command(512, %{1 => 148})
+      assert {512, 0} in acks(line)
+      assert length(Line.told(line, M.AutopilotVersion)) == 2
+      line = command(line, 512, %{1 => 435, 2 => 2})
+      assert {_, %M.AvailableModes{mode_index: 2}} = line |> Line.told(M.AvailableModes) |> List.last()
+      assert {512, 3} in acks(command(line, 512, %{1 => 9999}))
+
+      before = length(Line.told(line, M.Attitude))
+      line = line |> command(511, %{1 => 30, 2 => 50_000}) |> Line.run(2 * @second)
+      assert {511, 0} in acks(line)
+      assert (length(Line.told(line, M.Attitude)) - before) in 35..42
+      line = command(line, 510, %{1 => 30})
+
+      assert [{_, %M.MessageInterval{message_id: 30, interval_us: 50_000}}] =
+               Line.told(line, M.MessageInterval)
+
+      # The default is the usual rate again.
+      line = command(line, 511, %{1 => 30, 2 => 0}) |> command(510, %{1 => 30})
+      assert {_, %{interval_us: 200_000}} = line |> Line.told(M.MessageInterval) |> List.last()
+    end
+
+    test "to others, and numbers that are none, change nothing" do
+      line = run(betaflight(), 3)
+
+      other =
+        MavCodec.encode(%M.CommandLong{target_system: 41, target_component: 1, command: 246, param1: 1.0},
+          system: 255,
+          component: 190
+        )
+
+      line = Line.handle(line, {:mavlink, other})
+      assert acks(line) == []
+
+      line =
+        Line.handle(
+          line,
+          {:mavlink,
+           MavCodec.encode(%M.CommandLong{target_system: 42, command: 512, param1: :nan},
+             system: 255,
+             component: 190
+           )}
+        )
+
+      assert acks(line) == [{512, 3}]
+      assert [] == line |> Line.handle({:mavlink, :rand.bytes(500)}) |> Line.told(M.ParamValue)
+    end
+
+    test "to restart it: acknowledged when it has said so, refused while it is armed" do
+      line = run(betaflight(%{"REBOOT" => %{mode: 0}}), 3) |> command(246, %{1 => 1}) |> Line.run(@second)
+      assert {246, 0} in acks(line)
+      assert 68 in requests(line)
+
+      armed = betaflight(%{"REBOOT" => %{mode: 0}, "STATUS_EX" => status(%{mode_flags: 1})})
+      line = run(armed, 3) |> command(246, %{1 => 1}) |> Line.run(@second)
+      assert acks(line) == [{246, 2}]
+      refute 68 in requests(line)
+      assert "REBOOT refused: it is armed" in texts(line)
+      # Into a boot loader: never.
+      assert {246, 3} in acks(command(line, 246, %{1 => 3}))
+    end
+
+    test "what the flight controller refuses is FAILED; what it does not answer is not acknowledged" do
+      line = run(betaflight(%{"EEPROM_WRITE" => :refused}), 3) |> command(245, %{1 => 1}) |> Line.run(@second)
+      assert acks(line) == [{245, 4}]
+      line = run(betaflight(%{"EEPROM_WRITE" => nil}), 3) |> command(245, %{1 => 1}) |> Line.run(8 * @second)
+      assert acks(line) == []
+      # Once: a write is not repeated.
+      assert Enum.count(requests(line), &(&1 == 250)) == 1
+    end
+
+    test "what is repeated while it is being done is not done twice" do
+      line =
+        run(betaflight(%{"ACC_CALIBRATION" => :done}), 3)
+        |> command(241, %{5 => 1})
+        |> command(241, %{5 => 1})
+        |> Line.run(@second)
+
+      assert Enum.sort(acks(line)) == [{241, 0}, {241, 5}]
+      assert Enum.count(requests(line), &(&1 == 205)) == 1
+    end
+  end
+
+  describe "the real ones" do
+    test "Betaflight 4.5.5: armed, ANGLE, disarmed as its recording says" do
+      line = run(Recorded.answers("betaflight_4.5.5", 0.0), 62)
+
+      beats =
+        for {at, beat} <- Line.told(line, M.Heartbeat),
+            do: {at / @second, beat.base_mode, beat.custom_mode, beat.system_status}
+
+      changes = Enum.dedup_by(beats, fn {_at, base, mode, status} -> {base, mode, status} end)
+      # 22:46:20.540 armed, 28.490 ANGLE, 39.626 disarmed; the first request was at 22:45:51.939.
+      assert [{_, 1, 0, 3}, {armed, 129, 0, 4}, {angle, 129, 1, 4}, {disarmed, 1, 1, 3}] = changes
+      assert_in_delta armed, 28.6, 0.7
+      assert_in_delta angle, 36.55, 0.7
+      assert_in_delta disarmed, 47.7, 0.7
+      assert Enum.any?(Line.told(line, M.Attitude), fn {_at, attitude} -> abs(attitude.roll) > 0.2 end)
+    end
+
+    test "iNav 9.0.0: what it is, its state and its home" do
+      line = run(Recorded.answers("inav_9.0.0", 0.0), 20)
+      refute line.failed
+      assert ["iNav 9.0.0" | _] = texts(line)
+
+      assert [{_, %M.ComponentInformationBasic{vendor_name: "iNav"}}] =
+               Line.told(line, M.ComponentInformationBasic)
+
+      assert length(Line.told(line, M.Heartbeat)) > 15
+      assert length(Line.told(line, M.SysStatus)) > 15
+    end
+  end
+end

@@ -1,0 +1,90 @@
+defmodule Msp.Test.Line do
+  @moduledoc """
+  A session at a line, in simulated time: what it writes goes to a function that answers, after some milliseconds, and what it tells
+  in MAVLink is collected.
+  """
+
+  alias Msp.Session
+
+  defstruct [
+    :session,
+    :answer,
+    now: 1_000_000_000_000,
+    wake: nil,
+    coming: [],
+    told: [],
+    written: [],
+    failed: nil,
+    delay: 10_000
+  ]
+
+  @doc "A line whose other end is `answer`: `(bytes, time in us since the beginning) -> bytes | nil`. It is opened."
+  def open(answer, options \\ []) do
+    line =
+      struct!(
+        %__MODULE__{session: Session.new(options[:system] || 42), answer: answer},
+        Keyword.take(options, [:delay])
+      )
+
+    handle(line, :opened)
+  end
+
+  @doc "Lets `us` pass."
+  def run(%{failed: nil} = line, us), do: until(line, line.now + us)
+  def run(line, _us), do: line
+
+  @doc "An event now."
+  def handle(line, event) do
+    {session, actions} = Session.handle(line.session, event, line.now)
+    Enum.reduce(actions, %{line | session: session}, &act/2)
+  end
+
+  @doc "The messages told so far, decoded, each with its time in us since the beginning; those of one kind."
+  def told(line, module), do: for({at, %^module{} = message} <- told(line), do: {at, message})
+
+  def told(line) do
+    for {at, bytes} <- Enum.reverse(line.told), frame <- frames(bytes) do
+      {:ok, message} = MavCodec.decode(frame)
+      {at - 1_000_000_000_000, message}
+    end
+  end
+
+  defp frames(bytes), do: elem(MavCodec.Parser.push(MavCodec.Parser.new(), bytes, 0), 0)
+
+  defp until(%{failed: nil} = line, target) do
+    case Enum.min(Enum.map(line.coming, &elem(&1, 0)) ++ List.wrap(line.wake), fn -> nil end) do
+      at when is_integer(at) and at <= target ->
+        line |> Map.put(:now, max(at, line.now)) |> due() |> until(target)
+
+      _later ->
+        %{line | now: target}
+    end
+  end
+
+  defp until(line, _target), do: line
+
+  defp due(%{coming: coming, now: now} = line) do
+    case Enum.split_with(coming, fn {at, _bytes} -> at <= now end) do
+      {[], _later} ->
+        handle(%{line | wake: nil}, :tick)
+
+      {arrived, later} ->
+        Enum.reduce(Enum.sort(arrived), %{line | coming: later}, fn {_at, bytes}, line ->
+          handle(line, {:bytes, bytes})
+        end)
+    end
+  end
+
+  defp act({:write, bytes}, line) do
+    line = %{line | written: [{line.now, bytes} | line.written]}
+
+    case line.answer.(bytes, line.now - 1_000_000_000_000) do
+      nil -> line
+      answer -> %{line | coming: [{line.now + line.delay, answer} | line.coming]}
+    end
+  end
+
+  defp act({:mavlink, bytes}, line), do: %{line | told: [{line.now, bytes} | line.told]}
+  defp act({:wake, at}, line), do: %{line | wake: at}
+  defp act({:fail, text}, line), do: %{line | failed: text}
+end

@@ -1,0 +1,478 @@
+defmodule SimVehicle.Msp.Firmware do
+  @moduledoc """
+  Betaflight 4.5.5 or iNav 9.0.0, as far as MSP shows them: a value. What it says of its configuration is what the real one said in its
+  simulator (`priv/msp`); what it says of its state is that of `SimVehicle.Msp.Flight`.
+
+  It arms and changes its mode by the channels of its receiver, within the ranges of MODE_RANGES. Betaflight takes one request of each port
+  in 10 ms, acknowledges short writes and fills them with stale bytes, restarts although it is armed, and dies of requests of 200 bytes and
+  more. iNav answers at once, refuses wrong lengths, and refuses while it is armed what it should.
+  """
+
+  alias MavCodec.Msp.{Frame, Messages, Payload}
+  alias SimVehicle.Msp.{Flight, Port}
+
+  @priv Path.expand("../../../priv/msp", __DIR__)
+  @blocks Map.new([:betaflight, :inav], fn firmware ->
+            path = Path.join(@priv, "#{firmware}.txt")
+            @external_resource path
+
+            lines = for line <- File.stream!(path), not String.starts_with?(line, "#"), do: String.split(line)
+
+            {firmware,
+             Map.new(lines, fn [id, hex] ->
+               {String.to_integer(id), if(hex == "-", do: "", else: Base.decode16!(hex, case: :lower))}
+             end)}
+          end)
+  @versions %{betaflight: {1, 46}, inav: {9, 0}}
+  @tick_us 10_000
+  @grace_us 5_000_000
+  @gps_us 3_000_000
+  @off_us 1_500_000
+  # {box, aux channel from 0, first and last step of 25 µs above 900}
+  @ranges %{
+    betaflight: [{0, 0, 32, 48}, {1, 1, 32, 48}, {46, 2, 32, 48}],
+    inav: [{0, 0, 32, 48}, {1, 1, 32, 48}, {11, 2, 12, 28}, {10, 2, 32, 48}]
+  }
+  @arm 0
+  @failsafe 27
+  @throttle_low 1050
+  # Until the flag, until the failsafe, after the last frame of the receiver.
+  @lost_us %{betaflight: {150_000, 1_500_000}, inav: {200_000, 700_000}}
+  @flags %{
+    betaflight: %{
+      failsafe: 1,
+      rx: 2,
+      not_disarmed: 3,
+      throttle: 7,
+      grace: 9,
+      calibrating: 12,
+      cli: 13,
+      msp: 16,
+      switch: 25
+    },
+    inav: %{failsafe: 7, calibrating: 9, switch: 14, rx: 18, throttle: 19, cli: 20}
+  }
+  @calibrates_us 2_000_000
+  # Refused while armed by iNav; Betaflight refuses the first and ignores the others.
+  @armed_inav [250, 205, 206, 68, 210, 0x2018, 0x2080, 18, 19, 208]
+
+  defstruct [
+    :firmware,
+    :version,
+    :blocks,
+    now: 0,
+    boots: 1,
+    off_until: nil,
+    dead: false,
+    started: 0,
+    flight: %Flight{},
+    channels: [1500, 1500, 1000, 1500 | List.duplicate(1000, 12)],
+    rc_at: 0,
+    rc_lost: false,
+    armed: false,
+    boxes: MapSet.new([]),
+    must_switch_off: false,
+    calibrating_until: 0,
+    stored: %{},
+    ports: %{},
+    events: []
+  ]
+
+  @type t :: %__MODULE__{}
+  @type output :: {port :: term, binary}
+
+  @doc "A flight controller that was just switched on."
+  @spec new(Messages.firmware(), keyword) :: t
+  def new(firmware, options \\ []) do
+    blocks = Map.put(Map.fetch!(@blocks, firmware), 34, ranges(firmware))
+    flight = struct!(%Flight{}, Map.new(options[:flight] || %{}))
+    # Each has another processor, which simulators of the real firmware have not.
+    blocks = if uid = options[:uid], do: Map.put(blocks, 160, <<uid::32-little, 0::64>>), else: blocks
+
+    %__MODULE__{
+      firmware: firmware,
+      version: @versions[firmware],
+      blocks: blocks,
+      stored: blocks,
+      flight: flight
+    }
+  end
+
+  defp ranges(firmware) do
+    slots = %{betaflight: 20, inav: 40}[firmware]
+    used = for {box, aux, first, last} <- @ranges[firmware], into: <<>>, do: <<box, aux, first, last>>
+    used <> :binary.copy(<<0>>, 4 * slots - byte_size(used))
+  end
+
+  @doc "A client is at a port; what the one before left behind is still there."
+  @spec connect(t, term) :: t
+  def connect(fc, port), do: put_in(fc.ports[port], Map.get(fc.ports, port, %Port{}))
+
+  @doc "Bytes from a client: what is answered at once."
+  @spec receive(t, term, binary) :: {t, [output]}
+  def receive(%{off_until: off} = fc, _port, _bytes) when off != nil, do: {fc, []}
+  def receive(%{dead: true} = fc, _port, _bytes), do: {fc, []}
+
+  def receive(fc, id, bytes) do
+    {port, echo, events} = Port.receive(fc.ports[id], bytes)
+    fc = Enum.reduce(events, put_in(fc.ports[id], port), &port_event/2)
+    out = if echo == "", do: [], else: [{id, echo}]
+
+    if fc.firmware == :inav and not port.cli do
+      {fc, more} = serve(fc, id, length(port.queue))
+      {fc, out ++ more}
+    else
+      {fc, out}
+    end
+  end
+
+  defp port_event(:exit, fc), do: reboot(fc)
+  # Its memory is overwritten.
+  defp port_event({:oversize, n}, %{firmware: :betaflight} = fc) when n >= 200,
+    do: event(%{fc | dead: true}, :crashed)
+
+  defp port_event({:oversize, _n}, fc), do: fc
+
+  @doc "Sets channels of its own receiver, in µs from the first on; it was heard now."
+  @spec sticks(t, [integer]) :: t
+  def sticks(%{rc_lost: true} = fc, channels), do: %{fc | channels: channels}
+  def sticks(fc, channels), do: %{fc | channels: channels, rc_at: fc.now}
+
+  @doc "Loses its receiver, or finds it."
+  @spec lose_rc(t, boolean) :: t
+  def lose_rc(fc, lost?), do: %{fc | rc_lost: lost?}
+
+  @doc "Lets time pass, in steps of 10 ms: what is answered."
+  @spec step(t, us :: non_neg_integer) :: {t, [output]}
+  def step(fc, us) when us < @tick_us, do: {fc, []}
+
+  def step(fc, us) do
+    {fc, out} = tick(%{fc | now: fc.now + @tick_us})
+    {fc, more} = step(fc, us - @tick_us)
+    {fc, out ++ more}
+  end
+
+  defp tick(%{off_until: off, now: now} = fc) when off != nil do
+    if now >= off, do: {%{fc | off_until: nil, started: now}, []}, else: {fc, []}
+  end
+
+  defp tick(%{dead: true} = fc), do: {fc, []}
+
+  defp tick(fc) do
+    fc = if fc.rc_lost, do: fc, else: %{fc | rc_at: fc.now}
+    fc = fc |> switches() |> fly()
+    if fc.firmware == :betaflight, do: serve_all(fc), else: {fc, []}
+  end
+
+  defp serve_all(fc) do
+    Enum.reduce(Map.keys(fc.ports), {fc, []}, fn id, {fc, out} ->
+      {fc, more} = serve(fc, id, 1)
+      {fc, out ++ more}
+    end)
+  end
+
+  defp fly(fc) do
+    landing? = MapSet.member?(fc.boxes, @failsafe)
+    flight = Flight.step(fc.flight, fc.channels, fc.armed, landing?, @tick_us / 1.0e6)
+    %{fc | flight: flight}
+  end
+
+  # --- arming and modes ---
+
+  defp switches(fc) do
+    {_flag_us, failsafe_us} = @lost_us[fc.firmware]
+    failsafe? = fc.now - fc.rc_at > failsafe_us
+    wanted = wanted(fc)
+    arm? = @arm in wanted
+    was_armed = fc.armed
+
+    fc =
+      cond do
+        fc.armed and failsafe? and fc.firmware == :betaflight -> %{fc | armed: false, must_switch_off: true}
+        fc.armed and not arm? and not failsafe? -> %{fc | armed: false}
+        not fc.armed and arm? and arming_flags(fc, false) == 0 -> %{fc | armed: true}
+        not fc.armed and not arm? -> %{fc | must_switch_off: false}
+        true -> fc
+      end
+
+    modes = if failsafe? and (was_armed or fc.armed), do: [@failsafe, 1], else: MapSet.delete(wanted, @arm)
+    boxes = MapSet.new(modes) |> then(&if fc.armed, do: MapSet.put(&1, @arm), else: &1)
+    boxes = if failsafe? and fc.must_switch_off, do: MapSet.put(boxes, @failsafe), else: boxes
+    %{changed(fc, was_armed) | boxes: boxes}
+  end
+
+  defp changed(%{armed: same} = fc, same), do: fc
+  defp changed(fc, _was), do: event(fc, if(fc.armed, do: :armed, else: :disarmed))
+
+  defp wanted(fc) do
+    for <<box, aux, first, last <- fc.blocks[34]>>,
+        first < last,
+        us = Enum.at(fc.channels, 4 + aux, 0),
+        us >= 900 + 25 * first and us < 900 + 25 * last,
+        into: MapSet.new(),
+        do: box
+  end
+
+  @doc "The arming flags; the flag of the switch only counts if it is on."
+  @spec arming_flags(t, boolean) :: non_neg_integer
+  def arming_flags(fc, with_switch? \\ true) do
+    {lost_us, failsafe_us} = @lost_us[fc.firmware]
+    silent = fc.now - fc.rc_at
+
+    reasons = [
+      rx: silent > lost_us,
+      failsafe: silent > failsafe_us,
+      not_disarmed: fc.must_switch_off,
+      throttle: Enum.at(fc.channels, 2) > @throttle_low,
+      grace: fc.now - fc.started < @grace_us,
+      calibrating: fc.now < fc.calibrating_until,
+      cli: Enum.any?(fc.ports, fn {_id, port} -> port.cli end),
+      msp: Enum.any?(fc.ports, fn {_id, port} -> port.disabled end)
+    ]
+
+    bits = @flags[fc.firmware]
+
+    flags =
+      for {name, true} <- reasons,
+          bit = bits[name],
+          reduce: 0,
+          do: (sum -> Bitwise.bor(sum, Bitwise.bsl(1, bit)))
+
+    if with_switch? and flags != 0 and @arm in wanted(fc) and not fc.armed,
+      do: Bitwise.bor(flags, Bitwise.bsl(1, bits.switch)),
+      else: flags
+  end
+
+  # --- requests ---
+
+  defp serve(fc, _id, 0), do: {fc, []}
+
+  defp serve(fc, id, n) do
+    case fc.ports[id] do
+      %{queue: [frame | rest]} = port when fc.off_until == nil ->
+        {answer, fc} = answer(put_in(fc.ports[id], %{port | queue: rest}), id, frame)
+        {fc, more} = serve(fc, id, n - 1)
+        # iNav does not answer if the lowest flag is set.
+        silent? = fc.firmware == :inav and rem(frame.flags, 2) == 1
+        {fc, if(silent?, do: [], else: out(id, frame, answer)) ++ more}
+
+      _nothing ->
+        {fc, []}
+    end
+  end
+
+  defp out(id, frame, {:ok, payload}),
+    do: [{id, Frame.encode(%{frame | direction: :reply, payload: payload})}]
+
+  defp out(id, frame, :error), do: [{id, Frame.encode(%{frame | direction: :error, payload: ""})}]
+
+  defp answer(%{firmware: :inav, armed: true} = fc, _id, %{id: command}) when command in @armed_inav,
+    do: {:error, fc}
+
+  defp answer(%{armed: true} = fc, _id, %{id: 250}), do: {:error, fc}
+  # Acknowledged, and ignored.
+  defp answer(%{armed: true} = fc, _id, %{id: command}) when command in [205, 206], do: {{:ok, ""}, fc}
+
+  defp answer(fc, _id, %{id: 68, payload: payload}) do
+    if payload in ["", <<0>>],
+      do: {{:ok, if(fc.firmware == :inav, do: "", else: <<0>>)}, reboot(fc)},
+      else: {:error, fc}
+  end
+
+  defp answer(fc, _id, %{id: 250}), do: {{:ok, ""}, event(%{fc | stored: fc.blocks}, :stored)}
+
+  defp answer(fc, _id, %{id: command}) when command in [205, 206],
+    do: {{:ok, ""}, event(%{fc | calibrating_until: fc.now + @calibrates_us}, {:calibrating, command})}
+
+  defp answer(%{firmware: :betaflight} = fc, id, %{id: 99, payload: <<disable, _::binary>>}) do
+    fc = put_in(fc.ports[id].disabled, disable != 0)
+    {{:ok, ""}, if(disable != 0, do: changed(%{fc | armed: false}, fc.armed), else: fc)}
+  end
+
+  defp answer(%{firmware: :betaflight} = fc, id, %{id: 230, payload: ids} = frame) do
+    {parts, fc} =
+      Enum.map_reduce(:binary.bin_to_list(ids), fc, fn inner, fc ->
+        case answer(fc, id, %{frame | id: inner, payload: ""}) do
+          {{:ok, payload}, fc} -> {<<rem(byte_size(payload), 256), payload::binary>>, fc}
+          {_refused, fc} -> {<<0>>, fc}
+        end
+      end)
+
+    {{:ok, IO.iodata_to_binary(parts)}, fc}
+  end
+
+  defp answer(fc, id, %{id: command, payload: payload} = frame) do
+    case {live(fc, command), Messages.fetch(fc.firmware, command)} do
+      {payload, _message} when is_binary(payload) -> {{:ok, payload}, fc}
+      {nil, {:ok, %{kind: :write} = message}} -> write(fc, id, message, frame)
+      {nil, _read} -> {read(fc, command, payload), fc}
+    end
+  end
+
+  defp read(fc, command, _arguments) do
+    case fc.blocks do
+      %{^command => payload} -> {:ok, payload}
+      _unknown -> :error
+    end
+  end
+
+  # A write whose layout is that of a block changes the block; others are acknowledged.
+  defp write(%{firmware: :inav} = fc, _id, message, %{payload: payload}) do
+    if message.exact? and byte_size(payload) not in message.sizes,
+      do: {:error, fc},
+      else: {{:ok, ""}, store(fc, message, payload)}
+  end
+
+  defp write(fc, id, message, %{payload: payload}) do
+    {filled, port} = Port.fill(fc.ports[id], payload, message.min)
+    {{:ok, ""}, store(put_in(fc.ports[id], port), message, filled)}
+  end
+
+  defp store(fc, %{name: "SET_MODE_RANGE"}, <<slot, range::binary-size(4), _::binary>>) when slot < 20 do
+    <<before::binary-size(^slot * 4), _old::binary-size(4), behind::binary>> = fc.blocks[34]
+    put_in(fc.blocks[34], before <> range <> behind)
+  end
+
+  defp store(fc, message, payload) do
+    case Enum.find(
+           Messages.all(fc.firmware),
+           &(&1.kind == :read and &1.request == [] and &1.reply == message.request and &1.reply != [])
+         ) do
+      %{id: id} when is_map_key(fc.blocks, id) ->
+        old = fc.blocks[id]
+        new = binary_part(payload, 0, min(byte_size(payload), byte_size(old)))
+        put_in(fc.blocks[id], new <> binary_part(old, byte_size(new), byte_size(old) - byte_size(new)))
+
+      _none ->
+        fc
+    end
+  end
+
+  defp reboot(fc) do
+    ports = Map.new(fc.ports, fn {id, _port} -> {id, %Port{}} end)
+
+    event(
+      %{
+        changed(%{fc | armed: false}, fc.armed)
+        | off_until: fc.now + @off_us,
+          boots: fc.boots + 1,
+          blocks: fc.stored,
+          ports: ports,
+          boxes: MapSet.new()
+      },
+      :rebooted
+    )
+  end
+
+  defp event(fc, event), do: %{fc | events: [event | fc.events]}
+
+  # --- what it says of its state ---
+
+  defp live(fc, command) do
+    with {:ok, %{kind: :read} = message} <- Messages.fetch(fc.firmware, command),
+         values when values != nil <- values(fc, message.name, fc.blocks[command]) do
+      {:ok, payload} = Payload.encode(message.reply, values, fc.version)
+      payload
+    else
+      _other -> nil
+    end
+  end
+
+  defp values(fc, name, block) when name in ["STATUS", "STATUS_EX", "MSP2_INAV_STATUS"] and block != nil do
+    {:ok, message} = Messages.fetch(fc.firmware, name)
+    {:ok, values} = Payload.decode(message.reply, block, fc.version)
+    flags = arming_flags(fc)
+
+    values = Map.put(values, :mode_flags, mode_flags(fc))
+
+    if fc.firmware == :inav,
+      do: %{values | arming_flags: inav_flags(fc, flags)},
+      else: %{values | arming_disable_flags: flags}
+  end
+
+  defp values(%{flight: f}, "ATTITUDE", _block),
+    do: %{roll: round(f.roll * 10), pitch: round(-f.pitch * 10), yaw: rem(round(f.yaw), 360)}
+
+  defp values(%{flight: f} = fc, "ALTITUDE", _block) do
+    values = %{altitude: round(f.alt * 100), vario: round(f.climb * 100)}
+    if fc.firmware == :inav, do: Map.put(values, :baro_altitude, round(f.alt * 100)), else: values
+  end
+
+  defp values(%{flight: f} = fc, "RAW_GPS", _block) do
+    fix? = fc.now - fc.started > @gps_us
+
+    values = %{
+      fix: if(fix?, do: 2, else: 0),
+      satellites: if(fix?, do: 14, else: 3),
+      lat: round(f.lat * 1.0e7),
+      lon: round(f.lon * 1.0e7),
+      altitude: round(f.ground + f.alt),
+      ground_speed: round(f.speed * 100),
+      course: round(f.course * 10)
+    }
+
+    Map.put(values, if(fc.firmware == :inav, do: :hdop, else: :dop), 110)
+  end
+
+  defp values(%{firmware: :betaflight, flight: f}, "BATTERY_STATE", _block) do
+    {_left, volts} = Flight.battery(f)
+
+    %{
+      cells: 4,
+      capacity: Flight.capacity(),
+      voltage_dv: round(volts * 10),
+      drawn: round(f.drawn),
+      current: 1200,
+      state: charge(volts),
+      voltage: round(volts * 100)
+    }
+  end
+
+  defp values(%{firmware: :inav, flight: f}, "MSP2_INAV_ANALOG", _block) do
+    {left, volts} = Flight.battery(f)
+
+    %{
+      battery_flags: Bitwise.bsl(4, 4) + Bitwise.bsl(charge(volts), 2) + 1,
+      voltage: round(volts * 100),
+      current: 1200,
+      power: round(volts * 1200),
+      drawn: round(f.drawn),
+      energy: 0,
+      remaining: round(left * Flight.capacity()),
+      percentage: round(left * 100),
+      rssi: 900
+    }
+  end
+
+  defp values(fc, "RC", _block) do
+    [roll, pitch, throttle, yaw | more] = fc.channels
+    throttle = if fc.rc_lost and fc.firmware == :betaflight, do: 885, else: throttle
+    %{entries: for(us <- [roll, pitch, yaw, throttle | more], do: %{channel: us})}
+  end
+
+  defp values(%{firmware: :inav} = fc, "MSP2_INAV_MISC2", _block) do
+    %{
+      on_time: div(fc.now - fc.started, 1_000_000),
+      flight_time: round(fc.flight.flown),
+      throttle: 0,
+      auto_throttle: 0
+    }
+  end
+
+  defp values(_fc, _name, _block), do: nil
+
+  defp charge(volts) when volts < 4 * 3.4, do: 2
+  defp charge(volts) when volts < 4 * 3.5, do: 1
+  defp charge(_volts), do: 0
+
+  defp mode_flags(fc) do
+    for {<<id>>, bit} <- Enum.with_index(for(<<id <- fc.blocks[119]>>, do: <<id>>)),
+        id in fc.boxes,
+        reduce: 0,
+        do: (sum -> sum + Bitwise.bsl(1, bit))
+  end
+
+  # Bits of states, which are no reasons.
+  defp inav_flags(%{armed: true}, _flags), do: 0b1100
+  defp inav_flags(_fc, flags), do: flags
+end

@@ -83,6 +83,12 @@ defmodule Msp.Modes do
     Enum.find_value(all(firmware), @acro, fn {id, _name} -> if id != @arm and id in boxes, do: id end)
   end
 
+  @doc "What a vehicle in a failsafe does: it returns, if the box for that is on; else it comes down."
+  @spec failsafe_action(firmware, MapSet.t(byte)) :: String.t()
+  def failsafe_action(firmware, boxes) do
+    if %{betaflight: 46, inav: 10}[firmware] in boxes, do: "RTH", else: "landing"
+  end
+
   @doc "Whether the vehicle is armed."
   @spec armed?(MapSet.t(byte)) :: boolean
   def armed?(boxes), do: @arm in boxes

@@ -8,6 +8,7 @@ defmodule Aerie.CLI.Options do
             speed: 1.0,
             print: [],
             sim: nil,
+            sim_msp: 0,
             config: nil,
             http: nil,
             nats: nil,
@@ -19,6 +20,7 @@ defmodule Aerie.CLI.Options do
             check_audit: nil,
             quiet: false
 
+  alias Aerie.CLI.SimMsp
   alias Aerie.Vehicle.Command.Type
   alias Aerie.Control.Policy.Roles
 
@@ -27,7 +29,7 @@ defmodule Aerie.CLI.Options do
   * `replay` - path of a tlog file to play, or nil
   * `speed` - of a replay or of simulated vehicles, as a multiple of real time; `:max` for a replay
   * `print` - what to print of the recording instead of playing it: `:events`, `:samples`
-  * `sim` - number of simulated vehicles, or nil if the command line does not say
+  * `sim` - number of simulated vehicles, or nil if the command line does not say; `sim_msp` - of those that speak MSP
   * `config` - path of a YAML configuration, or nil
   * `http` - port of the HTTP server, or nil for the configured one
   * `nats` - "embedded" or a URL, or nil for the configured server
@@ -41,6 +43,7 @@ defmodule Aerie.CLI.Options do
           speed: float() | :max,
           print: [:events | :samples],
           sim: non_neg_integer() | nil,
+          sim_msp: non_neg_integer(),
           config: String.t() | nil,
           http: :inet.port_number() | nil,
           nats: String.t() | nil,
@@ -63,6 +66,8 @@ defmodule Aerie.CLI.Options do
     {:events, :boolean, nil, "with --replay: print the events of the flight as JSON lines and exit"},
     {:samples, :boolean, nil, "with --replay: print the state samples and exit; with --events, print both"},
     {:sim, :integer, "N", "number of simulated vehicles (0 to #{@max_sim}); also together with links"},
+    {:sim_msp, :integer, "N",
+     "number of simulated Betaflight and iNav vehicles (0 to #{SimMsp.most()}), which speak MSP"},
     {:config, :string, "FILE", "configuration file; config/gateway.example.yaml documents every key"},
     {:http, :integer, "PORT",
      "port of the HTTP server: /api, /metrics, /healthz, /readyz (0 takes a free one)"},
@@ -93,6 +98,7 @@ defmodule Aerie.CLI.Options do
       replay: given[:replay],
       print: for(what <- [:events, :samples], given[what], do: what),
       sim: given[:sim],
+      sim_msp: given[:sim_msp] || 0,
       config: given[:config],
       http: given[:http],
       nats: given[:nats],
@@ -105,6 +111,7 @@ defmodule Aerie.CLI.Options do
 
     with {:ok, speed} <- speed(given[:speed]),
          :ok <- range("--sim", options.sim, 0, @max_sim),
+         :ok <- range("--sim-msp", options.sim_msp, 0, SimMsp.most()),
          :ok <- range("--http", options.http, 0, 65_535),
          :ok <- replay_alone(options, given),
          :ok <- print_alone(options, given),

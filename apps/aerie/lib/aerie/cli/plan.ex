@@ -28,6 +28,7 @@ defmodule Aerie.CLI.Plan do
           config_file: String.t() | nil,
           overrides: map(),
           sim: non_neg_integer(),
+          sim_msp: non_neg_integer(),
           sim_speed: float()
         }
 
@@ -41,6 +42,7 @@ defmodule Aerie.CLI.Plan do
       config_file: options.config && Path.expand(options.config, folder),
       overrides: %{} |> links(options, folder) |> http(options) |> nats(options) |> apart(options),
       sim: sim(options, demo?),
+      sim_msp: options.sim_msp,
       sim_speed: if(options.replay, do: 1.0, else: options.speed)
     }
   end

@@ -6,7 +6,7 @@ defmodule Aerie.CLI.Run do
   2. `Aerie.CLI.ModuleLoader`, whose end the readiness waits for
   3. `FleetWeb.Endpoint`
   4. `Aerie.Reload`, which puts a changed configuration in force
-  5. `SimVehicle.Fleet`, if simulated vehicles were asked for. They use a loopback link and a network of their own
+  5. `SimVehicle.Fleet` and `Aerie.CLI.SimMsp`, if simulated vehicles were asked for. They use a loopback link and a network of their own
      (`sim`), so that they cannot collide with a real vehicle of the same system id.
   6. `Aerie.Systemd`, if systemd started the program
   7. `Aerie.Node`, the way in for `bin/aerie`
@@ -18,7 +18,7 @@ defmodule Aerie.CLI.Run do
   alias Aerie.{Config, EventLog, Reload, Systemd}
   alias Aerie.Base.Log
   alias MavRouter.Link.Spec
-  alias Aerie.CLI.{ModuleLoader, Plan, Ports, Status}
+  alias Aerie.CLI.{ModuleLoader, Plan, Ports, SimMsp, Status}
 
   @loopback {127, 0, 0, 1}
   @sim_port 14_650
@@ -41,6 +41,7 @@ defmodule Aerie.CLI.Run do
     with {:ok, loaded} <- load(plan),
          {:ok, config} <- free_ports(loaded),
          {:ok, config, sim_port} <- sim_link(config, plan.sim),
+         {:ok, config, msp_ports} <- SimMsp.links(config, Map.get(plan, :sim_msp, 0)),
          {:ok, warnings} <- preflight(config) do
       # The terminal's table clears the screen, so it repeats them.
       config = %{config | warnings: config.warnings ++ warnings}
@@ -48,7 +49,7 @@ defmodule Aerie.CLI.Run do
       if options[:log], do: take_log(gateway, config, options)
       device = Keyword.get(options, :warnings, :stderr)
       Enum.each(config.warnings, &IO.puts(device, "warning: " <> &1))
-      start_parts(supervisor, gateway, {loaded, config}, plan, sim_port, options)
+      start_parts(supervisor, gateway, {loaded, config}, plan, {sim_port, msp_ports}, options)
     end
   end
 
@@ -156,7 +157,7 @@ defmodule Aerie.CLI.Run do
     end
   end
 
-  defp start_parts(supervisor, gateway, {loaded, config}, plan, sim_port, options) do
+  defp start_parts(supervisor, gateway, {loaded, config}, plan, {sim_port, msp_ports}, options) do
     http = http_url(config)
 
     read = fn -> Config.load(plan.config_file, plan.overrides) end
@@ -167,6 +168,7 @@ defmodule Aerie.CLI.Run do
         http_part(gateway, config) ++
         [{:reload, {Reload, gateway: gateway, config: loaded, read: read, log?: options[:log] == true}}] ++
         sim_part(plan, sim_port) ++
+        SimMsp.part(msp_ports) ++
         systemd_part(gateway) ++
         node_part(gateway, http, config) ++
         status_part(gateway, http, config, options)

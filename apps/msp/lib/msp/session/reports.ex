@@ -10,6 +10,7 @@ defmodule Msp.Session.Reports do
   @heartbeat_us 1_000_000
   # iNav's clock has seconds.
   @clock_us 2_000_000
+  @critical 2
   @warning 4
   @info 6
 
@@ -19,8 +20,9 @@ defmodule Msp.Session.Reports do
 
   def polled(session, name, values, now) do
     readings = Readings.read(session.identity.firmware, name, values, session.ids)
+    before = session.readings
     session = clock(session, readings, now)
-    show(%{session | readings: Map.merge(session.readings, readings)}, name, now)
+    %{session | readings: Map.merge(before, readings)} |> show(name, now) |> failsafe(before)
   end
 
   @doc "The ids of BOXIDS."
@@ -92,6 +94,25 @@ defmodule Msp.Session.Reports do
       %{session | heartbeat: {heartbeat, now}},
       Telemetry.sys_status(session.identity, session.readings)
     )
+  end
+
+  # A heartbeat shows that there is one, a text why and what the vehicle does.
+  defp failsafe(%{readings: %{boxes: boxes}} = session, %{boxes: before}) do
+    case {Modes.failsafe?(before), Modes.failsafe?(boxes)} do
+      {false, true} -> Output.text(session, @critical, failsafe_text(session))
+      {true, false} -> Output.text(session, @info, "Failsafe cleared")
+      _same -> session
+    end
+  end
+
+  defp failsafe(session, _before), do: session
+
+  defp failsafe_text(%{readings: readings} = session) do
+    %{firmware: firmware} = session.identity
+    armed? = Modes.armed?(readings.boxes)
+    lost? = Arming.rc_lost?(Identity.target(session.identity), readings[:arming] || 0, armed?)
+    does = if armed?, do: Modes.failsafe_action(firmware, readings.boxes), else: "disarmed"
+    "#{if lost?, do: "RC failsafe", else: "Failsafe"}: switched to #{does}"
   end
 
   # Once for each change, while it is disarmed.

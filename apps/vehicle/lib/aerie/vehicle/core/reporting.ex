@@ -34,9 +34,23 @@ defmodule Aerie.Vehicle.Core.Reporting do
     Enum.reduce(texts, acc, fn text, {core, actions} ->
       observe = Effects.observation(core, :text, text.at, Map.take(text, [:severity, :text]))
       core = if StatusTexts.may_act?(text.text), do: Effects.settle(core, :text, text.at), else: core
-      {%{core | reports: Reports.text(core.reports, text)}, [observe | actions]}
+      arming({%{core | reports: Reports.text(core.reports, text)}, [observe | actions]}, text)
     end)
   end
+
+  # By MSP a text names what keeps the vehicle from being armed; SYS_STATUS says when nothing does any more.
+  defp arming(
+         {%{state: %{autopilot: autopilot}} = core, actions},
+         %{text: "Arming disabled: " <> names} = text
+       )
+       when autopilot in [:betaflight, :inav] do
+    checks = for name <- String.split(names, ", "), do: %{id: nil, name: name, severity: text.severity}
+    core = %{core | state: State.put(core.state, :health, %{arming_checks: checks}, text.at)}
+    {core, actions} = Effects.sample({core, actions}, :health, text.at)
+    Effects.check_digest(core, actions, text.at)
+  end
+
+  defp arming(acc, _text), do: acc
 
   @doc "Does what is due at `now`."
   @spec expire(acc(), integer()) :: acc()

@@ -27,7 +27,8 @@ defmodule Aerie.Vehicle.State.Health do
       {:unhealthy, nil, nil, "a list of the sensors and functions that are present, enabled and unhealthy",
        "SYS_STATUS, HIGH_LATENCY2"},
       {:ready_to_arm, nil, nil, "whether the pre-arm checks pass", "SYS_STATUS"},
-      {:arming_checks, nil, nil, "PX4: a list of the failing arming checks", "EVENT"},
+      {:arming_checks, nil, nil, "PX4, Betaflight, iNav: a list of the failing arming checks",
+       "EVENT, STATUSTEXT"},
       {:rc_receiver, nil, nil, "whether the remote control receiver is healthy", "SYS_STATUS"},
       {:fence_enabled, nil, nil, "whether the vehicle's fence is on; null for a vehicle without one",
        "SYS_STATUS"},
@@ -46,7 +47,8 @@ defmodule Aerie.Vehicle.State.Health do
 
   @impl Group
   def read(%M.SysStatus{} = m, state, at) do
-    {[], Battery.sys_status(m, state, at) ++ [health: health(m)] ++ fence_off(m, Group.data(state, :health))}
+    health = m |> health() |> nothing_in_the_way(state)
+    {[], Battery.sys_status(m, state, at) ++ [health: health] ++ fence_off(m, Group.data(state, :health))}
   end
 
   def read(%M.EkfStatusReport{} = m, _state, _at) do
@@ -103,6 +105,13 @@ defmodule Aerie.Vehicle.State.Health do
       errors: m.errors_comm
     }
   end
+
+  # What was in the way before it was ready is not any more (`Aerie.Vehicle.Core.Reporting`).
+  defp nothing_in_the_way(%{ready_to_arm: true} = health, %{autopilot: autopilot})
+       when autopilot in [:betaflight, :inav],
+       do: Map.put(health, :arming_checks, [])
+
+  defp nothing_in_the_way(health, _state), do: health
 
   # PX4 shows a lost receiver as not present.
   defp rc_receiver(m) do

@@ -1,0 +1,194 @@
+defmodule Aerie.System.MspTest do
+  @moduledoc """
+  Simulated Betaflight and iNav over MSP: the same state, events and commands as of MAVLink vehicles, and a ground station sees them,
+  too. YAMSPy is the peer of the simulators.
+  """
+  use Aerie.SystemCase, async: true
+
+  import Aerie.PeerCase, only: [findings: 1, start_peer: 2]
+
+  alias Aerie.Control.Commands
+  alias SimVehicle.Msp
+
+  @moduletag :tmp_dir
+  @moduletag :capture_log
+
+  @low [1500, 1500, 1000, 1500, 1000, 1000, 1000, 1000]
+  @armed [1500, 1500, 1000, 1500, 1900, 1000, 1000, 1000]
+  @climb [1500, 1500, 1900, 1500, 1900, 1900, 1000, 1000]
+  @vehicles %{betaflight: 7, inav: 8}
+
+  defp fly(dir, firmwares, overrides \\ %{}) do
+    sims = Map.new(firmwares, &{&1, start_supervised!({Msp, firmware: &1, uid: @vehicles[&1]}, id: &1)})
+    links = for {firmware, sim} <- sims, do: "msp:tcp:127.0.0.1:#{Msp.port(sim)}?sysid=#{@vehicles[firmware]}"
+
+    %{gateway: gateway} =
+      start_gateway(dir, links: links, overrides: Map.merge(%{"timeouts" => patient()}, overrides))
+
+    for firmware <- firmwares do
+      eventually(fn -> data(gateway, :health, key(firmware))[:ready_to_arm] end, "#{firmware} could be armed")
+    end
+
+    %{gateway: gateway, sims: sims, conn: nats_client(gateway)}
+  end
+
+  defp key(firmware), do: {"main", @vehicles[firmware]}
+  defp name(firmware), do: "VID-00#{@vehicles[firmware]}"
+
+  defp events(c, firmware) do
+    for %{"vehicle" => vehicle} = event <- stream_events(c.conn), vehicle == name(firmware), do: event
+  end
+
+  defp event(c, firmware, type, test \\ fn _event -> true end) do
+    eventually(
+      fn -> Enum.find(events(c, firmware), &(&1["type"] == type and test.(&1["data"]))) end,
+      "the event #{type} of #{firmware}"
+    )
+  end
+
+  defp submit(c, firmware, type, params \\ %{}) do
+    {:ok, result} =
+      Commands.submit(c.gateway,
+        vehicle: name(firmware),
+        type: type,
+        params: params,
+        deadline: System.os_time(:second) + 60
+      )
+
+    result
+  end
+
+  test "a flight: armed, the mode by its name, in the air, height, landed and disarmed", %{tmp_dir: dir} do
+    c = fly(dir, [:betaflight, :inav])
+
+    for {firmware, sim} <- c.sims do
+      assert %{autopilot: ^firmware, vehicle_type: "copter"} =
+               Aerie.Base.Store.vehicle(c.gateway, key(firmware))
+
+      assert %{mode: "ACRO", armed: false, in_air: false} = data(c.gateway, :mode, key(firmware))
+      :ok = Msp.sticks(sim, @armed)
+      event(c, firmware, "armed")
+      :ok = Msp.sticks(sim, @climb)
+      event(c, firmware, "mode_change", &(&1["to"] == "ANGLE" or &1["mode"] == "ANGLE"))
+      event(c, firmware, "takeoff")
+
+      eventually(
+        fn -> data(c.gateway, :position, key(firmware))[:alt_rel] > 5 end,
+        "#{firmware} is above 5 m"
+      )
+
+      assert_in_delta data(c.gateway, :position, key(firmware)).alt_msl,
+                      488 + data(c.gateway, :position, key(firmware)).alt_rel,
+                      3
+
+      assert %{voltage: volts, current: 12.0, charge_state: "OK"} = data(c.gateway, :battery, key(firmware))
+      assert volts > 14
+      :ok = Msp.sticks(sim, List.replace_at(@climb, 2, 1000))
+      event(c, firmware, "landed")
+      :ok = Msp.sticks(sim, @low)
+      event(c, firmware, "disarmed")
+    end
+  end
+
+  test "the receiver is lost: what keeps it from being armed, and a failsafe with its reason and its end", %{
+    tmp_dir: dir
+  } do
+    c = fly(dir, [:betaflight])
+    sim = c.sims.betaflight
+    :ok = Msp.lose_rc(sim, true)
+
+    checks = fn ->
+      for check <- data(c.gateway, :health, key(:betaflight))[:arming_checks] || [], do: check.name
+    end
+
+    eventually(fn -> "RX_FAILSAFE" in checks.() end, "the reason is shown")
+    :ok = Msp.lose_rc(sim, false)
+    eventually(fn -> checks.() == [] end, "nothing is in the way")
+
+    :ok = Msp.sticks(sim, @armed)
+    event(c, :betaflight, "armed")
+    :ok = Msp.lose_rc(sim, true)
+    assert %{"data" => %{"reason" => "rc"}} = event(c, :betaflight, "failsafe", &(&1["active"] != false))
+    event(c, :betaflight, "disarmed")
+    :ok = Msp.lose_rc(sim, false)
+    :ok = Msp.sticks(sim, @low)
+    event(c, :betaflight, "failsafe.cleared")
+  end
+
+  test "commands: what the firmware can is done, what it cannot is a gap, what it should not is refused", %{
+    tmp_dir: dir
+  } do
+    c = fly(dir, [:betaflight, :inav])
+
+    for {firmware, sim} <- c.sims do
+      assert %{status: :rejected, reason: "MSP has no message for it" <> _} = submit(c, firmware, "arm")
+
+      assert %{status: :rejected, reason: reason} =
+               submit(c, firmware, "goto", %{lat: 47.0, lon: 8.0, altitude: 20})
+
+      assert reason =~ "no such command over MSP"
+      assert %{status: :accepted} = submit(c, firmware, "calibrate", %{sensor: "accelerometer"})
+      assert {:calibrating, 205} in Msp.state(sim).events
+      assert %{status: :accepted} = submit(c, firmware, "save_params")
+      assert :stored in Msp.state(sim).events
+
+      Msp.await(sim, &(Msp.Firmware.arming_flags(&1) == 0))
+      :ok = Msp.sticks(sim, @armed)
+      event(c, firmware, "armed")
+      # Betaflight would do it.
+      assert %{status: :denied, reason: reason} = submit(c, firmware, "reboot")
+      assert reason =~ "only while the vehicle is disarmed"
+      assert Msp.state(sim).boots == 1
+      :ok = Msp.sticks(sim, @low)
+      event(c, firmware, "disarmed")
+      assert %{status: :completed} = submit(c, firmware, "reboot")
+      assert Msp.state(sim).boots == 2
+      event(c, firmware, "reboot")
+    end
+  end
+
+  test "a ground station sees it, with its modes by name",
+       %{tmp_dir: dir} do
+    c = fly(dir, [:betaflight], %{"clients" => [%{"id" => "gcs", "url" => "tcpin:127.0.0.1:0"}]})
+    port = eventually(fn -> MavRouter.Link.snapshot(c.gateway, "gcs").port end, "the endpoint is open")
+    found = findings(start_peer("pymavlink_listener.py", ["tcp:127.0.0.1:#{port}", @vehicles.betaflight]))
+
+    assert %{
+             "type" => "2",
+             "autopilot" => "0",
+             "mode" => "ACRO",
+             "pitch" => "0",
+             "satellites" => "14",
+             "armed" => "False"
+           } = found
+
+    assert_in_delta String.to_float(found["volts"]), 16.8, 0.3
+  end
+
+  test "its line breaks: it is stale, and comes back with the same name", %{tmp_dir: dir} do
+    c = fly(dir, [:inav], %{"timeouts" => %{"vehicle_stale_s" => 2.0, "vehicle_lost_s" => 120.0}})
+    sim = c.sims.inav
+    # As after kill -9 of the program that simulates it.
+    :ok = Msp.change(sim, &%{&1 | dead: true})
+    status = fn -> Aerie.Base.Store.vehicle(c.gateway, key(:inav)).status end
+    eventually(fn -> status.() != :online end, "it is not heard")
+    :ok = Msp.change(sim, &%{&1 | dead: false})
+    eventually(fn -> status.() == :online end, "it is heard again")
+    assert [_one] = Aerie.Fleet.vehicles(c.gateway)
+  end
+
+  test "YAMSPy reads the simulated Betaflight as it reads a real one" do
+    sim = start_supervised!({Msp, firmware: :betaflight, uid: 1})
+    Msp.await(sim, &(&1.now > 4_000_000))
+    found = findings(start_peer("yamspy_reader.py", [Msp.port(sim)]))
+
+    assert %{
+             "variant" => "BTFL",
+             "api" => "1.46.0",
+             "cells" => "4",
+             "satellites" => "14",
+             "throttle" => "1000",
+             "roll_p" => "45"
+           } = found
+  end
+end

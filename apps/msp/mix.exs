@@ -12,7 +12,7 @@ defmodule Msp.MixProject do
       elixir: "~> 1.20",
       elixirc_paths: elixirc_paths(Mix.env()),
       test_coverage: [summary: [threshold: 85]],
-      deps: [{:mav_codec, in_umbrella: true}]
+      deps: [{:mav_codec, in_umbrella: true}, {:sim_vehicle, in_umbrella: true, only: :test}]
     ]
   end
 

@@ -29,7 +29,7 @@ defmodule Msp.Session do
   alias MavCodec.{Encoder, Sniff}
   alias MavCodec.Msp.Frame
   alias Msp.{Exchange, Identity, Polls, Telemetry}
-  alias Msp.Session.{Commands, Output, Reports}
+  alias Msp.Session.{Commands, Output, Params, Reports, Tasks}
 
   @identify ["API_VERSION", "FC_VARIANT", "FC_VERSION"]
   # What is needed once for each start; a vehicle may refuse any of it.
@@ -55,6 +55,7 @@ defmodule Msp.Session do
     :heartbeat,
     :complaint,
     :answered_at,
+    :params,
     phase: :closed,
     exchange: Exchange.new(),
     todo: [],
@@ -65,6 +66,8 @@ defmodule Msp.Session do
     readings: %{},
     tasks: [],
     texts: 0,
+    serial: 0,
+    unsaved: false,
     outbox: []
   ]
 
@@ -74,6 +77,8 @@ defmodule Msp.Session do
   - `todo`: messages still to be asked; `found`: their answers; `heard`: the last bytes before it was known who is there
   - `boot`: when the vehicle's clock began; `heartbeat`: the last one, and when it was sent
   - `complaint`: the names of the last text about what keeps it from being armed
+  - `params`: the names of its parameters in their order, nil until they were read; `unsaved`: some were set and not stored
+  - `tasks`: what clients asked for that needs the flight controller
   """
   @type t :: %__MODULE__{}
   @type event :: :opened | {:bytes, binary} | {:mavlink, binary} | :tick
@@ -182,10 +187,13 @@ defmodule Msp.Session do
     do: {:ok, alive(%{session | polls: Polls.refused(session.polls, name)}, now)}
 
   defp answer(session, {:refused, {:task, task}}, now),
-    do: {:ok, session |> alive(now) |> Commands.reply(task, :refused, now)}
+    do: {:ok, session |> alive(now) |> Tasks.reply(task, :refused, now)}
 
-  defp answer(session, {:reply, {:task, task}, frame}, now),
-    do: {:ok, session |> alive(now) |> Commands.reply(task, {:ok, frame.payload}, now)}
+  # What is acknowledged has no payload; another one is damaged.
+  defp answer(session, {:reply, {:task, task}, frame}, now) do
+    answer = with {:error, _damaged} <- MavCodec.Msp.decode(frame, target(session)), do: :refused
+    {:ok, session |> alive(now) |> Tasks.reply(task, answer, now)}
+  end
 
   defp answer(session, {:reply, {kind, name}, frame}, now) do
     case {kind, MavCodec.Msp.decode(frame, target(session))} do
@@ -220,7 +228,7 @@ defmodule Msp.Session do
 
     cond do
       session.todo != [] -> {:ok, session}
-      session.identity -> {:ok, up(session, now)}
+      session.identity -> {:ok, session |> up(now) |> Params.ahead()}
       true -> recognise(session)
     end
   end
@@ -269,7 +277,7 @@ defmodule Msp.Session do
     end
   end
 
-  defp timeout(session, {:task, task}, now), do: {:ok, Commands.reply(session, task, :timeout, now)}
+  defp timeout(session, {:task, task}, now), do: {:ok, Tasks.reply(session, task, :timeout, now)}
 
   defp timeout(%{answered_at: at} = session, _poll, now) when now - at > @silent_us,
     do: {:ok, identify(session)}
@@ -304,18 +312,32 @@ defmodule Msp.Session do
     end
   end
 
+  # What clients asked for, then what is due, then what takes long.
   defp ask(session, now) do
-    with :none <- Commands.next(session),
-         {:ask, name, arguments} <- Polls.next(session.polls, now) do
-      {:ok, frame} = MavCodec.Msp.request(target(session), name, arguments)
-      {session, written} = send_if_ready(session, {:poll, name}, frame, now, 0)
+    case Tasks.next(session, :urgent) do
+      {:none, session} -> poll(session, now)
+      {{:ask, task, frame, patience}, session} -> send_if_ready(session, {:task, task}, frame, now, patience)
+    end
+  end
 
-      if written == [],
-        do: {session, []},
-        else: {%{session | polls: Polls.asked(session.polls, name, now)}, written}
-    else
-      {:ask, task, frame, patience} -> send_if_ready(session, {:task, task}, frame, now, patience)
-      _nothing_due -> {session, []}
+  defp poll(session, now) do
+    case Polls.next(session.polls, now) do
+      {:ask, name, arguments} ->
+        {:ok, frame} = MavCodec.Msp.request(target(session), name, arguments)
+        {session, written} = send_if_ready(session, {:poll, name}, frame, now, 0)
+
+        if written == [],
+          do: {session, []},
+          else: {%{session | polls: Polls.asked(session.polls, name, now)}, written}
+
+      _nothing_due ->
+        case Tasks.next(session, :bulk) do
+          {:none, session} ->
+            {session, []}
+
+          {{:ask, task, frame, patience}, session} ->
+            send_if_ready(session, {:task, task}, frame, now, patience)
+        end
     end
   end
 

@@ -423,7 +423,7 @@ defmodule Aerie.Control.PolicyTest do
                 "mode.armed: expected true or false",
                 "position.alt: expected one of alt_msl, alt_rel, heading, lat, lon",
                 "at: expected a time such as 2026-11-22T10:00:00Z",
-                "autopilot: expected ardupilot, px4 or generic"
+                "autopilot: expected one of ardupilot, betaflight, generic, inav, px4"
               ]}
 
     assert {:error, ["expected an object" <> _]} = Context.parse([], nil, 0)

@@ -17,6 +17,9 @@ defmodule MavCodec.Msp.Messages do
   @by_id Map.new(@tables, fn {firmware, messages} -> {firmware, Map.new(messages, &{&1.id, &1})} end)
   @by_name Map.new(@tables, fn {firmware, messages} -> {firmware, Map.new(messages, &{&1.name, &1})} end)
 
+  # The compiler would take the whole of a table as its type, and compare it wherever a message is used: minutes for some modules.
+  # `Function.identity/1` hides it.
+
   @type firmware :: :betaflight | :inav
 
   @doc "The firmwares that have a table."
@@ -25,7 +28,7 @@ defmodule MavCodec.Msp.Messages do
 
   @doc "All messages of a firmware, by id."
   @spec all(firmware) :: [Message.t()]
-  def all(firmware), do: Map.fetch!(@tables, firmware)
+  def all(firmware), do: @tables |> Function.identity() |> Map.fetch!(firmware)
 
   @doc """
   A message by its id or its name.
@@ -37,6 +40,8 @@ defmodule MavCodec.Msp.Messages do
       :error
   """
   @spec fetch(firmware, 0..0xFFFF | String.t()) :: {:ok, Message.t()} | :error
-  def fetch(firmware, id) when is_integer(id), do: @by_id |> Map.fetch!(firmware) |> Map.fetch(id)
-  def fetch(firmware, name), do: @by_name |> Map.fetch!(firmware) |> Map.fetch(name)
+  def fetch(firmware, id) when is_integer(id),
+    do: @by_id |> Function.identity() |> Map.fetch!(firmware) |> Map.fetch(id)
+
+  def fetch(firmware, name), do: @by_name |> Function.identity() |> Map.fetch!(firmware) |> Map.fetch(name)
 end

@@ -7,11 +7,13 @@ defmodule Msp.Session.Commands do
   armed vehicles is refused here.
   """
 
+  @behaviour Msp.Session.Tasks
+
   alias MavCodec.Enums.{MavCmd, MavResult}
   alias MavCodec.Messages, as: M
   alias MavCodec.Msp.Messages
-  alias Msp.{Identity, Modes, Polls, Session}
-  alias Msp.Session.{Output, Requests}
+  alias Msp.{Modes, Polls, Session}
+  alias Msp.Session.{Output, Params, Requests, Tasks}
 
   @command_long M.CommandLong.id()
   @commands Map.new(
@@ -29,13 +31,9 @@ defmodule Msp.Session.Commands do
              [:ACCEPTED, :TEMPORARILY_REJECTED, :DENIED, :UNSUPPORTED, :FAILED, :IN_PROGRESS],
              &{&1, MavResult.value(:"MAV_RESULT_#{&1}")}
            )
-  @max_tasks 16
   # Writing the EEPROM takes up to two seconds on hardware; configurators wait for five.
   @slow_us 5_000_000
   @notice 5
-
-  @typedoc "A request to the flight controller that waits for its turn, and who is to know."
-  @type task :: %{command: non_neg_integer, from: {byte, byte}, name: String.t(), patience: non_neg_integer}
 
   @doc "A frame of a client."
   @spec frame(Session.t(), MavCodec.Frame.t(), integer) :: Session.t()
@@ -46,6 +44,14 @@ defmodule Msp.Session.Commands do
 
       _for_another ->
         session
+    end
+  end
+
+  def frame(%{phase: :up} = session, %{id: id} = frame, _now) do
+    with true <- Params.mine?(id), {:ok, message} <- MavCodec.decode(frame) do
+      Params.message(session, message, {frame.system, frame.component})
+    else
+      _other -> session
     end
   end
 
@@ -100,10 +106,10 @@ defmodule Msp.Session.Commands do
     {:ok, message} = Messages.fetch(session.identity.firmware, name)
 
     cond do
-      Enum.any?(tasks, &(&1.name == name)) ->
+      Enum.any?(tasks, &(&1[:command] == command and &1.ask == {name, %{}, @slow_us})) ->
         acknowledge(session, command, from, :IN_PROGRESS)
 
-      length(tasks) >= @max_tasks ->
+      not Tasks.room?(session) ->
         acknowledge(session, command, from, :TEMPORARILY_REJECTED)
 
       message.armed != :yes and Modes.armed?(session.readings[:boxes] || MapSet.new()) ->
@@ -112,34 +118,26 @@ defmodule Msp.Session.Commands do
         |> Output.text(@notice, "#{name} refused: it is armed")
 
       true ->
-        task = %{command: command, from: from, name: name, patience: @slow_us}
-        %{session | tasks: tasks ++ [task]}
+        Tasks.add(session, %{kind: __MODULE__, command: command, from: from, ask: {name, %{}, @slow_us}})
     end
   end
 
-  @doc "The next request to the flight controller, or `:none`."
-  @spec next(Session.t()) :: {:ask, task, MavCodec.Msp.Frame.t(), patience :: non_neg_integer} | :none
-  def next(%{tasks: []}), do: :none
-
-  def next(%{tasks: [task | _]} = session) do
-    {:ok, frame} = MavCodec.Msp.request(Identity.target(session.identity), task.name)
-    {:ask, task, frame, task.patience}
-  end
-
-  @doc "The answer to a task's request."
-  @spec reply(Session.t(), task, {:ok, binary} | :refused | :timeout, integer) :: Session.t()
-  def reply(session, task, answer, now) do
-    session = %{session | tasks: List.delete(session.tasks, task)}
+  @impl Tasks
+  def answer(session, %{command: command, from: from, ask: {name, _values, _patience}} = task, answer, now) do
+    session = Tasks.done(session, task)
 
     case answer do
-      {:ok, _payload} -> session |> acknowledge(task.command, task.from, :ACCEPTED) |> done(task.name, now)
-      :refused -> acknowledge(session, task.command, task.from, :FAILED)
+      {:ok, _values} -> session |> acknowledge(command, from, :ACCEPTED) |> done(name, now)
+      :refused -> acknowledge(session, command, from, :FAILED)
+      # This version does not have it.
+      {:unfit, _why} -> acknowledge(session, command, from, :UNSUPPORTED)
       :timeout -> session
     end
   end
 
   # Its clock begins again, and its boxes may be others.
   defp done(session, "REBOOT", now), do: Session.restarting(session, now)
+  defp done(session, "EEPROM_WRITE", _now), do: %{session | unsaved: false}
   defp done(session, _name, _now), do: session
 
   defp acknowledge(session, command, {system, component}, result) do

@@ -9,20 +9,8 @@ defmodule SimVehicle.Msp.Firmware do
   """
 
   alias MavCodec.Msp.{Frame, Messages, Payload}
-  alias SimVehicle.Msp.{Flight, Port}
+  alias SimVehicle.Msp.{Blocks, Flight, Port, Settings}
 
-  @priv Path.expand("../../../priv/msp", __DIR__)
-  @blocks Map.new([:betaflight, :inav], fn firmware ->
-            path = Path.join(@priv, "#{firmware}.txt")
-            @external_resource path
-
-            lines = for line <- File.stream!(path), not String.starts_with?(line, "#"), do: String.split(line)
-
-            {firmware,
-             Map.new(lines, fn [id, hex] ->
-               {String.to_integer(id), if(hex == "-", do: "", else: Base.decode16!(hex, case: :lower))}
-             end)}
-          end)
   @versions %{betaflight: {1, 46}, inav: {9, 0}}
   @tick_us 10_000
   @grace_us 5_000_000
@@ -74,6 +62,7 @@ defmodule SimVehicle.Msp.Firmware do
     must_switch_off: false,
     calibrating_until: 0,
     stored: %{},
+    settings: %{},
     ports: %{},
     events: []
   ]
@@ -84,16 +73,19 @@ defmodule SimVehicle.Msp.Firmware do
   @doc "A flight controller that was just switched on."
   @spec new(Messages.firmware(), keyword) :: t
   def new(firmware, options \\ []) do
-    blocks = Map.put(Map.fetch!(@blocks, firmware), 34, ranges(firmware))
+    blocks = Map.put(Blocks.new(firmware), 34, ranges(firmware))
     flight = struct!(%Flight{}, Map.new(options[:flight] || %{}))
     # Each has another processor, which simulators of the real firmware have not.
     blocks = if uid = options[:uid], do: Map.put(blocks, 160, <<uid::32-little, 0::64>>), else: blocks
+
+    settings = if firmware == :inav, do: Settings.new(), else: %{}
 
     %__MODULE__{
       firmware: firmware,
       version: @versions[firmware],
       blocks: blocks,
-      stored: blocks,
+      settings: settings,
+      stored: %{blocks: blocks, settings: settings},
       flight: flight
     }
   end
@@ -279,7 +271,8 @@ defmodule SimVehicle.Msp.Firmware do
       else: {:error, fc}
   end
 
-  defp answer(fc, _id, %{id: 250}), do: {{:ok, ""}, event(%{fc | stored: fc.blocks}, :stored)}
+  defp answer(fc, _id, %{id: 250}),
+    do: {{:ok, ""}, event(%{fc | stored: Map.take(fc, [:blocks, :settings])}, :stored)}
 
   defp answer(fc, _id, %{id: command}) when command in [205, 206],
     do: {{:ok, ""}, event(%{fc | calibrating_until: fc.now + @calibrates_us}, {:calibrating, command})}
@@ -309,6 +302,9 @@ defmodule SimVehicle.Msp.Firmware do
     end
   end
 
+  defp read(%{firmware: :inav} = fc, 0x1003, name), do: Settings.get(fc.settings, name)
+  defp read(%{firmware: :inav} = fc, 0x1007, name), do: Settings.info(fc.settings, name)
+
   defp read(fc, command, _arguments) do
     case fc.blocks do
       %{^command => payload} -> {:ok, payload}
@@ -317,6 +313,13 @@ defmodule SimVehicle.Msp.Firmware do
   end
 
   # A write whose layout is that of a block changes the block; others are acknowledged.
+  defp write(%{firmware: :inav} = fc, _id, %{name: "MSP2_COMMON_SET_SETTING"}, %{payload: payload}) do
+    case Settings.set(fc.settings, payload) do
+      {:ok, settings} -> {{:ok, ""}, %{fc | settings: settings}}
+      :error -> {:error, fc}
+    end
+  end
+
   defp write(%{firmware: :inav} = fc, _id, message, %{payload: payload}) do
     if message.exact? and byte_size(payload) not in message.sizes,
       do: {:error, fc},
@@ -333,35 +336,18 @@ defmodule SimVehicle.Msp.Firmware do
     put_in(fc.blocks[34], before <> range <> behind)
   end
 
-  defp store(fc, message, payload) do
-    case Enum.find(
-           Messages.all(fc.firmware),
-           &(&1.kind == :read and &1.request == [] and &1.reply == message.request and &1.reply != [])
-         ) do
-      %{id: id} when is_map_key(fc.blocks, id) ->
-        old = fc.blocks[id]
-        new = binary_part(payload, 0, min(byte_size(payload), byte_size(old)))
-        put_in(fc.blocks[id], new <> binary_part(old, byte_size(new), byte_size(old) - byte_size(new)))
-
-      _none ->
-        fc
-    end
-  end
+  defp store(fc, message, payload),
+    do: %{fc | blocks: Blocks.write(fc.blocks, fc.firmware, fc.version, message, payload)}
 
   defp reboot(fc) do
     ports = Map.new(fc.ports, fn {id, _port} -> {id, %Port{}} end)
+    off = %{off_until: fc.now + @off_us, boots: fc.boots + 1, ports: ports, boxes: MapSet.new()}
 
-    event(
-      %{
-        changed(%{fc | armed: false}, fc.armed)
-        | off_until: fc.now + @off_us,
-          boots: fc.boots + 1,
-          blocks: fc.stored,
-          ports: ports,
-          boxes: MapSet.new()
-      },
-      :rebooted
-    )
+    %{fc | armed: false}
+    |> changed(fc.armed)
+    |> Map.merge(fc.stored)
+    |> Map.merge(off)
+    |> event(:rebooted)
   end
 
   defp event(fc, event), do: %{fc | events: [event | fc.events]}

@@ -1,0 +1,252 @@
+defmodule Msp.ParamsTest do
+  use ExUnit.Case, async: true
+
+  alias MavCodec.Messages, as: M
+  alias MavCodec.Msp.{Messages, Params, Payload, ShortName}
+  alias Msp.Params.Block
+  alias Msp.Test.{Line, Simulated}
+  alias SimVehicle.Msp.Firmware
+
+  @second 1_000_000
+
+  defp up(firmware, seconds \\ 3) do
+    {answer, change, state} = Simulated.controller(firmware)
+    line = Line.open(fn bytes, us -> with("" <- answer.(bytes, us), do: nil) end)
+    {Line.run(line, seconds * @second), change, state}
+  end
+
+  defp send_mavlink(line, message),
+    do:
+      Line.handle(
+        line,
+        {:mavlink,
+         MavCodec.encode(%{message | target_system: 42, target_component: 1}, system: 237, component: 191)}
+      )
+
+  defp list(line), do: line |> send_mavlink(%M.ParamRequestList{}) |> Line.run(30 * @second)
+
+  defp read(line, name),
+    do:
+      line
+      |> send_mavlink(%M.ParamRequestRead{param_id: ShortName.of(name), param_index: -1})
+      |> Line.run(@second)
+
+  defp set(line, name, value),
+    do:
+      line
+      |> send_mavlink(%M.ParamSet{param_id: ShortName.of(name), param_value: value * 1.0, param_type: 9})
+      |> Line.run(3 * @second)
+
+  defp values(line), do: for({_at, value} <- Line.told(line, M.ParamValue), do: value)
+
+  defp last(line, name),
+    do: line |> values() |> Enum.filter(&(&1.param_id == ShortName.of(name))) |> List.last()
+
+  defp errors(line),
+    do:
+      for(
+        {_at, error} <- Line.told(line, M.ParamError),
+        do: {Params.full(:betaflight, error.param_id), error.error}
+      )
+
+  defp texts(line), do: for({_at, text} <- Line.told(line, M.Statustext), do: text.text)
+
+  describe "Betaflight" do
+    test "the list: each parameter of its build once, numbered without gaps, telemetry going on meanwhile" do
+      {line, _change, _state} = up(:betaflight)
+      line = list(line)
+      values = values(line)
+      assert length(values) > 180
+      assert Enum.map(values, & &1.param_index) == Enum.to_list(0..(length(values) - 1))
+      assert Enum.all?(values, &(&1.param_count == length(values)))
+      assert %{param_value: 45.0, param_type: 1} = last(line, "p_roll")
+      assert %{param_value: 15.0} = last(line, "failsafe_delay")
+      assert %{param_value: 330.0, param_type: 3} = last(line, "vbat_min_cell_voltage")
+      # 25 %, which is 1250 on the wire.
+      assert %{param_value: 25.0} = last(line, "airmode_start_throttle_percent")
+      beats = for {at, _} <- Line.told(line, M.Heartbeat), do: at
+      assert beats |> Enum.chunk_every(2, 1, :discard) |> Enum.all?(fn [a, b] -> b - a < 1.4 * @second end)
+    end
+
+    test "one is set, nothing else changes, and what is then there is reported" do
+      {line, _change, state} = up(:betaflight)
+      before = state.().blocks
+      line = set(line, "p_pitch", 48)
+      assert %{param_value: 48.0} = last(line, "p_pitch")
+      now = state.().blocks
+      assert for({id, bytes} <- now, bytes != before[id], do: id) == [112]
+      <<a::binary-size(3), _old, b::binary>> = before[112]
+      assert <<^a::binary-size(3), 48, ^b::binary>> = now[112]
+
+      assert "Settings changed, not stored yet: the next res" <> _ =
+               List.last(Enum.filter(texts(line), &(&1 =~ "Settings")))
+
+      # Once.
+      line = set(line, "p_roll", 46)
+      assert Enum.count(texts(line), &(&1 =~ "Settings changed")) == 1
+    end
+
+    test "a write of every parameter changes its bytes and no others, in each block" do
+      {line, _change, state} = up(:betaflight)
+      line = list(line)
+
+      now =
+        for value <- values(line),
+            into: %{},
+            do: {Params.full(:betaflight, value.param_id), trunc(value.param_value)}
+
+      Enum.reduce(Params.all(:betaflight, {1, 46}), line, fn param, line ->
+        with true <-
+               is_map_key(now, param.name) and
+                 param.block not in ["OSD_CONFIG", "VTX_CONFIG", "SIMPLIFIED_TUNING"],
+             now = now[param.name],
+             other when other != nil <- other(param, now) do
+          before = state.().blocks
+          # What was told before is of no interest any more.
+          line = set(%{line | told: []}, param.name, other)
+          assert {param.name, trunc(last(line, param.name).param_value)} == {param.name, other}
+          {:ok, block} = Messages.fetch(:betaflight, param.block)
+          assert for({id, bytes} <- state.().blocks, bytes != before[id], do: id) == [block.id], param.name
+          {:ok, old} = Payload.decode(block.reply, before[block.id], {1, 46})
+          {:ok, new} = Payload.decode(block.reply, state.().blocks[block.id], {1, 46})
+          changed = for {key, value} <- new, old[key] != value, do: key
+          assert param.field in changed and length(changed) <= 2, "#{param.name}: #{inspect(changed)}"
+          line
+        else
+          _left_out -> line
+        end
+      end)
+    end
+
+    defp other(%{low: nil, values: []}, _now), do: nil
+    defp other(%{values: [_ | _] = words}, now), do: rem(now + 1, length(words))
+
+    defp other(%{low: low, high: high}, now),
+      do: Enum.find([now + 1, now - 1, low, high], &(&1 in low..high and &1 != now))
+
+    test "refused: unknown, out of range, not whole, while it is armed" do
+      {line, change, state} = up(:betaflight, 7)
+      before = state.().blocks
+      line = set(line, "no_such_thing", 1)
+      assert {"no_such_thing", 1} in errors(line)
+      line = set(line, "p_roll", 251)
+      assert {"p_roll", 2} in errors(line)
+      line = set(line, "failsafe_procedure", 3)
+      assert {"failsafe_procedure", 2} in errors(line)
+      line = set(line, "p_roll", 1.5)
+      assert Enum.count(errors(line), &(&1 == {"p_roll", 2})) == 2
+      assert "p_roll: it is a whole number" in texts(line)
+      change.(&Firmware.sticks(&1, [1500, 1500, 1000, 1500, 1900]))
+      line = line |> Line.run(2 * @second) |> set("p_roll", 50)
+      assert {"p_roll", 3} in errors(line)
+      assert "p_roll not set: it is armed" in texts(line)
+      assert state.().blocks == before
+    end
+
+    test "by index, once the list is known" do
+      {line, _change, _state} = up(:betaflight)
+      line = line |> send_mavlink(%M.ParamRequestRead{param_index: 0, param_id: ""}) |> Line.run(@second)
+      assert [{"", 1}] = errors(line)
+      line = list(line)
+      count = length(values(line))
+      line = line |> send_mavlink(%M.ParamRequestRead{param_index: 3, param_id: ""}) |> Line.run(@second)
+      assert [%{param_index: 3}] = Enum.drop(values(line), count)
+    end
+
+    test "a build without a part has no parameters of it" do
+      {line, change, _state} = up(:betaflight)
+      change.(fn fc -> %{fc | blocks: Map.delete(fc.blocks, 135)} end)
+      line = list(line)
+      refute last(line, "gps_rescue_return_alt")
+      assert {"gps_rescue_return_alt", 1} in errors(read(line, "gps_rescue_return_alt"))
+    end
+  end
+
+  describe "blocks" do
+    test "a value that stands in two places changes in both" do
+      {:ok, filter} = Messages.fetch(:betaflight, "FILTER_CONFIG")
+      {:ok, v} = Payload.decode(filter.reply, :binary.copy(<<0>>, 49), {1, 46})
+
+      assert %{gyro_lpf1_static_hz: 500, gyro_lpf1_static_hz_low8: 0xF4} =
+               Block.put(v, :gyro_lpf1_static_hz, 500)
+
+      assert %{cell_min_cv: 337, cell_min: 34} =
+               Block.put(%{cell_min_cv: 330, cell_min: 33}, :cell_min_cv, 337)
+    end
+
+    test "the writes of OSD and VTX have layouts of their own" do
+      osd = %{
+        video_system: 1,
+        units: 1,
+        rssi_alarm: 20,
+        cap_alarm: 2200,
+        alt_alarm: 100,
+        warnings16: 7,
+        enabled_warnings: 7,
+        profile: 1
+      }
+
+      assert %{
+               address: -1,
+               data: <<1, 1, 20, 2200::16-little, 0::16, 100::16-little, 7::16-little, 7::32-little, 1>>
+             } = Block.writing("OSD_CONFIG", osd)
+
+      vtx = %{
+        band: 5,
+        channel: 8,
+        power: 2,
+        pit_mode: 0,
+        frequency: 5917,
+        low_power_disarm: 0,
+        pit_frequency: 0
+      }
+
+      assert %{frequency: 39, exact_frequency: 5917, band: 5} = Block.writing("VTX_CONFIG", vtx)
+      assert %{frequency: 5800} = Block.writing("VTX_CONFIG", %{vtx | band: 0, frequency: 5800})
+    end
+  end
+
+  describe "iNav" do
+    test "its settings are read ahead; the list then has all numbers, and no text" do
+      {line, _change, _state} = up(:inav, 20)
+      assert values(line) == []
+      line = list(line)
+      numbers = for %{type: type, name: name} <- Params.all(:inav, {9, 0}), type != "str", do: name
+      assert Enum.map(values(line), &Params.full(:inav, &1.param_id)) == numbers
+      assert Enum.map(values(line), & &1.param_index) == Enum.to_list(0..(length(numbers) - 1))
+      assert %{param_type: 9} = last(line, "pitot_scale")
+    end
+
+    test "one is set by its full name, and read again" do
+      {line, _change, state} = up(:inav)
+      line = set(line, "nav_rth_altitude", 5000)
+      assert %{param_value: 5000.0, param_type: 3} = last(line, "nav_rth_altitude")
+      assert state.().settings["nav_rth_altitude"] == <<5000::16-little>>
+      # The firmware takes what is below its least value.
+      line = set(line, "nav_fw_launch_thr", 900)
+      assert "nav_fw_launch_thr: it goes from 1000 to 2000" in texts(line)
+      assert state.().settings["nav_fw_launch_thr"] == <<1000::16-little>>
+      line = set(line, "name", 1)
+      assert Enum.any?(texts(line), &(&1 =~ "name: it is text"))
+    end
+
+    test "what is not stored is gone after a restart" do
+      {line, _change, state} = up(:inav)
+      line = set(line, "small_angle", 90)
+      line = line |> Line.handle({:mavlink, command(246, %{param1: 1.0})}) |> Line.run(6 * @second)
+      assert state.().boots == 2
+      assert %{param_value: +0.0} = line |> read("small_angle") |> last("small_angle")
+      line = set(line, "small_angle", 90)
+      line = line |> Line.handle({:mavlink, command(245, %{param1: 1.0})}) |> Line.run(@second)
+      line = line |> Line.handle({:mavlink, command(246, %{param1: 1.0})}) |> Line.run(6 * @second)
+      assert %{param_value: 90.0} = line |> read("small_angle") |> last("small_angle")
+    end
+  end
+
+  defp command(number, fields),
+    do:
+      MavCodec.encode(struct!(%M.CommandLong{target_system: 42, command: number}, fields),
+        system: 237,
+        component: 191
+      )
+end

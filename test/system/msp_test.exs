@@ -7,7 +7,7 @@ defmodule Aerie.System.MspTest do
 
   import Aerie.PeerCase, only: [findings: 1, start_peer: 2]
 
-  alias Aerie.Control.Commands
+  alias Aerie.Control.{Commands, Params}
   alias SimVehicle.Msp
 
   @moduletag :tmp_dir
@@ -144,6 +144,36 @@ defmodule Aerie.System.MspTest do
       assert %{status: :completed} = submit(c, firmware, "reboot")
       assert Msp.state(sim).boots == 2
       event(c, firmware, "reboot")
+    end
+  end
+
+  test "parameters: by their whole names, with ranges and words, set, refused, stored", %{tmp_dir: dir} do
+    c = fly(dir, [:betaflight, :inav])
+    by = [source: %{name: "crew", role: :admin, permissions: []}]
+
+    for {firmware, name, value, wrong} <- [
+          {:betaflight, "vbat_warning_cell_voltage", 360, 600},
+          {:inav, "nav_rth_linear_descent_start_distance", 250, 20_000}
+        ] do
+      vehicle = name(firmware)
+      {:ok, table} = Params.list(c.gateway, vehicle)
+      assert is_map_key(table.params, name) and Params.Table.count(table) > 180
+      {:ok, described} = Params.metadata(c.gateway, vehicle)
+      assert %{min: low, max: high} = described[name]
+      assert value in low..high and wrong not in low..high
+
+      assert {:ok, %{status: :completed, details: %{"name" => ^name}}} =
+               Params.set(c.gateway, vehicle, name, value, by)
+
+      assert {:ok, %{name: ^name, value: ^value}} = Params.get(c.gateway, vehicle, name)
+      assert {:ok, %{status: :rejected, reason: reason}} = Params.set(c.gateway, vehicle, name, wrong, by)
+      assert reason =~ "OUT_OF_RANGE"
+      {:ok, %{status: :completed}} = Params.load(c.gateway, vehicle, "#{name},#{value + 1}\n", by)
+      assert {:ok, %{value: after_load}} = Params.get(c.gateway, vehicle, name)
+      assert after_load == value + 1
+      assert %{status: :accepted} = submit(c, firmware, "save_params")
+      stored = Msp.state(c.sims[firmware])
+      assert stored.stored == Map.take(stored, [:blocks, :settings])
     end
   end
 

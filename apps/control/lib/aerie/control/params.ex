@@ -26,6 +26,7 @@ defmodule Aerie.Control.Params do
     Download,
     Fetch,
     File,
+    LongNames,
     Metadata,
     MetadataReader,
     Param,
@@ -35,7 +36,6 @@ defmodule Aerie.Control.Params do
   }
 
   alias Aerie.Control.Policy.Intent
-  alias Aerie.Vehicle.Protocol.ParamValue
   alias MavCodec.Enums.MavProtocolCapability
 
   @typedoc "`:component` - the component whose parameters are meant, 1 to 255; without it the autopilot's are"
@@ -123,7 +123,9 @@ defmodule Aerie.Control.Params do
       }
 
       {result, nil} = Transfers.read(gateway, snapshot, transfer, options)
-      kept(result, stored, gateway, snapshot)
+
+      with {:ok, table} <- kept(result, stored, gateway, snapshot),
+           do: {:ok, LongNames.shown(table, snapshot.autopilot)}
     end
   end
 
@@ -141,11 +143,19 @@ defmodule Aerie.Control.Params do
 
   @doc """
   What the vehicle says about its parameters, by name: units, ranges, descriptions, values to choose from. Only newer firmware offers it (PX4 does); of
-  the others the result is `:failed`.
+  Betaflight and iNav the gateway knows it; of the others the result is `:failed`.
   """
   @spec metadata(Names.gateway(), vehicle :: String.t(), [Transfers.option()]) ::
           {:ok, %{String.t() => Metadata.t()}} | {:error, Result.t()}
-  defdelegate metadata(gateway, vehicle, options \\ []), to: MetadataReader, as: :read
+  def metadata(gateway, vehicle, options \\ []) do
+    with {:ok, snapshot} <- Transfers.vehicle(gateway, vehicle),
+         nil <- LongNames.metadata(snapshot) do
+      MetadataReader.read(gateway, vehicle, options)
+    else
+      %{} = known -> {:ok, known}
+      error -> error
+    end
+  end
 
   @doc "One parameter, read from the vehicle. Neither firmware answers if it does not have the parameter (`:timeout`)."
   @spec get(Names.gateway(), vehicle :: String.t(), name :: String.t(), [option()]) ::
@@ -164,12 +174,12 @@ defmodule Aerie.Control.Params do
         share: {:param, component, name},
         start: fn context, until ->
           target = Component.target(context, component)
-          {:ok, Set.read(name, target, until, Component.options(context, component))}
+          {:ok, Set.read(LongNames.wire(name), target, until, Component.options(context, component))}
         end
       }
 
       {result, nil} = Transfers.read(gateway, snapshot, transfer, options)
-      result
+      with {:ok, param} <- result, do: {:ok, LongNames.shown(param, snapshot.autopilot)}
     else
       {:ok, answer} -> remote_answer(Param.parse(answer))
       error -> error
@@ -197,14 +207,14 @@ defmodule Aerie.Control.Params do
       transfer = %{
         lanes: [:params],
         timeout_ms: if(component, do: @component_ms, else: @one_ms),
-        start: &Component.set(name, value, type, &1, &2, component)
+        start: &Component.set(LongNames.wire(name), value, type, &1, &2, component)
       }
 
       asked = {"params", "set", of(component, %{"name" => name, "value" => value})}
       change = Map.put(change([name], Map.merge(%{name: name, value: value}, whose)), :remote_request, asked)
 
       Transfers.change(gateway, vehicle, change, transfer, options, fn param ->
-        %{"name" => param.name, "value" => param.value}
+        %{"name" => name, "value" => param.value}
       end)
     end
   end
@@ -234,7 +244,9 @@ defmodule Aerie.Control.Params do
       transfer = %{
         lanes: [:params],
         timeout_ms: @all_ms,
-        start: fn context, until -> {:ok, SetAll.new(entries, context.target, until, common(context))} end
+        start: fn context, until ->
+          {:ok, SetAll.new(wired(entries), context.target, until, common(context))}
+        end
       }
 
       Transfers.change(gateway, vehicle, change, transfer, options, &%{"set" => &1})
@@ -308,6 +320,8 @@ defmodule Aerie.Control.Params do
 
   defp change(names, params), do: %{facts: Intent.set_parameters(names), params: params}
 
+  defp wired(entries), do: for({name, value, type} <- entries, do: {LongNames.wire(name), value, type})
+
   defp entry(%{name: name, value: value, type: type}), do: {name, value, type}
   defp entry({name, value}), do: {name, value, nil}
 
@@ -328,9 +342,9 @@ defmodule Aerie.Control.Params do
   end
 
   defp check_name(name) do
-    if ParamValue.name?(name),
+    if LongNames.name?(name),
       do: :ok,
-      else: {:error, [Error.new("name", "1 to 16 printable characters", name)]}
+      else: {:error, [Error.new("name", "1 to 16 printable characters (Betaflight and iNav: to 64)", name)]}
   end
 
   defp check_number(value) do

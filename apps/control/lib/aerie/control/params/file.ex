@@ -10,7 +10,7 @@ defmodule Aerie.Control.Params.File do
   as a vehicle (`Aerie.Control.Params.Table.max/0`); errors are reported with their line numbers, at most twenty.
   """
 
-  alias Aerie.Control.Params.Table
+  alias Aerie.Control.Params.{LongNames, Table}
   alias Aerie.Vehicle.Protocol.ParamValue
   alias Aerie.Base.Files.Text
   alias MavCodec.Enums.MavComponent
@@ -143,7 +143,7 @@ defmodule Aerie.Control.Params.File do
   end
 
   defp entry(name, text, type, number) do
-    with {:name, true} <- {:name, ParamValue.name?(name)},
+    with {:name, true} <- {:name, LongNames.name?(name)},
          {:ok, value} <- number(text),
          :ok <- fits(value, type) do
       {:ok, %{name: name, value: value, type: type, decimals: decimals(text), line: number}, nil}

@@ -21,7 +21,7 @@ defmodule Aerie.Control.Params.Param do
   @doc "Reads what `plain/1` gave, as JSON brings it: it came from outside."
   @spec parse(term()) :: {:ok, t()} | :error
   def parse(%{"name" => name, "value" => value, "type" => type} = object)
-      when is_binary(name) and byte_size(name) in 1..16 and type in 0..255 and
+      when is_binary(name) and byte_size(name) in 1..64 and type in 0..255 and
              (is_number(value) or is_nil(value) or (is_binary(value) and byte_size(value) <= 128)) do
     default = if is_number(object["default"]), do: object["default"]
 

@@ -1,7 +1,7 @@
 defmodule Aerie.Control.Policy.Protection do
   @moduledoc """
   Which parameters and files of a vehicle protect it: fences, failsafes, arming checks, the safety switch, avoidance, termination
-  and parachutes, by the names of ArduPilot and PX4. Changing them needs the permission `protection` besides `maintain`.
+  and parachutes, by the names of ArduPilot, PX4, Betaflight and iNav. Changing them needs the permission `protection` besides `maintain`.
   """
 
   # `*` stands for any characters.
@@ -13,7 +13,11 @@ defmodule Aerie.Control.Policy.Protection do
     COM_PREARM_MODE COM_PREARM_ODID COM_QC_ACT COM_RC_* COM_RCL_* COM_SPOOLUP* COM_VEL_* COM_WIND_* BAT*_CRIT_THR BAT*_EMERGEN_THR BAT*_LOW_THR BAT_*_THR
     RC_MAP_KILL* RC_MAP_ARM* SYS_FAILURE_* EKF2_REQ_* PWM_*_DIS* PWM_*_FAIL* VT_*QC_* MIS_DIST_*)
 
-  @patterns Enum.map(Enum.uniq(@ardupilot ++ @px4), &:binary.split(&1, "*", [:global]))
+  # Betaflight and iNav; the first eleven letters are also those of MAVLink's names (`MavCodec.Msp.ShortName`).
+  @msp ~w(FAILSAFE_* GPS_RESCUE_* SMALL_ANGLE AUTO_DISARM* NAV_RTH_* NAV_EXTRA_* SAFEHOME_* GEOZONE_* VBAT_* MIN_CHECK MAX_CHECK
+    RX_MIN_USEC RX_MAX_USEC MSP_OVERRI* PREARM_TIM* RECEIVER_T* NAV_LAND_D* NAV_EMERG_*)
+
+  @patterns Enum.map(Enum.uniq(@ardupilot ++ @px4 ++ @msp), &:binary.split(&1, "*", [:global]))
 
   # Files that set parameters, missions and fences, and what runs when the autopilot starts.
   @virtual ["@", "/@"]

@@ -1,0 +1,71 @@
+defmodule Aerie.Control.Params.LongNames do
+  @moduledoc """
+  Names of parameters that are longer than MAVLink's 16 characters, as Betaflight and iNav have them. Programs and people see the whole
+  name; on the way to the vehicle it is shortened (`MavCodec.Msp.ShortName`), and no other name is.
+  """
+
+  alias Aerie.Control.Params.{Metadata, Param, Table}
+  alias Aerie.Vehicle.Protocol.ParamValue
+  alias MavCodec.Msp.{Params, ShortName}
+
+  @command_line ~r/\A[a-z0-9_]{1,64}\z/
+  @msp [:betaflight, :inav]
+
+  @doc "Whether this can be the name of a parameter: one of MAVLink, or a longer one of a command line, which has small letters, digits and `_`."
+  @spec name?(term()) :: boolean()
+  def name?(name), do: ParamValue.name?(name) or (is_binary(name) and name =~ @command_line)
+
+  @doc "The name as MAVLink has it."
+  @spec wire(String.t()) :: String.t()
+  defdelegate wire(name), to: ShortName, as: :of
+
+  @doc "A parameter, or all of a vehicle, with the whole names."
+  @spec shown(Param.t() | Table.t(), Aerie.Vehicle.Kind.autopilot()) :: Param.t() | Table.t()
+  def shown(%Param{} = param, firmware) when firmware in @msp,
+    do: %{param | name: Params.full(firmware, param.name)}
+
+  def shown(%Table{} = table, firmware) when firmware in @msp,
+    do:
+      Table.new(for(name <- table.order, do: shown(table.params[name], firmware)),
+        hash: table.hash,
+        file_crc: table.file_crc
+      )
+
+  def shown(params, _firmware), do: params
+
+  @doc "What is known of the parameters of a firmware that does not say it itself; nil for one that may."
+  @spec metadata(map()) :: %{String.t() => Metadata.t()} | nil
+  def metadata(%{autopilot: firmware} = snapshot) when firmware in @msp do
+    # By the newest names: what an older version calls otherwise has no description.
+    for param <- Params.all(firmware, version(firmware, snapshot)),
+        into: %{},
+        do: {param.name, described(param)}
+  end
+
+  def metadata(_snapshot), do: nil
+
+  # Betaflight's table goes by its API, which the snapshot does not have: all its parameters are described.
+  defp version(:betaflight, _snapshot), do: {1, 49}
+  defp version(:inav, _snapshot), do: {9, 0}
+
+  defp described(param) do
+    %{
+      name: param.name,
+      type: param.type,
+      short: nil,
+      long: nil,
+      unit: param.unit,
+      group: param.block || param.section,
+      category: nil,
+      min: param.low,
+      max: param.high,
+      default: param.default,
+      increment: nil,
+      decimals: nil,
+      reboot_required: false,
+      volatile: false,
+      values: for({text, value} <- Enum.with_index(param.values), do: %{value: value, text: text}),
+      bits: []
+    }
+  end
+end

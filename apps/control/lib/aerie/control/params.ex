@@ -123,16 +123,14 @@ defmodule Aerie.Control.Params do
       }
 
       {result, nil} = Transfers.read(gateway, snapshot, transfer, options)
-
-      with {:ok, table} <- kept(result, stored, gateway, snapshot),
-           do: {:ok, LongNames.shown(table, snapshot.autopilot)}
+      kept(result, stored, gateway, snapshot)
     end
   end
 
   # A list that cannot be checked later is not stored.
-  defp kept({:ok, table} = result, stored, gateway, snapshot) do
+  defp kept({:ok, table}, stored, gateway, snapshot) do
     if table != stored and (table.hash || table.file_crc), do: CacheWriter.keep(gateway, snapshot, table)
-    result
+    {:ok, LongNames.shown(table, snapshot.autopilot)}
   end
 
   defp kept(error, _stored, _gateway, _snapshot), do: error
@@ -149,12 +147,8 @@ defmodule Aerie.Control.Params do
           {:ok, %{String.t() => Metadata.t()}} | {:error, Result.t()}
   def metadata(gateway, vehicle, options \\ []) do
     with {:ok, snapshot} <- Transfers.vehicle(gateway, vehicle),
-         nil <- LongNames.metadata(snapshot) do
-      MetadataReader.read(gateway, vehicle, options)
-    else
-      %{} = known -> {:ok, known}
-      error -> error
-    end
+         nil <- LongNames.metadata(snapshot),
+         do: MetadataReader.read(gateway, vehicle, options)
   end
 
   @doc "One parameter, read from the vehicle. Neither firmware answers if it does not have the parameter (`:timeout`)."
@@ -236,6 +230,7 @@ defmodule Aerie.Control.Params do
     entries = for entry <- values, do: entry(entry)
 
     names = for {name, _value, _type} <- entries, do: name
+    wired = for {name, value, type} <- entries, do: {LongNames.wire(name), value, type}
 
     with :ok <- check_all(entries), :ok <- known(gateway, vehicle, names) do
       change = change(names, %{count: length(entries), digest: digest(entries)})
@@ -244,9 +239,7 @@ defmodule Aerie.Control.Params do
       transfer = %{
         lanes: [:params],
         timeout_ms: @all_ms,
-        start: fn context, until ->
-          {:ok, SetAll.new(wired(entries), context.target, until, common(context))}
-        end
+        start: fn context, until -> {:ok, SetAll.new(wired, context.target, until, common(context))} end
       }
 
       Transfers.change(gateway, vehicle, change, transfer, options, &%{"set" => &1})
@@ -319,8 +312,6 @@ defmodule Aerie.Control.Params do
   defp common(context), do: Component.options(context, nil)
 
   defp change(names, params), do: %{facts: Intent.set_parameters(names), params: params}
-
-  defp wired(entries), do: for({name, value, type} <- entries, do: {LongNames.wire(name), value, type})
 
   defp entry(%{name: name, value: value, type: type}), do: {name, value, type}
   defp entry({name, value}), do: {name, value, nil}

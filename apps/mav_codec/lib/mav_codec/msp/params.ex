@@ -152,4 +152,26 @@ defmodule MavCodec.Msp.Params do
   @doc "The full names by the short ones, of all versions."
   @spec names(Messages.firmware()) :: %{String.t() => String.t()}
   def names(firmware), do: Map.fetch!(@names, firmware)
+
+  @doc "The parameters of all versions with the keys of MAVLink's component metadata, by their newest names."
+  @spec described(Messages.firmware()) :: %{String.t() => map}
+  def described(firmware) do
+    nothing = %{short: nil, long: nil, category: nil, increment: nil, decimals: nil, bits: []}
+    never = %{reboot_required: false, volatile: false}
+
+    for row <- if(firmware == :betaflight, do: @betaflight_rows, else: @inav_rows), into: %{} do
+      values = for {text, value} <- Enum.with_index(row.values), do: %{value: value, text: text}
+
+      known = %{
+        min: row.low,
+        max: row.high,
+        default: row.default,
+        values: values,
+        group: row.block || row.section
+      }
+
+      {row.name,
+       row |> Map.take([:name, :type, :unit]) |> Map.merge(known) |> Map.merge(nothing) |> Map.merge(never)}
+    end
+  end
 end

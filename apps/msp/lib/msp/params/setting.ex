@@ -23,7 +23,7 @@ defmodule Msp.Params.Setting do
   def request(name) when is_binary(name), do: name <> <<0>>
   def request(index), do: <<0, index::16-little>>
 
-  @doc "The setting of a reply; `:text` for one that is no number."
+  @doc "The setting of a reply; `:text` for one that is not a number."
   @spec read(map) :: {:ok, t} | :text | :error
   def read(%{name: name, type: type, mode: mode, min: low, max: high, index: index, table_and_value: rest}) do
     # Behind the words for the values.

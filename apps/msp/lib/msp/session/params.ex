@@ -5,7 +5,7 @@ defmodule Msp.Session.Params do
 
   Betaflight's parameters are fields of blocks. To set one, its block is read, written with that field changed, and read again; what is
   then there is reported. iNav's are read and set by name, with the same end. Nothing is set while the vehicle is armed, and nothing is
-  kept over a restart before the settings are stored (PREFLIGHT_STORAGE). Text is no parameter in MAVLink.
+  kept over a restart before the settings are stored (PREFLIGHT_STORAGE). Text cannot be a parameter in MAVLink.
   """
   @behaviour Msp.Session.Tasks
 

@@ -25,47 +25,12 @@ defmodule Aerie.Control.Params.LongNames do
     do: %{param | name: Params.full(firmware, param.name)}
 
   def shown(%Table{} = table, firmware) when firmware in @msp,
-    do:
-      Table.new(for(name <- table.order, do: shown(table.params[name], firmware)),
-        hash: table.hash,
-        file_crc: table.file_crc
-      )
+    do: Table.new(for name <- table.order, do: shown(table.params[name], firmware))
 
   def shown(params, _firmware), do: params
 
   @doc "What is known of the parameters of a firmware that does not say it itself; nil for one that may."
-  @spec metadata(map()) :: %{String.t() => Metadata.t()} | nil
-  def metadata(%{autopilot: firmware} = snapshot) when firmware in @msp do
-    # By the newest names: what an older version calls otherwise has no description.
-    for param <- Params.all(firmware, version(firmware, snapshot)),
-        into: %{},
-        do: {param.name, described(param)}
-  end
-
+  @spec metadata(map()) :: {:ok, %{String.t() => Metadata.t()}} | nil
+  def metadata(%{autopilot: firmware}) when firmware in @msp, do: {:ok, Params.described(firmware)}
   def metadata(_snapshot), do: nil
-
-  # Betaflight's table goes by its API, which the snapshot does not have: all its parameters are described.
-  defp version(:betaflight, _snapshot), do: {1, 49}
-  defp version(:inav, _snapshot), do: {9, 0}
-
-  defp described(param) do
-    %{
-      name: param.name,
-      type: param.type,
-      short: nil,
-      long: nil,
-      unit: param.unit,
-      group: param.block || param.section,
-      category: nil,
-      min: param.low,
-      max: param.high,
-      default: param.default,
-      increment: nil,
-      decimals: nil,
-      reboot_required: false,
-      volatile: false,
-      values: for({text, value} <- Enum.with_index(param.values), do: %{value: value, text: text}),
-      bits: []
-    }
-  end
 end

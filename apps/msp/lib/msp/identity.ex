@@ -15,6 +15,7 @@ defmodule Msp.Identity do
 
   @betaflight_minors 40..49
   @inav_majors 7..9
+  @longest 31
   @others %{
     "CLFL" => "Cleanflight",
     "BAFL" => "Baseflight",
@@ -83,7 +84,7 @@ defmodule Msp.Identity do
   end
 
   def of(api, variant, _version) do
-    name = Map.get(@others, variant, "a firmware that calls itself #{inspect(variant)}")
+    name = Map.get(@others, variant, "a firmware that calls itself #{inspect(printable(variant))}")
     {:error, "#{name} (MSP API #{dotted(api)}): not a vehicle that Aerie can use over MSP"}
   end
 
@@ -94,7 +95,12 @@ defmodule Msp.Identity do
   defp numbers(version),
     do: {version[:major_or_year] || 0, version[:minor_or_month] || 0, version[:patch] || 0}
 
-  defp release(%{text: text}) when is_binary(text) and text != "", do: text
+  @doc "Text from a flight controller, as far as it can be shown: it may be anything."
+  @spec printable(binary) :: String.t()
+  def printable(text),
+    do: for(<<byte <- binary_slice(text, 0, @longest)>>, byte in 32..126, into: "", do: <<byte>>)
+
+  defp release(%{text: text}) when is_binary(text) and text != "", do: printable(text)
   defp release(version), do: version |> numbers() |> Tuple.to_list() |> Enum.join(".")
   defp dotted({major, minor}), do: "#{major}.#{minor}"
 end

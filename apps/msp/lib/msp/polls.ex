@@ -27,7 +27,6 @@ defmodule Msp.Polls do
       {"ALTITUDE", %{}, 500},
       {"MSP2_INAV_ANALOG", %{}, 1000},
       {"RC", %{}, 1000},
-      {"NAV_STATUS", %{}, 500},
       {"MSP2_INAV_MISC2", %{}, 1000},
       {"SENSOR_STATUS", %{}, 2000},
       {"WP", %{number: 0}, 5000},
@@ -74,6 +73,11 @@ defmodule Msp.Polls do
       do: {:ask, name, poll.arguments},
       else: {:at, polls |> Map.values() |> Enum.map(& &1.due) |> Enum.min()}
   end
+
+  @doc "Whether one has been due for longer than its own period: whatever else there is to ask has to wait for it."
+  @spec late?(t, integer) :: boolean
+  def late?(%__MODULE__{polls: polls}, now),
+    do: Enum.any?(polls, fn {_name, poll} -> now - poll.due > poll.period end)
 
   @doc "It was asked: it is due again a period later."
   @spec asked(t, String.t(), integer) :: t

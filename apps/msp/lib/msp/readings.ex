@@ -8,13 +8,12 @@ defmodule Msp.Readings do
 
   @typedoc """
   - `boxes`: permanent ids of the boxes that are on; `arming`: the arming flags; `sensors`: the sensors' bits
-  - `load`: 0..1; `profile`: the number of the control profile
+  - `load`: 0..1
   - `roll`, `pitch`, `yaw`: degrees; `alt_rel`: m above the start; `climb`: m/s
   - `fix`: GPS_FIX_TYPE; `satellites`; `lat`, `lon`: degrees; `alt_msl`: m; `speed`: m/s; `course`: degrees; `dilution`
   - `voltage`: V; `current`: A; `drawn`: mAh; `cells`; `remaining`: 0..1; `charge`: `:ok | :low | :critical | :absent`
   - `rssi`: 0..1; `channels`: µs in the order of the receiver (AETR)
-  - `nav_mode`, `nav_state`, `nav_error`, `waypoint`: NAV_STATUS of iNav; `home`: `{lat, lon, alt_msl | nil}`
-  - `on_s`, `flight_s`: iNav's seconds since its start and in the air
+  - `home`: `{lat, lon}` of iNav; `on_s`: its seconds since its start
   - `unhealthy`: bits of `sensors` that do not work
   """
   @type t :: %{optional(atom) => term}
@@ -24,33 +23,30 @@ defmodule Msp.Readings do
   # SENSOR_STATUS, in the order of the bits of STATUS.
   @inav_sensors [acc: 0, baro: 1, mag: 2, gps: 3, rangefinder: 4, opflow: 5, pitot: 6]
 
-  @doc "What a reply says; `ids` is the vehicle's BOXIDS. Nothing for messages that say nothing about the state."
+  @doc "What a reply says; `ids` is the vehicle's BOXIDS. Nothing for one that says nothing about the state, or is cut short."
   @spec read(Modes.firmware(), name :: String.t(), MavCodec.Msp.Payload.values(), ids :: [byte]) :: t
   def read(firmware, name, values, ids)
 
-  def read(:betaflight, name, v, ids) when name in ["STATUS", "STATUS_EX"] do
+  def read(:betaflight, name, %{mode_flags: low} = v, ids) when name in ["STATUS", "STATUS_EX"] do
     flags =
       for {%{flags: byte}, n} <- Enum.with_index(v[:more_flags] || []),
-          reduce: v.mode_flags,
+          reduce: low,
           do: (sum -> sum + Bitwise.bsl(byte, 32 + 8 * n))
 
     %{
       boxes: Modes.boxes(flags, ids),
       arming: v[:arming_disable_flags],
       sensors: v[:sensors],
-      load: percent(v[:cpu_load]),
-      profile: v[:pid_profile],
-      restart_required: v[:config_state] && Bitwise.band(v.config_state, 1) == 1
+      load: percent(v[:cpu_load])
     }
   end
 
-  def read(:inav, "MSP2_INAV_STATUS", v, ids) do
+  def read(:inav, "MSP2_INAV_STATUS", %{mode_flags: flags} = v, ids) do
     %{
-      boxes: Modes.boxes(v.mode_flags, ids),
+      boxes: Modes.boxes(flags, ids),
       arming: v[:arming_flags],
       sensors: v[:sensors],
-      load: percent(v[:cpu_load]),
-      profile: v[:profiles] && Bitwise.band(v.profiles, 15)
+      load: percent(v[:cpu_load])
     }
   end
 
@@ -117,10 +113,7 @@ defmodule Msp.Readings do
     end
   end
 
-  def read(:inav, "NAV_STATUS", v, _ids),
-    do: %{nav_mode: v[:mode], nav_state: v[:state], nav_error: v[:error], waypoint: v[:wp_number]}
-
-  def read(:inav, "MSP2_INAV_MISC2", v, _ids), do: %{on_s: v[:on_time], flight_s: v[:flight_time]}
+  def read(:inav, "MSP2_INAV_MISC2", v, _ids), do: %{on_s: v[:on_time]}
 
   def read(:inav, "SENSOR_STATUS", v, _ids) do
     # 1 is healthy, 2 unavailable although wanted, 3 unhealthy.

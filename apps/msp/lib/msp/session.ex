@@ -245,7 +245,12 @@ defmodule Msp.Session do
   end
 
   defp up(%{found: found} = session, now) do
-    identity = %{session.identity | uid: uid(found["UID"]), name: found["NAME"][:name]}
+    identity = %{
+      session.identity
+      | uid: uid(found["UID"]),
+        name: Identity.printable(found["NAME"][:name] || "")
+    }
+
     mixer = found["MIXER_CONFIG"][:mixer] || found["MSP2_INAV_MIXER"][:platform_type]
 
     %{
@@ -312,9 +317,9 @@ defmodule Msp.Session do
     end
   end
 
-  # What clients asked for, then what is due, then what takes long.
+  # What clients asked for, then what is due, then what takes long. Clients that ask without end do not silence the vehicle.
   defp ask(session, now) do
-    case Tasks.next(session, :urgent) do
+    case if(Polls.late?(session.polls, now), do: {:none, session}, else: Tasks.next(session, :urgent)) do
       {:none, session} -> poll(session, now)
       {{:ask, task, frame, patience}, session} -> send_if_ready(session, {:task, task}, frame, now, patience)
     end

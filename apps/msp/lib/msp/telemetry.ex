@@ -103,9 +103,9 @@ defmodule Msp.Telemetry do
       onboard_control_sensors_enabled: all,
       onboard_control_sensors_health: all &&& bnot(failing ||| rc_fails ||| not_ready),
       load: if(readings[:load], do: round(readings.load * 1000), else: 0xFFFF),
-      voltage_battery: scaled(readings[:voltage], 1000, 0xFFFF),
-      current_battery: scaled(readings[:current], 100, -1),
-      battery_remaining: scaled(readings[:remaining], 100, -1),
+      voltage_battery: scaled(readings[:voltage], 1000, :u16),
+      current_battery: scaled(readings[:current], 100, :current),
+      battery_remaining: scaled(readings[:remaining], 100, :percent),
       drop_rate_comm: 0xFFFF
     }
   end
@@ -150,14 +150,14 @@ defmodule Msp.Telemetry do
     %M.GpsRawInt{
       time_usec: boot_us,
       fix_type: readings.fix,
-      lat: scaled(readings.lat, 1.0e7, 0),
-      lon: scaled(readings.lon, 1.0e7, 0),
-      alt: scaled(readings.alt_msl, 1000, 0),
-      eph: readings.dilution || 0xFFFF,
+      lat: scaled(readings.lat, 1.0e7, :place),
+      lon: scaled(readings.lon, 1.0e7, :place),
+      alt: scaled(readings.alt_msl, 1000, :height),
+      eph: scaled(readings.dilution, 1, :u16),
       epv: 0xFFFF,
-      vel: scaled(readings.speed, 100, 0xFFFF),
-      cog: scaled(readings.course, 100, 0xFFFF),
-      satellites_visible: readings.satellites || 255
+      vel: scaled(readings.speed, 100, :u16),
+      cog: scaled(readings.course, 100, :u16),
+      satellites_visible: scaled(readings.satellites, 1, :u8)
     }
   end
 
@@ -170,14 +170,14 @@ defmodule Msp.Telemetry do
     [
       %M.GlobalPositionInt{
         time_boot_ms: boot_ms,
-        lat: round(lat * 1.0e7),
-        lon: round(lon * 1.0e7),
-        alt: round(msl * 1000),
-        relative_alt: scaled(readings[:alt_rel], 1000, 0x7FFFFFFF),
-        vx: scaled(north, 100, 0x7FFF),
-        vy: scaled(east, 100, 0x7FFF),
-        vz: scaled(readings[:climb] && -readings.climb, 100, 0x7FFF),
-        hdg: scaled(readings[:yaw], 100, 0xFFFF)
+        lat: scaled(lat, 1.0e7, :place),
+        lon: scaled(lon, 1.0e7, :place),
+        alt: scaled(msl, 1000, :height),
+        relative_alt: scaled(readings[:alt_rel], 1000, :i32),
+        vx: scaled(north, 100, :i16),
+        vy: scaled(east, 100, :i16),
+        vz: scaled(readings[:climb] && -readings.climb, 100, :i16),
+        hdg: scaled(readings[:yaw], 100, :u16)
       }
     ]
   end
@@ -210,11 +210,11 @@ defmodule Msp.Telemetry do
   def battery(readings) do
     [
       %M.BatteryStatus{
-        voltages: [min(round(readings.voltage * 1000), 0xFFFE) | List.duplicate(0xFFFF, 9)],
-        current_battery: scaled(readings.current, 100, -1),
-        current_consumed: readings.drawn || -1,
+        voltages: [scaled(readings.voltage, 1000, :u16) | List.duplicate(0xFFFF, 9)],
+        current_battery: scaled(readings.current, 100, :current),
+        current_consumed: scaled(readings.drawn, 1, :consumed),
         energy_consumed: -1,
-        battery_remaining: scaled(readings.remaining, 100, -1),
+        battery_remaining: scaled(readings.remaining, 100, :percent),
         temperature: 0x7FFF,
         charge_state: Map.get(@charge, readings.charge, 0)
       }
@@ -232,7 +232,7 @@ defmodule Msp.Telemetry do
       %M.RcChannels{
         time_boot_ms: boot_ms,
         chancount: length(channels),
-        rssi: scaled(readings[:rssi], 254, 255)
+        rssi: scaled(readings[:rssi], 254, :u8)
       },
       known ++ none
     )
@@ -243,9 +243,9 @@ defmodule Msp.Telemetry do
   def home(%{home: {lat, lon}, alt_msl: msl, alt_rel: height}) when is_number(msl) and is_number(height) do
     [
       %M.HomePosition{
-        latitude: round(lat * 1.0e7),
-        longitude: round(lon * 1.0e7),
-        altitude: round((msl - height) * 1000),
+        latitude: scaled(lat, 1.0e7, :place),
+        longitude: scaled(lon, 1.0e7, :place),
+        altitude: scaled(msl - height, 1000, :i32),
         q: [1.0, 0.0, 0.0, 0.0]
       }
     ]
@@ -253,6 +253,25 @@ defmodule Msp.Telemetry do
 
   def home(_readings), do: []
 
-  defp scaled(nil, _factor, unknown), do: unknown
-  defp scaled(value, factor, _unknown), do: round(value * factor)
+  # What does not fit is not known: a flight controller may send anything.
+  @ranges %{
+    u8: {0..254, 0xFF},
+    u16: {0..0xFFFE, 0xFFFF},
+    i16: {-0x7FFF..0x7FFE, 0x7FFF},
+    i32: {-0x7FFFFFFF..0x7FFFFFFE, 0x7FFFFFFF},
+    # Per cent, and what is positive: -1 is unknown.
+    percent: {0..100, -1},
+    current: {-0x7FFF..0x7FFF, -1},
+    consumed: {0..0x7FFFFFFF, -1},
+    place: {-1_800_000_000..1_800_000_000, 0},
+    height: {-0x7FFFFFFF..0x7FFFFFFE, 0}
+  }
+
+  defp scaled(nil, _factor, kind), do: elem(@ranges[kind], 1)
+
+  defp scaled(value, factor, kind) do
+    {range, unknown} = @ranges[kind]
+    number = round(value * factor)
+    if number in range, do: number, else: unknown
+  end
 end

@@ -20,9 +20,14 @@ defmodule Msp.Session.Reports do
 
   def polled(session, name, values, now) do
     readings = Readings.read(session.identity.firmware, name, values, session.ids)
-    before = session.readings
-    session = clock(session, readings, now)
-    %{session | readings: Map.merge(before, readings)} |> show(name, now) |> failsafe(before)
+
+    if readings == %{} do
+      session
+    else
+      before = session.readings
+      session = clock(session, readings, now)
+      %{session | readings: Map.merge(before, readings)} |> show(name, now) |> failsafe(before)
+    end
   end
 
   @doc "The ids of BOXIDS."

@@ -27,6 +27,8 @@ defmodule Msp.Polls do
       {"ALTITUDE", %{}, 500},
       {"MSP2_INAV_ANALOG", %{}, 1000},
       {"RC", %{}, 1000},
+      {"NAV_STATUS", %{}, 500},
+      {"WP_GETINFO", %{}, 5000},
       {"MSP2_INAV_MISC2", %{}, 1000},
       {"SENSOR_STATUS", %{}, 2000},
       {"WP", %{number: 0}, 5000},

@@ -34,6 +34,10 @@ defmodule Msp.Telemetry do
     betaflight: [{5, :"3D_GYRO"}, {6, :OPTICAL_FLOW}],
     inav: [{5, :OPTICAL_FLOW}, {6, :DIFFERENTIAL_PRESSURE}]
   }
+  # The mode of NAV_STATUS; MISSION_STATE
+  @nav_mission 3
+  @mission_not_started 2
+  @mission_active 3
   @charge %{ok: 1, low: 2, critical: 3}
   # iNav's platform types, and Betaflight's mixers, which are all copters but for the wings.
   @types %{
@@ -237,6 +241,20 @@ defmodule Msp.Telemetry do
       known ++ none
     )
   end
+
+  @doc "MISSION_CURRENT of iNav, which counts its waypoints from 1; none without a mission."
+  @spec mission(Readings.t()) :: [struct]
+  def mission(%{waypoints: count, waypoint: number, nav_mode: mode}) when count > 0 do
+    [
+      %M.MissionCurrent{
+        seq: max(number - 1, 0),
+        total: count,
+        mission_state: if(mode == @nav_mission, do: @mission_active, else: @mission_not_started)
+      }
+    ]
+  end
+
+  def mission(_readings), do: []
 
   @doc "HOME_POSITION of iNav, whose height follows from the two heights of the vehicle; none as long as one is not known."
   @spec home(Readings.t()) :: [struct]

@@ -5,7 +5,7 @@ defmodule Msp.SessionTest do
 
   alias MavCodec.Messages, as: M
   alias MavCodec.Msp.Frame
-  alias Msp.Test.{Line, Recorded}
+  alias Msp.Test.{Controller, Line, Recorded}
 
   @second 1_000_000
 
@@ -208,6 +208,25 @@ defmodule Msp.SessionTest do
                run(betaflight(%{"BATTERY_STATE" => %{battery | cells: 0, voltage: 0}}), 4),
                M.BatteryStatus
              ) == []
+    end
+
+    test "iNav's mission and emergency landing" do
+      nav = fn mode, number ->
+        %{mode: mode, state: 5, wp_action: 1, wp_number: number, error: 0, heading_target: 0}
+      end
+
+      answers =
+        Controller.inav(%{
+          "WP_GETINFO" => %{capabilities: 0, max_waypoints: 120, valid: 1, count: 4},
+          "NAV_STATUS" => fn us -> if us < 8 * @second, do: nav.(3, 2), else: nav.(15, 2) end
+        })
+
+      line = run(answers, 12)
+
+      assert %M.MissionCurrent{seq: 1, total: 4, mission_state: 3} =
+               line |> Line.told(M.MissionCurrent) |> Enum.at(3) |> elem(1)
+
+      assert Enum.count(texts(line), &(&1 == "Emergency landing: no position")) == 1
     end
 
     test "channels in the order of the transmitter: throttle before yaw" do

@@ -25,6 +25,32 @@ defmodule Msp.Test.Controller do
     )
   end
 
+  @doc "The same of iNav 9.0.0."
+  def inav(more \\ %{}) do
+    answers(
+      {:inav, {9, 0}},
+      Map.merge(
+        %{
+          "API_VERSION" => %{protocol: 0, api_major: 2, api_minor: 5},
+          "FC_VARIANT" => %{variant: "INAV"},
+          "FC_VERSION" => %{major: 9, minor: 0, patch: 0},
+          "BOXIDS" => %{entries: [%{id: 0}, %{id: 28}]},
+          "MSP2_INAV_STATUS" => %{
+            cycle_time: 500,
+            i2c_errors: 0,
+            sensors: 1,
+            cpu_load: 3,
+            profiles: 0,
+            arming_flags: 0,
+            mode_flags: 0,
+            mixer_profile: 0
+          }
+        },
+        more
+      )
+    )
+  end
+
   @doc "The answer to STATUS_EX with other values."
   def status(more) do
     Map.merge(

@@ -10,6 +10,8 @@ defmodule Msp.Session.Reports do
   @heartbeat_us 1_000_000
   # iNav's clock has seconds.
   @clock_us 2_000_000
+  # The mode of NAV_STATUS.
+  @emergency 15
   @critical 2
   @warning 4
   @info 6
@@ -26,7 +28,11 @@ defmodule Msp.Session.Reports do
     else
       before = session.readings
       session = clock(session, readings, now)
-      %{session | readings: Map.merge(before, readings)} |> show(name, now) |> failsafe(before)
+
+      %{session | readings: Map.merge(before, readings)}
+      |> show(name, now)
+      |> failsafe(before)
+      |> navigation(before)
     end
   end
 
@@ -77,6 +83,7 @@ defmodule Msp.Session.Reports do
   defp show(session, "RC", now),
     do: Output.emit(session, Telemetry.rc(session.readings, Output.boot_ms(session, now)))
 
+  defp show(session, "NAV_STATUS", _now), do: Output.emit(session, Telemetry.mission(session.readings))
   defp show(session, "WP", _now), do: Output.emit(session, Telemetry.home(session.readings))
   defp show(session, _name, _now), do: session
 
@@ -119,6 +126,15 @@ defmodule Msp.Session.Reports do
     does = if armed?, do: Modes.failsafe_action(firmware, readings.boxes), else: "disarmed"
     "#{if lost?, do: "RC failsafe", else: "Failsafe"}: switched to #{does}"
   end
+
+  # What no mode shows: it comes down because it has lost its position.
+  defp navigation(%{readings: %{nav_mode: @emergency}} = session, before) do
+    if before[:nav_mode] == @emergency,
+      do: session,
+      else: Output.text(session, @critical, "Emergency landing: no position")
+  end
+
+  defp navigation(session, _before), do: session
 
   # Once for each change, while it is disarmed.
   defp complain(%{readings: %{arming: flags, boxes: boxes}} = session) when is_integer(flags) do

@@ -56,6 +56,7 @@ defmodule Msp.Session do
     :complaint,
     :answered_at,
     :params,
+    :uid,
     phase: :closed,
     exchange: Exchange.new(),
     todo: [],
@@ -77,6 +78,7 @@ defmodule Msp.Session do
   - `todo`: messages still to be asked; `found`: their answers; `heard`: the last bytes before it was known who is there
   - `boot`: when the vehicle's clock began; `heartbeat`: the last one, and when it was sent
   - `complaint`: the names of the last text about what keeps it from being armed
+  - `uid`: of the vehicle, which its identity has only while that is known
   - `params`: the names of its parameters in their order, nil until they were read; `unsaved`: some were set and not stored
   - `tasks`: what clients asked for that needs the flight controller
   """
@@ -142,7 +144,7 @@ defmodule Msp.Session do
   @doc false
   # For `Msp.Session.Commands`: the vehicle restarts.
   @spec restarting(t, integer) :: t
-  def restarting(session, now), do: %{identify(session) | boot: now}
+  def restarting(session, now), do: %{identify(session) | boot: now, unsaved: false}
 
   defp hear(session, bytes) do
     heard = session.heard <> bytes
@@ -257,6 +259,9 @@ defmodule Msp.Session do
       session
       | phase: :up,
         identity: identity,
+        uid: identity.uid,
+        # Of another vehicle they are others.
+        params: if(session.uid == identity.uid, do: session.params),
         type: Telemetry.type(identity.firmware, mixer),
         ids: Reports.ids(found["BOXIDS"]),
         polls: Polls.new(identity.firmware, now),

@@ -11,7 +11,7 @@ defmodule Msp.Session.Params do
 
   alias MavCodec.Messages, as: M
   alias MavCodec.Msp.{Messages, Params, ShortName}
-  alias Msp.{Identity, Modes, Session}
+  alias Msp.{Modes, Session}
   alias Msp.Params.{Block, Setting}
   alias Msp.Session.{Output, Tasks}
 
@@ -366,9 +366,8 @@ defmodule Msp.Session.Params do
         "Settings changed, not stored yet: the next restart forgets them"
       )
 
-  @doc "The settings of a session that has just found its vehicle are read ahead: by MSP that takes iNav ten seconds."
+  @doc "The settings of a vehicle that was just found are read ahead, once: that takes iNav ten seconds."
   @spec ahead(Session.t()) :: Session.t()
-  def ahead(%{identity: identity} = session) do
-    if Identity.target(identity) |> elem(0) == :inav, do: list(session, false), else: session
-  end
+  def ahead(%{params: nil, identity: %{firmware: :inav}} = session), do: list(session, false)
+  def ahead(session), do: session
 end

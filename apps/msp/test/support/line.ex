@@ -80,11 +80,17 @@ defmodule Msp.Test.Line do
 
     case line.answer.(bytes, line.now - 1_000_000_000_000) do
       nil -> line
-      answer -> %{line | coming: [{line.now + line.delay, answer} | line.coming]}
+      answer -> %{line | coming: [{line.now + delay(line, bytes, answer), answer} | line.coming]}
     end
   end
 
   defp act({:mavlink, bytes}, line), do: %{line | told: [{line.now, bytes} | line.told]}
   defp act({:wake, at}, line), do: %{line | wake: at}
   defp act({:fail, text}, line), do: %{line | failed: text}
+
+  # As long for all, or by the bytes and the time.
+  defp delay(%{delay: delay} = line, bytes, answer) when is_function(delay),
+    do: delay.(bytes, answer, line.now)
+
+  defp delay(%{delay: delay}, _bytes, _answer), do: delay
 end

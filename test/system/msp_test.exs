@@ -124,7 +124,7 @@ defmodule Aerie.System.MspTest do
       assert %{status: :rejected, reason: "MSP has no message for it" <> _} = submit(c, firmware, "arm")
 
       assert %{status: :rejected, reason: reason} =
-               submit(c, firmware, "goto", %{lat: 47.0, lon: 8.0, altitude: 20})
+               submit(c, firmware, "land")
 
       assert reason =~ "no such command over MSP"
       assert %{status: :accepted} = submit(c, firmware, "calibrate", %{sensor: "accelerometer"})

@@ -3,16 +3,20 @@ defmodule Aerie.Vehicle.Protocol.Msp do
   Betaflight and iNav, which the gateway reaches over MSP (`Msp.Session`). The session takes commands as MAVLink and acknowledges them with what
   the flight controller said.
 
-  MSP has no message for arming, for a mode, or for flying somewhere: the pilot's switches do that.
+  MSP has no message for arming, for a mode, or for flying somewhere: the pilot's switches do that, or channels in their place, which the
+  gateway does not send.
   """
 
   use Aerie.Vehicle.Protocol.Mavlink.Commands, calibration: __MODULE__.Calibration, long_frames: []
 
-  alias Aerie.Vehicle.Protocol.Mavlink
+  alias Aerie.Vehicle.Protocol.{Mavlink, Unknown}
   alias Aerie.Vehicle.Protocol.Mavlink.Commands
 
-  @switches "MSP has no message for it: the switches of the transmitter do that"
+  @switches "MSP has no message for it: the switches of the transmitter do that, and Aerie sends no channels in their place"
   @by_switch ~w(arm disarm force_disarm set_mode rtl hold)
+  # What the firmware, or one of the two, could do.
+  @not_yet ~w(motor_test rc_override manual_control rx_pair reset_params mission_start mission_pause mission_set_current resume set_home goto
+    camera_trigger)
   @has ~w(reboot save_params calibrate request_message set_message_interval)
   # Writing the EEPROM takes up to two seconds.
   @slow_ms 6_000
@@ -20,6 +24,7 @@ defmodule Aerie.Vehicle.Protocol.Msp do
   @impl true
   def gap(type, _kind) when type in @has, do: nil
   def gap(type, _kind) when type in @by_switch, do: @switches
+  def gap(type, _kind) when type in @not_yet, do: "Aerie does not do it over MSP yet"
   def gap(_type, _kind), do: "Betaflight and iNav have no such command over MSP"
 
   @impl true
@@ -44,23 +49,19 @@ defmodule Aerie.Vehicle.Protocol.Msp do
   @impl true
   def param_encoding, do: :c_cast
 
+  # There are no missions and no set-points yet.
   @impl true
-  def setpoints_first?(_command, _vehicle), do: false
-
+  defdelegate setpoints_first?(command, vehicle), to: Unknown
   @impl true
-  def home_is_item_0?, do: false
-
+  defdelegate home_is_item_0?, to: Unknown
   @impl true
-  def item_offset, do: -1
-
+  defdelegate item_offset, to: Unknown
   @impl true
-  def kept(_item, _mission_type, _kind), do: %{}
-
+  defdelegate kept(item, mission_type, kind), to: Unknown
   @impl true
-  def plan_watch_us(_mission_type), do: 0
-
+  defdelegate plan_watch_us(mission_type), to: Unknown
   @impl true
-  def plan_verdict(_message, _mission_type, _opaque_id), do: :ignore
+  defdelegate plan_verdict(message, mission_type, opaque_id), to: Unknown
 
   defmodule Calibration do
     @moduledoc false

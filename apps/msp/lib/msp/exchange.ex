@@ -118,10 +118,6 @@ defmodule Msp.Exchange do
 
   def expire(_exchange, _now), do: :wait
 
-  @doc "What the line has sent that may be the beginning of a frame."
-  @spec pending(t) :: binary
-  def pending(%{parser: parser}), do: Parser.pending(parser)
-
   @doc "What was counted: its own counters and those of the parser."
   @spec counters(t) :: %{atom => non_neg_integer}
   def counters(exchange), do: Map.merge(exchange.counters, Parser.counters(exchange.parser))

@@ -89,10 +89,6 @@ defmodule Msp.Polls do
   @spec refused(t, String.t()) :: t
   def refused(%__MODULE__{polls: polls}, name), do: %__MODULE__{polls: Map.delete(polls, name)}
 
-  @doc "It is due at once."
-  @spec soon(t, String.t(), integer) :: t
-  def soon(polls, name, now), do: update(polls, name, &%{&1 | due: now - &1.period})
-
   defp update(%__MODULE__{polls: polls} = all, name, fun) do
     if is_map_key(polls, name), do: %{all | polls: Map.update!(polls, name, fun)}, else: all
   end

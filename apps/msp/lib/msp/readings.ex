@@ -13,7 +13,7 @@ defmodule Msp.Readings do
   - `fix`: GPS_FIX_TYPE; `satellites`; `lat`, `lon`: degrees; `alt_msl`: m; `speed`: m/s; `course`: degrees; `dilution`
   - `voltage`: V; `current`: A; `drawn`: mAh; `cells`; `remaining`: 0..1; `charge`: `:ok | :low | :critical | :absent`
   - `rssi`: 0..1; `channels`: µs in the order of the receiver (AETR)
-  - `nav_mode`, `nav_state`, `waypoint`: what iNav's navigation does (NAV_STATUS); `waypoints`: of its mission
+  - `nav_mode`, `waypoint`: what iNav's navigation does (NAV_STATUS); `waypoints`: of its mission
   - `home`: `{lat, lon}` of iNav; `on_s`: its seconds since its start
   - `unhealthy`: bits of `sensors` that do not work
   """
@@ -114,8 +114,8 @@ defmodule Msp.Readings do
     end
   end
 
-  def read(:inav, "NAV_STATUS", %{mode: mode, state: state, wp_number: number}, _ids),
-    do: %{nav_mode: mode, nav_state: state, waypoint: number}
+  def read(:inav, "NAV_STATUS", %{mode: mode, wp_number: number}, _ids),
+    do: %{nav_mode: mode, waypoint: number}
 
   def read(:inav, "WP_GETINFO", %{count: count}, _ids), do: %{waypoints: count}
 

@@ -19,6 +19,7 @@ defmodule Msp.Session do
   | `{:write, bytes}` | to the flight controller |
   | `{:mavlink, bytes}` | frames of the vehicle |
   | `{:wake, at}` | a `:tick` then; the latest one counts |
+  | `{:count, name, n}` | damage of the line: `:crc_errors` frames, `:resync_bytes` outside of frames |
   | `{:fail, text}` | what is there is not a vehicle that can be used: the line is to be closed |
 
   For #{@listen_us / 1_000_000} s it only listens: a port where MAVLink comes is never asked by MSP (Q3). Then it asks who is there, #{@tries} times at most,
@@ -84,7 +85,12 @@ defmodule Msp.Session do
   """
   @type t :: %__MODULE__{}
   @type event :: :opened | {:bytes, binary} | {:mavlink, binary} | :tick
-  @type action :: {:write, binary} | {:mavlink, binary} | {:wake, integer} | {:fail, String.t()}
+  @type action ::
+          {:write, binary}
+          | {:mavlink, binary}
+          | {:wake, integer}
+          | {:count, :crc_errors | :resync_bytes, pos_integer}
+          | {:fail, String.t()}
 
   @doc "The session of a line that is not open yet; the vehicle has this MAVLink id."
   @spec new(system :: 1..254) :: t
@@ -123,7 +129,8 @@ defmodule Msp.Session do
   def handle(session, {:bytes, bytes}, now) do
     session = if session.identity, do: session, else: hear(session, bytes)
     {answers, exchange} = Exchange.push(session.exchange, bytes, now)
-    answered(%{session | exchange: exchange}, answers, now)
+    {next, actions} = answered(%{session | exchange: exchange}, answers, now)
+    {next, damage(Exchange.counters(session.exchange), Exchange.counters(exchange)) ++ actions}
   end
 
   def handle(session, {:mavlink, bytes}, now) do
@@ -145,6 +152,13 @@ defmodule Msp.Session do
   # For `Msp.Session.Commands`: the vehicle restarts.
   @spec restarting(t, integer) :: t
   def restarting(session, now), do: %{identify(session) | boot: now, unsaved: false}
+
+  defp damage(before, now) do
+    for {name, key} <- [crc_errors: :checksum, resync_bytes: :skipped],
+        n = now[key] - before[key],
+        n > 0,
+        do: {:count, name, n}
+  end
 
   defp hear(session, bytes) do
     heard = session.heard <> bytes

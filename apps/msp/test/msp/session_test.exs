@@ -77,7 +77,7 @@ defmodule Msp.SessionTest do
                "sends console text"
     end
 
-    test "firmware that is no vehicle over MSP is named, and asked nothing else" do
+    test "firmware that Aerie cannot use over MSP is named, and asked nothing else" do
       for {api, variant, version, why} <- [
             {{12, 9}, "RTFL", {4, 6, 0}, "Rotorflight"},
             {{1, 42}, "ARDU", {4, 2, 0}, "ArduPilot"},
@@ -324,6 +324,23 @@ defmodule Msp.SessionTest do
       {_, before} = boots |> Enum.filter(fn {at, _} -> at < 7 * @second end) |> List.last()
       {_, behind} = List.last(boots)
       assert before > 5000 and behind < 12_000
+    end
+
+    test "is counted: damaged replies and noise between them" do
+      answers = betaflight()
+
+      noisy = fn bytes, us ->
+        case answers.(bytes, us) do
+          <<head::binary-size(7), byte, rest::binary>> when us > 3 * @second ->
+            "ab" <> head <> <<Bitwise.bxor(byte, 4)>> <> rest
+
+          reply ->
+            reply
+        end
+      end
+
+      line = run(noisy, 4)
+      assert line.counted.crc_errors > 2 and line.counted.resync_bytes > 2 * line.counted.crc_errors
     end
 
     test "a late reply is not taken for another's, and half a frame holds nothing up" do

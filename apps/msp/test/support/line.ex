@@ -15,6 +15,7 @@ defmodule Msp.Test.Line do
     told: [],
     written: [],
     failed: nil,
+    counted: %{},
     delay: 10_000
   ]
 
@@ -30,7 +31,7 @@ defmodule Msp.Test.Line do
   end
 
   @doc "Lets `us` pass."
-  def run(%{failed: nil} = line, us), do: until(line, line.now + us)
+  def run(%{failed: nil, counted: %{}} = line, us), do: until(line, line.now + us)
   def run(line, _us), do: line
 
   @doc "An event now."
@@ -51,7 +52,7 @@ defmodule Msp.Test.Line do
 
   defp frames(bytes), do: elem(MavCodec.Parser.push(MavCodec.Parser.new(), bytes, 0), 0)
 
-  defp until(%{failed: nil} = line, target) do
+  defp until(%{failed: nil, counted: %{}} = line, target) do
     case Enum.min(Enum.map(line.coming, &elem(&1, 0)) ++ List.wrap(line.wake), fn -> nil end) do
       at when is_integer(at) and at <= target ->
         line |> Map.put(:now, max(at, line.now)) |> due() |> until(target)
@@ -85,6 +86,7 @@ defmodule Msp.Test.Line do
   end
 
   defp act({:mavlink, bytes}, line), do: %{line | told: [{line.now, bytes} | line.told]}
+  defp act({:count, name, n}, line), do: %{line | counted: Map.update(line.counted, name, n, &(&1 + n))}
   defp act({:wake, at}, line), do: %{line | wake: at}
   defp act({:fail, text}, line), do: %{line | failed: text}
 

@@ -125,7 +125,7 @@ defmodule MavCodec.Msp.MessagesTest do
   end
 
   describe "versions" do
-    test "fields that a version does not have are no part of its payload" do
+    test "the payload of a version has only the fields that this version has" do
       status = message(:betaflight, "STATUS_EX").reply
       old = <<1::16-little, 0::16, 0::16, 1::32-little, 0, 5::16-little, 3, 0, 0, 26, 4::32-little>>
       assert {:ok, %{mode_flags: 1, arming_disable_flags: 4} = values} = Payload.decode(status, old, {1, 40})

@@ -144,7 +144,7 @@ defmodule MavCodec.Msp.ParserTest do
       end
     end
 
-    test "a size beyond any firmware's is no frame" do
+    test "a size beyond any firmware's is not a frame" do
       {[%Frame{id: 2}], parser} = parse(["$X>" <> <<0, 1, 0, 0xFFFF::16>>, Frame.encode(%Frame{id: 2})])
       assert %{oversize: 1} = Parser.counters(parser)
     end

@@ -109,6 +109,28 @@ defmodule MavRouter.Link.SpecTest do
       end
     end
 
+    test "MSP, at a serial port or over TCP" do
+      assert {:ok, %Spec{kind: :msp, device: "/dev/ttyACM0", baud: 115_200, sysid: nil, client: nil}} =
+               Spec.parse("msp:/dev/ttyACM0,115200")
+
+      assert {:ok, %Spec{kind: :msp, host: {10, 0, 0, 7}, port: 5761, sysid: 7, network: "race"} = spec} =
+               Spec.parse("msp:tcp:10.0.0.7:5761?sysid=7&network=race")
+
+      assert Spec.place(spec) == "10.0.0.7:5761"
+      assert Spec.place(Spec.parse!("msp:ttyUSB0,57600")) == "ttyUSB0"
+
+      for {text, why} <- [
+            {"msp:serial:auto", "is not searched for"},
+            {"msp:udpin:0.0.0.0:14550", "over serial ports and TCP"},
+            {"msp:/dev/ttyACM0?sysid=255", "is not a MAVLink id"},
+            {"msp:/dev/ttyACM0?sysid=7x", "is not a MAVLink id"},
+            {"msp:", "neither a known kind"}
+          ] do
+        assert {:error, error} = Spec.parse(text)
+        assert Exception.message(error) =~ why
+      end
+    end
+
     test "replay" do
       assert {:ok, %{kind: :replay, file: "a b.tlog", speed: 1.0, loop: false}} =
                Spec.parse("replay:a b.tlog")

@@ -8,13 +8,12 @@ defmodule SimVehicle.Msp.Firmware do
   more. iNav answers at once, refuses wrong lengths, and refuses while it is armed what it should.
   """
 
-  alias MavCodec.Msp.{Frame, Messages, Payload}
-  alias SimVehicle.Msp.{Blocks, Flight, Port, Settings}
+  alias MavCodec.Msp.{Frame, Messages}
+  alias SimVehicle.Msp.{Blocks, Flight, Port, Settings, Telemetry}
 
   @versions %{betaflight: {1, 46}, inav: {9, 0}}
   @tick_us 10_000
   @grace_us 5_000_000
-  @gps_us 3_000_000
   @off_us 1_500_000
   # {box, aux channel from 0, first and last step of 25 µs above 900}
   @ranges %{
@@ -295,7 +294,7 @@ defmodule SimVehicle.Msp.Firmware do
   end
 
   defp answer(fc, id, %{id: command, payload: payload} = frame) do
-    case {live(fc, command), Messages.fetch(fc.firmware, command)} do
+    case {Telemetry.payload(fc, command, arming_flags(fc)), Messages.fetch(fc.firmware, command)} do
       {payload, _message} when is_binary(payload) -> {{:ok, payload}, fc}
       {nil, {:ok, %{kind: :write} = message}} -> write(fc, id, message, frame)
       {nil, _read} -> {read(fc, command, payload), fc}
@@ -351,114 +350,4 @@ defmodule SimVehicle.Msp.Firmware do
   end
 
   defp event(fc, event), do: %{fc | events: [event | fc.events]}
-
-  # --- what it says of its state ---
-
-  defp live(fc, command) do
-    with {:ok, %{kind: :read} = message} <- Messages.fetch(fc.firmware, command),
-         values when values != nil <- values(fc, message.name, fc.blocks[command]) do
-      {:ok, payload} = Payload.encode(message.reply, values, fc.version)
-      payload
-    else
-      _other -> nil
-    end
-  end
-
-  defp values(fc, name, block) when name in ["STATUS", "STATUS_EX", "MSP2_INAV_STATUS"] and block != nil do
-    {:ok, message} = Messages.fetch(fc.firmware, name)
-    {:ok, values} = Payload.decode(message.reply, block, fc.version)
-    flags = arming_flags(fc)
-
-    values = Map.put(values, :mode_flags, mode_flags(fc))
-
-    if fc.firmware == :inav,
-      do: %{values | arming_flags: inav_flags(fc, flags)},
-      else: %{values | arming_disable_flags: flags}
-  end
-
-  defp values(%{flight: f}, "ATTITUDE", _block),
-    do: %{roll: round(f.roll * 10), pitch: round(-f.pitch * 10), yaw: rem(round(f.yaw), 360)}
-
-  defp values(%{flight: f} = fc, "ALTITUDE", _block) do
-    values = %{altitude: round(f.alt * 100), vario: round(f.climb * 100)}
-    if fc.firmware == :inav, do: Map.put(values, :baro_altitude, round(f.alt * 100)), else: values
-  end
-
-  defp values(%{flight: f} = fc, "RAW_GPS", _block) do
-    fix? = fc.now - fc.started > @gps_us
-
-    values = %{
-      fix: if(fix?, do: 2, else: 0),
-      satellites: if(fix?, do: 14, else: 3),
-      lat: round(f.lat * 1.0e7),
-      lon: round(f.lon * 1.0e7),
-      altitude: round(f.ground + f.alt),
-      ground_speed: round(f.speed * 100),
-      course: round(f.course * 10)
-    }
-
-    Map.put(values, if(fc.firmware == :inav, do: :hdop, else: :dop), 110)
-  end
-
-  defp values(%{firmware: :betaflight, flight: f}, "BATTERY_STATE", _block) do
-    {_left, volts} = Flight.battery(f)
-
-    %{
-      cells: 4,
-      capacity: Flight.capacity(),
-      voltage_dv: round(volts * 10),
-      drawn: round(f.drawn),
-      current: 1200,
-      state: charge(volts),
-      voltage: round(volts * 100)
-    }
-  end
-
-  defp values(%{firmware: :inav, flight: f}, "MSP2_INAV_ANALOG", _block) do
-    {left, volts} = Flight.battery(f)
-
-    %{
-      battery_flags: Bitwise.bsl(4, 4) + Bitwise.bsl(charge(volts), 2) + 1,
-      voltage: round(volts * 100),
-      current: 1200,
-      power: round(volts * 1200),
-      drawn: round(f.drawn),
-      energy: 0,
-      remaining: round(left * Flight.capacity()),
-      percentage: round(left * 100),
-      rssi: 900
-    }
-  end
-
-  defp values(fc, "RC", _block) do
-    [roll, pitch, throttle, yaw | more] = fc.channels
-    throttle = if fc.rc_lost and fc.firmware == :betaflight, do: 885, else: throttle
-    %{entries: for(us <- [roll, pitch, yaw, throttle | more], do: %{channel: us})}
-  end
-
-  defp values(%{firmware: :inav} = fc, "MSP2_INAV_MISC2", _block) do
-    %{
-      on_time: div(fc.now - fc.started, 1_000_000),
-      flight_time: round(fc.flight.flown),
-      throttle: 0,
-      auto_throttle: 0
-    }
-  end
-
-  defp values(_fc, _name, _block), do: nil
-
-  defp charge(volts) when volts < 4 * 3.4, do: 2
-  defp charge(volts) when volts < 4 * 3.5, do: 1
-  defp charge(_volts), do: 0
-
-  defp mode_flags(fc) do
-    for {<<id>>, bit} <- Enum.with_index(for(<<id <- fc.blocks[119]>>, do: <<id>>)),
-        id in fc.boxes,
-        reduce: 0,
-        do: (sum -> sum + Bitwise.bsl(1, bit))
-  end
-
-  # Bits of states, which are no reasons.
-  defp inav_flags(%{armed: true}, _flags), do: 0b1100
-  defp inav_flags(_fc, flags), do: flags
 end

@@ -116,6 +116,7 @@ defmodule MavRouter.Link.Transport.Msp do
   end
 
   defp act({:mavlink, bytes}, {events, msp}), do: {events ++ [{:read, [{:remote, bytes}]}], msp}
+  defp act({:count, _name, _n} = count, {events, msp}), do: {events ++ [count], msp}
   defp act({:fail, text}, {events, msp}), do: {events ++ [{:closed, text}], msp}
 
   defp act({:write, bytes}, {events, msp}) do

@@ -45,8 +45,8 @@ defmodule Aerie.Fleet.Bridge.Commands do
   def vehicles(gateway), do: GenServer.call(Names.via(gateway, :bridge_commands), :vehicles, :infinity)
 
   @doc """
-  Leaves vehicles to other gateways, by their ids, until the same reason is given again: `:heard`, this one's links have lost them, and
-  others hear them; `:holder`, this one does not hold them.
+  Leaves vehicles to other gateways, by their ids, until the same reason is given again: `:heard`, others hear them, so they are left while
+  this one's links have lost them; `:holder`, this one does not hold them.
   """
   @spec leave(Names.gateway(), :heard | :holder, MapSet.t(String.t())) :: :ok
   def leave(gateway, why, ids),
@@ -101,8 +101,8 @@ defmodule Aerie.Fleet.Bridge.Commands do
 
   @impl GenServer
   def handle_cast({:leave, why, ids}, %{left: left} = state) do
-    changed = MapSet.symmetric_difference(ids, Map.get(left, why, MapSet.new()))
-    {:noreply, Enum.reduce(changed, %{state | left: Map.put(left, why, ids)}, &follow_vehicle/2)}
+    named = MapSet.union(ids, Map.get(left, why, MapSet.new()))
+    {:noreply, Enum.reduce(named, %{state | left: Map.put(left, why, ids)}, &follow_vehicle/2)}
   end
 
   @impl GenServer
@@ -146,9 +146,9 @@ defmodule Aerie.Fleet.Bridge.Commands do
   defp follow_vehicle(_id, %{conn: nil} = state), do: state
 
   defp follow_vehicle(id, state) do
-    left? = Enum.any?(state.left, fn {_why, ids} -> id in ids end)
+    vehicle = Store.vehicle(state.gateway, id)
 
-    case {if(not left?, do: Store.vehicle(state.gateway, id)), state.subscribed} do
+    case {if(not left?(state, vehicle), do: vehicle), state.subscribed} do
       {nil, %{^id => sids}} ->
         for sid <- sids, do: _ = Nats.unsub(state.conn, sid)
         %{state | subscribed: Map.delete(state.subscribed, id)}
@@ -169,6 +169,14 @@ defmodule Aerie.Fleet.Bridge.Commands do
         state
     end
   end
+
+  defp left?(_state, nil), do: false
+
+  defp left?(%{left: left}, %{id: id, status: status}) do
+    left?(left, :holder, id) or (status == :lost and left?(left, :heard, id))
+  end
+
+  defp left?(left, why, id), do: id in Map.get(left, why, MapSet.new())
 
   # The cheapest look first: a flood must cost this process less than it costs the connection.
   defp arrived(state, message, waiting) do

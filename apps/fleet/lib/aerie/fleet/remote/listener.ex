@@ -57,7 +57,7 @@ defmodule Aerie.Fleet.Remote.Listener do
       known: known,
       offsets: %{},
       own: MapSet.new(),
-      elsewhere: MapSet.new()
+      elsewhere: nil
     }
 
     {:ok, state |> tick() |> connect()}
@@ -213,13 +213,16 @@ defmodule Aerie.Fleet.Remote.Listener do
     now = System.os_time(:microsecond)
     own = for %{id: id, status: status} <- vehicles, status != :lost, into: MapSet.new(), do: id
 
+    # Told before this gateway loses them: from then on it must not answer for them.
     elsewhere =
-      for %{id: id, status: :lost} <- vehicles,
+      for %{id: id} <- vehicles,
           %{status: status} when status != :lost <- [RemoteTable.vehicle(state.gateway, id, now)],
           into: MapSet.new(),
           do: id
 
-    if elsewhere != state.elsewhere, do: Commands.leave(state.gateway, :heard, elsewhere)
+    if {own, elsewhere} != {state.own, state.elsewhere},
+      do: Commands.leave(state.gateway, :heard, elsewhere)
+
     %{state | own: own, elsewhere: elsewhere}
   end
 

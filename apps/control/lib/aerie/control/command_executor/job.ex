@@ -112,6 +112,27 @@ defmodule Aerie.Control.CommandExecutor.Job do
     if Condition.seen(condition, vehicle), do: Condition.met?(condition, vehicle)
   end
 
+  @doc """
+  A job that was sent, and the others: the state that shows that it was done proves nothing for either of two in flight that have
+  the same one to show, until the vehicle has accepted it.
+  """
+  @spec doubt(t(), %{String.t() => t()}) :: {t(), %{String.t() => t()}}
+  def doubt(job, jobs) do
+    condition = step(job).confirm
+
+    rivals =
+      for {id, other} <- jobs,
+          condition != nil,
+          id != id(job),
+          sent?(other),
+          step(other).confirm == condition,
+          do: id
+
+    if rivals == [],
+      do: {job, jobs},
+      else: {%{job | before: true}, Enum.reduce(rivals, jobs, &put_in(&2[&1].before, true))}
+  end
+
   @doc "The job at its next step; nil when there is none."
   @spec next(t()) :: t() | nil
   def next(%{steps: [_last]}), do: nil

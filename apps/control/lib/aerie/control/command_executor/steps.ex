@@ -84,10 +84,10 @@ defmodule Aerie.Control.CommandExecutor.Steps do
     messages = core.protocol.encode(step, job.sends, core.vehicle)
     job = Job.sent(job, core.vehicle, now, now + patience(core, step))
     job = %{job | ambiguous?: job.ambiguous? or Ending.mistakable?(core.jobs, core.lanes, step, now)}
+    {job, jobs} = Job.doubt(job, Ending.begun(core.jobs, step, now))
 
     acc =
-      {put(%{core | jobs: Ending.begun(core.jobs, step, now)}, job),
-       [{:send, messages, Job.id(job)} | actions]}
+      {put(%{core | jobs: jobs}, job), [{:send, messages, Job.id(job)} | actions]}
 
     # Nothing will ever be heard of it.
     if step.acked? or step.confirm != nil, do: acc, else: step_done(acc, job, :accepted, nil, now)

@@ -11,6 +11,7 @@ defmodule Layers do
     msp: ["Msp"],
     mav_router: ["MavRouter"],
     vehicle: ["Aerie.Vehicle"],
+    mission: ["Aerie.Mission"],
     control: ["Aerie.Control"],
     fleet: ["Aerie.Fleet"],
     fleet_web: ["FleetWeb"],

@@ -5,7 +5,7 @@ defmodule Aerie.System.ShadowTest do
   alias Aerie.Base.Names
   alias Aerie.Control.{Commands, Missions, Params}
   alias Aerie.Fleet.Shadow
-  alias Aerie.Control.Mission.{Item, Plan}
+  alias Aerie.Mission.{Item, Plan}
 
   @moduletag :tmp_dir
   @moduletag :capture_log

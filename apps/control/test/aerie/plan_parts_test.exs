@@ -3,7 +3,7 @@ defmodule Aerie.PlanPartsTest do
   use Aerie.TransferCase, async: true
 
   alias Aerie.Control.{Commands, Missions, Params}
-  alias Aerie.Control.Mission.{Item, Plan}
+  alias Aerie.Mission.{Item, Plan}
 
   @moduletag :tmp_dir
   @moduletag :capture_log

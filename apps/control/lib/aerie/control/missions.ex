@@ -6,19 +6,21 @@ defmodule Aerie.Control.Missions do
       {:ok, %Aerie.Vehicle.Command.Result{status: :completed}} = Aerie.Control.Missions.upload(gateway, "VID-001", :mission, plan)
       {:ok, %{plan: plan}} = Aerie.Control.Missions.download(gateway, "VID-001", :mission)
 
-  A plan (`Aerie.Control.Mission.Plan`) has all three; each kind is sent and read separately. The policy judges every item before the first one
+  A plan (`Aerie.Mission.Plan`) has all three; each kind is sent and read separately. The policy judges every item before the first one
   is sent (`Aerie.Control.Mission.Review`), and the plan is read back afterwards. The options are those of `t:Aerie.Control.Transfers.option/0`.
   """
 
   alias Aerie.Control.Commands.RemoteGateway
   alias Aerie.Base.Files.Text
   alias Aerie.Base.Names
-  alias Aerie.Control.{Commands, Mission, Transfers}
+  alias Aerie.Control.{Commands, Transfers}
+  alias Aerie.Mission
   alias Aerie.Vehicle.Protocol
   alias Aerie.Vehicle.Command.{Error, Result}
-  alias Aerie.Control.Mission.{Item, Onboard, OwnFence, Plan, Review, Transfer}
-  alias Aerie.Control.Mission.File.{QgcPlan, Waypoints}
-  alias Aerie.Control.Mission.Transfer.Compare
+  alias Aerie.Control.Mission.{OwnFence, Review}
+  alias Aerie.Mission.{Item, Onboard, Plan, Transfer}
+  alias Aerie.Mission.File.{QgcPlan, Waypoints}
+  alias Aerie.Mission.Transfer.Compare
   alias Aerie.Control.Policy.Mavlink
   alias MavCodec.Messages, as: M
 
@@ -34,7 +36,7 @@ defmodule Aerie.Control.Missions do
     * `:plan` - a plan with only the kind that was read
     * `:items` - the items as the vehicle stores them
     * `:opaque_id` - the vehicle's id for it (W7), or nil
-    * `:digest` - digest of the items (`Aerie.Control.Mission.Plan.digest/1`)
+    * `:digest` - digest of the items (`Aerie.Mission.Plan.digest/1`)
   """
   @type stored :: %{
           plan: Plan.t(),

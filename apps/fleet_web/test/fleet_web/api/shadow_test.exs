@@ -78,7 +78,7 @@ defmodule FleetWeb.API.ShadowTest do
   end
 
   test "a plan is stored by its hash", context do
-    plan = Aerie.Control.Missions.export(%Aerie.Control.Mission.Plan{}, :plan)
+    plan = Aerie.Control.Missions.export(%Aerie.Mission.Plan{}, :plan)
     hash = :sha256 |> :crypto.hash(plan) |> Base.encode16(case: :lower)
 
     post =
@@ -91,7 +91,7 @@ defmodule FleetWeb.API.ShadowTest do
       )
 
     assert {201, _headers, %{"plan" => ^hash}} = post.(plan, "key-of-the-operator-1")
-    assert {:ok, %Aerie.Control.Mission.Plan{}} = Aerie.Fleet.Shadow.Plans.fetch(context.gateway, hash)
+    assert {:ok, %Aerie.Mission.Plan{}} = Aerie.Fleet.Shadow.Plans.fetch(context.gateway, hash)
     assert {422, _headers, _why} = post.("{}", "key-of-the-operator-1")
     assert {403, _headers, _why} = post.(plan, "key-of-the-wall-00001")
   end

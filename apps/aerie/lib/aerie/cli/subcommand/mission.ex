@@ -2,7 +2,7 @@ defmodule Aerie.CLI.Subcommand.Mission do
   @moduledoc "`aerie mission show` and `clear` (`Aerie.Control.Missions`)."
   @behaviour Aerie.CLI.Subcommand
 
-  alias Aerie.Control.Mission.Plan
+  alias Aerie.Mission.Plan
   alias Aerie.Control.Missions
   alias Aerie.CLI.{Ask, Columns, Subcommand}
 
@@ -53,7 +53,7 @@ defmodule Aerie.CLI.Subcommand.Mission do
   end
 
   @doc "Items as a table. Pure."
-  @spec rows([Aerie.Control.Mission.Item.t()]) :: iodata()
+  @spec rows([Aerie.Mission.Item.t()]) :: iodata()
   def rows(items) do
     rows =
       for {item, seq} <- Enum.with_index(items) do

@@ -7,7 +7,8 @@ defmodule Aerie.Control.Mission.OwnFence do
   them.
   """
 
-  alias Aerie.Control.Mission.{Plan, Review}
+  alias Aerie.Control.Mission.Review
+  alias Aerie.Mission.Plan
   alias Aerie.Control.Mission.OwnFence.Area
   alias Aerie.Control.Policy.Context
 

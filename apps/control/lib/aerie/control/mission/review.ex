@@ -7,7 +7,7 @@ defmodule Aerie.Control.Mission.Review do
   waypoint. How the vehicle gets to the first position is not known before it starts.
   """
 
-  alias Aerie.Control.Mission.Item
+  alias Aerie.Mission.Item
   alias Aerie.Control.Policy
   alias Aerie.Control.Policy.{Context, FlightPath, Intent, Mavlink}
   alias MavCodec.Enums.MavCmd
@@ -19,7 +19,7 @@ defmodule Aerie.Control.Mission.Review do
 
   @doc """
   The first refusal, with the number of the item as the vehicle counts, or nil if the plan as a whole is refused.
-  `items` are those of the wire (`Aerie.Control.Mission.Onboard.items/3`).
+  `items` are those of the wire (`Aerie.Mission.Onboard.items/3`).
   """
   @spec plan(Policy.t(), [Item.t()], 0..2, Mavlink.vehicle(), Context.t()) :: :allow | refusal()
   def plan(policy, items, type, vehicle, context) do

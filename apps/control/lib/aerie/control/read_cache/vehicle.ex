@@ -1,12 +1,13 @@
 defmodule Aerie.Control.ReadCache.Vehicle do
   @moduledoc """
-  Answers ground stations for one vehicle: runs `Aerie.Control.Params.Responder` and `Aerie.Control.Mission.Responder` with a clock, the vehicle's messages, and reads in
+  Answers ground stations for one vehicle: runs `Aerie.Control.Params.Responder` and `Aerie.Mission.Responder` with a clock, the vehicle's messages, and reads in
   tasks. It never blocks. A list is sent in portions that fit into a station's socket.
   """
   use GenServer, restart: :transient
 
   alias Aerie.Base.{Names, Store}
-  alias Aerie.Control.{Mission, Missions, Params, ReadCache}
+  alias Aerie.Control.{Missions, Params, ReadCache}
+  alias Aerie.Mission
   alias Aerie.Vehicle.Protocol
   alias MavRouter.Router.ReadCache.Requests
   alias MavCodec.Ftp.Packet

@@ -19,7 +19,7 @@ defmodule Aerie.Control.TransferExecutor.Core do
 
     * `{:send, messages}`
     * `{:take, kind}` - asks for the turn; `{:turn, …}` or `{:held, …}` is the answer; `{:give_back, kind}`
-    * `{:progress, id, progress}` - the machine's words, as `{done, total}` or the map of `Aerie.Control.Mission.Transfer`; or `{:waiting, whose}`
+    * `{:progress, id, progress}` - the machine's words, as `{done, total}` or the map of `Aerie.Mission.Transfer`; or `{:waiting, whose}`
     * `{:data, id, offset, bytes}` - a piece of a file or log
     * `{:joined, id, other}` - this transfer is the same as that one, whose end is its end too
     * `{:done, id, result}` - the end: what the machine gave, or `{:error, :full | :taken | :waited | :cancelled}` for one that did not

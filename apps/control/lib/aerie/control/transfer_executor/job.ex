@@ -4,7 +4,7 @@ defmodule Aerie.Control.TransferExecutor.Job do
   itself meanwhile.
 
   A machine is a module with `handle(machine, event) -> {machine, actions}` and `wake_at(machine)`, as `Aerie.Control.Params.Download`
-  describes them; its end is `{:done, result}`, or `{:result, result}` of `Aerie.Control.Mission.Transfer`. One that uses files has `seq/1`
+  describes them; its end is `{:done, result}`, or `{:result, result}` of `Aerie.Mission.Transfer`. One that uses files has `seq/1`
   besides, the number that the next one begins with.
   """
 

@@ -1,7 +1,8 @@
 defmodule Aerie.Control.Mission.ReviewTest do
   use ExUnit.Case, async: true
 
-  alias Aerie.Control.Mission.{Item, Onboard, Plan, Review}
+  alias Aerie.Control.Mission.Review
+  alias Aerie.Mission.{Item, Onboard, Plan}
   alias Aerie.Control.Policy
   alias Aerie.Vehicle.Protocol
   alias Aerie.Control.Policy.Context

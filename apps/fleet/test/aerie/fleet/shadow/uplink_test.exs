@@ -76,9 +76,9 @@ defmodule Aerie.Fleet.Shadow.UplinkTest do
     eventually(fn -> match?({:ok, %{"reported" => %{"mode" => "GUIDED"}}}, Shadow.get(hub, @id)) end)
     assert Documents.problem(leaf) == nil
 
-    plan = Aerie.Control.Missions.export(%Aerie.Control.Mission.Plan{}, :plan)
+    plan = Aerie.Control.Missions.export(%Aerie.Mission.Plan{}, :plan)
     {:ok, hash} = Shadow.put_plan(hub, plan)
-    assert {:ok, %Aerie.Control.Mission.Plan{}} = Plans.fetch(leaf, hash)
+    assert {:ok, %Aerie.Mission.Plan{}} = Plans.fetch(leaf, hash)
   end
 
   test "a cut: what was written on either side arrives afterwards; of a field that both changed the hub's counts",

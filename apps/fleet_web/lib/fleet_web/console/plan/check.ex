@@ -3,7 +3,8 @@ defmodule FleetWeb.Console.Plan.Check do
   Checks a plan while it is drawn: by itself, against its own fence (`Aerie.Control.Mission.OwnFence`), and against the policy for a vehicle.
   """
 
-  alias Aerie.Control.Mission.{Onboard, OwnFence, Plan, Review}
+  alias Aerie.Control.Mission.{OwnFence, Review}
+  alias Aerie.Mission.{Onboard, Plan}
   alias Aerie.Base.Names
   alias Aerie.Control.{Missions, Policy}
   alias Aerie.Vehicle.Protocol

@@ -1,7 +1,7 @@
 defmodule FleetWeb.Console.Plan.DraftTest do
   use ExUnit.Case, async: true
 
-  alias Aerie.Control.Mission.Plan
+  alias Aerie.Mission.Plan
   alias FleetWeb.Console.Plan.{Draft, Edit, Kinds, Profile}
 
   @place {47.397742, 8.545594}

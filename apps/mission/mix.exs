@@ -25,7 +25,7 @@ defmodule Aerie.Mission.MixProject do
 
   def application do
     [
-      extra_applications: [:logger, :crypto] ++ test_applications(Mix.env())
+      extra_applications: [:logger, :crypto, :xmerl] ++ test_applications(Mix.env())
     ]
   end
 
@@ -41,6 +41,7 @@ defmodule Aerie.Mission.MixProject do
       [
         {:mav_codec, in_umbrella: true},
         {:base, in_umbrella: true},
+        {:msp, in_umbrella: true},
         {:vehicle, in_umbrella: true},
         # Tested against what the simulated vehicles answer.
         {:sim_vehicle, in_umbrella: true, only: :test, runtime: false}

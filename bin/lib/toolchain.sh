@@ -6,14 +6,14 @@
 # an older system's libc does not matter. Its paths are relative, so that the folder can be moved.
 
 TOOLCHAIN_SUITE=forky
-TOOLCHAIN_REVISION=6 # increase it if the steps below change: older set-ups are then made again
+TOOLCHAIN_REVISION=7 # increase it if the steps below change: older set-ups are then made again
 
 toolchain_packages() {
   cat <<'LIST'
 elixir elixir-ex-doc elixir-earmark-parser elixir-makeup elixir-makeup-elixir elixir-makeup-erlang
 elixir-nimble-parsec
 erlang-base erlang-crypto erlang-mnesia erlang-asn1 erlang-public-key erlang-runtime-tools erlang-ssl erlang-inets
-erlang-parsetools erlang-tools erlang-syntax-tools erlang-dialyzer erlang-os-mon erlang-eunit
+erlang-parsetools erlang-tools erlang-syntax-tools erlang-xmerl erlang-dialyzer erlang-os-mon erlang-eunit
 erlang-ranch erlang-cowlib erlang-cowboy erlang-p1-utils erlang-p1-yaml erlang-proper
 nats-server xz-utils
 libc6 libatomic1 libgcc-s1 libstdc++6 libtinfo6 libsctp1 libsystemd0 zlib1g libzstd1 liblzma5 libssl3t64 libyaml-0-2
@@ -28,7 +28,7 @@ toolchain_system_ok() {
   elixir -e '
     ok = Version.match?(System.version(), ">= '"$AERIE_MIN_ELIXIR"'") and
       String.to_integer(System.otp_release()) >= '"$AERIE_MIN_OTP"' and
-      Enum.all?([:cowboy, :proper, :fast_yaml, :crypto, :ssl], &Code.ensure_loaded?(&1))
+      Enum.all?([:cowboy, :proper, :fast_yaml, :crypto, :ssl, :xmerl_sax_parser], &Code.ensure_loaded?(&1))
     System.halt(if ok, do: 0, else: 1)' >/dev/null 2>&1
 }
 

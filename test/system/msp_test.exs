@@ -7,7 +7,7 @@ defmodule Aerie.System.MspTest do
 
   import Aerie.PeerCase, only: [findings: 1, start_peer: 2]
 
-  alias Aerie.Control.{Commands, Params}
+  alias Aerie.Control.{Commands, Missions, Params}
   alias SimVehicle.Msp
 
   @moduletag :tmp_dir
@@ -175,6 +175,48 @@ defmodule Aerie.System.MspTest do
       stored = Msp.state(c.sims[firmware])
       assert stored.stored == Map.take(stored, [:blocks, :settings])
     end
+  end
+
+  @mwp """
+  <mission>
+    <missionitem action="WAYPOINT" lat="47.3977418" lon="8.5455939" alt="35"/>
+    <missionitem action="WAYPOINT" lat="47.3980418" lon="8.5455939" alt="40" parameter1="750"/>
+    <missionitem action="POSHOLD_TIME" lat="47.3980418" lon="8.5459939" alt="40" parameter1="20" parameter2="750"/>
+    <missionitem action="JUMP" parameter1="1" parameter2="3"/>
+    <missionitem action="RTH" parameter1="1" flag="165"/>
+  </mission>
+  """
+
+  test "iNav's mission: from mwp's file to the vehicle and back, stored, and there after a restart", %{
+    tmp_dir: dir
+  } do
+    c = fly(dir, [:inav])
+    {:ok, plan} = Missions.import(@mwp, :any)
+    by = [source: %{name: "crew", role: :admin, permissions: []}]
+
+    assert {:ok, %{status: :completed, details: %{"on_board" => "new"}}} =
+             Missions.upload(c.gateway, name(:inav), :mission, plan, by)
+
+    assert length(Msp.state(c.sims.inav).mission.list) == 5
+    {:ok, %{plan: read}} = Missions.download(c.gateway, name(:inav), :mission)
+    assert Missions.export(read, :mission) == Missions.export(plan, :mission)
+    assert {:ok, %{plan: %{fence: []}}} = Missions.download(c.gateway, name(:inav), :fence)
+
+    assert {:ok, %{status: :rejected, reason: reason}} = Missions.clear(c.gateway, name(:inav), :mission, by)
+    assert reason =~ "MSP has no message that removes iNav's mission"
+
+    # Taking off is not an item that it has: its words say so.
+    odd = %{plan | items: [%{hd(plan.items) | command: 22}]}
+
+    assert {:ok, %{status: :rejected, reason: reason}} =
+             Missions.upload(c.gateway, name(:inav), :mission, odd, by)
+
+    assert reason =~ "takes off by hand"
+
+    assert %{status: :accepted} = submit(c, :inav, "save_params", %{what: "mission"})
+    assert :mission_stored in Msp.state(c.sims.inav).events
+    c = fly(Path.join(dir, "betaflight"), [:betaflight])
+    assert {:ok, %{status: :rejected}} = Missions.upload(c.gateway, name(:betaflight), :mission, plan, by)
   end
 
   test "a ground station sees it, with its modes by name",

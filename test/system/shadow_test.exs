@@ -5,6 +5,7 @@ defmodule Aerie.System.ShadowTest do
   alias Aerie.Base.Names
   alias Aerie.Control.{Commands, Missions, Params}
   alias Aerie.Fleet.Shadow
+  alias Aerie.Mission.File.QgcPlan
   alias Aerie.Mission.{Item, Plan}
 
   @moduletag :tmp_dir
@@ -76,10 +77,10 @@ defmodule Aerie.System.ShadowTest do
     corners =
       for {x, y} <- [{-9_000, -9_000}, {9_000, -9_000}, {9_000, 9_000}], do: {473_977_420 + x, 85_455_940 + y}
 
-    Missions.export(
-      %Plan{items: [take_off, point.(2_000), point.(4_000)], fence: [{:inclusion, {:polygon, corners}}]},
-      :plan
-    )
+    QgcPlan.write(%Plan{
+      items: [take_off, point.(2_000), point.(4_000)],
+      fence: [{:inclusion, {:polygon, corners}}]
+    })
   end
 
   for {firmware, mode, param} <- [
@@ -156,7 +157,7 @@ defmodule Aerie.System.ShadowTest do
   test "a plan without a fence does not remove the fence aboard", %{gateway: gateway} do
     {:ok, plan} = Missions.import(plan(), :plan)
     {:ok, %{status: :completed}} = Missions.upload(gateway, @vehicle, :fence, plan)
-    {:ok, hash} = Shadow.put_plan(gateway, Missions.export(%{plan | fence: []}, :plan))
+    {:ok, hash} = Shadow.put_plan(gateway, QgcPlan.write(%{plan | fence: []}))
     desire(gateway, %{"geofence" => %{"plan" => hash}})
 
     eventually(

@@ -30,7 +30,7 @@ defmodule Msp.Session do
   alias MavCodec.{Encoder, Sniff}
   alias MavCodec.Msp.Frame
   alias Msp.{Exchange, Identity, Polls, Telemetry}
-  alias Msp.Session.{Commands, Output, Params, Reports, Tasks}
+  alias Msp.Session.{Commands, Missions, Output, Params, Reports, Tasks}
 
   @identify ["API_VERSION", "FC_VARIANT", "FC_VERSION"]
   # What is needed once for each start; a vehicle may refuse any of it.
@@ -58,6 +58,9 @@ defmodule Msp.Session do
     :answered_at,
     :params,
     :uid,
+    :mission,
+    :upload,
+    :uploaded,
     phase: :closed,
     exchange: Exchange.new(),
     todo: [],
@@ -81,6 +84,8 @@ defmodule Msp.Session do
   - `complaint`: the names of the last text about what keeps it from being armed
   - `uid`: of the vehicle, which its identity has only while that is known
   - `params`: the names of its parameters in their order, nil until they were read; `unsaved`: some were set and not stored
+  - `mission`: the waypoints and items of the mission aboard, nil until they were read; `upload`: the one that a client writes; `uploaded`: who
+    wrote the last one, and what came of it
   - `tasks`: what clients asked for that needs the flight controller
   """
   @type t :: %__MODULE__{}
@@ -174,7 +179,9 @@ defmodule Msp.Session do
         tries: 0,
         found: %{},
         heard: "",
-        tasks: []
+        tasks: [],
+        mission: nil,
+        upload: nil
     }
 
   defp answered(session, answers, now) do
@@ -321,7 +328,7 @@ defmodule Msp.Session do
 
   # After each event: the next request, what is to be told, and when to look again.
   defp proceed(session, now) do
-    {session, written} = ask(session, now)
+    {session, written} = session |> Missions.due(now) |> ask(now)
     {told, session} = Output.take(session)
     {session, written ++ told ++ [{:wake, wake(session, now)}]}
   end
@@ -376,7 +383,7 @@ defmodule Msp.Session do
 
   defp wake(%{exchange: %{deadline: deadline}}, _now) when deadline != nil, do: deadline
 
-  defp wake(%{phase: :up, tasks: []} = session, now) do
+  defp wake(%{phase: :up, tasks: [], upload: nil} = session, now) do
     case Polls.next(session.polls, now) do
       {:at, at} -> at
       _due -> now + @again_us

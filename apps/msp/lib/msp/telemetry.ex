@@ -8,7 +8,7 @@ defmodule Msp.Telemetry do
 
   alias MavCodec.Enums.{MavSysStatusSensor, MavType}
   alias MavCodec.Messages, as: M
-  alias Msp.{Arming, Identity, Modes, Readings}
+  alias Msp.{Arming, Identity, Mission, Modes, Readings}
 
   @nan :nan
   # MAV_MODE_FLAG
@@ -242,19 +242,24 @@ defmodule Msp.Telemetry do
     )
   end
 
-  @doc "MISSION_CURRENT of iNav, which counts its waypoints from 1; none without a mission."
-  @spec mission(Readings.t()) :: [struct]
-  def mission(%{waypoints: count, waypoint: number, nav_mode: mode}) when count > 0 do
+  @doc "MISSION_CURRENT of iNav, which counts its waypoints from 1; none without a mission. A mission that was read has items, too."
+  @spec mission(Readings.t(), map | nil) :: [struct]
+  def mission(%{waypoints: count, waypoint: number, nav_mode: mode}, known) when count > 0 do
+    {seq, total} =
+      if known,
+        do: {Mission.seq(known.waypoints, number), length(known.items)},
+        else: {max(number - 1, 0), count}
+
     [
       %M.MissionCurrent{
-        seq: max(number - 1, 0),
-        total: count,
+        seq: seq,
+        total: total,
         mission_state: if(mode == @nav_mission, do: @mission_active, else: @mission_not_started)
       }
     ]
   end
 
-  def mission(_readings), do: []
+  def mission(_readings, _known), do: []
 
   @doc "HOME_POSITION of iNav, whose height follows from the two heights of the vehicle; none as long as one is not known."
   @spec home(Readings.t()) :: [struct]

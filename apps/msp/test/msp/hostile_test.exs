@@ -28,7 +28,8 @@ defmodule Msp.HostileTest do
       {2, {:any, :proper_types.binary()}},
       {1, {:bytes, :proper_types.binary()}},
       {1, :silence},
-      {2, {:mavlink, :proper_types.oneof([list(), read(), set(), command(), :proper_types.binary()])}}
+      {2,
+       {:mavlink, :proper_types.oneof([list(), read(), set(), command(), mission(), :proper_types.binary()])}}
     ])
   end
 
@@ -36,6 +37,24 @@ defmodule Msp.HostileTest do
   defp read, do: encoded(%M.ParamRequestRead{target_system: 42, param_id: "p_roll", param_index: -1})
   defp set, do: encoded(%M.ParamSet{target_system: 42, param_id: "small_angle", param_value: 77.0})
   defp command, do: encoded(%M.CommandLong{target_system: 42, command: 246, param1: 1.0})
+  # Uploads that are begun, go on and are asked for in any order.
+  defp mission do
+    :proper_types.oneof(
+      Enum.map(
+        [
+          %M.MissionCount{target_system: 42, count: 2},
+          %M.MissionRequestList{target_system: 42},
+          %M.MissionRequestInt{target_system: 42, seq: 1},
+          %M.MissionItemInt{target_system: 42, seq: 0, command: 16, frame: 3, x: 1, y: 2, autocontinue: 1},
+          %M.MissionItemInt{target_system: 42, seq: 1, command: 20, frame: 2, autocontinue: 1},
+          %M.MissionAck{target_system: 42, type: 15},
+          %M.MissionClearAll{target_system: 42}
+        ],
+        &encoded/1
+      )
+    )
+  end
+
   defp encoded(message), do: MavCodec.encode(message, system: 255, component: 190)
 
   defp step({:mavlink, bytes}, state), do: handle(state, {:mavlink, bytes})

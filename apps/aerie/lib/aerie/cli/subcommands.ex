@@ -176,7 +176,7 @@ defmodule Aerie.CLI.Subcommands do
       },
       %Subcommand{
         name: "mission load",
-        summary: "send the mission of a .plan or .waypoints file to a vehicle, and read it back",
+        summary: "send the mission of a .plan, .waypoints or .mission file to a vehicle, and read it back",
         where: :here,
         module: Subcommand.MissionFile,
         arguments: [

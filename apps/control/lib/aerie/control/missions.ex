@@ -19,7 +19,7 @@ defmodule Aerie.Control.Missions do
   alias Aerie.Vehicle.Command.{Error, Result}
   alias Aerie.Control.Mission.{OwnFence, Review}
   alias Aerie.Mission.{Item, Onboard, Plan, Transfer}
-  alias Aerie.Mission.File.{QgcPlan, Waypoints}
+  alias Aerie.Mission.File.{Mwp, QgcPlan, Waypoints}
   alias Aerie.Mission.Transfer.Compare
   alias Aerie.Control.Policy.Mavlink
   alias MavCodec.Messages, as: M
@@ -215,7 +215,7 @@ defmodule Aerie.Control.Missions do
 
   # The request to the gateway that hears the vehicle.
   defp put(kind, plan, force) do
-    asked = %{"kind" => Atom.to_string(kind), "plan" => JSON.decode!(export(plan, :plan))}
+    asked = %{"kind" => Atom.to_string(kind), "plan" => plan |> QgcPlan.write() |> JSON.decode!()}
     {"mission", "put", if(force, do: Map.put(asked, "force", true), else: asked)}
   end
 
@@ -235,26 +235,33 @@ defmodule Aerie.Control.Missions do
     end
   end
 
-  @doc "Reads a plan from a file's content: `:plan` (QGroundControl), `:waypoints` (`QGC WPL 110`), or `:any` of them, by how it begins."
-  @spec import(binary(), :plan | :waypoints | :any) :: {:ok, Plan.t()} | {:error, String.t()}
+  @typedoc "A file: QGroundControl's, `QGC WPL 110`, or mwp's for iNav. The last two have the mission only."
+  @type format :: :plan | :waypoints | :mission
+
+  @doc "Reads a plan from a file's content; `:any`: by how it begins."
+  @spec import(binary(), format() | :any) :: {:ok, Plan.t()} | {:error, String.t()}
   def import(text, :plan), do: QgcPlan.read(text)
   def import(text, :waypoints), do: Waypoints.read(text)
+  def import(text, :mission), do: Mwp.read(text)
 
   def import(text, :any) do
-    json? =
-      text
-      |> Text.unmarked()
-      |> binary_slice(0, @looked_at)
-      |> String.trim_leading()
-      |> String.starts_with?(["{", "["])
+    beginning = text |> Text.unmarked() |> binary_slice(0, @looked_at) |> String.trim_leading()
 
-    __MODULE__.import(text, if(json?, do: :plan, else: :waypoints))
+    format =
+      cond do
+        String.starts_with?(beginning, ["{", "["]) -> :plan
+        String.starts_with?(beginning, "<") -> :mission
+        true -> :waypoints
+      end
+
+    __MODULE__.import(text, format)
   end
 
-  @doc "A plan as a file's content; `:waypoints` has the mission only."
-  @spec export(Plan.t(), :plan | :waypoints) :: binary()
-  def export(plan, :plan), do: QgcPlan.write(plan)
-  def export(plan, :waypoints), do: Waypoints.write(plan)
+  @doc "A plan as a file's content. As a `:mission` it has to be one that iNav can fly."
+  @spec export(Plan.t(), format()) :: {:ok, binary()} | {:error, String.t()}
+  def export(plan, :plan), do: {:ok, QgcPlan.write(plan)}
+  def export(plan, :waypoints), do: {:ok, Waypoints.write(plan)}
+  def export(plan, :mission), do: Mwp.write(plan)
 
   @doc "The answer for NATS and REST, with the plan as in a `.plan` file."
   @spec plain(stored(), kind()) :: map()
@@ -264,7 +271,7 @@ defmodule Aerie.Control.Missions do
       items: length(stored.items),
       digest: stored.digest,
       opaque_id: stored.opaque_id,
-      plan: JSON.decode!(export(stored.plan, :plan))
+      plan: stored.plan |> QgcPlan.write() |> JSON.decode!()
     }
   end
 

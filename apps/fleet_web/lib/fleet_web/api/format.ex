@@ -9,7 +9,15 @@ defmodule FleetWeb.API.Format do
   @json "application/json"
   @text "text/plain"
   @bytes "application/octet-stream"
-  @types %{"json" => @json, "param" => @text, "params" => @text, "plan" => @json, "waypoints" => @text}
+  @xml "application/xml"
+  @types %{
+    "json" => @json,
+    "param" => @text,
+    "params" => @text,
+    "plan" => @json,
+    "waypoints" => @text,
+    "mission" => @xml
+  }
 
   @doc "The content type of a format."
   @spec type(String.t()) :: String.t()

@@ -11,7 +11,8 @@ defmodule FleetWeb.API.Parameters do
        "How many seconds to wait for the result; then 202, and the command goes on."},
     timeout: {%{type: :integer, minimum: 1, maximum: 3600}, "How many seconds the transfer may take."},
     format:
-      {@texts, "The form of the text: json, plan, waypoints, param or params, whichever the resource has."},
+      {@texts,
+       "The form of the text: json, plan, waypoints, mission, param or params, whichever the resource has."},
     id: {@texts, "Id of the command, for asking for it again."},
     unknown: {%{enum: ~w(skip refuse)}, "What to do with parameters that the vehicle does not have."},
     force:

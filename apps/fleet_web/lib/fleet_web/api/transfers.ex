@@ -125,13 +125,8 @@ defmodule FleetWeb.API.Transfers do
 
   defp act({:get_plan, kind}, {gateway, vehicle}, options, parameters, request) do
     with {:ok, format} <- wanted(parameters, request, formats(kind)),
-         {:ok, stored} <- Missions.download(gateway, vehicle, kind, options) do
-      body =
-        if format == "json",
-          do: Missions.plain(stored, kind),
-          else:
-            file(format, Missions.export(stored.plan, plan_format(format)), "#{vehicle}-#{kind}.#{format}")
-
+         {:ok, stored} <- Missions.download(gateway, vehicle, kind, options),
+         {:ok, body} <- plan_body(format, stored, kind, vehicle) do
       {:ok, 200, body, request}
     else
       error -> refused(error, request)
@@ -224,11 +219,21 @@ defmodule FleetWeb.API.Transfers do
 
   defp file(format, text, name), do: {:text, Format.type(format), text, name}
 
-  defp formats(:mission), do: ["json", "waypoints", "plan"]
+  defp plan_body("json", stored, kind, _vehicle), do: {:ok, Missions.plain(stored, kind)}
+
+  defp plan_body(format, stored, kind, vehicle) do
+    case Missions.export(stored.plan, plan_format(format)) do
+      {:ok, text} -> {:ok, file(format, text, "#{vehicle}-#{kind}.#{format}")}
+      {:error, reason} -> Error.invalid(reason)
+    end
+  end
+
+  defp formats(:mission), do: ["json", "waypoints", "plan", "mission"]
   defp formats(_other), do: ["json", "plan"]
 
   defp plan_format("plan"), do: :plan
   defp plan_format("waypoints"), do: :waypoints
+  defp plan_format("mission"), do: :mission
 
   # In JSON the plan is beside the id.
   defp plan("json", text) do

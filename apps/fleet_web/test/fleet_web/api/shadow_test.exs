@@ -78,7 +78,7 @@ defmodule FleetWeb.API.ShadowTest do
   end
 
   test "a plan is stored by its hash", context do
-    plan = Aerie.Control.Missions.export(%Aerie.Mission.Plan{}, :plan)
+    plan = Aerie.Mission.File.QgcPlan.write(%Aerie.Mission.Plan{})
     hash = :sha256 |> :crypto.hash(plan) |> Base.encode16(case: :lower)
 
     post =

@@ -24,10 +24,13 @@ defmodule Aerie.Mission.Transfer do
 
   alias Aerie.Mission.{Item, Result}
   alias Aerie.Mission.Transfer.{Compare, Outcome, Read, Retry, Write}
+  alias Aerie.Vehicle.Reports.StatusText
   alias MavCodec.Messages, as: M
 
   # The firmwares store fewer items than this: PX4 2000, ArduPilot 724 to about 3000 with a file.
   @limit 5_000
+  @notice 5
+  @most_said 3
   @listens [M.MissionRequest, M.MissionRequestInt, M.MissionCount, M.MissionItemInt, M.MissionAck] ++
              [M.MissionCurrent, M.Event, M.Statustext]
 
@@ -55,7 +58,9 @@ defmodule Aerie.Mission.Transfer do
     changed?: false,
     looks: 0,
     sent: 0,
-    shown: nil
+    shown: nil,
+    texts: StatusText.new(),
+    said: []
   ]
 
   @type op :: {:upload, [Item.t()]} | :clear | :download
@@ -139,7 +144,7 @@ defmodule Aerie.Mission.Transfer do
 
   defp event({t, _actions} = acc, {:message, message, source, now}) do
     if source == t.target and ours?(message, t.us),
-      do: acc |> noted(message) |> message(message, now),
+      do: acc |> noted(message) |> said(message, now) |> message(message, now),
       else: acc
   end
 
@@ -170,6 +175,16 @@ defmodule Aerie.Mission.Transfer do
   end
 
   defp noted(acc, _message), do: acc
+
+  # What it says meanwhile may be why it refuses.
+  defp said({%{op: op} = t, actions}, %M.Statustext{severity: severity} = message, now)
+       when op != :download and severity <= @notice do
+    {texts, whole} = StatusText.push(t.texts, t.target, message, now)
+    said = Enum.uniq(t.said ++ Enum.map(whole, & &1.text))
+    {%{t | texts: texts, said: Enum.take(said, -@most_said)}, actions}
+  end
+
+  defp said(acc, _message, _now), do: acc
 
   # --- Messages
 
@@ -378,6 +393,7 @@ defmodule Aerie.Mission.Transfer do
   # --- Ends
 
   defp finish({t, actions}, {status, reason, on_board}, now, more \\ []) do
+    reason = if status == :rejected and t.verdict == nil, do: Outcome.said(reason, t.said), else: reason
     result = %Result{status: status, reason: reason, on_board: on_board, ms: div(now - t.started, 1000)}
     known = t |> Map.take([:remarks, :opaque_id, :read_at, :sent]) |> Map.to_list()
     result = struct!(result, known ++ more)

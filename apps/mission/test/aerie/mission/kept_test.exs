@@ -359,4 +359,51 @@ defmodule Aerie.Mission.KeptTest do
     assert length(remarks) == 21
     assert List.last(remarks) == "and 30 more"
   end
+
+  # What iNav has afterwards, by the waypoints that are made of the items.
+  defp through_inav(items) do
+    messages = for {item, seq} <- Enum.with_index(items), do: Item.message(item, seq, 0, {1, 1})
+
+    with {:ok, waypoints} <- Msp.Mission.waypoints(messages), {:ok, read} <- Msp.Mission.items(waypoints) do
+      {:ok, Enum.map(read, &Item.read/1)}
+    end
+  end
+
+  defp inav(sent, read), do: Compare.plans(sent, read, 0, Protocol.Msp, "copter")
+
+  test "iNav: any mission that it takes is the same when it is read" do
+    value = :proper_types.oneof([0.0, 1.0, 2.4, 7.123, 90.0, -1.0, -2.0, nil])
+    command = :proper_types.oneof([16, 16, 19, 20, 21, 115, 177, 178, 195, 197, 201, 31_010])
+    frame = :proper_types.oneof([0, 2, 3, 5, 6])
+
+    property =
+      :proper.forall(
+        :proper_types.non_empty(
+          :proper_types.list({command, frame, value, value, value, :proper_types.float(-40.0, 500.0)})
+        ),
+        fn list ->
+          items =
+            for {command, frame, a, b, c, z} <- list, do: params(command, {a, b, c, 0.0}, frame: frame, z: z)
+
+          case through_inav(items) do
+            {:ok, read} -> match?({:same, _remarks}, inav(items, read))
+            {:error, _refused} -> true
+          end
+        end
+      )
+
+    assert :proper.quickcheck(property, [:quiet, numtests: 3000]) == true, inspect(:proper.counterexample())
+  end
+
+  test "iNav: a hold becomes its own item, radii are lost, and a real difference is one" do
+    items = [params(16, {5.4, 3.0, 0.0, 90.0}), params(201, {3.0, 0.0, 0.0, 0.0}), item(20, frame: 3)]
+    {:ok, [hold, roi, back] = read} = through_inav(items)
+    assert {19, {5.0, _, _, _}} = {hold.command, hold.params}
+    assert {195, 20, 2} = {roi.command, back.command, back.frame}
+    assert {:same, [_ | _]} = inav(items, read)
+    assert {:differs, 0, _how} = inav(items, [%{hold | z: 20.02}, roi, back])
+    assert {:differs, 0, _how} = inav(items, [%{hold | x: hold.x + 1}, roi, back])
+    assert {:differs, 0, _how} = inav(items, [%{hold | params: {6.0, 0.0, 0.0, 0.0}}, roi, back])
+    assert {:differs, 2, _how} = inav(items, [hold, roi, %{back | params: {1.0, 0.0, 0.0, 0.0}}])
+  end
 end

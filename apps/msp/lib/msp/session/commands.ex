@@ -13,7 +13,7 @@ defmodule Msp.Session.Commands do
   alias MavCodec.Messages, as: M
   alias MavCodec.Msp.Messages
   alias Msp.{Modes, Polls, Session}
-  alias Msp.Session.{Output, Params, Requests, Tasks}
+  alias Msp.Session.{Missions, Output, Params, Requests, Tasks}
 
   @command_long M.CommandLong.id()
   @commands Map.new(
@@ -47,9 +47,14 @@ defmodule Msp.Session.Commands do
     end
   end
 
-  def frame(%{phase: :up} = session, %{id: id} = frame, _now) do
-    with true <- Params.mine?(id), {:ok, message} <- MavCodec.decode(frame) do
-      Params.message(session, message, {frame.system, frame.component})
+  def frame(%{phase: :up} = session, %{id: id} = frame, now) do
+    from = {frame.system, frame.component}
+    [params?, mission?] = [Params.mine?(id), Missions.mine?(id)]
+
+    with true <- params? or mission?, {:ok, message} <- MavCodec.decode(frame) do
+      if params?,
+        do: Params.message(session, message, from),
+        else: Missions.message(session, message, from, now)
     else
       _other -> session
     end
@@ -98,7 +103,8 @@ defmodule Msp.Session.Commands do
   defp message(_firmware, :PREFLIGHT_REBOOT_SHUTDOWN, %{param1: 1.0}), do: "REBOOT"
   defp message(_firmware, :PREFLIGHT_CALIBRATION, %{param2: 1.0}), do: "MAG_CALIBRATION"
   defp message(_firmware, :PREFLIGHT_CALIBRATION, %{param5: p}) when p in [1.0, 4.0], do: "ACC_CALIBRATION"
-  defp message(_firmware, :PREFLIGHT_STORAGE, %{param1: 1.0}), do: "EEPROM_WRITE"
+  defp message(:inav, :PREFLIGHT_STORAGE, %{param1: p, param2: 1.0}) when p != 1.0, do: "WP_MISSION_SAVE"
+  defp message(_firmware, :PREFLIGHT_STORAGE, %{param1: 1.0, param2: p}) when p != 1.0, do: "EEPROM_WRITE"
   defp message(_firmware, _name, _command), do: nil
 
   # What is repeated while it is being done is not done twice.
@@ -106,7 +112,7 @@ defmodule Msp.Session.Commands do
     {:ok, message} = Messages.fetch(session.identity.firmware, name)
 
     cond do
-      Enum.any?(tasks, &(&1[:command] == command and &1.ask == {name, %{}, @slow_us})) ->
+      Enum.any?(tasks, &(&1[:command] == command and match?({^name, _, _}, &1.ask))) ->
         acknowledge(session, command, from, :IN_PROGRESS)
 
       not Tasks.room?(session) ->
@@ -118,9 +124,18 @@ defmodule Msp.Session.Commands do
         |> Output.text(@notice, "#{name} refused: it is armed")
 
       true ->
-        Tasks.add(session, %{kind: __MODULE__, command: command, from: from, ask: {name, %{}, @slow_us}})
+        Tasks.add(session, %{
+          kind: __MODULE__,
+          command: command,
+          from: from,
+          ask: {name, values(name), @slow_us}
+        })
     end
   end
+
+  # Its argument means nothing.
+  defp values("WP_MISSION_SAVE"), do: %{mission: 0}
+  defp values(_name), do: %{}
 
   @impl Tasks
   def answer(session, %{command: command, from: from, ask: {name, _values, _patience}} = task, answer, now) do

@@ -30,11 +30,19 @@ defmodule Msp.Session.Reports do
       session = clock(session, readings, now)
 
       %{session | readings: Map.merge(before, readings)}
+      |> mission(name)
       |> show(name, now)
       |> failsafe(before)
       |> navigation(before)
     end
   end
+
+  # Another program, or the pilot, may have changed it.
+  defp mission(%{mission: %{waypoints: known}, readings: %{waypoints: count}} = session, "WP_GETINFO")
+       when length(known) != count,
+       do: %{session | mission: nil}
+
+  defp mission(session, _name), do: session
 
   @doc "The ids of BOXIDS."
   @spec ids(map | nil) :: [byte]
@@ -83,7 +91,9 @@ defmodule Msp.Session.Reports do
   defp show(session, "RC", now),
     do: Output.emit(session, Telemetry.rc(session.readings, Output.boot_ms(session, now)))
 
-  defp show(session, "NAV_STATUS", _now), do: Output.emit(session, Telemetry.mission(session.readings))
+  defp show(session, "NAV_STATUS", _now),
+    do: Output.emit(session, Telemetry.mission(session.readings, session.mission))
+
   defp show(session, "WP", _now), do: Output.emit(session, Telemetry.home(session.readings))
   defp show(session, _name, _now), do: session
 

@@ -7,8 +7,8 @@ defmodule Msp.Session.Requests do
   alias Msp.{Modes, Polls, Session}
 
   @custom_version 8
-  # MAV_PROTOCOL_CAPABILITY_MAVLINK2
-  @capabilities 8192
+  # MAV_PROTOCOL_CAPABILITY_: MAVLINK2; MISSION_INT
+  @capabilities %{betaflight: 8192, inav: 8192 + 4}
 
   @doc "The message that REQUEST_MESSAGE asks for, and its parameter 2; `:error` for one that is not made on request."
   @spec message(Session.t(), id :: non_neg_integer, index :: non_neg_integer) :: {:ok, [struct]} | :error
@@ -46,7 +46,7 @@ defmodule Msp.Session.Requests do
     {major, minor, patch} = identity.release
 
     %M.AutopilotVersion{
-      capabilities: @capabilities,
+      capabilities: @capabilities[identity.firmware],
       flight_sw_version: :binary.decode_unsigned(<<rem(major, 256), rem(minor, 256), rem(patch, 256), 255>>),
       flight_custom_version: :binary.copy(<<0>>, @custom_version),
       middleware_custom_version: :binary.copy(<<0>>, @custom_version),

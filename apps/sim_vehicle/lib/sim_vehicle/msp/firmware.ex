@@ -9,7 +9,7 @@ defmodule SimVehicle.Msp.Firmware do
   """
 
   alias MavCodec.Msp.{Frame, Messages}
-  alias SimVehicle.Msp.{Blocks, Flight, Port, Settings, Telemetry}
+  alias SimVehicle.Msp.{Blocks, Flight, Port, Settings, Telemetry, Waypoints}
 
   @versions %{betaflight: {1, 46}, inav: {9, 0}}
   @tick_us 10_000
@@ -62,6 +62,7 @@ defmodule SimVehicle.Msp.Firmware do
     calibrating_until: 0,
     stored: %{},
     settings: %{},
+    mission: %Waypoints{},
     ports: %{},
     events: []
   ]
@@ -301,6 +302,9 @@ defmodule SimVehicle.Msp.Firmware do
     end
   end
 
+  defp read(%{firmware: :inav} = fc, 20, _none), do: {:ok, Waypoints.info(fc.mission)}
+  defp read(%{firmware: :inav} = fc, 118, <<number>>), do: {:ok, Waypoints.get(fc.mission, number)}
+  defp read(%{firmware: :inav} = fc, 118, _none), do: {:ok, Waypoints.get(fc.mission, 0)}
   defp read(%{firmware: :inav} = fc, 0x1003, name), do: Settings.get(fc.settings, name)
   defp read(%{firmware: :inav} = fc, 0x1007, name), do: Settings.info(fc.settings, name)
 
@@ -320,14 +324,27 @@ defmodule SimVehicle.Msp.Firmware do
   end
 
   defp write(%{firmware: :inav} = fc, _id, message, %{payload: payload}) do
-    if message.exact? and byte_size(payload) not in message.sizes,
-      do: {:error, fc},
-      else: {{:ok, ""}, store(fc, message, payload)}
+    cond do
+      message.exact? and byte_size(payload) not in message.sizes -> {:error, fc}
+      message.name in ["WP_MISSION_SAVE", "WP_MISSION_LOAD", "SET_WP"] -> mission(fc, message.name, payload)
+      true -> {{:ok, ""}, store(fc, message, payload)}
+    end
   end
 
   defp write(fc, id, message, %{payload: payload}) do
     {filled, port} = Port.fill(fc.ports[id], payload, message.min)
     {{:ok, ""}, store(put_in(fc.ports[id], port), message, filled)}
+  end
+
+  defp mission(fc, "SET_WP", payload), do: {{:ok, ""}, %{fc | mission: Waypoints.set(fc.mission, payload)}}
+  defp mission(fc, _name, ""), do: {:error, fc}
+  defp mission(fc, "WP_MISSION_LOAD", _any), do: {{:ok, ""}, %{fc | mission: Waypoints.load(fc.mission)}}
+
+  defp mission(fc, "WP_MISSION_SAVE", _any) do
+    case Waypoints.save(fc.mission) do
+      {:ok, mission} -> {{:ok, ""}, event(%{fc | mission: mission}, :mission_stored)}
+      :error -> {:error, fc}
+    end
   end
 
   defp store(fc, %{name: "SET_MODE_RANGE"}, <<slot, range::binary-size(4), _::binary>>) when slot < 20 do
@@ -342,7 +359,7 @@ defmodule SimVehicle.Msp.Firmware do
     ports = Map.new(fc.ports, fn {id, _port} -> {id, %Port{}} end)
     off = %{off_until: fc.now + @off_us, boots: fc.boots + 1, ports: ports, boxes: MapSet.new()}
 
-    %{fc | armed: false}
+    %{fc | armed: false, mission: Waypoints.restarted(fc.mission)}
     |> changed(fc.armed)
     |> Map.merge(fc.stored)
     |> Map.merge(off)

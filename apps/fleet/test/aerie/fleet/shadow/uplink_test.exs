@@ -76,7 +76,7 @@ defmodule Aerie.Fleet.Shadow.UplinkTest do
     eventually(fn -> match?({:ok, %{"reported" => %{"mode" => "GUIDED"}}}, Shadow.get(hub, @id)) end)
     assert Documents.problem(leaf) == nil
 
-    plan = Aerie.Control.Missions.export(%Aerie.Mission.Plan{}, :plan)
+    plan = Aerie.Mission.File.QgcPlan.write(%Aerie.Mission.Plan{})
     {:ok, hash} = Shadow.put_plan(hub, plan)
     assert {:ok, %Aerie.Mission.Plan{}} = Plans.fetch(leaf, hash)
   end

@@ -182,9 +182,12 @@ defmodule FleetWeb.Console.Plan.Page do
     do: {:noreply, assign(socket, :error, String.slice(text, 0, 200))}
 
   def handle_event("export", %{"format" => format}, socket) do
-    format = if format == "waypoints", do: :waypoints, else: :plan
-    text = Missions.export(socket.assigns.draft.plan, format)
-    {:noreply, push_event(socket, "plan:file", %{name: "aerie.#{format}", text: text})}
+    format = Map.get(%{"waypoints" => :waypoints, "mission" => :mission}, format, :plan)
+
+    case Missions.export(socket.assigns.draft.plan, format) do
+      {:ok, text} -> {:noreply, push_event(socket, "plan:file", %{name: "aerie.#{format}", text: text})}
+      {:error, reason} -> {:noreply, assign(socket, :error, "Not saved for iNav: #{reason}")}
+    end
   end
 
   # The copy of an earlier page; it never replaces a newer drawing.
@@ -273,7 +276,7 @@ defmodule FleetWeb.Console.Plan.Page do
 
   # A copy that could not be read again must not replace an earlier one that could.
   defp keep(%{assigns: %{draft: %{plan: plan}}} = socket) do
-    text = Missions.export(plan, :plan)
+    {:ok, text} = Missions.export(plan, :plan)
 
     if connected?(socket) and byte_size(text) <= @max_kept and match?({:ok, _}, Missions.import(text, :plan)),
       do: push_event(socket, "plan:keep", %{text: text}),

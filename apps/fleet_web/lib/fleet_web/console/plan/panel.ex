@@ -64,10 +64,11 @@ defmodule FleetWeb.Console.Plan.Panel do
             id="plan-import"
             class="visually-hidden"
             type="file"
-            accept=".plan,.waypoints,.txt,.json"
+            accept=".plan,.waypoints,.mission,.txt,.json,.xml"
           /></label>
         <.button icon="download" phx-click="export" phx-value-format="plan">Save as .plan</.button>
         <.button icon="download" phx-click="export" phx-value-format="waypoints">Save as .waypoints</.button>
+        <.button icon="download" phx-click="export" phx-value-format="mission">Save as .mission</.button>
       </span>
       <p :if={@vehicle && @sent != [] && Roles.at_least?(@user.role, :operator)} id="plan-sends" class="muted">Send sends: {Enum.join(@sent, ", ")}. What is aboard otherwise stays.</p>
     </div>

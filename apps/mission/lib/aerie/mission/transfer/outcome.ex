@@ -91,6 +91,11 @@ defmodule Aerie.Mission.Transfer.Outcome do
 
   def checked(_valid_or_nothing, _announced?), do: {:completed, nil, :new}
 
+  @doc "A refusal with the texts that came with it."
+  @spec said(String.t(), [String.t()]) :: String.t()
+  def said(reason, []), do: reason
+  def said(reason, texts), do: reason <> "; it said: " <> Enum.join(texts, "; ")
+
   @doc "A refusal in words: MAV_MISSION_RESULT by its name; a sentence as it is."
   @spec refusal(non_neg_integer() | String.t()) :: String.t()
   def refusal(reason) when is_binary(reason), do: reason

@@ -11,6 +11,7 @@ defmodule Aerie.Vehicle.Protocol.Msp do
 
   alias Aerie.Vehicle.Protocol.{Mavlink, Unknown}
   alias Aerie.Vehicle.Protocol.Mavlink.Commands
+  alias Aerie.Vehicle.Protocol.Msp.StoredItem
 
   @switches "MSP has no message for it: the switches of the transmitter do that, and Aerie sends no channels in their place"
   @by_switch ~w(arm disarm force_disarm set_mode rtl hold)
@@ -41,23 +42,26 @@ defmodule Aerie.Vehicle.Protocol.Msp do
     end
   end
 
-  def steps(%{type: "save_params"}, _vehicle),
-    do: {:ok, [Mavlink.long(:MAV_CMD_PREFLIGHT_STORAGE, %{1 => 1}, answer_ms: @slow_ms)]}
+  def steps(%{type: "save_params", params: %{what: what}}, _vehicle) do
+    number = %{"params" => 1, "mission" => 2}[what]
+    {:ok, [Mavlink.long(:MAV_CMD_PREFLIGHT_STORAGE, %{number => 1}, answer_ms: @slow_ms)]}
+  end
 
   def steps(%{type: type, params: params}, vehicle), do: {:ok, Commands.steps(type, params, vehicle)}
 
   @impl true
   def param_encoding, do: :c_cast
 
-  # There are no missions and no set-points yet.
+  # There are no set-points yet.
   @impl true
   defdelegate setpoints_first?(command, vehicle), to: Unknown
   @impl true
-  defdelegate home_is_item_0?, to: Unknown
+  def home_is_item_0?, do: false
   @impl true
-  defdelegate item_offset, to: Unknown
+  def item_offset, do: -1
   @impl true
-  defdelegate kept(item, mission_type, kind), to: Unknown
+  def kept(item, mission_type, _kind), do: StoredItem.kept(item, mission_type)
+  # The session acknowledges a plan after it has read it.
   @impl true
   defdelegate plan_watch_us(mission_type), to: Unknown
   @impl true

@@ -203,6 +203,9 @@ defmodule Aerie.Vehicle.Protocol.Px4 do
       Mavlink.long(:MAV_CMD_ACTUATOR_TEST, %{1 => params.throttle, 2 => params.duration, 5 => params.motor})
     ]
 
+  defp special("save_params", %{what: "mission"}, _vehicle),
+    do: {:error, "PX4 stores a mission when it is written"}
+
   defp special("save_params", _params, _vehicle), do: [Mavlink.long(:MAV_CMD_PREFLIGHT_STORAGE, %{1 => 1})]
   defp special("calibrate" <> _what = type, params, vehicle), do: Calibration.steps(type, params, vehicle)
 

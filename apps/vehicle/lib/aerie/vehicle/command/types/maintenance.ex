@@ -56,7 +56,15 @@ defmodule Aerie.Vehicle.Command.Types.Maintenance do
         group: :maintenance,
         meaning: "Stores the parameters where they survive a power cut.",
         mav_cmds: ~w(PREFLIGHT_STORAGE)a,
-        permission: :maintain
+        permission: :maintain,
+        params: [
+          Param.choice(
+            :what,
+            ~w(params mission),
+            "what is stored; the mission only by iNav, which forgets it otherwise",
+            default: "params"
+          )
+        ]
       },
       %Type{
         name: "reset_params",

@@ -18,15 +18,26 @@ defmodule Aerie.System.MspTest do
   @climb [1500, 1500, 1900, 1500, 1900, 1900, 1000, 1000]
   @vehicles %{betaflight: 7, inav: 8}
 
-  defp fly(dir, firmwares, overrides \\ %{}) do
-    sims = Map.new(firmwares, &{&1, start_supervised!({Msp, firmware: &1, uid: @vehicles[&1]}, id: &1)})
+  defp fly(dir, firmwares, overrides \\ %{}, options \\ []) do
+    sims =
+      Map.new(
+        firmwares,
+        &{&1, start_supervised!({Msp, [firmware: &1, uid: @vehicles[&1]] ++ options}, id: &1)}
+      )
+
     links = for {firmware, sim} <- sims, do: "msp:tcp:127.0.0.1:#{Msp.port(sim)}?sysid=#{@vehicles[firmware]}"
 
     %{gateway: gateway} =
       start_gateway(dir, links: links, overrides: Map.merge(%{"timeouts" => patient()}, overrides))
 
+    # Without its channels one that has MSP as its receiver is not ready.
     for firmware <- firmwares do
-      eventually(fn -> data(gateway, :health, key(firmware))[:ready_to_arm] end, "#{firmware} could be armed")
+      known = fn -> data(gateway, :health, key(firmware)) end
+
+      eventually(
+        fn -> known.()[:ready_to_arm] || (options[:rx_msp] && known.()) end,
+        "#{firmware} could be armed"
+      )
     end
 
     %{gateway: gateway, sims: sims, conn: nats_client(gateway)}
@@ -46,15 +57,12 @@ defmodule Aerie.System.MspTest do
     )
   end
 
-  defp submit(c, firmware, type, params \\ %{}) do
-    {:ok, result} =
-      Commands.submit(c.gateway,
-        vehicle: name(firmware),
-        type: type,
-        params: params,
-        deadline: System.os_time(:second) + 60
-      )
+  @admin %{name: "ada", role: :admin, permissions: []}
+  @commander %{name: "cory", role: :admin, permissions: [:receiver, :motors]}
 
+  defp submit(c, firmware, type, params \\ %{}, source \\ nil) do
+    command = [vehicle: name(firmware), type: type, params: params, deadline: System.os_time(:second) + 60]
+    {:ok, result} = Commands.submit(c.gateway, if(source, do: [as: source] ++ command, else: command))
     result
   end
 
@@ -121,7 +129,19 @@ defmodule Aerie.System.MspTest do
     c = fly(dir, [:betaflight, :inav])
 
     for {firmware, sim} <- c.sims do
-      assert %{status: :rejected, reason: "MSP has no message for it" <> _} = submit(c, firmware, "arm")
+      # Its pilot's transmitter is in charge, whoever asks.
+      assert %{status: :rejected, reason: reason} = submit(c, firmware, "arm", %{}, @commander)
+      assert reason =~ "a transmitter is in charge"
+
+      assert %{status: :denied, details: %{"rule" => "role"}, reason: reason} =
+               submit(c, firmware, "arm", %{}, @admin)
+
+      assert reason =~ "arm needs the permission receiver, which no role includes"
+
+      assert %{status: :denied, reason: reason} =
+               submit(c, firmware, "motor_test", %{motor: 1, throttle: 0.1, duration: 1}, @admin)
+
+      assert reason =~ "motor_test needs the permission motors"
 
       assert %{status: :rejected, reason: reason} =
                submit(c, firmware, "land")
@@ -174,6 +194,31 @@ defmodule Aerie.System.MspTest do
       assert %{status: :accepted} = submit(c, firmware, "save_params")
       stored = Msp.state(c.sims[firmware])
       assert stored.stored == Map.take(stored, [:blocks, :settings])
+    end
+  end
+
+  test "where MSP is the receiver: armed, flown by sticks, returned by its mode, disarmed, all in its ledger",
+       %{tmp_dir: dir} do
+    c = fly(dir, [:betaflight, :inav], %{}, rx_msp: true)
+
+    for {firmware, sim} <- c.sims do
+      Msp.await(sim, &(&1.now > 6_000_000))
+      assert %{status: :completed} = submit(c, firmware, "arm", %{}, @commander)
+      event(c, firmware, "armed")
+      # Each is in force for longer than the next one takes.
+      climb = fn throttle ->
+        submit(c, firmware, "manual_control", %{throttle: throttle, hold: 2.0}, @commander)
+      end
+
+      up = Task.async(fn -> climb.(0.8) end)
+      eventually(fn -> data(c.gateway, :position, key(firmware))[:alt_rel] > 2 end, "#{firmware} climbs")
+      mode = if firmware == :inav, do: "NAV RTH", else: "GPS RESCUE"
+      assert %{status: :completed} = submit(c, firmware, "rtl", %{}, @commander)
+      assert data(c.gateway, :mode, key(firmware)).mode == mode
+      assert %{status: :accepted, reason: reason} = Task.await(up, Aerie.Patience.ms())
+      assert reason == nil or reason =~ "a text says"
+      # Nobody steers any more, in the air: its own failsafe.
+      event(c, firmware, "failsafe", &(&1["active"] != false))
     end
   end
 

@@ -13,6 +13,7 @@ defmodule Msp.Session do
   | `{:bytes, bytes}` | from the flight controller |
   | `{:mavlink, bytes}` | frames from clients and from the gateway itself, for this vehicle or for all |
   | `:tick` | the time that an action asked for has come |
+  | `:closing` | the line is about to be closed |
 
   | action | |
   |---|---|
@@ -30,7 +31,7 @@ defmodule Msp.Session do
   alias MavCodec.{Encoder, Sniff}
   alias MavCodec.Msp.Frame
   alias Msp.{Exchange, Identity, Polls, Telemetry}
-  alias Msp.Session.{Commands, Missions, Output, Params, Reports, Tasks}
+  alias Msp.Session.{Commands, Missions, Motors, Output, Params, Reports, Sticks, Tasks}
 
   @identify ["API_VERSION", "FC_VARIANT", "FC_VERSION"]
   # What is needed once for each start; a vehicle may refuse any of it.
@@ -61,6 +62,10 @@ defmodule Msp.Session do
     :mission,
     :upload,
     :uploaded,
+    :receiver,
+    :motors,
+    :ignored_at,
+    :up_at,
     phase: :closed,
     exchange: Exchange.new(),
     todo: [],
@@ -78,7 +83,7 @@ defmodule Msp.Session do
 
   @typedoc """
   - `system`: the MAVLink id that the vehicle has
-  - `phase`: `:closed`, `:listening` until `until`, `:identifying`, `:up`
+  - `phase`: `:closed`, `:listening` until `until`, `:identifying`, `:up` since `up_at`
   - `todo`: messages still to be asked; `found`: their answers; `heard`: the last bytes before it was known who is there
   - `boot`: when the vehicle's clock began; `heartbeat`: the last one, and when it was sent
   - `complaint`: the names of the last text about what keeps it from being armed
@@ -86,10 +91,13 @@ defmodule Msp.Session do
   - `params`: the names of its parameters in their order, nil until they were read; `unsaved`: some were set and not stored
   - `mission`: the waypoints and items of the mission aboard, nil until they were read; `upload`: the one that a client writes; `uploaded`: who
     wrote the last one, and what came of it
+  - `receiver`: the channels that are sent in place of a transmitter's, nil for none
+  - `motors`: when those of a test are stopped, and how often they were told to; nil while none turns
+  - `ignored_at`: when a text last said that sticks were ignored
   - `tasks`: what clients asked for that needs the flight controller
   """
   @type t :: %__MODULE__{}
-  @type event :: :opened | {:bytes, binary} | {:mavlink, binary} | :tick
+  @type event :: :opened | {:bytes, binary} | {:mavlink, binary} | :tick | :closing
   @type action ::
           {:write, binary}
           | {:mavlink, binary}
@@ -112,6 +120,7 @@ defmodule Msp.Session do
   def handle(%{system: system}, :opened, now),
     do: {%{new(system) | phase: :listening, until: now + @listen_us}, [{:wake, now + @listen_us}]}
 
+  def handle(session, :closing, _now), do: {%{session | phase: :closed}, Motors.closing(session)}
   def handle(%{phase: :closed} = session, _event, _now), do: {session, []}
 
   def handle(%{phase: :listening} = session, {:bytes, bytes}, _now) do
@@ -181,7 +190,8 @@ defmodule Msp.Session do
         heard: "",
         tasks: [],
         mission: nil,
-        upload: nil
+        upload: nil,
+        receiver: nil
     }
 
   defp answered(session, answers, now) do
@@ -251,7 +261,7 @@ defmodule Msp.Session do
 
     cond do
       session.todo != [] -> {:ok, session}
-      session.identity -> {:ok, session |> up(now) |> Params.ahead()}
+      session.identity -> {:ok, session |> up(now) |> Motors.found() |> Params.ahead()}
       true -> recognise(session)
     end
   end
@@ -279,6 +289,7 @@ defmodule Msp.Session do
     %{
       session
       | phase: :up,
+        up_at: now,
         identity: identity,
         uid: identity.uid,
         # Of another vehicle they are others.
@@ -328,9 +339,11 @@ defmodule Msp.Session do
 
   # After each event: the next request, what is to be told, and when to look again.
   defp proceed(session, now) do
-    {session, written} = session |> Missions.due(now) |> ask(now)
+    {session, stops} = Motors.due(session, now)
+    {session, channels} = session |> Missions.due(now) |> Sticks.due(now)
+    {session, written} = ask(session, now)
     {told, session} = Output.take(session)
-    {session, written ++ told ++ [{:wake, wake(session, now)}]}
+    {session, stops ++ channels ++ written ++ told ++ [{:wake, wake(session, now)}]}
   end
 
   defp ask(%{exchange: %{asked: asked}} = session, _now) when asked != nil, do: {session, []}
@@ -381,6 +394,10 @@ defmodule Msp.Session do
     end
   end
 
+  defp wake(%{motors: %{due: due}} = session, now),
+    do: min(max(due, now + @again_us), wake(%{session | motors: nil}, now))
+
+  defp wake(%{receiver: %{due: due}} = session, now), do: min(due, wake(%{session | receiver: nil}, now))
   defp wake(%{exchange: %{deadline: deadline}}, _now) when deadline != nil, do: deadline
 
   defp wake(%{phase: :up, tasks: [], upload: nil} = session, now) do

@@ -4,8 +4,8 @@ defmodule Msp.Test.Simulated do
   alias SimVehicle.Msp.Firmware
 
   @doc "The function that answers, and one that changes the flight controller."
-  def controller(firmware) do
-    {:ok, agent} = Agent.start_link(fn -> firmware |> Firmware.new() |> Firmware.connect(:port) end)
+  def controller(firmware, options \\ []) do
+    {:ok, agent} = Agent.start_link(fn -> firmware |> Firmware.new(options) |> Firmware.connect(:port) end)
 
     answer = fn bytes, us ->
       Agent.get_and_update(agent, fn fc ->

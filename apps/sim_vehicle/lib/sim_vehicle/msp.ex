@@ -8,7 +8,7 @@ defmodule SimVehicle.Msp do
       SimVehicle.Msp.await(sim, & &1.armed)
 
   Options: `firmware` (`:betaflight` or `:inav`), `port` (0: any free one; of 127.0.0.1), `pilot` (whether somebody flies it), `uid` (of the
-  processor; real simulators all have the same one), `flight` (fields of `SimVehicle.Msp.Flight`). `SimVehicle.Msp.Firmware` tells what it does.
+  processor; real simulators all have the same one), `flight` (fields of `SimVehicle.Msp.Flight`), `rx_msp` and `mask` (`SimVehicle.Msp.Firmware.new/2`). `SimVehicle.Msp.Firmware` tells what it does.
   """
   use GenServer
 

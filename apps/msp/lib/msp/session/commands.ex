@@ -13,7 +13,7 @@ defmodule Msp.Session.Commands do
   alias MavCodec.Messages, as: M
   alias MavCodec.Msp.Messages
   alias Msp.{Modes, Polls, Session}
-  alias Msp.Session.{Missions, Output, Params, Requests, Tasks}
+  alias Msp.Session.{Missions, Motors, Output, Params, Requests, Sticks, Tasks}
 
   @command_long M.CommandLong.id()
   @commands Map.new(
@@ -23,7 +23,10 @@ defmodule Msp.Session.Commands do
                 :GET_MESSAGE_INTERVAL,
                 :PREFLIGHT_REBOOT_SHUTDOWN,
                 :PREFLIGHT_CALIBRATION,
-                :PREFLIGHT_STORAGE
+                :PREFLIGHT_STORAGE,
+                :COMPONENT_ARM_DISARM,
+                :DO_SET_MODE,
+                :DO_MOTOR_TEST
               ],
               &{MavCmd.value(:"MAV_CMD_#{&1}"), &1}
             )
@@ -34,6 +37,7 @@ defmodule Msp.Session.Commands do
   # Writing the EEPROM takes up to two seconds on hardware; configurators wait for five.
   @slow_us 5_000_000
   @notice 5
+  @known_us 3_000_000
 
   @doc "A frame of a client."
   @spec frame(Session.t(), MavCodec.Frame.t(), integer) :: Session.t()
@@ -49,12 +53,10 @@ defmodule Msp.Session.Commands do
 
   def frame(%{phase: :up} = session, %{id: id} = frame, now) do
     from = {frame.system, frame.component}
-    [params?, mission?] = [Params.mine?(id), Missions.mine?(id)]
+    part = Enum.find([Params, Missions, Sticks], & &1.mine?(id))
 
-    with true <- params? or mission?, {:ok, message} <- MavCodec.decode(frame) do
-      if params?,
-        do: Params.message(session, message, from),
-        else: Missions.message(session, message, from, now)
+    with true <- part != nil, {:ok, message} <- MavCodec.decode(frame) do
+      part.message(session, message, from, now)
     else
       _other -> session
     end
@@ -92,6 +94,20 @@ defmodule Msp.Session.Commands do
         |> Output.emit(Requests.interval(session, id))
     end
   end
+
+  # Until the gateway knows which firmware it is, its policy does not ask for what that needs.
+  defp command(%{up_at: at} = session, name, command, from, now)
+       when name in [:COMPONENT_ARM_DISARM, :DO_SET_MODE, :DO_MOTOR_TEST] and now - at < @known_us,
+       do: acknowledge(session, command.command, from, :TEMPORARILY_REJECTED)
+
+  defp command(session, name, command, from, now) when name in [:COMPONENT_ARM_DISARM, :DO_SET_MODE] do
+    case Sticks.wish(name, command, session.identity.firmware) do
+      nil -> acknowledge(session, command.command, from, :UNSUPPORTED)
+      want -> Sticks.command(session, want, command.command, from, now)
+    end
+  end
+
+  defp command(session, :DO_MOTOR_TEST, command, from, _now), do: Motors.test(session, command, from)
 
   defp command(session, name, command, from, _now) do
     case message(session.identity.firmware, name, command) do
@@ -155,7 +171,9 @@ defmodule Msp.Session.Commands do
   defp done(session, "EEPROM_WRITE", _now), do: %{session | unsaved: false}
   defp done(session, _name, _now), do: session
 
-  defp acknowledge(session, command, {system, component}, result) do
+  @doc "COMMAND_ACK to a client."
+  @spec acknowledge(Session.t(), integer, {byte, byte}, atom) :: Session.t()
+  def acknowledge(session, command, {system, component}, result) do
     Output.emit(session, %M.CommandAck{
       command: command,
       result: Map.fetch!(@results, result),

@@ -42,16 +42,17 @@ defmodule Msp.Session.Params do
   def mine?(id), do: id in [@request_list, @request_read, @param_set]
 
   @doc "A message of a client."
-  @spec message(Session.t(), struct, from :: {byte, byte}) :: Session.t()
+  @spec message(Session.t(), struct, from :: {byte, byte}, integer) :: Session.t()
   def message(
         %{system: system} = session,
         %{target_system: system, target_component: component} = message,
-        from
+        from,
+        _now
       )
       when component in [0, 1],
       do: handle(session, message, from)
 
-  def message(session, _for_another, _from), do: session
+  def message(session, _for_another, _from, _now), do: session
 
   defp handle(session, %M.ParamRequestList{}, _from) do
     if Enum.any?(session.tasks, &match?(%{what: :list}, &1)),

@@ -9,7 +9,7 @@ defmodule SimVehicle.Msp.Firmware do
   """
 
   alias MavCodec.Msp.{Frame, Messages}
-  alias SimVehicle.Msp.{Blocks, Flight, Port, Settings, Telemetry, Waypoints}
+  alias SimVehicle.Msp.{Blocks, Flight, Port, Receiver, Settings, Telemetry, Waypoints}
 
   @versions %{betaflight: {1, 46}, inav: {9, 0}}
   @tick_us 10_000
@@ -18,7 +18,7 @@ defmodule SimVehicle.Msp.Firmware do
   # {box, aux channel from 0, first and last step of 25 µs above 900}
   @ranges %{
     betaflight: [{0, 0, 32, 48}, {1, 1, 32, 48}, {46, 2, 32, 48}],
-    inav: [{0, 0, 32, 48}, {1, 1, 32, 48}, {11, 2, 12, 28}, {10, 2, 32, 48}]
+    inav: [{0, 0, 32, 48}, {1, 1, 32, 48}, {11, 2, 12, 28}, {10, 2, 32, 48}, {50, 3, 32, 48}]
   }
   @arm 0
   @failsafe 27
@@ -63,6 +63,8 @@ defmodule SimVehicle.Msp.Firmware do
     stored: %{},
     settings: %{},
     mission: %Waypoints{},
+    receiver: %Receiver{},
+    rx_msp: false,
     ports: %{},
     events: []
   ]
@@ -70,7 +72,9 @@ defmodule SimVehicle.Msp.Firmware do
   @type t :: %__MODULE__{}
   @type output :: {port :: term, binary}
 
-  @doc "A flight controller that was just switched on."
+  @doc """
+  A flight controller that was just switched on. Options: `uid`, `flight`, `rx_msp` (MSP is its receiver), `mask` (of the channels that MSP may override).
+  """
   @spec new(Messages.firmware(), keyword) :: t
   def new(firmware, options \\ []) do
     blocks = Map.put(Blocks.new(firmware), 34, ranges(firmware))
@@ -78,9 +82,18 @@ defmodule SimVehicle.Msp.Firmware do
     # Each has another processor, which simulators of the real firmware have not.
     blocks = if uid = options[:uid], do: Map.put(blocks, 160, <<uid::32-little, 0::64>>), else: blocks
 
+    rx_msp = options[:rx_msp] || false
     settings = if firmware == :inav, do: Settings.new(), else: %{}
+    blocks = if firmware == :betaflight, do: Map.update!(blocks, 36, &feature(&1, rx_msp)), else: blocks
+
+    settings =
+      if firmware == :inav,
+        do: Map.put(settings, "receiver_type", <<if(rx_msp, do: 2, else: 1)>>),
+        else: settings
 
     %__MODULE__{
+      rx_msp: rx_msp,
+      receiver: %Receiver{mask: options[:mask] || 0},
       firmware: firmware,
       version: @versions[firmware],
       blocks: blocks,
@@ -88,6 +101,12 @@ defmodule SimVehicle.Msp.Firmware do
       stored: %{blocks: blocks, settings: settings},
       flight: flight
     }
+  end
+
+  # RX_MSP, or RX_SERIAL.
+  defp feature(<<features::32-little>>, msp?) do
+    others = Bitwise.band(features, Bitwise.bnot(Bitwise.bsl(1, 14) + Bitwise.bsl(1, 3)))
+    <<others + Bitwise.bsl(1, if(msp?, do: 14, else: 3))::32-little>>
   end
 
   defp ranges(firmware) do
@@ -127,8 +146,11 @@ defmodule SimVehicle.Msp.Firmware do
 
   @doc "Sets channels of its own receiver, in µs from the first on; it was heard now."
   @spec sticks(t, [integer]) :: t
-  def sticks(%{rc_lost: true} = fc, channels), do: %{fc | channels: channels}
-  def sticks(fc, channels), do: %{fc | channels: channels, rc_at: fc.now}
+  def sticks(fc, channels) do
+    channels = Enum.take(channels ++ List.duplicate(1000, 16), 16)
+    fc = %{fc | receiver: %{fc.receiver | pilot: channels}}
+    if fc.rx_msp, do: fc, else: %{fc | channels: channels, rc_at: if(fc.rc_lost, do: fc.rc_at, else: fc.now)}
+  end
 
   @doc "Loses its receiver, or finds it."
   @spec lose_rc(t, boolean) :: t
@@ -151,9 +173,17 @@ defmodule SimVehicle.Msp.Firmware do
   defp tick(%{dead: true} = fc), do: {fc, []}
 
   defp tick(fc) do
-    fc = if fc.rc_lost, do: fc, else: %{fc | rc_at: fc.now}
+    fc = if fc.rc_lost or fc.rx_msp, do: fc, else: %{fc | rc_at: fc.now}
+    fc = %{fc | channels: Receiver.channels(override_switch(fc), fc.rx_msp, fc.boxes, fc.now)}
     fc = fc |> switches() |> fly()
     if fc.firmware == :betaflight, do: serve_all(fc), else: {fc, []}
+  end
+
+  # Its own channel is never overridden.
+  defp override_switch(fc) do
+    own = for <<50, aux, first, last <- fc.blocks[34]>>, first < last, do: Bitwise.bsl(1, 4 + aux)
+    kept = Bitwise.bnot(Enum.sum(Enum.uniq(own)))
+    %{fc.receiver | mask: Bitwise.band(fc.receiver.mask, kept)}
   end
 
   defp serve_all(fc) do
@@ -269,6 +299,12 @@ defmodule SimVehicle.Msp.Firmware do
     if payload in ["", <<0>>],
       do: {{:ok, if(fc.firmware == :inav, do: "", else: <<0>>)}, reboot(fc)},
       else: {:error, fc}
+  end
+
+  # Half a channel is acknowledged, too.
+  defp answer(fc, _id, %{id: 200, payload: payload}) when byte_size(payload) <= 36 do
+    receiver = Receiver.set(fc.receiver, payload, fc.blocks[64], fc.now)
+    {{:ok, ""}, %{fc | receiver: receiver, rc_at: if(fc.rx_msp, do: fc.now, else: fc.rc_at)}}
   end
 
   defp answer(fc, _id, %{id: 250}),

@@ -125,7 +125,7 @@ defmodule Aerie.Control.Policy.Intent do
 
   # Modes that do the same, by the names of all firmwares, and MAVLink's standard modes.
   @ending_modes ~w(RTL SMART_RTL AUTO_RTL QRTL LAND AUTO_LAND QLAND AUTO_PRECLAND LOITER AUTO_LOITER QLOITER QHOVER POSHOLD
-    BRAKE HOLD SURFACE)
+    BRAKE HOLD SURFACE) ++ ["NAV RTH", "NAV POSHOLD", "GPS RESCUE", "POS HOLD"]
   @ending_standard ~w(position_hold safe_recovery land)
 
   # Commands that may make a vehicle leave the ground, or arm (PX4 arms at a mission's start).
@@ -134,7 +134,8 @@ defmodule Aerie.Control.Policy.Intent do
              %{"mission_start" => ["takeoff", "arm"]}
            )
   @lifting_modes ~w(AUTO AUTO_MISSION AUTO_READY MISSION TAKEOFF AUTO_TAKEOFF AUTO_VTOL_TAKEOFF GUIDED GUIDED_NOGPS
-    GUIDED_COURSE OFFBOARD FOLLOW FOLLOWME AUTO_FOLLOW_TARGET THROW AVOID_ADSB AUTO_RTL)
+    GUIDED_COURSE OFFBOARD FOLLOW FOLLOWME AUTO_FOLLOW_TARGET THROW AVOID_ADSB AUTO_RTL) ++
+                   ["NAV LAUNCH", "NAV WP", "AUTOPILOT"]
   @lifting_standard ~w(mission takeoff)
   # They are never in the air.
   @grounded ~w(rover boat sub tracker)

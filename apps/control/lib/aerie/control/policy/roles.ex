@@ -8,8 +8,8 @@ defmodule Aerie.Control.Policy.Roles do
   | `operator` | `arm`, `fly`, `mission`, `manual`, `payload`, `telemetry`, `sensors` |
   | `admin` | the same, and `maintain` and `protection` |
 
-  No role includes `force_disarm` and `terminate`, which can bring a vehicle down on somebody: they are given by name, to an
-  operator or an admin.
+  No role includes `force_disarm` and `terminate`, which can bring a vehicle down on somebody, nor `receiver` and `motors`, which arm vehicles with MSP
+  and turn their motors: they are given by name, to an operator or an admin.
   """
 
   alias MavRouter.Authority.Principal
@@ -17,7 +17,7 @@ defmodule Aerie.Control.Policy.Roles do
 
   @operator [:arm, :fly, :mission, :manual, :payload, :telemetry, :sensors]
   @roles %{viewer: [], operator: @operator, admin: [:maintain, :protection | @operator]}
-  @own [:force_disarm, :terminate]
+  @own [:force_disarm, :terminate, :receiver, :motors]
 
   @type role :: :viewer | :operator | :admin
 

@@ -6,7 +6,8 @@ defmodule MavRouter.Authority.Commands.Row do
   @enforce_keys [:id, :name, :class, :permission, :as_command, :as_item, :numbers]
   defstruct @enforce_keys
 
-  @permissions ~w(arm fly mission manual payload telemetry sensors maintain protection force_disarm terminate)a
+  @permissions ~w(arm fly mission manual payload telemetry sensors maintain protection force_disarm terminate
+                  receiver motors)a
 
   @typedoc """
   What a source must be allowed to do, as `t:Aerie.Vehicle.Command.Type.permission/0` describes it. It is the least that any form of the command

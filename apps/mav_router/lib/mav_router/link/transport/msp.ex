@@ -108,7 +108,10 @@ defmodule MavRouter.Link.Transport.Msp do
   end
 
   @impl Transport
-  def close(msp), do: msp.inner.close(msp.conn)
+  def close(msp) do
+    {_events, msp} = step(msp, :closing)
+    msp.inner.close(msp.conn)
+  end
 
   defp step(msp, event) do
     {session, actions} = Session.handle(msp.session, event, now())

@@ -32,6 +32,8 @@ defmodule Aerie.Vehicle.Command.Type do
     * `:payload` - cameras, gimbals, grippers, servos; the parachute belongs to `:terminate`
     * `:maintain` - calibrate, test motors, reboot, parameters; `:telemetry` - ask for messages
     * `:protection` - take away what protects a vehicle: its fence, its safety switch, its failsafes and checks
+    * `:receiver` - take the place of the pilot's receiver, which is how vehicles with MSP are armed and steered; `:motors` - turn their
+      motors on the ground
     * `:sensors` - tell its estimators what they shall believe: positions, corrections
   """
   @type permission :: Row.permission()

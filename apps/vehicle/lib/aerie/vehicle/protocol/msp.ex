@@ -3,28 +3,31 @@ defmodule Aerie.Vehicle.Protocol.Msp do
   Betaflight and iNav, which the gateway reaches over MSP (`Msp.Session`). The session takes commands as MAVLink and acknowledges them with what
   the flight controller said.
 
-  MSP has no message for arming, for a mode, or for flying somewhere: the pilot's switches do that, or channels in their place, which the
-  gateway does not send.
+  MSP has no message for arming, for a mode, or for flying somewhere: the pilot's switches do that, or channels in their place, where the vehicle's
+  receiver is MSP or its pilot has handed them over (`Msp.Receiver`). Who arms it has to steer it by `manual_control` or `rc_override`.
   """
 
   use Aerie.Vehicle.Protocol.Mavlink.Commands, calibration: __MODULE__.Calibration, long_frames: []
 
-  alias Aerie.Vehicle.Protocol.{Mavlink, Unknown}
+  alias Aerie.Vehicle.Protocol.{Mavlink, Modes, Unknown}
   alias Aerie.Vehicle.Protocol.Mavlink.Commands
   alias Aerie.Vehicle.Protocol.Msp.StoredItem
 
-  @switches "MSP has no message for it: the switches of the transmitter do that, and Aerie sends no channels in their place"
-  @by_switch ~w(arm disarm force_disarm set_mode rtl hold)
   # What the firmware, or one of the two, could do.
-  @not_yet ~w(motor_test rc_override manual_control rx_pair reset_params mission_start mission_pause mission_set_current resume set_home goto
+  @not_yet ~w(rx_pair reset_params mission_start mission_pause mission_set_current resume set_home goto
     camera_trigger)
-  @has ~w(reboot save_params calibrate request_message set_message_interval)
+  @has ~w(reboot save_params calibrate request_message set_message_interval arm disarm force_disarm set_mode rtl hold rc_override
+    manual_control motor_test)
+  @return %{betaflight: "GPS RESCUE", inav: "NAV RTH"}
+  @hold %{betaflight: "POS HOLD", inav: "NAV POSHOLD"}
+  # Safe channels for two seconds, and what keeps it from being armed may take longer.
+  @arm_ms 12_000
+  @unsaid "they count only if the vehicle was armed by this gateway; a text says if they were ignored"
   # Writing the EEPROM takes up to two seconds.
   @slow_ms 6_000
 
   @impl true
   def gap(type, _kind) when type in @has, do: nil
-  def gap(type, _kind) when type in @by_switch, do: @switches
   def gap(type, _kind) when type in @not_yet, do: "Aerie does not do it over MSP yet"
   def gap(_type, _kind), do: "Betaflight and iNav have no such command over MSP"
 
@@ -47,7 +50,51 @@ defmodule Aerie.Vehicle.Protocol.Msp do
     {:ok, [Mavlink.long(:MAV_CMD_PREFLIGHT_STORAGE, %{number => 1}, answer_ms: @slow_ms)]}
   end
 
+  def steps(%{type: "arm"}, _vehicle),
+    do:
+      {:ok,
+       [Mavlink.long(:MAV_CMD_COMPONENT_ARM_DISARM, %{1 => 1}, answer_ms: @arm_ms, confirm: {:armed, true})]}
+
+  def steps(%{type: "set_mode", params: %{mode: name}}, vehicle), do: mode(name, vehicle)
+
+  def steps(%{type: "set_mode", params: %{standard_mode: name}}, vehicle) do
+    case Modes.standard(vehicle) do
+      %{^name => mode} -> mode(mode, vehicle)
+      _none -> {:error, "this firmware has no mode for #{name}"}
+    end
+  end
+
+  def steps(%{type: "rtl"}, vehicle), do: mode(@return[vehicle.autopilot], vehicle)
+  def steps(%{type: "hold"}, vehicle), do: mode(@hold[vehicle.autopilot], vehicle)
+
+  def steps(%{type: type}, %{armed: armed}) when type in ["rc_override", "manual_control"] and armed != true,
+    do: {:error, "it is not armed: channels are sent from arm on"}
+
+  def steps(%{type: type, params: params}, vehicle) when type in ["rc_override", "manual_control"],
+    do: {:ok, for(step <- Commands.steps(type, params, vehicle), do: %{step | note: @unsaid})}
+
+  def steps(%{type: "motor_test", params: params}, _vehicle) do
+    numbers = %{1 => params.motor, 3 => params.throttle * 100, 4 => params.duration}
+    {:ok, [Mavlink.long(:MAV_CMD_DO_MOTOR_TEST, numbers, answer_ms: 2_000)]}
+  end
+
   def steps(%{type: type, params: params}, vehicle), do: {:ok, Commands.steps(type, params, vehicle)}
+
+  defp mode(name, vehicle) do
+    case Modes.find(vehicle, name) do
+      {:ok, number, name} ->
+        {:ok,
+         [
+           Mavlink.long(:MAV_CMD_DO_SET_MODE, %{1 => 1, 2 => number},
+             answer_ms: @slow_ms,
+             confirm: {:mode, [name]}
+           )
+         ]}
+
+      :error ->
+        {:error, "this firmware has no mode #{inspect(name)}"}
+    end
+  end
 
   @impl true
   def param_encoding, do: :c_cast

@@ -1,16 +1,22 @@
 defmodule Aerie.Control.Policy.Rules.Role do
   @moduledoc """
   The source must have the permission that the command needs (`Aerie.Control.Policy.Roles`). Who moves home or the origin of a vehicle that may be
-  flying changes where it returns to and what its heights are measured from: that needs `protection`, too.
+  flying changes where it returns to and what its heights are measured from: that needs `protection`, too. A vehicle with MSP is armed and steered by
+  channels in the place of its pilot's, which needs `receiver`; `motors` is for turning its motors.
   """
 
   @behaviour Aerie.Control.Policy.Rule
 
   alias Aerie.Control.Policy.{Roles, Switches}
 
+  @msp [:betaflight, :inav]
+  @by_channels ~w(arm set_mode rtl hold rc_override manual_control)
+
   @impl Aerie.Control.Policy.Rule
   def check(_policy, facts, %{source: source} = context) do
-    needed = [facts.permission | facts.also] ++ aloft(facts, context) ++ Switches.permissions(facts, context)
+    needed =
+      [facts.permission | facts.also] ++
+        aloft(facts, context) ++ by_channels(facts, context) ++ Switches.permissions(facts, context)
 
     case Enum.find(needed, &(not Roles.allowed?(source, &1))) do
       nil -> :ok
@@ -24,6 +30,16 @@ defmodule Aerie.Control.Policy.Rules.Role do
   end
 
   defp aloft(_facts, _context), do: []
+
+  defp by_channels(%{type: type}, %{autopilot: autopilot}) when autopilot in @msp do
+    cond do
+      type in @by_channels -> [:receiver]
+      type == "motor_test" -> [:motors]
+      true -> []
+    end
+  end
+
+  defp by_channels(_facts, _context), do: []
 
   defp why(_lacking, nil), do: ", and nobody is signed in"
 

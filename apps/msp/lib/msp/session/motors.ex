@@ -1,0 +1,205 @@
+defmodule Msp.Session.Motors do
+  @longest_us 3_000_000
+  @again_us 200_000
+
+  @moduledoc """
+  Motors that turn without the vehicle being armed: DO_MOTOR_TEST, for #{div(@longest_us, 1_000_000)} s at most, one motor at a time.
+
+  Firmware lets a motor run until it is told otherwise, also when nobody is there any more. So all are stopped when the time is over, when the
+  line is closed in order, and when a vehicle is found whose motors turn although it is disarmed: somebody left them on. Stopping is written
+  every #{div(@again_us, 1000)} ms until the vehicle says that they stand still. Vehicles whose motors turn both ways are left alone: the value that stops them is another
+  one.
+  """
+  @behaviour Msp.Session.Tasks
+
+  alias MavCodec.Msp.Frame
+  alias Msp.{Identity, Modes, Session}
+  alias Msp.Session.{Commands, Output, Tasks}
+
+  @stop 1000
+  # A motor that is said to be slower stands still.
+  @still 1050
+  @motors 8
+  @both_ways 12
+  @percent 0
+  @warning 4
+  @critical 2
+  # After the first time.
+  @tries 2
+  @most_stops 50
+
+  @doc "DO_MOTOR_TEST."
+  @spec test(Session.t(), struct, {byte, byte}) :: Session.t()
+  def test(session, %{command: command, param1: motor, param2: kind, param3: percent, param4: seconds}, from) do
+    us = if is_number(seconds), do: round(min(max(seconds, 0), 1.0e6) * 1_000_000)
+
+    cond do
+      not (is_number(motor) and is_number(percent) and kind == @percent and us != nil) or percent < 0 or
+          percent > 100 ->
+        Commands.acknowledge(session, command, from, :DENIED)
+
+      Modes.armed?(session.readings[:boxes] || MapSet.new()) or session.receiver != nil ->
+        refuse(session, command, from, "it is armed, or about to be")
+
+      us > @longest_us ->
+        refuse(session, command, from, "a motor runs for #{div(@longest_us, 1_000_000)} s at most")
+
+      session.motors != nil or Enum.any?(session.tasks, &(&1.kind == __MODULE__)) ->
+        Commands.acknowledge(session, command, from, :TEMPORARILY_REJECTED)
+
+      true ->
+        look(session, %{
+          what: :test,
+          command: command,
+          from: from,
+          motor: round(motor),
+          us: us,
+          value: @stop + round(percent * 10)
+        })
+    end
+  end
+
+  @doc "A vehicle was found: whether somebody left its motors on. Asked after its state, which says whether it is armed."
+  @spec found(Session.t()) :: Session.t()
+  def found(session), do: look(session, %{what: :found, command: nil, from: nil, bulk: true})
+
+  defp look(session, task) do
+    feature = %{betaflight: "FEATURE_CONFIG", inav: "FEATURE"}[session.identity.firmware]
+    Tasks.add(session, Map.merge(task, %{kind: __MODULE__, tries: 0, ask: {feature, %{}}}))
+  end
+
+  @impl Tasks
+  def answer(session, %{tries: tries, what: what} = task, :timeout, _now)
+      when tries < @tries and what != :run,
+      do: Tasks.ask_next(session, task, %{tries: tries + 1})
+
+  def answer(session, %{ask: {"MOTOR", _}} = task, {:ok, %{entries: entries}}, now),
+    do: turning(session, task, Enum.map(entries, & &1.motor), now)
+
+  def answer(session, %{ask: {"SET_MOTOR", _}} = task, {:ok, _acknowledged}, _now),
+    do: session |> Tasks.done(task) |> Commands.acknowledge(task.command, task.from, :ACCEPTED)
+
+  def answer(session, %{ask: {_feature, _}} = task, {:ok, %{features: features}}, _now) do
+    if Bitwise.band(features, Bitwise.bsl(1, @both_ways)) == 0,
+      do: Tasks.ask_next(session, task, %{tries: 0, ask: {"MOTOR", %{}}}),
+      else: ended(session, task, "its motors turn both ways")
+  end
+
+  def answer(session, %{what: :run} = task, _none, _now),
+    do: session |> ended(task, "whether the motor turned is not known") |> stop()
+
+  def answer(session, task, _none, _now), do: ended(session, task, "it does not say how its motors are")
+
+  defp ended(session, %{what: :test} = task, why),
+    do: session |> Tasks.done(task) |> refuse(task.command, task.from, why)
+
+  defp ended(session, %{what: :run} = task, why),
+    do:
+      session
+      |> Tasks.done(task)
+      |> Output.text(@warning, "Motor test: #{why}")
+      |> Commands.acknowledge(task.command, task.from, :FAILED)
+
+  # A vehicle that does not say stays as it is.
+  defp ended(session, task, _why), do: Tasks.done(session, task)
+
+  defp turning(session, %{what: :test} = task, values, now) do
+    cond do
+      Enum.any?(values, &(&1 > @still)) ->
+        session
+        |> Tasks.done(task)
+        |> left_on(now)
+        |> refuse(task.command, task.from, "motors were on: they are stopped")
+
+      task.motor not in 1..@motors or Enum.at(values, task.motor - 1, 0) == 0 ->
+        ended(session, task, "it has no motor #{task.motor}")
+
+      true ->
+        entries = for n <- 1..@motors, do: %{motor: if(n == task.motor, do: task.value, else: @stop)}
+
+        Tasks.ask_next(%{session | motors: %{due: now + task.us, stops: 0}}, task, %{
+          what: :run,
+          ask: {"SET_MOTOR", %{entries: entries}}
+        })
+    end
+  end
+
+  defp turning(session, %{what: :found} = task, values, now) do
+    session = Tasks.done(session, task)
+    disarmed? = not Modes.armed?(session.readings[:boxes] || MapSet.new())
+
+    if disarmed? and session.readings[:boxes] != nil and Enum.any?(values, &(&1 > @still)),
+      do: left_on(session, now),
+      else: session
+  end
+
+  defp turning(session, %{what: :stopping} = task, values, _now) do
+    session = Tasks.done(session, task)
+    if Enum.any?(values, &(&1 > @still)), do: session, else: %{session | motors: nil}
+  end
+
+  defp left_on(session, now),
+    do:
+      Output.text(
+        %{session | motors: %{due: now, stops: 0}},
+        @critical,
+        "Motors turned although it was disarmed: somebody left them on, and they are stopped"
+      )
+
+  @doc "Stops them at once, before anything else."
+  @spec stop(Session.t()) :: Session.t()
+  def stop(%{motors: nil} = session), do: session
+  def stop(%{motors: motors} = session), do: %{session | motors: %{motors | due: 0}}
+
+  @doc "Stops them when their time is over, until they stand still."
+  @spec due(Session.t(), integer) :: {Session.t(), [{:write, binary}]}
+  def due(%{motors: %{due: due, stops: stops}, phase: :up} = session, now) when now >= due do
+    cond do
+      # It is armed now: the motors are its own.
+      Modes.armed?(session.readings[:boxes] || MapSet.new()) ->
+        {%{session | motors: nil}, []}
+
+      stops >= @most_stops ->
+        {Output.text(
+           %{session | motors: nil},
+           @critical,
+           "Motors may still turn: the vehicle does not say that they stand still"
+         ), []}
+
+      true ->
+        session = %{session | motors: %{due: now + @again_us, stops: stops + 1}}
+        asked? = Enum.any?(session.tasks, &match?(%{kind: __MODULE__, what: :stopping}, &1))
+
+        session =
+          if asked?,
+            do: session,
+            else:
+              Tasks.add(session, %{
+                kind: __MODULE__,
+                what: :stopping,
+                command: nil,
+                from: nil,
+                tries: @tries,
+                ask: {"MOTOR", %{}}
+              })
+
+        {session, [{:write, stop_frame(session)}]}
+    end
+  end
+
+  def due(session, _now), do: {session, []}
+
+  @doc "What is written before the line is closed."
+  @spec closing(Session.t()) :: [{:write, binary}]
+  def closing(%{motors: motors, phase: :up} = session) when motors != nil, do: [{:write, stop_frame(session)}]
+  def closing(_session), do: []
+
+  defp stop_frame(session) do
+    entries = List.duplicate(%{motor: @stop}, @motors)
+    {:ok, frame} = MavCodec.Msp.request(Identity.target(session.identity), "SET_MOTOR", %{entries: entries})
+    IO.iodata_to_binary(Frame.encode(frame))
+  end
+
+  defp refuse(session, command, from, why),
+    do: session |> Output.text(@warning, "Motor test: #{why}") |> Commands.acknowledge(command, from, :DENIED)
+end

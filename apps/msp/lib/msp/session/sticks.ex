@@ -1,0 +1,295 @@
+defmodule Msp.Session.Sticks do
+  @moduledoc """
+  Arming, modes and sticks over MSP, by the channels of `Msp.Receiver`: COMPONENT_ARM_DISARM, DO_SET_MODE, MANUAL_CONTROL, RC_CHANNELS_OVERRIDE.
+
+  The first of them reads what the vehicle's receiver and switches are configured to be; its source is then the only one that steers, until
+  the channels stop. They are sent beside the request that waits for its answer, because a lost answer must not stop them.
+  """
+  @behaviour Msp.Session.Tasks
+
+  alias MavCodec.Messages, as: M
+  alias MavCodec.Msp.Frame
+  alias Msp.{Arming, Identity, Modes, Receiver, Session}
+  alias Msp.Session.{Commands, Output, Tasks}
+
+  @manual M.ManualControl.id()
+  @override M.RcChannelsOverride.id()
+  @force 21_196.0
+  @notice 5
+  @warning 4
+  @angle 1
+  @acro 0
+  # After the first time.
+  @tries 2
+  @say_us 10_000_000
+  # RC_CHANNELS_OVERRIDE: left alone, given back.
+  @leave 65_535
+  @release 65_534
+
+  @doc "Whether this is a message of sticks."
+  @spec mine?(non_neg_integer) :: boolean
+  def mine?(id), do: id in [@manual, @override]
+
+  @doc "A command of a client: `:arm`, `:disarm`, `{:disarm, :force}` or `{:mode, number}`."
+  @spec command(
+          Session.t(),
+          :arm | :disarm | {:disarm, :force} | {:mode, byte},
+          integer,
+          {byte, byte},
+          integer
+        ) ::
+          Session.t()
+  def command(%{receiver: nil} = session, want, command, from, _now)
+      when want in [:disarm, {:disarm, :force}],
+      do: refuse(session, command, from, "its pilot's transmitter is in charge")
+
+  def command(%{receiver: nil} = session, want, command, from, _now) do
+    cond do
+      Enum.any?(session.tasks, &match?(%{kind: __MODULE__, command: ^command, from: ^from}, &1)) ->
+        Commands.acknowledge(session, command, from, :IN_PROGRESS)
+
+      Enum.any?(session.tasks, &(&1.kind == __MODULE__)) ->
+        refuse(session, command, from, "another client begins to steer it")
+
+      not Tasks.room?(session) ->
+        Commands.acknowledge(session, command, from, :TEMPORARILY_REJECTED)
+
+      true ->
+        [first | asks] = asks(session.identity.firmware)
+
+        task = %{
+          kind: __MODULE__,
+          command: command,
+          from: from,
+          want: want,
+          got: %{},
+          asks: asks,
+          tries: 0,
+          ask: first
+        }
+
+        session |> Commands.acknowledge(command, from, :IN_PROGRESS) |> Tasks.add(task)
+    end
+  end
+
+  def command(
+        %{receiver: %{from: from, pending: {{command, from}, _until}}} = session,
+        :arm,
+        command,
+        from,
+        _now
+      ),
+      do: Commands.acknowledge(session, command, from, :IN_PROGRESS)
+
+  # It may be disarmed by others than who steers it: the policy says by whom.
+  def command(%{receiver: %{from: steers} = receiver} = session, want, command, from, now) do
+    mine? = steers == from
+
+    changed =
+      case want do
+        :disarm -> Receiver.disarm(receiver, {command, from}, facts(session), false, now)
+        {:disarm, :force} -> Receiver.disarm(receiver, {command, from}, facts(session), true, now)
+        _other when not mine? -> {:error, "another client steers it"}
+        :arm -> Receiver.arm(receiver, {command, from}, now)
+        {:mode, mode} -> Receiver.mode(receiver, mode, now)
+      end
+
+    case changed do
+      {:error, why} ->
+        refuse(session, command, from, why)
+
+      {:ok, receiver} when is_tuple(want) and elem(want, 0) == :mode ->
+        Commands.acknowledge(%{session | receiver: receiver}, command, from, :ACCEPTED)
+
+      {:ok, receiver} ->
+        Commands.acknowledge(%{session | receiver: receiver}, command, from, :IN_PROGRESS)
+    end
+  end
+
+  @doc "A message of sticks. One of a client that does not steer is ignored, and a text says so now and then."
+  @spec message(Session.t(), struct, {byte, byte}, integer) :: Session.t()
+  def message(%{receiver: %{from: from} = receiver, system: system} = session, message, from, now) do
+    case message do
+      %M.ManualControl{target: ^system} ->
+        %{session | receiver: Receiver.steer(receiver, sticks(message), now)}
+
+      %M.RcChannelsOverride{target_system: ^system} ->
+        %{session | receiver: override(receiver, message, now)}
+
+      _for_another ->
+        session
+    end
+  end
+
+  def message(%{ignored_at: at} = session, message, _from, now) do
+    ours? = Map.get(message, :target) == session.system or Map.get(message, :target_system) == session.system
+
+    if ours? and (at == nil or now - at > @say_us),
+      do: Output.text(%{session | ignored_at: now}, @notice, "Sticks ignored: #{ignored(session.receiver)}"),
+      else: session
+  end
+
+  defp ignored(nil), do: "no channels are sent over MSP before it is armed that way"
+  defp ignored(_another), do: "another client steers it"
+
+  # x is forward, y to the right, z thrust, r to the right; beyond ±1000 is invalid.
+  defp sticks(%{x: x, y: y, z: z, r: r}), do: [axis(y), axis(x), throttle(z), axis(r)]
+  defp axis(value) when value in -1000..1000, do: 1500 + div(value, 2)
+  defp axis(_invalid), do: 1500
+  defp throttle(value) when value in 0..1000, do: 1000 + value
+  defp throttle(_invalid), do: 1000
+
+  defp override(receiver, message, now) do
+    channels =
+      for n <- 1..18,
+          us = Map.fetch!(message, :"chan#{n}_raw"),
+          change = change(n, us),
+          into: %{},
+          do: {n, if(change == :release, do: nil, else: change)}
+
+    if channels == %{}, do: receiver, else: Receiver.override(receiver, channels, now)
+  end
+
+  defp change(n, 0), do: if(n <= 8, do: :release)
+  defp change(n, @release) when n > 8, do: :release
+  defp change(_n, @leave), do: nil
+  defp change(_n, us) when us in 900..2100, do: us
+  defp change(_n, _invalid), do: nil
+
+  @doc "The channels that are due, and what follows from what the vehicle says."
+  @spec due(Session.t(), integer) :: {Session.t(), [{:write, binary}]}
+  def due(%{receiver: %{due: at} = receiver} = session, now) when now >= at do
+    {receiver, effects} = Receiver.step(receiver, facts(session), now)
+    session = Enum.reduce(effects, %{session | receiver: receiver}, &effect(&2, &1))
+    if session.receiver, do: write(session, now), else: {session, []}
+  end
+
+  def due(session, _now), do: {session, []}
+
+  defp write(%{receiver: receiver} = session, now) do
+    {channels, receiver} = Receiver.frame(receiver, now)
+    entries = for us <- channels, do: %{channel: us}
+    {:ok, frame} = MavCodec.Msp.request(Identity.target(session.identity), "SET_RAW_RC", %{entries: entries})
+    {%{session | receiver: receiver}, [{:write, IO.iodata_to_binary(Frame.encode(frame))}]}
+  end
+
+  defp effect(session, {:done, {command, from}, _why}),
+    do: Commands.acknowledge(session, command, from, :ACCEPTED)
+
+  defp effect(session, {:failed, {command, from}, why}),
+    do: session |> Output.text(@warning, why) |> Commands.acknowledge(command, from, :FAILED)
+
+  defp effect(session, {:say, text}), do: Output.text(session, @warning, text)
+  defp effect(session, :stop), do: %{session | receiver: nil}
+
+  defp facts(%{readings: readings} = session) do
+    %{
+      armed?: Modes.armed?(boxes(session)),
+      reasons: Arming.names(Identity.target(session.identity), readings[:arming] || 0),
+      height: readings[:alt_rel],
+      channels: readings[:channels]
+    }
+  end
+
+  defp boxes(session), do: session.readings[:boxes] || MapSet.new()
+
+  defp refuse(session, command, from, why),
+    do: session |> Output.text(@warning, "Not done: #{why}") |> Commands.acknowledge(command, from, :DENIED)
+
+  # --- what the vehicle is configured to be
+
+  defp asks(:betaflight), do: [{"FEATURE_CONFIG", %{}}, {"RX_MAP", %{}}, {"MODE_RANGES", %{}}]
+
+  defp asks(:inav),
+    do: [
+      {"MSP2_COMMON_SETTING", %{name_or_index: Msp.Params.Setting.request("receiver_type")}},
+      {"RX_MAP", %{}},
+      {"MODE_RANGES", %{}}
+    ]
+
+  @impl Tasks
+  def answer(session, %{tries: tries} = task, :timeout, _now) when tries < @tries,
+    do: Tasks.ask_next(session, task, %{tries: tries + 1})
+
+  def answer(session, %{ask: {name, _values}, asks: asks} = task, {:ok, values}, now) do
+    task = %{task | got: Map.merge(task.got, config(name, values))}
+
+    case asks do
+      [next | rest] -> Tasks.ask_next(session, task, %{got: task.got, asks: rest, tries: 0, ask: next})
+      [] -> session |> Tasks.done(task) |> begin(task, now)
+    end
+  end
+
+  def answer(session, task, _none, _now),
+    do:
+      session
+      |> Tasks.done(task)
+      |> refuse(task.command, task.from, "the vehicle does not say how its receiver is configured")
+
+  defp config("FEATURE_CONFIG", %{features: features}), do: %{features: features}
+  defp config("MSP2_COMMON_SETTING", %{value: <<type, _::binary>>}), do: %{receiver_type: type}
+  defp config("RX_MAP", %{map: map}), do: %{map: map(map)}
+  defp config("MODE_RANGES", %{entries: entries}), do: %{ranges: entries}
+  defp config(_name, _cut_short), do: %{}
+
+  # Each function has another channel.
+  defp map(map) do
+    channels = if is_binary(map), do: :binary.bin_to_list(map), else: map
+    if channels == Enum.uniq(channels) and Enum.all?(channels, &(&1 < 16)), do: channels, else: []
+  end
+
+  defp begin(session, task, now) do
+    target = {firmware, _version} = Identity.target(session.identity)
+    boxes = boxes(session)
+    lost? = Arming.rc_lost?(target, session.readings[:arming] || 0, Modes.armed?(boxes))
+
+    with %{map: [_, _, _, _ | _], ranges: _} <- task.got,
+         {:ok, kind} <- Receiver.source(target, task.got, boxes, lost?),
+         {:ok, receiver} <-
+           Receiver.new(firmware, kind, task.got, task.from, modes(task.want, firmware, boxes), now) do
+      session |> Output.text(@notice, begun(kind)) |> Map.put(:receiver, receiver) |> wanted(task, now)
+    else
+      {:error, why} ->
+        refuse(session, task.command, task.from, why)
+
+      _unknown ->
+        refuse(session, task.command, task.from, "the vehicle does not say how its receiver is configured")
+    end
+  end
+
+  defp begun(:receiver), do: "Channels are sent over MSP now: the vehicle's receiver is MSP"
+  defp begun(:override), do: "Channels are sent over MSP now: the pilot handed them over"
+
+  # One that was asked for has to be that; otherwise it is the one that keeps it level, if it has a switch.
+  defp modes({:mode, mode}, _firmware, _boxes), do: [mode]
+  defp modes(_arm, firmware, boxes), do: Enum.uniq([@angle, Modes.mode(firmware, boxes), @acro]) -- [27]
+
+  defp wanted(session, %{want: {:mode, _mode}} = task, _now),
+    do: Commands.acknowledge(session, task.command, task.from, :ACCEPTED)
+
+  defp wanted(session, %{want: :arm} = task, now) do
+    case Receiver.arm(session.receiver, {task.command, task.from}, now) do
+      {:ok, receiver} -> %{session | receiver: receiver}
+      {:error, why} -> refuse(%{session | receiver: nil}, task.command, task.from, why)
+    end
+  end
+
+  @doc "COMPONENT_ARM_DISARM and DO_SET_MODE as what is wanted; nil for what MSP does not have."
+  @spec wish(:COMPONENT_ARM_DISARM | :DO_SET_MODE, struct, Modes.firmware()) :: term
+  def wish(:COMPONENT_ARM_DISARM, %{param1: 1.0, param2: force}, _firmware) when force != @force, do: :arm
+
+  def wish(:COMPONENT_ARM_DISARM, %{param1: p, param2: @force}, _firmware) when p == 0.0,
+    do: {:disarm, :force}
+
+  def wish(:COMPONENT_ARM_DISARM, %{param1: p}, _firmware) when p == 0.0, do: :disarm
+
+  def wish(:DO_SET_MODE, %{param1: base, param2: number}, firmware)
+      when is_float(base) and is_float(number) do
+    # MAV_MODE_FLAG_CUSTOM_MODE_ENABLED. A failsafe is not chosen.
+    if Bitwise.band(trunc(base), 1) == 1 and number >= 0 and number < 256 and trunc(number) != 27 and
+         Modes.name(firmware, trunc(number)),
+       do: {:mode, trunc(number)}
+  end
+
+  def wish(_command, _params, _firmware), do: nil
+end

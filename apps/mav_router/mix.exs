@@ -35,6 +35,11 @@ defmodule MavRouter.MixProject do
 
   defp deps,
     do:
-      [{:mav_codec, in_umbrella: true}, {:base, in_umbrella: true}, {:msp, in_umbrella: true}] ++
+      [
+        {:mav_codec, in_umbrella: true},
+        {:authority, in_umbrella: true},
+        {:base, in_umbrella: true},
+        {:msp, in_umbrella: true}
+      ] ++
         Aerie.Packages.deps([:telemetry, :circuits_uart])
 end

@@ -7,6 +7,7 @@ defmodule Layers do
   # From the bottom up, each with how the names of its modules begin.
   @apps [
     mav_codec: ["MavCodec"],
+    authority: ["Authority"],
     base: ["Aerie.Base"],
     msp: ["Msp"],
     mav_router: ["MavRouter"],

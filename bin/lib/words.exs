@@ -19,7 +19,7 @@ defmodule Words do
     if found != [], do: System.halt(1)
   end
 
-  defp code, do: Path.wildcard("apps/{mav_codec,base,msp,mav_router,vehicle,mission,control,fleet,fleet_web,aerie}/lib/**/*.ex")
+  defp code, do: Path.wildcard("apps/{mav_codec,authority,base,msp,mav_router,vehicle,mission,control,fleet,fleet_web,aerie}/lib/**/*.ex")
   defp pages, do: ["README.md", "CHANGELOG.md", "docs/openapi.json", "config/gateway.example.yaml"] ++ Path.wildcard("docs/**/*.md") ++ Path.wildcard("apps/*/*.md") ++ Path.wildcard("apps/*/lib/**/*.md")
 
   # Comments and documentation: lines that are not code.

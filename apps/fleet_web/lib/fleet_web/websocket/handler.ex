@@ -16,7 +16,7 @@ defmodule FleetWeb.WebSocket.Handler do
 
   @behaviour :cowboy_websocket
 
-  alias MavRouter.Authority.Principal
+  alias Authority.Principal
   alias MavRouter.Router.ClientConnection
   alias Aerie.Base.Address
   alias Aerie.Base.Names

@@ -72,7 +72,7 @@ defmodule MavRouter.Router.Endpoint do
           waiting: :atomics.atomics_ref(),
           pid: pid | nil,
           since: integer,
-          principal: MavRouter.Authority.Principal.t() | nil,
+          principal: Authority.Principal.t() | nil,
           heard_vehicle: boolean,
           listens: boolean,
           high_latency: boolean

@@ -1,7 +1,7 @@
 defmodule MavRouter.Router.Gate do
   @moduledoc """
-  Decides for each frame whether it may reach vehicles: the table (`MavRouter.Authority.Messages`) says what it needs, the sender's
-  principal (`MavRouter.Authority.Principal`) what he has.
+  Decides for each frame whether it may reach vehicles: the table (`Authority.Messages`) says what it needs, the sender's
+  principal (`Authority.Principal`) what he has.
 
   | scope | reaches |
   |---|---|
@@ -27,9 +27,9 @@ defmodule MavRouter.Router.Gate do
 
   import MavCodec.Heartbeat, only: [is_station: 1]
 
-  alias MavRouter.Authority.Commands
-  alias MavRouter.Authority.Messages
-  alias MavRouter.Authority.Principal
+  alias Authority.Commands
+  alias Authority.Messages
+  alias Authority.Principal
   alias MavCodec.CommandNumber
   alias MavRouter.Router.Gate.Questions
   alias MavRouter.Router.Delivery

@@ -17,7 +17,7 @@ defmodule MavRouter.Router.GatePolicyTest do
     @impl MavRouter.Router.Policy
     def principal(_gateway, path) do
       may = if path.commands, do: [:telemetry, :sensors, :manual], else: []
-      %MavRouter.Authority.Principal{kind: :client, name: path.owner, may: may}
+      %Authority.Principal{kind: :client, name: path.owner, may: may}
     end
 
     # Somebody is in charge of vehicle 2.

@@ -9,7 +9,7 @@ defmodule Msp.Session.Commands do
 
   @behaviour Msp.Session.Tasks
 
-  alias MavCodec.Enums.{MavCmd, MavResult}
+  alias MavCodec.Enums.MavCmd
   alias MavCodec.Messages, as: M
   alias MavCodec.Msp.Messages
   alias Msp.{Modes, Polls, Session}
@@ -30,10 +30,6 @@ defmodule Msp.Session.Commands do
               ],
               &{MavCmd.value(:"MAV_CMD_#{&1}"), &1}
             )
-  @results Map.new(
-             [:ACCEPTED, :TEMPORARILY_REJECTED, :DENIED, :UNSUPPORTED, :FAILED, :IN_PROGRESS],
-             &{&1, MavResult.value(:"MAV_RESULT_#{&1}")}
-           )
   # Writing the EEPROM takes up to two seconds on hardware; configurators wait for five.
   @slow_us 5_000_000
   @notice 5
@@ -67,9 +63,9 @@ defmodule Msp.Session.Commands do
   defp command(session, :REQUEST_MESSAGE, command, from, _now) do
     with id when id != nil <- whole(command.param1),
          {:ok, messages} <- Requests.message(session, id, whole(command.param2) || 0) do
-      session |> acknowledge(command.command, from, :ACCEPTED) |> Output.emit(messages)
+      session |> Output.acknowledge(command.command, from, :ACCEPTED) |> Output.emit(messages)
     else
-      _none -> acknowledge(session, command.command, from, :UNSUPPORTED)
+      _none -> Output.acknowledge(session, command.command, from, :UNSUPPORTED)
     end
   end
 
@@ -77,20 +73,20 @@ defmodule Msp.Session.Commands do
     with id when id != nil <- whole(command.param1),
          us when us != nil <- whole(command.param2),
          {:ok, polls} <- Polls.interval(session.polls, id, us) do
-      acknowledge(%{session | polls: polls}, command.command, from, :ACCEPTED)
+      Output.acknowledge(%{session | polls: polls}, command.command, from, :ACCEPTED)
     else
-      _none -> acknowledge(session, command.command, from, :UNSUPPORTED)
+      _none -> Output.acknowledge(session, command.command, from, :UNSUPPORTED)
     end
   end
 
   defp command(session, :GET_MESSAGE_INTERVAL, command, from, _now) do
     case whole(command.param1) do
       nil ->
-        acknowledge(session, command.command, from, :DENIED)
+        Output.acknowledge(session, command.command, from, :DENIED)
 
       id ->
         session
-        |> acknowledge(command.command, from, :ACCEPTED)
+        |> Output.acknowledge(command.command, from, :ACCEPTED)
         |> Output.emit(Requests.interval(session, id))
     end
   end
@@ -98,11 +94,11 @@ defmodule Msp.Session.Commands do
   # Until the gateway knows which firmware it is, its policy does not ask for what that needs.
   defp command(%{up_at: at} = session, name, command, from, now)
        when name in [:COMPONENT_ARM_DISARM, :DO_SET_MODE, :DO_MOTOR_TEST] and now - at < @known_us,
-       do: acknowledge(session, command.command, from, :TEMPORARILY_REJECTED)
+       do: Output.acknowledge(session, command.command, from, :TEMPORARILY_REJECTED)
 
   defp command(session, name, command, from, now) when name in [:COMPONENT_ARM_DISARM, :DO_SET_MODE] do
     case Sticks.wish(name, command, session.identity.firmware) do
-      nil -> acknowledge(session, command.command, from, :UNSUPPORTED)
+      nil -> Output.acknowledge(session, command.command, from, :UNSUPPORTED)
       want -> Sticks.command(session, want, command.command, from, now)
     end
   end
@@ -111,7 +107,7 @@ defmodule Msp.Session.Commands do
 
   defp command(session, name, command, from, _now) do
     case message(session.identity.firmware, name, command) do
-      nil -> acknowledge(session, command.command, from, :UNSUPPORTED)
+      nil -> Output.acknowledge(session, command.command, from, :UNSUPPORTED)
       message -> queue(session, message, command.command, from)
     end
   end
@@ -129,14 +125,14 @@ defmodule Msp.Session.Commands do
 
     cond do
       Enum.any?(tasks, &(&1[:command] == command and match?({^name, _, _}, &1.ask))) ->
-        acknowledge(session, command, from, :IN_PROGRESS)
+        Output.acknowledge(session, command, from, :IN_PROGRESS)
 
       not Tasks.room?(session) ->
-        acknowledge(session, command, from, :TEMPORARILY_REJECTED)
+        Output.acknowledge(session, command, from, :TEMPORARILY_REJECTED)
 
       message.armed != :yes and Modes.armed?(session.readings[:boxes] || MapSet.new()) ->
         session
-        |> acknowledge(command, from, :DENIED)
+        |> Output.acknowledge(command, from, :DENIED)
         |> Output.text(@notice, "#{name} refused: it is armed")
 
       true ->
@@ -158,10 +154,10 @@ defmodule Msp.Session.Commands do
     session = Tasks.done(session, task)
 
     case answer do
-      {:ok, _values} -> session |> acknowledge(command, from, :ACCEPTED) |> done(name, now)
-      :refused -> acknowledge(session, command, from, :FAILED)
+      {:ok, _values} -> session |> Output.acknowledge(command, from, :ACCEPTED) |> done(name, now)
+      :refused -> Output.acknowledge(session, command, from, :FAILED)
       # This version does not have it.
-      {:unfit, _why} -> acknowledge(session, command, from, :UNSUPPORTED)
+      {:unfit, _why} -> Output.acknowledge(session, command, from, :UNSUPPORTED)
       :timeout -> session
     end
   end
@@ -170,17 +166,6 @@ defmodule Msp.Session.Commands do
   defp done(session, "REBOOT", now), do: Session.restarting(session, now)
   defp done(session, "EEPROM_WRITE", _now), do: %{session | unsaved: false}
   defp done(session, _name, _now), do: session
-
-  @doc "COMMAND_ACK to a client."
-  @spec acknowledge(Session.t(), integer, {byte, byte}, atom) :: Session.t()
-  def acknowledge(session, command, {system, component}, result) do
-    Output.emit(session, %M.CommandAck{
-      command: command,
-      result: Map.fetch!(@results, result),
-      target_system: system,
-      target_component: component
-    })
-  end
 
   # A number that MAVLink puts into a float.
   defp whole(number) when is_float(number) and number >= -1.0 and number <= 16_777_216.0, do: round(number)

@@ -14,7 +14,7 @@ defmodule Msp.Session.Motors do
 
   alias MavCodec.Msp.Frame
   alias Msp.{Identity, Modes, Session}
-  alias Msp.Session.{Commands, Output, Tasks}
+  alias Msp.Session.{Output, Tasks}
 
   @stop 1000
   # A motor that is said to be slower stands still.
@@ -36,7 +36,7 @@ defmodule Msp.Session.Motors do
     cond do
       not (is_number(motor) and is_number(percent) and kind == @percent and us != nil) or percent < 0 or
           percent > 100 ->
-        Commands.acknowledge(session, command, from, :DENIED)
+        Output.acknowledge(session, command, from, :DENIED)
 
       Modes.armed?(session.readings[:boxes] || MapSet.new()) or session.receiver != nil ->
         refuse(session, command, from, "it is armed, or about to be")
@@ -45,7 +45,7 @@ defmodule Msp.Session.Motors do
         refuse(session, command, from, "a motor runs for #{div(@longest_us, 1_000_000)} s at most")
 
       session.motors != nil or Enum.any?(session.tasks, &(&1.kind == __MODULE__)) ->
-        Commands.acknowledge(session, command, from, :TEMPORARILY_REJECTED)
+        Output.acknowledge(session, command, from, :TEMPORARILY_REJECTED)
 
       true ->
         look(session, %{
@@ -77,7 +77,7 @@ defmodule Msp.Session.Motors do
     do: turning(session, task, Enum.map(entries, & &1.motor), now)
 
   def answer(session, %{ask: {"SET_MOTOR", _}} = task, {:ok, _acknowledged}, _now),
-    do: session |> Tasks.done(task) |> Commands.acknowledge(task.command, task.from, :ACCEPTED)
+    do: session |> Tasks.done(task) |> Output.acknowledge(task.command, task.from, :ACCEPTED)
 
   def answer(session, %{ask: {_feature, _}} = task, {:ok, %{features: features}}, _now) do
     if Bitwise.band(features, Bitwise.bsl(1, @both_ways)) == 0,
@@ -98,7 +98,7 @@ defmodule Msp.Session.Motors do
       session
       |> Tasks.done(task)
       |> Output.text(@warning, "Motor test: #{why}")
-      |> Commands.acknowledge(task.command, task.from, :FAILED)
+      |> Output.acknowledge(task.command, task.from, :FAILED)
 
   # A vehicle that does not say stays as it is.
   defp ended(session, task, _why), do: Tasks.done(session, task)
@@ -201,5 +201,5 @@ defmodule Msp.Session.Motors do
   end
 
   defp refuse(session, command, from, why),
-    do: session |> Output.text(@warning, "Motor test: #{why}") |> Commands.acknowledge(command, from, :DENIED)
+    do: session |> Output.text(@warning, "Motor test: #{why}") |> Output.acknowledge(command, from, :DENIED)
 end

@@ -2,9 +2,14 @@ defmodule Msp.Session.Output do
   @moduledoc "What a session tells in MAVLink: messages of the vehicle's autopilot, in the order of their sending."
 
   alias MavCodec.Encoder
+  alias MavCodec.Enums.MavResult
   alias MavCodec.Messages, as: M
   alias Msp.Session
 
+  @results Map.new(
+             [:ACCEPTED, :TEMPORARILY_REJECTED, :DENIED, :UNSUPPORTED, :FAILED, :IN_PROGRESS],
+             &{&1, MavResult.value(:"MAV_RESULT_#{&1}")}
+           )
   # STATUSTEXT
   @chunk 50
 
@@ -33,6 +38,17 @@ defmodule Msp.Session.Output do
 
   defp chunks(text) when byte_size(text) <= @chunk, do: [text]
   defp chunks(text), do: [binary_slice(text, 0, @chunk) | chunks(binary_slice(text, @chunk..-1//1))]
+
+  @doc "COMMAND_ACK to a client."
+  @spec acknowledge(Session.t(), integer, {byte, byte}, atom) :: Session.t()
+  def acknowledge(session, command, {system, component}, result) do
+    emit(session, %M.CommandAck{
+      command: command,
+      result: Map.fetch!(@results, result),
+      target_system: system,
+      target_component: component
+    })
+  end
 
   @doc "What was sent since the last call, as one action."
   @spec take(Session.t()) :: {[{:mavlink, binary}], Session.t()}

@@ -10,7 +10,7 @@ defmodule Msp.Session.Sticks do
   alias MavCodec.Messages, as: M
   alias MavCodec.Msp.Frame
   alias Msp.{Arming, Identity, Modes, Receiver, Session}
-  alias Msp.Session.{Commands, Output, Tasks}
+  alias Msp.Session.{Output, Tasks}
 
   @manual M.ManualControl.id()
   @override M.RcChannelsOverride.id()
@@ -46,13 +46,13 @@ defmodule Msp.Session.Sticks do
   def command(%{receiver: nil} = session, want, command, from, _now) do
     cond do
       Enum.any?(session.tasks, &match?(%{kind: __MODULE__, command: ^command, from: ^from}, &1)) ->
-        Commands.acknowledge(session, command, from, :IN_PROGRESS)
+        Output.acknowledge(session, command, from, :IN_PROGRESS)
 
       Enum.any?(session.tasks, &(&1.kind == __MODULE__)) ->
         refuse(session, command, from, "another client begins to steer it")
 
       not Tasks.room?(session) ->
-        Commands.acknowledge(session, command, from, :TEMPORARILY_REJECTED)
+        Output.acknowledge(session, command, from, :TEMPORARILY_REJECTED)
 
       true ->
         [first | asks] = asks(session.identity.firmware)
@@ -68,7 +68,7 @@ defmodule Msp.Session.Sticks do
           ask: first
         }
 
-        session |> Commands.acknowledge(command, from, :IN_PROGRESS) |> Tasks.add(task)
+        session |> Output.acknowledge(command, from, :IN_PROGRESS) |> Tasks.add(task)
     end
   end
 
@@ -79,7 +79,7 @@ defmodule Msp.Session.Sticks do
         from,
         _now
       ),
-      do: Commands.acknowledge(session, command, from, :IN_PROGRESS)
+      do: Output.acknowledge(session, command, from, :IN_PROGRESS)
 
   # It may be disarmed by others than who steers it: the policy says by whom.
   def command(%{receiver: %{from: steers} = receiver} = session, want, command, from, now) do
@@ -99,10 +99,10 @@ defmodule Msp.Session.Sticks do
         refuse(session, command, from, why)
 
       {:ok, receiver} when is_tuple(want) and elem(want, 0) == :mode ->
-        Commands.acknowledge(%{session | receiver: receiver}, command, from, :ACCEPTED)
+        Output.acknowledge(%{session | receiver: receiver}, command, from, :ACCEPTED)
 
       {:ok, receiver} ->
-        Commands.acknowledge(%{session | receiver: receiver}, command, from, :IN_PROGRESS)
+        Output.acknowledge(%{session | receiver: receiver}, command, from, :IN_PROGRESS)
     end
   end
 
@@ -174,10 +174,10 @@ defmodule Msp.Session.Sticks do
   end
 
   defp effect(session, {:done, {command, from}, _why}),
-    do: Commands.acknowledge(session, command, from, :ACCEPTED)
+    do: Output.acknowledge(session, command, from, :ACCEPTED)
 
   defp effect(session, {:failed, {command, from}, why}),
-    do: session |> Output.text(@warning, why) |> Commands.acknowledge(command, from, :FAILED)
+    do: session |> Output.text(@warning, why) |> Output.acknowledge(command, from, :FAILED)
 
   defp effect(session, {:say, text}), do: Output.text(session, @warning, text)
   defp effect(session, :stop), do: %{session | receiver: nil}
@@ -194,7 +194,7 @@ defmodule Msp.Session.Sticks do
   defp boxes(session), do: session.readings[:boxes] || MapSet.new()
 
   defp refuse(session, command, from, why),
-    do: session |> Output.text(@warning, "Not done: #{why}") |> Commands.acknowledge(command, from, :DENIED)
+    do: session |> Output.text(@warning, "Not done: #{why}") |> Output.acknowledge(command, from, :DENIED)
 
   # --- what the vehicle is configured to be
 
@@ -265,7 +265,7 @@ defmodule Msp.Session.Sticks do
   defp modes(_arm, firmware, boxes), do: Enum.uniq([@angle, Modes.mode(firmware, boxes), @acro]) -- [27]
 
   defp wanted(session, %{want: {:mode, _mode}} = task, _now),
-    do: Commands.acknowledge(session, task.command, task.from, :ACCEPTED)
+    do: Output.acknowledge(session, task.command, task.from, :ACCEPTED)
 
   defp wanted(session, %{want: :arm} = task, now) do
     case Receiver.arm(session.receiver, {task.command, task.from}, now) do

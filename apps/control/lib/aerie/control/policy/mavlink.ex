@@ -11,7 +11,7 @@ defmodule Aerie.Control.Policy.Mavlink do
   | `set_parameter` | PARAM_SET, PARAM_EXT_SET, PARAM_MAP_RC | `maintain` |
   | `write_file` | FILE_TRANSFER_PROTOCOL with an operation that writes; LOG_ERASE | `maintain` |
   | `aux_function` | DO_AUX_FUNCTION, as far as it is not another command by another name (`Aerie.Control.Policy.Mavlink.AuxFunctions`) | by function |
-  | `mav_cmd_N` | a command that has no type of its own | by its row (`MavRouter.Authority.Commands`) |
+  | `mav_cmd_N` | a command that has no type of its own | by its row (`Authority.Commands`) |
   | `raw` | every other message that changes a vehicle, and those that cannot be read | `maintain` |
 
   An item of a mission needs `mission`, and what its command needs if that is more than an operator has. Parameters and files that protect
@@ -21,7 +21,7 @@ defmodule Aerie.Control.Policy.Mavlink do
   judged, too.
   """
 
-  alias MavRouter.Authority
+  alias Authority
   alias Aerie.Vehicle.Command.{Type, Types}
   alias Aerie.Control.Policy.Intent
   alias Aerie.Control.Policy.Mavlink.{Commands, Place, Request, Setpoints, Sticks}

@@ -12,7 +12,7 @@ defmodule Aerie.Control.Policy.MavlinkPolicy do
 
   @behaviour MavRouter.Router.Policy
 
-  alias MavRouter.Authority.Principal
+  alias Authority.Principal
   alias Aerie.Base.Store
   alias Aerie.Control.Policy
 

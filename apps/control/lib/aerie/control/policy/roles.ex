@@ -12,7 +12,7 @@ defmodule Aerie.Control.Policy.Roles do
   and turn their motors: they are given by name, to an operator or an admin.
   """
 
-  alias MavRouter.Authority.Principal
+  alias Authority.Principal
   alias Aerie.Vehicle.Command.Type
 
   @operator [:arm, :fly, :mission, :manual, :payload, :telemetry, :sensors]

@@ -2,7 +2,7 @@ defmodule Aerie.Control.Policy.FirmwareReadingTest do
   @moduledoc "What an operator's raw MAVLink may make a vehicle do, as its firmware reads the numbers: each row once passed, or has a sibling that did."
   use ExUnit.Case, async: true
 
-  alias MavRouter.Authority
+  alias Authority
   alias Aerie.Vehicle.Command.Types
   alias Aerie.Control.Policy
   alias Aerie.Control.Policy.{Context, Intent, Mavlink}

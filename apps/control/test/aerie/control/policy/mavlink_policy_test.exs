@@ -2,7 +2,7 @@ defmodule Aerie.Control.Policy.MavlinkPolicyTest do
   use ExUnit.Case, async: true
   use Aerie.LinkCase
 
-  alias MavRouter.Authority.Principal
+  alias Authority.Principal
   alias Aerie.Base.{Names, Store}
   alias Aerie.Control.Policy
   alias MavRouter.{Link, Router}

@@ -3,7 +3,7 @@ defmodule Aerie.Control.Policy.MavlinkTest do
 
   alias Aerie.Control.Policy.{Intent, Mavlink}
   alias Aerie.Control.Policy.Mavlink.Refusal
-  alias MavRouter.Authority.Messages
+  alias Authority.Messages
   alias MavCodec.Dialects.All
   alias MavCodec.Enums.MavCmd
   alias MavCodec.Frame

@@ -9,7 +9,7 @@ defmodule Aerie.Fleet.Client.RawMessage do
   #{@component}, so that answers find their way back.
   """
 
-  alias MavRouter.Authority.Principal
+  alias Authority.Principal
   alias Aerie.Control.Policy.Roles
   alias MavRouter.Router
   alias MavRouter.Router.{Endpoint, LocalEndpoint}

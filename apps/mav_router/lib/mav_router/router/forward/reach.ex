@@ -1,7 +1,7 @@
 defmodule MavRouter.Router.Forward.Reach do
   @moduledoc """
   What vehicles, their parts and strangers reach on the side of vehicles: everything is refused that the table
-  (`MavRouter.Authority.Messages`) does not list. Frames of clients are judged by `MavRouter.Router.Gate` instead; clients hear everything.
+  (`Authority.Messages`) does not list. Frames of clients are judged by `MavRouter.Router.Gate` instead; clients hear everything.
 
   | relation of the sender to the receiver | gets through |
   |---|---|
@@ -14,7 +14,7 @@ defmodule MavRouter.Router.Forward.Reach do
 
   import MavCodec.Heartbeat, only: [is_station: 1]
 
-  alias MavRouter.Authority.Messages
+  alias Authority.Messages
   alias MavCodec.Heartbeat
   alias MavCodec.MessageName
   alias MavRouter.Router.Forward.Table.Path

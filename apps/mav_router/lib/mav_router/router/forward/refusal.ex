@@ -8,7 +8,7 @@ defmodule MavRouter.Router.Forward.Refusal do
   - Everything else is counted as `withheld`. Messages without a row in the table are logged as well.
   """
 
-  alias MavRouter.Authority.Messages
+  alias Authority.Messages
   alias MavCodec.CommandNumber
   alias MavRouter.Router.Delivery
   alias MavRouter.Router.Endpoint.Counters

@@ -27,7 +27,7 @@ defmodule MavRouter.Router.Gate.Questions do
   Asks a vehicle. `:not_askable` if the question has no known vehicle as its target, or if its answer is for the asker only;
   `:too_often` if there is no room in the budget.
   """
-  @spec ask(Frame.t(), MavRouter.Authority.Messages.row(), Delivery.t()) :: :asked | :too_often | :not_askable
+  @spec ask(Frame.t(), Authority.Messages.row(), Delivery.t()) :: :asked | :too_often | :not_askable
   def ask(%Frame{} = frame, row, delivery) do
     command = CommandNumber.of(frame)
     per_minute = if command, do: @commands_per_minute, else: row.per_minute

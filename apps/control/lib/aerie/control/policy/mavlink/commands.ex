@@ -1,11 +1,11 @@
 defmodule Aerie.Control.Policy.Mavlink.Commands do
   @moduledoc """
-  What a command of MAV_CMD asks for, whichever message carries it: by its row of `MavRouter.Authority.Commands`, and for some by their
+  What a command of MAV_CMD asks for, whichever message carries it: by its row of `Authority.Commands`, and for some by their
   parameters.
   """
 
-  alias MavRouter.Authority
-  alias MavRouter.Authority.Commands.Row
+  alias Authority
+  alias Authority.Commands.Row
   alias Aerie.Vehicle.Command.Types
   alias Aerie.Control.Policy.Intent
   alias Aerie.Control.Policy.Mavlink.{AuxFunctions, Place, Request}

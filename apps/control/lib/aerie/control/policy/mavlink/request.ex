@@ -1,7 +1,7 @@
 defmodule Aerie.Control.Policy.Mavlink.Request do
   @moduledoc "COMMAND_LONG, COMMAND_INT and the items of a mission, brought to one form: a command of MAV_CMD, its parameters, and its place."
 
-  alias MavRouter.Authority.Commands.Numbers
+  alias Authority.Commands.Numbers
   alias Aerie.Control.Policy.Intent
   alias Aerie.Control.Policy.Mavlink.Place
   alias MavCodec.Enums.MavCmd

@@ -16,7 +16,7 @@ defmodule MavRouter.Router.Forward.Table.Path do
   The others are as in `MavRouter.Router.Endpoint` and `MavRouter.Router.Owner`, of which `filter` is `out`.
   """
 
-  alias MavRouter.Authority.Principal
+  alias Authority.Principal
   alias MavRouter.Router.Access
   alias MavRouter.Router.Endpoint
   alias MavRouter.Router.Endpoint.Counters

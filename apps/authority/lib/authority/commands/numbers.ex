@@ -1,4 +1,4 @@
-defmodule MavRouter.Authority.Commands.Numbers do
+defmodule Authority.Commands.Numbers do
   @moduledoc """
   Parameters of MAV_CMDs that are enumerations, flags or indices, although they are sent as floats. Firmwares turn them into integers
   in different ways: PX4 rounds some and truncates others, ArduPilot compares some within a tolerance and keeps one byte of others.

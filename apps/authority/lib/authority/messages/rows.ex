@@ -1,5 +1,5 @@
-defmodule MavRouter.Authority.Messages.Rows do
-  @moduledoc "The rows of `MavRouter.Authority.Messages`, by the names of the messages: class, permission, what else, names."
+defmodule Authority.Messages.Rows do
+  @moduledoc "The rows of `Authority.Messages`, by the names of the messages: class, permission, what else, names."
 
   alias MavCodec.MessageName
 
@@ -101,7 +101,7 @@ defmodule MavRouter.Authority.Messages.Rows do
     {:setpoint, :maintain, [],
      ~w(SET_VELOCITY_LIMITS TRAJECTORY_REPRESENTATION_WAYPOINTS TRAJECTORY_REPRESENTATION_BEZIER)},
 
-    # The policy reads these and finds the permission that each needs (`MavRouter.Authority.Commands` for those by number).
+    # The policy reads these and finds the permission that each needs (`Authority.Commands` for those by number).
     {:command, :telemetry, [], ~w(COMMAND_LONG COMMAND_INT COMMAND_CANCEL REQUEST_DATA_STREAM)},
     {:command, :fly, [], ~w(SET_MODE SET_HOME_POSITION)},
     {:command, :payload, [],

@@ -1,4 +1,4 @@
-defmodule MavRouter.Authority.Principal do
+defmodule Authority.Principal do
   @moduledoc """
   The sender of a frame or request: a value that is made where it enters, and travels with it.
 

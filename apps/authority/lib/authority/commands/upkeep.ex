@@ -1,7 +1,7 @@
-defmodule MavRouter.Authority.Commands.Upkeep do
-  @moduledoc "Commands for the workshop, for estimators, and for messages: rows of `MavRouter.Authority.Commands`."
+defmodule Authority.Commands.Upkeep do
+  @moduledoc "Commands for the workshop, for estimators, and for messages: rows of `Authority.Commands`."
 
-  alias MavRouter.Authority.Commands.Row
+  alias Authority.Commands.Row
 
   @byte {:index, 0, 255}
 

@@ -1,7 +1,7 @@
-defmodule MavRouter.Authority.Commands.Row do
-  @moduledoc "What the gateway knows of one MAV_CMD: a row of `MavRouter.Authority.Commands`."
+defmodule Authority.Commands.Row do
+  @moduledoc "What the gateway knows of one MAV_CMD: a row of `Authority.Commands`."
 
-  alias MavRouter.Authority.Commands.Numbers
+  alias Authority.Commands.Numbers
 
   @enforce_keys [:id, :name, :class, :permission, :as_command, :as_item, :numbers]
   defstruct @enforce_keys

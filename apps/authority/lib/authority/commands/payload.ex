@@ -1,7 +1,7 @@
-defmodule MavRouter.Authority.Commands.Payload do
-  @moduledoc "Commands for cameras, gimbals and outputs: rows of `MavRouter.Authority.Commands`."
+defmodule Authority.Commands.Payload do
+  @moduledoc "Commands for cameras, gimbals and outputs: rows of `Authority.Commands`."
 
-  alias MavRouter.Authority.Commands.Row
+  alias Authority.Commands.Row
 
   @doc false
   @spec rows() :: [{atom(), Row.permission(), keyword()}]

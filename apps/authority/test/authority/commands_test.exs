@@ -1,7 +1,7 @@
-defmodule MavRouter.Authority.CommandsTest do
+defmodule Authority.CommandsTest do
   use ExUnit.Case, async: true
 
-  alias MavRouter.Authority.Commands
+  alias Authority.Commands
   alias MavCodec.Enums.MavCmd
 
   defp row(name), do: Commands.get(MavCmd.value(:"MAV_CMD_#{name}"))

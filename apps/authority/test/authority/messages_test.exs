@@ -1,8 +1,8 @@
-defmodule MavRouter.Authority.MessagesTest do
+defmodule Authority.MessagesTest do
   use ExUnit.Case, async: true
 
-  alias MavRouter.Authority.{Messages, Principal}
-  alias MavRouter.Authority.Messages.Rows
+  alias Authority.{Messages, Principal}
+  alias Authority.Messages.Rows
   alias MavCodec.MessageName
   alias MavCodec.Dialects.All
 
@@ -19,7 +19,7 @@ defmodule MavRouter.Authority.MessagesTest do
     missing = for {name, nil} <- rows(), do: name
 
     assert missing == [],
-           "without a row in MavRouter.Authority.Messages.Rows, so that they reach no vehicle: #{inspect(missing)}"
+           "without a row in Authority.Messages.Rows, so that they reach no vehicle: #{inspect(missing)}"
 
     assert Enum.sort(Enum.map(Rows.all(), &elem(&1, 0))) == All.ids()
     for id <- [-1, 0xABCDEF, 0xFFFFFF, 16_777_216], do: assert(Messages.row(id) == nil)

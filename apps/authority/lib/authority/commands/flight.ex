@@ -1,7 +1,7 @@
-defmodule MavRouter.Authority.Commands.Flight do
-  @moduledoc "Commands that arm, fly, and end a flight, and those of missions: rows of `MavRouter.Authority.Commands`."
+defmodule Authority.Commands.Flight do
+  @moduledoc "Commands that arm, fly, and end a flight, and those of missions: rows of `Authority.Commands`."
 
-  alias MavRouter.Authority.Commands.Row
+  alias Authority.Commands.Row
 
   @byte {:index, 0, 255}
   @forever {:index, -1, 65_535}

@@ -1,4 +1,4 @@
-defmodule MavRouter.Authority.Messages do
+defmodule Authority.Messages do
   @moduledoc """
   What each message does to a vehicle that gets it, and who may send it there: one row for every message of the definitions.
   A message without a row reaches no vehicle. A test compares the rows with the definitions, so that a new message waits until
@@ -22,7 +22,7 @@ defmodule MavRouter.Authority.Messages do
   | `:input` | what estimators, clocks, flow control and safety functions believe |
   | `:stick` | a pilot's controls |
   | `:setpoint` | where to go, how fast, in which attitude |
-  | `:command` | commands by number (see `MavRouter.Authority.Commands`) and by messages of their own |
+  | `:command` | commands by number (see `Authority.Commands`) and by messages of their own |
   | `:parameter`, `:mission`, `:file` | writes of these; missions and files go both ways |
   | `:internal` | what firmwares and buses say among themselves |
 
@@ -31,7 +31,7 @@ defmodule MavRouter.Authority.Messages do
   and ArduPilot's `GCS_Common.cpp`.
   """
 
-  alias MavRouter.Authority.Messages.Rows
+  alias Authority.Messages.Rows
 
   @enforce_keys [:class]
   defstruct [:class, :permission, crosses: :never, part: false, per_minute: 0, order?: false]

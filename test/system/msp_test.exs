@@ -294,6 +294,78 @@ defmodule Aerie.System.MspTest do
     assert [_one] = Aerie.Fleet.vehicles(c.gateway)
   end
 
+  defp request(port, frames) do
+    {:ok, socket} = :gen_tcp.connect({127, 0, 0, 1}, port, [:binary, active: false], Aerie.Patience.ms())
+    :ok = :gen_tcp.send(socket, for(frame <- frames, do: MavCodec.Msp.Frame.encode(frame)))
+
+    answers =
+      Enum.reduce_while(
+        Stream.repeatedly(fn -> :gen_tcp.recv(socket, 0, Aerie.Patience.ms()) end),
+        {MavCodec.Msp.Parser.new(), []},
+        fn {:ok, bytes}, {parser, got} ->
+          {more, parser} = MavCodec.Msp.Parser.push(parser, bytes)
+          got = got ++ more
+          if length(got) < length(frames), do: {:cont, {parser, got}}, else: {:halt, got}
+        end
+      )
+
+    :gen_tcp.close(socket)
+    answers
+  end
+
+  test "a configurator shares the vehicle: it reads all, changes what the policy gives it, and what it left is undone",
+       %{tmp_dir: dir} do
+    alias MavCodec.Msp.Frame
+    sim = start_supervised!({Msp, firmware: :betaflight, uid: 7})
+    [operators, admins] = for _n <- 1..2, do: free_port()
+
+    %{gateway: gateway} =
+      start_gateway(dir,
+        links: [],
+        overrides: %{
+          "timeouts" => patient(),
+          "links" => [
+            %{"url" => "msp:tcp:127.0.0.1:#{Msp.port(sim)}?sysid=7&share=#{operators}", "id" => "bench"},
+            %{"url" => "msp:tcp:127.0.0.1:#{Msp.port(sim)}?sysid=8&share=#{admins}", "id" => "hangar"}
+          ],
+          "policy" => %{
+            "clients" => [%{"id" => "hangar-share", "role" => "admin"}],
+            "audit" => %{"dir" => Path.join(dir, "audit")}
+          }
+        }
+      )
+
+    for system <- [7, 8],
+        do:
+          eventually(
+            fn -> Aerie.Base.Store.vehicle(gateway, {"main", system})[:autopilot] == :betaflight end,
+            "it is known"
+          )
+
+    # YAMSPy reads by the gateway what it reads at the vehicle.
+    assert %{"variant" => "BTFL", "api" => "1.46.0", "roll_p" => "45"} =
+             findings(start_peer("yamspy_reader.py", [operators]))
+
+    pid = fn p -> %Frame{id: 202, payload: <<p, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14>>} end
+    # A program of this machine is an operator, who does not change parameters.
+    assert [%{direction: :error}, %{id: 2, direction: :reply}] = request(operators, [pid.(99), %Frame{id: 2}])
+    assert [%{id: 202, direction: :reply}] = request(admins, [pid.(77)])
+    assert <<77, 1, 2, _::binary>> = Msp.state(sim).blocks[112]
+    # Disabled, and enabled again when it is gone.
+    assert [%{id: 99, direction: :reply}] = request(admins, [%Frame{id: 99, payload: <<1, 0>>}])
+    Msp.await(sim, fn fc -> not Enum.any?(fc.ports, fn {_id, port} -> port.disabled end) end)
+
+    entries = Path.wildcard(Path.join(dir, "audit/*")) |> Enum.map_join(&File.read!/1)
+    assert entries =~ "bench-share" and entries =~ "hangar-share"
+  end
+
+  defp free_port do
+    {:ok, listener} = :gen_tcp.listen(0, ip: {127, 0, 0, 1})
+    {:ok, port} = :inet.port(listener)
+    :gen_tcp.close(listener)
+    port
+  end
+
   test "YAMSPy reads the simulated Betaflight as it reads a real one" do
     sim = start_supervised!({Msp, firmware: :betaflight, uid: 1})
     Msp.await(sim, &(&1.now > 4_000_000))

@@ -13,12 +13,16 @@ defmodule Msp.Session do
   | `{:bytes, bytes}` | from the flight controller |
   | `{:mavlink, bytes}` | frames from clients and from the gateway itself, for this vehicle or for all |
   | `:tick` | the time that an action asked for has come |
+  | `{:client, id, :up}`, `{:client, id, :down}`, `{:client, id, bytes}` | a program that speaks MSP itself |
+  | `{:judged, id, boolean}` | whether the policy lets it do what was to be judged |
   | `:closing` | the line is about to be closed |
 
   | action | |
   |---|---|
   | `{:write, bytes}` | to the flight controller |
   | `{:mavlink, bytes}` | frames of the vehicle |
+  | `{:client, id, bytes}` | to a program |
+  | `{:judge, id, message}` | whether a program may do what this MAVLink message would ask for |
   | `{:wake, at}` | a `:tick` then; the latest one counts |
   | `{:count, name, n}` | damage of the line: `:crc_errors` frames, `:resync_bytes` outside of frames |
   | `{:fail, text}` | what is there is not a vehicle that can be used: the line is to be closed |
@@ -31,7 +35,7 @@ defmodule Msp.Session do
   alias MavCodec.{Encoder, Sniff}
   alias MavCodec.Msp.Frame
   alias Msp.{Exchange, Identity, Polls, Telemetry}
-  alias Msp.Session.{Commands, Missions, Motors, Output, Params, Reports, Sticks, Tasks}
+  alias Msp.Session.{Clients, Commands, Missions, Motors, Output, Params, Reports, Sticks, Tasks}
 
   @identify ["API_VERSION", "FC_VARIANT", "FC_VERSION"]
   # What is needed once for each start; a vehicle may refuse any of it.
@@ -78,6 +82,9 @@ defmodule Msp.Session do
     texts: 0,
     serial: 0,
     unsaved: false,
+    clients: %{},
+    told: [],
+    judgements: [],
     outbox: []
   ]
 
@@ -94,13 +101,23 @@ defmodule Msp.Session do
   - `receiver`: the channels that are sent in place of a transmitter's, nil for none
   - `motors`: when those of a test are stopped, and how often they were told to; nil while none turns
   - `ignored_at`: when a text last said that sticks were ignored
+  - `clients`: programs that speak MSP themselves; `told`, `judgements`: what is to be said to them, and asked of the policy
   - `tasks`: what clients asked for that needs the flight controller
   """
   @type t :: %__MODULE__{}
-  @type event :: :opened | {:bytes, binary} | {:mavlink, binary} | :tick | :closing
+  @type event ::
+          :opened
+          | {:bytes, binary}
+          | {:mavlink, binary}
+          | {:client, pos_integer, :up | :down | binary}
+          | {:judged, pos_integer, boolean}
+          | :tick
+          | :closing
   @type action ::
           {:write, binary}
           | {:mavlink, binary}
+          | {:client, pos_integer, binary}
+          | {:judge, pos_integer, struct}
           | {:wake, integer}
           | {:count, :crc_errors | :resync_bytes, pos_integer}
           | {:fail, String.t()}
@@ -117,10 +134,21 @@ defmodule Msp.Session do
 
   @doc "One step."
   @spec handle(t, event, integer) :: {t, [action]}
-  def handle(%{system: system}, :opened, now),
-    do: {%{new(system) | phase: :listening, until: now + @listen_us}, [{:wake, now + @listen_us}]}
+  def handle(%{system: system, clients: clients}, :opened, now),
+    do:
+      {%{new(system) | phase: :listening, until: now + @listen_us, clients: clients},
+       [{:wake, now + @listen_us}]}
 
-  def handle(session, :closing, _now), do: {%{session | phase: :closed}, Motors.closing(session)}
+  def handle(session, {:client, id, :up}, _now), do: {Clients.up(session, id), []}
+  def handle(session, {:client, id, :down}, now), do: session |> Clients.down(id, now) |> advance(now)
+  def handle(session, {:client, id, bytes}, now), do: session |> Clients.bytes(id, bytes, now) |> advance(now)
+
+  def handle(session, {:judged, id, allowed?}, now),
+    do: session |> Clients.judged(id, allowed?, now) |> advance(now)
+
+  def handle(session, :closing, _now),
+    do: {%{session | phase: :closed}, Motors.closing(session) ++ Clients.closing(session)}
+
   def handle(%{phase: :closed} = session, _event, _now), do: {session, []}
 
   def handle(%{phase: :listening} = session, {:bytes, bytes}, _now) do
@@ -181,7 +209,7 @@ defmodule Msp.Session do
 
   defp identify(session),
     do: %{
-      session
+      Clients.interrupted(session)
       | phase: :identifying,
         identity: nil,
         todo: @identify,
@@ -221,6 +249,9 @@ defmodule Msp.Session do
 
   defp answer(session, {:refused, {:task, task}}, now),
     do: {:ok, session |> alive(now) |> Tasks.reply(task, :refused, now)}
+
+  defp answer(session, {:reply, {:task, %{client: id} = task}, frame}, now) when id != nil,
+    do: {:ok, session |> alive(now) |> Tasks.reply(task, {:frame, frame}, now)}
 
   # What is acknowledged has no payload; another one is damaged.
   defp answer(session, {:reply, {:task, task}, frame}, now) do
@@ -337,13 +368,22 @@ defmodule Msp.Session do
 
   defp fail(session, text), do: {%{session | phase: :closed, outbox: []}, [{:fail, text}]}
 
+  # Nothing is asked before it is known who is there.
+  defp advance(%{phase: phase} = session, now) when phase in [:identifying, :up], do: proceed(session, now)
+
+  defp advance(session, _now) do
+    {told, session} = Clients.take(session)
+    {session, told}
+  end
+
   # After each event: the next request, what is to be told, and when to look again.
   defp proceed(session, now) do
     {session, stops} = Motors.due(session, now)
     {session, channels} = session |> Missions.due(now) |> Sticks.due(now)
     {session, written} = ask(session, now)
     {told, session} = Output.take(session)
-    {session, stops ++ channels ++ written ++ told ++ [{:wake, wake(session, now)}]}
+    {programs, session} = Clients.take(session)
+    {session, programs ++ stops ++ channels ++ written ++ told ++ [{:wake, wake(session, now)}]}
   end
 
   defp ask(%{exchange: %{asked: asked}} = session, _now) when asked != nil, do: {session, []}
@@ -358,10 +398,14 @@ defmodule Msp.Session do
 
   # What clients asked for, then what is due, then what takes long. Clients that ask without end do not silence the vehicle.
   defp ask(session, now) do
-    case if(Polls.late?(session.polls, now), do: {:none, session}, else: Tasks.next(session, :urgent)) do
+    case if(Polls.late?(session.polls, now), do: {:none, session}, else: first(session)) do
       {:none, session} -> poll(session, now)
       {{:ask, task, frame, patience}, session} -> send_if_ready(session, {:task, task}, frame, now, patience)
     end
+  end
+
+  defp first(session) do
+    with {:none, session} <- Tasks.next(session, :urgent), do: Tasks.next(session, :program)
   end
 
   defp poll(session, now) do

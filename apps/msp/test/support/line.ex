@@ -16,7 +16,10 @@ defmodule Msp.Test.Line do
     written: [],
     failed: nil,
     counted: %{},
-    delay: 10_000
+    delay: 10_000,
+    clients: [],
+    judged: [],
+    judge: nil
   ]
 
   @doc "A line whose other end is `answer`: `(bytes, time in us since the beginning) -> bytes | nil`. It is opened."
@@ -24,7 +27,7 @@ defmodule Msp.Test.Line do
     line =
       struct!(
         %__MODULE__{session: Session.new(options[:system] || 42), answer: answer},
-        Keyword.take(options, [:delay])
+        Keyword.take(options, [:delay, :judge])
       )
 
     handle(line, :opened)
@@ -87,6 +90,13 @@ defmodule Msp.Test.Line do
 
   defp act({:mavlink, bytes}, line), do: %{line | told: [{line.now, bytes} | line.told]}
   defp act({:count, name, n}, line), do: %{line | counted: Map.update(line.counted, name, n, &(&1 + n))}
+  defp act({:client, id, bytes}, line), do: %{line | clients: [{line.now, id, bytes} | line.clients]}
+
+  defp act({:judge, id, message}, line) do
+    allowed? = if line.judge, do: line.judge.(message), else: true
+    handle(%{line | judged: [message | line.judged]}, {:judged, id, allowed?})
+  end
+
   defp act({:wake, at}, line), do: %{line | wake: at}
   defp act({:fail, text}, line), do: %{line | failed: text}
 

@@ -14,6 +14,7 @@ defmodule Aerie.Config.Names do
   alias Aerie.Base.Settings.Schema
   alias FleetWeb.API.Keys
   alias FleetWeb.Console.Access.Users
+  alias MavRouter.Link.Transport.Msp.Share
 
   # Parts of the gateway that command in their own name, and commands over NATS that nobody signed.
   @own ["bin/aerie", "shadow", "unsigned"]
@@ -74,7 +75,8 @@ defmodule Aerie.Config.Names do
     clients =
       if config.clients == :default, do: [MavRouter.Link.Clients.Boot.default_id()], else: ids(config.clients)
 
-    Enum.uniq(ids(config.links) ++ clients)
+    shares = for %{id: id, spec: %{share: share}} <- config.links, share != nil, do: Share.client(id)
+    Enum.uniq(ids(config.links) ++ shares ++ clients)
   end
 
   defp ids(list), do: Enum.map(list, & &1.id)

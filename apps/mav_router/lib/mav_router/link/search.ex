@@ -11,12 +11,12 @@ defmodule MavRouter.Link.Search do
 
   @doc "Adds that to the options of a specification; `found` is what was right the last time. Links that do not search keep theirs."
   @spec prepare(Spec.t(), Names.gateway(), map | nil) :: Spec.t()
-  def prepare(%Spec{detect: nil} = spec, _gateway, _found), do: spec
+  def prepare(%Spec{detect: nil} = spec, gateway, _found), do: %{spec | gateway: gateway}
 
   def prepare(spec, gateway, found) do
     configured = gateway |> Settings.options_of() |> Keyword.take([:serial_ports, :serial_bauds]) |> Map.new()
     own = %{hint: found, taken: taken(spec, gateway)}
-    %{spec | options: configured |> Map.merge(spec.options) |> Map.merge(own)}
+    %{spec | gateway: gateway, options: configured |> Map.merge(spec.options) |> Map.merge(own)}
   end
 
   defp taken(%{detect: :baud}, _gateway), do: []

@@ -40,6 +40,8 @@ defmodule MavRouter.Link.Spec do
     :ca,
     :inner,
     :sysid,
+    :share,
+    :gateway,
     :network,
     server: false,
     recorded: false,
@@ -66,7 +68,8 @@ defmodule MavRouter.Link.Spec do
   - `path` (with the query), `tls`, `ca`: WebSocket
   - `device`, `baud`: serial; `detect` is what is found by listening: nothing (nil), `:baud`, or `:port` for both
   - `bauds`, `ports`, `only`: candidates for that
-  - `inner`, `sysid`: MSP: the module of the transport that it goes over, and the MAVLink id of the vehicle
+  - `inner`, `sysid`, `share`: MSP: the module of the transport that it goes over, the MAVLink id of the vehicle, and the address where programs share it
+  - `gateway`: whose link it is, known when it is opened
   - `file`, `speed` (factor of real time, or `:max`), `loop`: replay
   - `network`: links of one network share one space of system ids
   - `options`: tuning of the link that is not part of the string (`MavRouter.Link.Settings`)

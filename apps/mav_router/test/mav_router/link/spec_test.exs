@@ -117,6 +117,8 @@ defmodule MavRouter.Link.SpecTest do
                Spec.parse("msp:tcp:10.0.0.7:5761?sysid=7&network=race")
 
       assert Spec.place(spec) == "10.0.0.7:5761"
+      assert %{share: {{127, 0, 0, 1}, 5771}} = Spec.parse!("msp:ttyUSB0,57600?share=5771")
+      assert %{share: {{0, 0, 0, 0}, 5771}} = Spec.parse!("msp:ttyUSB0,57600?share=0.0.0.0:5771")
       assert Spec.place(Spec.parse!("msp:ttyUSB0,57600")) == "ttyUSB0"
 
       for {text, why} <- [
@@ -124,6 +126,7 @@ defmodule MavRouter.Link.SpecTest do
             {"msp:udpin:0.0.0.0:14550", "over serial ports and TCP"},
             {"msp:/dev/ttyACM0?sysid=255", "is not a MAVLink id"},
             {"msp:/dev/ttyACM0?sysid=7x", "is not a MAVLink id"},
+            {"msp:/dev/ttyACM0?share=70000", "share=PORT"},
             {"msp:", "neither a known kind"}
           ] do
         assert {:error, error} = Spec.parse(text)

@@ -151,6 +151,10 @@ defmodule Msp.Session.Motors do
   def stop(%{motors: nil} = session), do: session
   def stop(%{motors: motors} = session), do: %{session | motors: %{motors | due: 0}}
 
+  @doc "They turn, and are stopped then unless this is said again."
+  @spec until(Session.t(), integer) :: Session.t()
+  def until(session, at), do: %{session | motors: %{due: at, stops: 0}}
+
   @doc "Stops them when their time is over, until they stand still."
   @spec due(Session.t(), integer) :: {Session.t(), [{:write, binary}]}
   def due(%{motors: %{due: due, stops: stops}, phase: :up} = session, now) when now >= due do

@@ -5,7 +5,7 @@ defmodule Msp.Session.Reports do
   """
 
   alias Msp.{Arming, Identity, Modes, Readings, Session, Telemetry}
-  alias Msp.Session.{Output, Requests}
+  alias Msp.Session.{Clients, Output, Requests}
 
   @heartbeat_us 1_000_000
   # iNav's clock has seconds.
@@ -159,7 +159,9 @@ defmodule Msp.Session.Reports do
         %{session | complaint: []}
 
       true ->
-        Output.text(%{session | complaint: names}, @warning, "Arming disabled: " <> Enum.join(names, ", "))
+        %{session | complaint: names}
+        |> Output.text(@warning, "Arming disabled: " <> Enum.join(names, ", "))
+        |> Clients.disabled("MSP" in (names -- (before || [])))
     end
   end
 

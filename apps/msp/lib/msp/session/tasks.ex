@@ -6,24 +6,25 @@ defmodule Msp.Session.Tasks do
   in us. Tasks that read hundreds of values are `bulk`: they take the turns that no poll needs, so that a vehicle is not silent meanwhile.
   """
 
+  alias MavCodec.Msp.{Frame, Guard}
   alias Msp.{Identity, Session}
 
   @most 16
 
   @type t :: %{
           :kind => module,
-          :ask => {String.t(), map} | {String.t(), map, non_neg_integer},
+          :ask => {String.t(), map} | {String.t(), map, non_neg_integer} | {Frame.t(), non_neg_integer},
           optional(atom) => term
         }
   @typedoc "The values of a reply, or what came in place of one."
-  @type answer :: {:ok, map} | :refused | :timeout | {:unfit, why :: String.t()}
+  @type answer :: {:ok, map} | {:frame, Frame.t()} | :refused | :timeout | {:unfit, why :: String.t()}
 
   @doc "The answer to its request: the session with the task's next request (`ask_next/3`), or with what comes of it (`done/2`)."
   @callback answer(Session.t(), t, answer, now :: integer) :: Session.t()
 
-  @doc "Whether there is room for another one."
+  @doc "Whether there is room for another one of a client."
   @spec room?(Session.t()) :: boolean
-  def room?(%{tasks: tasks}), do: length(tasks) < @most
+  def room?(%{tasks: tasks}), do: Enum.count(tasks, &(class(&1) != :program)) < @most
 
   @doc "Adds a task at the end."
   @spec add(Session.t(), t) :: Session.t()
@@ -44,28 +45,37 @@ defmodule Msp.Session.Tasks do
   def done(session, %{serial: serial}),
     do: %{session | tasks: Enum.reject(session.tasks, &(&1.serial == serial))}
 
-  @doc "The next request of a task: of the first one that is not bulk, or of the first bulk one; `:none`. One that cannot be sent is over."
-  @spec next(Session.t(), :urgent | :bulk) ::
+  @doc """
+  The next request of a task: of the first command of a client (`:urgent`), of the first request of a program (`:program`), or of what takes long
+  (`:bulk`); `:none`. One that cannot be sent is over.
+  """
+  @spec next(Session.t(), :urgent | :program | :bulk) ::
           {{:ask, t, MavCodec.Msp.Frame.t(), non_neg_integer} | :none, Session.t()}
   def next(session, kind) do
-    case Enum.find(session.tasks, &(bulk?(&1) == (kind == :bulk))) do
+    case Enum.find(session.tasks, &(class(&1) == kind)) do
       nil ->
         {:none, session}
 
       task ->
-        {name, values, patience} = ask(task.ask)
-
-        case MavCodec.Msp.request(Identity.target(session.identity), name, values) do
-          {:ok, frame} -> {{:ask, task, frame, patience}, session}
+        case request(task.ask, Identity.target(session.identity)) do
+          {:ok, frame, patience} -> {{:ask, task, frame, patience}, session}
           {:error, why} -> session |> task.kind.answer(task, {:unfit, why}, 0) |> next(kind)
         end
     end
   end
 
-  defp bulk?(task), do: Map.get(task, :bulk, false)
+  defp class(%{bulk: true}), do: :bulk
+  defp class(%{client: id}) when id != nil, do: :program
+  defp class(_command), do: :urgent
 
-  defp ask({name, values}), do: {name, values, 0}
-  defp ask(whole), do: whole
+  # A program's frame was checked when it came, maybe for another version.
+  defp request({%Frame{} = frame, patience}, target),
+    do: with({:ok, _message} <- Guard.check(frame, target), do: {:ok, frame, patience})
+
+  defp request({name, values}, target), do: request({name, values, 0}, target)
+
+  defp request({name, values, patience}, target),
+    do: with({:ok, frame} <- MavCodec.Msp.request(target, name, values), do: {:ok, frame, patience})
 
   @doc "The answer to a task's request. One that was given up meanwhile gets none."
   @spec reply(Session.t(), t, answer, integer) :: Session.t()

@@ -3,18 +3,21 @@ defmodule MavRouter.Link.Transport.Msp do
   A flight controller that speaks MSP (Betaflight, iNav) at another transport: `msp:/dev/ttyACM0,115200`, `msp:tcp:HOST:PORT`. `Msp.Session`
   asks it and speaks MAVLink in its place, so for the link and everything behind it a MAVLink vehicle is there.
 
-  Its MAVLink id is the option `sysid`; without it a number from 100 to 199 that follows from the link's id.
+  Its MAVLink id is the option `sysid`; without it a number from 100 to 199 that follows from the link's id. The option `share` is a port, or an address with
+  one, where other programs speak MSP with it (`MavRouter.Link.Transport.Msp.Share`).
   """
   @behaviour MavRouter.Link.Transport
 
   alias MavRouter.Link.Transport
+  alias Aerie.Base.Address
   alias MavRouter.Link.Transport.{Form, Serial, TcpClient}
+  alias MavRouter.Link.Transport.Msp.Share
   alias Msp.Session
 
   @at "msp:DEVICE,BAUD or msp:tcp:HOST:PORT"
 
   @enforce_keys [:inner, :conn, :session, :ref]
-  defstruct [:inner, :conn, :session, :ref, :timer]
+  defstruct [:inner, :conn, :session, :ref, :timer, :share, :warning]
 
   @impl Transport
   def traits, do: %{kind: :msp, framing: :stream, client: nil}
@@ -26,7 +29,15 @@ defmodule MavRouter.Link.Transport.Msp do
       {"msp:tcp:HOST:PORT", "the same over TCP"}
     ]
 
-    [%Form{prefix: "msp:", expected: @at, example: "msp:/dev/ttyACM0,115200", help: help, options: ["sysid"]}]
+    [
+      %Form{
+        prefix: "msp:",
+        expected: @at,
+        example: "msp:/dev/ttyACM0,115200",
+        help: help,
+        options: ["sysid", "share"]
+      }
+    ]
   end
 
   @impl Transport
@@ -53,6 +64,16 @@ defmodule MavRouter.Link.Transport.Msp do
     end
   end
 
+  def option(_prefix, "share", value) do
+    address = if value =~ ~r/\A\d+\z/, do: "127.0.0.1:" <> value, else: value
+
+    with {:error, reason} <- Address.parse(address, true) do
+      {:error, reason: reason, expected: "share=PORT or share=HOST:PORT", example: "share=5771"}
+    else
+      {:ok, host, port} -> {:ok, :share, {host, port}}
+    end
+  end
+
   @impl Transport
   def place(spec), do: spec.inner.place(spec)
   @impl Transport
@@ -66,18 +87,25 @@ defmodule MavRouter.Link.Transport.Msp do
   def open(spec) do
     with {:ok, conn} <- spec.inner.open(spec) do
       session = Session.new(spec.sysid || 100 + :erlang.phash2(spec.id, 100))
-      {:ok, %__MODULE__{inner: spec.inner, conn: conn, session: session, ref: make_ref()}}
+      msp = %__MODULE__{inner: spec.inner, conn: conn, session: session, ref: make_ref()}
+
+      # The vehicle is more than what else uses its line.
+      case Share.open(spec) do
+        {:ok, share} -> {:ok, %{msp | share: share}}
+        {:error, text} -> {:ok, %{msp | warning: text}}
+      end
     end
   end
 
   @impl Transport
-  def give(msp, link), do: msp.inner.give(msp.conn, link)
+  def give(msp, link), do: with(:ok <- Share.give(msp.share, link), do: msp.inner.give(msp.conn, link))
 
   @impl Transport
   def activate(msp) do
     with {:ok, conn, info} <- msp.inner.activate(msp.conn) do
-      {[], msp} = step(%{msp | conn: conn}, :opened)
-      {:ok, msp, info}
+      {share, _local} = Share.activate(msp.share)
+      {[], msp} = step(%{msp | conn: conn, share: share}, :opened)
+      {:ok, msp, if(msp.warning, do: Map.put(info, :warning, msp.warning), else: info)}
     end
   end
 
@@ -86,8 +114,21 @@ defmodule MavRouter.Link.Transport.Msp do
   def handle(%{ref: ref} = msp, {__MODULE__, ref, events}), do: {events, msp}
 
   def handle(msp, message) do
-    with {events, conn} <- msp.inner.handle(msp.conn, message),
-         do: Enum.reduce(events, {[], %{msp | conn: conn}}, &event/2)
+    case Share.handle(msp.share, message) do
+      {events, share} ->
+        steps(events, %{msp | share: share})
+
+      :unknown ->
+        with {events, conn} <- msp.inner.handle(msp.conn, message),
+             do: Enum.reduce(events, {[], %{msp | conn: conn}}, &event/2)
+    end
+  end
+
+  defp steps(events, msp) do
+    Enum.reduce(events, {[], msp}, fn event, {events, msp} ->
+      {more, msp} = step(msp, event)
+      {events ++ more, msp}
+    end)
   end
 
   defp event({:read, reads}, acc) do
@@ -110,6 +151,7 @@ defmodule MavRouter.Link.Transport.Msp do
   @impl Transport
   def close(msp) do
     {_events, msp} = step(msp, :closing)
+    Share.close(msp.share)
     msp.inner.close(msp.conn)
   end
 
@@ -121,6 +163,17 @@ defmodule MavRouter.Link.Transport.Msp do
   defp act({:mavlink, bytes}, {events, msp}), do: {events ++ [{:read, [{:remote, bytes}]}], msp}
   defp act({:count, _name, _n} = count, {events, msp}), do: {events ++ [count], msp}
   defp act({:fail, text}, {events, msp}), do: {events ++ [{:closed, text}], msp}
+
+  defp act({:client, id, bytes}, {events, msp}) do
+    {gone, share} = Share.write(msp.share, id, bytes)
+    {more, msp} = steps(gone, %{msp | share: share})
+    {events ++ more, msp}
+  end
+
+  defp act({:judge, id, message}, {events, msp}) do
+    {more, msp} = step(msp, {:judged, id, Share.allowed?(msp.share, id, message)})
+    {events ++ more, msp}
+  end
 
   defp act({:write, bytes}, {events, msp}) do
     case msp.inner.write(msp.conn, :remote, bytes) do

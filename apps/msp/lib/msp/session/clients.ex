@@ -1,0 +1,264 @@
+defmodule Msp.Session.Clients do
+  @most_waiting 16
+  @most_clients 8
+  @silent_us 10_000_000
+
+  @moduledoc """
+  Programs that speak MSP themselves (configurators), and share one flight controller.
+
+  Each of their frames is parsed, checked by `MavCodec.Msp.Guard` and rebuilt; what changes something is judged first (`Msp.Meaning`), and
+  nothing that the table keeps from armed vehicles is sent to one. Each has one request under way, in turn with the others, before polls and after
+  commands; #{@most_waiting} more wait, and beyond that the newest is refused. A refusal is the firmware's own: an error reply.
+
+  What a program leaves behind is undone when it is gone: arming that it disabled is enabled, and motors that it turned are stopped, also
+  #{div(@silent_us, 1_000_000)} s after it last spoke of them.
+  """
+  @behaviour Msp.Session.Tasks
+
+  alias MavCodec.Msp.{Frame, Guard, Parser}
+  alias Msp.{Identity, Meaning, Modes, Session}
+  alias Msp.Session.{Motors, Output, Tasks}
+
+  @arming_disabled 99
+  @set_raw_rc 200
+  @set_motor 214
+  @reboot 68
+  @still 1050
+  @notice 5
+  # Writing the EEPROM takes up to two seconds.
+  @slow_us 5_000_000
+
+  @type id :: pos_integer
+
+  @doc "A program is there."
+  @spec up(Session.t(), id) :: Session.t()
+  def up(%{clients: clients} = session, id) when map_size(clients) < @most_clients do
+    client = %{parser: Parser.new(), waiting: [], judged: nil, busy: false, disables: false, motors: false}
+    %{session | clients: Map.put(clients, id, client)}
+  end
+
+  def up(session, _id), do: session
+
+  @doc "Whether there is room for one more."
+  @spec room?(Session.t()) :: boolean
+  def room?(%{clients: clients}), do: map_size(clients) < @most_clients
+
+  @doc "A program is gone: what it left behind is undone."
+  @spec down(Session.t(), id, integer) :: Session.t()
+  def down(%{clients: clients} = session, id, now) do
+    case Map.pop(clients, id) do
+      {nil, _clients} ->
+        session
+
+      {client, clients} ->
+        session = %{session | clients: clients, tasks: Enum.reject(session.tasks, &(&1[:client] == id))}
+        session = if client.motors, do: Motors.until(session, now), else: session
+
+        if client.disables and not Enum.any?(clients, fn {_id, other} -> other.disables end),
+          do: enable(session),
+          else: session
+    end
+  end
+
+  @doc """
+  The vehicle says that MSP keeps it from being armed. Nothing enables it again but the port that disabled it, or a restart: so this one
+  does, unless a program wants it.
+  """
+  @spec disabled(Session.t(), boolean) :: Session.t()
+  def disabled(session, true) do
+    if Enum.any?(session.clients, fn {_id, client} -> client.disables end), do: session, else: enable(session)
+  end
+
+  def disabled(session, false), do: session
+
+  defp enable(session) do
+    session
+    |> Output.text(@notice, "A program that had disabled arming is gone: it is enabled again")
+    |> Tasks.add(%{kind: __MODULE__, client: nil, tries: 0, ask: enabling()})
+  end
+
+  defp enabling, do: {"SET_ARMING_DISABLED", %{disabled: 0, runaway_disabled: 0}}
+
+  @doc "What is written before the line is closed."
+  @spec closing(Session.t()) :: [{:write, binary}]
+  def closing(%{phase: :up} = session) do
+    {name, values} = enabling()
+
+    with true <- Enum.any?(session.clients, fn {_id, client} -> client.disables end),
+         {:ok, frame} <- MavCodec.Msp.request(Identity.target(session.identity), name, values) do
+      [{:write, IO.iodata_to_binary(Frame.encode(frame))}]
+    else
+      _none -> []
+    end
+  end
+
+  def closing(_session), do: []
+
+  @doc "Bytes of a program."
+  @spec bytes(Session.t(), id, binary, integer) :: Session.t()
+  def bytes(%{clients: clients} = session, id, bytes, now) when is_map_key(clients, id) do
+    {frames, parser} = Parser.push(clients[id].parser, bytes)
+    session = update(session, id, &%{&1 | parser: parser})
+    requests = for %{direction: :request} = frame <- frames, do: frame
+    requests |> Enum.reduce(session, &wait(&2, id, &1)) |> next(id, now)
+  end
+
+  def bytes(session, _id, _bytes, _now), do: session
+
+  defp wait(session, id, frame) do
+    if length(session.clients[id].waiting) >= @most_waiting,
+      do: refuse(session, id, frame),
+      else: update(session, id, &%{&1 | waiting: &1.waiting ++ [frame]})
+  end
+
+  # One request of each is under way.
+  defp next(session, id, now) do
+    case session.clients do
+      %{^id => %{busy: false, waiting: [frame | rest]}} ->
+        session |> update(id, &%{&1 | waiting: rest, busy: true}) |> begin(id, frame, now)
+
+      _nothing ->
+        session
+    end
+  end
+
+  defp begin(%{phase: :up} = session, id, frame, now) do
+    target = Identity.target(session.identity)
+
+    with {:ok, message} <- Guard.check(frame, target),
+         :ok <- allowed(session, message, frame) do
+      if message.kind == :read,
+        do: ask(session, id, frame),
+        else: judge(session, id, frame, Meaning.of(target, message, frame, session.system))
+    else
+      {:error, why} ->
+        session |> Output.text(@notice, "Program #{id}: #{why}") |> over(id, frame, :refused, now)
+    end
+  end
+
+  # As a flight controller that does not answer yet.
+  defp begin(session, id, _frame, now), do: session |> update(id, &%{&1 | busy: false}) |> next(id, now)
+
+  defp allowed(_session, _message, %{id: @set_raw_rc}),
+    do: {:error, "SET_RAW_RC is not for programs: arm and manual_control send channels, with a dead-man"}
+
+  defp allowed(session, message, _frame) do
+    if message.armed != :yes and message.kind == :write and
+         Modes.armed?(session.readings[:boxes] || MapSet.new()),
+       do: {:error, "#{message.name} refused: it is armed"},
+       else: :ok
+  end
+
+  # The caller asks the policy and answers with `judged/4`.
+  defp judge(session, id, frame, meaning) do
+    session = update(session, id, &%{&1 | judged: frame})
+    %{session | judgements: session.judgements ++ [{:judge, id, meaning}]}
+  end
+
+  @doc "What the policy says of the request that was to be judged."
+  @spec judged(Session.t(), id, boolean, integer) :: Session.t()
+  def judged(session, id, allowed?, now) do
+    case session.clients do
+      %{^id => %{judged: frame}} when frame != nil ->
+        session = update(session, id, &%{&1 | judged: nil})
+        if allowed?, do: write(session, id, frame, now), else: over(session, id, frame, :refused, now)
+
+      _gone ->
+        session
+    end
+  end
+
+  # Others may still want it disabled.
+  defp write(session, id, %{id: @arming_disabled, payload: <<disable, _::binary>>} = frame, now) do
+    before = Enum.any?(session.clients, fn {_id, client} -> client.disables end)
+    session = update(session, id, &%{&1 | disables: disable != 0})
+    wanted = Enum.any?(session.clients, fn {_id, client} -> client.disables end)
+
+    if before and wanted, do: over(session, id, frame, {:reply, ""}, now), else: ask(session, id, frame)
+  end
+
+  defp write(session, id, %{id: @set_motor, payload: payload} = frame, now) do
+    turning? = Enum.any?(for(<<us::16-little <- payload>>, do: us), &(&1 > @still))
+    session = update(session, id, &%{&1 | motors: turning?})
+    session |> Motors.until(if(turning?, do: now + @silent_us, else: now)) |> ask(id, frame)
+  end
+
+  defp write(session, id, frame, _now), do: ask(session, id, frame)
+
+  defp ask(session, id, frame) do
+    # Rebuilt: with our own flags, and in the form that its id needs.
+    built = %Frame{form: if(frame.id > 254, do: :v2, else: :v1), id: frame.id, payload: frame.payload}
+    Tasks.add(session, %{kind: __MODULE__, client: id, frame: frame, ask: {built, @slow_us}})
+  end
+
+  @impl Tasks
+  # Of our own.
+  def answer(session, %{client: nil, tries: tries} = task, :timeout, _now) when tries < 5,
+    do: Tasks.ask_next(session, task, %{tries: tries + 1})
+
+  def answer(session, %{client: nil} = task, _answer, _now), do: Tasks.done(session, task)
+
+  def answer(session, %{client: id, frame: frame} = task, answer, now) do
+    session = Tasks.done(session, task)
+
+    case answer do
+      {:frame, %{direction: :error}} ->
+        over(session, id, frame, :refused, now)
+
+      {:frame, %{payload: payload}} ->
+        session |> over(id, frame, {:reply, payload}, now) |> followed(frame, now)
+
+      :refused ->
+        over(session, id, frame, :refused, now)
+
+      {:unfit, _why} ->
+        over(session, id, frame, :refused, now)
+
+      # It asks again by itself.
+      :timeout ->
+        over(session, id, frame, :silent, now)
+    end
+  end
+
+  defp followed(session, %{id: @reboot}, now), do: Session.restarting(session, now)
+  defp followed(session, _frame, _now), do: session
+
+  defp over(session, id, frame, outcome, now) do
+    session =
+      case outcome do
+        :refused -> refuse(session, id, frame)
+        {:reply, payload} -> tell(session, id, %{frame | direction: :reply, flags: 0, payload: payload})
+        :silent -> session
+      end
+
+    if is_map_key(session.clients, id),
+      do: session |> update(id, &%{&1 | busy: false}) |> next(id, now),
+      else: session
+  end
+
+  defp refuse(session, id, frame),
+    do: tell(session, id, %{frame | direction: :error, flags: 0, payload: ""})
+
+  defp tell(session, id, frame), do: %{session | told: [{:client, id, Frame.encode(frame)} | session.told]}
+
+  defp update(%{clients: clients} = session, id, fun),
+    do: %{session | clients: Map.replace_lazy(clients, id, fun)}
+
+  @doc "What is told to programs, and what is to be judged, since the last call."
+  @spec take(Session.t()) :: {[Session.action()], Session.t()}
+  def take(%{told: [], judgements: []} = session), do: {[], session}
+
+  def take(session),
+    do: {Enum.reverse(session.told) ++ session.judgements, %{session | told: [], judgements: []}}
+
+  @doc "The vehicle is asked again who it is: what was under way has no answer."
+  @spec interrupted(Session.t()) :: Session.t()
+  def interrupted(session) do
+    clients =
+      Map.new(session.clients, fn {id, client} ->
+        {id, %{client | busy: false, judged: nil, waiting: [], disables: false}}
+      end)
+
+    %{session | clients: clients}
+  end
+end

@@ -1,0 +1,259 @@
+defmodule Msp.ClientsTest do
+  @moduledoc "Programs that speak MSP share one flight controller: what each may do, whose reply is whose, and what is left when one is gone."
+  use ExUnit.Case, async: true
+
+  alias MavCodec.Messages, as: M
+  alias MavCodec.Msp.{Frame, Parser}
+  alias Msp.Test.{Line, Simulated}
+  alias SimVehicle.Msp.Firmware
+
+  @second 1_000_000
+
+  defp up(firmware, options \\ [], rest \\ []) do
+    {answer, change, state} = Simulated.controller(firmware, options)
+    line = Line.open(fn bytes, us -> with("" <- answer.(bytes, us), do: nil) end, rest)
+    {line |> Line.run(7 * @second) |> program(1), change, state}
+  end
+
+  defp program(line, id), do: Line.handle(line, {:client, id, :up})
+
+  defp ask(line, id, frames, seconds \\ 0.3) do
+    bytes = for frame <- List.wrap(frames), do: if(is_binary(frame), do: frame, else: Frame.encode(frame))
+    line |> Line.handle({:client, id, IO.iodata_to_binary(bytes)}) |> Line.run(round(seconds * @second))
+  end
+
+  defp v1(id, payload \\ ""), do: %Frame{id: id, payload: payload}
+  defp v2(id, payload \\ ""), do: %Frame{form: :v2, id: id, payload: payload}
+
+  # What a program got, decoded.
+  defp got(line, id) do
+    bytes = for {_at, ^id, bytes} <- Enum.reverse(line.clients), into: <<>>, do: bytes
+    elem(Parser.push(Parser.new(), bytes), 0)
+  end
+
+  defp notes(line), do: Enum.join(for({_at, text} <- Line.told(line, M.Statustext), do: text.text))
+
+  defp sent(line, id),
+    do:
+      for(
+        {_at, bytes} <- Enum.reverse(line.written),
+        {[%{id: ^id} = frame], _} <- [Parser.push(Parser.new(), bytes)],
+        do: frame
+      )
+
+  test "each gets its own replies, in its own form, while the vehicle's state goes on" do
+    {line, _change, _state} = up(:betaflight)
+    line = line |> program(2) |> ask(1, [v1(1), v1(2), v1(112)], 0) |> ask(2, [v2(2), v2(160)], 1)
+
+    assert [
+             %{id: 1, form: :v1, payload: <<0, 1, 46>>},
+             %{id: 2, payload: "BTFL"},
+             %{id: 112, direction: :reply}
+           ] = got(line, 1)
+
+    assert [%{id: 2, form: :v2, payload: "BTFL"}, %{id: 160, form: :v2}] = got(line, 2)
+    beats = for {at, _} <- Line.told(line, M.Heartbeat), do: at
+    assert beats |> Enum.chunk_every(2, 1, :discard) |> Enum.all?(fn [a, b] -> b - a < 1.4 * @second end)
+  end
+
+  test "what is not a request of this firmware, or would harm it, is refused and never written; nothing outside frames is" do
+    {line, _change, _state} = up(:betaflight)
+    before = length(line.written)
+    garbage = "#\nR exit\n"
+
+    bad = [
+      v1(202, <<1, 2>>),
+      v1(245),
+      v1(68, <<1>>),
+      v1(200, <<1500::16-little>>),
+      v2(9_999),
+      v1(230, <<202>>),
+      v2(112, :binary.copy("x", 193))
+    ]
+
+    line = ask(line, 1, [garbage | bad], 1)
+    assert Enum.map(got(line, 1), &{&1.id, &1.direction}) == Enum.map(bad, &{&1.id, :error})
+    for id <- [202, 245, 68, 200, 9_999, 230], do: assert(sent(line, id) == [])
+    assert length(line.written) > before
+    assert Enum.all?(line.written, fn {_at, bytes} -> String.starts_with?(bytes, ["$M<", "$X<"]) end)
+    assert notes(line) =~ "SET_RAW_RC is not for programs"
+  end
+
+  test "a write is judged as what it means in MAVLink, and refused if the policy says so" do
+    {line, _change, state} = up(:betaflight, [], judge: fn _message -> false end)
+    set_pid = v1(202, :binary.copy(<<30>>, 15))
+    before = state.().blocks
+
+    line =
+      ask(
+        line,
+        1,
+        [set_pid, v1(68), v1(250), v1(214, :binary.copy(<<0xE8, 3>>, 8)), v1(99, <<1, 0>>), v1(206)],
+        2
+      )
+
+    assert Enum.map(got(line, 1), & &1.direction) == List.duplicate(:error, 6)
+    assert state.().blocks == before and state.().events == []
+    judged = Enum.reverse(line.judged)
+
+    assert [
+             %M.ParamSet{target_system: 42, param_id: pid},
+             %M.CommandLong{command: 246},
+             %M.CommandLong{command: 245, param1: 1.0},
+             %M.CommandLong{command: 209},
+             %M.CommandLong{command: 400, param1: +0.0},
+             %M.CommandLong{command: 241}
+           ] = judged
+
+    assert pid =~ "roll" or pid =~ "p_"
+  end
+
+  test "iNav's settings by name, missions and what has no counterpart" do
+    {line, _change, state} = up(:inav)
+    name = "nav_rth_altitude"
+
+    line =
+      ask(
+        line,
+        1,
+        [v2(0x1004, name <> <<0, 1, 2>>), v2(0x1004, <<0, 3, 0, 1>>), v1(209, <<1, 4, 0::144, 165>>)],
+        1
+      )
+
+    assert [%M.ParamSet{param_id: ^name}, %M.ParamSet{param_id: "failsafe_delay"}, %M.MissionCount{}] =
+             Enum.reverse(line.judged)
+
+    assert [%{direction: :reply}, _, %{id: 209, direction: :reply}] = got(line, 1)
+    assert state.().settings[name] == <<1, 2>>
+    assert length(state.().mission.list) == 1
+  end
+
+  test "nothing that is not for armed vehicles reaches one, whatever the policy says" do
+    {line, change, state} = up(:betaflight)
+    change.(&Firmware.sticks(&1, [1500, 1500, 1000, 1500, 1900, 1000, 1000, 1000]))
+    line = Line.run(line, @second)
+    assert state.().armed
+    line = ask(line, 1, [v1(68), v1(250), v1(99, <<1, 0>>), v1(101)], 1)
+
+    assert [%{direction: :error}, %{direction: :error}, %{direction: :error}, %{id: 101, direction: :reply}] =
+             got(line, 1)
+
+    assert state.().armed and state.().boots == 1
+    assert line.judged == []
+  end
+
+  test "arming that a program disabled is enabled when it is gone, but not while another one wants it so" do
+    {line, _change, state} = up(:betaflight)
+    line = line |> program(2) |> ask(1, v1(99, <<1, 0>>)) |> ask(2, v1(99, <<1, 0>>))
+    assert state.().ports.port.disabled
+    line = line |> Line.handle({:client, 1, :down}) |> Line.run(@second)
+    assert state.().ports.port.disabled
+    line = line |> Line.handle({:client, 2, :down}) |> Line.run(@second)
+    refute state.().ports.port.disabled
+    assert notes(line) =~ "it is enabled again"
+    assert length(sent(line, 99)) == 2
+    # The line is closed in order: enabled before that.
+    line = line |> program(3) |> ask(3, v1(99, <<1, 0>>))
+    assert state.().ports.port.disabled
+    {_session, actions} = Msp.Session.handle(line.session, :closing, line.now)
+    assert [{:write, <<"$M<", 2, 99, 0, 0, _>>}] = actions
+  end
+
+  test "arming that another life of this gateway left disabled is enabled" do
+    {answer, change, state} = Simulated.controller(:betaflight)
+    change.(&put_in(&1.ports.port.disabled, true))
+    line = Line.open(fn bytes, us -> with("" <- answer.(bytes, us), do: nil) end) |> Line.run(7 * @second)
+    refute state.().ports.port.disabled
+    assert length(sent(line, 99)) == 1
+  end
+
+  test "motors that a program turned are stopped when it is gone, and when it says nothing of them for ten seconds" do
+    motors = fn state -> for(<<us::16-little <- state.().blocks[104]>>, do: us) end
+    on = v1(214, <<1200::16-little>> <> :binary.copy(<<1000::16-little>>, 7))
+
+    for ending <- [
+          &(&1 |> Line.handle({:client, 1, :down}) |> Line.run(@second)),
+          &Line.run(&1, 12 * @second)
+        ] do
+      {line, _change, state} = up(:betaflight)
+      line = ask(line, 1, on)
+      assert Enum.max(motors.(state)) == 1200
+      ending.(line)
+      assert Enum.max(motors.(state)) == 1000
+    end
+  end
+
+  test "a restart that a program asked for: its reply, then the vehicle again, and its programs go on" do
+    {line, _change, state} = up(:betaflight)
+    line = ask(line, 1, v1(68), 8)
+    assert [%{id: 68, direction: :reply}] = got(line, 1)
+    assert state.().boots == 2
+    line = ask(line, 1, v1(2), 1)
+    assert [_, %{id: 2, payload: "BTFL"}] = got(line, 1)
+  end
+
+  test "a program that floods is refused beyond its limit, and neither the vehicle nor others wait for it" do
+    {line, _change, _state} = up(:betaflight)
+    line = program(line, 2)
+    line = Line.handle(line, {:client, 1, IO.iodata_to_binary(for _n <- 1..1000, do: Frame.encode(v1(112)))})
+    line = ask(line, 2, v1(2), 0.5)
+    assert [%{id: 2}] = got(line, 2)
+    line = Line.run(line, 2 * @second)
+    {replies, refusals} = Enum.split_with(got(line, 1), &(&1.direction == :reply))
+    assert length(replies) == 16 and length(refusals) == 984
+    last = for {at, _} <- Line.told(line, M.Heartbeat), do: at
+    assert line.now - 1_000_000_000_000 - List.last(last) < 1.5 * @second
+    # No more than there is room for.
+    line = Enum.reduce(3..12, line, &program(&2, &1))
+    assert map_size(line.session.clients) == 8
+  end
+
+  test "any bytes of any programs, coming and going: never an error, and one checked request at a time" do
+    event =
+      :proper_types.frequency([
+        {3, {:client, :proper_types.range(1, 3), :proper_types.binary()}},
+        {6,
+         {:client, :proper_types.range(1, 3),
+          :proper_types.oneof(
+            Enum.map(
+              [
+                v1(2),
+                v1(202, :binary.copy(<<1>>, 15)),
+                v1(99, <<1, 0>>),
+                v1(68),
+                v2(250),
+                v1(214, :binary.copy(<<0xE8, 3>>, 8))
+              ],
+              &Frame.encode/1
+            )
+          )}},
+        {1, {:client, :proper_types.range(1, 3), :up}},
+        {1, {:client, :proper_types.range(1, 3), :down}},
+        {4, {:wait, :proper_types.range(1, 2_000)}}
+      ])
+
+    property =
+      :proper.forall(
+        {:proper_types.oneof([:betaflight, :inav]), :proper_types.boolean(), :proper_types.list(event)},
+        fn {firmware, allowed?, events} ->
+          {line, _change, state} = up(firmware, [], judge: fn _message -> allowed? end)
+
+          line =
+            Enum.reduce(events, line, fn
+              {:wait, ms}, line -> Line.run(line, ms * 1000)
+              event, line -> Line.handle(line, event)
+            end)
+
+          line = Enum.reduce(1..3, line, &Line.handle(&2, {:client, &1, :down})) |> Line.run(15 * @second)
+
+          frames? =
+            Enum.all?(line.written, fn {_at, bytes} -> match?({[_], _}, Parser.push(Parser.new(), bytes)) end)
+
+          frames? and line.failed == nil and not (firmware == :betaflight and state.().ports.port.disabled)
+        end
+      )
+
+    assert :proper.quickcheck(property, [:quiet, numtests: 60, max_size: 20]) == true,
+           inspect(:proper.counterexample())
+  end
+end

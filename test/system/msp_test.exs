@@ -282,6 +282,48 @@ defmodule Aerie.System.MspTest do
     assert_in_delta String.to_float(found["volts"]), 16.8, 0.3
   end
 
+  test "a network of its own keeps it from ground stations that have another one", %{tmp_dir: dir} do
+    links =
+      for {network, id} <- [{"msp", 7}, {"main", 8}] do
+        sim = start_supervised!({Msp, firmware: :betaflight, uid: id}, id: id)
+        %{"url" => "msp:tcp:127.0.0.1:#{Msp.port(sim)}?sysid=#{id}", "network" => network}
+      end
+
+    %{gateway: gateway} =
+      start_gateway(dir,
+        links: [],
+        overrides: %{
+          "timeouts" => patient(),
+          "links" => links,
+          "clients" => [
+            %{"id" => "all", "url" => "tcpin:127.0.0.1:0"},
+            %{"id" => "main", "url" => "tcpin:127.0.0.1:0", "networks" => ["main"]}
+          ]
+        }
+      )
+
+    [all, main] =
+      for id <- ["all", "main"] do
+        port = eventually(fn -> MavRouter.Link.snapshot(gateway, id).port end, id)
+        {:ok, socket} = :gen_tcp.connect({127, 0, 0, 1}, port, [:binary, active: false])
+        socket
+      end
+
+    both = heard(all, MavCodec.Parser.new(), &systems?(&1, [7, 8]), [])
+    assert Enum.any?(both, &(&1.system == 7)) and Enum.any?(both, &(&1.system == 8))
+    own = heard(main, MavCodec.Parser.new(), fn frames -> Enum.count(frames, &(&1.system == 8)) > 50 end, [])
+    refute Enum.any?(own, &(&1.system == 7))
+  end
+
+  defp systems?(frames, ids), do: Enum.all?(ids, fn id -> Enum.any?(frames, &(&1.system == id)) end)
+
+  defp heard(socket, parser, enough?, frames) do
+    {:ok, bytes} = :gen_tcp.recv(socket, 0, Aerie.Patience.ms())
+    {more, parser} = MavCodec.Parser.push(parser, bytes, 0)
+    frames = frames ++ more
+    if enough?.(frames), do: frames, else: heard(socket, parser, enough?, frames)
+  end
+
   test "its line breaks: it is stale, and comes back with the same name", %{tmp_dir: dir} do
     c = fly(dir, [:inav], %{"timeouts" => %{"vehicle_stale_s" => 2.0, "vehicle_lost_s" => 120.0}})
     sim = c.sims.inav

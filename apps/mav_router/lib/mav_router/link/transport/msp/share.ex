@@ -6,7 +6,7 @@ defmodule MavRouter.Link.Transport.Msp.Share do
   A browser can be made to send anything to a port of its own machine, but begins as HTTP: such a connection is closed.
   """
 
-  alias MavRouter.Link.Reason
+  alias Aerie.Base.Address
   alias MavRouter.Link.Spec
   alias MavRouter.Link.Transport.TcpServer
   alias MavRouter.Router.{Access, Tables}
@@ -35,9 +35,12 @@ defmodule MavRouter.Link.Transport.Msp.Share do
         {:ok, %__MODULE__{conn: conn, spec: spec}}
 
       {:error, reason} ->
-        {:error, "share: " <> Reason.format(reason, %{spec | transport: TcpServer, host: host, port: port})}
+        {:error, "programs cannot share the vehicle at #{Address.format(host, port)}: #{words(reason)}"}
     end
   end
+
+  defp words(reason) when is_atom(reason), do: :inet.format_error(reason)
+  defp words(reason), do: inspect(reason, limit: 10)
 
   @doc "Hands it to the link's process."
   @spec give(t | nil, pid) :: :ok | {:error, term}

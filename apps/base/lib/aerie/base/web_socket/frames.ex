@@ -1,17 +1,27 @@
 defmodule Aerie.Base.WebSocket.Frames do
   @moduledoc """
-  Parses what a WebSocket server sends (RFC 6455): a value into which bytes are pushed in any pieces.
+  Parses what the other side of a WebSocket sends (RFC 6455): a value into which bytes are pushed in any pieces. A client masks its frames, a server must
+  not.
 
   The content of messages is passed on as it comes, so a header that claims a great length costs no memory: only a header or a
   control frame (125 bytes) is buffered. Text is passed on like binary; it holds no MAVLink, and the parser counts it.
   """
 
-  defstruct buffer: "", fragment: :undefined, in: :header
+  defstruct buffer: "", fragment: :undefined, in: :header, masked?: false, mask: nil
 
-  @typedoc "`in`: what comes next, a header or so many bytes of a message's frame"
-  @type t :: %__MODULE__{buffer: binary, fragment: term, in: :header | {:payload, pos_integer}}
+  @typedoc """
+  - `in`: what comes next, a header or so many bytes of a message's frame
+  - `masked?`: whether the other side is a client; `mask`: that of the frame, and how far it was used
+  """
+  @type t :: %__MODULE__{
+          buffer: binary,
+          fragment: term,
+          in: :header | {:payload, pos_integer},
+          masked?: boolean,
+          mask: {key :: non_neg_integer, used :: 0..3} | nil
+        }
 
-  @typedoc "`:bad`: no WebSocket frame, or one that a server must not send; no event follows it"
+  @typedoc "`:bad`: no WebSocket frame, or one that the other side must not send; no event follows it"
   @type event ::
           {:data, binary}
           | {:ping, binary}
@@ -19,20 +29,23 @@ defmodule Aerie.Base.WebSocket.Frames do
           | {:close, code :: 1000..4999 | nil, text :: binary}
           | :bad
 
-  @doc "Nothing received yet."
-  @spec new() :: t
-  def new, do: %__MODULE__{}
+  @doc "Nothing received yet from a server, or from a client."
+  @spec new(:server | :client) :: t
+  def new(other_side \\ :server), do: %__MODULE__{masked?: other_side == :client}
 
   @doc "Takes more bytes; returns what was in them, in order."
   @spec push(t, binary) :: {[event], t}
   def push(%__MODULE__{} = frames, bytes), do: take(frames, bytes, [])
 
-  defp take(%{in: {:payload, left}} = frames, bytes, events) when byte_size(bytes) < left,
-    do: done(data(events, bytes), %{frames | in: {:payload, left - byte_size(bytes)}})
+  defp take(%{in: {:payload, left}} = frames, bytes, events) when byte_size(bytes) < left do
+    {bytes, mask} = unmask(bytes, frames.mask)
+    done(data(events, bytes), %{frames | in: {:payload, left - byte_size(bytes)}, mask: mask})
+  end
 
   defp take(%{in: {:payload, left}} = frames, bytes, events) do
     <<data::binary-size(^left), rest::binary>> = bytes
-    take(%{frames | in: :header}, rest, data(events, data))
+    {data, _used} = unmask(data, frames.mask)
+    take(%{frames | in: :header, mask: nil}, rest, data(events, data))
   end
 
   defp take(%{in: :header} = frames, bytes, events) do
@@ -45,11 +58,12 @@ defmodule Aerie.Base.WebSocket.Frames do
       :error ->
         done([:bad | events], frames)
 
-      # A server must not mask.
-      {_type, _fragment, _rsv, _length, mask, _rest} when mask != :undefined ->
+      # A server must not mask, a client must.
+      {_type, _fragment, _rsv, _length, mask, _rest} when frames.masked? == (mask == :undefined) ->
         done([:bad | events], frames)
 
-      {type, fragment, _rsv, length, _mask, rest} ->
+      {type, fragment, _rsv, length, mask, rest} ->
+        frames = %{frames | mask: if(mask != :undefined, do: {mask, 0})}
         frame(type, fragment, length, rest, bytes, frames, events)
     end
   end
@@ -57,7 +71,8 @@ defmodule Aerie.Base.WebSocket.Frames do
   defp frame(type, _fragment, length, rest, bytes, frames, events) when type in [:ping, :pong, :close] do
     case rest do
       <<payload::binary-size(^length), rest::binary>> ->
-        take(%{frames | buffer: ""}, rest, [control(type, payload) | events])
+        {payload, _used} = unmask(payload, frames.mask)
+        take(%{frames | buffer: "", mask: nil}, rest, [control(type, payload) | events])
 
       _not_all_yet ->
         done(events, %{frames | buffer: bytes})
@@ -73,6 +88,14 @@ defmodule Aerie.Base.WebSocket.Frames do
       else: take(%{frames | in: {:payload, length}}, rest, events)
   end
 
+  defp unmask(bytes, nil), do: {bytes, nil}
+
+  defp unmask(bytes, {key, used}) do
+    size = byte_size(bytes)
+    pad = :binary.copy(<<key::32>>, div(size + used, 4) + 1)
+    {:crypto.exor(bytes, binary_part(pad, used, size)), {key, rem(size + used, 4)}}
+  end
+
   defp data(events, ""), do: events
   defp data(events, bytes), do: [{:data, bytes} | events]
 
@@ -86,6 +109,14 @@ defmodule Aerie.Base.WebSocket.Frames do
   @doc "A binary message as a client sends it, masked."
   @spec message(iodata) :: iodata
   def message(bytes), do: :cow_ws.masked_frame({:binary, bytes}, %{})
+
+  @doc "The same as a server sends it."
+  @spec reply(iodata) :: iodata
+  def reply(bytes), do: :cow_ws.frame({:binary, bytes}, %{})
+
+  @doc "A control frame as a server sends it."
+  @spec answer({:pong, binary} | :close) :: iodata
+  def answer(frame), do: :cow_ws.frame(frame, %{})
 
   @doc "A control frame as a client sends it: `:ping`, `{:pong, payload}`, `{:close, code, text}`."
   @spec control(:ping | {:pong, binary} | {:close, 1000..4999, binary}) :: iodata

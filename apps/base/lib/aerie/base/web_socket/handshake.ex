@@ -1,5 +1,5 @@
 defmodule Aerie.Base.WebSocket.Handshake do
-  @moduledoc "The request that opens a WebSocket, and the check of its answer (RFC 6455, section 4.1). Pure."
+  @moduledoc "The request that opens a WebSocket, and its answer, from both sides (RFC 6455, section 4). Pure."
 
   alias Aerie.Base.Address
 
@@ -49,6 +49,58 @@ defmodule Aerie.Base.WebSocket.Handshake do
     else
       _no_http -> {:error, "it is not an HTTP server"}
     end
+  end
+
+  @doc """
+  Reads the request of a client: its key, the origin of the page that it comes from (nil for a program), and the first protocol that it offers. An error is the
+  answer to it.
+  """
+  @spec accept(binary) ::
+          {:ok, %{key: binary, origin: String.t() | nil, protocol: String.t() | nil}, rest :: binary}
+          | :more
+          | {:error, iodata}
+  def accept(bytes) do
+    with [head, rest] <- :binary.split(bytes, "\r\n\r\n"),
+         {:ok, {:http_request, :GET, _path, _version}, headers} <-
+           :erlang.decode_packet(:http_bin, head <> "\r\n\r\n", []),
+         {:ok, %{"sec-websocket-key" => <<_::binary-size(24)>> = key} = headers} <- headers(headers, %{}),
+         "websocket" <- String.downcase(headers["upgrade"] || "") do
+      {:ok, %{key: key, origin: headers["origin"], protocol: protocol(headers)}, rest}
+    else
+      [_all] when byte_size(bytes) <= @max_bytes -> :more
+      _no_websocket -> {:error, refused("400 Bad Request", "this port speaks MSP, over TCP or a WebSocket")}
+    end
+  end
+
+  # A page that offers protocols gives up if none of them is chosen.
+  defp protocol(%{"sec-websocket-protocol" => offered}) do
+    name = offered |> String.split(",") |> hd() |> String.trim()
+    if name =~ ~r/\A[\w.-]{1,64}\z/, do: name
+  end
+
+  defp protocol(_none), do: nil
+
+  @doc "The answer of a server that accepts."
+  @spec accepted(%{:key => binary, :protocol => String.t() | nil, optional(atom) => term}) :: iodata
+  def accepted(%{key: key, protocol: protocol}) do
+    [
+      "HTTP/1.1 101 Switching Protocols\r\nUpgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Accept: ",
+      :cow_ws.encode_key(key),
+      "\r\n",
+      if(protocol, do: ["Sec-WebSocket-Protocol: ", protocol, "\r\n"], else: []),
+      "\r\n"
+    ]
+  end
+
+  @doc "The answer of a server that does not."
+  @spec refused(status :: String.t(), text :: String.t()) :: iodata
+  def refused(status, text) do
+    body = text <> "\n"
+
+    [
+      ["HTTP/1.1 ", status, "\r\nContent-Type: text/plain; charset=utf-8\r\nConnection: close\r\n"],
+      ["Content-Length: #{byte_size(body)}\r\n\r\n", body]
+    ]
   end
 
   defp location(%{"location" => place}), do: " (#{printable(place)})"

@@ -35,7 +35,7 @@ defmodule MavRouter.Link.Transport.Msp do
         expected: @at,
         example: "msp:/dev/ttyACM0,115200",
         help: help,
-        options: ["sysid", "share"]
+        options: ["sysid", "share", "share_origin"]
       }
     ]
   end
@@ -72,6 +72,16 @@ defmodule MavRouter.Link.Transport.Msp do
     else
       {:ok, host, port} -> {:ok, :share, {host, port}}
     end
+  end
+
+  def option(_prefix, "share_origin", value) do
+    if value =~ ~r{\Ahttps?://[^/\s]+\z},
+      do: {:ok, :share_origin, value},
+      else:
+        {:error,
+         reason: "#{inspect(value)} is not the origin of a page",
+         expected: "share_origin=https://HOST",
+         example: "share_origin=https://app.betaflight.com"}
   end
 
   @impl Transport

@@ -100,14 +100,57 @@ defmodule MavRouter.Link.Transport.MspShareTest do
 
     assert %{id: 250, direction: :error} = ask(one, 250)
     assert_receive {:asked, _sender, _vehicle, %M.CommandLong{command: 245}}
-    # A browser of this machine.
+    # A form of a page in a browser of this machine.
     web = program(share)
     :ok = :gen_tcp.send(web, "POST / HTTP/1.1\r\nHost: x\r\n\r\n" <> Frame.encode(%Frame{id: 205}))
-    assert {:error, :closed} = :gen_tcp.recv(web, 0, @patience)
+    assert {:ok, "HTTP/1.1 400 Bad Request" <> _} = :gen_tcp.recv(web, 0, @patience)
     refute_received {:asked, _sender, _vehicle, %M.CommandLong{command: 241}}
     # One that is gone takes nothing with it.
     :gen_tcp.close(two)
     assert %{id: 2} = ask(one, 2)
+  end
+
+  defp upgrade(port, headers) do
+    socket = program(port)
+    key = :cow_ws.key()
+
+    request =
+      "GET /msp HTTP/1.1\r\nHost: 127.0.0.1\r\nUpgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key: #{key}\r\n#{headers}\r\n"
+
+    :ok = :gen_tcp.send(socket, request)
+    {:ok, answer} = :gen_tcp.recv(socket, 0, @patience)
+    {socket, key, answer}
+  end
+
+  test "a WebSocket: programs, and pages of the origin that is named; others are refused", %{gateway: gateway} do
+    share = free_port()
+    url = "msp:tcp:127.0.0.1:#{controller()}?sysid=9&share=#{share}&share_origin=https://app.example"
+    {_id, _port} = add_link(gateway, url, id: "racer")
+    eventually(fn -> MavRouter.Router.route(gateway, {"main", 9}) end)
+
+    for headers <- ["", "Origin: https://app.example\r\nSec-WebSocket-Protocol: wsSerial, other\r\n"] do
+      {socket, key, answer} = upgrade(share, headers)
+      assert answer =~ "HTTP/1.1 101" and answer =~ :cow_ws.encode_key(key)
+      assert answer =~ "Sec-WebSocket-Protocol: wsSerial" == (headers != "")
+      request = Frame.encode(%Frame{id: 2})
+      # A request in two messages, and a ping between.
+      <<first::binary-size(3), second::binary>> = request
+      :ok = :gen_tcp.send(socket, :cow_ws.masked_frame({:binary, first}, %{}))
+      :ok = :gen_tcp.send(socket, :cow_ws.masked_frame({:ping, "hi"}, %{}))
+      assert {:ok, <<0x8A, 2, "hi">>} = :gen_tcp.recv(socket, 0, @patience)
+      :ok = :gen_tcp.send(socket, :cow_ws.masked_frame({:binary, second}, %{}))
+      assert {:ok, <<0x82, size, "$M>", 4, 2, "BTFL", _>>} = :gen_tcp.recv(socket, 0, @patience)
+      assert size == 10
+      :ok = :gen_tcp.send(socket, :cow_ws.masked_frame(:close, %{}))
+      assert {:error, :closed} = :gen_tcp.recv(socket, 0, @patience)
+    end
+
+    assert {socket, _key, "HTTP/1.1 403 Forbidden" <> _} = upgrade(share, "Origin: https://evil.example\r\n")
+    assert {:error, :closed} = :gen_tcp.recv(socket, 0, @patience)
+    # Not masked, as a client must not.
+    {socket, _key, _answer} = upgrade(share, "")
+    :ok = :gen_tcp.send(socket, :cow_ws.frame({:binary, Frame.encode(%Frame{id: 2})}, %{}))
+    assert {:error, :closed} = :gen_tcp.recv(socket, 0, @patience)
   end
 
   test "a port that is taken costs the vehicle nothing, and is a warning", %{gateway: gateway} do

@@ -3,22 +3,30 @@ defmodule MavRouter.Link.Transport.Msp.Share do
   The TCP port at which programs that speak MSP (configurators) share a vehicle: option `share` of an MSP link. The session in the link's process
   checks their requests (`Msp.Session.Clients`); what changes something is judged by the policy as a client of the name `LINK-share`.
 
-  A browser can be made to send anything to a port of its own machine, but begins as HTTP: such a connection is closed.
+  A connection that begins as HTTP is a WebSocket, whose binary messages are the same bytes. Any page in a browser of this machine can open one, so only the page of
+  `share_origin` may; programs name none.
   """
 
   alias Aerie.Base.Address
+  alias Aerie.Base.WebSocket.{Frames, Handshake}
   alias MavRouter.Link.Spec
   alias MavRouter.Link.Transport.TcpServer
   alias MavRouter.Router.{Access, Tables}
   alias MavRouter.Router.Forward.Table.Path
 
-  @http ~r/\A[A-Z]{3,8} \S/
+  @http ~r/\A[A-Z]{1,8}( |\z)/
   @station {255, 190}
 
   @enforce_keys [:conn, :spec]
-  defstruct [:conn, :spec, texts: %{}]
+  defstruct [:conn, :spec, texts: %{}, streams: %{}]
 
-  @type t :: %__MODULE__{conn: struct, spec: Spec.t(), texts: %{pos_integer => String.t()}}
+  @typedoc "By program: its address, and what its connection is so far."
+  @type t :: %__MODULE__{
+          conn: struct,
+          spec: Spec.t(),
+          texts: %{pos_integer => String.t()},
+          streams: %{pos_integer => :new | :msp | {:http, binary} | {:websocket, Frames.t()}}
+        }
   @type event :: {:client, pos_integer, :up | :down | binary}
 
   @doc "The name that the programs at a link's port have as a client."
@@ -67,30 +75,92 @@ defmodule MavRouter.Link.Transport.Msp.Share do
     end
   end
 
-  defp event({:peer_up, id, text}, share), do: {[{:client, id, :up}], put_in(share.texts[id], text)}
+  defp event({:peer_up, id, text}, share),
+    do:
+      {[{:client, id, :up}],
+       %{share | texts: Map.put(share.texts, id, text), streams: Map.put(share.streams, id, :new)}}
 
-  defp event({:peer_down, id, _reason}, share),
-    do: {[{:client, id, :down}], %{share | texts: Map.delete(share.texts, id)}}
+  defp event({:peer_down, id, _reason}, share), do: {[{:client, id, :down}], forget(share, id)}
 
   defp event({:read, reads}, share) do
-    Enum.map_reduce(reads, share, fn {id, bytes}, share ->
-      if Regex.match?(@http, bytes),
-        do: {[{:client, id, :down}], drop(share, id)},
-        else: {[{:client, id, bytes}], share}
-    end)
+    Enum.map_reduce(reads, share, fn {id, bytes}, share -> read(share.streams[id], id, bytes, share) end)
   end
 
   # Beyond its limits, or the acceptor has ended with the link.
   defp event(_other, share), do: {[], share}
 
-  defp drop(share, id),
-    do: %{share | conn: TcpServer.drop(share.conn, id), texts: Map.delete(share.texts, id)}
+  # Of a connection that was dropped.
+  defp read(nil, _id, _bytes, share), do: {[], share}
+
+  defp read(:new, id, bytes, share) do
+    if Regex.match?(@http, bytes),
+      do: read({:http, ""}, id, bytes, share),
+      else: read(:msp, id, bytes, put_in(share.streams[id], :msp))
+  end
+
+  defp read(:msp, id, bytes, share), do: {[{:client, id, bytes}], share}
+
+  defp read({:http, before}, id, bytes, share) do
+    case Handshake.accept(before <> bytes) do
+      :more ->
+        {[], put_in(share.streams[id], {:http, before <> bytes})}
+
+      {:ok, %{origin: origin}, _rest} when origin != nil and origin != share.spec.share_origin ->
+        refuse(
+          share,
+          id,
+          Handshake.refused("403 Forbidden", "pages of #{printable(origin)} may not: see share_origin")
+        )
+
+      {:ok, request, rest} ->
+        {events, share} = send_raw(share, id, Handshake.accepted(request))
+        frames = Frames.new(:client)
+
+        if events == [],
+          do: read({:websocket, frames}, id, rest, put_in(share.streams[id], {:websocket, frames})),
+          else: {events, share}
+
+      {:error, answer} ->
+        refuse(share, id, answer)
+    end
+  end
+
+  defp read({:websocket, frames}, id, bytes, share) do
+    {events, frames} = Frames.push(frames, bytes)
+    share = put_in(share.streams[id], {:websocket, frames})
+    Enum.flat_map_reduce(events, share, &message(&1, id, &2))
+  end
+
+  defp message({:data, bytes}, id, share), do: {[{:client, id, bytes}], share}
+  defp message({:ping, payload}, id, share), do: send_raw(share, id, Frames.answer({:pong, payload}))
+  defp message(:pong, _id, share), do: {[], share}
+  defp message(_close_or_bad, id, share), do: {[{:client, id, :down}], drop(share, id)}
+
+  defp refuse(share, id, answer) do
+    {_events, share} = send_raw(share, id, answer)
+    {[{:client, id, :down}], drop(share, id)}
+  end
+
+  defp printable(text), do: text |> String.slice(0, 100) |> String.replace(~r/[^ -~]/, "?")
+
+  defp drop(share, id), do: forget(%{share | conn: TcpServer.drop(share.conn, id)}, id)
+
+  defp forget(share, id),
+    do: %{share | texts: Map.delete(share.texts, id), streams: Map.delete(share.streams, id)}
 
   @doc "Bytes to a program. One that does not read them is dropped."
   @spec write(t | nil, pos_integer, binary) :: {[event], t | nil}
   def write(nil, _id, _bytes), do: {[], nil}
 
   def write(share, id, bytes) do
+    case share.streams[id] do
+      nil -> {[], share}
+      {:websocket, _frames} -> send_raw(share, id, Frames.reply(bytes))
+      _plain -> send_raw(share, id, bytes)
+    end
+  end
+
+  defp send_raw(share, id, bytes) do
     case TcpServer.write(share.conn, id, bytes) do
       {:ok, conn} -> {[], %{share | conn: conn}}
       _full_or_gone -> {[{:client, id, :down}], drop(share, id)}

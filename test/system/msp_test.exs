@@ -8,6 +8,8 @@ defmodule Aerie.System.MspTest do
   import Aerie.PeerCase, only: [findings: 1, start_peer: 2]
 
   alias Aerie.Control.{Commands, Missions, Params}
+  alias Aerie.Fleet.Shadow
+  alias Aerie.Mission.File.QgcPlan
   alias SimVehicle.Msp
 
   @moduletag :tmp_dir
@@ -280,6 +282,48 @@ defmodule Aerie.System.MspTest do
            } = found
 
     assert_in_delta String.to_float(found["volts"]), 16.8, 0.3
+  end
+
+  test "the shadow: parameters by their whole names, iNav's mission, a mode that its pilot has, and held while it is armed",
+       %{tmp_dir: dir} do
+    shadow = %{"shadow" => %{"dir" => Path.join(dir, "shadow"), "hold_s" => 1, "lease_s" => 2}}
+    c = fly(dir, [:betaflight, :inav], shadow)
+    {:ok, plan} = Missions.import(@mwp, :any)
+    {:ok, hash} = Shadow.put_plan(c.gateway, QgcPlan.write(plan))
+
+    for {firmware, param, value, more} <- [
+          {:betaflight, "vbat_warning_cell_voltage", 361, %{}},
+          {:inav, "nav_rth_linear_descent_start_distance", 251, %{"mission" => %{"plan" => hash}}}
+        ] do
+      vehicle = name(firmware)
+      desire = fn desired -> {:ok, _done} = Shadow.update(c.gateway, vehicle, %{"desired" => desired}) end
+      report = fn path -> Shadow.report(c.gateway, vehicle)[path] end
+
+      standing = fn path, state ->
+        eventually(
+          fn -> match?(%{state: ^state}, report.(path)) end,
+          fn -> "#{vehicle} #{path} is #{state}; it is #{inspect(report.(path))}" end
+        )
+      end
+
+      desire.(Map.merge(%{"params" => %{param => value}, "mode" => "ACRO"}, more))
+
+      for path <- ["params.#{param}", "mode"] ++ if(more == %{}, do: [], else: ["mission.plan"]),
+          do: standing.(path, :converged)
+
+      assert {:ok, %{value: ^value}} = Params.get(c.gateway, vehicle, param)
+      # Nothing is set while it is armed; afterwards it is.
+      :ok = Msp.sticks(c.sims[firmware], @armed)
+      event(c, firmware, "armed")
+      desire.(%{"params" => %{param => value + 1}})
+      eventually(fn -> report.("params.#{param}")[:state] not in [:converged, nil] end, "it differs")
+      assert {:ok, %{value: ^value}} = Params.get(c.gateway, vehicle, param)
+      :ok = Msp.sticks(c.sims[firmware], @low)
+      event(c, firmware, "disarmed")
+      standing.("params.#{param}", :converged)
+    end
+
+    assert length(Msp.state(c.sims.inav).mission.list) == 5
   end
 
   test "a network of its own keeps it from ground stations that have another one", %{tmp_dir: dir} do

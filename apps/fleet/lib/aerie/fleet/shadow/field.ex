@@ -7,6 +7,7 @@ defmodule Aerie.Fleet.Shadow.Field do
   """
 
   alias Aerie.Vehicle.Command.{Error, Param, Type}
+  alias Aerie.Control.Params.LongNames
   alias Aerie.Control.Policy.Protection
   alias MavCodec.Dialects.All
 
@@ -154,7 +155,7 @@ defmodule Aerie.Fleet.Shadow.Field do
     end
   end
 
-  defp param?(name), do: name =~ ~r/\A[A-Za-z][A-Za-z0-9_]{0,15}\z/
+  defp param?(name), do: name =~ ~r/\A[A-Za-z]/ and LongNames.name?(name)
   defp message?(name), do: All.message_id(name) != nil
 
   @doc "The field of a path that was checked, or of a table row such as `params.*`."

@@ -10,6 +10,7 @@ defmodule Aerie.Fleet.Shadow.Loop do
   use GenServer
 
   alias Aerie.Base.{HostClock, Names, Store}
+  alias Aerie.Control.Params.LongNames
   alias Aerie.Control.Policy
   alias Aerie.Vehicle.Journal
   alias Aerie.Fleet.Bridge.LastPublished
@@ -162,7 +163,7 @@ defmodule Aerie.Fleet.Shadow.Loop do
   # Parameters as PARAM_VALUE last reported them.
   defp beside(%{gateway: gateway, vehicle: vehicle} = state) do
     for {"params." <> name = path, _entry} <- state.core.document.fields,
-        {:ok, value} when is_number(value) <- [Journal.param(gateway, vehicle.id, name)],
+        {:ok, value} when is_number(value) <- [Journal.param(gateway, vehicle.id, LongNames.wire(name))],
         into: Map.new(state.plans, fn {path, known} -> {path, known.hash} end),
         do: {path, value}
   end

@@ -118,7 +118,7 @@ defmodule Aerie.Fleet.Shadow.Update do
   end
 
   defp expected("params." <> _name),
-    do: "the name of a parameter: a letter, then letters, digits and _, at most 16"
+    do: "the name of a parameter: a letter, then letters, digits and _, at most 16, or 64 small ones"
 
   defp expected("intervals." <> _name), do: "the name of a message, such as ATTITUDE"
   defp expected("geofence." <> _name), do: "only enabled, plan"

@@ -326,6 +326,70 @@ defmodule Aerie.System.MspTest do
     assert length(Msp.state(c.sims.inav).mission.list) == 5
   end
 
+  defmodule Cable do
+    @moduledoc "A serial cable between a pseudo terminal and a simulated flight controller's port."
+    use GenServer
+
+    def start_link(options), do: GenServer.start_link(__MODULE__, options)
+    def peer(cable), do: GenServer.call(cable, :peer, Aerie.Patience.ms())
+
+    @impl GenServer
+    def init(options) do
+      {:ok, socket} = :gen_tcp.connect({127, 0, 0, 1}, options[:port], [:binary, active: true])
+      {:ok, peer} = GenServer.start_link(Aerie.SerialPeer, to: self(), baud: 115_200)
+      {:ok, %{socket: socket, peer: peer}}
+    end
+
+    @impl GenServer
+    def handle_call(:peer, _from, state), do: {:reply, state.peer, state}
+
+    @impl GenServer
+    def handle_info({:tcp, _socket, bytes}, state) do
+      :ok = Aerie.SerialPeer.say(state.peer, bytes)
+      {:noreply, state}
+    end
+
+    def handle_info({:heard, _peer, bytes}, state) do
+      :ok = :gen_tcp.send(state.socket, bytes)
+      {:noreply, state}
+    end
+  end
+
+  test "at a serial port: the same, and no motor turns on when the gateway ends in order", %{tmp_dir: dir} do
+    if Aerie.SerialPeer.build() do
+      sim = start_supervised!({Msp, firmware: :betaflight, uid: 7})
+      cable = start_supervised!({Cable, port: Msp.port(sim)})
+      left_turning(dir, sim, "msp:#{Aerie.SerialPeer.path(Cable.peer(cable))},115200?sysid=7")
+    else
+      IO.puts(:stderr, "no C compiler: no serial cable")
+    end
+  end
+
+  test "over TCP no motor turns on either when the gateway ends in order", %{tmp_dir: dir} do
+    sim = start_supervised!({Msp, firmware: :betaflight, uid: 7})
+    left_turning(dir, sim, "msp:tcp:127.0.0.1:#{Msp.port(sim)}?sysid=7")
+  end
+
+  defp left_turning(dir, sim, link) do
+    started = start_gateway(dir, links: [link], overrides: %{"timeouts" => patient()})
+    gateway = started.gateway
+    eventually(fn -> data(gateway, :health, key(:betaflight))[:ready_to_arm] end, "it could be armed")
+    assert %{voltage: volts} = data(gateway, :battery, key(:betaflight))
+    assert volts > 14
+    c = %{gateway: gateway}
+
+    turn =
+      Task.async(fn ->
+        submit(c, :betaflight, "motor_test", %{motor: 1, throttle: 0.2, duration: 3}, @commander)
+      end)
+
+    motors = fn fc -> for(<<us::16-little <- fc.blocks[104]>>, do: us) end
+    Msp.await(sim, &(Enum.max(motors.(&1)) == 1200))
+    assert %{status: :accepted} = Task.await(turn, Aerie.Patience.ms())
+    stop_gateway(started)
+    Msp.await(sim, &(Enum.max(motors.(&1)) == 1000))
+  end
+
   test "a network of its own keeps it from ground stations that have another one", %{tmp_dir: dir} do
     links =
       for {network, id} <- [{"msp", 7}, {"main", 8}] do

@@ -22,6 +22,7 @@ defmodule MavRouter.Link.Serial.UartProcess do
   @write_ms 2_000
   @open_ms 20_000
   @call_ms 30_000
+  @flush_ms 500
 
   @doc "Starts a holder without a port, linked to the calling process."
   @spec start_link() :: GenServer.on_start()
@@ -70,6 +71,14 @@ defmodule MavRouter.Link.Serial.UartProcess do
   @spec write(pid, binary) :: :ok
   def write(holder, bytes), do: GenServer.cast(holder, {:write, bytes})
 
+  @doc "Waits until what was to be written is on the line, but not long: the port may be gone."
+  @spec flush(pid) :: :ok
+  def flush(holder) do
+    GenServer.call(holder, :flush, @flush_ms)
+  catch
+    :exit, _gone_or_busy -> :ok
+  end
+
   @doc "Ends the holder, which closes the port."
   @spec stop(pid) :: :ok
   def stop(holder) do
@@ -90,6 +99,12 @@ defmodule MavRouter.Link.Serial.UartProcess do
   end
 
   def handle_call(:uart, _from, state), do: {:reply, state.uart, state}
+
+  # Behind the writes of before.
+  def handle_call(:flush, _from, state) do
+    _ = state.uart && UART.drain(state.uart)
+    {:reply, :ok, state}
+  end
 
   def handle_call({:give, link}, _from, state) do
     Process.link(link)

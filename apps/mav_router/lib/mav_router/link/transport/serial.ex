@@ -226,6 +226,7 @@ defmodule MavRouter.Link.Transport.Serial do
   @impl MavRouter.Link.Transport
   def close(conn) do
     Process.unlink(conn.holder)
+    if conn.waiting > 0, do: UartProcess.flush(conn.holder)
     UartProcess.stop(conn.holder)
   end
 

@@ -262,6 +262,18 @@ defmodule Aerie.System.MspTest do
 
     assert %{status: :accepted} = submit(c, :inav, "save_params", %{what: "mission"})
     assert :mission_stored in Msp.state(c.sims.inav).events
+    # Where it is to fly, once its pilot lets the ground say so.
+    place = %{lat: 47.3982, lon: 8.5461, altitude: 30, altitude_reference: "home"}
+    :ok = Msp.sticks(c.sims.inav, @armed)
+    event(c, :inav, "armed")
+    assert %{status: :rejected, reason: reason} = submit(c, :inav, "goto", place)
+    assert reason =~ "GCS NAV"
+    :ok = Msp.sticks(c.sims.inav, [1500, 1500, 1000, 1500, 1900, 1000, 1300, 1000, 1900])
+    event(c, :inav, "mode_change", &(&1["to"] == "NAV POSHOLD" or &1["mode"] == "NAV POSHOLD"))
+    assert %{status: :accepted} = submit(c, :inav, "goto", place)
+    assert <<lat::32-little, _lon::binary>> = Msp.state(c.sims.inav).mission.desired
+    assert_in_delta lat, 473_982_000, 10
+    :ok = Msp.sticks(c.sims.inav, @low)
     c = fly(Path.join(dir, "betaflight"), [:betaflight])
     assert {:ok, %{status: :rejected}} = Missions.upload(c.gateway, name(:betaflight), :mission, plan, by)
   end

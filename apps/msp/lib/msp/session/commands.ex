@@ -13,9 +13,10 @@ defmodule Msp.Session.Commands do
   alias MavCodec.Messages, as: M
   alias MavCodec.Msp.Messages
   alias Msp.{Modes, Polls, Session}
-  alias Msp.Session.{Missions, Motors, Output, Params, Requests, Sticks, Tasks}
+  alias Msp.Session.{Missions, Motors, Output, Params, Places, Requests, Sticks, Tasks}
 
   @command_long M.CommandLong.id()
+  @command_int M.CommandInt.id()
   @commands Map.new(
               [
                 :REQUEST_MESSAGE,
@@ -37,10 +38,11 @@ defmodule Msp.Session.Commands do
 
   @doc "A frame of a client."
   @spec frame(Session.t(), MavCodec.Frame.t(), integer) :: Session.t()
-  def frame(%{phase: :up, system: system} = session, %{id: @command_long} = frame, now) do
+  def frame(%{phase: :up, system: system} = session, %{id: id} = frame, now)
+      when id in [@command_long, @command_int] do
     case MavCodec.decode(frame) do
       {:ok, %{target_system: ^system, target_component: component} = command} when component in [0, 1] ->
-        command(session, Map.get(@commands, command.command), command, {frame.system, frame.component}, now)
+        command_of(session, command, frame, now)
 
       _for_another ->
         session
@@ -59,6 +61,16 @@ defmodule Msp.Session.Commands do
   end
 
   def frame(session, _frame, _now), do: session
+
+  defp command_of(session, command, frame, now) do
+    from = {frame.system, frame.component}
+
+    cond do
+      Places.mine?(command) -> Places.command(session, command, from)
+      is_struct(command, M.CommandInt) -> Output.acknowledge(session, command.command, from, :UNSUPPORTED)
+      true -> command(session, Map.get(@commands, command.command), command, from, now)
+    end
+  end
 
   defp command(session, :REQUEST_MESSAGE, command, from, _now) do
     with id when id != nil <- whole(command.param1),

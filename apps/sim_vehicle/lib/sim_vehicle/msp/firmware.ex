@@ -18,7 +18,7 @@ defmodule SimVehicle.Msp.Firmware do
   # {box, aux channel from 0, first and last step of 25 µs above 900}
   @ranges %{
     betaflight: [{0, 0, 32, 48}, {1, 1, 32, 48}, {46, 2, 32, 48}],
-    inav: [{0, 0, 32, 48}, {1, 1, 32, 48}, {11, 2, 12, 28}, {10, 2, 32, 48}, {50, 3, 32, 48}]
+    inav: [{0, 0, 32, 48}, {1, 1, 32, 48}, {11, 2, 12, 28}, {10, 2, 32, 48}, {50, 3, 32, 48}, {31, 4, 32, 48}]
   }
   @arm 0
   @failsafe 27
@@ -370,6 +370,11 @@ defmodule SimVehicle.Msp.Firmware do
   defp write(fc, id, message, %{payload: payload}) do
     {filled, port} = Port.fill(fc.ports[id], payload, message.min)
     {{:ok, ""}, store(put_in(fc.ports[id], port), message, filled)}
+  end
+
+  defp mission(fc, "SET_WP", <<number, _action, place::binary-size(8), _::binary>>) when number in [0, 255] do
+    takes? = fc.armed and 31 in fc.boxes and (number == 0 or 11 in fc.boxes)
+    {{:ok, ""}, %{fc | mission: Waypoints.place(fc.mission, number, place, takes?)}}
   end
 
   defp mission(fc, "SET_WP", payload), do: {{:ok, ""}, %{fc | mission: Waypoints.set(fc.mission, payload)}}

@@ -9,9 +9,10 @@ defmodule SimVehicle.Msp.Waypoints do
   @actions [1, 3, 4, 5, 6, 7, 8]
   @beyond <<4, 0::144, @last>>
 
-  defstruct list: [], stored: []
+  defstruct list: [], stored: [], home: nil, desired: nil
 
-  @type t :: %__MODULE__{list: [binary], stored: [binary]}
+  @typedoc "`home`, `desired`: latitude and longitude as eight bytes, which are set only where iNav takes them"
+  @type t :: %__MODULE__{list: [binary], stored: [binary], home: binary | nil, desired: binary | nil}
 
   @doc "WP_GETINFO."
   @spec info(t) :: binary
@@ -25,7 +26,15 @@ defmodule SimVehicle.Msp.Waypoints do
   def get(%{list: list}, number) when number in 1..@room,
     do: Enum.at(list, number - 1) || <<number>> <> @beyond
 
+  def get(%{home: place}, 0) when place != nil, do: <<0, 1, place::binary, 0::88>>
+  def get(%{desired: place}, 254) when place != nil, do: <<254, 1, place::binary, 0::88>>
   def get(_mission, number), do: <<number>> <> @beyond
+
+  @doc "SET_WP of home (0) or of where to fly (255), which the vehicle takes now or ignores."
+  @spec place(t, 0 | 255, binary, takes? :: boolean) :: t
+  def place(mission, _number, _place, false), do: mission
+  def place(mission, 0, place, true), do: %{mission | home: place}
+  def place(mission, 255, place, true), do: %{mission | desired: place}
 
   @doc "SET_WP, 21 bytes."
   @spec set(t, binary) :: t

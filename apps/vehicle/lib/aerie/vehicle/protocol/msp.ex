@@ -10,14 +10,13 @@ defmodule Aerie.Vehicle.Protocol.Msp do
   use Aerie.Vehicle.Protocol.Mavlink.Commands, calibration: __MODULE__.Calibration, long_frames: []
 
   alias Aerie.Vehicle.Protocol.{Mavlink, Modes, Unknown}
-  alias Aerie.Vehicle.Protocol.Mavlink.Commands
+  alias Aerie.Vehicle.Protocol.Mavlink.{Commands, Streams}
   alias Aerie.Vehicle.Protocol.Msp.StoredItem
 
   # What the firmware, or one of the two, could do.
-  @not_yet ~w(rx_pair reset_params mission_start mission_pause mission_set_current resume set_home goto
-    camera_trigger)
+  @not_yet ~w(rx_pair reset_params mission_start mission_pause mission_set_current resume camera_trigger)
   @has ~w(reboot save_params calibrate request_message set_message_interval arm disarm force_disarm set_mode rtl hold rc_override
-    manual_control motor_test)
+    manual_control motor_test goto set_home)
   @return %{betaflight: "GPS RESCUE", inav: "NAV RTH"}
   @hold %{betaflight: "POS HOLD", inav: "NAV POSHOLD"}
   # Safe channels for two seconds, and what keeps it from being armed may take longer.
@@ -72,6 +71,22 @@ defmodule Aerie.Vehicle.Protocol.Msp do
 
   def steps(%{type: type, params: params}, vehicle) when type in ["rc_override", "manual_control"],
     do: {:ok, for(step <- Commands.steps(type, params, vehicle), do: %{step | note: @unsaid})}
+
+  def steps(%{type: type}, %{autopilot: :betaflight}) when type in ["goto", "set_home"],
+    do: {:error, "Betaflight has no message for it in MSP"}
+
+  def steps(%{type: "goto", params: %{altitude_reference: "terrain"}}, _vehicle),
+    do: {:error, "iNav has heights above home and above sea level"}
+
+  def steps(%{type: "goto", params: %{speed: speed}}, _vehicle) when speed != nil,
+    do: {:error, "iNav flies there at its own speed (nav_auto_speed)"}
+
+  def steps(%{type: "goto", params: params}, _vehicle) do
+    frame = Streams.frame(params.altitude_reference)
+    numbers = %{1 => -1, 2 => 0, 4 => params[:yaw] || :nan}
+    place = {params.lat, params.lon}
+    {:ok, [Mavlink.int(:MAV_CMD_DO_REPOSITION, [{frame, params.altitude}], place, numbers, answer_ms: 3_000)]}
+  end
 
   def steps(%{type: "motor_test", params: params}, _vehicle) do
     numbers = %{1 => params.motor, 3 => params.throttle * 100, 4 => params.duration}

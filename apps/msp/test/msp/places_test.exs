@@ -1,0 +1,106 @@
+defmodule Msp.PlacesTest do
+  @moduledoc "iNav's home and where it is to fly: only where it takes them, and only what it says itself counts."
+  use ExUnit.Case, async: true
+
+  alias MavCodec.Messages, as: M
+  alias Msp.Test.{Line, Simulated}
+  alias SimVehicle.Msp.Firmware
+
+  @second 1_000_000
+  @reposition 192
+  @set_home 179
+  @armed [1500, 1500, 1000, 1500, 1900, 1000, 1000, 1000, 1000]
+  @held [1500, 1500, 1000, 1500, 1900, 1000, 1300, 1000, 1900]
+
+  defp up(firmware \\ :inav) do
+    {answer, change, state} = Simulated.controller(firmware)
+    line = Line.open(fn bytes, us -> with("" <- answer.(bytes, us), do: nil) end)
+    {Line.run(line, 7 * @second), change, state}
+  end
+
+  defp switch(line, change, channels) do
+    change.(&Firmware.sticks(&1, channels))
+    Line.run(line, @second)
+  end
+
+  defp command(line, message),
+    do:
+      line
+      |> Line.handle(
+        {:mavlink,
+         MavCodec.encode(%{message | target_system: 42, target_component: 1}, system: 237, component: 191)}
+      )
+      |> Line.run(@second)
+
+  defp goto(more \\ []),
+    do:
+      struct!(
+        %M.CommandInt{command: @reposition, frame: 6, x: 474_000_000, y: 85_500_000, z: 30.0, param4: :nan},
+        more
+      )
+
+  defp acks(line), do: for({_at, ack} <- Line.told(line, M.CommandAck), do: ack.result)
+  defp notes(line), do: Enum.join(for({_at, text} <- Line.told(line, M.Statustext), do: text.text))
+
+  test "taken where the pilot has switched it on, and read back" do
+    {line, change, state} = up()
+    line = line |> switch(change, @armed) |> switch(change, @held) |> command(goto())
+    assert acks(line) == [0]
+    assert state.().mission.desired == <<474_000_000::32-little, 85_500_000::32-little>>
+    line = command(line, %M.CommandInt{command: @set_home, frame: 5, x: 473_900_000, y: 85_400_000, z: 500.0})
+    assert acks(line) == [0, 0]
+    assert {_at, %{latitude: 473_900_000, longitude: 85_400_000}} = List.last(Line.told(line, M.HomePosition))
+    line = command(line, %M.CommandLong{command: @set_home, param1: 1.0})
+    assert acks(line) == [0, 0, 0]
+    assert <<473_977_420::32-little, _::binary>> = state.().mission.home
+  end
+
+  test "refused with the reason where iNav would acknowledge and ignore it" do
+    {line, change, state} = up()
+    line = command(line, goto())
+    assert notes(line) =~ "it is not armed"
+    line = line |> switch(change, @armed) |> command(goto())
+    assert notes(line) =~ "GCS NAV"
+    line = line |> switch(change, List.replace_at(@held, 6, 1000)) |> command(goto())
+    assert notes(line) =~ "NAV POSHOLD"
+    line = switch(line, change, @held)
+
+    for wrong <- [goto(frame: 10), goto(x: 0, y: 0), goto(z: :nan)],
+        do: assert(List.last(acks(command(line, wrong))) == 2)
+
+    assert Enum.uniq(acks(line)) == [2]
+    assert state.().mission.desired == nil
+  end
+
+  test "acknowledged, and not so: said as what it is" do
+    {answer, change, _state} = Simulated.controller(:inav)
+    # Waypoint 254 is another one.
+    spoilt = fn bytes, us ->
+      case answer.(bytes, us) do
+        "" ->
+          nil
+
+        <<"$M>", 21, 118, 254, _::binary>> ->
+          MavCodec.Msp.Frame.encode(%MavCodec.Msp.Frame{
+            id: 118,
+            direction: :reply,
+            payload: <<254, 1, 0::152>>
+          })
+
+        reply ->
+          reply
+      end
+    end
+
+    line = spoilt |> Line.open() |> Line.run(7 * @second)
+    line = line |> switch(change, @armed) |> switch(change, @held) |> command(goto())
+    assert acks(line) == [4]
+    assert notes(line) =~ "has another one"
+  end
+
+  test "Betaflight has neither" do
+    {line, _change, _state} = up(:betaflight)
+    assert acks(command(line, goto())) == [3]
+    assert acks(command(line, %M.CommandInt{command: 16})) == [3]
+  end
+end

@@ -193,6 +193,12 @@ defmodule Aerie.System.MspTest do
       {:ok, %{status: :completed}} = Params.load(c.gateway, vehicle, "#{name},#{value + 1}\n", by)
       assert {:ok, %{value: after_load}} = Params.get(c.gateway, vehicle, name)
       assert after_load == value + 1
+      # As the configurators keep them: written, changed in one value, and read again.
+      {:ok, text} = Params.save(c.gateway, vehicle, :txt)
+      assert text =~ "set #{name} = #{value + 1}\n"
+      back = String.replace(text, "set #{name} = #{value + 1}\n", "set #{name} = #{value}\n")
+      assert {:ok, %{status: :completed, details: %{"set" => 1}}} = Params.load(c.gateway, vehicle, back, by)
+      assert {:ok, %{value: ^value}} = Params.get(c.gateway, vehicle, name)
       assert %{status: :accepted} = submit(c, firmware, "save_params")
       stored = Msp.state(c.sims[firmware])
       assert stored.stored == Map.take(stored, [:blocks, :settings])

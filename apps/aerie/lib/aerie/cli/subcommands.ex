@@ -152,7 +152,7 @@ defmodule Aerie.CLI.Subcommands do
       %Subcommand{
         name: "params save",
         summary:
-          "write all parameters to a file for Mission Planner and MAVProxy, or for QGroundControl (.params)",
+          "write all parameters to a file for Mission Planner and MAVProxy, for QGroundControl (.params), or for the configurators of Betaflight and iNav (.txt)",
         where: :here,
         module: Subcommand.ParamsFile,
         arguments: [@vehicle, {"FILE", "the file to write; an existing one is replaced"}],

@@ -268,14 +268,27 @@ defmodule Aerie.Control.Params do
     end
   end
 
-  @doc "The parameters as a file: `:param` for Mission Planner and MAVProxy, `:params` for QGroundControl."
-  @spec save(Names.gateway(), vehicle :: String.t(), :param | :params, [Transfers.option()]) ::
+  @doc """
+  The parameters as a file: `:param` for Mission Planner and MAVProxy, `:params` for QGroundControl, `:txt` for the command lines and configurators of
+  Betaflight and iNav, of which it has to be.
+  """
+  @spec save(Names.gateway(), vehicle :: String.t(), :param | :params | :txt, [Transfers.option()]) ::
           {:ok, String.t()} | {:error, Result.t()}
   def save(gateway, vehicle, format, options \\ []) do
-    with {:ok, %{system_id: system, component: component}} <- Transfers.vehicle(gateway, vehicle),
+    with {:ok, %{system_id: system, component: component} = snapshot} <- Transfers.vehicle(gateway, vehicle),
+         {:ok, format} <- format(format, snapshot),
          {:ok, table} <- list(gateway, vehicle, Component.none!(options)),
          do: {:ok, File.format(table, format, {system, component || 1})}
   end
+
+  defp format(:txt, %{autopilot: firmware}) when firmware in [:betaflight, :inav], do: {:ok, {:txt, firmware}}
+
+  defp format(:txt, _snapshot),
+    do:
+      {:error,
+       Result.new(Aerie.Vehicle.Command.id(), :rejected, "only Betaflight and iNav have a command line")}
+
+  defp format(format, _snapshot), do: {:ok, format}
 
   @doc "How the vehicle (right) differs from a file or another list (left)."
   @spec diff(Names.gateway(), vehicle :: String.t(), binary() | Table.t(), [Transfers.option()]) ::
@@ -301,7 +314,7 @@ defmodule Aerie.Control.Params do
           {:ok, [File.entry()], remarks :: [String.t()]} | {:error, [Error.t(), ...]}
   def read_file(text, snapshot) do
     owner = {snapshot[:system_id], snapshot[:component] || 1}
-    with {:error, errors} <- File.read(text, owner), do: wrong(errors)
+    with {:error, errors} <- File.read(text, owner, snapshot[:autopilot]), do: wrong(errors)
   end
 
   defp wrong(errors) do

@@ -14,6 +14,7 @@ defmodule FleetWeb.API.Format do
     "json" => @json,
     "param" => @text,
     "params" => @text,
+    "txt" => @text,
     "plan" => @json,
     "waypoints" => @text,
     "mission" => @xml

@@ -12,7 +12,7 @@ defmodule FleetWeb.API.Parameters do
     timeout: {%{type: :integer, minimum: 1, maximum: 3600}, "How many seconds the transfer may take."},
     format:
       {@texts,
-       "The form of the text: json, plan, waypoints, mission, param or params, whichever the resource has."},
+       "The form of the text: json, plan, waypoints, mission, param, params or txt, whichever the resource has."},
     id: {@texts, "Id of the command, for asking for it again."},
     unknown: {%{enum: ~w(skip refuse)}, "What to do with parameters that the vehicle does not have."},
     force:

@@ -54,7 +54,7 @@ defmodule FleetWeb.API.Transfers do
   # --- Parameters
 
   defp act(:list_params, {gateway, vehicle}, options, parameters, request) do
-    with {:ok, format} <- wanted(parameters, request, ["json", "param", "params"]),
+    with {:ok, format} <- wanted(parameters, request, ["json", "param", "params", "txt"]),
          {:ok, options} <- component(parameters, options, format == "json"),
          {:ok, body} <- list_params(format, gateway, vehicle, options) do
       {:ok, 200, body, request}
@@ -64,7 +64,7 @@ defmodule FleetWeb.API.Transfers do
   end
 
   defp act(:load_params, {gateway, vehicle}, options, parameters, request) do
-    with {:ok, format} <- given(parameters, request, ["json", "param", "params"]),
+    with {:ok, format} <- given(parameters, request, ["json", "param", "params", "txt"]),
          {:ok, options} <- component(parameters, options, false),
          {:ok, text, request} <- Request.bytes(request, @param_bytes) do
       unknown = if parameters["unknown"] == "skip", do: :skip, else: :refuse
@@ -213,7 +213,12 @@ defmodule FleetWeb.API.Transfers do
 
   defp list_params(format, gateway, vehicle, options) do
     with {:ok, text} <-
-           Params.save(gateway, vehicle, if(format == "param", do: :param, else: :params), options),
+           Params.save(
+             gateway,
+             vehicle,
+             %{"param" => :param, "params" => :params, "txt" => :txt}[format],
+             options
+           ),
          do: {:ok, file(format, text, "#{vehicle}.#{format}")}
   end
 

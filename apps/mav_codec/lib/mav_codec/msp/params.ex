@@ -122,6 +122,22 @@ defmodule MavCodec.Msp.Params do
     inav: Map.new(@inav_rows, &{ShortName.of(&1.name), &1.name})
   }
 
+  @words %{
+    betaflight: for(row <- @betaflight_rows, row.values != [], into: %{}, do: {row.name, row.values}),
+    inav: for(row <- @inav_rows, row.values != [], into: %{}, do: {row.name, row.values})
+  }
+
+  @doc "The words for a parameter's numbers from 0 on, empty if it has none."
+  @spec words(Messages.firmware(), name :: String.t()) :: [String.t()]
+  def words(firmware, name), do: @words |> Map.fetch!(firmware) |> Map.get(name, [])
+
+  @doc "The number of a word of a parameter; nil if it has none of that name."
+  @spec word(Messages.firmware(), name :: String.t(), word :: String.t()) :: non_neg_integer | nil
+  def word(firmware, name, word) do
+    word = String.upcase(word)
+    Enum.find_index(words(firmware, name), &(String.upcase(&1) == word))
+  end
+
   @doc "The parameters of a version, in the order of the table."
   @spec all(Messages.firmware(), Message.version()) :: [t]
   def all(:betaflight, version) do

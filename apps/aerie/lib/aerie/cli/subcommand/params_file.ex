@@ -7,7 +7,7 @@ defmodule Aerie.CLI.Subcommand.ParamsFile do
   @impl Aerie.CLI.Subcommand
   def run(%{arguments: %{"VEHICLE" => vehicle, "FILE" => file}, folder: folder} = request) do
     path = Path.expand(file, folder)
-    format = if Path.extname(path) == ".params", do: :params, else: :param
+    format = Map.get(%{".params" => :params, ".txt" => :txt}, Path.extname(path), :param)
 
     with {:ok, node, _entry} <- Gateway.connect(request),
          {:ok, text} <- Gateway.call(node, Subcommand.Params, :file, [vehicle, format]),

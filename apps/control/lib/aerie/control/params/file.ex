@@ -4,12 +4,14 @@ defmodule Aerie.Control.Params.File do
 
     * `.param` - Mission Planner writes `NAME,VALUE`, MAVProxy `NAME VALUE`, others `NAME=VALUE`; `#` begins a comment
     * `.params` - QGroundControl: system, component, name, value and MAV_PARAM_TYPE, separated by tabs
+    * `.txt` - Betaflight and iNav: what their command lines print (`Aerie.Control.Params.File.CommandLine`)
 
   The format is recognised from the lines. Values are decimal or, as `0xFF`, hexadecimal. Of a name that comes twice the last value counts. Rows of
   another component than the autopilot are left out, and rows of another vehicle are an error. A file has at most 1 MiB and as many parameters
   as a vehicle (`Aerie.Control.Params.Table.max/0`); errors are reported with their line numbers, at most twenty.
   """
 
+  alias Aerie.Control.Params.File.CommandLine
   alias Aerie.Control.Params.{LongNames, Table}
   alias Aerie.Vehicle.Protocol.ParamValue
   alias Aerie.Base.Files.Text
@@ -38,16 +40,39 @@ defmodule Aerie.Control.Params.File do
   @spec parse(binary()) :: {:ok, [entry()]} | {:error, [error(), ...]}
   def parse(text), do: with({:ok, entries, _remarks} <- read(text, {nil, @autopilot}), do: {:ok, entries})
 
-  @doc "The parameters of a file for a vehicle's autopilot, and sentences about what was left out."
-  @spec read(binary(), owner()) :: {:ok, [entry()], remarks :: [String.t()]} | {:error, [error(), ...]}
-  def read(text, _owner) when byte_size(text) > @max_bytes,
+  @doc """
+  The parameters of a file for a vehicle's autopilot, and sentences about what was left out. What words mean depends on the firmware: the vehicle's, or
+  the one that the file names.
+  """
+  @spec read(binary(), owner(), firmware :: atom()) ::
+          {:ok, [entry()], remarks :: [String.t()]} | {:error, [error(), ...]}
+  def read(text, owner, firmware \\ nil)
+
+  def read(text, _owner, _firmware) when byte_size(text) > @max_bytes,
     do: {:error, [{nil, "the file has #{byte_size(text)} bytes, more than #{@max_bytes}"}]}
 
-  def read(text, owner) do
+  def read(text, owner, firmware) do
     case Text.lines(text) do
-      {:ok, lines} -> lines |> Enum.map(&line/1) |> rows(owner)
-      {:error, reason} -> {:error, [{nil, reason}]}
+      {:ok, lines} ->
+        if CommandLine.lines?(lines),
+          do: settings(lines, owner, {firmware, CommandLine.firmware(text)}),
+          else: lines |> Enum.map(&line/1) |> rows(owner)
+
+      {:error, reason} ->
+        {:error, [{nil, reason}]}
     end
+  end
+
+  defp settings(_lines, _owner, {firmware, named})
+       when firmware != nil and named != nil and firmware != named,
+       do: {:error, [{nil, "the file is of #{title(named)}, and the vehicle has another firmware"}]}
+
+  defp settings(lines, owner, {firmware, named}) do
+    {settings, remarks} =
+      CommandLine.settings(lines, if(firmware in [:betaflight, :inav], do: firmware, else: named))
+
+    entries = for {name, value, line} <- settings, do: entry(name, value, nil, line)
+    with {:ok, entries, more} <- rows(entries, owner), do: {:ok, entries, remarks ++ more}
   end
 
   defp rows(lines, {system, component}) do
@@ -200,10 +225,23 @@ defmodule Aerie.Control.Params.File do
   end
 
   @doc """
-  A file of a list: `:param` for Mission Planner and MAVProxy, `:params` for QGroundControl. Ordered by name. A value that is not a
-  number is a comment.
+  A file of a list: `:param` for Mission Planner and MAVProxy, `:params` for QGroundControl, `{:txt, firmware}` for the command line of Betaflight or iNav. Ordered
+  by name. A value that is not a number is a comment.
   """
-  @spec format(Table.t(), :param | :params, {system :: non_neg_integer(), component :: 0..255}) :: String.t()
+  @spec format(
+          Table.t(),
+          :param | :params | {:txt, :betaflight | :inav},
+          {system :: non_neg_integer(), component :: 0..255}
+        ) :: String.t()
+  def format(table, {:txt, firmware}, _source) do
+    lines =
+      Enum.map_join(Table.sorted(table), fn param ->
+        unless_unusable(param, &CommandLine.text(firmware, &1.name, text(&1.value)))
+      end)
+
+    "# #{title(firmware)}: save stores them and restarts the vehicle\n#{lines}save\n"
+  end
+
   def format(table, :param, _source),
     do:
       Enum.map_join(
@@ -219,6 +257,9 @@ defmodule Aerie.Control.Params.File do
         unless_unusable(param, &"#{system}\t#{component}\t#{&1.name}\t#{text(&1.value)}\t#{&1.type}\n")
       end)
   end
+
+  defp title(:inav), do: "iNav"
+  defp title(:betaflight), do: "Betaflight"
 
   defp unless_unusable(%{value: nil} = param, _line), do: "# #{param.name} is not a number on board\n"
   defp unless_unusable(param, line), do: line.(param)

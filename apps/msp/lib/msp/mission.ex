@@ -108,7 +108,7 @@ defmodule Msp.Mission do
   @doc "The number of the item that belongs to a waypoint by its number: its own, not that of its speed."
   @spec seq([waypoint], number :: pos_integer) :: non_neg_integer
   def seq(waypoints, number) when is_integer(number) do
-    with seq when seq != nil <- firsts(waypoints)[number],
+    with seq when is_integer(seq) <- firsts(waypoints)[number],
          {waypoint, speed} <- reached(waypoints, number) do
       seq + length(elem(change_speed(waypoint, speed), 0))
     else

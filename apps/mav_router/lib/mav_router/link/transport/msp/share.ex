@@ -43,12 +43,10 @@ defmodule MavRouter.Link.Transport.Msp.Share do
         {:ok, %__MODULE__{conn: conn, spec: spec}}
 
       {:error, reason} ->
-        {:error, "programs cannot share the vehicle at #{Address.format(host, port)}: #{words(reason)}"}
+        {:error,
+         "programs cannot share the vehicle at #{Address.format(host, port)}: #{:inet.format_error(reason)}"}
     end
   end
-
-  defp words(reason) when is_atom(reason), do: :inet.format_error(reason)
-  defp words(reason), do: inspect(reason, limit: 10)
 
   @doc "Hands it to the link's process."
   @spec give(t | nil, pid) :: :ok | {:error, term}

@@ -21,7 +21,7 @@ defmodule Msp.Session do
   |---|---|
   | `{:write, bytes}` | to the flight controller |
   | `{:mavlink, bytes}` | frames of the vehicle |
-  | `{:client, id, bytes}` | to a program |
+  | `{:client, id, bytes}`, `{:client, id, :full}` | to a program; there is no room for it |
   | `{:judge, id, message}` | whether a program may do what this MAVLink message would ask for |
   | `{:wake, at}` | a `:tick` then; the latest one counts |
   | `{:count, name, n}` | damage of the line: `:crc_errors` frames, `:resync_bytes` outside of frames |
@@ -116,7 +116,7 @@ defmodule Msp.Session do
   @type action ::
           {:write, binary}
           | {:mavlink, binary}
-          | {:client, pos_integer, binary}
+          | {:client, pos_integer, binary | :full}
           | {:judge, pos_integer, struct}
           | {:wake, integer}
           | {:count, :crc_errors | :resync_bytes, pos_integer}
@@ -139,7 +139,9 @@ defmodule Msp.Session do
       {%{new(system) | phase: :listening, until: now + @listen_us, clients: clients},
        [{:wake, now + @listen_us}]}
 
-  def handle(session, {:client, id, :up}, _now), do: {Clients.up(session, id), []}
+  def handle(session, {:client, id, :up}, _now),
+    do: if(Clients.room?(session), do: {Clients.up(session, id), []}, else: {session, [{:client, id, :full}]})
+
   def handle(session, {:client, id, :down}, now), do: session |> Clients.down(id, now) |> advance(now)
   def handle(session, {:client, id, bytes}, now), do: session |> Clients.bytes(id, bytes, now) |> advance(now)
 

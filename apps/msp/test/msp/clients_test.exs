@@ -206,6 +206,7 @@ defmodule Msp.ClientsTest do
     # No more than there is room for.
     line = Enum.reduce(3..12, line, &program(&2, &1))
     assert map_size(line.session.clients) == 8
+    assert line.full == [12, 11, 10, 9]
   end
 
   test "any bytes of any programs, coming and going: never an error, and one checked request at a time" do

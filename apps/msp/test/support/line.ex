@@ -18,6 +18,7 @@ defmodule Msp.Test.Line do
     counted: %{},
     delay: 10_000,
     clients: [],
+    full: [],
     judged: [],
     judge: nil
   ]
@@ -90,6 +91,7 @@ defmodule Msp.Test.Line do
 
   defp act({:mavlink, bytes}, line), do: %{line | told: [{line.now, bytes} | line.told]}
   defp act({:count, name, n}, line), do: %{line | counted: Map.update(line.counted, name, n, &(&1 + n))}
+  defp act({:client, id, :full}, line), do: %{line | full: [id | line.full]}
   defp act({:client, id, bytes}, line), do: %{line | clients: [{line.now, id, bytes} | line.clients]}
 
   defp act({:judge, id, message}, line) do

@@ -32,12 +32,10 @@ defmodule Msp.Session.Clients do
 
   @doc "A program is there."
   @spec up(Session.t(), id) :: Session.t()
-  def up(%{clients: clients} = session, id) when map_size(clients) < @most_clients do
+  def up(%{clients: clients} = session, id) do
     client = %{parser: Parser.new(), waiting: [], judged: nil, busy: false, disables: false, motors: false}
     %{session | clients: Map.put(clients, id, client)}
   end
-
-  def up(session, _id), do: session
 
   @doc "Whether there is room for one more."
   @spec room?(Session.t()) :: boolean

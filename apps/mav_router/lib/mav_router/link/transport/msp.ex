@@ -174,6 +174,8 @@ defmodule MavRouter.Link.Transport.Msp do
   defp act({:count, _name, _n} = count, {events, msp}), do: {events ++ [count], msp}
   defp act({:fail, text}, {events, msp}), do: {events ++ [{:closed, text}], msp}
 
+  defp act({:client, id, :full}, {events, msp}), do: {events, %{msp | share: Share.drop(msp.share, id)}}
+
   defp act({:client, id, bytes}, {events, msp}) do
     {gone, share} = Share.write(msp.share, id, bytes)
     {more, msp} = steps(gone, %{msp | share: share})

@@ -108,6 +108,10 @@ defmodule MavRouter.Link.Transport.MspShareTest do
     # One that is gone takes nothing with it.
     :gen_tcp.close(two)
     assert %{id: 2} = ask(one, 2)
+    # There is room for eight; the connection of a later one is closed.
+    last = Enum.at(for(_n <- 1..9, do: program(share)), -1)
+    assert {:error, :closed} = :gen_tcp.recv(last, 0, @patience)
+    assert %{id: 2} = ask(one, 2)
   end
 
   defp upgrade(port, headers) do

@@ -141,7 +141,9 @@ defmodule MavRouter.Link.Transport.Msp.Share do
 
   defp printable(text), do: text |> String.slice(0, 100) |> String.replace(~r/[^ -~]/, "?")
 
-  defp drop(share, id), do: forget(%{share | conn: TcpServer.drop(share.conn, id)}, id)
+  @doc "Closes the connection of a program."
+  @spec drop(t, pos_integer) :: t
+  def drop(share, id), do: forget(%{share | conn: TcpServer.drop(share.conn, id)}, id)
 
   defp forget(share, id),
     do: %{share | texts: Map.delete(share.texts, id), streams: Map.delete(share.streams, id)}

@@ -42,6 +42,7 @@ defmodule Aerie.Vehicle.MixProject do
         {:mav_codec, in_umbrella: true},
         {:authority, in_umbrella: true},
         {:base, in_umbrella: true},
+        {:msp, in_umbrella: true},
         {:mav_router, in_umbrella: true},
         # Transfers are tested against what the simulated vehicles answer.
         {:sim_vehicle, in_umbrella: true, only: :test, runtime: false}

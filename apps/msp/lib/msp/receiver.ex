@@ -93,7 +93,7 @@ defmodule Msp.Receiver do
       receiver?(firmware, config) ->
         {:ok, :receiver}
 
-      override? and firmware == :betaflight and version < {1, 49} ->
+      override? and not hands_back?({firmware, version}) ->
         {:error, "Betaflight before 2026.6 keeps the last channels of MSP OVERRIDE for ever if they stop"}
 
       override? ->
@@ -104,6 +104,11 @@ defmodule Msp.Receiver do
          "a transmitter is in charge: neither is MSP its receiver (#{setting(firmware)}), nor is MSP OVERRIDE switched on"}
     end
   end
+
+  @doc "Whether a vehicle has its own receiver's channels again when overridden ones stop: iNav, and Betaflight from 2026.6."
+  @spec hands_back?(MavCodec.Msp.Guard.target()) :: boolean
+  def hands_back?({:betaflight, version}), do: version >= {1, 48}
+  def hands_back?({:inav, _version}), do: true
 
   defp receiver?(:betaflight, %{features: features}),
     do: Bitwise.band(features, Bitwise.bsl(1, @rx_msp_feature)) != 0

@@ -181,6 +181,10 @@ defmodule Aerie.Vehicle.CommandTest do
     for name <- Types.names(), do: assert(page =~ "| `#{name}` |")
   end
 
+  test "docs/msp.md is what the tables say (mix aerie.msp)" do
+    assert File.read!(Path.expand("../../../../../../docs/msp.md", __DIR__)) == Mix.Tasks.Aerie.Msp.page()
+  end
+
   test "the examples of docs/commands.md are commands" do
     page = File.read!(Path.expand("../../../../../../docs/commands.md", __DIR__))
     {:ok, now, 0} = DateTime.from_iso8601("2026-11-22T09:00:00Z")

@@ -68,6 +68,17 @@ defmodule Aerie.System.MspTest do
     result
   end
 
+  # In its first seconds a vehicle takes no such command, as it is not known yet whose firmware it is.
+  defp command(c, firmware, type, params \\ %{}) do
+    eventually(
+      fn ->
+        result = submit(c, firmware, type, params, @commander)
+        if to_string(result.reason) =~ "TEMPORARILY_REJECTED", do: nil, else: result
+      end,
+      "#{type} is taken or refused"
+    )
+  end
+
   test "a flight: armed, the mode by its name, in the air, height, landed and disarmed", %{tmp_dir: dir} do
     c = fly(dir, [:betaflight, :inav])
 
@@ -132,7 +143,7 @@ defmodule Aerie.System.MspTest do
 
     for {firmware, sim} <- c.sims do
       # Its pilot's transmitter is in charge, whoever asks.
-      assert %{status: :rejected, reason: reason} = submit(c, firmware, "arm", %{}, @commander)
+      assert %{status: :rejected, reason: reason} = command(c, firmware, "arm")
       assert reason =~ "a transmitter is in charge"
 
       assert %{status: :denied, details: %{"rule" => "role"}, reason: reason} =
@@ -211,11 +222,10 @@ defmodule Aerie.System.MspTest do
 
     for {firmware, sim} <- c.sims do
       Msp.await(sim, &(&1.now > 6_000_000))
-      assert %{status: :completed} = submit(c, firmware, "arm", %{}, @commander)
-      event(c, firmware, "armed")
+      assert %{status: :completed} = command(c, firmware, "arm")
       # Each is in force for longer than the next one takes.
       climb = fn throttle ->
-        submit(c, firmware, "manual_control", %{throttle: throttle, hold: 2.0}, @commander)
+        submit(c, firmware, "manual_control", %{throttle: throttle, hold: 10.0}, @commander)
       end
 
       up = Task.async(fn -> climb.(0.8) end)
@@ -225,6 +235,7 @@ defmodule Aerie.System.MspTest do
       assert data(c.gateway, :mode, key(firmware)).mode == mode
       assert %{status: :accepted, reason: reason} = Task.await(up, Aerie.Patience.ms())
       assert reason == nil or reason =~ "a text says"
+      event(c, firmware, "armed")
       # Nobody steers any more, in the air: its own failsafe.
       event(c, firmware, "failsafe", &(&1["active"] != false))
     end
@@ -397,9 +408,7 @@ defmodule Aerie.System.MspTest do
     c = %{gateway: gateway}
 
     turn =
-      Task.async(fn ->
-        submit(c, :betaflight, "motor_test", %{motor: 1, throttle: 0.2, duration: 3}, @commander)
-      end)
+      Task.async(fn -> command(c, :betaflight, "motor_test", %{motor: 1, throttle: 0.2, duration: 3}) end)
 
     motors = fn fc -> for(<<us::16-little <- fc.blocks[104]>>, do: us) end
     Msp.await(sim, &(Enum.max(motors.(&1)) == 1200))

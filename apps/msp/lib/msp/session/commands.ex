@@ -33,6 +33,7 @@ defmodule Msp.Session.Commands do
             )
   # Writing the EEPROM takes up to two seconds on hardware; configurators wait for five.
   @slow_us 5_000_000
+  @warning 4
   @notice 5
   @known_us 3_000_000
 
@@ -106,7 +107,13 @@ defmodule Msp.Session.Commands do
   # Until the gateway knows which firmware it is, its policy does not ask for what that needs.
   defp command(%{up_at: at} = session, name, command, from, now)
        when name in [:COMPONENT_ARM_DISARM, :DO_SET_MODE, :DO_MOTOR_TEST] and now - at < @known_us,
-       do: Output.acknowledge(session, command.command, from, :TEMPORARILY_REJECTED)
+       do:
+         session
+         |> Output.text(
+           @warning,
+           "Not done: the vehicle was just found, try again in #{div(@known_us, 1_000_000)} s"
+         )
+         |> Output.acknowledge(command.command, from, :TEMPORARILY_REJECTED)
 
   defp command(session, name, command, from, now) when name in [:COMPONENT_ARM_DISARM, :DO_SET_MODE] do
     case Sticks.wish(name, command, session.identity.firmware) do

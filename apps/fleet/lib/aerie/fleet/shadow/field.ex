@@ -155,7 +155,7 @@ defmodule Aerie.Fleet.Shadow.Field do
     end
   end
 
-  defp param?(name), do: name =~ ~r/\A[A-Za-z]/ and LongNames.name?(name)
+  defp param?(name), do: name =~ ~r/\A[A-Za-z][A-Za-z0-9_]*\z/ and LongNames.name?(name)
   defp message?(name), do: All.message_id(name) != nil
 
   @doc "The field of a path that was checked, or of a table row such as `params.*`."

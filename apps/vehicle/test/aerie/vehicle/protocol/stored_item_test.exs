@@ -21,7 +21,9 @@ defmodule Aerie.Vehicle.Protocol.StoredItemTest do
 
   # The fields that may not come back with these values.
   defp differing(kept, read),
-    do: for({field, value} <- read, expected = kept[field], not StoredItem.match?(expected, value), do: field)
+    do:
+      for({field, value} <- read, expected = kept[field], not StoredItem.match?(expected, value), do: field)
+      |> Enum.sort()
 
   test "ArduPilot keeps one number of a waypoint, and its height in centimetres" do
     kept = Ardupilot.StoredItem.item(item(:NAV_WAYPOINT, [2.7, 1.0, 0.0, 90.0], %{z: 20.006}), 0, "copter")

@@ -1,5 +1,3 @@
-Code.require_file("../../packages/packages.exs", __DIR__)
-
 defmodule Aerie.Mission.MixProject do
   use Mix.Project
 
@@ -37,14 +35,12 @@ defmodule Aerie.Mission.MixProject do
   defp elixirc_paths(_env), do: ["lib"]
 
   defp deps,
-    do:
-      [
-        {:mav_codec, in_umbrella: true},
-        {:base, in_umbrella: true},
-        {:msp, in_umbrella: true},
-        {:vehicle, in_umbrella: true},
-        # Tested against what the simulated vehicles answer.
-        {:sim_vehicle, in_umbrella: true, only: :test, runtime: false}
-      ] ++
-        Aerie.Packages.deps([])
+    do: [
+      {:mav_codec, in_umbrella: true},
+      {:base, in_umbrella: true},
+      {:msp, in_umbrella: true},
+      {:vehicle, in_umbrella: true},
+      # Tested against what the simulated vehicles answer.
+      {:sim_vehicle, in_umbrella: true, only: :test, runtime: false}
+    ]
 end

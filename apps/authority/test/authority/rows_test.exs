@@ -36,7 +36,7 @@ defmodule Authority.RowsTest do
     refute List.keymember?(Numbers.of(id, [{index, :any}]), index, 0)
   end
 
-  test "what firmwares may read in different ways is no number" do
+  test "a number that firmwares may read in different ways is an error" do
     assert Numbers.read(2.0, {:values, [1, 2]}) == {:ok, 2}
     assert Numbers.read(:nan, {:flags, 3}) == {:ok, 0}
     assert Numbers.read({:nan, 1}, {:index, 0, 9}) == {:ok, 0}

@@ -68,6 +68,7 @@ defmodule Msp.Session do
     :uploaded,
     :receiver,
     :motors,
+    :one_way,
     :ignored_at,
     :up_at,
     phase: :closed,
@@ -100,6 +101,7 @@ defmodule Msp.Session do
     wrote the last one, and what came of it
   - `receiver`: the channels that are sent in place of a transmitter's, nil for none
   - `motors`: when those of a test are stopped, and how often they were told to; nil while none turns
+  - `one_way`: whether its motors turn one way only, so that 1000 us stops them; nil until it has said so
   - `ignored_at`: when a text last said that sticks were ignored
   - `clients`: programs that speak MSP themselves; `told`, `judgements`: what is to be said to them, and asked of the policy
   - `tasks`: what clients asked for that needs the flight controller
@@ -323,6 +325,7 @@ defmodule Msp.Session do
       session
       | phase: :up,
         up_at: now,
+        one_way: nil,
         identity: identity,
         uid: identity.uid,
         # Of another vehicle they are others.

@@ -183,6 +183,23 @@ defmodule Msp.ClientsTest do
     end
   end
 
+  test "motors that turn both ways are left alone: what stops others would turn them backwards" do
+    {answer, change, state} = Simulated.controller(:betaflight)
+    change.(&%{&1 | blocks: Map.update!(&1.blocks, 36, fn <<f::32-little>> -> <<f + 4096::32-little>> end)})
+
+    line =
+      Line.open(fn bytes, us -> with("" <- answer.(bytes, us), do: nil) end)
+      |> Line.run(7 * @second)
+      |> program(1)
+
+    line = ask(line, 1, v1(214, :binary.copy(<<1500::16-little>>, 8)))
+    assert [%{id: 214, direction: :error}] = got(line, 1)
+    line = line |> Line.handle({:client, 1, :down}) |> Line.run(12 * @second)
+    assert sent(line, 214) == []
+    assert notes(line) =~ "turn both ways"
+    assert Enum.max(for(<<us::16-little <- state.().blocks[104]>>, do: us)) == 1000
+  end
+
   test "a restart that a program asked for: its reply, then the vehicle again, and its programs go on" do
     {line, _change, state} = up(:betaflight)
     line = ask(line, 1, v1(68), 8)

@@ -140,6 +140,10 @@ defmodule Msp.Session.Clients do
   defp allowed(_session, _message, %{id: @set_raw_rc}),
     do: {:error, "SET_RAW_RC is not for programs: arm and manual_control send channels, with a dead-man"}
 
+  # What stops a motor that turns both ways is another value, so it could not be stopped for a program that is gone.
+  defp allowed(%{one_way: one_way}, _message, %{id: @set_motor}) when one_way != true,
+    do: {:error, "SET_MOTOR refused: its motors turn both ways, or it has not said yet that they do not"}
+
   defp allowed(session, message, _frame) do
     if message.armed != :yes and message.kind == :write and
          Modes.armed?(session.readings[:boxes] || MapSet.new()),

@@ -80,7 +80,9 @@ defmodule Msp.Session.Motors do
     do: session |> Tasks.done(task) |> Output.acknowledge(task.command, task.from, :ACCEPTED)
 
   def answer(session, %{ask: {_feature, _}} = task, {:ok, %{features: features}}, _now) do
-    if Bitwise.band(features, Bitwise.bsl(1, @both_ways)) == 0,
+    session = %{session | one_way: Bitwise.band(features, Bitwise.bsl(1, @both_ways)) == 0}
+
+    if session.one_way,
       do: Tasks.ask_next(session, task, %{tries: 0, ask: {"MOTOR", %{}}}),
       else: ended(session, task, "its motors turn both ways")
   end

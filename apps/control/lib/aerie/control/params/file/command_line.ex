@@ -32,7 +32,7 @@ defmodule Aerie.Control.Params.File.CommandLine do
     end
   end
 
-  @doc "The settings that are numbers, as text, and remarks. Without a firmware no words are known."
+  @doc "The settings that are numbers, as text, and remarks. Words are known by their firmware."
   @spec settings([line()], :betaflight | :inav | nil) :: {[setting()], remarks :: [String.t()]}
   def settings(lines, firmware) do
     start = %{profile: nil, selected: %{}, settings: [], others: []}

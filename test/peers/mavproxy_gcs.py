@@ -113,8 +113,8 @@ def flight(p, firmware, system, parameter, folder):
         p.type("wp load %s" % up)
         if not p.see(r"Got MISSION_ACK: TYPE_MISSION: (ACCEPTED|ERROR|OPERATION_CANCELLED)|Sent all \d+ waypoints").group(1) in ("ERROR", "OPERATION_CANCELLED"):
             break
-    p.type("wp save %s" % down)
-    p.see(r"Saved \d+ waypoints")
+    # A vehicle that still waits for the last item's acknowledgement refuses the list, and MAVProxy asks once.
+    p.until("wp save %s" % down, r"Saved \d+ waypoints", 30, 10.0)
     with open(down) as f:
         back = [line.split("\t") for line in f.read().splitlines()[1:]]
     say("mission", [int(row[3]) for row in back])

@@ -129,8 +129,8 @@ defmodule Aerie.CommandTrials.Flying do
         :accepted,
         nil,
         mavsdk: {"offboard.set_position_ned", [%{"PositionNedYaw" => [20.0, 0.0, -20.0, 0.0]}]},
-        # PX4 wants a second of set-points before OFFBOARD (X7).
-        lasts_s: 7
+        # PX4 wants a second of set-points before OFFBOARD (X7); MAVSDK ends them after three of ours without it.
+        lasts_s: 4
       ),
       row(
         "set_mode",

@@ -38,7 +38,8 @@ defmodule MavRouter.Signing.Admission do
       slots: %{},
       verifiers: %{},
       newest: %{},
-      counts: []
+      counts: [],
+      notices: []
     }
 
     acc = Enum.reduce(frames, acc, &verify/2)
@@ -55,6 +56,8 @@ defmodule MavRouter.Signing.Admission do
         do: ClockRecovery.refused(gateway, tables, origin, scope, system)
 
     if acc.counts != [], do: count(gateway, tables, origin, acc.counts, List.last(frames).at)
+    # Last, so that an enrolment that ends by a frame finds it in the vehicle's state.
+    acc.notices |> Enum.reverse() |> Enum.each(fn {pid, notice} -> send(pid, notice) end)
     Enum.reverse(acc.kept)
   end
 
@@ -84,7 +87,7 @@ defmodule MavRouter.Signing.Admission do
   defp behind(acc, _verdict, _scope, _frame), do: acc
 
   defp verdict(acc, frame, verdict, scope) do
-    _ = if acc.waiters?, do: notify(acc, frame, verdict, scope)
+    acc = if acc.waiters?, do: notify(acc, frame, verdict, scope), else: acc
     kept = if match?({:rejected, _}, verdict), do: acc.kept, else: [frame | acc.kept]
     %{acc | kept: kept, counts: note(acc.counts, frame, verdict)}
   end
@@ -216,9 +219,11 @@ defmodule MavRouter.Signing.Admission do
       end
 
     if what do
-      for {_key, pid, reference} <- :ets.lookup(acc.tables.waiters, {acc.network, frame.system}) do
-        send(pid, {reference, what, acc.link, frame.component})
-      end
+      waiters = :ets.lookup(acc.tables.waiters, {acc.network, frame.system})
+      new = for {_key, pid, reference} <- waiters, do: {pid, {reference, what, acc.link, frame.component}}
+      %{acc | notices: new ++ acc.notices}
+    else
+      acc
     end
   end
 end

@@ -42,6 +42,16 @@ defmodule MavRouter.Recorder do
     :ok
   end
 
+  @doc "What went over a link besides frames; `make` gives it as frames, if the link is recorded."
+  @spec link_trace(Names.gateway(), String.t(), (-> [Frame.t()])) :: :ok
+  def link_trace(gateway, link, make) do
+    with tables when is_map(tables) <- Tables.of(gateway),
+         true <- Tap.open?(tables, {:link, link}),
+         do: Tap.offer(tables, {:link, link}, make.())
+
+    :ok
+  end
+
   @doc "A vehicle's session got frames."
   @spec vehicle_frames(Names.gateway(), {String.t(), non_neg_integer}, [Frame.t()]) :: :ok
   def vehicle_frames(gateway, key, frames) do

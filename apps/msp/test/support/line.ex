@@ -1,9 +1,10 @@
 defmodule Msp.Test.Line do
   @moduledoc """
   A session at a line, in simulated time: what it writes goes to a function that answers, after some milliseconds, and what it tells
-  in MAVLink is collected.
+  in MAVLink is collected. With `record: true` it has the frames of its recording, too, the last one first.
   """
 
+  alias MavCodec.Msp.Trace
   alias Msp.Session
 
   defstruct [
@@ -20,7 +21,10 @@ defmodule Msp.Test.Line do
     clients: [],
     full: [],
     judged: [],
-    judge: nil
+    judge: nil,
+    record: false,
+    recorded: [],
+    seq: 0
   ]
 
   @doc "A line whose other end is `answer`: `(bytes, time in us since the beginning) -> bytes | nil`. It is opened."
@@ -28,7 +32,7 @@ defmodule Msp.Test.Line do
     line =
       struct!(
         %__MODULE__{session: Session.new(options[:system] || 42), answer: answer},
-        Keyword.take(options, [:delay, :judge])
+        Keyword.take(options, [:delay, :judge, :record])
       )
 
     handle(line, :opened)
@@ -41,8 +45,18 @@ defmodule Msp.Test.Line do
   @doc "An event now."
   def handle(line, event) do
     {session, actions} = Session.handle(line.session, event, line.now)
-    Enum.reduce(actions, %{line | session: session}, &act/2)
+    Enum.reduce(actions, trace(%{line | session: session}, event), &act/2)
   end
+
+  defp trace(%{record: false} = line, _what), do: line
+
+  defp trace(%{seq: seq} = line, what) do
+    frames = Trace.frames({line.now, what}, system: line.session.system, seq: seq, at: line.now)
+    %{line | recorded: Enum.reverse(frames, line.recorded), seq: seq + length(frames)}
+  end
+
+  defp record(%{record: false} = line, _frames), do: line
+  defp record(line, frames), do: %{line | recorded: Enum.reverse(frames, line.recorded)}
 
   @doc "The messages told so far, decoded, each with its time in us since the beginning; those of one kind."
   def told(line, module), do: for({at, %^module{} = message} <- told(line), do: {at, message})
@@ -81,7 +95,7 @@ defmodule Msp.Test.Line do
   end
 
   defp act({:write, bytes}, line) do
-    line = %{line | written: [{line.now, bytes} | line.written]}
+    line = trace(%{line | written: [{line.now, bytes} | line.written]}, {:written, bytes})
 
     case line.answer.(bytes, line.now - 1_000_000_000_000) do
       nil -> line
@@ -89,7 +103,9 @@ defmodule Msp.Test.Line do
     end
   end
 
-  defp act({:mavlink, bytes}, line), do: %{line | told: [{line.now, bytes} | line.told]}
+  defp act({:mavlink, bytes}, line),
+    do: record(%{line | told: [{line.now, bytes} | line.told]}, if(line.record, do: frames(bytes), else: []))
+
   defp act({:count, name, n}, line), do: %{line | counted: Map.update(line.counted, name, n, &(&1 + n))}
   defp act({:client, id, :full}, line), do: %{line | full: [id | line.full]}
   defp act({:client, id, bytes}, line), do: %{line | clients: [{line.now, id, bytes} | line.clients]}

@@ -105,6 +105,17 @@ defmodule Aerie.CLI.Subcommands do
         arguments: [{"FILE", "a .tlog file"}],
         options: [{:samples, :boolean, nil, "print the state samples, too"}, @config],
         more: "aerie start --replay FILE plays it to clients and the console."
+      },
+      %Subcommand{
+        name: "msp",
+        summary: "print what went over a line with MSP, from the recording of its link",
+        where: :here,
+        module: Subcommand.Msp,
+        arguments: [{"FILE", "a .tlog file of a link (recorder.links), not of a vehicle"}],
+        options: [@json],
+        more:
+          "> is a request, < its reply, ! a refusal. In the end the gateway's part is done again with what was recorded. Exit status: 0 it does the same, " <>
+            "1 it does not, which is an error in Aerie, or another version's recording."
       }
     ]
   end

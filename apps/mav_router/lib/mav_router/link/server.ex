@@ -218,6 +218,12 @@ defmodule MavRouter.Link.Server do
   # Events of the transport go through the core, unless an earlier one of them ended the connection.
   defp event(_event, %{conn: nil} = state), do: state
   defp event({:written, {:ok, _bytes}}, state), do: state
+
+  defp event({:traced, make}, state) do
+    if state.home == Store, do: MavRouter.Recorder.link_trace(state.gateway, state.spec.id, make)
+    state
+  end
+
   defp event({:written, {:error, _reason}}, state), do: step(state, {:count, :dropped_out, 1})
   defp event({:records, _records} = event, state), do: state |> step(event) |> delivered()
   defp event(:redirected, state), do: sync(state)

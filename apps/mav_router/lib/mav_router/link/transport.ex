@@ -95,6 +95,7 @@ defmodule MavRouter.Link.Transport do
   - `{:warning, text}`: for the log
   - `{:sniffed, place, baud, sniffed}`: what bytes without frames are (`MavCodec.Sniff`)
   - `{:count, name, n}`: something to count (`MavRouter.Link.Counters`)
+  - `{:traced, make}`: what went over the line besides, for the link's recording; `make` gives it as frames
   - `{:written, result}`: the late result of a write, `{:ok, bytes} | {:error, reason}`
   """
   @type event ::
@@ -108,6 +109,7 @@ defmodule MavRouter.Link.Transport do
           | {:ended | :warning, String.t()}
           | {:sniffed, String.t(), pos_integer, MavCodec.Sniff.t()}
           | {:count, atom, pos_integer}
+          | {:traced, (-> [MavCodec.Frame.t()])}
           | {:written, {:ok, non_neg_integer} | {:error, term}}
 
   @doc "The transport's traits."

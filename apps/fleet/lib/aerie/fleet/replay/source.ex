@@ -5,6 +5,7 @@ defmodule Aerie.Fleet.Replay.Source do
   """
 
   alias MavCodec.{Frame, Tlog}
+  alias MavCodec.Msp.Trace
 
   @chunk 65_536
   @looked_at 16
@@ -12,27 +13,40 @@ defmodule Aerie.Fleet.Replay.Source do
   @typedoc "A path, paths in the order in which they were written, or pieces of a tlog's bytes."
   @type t :: Path.t() | [Path.t()] | {:chunks, Enumerable.t(binary)}
 
-  @doc "Reduces over the frames and damaged parts of a recording. The error is a text that names the file."
+  @doc """
+  Reduces over the frames and damaged parts of a recording, without traces of MSP (`MavCodec.Msp.Trace`), which no vehicle sent. The error
+  is a text that names the file.
+  """
   @spec reduce(t, [MavCodec.Parser.option()], acc, (Frame.t() | Tlog.Damage.t(), acc -> acc)) ::
           {:ok, acc} | {:error, String.t()}
         when acc: term
-  def reduce({:chunks, chunks}, options, acc, fun) do
+  def reduce(source, options, acc, fun),
+    do: all(source, options, acc, fn item, acc -> if trace?(item), do: acc, else: fun.(item, acc) end)
+
+  defp trace?(%Frame{} = frame), do: Trace.frame?(frame)
+  defp trace?(_damage), do: false
+
+  @doc "The same with traces of MSP."
+  @spec all(t, [MavCodec.Parser.option()], acc, (Frame.t() | Tlog.Damage.t(), acc -> acc)) ::
+          {:ok, acc} | {:error, String.t()}
+        when acc: term
+  def all({:chunks, chunks}, options, acc, fun) do
     {acc, decoder} = Enum.reduce(chunks, {acc, Tlog.Decoder.new(options)}, &push(&1, &2, fun))
     {:ok, Enum.reduce(Tlog.Decoder.finish(decoder), acc, fun)}
   end
 
-  def reduce([_ | _] = paths, options, acc, fun) do
+  def all([_ | _] = paths, options, acc, fun) do
     Enum.reduce_while(paths, {:ok, acc}, fn path, {:ok, acc} ->
-      case reduce(path, options, acc, fun) do
+      case all(path, options, acc, fun) do
         {:ok, acc} -> {:cont, {:ok, acc}}
         {:error, reason} -> {:halt, {:error, reason}}
       end
     end)
   end
 
-  def reduce([], _options, _acc, _fun), do: {:error, "no recording was given"}
+  def all([], _options, _acc, _fun), do: {:error, "no recording was given"}
 
-  def reduce(path, options, acc, fun) do
+  def all(path, options, acc, fun) do
     opened(path, &read(&1, {acc, Tlog.Decoder.new(options)}, 0, fun))
   end
 

@@ -5,6 +5,9 @@ defmodule MavRouter.Link.Transport.Msp do
 
   Its MAVLink id is the option `sysid`; without it a number from 100 to 199 that follows from the link's id. The option `share` is a port, or an address with
   one, where other programs speak MSP with it (`MavRouter.Link.Transport.Msp.Share`).
+
+  A recording of the link has what the session was given and wrote, too (`MavCodec.Msp.Trace`), from which `aerie msp` shows the line, and `Msp.Rerun` makes the
+  same MAVLink frames again.
   """
   @behaviour MavRouter.Link.Transport
 
@@ -12,12 +15,13 @@ defmodule MavRouter.Link.Transport.Msp do
   alias Aerie.Base.Address
   alias MavRouter.Link.Transport.{Form, Serial, TcpClient}
   alias MavRouter.Link.Transport.Msp.Share
+  alias MavCodec.Msp.Trace
   alias Msp.Session
 
   @at "msp:DEVICE,BAUD or msp:tcp:HOST:PORT"
 
   @enforce_keys [:inner, :conn, :session, :ref]
-  defstruct [:inner, :conn, :session, :ref, :timer, :share, :warning]
+  defstruct [:inner, :conn, :session, :ref, :timer, :share, :warning, late: [], traced: 0]
 
   @impl Transport
   def traits, do: %{kind: :msp, framing: :stream, client: nil}
@@ -114,14 +118,18 @@ defmodule MavRouter.Link.Transport.Msp do
   def activate(msp) do
     with {:ok, conn, info} <- msp.inner.activate(msp.conn) do
       {share, _local} = Share.activate(msp.share)
-      {[], msp} = step(%{msp | conn: conn, share: share}, :opened)
-      {:ok, msp, if(msp.warning, do: Map.put(info, :warning, msp.warning), else: info)}
+      {events, msp} = step(%{msp | conn: conn, share: share}, :opened)
+      {:ok, later(msp, events), if(msp.warning, do: Map.put(info, :warning, msp.warning), else: info)}
     end
   end
 
   @impl Transport
+  def handle(%{late: [_ | _] = late} = msp, message) do
+    with {events, msp} <- handle(%{msp | late: []}, message), do: {late ++ events, msp}
+  end
+
   def handle(%{ref: ref} = msp, {__MODULE__, ref, :tick}), do: step(%{msp | timer: nil}, :tick)
-  def handle(%{ref: ref} = msp, {__MODULE__, ref, events}), do: {events, msp}
+  def handle(%{ref: ref} = msp, {__MODULE__, ref, :late}), do: {[], msp}
 
   def handle(msp, message) do
     case Share.handle(msp.share, message) do
@@ -153,9 +161,15 @@ defmodule MavRouter.Link.Transport.Msp do
   @impl Transport
   def write(msp, _peer, bytes) do
     {events, msp} = step(msp, {:mavlink, IO.iodata_to_binary(bytes)})
-    # The caller expects no events: they come as a message.
-    if events != [], do: send(self(), {__MODULE__, msp.ref, events})
-    {:ok, msp}
+    {:ok, later(msp, events)}
+  end
+
+  # The caller expects no events: they come with the next message, before its own.
+  defp later(msp, []), do: msp
+
+  defp later(%{late: late} = msp, events) do
+    if late == [], do: send(self(), {__MODULE__, msp.ref, :late})
+    %{msp | late: late ++ events}
   end
 
   @impl Transport
@@ -166,8 +180,18 @@ defmodule MavRouter.Link.Transport.Msp do
   end
 
   defp step(msp, event) do
-    {session, actions} = Session.handle(msp.session, event, now())
-    Enum.reduce(actions, {[], %{msp | session: session}}, &act/2)
+    now = now()
+    {session, actions} = Session.handle(msp.session, event, now)
+    Enum.reduce(actions, trace({[], %{msp | session: session}}, {now, event}), &act/2)
+  end
+
+  # The frames are made only if the link is recorded.
+  defp trace({events, %{traced: seq} = msp}, {_now, what} = entry) do
+    make = fn ->
+      Trace.frames(entry, system: msp.session.system, seq: seq, at: System.os_time(:microsecond))
+    end
+
+    {events ++ [{:traced, make}], %{msp | traced: seq + Trace.count(what)}}
   end
 
   defp act({:mavlink, bytes}, {events, msp}), do: {events ++ [{:read, [{:remote, bytes}]}], msp}
@@ -187,7 +211,9 @@ defmodule MavRouter.Link.Transport.Msp do
     {events ++ more, msp}
   end
 
-  defp act({:write, bytes}, {events, msp}) do
+  defp act({:write, bytes}, acc) do
+    {events, msp} = trace(acc, {now(), {:written, bytes}})
+
     case msp.inner.write(msp.conn, :remote, bytes) do
       {:error, reason, conn} -> {events ++ [{:closed, reason}], %{msp | conn: conn}}
       # A request that did not fit is one without an answer.

@@ -12,6 +12,7 @@ defmodule MavRouter.Link.Transport.Replay do
   alias MavRouter.Link.Transport.Query
   alias MavRouter.Link.Transport.Replay.Pacer
   alias MavCodec.Frame
+  alias MavCodec.Msp.Trace
   alias MavCodec.Tlog.Damage
   alias MavCodec.Tlog.Decoder
 
@@ -185,15 +186,18 @@ defmodule MavRouter.Link.Transport.Replay do
     case :file.read(conn.device, @chunk) do
       {:ok, bytes} ->
         {items, decoder} = Decoder.push(conn.decoder, bytes)
-        take(%{conn | items: items, decoder: decoder}, room, records, now)
+        take(%{conn | items: said(items), decoder: decoder}, room, records, now)
 
       :eof ->
-        take(%{conn | items: Decoder.finish(conn.decoder), decoder: nil}, room, records, now)
+        take(%{conn | items: said(Decoder.finish(conn.decoder)), decoder: nil}, room, records, now)
 
       {:error, reason} ->
         {records, conn, {:error, reason}}
     end
   end
+
+  # What went over a line with MSP was said by no vehicle.
+  defp said(items), do: Enum.reject(items, &(is_struct(&1, Frame) and Trace.frame?(&1)))
 
   defp rewind(conn, records) do
     case :file.position(conn.device, 0) do

@@ -455,6 +455,28 @@ defmodule Aerie.System.MspTest do
     end
   end
 
+  test "msp:auto finds it among the ports, and writes nothing to the one that speaks MAVLink", %{tmp_dir: dir} do
+    if Aerie.SerialPeer.build() do
+      heartbeat =
+        MavCodec.encode(%MavCodec.Messages.Heartbeat{type: 2, autopilot: 3}, system: 1, component: 1)
+
+      mavlink = Aerie.SerialPeer.start(every: 200, says: fn _ -> heartbeat end)
+      sim = start_supervised!({Msp, firmware: :inav, uid: 7})
+      cable = start_supervised!({Cable, port: Msp.port(sim)})
+      [first, second] = Enum.map([mavlink, Cable.peer(cable)], &Aerie.SerialPeer.path/1)
+      link = "msp:auto?ports=#{first},#{second}&only=true&sysid=7"
+      %{gateway: gateway} = start_gateway(dir, links: [link], overrides: %{"timeouts" => patient()})
+      eventually(fn -> data(gateway, :health, key(:betaflight))[:ready_to_arm] end, "it could be armed")
+
+      assert %{local: ^second, finding: %{evidence: "answers as iNav", baud: 115_200}} =
+               Aerie.Base.Store.link(gateway, "link-1")
+
+      refute_received {:heard, ^mavlink, _anything}
+    else
+      IO.puts(:stderr, "no C compiler: no serial cable")
+    end
+  end
+
   test "over TCP no motor turns on either when the gateway ends in order", %{tmp_dir: dir} do
     sim = start_supervised!({Msp, firmware: :betaflight, uid: 7})
     left_turning(dir, sim, "msp:tcp:127.0.0.1:#{Msp.port(sim)}?sysid=7")

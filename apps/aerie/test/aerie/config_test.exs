@@ -81,7 +81,7 @@ defmodule Aerie.ConfigTest do
              "gateway.yaml: mavlink.system_id: expected an integer from 1 to 4294967295, or auto, got 0",
              ~s|gateway.yaml: links[0].netwrk: expected a known key, got an unknown one (did you mean "network"?)|,
              "gateway.yaml: links[1].url: expected udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT, " <>
-               "ws://HOST[:PORT][/PATH], serial:auto, serial:DEVICE or DEVICE,BAUD, msp:DEVICE,BAUD or msp:tcp:HOST:PORT, replay:FILE, got nothing (it is required)",
+               "ws://HOST[:PORT][/PATH], serial:auto, serial:DEVICE or DEVICE,BAUD, msp:auto, msp:DEVICE,BAUD or msp:tcp:HOST:PORT, replay:FILE, got nothing (it is required)",
              ~s|gateway.yaml: nats.prot: expected a known key, got an unknown one (did you mean "port"?)|,
              ~s|gateway.yaml: nats.url[0]: expected a URL such as nats://host:4222 or tls://host:4222, | <>
                ~s|got "http://localhost"|,

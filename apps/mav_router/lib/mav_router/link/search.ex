@@ -21,10 +21,13 @@ defmodule MavRouter.Link.Search do
 
   defp taken(%{detect: :baud}, _gateway), do: []
 
-  defp taken(%{id: id, transport: transport}, gateway) do
-    for %{id: other, spec: %{transport: ^transport, device: device}, local: local} <- Store.links(gateway),
-        other != id,
+  # Links with MSP use serial ports, too.
+  defp taken(%{id: id} = spec, gateway) do
+    for %{id: other, spec: %{device: device} = their, local: local} <- Store.links(gateway),
+        other != id and carrier(their) == carrier(spec),
         path = local || device,
         do: path
   end
+
+  defp carrier(%{inner: inner, transport: transport}), do: inner || transport
 end

@@ -121,8 +121,16 @@ defmodule MavRouter.Link.SpecTest do
       assert %{share: {{0, 0, 0, 0}, 5771}} = Spec.parse!("msp:ttyUSB0,57600?share=0.0.0.0:5771")
       assert Spec.place(Spec.parse!("msp:ttyUSB0,57600")) == "ttyUSB0"
 
+      assert %{kind: :msp, detect: :port, ports: ["/dev/ttyAMA0"], only: true, sysid: 7, bauds: [57_600]} =
+               auto = Spec.parse!("msp:auto?ports=/dev/ttyAMA0&only=true&sysid=7&bauds=57600")
+
+      assert Spec.place(auto) == "any serial port"
+
       for {text, why} <- [
-            {"msp:serial:auto", "is not searched for"},
+            {"msp:serial:auto", "is searched for by msp:auto"},
+            {"msp:auto,57600", "nothing but options follows"},
+            {"msp:tcp:10.0.0.7:5761?ports=ttyUSB0", "ports"},
+            {"msp:/dev/ttyACM0?bauds=57600", "bauds"},
             {"msp:udpin:0.0.0.0:14550", "over serial ports and TCP"},
             {"msp:/dev/ttyACM0?sysid=255", "is not a MAVLink id"},
             {"msp:/dev/ttyACM0?sysid=7x", "is not a MAVLink id"},

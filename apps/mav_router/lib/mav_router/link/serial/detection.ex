@@ -17,7 +17,7 @@ defmodule MavRouter.Link.Serial.Detection do
   @doc """
   Searches; returns the holder of the port, which is open but not being read, and the bytes that were received.
 
-  Options: those of `Aerie.Base.SerialPorts` as `:ports`, and `:bauds` and `:hint` of `MavRouter.Link.Serial.Detector.new/1`.
+  Options: those of `Aerie.Base.SerialPorts` as `:ports`, and `:bauds`, `:hint` and `:ask` of `MavRouter.Link.Serial.Detector.new/1`.
   """
   @spec run(keyword) :: {:ok, pid, Finding.t(), binary} | {:error, {:undetected, [Finding.t()]}}
   def run(options) do
@@ -46,6 +46,10 @@ defmodule MavRouter.Link.Serial.Detection do
 
       # From a port that was closed meanwhile.
       {:serial, _holder, _event} ->
+        loop(state)
+
+      # What could not be written has no answer.
+      {:serial_written, _holder, _bytes, _result} ->
         loop(state)
 
       {:EXIT, holder, reason} when is_map_key(state.keys, holder) ->
@@ -91,6 +95,7 @@ defmodule MavRouter.Link.Serial.Detection do
 
   defp act({:set, key, baud}, state), do: request(state, key, &UartProcess.set(&1, baud))
   defp act({:read, key, ms}, state), do: request(state, key, &UartProcess.read(&1, ms))
+  defp act({:write, key, bytes}, state), do: request(state, key, &UartProcess.write(&1, bytes))
 
   defp act({:close, key}, state) do
     case Map.pop(state.holders, key) do

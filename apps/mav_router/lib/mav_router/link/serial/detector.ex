@@ -16,10 +16,11 @@ defmodule MavRouter.Link.Serial.Detector do
   |---|---|
   | `{:open, key, path, baud}` (repeated while it is in use), `{:set, key, baud}`, `{:close, key}` | open a port, set its baud rate, close it |
   | `{:read, key, ms}` | read once, for at most that long |
+  | `{:write, key, bytes}` | ask (only if it searches for MSP) |
   | `{:found, key, finding, bytes}` | the port to use, and what was received; all others are closed |
   | `{:failed, [finding]}` | no port has a vehicle; all are closed |
 
-  No action writes: nothing is sent before it is known what is at the other end (Q3). After `:found` or `:failed` nothing more
+  No other action writes: nothing is sent before it is known what is at the other end (Q3). After `:found` or `:failed` nothing more
   happens. Time is monotonic ms.
   """
 
@@ -41,6 +42,8 @@ defmodule MavRouter.Link.Serial.Detector do
     420_000,
     1_000_000
   ]
+  # What a UART has unless somebody changed it, then radios and fast ones; USB answers at any.
+  @msp_bauds [115_200, 57_600, 921_600]
   @limit_ms 20_000
   @grace_ms 500
   @max_probes 32
@@ -51,6 +54,7 @@ defmodule MavRouter.Link.Serial.Detector do
     :started,
     :hit_at,
     :prefer,
+    ask: false,
     tier: :configured,
     order: [],
     waiting: [],
@@ -64,6 +68,7 @@ defmodule MavRouter.Link.Serial.Detector do
           {:open, key, Path.t(), pos_integer}
           | {:set, key, pos_integer}
           | {:read, key, non_neg_integer}
+          | {:write, key, binary}
           | {:close, key}
           | {:found, key, Finding.t(), binary}
           | {:failed, [Finding.t()]}
@@ -75,14 +80,16 @@ defmodule MavRouter.Link.Serial.Detector do
 
   @doc """
   A search before its start. Options: `:bauds` (candidates, in order), `:hint` (`%{path:, baud:}` that was right the last time
-  and is tried first).
+  and is tried first), `:ask` (search for a flight controller with MSP, and ask ports that are silent).
   """
   @spec new(keyword) :: t
   def new(options \\ []) do
-    bauds = options[:bauds] || @bauds
+    ask = options[:ask] || false
+    bauds = options[:bauds] || if(ask, do: @msp_bauds, else: @bauds)
     hint = options[:hint]
 
     %__MODULE__{
+      ask: ask,
       bauds: if(hint, do: Enum.uniq([hint.baud | bauds]), else: bauds),
       prefer: hint && hint.path
     }
@@ -139,7 +146,7 @@ defmodule MavRouter.Link.Serial.Detector do
       Enum.split_with(detector.waiting, &(detector.tier == :rest or &1.origin == :configured))
 
     Enum.reduce(now_due, {%{detector | waiting: later}, actions}, fn port, {detector, actions} ->
-      {probe, more} = Probe.new(port, detector.bauds, now)
+      {probe, more} = Probe.new(port, detector.bauds, now, detector.ask)
       key = key(port)
 
       {%{detector | order: detector.order ++ [key], probes: Map.put(detector.probes, key, probe)},

@@ -115,7 +115,7 @@ defmodule MavRouter.Link.Serial.Finding do
   end
 
   defp advice(:other_protocol, protocol, _path) when protocol in [:msp1, :msp2] do
-    "this port of Betaflight or iNav speaks MSP: its connection string is msp:DEVICE,BAUD"
+    "this port of Betaflight or iNav speaks MSP: its connection string is msp:auto or msp:DEVICE,BAUD"
   end
 
   defp advice(:other_protocol, :crsf, _path) do
@@ -137,7 +137,7 @@ defmodule MavRouter.Link.Serial.Finding do
   defp advice(:silent, _protocol, path) do
     if path =~ ~r/betaflight|inav/i,
       do:
-        "its name says Betaflight or iNav, whose MSP only answers requests: its connection string is msp:DEVICE,BAUD",
+        "its name says Betaflight or iNav, whose MSP only answers requests: its connection string is msp:auto or msp:DEVICE,BAUD",
       else: "is it powered, are TX and RX crossed over, and does the port speak MAVLink (SERIALn_PROTOCOL 2)?"
   end
 

@@ -10,16 +10,19 @@ defmodule MavRouter.Link.Serial.Probe do
   - Another protocol with good checksums ends the probe: the port is not ours.
   - A silent port gets five seconds in all, one that is not silent gets all rates.
 
-  It never writes to the port.
+  It never writes to the port, unless it searches for a flight controller with MSP, which only answers (`msp:auto`): then it asks one question
+  (`MavRouter.Link.Serial.Question`) at each rate at which nothing came.
   """
 
-  alias MavRouter.Link.Serial.Finding
+  alias MavRouter.Link.Serial.{Finding, Question}
   alias MavCodec.Sniff
   alias MavCodec.Parser
 
   # Heartbeats come once a second.
   @window_ms 1_200
   @heartbeat_ms 5_000
+  # Flight controllers answer within 20 ms, through a radio within half a second.
+  @answer_ms 600
   @busy_ms 2_000
   @read_ms 250
   @enough_bytes 600
@@ -42,6 +45,9 @@ defmodule MavRouter.Link.Serial.Probe do
     # At this rate: whether a good frame was received; whether the rate is kept because of text.
     framed: false,
     staying: false,
+    # Whether it searches for MSP, and has asked at this rate.
+    ask: false,
+    asked: false,
     tried: [],
     outcome: nil
   ]
@@ -55,17 +61,18 @@ defmodule MavRouter.Link.Serial.Probe do
           | {:set_failed, term}
           | {:failed, term}
           | :tick
-  @type action :: {:open, pos_integer} | {:set, pos_integer} | {:read, non_neg_integer} | :close
+  @type action ::
+          {:open, pos_integer} | {:set, pos_integer} | {:read, non_neg_integer} | {:write, binary} | :close
 
   @typedoc """
   `outcome`: nil while listening, `{:hit, finding, bytes}` with the bytes of this rate so far, `{:over, finding}`.
   """
   @type t :: %__MODULE__{}
 
-  @doc "Starts with a port; `bauds` are the candidates in order."
-  @spec new(map, [pos_integer, ...], integer) :: {t, [action]}
-  def new(port, [baud | bauds], now) do
-    {%__MODULE__{port: port, bauds: bauds, started: now, baud: baud}, [{:open, baud}]}
+  @doc "Starts with a port; `bauds` are the candidates in order; `ask`: whether it searches for MSP."
+  @spec new(map, [pos_integer, ...], integer, boolean) :: {t, [action]}
+  def new(port, [baud | bauds], now, ask \\ false) do
+    {%__MODULE__{port: port, bauds: bauds, started: now, baud: baud, ask: ask}, [{:open, baud}]}
   end
 
   @doc "Whether it has listened for a whole window, in which a vehicle would have been heard."
@@ -118,13 +125,23 @@ defmodule MavRouter.Link.Serial.Probe do
 
   defp listen(probe, now) do
     probe = %{probe | phase: :listening, parser: Parser.new(), deadline: now + @window_ms}
-    probe = %{probe | buffer: "", count: 0, framed: false, staying: false}
+    probe = %{probe | buffer: "", count: 0, framed: false, staying: false, asked: false}
     {probe, [read(probe, now)]}
   end
 
   defp read(probe, now), do: {:read, max(0, min(@read_ms, probe.deadline - now))}
 
   defp take(probe, "", _now), do: probe
+
+  defp take(%{ask: true} = probe, bytes, _now) do
+    probe = %{probe | count: probe.count + byte_size(bytes), buffer: keep(probe.buffer, bytes)}
+
+    case Question.answer(probe.buffer, probe.port.path, probe.baud) do
+      nil -> probe
+      %{condition: :vehicle} = finding -> %{probe | outcome: {:hit, finding, ""}}
+      finding -> %{probe | outcome: {:over, finding}}
+    end
+  end
 
   defp take(probe, bytes, now) do
     {frames, parser} = Parser.push(probe.parser, bytes)
@@ -163,6 +180,12 @@ defmodule MavRouter.Link.Serial.Probe do
   end
 
   defp decide(%{outcome: {:hit, _finding, _bytes}} = probe, _now), do: {probe, []}
+  defp decide(%{outcome: {:over, _finding}} = probe, _now), do: {%{probe | phase: :closed}, [:close]}
+
+  defp decide(%{ask: true, asked: false, count: 0, deadline: deadline} = probe, now) when now >= deadline do
+    probe = %{probe | asked: true, deadline: now + @answer_ms}
+    {probe, [{:write, Question.bytes()}, read(probe, now)]}
+  end
 
   defp decide(probe, now) do
     cond do

@@ -1,6 +1,6 @@
 defmodule MavRouter.Link.Transport.Msp do
   @moduledoc """
-  A flight controller that speaks MSP (Betaflight, iNav) at another transport: `msp:/dev/ttyACM0,115200`, `msp:tcp:HOST:PORT`. `Msp.Session`
+  A flight controller that speaks MSP (Betaflight, iNav) at another transport: `msp:auto`, `msp:/dev/ttyACM0,115200`, `msp:tcp:HOST:PORT`. `Msp.Session`
   asks it and speaks MAVLink in its place, so for the link and everything behind it a MAVLink vehicle is there.
 
   Its MAVLink id is the option `sysid`; without it a number from 100 to 199 that follows from the link's id. The option `share` is a port, or an address with
@@ -18,7 +18,8 @@ defmodule MavRouter.Link.Transport.Msp do
   alias MavCodec.Msp.Trace
   alias Msp.Session
 
-  @at "msp:DEVICE,BAUD or msp:tcp:HOST:PORT"
+  @at "msp:auto, msp:DEVICE,BAUD or msp:tcp:HOST:PORT"
+  @search ["bauds", "ports", "only"]
 
   @enforce_keys [:inner, :conn, :session, :ref]
   defstruct [:inner, :conn, :session, :ref, :timer, :share, :warning, late: [], traced: 0]
@@ -33,30 +34,33 @@ defmodule MavRouter.Link.Transport.Msp do
       {"msp:tcp:HOST:PORT", "the same over TCP"}
     ]
 
+    auto = [{"msp:auto", "find their serial port: ports where nothing comes are asked"}]
+    own = ["sysid", "share", "share_origin"]
+
     [
-      %Form{
-        prefix: "msp:",
-        expected: @at,
-        example: "msp:/dev/ttyACM0,115200",
-        help: help,
-        options: ["sysid", "share", "share_origin"]
-      }
+      %Form{prefix: "msp:", expected: @at, example: "msp:/dev/ttyACM0,115200", help: help, options: own},
+      %Form{prefix: "msp:auto", expected: @at, example: "msp:auto", help: auto, options: own ++ @search}
     ]
   end
 
   @impl Transport
+  def parse("msp:auto", ""), do: {:ok, %{inner: Serial, detect: :port}}
+  def parse("msp:auto", _more), do: {:error, "nothing but options follows msp:auto"}
+
   def parse(_prefix, rest) do
     {inner, form} = Transport.form(rest)
 
     with true <- inner in [Serial, TcpClient] || {:error, "MSP goes over serial ports and TCP"},
          {:ok, fields} <- inner.parse(form.prefix, String.replace_prefix(rest, form.prefix, "")) do
       if fields[:detect],
-        do: {:error, "a port with MSP is not searched for: name the device and its baud rate"},
+        do: {:error, "a port with MSP is searched for by msp:auto; else name the device and its baud rate"},
         else: {:ok, Map.put(fields, :inner, inner)}
     end
   end
 
   @impl Transport
+  def option(prefix, name, value) when name in @search, do: Serial.option(prefix, name, value)
+
   def option(_prefix, "sysid", value) do
     case Integer.parse(value) do
       {id, ""} when id in 1..254 ->

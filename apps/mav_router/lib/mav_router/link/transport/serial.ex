@@ -71,7 +71,8 @@ defmodule MavRouter.Link.Transport.Serial do
   def open(spec) do
     options = [
       ports: ports(spec),
-      bauds: spec.bauds || spec.options[:serial_bauds],
+      bauds: spec.bauds || if(msp?(spec), do: nil, else: spec.options[:serial_bauds]),
+      ask: msp?(spec),
       hint: spec.options[:hint]
     ]
 
@@ -87,6 +88,8 @@ defmodule MavRouter.Link.Transport.Serial do
        }}
     end
   end
+
+  defp msp?(%{inner: inner}), do: inner != nil
 
   # There are ports, but other links have them.
   defp explain_taken({:error, {:undetected, []}}, %{taken: [_ | _]} = ports) do

@@ -101,7 +101,7 @@ defmodule MavRouter.Link.Serial.AutoTest do
              else: (_not_yet -> nil)
       end)
 
-    assert found.reason =~ "its connection string is msp:DEVICE,BAUD"
+    assert found.reason =~ "its connection string is msp:auto or msp:DEVICE,BAUD"
     assert [%{condition: :other_protocol, protocol: :msp1, baud: 57_600}] = found.diagnosis
   end
 

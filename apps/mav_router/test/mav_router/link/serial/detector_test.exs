@@ -65,8 +65,17 @@ defmodule MavRouter.Link.Serial.DetectorTest do
 
   defp answer({:read, key, ms}, world, bauds, queue, now) do
     {baud, _since} = bauds[key]
-    {bauds, queue ++ [{now + max(ms, 1), key, {:read, world[key].(baud, now)}}]}
+
+    said =
+      if is_function(world[key], 3),
+        do: world[key].(baud, now, bauds[{key, :asked}]),
+        else: world[key].(baud, now)
+
+    {bauds, queue ++ [{now + max(ms, 1), key, {:read, said}}]}
   end
+
+  defp answer({:write, key, bytes}, _world, bauds, queue, _now),
+    do: {Map.put(bauds, {key, :asked}, {elem(bauds[key], 0), bytes}), queue}
 
   defp answer({:close, key}, _world, bauds, queue, _now),
     do: {bauds, Enum.reject(queue, &(elem(&1, 1) == key))}
@@ -131,6 +140,80 @@ defmodule MavRouter.Link.Serial.DetectorTest do
 
     assert Enum.find_index(log, &(&1 == {:close, 1})) < Enum.find_index(log, &match?({:open, 2, _, _}, &1))
     assert ms in 4_800..7_000
+  end
+
+  describe "a search for MSP (Q3)" do
+    # Speaks when it is asked at this rate.
+    defp answers(right, reply) do
+      fn
+        ^right, _ms, {^right, "$M<" <> <<0, 2, 2>>} -> reply
+        _baud, _ms, _asked -> ""
+      end
+    end
+
+    defp variant(name), do: msp(:reply, name)
+
+    defp msp(direction, payload),
+      do:
+        IO.iodata_to_binary(
+          MavCodec.Msp.Frame.encode(%MavCodec.Msp.Frame{direction: direction, id: 2, payload: payload})
+        )
+
+    test "asks ports where nothing comes, each rate once; the one that answers as Betaflight or iNav is it" do
+      for {name, right} <- [{"BTFL", 115_200}, {"INAV", 57_600}, {"BTFL", 921_600}] do
+        world = %{1 => silent(), 2 => answers(right, variant(name)), 3 => silent()}
+
+        assert {:found, 2, %{condition: :vehicle, baud: ^right} = finding, "", ms, log} =
+                 live(Detector.new(ask: true), [port(1), port(2), port(3)], world)
+
+        assert Finding.format(finding) =~ ~r/MSP v1 at \d+ baud, answers as (Betaflight|iNav)/
+        assert ms < 7_000
+        asked = for {:write, 2, bytes} <- log, do: bytes
+        assert length(asked) in 1..3 and Enum.uniq(asked) == ["$M<" <> <<0, 2, 2>>]
+      end
+    end
+
+    test "a port where MAVLink, NMEA or anything else comes is never asked" do
+      nmea = "$GPGLL,5057.970,N,00146.110,E,142451,A*27\r\n"
+
+      for {says, why} <- [
+            {heartbeat(1), "it speaks MAVLink"},
+            {nmea, "NMEA"},
+            {noise(7), "no known protocol"}
+          ] do
+        assert {:failed, [finding], _ms, log} =
+                 live(Detector.new(ask: true), [port(1)], %{1 => fn _baud, _ms -> says end})
+
+        assert Finding.format(finding) =~ why
+        refute Enum.any?(log, &match?({:write, _, _}, &1))
+      end
+    end
+
+    test "what answers otherwise is named" do
+      for {reply, why} <- [
+            {variant("ARDU"), ~s(answers as "ARDU")},
+            {variant(<<0, 1, 255>>), ~s(answers as "")},
+            {msp(:request, ""), "our own question comes back"},
+            {"$M<", "our own question comes back"},
+            {msp(:error, ""), "MSP v1"},
+            {"what?\r\n", "115200"}
+          ] do
+        assert {:failed, [finding], _ms, _log} =
+                 live(Detector.new(ask: true), [port(1)], %{1 => answers(115_200, reply)})
+
+        assert Finding.format(finding) =~ why
+      end
+
+      assert {:failed, [%{condition: :silent}], _ms, _log} =
+               live(Detector.new(ask: true), [port(1)], %{1 => silent()})
+    end
+
+    test "only a search for MSP asks" do
+      assert {:failed, _findings, _ms, log} =
+               live(Detector.new(), [port(1)], %{1 => answers(115_200, variant("BTFL"))})
+
+      refute Enum.any?(log, &match?({:write, _, _}, &1))
+    end
   end
 
   test "of two ports of one flight controller it is always the first" do

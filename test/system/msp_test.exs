@@ -241,9 +241,37 @@ defmodule Aerie.System.MspTest do
     end
   end
 
+  test "Betaflight from API 1.48 on: its settings by name, in the list, from a file of its command line, and described",
+       %{
+         tmp_dir: dir
+       } do
+    c = fly(dir, [:betaflight], %{}, api: {1, 48})
+    by = [as: %{name: "crew", role: :admin, permissions: []}]
+    {:ok, table} = Params.list(c.gateway, "VID-007")
+    assert Params.Table.count(table) > 380
+    assert %{"acc_lpf_hz" => %{value: 25}, "vbat_warning_cell_voltage" => %{value: 350}} = table.params
+    {:ok, described} = Params.metadata(c.gateway, "VID-007")
+    assert %{min: 0, max: 500, default: 25} = described["acc_lpf_hz"]
+
+    file =
+      "# diff all\n# Betaflight / STM32F405 (S405) 2026.6.1\nset acc_lpf_hz = 40\nset blackbox_mode = ALWAYS\nset p_roll = 47\n"
+
+    assert {:ok, %{status: :completed}} = Params.load(c.gateway, "VID-007", file, by)
+    assert %{"acc_lpf_hz" => 40, "blackbox_mode" => 2} = Msp.state(c.sims.betaflight).settings
+    assert {:ok, %{value: 47}} = Params.get(c.gateway, "VID-007", "p_roll")
+
+    assert {:ok, %{status: :denied}} =
+             Params.set(c.gateway, "VID-007", "runaway_takeoff_prevention", 0,
+               as: %{name: "pip", role: :operator, permissions: [:maintain]}
+             )
+
+    assert %{status: :accepted} = submit(c, :betaflight, "save_params", %{}, @admin)
+    assert %{settings: %{"acc_lpf_hz" => 40}} = Msp.state(c.sims.betaflight).stored
+  end
+
   test "parameters: by their whole names, with ranges and words, set, refused, stored", %{tmp_dir: dir} do
     c = fly(dir, [:betaflight, :inav])
-    by = [source: %{name: "crew", role: :admin, permissions: []}]
+    by = [as: %{name: "crew", role: :admin, permissions: []}]
 
     for {firmware, name, value, wrong} <- [
           {:betaflight, "vbat_warning_cell_voltage", 360, 600},
@@ -317,7 +345,7 @@ defmodule Aerie.System.MspTest do
   } do
     c = fly(dir, [:inav])
     {:ok, plan} = Missions.import(@mwp, :any)
-    by = [source: %{name: "crew", role: :admin, permissions: []}]
+    by = [as: %{name: "crew", role: :admin, permissions: []}]
 
     assert {:ok, %{status: :completed, details: %{"on_board" => "new"}}} =
              Missions.upload(c.gateway, name(:inav), :mission, plan, by)

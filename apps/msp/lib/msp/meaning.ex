@@ -7,7 +7,7 @@ defmodule Msp.Meaning do
   alias MavCodec.Enums.MavCmd
   alias MavCodec.Messages, as: M
   alias MavCodec.Msp.{Frame, Guard, Message, Params, ShortName}
-  alias Msp.Params.Block
+  alias Msp.Params.{Block, Line}
 
   @component 1
   # A name of `Aerie.Control.Policy.Protection`, of no parameter.
@@ -28,6 +28,12 @@ defmodule Msp.Meaning do
               fn {name, {command, params}} -> {name, {MavCmd.value(:"MAV_CMD_#{command}"), params}} end
             )
   @mission ~w(SET_WP WP_MISSION_LOAD)
+
+  @doc "Whether a request only reads: MSP2_CLI_SETTING does, without a `=`."
+  @spec reads?(Message.t(), Frame.t()) :: boolean
+  def reads?(%{kind: :read}, _frame), do: true
+  def reads?(%{name: "MSP2_CLI_SETTING"}, %{payload: payload}), do: not String.contains?(payload, "=")
+  def reads?(_message, _frame), do: false
 
   @doc "The message for the vehicle of a system id."
   @spec of(Guard.target(), Message.t(), Frame.t(), system :: 1..254) :: struct
@@ -61,10 +67,17 @@ defmodule Msp.Meaning do
     end
   end
 
+  defp parameter({:betaflight, _version}, "MSP2_CLI_SETTING", %{payload: payload}) do
+    name = payload |> :binary.split("=") |> hd() |> String.trim() |> String.downcase(:ascii)
+    if Line.name?(name), do: name, else: @protects
+  end
+
   # A block has several; all of its fields may change.
   defp parameter({:betaflight, version}, name, _frame) do
     fields =
-      for param <- Params.all(:betaflight, version), Block.write_name(param.block) == name, do: param.name
+      for %{block: block} = param when block != nil <- Params.all(:betaflight, version),
+          Block.write_name(block) == name,
+          do: param.name
 
     if fields == [],
       do: @protects,

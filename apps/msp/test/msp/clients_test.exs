@@ -79,6 +79,40 @@ defmodule Msp.ClientsTest do
     assert notes(line) =~ "SET_RAW_RC is not for programs"
   end
 
+  test "settings by name: to read one is nobody's business, to set one is judged by its name" do
+    {line, _change, state} =
+      up(:betaflight, [api: {1, 48}], judge: fn %{param_id: name} -> name == "acc_lpf_hz" end)
+
+    reading = v2(0x3010, "acc_lpf_hz" <> :binary.copy(<<0>>, 60))
+
+    line =
+      ask(
+        line,
+        1,
+        [
+          reading,
+          v2(0x3010, "acc_lpf_hz = 40"),
+          v2(0x3010, "failsafe_delay=1"),
+          v2(0x3011, "p_roll" <> <<0>>)
+        ],
+        2
+      )
+
+    assert [
+             %{direction: :reply, payload: "acc_lpf_hz = 25"},
+             %{direction: :reply, payload: "acc_lpf_hz = 40"},
+             %{direction: :error},
+             %{direction: :reply}
+           ] = got(line, 1)
+
+    assert for(%M.ParamSet{param_id: id} <- Enum.reverse(line.judged), do: id) == [
+             "acc_lpf_hz",
+             "failsafe_delay"
+           ]
+
+    assert state.().settings["acc_lpf_hz"] == 40
+  end
+
   test "a write is judged as what it means in MAVLink, and refused if the policy says so" do
     {line, _change, state} = up(:betaflight, [], judge: fn _message -> false end)
     set_pid = v1(202, :binary.copy(<<30>>, 15))

@@ -2,15 +2,15 @@ defmodule Msp.ParamsTest do
   use ExUnit.Case, async: true
 
   alias MavCodec.Messages, as: M
-  alias MavCodec.Msp.{Messages, Params, Payload, ShortName}
+  alias MavCodec.Msp.{Frame, Messages, Params, Payload, ShortName}
   alias Msp.Params.Block
   alias Msp.Test.{Line, Simulated}
   alias SimVehicle.Msp.Firmware
 
   @second 1_000_000
 
-  defp up(firmware, seconds \\ 3) do
-    {answer, change, state} = Simulated.controller(firmware)
+  defp up(firmware, seconds \\ 3, options \\ []) do
+    {answer, change, state} = Simulated.controller(firmware, options)
     line = Line.open(fn bytes, us -> with("" <- answer.(bytes, us), do: nil) end)
     {Line.run(line, seconds * @second), change, state}
   end
@@ -50,6 +50,118 @@ defmodule Msp.ParamsTest do
       )
 
   defp texts(line), do: for({_at, text} <- Line.told(line, M.Statustext), do: text.text)
+
+  describe "Betaflight by name, from API 1.48 on" do
+    @named [api: {1, 48}]
+
+    test "the list has what is in blocks and what is not, each once, telemetry going on meanwhile" do
+      {line, _change, _state} = up(:betaflight, 3, @named)
+      line = list(line)
+      values = values(line)
+      names = for value <- values, do: Params.full(:betaflight, value.param_id)
+      named = for %{block: nil, name: name} <- Params.all(:betaflight, {1, 48}), do: name
+      assert named -- names == [] and length(names) > 380 and Enum.uniq(names) == names
+      assert Enum.map(values, & &1.param_index) == Enum.to_list(0..(length(values) - 1))
+      assert %{param_value: 2.0, param_type: 1} = last(line, "yaw_spin_recovery")
+      assert %{param_value: 1950.0, param_type: 3} = last(line, "yaw_spin_threshold")
+      assert %{param_value: 45.0} = last(line, "p_roll")
+      beats = for {at, _} <- Line.told(line, M.Heartbeat), do: at
+      assert beats |> Enum.chunk_every(2, 1, :discard) |> Enum.all?(fn [a, b] -> b - a < 1.4 * @second end)
+    end
+
+    test "one is set by name: a number, a word, a field of a block, and nothing else changes" do
+      {line, _change, state} = up(:betaflight, 3, @named)
+      before = state.()
+      line = line |> set("acc_lpf_hz", 40) |> set("yaw_spin_recovery", 1) |> set("p_pitch", 48)
+      assert %{param_value: 40.0, param_type: 3} = last(line, "acc_lpf_hz")
+      assert %{param_value: 1.0} = last(line, "yaw_spin_recovery")
+      assert %{param_value: 48.0} = last(line, "p_pitch")
+      now = state.()
+      assert %{"acc_lpf_hz" => 40, "yaw_spin_recovery" => 1} = now.settings
+      assert for({id, bytes} <- now.blocks, bytes != before.blocks[id], do: id) == [112]
+
+      assert Map.drop(now.settings, ["acc_lpf_hz", "yaw_spin_recovery"]) ==
+               Map.drop(before.settings, ["acc_lpf_hz", "yaw_spin_recovery"])
+
+      # No block is written.
+      assert for({_at, "$M<" <> <<_, 202, _::binary>>} <- line.written, do: :set_pid) == []
+      assert Enum.count(texts(line), &(&1 =~ "Settings changed")) == 1
+    end
+
+    test "what does not fit, is text, or is not there, is refused; a name of any build may be asked for" do
+      {line, _change, state} = up(:betaflight, 3, @named)
+      before = state.().settings
+
+      line =
+        line
+        |> set("acc_lpf_hz", 501)
+        |> set("acc_lpf_hz", 12.5)
+        |> set("yaw_spin_recovery", 3)
+        |> set("craft_name", 1)
+        |> set("none_such", 1)
+        |> read("none_such")
+
+      assert errors(line) == [
+               {"acc_lpf_hz", 2},
+               {"acc_lpf_hz", 2},
+               {"yaw_spin_recovery", 2},
+               {"craft_name", 1},
+               {"none_such", 1},
+               {"none_such", 1}
+             ]
+
+      assert state.().settings == before
+      assert Enum.any?(texts(line), &(&1 =~ "it goes from 0 to 500"))
+    end
+
+    test "a name that would be a write is never asked for" do
+      {line, _change, state} = up(:betaflight, 3, @named)
+      before = state.().settings
+
+      for name <- ["acc_lpf_hz=40", "acc_lpf_hz = 40", "craft_name=x", "a\nb=1", "="] do
+        line = read(%{line | written: [], told: []}, name)
+        assert [{^name, 1}] = errors(line)
+
+        assert for(
+                 {_at, "$X<" <> <<_, id::16-little, _::binary>>} <- line.written,
+                 id in [0x3010, 0x3011],
+                 do: id
+               ) == []
+      end
+
+      assert state.().settings == before
+    end
+
+    test "a build without a command line: what is in a block is read and set there" do
+      {answer, _change, state} = Simulated.controller(:betaflight, @named)
+
+      without = fn
+        <<"$X<", _flags, id::16-little, _::binary>> = bytes, us when id in [0x3010, 0x3011] ->
+          _ = answer.(binary_part(bytes, 0, 0), us)
+          IO.iodata_to_binary(Frame.encode(%Frame{form: :v2, direction: :error, id: id}))
+
+        bytes, us ->
+          with("" <- answer.(bytes, us), do: nil)
+      end
+
+      line = without |> Line.open() |> Line.run(3 * @second) |> set("p_pitch", 48) |> read("acc_lpf_hz")
+      assert %{param_value: 48.0} = last(line, "p_pitch")
+      assert <<_::binary-size(3), 48, _::binary>> = state.().blocks[112]
+      assert errors(line) == [{"acc_lpf_hz", 1}]
+      line = list(%{line | told: []})
+      assert length(values(line)) > 180
+    end
+
+    test "while it is armed nothing is set, and reading goes on" do
+      {line, change, state} = up(:betaflight, 7, @named)
+      change.(&Firmware.sticks(&1, [1500, 1500, 1000, 1500, 1900, 1000, 1000, 1000]))
+      line = Line.run(line, 2 * @second)
+      assert state.().armed
+      line = line |> set("acc_lpf_hz", 40) |> read("acc_lpf_hz")
+      assert errors(line) == [{"acc_lpf_hz", 3}]
+      assert %{param_value: 25.0} = last(line, "acc_lpf_hz")
+    end
+  end
 
   describe "Betaflight" do
     test "the list: each parameter of its build once, numbered without gaps, telemetry going on meanwhile" do

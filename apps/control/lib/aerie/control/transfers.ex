@@ -32,6 +32,8 @@ defmodule Aerie.Control.Transfers do
           | {:timeout_ms, pos_integer()}
           | {:wait_ms, timeout()}
 
+  @options [:as, :via, :id, :progress, :timeout_ms, :wait_ms]
+
   @typedoc """
   A transfer: the lanes that it uses, the function that makes its machine (`t:Aerie.Control.TransferExecutor.Job.t/0`), its default time limit,
   and for reads a term: identical reads, which have the same term, share one transfer.
@@ -117,10 +119,14 @@ defmodule Aerie.Control.Transfers do
     end
   end
 
-  @doc "Changes something: returns the answer of `Aerie.Control.Commands`. `finish` makes the details of a success."
+  @doc """
+  Changes something: returns the answer of `Aerie.Control.Commands`. `finish` makes the details of a success. Raises `ArgumentError` for an option that is
+  not one: with a misspelt `:as` anybody would be an admin.
+  """
   @spec change(Names.gateway(), String.t(), change(), transfer(), [option()], (term() -> map())) ::
           Commands.answer()
   def change(gateway, vehicle, change, transfer, options, finish \\ fn _value -> %{} end) do
+    options = Keyword.validate!(options, @options)
     timeout_ms = options[:timeout_ms] || transfer.timeout_ms
     now = System.os_time(:microsecond)
 

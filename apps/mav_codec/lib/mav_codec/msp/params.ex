@@ -2,8 +2,9 @@ defmodule MavCodec.Msp.Params do
   @moduledoc """
   The parameters of Betaflight and iNav by the names of their command lines, from `priv/msp`.
 
-  Betaflight's are fields of configuration blocks (`block`, `field`; messages of `MavCodec.Msp.Messages`), iNav's are settings that it reads and writes
-  by name. iNav's are those of 9.0.0; a vehicle may have others. Ranges are those of Betaflight 2026.6.1 and iNav 9.0.0.
+  Betaflight's are fields of configuration blocks (`block`, `field`; messages of `MavCodec.Msp.Messages`). From API 1.48 it reads and writes
+  settings by name, and those without a block are parameters, too. iNav's are all read and written by name; they are those of 9.0.0, and a
+  vehicle may have others. Ranges are those of Betaflight 2026.6.1 and iNav 9.0.0.
 
   MAVLink's names have 16 characters at most; `short` is what a longer one becomes there (`MavCodec.Msp.ShortName`).
   """
@@ -12,12 +13,14 @@ defmodule MavCodec.Msp.Params do
 
   @folder Path.expand("../../../priv/msp", __DIR__)
   @betaflight Path.join(@folder, "betaflight_params.txt")
+  @settings Path.join(@folder, "betaflight_settings.txt")
   @inav Path.join(@folder, "inav_params.txt")
   @external_resource @betaflight
+  @external_resource @settings
   @external_resource @inav
 
   @typedoc """
-  - `block`, `field`: of Betaflight: the message that reads it, and the field in it; `type`: of iNav
+  - `block`, `field`: of Betaflight: the message that reads it, and the field in it, nil for what it has by name only; `type`: of all others
   - `low`, `high`: the range, `values`: the words for its numbers from 0 on; nil or empty if not known
   - `base`, `step`: the number on the wire is `base + step * value`
   - `section`: of iNav: `"master"`, or of which profile it is a part
@@ -26,7 +29,7 @@ defmodule MavCodec.Msp.Params do
           name: String.t(),
           short: String.t(),
           block: String.t() | nil,
-          field: atom,
+          field: atom | nil,
           type: String.t() | nil,
           section: String.t() | nil,
           unit: String.t() | nil,
@@ -98,6 +101,21 @@ defmodule MavCodec.Msp.Params do
                       Enum.reduce(attributes, Map.merge(row, %{since: nil, was: nil}), attribute)
                     end)
 
+  @named {1, 48}
+  @betaflight_named (for {[name, type, low, high | attributes], values} <- read.(@settings) do
+                       row =
+                         Map.merge(@empty, %{
+                           name: name,
+                           type: type,
+                           values: values,
+                           low: String.to_integer(low),
+                           high: String.to_integer(high)
+                         })
+
+                       Enum.reduce(attributes, Map.merge(row, %{since: @named, was: nil}), attribute)
+                     end)
+  @betaflight_all @betaflight_rows ++ @betaflight_named
+
   number = fn text -> if text =~ ".", do: String.to_float(text), else: String.to_integer(text) end
 
   @inav_rows (for {[name, type, section, low, high], values} <- read.(@inav) do
@@ -114,7 +132,7 @@ defmodule MavCodec.Msp.Params do
   @names %{
     betaflight:
       for(
-        row <- @betaflight_rows,
+        row <- @betaflight_all,
         name <- [row.name | List.wrap(row.was && elem(row.was, 0))],
         into: %{},
         do: {ShortName.of(name), name}
@@ -123,7 +141,7 @@ defmodule MavCodec.Msp.Params do
   }
 
   @words %{
-    betaflight: for(row <- @betaflight_rows, row.values != [], into: %{}, do: {row.name, row.values}),
+    betaflight: for(row <- @betaflight_all, row.values != [], into: %{}, do: {row.name, row.values}),
     inav: for(row <- @inav_rows, row.values != [], into: %{}, do: {row.name, row.values})
   }
 
@@ -138,10 +156,15 @@ defmodule MavCodec.Msp.Params do
     Enum.find_index(words(firmware, name), &(String.upcase(&1) == word))
   end
 
+  @doc "Whether a firmware reads and writes settings by name."
+  @spec by_name?(Messages.firmware(), Message.version()) :: boolean
+  def by_name?(:inav, _version), do: true
+  def by_name?(:betaflight, version), do: version >= @named
+
   @doc "The parameters of a version, in the order of the table."
   @spec all(Messages.firmware(), Message.version()) :: [t]
   def all(:betaflight, version) do
-    for %{since: since, was: was} = row <- @betaflight_rows, since == nil or version >= since do
+    for %{since: since, was: was} = row <- @betaflight_all, since == nil or version >= since do
       name =
         case was do
           {old, before} when version < before -> old
@@ -175,7 +198,7 @@ defmodule MavCodec.Msp.Params do
     nothing = %{short: nil, long: nil, category: nil, increment: nil, decimals: nil, bits: []}
     never = %{reboot_required: false, volatile: false}
 
-    for row <- if(firmware == :betaflight, do: @betaflight_rows, else: @inav_rows), into: %{} do
+    for row <- if(firmware == :betaflight, do: @betaflight_all, else: @inav_rows), into: %{} do
       values = for {text, value} <- Enum.with_index(row.values), do: %{value: value, text: text}
 
       known = %{

@@ -9,13 +9,23 @@ defmodule MavCodec.Msp.ParamsTest do
   @versions [{1, 40}, {1, 42}, {1, 44}, {1, 46}, {1, 47}, {1, 49}]
 
   test "each parameter of Betaflight is a field of a message that can be read and written" do
-    for version <- @versions, param <- Params.all(:betaflight, version) do
+    for version <- @versions, param <- Params.all(:betaflight, version), param.block do
       {:ok, block} = Messages.fetch(:betaflight, param.block)
       assert %Field{} = Enum.find(block.reply, &(is_struct(&1, Field) and &1.key == param.field)), param.name
       assert param.default == nil or param.low == nil or param.default in param.low..param.high, param.name
     end
 
-    assert Enum.map(@versions, &length(Params.all(:betaflight, &1))) == [153, 184, 207, 212, 218, 220]
+    assert Enum.map(@versions, &length(Params.all(:betaflight, &1))) == [153, 184, 207, 212, 218, 421]
+  end
+
+  test "what no block has is there by name, from API 1.48 on" do
+    named = for %{block: nil} = param <- Params.all(:betaflight, {1, 48}), do: param
+    assert length(named) == 201
+    assert Enum.all?(named, &(&1.type in ~w(u8 i8 u16 i16 u32) and &1.low <= &1.high))
+    assert Enum.all?(named, &(&1.values == [] or length(&1.values) == &1.high + 1))
+    assert %{values: ["OFF", "ON", "AUTO"], default: 2} = Enum.find(named, &(&1.name == "yaw_spin_recovery"))
+    assert Enum.all?(Params.all(:betaflight, {1, 47}), & &1.block)
+    assert Params.by_name?(:betaflight, {1, 48}) and not Params.by_name?(:betaflight, {1, 47})
   end
 
   test "names follow the version" do

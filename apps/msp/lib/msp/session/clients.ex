@@ -125,7 +125,7 @@ defmodule Msp.Session.Clients do
 
     with {:ok, message} <- Guard.check(frame, target),
          :ok <- allowed(session, message, frame) do
-      if message.kind == :read,
+      if Meaning.reads?(message, frame),
         do: ask(session, id, frame),
         else: judge(session, id, frame, Meaning.of(target, message, frame, session.system))
     else
@@ -144,8 +144,8 @@ defmodule Msp.Session.Clients do
   defp allowed(%{one_way: one_way}, _message, %{id: @set_motor}) when one_way != true,
     do: {:error, "SET_MOTOR refused: its motors turn both ways, or it has not said yet that they do not"}
 
-  defp allowed(session, message, _frame) do
-    if message.armed != :yes and message.kind == :write and
+  defp allowed(session, message, frame) do
+    if message.armed != :yes and not Meaning.reads?(message, frame) and
          Modes.armed?(session.readings[:boxes] || MapSet.new()),
        do: {:error, "#{message.name} refused: it is armed"},
        else: :ok

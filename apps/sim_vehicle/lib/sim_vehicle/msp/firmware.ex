@@ -1,6 +1,6 @@
 defmodule SimVehicle.Msp.Firmware do
   @moduledoc """
-  Betaflight 4.5.5 or iNav 9.0.0, as far as MSP shows them: a value. What it says of its configuration is what the real one said in its
+  Betaflight 4.5.5 (or, with `api: {1, 48}`, with the settings by name of 2026.6) or iNav 9.0.0, as far as MSP shows them: a value. What it says of its configuration is what the real one said in its
   simulator (`priv/msp`); what it says of its state is that of `SimVehicle.Msp.Flight`.
 
   It arms and changes its mode by the channels of its receiver, within the ranges of MODE_RANGES. Betaflight takes one request of each port
@@ -8,8 +8,8 @@ defmodule SimVehicle.Msp.Firmware do
   more. iNav answers at once, refuses wrong lengths, and refuses while it is armed what it should.
   """
 
-  alias MavCodec.Msp.{Frame, Messages}
-  alias SimVehicle.Msp.{Blocks, Flight, Port, Receiver, Settings, Telemetry, Waypoints}
+  alias MavCodec.Msp.{Frame, Messages, Params}
+  alias SimVehicle.Msp.{Blocks, Flight, Lines, Port, Receiver, Settings, Telemetry, Waypoints}
 
   @versions %{betaflight: {1, 46}, inav: {9, 0}}
   @tick_us 10_000
@@ -73,7 +73,8 @@ defmodule SimVehicle.Msp.Firmware do
   @type output :: {port :: term, binary}
 
   @doc """
-  A flight controller that was just switched on. Options: `uid`, `flight`, `rx_msp` (MSP is its receiver), `mask` (of the channels that MSP may override).
+  A flight controller that was just switched on. Options: `uid`, `flight`, `rx_msp` (MSP is its receiver), `mask` (of the channels that MSP may override),
+  `api` (Betaflight's version of MSP).
   """
   @spec new(Messages.firmware(), keyword) :: t
   def new(firmware, options \\ []) do
@@ -91,16 +92,27 @@ defmodule SimVehicle.Msp.Firmware do
         do: Map.put(settings, "receiver_type", <<if(rx_msp, do: 2, else: 1)>>),
         else: settings
 
+    version = options[:api] || @versions[firmware]
+    {blocks, settings} = if named?(firmware, version), do: named(blocks, version), else: {blocks, settings}
+
     %__MODULE__{
       rx_msp: rx_msp,
       receiver: %Receiver{mask: options[:mask] || 0},
       firmware: firmware,
-      version: @versions[firmware],
+      version: version,
       blocks: blocks,
       settings: settings,
       stored: %{blocks: blocks, settings: settings},
       flight: flight
     }
+  end
+
+  defp named?(firmware, version), do: firmware == :betaflight and Params.by_name?(firmware, version)
+
+  defp named(blocks, {major, minor}) do
+    text = "2026.6.1"
+    about = %{1 => <<0, major, minor>>, 3 => <<26, 6, 1, byte_size(text), text::binary>>}
+    {Map.merge(blocks, about), Lines.new()}
   end
 
   # RX_MSP, or RX_SERIAL.
@@ -328,6 +340,14 @@ defmodule SimVehicle.Msp.Firmware do
       end)
 
     {{:ok, IO.iodata_to_binary(parts)}, fc}
+  end
+
+  defp answer(%{firmware: :betaflight, version: version} = fc, _id, %{id: command, payload: payload})
+       when version >= {1, 48} and command in [0x3010, 0x3011] do
+    case Lines.answer(fc, command, payload) do
+      {:ok, reply, changes} -> {{:ok, reply}, Map.merge(fc, changes)}
+      :error -> {:error, fc}
+    end
   end
 
   defp answer(fc, id, %{id: command, payload: payload} = frame) do

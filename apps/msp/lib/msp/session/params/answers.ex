@@ -1,0 +1,70 @@
+defmodule Msp.Session.Params.Answers do
+  @moduledoc "What a client is told of a parameter: PARAM_VALUE, PARAM_ERROR, and texts."
+
+  alias MavCodec.Messages, as: M
+  alias MavCodec.Msp.ShortName
+  alias Msp.Session
+  alias Msp.Session.{Output, Tasks}
+
+  # MAV_PARAM_TYPE
+  @types %{u8: 1, i8: 2, u16: 3, i16: 4, u32: 5, f32: 9}
+  # MAV_PARAM_ERROR
+  @errors %{unknown: 1, out_of_range: 2, denied: 3}
+  @no_index 65_535
+  @notice 5
+
+  @type type :: :u8 | :i8 | :u16 | :i16 | :u32 | :f32
+  @type error :: :unknown | :out_of_range | :denied
+
+  @doc "The value of the task's parameter, which ends it."
+  @spec report(Session.t(), Tasks.t(), number, type) :: Session.t()
+  def report(session, task, value, type) do
+    params = session.params || []
+    index = Enum.find_index(params, &(&1 == task.name)) || @no_index
+    session |> Tasks.done(task) |> Output.emit(value(task.name, value, type, index, length(params)))
+  end
+
+  @doc "A parameter of a list."
+  @spec value(String.t(), number, type, 0..65_535, non_neg_integer) :: M.ParamValue.t()
+  def value(name, value, type, index, count),
+    do: %M.ParamValue{
+      param_id: ShortName.of(name),
+      param_value: value * 1.0,
+      param_type: @types[type],
+      param_count: count,
+      param_index: index
+    }
+
+  @doc "The task cannot be done."
+  @spec refuse(Session.t(), Tasks.t(), error, String.t()) :: Session.t()
+  def refuse(session, task, code, why) do
+    session
+    |> Tasks.done(task)
+    |> error(task.name, nil, code, task.from)
+    |> Output.text(@notice, "#{task.name}: #{why}")
+  end
+
+  @doc "A request cannot be done, of a parameter by its name or by its index in the list."
+  @spec error(Session.t(), String.t(), non_neg_integer | nil, error, {byte, byte}) :: Session.t()
+  def error(session, name, index, code, {system, component}) do
+    Output.emit(session, %M.ParamError{
+      target_system: system,
+      target_component: component,
+      param_id: ShortName.of(name),
+      param_index: index || -1,
+      error: @errors[code]
+    })
+  end
+
+  @doc "A parameter was changed: said once until the next restart or the next storing."
+  @spec changed(Session.t()) :: Session.t()
+  def changed(%{unsaved: true} = session), do: session
+
+  def changed(session),
+    do:
+      Output.text(
+        %{session | unsaved: true},
+        @notice,
+        "Settings changed, not stored yet: the next restart forgets them"
+      )
+end

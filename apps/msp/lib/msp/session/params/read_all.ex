@@ -1,0 +1,106 @@
+defmodule Msp.Session.Params.ReadAll do
+  @moduledoc """
+  All parameters of a vehicle, in the turns that no poll needs: Betaflight's blocks, each once, then what it has by name only; iNav's settings by their
+  numbers.
+  """
+
+  alias MavCodec.Msp.Params
+  alias Msp.Params.{Line, Setting}
+  alias Msp.Session
+  alias Msp.Session.{Output, Tasks}
+  alias Msp.Session.Params.{Answers, Blocks, Lines, Settings}
+
+  @most_settings 2_000
+
+  @doc "The first request; `tell`: whether the list is reported."
+  @spec first(Session.t(), boolean) :: map
+  def first(%{identity: %{firmware: :betaflight}} = session, tell) do
+    {fields, named} = session |> rows() |> Enum.split_with(& &1.block)
+    [first | blocks] = fields |> Enum.map(& &1.block) |> Enum.uniq()
+    names = for row <- named, do: row.name
+    Map.merge(task(tell), %{ask: {first, %{}}, blocks: blocks, names: names, read: []})
+  end
+
+  def first(_inav, tell),
+    do: Map.merge(task(tell), %{ask: {"MSP2_COMMON_PG_LIST", %{}}, count: nil, at: 0})
+
+  defp task(tell), do: %{by: __MODULE__, what: :list, tell: tell, bulk: true, got: []}
+
+  defp rows(session), do: Params.all(:betaflight, session.identity.version)
+
+  @doc "The answer to a request of the list."
+  @spec answer(Session.t(), Tasks.t(), Tasks.answer()) :: Session.t()
+  def answer(session, %{blocks: blocks, ask: {block, _}} = task, answer) when blocks != nil do
+    # A build without the part that a block is about refuses it.
+    read = if match?({:ok, _}, answer), do: [{block, elem(answer, 1)} | task.read], else: task.read
+
+    case blocks do
+      [next | rest] -> Tasks.ask_next(session, task, %{ask: {next, %{}}, blocks: rest, read: read})
+      [] -> named(session, %{task | blocks: nil, read: [], got: Enum.reverse(values(session, Map.new(read)))})
+    end
+  end
+
+  def answer(session, %{names: _names, line: nil} = task, {:ok, reply}) do
+    case Lines.described(task, reply) do
+      {:more, changes} -> Tasks.ask_next(session, task, changes)
+      {:ok, line} -> Tasks.ask_next(session, task, %{line: line, ask: Line.get(task.name)})
+      _text_or_nothing -> named(session, task)
+    end
+  end
+
+  def answer(session, %{names: _names, line: line} = task, {:ok, reply}) do
+    case Line.value(line, task.name, reply[:line] || "") do
+      {:ok, value} -> named(session, %{task | got: [{task.name, value, line.type} | task.got]})
+      :error -> named(session, task)
+    end
+  end
+
+  # This build does not have it.
+  def answer(session, %{names: _names} = task, _refused), do: named(session, task)
+
+  def answer(session, %{count: nil} = task, {:ok, %{entries: [_ | _] = groups}}) do
+    count = min(Enum.max(Enum.map(groups, & &1.last)) + 1, @most_settings)
+    Tasks.ask_next(session, task, %{ask: Settings.info(0), count: count})
+  end
+
+  def answer(session, %{count: nil} = task, _no_list), do: complete(session, task)
+
+  def answer(session, task, answer) do
+    got =
+      with {:ok, values} <- answer, {:ok, setting} <- Setting.read(values) do
+        [{setting.name, setting.value, setting.type} | task.got]
+      else
+        _text_or_nothing -> task.got
+      end
+
+    if task.at + 1 < task.count,
+      do: Tasks.ask_next(session, task, %{ask: Settings.info(task.at + 1), at: task.at + 1, got: got}),
+      else: complete(session, %{task | got: got})
+  end
+
+  defp values(session, blocks) do
+    for param <- rows(session),
+        param.block,
+        number = blocks[param.block][param.field],
+        do: {param.name, Blocks.value(param, number), Blocks.type(param)}
+  end
+
+  defp named(session, %{names: []} = task), do: complete(session, task)
+
+  defp named(session, %{names: [name | names]} = task) do
+    Tasks.ask_next(session, task, %{names: names, name: name, text: "", line: nil, ask: Line.info(name, 0)})
+  end
+
+  defp complete(session, %{got: got, tell: tell} = task) do
+    params = Enum.reverse(got)
+    session = Tasks.done(%{session | params: Enum.map(params, &elem(&1, 0))}, task)
+    count = length(params)
+
+    messages =
+      for {{name, value, type}, index} <- Enum.with_index(params),
+          tell,
+          do: Answers.value(name, value, type, index, count)
+
+    Output.emit(session, messages)
+  end
+end

@@ -1,23 +1,26 @@
 # Measures MSP: framing and decoding what a real Betaflight 4.5.5 answered, with YAMSPy on the same bytes; hostile bytes; and, in simulated
 # time, a session at a line of 115,200 baud to a flight controller that takes a request in 10 ms: how many requests it makes a second, what
-# share of the line that is, and how long a client waits for a parameter meanwhile.
+# share of the line that is, and how long a client waits for a parameter meanwhile. Then the same in real time: a whole gateway at a pseudo terminal that passes
+# bytes as fast as such a line, with a simulated Betaflight at its end.
 #
-#     bin/bench msp [--ms 1500]
+#     bin/bench msp [--ms 1500] [--seconds 20] [--requests 200]
 #
-# Each row is measured for so many milliseconds.
+# Each row of the first table is measured for so many milliseconds; polls are counted for so many seconds.
 
 codec = Path.expand("../../mav_codec", __DIR__)
 for file <- ~w(measure options), do: Code.require_file("bench/support/#{file}.ex", codec)
 Code.require_file("test/support/msp_transcript.ex", codec)
-Code.require_file("support/yamspy.ex", __DIR__)
-for file <- ~w(line controller), do: Code.require_file("../test/support/#{file}.ex", __DIR__)
+for file <- ~w(yamspy os_process config msp_cable), do: Code.require_file("support/#{file}.ex", __DIR__)
+for file <- ~w(line controller), do: Code.require_file("../../msp/test/support/#{file}.ex", __DIR__)
 
 alias MavCodec.Bench.Measure
-alias Msp.Bench.Yamspy
+alias Aerie.Bench.Yamspy
 alias Msp.Test.{Controller, Line}
 alias MavCodec.Msp.Parser
 
-milliseconds = MavCodec.Bench.Options.read(__ENV__.file, System.argv(), ms: 1500)[:ms]
+options = MavCodec.Bench.Options.read(__ENV__.file, System.argv(), ms: 1500, seconds: 20, requests: 200)
+milliseconds = options[:ms]
+Logger.configure(level: :error)
 
 # YAMSPy knows neither version 2 over 1 nor refusals.
 replies =
@@ -177,3 +180,6 @@ at = fn share -> Float.round(Enum.at(times, round(share * (length(times) - 1))),
 IO.puts("a parameter with polling on, ms   p50 #{at.(0.5)}, p99 #{at.(0.99)} of #{length(times)}")
 {most, _sent, _replies} = line |> Bench.Session.list() |> Bench.Session.requests(0.25)
 IO.puts("requests a second at most         #{Float.round(most, 1)} (while a list is read)")
+
+IO.puts("\nA gateway at a pseudo terminal of 115,200 baud, in real time\n")
+IO.puts(Aerie.Bench.MspCable.table(options[:seconds], options[:requests]))

@@ -1,4 +1,4 @@
-defmodule Msp.Bench.Yamspy do
+defmodule Aerie.Bench.Yamspy do
   @moduledoc "YAMSPy on the same bytes, when there is a Python that has it: `$AERIE_VENV`, or `.venv` at the top of the checkout."
 
   @script Path.expand("yamspy_parse.py", __DIR__)

@@ -1,7 +1,5 @@
 defmodule Msp.Session do
   @listen_us 1_200_000
-  @tries 3
-  @silent_us 1_000_000
 
   @moduledoc """
   One flight controller that speaks MSP, as an autopilot that speaks MAVLink: `handle(session, event, now) -> {session, actions}`. Time is in
@@ -27,26 +25,13 @@ defmodule Msp.Session do
   | `{:count, name, n}` | damage of the line: `:crc_errors` frames, `:resync_bytes` outside of frames |
   | `{:fail, text}` | what is there is not a vehicle that can be used: the line is to be closed |
 
-  For #{@listen_us / 1_000_000} s it only listens: a port where MAVLink comes is never asked by MSP (Q3). Then it asks who is there, #{@tries} times at most,
-  and polls a vehicle's state (`Msp.Polls`). A vehicle that is silent for #{div(@silent_us, 1_000_000)} s is asked again who it is: it may
-  have been restarted, with other boxes, or be another one.
+  For #{@listen_us / 1_000_000} s it only listens: a port where MAVLink comes is never asked by MSP (Q3). Then it asks who is there (`Msp.Session.Identifying`), and
+  polls a vehicle's state (`Msp.Polls`).
   """
 
   alias MavCodec.{Encoder, Sniff}
-  alias MavCodec.Msp.Frame
-  alias Msp.{Exchange, Identity, Polls, Telemetry}
-  alias Msp.Session.{Clients, Commands, Missions, Motors, Output, Params, Reports, Sticks, Tasks}
-
-  @identify ["API_VERSION", "FC_VARIANT", "FC_VERSION"]
-  # What is needed once for each start; a vehicle may refuse any of it.
-  @about %{
-    betaflight: ["UID", "NAME", "BOXIDS", "MIXER_CONFIG"],
-    inav: ["UID", "NAME", "BOXIDS", "MSP2_INAV_MIXER"]
-  }
-  # As long as it is not known who is there: what is asked then is the same in all firmware.
-  @nobody {:betaflight, nil}
-  @max_heard 4_096
-  @again_us 10_000
+  alias Msp.{Exchange, Polls}
+  alias Msp.Session.{Asking, Clients, Commands, Identifying, Missions, Motors, Output, Reports, Sticks, Tasks}
 
   @enforce_keys [:system, :encoder, :parser]
   defstruct [
@@ -83,6 +68,7 @@ defmodule Msp.Session do
     texts: 0,
     serial: 0,
     unsaved: false,
+    restarted: false,
     clients: %{},
     told: [],
     judgements: [],
@@ -96,6 +82,7 @@ defmodule Msp.Session do
   - `boot`: when the vehicle's clock began; `heartbeat`: the last one, and when it was sent
   - `complaint`: the names of the last text about what keeps it from being armed
   - `uid`: of the vehicle, which its identity has only while that is known
+  - `restarted`: whether it was told to restart, so that it is asked who it is from then on
   - `params`: the names of its parameters in their order, nil until they were read; `unsaved`: some were set and not stored
   - `mission`: the waypoints and items of the mission aboard, nil until they were read; `upload`: the one that a client writes; `uploaded`: who
     wrote the last one, and what came of it
@@ -141,8 +128,12 @@ defmodule Msp.Session do
       {%{new(system) | phase: :listening, until: now + @listen_us, clients: clients},
        [{:wake, now + @listen_us}]}
 
-  def handle(session, {:client, id, :up}, _now),
-    do: if(Clients.room?(session), do: {Clients.up(session, id), []}, else: {session, [{:client, id, :full}]})
+  def handle(session, {:client, id, :up}, now),
+    do:
+      if(Clients.room?(session),
+        do: session |> Clients.up(id, now) |> advance(now),
+        else: {session, [{:client, id, :full}]}
+      )
 
   def handle(session, {:client, id, :down}, now), do: session |> Clients.down(id, now) |> advance(now)
   def handle(session, {:client, id, bytes}, now), do: session |> Clients.bytes(id, bytes, now) |> advance(now)
@@ -156,7 +147,7 @@ defmodule Msp.Session do
   def handle(%{phase: :closed} = session, _event, _now), do: {session, []}
 
   def handle(%{phase: :listening} = session, {:bytes, bytes}, _now) do
-    session = hear(session, bytes)
+    session = Identifying.hear(session, bytes)
 
     case Sniff.classify(session.heard) do
       %{protocol: protocol} when protocol in [:mavlink1, :mavlink2] ->
@@ -168,12 +159,12 @@ defmodule Msp.Session do
   end
 
   def handle(%{phase: :listening, until: until} = session, :tick, now) when now >= until,
-    do: session |> identify() |> proceed(now)
+    do: session |> Identifying.start() |> proceed(now)
 
   def handle(%{phase: :listening} = session, _event, _now), do: {session, [{:wake, session.until}]}
 
   def handle(session, {:bytes, bytes}, now) do
-    session = if session.identity, do: session, else: hear(session, bytes)
+    session = if session.identity, do: session, else: Identifying.hear(session, bytes)
     {answers, exchange} = Exchange.push(session.exchange, bytes, now)
     {next, actions} = answered(%{session | exchange: exchange}, answers, now)
     {next, damage(Exchange.counters(session.exchange), Exchange.counters(exchange)) ++ actions}
@@ -194,37 +185,12 @@ defmodule Msp.Session do
     end
   end
 
-  @doc false
-  # For `Msp.Session.Commands`: the vehicle restarts.
-  @spec restarting(t, integer) :: t
-  def restarting(session, now), do: %{identify(session) | boot: now, unsaved: false}
-
   defp damage(before, now) do
     for {name, key} <- [crc_errors: :checksum, resync_bytes: :skipped],
         n = now[key] - before[key],
         n > 0,
         do: {:count, name, n}
   end
-
-  defp hear(session, bytes) do
-    heard = session.heard <> bytes
-    %{session | heard: binary_slice(heard, max(byte_size(heard) - @max_heard, 0)..-1//1)}
-  end
-
-  defp identify(session),
-    do: %{
-      Clients.interrupted(session)
-      | phase: :identifying,
-        identity: nil,
-        todo: @identify,
-        tries: 0,
-        found: %{},
-        heard: "",
-        tasks: [],
-        mission: nil,
-        upload: nil,
-        receiver: nil
-    }
 
   defp answered(session, answers, now) do
     answers
@@ -241,12 +207,12 @@ defmodule Msp.Session do
   end
 
   # What comes in before it is known who is there is for the diagnosis; later it is none of ours (DisplayPort).
-  defp answer(%{phase: :identifying} = session, {:unasked, %{direction: :request} = frame}, _now),
-    do: {:fail, asked_by(frame, session)}
+  defp answer(%{phase: :identifying}, {:unasked, %{direction: :request} = frame}, _now),
+    do: {:fail, Identifying.asked_by(frame)}
 
   defp answer(session, {:unasked, _push}, _now), do: {:ok, session}
 
-  defp answer(session, {:refused, {:about, name}}, now), do: known(session, name, %{}, now)
+  defp answer(session, {:refused, {:about, name}}, now), do: Identifying.known(session, name, %{}, now)
 
   defp answer(session, {:refused, {:poll, name}}, now),
     do: {:ok, alive(%{session | polls: Polls.refused(session.polls, name)}, now)}
@@ -259,117 +225,23 @@ defmodule Msp.Session do
 
   # What is acknowledged has no payload; another one is damaged.
   defp answer(session, {:reply, {:task, task}, frame}, now) do
-    answer = with {:error, _damaged} <- MavCodec.Msp.decode(frame, target(session)), do: :refused
+    answer = with {:error, _damaged} <- MavCodec.Msp.decode(frame, Identifying.target(session)), do: :refused
     {:ok, session |> alive(now) |> Tasks.reply(task, answer, now)}
   end
 
   defp answer(session, {:reply, {kind, name}, frame}, now) do
-    case {kind, MavCodec.Msp.decode(frame, target(session))} do
-      {:about, {:ok, values}} -> known(session, name, values, now)
-      {:about, {:error, _damaged}} -> known(session, name, %{}, now)
+    case {kind, MavCodec.Msp.decode(frame, Identifying.target(session))} do
+      {:about, {:ok, values}} -> Identifying.known(session, name, values, now)
+      {:about, {:error, _damaged}} -> Identifying.known(session, name, %{}, now)
       {:poll, {:ok, values}} -> {:ok, session |> alive(now) |> Reports.polled(name, values, now)}
       {:poll, {:error, _damaged}} -> {:ok, session}
     end
   end
 
-  defp alive(session, now), do: %{session | answered_at: now}
-
-  # Our own request as an echo, or the other end asks.
-  defp asked_by(%Frame{id: id}, _session) when id in 1..3,
-    do: "our own requests come back: the line is looped back"
-
-  defp asked_by(_frame, _session),
-    do: "it asks instead of answering: a video unit or another program is at this port"
-
-  defp target(%{identity: nil}), do: @nobody
-  defp target(%{identity: identity}), do: Identity.target(identity)
-
-  defp known(session, name, values, now) do
-    session = %{
-      session
-      | todo: List.delete(session.todo, name),
-        tries: 0,
-        found: Map.put(session.found, name, values)
-    }
-
-    session = alive(session, now)
-
-    cond do
-      session.todo != [] -> {:ok, session}
-      session.identity -> {:ok, session |> up(now) |> Motors.found() |> Params.ahead()}
-      true -> recognise(session)
-    end
-  end
-
-  defp recognise(%{found: found} = session) do
-    with %{"API_VERSION" => %{api_major: major, api_minor: minor}, "FC_VARIANT" => %{variant: variant}} <-
-           found,
-         {:ok, identity} <- Identity.of({major, minor}, variant, found["FC_VERSION"]) do
-      {:ok, %{session | identity: identity, todo: @about[identity.firmware]}}
-    else
-      {:error, text} -> {:fail, text}
-      _answers_missing -> {:fail, "it answers, but does not say which firmware it is"}
-    end
-  end
-
-  defp up(%{found: found} = session, now) do
-    identity = %{
-      session.identity
-      | uid: uid(found["UID"]),
-        name: Identity.printable(found["NAME"][:name] || "")
-    }
-
-    mixer = found["MIXER_CONFIG"][:mixer] || found["MSP2_INAV_MIXER"][:platform_type]
-
-    %{
-      session
-      | phase: :up,
-        up_at: now,
-        one_way: nil,
-        identity: identity,
-        uid: identity.uid,
-        # Of another vehicle they are others.
-        params: if(session.uid == identity.uid, do: session.params),
-        type: Telemetry.type(identity.firmware, mixer),
-        ids: Reports.ids(found["BOXIDS"]),
-        polls: Polls.new(identity.firmware, now),
-        boot: session.boot || now,
-        # Whether it was restarted shows in what it says now and said then.
-        readings: Map.take(session.readings, [:arming]),
-        heartbeat: nil,
-        complaint: nil,
-        heard: ""
-    }
-  end
-
-  defp uid(%{id0: a, id1: b, id2: c}), do: Base.encode16(<<a::32, b::32, c::32>>, case: :lower)
-  defp uid(_unknown), do: nil
-
-  defp timeout(%{phase: :identifying, tries: tries} = session, {:about, name}, now) do
-    cond do
-      tries + 1 < @tries -> {:ok, %{session | tries: tries + 1}}
-      name not in @identify -> known(session, name, %{}, now)
-      # It was there: it is restarting, or its line is interrupted.
-      session.answered_at -> {:ok, %{session | tries: 0}}
-      true -> {:fail, silent(session)}
-    end
-  end
-
   defp timeout(session, {:task, task}, now), do: {:ok, Tasks.reply(session, task, :timeout, now)}
+  defp timeout(session, question, now), do: Identifying.timeout(session, question, now)
 
-  defp timeout(%{answered_at: at} = session, _poll, now) when now - at > @silent_us,
-    do: {:ok, identify(session)}
-
-  defp timeout(session, _poll, _now), do: {:ok, session}
-
-  defp silent(%{heard: ""}), do: "it does not answer MSP"
-
-  defp silent(%{heard: heard}) do
-    if String.contains?(heard, "$M<"),
-      do:
-        "its command line is open, as each request comes back as $M<: close it with exit or restart the vehicle, which cannot be armed until then",
-      else: "it does not answer MSP, but sends #{Sniff.name(Sniff.classify(heard).protocol)}"
-  end
+  defp alive(session, now), do: %{session | answered_at: now}
 
   defp fail(session, text), do: {%{session | phase: :closed, outbox: []}, [{:fail, text}]}
 
@@ -383,78 +255,12 @@ defmodule Msp.Session do
 
   # After each event: the next request, what is to be told, and when to look again.
   defp proceed(session, now) do
+    session = if session.restarted, do: Identifying.restarted(session, now), else: session
     {session, stops} = Motors.due(session, now)
     {session, channels} = session |> Missions.due(now) |> Sticks.due(now)
-    {session, written} = ask(session, now)
+    {session, written} = Asking.next(session, now)
     {told, session} = Output.take(session)
     {programs, session} = Clients.take(session)
-    {session, programs ++ stops ++ channels ++ written ++ told ++ [{:wake, wake(session, now)}]}
+    {session, programs ++ stops ++ channels ++ written ++ told ++ [{:wake, Asking.wake(session, now)}]}
   end
-
-  defp ask(%{exchange: %{asked: asked}} = session, _now) when asked != nil, do: {session, []}
-
-  defp ask(%{phase: :identifying, todo: [name | more]} = session, now) do
-    case MavCodec.Msp.request(target(session), name) do
-      {:ok, frame} -> send_if_ready(session, {:about, name}, frame, now, 0)
-      # This version does not have it.
-      {:error, _why} -> ask(%{session | todo: more}, now)
-    end
-  end
-
-  # What clients asked for, then what is due, then what takes long. Clients that ask without end do not silence the vehicle.
-  defp ask(session, now) do
-    case if(Polls.late?(session.polls, now), do: {:none, session}, else: first(session)) do
-      {:none, session} -> poll(session, now)
-      {{:ask, task, frame, patience}, session} -> send_if_ready(session, {:task, task}, frame, now, patience)
-    end
-  end
-
-  defp first(session) do
-    with {:none, session} <- Tasks.next(session, :urgent), do: Tasks.next(session, :program)
-  end
-
-  defp poll(session, now) do
-    case Polls.next(session.polls, now) do
-      {:ask, name, arguments} ->
-        {:ok, frame} = MavCodec.Msp.request(target(session), name, arguments)
-        {session, written} = send_if_ready(session, {:poll, name}, frame, now, 0)
-
-        if written == [],
-          do: {session, []},
-          else: {%{session | polls: Polls.asked(session.polls, name, now)}, written}
-
-      _nothing_due ->
-        case Tasks.next(session, :bulk) do
-          {:none, session} ->
-            {session, []}
-
-          {{:ask, task, frame, patience}, session} ->
-            send_if_ready(session, {:task, task}, frame, now, patience)
-        end
-    end
-  end
-
-  defp send_if_ready(session, tag, frame, now, patience) do
-    if Exchange.ready(session.exchange, frame, now) == :now do
-      {bytes, exchange} = Exchange.send(session.exchange, tag, frame, now, patience)
-      {%{session | exchange: exchange}, [{:write, bytes}]}
-    else
-      {session, []}
-    end
-  end
-
-  defp wake(%{motors: %{due: due}} = session, now),
-    do: min(max(due, now + @again_us), wake(%{session | motors: nil}, now))
-
-  defp wake(%{receiver: %{due: due}} = session, now), do: min(due, wake(%{session | receiver: nil}, now))
-  defp wake(%{exchange: %{deadline: deadline}}, _now) when deadline != nil, do: deadline
-
-  defp wake(%{phase: :up, tasks: [], upload: nil} = session, now) do
-    case Polls.next(session.polls, now) do
-      {:at, at} -> at
-      _due -> now + @again_us
-    end
-  end
-
-  defp wake(_session, now), do: now + @again_us
 end

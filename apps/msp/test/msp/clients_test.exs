@@ -260,6 +260,15 @@ defmodule Msp.ClientsTest do
     assert line.full == [12, 11, 10, 9]
   end
 
+  test "another program by the number of one that is gone: what that one left is undone" do
+    {line, _change, state} = up(:betaflight)
+    line = ask(line, 1, v1(99, <<1, 0>>))
+    assert state.().ports.port.disabled
+    line = line |> program(1) |> Line.run(2 * @second)
+    refute state.().ports.port.disabled
+    assert [%{id: 2}] = line |> ask(1, v1(2)) |> got(1) |> Enum.drop(1)
+  end
+
   test "any bytes of any programs, coming and going: never an error, and one checked request at a time" do
     event =
       :proper_types.frequency([

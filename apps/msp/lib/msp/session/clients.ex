@@ -30,9 +30,12 @@ defmodule Msp.Session.Clients do
 
   @type id :: pos_integer
 
-  @doc "A program is there."
-  @spec up(Session.t(), id) :: Session.t()
-  def up(%{clients: clients} = session, id) do
+  @doc "A program is there; one that was there by this number is gone."
+  @spec up(Session.t(), id, integer) :: Session.t()
+  def up(%{clients: clients} = session, id, now) when is_map_key(clients, id),
+    do: session |> down(id, now) |> up(id, now)
+
+  def up(%{clients: clients} = session, id, _now) do
     client = %{parser: Parser.new(), waiting: [], judged: nil, busy: false, disables: false, motors: false}
     %{session | clients: Map.put(clients, id, client)}
   end
@@ -208,7 +211,7 @@ defmodule Msp.Session.Clients do
         over(session, id, frame, :refused, now)
 
       {:frame, %{payload: payload}} ->
-        session |> over(id, frame, {:reply, payload}, now) |> followed(frame, now)
+        session |> over(id, frame, {:reply, payload}, now) |> followed(frame)
 
       :refused ->
         over(session, id, frame, :refused, now)
@@ -222,8 +225,8 @@ defmodule Msp.Session.Clients do
     end
   end
 
-  defp followed(session, %{id: @reboot}, now), do: Session.restarting(session, now)
-  defp followed(session, _frame, _now), do: session
+  defp followed(session, %{id: @reboot}), do: %{session | restarted: true}
+  defp followed(session, _frame), do: session
 
   defp over(session, id, frame, outcome, now) do
     session =

@@ -182,7 +182,7 @@ defmodule Msp.Session.Commands do
   end
 
   # Its clock begins again, and its boxes may be others.
-  defp done(session, "REBOOT", now), do: Session.restarting(session, now)
+  defp done(session, "REBOOT", _now), do: %{session | restarted: true}
   defp done(session, "EEPROM_WRITE", _now), do: %{session | unsaved: false}
   defp done(session, _name, _now), do: session
 

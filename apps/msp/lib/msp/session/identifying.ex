@@ -1,0 +1,153 @@
+defmodule Msp.Session.Identifying do
+  @tries 3
+  @silent_us 1_000_000
+
+  @moduledoc """
+  Who is at the line: API_VERSION, FC_VARIANT and FC_VERSION, asked #{@tries} times at most, then what is needed once for each start. A vehicle that is silent
+  for #{div(@silent_us, 1_000_000)} s is asked again: it may have been restarted, with other boxes, or be another one.
+  """
+
+  alias MavCodec.Msp.{Frame, Guard}
+  alias MavCodec.Sniff
+  alias Msp.{Identity, Polls, Session, Telemetry}
+  alias Msp.Session.{Clients, Motors, Params, Reports}
+
+  @identify ["API_VERSION", "FC_VARIANT", "FC_VERSION"]
+  # A vehicle may refuse any of it.
+  @about %{
+    betaflight: ["UID", "NAME", "BOXIDS", "MIXER_CONFIG"],
+    inav: ["UID", "NAME", "BOXIDS", "MSP2_INAV_MIXER"]
+  }
+  # As long as it is not known who is there: what is asked then is the same in all firmware.
+  @nobody {:betaflight, nil}
+  @max_heard 4_096
+
+  @type outcome :: {:ok, Session.t()} | {:fail, String.t()}
+
+  @doc "Keeps what came before it is known who is there."
+  @spec hear(Session.t(), binary) :: Session.t()
+  def hear(session, bytes) do
+    heard = session.heard <> bytes
+    %{session | heard: binary_slice(heard, max(byte_size(heard) - @max_heard, 0)..-1//1)}
+  end
+
+  @doc "Begins to ask."
+  @spec start(Session.t()) :: Session.t()
+  def start(session),
+    do: %{
+      Clients.interrupted(session)
+      | phase: :identifying,
+        identity: nil,
+        todo: @identify,
+        tries: 0,
+        found: %{},
+        heard: "",
+        tasks: [],
+        mission: nil,
+        upload: nil,
+        receiver: nil
+    }
+
+  @doc "Begins to ask a vehicle that was told to restart."
+  @spec restarted(Session.t(), integer) :: Session.t()
+  def restarted(session, now), do: %{start(session) | boot: now, unsaved: false, restarted: false}
+
+  @doc "By which firmware and version messages are read now."
+  @spec target(Session.t()) :: Guard.target()
+  def target(%{identity: nil}), do: @nobody
+  def target(%{identity: identity}), do: Identity.target(identity)
+
+  @doc "What asks is at the line: why that cannot be a vehicle."
+  @spec asked_by(Frame.t()) :: String.t()
+  # Our own request as an echo, or the other end asks.
+  def asked_by(%Frame{id: id}) when id in 1..3, do: "our own requests come back: the line is looped back"
+  def asked_by(_frame), do: "it asks instead of answering: a video unit or another program is at this port"
+
+  @doc "An answer to one of the questions; without values if it was refused."
+  @spec known(Session.t(), String.t(), map, integer) :: outcome
+  def known(session, name, values, now) do
+    session = %{
+      session
+      | todo: List.delete(session.todo, name),
+        tries: 0,
+        found: Map.put(session.found, name, values),
+        answered_at: now
+    }
+
+    cond do
+      session.todo != [] -> {:ok, session}
+      session.identity -> {:ok, session |> up(now) |> Motors.found() |> Params.ahead()}
+      true -> recognise(session)
+    end
+  end
+
+  defp recognise(%{found: found} = session) do
+    with %{"API_VERSION" => %{api_major: major, api_minor: minor}, "FC_VARIANT" => %{variant: variant}} <-
+           found,
+         {:ok, identity} <- Identity.of({major, minor}, variant, found["FC_VERSION"]) do
+      {:ok, %{session | identity: identity, todo: @about[identity.firmware]}}
+    else
+      {:error, text} -> {:fail, text}
+      _answers_missing -> {:fail, "it answers, but does not say which firmware it is"}
+    end
+  end
+
+  defp up(%{found: found} = session, now) do
+    identity = %{
+      session.identity
+      | uid: uid(found["UID"]),
+        name: Identity.printable(found["NAME"][:name] || "")
+    }
+
+    mixer = found["MIXER_CONFIG"][:mixer] || found["MSP2_INAV_MIXER"][:platform_type]
+
+    %{
+      session
+      | phase: :up,
+        up_at: now,
+        one_way: nil,
+        identity: identity,
+        uid: identity.uid,
+        # Of another vehicle they are others.
+        params: if(session.uid == identity.uid, do: session.params),
+        type: Telemetry.type(identity.firmware, mixer),
+        ids: Reports.ids(found["BOXIDS"]),
+        polls: Polls.new(identity.firmware, now),
+        boot: session.boot || now,
+        # Whether it was restarted shows in what it says now and said then.
+        readings: Map.take(session.readings, [:arming]),
+        heartbeat: nil,
+        complaint: nil,
+        heard: ""
+    }
+  end
+
+  defp uid(%{id0: a, id1: b, id2: c}), do: Base.encode16(<<a::32, b::32, c::32>>, case: :lower)
+  defp uid(_unknown), do: nil
+
+  @doc "A question without an answer, or a poll."
+  @spec timeout(Session.t(), {:about | :poll, String.t()}, integer) :: outcome
+  def timeout(%{tries: tries} = session, {:about, name}, now) do
+    cond do
+      tries + 1 < @tries -> {:ok, %{session | tries: tries + 1}}
+      name not in @identify -> known(session, name, %{}, now)
+      # It was there: it is restarting, or its line is interrupted.
+      session.answered_at -> {:ok, %{session | tries: 0}}
+      true -> {:fail, silent(session)}
+    end
+  end
+
+  def timeout(%{answered_at: at} = session, {:poll, _name}, now) when now - at > @silent_us,
+    do: {:ok, start(session)}
+
+  def timeout(session, {:poll, _name}, _now), do: {:ok, session}
+
+  defp silent(%{heard: ""}), do: "it does not answer MSP"
+
+  defp silent(%{heard: heard}) do
+    if String.contains?(heard, "$M<"),
+      do:
+        "its command line is open, as each request comes back as $M<: close it with exit or restart the vehicle, which cannot be armed until then",
+      else: "it does not answer MSP, but sends #{Sniff.name(Sniff.classify(heard).protocol)}"
+  end
+end

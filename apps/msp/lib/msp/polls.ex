@@ -3,7 +3,7 @@ defmodule Msp.Polls do
   What a flight controller is asked by itself, and how often: a table for each firmware. The message that is overdue most, measured
   in its own period, comes first, so that a slow line makes all of them rarer alike.
 
-  A MAVLink client's rate for a message becomes the rate of the requests that it is made of.
+  A request is made as often as the most wanted of the MAVLink messages that are made of its reply, and each of those is sent at its own rate.
   """
 
   alias MavCodec.Messages, as: M
@@ -45,13 +45,21 @@ defmodule Msp.Polls do
     M.RcChannels.id() => ["RC"]
   }
   @fastest_us 40_000
-  # The status is the sign of life, whatever a client wants.
   @slowest_us 5_000_000
+  # The sign of life, in which changes of the mode show: never rarer than usual.
+  @status ["STATUS_EX", "MSP2_INAV_STATUS"]
 
-  defstruct polls: %{}
+  defstruct polls: %{}, wanted: %{}, told: %{}
 
-  @typedoc "By message: its arguments, its period and usual period (us), when it is due; nil once the vehicle has refused it."
-  @type t :: %__MODULE__{polls: %{String.t() => map}}
+  @typedoc """
+  - `polls`: by message: its arguments, its period and usual period (us), when it is due; none once the vehicle has refused it
+  - `wanted`: by MAVLink message: the interval (us) that clients want, `:never` for none; `told`: when it was sent last
+  """
+  @type t :: %__MODULE__{
+          polls: %{String.t() => map},
+          wanted: %{non_neg_integer => pos_integer | :never},
+          told: %{non_neg_integer => integer}
+        }
 
   @doc "The polls of a firmware, all due."
   @spec new(Msp.Modes.firmware(), integer) :: t
@@ -87,35 +95,69 @@ defmodule Msp.Polls do
 
   @doc "The vehicle refused it, as a build without the part that it is about does: it is asked no more."
   @spec refused(t, String.t()) :: t
-  def refused(%__MODULE__{polls: polls}, name), do: %__MODULE__{polls: Map.delete(polls, name)}
+  def refused(%__MODULE__{polls: polls} = all, name), do: %{all | polls: Map.delete(polls, name)}
 
   defp update(%__MODULE__{polls: polls} = all, name, fun) do
     if is_map_key(polls, name), do: %{all | polls: Map.update!(polls, name, fun)}, else: all
   end
 
   @doc """
-  The rate that clients want for a MAVLink message: the interval in us, 0 for the usual one. `:error` for a message that is not made
-  here.
+  The rate that clients want for a MAVLink message: the interval in us, 0 for the usual one, below 0 for none. `:error` for a message that
+  is not made here.
   """
   @spec interval(t, message_id :: non_neg_integer, us :: integer) :: {:ok, t} | :error
-  def interval(polls, id, us) do
-    case @made_of do
-      %{^id => names} ->
-        {:ok, Enum.reduce(names, polls, &update(&2, &1, fn poll -> %{poll | period: period(us, poll)} end))}
+  def interval(%__MODULE__{wanted: wanted} = polls, id, us) when is_map_key(@made_of, id) do
+    wanted =
+      cond do
+        us == 0 -> Map.delete(wanted, id)
+        us < 0 -> Map.put(wanted, id, :never)
+        true -> Map.put(wanted, id, max(us, @fastest_us))
+      end
 
-      _other ->
-        :error
+    polls = %{polls | wanted: wanted}
+
+    {:ok,
+     Enum.reduce(@made_of[id], polls, fn name, polls ->
+       update(polls, name, &%{&1 | period: period(name, &1.usual, wanted)})
+     end)}
+  end
+
+  def interval(_polls, _id, _us), do: :error
+
+  # As the most wanted of what is made of it.
+  defp period(name, usual, wanted) do
+    intervals = for {id, names} <- @made_of, name in names, do: Map.get(wanted, id, usual)
+    least = intervals |> Enum.reject(&(&1 == :never)) |> Enum.min(fn -> @slowest_us end) |> min(@slowest_us)
+    if name in @status, do: min(least, usual), else: least
+  end
+
+  @doc "The present interval of a MAVLink message in us, -1 for one that nobody wants, nil for one that is not made here."
+  @spec interval(t, message_id :: non_neg_integer) :: pos_integer | -1 | nil
+  def interval(%__MODULE__{polls: polls, wanted: wanted}, id) do
+    usual = for name <- Map.get(@made_of, id, []), poll = polls[name], do: poll.usual
+
+    case wanted do
+      _any when usual == [] -> nil
+      %{^id => :never} -> -1
+      %{^id => us} -> us
+      _usual -> Enum.max(usual)
     end
   end
 
-  defp period(0, poll), do: poll.usual
-  defp period(us, _poll) when us < 0, do: @slowest_us
-  defp period(us, _poll), do: us |> max(@fastest_us) |> min(@slowest_us)
+  @doc "Whether a MAVLink message is to be sent, now that there is one."
+  @spec tell(t, message_id :: non_neg_integer, integer) :: {boolean, t}
+  def tell(%__MODULE__{told: told, wanted: wanted} = polls, id, now) do
+    case interval(polls, id) do
+      nil ->
+        {wanted[id] != :never, polls}
 
-  @doc "The present interval of a MAVLink message in us, nil for one that is not made here."
-  @spec interval(t, message_id :: non_neg_integer) :: pos_integer | nil
-  def interval(%__MODULE__{polls: polls}, id) do
-    periods = for name <- Map.get(@made_of, id, []), poll = polls[name], do: poll.period
-    Enum.max(periods, fn -> nil end)
+      -1 ->
+        {false, polls}
+
+      # Replies come when they come: a little early is in time.
+      us ->
+        due? = now - Map.get(told, id, now - us) >= div(us * 3, 4)
+        {due?, if(due?, do: %{polls | told: Map.put(told, id, now)}, else: polls)}
+    end
   end
 end

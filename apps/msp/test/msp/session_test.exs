@@ -393,6 +393,48 @@ defmodule Msp.SessionTest do
       assert {_, %{interval_us: 200_000}} = line |> Line.told(M.MessageInterval) |> List.last()
     end
 
+    test "for two messages of one reply: each has its own rate, and none of both" do
+      answers =
+        betaflight(%{
+          "RAW_GPS" => %{
+            fix: 2,
+            satellites: 12,
+            lat: 1,
+            lon: 1,
+            altitude: 5,
+            ground_speed: 0,
+            course: 0,
+            dop: 90
+          }
+        })
+
+      line =
+        answers
+        |> run(3)
+        |> command(511, %{1 => 24, 2 => 1_000_000})
+        |> command(511, %{1 => 33, 2 => 250_000})
+
+      count = fn line, module -> length(Line.told(line, module)) end
+      later = Line.run(line, 10 * @second)
+      assert (count.(later, M.GpsRawInt) - count.(line, M.GpsRawInt)) in 9..11
+      assert (count.(later, M.GlobalPositionInt) - count.(line, M.GlobalPositionInt)) in 36..41
+      none = later |> command(511, %{1 => 33, 2 => -1}) |> command(510, %{1 => 33})
+      assert {_, %{interval_us: -1}} = none |> Line.told(M.MessageInterval) |> List.last()
+      last = Line.run(none, 10 * @second)
+      assert count.(last, M.GlobalPositionInt) == count.(later, M.GlobalPositionInt)
+      assert (count.(last, M.GpsRawInt) - count.(later, M.GpsRawInt)) in 9..11
+    end
+
+    test "for a heartbeat now and then: changes of the mode show as soon as ever" do
+      line =
+        run(betaflight(), 3) |> command(511, %{1 => 0, 2 => 5_000_000}) |> command(511, %{1 => 1, 2 => -1})
+
+      asked = fn line -> line |> requests() |> Enum.count(&(&1 == 150)) end
+      later = Line.run(line, 10 * @second)
+      assert (asked.(later) - asked.(line)) in 48..51
+      assert length(Line.told(later, M.Heartbeat)) > 10
+    end
+
     test "to others, and numbers that are none, change nothing" do
       line = run(betaflight(), 3)
 

@@ -128,7 +128,7 @@ defmodule Msp.SticksTest do
     end
 
     test "#{firmware}: a transmitter in charge stays in charge" do
-      {line, _change, state} = up(unquote(firmware), [])
+      {line, change, state} = up(unquote(firmware), [])
 
       line =
         line |> command(@arm, [1, 0]) |> command(@set_mode, [1, 1]) |> sticks(900) |> Line.run(2 * @second)
@@ -138,8 +138,15 @@ defmodule Msp.SticksTest do
       assert notes(line) =~ "a transmitter is in charge"
       assert raw(line) == []
       refute state.().armed
+      # There is nothing to do.
       line = command(line, @arm, [0, 0])
+      assert List.last(acks(line, @arm)) == @accepted
+      change.(&Firmware.sticks(&1, [1500, 1500, 1000, 1500, 1900, 1000, 1000, 1000, 1000]))
+      line = Line.run(line, 2 * @second)
+      assert state.().armed
+      line = line |> command(@arm, [0, 0]) |> Line.run(@second)
       assert List.last(acks(line, @arm)) == @denied
+      assert state.().armed and raw(line) == []
     end
 
     test "#{firmware}: another program that sends channels stays in charge, and so does a client that steers" do

@@ -4,7 +4,7 @@ defmodule Msp.Session.Reports do
   vehicle from being armed.
   """
 
-  alias Msp.{Arming, Identity, Modes, Readings, Session, Telemetry}
+  alias Msp.{Arming, Identity, Modes, Polls, Readings, Session, Telemetry}
   alias Msp.Session.{Clients, Output, Requests}
 
   @heartbeat_us 1_000_000
@@ -76,20 +76,20 @@ defmodule Msp.Session.Reports do
   end
 
   defp show(%{readings: readings} = session, "ATTITUDE", now),
-    do: Output.emit(session, Telemetry.attitude(readings, Output.boot_ms(session, now)))
+    do: tell(session, Telemetry.attitude(readings, Output.boot_ms(session, now)), now)
 
   defp show(session, "RAW_GPS", now),
-    do: session |> Output.emit(Telemetry.gps_raw(session.readings, now - session.boot)) |> position(now)
+    do: session |> tell(Telemetry.gps_raw(session.readings, now - session.boot), now) |> position(now)
 
   # With a position the height goes with it.
   defp show(%{readings: %{lat: lat}} = session, "ALTITUDE", _now) when is_number(lat), do: session
   defp show(session, "ALTITUDE", now), do: position(session, now)
 
-  defp show(session, name, _now) when name in ["BATTERY_STATE", "MSP2_INAV_ANALOG"],
-    do: Output.emit(session, Telemetry.battery(session.readings))
+  defp show(session, name, now) when name in ["BATTERY_STATE", "MSP2_INAV_ANALOG"],
+    do: tell(session, Telemetry.battery(session.readings), now)
 
   defp show(session, "RC", now),
-    do: Output.emit(session, Telemetry.rc(session.readings, Output.boot_ms(session, now)))
+    do: tell(session, Telemetry.rc(session.readings, Output.boot_ms(session, now)), now)
 
   defp show(session, "NAV_STATUS", _now),
     do: Output.emit(session, Telemetry.mission(session.readings, session.mission))
@@ -99,10 +99,23 @@ defmodule Msp.Session.Reports do
 
   defp position(session, now),
     do:
-      Output.emit(
+      tell(
         session,
-        Telemetry.position(session.readings, Output.boot_ms(session, now), now - session.boot)
+        Telemetry.position(session.readings, Output.boot_ms(session, now), now - session.boot),
+        now
       )
+
+  # At the rate that clients want: others may be made of the same reply.
+  defp tell(session, messages, now) do
+    messages
+    |> List.wrap()
+    |> Enum.reduce(session, fn %module{} = message, session ->
+      case Polls.tell(session.polls, module.id(), now) do
+        {true, polls} -> Output.emit(%{session | polls: polls}, message)
+        {false, polls} -> %{session | polls: polls}
+      end
+    end)
+  end
 
   # After the first heartbeat: who it is, and what its modes are called.
   defp introduce(session) do

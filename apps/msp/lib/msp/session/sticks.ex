@@ -40,8 +40,12 @@ defmodule Msp.Session.Sticks do
         ) ::
           Session.t()
   def command(%{receiver: nil} = session, want, command, from, _now)
-      when want in [:disarm, {:disarm, :force}],
-      do: refuse(session, command, from, "its pilot's transmitter is in charge")
+      when want in [:disarm, {:disarm, :force}] do
+    # There is nothing to do.
+    if Modes.armed?(session.readings[:boxes] || MapSet.new([0])),
+      do: refuse(session, command, from, "its pilot's transmitter is in charge"),
+      else: Output.acknowledge(session, command, from, :ACCEPTED)
+  end
 
   def command(%{receiver: nil} = session, want, command, from, _now) do
     cond do

@@ -393,6 +393,11 @@ defmodule Msp.SessionTest do
       assert {_, %{interval_us: 200_000}} = line |> Line.told(M.MessageInterval) |> List.last()
     end
 
+    test "for a message that is not made here: refused, not unknown, so that nobody asks for groups instead" do
+      line = run(betaflight(), 3) |> command(511, %{1 => 74, 2 => 500_000})
+      assert List.last(acks(line)) == {511, 2}
+    end
+
     test "for two messages of one reply: each has its own rate, and none of both" do
       answers =
         betaflight(%{

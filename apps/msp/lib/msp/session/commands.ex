@@ -88,7 +88,8 @@ defmodule Msp.Session.Commands do
          {:ok, polls} <- Polls.interval(session.polls, id, us) do
       Output.acknowledge(%{session | polls: polls}, command.command, from, :ACCEPTED)
     else
-      _none -> Output.acknowledge(session, command.command, from, :UNSUPPORTED)
+      # UNSUPPORTED would say that it knows no intervals.
+      _none -> Output.acknowledge(session, command.command, from, :DENIED)
     end
   end
 

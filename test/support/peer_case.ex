@@ -20,7 +20,13 @@ defmodule Aerie.PeerCase do
   end
 
   @files [python: "bin/python", mavproxy: "bin/mavproxy.py", mavsdk: "lib/python*/site-packages/mavsdk"]
-  @programs [mavlink_router: "mavlink-routerd", mavp2p: "mavp2p", schemathesis: "schemathesis"]
+  @programs [
+    mavlink_router: "mavlink-routerd",
+    mavp2p: "mavp2p",
+    schemathesis: "schemathesis",
+    betaflight: "betaflight_SITL",
+    inav: "inav_SITL"
+  ]
 
   @doc "Tags of tests whose peers are not installed."
   @spec missing() :: [atom()]

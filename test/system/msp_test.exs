@@ -10,6 +10,7 @@ defmodule Aerie.System.MspTest do
   alias Aerie.Control.{Commands, Missions, Params}
   alias Aerie.Fleet.Shadow
   alias Aerie.Mission.File.QgcPlan
+  alias Aerie.HubServer
   alias SimVehicle.Msp
 
   @moduletag :tmp_dir
@@ -605,7 +606,7 @@ defmodule Aerie.System.MspTest do
        %{tmp_dir: dir} do
     alias MavCodec.Msp.Frame
     sim = start_supervised!({Msp, firmware: :betaflight, uid: 7})
-    [operators, admins] = for _n <- 1..2, do: free_port()
+    [operators, admins] = for _n <- 1..2, do: HubServer.free_port()
 
     %{gateway: gateway} =
       start_gateway(dir,
@@ -645,13 +646,6 @@ defmodule Aerie.System.MspTest do
 
     entries = Path.wildcard(Path.join(dir, "audit/*")) |> Enum.map_join(&File.read!/1)
     assert entries =~ "bench-share" and entries =~ "hangar-share"
-  end
-
-  defp free_port do
-    {:ok, listener} = :gen_tcp.listen(0, ip: {127, 0, 0, 1})
-    {:ok, port} = :inet.port(listener)
-    :gen_tcp.close(listener)
-    port
   end
 
   test "YAMSPy reads the simulated Betaflight as it reads a real one" do

@@ -14,7 +14,7 @@ defmodule Aerie.Vehicle.Services.Params do
   @counters ["STAT_", "LND_FLIGHT_T_"]
 
   @doc """
-  Name, value and index (nil if the message is not part of a list). `:ignore` for PX4's hash over all values, for counters of
+  Name (the whole one of Betaflight and iNav), value and index (nil if the message is not part of a list). `:ignore` for PX4's hash over all values, for counters of
   flight time and the like, and for a message without a valid name or number.
   """
   @spec read(struct(), atom()) :: {:ok, value()} | :ignore
@@ -24,11 +24,19 @@ defmodule Aerie.Vehicle.Services.Params do
     with true <- name?(message.param_id),
          {:ok, value, _exact?} <-
            ParamValue.decode(message.param_value, message.param_type, encoding(autopilot)) do
-      {:ok, {message.param_id, value, if(message.param_index == 0xFFFF, do: nil, else: message.param_index)}}
+      {:ok,
+       {whole(message.param_id, autopilot), value,
+        if(message.param_index == 0xFFFF, do: nil, else: message.param_index)}}
     else
       _garbage -> :ignore
     end
   end
+
+  # Betaflight and iNav have longer names than MAVLink.
+  defp whole(name, autopilot) when autopilot in [:betaflight, :inav],
+    do: MavCodec.Msp.Params.full(autopilot, name)
+
+  defp whole(name, _autopilot), do: name
 
   defp name?(name), do: ParamValue.name?(name) and not String.starts_with?(name, @counters)
 

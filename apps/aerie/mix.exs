@@ -56,6 +56,7 @@ defmodule Aerie.MixProject do
       [
         {:mav_codec, in_umbrella: true},
         {:base, in_umbrella: true},
+        {:msp, in_umbrella: true},
         {:mav_router, in_umbrella: true},
         {:vehicle, in_umbrella: true},
         {:control, in_umbrella: true},

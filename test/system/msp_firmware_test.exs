@@ -13,7 +13,6 @@ defmodule Aerie.System.MspFirmwareTest do
 
   @moduletag :tmp_dir
   @moduletag :capture_log
-  @moduletag :long
   @vehicle "VID-007"
   @key {"main", 7}
   @crew %{name: "crew", role: :admin, permissions: [:receiver]}

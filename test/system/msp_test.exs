@@ -122,11 +122,12 @@ defmodule Aerie.System.MspTest do
     c = fly(dir, [:betaflight, :inav], %{"recorder" => recorder})
     :ok = Aerie.Base.PubSub.subscribe(c.gateway, :events)
 
-    for {firmware, link, name, value} <- [
-          {:betaflight, "link-1", "vbat_warning_cell_voltage", 360},
-          {:inav, "link-2", "nav_rth_linear_descent_start_distance", 250}
+    for {firmware, name, value} <- [
+          {:betaflight, "vbat_warning_cell_voltage", 360},
+          {:inav, "nav_rth_linear_descent_start_distance", 250}
         ] do
       sim = c.sims[firmware]
+      [link] = Aerie.Base.Store.vehicle(c.gateway, key(firmware)).links
       assert {:ok, %{status: :completed}} = Params.set(c.gateway, name(firmware), name, value)
       :ok = Msp.sticks(sim, @armed)
       event(c, firmware, "armed")

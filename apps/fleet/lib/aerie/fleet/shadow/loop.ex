@@ -163,9 +163,14 @@ defmodule Aerie.Fleet.Shadow.Loop do
   # Parameters as PARAM_VALUE last reported them.
   defp beside(%{gateway: gateway, vehicle: vehicle} = state) do
     for {"params." <> name = path, _entry} <- state.core.document.fields,
-        {:ok, value} when is_number(value) <- [Journal.param(gateway, vehicle.id, LongNames.wire(name))],
+        {:ok, value} when is_number(value) <- [known(gateway, vehicle.id, name)],
         into: Map.new(state.plans, fn {path, known} -> {path, known.hash} end),
         do: {path, value}
+  end
+
+  # A long name that no table has came as MAVLink has it.
+  defp known(gateway, id, name) do
+    with :error <- Journal.param(gateway, id, name), do: Journal.param(gateway, id, LongNames.wire(name))
   end
 
   # A plan that was read stays valid until somebody commands the vehicle, and may send another plan, or it restarts.

@@ -35,6 +35,15 @@ defmodule Aerie.CLI.NatsSetupTest do
                Config.load(Path.join([dir, "set", name]), [], env: %{})
     end
 
+    # The hub shows and commands its vehicles, which list the key by which it signs.
+    %{"gateway" => public} = JSON.decode!(read(dir, "fleet.json"))
+
+    assert {:ok, %{remote: %{enabled: true, nkey_seed_file: "gateway.nk"}}} =
+             Config.load(Path.join([dir, "set/hub/gateway.yaml"]), [], env: %{})
+
+    assert {:ok, %{policy: %{sources: [%{name: "hub", nkey: ^public, role: :operator}]}}} =
+             Config.load(Path.join([dir, "set/vehicles/VID-1/gateway.yaml"]), [], env: %{})
+
     # The hub has the key from which those of the vehicles are derived, a vehicle its own, and no server any.
     common = String.trim(read(dir, "shadow.key"))
 

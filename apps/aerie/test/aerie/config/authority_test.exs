@@ -242,6 +242,7 @@ defmodule Aerie.Config.AuthorityTest do
       {"shadow.allow_arming", %{}, true, false, &shadow/1},
       {"shadow.without_nats", %{}, "hold", "act", &Shadow.Settings.from(&1).without_nats},
       {"shadow.key", %{}, @key, @key2, &Secret.reveal(Shadow.Settings.from(&1).key)},
+      {"shadow.hub", %{}, "hq", "ground", &Shadow.Settings.from(&1).hub},
       {"shadow.former_key", %{}, @key, @key2, &Secret.reveal(Shadow.Settings.from(&1).former_key)},
       {"shadow.vehicle_key", %{"vehicle_id" => "VID-001"}, @key, @key2,
        &Secret.reveal(Shadow.Settings.from(&1).vehicle_key)},

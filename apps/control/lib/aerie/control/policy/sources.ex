@@ -62,18 +62,27 @@ defmodule Aerie.Control.Policy.Sources do
   @spec fresh?(header :: String.t(), now :: integer()) :: boolean()
   def fresh?(header, now), do: match?({:ok, _key}, Signature.claim(header, now))
 
-  defp listed(policy, key, now) do
-    case Enum.find(policy.sources, &(&1.nkey == key)) do
-      nil ->
-        {:error, "the key #{key} is not one of policy.sources"}
+  @doc "The source of a name: who is meant by it where something else than a signature proves it."
+  @spec named(Policy.t() | nil, String.t(), now :: integer()) :: {:ok, Roles.source()} | {:error, String.t()}
+  def named(policy, name, now) do
+    listed = Enum.find((policy && policy.sources) || [], &(&1.name == name))
 
-      %{expires: expires, name: name} when expires != nil and now >= expires ->
-        {:error, "the key of #{name} was good until #{day(expires - 1)}"}
-
-      listed ->
-        {:ok, listed}
-    end
+    with {:ok, listed} <- valid(listed, "policy.sources has nobody called #{name}", now),
+         do: {:ok, Roles.principal(:key, listed.name, listed.role, listed.permissions)}
   end
+
+  defp listed(policy, key, now) do
+    policy.sources
+    |> Enum.find(&(&1.nkey == key))
+    |> valid("the key #{key} is not one of policy.sources", now)
+  end
+
+  defp valid(nil, unknown, _now), do: {:error, unknown}
+
+  defp valid(%{expires: expires, name: name}, _unknown, now) when expires != nil and now >= expires,
+    do: {:error, "the key of #{name} was good until #{day(expires - 1)}"}
+
+  defp valid(listed, _unknown, _now), do: {:ok, listed}
 
   defp day(at), do: at |> DateTime.from_unix!(:microsecond) |> DateTime.to_date() |> Date.to_iso8601()
 end

@@ -12,13 +12,49 @@ defmodule Aerie.Fleet.Shadow.Merge do
   No clock decides, because one of a vehicle without a network is often wrong. The result is newer than both, unless one side did not
   change: then it is the other side's document as it is. A document that is older than the common one was put back by somebody, and
   counts as unchanged (Z5).
+
+  What the hub may not change aboard is taken back from it first (`permitted/4`), and the result tells so.
   """
 
-  alias Aerie.Fleet.Shadow.Document
+  alias Aerie.Fleet.Shadow.{Document, Field}
 
-  @doc "The document that both sides shall have. `base`: the last one that they had in common, of version 0 if that is not known."
-  @spec merge(Document.t(), aboard :: Document.t(), hub :: Document.t(), now :: integer()) :: Document.t()
-  def merge(base, aboard, hub, now) do
+  @refused "refused aboard: the hub may not change these there (policy.sources of the gateway aboard)"
+
+  @doc """
+  The hub's document with the fields aboard in place of those that it may not set or remove, and these fields. What is aboard already is no
+  change. `allowed?` gets a path and a value, nil for a field that is removed.
+  """
+  @spec permitted(Document.t(), aboard :: Document.t(), hub :: Document.t(), (Field.path(), term() ->
+                                                                                boolean())) ::
+          {Document.t(), [Field.path()]}
+  def permitted(base, aboard, hub, allowed?) do
+    refused =
+      for path <- Enum.uniq(Map.keys(base.fields) ++ Map.keys(hub.fields)),
+          entry <- [hub.fields[path]],
+          entry != base.fields[path] and entry != aboard.fields[path],
+          not allowed?.(path, entry && entry.value),
+          do: path
+
+    fields = hub.fields |> Map.drop(refused) |> Map.merge(Map.take(aboard.fields, refused))
+    {%{hub | fields: fields}, Enum.sort(refused)}
+  end
+
+  @doc """
+  The document that both sides shall have. `base`: the last one that they had in common, of version 0 if that is not known; `refused`: what
+  `permitted/4` took from the hub's.
+  """
+  @spec merge(Document.t(), aboard :: Document.t(), hub :: Document.t(), now :: integer(), [Field.path()]) ::
+          Document.t()
+  def merge(base, aboard, hub, now, refused \\ [])
+
+  # Newer than the hub's, so that the hub learns of it.
+  def merge(base, aboard, hub, now, [_ | _] = refused) do
+    merged = join(base, aboard, hub, now)
+    told = %{merged(merged.version, [], now) | reason: @refused, removed: refused}
+    %{merged | history: Document.history([told | merged.history])}
+  end
+
+  def merge(base, aboard, hub, now, []) do
     cond do
       same?(aboard, hub) -> aboard
       unchanged?(hub, base) and aboard.version > hub.version -> aboard

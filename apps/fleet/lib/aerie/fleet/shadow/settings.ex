@@ -71,6 +71,14 @@ defmodule Aerie.Fleet.Shadow.Settings do
           "Aboard: the key of the vehicle of vehicle_id alone, in the place of key. bin/nats-setup derives it.",
           example: "a long random text"
 
+  setting :hub,
+          :string,
+          """
+          Aboard, on a leaf node: who the hub is, a name of policy.sources. What is desired at the hub needs the permissions that this source has; with nobody of
+          that name the hub desires in vain.
+          """,
+          default: "hub"
+
   setting :former_key,
           :secret,
           """

@@ -8,6 +8,9 @@ defmodule Aerie.Fleet.Shadow.Uplink do
   | the reported document | to the hub, the last value, at most once a second |
   | who acts on the vehicle | to the hub: `gateway-{vehicle}` while a gateway aboard does (`Aerie.Fleet.Shadow.Lease.aboard?/2`) |
 
+  What the hub desires needs the permissions that its commands would need aboard: those of the source `shadow.hub` of the policy there. Other changes are
+  taken back at the hub, with the reason in the history.
+
   Both buckets are written with compare-and-set, the hub's first. The last document that both had is in `hub/` in the shadow's folder,
   so that a change is recognised after a restart.
 
@@ -20,7 +23,21 @@ defmodule Aerie.Fleet.Shadow.Uplink do
   alias Aerie.Fleet.Bridge
   alias Aerie.Fleet.Bridge.Subscriber
   alias Aerie.Fleet.Nats.KV
-  alias Aerie.Fleet.Shadow.{Document, Documents, HubBuckets, LocalStore, Merge, SealedDocument, Settings}
+  alias Aerie.Control.Policy
+  alias Aerie.Control.Policy.{Roles, Sources}
+
+  alias Aerie.Fleet.Shadow.{
+    Document,
+    Documents,
+    Field,
+    HubBuckets,
+    LocalStore,
+    Merge,
+    Metrics,
+    SealedDocument,
+    Settings
+  }
+
   alias Aerie.Base.PubSub
 
   require Logger
@@ -59,6 +76,7 @@ defmodule Aerie.Fleet.Shadow.Uplink do
       vehicle: vehicle,
       key: key,
       lease: "#{environment}.vehicles.#{vehicle}",
+      source: settings.hub,
       base: nil,
       conn: nil,
       hub: :down,
@@ -176,13 +194,17 @@ defmodule Aerie.Fleet.Shadow.Uplink do
          state = %{state | base: state.base || base(dir, keys, state)},
          {:ok, hub, revision} <- at_hub(state, keys),
          {:ok, aboard} <- aboard(state) do
-      merged = Merge.merge(state.base, aboard, hub, System.os_time(:microsecond))
+      now = System.os_time(:microsecond)
+      source = Sources.named(Policy.Store.get(state.gateway), state.source, now)
+      {permitted, refused} = Merge.permitted(state.base, aboard, hub, &may?(source, &1, &2))
+      merged = Merge.merge(state.base, aboard, permitted, now, refused)
       seal = &SealedDocument.encode(&1, state.environment, keys)
 
       with :ok <- up(state, hub, merged, revision, seal),
            # The hub's document now has all of ours, which is what the next one is compared with if the way back fails.
            state = keep(state, dir, aboard, seal),
            :ok <- down(state, aboard, merged) do
+        refuse(state, source, refused)
         put_problem(%{keep(state, dir, merged, seal) | desired?: false}, nil)
       else
         # With the next tick, or sooner if a notice of a change comes.
@@ -193,6 +215,35 @@ defmodule Aerie.Fleet.Shadow.Uplink do
       {:error, why} -> later(state, why)
       nil -> state
     end
+  end
+
+  defp may?({:ok, source}, path, value),
+    do: Enum.all?(Field.permissions(path, value), &Roles.allowed?(source, &1))
+
+  defp may?({:error, _nobody}, _path, _value), do: false
+
+  defp refuse(_state, _source, []), do: :ok
+
+  defp refuse(state, source, paths) do
+    why =
+      case source do
+        {:ok, source} -> "#{source.name} lacks the permissions for it"
+        {:error, nobody} -> nobody <> " (shadow.hub)"
+      end
+
+    text = "what the hub desires of #{Enum.join(paths, ", ")} is refused: #{why}"
+    Logger.warning("shadow: " <> text)
+    Metrics.count(state.gateway, :updates_refused)
+
+    metadata = %{
+      gateway: state.gateway,
+      vehicle: state.vehicle,
+      actor: state.source,
+      via: "leaf",
+      reason: text
+    }
+
+    :telemetry.execute([:aerie, :shadow, :refused], %{count: 1}, metadata)
   end
 
   defp base(dir, keys, state) do

@@ -47,6 +47,33 @@ defmodule Aerie.Fleet.Shadow.MergeTest do
     assert merge(merged, merged, merged) == merged
   end
 
+  test "what the hub may not change is as it is aboard, and nothing else; what is aboard already is no change",
+       %{base: base} do
+    may? = fn path, _value -> path == "mode" end
+    aboard = changed(base, %{"params" => %{"A" => 1}}, "aboard")
+
+    hub =
+      base
+      |> changed(%{"mode" => "LAND", "params" => %{"B" => 2}}, "hub")
+      |> changed(%{"tags" => nil}, "hub")
+
+    assert {permitted, ["params.B", "tags"]} = Merge.permitted(base, aboard, hub, may?)
+    assert values(permitted) == %{"mode" => "LAND", "tags" => ["a"]}
+    merged = Merge.merge(base, aboard, permitted, @now, ["params.B", "tags"])
+    assert values(merged) == %{"mode" => "LAND", "tags" => ["a"], "params.A" => 1.0}
+    assert merged.version > max(hub.version, aboard.version)
+
+    assert Enum.any?(
+             merged.history,
+             &match?(%{actor: "shadow", removed: ["params.B", "tags"], reason: "refused aboard" <> _}, &1)
+           )
+
+    # Both sides have it then, and nothing is refused any more, also without the common document.
+    assert {^merged, []} = Merge.permitted(merged, merged, merged, may?)
+    assert {^merged, []} = Merge.permitted(Document.new("V"), merged, merged, fn _path, _value -> false end)
+    assert {^hub, []} = Merge.permitted(base, aboard, hub, fn _path, _value -> true end)
+  end
+
   test "a removal on one side and a change on the other: the hub's counts", %{base: base} do
     removed = changed(base, %{"mode" => nil})
     set = changed(base, %{"mode" => "RTL"})

@@ -2,6 +2,7 @@ defmodule Aerie.Fleet.Shadow.UplinkTest do
   @moduledoc "Desired and reported state between a hub and a companion that is its leaf node: real servers, cut and together again."
   use Aerie.ShadowCase, async: true
 
+  alias Aerie.Control.Policy
   alias Aerie.HubServer
   alias Aerie.Fleet.Shadow.Plans
 
@@ -21,8 +22,17 @@ defmodule Aerie.Fleet.Shadow.UplinkTest do
     start_shadow(hub, Path.join(dir, "hub"), [@key | url])
     leaf = start_bridge(HubServer.leaf(server, @id))
     HubServer.await_hub(leaf)
+    put_policy(leaf, server, Map.get(context, :role, :admin))
     start_aboard(leaf, server, context[:key] || own_key())
     %{server: server, hub: hub, leaf: leaf}
+  end
+
+  # What the hub may do aboard: by the key that bin/nats-setup made for it, unless the test has no such source.
+  defp put_policy(leaf, server, role) do
+    %{"gateway" => nkey} = server.set |> Path.join("fleet.json") |> File.read!() |> JSON.decode!()
+    sources = if role, do: [%{name: "hub", nkey: nkey, role: role}], else: []
+    {:ok, policy} = Policy.compile(%{sources: sources})
+    start_supervised!({Policy.Store, gateway: leaf, policy: policy})
   end
 
   # The hub has the common key, a vehicle its own.
@@ -147,6 +157,44 @@ defmodule Aerie.Fleet.Shadow.UplinkTest do
 
     Documents.vehicle_heard(documents(leaf), @id, false)
     eventually(fn -> Documents.authority(hub, @id) == :mine end)
+  end
+
+  @tag role: :operator
+  test "what the hub may not do aboard it may not desire there: it is taken back, and told", context do
+    %{hub: hub, leaf: leaf} = context
+    assert {:ok, _document} = desire(leaf, %{"params" => %{"KEPT" => 1}})
+    await_both(context, &match?({%{"params" => %{"KEPT" => 1.0}}, _version}, &1))
+
+    # An admin at the hub, which is an operator aboard.
+    assert {:ok, _document} = desire(hub, %{"mode" => "LOITER", "params" => %{"RTL_ALT" => 5000}})
+
+    await_both(
+      context,
+      &match?({%{"mode" => "LOITER", "params" => params}, _version} when params == %{"KEPT" => 1.0}, &1)
+    )
+
+    assert {:ok, %{"history" => history}} = Shadow.get(hub, @id)
+
+    assert %{"reason" => "refused aboard" <> _, "removed" => ["params.RTL_ALT"]} =
+             Enum.find(history, &(&1["actor"] == "shadow"))
+
+    assert Store.counter(leaf, {:shadow, :updates_refused}) >= 1
+
+    # Nor may it take away what somebody aboard desires.
+    assert {:ok, _document} = desire(hub, %{"params" => %{"KEPT" => nil}})
+    await_both(context, &match?({%{"params" => %{"KEPT" => 1.0}}, version} when version > 4, &1))
+    # The gateway aboard goes on asking its own policy only.
+    assert {:ok, _document} = desire(leaf, %{"params" => %{"RTL_ALT" => 3000}})
+    await_both(context, &match?({%{"params" => %{"RTL_ALT" => 3000.0}}, _version}, &1))
+  end
+
+  @tag role: nil
+  test "with nobody who is the hub, it desires in vain", context do
+    %{hub: hub, leaf: leaf} = context
+    assert {:ok, _document} = desire(hub, %{"mode" => "LOITER", "tags" => ["north"]})
+    await_both(context, &match?({desired, version} when desired == %{} and version > 1, &1))
+    assert {:ok, _document} = desire(leaf, %{"tags" => ["south"]})
+    await_both(context, &match?({%{"tags" => ["south"]}, _version}, &1))
   end
 
   @tag key: {"shadow.key", "another key than the hub's"}

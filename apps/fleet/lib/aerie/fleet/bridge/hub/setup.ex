@@ -133,11 +133,21 @@ defmodule Aerie.Fleet.Bridge.Hub.Setup do
       file = Path.join(dir, "hub/gateway.nk")
 
       with {:ok, public} <- seed(file),
-           do: {:ok, Map.put(fleet, "gateway", public), ["the key of the hub's gateways is new: #{file}"]}
+           do:
+             {:ok, Map.put(fleet, "gateway", public),
+              ["the key of the hub's gateways is new: #{file}" | known(fleet, public)]}
     else
       {:ok, fleet, []}
     end
   end
+
+  # Vehicles that have their files already.
+  defp known(%{"vehicles" => vehicles}, _public) when vehicles == %{}, do: []
+
+  defp known(_fleet, public),
+    do: [
+      "each vehicle lists it: the nkey of hub in policy.sources of its gateway.yaml is #{public} from now on"
+    ]
 
   # Sets of before each vehicle had a key of its own have one for all. The hub reads by it what was sealed till then.
   defp shadow_keys(dir, %{"sealing" => "vehicle"} = fleet, _without) do
@@ -249,7 +259,13 @@ defmodule Aerie.Fleet.Bridge.Hub.Setup do
           {name, text} <- [
             {"ca.pem", authority},
             {"gateway.yaml",
-             vehicle_yaml(environment, id, urls.(ports["leaf"]), VehicleKey.derive(keys.key, environment, id))}
+             vehicle_yaml(
+               environment,
+               id,
+               urls.(ports["leaf"]),
+               VehicleKey.derive(keys.key, environment, id),
+               fleet["gateway"]
+             )}
           ],
           do: {"vehicles/#{id}/#{name}", text}
 
@@ -309,10 +325,14 @@ defmodule Aerie.Fleet.Bridge.Hub.Setup do
       buckets:
         desired_max_mb: #{room.desired_mb}
         reported_max_mb: #{room.reported_mb}
+    # It shows and commands the vehicles of the fleet, and signs by the key that they list in policy.sources.
+    remote:
+      enabled: true
+      nkey_seed_file: gateway.nk
     """
   end
 
-  defp vehicle_yaml(environment, id, urls, key) do
+  defp vehicle_yaml(environment, id, urls, key, gateway) do
     """
     # The gateway aboard #{id}: files beside this one.
     vehicle_id: #{id}
@@ -325,6 +345,10 @@ defmodule Aerie.Fleet.Bridge.Hub.Setup do
           ca_file: ca.pem
     shadow:
       vehicle_key: #{JSON.encode!(key)}
+    policy:
+      # What the hub may do aboard, by commands and by desired states: role admin lets it set parameters, too.
+      sources:
+        - {name: hub, nkey: #{gateway}, role: operator}
     """
   end
 

@@ -3,14 +3,14 @@ defmodule Aerie.Base.Files.Private do
 
   alias Aerie.Base.Files.Raw
 
-  @doc "Makes a folder, and those above it. An existing one is closed to others, if it is ours."
+  @doc "Makes a folder, and those above it that are missing. An existing one is closed to others, if it is ours; those above it are not touched."
   @spec folder(Path.t()) :: :ok | {:error, File.posix()}
   def folder(dir) do
-    with :ok <- Raw.mkdir_p(dir) do
-      _ = Raw.chmod(dir, 0o700)
-      :ok
-    end
+    made = [dir | missing(Path.dirname(dir))]
+    with :ok <- Raw.mkdir_p(dir), do: Enum.each(made, &Raw.chmod(&1, 0o700))
   end
+
+  defp missing(dir), do: if(Raw.dir?(dir), do: [], else: [dir | missing(Path.dirname(dir))])
 
   @doc "The same, but an existing folder stays as it is: somebody may have opened it to others on purpose."
   @spec new_folder(Path.t()) :: :ok | {:error, File.posix()}

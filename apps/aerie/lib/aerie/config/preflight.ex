@@ -22,73 +22,82 @@ defmodule Aerie.Config.Preflight do
   alias Aerie.Fleet.Shadow.LocalStore
   alias FleetWeb.Console.Access.Users
 
-  @doc "`{:ok, warnings}` if the gateway can be started, otherwise all reasons why not."
-  @spec check(Config.t()) :: {:ok, [String.t()]} | {:error, [Error.t()]}
-  def check(%Config{} = config) do
+  @typedoc "Whether a port that is taken counts as free."
+  @type ours :: (:tcp | :udp, :inet.port_number() -> boolean())
+
+  @doc "`{:ok, warnings}` if the gateway can be started, otherwise all reasons why not. `ours?`: which ports it has already."
+  @spec check(Config.t(), ours()) :: {:ok, [String.t()]} | {:error, [Error.t()]}
+  def check(%Config{} = config, ours? \\ fn _protocol, _port -> false end) do
     {foreign, elsewhere} = networks(config)
 
-    case ports(config) ++ programs(config) ++ folders(config) ++ files(config) ++ signing(config) ++ foreign do
+    case ports(config, ours?) ++
+           programs(config) ++ folders(config) ++ files(config) ++ signing(config) ++ foreign do
       [] -> {:ok, recorder(config) ++ elsewhere}
       errors -> {:error, errors}
     end
   end
 
-  defp ports(config) do
+  defp ports(config, ours?) do
     http =
-      if config.http.enabled, do: tcp(config, "http.port", config.http.address, config.http.port), else: []
+      if config.http.enabled,
+        do: tcp(config, "http.port", config.http.address, config.http.port, ours?),
+        else: []
 
     websocket =
       if config.websocket.enabled,
-        do: tcp(config, "websocket.port", config.websocket.address, config.websocket.port),
+        do: tcp(config, "websocket.port", config.websocket.address, config.websocket.port, ours?),
         else: []
 
-    nats = if embedded?(config), do: tcp(config, "nats.port", config.nats.address, config.nats.port), else: []
+    nats =
+      if embedded?(config),
+        do: tcp(config, "nats.port", config.nats.address, config.nats.port, ours?),
+        else: []
 
     http ++
       websocket ++
       nats ++
-      Enum.flat_map(Enum.with_index(config.links), &link(config, &1)) ++
-      Enum.flat_map(Enum.with_index(clients(config)), &client(config, &1))
+      Enum.flat_map(Enum.with_index(config.links), &link(config, &1, ours?)) ++
+      Enum.flat_map(Enum.with_index(clients(config)), &client(config, &1, ours?))
   end
 
   # The default one takes the first free port.
   defp clients(%{clients: :default}), do: []
   defp clients(%{clients: clients}), do: clients
 
-  defp client(config, {%{enabled: true, url: url}, index}) do
+  defp client(config, {%{enabled: true, url: url}, index}, ours?) do
     case Spec.parse(url) do
       {:ok, %Spec{server: true, protocol: protocol, host: ip, port: port}} when is_tuple(ip) ->
-        try_open(config, "clients[#{index}].url", protocol, ip, port)
+        try_open(config, "clients[#{index}].url", protocol, ip, port, ours?)
 
       _it_calls ->
         []
     end
   end
 
-  defp client(_config, _not_opened), do: []
+  defp client(_config, _not_opened, _ours?), do: []
 
-  defp tcp(config, key, address, port) do
+  defp tcp(config, key, address, port, ours?) do
     {:ok, ip} = :inet.parse_strict_address(String.to_charlist(address))
-    if Config.given?(config, key), do: try_open(config, key, :tcp, ip, port), else: []
+    if Config.given?(config, key), do: try_open(config, key, :tcp, ip, port, ours?), else: []
   end
 
-  defp link(config, {%{enabled: true, given: true, spec: %Spec{server: true, host: ip} = spec}, index})
+  defp link(config, {%{enabled: true, given: true, spec: %Spec{server: true, host: ip} = spec}, index}, ours?)
        when is_tuple(ip) do
     key = if index < listed(config), do: "links[#{index}].url", else: "mavlink.local_addr"
-    try_open(config, key, spec.protocol, ip, spec.port)
+    try_open(config, key, spec.protocol, ip, spec.port, ours?)
   end
 
-  defp link(config, {%{enabled: true, spec: %Spec{recorded: true, file: file}}, index}),
+  defp link(config, {%{enabled: true, spec: %Spec{recorded: true, file: file}}, index}, _ours?),
     do: recording(config, "links[#{index}].url", file)
 
-  defp link(_config, _link), do: []
+  defp link(_config, _link, _ours?), do: []
 
   defp listed(config),
     do: length(config.links) - if(Config.given?(config, "mavlink.local_addr"), do: 1, else: 0)
 
-  defp try_open(_config, _key, _protocol, _ip, 0), do: []
+  defp try_open(_config, _key, _protocol, _ip, 0, _ours?), do: []
 
-  defp try_open(config, key, protocol, ip, port) do
+  defp try_open(config, key, protocol, ip, port, ours?) do
     family = if tuple_size(ip) == 8, do: [:inet6], else: []
 
     case open(protocol, port, [{:ip, ip} | family]) do
@@ -96,9 +105,13 @@ defmodule Aerie.Config.Preflight do
         []
 
       {:error, reason} ->
-        place = "#{protocol |> Atom.to_string() |> String.upcase()} port #{port} of #{:inet.ntoa(ip)}"
-        [error(config, key, "an address that is free", "#{place}: #{:inet.format_error(reason)}")]
+        if ours?.(protocol, port), do: [], else: [taken(config, key, protocol, ip, port, reason)]
     end
+  end
+
+  defp taken(config, key, protocol, ip, port, reason) do
+    place = "#{protocol |> Atom.to_string() |> String.upcase()} port #{port} of #{:inet.ntoa(ip)}"
+    error(config, key, "an address that is free", "#{place}: #{:inet.format_error(reason)}")
   end
 
   defp open(:tcp, port, options) do

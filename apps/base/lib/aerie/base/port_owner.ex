@@ -57,16 +57,24 @@ defmodule Aerie.Base.PortOwner do
 
   @doc "Whether a process is a descendant of this program, or the program itself."
   @spec ours?(pos_integer) :: boolean
-  def ours?(pid), do: ours?("#{pid}", System.pid(), 8)
+  def ours?(pid), do: descends?("#{pid}", System.pid(), 8)
 
-  defp ours?(pid, pid, _generations), do: true
-  defp ours?(_pid, _own, 0), do: false
+  @doc "Whether a process or one that it has started, and so on, holds a UDP or TCP port."
+  @spec holds_port?(:udp | :tcp, :inet.port_number(), pos_integer) :: boolean
+  def holds_port?(protocol, port, pid) do
+    with {:ok, _name, holder} <- find(protocol, port),
+         do: descends?("#{holder}", "#{pid}", 8),
+         else: (:unknown -> false)
+  end
 
-  defp ours?(pid, own, generations) do
+  defp descends?(pid, pid, _generations), do: true
+  defp descends?(_pid, _own, 0), do: false
+
+  defp descends?(pid, own, generations) do
     # State and parent follow the program's name, which stands in parentheses and may contain anything.
     with {:ok, stat} <- Raw.read("/proc/#{pid}/stat"),
          [_state, parent | _] <- stat |> String.split(")") |> List.last() |> String.split() do
-      ours?(parent, own, generations - 1)
+      descends?(parent, own, generations - 1)
     else
       _gone -> false
     end

@@ -2,6 +2,7 @@ defmodule Aerie.CLI.Subcommand.Config do
   @moduledoc "`aerie config check` and `aerie config show`."
   @behaviour Aerie.CLI.Subcommand
 
+  alias Aerie.Base.PortOwner
   alias Aerie.Config
   alias Aerie.Control.Policy
   alias Aerie.Config.{Keys, Preflight}
@@ -10,7 +11,7 @@ defmodule Aerie.CLI.Subcommand.Config do
 
   @impl Aerie.CLI.Subcommand
   def run(%{name: "config check"} = request) do
-    with {:ok, config} <- load(request), {:ok, warnings} <- Preflight.check(config) do
+    with {:ok, config} <- load(request), {:ok, warnings} <- Preflight.check(config, ours(config)) do
       lines = for warning <- config.warnings ++ warnings, do: "warning: #{warning}\n"
       fence = for line <- fence(config), do: "fence: #{line}\n"
 
@@ -42,6 +43,16 @@ defmodule Aerie.CLI.Subcommand.Config do
       "" -> nil
       file -> Path.expand(file, folder)
     end
+  end
+
+  # Edit, check, reload: the gateway that runs with this file has its ports already.
+  defp ours(config) do
+    running =
+      with {:ok, entries} <- Aerie.Node.list(Path.expand(config.shell.dir)),
+           do: for(%{config: file, pid: pid} <- entries, file != nil and file == config.file, do: pid),
+           else: (_unreadable -> [])
+
+    fn protocol, port -> Enum.any?(running, &PortOwner.holds_port?(protocol, port, &1)) end
   end
 
   # Where it is, nobody but a person can check.

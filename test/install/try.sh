@@ -53,8 +53,11 @@ use() {
   as_aerie aerie status || fail "aerie status: $?"
   as_aerie aerie doctor --config /etc/aerie/gateway.yaml || echo "(doctor: $?)"
   is "what xz the gateway finds" "$(as_aerie aerie rpc 'System.find_executable("xz")')" '"/opt/aerie/bin/xz"'
+  # Nobody has to know where the service keeps its files; who may not read them is told whose they are.
+  env -i PATH=/usr/bin:/bin aerie status || fail "aerie status of root: $?"
   # Others than the gateway's user do not reach it.
   useradd --no-create-home other
+  setpriv --reuid other --regid other --clear-groups env -i PATH=/usr/bin:/bin aerie status 2>&1 | grep -q 'sudo -u aerie aerie' || fail "another user is not told"
   ! setpriv --reuid other --regid other --clear-groups env -i PATH=/usr/bin:/bin AERIE_HOME=/var/lib/aerie aerie rpc 1 2>/dev/null || fail "another user reached the gateway"
   userdel other
   # As systemctl stop.

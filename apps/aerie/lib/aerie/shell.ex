@@ -40,8 +40,15 @@ defmodule Aerie.Shell do
     health()
 
     IO.puts(
-      "\nfleet(), links(), v ID, watch ID, :MESSAGE, cmd ID, :TYPE, top(), sup(): h Aerie.Shell describes all of them. Ctrl-C twice leaves."
+      "\nfleet(), links(), v ID, watch ID, :MESSAGE, cmd ID, :TYPE, top(), sup(): h Aerie.Shell describes all of them. exit() or Ctrl-C twice leaves."
     )
+  end
+
+  @doc "Leaves the shell; the gateway goes on."
+  @spec exit() :: :ok
+  def exit do
+    Aerie.CLI.Subcommand.Remote.leave(node(Process.group_leader()))
+    :ok
   end
 
   @doc "Whether the gateway is ready, and what is wrong."

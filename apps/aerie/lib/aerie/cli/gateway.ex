@@ -48,7 +48,8 @@ defmodule Aerie.CLI.Gateway do
     dir = dir(request)
 
     with {:ok, entries} <- Aerie.Node.list(dir),
-         {:ok, entry} <- choose(entries, request.options[:gateway], dir),
+         {:ok, entry} <-
+           choose(entries, request.options[:gateway], place(dir, System.get_env("AERIE_SERVICE_USER"))),
          {:ok, node} <- Aerie.Node.connect(dir, entry),
          do: {:ok, node, entry}
   end
@@ -64,8 +65,12 @@ defmodule Aerie.CLI.Gateway do
     end
   end
 
-  @doc "The gateway that a name means, or the only one. Pure."
-  @spec choose([Aerie.Node.Entry.t()], String.t() | nil, Path.t()) ::
+  # `bin/aerie` names the user of an installed service whose files are not ours to read.
+  defp place(dir, nil), do: dir
+  defp place(dir, user), do: "#{dir}; the service's are for its user: sudo -u #{user} aerie"
+
+  @doc "The gateway that a name means, or the only one; `dir`: where it was looked for. Pure."
+  @spec choose([Aerie.Node.Entry.t()], String.t() | nil, String.t()) ::
           {:ok, Aerie.Node.Entry.t()} | {0..255, iodata()} | {:error, String.t()}
   def choose([], _name, dir) do
     {@none,

@@ -41,7 +41,7 @@ defmodule Aerie.Config.RecipesTest do
   # A script of the checkout, a command of `bin/aerie`, or a program of the system that is named here.
   for {{page, line}, n} <- Enum.with_index(@calls, 1) do
     test "#{page}, call #{n}: #{line}" do
-      case unquote(line) |> String.replace_prefix("sudo ", "") |> String.split() do
+      case unquote(line) |> String.replace(~r/\Asudo (-u aerie )?/, "") |> String.split() do
         ["bin/" <> script | options] ->
           assert {help, 0} =
                    System.cmd(Path.join([@docs, "../bin", script]), ["--help"], stderr_to_stdout: true)
@@ -55,7 +55,7 @@ defmodule Aerie.Config.RecipesTest do
           assert Mix.Task.get(task)
 
         [program | _arguments] ->
-          assert program in ~w(apt systemctl cd)
+          assert program in ~w(apt systemctl install cd)
       end
     end
   end

@@ -51,6 +51,16 @@ defmodule Aerie.System.ToolInsideTest do
       )
 
     assert %{"vehicles" => [%{"vehicle" => id}]} = JSON.decode!(json)
+
+    # A gateway that waits for a link is ready, and its status says all the same that something is wrong.
+    {:ok, "dead"} = MavRouter.Link.start(:default, "tcp:127.0.0.1:1?id=dead")
+
+    eventually(
+      fn -> with({text, 1} <- aerie(["status"]), do: text =~ "ready:" and text =~ "problem: link dead: ") end,
+      "the status says so"
+    )
+
+    :ok = MavRouter.Link.stop(:default, "dead")
     assert {text, 0} = aerie(["tail", id, "--count", "1"])
     assert text =~ "\n"
     assert {json, 0} = aerie(["tail", id, "--count", "1", "--json"])

@@ -16,9 +16,19 @@ defmodule Aerie.CLI.Parser do
   def command_line(words) do
     case find(words) do
       {row, rest} -> subcommand(row, rest)
-      nil -> {:error, unknown(words)}
+      nil -> group(words)
     end
   end
+
+  # `aerie params` is none, and `aerie params --help` lists those below it.
+  defp group([first | rest] = words) do
+    case {below(first), rest} do
+      {[_ | _] = rows, [help | _more]} when help in ["--help", "-h", "help"] -> {:help, rows}
+      _other -> {:error, unknown(words)}
+    end
+  end
+
+  defp below(first), do: for(row <- Subcommands.all(), String.starts_with?(row.name, first <> " "), do: row)
 
   # Two words before one: `config check` is a row, `config` alone is none.
   defp find([first, second | rest] = words) do
@@ -36,9 +46,9 @@ defmodule Aerie.CLI.Parser do
   end
 
   defp unknown([first | _rest]) do
-    case for(row <- Subcommands.all(), String.starts_with?(row.name, first <> " "), do: row.name) do
-      [_ | _] = below ->
-        "#{first}: expected #{Enum.join(below, ", ")}"
+    case below(first) do
+      [_ | _] = rows ->
+        "#{first}: expected #{Enum.map_join(rows, ", ", & &1.name)}; see aerie #{first} --help"
 
       [] ->
         hint = closest(first, Enum.map(Subcommands.all(), & &1.name))

@@ -62,7 +62,8 @@ defmodule Aerie.CLI.Subcommands do
         where: :gateway,
         module: Subcommand.Status,
         options: [@json],
-        more: "Exit status: 0 ready, 1 not ready, 3 no gateway is running."
+        more:
+          "Exit status: 0 it is ready, every link is up, and aboard a vehicle (vehicle_id) that one is heard; 1 something is wrong, and is said; 3 no gateway is running."
       },
       %Subcommand{
         name: "tail",

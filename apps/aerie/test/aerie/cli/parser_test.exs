@@ -42,7 +42,16 @@ defmodule Aerie.CLI.ParserTest do
              Parser.command_line(["cmd", "v", "goto", "lat=-1", "--yes", "lon=2"])
 
     assert {:ok, _row, %{"VALUE" => "-5"}, %{}} = Parser.command_line(["params", "set", "v", "ANGLE", "-5"])
-    assert {:error, "config: expected config check, config show"} = Parser.command_line(["config"])
+
+    assert {:error, "config: expected config check, config show; see aerie config --help"} =
+             Parser.command_line(["config"])
+
+    for help <- ["--help", "-h", "help"],
+        do:
+          assert(
+            {:help, [%{name: "config check"}, %{name: "config show"}]} = Parser.command_line(["config", help])
+          )
+
     assert {:help, [_ | _]} = Parser.command_line([])
     assert {:help, [_ | _]} = Parser.command_line(["--help"])
     assert {:help, %{name: "start"}} = Parser.command_line(["start", "--link", "x"])

@@ -94,6 +94,51 @@ defmodule Aerie.CLI.RenderTest do
     assert none =~ "no vehicle was heard" and none =~ "there is no link"
   end
 
+  test "a link that is not up, and the own vehicle that is not heard, are missing" do
+    radio = %{id: "radio", status: :down, text: "no such file"}
+    online = %{id: "VID-001", status: :online}
+    assert Subcommand.Status.missing([radio], [], nil) == ["link radio: no such file"]
+
+    assert Subcommand.Status.missing([%{radio | status: :connecting}], [], nil) == [
+             "link radio: no such file"
+           ]
+
+    for status <- [:up, :idle, :ended],
+        do: assert(Subcommand.Status.missing([%{radio | status: status}], [], nil) == [])
+
+    assert Subcommand.Status.missing([], [online], "VID-001") == []
+
+    for vehicles <- [[], [%{online | status: :lost}], [%{online | id: "VID-002"}]] do
+      assert Subcommand.Status.missing([], vehicles, "VID-001") ==
+               ["VID-001, aboard which this gateway runs (vehicle_id), is not heard"]
+    end
+  end
+
+  test "the doctor looks for the devices of configured links" do
+    link = fn id, url -> %{id: id, enabled: true, spec: MavRouter.Link.Spec.parse!(url)} end
+    gone = link.("gone", "/dev/ttyNONE7,57600")
+
+    assert [
+             %{
+               what: "link gone",
+               level: :error,
+               text: "/dev/ttyNONE7: no such file or directory",
+               mend: "plug it in" <> _
+             }
+           ] =
+             Subcommand.Doctor.devices([
+               gone,
+               link.("there", "/dev/null,57600"),
+               link.("net", "udpin::14550"),
+               %{gone | enabled: false}
+             ])
+
+    assert [%{text: "/dev/ttyNONE8: " <> _}] =
+             Subcommand.Doctor.devices([link.("msp", "msp:ttyNONE8,115200")])
+
+    assert Subcommand.Doctor.devices([link.("any", "serial:auto")]) == []
+  end
+
   test "parameters of a command are JSON where they can be" do
     assert {:ok, %{"altitude" => 20, "mode" => "RTL", "force" => true, "empty" => "", "x" => "a=b"}} =
              Subcommand.Command.params(~w(altitude=20 mode=RTL force=true empty= x=a=b))

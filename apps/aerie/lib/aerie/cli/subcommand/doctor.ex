@@ -77,9 +77,25 @@ defmodule Aerie.CLI.Subcommand.Doctor do
       serial(config) ++ modem_manager("/proc") ++ clock("/run/systemd/timesync/synchronized") ++ disk(config)
 
   defp serial(config) do
+    links = devices(config.links)
+
     case SerialPorts.list(%{ports: config.serial.ports}) do
-      [] -> [ok("serial ports", "none is plugged in")]
-      ports -> Enum.map(ports, &port/1)
+      [] when links == [] -> [ok("serial ports", "none is plugged in")]
+      ports -> Enum.map(ports, &port/1) ++ links
+    end
+  end
+
+  @doc "What is wrong with the devices of configured links: without its own a link waits for ever."
+  @spec devices([map()]) :: [finding()]
+  def devices(links) do
+    for %{id: id, enabled: true, spec: %{device: "" <> device}} <- links,
+        path = Path.expand(device, "/dev"),
+        {:error, posix} <- [File.stat(path)] do
+      error(
+        "link #{id}",
+        "#{path}: #{:file.format_error(posix)}",
+        "plug it in, or correct the link's url; aerie probe #{path} says what speaks there"
+      )
     end
   end
 

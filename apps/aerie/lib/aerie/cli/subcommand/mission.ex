@@ -3,6 +3,7 @@ defmodule Aerie.CLI.Subcommand.Mission do
   @behaviour Aerie.CLI.Subcommand
 
   alias Aerie.Mission.Plan
+  alias MavCodec.Enums.{MavCmd, MavFrame}
   alias Aerie.Control.Missions
   alias Aerie.CLI.{Ask, Columns, Subcommand}
 
@@ -57,7 +58,9 @@ defmodule Aerie.CLI.Subcommand.Mission do
   def rows(items) do
     rows =
       for {item, seq} <- Enum.with_index(items) do
-        [seq, item.command, item.frame, degrees(item.x), degrees(item.y), item.z | Tuple.to_list(item.params)]
+        command = MavCmd.label(item.command) || item.command
+        frame = MavFrame.label(item.frame) || item.frame
+        [seq, command, frame, degrees(item.x), degrees(item.y), item.z | Tuple.to_list(item.params)]
       end
 
     Columns.render(~w(SEQ COMMAND FRAME LATITUDE LONGITUDE HEIGHT P1 P2 P3 P4), rows)

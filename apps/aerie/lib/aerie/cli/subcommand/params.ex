@@ -5,13 +5,19 @@ defmodule Aerie.CLI.Subcommand.Params do
   alias Aerie.Control.Params
   alias Aerie.Control.Params.Table
   alias Aerie.CLI.{Ask, Columns, Subcommand}
+  alias MavCodec.Enums.MavParamType
 
   @impl Aerie.CLI.Subcommand
   def run(%{name: "params list", arguments: %{"VEHICLE" => vehicle} = arguments, options: options}) do
     case Params.list(:default, vehicle, [refresh: options[:refresh] || false] ++ component(options)) do
       {:ok, table} ->
         pattern = String.upcase(arguments["PATTERN"] || "")
-        params = for param <- Table.plain(table).params, String.contains?(param.name, pattern), do: param
+
+        params =
+          for param <- Table.plain(table).params,
+              String.contains?(String.upcase(param.name), pattern),
+              do: param
+
         {0, if(options[:json], do: [JSON.encode_to_iodata!(params), ?\n], else: rows(params))}
 
       error ->
@@ -57,7 +63,7 @@ defmodule Aerie.CLI.Subcommand.Params do
     do:
       Columns.render(
         ~w(NAME VALUE TYPE DEFAULT),
-        for(p <- params, do: [p.name, format(p), p.type, p.default])
+        for(p <- params, do: [p.name, format(p), MavParamType.label(p.type) || p.type, p.default])
       )
 
   defp format(param), do: if(param.value == nil, do: "not a number", else: param.value)

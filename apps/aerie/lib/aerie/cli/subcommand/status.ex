@@ -1,23 +1,39 @@
 defmodule Aerie.CLI.Subcommand.Status do
-  @moduledoc "`aerie status`: vehicles, links, NATS and problems, from the read model."
+  @moduledoc """
+  `aerie status`: vehicles, links, NATS and problems, from the read model.
+
+  A gateway that waits for a radio is ready (`Aerie.Fleet.Health`), and all the same something is wrong: the exit status says so.
+  """
   @behaviour Aerie.CLI.Subcommand
 
   alias Aerie.CLI.{Columns, Status}
   alias FleetWeb.API.View
+  alias Aerie.Base.Store
   alias Aerie.Fleet.Health
 
   @impl Aerie.CLI.Subcommand
   def run(%{options: options}) do
     {ready?, health} = Health.ready(:default)
-
-    status =
-      :default
-      |> View.status()
-      |> Map.merge(%{health: health, conditions: View.diagnosis(:default).conditions})
-
-    json = JSON.encode!(status)
+    own = Aerie.Vehicle.Settings.of(:default).identity.vehicle_id
+    missing = missing(health.links, Store.vehicles(:default), own)
+    conditions = View.diagnosis(:default).conditions
+    health = Map.update!(health, :problems, &(&1 ++ missing))
+    json = :default |> View.status() |> Map.merge(%{health: health, conditions: conditions}) |> JSON.encode!()
     text = if options[:json], do: [json, ?\n], else: render(JSON.decode!(json), Status.View.collect(:default))
-    {if(ready?, do: 0, else: 1), text}
+    well? = ready? and missing == [] and not Enum.any?(conditions, &(&1["severity"] == "error"))
+    {if(well?, do: 0, else: 1), text}
+  end
+
+  @doc "What a gateway waits for: links that are not up, and the vehicle aboard which it runs (nil: none). Pure."
+  @spec missing([map()], [map()], String.t() | nil) :: [String.t()]
+  def missing(links, vehicles, own) do
+    down =
+      for %{status: status} = link <- links,
+          status in [:down, :connecting],
+          do: "link #{link.id}: #{link.text}"
+
+    heard? = own == nil or Enum.any?(vehicles, &(&1.id == own and &1.status == :online))
+    if heard?, do: down, else: down ++ ["#{own}, aboard which this gateway runs (vehicle_id), is not heard"]
   end
 
   @doc "The status as text. Pure; `status` is what `--json` prints: that of `GET /api/status` with `health` and `conditions`."

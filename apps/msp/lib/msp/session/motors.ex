@@ -27,6 +27,8 @@ defmodule Msp.Session.Motors do
   # After the first time.
   @tries 2
   @most_stops 50
+  # Turning is asked once; a reply that is late for a moment is no reason to stop.
+  @run_us 1_000_000
 
   @doc "DO_MOTOR_TEST."
   @spec test(Session.t(), struct, {byte, byte}) :: Session.t()
@@ -76,7 +78,7 @@ defmodule Msp.Session.Motors do
   def answer(session, %{ask: {"MOTOR", _}} = task, {:ok, %{entries: entries}}, now),
     do: turning(session, task, Enum.map(entries, & &1.motor), now)
 
-  def answer(session, %{ask: {"SET_MOTOR", _}} = task, {:ok, _acknowledged}, _now),
+  def answer(session, %{ask: {"SET_MOTOR", _, _}} = task, {:ok, _acknowledged}, _now),
     do: session |> Tasks.done(task) |> Output.acknowledge(task.command, task.from, :ACCEPTED)
 
   def answer(session, %{ask: {_feature, _}} = task, {:ok, %{features: features}}, _now) do
@@ -121,7 +123,7 @@ defmodule Msp.Session.Motors do
 
         Tasks.ask_next(%{session | motors: %{due: now + task.us, stops: 0}}, task, %{
           what: :run,
-          ask: {"SET_MOTOR", %{entries: entries}}
+          ask: {"SET_MOTOR", %{entries: entries}, @run_us}
         })
     end
   end

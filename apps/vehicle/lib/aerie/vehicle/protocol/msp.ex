@@ -22,6 +22,8 @@ defmodule Aerie.Vehicle.Protocol.Msp do
   # Safe channels for two seconds, and what keeps it from being armed may take longer.
   @arm_ms 12_000
   @unsaid "they count only if the vehicle was armed by this gateway; a text says if they were ignored"
+  # Two questions, each asked three times at most, and the order: a second each on a line that answers slowly.
+  @motor_ms 8_000
   # Writing the EEPROM takes up to two seconds.
   @slow_ms 6_000
 
@@ -90,7 +92,7 @@ defmodule Aerie.Vehicle.Protocol.Msp do
 
   def steps(%{type: "motor_test", params: params}, _vehicle) do
     numbers = %{1 => params.motor, 3 => params.throttle * 100, 4 => params.duration}
-    {:ok, [Mavlink.long(:MAV_CMD_DO_MOTOR_TEST, numbers, answer_ms: 2_000)]}
+    {:ok, [Mavlink.long(:MAV_CMD_DO_MOTOR_TEST, numbers, answer_ms: @motor_ms)]}
   end
 
   def steps(%{type: type, params: params}, vehicle), do: {:ok, Commands.steps(type, params, vehicle)}

@@ -247,6 +247,20 @@ defmodule Aerie.Fleet.BridgeTest do
       assert eventually(fn -> home(conn) end) == 2
     end
 
+    test "a new stream that another gateway made gets all values", %{tmp_dir: dir} do
+      gateway = start_bridge(config(dir))
+      conn = client(await_up(gateway))
+      :ok = Bridge.publish_state(gateway, "V", :home, %{n: 1}, 0)
+      eventually(fn -> home(conn) == 1 end)
+
+      # As the server's own gateway does where another one made the stream before it, on disk.
+      %{config: there} = stream(conn, "FLEET_STATE")
+      :ok = delete_stream(conn, "FLEET_STATE")
+      {:ok, _made} = Gnat.Jetstream.API.Stream.create(conn, %{there | storage: :memory})
+      send(Aerie.Base.Names.whereis(gateway, :bridge_connection), :check_streams)
+      assert eventually(fn -> home(conn) end) == 1
+    end
+
     test "without a bridge is nothing" do
       assert Bridge.publish_state(make_ref(), "V", :position, %{}, 0) == :ok
       assert Enum.all?(Bridge.metrics(make_ref()), &(&1.samples == []))

@@ -134,19 +134,28 @@ defmodule Aerie.Fleet.Bridge.Connection do
 
   defp ensure_streams(state) do
     {result, report} = Streams.ensure(state.conn, state.settings)
+    made_at = Streams.state_made_at(state.conn)
 
     # If the connection was lost meanwhile, the report says nothing about the streams; the exit message is on its way.
-    if Process.alive?(state.conn), do: streams_known(state, result, report), else: state
+    if Process.alive?(state.conn), do: streams_known(state, result, report, made_at), else: state
   end
 
-  defp streams_known(state, result, report) do
-    if report != state.tables |> Tables.info(:streams) |> Map.get(:report),
+  defp streams_known(state, result, report, made_at) do
+    before = Tables.info(state.tables, :streams)
+
+    if report != before[:report],
       do: Enum.each(report, &log_stream/1)
 
     _ = if state.streams_timer, do: Process.cancel_timer(state.streams_timer)
     pause = if result == :error, do: @streams_retry_ms, else: @streams_look_ms
     timer = Process.send_after(self(), :check_streams, pause)
-    Tables.put_info(state.gateway, state.tables, :streams, %{result: result, report: report})
+
+    Tables.put_info(state.gateway, state.tables, :streams, %{
+      result: result,
+      report: report,
+      state_made_at: made_at || before[:state_made_at]
+    })
+
     state = put_info(%{state | streams_timer: timer}, :up, result)
     notify(state, {:bridge, :up, state.conn})
     state

@@ -11,11 +11,11 @@ defmodule Aerie.Fleet.Bridge.State do
   replaces the older one, which is counted as superseded. A value is sent at once, or with all others #{@gather_ms} ms after the last
   were: many vehicles' values then need few writes. When NATS is back, the last value of each subject is published, also
   if it was sent within the last #{div(@doubtful_ms, 1000)} seconds, because the lost connection may have dropped it. Older
-  values are sent again only if their stream is a new one: else another gateway may have published newer ones.
+  values are sent again only if their stream is a new one, whoever made it: else another gateway may have published newer ones.
   """
   use GenServer
 
-  alias Aerie.Fleet.Bridge.{Connection, Message, Settings, Streams, Tables}
+  alias Aerie.Fleet.Bridge.{Connection, Message, Settings, Tables}
   alias Aerie.Vehicle.Journal
   alias Aerie.Base.Names
   alias Aerie.Fleet.{Bridge, Nats}
@@ -97,7 +97,17 @@ defmodule Aerie.Fleet.Bridge.State do
     current = Connection.current(tables)
     conn = current && current.conn
     # `waiting`: subjects that are published together when `timer` ends; `published`: when the last ones were.
-    state = %{tables: tables, conn: conn, last_conn: conn, waiting: [], timer: nil, published: nil}
+    # `made_at`: when the stream was made that has what was published.
+    state = %{
+      tables: tables,
+      conn: conn,
+      last_conn: conn,
+      made_at: made_at(tables),
+      waiting: [],
+      timer: nil,
+      published: nil
+    }
+
     {:ok, sweep(state)}
   end
 
@@ -121,14 +131,16 @@ defmodule Aerie.Fleet.Bridge.State do
     do: {:noreply, publish(%{state | waiting: [], timer: nil}, Enum.reverse(waiting))}
 
   def handle_info({:bridge, :up, conn}, %{tables: tables} = state) do
+    made_at = made_at(tables)
+
     _again =
       cond do
-        Streams.state_created?(Tables.info(tables, :streams)[:report]) -> again(tables, :infinity)
+        made_at != state.made_at -> again(tables, :infinity)
         conn != state.last_conn -> again(tables, @doubtful_ms)
         true -> :ok
       end
 
-    {:noreply, sweep(%{state | conn: conn, last_conn: conn})}
+    {:noreply, sweep(%{state | conn: conn, last_conn: conn, made_at: made_at})}
   end
 
   def handle_info({:bridge, :down}, state), do: {:noreply, %{state | conn: nil}}
@@ -149,6 +161,8 @@ defmodule Aerie.Fleet.Bridge.State do
   end
 
   def handle_info(_message, state), do: {:noreply, state}
+
+  defp made_at(tables), do: Tables.info(tables, :streams)[:state_made_at]
 
   defp sweep(state),
     do: publish(state, :ets.select(state.tables.values, [{{{:dirty, :"$1"}}, [], [:"$1"]}]))

@@ -67,9 +67,17 @@ defmodule Aerie.Fleet.Bridge.Streams do
     ]
   end
 
-  @doc "Whether a report says that last values were lost or never there: all that is known has to be published."
-  @spec state_created?(report() | nil) :: boolean()
-  def state_created?(report), do: report[@state] == :created
+  @doc """
+  When the stream of last values was made; nil if that cannot be learned. Whoever made another one, its values are gone, and all that are known have to be
+  published.
+  """
+  @spec state_made_at(Aerie.Fleet.Nats.conn()) :: DateTime.t() | nil
+  def state_made_at(conn) do
+    case Nats.call(conn, fn -> Api.info(conn, @state) end) do
+      {:ok, %{created: at}} -> at
+      {:error, _reason} -> nil
+    end
+  end
 
   @doc "A stream of the events of a vehicle, `*` for all."
   @spec events(Settings.t(), name :: String.t(), vehicle :: String.t()) :: struct()

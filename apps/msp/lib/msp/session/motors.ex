@@ -27,7 +27,7 @@ defmodule Msp.Session.Motors do
   # After the first time.
   @tries 2
   @most_stops 50
-  # Turning is asked once; a reply that is late for a moment is no reason to stop.
+  # Turning is asked once, so its reply gets longer than others before the motor is stopped again.
   @run_us 1_000_000
 
   @doc "DO_MOTOR_TEST."

@@ -11,7 +11,7 @@ defmodule Aerie.Fleet.Bridge.State do
   replaces the older one, which is counted as superseded. A value is sent at once, or with all others #{@gather_ms} ms after the last
   were: many vehicles' values then need few writes. When NATS is back, the last value of each subject is published, also
   if it was sent within the last #{div(@doubtful_ms, 1000)} seconds, because the lost connection may have dropped it. Older
-  values are sent again only if their stream is a new one, whoever made it: else another gateway may have published newer ones.
+  values are sent again only if their stream is a new one, also one that another gateway made: else another gateway may have published newer ones.
   """
   use GenServer
 

@@ -68,8 +68,8 @@ defmodule Aerie.Fleet.Bridge.Streams do
   end
 
   @doc """
-  When the stream of last values was made; nil if that cannot be learned. Whoever made another one, its values are gone, and all that are known have to be
-  published.
+  When the stream of last values was made; nil if that cannot be learned. If it is a new one, the values in the former are gone, and all that are known
+  have to be published.
   """
   @spec state_made_at(Aerie.Fleet.Nats.conn()) :: DateTime.t() | nil
   def state_made_at(conn) do

@@ -47,7 +47,7 @@ defmodule Aerie.Fleet.Shadow.MergeTest do
     assert merge(merged, merged, merged) == merged
   end
 
-  test "what the hub may not change is as it is aboard, and nothing else; what is aboard already is no change",
+  test "only what the hub may not change stays as it is aboard; to desire what is aboard already changes nothing",
        %{base: base} do
     may? = fn path, _value -> path == "mode" end
     aboard = changed(base, %{"params" => %{"A" => 1}}, "aboard")

@@ -102,6 +102,13 @@ defmodule Msp.MissionTest do
       assert {:invalid, "item 2: a speed is in m/s" <> _} =
                refused.([wp, item(:DO_CHANGE_SPEED, {1, -1}), wp])
 
+      for speed <- [0, 0.004, :nan],
+          do:
+            assert(
+              {:invalid, "item 1: a speed is in m/s" <> _} =
+                refused.([item(:DO_CHANGE_SPEED, {1, speed}), wp])
+            )
+
       assert {:invalid, "item 1: the speed is set" <> _} = refused.([item(:DO_CHANGE_SPEED, {1, -2}), wp])
 
       assert {:invalid, "item 3: a change of speed comes" <> _} =

@@ -30,6 +30,7 @@ defmodule Msp.Mission.Items do
   @i32 -0x80000000..0x7FFFFFFF
   # MAV_ROI_LOCATION
   @roi_location 3
+  @speeds "a speed is in m/s above the ground, from 0.01 to 327, or -2 for the vehicle's own"
 
   # `waypoints`: newest first; `speed`: the one that holds, in cm/s; `change`: the number of the item that sets the next waypoint's;
   # `targets`: by an item's number the waypoint that a jump to it goes to.
@@ -204,17 +205,22 @@ defmodule Msp.Mission.Items do
   end
 
   defp item(state, :DO_CHANGE_SPEED, item, seq) do
-    speed = if number(item.param2) == -2, do: {:ok, 0}, else: whole(item.param2, 100)
+    own = number(item.param2) == -2
+    speed = if own, do: {:ok, 0}, else: whole(item.param2, 100)
 
     case {speed, number(item.param1) == 0 or number(item.param1) == 1} do
+      # A waypoint of iNav with speed 0 is flown at the vehicle's own: who sends 0 does not mean that.
+      {{:ok, cm_s}, true} when cm_s < 0 or (cm_s == 0 and not own) ->
+        {:error, :invalid, @speeds}
+
       {{:ok, cm_s}, true} when cm_s == state.speed ->
         {:error, :invalid, "the speed is set already"}
 
-      {{:ok, cm_s}, true} when cm_s > 0 or cm_s == 0 ->
+      {{:ok, cm_s}, true} ->
         {:ok, %{state | speed: cm_s, change: seq}}
 
       _other ->
-        {:error, :invalid, "a speed is in m/s above the ground, at most 327, or -2 for the vehicle's own"}
+        {:error, :invalid, @speeds}
     end
   end
 

@@ -57,7 +57,7 @@ defmodule Msp.Session.Output do
   def take(session),
     do: {[{:mavlink, session.outbox |> Enum.reverse() |> IO.iodata_to_binary()}], %{session | outbox: []}}
 
-  @doc "The vehicle's clock in milliseconds since its start, as far as that is known."
-  @spec boot_ms(Session.t(), integer) :: non_neg_integer
-  def boot_ms(%{boot: boot}, now), do: max(div(now - boot, 1000), 0)
+  @doc "The vehicle's clock in milliseconds since its start, as far as that is known. It begins again after 2^32 ms, as MAVLink's does."
+  @spec boot_ms(Session.t(), integer) :: 0..0xFFFFFFFF
+  def boot_ms(%{boot: boot}, now), do: (now - boot) |> div(1000) |> max(0) |> Bitwise.band(0xFFFFFFFF)
 end

@@ -4,7 +4,7 @@ defmodule Aerie.System.ToolTest do
   use Aerie.SystemCase, async: true
   use Aerie.RunCase
 
-  alias Aerie.SerialPeer
+  alias Aerie.{PythonPeer, SerialPeer}
 
   @moduletag :tmp_dir
   @root Path.expand("../..", __DIR__)
@@ -152,6 +152,7 @@ defmodule Aerie.System.ToolTest do
     assert text =~ "aerie rpc"
     assert {text, 2} = aerie(context, ["rpc", "raise \"no\""])
     assert text =~ "no"
+    terminals(context)
 
     # Nobody without the cookie.
     wrong = Path.join(context.folder, "wrong")
@@ -164,6 +165,16 @@ defmodule Aerie.System.ToolTest do
     assert text =~ "has ended"
     assert await_exit(port) == 0
     assert {_text, 3} = aerie(context, ["status"])
+  end
+
+  # The gateway lives on, however a shell's terminal ends.
+  defp terminals(context) do
+    words = [Path.join(@root, "test/peers/terminal.py"), Path.join(@root, "bin/aerie"), "remote"]
+    environment = [{"AERIE_SHELL_DIR", Path.join(context.folder, "shell")} | environment()]
+    {text, status} = System.cmd(PythonPeer.python(), words, env: environment, stderr_to_stdout: true)
+    ways = ["exit()", "Ctrl-C twice", "closed terminal", "SIGHUP", "SIGTERM", "SIGKILL"]
+    assert {String.split(text, "\n", trim: true), status} == {ways, 0}
+    assert ready(context, ["status"]) =~ "ready: "
   end
 
   defp recordings(context, n) do

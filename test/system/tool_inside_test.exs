@@ -130,7 +130,7 @@ defmodule Aerie.System.ToolInsideTest do
           {fn -> IO.inspect(Shell.shadow(id)) end, "reported"},
           {&Shell.top/0, "REDUCTIONS"},
           {&Shell.sup/0, "RESTARTS"},
-          {fn -> Shell.sim(1) end, "1 vehicles fly"},
+          {fn -> Shell.sim(1) end, "added 1, from "},
           {fn -> Shell.v("nobody") end, "there is no vehicle nobody"},
           {fn -> Shell.drop("none") end, "there is no link none"},
           {fn -> Shell.drop("link-1") end, "not done"}

@@ -73,7 +73,7 @@ defmodule Aerie.System.ToolTest do
              JSON.decode!(json)
 
     text = ready(context, ["status"])
-    assert text =~ "ready: 1 vehicles" and text =~ "sim-001"
+    assert text =~ "ready: 1 vehicle," and text =~ "sim-001"
 
     assert {text, 0} = aerie(context, ["tail", "sim-001", "--count", "2"])
     assert [_first, _second] = String.split(text, "\n", trim: true)
@@ -126,7 +126,7 @@ defmodule Aerie.System.ToolTest do
           {~s|sup()|, "RESTARTS"},
           {~s(cmd "sim-001", :rtl), "there is nobody to confirm it"},
           {~s(drop "udp"), "not done"},
-          {~s(sim 1), "1 vehicles fly"},
+          {~s(sim 1), "added 1, from "},
           {~s|health()|, "NATS connected"},
           {~s|greet()|, "h Aerie.Shell"}
         ] do

@@ -187,7 +187,7 @@ defmodule Aerie.Shell do
                Aerie.CLI.Supervisor,
                Supervisor.child_spec(child, id: {:sim_shell, first})
              ) do
-        IO.puts("#{n} vehicles fly, from #{@sim_link}-#{String.pad_leading("#{first}", 3, "0")} on")
+        IO.puts("added #{n}, from #{@sim_link}-#{String.pad_leading("#{first}", 3, "0")} on")
       else
         {:error, reason} ->
           IO.puts("error: #{if is_exception(reason), do: Exception.message(reason), else: inspect(reason)}")

@@ -78,7 +78,7 @@ defmodule Aerie.CLI.RenderTest do
     text = IO.iodata_to_binary(Subcommand.Status.render(@status, @view))
 
     assert text =~
-             "not ready: 1 vehicles, 1 links\nNATS not connected, 7 events wait\nproblem: connection refused\n"
+             "not ready: 1 vehicle, 1 link\nNATS not connected, 7 events wait\nproblem: connection refused\n"
 
     assert text =~ ~r/VID-001 +online +copter px4 +AUTO_LOITER +ARMED +47.500000 +8.250000 +12.5 m +- +98% -/
     assert text =~ ~r/radio +.dev.ttyACM0 +down +0 +0 +0.0 +3 +7 +no such file/

@@ -62,7 +62,7 @@ defmodule Aerie.CLI.Subcommand.Status do
     ]
 
     [
-      "#{health["status"]}: #{length(status["vehicles"])} vehicles, #{length(status["links"])} links\n",
+      "#{health["status"]}: #{counted(status["vehicles"], "vehicle")}, #{counted(status["links"], "link")}\n",
       "NATS #{if nats["connected"], do: "connected", else: "not connected"}#{place}#{waiting}\n",
       hub(nats["hub"]),
       for(
@@ -72,6 +72,9 @@ defmodule Aerie.CLI.Subcommand.Status do
       )
     ]
   end
+
+  defp counted([_one], name), do: "1 #{name}"
+  defp counted(list, name), do: "#{length(list)} #{name}s"
 
   defp hub(nil), do: []
 

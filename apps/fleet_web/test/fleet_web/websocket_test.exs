@@ -87,7 +87,11 @@ defmodule FleetWeb.WebSocketTest do
     end
 
     test "a client of another network gets nothing of this one" do
-      c = start()
+      c = start(links: true)
+
+      for name <- ["field", "lab"],
+          do: {:ok, ^name} = MavRouter.Link.start(c.gateway, "udpin:127.0.0.1:0?id=#{name}&network=#{name}")
+
       client = open(c, "/?network=field,lab")
       assert [%{networks: ["field", "lab"]}] = clients(c.gateway)
       say(c.link, heartbeat(1))
@@ -303,6 +307,10 @@ defmodule FleetWeb.WebSocketTest do
 
       for query <- ["network=", "network=a/b", "access=all", "network=" <> String.duplicate("x", 100)],
           do: assert({400, %{"error" => %{"code" => "bad_request"}}} = open(c, "/?" <> query))
+
+      # A misspelt network would be silence.
+      assert {400, %{"error" => %{"message" => text}}} = open(c, "/?network=main,feild")
+      assert text == "there is no network feild; there are main"
     end
   end
 

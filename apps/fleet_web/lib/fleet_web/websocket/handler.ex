@@ -17,11 +17,9 @@ defmodule FleetWeb.WebSocket.Handler do
   @behaviour :cowboy_websocket
 
   alias Authority.Principal
+  alias MavRouter.Client
   alias MavRouter.Router.ClientConnection
-  alias Aerie.Base.Address
-  alias Aerie.Base.Names
-  alias Aerie.Base.Store
-  alias Aerie.Base.PubSub
+  alias Aerie.Base.{Address, Names, PubSub, Store}
   alias FleetWeb.API.{Access, Error, KeyRing, Request, Tickets}
   alias FleetWeb.WebSocket.Capacity
 
@@ -34,7 +32,7 @@ defmodule FleetWeb.WebSocket.Handler do
   def init(request, %{gateway: gateway} = settings) do
     with :ok <- upgrade(request),
          {:ok, requester} <- admit(request, settings),
-         {:ok, options} <- options(request),
+         {:ok, options} <- options(request, gateway),
          :ok <- reserve(request, gateway) do
       {address, port} = :cowboy_req.peer(request)
       text = "#{requester.name}@#{Address.format(address, port)}"
@@ -94,23 +92,31 @@ defmodule FleetWeb.WebSocket.Handler do
       end)
   end
 
-  defp options(request) do
+  defp options(request, gateway) do
     parameters = Request.parameters(request)
 
-    with {:ok, networks} <- networks(parameters["network"]), {:ok, role} <- role(parameters["access"]) do
+    with {:ok, networks} <- networks(parameters["network"], gateway),
+         {:ok, role} <- role(parameters["access"]) do
       {:ok, networks ++ role}
     end
   end
 
-  defp networks(nil), do: {:ok, []}
+  defp networks(nil, _gateway), do: {:ok, []}
 
-  defp networks(text) do
+  defp networks(text, gateway) do
     names = String.split(text, ",", trim: true)
 
-    if names != [] and length(names) <= @max_networks and
-         Enum.all?(names, &(&1 =~ ~r/\A[A-Za-z0-9_-]{1,64}\z/)),
-       do: {:ok, [networks: names]},
-       else: {:error, Error.new(:bad_request, "network must be a name, or several with commas between them")}
+    with true <- names != [] and length(names) <= @max_networks,
+         true <- Enum.all?(names, &(&1 =~ ~r/\A[A-Za-z0-9_-]{1,64}\z/)),
+         :ok <- Client.known_networks(gateway, names) do
+      {:ok, [networks: names]}
+    else
+      false ->
+        {:error, Error.new(:bad_request, "network must be a name, or several with commas between them")}
+
+      {:error, unknown} ->
+        {:error, Error.new(:bad_request, Exception.message(unknown))}
+    end
   end
 
   defp role(nil), do: {:ok, []}

@@ -82,6 +82,8 @@ defmodule FleetWeb.API.ClientsTest do
           {%{"url" => "udpin:127.0.0.1:0", "id" => 7}, "letters"},
           {%{"url" => "udpin:127.0.0.1:0", "networks" => []}, "names"},
           {%{"url" => "udpin:127.0.0.1:0", "networks" => ["a/b"]}, "names"},
+          {%{"url" => "udpin:127.0.0.1:0", "networks" => ["feild"]},
+           "there is no network feild; there are main"},
           {%{"url" => "udpin:127.0.0.1:0", "access" => "write"}, "read or full"},
           {%{"url" => "udpin:127.0.0.1:0", "sudo" => true}, "unknown key"}
         ] do
@@ -99,7 +101,7 @@ defmodule FleetWeb.API.ClientsTest do
     assert {413, _headers, %{"error" => %{"code" => "too_large"}}} = post(port, IO.iodata_to_binary(large))
 
     assert MavRouter.Client.endpoints(gateway) == []
-    assert Store.counter(gateway, {:api, 422}) == 12
+    assert Store.counter(gateway, {:api, 422}) == 13
   end
 
   test "if there is a key, it is required" do

@@ -7,7 +7,7 @@ defmodule Aerie.CLI.ReplayEvents do
   """
 
   alias Aerie.Fleet.Bridge.Message
-  alias Aerie.Base.Printable
+  alias Aerie.Base.{Json, Printable}
   alias Aerie.Config
   alias Aerie.Fleet.Replay
   alias Aerie.CLI.{Options, Output, Plan}
@@ -68,7 +68,7 @@ defmodule Aerie.CLI.ReplayEvents do
     [?{, Enum.intersperse(members, ?,), ?}]
   end
 
-  defp in_order(other, encoder), do: JSON.protocol_encode(other, encoder)
+  defp in_order(other, encoder), do: Json.encode(other, encoder)
 
   defp note(%{vehicles: []} = summary), do: "no vehicle in #{summary.frames} frames#{damage(summary)}"
 

@@ -1,10 +1,13 @@
 defmodule Aerie.Base.Json do
   @moduledoc """
-  Converts values of the read model to values that JSON can represent. Pure.
+  Converts values of the read model to values that JSON can represent, and encodes what people and programs read. Pure.
 
   NaN and infinity become null. A vehicle's text may have any bytes, and becomes valid UTF-8. Anything else without a JSON form
   becomes its Elixir representation.
   """
+
+  # Of a list or an object.
+  @max_shown 5
 
   @doc "A value that `JSON.encode!/1` takes."
   @spec plain(term()) :: term()
@@ -17,6 +20,56 @@ defmodule Aerie.Base.Json do
   def plain(text) when is_binary(text), do: text(text)
   def plain(value) when is_number(value) or is_atom(value), do: value
   def plain(other), do: inspect(other, limit: 20, printable_limit: 200)
+
+  @doc "JSON with numbers as people write them: 1000.0, where `JSON.encode!/1` has 1.0e3."
+  @spec encode!(term()) :: String.t()
+  def encode!(value), do: JSON.encode!(value, &encode/2)
+
+  @doc "As `encode!/1`."
+  @spec encode_to_iodata!(term()) :: iodata()
+  def encode_to_iodata!(value), do: JSON.encode_to_iodata!(value, &encode/2)
+
+  @doc "The encoder of `encode!/1`, for one that has more to say."
+  @spec encode(term(), (term(), term() -> iodata())) :: iodata()
+  def encode(number, _encoder) when is_float(number), do: decimal(number)
+  def encode(value, encoder), do: JSON.protocol_encode(value, encoder)
+
+  # What is read as the same number again. Numbers beyond all units keep their exponent.
+  defp decimal(number) do
+    short = :erlang.float_to_binary(number, [:short])
+
+    with [digits, exponent] <- :binary.split(short, "e"),
+         exponent when exponent in -7..17 <- String.to_integer(exponent),
+         [_whole, fraction] = :binary.split(digits, ".") do
+      places = if fraction == "0", do: 0, else: byte_size(fraction)
+      :erlang.float_to_binary(number, decimals: max(places - exponent, 1))
+    else
+      _plain -> short
+    end
+  end
+
+  @doc "A value from outside as an error shows it: as JSON, `max` characters at most."
+  @spec shown(term(), pos_integer()) :: String.t()
+  def shown(value, max) do
+    text = show(value, max)
+    if String.length(text) > max, do: String.slice(text, 0, max) <> "…", else: text
+  end
+
+  defp show(nil, _max), do: "null"
+  defp show(text, max) when is_binary(text), do: inspect(text, printable_limit: max)
+  defp show(number, _max) when is_float(number), do: decimal(number)
+  defp show(name, _max) when is_atom(name), do: Atom.to_string(name)
+  defp show(list, max) when is_list(list), do: "[#{items(list, &show(&1, max))}]"
+
+  defp show(map, max) when is_map(map) and not is_struct(map),
+    do: "{#{items(map, fn {key, value} -> "#{show(key, max)}: #{show(value, max)}" end)}}"
+
+  defp show(other, max), do: inspect(other, limit: @max_shown, printable_limit: max)
+
+  defp items(values, show) do
+    more = if Enum.count_until(values, @max_shown + 1) > @max_shown, do: ", …", else: ""
+    (values |> Enum.take(@max_shown) |> Enum.map_join(", ", show)) <> more
+  end
 
   @doc "Text as valid UTF-8."
   @spec text(binary()) :: String.t()

@@ -17,6 +17,54 @@ defmodule Aerie.Base.JsonTest do
              ["a"]
   end
 
+  test "numbers are written as people write them, and read as the same" do
+    for {number, text} <- [
+          {1000.0, "1000.0"},
+          {1.0e6, "1000000.0"},
+          {-1.2e-5, "-0.000012"},
+          {0.1, "0.1"},
+          {-0.0, "-0.0"},
+          {47.397742, "47.397742"},
+          {1.0e17, "100000000000000000.0"},
+          {1.0e18, "1.0e18"},
+          {1.0e-9, "1.0e-9"},
+          {[%{"a" => 2.0e3}, 7, nil], ~s([{"a":2000.0},7,null])}
+        ],
+        do: assert({Json.encode!(number), number} == {text, JSON.decode!(text)})
+
+    same = :proper.forall(:proper_types.float(), &(JSON.decode!(Json.encode!(&1)) === &1))
+
+    wide =
+      :proper.forall({:proper_types.float(), :proper_types.integer(-30, 30)}, fn {number, power} ->
+        number = number * :math.pow(10, power)
+        text = Json.encode!(number)
+        JSON.decode!(text) === number and text == IO.iodata_to_binary(Json.encode_to_iodata!(number))
+      end)
+
+    for property <- [same, wide],
+        do:
+          assert(
+            :proper.quickcheck(property, [:quiet, numtests: 1000]) == true,
+            inspect(:proper.counterexample())
+          )
+  end
+
+  test "a value from outside is shown as JSON, and in short" do
+    for {value, text} <- [
+          {nil, "null"},
+          {1.0e3, "1000.0"},
+          {"a\"b", ~S("a\"b")},
+          {%{"a" => [true, nil]}, ~s({"a": [true, null]})},
+          {Enum.to_list(1..9), "[1, 2, 3, 4, 5, …]"},
+          {[], "[]"},
+          {:missing, "missing"}
+        ],
+        do: assert(Json.shown(value, 40) == text)
+
+    long = Json.shown(List.duplicate(String.duplicate("x", 1000), 1000), 40)
+    assert String.length(long) == 41 and String.ends_with?(long, "…")
+  end
+
   test "times are UTC with milliseconds" do
     assert Json.time(1_700_000_000_123_456) == "2023-11-14T22:13:20.123Z"
     assert Json.time(nil) == nil

@@ -8,7 +8,7 @@ defmodule FleetWeb.API.Handler do
 
   @behaviour :cowboy_handler
 
-  alias Aerie.Base.Store
+  alias Aerie.Base.{Json, Store}
   alias Aerie.Control.Policy
   alias FleetWeb.API.{Access, Actions, Error, KeyRing, Misdirected, Request, Routes}
 
@@ -97,7 +97,7 @@ defmodule FleetWeb.API.Handler do
       :cowboy_req.reply(
         status,
         Map.put(headers, "content-type", @json),
-        [JSON.encode_to_iodata!(body), ?\n],
+        [Json.encode_to_iodata!(body), ?\n],
         request
       )
 

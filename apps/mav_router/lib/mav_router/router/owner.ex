@@ -24,6 +24,7 @@ defmodule MavRouter.Router.Owner do
   | `:high_latency` | true: it gets only what a link of high latency carries (X6), unless `:out` lists the messages |
   """
 
+  alias Aerie.Base.Json
   alias MavRouter.Router.Queue.TrafficClass
   alias MavRouter.Router.Owner.Filter
   alias MavRouter.Router.Owner.RateLimit
@@ -162,6 +163,6 @@ defmodule MavRouter.Router.Owner do
        else: {:error, "expected max_frames, max_bytes and max_asked above 0"}
   end
 
-  defp option(key, value) when key in @keys, do: {:error, "#{inspect(value, limit: 5)} is not allowed"}
+  defp option(key, value) when key in @keys, do: {:error, "#{Json.shown(value, 60)} is not allowed"}
   defp option(_key, _value), do: {:error, "no such option"}
 end

@@ -5,6 +5,7 @@ defmodule Aerie.CLI.Subcommand.Command do
   alias Aerie.Vehicle.Command.{Error, Result, Types}
   alias Aerie.Control.Commands
   alias Aerie.Fleet
+  alias Aerie.Base.Json
   alias Aerie.CLI.{Ask, Columns, Subcommand}
 
   @impl Aerie.CLI.Subcommand
@@ -30,7 +31,7 @@ defmodule Aerie.CLI.Subcommand.Command do
   defp command_text(vehicle, type, params),
     do:
       Enum.join(
-        [type | for({name, value} <- params, do: "#{name}=#{JSON.encode!(value)}")] ++ ["to", vehicle],
+        [type | for({name, value} <- params, do: "#{name}=#{Json.encode!(value)}")] ++ ["to", vehicle],
         " "
       )
 
@@ -59,7 +60,7 @@ defmodule Aerie.CLI.Subcommand.Command do
   @doc "An answer as text, with its exit status."
   @spec answer(Commands.answer() | {:error, Result.t()}, map()) :: {0..1, iodata()} | {:error, String.t()}
   def answer({:ok, %Result{} = result}, options) do
-    text = if options[:json], do: JSON.encode!(Result.plain(result)), else: command_text(result)
+    text = if options[:json], do: Json.encode!(Result.plain(result)), else: command_text(result)
     {if(result.status in [:completed, :accepted], do: 0, else: 1), [text, ?\n]}
   end
 

@@ -4,6 +4,7 @@ defmodule Aerie.CLI.Subcommand.Mission do
 
   alias Aerie.Mission.Plan
   alias MavCodec.Enums.{MavCmd, MavFrame}
+  alias Aerie.Base.Json
   alias Aerie.Control.Missions
   alias Aerie.CLI.{Ask, Columns, Subcommand}
 
@@ -14,7 +15,7 @@ defmodule Aerie.CLI.Subcommand.Mission do
         {:ok, stored} ->
           {0,
            if(options[:json],
-             do: [JSON.encode_to_iodata!(Missions.plain(stored, kind)), ?\n],
+             do: [Json.encode_to_iodata!(Missions.plain(stored, kind)), ?\n],
              else: rows(stored.items)
            )}
 

@@ -92,7 +92,7 @@ defmodule Aerie.CLI.Subcommand.Msp do
     end
   end
 
-  defp encode(value), do: value |> Json.plain() |> JSON.encode!()
+  defp encode(value), do: value |> Json.plain() |> Json.encode!()
 
   # Bytes that cannot be shown as text.
   defp readable(map) when is_map(map) and not is_struct(map),

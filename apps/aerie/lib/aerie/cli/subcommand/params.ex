@@ -2,6 +2,7 @@ defmodule Aerie.CLI.Subcommand.Params do
   @moduledoc "`aerie params list`, `get` and `set` (`Aerie.Control.Params`)."
   @behaviour Aerie.CLI.Subcommand
 
+  alias Aerie.Base.Json
   alias Aerie.Control.Params
   alias Aerie.Control.Params.Table
   alias Aerie.CLI.{Ask, Columns, Subcommand}
@@ -18,7 +19,7 @@ defmodule Aerie.CLI.Subcommand.Params do
               String.contains?(String.upcase(param.name), pattern),
               do: param
 
-        {0, if(options[:json], do: [JSON.encode_to_iodata!(params), ?\n], else: rows(params))}
+        {0, if(options[:json], do: [Json.encode_to_iodata!(params), ?\n], else: rows(params))}
 
       error ->
         Subcommand.Command.answer(error, %{})

@@ -6,7 +6,7 @@ defmodule Aerie.CLI.Subcommand.Probe do
   @behaviour Aerie.CLI.Subcommand
 
   alias Aerie.{Config, Gateway}
-  alias Aerie.Base.Store
+  alias Aerie.Base.{Json, Store}
   alias Aerie.Fleet.Inspector
   alias MavRouter.Link
   alias MavRouter.Link.Spec
@@ -24,7 +24,7 @@ defmodule Aerie.CLI.Subcommand.Probe do
          {:ok, url} <- url(place) do
       {:ok, _started} = Application.ensure_all_started([:fleet, :fast_yaml])
       report = listen(url, round(seconds * 1000))
-      {status(report), if(options[:json], do: [JSON.encode_to_iodata!(report), ?\n], else: render(report))}
+      {status(report), if(options[:json], do: [Json.encode_to_iodata!(report), ?\n], else: render(report))}
     else
       {:seconds, false} -> {:error, "--seconds: expected a number above 0 and up to #{@longest_s}"}
       {:error, text} -> {:error, text}
@@ -129,7 +129,7 @@ defmodule Aerie.CLI.Subcommand.Probe do
       component: vehicle[:component],
       autopilot: vehicle.autopilot,
       type: vehicle.vehicle_type,
-      firmware: Aerie.Base.Json.plain(vehicle[:firmware])
+      firmware: Json.plain(vehicle[:firmware])
     }
   end
 
@@ -174,6 +174,6 @@ defmodule Aerie.CLI.Subcommand.Probe do
 
   defp firmware(nil), do: nil
   defp firmware(text) when is_binary(text), do: text
-  defp firmware(%{} = map), do: map["version"] || map[:version] || JSON.encode!(map)
+  defp firmware(%{} = map), do: map["version"] || map[:version] || Json.encode!(map)
   defp firmware(other), do: inspect(other)
 end

@@ -2,6 +2,7 @@ defmodule Aerie.CLI.Subcommand.Record do
   @moduledoc "`aerie record` (`MavRouter.Recorder`)."
   @behaviour Aerie.CLI.Subcommand
 
+  alias Aerie.Base.Json
   alias MavRouter.Recorder
   alias Aerie.CLI.Columns
 
@@ -10,7 +11,7 @@ defmodule Aerie.CLI.Subcommand.Record do
     files = Recorder.list(:default)
 
     if options[:json],
-      do: {0, [JSON.encode_to_iodata!(Aerie.Base.Json.plain(files)), ?\n]},
+      do: {0, [Json.encode_to_iodata!(Json.plain(files)), ?\n]},
       else:
         {0, Columns.render(~w(FILE BYTES OPEN), for(file <- files, do: [file.file, file.bytes, file.open]))}
   end

@@ -8,7 +8,7 @@ defmodule Aerie.CLI.Subcommand.Status do
 
   alias Aerie.CLI.{Columns, Status}
   alias FleetWeb.API.View
-  alias Aerie.Base.Store
+  alias Aerie.Base.{Json, Store}
   alias Aerie.Fleet.Health
 
   @impl Aerie.CLI.Subcommand
@@ -18,7 +18,7 @@ defmodule Aerie.CLI.Subcommand.Status do
     missing = missing(health.links, Store.vehicles(:default), own)
     conditions = View.diagnosis(:default).conditions
     health = Map.update!(health, :problems, &(&1 ++ missing))
-    json = :default |> View.status() |> Map.merge(%{health: health, conditions: conditions}) |> JSON.encode!()
+    json = :default |> View.status() |> Map.merge(%{health: health, conditions: conditions}) |> Json.encode!()
     text = if options[:json], do: [json, ?\n], else: render(JSON.decode!(json), Status.View.collect(:default))
     well? = ready? and missing == [] and not Enum.any?(conditions, &(&1["severity"] == "error"))
     {if(well?, do: 0, else: 1), text}

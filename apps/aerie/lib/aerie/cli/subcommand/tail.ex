@@ -56,9 +56,9 @@ defmodule Aerie.CLI.Subcommand.Tail do
 
       {:fleet, {:vehicle, ^id}, _changed} ->
         now = with(%{} = vehicle <- Store.vehicle(:default, id), do: groups(vehicle)) || %{}
-        changed = for {name, data} <- now, seen[name] != data, do: {name, data}
+        changed = for {name, group} <- now, seen[name][:data] != group.data, do: {name, group}
         changed = if left == :infinity, do: changed, else: Enum.take(changed, left)
-        for {name, data} <- changed, do: put(group(name, data, options))
+        for {name, group} <- changed, do: put(group(id, name, group, options))
         follow(id, options, now, less(left, length(changed)))
 
       {:fleet, _topic, _other} ->
@@ -71,14 +71,17 @@ defmodule Aerie.CLI.Subcommand.Tail do
   defp less(left, n), do: max(left - n, 0)
 
   # The link's counters change with every frame.
-  defp groups(vehicle),
-    do: for({name, group} <- vehicle.groups, name != :link, into: %{}, do: {name, group.data})
+  defp groups(vehicle), do: Map.delete(vehicle.groups, :link)
 
-  defp group(name, data, %{json: true}), do: JSON.encode!(%{group: name, data: Aerie.Base.Json.plain(data)})
+  # As in NATS.
+  defp group(id, name, group, %{json: true}) do
+    origin = %{epoch: Journal.epoch(:default), gateway: Fleet.Bridge.name(:default)}
+    Message.state(id, Atom.to_string(name), group.data, group[:time_boot_ms], group.at, origin)
+  end
 
-  defp group(name, data, _options) do
+  defp group(_id, name, group, _options) do
     words =
-      for {key, value} <- Enum.sort(data),
+      for {key, value} <- Enum.sort(group.data),
           value != nil,
           not is_map(value),
           do: "#{key}=#{Columns.cell(text(value))}"

@@ -23,7 +23,7 @@ defmodule Aerie.Fleet.Bridge.Commands do
 
   alias Aerie.Fleet.Bridge.Commands.{Queue, Request, Transfers}
   alias Aerie.Fleet.Bridge.{Connection, Settings, Tables}
-  alias Aerie.Base.{Names, Store}
+  alias Aerie.Base.{Json, Names, Store}
   alias Aerie.Control.{Commands, Policy}
   alias Aerie.Fleet.Nats
   alias Aerie.Vehicle.Command
@@ -112,7 +112,7 @@ defmodule Aerie.Fleet.Bridge.Commands do
   end
 
   def handle_info({:command_progress, topic, id, progress}, state) do
-    body = JSON.encode!(Map.put(progress, "id", id))
+    body = Json.encode!(Map.put(progress, "id", id))
     # Progress that does not arrive is followed by more of it, or by the result.
     _ = if state.conn, do: Nats.pub(state.conn, "#{topic}.progress.#{id}", body)
     {:noreply, state}
@@ -357,7 +357,7 @@ defmodule Aerie.Fleet.Bridge.Commands do
   defp reply(_tables, %{reply_to: nil}, _body), do: :ok
 
   defp reply(tables, message, body) do
-    with {:error, _lost} <- Nats.pub(message.gnat, message.reply_to, JSON.encode_to_iodata!(body)),
+    with {:error, _lost} <- Nats.pub(message.gnat, message.reply_to, Json.encode_to_iodata!(body)),
          do: Tables.count(tables, :publish_errors)
 
     :ok

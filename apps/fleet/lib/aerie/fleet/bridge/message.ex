@@ -62,7 +62,7 @@ defmodule Aerie.Fleet.Bridge.Message do
       "data" => Json.plain(Fields.rounded(group, data))
     }
 
-    body |> with_origin(origin) |> JSON.encode!()
+    body |> with_origin(origin) |> Json.encode!()
   end
 
   defp with_origin(body, nil), do: body
@@ -72,7 +72,7 @@ defmodule Aerie.Fleet.Bridge.Message do
 
   @doc "Body of an event."
   @spec event(Event.t(), pos_integer() | nil) :: String.t()
-  def event(%Event{} = event, epoch \\ nil), do: event |> event_object(epoch) |> JSON.encode!()
+  def event(%Event{} = event, epoch \\ nil), do: event |> event_object(epoch) |> Json.encode!()
 
   @doc "The body of an event as a map; REST uses it too."
   @spec event_object(Event.t(), pos_integer() | nil) :: map()

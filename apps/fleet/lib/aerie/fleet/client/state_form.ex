@@ -84,7 +84,7 @@ defmodule Aerie.Fleet.Client.StateForm do
 
   def lines(vehicles, links, now) do
     links = Map.new(links, &{&1.id, &1})
-    vehicles |> Enum.map(&[JSON.encode_to_iodata!(of(&1, links, now)), ?\n]) |> IO.iodata_to_binary()
+    vehicles |> Enum.map(&[Json.encode_to_iodata!(of(&1, links, now)), ?\n]) |> IO.iodata_to_binary()
   end
 
   defp part(group, keys, data) do

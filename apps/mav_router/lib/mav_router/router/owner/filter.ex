@@ -16,6 +16,7 @@ defmodule MavRouter.Router.Owner.Filter do
   the `block` list. The empty filter is nil and costs nothing.
   """
 
+  alias Aerie.Base.Json
   alias MavCodec.Frame
 
   @axes [:messages, :systems, :components, :sources]
@@ -39,12 +40,12 @@ defmodule MavRouter.Router.Owner.Filter do
     end
   end
 
-  def compile(other), do: {:error, "a filter is a map, not #{inspect(other, limit: 5)}"}
+  def compile(other), do: {:error, "a filter is a map, not #{Json.shown(other, 60)}"}
 
   defp known(spec) do
     case Map.keys(spec) -- @keys do
       [] -> :ok
-      [key | _] -> {:error, "#{inspect(key)} is not a key of a filter"}
+      [key | _] -> {:error, "#{Json.shown(key, 60)} is not a key of a filter"}
     end
   end
 
@@ -73,12 +74,12 @@ defmodule MavRouter.Router.Owner.Filter do
     Enum.reduce_while(list, {:ok, %{}}, fn item, {:ok, set} ->
       case value(axis, item) do
         {:ok, value} -> {:cont, {:ok, Map.put(set, value, [])}}
-        :error -> {:halt, {:error, "#{inspect(item, limit: 5)} is not one of the #{axis}"}}
+        :error -> {:halt, {:error, "#{Json.shown(item, 60)} is not one of the #{axis}"}}
       end
     end)
   end
 
-  defp set(axis, other), do: {:error, "#{axis}: expected a list, not #{inspect(other, limit: 5)}"}
+  defp set(axis, other), do: {:error, "#{axis}: expected a list, not #{Json.shown(other, 60)}"}
 
   defp value(:messages, item), do: message(item)
   defp value(:systems, n) when is_integer(n) and n in 0..0xFFFFFFFF, do: {:ok, n}

@@ -7,6 +7,7 @@ defmodule MavRouter.Router.Owner.RateLimit do
   perfectly regular, but over any time no more than the rate (and one frame) passes.
   """
 
+  alias Aerie.Base.Json
   alias MavRouter.Router.Owner.Filter
 
   @typedoc "Intervals in microseconds by message id."
@@ -26,15 +27,15 @@ defmodule MavRouter.Router.Owner.RateLimit do
            {:hz, true} <- {:hz, is_number(hz) and hz >= 0 and hz <= 10_000} do
         {:cont, {:ok, Map.put(done, id, interval(hz))}}
       else
-        {:id, :error} -> {:halt, {:error, "#{inspect(message, limit: 5)} is not a message"}}
-        {:once, true} -> {:halt, {:error, "#{inspect(message, limit: 5)} has two rates, by its name or id"}}
-        {:hz, false} -> {:halt, {:error, "#{inspect(hz)} is not a rate (0 to 10000 a second)"}}
+        {:id, :error} -> {:halt, {:error, "#{Json.shown(message, 60)} is not a message"}}
+        {:once, true} -> {:halt, {:error, "#{Json.shown(message, 60)} has two rates, by its name or id"}}
+        {:hz, false} -> {:halt, {:error, "#{Json.shown(hz, 60)} is not a rate (0 to 10000 a second)"}}
       end
     end)
   end
 
   def compile(other),
-    do: {:error, "rate limits are a map of messages to rates, not #{inspect(other, limit: 5)}"}
+    do: {:error, "rate limits are a map of messages to rates, not #{Json.shown(other, 60)}"}
 
   # Once in 30 years is never.
   defp interval(hz) when hz == 0, do: 1_000_000_000_000_000

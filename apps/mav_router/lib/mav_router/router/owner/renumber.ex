@@ -21,6 +21,7 @@ defmodule MavRouter.Router.Owner.Renumber do
 
   import Bitwise
 
+  alias Aerie.Base.Json
   alias MavRouter.Router.Forward.Table.Path
   alias MavCodec.CRC
   alias MavCodec.Dialects.All
@@ -44,11 +45,11 @@ defmodule MavRouter.Router.Owner.Renumber do
         {:ok, if(kept == %{}, do: nil, else: kept)}
 
       wrong ->
-        {:error, "#{inspect(wrong, limit: 5)} is not a network with a number of 0 to #{@highest - 1}"}
+        {:error, "#{Json.shown(Map.new([wrong]), 60)} is not a network with a number of 0 to #{@highest - 1}"}
     end
   end
 
-  def compile(other), do: {:error, "expected networks with numbers, not #{inspect(other, limit: 5)}"}
+  def compile(other), do: {:error, "expected networks with numbers, not #{Json.shown(other, 60)}"}
 
   @doc "The id that a client with these offsets sees for a system of a network."
   @spec seen(t, String.t(), non_neg_integer) :: non_neg_integer

@@ -7,6 +7,7 @@ defmodule Aerie.Mission.File.QgcPlan do
   polygon to stay in. Items are those of `Aerie.Mission.File.QgcItems`. Files are written with SimpleItems only.
   """
 
+  alias Aerie.Base.Json
   alias Aerie.Mission.File.{QgcItems, Value}
   alias Aerie.Mission.Plan
   alias Aerie.Base.Files.Text
@@ -103,7 +104,7 @@ defmodule Aerie.Mission.File.QgcPlan do
       do: :ok,
       else:
         {:error,
-         "#{at}version: expected #{Enum.join(known, " or ")}, got #{inspect(version, limit: 5)}: #{@advice}"}
+         "#{at}version: expected #{Enum.join(known, " or ")}, got #{Json.shown(version, 40)}: #{@advice}"}
   end
 
   defp spelt(keys) do

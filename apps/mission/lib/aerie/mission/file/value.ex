@@ -1,6 +1,7 @@
 defmodule Aerie.Mission.File.Value do
   @moduledoc "Checks the values of plan files. Errors say where a value is and what was expected."
 
+  alias Aerie.Base.Json
   alias Aerie.Mission.Item
   alias MavCodec.Enums.{MavCmd, MavFrame}
 
@@ -99,7 +100,7 @@ defmodule Aerie.Mission.File.Value do
 
   @spec error(String.t(), String.t(), term()) :: error()
   def error(at, expected, got) do
-    {:error, "#{at}: expected #{expected}, got #{inspect(got, limit: 5, printable_limit: 40)}"}
+    {:error, "#{at}: expected #{expected}, got #{Json.shown(got, 40)}"}
   end
 
   @most %{5 => 90, 6 => 180}

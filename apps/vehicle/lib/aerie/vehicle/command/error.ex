@@ -1,6 +1,8 @@
 defmodule Aerie.Vehicle.Command.Error do
   @moduledoc "What is wrong with a command that came from outside: which key, what was expected, what was given."
 
+  alias Aerie.Base.Json
+
   @enforce_keys [:key, :expected, :got]
   defexception [:key, :expected, :got]
 
@@ -17,19 +19,14 @@ defmodule Aerie.Vehicle.Command.Error do
   defp got(:unknown), do: nil
   defp got(:rule), do: nil
 
-  defp got(value), do: short(value)
-
-  defp short(value) do
-    text = inspect(value, limit: 5, printable_limit: @max_shown)
-    if String.length(text) > @max_shown, do: String.slice(text, 0, @max_shown) <> "…", else: text
-  end
+  defp got(value), do: Json.shown(value, @max_shown)
 
   @doc "A key from outside, short enough to be shown."
   @spec key(term()) :: String.t()
   def key(key) when is_binary(key),
-    do: if(String.printable?(key), do: String.slice(key, 0, @max_shown), else: short(key))
+    do: if(String.printable?(key), do: String.slice(key, 0, @max_shown), else: Json.shown(key, @max_shown))
 
-  def key(key), do: short(key)
+  def key(key), do: Json.shown(key, @max_shown)
 
   @impl Exception
   def message(%{got: nil} = error), do: "#{error.key}: expected #{error.expected}"

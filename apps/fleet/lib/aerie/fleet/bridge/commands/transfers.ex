@@ -15,7 +15,7 @@ defmodule Aerie.Fleet.Bridge.Commands.Transfers do
   """
 
   alias Aerie.Vehicle.Command.{Error, Result}
-  alias Aerie.Base.Names
+  alias Aerie.Base.{Json, Names}
   alias Aerie.Control.{Files, Logs, Missions, Params}
   alias Aerie.Vehicle.Command
   alias Aerie.Control.Params.{Param, Table}
@@ -285,7 +285,7 @@ defmodule Aerie.Fleet.Bridge.Commands.Transfers do
   defp short(id), do: if(is_binary(id) and byte_size(id) <= 64, do: id)
 
   defp bounded(reply, id) do
-    body = JSON.encode_to_iodata!(reply)
+    body = Json.encode_to_iodata!(reply)
 
     if IO.iodata_length(body) <= @max_bytes do
       reply

@@ -25,7 +25,8 @@ defmodule Aerie.PeerCase do
     mavp2p: "mavp2p",
     schemathesis: "schemathesis",
     betaflight: "betaflight_SITL",
-    inav: "inav_SITL"
+    inav: "inav_SITL",
+    curl: "curl"
   ]
 
   @doc "Tags of tests whose peers are not installed."

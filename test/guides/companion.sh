@@ -45,16 +45,16 @@ until_ok 'the companion is ready' step 'sudo -u aerie aerie status'
 step 'sudo -u aerie aerie tail VID-001' 'sudo -u aerie aerie tail VID-001 --count 3'
 in_root companion pilot /home/pilot 'sudo -u aerie aerie doctor' || say "(doctor: $?)"
 guide_ends
-until_ok 'the hub shows the vehicle' in_root hub pilot "$PILOT/aerie" 'bin/aerie status | tee /dev/stderr | grep "^VID-001 .*gateway-VID-001"'
+until_ok 'the hub shows the vehicle' in_root hub pilot "$PILOT/aerie" 'bin/aerie status | grep "^VID-001 .*gateway-VID-001"'
 until_ok 'the hub commands it' in_root hub pilot "$PILOT/aerie" 'bin/aerie cmd VID-001 set_mode mode=GUIDED --yes'
 say "the hub commands the companion's vehicle $((SECONDS - began)) s after the first command; $((($(received) - before) / 1000000)) MB were received"
 
 guide docs/guides/silent-vehicle.md
 step 'aerie status' 'sudo -u aerie aerie status'
 step 'aerie doctor' 'sudo -u aerie aerie doctor || true'
-step 'aerie probe /dev/ttyUSB0' 'sudo -u aerie aerie probe /dev/ttyAMA0 2>&1 | tee /dev/stderr | grep -qi "in use\|has it open\|used by"'
+step_says 'aerie probe /dev/ttyUSB0' 'in use' 'sudo -u aerie aerie probe /dev/ttyAMA0 2>&1 || true'
 in_root companion root / 'systemctl stop aerie'
-step 'aerie probe /dev/ttyUSB0' 'sudo -u aerie aerie probe /dev/ttyAMA0 | tee /dev/stderr | grep -q MAVLink'
+step_says 'aerie probe /dev/ttyUSB0' MAVLink 'sudo -u aerie aerie probe /dev/ttyAMA0'
 step 'aerie probe udpin:0.0.0.0:14550 --seconds 10' 'aerie probe udpin:0.0.0.0:14550 --seconds 10 || [ $? = 1 ]'
 guide_ends
 

@@ -44,6 +44,16 @@ step() {
   in_root "${where[@]}" "$session ${2:-$1}"
 }
 
+# step_says COMMAND TEXT [INSTEAD]: one whose answer has this text
+step_says() {
+  local answer
+  said "$1"
+  say "$ ${3:-$1}"
+  answer=$(in_root "${where[@]}" "$session ${3:-$1}")
+  printf '%s\n' "$answer"
+  case $answer in *"$2"*) ;; *) fail "the answer does not say: $2" ;; esac
+}
+
 # step_export COMMAND NAME: one that exports NAME to the following ones
 step_export() {
   said "$1"

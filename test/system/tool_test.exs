@@ -229,6 +229,7 @@ defmodule Aerie.System.ToolTest do
     # The summary goes to stderr.
     events = for "{" <> _ = line <- String.split(text, "\n"), do: JSON.decode!(line)
     assert Enum.all?(events, &match?(%{"time" => _, "type" => _}, &1))
+    tried(context, path)
 
     assert {text, 2} = aerie(context, ["record", "start", "sim-9"])
     assert text =~ "sim-9"
@@ -236,6 +237,45 @@ defmodule Aerie.System.ToolTest do
     assert text =~ "need a VEHICLE"
     assert {text, 2} = aerie(context, ["record", "begin", "sim-001"])
     assert text =~ "expected start, stop, save or list"
+  end
+
+  # What was commanded in it, against a policy that limits it.
+  defp tried(context, path) do
+    policy = Path.join(context.folder, "a policy.yaml")
+    names = ~s(vehicles: [{id: sim-001, system_id: 1}]\n)
+    File.write!(policy, names <> "policy: {conditions: [{types: [hold], armed: false}]}\n")
+
+    words = [
+      "policy",
+      "try",
+      policy,
+      "--recordings",
+      path,
+      "--ledger",
+      Path.join(context.folder, "ledger"),
+      "--json"
+    ]
+
+    assert {text, 1} = aerie(context, words)
+    lines = for "{" <> _ = line <- String.split(text, "\n"), do: JSON.decode!(line)
+    assert %{"refused" => refused, "recordings" => 1} = List.last(lines)
+    assert refused >= 1
+
+    assert %{
+             "who" => "bin/aerie",
+             "role" => "admin",
+             "decision" => "deny",
+             "rule" => "condition",
+             "vehicle" => "sim-001"
+           } =
+             Enum.find(lines, &(&1["command"] == "hold"))
+
+    assert {text, 2} =
+             aerie(context, ["policy", "try", policy, "--recordings", Path.join(context.folder, "none")])
+
+    assert text =~ "none: no such file or directory"
+    assert {text, 0} = aerie(context, ["policy", "try", "--help"])
+    assert text =~ "--recordings DIR"
   end
 
   defp missions(context) do

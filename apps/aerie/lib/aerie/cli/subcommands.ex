@@ -232,6 +232,24 @@ defmodule Aerie.CLI.Subcommands do
         options: [{:all, :boolean, nil, "print the keys with default values, too"}]
       },
       %Subcommand{
+        name: "policy try",
+        summary: "replay recorded flights against a policy, and say which commands it would have refused",
+        where: :here,
+        module: Subcommand.Policy,
+        arguments: [{"FILE", "the configuration file with the section policy"}],
+        options: [
+          {:recordings, :string, "DIR",
+           "the folder of the recordings, or one of them (default: recorder.dir of FILE)"},
+          {:ledger, :string, "DIR", "the folder of a ledger: its commands with the names of their senders"},
+          {:as, :string, "WHO",
+           "judge senders that are known by their ids only as viewer, operator or admin, or as an id of policy.clients, " <>
+             "a name of policy.sources or of a key"},
+          @json
+        ],
+        more:
+          "Exit status: 0 nothing would be refused, 1 something would be, 2 FILE or a recording cannot be read. docs/policy.md explains the table."
+      },
+      %Subcommand{
         name: "nats-setup",
         summary:
           "write what a hub's nats-server and the leaf nodes of its vehicles need: accounts, keys, certificates, configuration",

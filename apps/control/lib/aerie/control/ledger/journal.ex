@@ -39,6 +39,23 @@ defmodule Aerie.Control.Ledger.Journal do
     end
   end
 
+  @doc "Calls `fun` with each record of a folder's file, which stays as it is. A folder without one is an error."
+  @spec fold(Path.t(), acc, ([term()], acc -> acc)) ::
+          {:ok, acc, damaged :: non_neg_integer()} | {:error, String.t()}
+        when acc: term()
+  def fold(dir, acc, fun) do
+    path = path(dir)
+
+    with :ok <- head(path),
+         {:ok, _journal, _ending, {acc, damaged}} <-
+           Segment.fold(%Segment{path: path}, &Segment.line/1, {acc, 0}, &record(&1, &2, fun)) do
+      {:ok, acc, damaged}
+    else
+      {:error, :damaged} -> {:error, "#{path}: not a ledger: expected a first line #{@head}"}
+      {:error, reason} -> {:error, text(path, reason)}
+    end
+  end
+
   @doc "The file of a folder."
   @spec path(Path.t()) :: Path.t()
   def path(dir), do: Path.join(dir, "ledger")

@@ -84,7 +84,12 @@ defmodule Aerie.Control.Policy.Context do
   @spec of(Names.gateway(), map() | nil, Roles.source() | nil, now :: integer()) :: t()
   def of(_gateway, nil, source, now), do: new(%{}, source, now)
 
-  def of(gateway, snapshot, source, now) do
+  def of(gateway, snapshot, source, now),
+    do: seen(snapshot, Leases.of(gateway, snapshot.key), source, now)
+
+  @doc "A context of a vehicle's snapshot and of who is in charge of it."
+  @spec seen(map(), Lease.t() | nil, Roles.source() | nil, now :: integer()) :: t()
+  def seen(snapshot, lease, source, now) do
     memory = snapshot[:memory] || %{}
     context = new(snapshot.groups, source, now)
 
@@ -96,7 +101,7 @@ defmodule Aerie.Control.Policy.Context do
       vehicle_type: snapshot.vehicle_type,
       standard_modes: standard_modes(snapshot),
       mode_names: memory[:mode_names] || %{},
-      lease: Leases.of(gateway, snapshot.key)
+      lease: lease
     })
   end
 

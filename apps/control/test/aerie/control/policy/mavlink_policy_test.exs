@@ -8,6 +8,7 @@ defmodule Aerie.Control.Policy.MavlinkPolicyTest do
   alias MavRouter.{Link, Router}
   alias Aerie.Control.Policy.{Audit, ClientHistory, Leases, MavlinkPolicy, RecentCommands}
   alias Aerie.Control.Policy.Audit.Verify
+  alias Aerie.Control.Policy.Trial
   alias MavCodec.Enums.MavCmd
   alias MavCodec.Frame
   alias MavCodec.Messages, as: M
@@ -15,6 +16,7 @@ defmodule Aerie.Control.Policy.MavlinkPolicyTest do
   @patience Aerie.Patience.ms()
   @moduletag :tmp_dir
   @moduletag capture_log: true
+  @flights Path.expand("../../../../../vehicle/test/fixtures", __DIR__)
 
   @fence """
   {"type": "Feature", "properties": {"name": "field"},
@@ -579,5 +581,48 @@ defmodule Aerie.Control.Policy.MavlinkPolicyTest do
     got = reached(gcs, c)
     assert Enum.count(got, &match?(%M.CommandInt{}, &1)) in 5..6
     assert Enum.count(got, &match?(%M.CommandLong{}, &1)) == 20
+  end
+
+  test "a trial of the same policy decides the same about every frame of two flights",
+       %{gateway: gateway, section: section} do
+    {:ok, policy} = Policy.compile(section)
+    snapshot = Store.vehicle(gateway, {"main", 1})
+
+    frames =
+      for name <- ~w(px4_refusals_tx arducopter_flight_tx),
+          frame <- Aerie.Flight.parse(File.read!(Path.join(@flights, name <> ".tlog"))),
+          Authority.Messages.order?(frame.id),
+          do: MavCodec.FrameSplitter.checked(frame)
+
+    for {role, n} <- Enum.with_index(~w(viewer operator admin)a), permissions <- [[], [:force_disarm]] do
+      source = Policy.Roles.principal(:client, "#{role}-#{length(permissions)}", role, permissions)
+      sender = %{endpoint: {"c", {n, permissions}}, owner: "c", peer: nil, principal: source}
+
+      asked = %{
+        snapshot: snapshot,
+        at: System.os_time(:microsecond),
+        source: source,
+        sender: "c",
+        via: "mavlink"
+      }
+
+      {rules, _trial} =
+        Enum.map_reduce(frames, Trial.new(policy), fn frame, trial ->
+          {:ok, message} = MavCodec.decode(frame)
+          {judged, trial} = Trial.message(trial, message, asked)
+          live = MavlinkPolicy.decide(gateway, sender, {"main", 1}, frame)
+
+          case judged do
+            :free -> assert live == :forward or role == :viewer
+            %{decision: :allow} -> assert not match?({:refuse, _, _}, live), inspect(message)
+            %{decision: {:deny, _rule, _reason}} -> assert match?({:refuse, _, _}, live), inspect(message)
+          end
+
+          {with(%{decision: {:deny, rule, _reason}} <- judged, do: rule, else: (_allowed -> :allow)), trial}
+        end)
+
+      # Both outcomes occur, so that the comparison means something.
+      if role != :viewer, do: assert([:allow, :role] -- rules == [])
+    end
   end
 end

@@ -265,11 +265,19 @@ defmodule Aerie.Fleet.Replay.Machine do
   @doc "The vehicles' snapshots by name."
   @spec snapshots(t) :: %{String.t() => map}
   def snapshots(machine) do
-    for {_system, %{core: %{component: component} = core}} <- machine.vehicles,
-        component != nil,
-        snapshot = Core.snapshot(core),
+    for {system, _vehicle} <- machine.vehicles,
+        snapshot = snapshot(machine, system),
         into: %{},
         do: {snapshot.id, snapshot}
+  end
+
+  @doc "The snapshot of one vehicle by its system id; nil before it was heard."
+  @spec snapshot(t, non_neg_integer) :: map | nil
+  def snapshot(%{vehicles: vehicles}, system) do
+    case vehicles do
+      %{^system => %{core: %{component: component} = core}} when component != nil -> Core.snapshot(core)
+      _unheard -> nil
+    end
   end
 
   @doc "See `t:Aerie.Fleet.Replay.summary/0`."

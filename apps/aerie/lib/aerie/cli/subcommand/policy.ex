@@ -1,0 +1,187 @@
+defmodule Aerie.CLI.Subcommand.Policy do
+  @moduledoc """
+  `aerie policy try`: what a policy would have refused of the commands in recorded flights (`Aerie.Fleet.Replay.PolicyTrial`). No gateway runs.
+
+  What cannot be read is remarked on, on standard error, and the rest goes on.
+  """
+  @behaviour Aerie.CLI.Subcommand
+
+  alias Aerie.Base.Printable
+  alias Aerie.CLI.{Output, Subcommand}
+  alias Aerie.CLI.PolicyTrial.{Principals, Recordings, Report}
+  alias Aerie.Config
+  alias Aerie.Control.Ledger.Envelopes
+  alias Aerie.Control.Policy
+  alias Aerie.Fleet.Replay
+  alias Aerie.Fleet.Replay.{Machine, PolicyTrial, Source}
+  alias MavCodec.Frame
+
+  @progress_ms 5_000
+  # The clock is not asked with each frame.
+  @progress_frames 2_000
+
+  @impl Aerie.CLI.Subcommand
+  def run(%{options: options, folder: folder} = request) do
+    {:ok, _started} = Application.ensure_all_started(:fleet)
+
+    with {:ok, config} <- config(request),
+         {:ok, policy} <- policy(config),
+         {:ok, keys} <- FleetWeb.API.Keys.load(config.api),
+         {:ok, as} <- Principals.as(options[:as], policy, keys, System.os_time(:microsecond)),
+         {:ok, ledger} <- ledger(options[:ledger], folder),
+         {:ok, recordings} <-
+           Recordings.list(Path.expand(options[:recordings] || config.recorder.dir, folder)) do
+      trial =
+        PolicyTrial.new(policy, Replay.Settings.from(config),
+          as: as,
+          named: &Principals.named(&1, policy, keys, &2),
+          ledger: ledger.entries
+        )
+
+      all(recordings, trial, ledger, options[:json] || false)
+    end
+  catch
+    :closed -> {0, ""}
+    {:error, _why} = error -> error
+  end
+
+  defp config(request) do
+    with {:error, errors} <- Subcommand.Config.load(request), do: {:error, Config.format_errors(errors)}
+  end
+
+  defp policy(config) do
+    with {:error, lines} <- Policy.compile(config.policy), do: {:error, Enum.join(lines, "\n")}
+  end
+
+  defp ledger(nil, _folder), do: {:ok, %{entries: [], forgotten: [], damaged: 0}}
+  defp ledger(dir, folder), do: dir |> Path.expand(folder) |> Envelopes.read()
+
+  defp all(recordings, trial, ledger, json?) do
+    start = %{
+      trial: trial,
+      total: %Report{},
+      judged: 0,
+      remarks: about(ledger),
+      failed?: ledger.damaged > 0,
+      json?: json?
+    }
+
+    Enum.each(start.remarks, &note/1)
+
+    result =
+      recordings
+      |> Enum.with_index(1)
+      |> Enum.reduce(start, fn {recording, n}, state ->
+        one(state, recording, "#{n} of #{length(recordings)}")
+      end)
+
+    late = after_all(result.trial)
+    Enum.each(late, &note/1)
+    skipped = PolicyTrial.skipped(result.trial)
+    remarks = Enum.reverse(result.remarks) ++ late
+
+    put(
+      if json?,
+        do: Report.json_summary(result.total, result.judged, skipped, remarks),
+        else: Report.summary(result.total, result.judged, skipped)
+    )
+
+    {status(result), ""}
+  end
+
+  defp about(ledger) do
+    for {n, text} <- [
+          {ledger.damaged, "lines of the ledger are damaged"},
+          {length(ledger.forgotten), "commands of the ledger have ended, and their content is not kept"}
+        ],
+        n > 0,
+        do: "#{n} #{text}"
+  end
+
+  defp after_all(trial) do
+    for(
+      name <- PolicyTrial.unnamed(trial),
+      do: "the ledger's #{name} has no role in FILE: judged as an operator, or as --as says"
+    ) ++
+      for {vehicle, n} <- PolicyTrial.missing(trial) do
+        "#{n} commands of the ledger are for #{vehicle}, and no recording of that time has a vehicle of this name " <>
+          "(the section vehicles of FILE gives names)"
+      end
+  end
+
+  defp status(%{total: total, judged: judged, failed?: failed?}) do
+    cond do
+      Report.refused(total) > 0 -> 1
+      judged == 0 or failed? -> 2
+      true -> 0
+    end
+  end
+
+  defp one(state, %{path: path, name: name, label: label}, place) do
+    before = PolicyTrial.summary(state.trial)
+    trial = PolicyTrial.recording(state.trial, label)
+    options = Machine.parser(trial.settings)
+    acc = {trial, %Report{}, %{name: name, place: place, json?: state.json?, frames: 0, due: due()}}
+
+    with :ok <- Source.recording(path),
+         {:ok, {trial, report, _progress}} <- Source.reduce(path, options, acc, &item/2) do
+      summary = PolicyTrial.summary(trial)
+      damage = damage(name, before, summary)
+      Enum.each(damage, &note/1)
+      unless state.json?, do: put([heading(name, summary), Report.table(report), "\n"])
+
+      %{
+        state
+        | trial: trial,
+          total: Report.sum(state.total, report),
+          judged: state.judged + 1,
+          remarks: damage ++ state.remarks
+      }
+    else
+      {:error, why} ->
+        # What was read of it before is not in the numbers.
+        note("#{why}; nothing of it counts")
+        %{state | remarks: [why | state.remarks], failed?: true}
+    end
+  end
+
+  defp heading(name, %{vehicles: []}), do: "#{name}: no vehicle was heard\n"
+  defp heading(name, summary), do: "#{name}: #{Enum.join(summary.vehicles, ", ")}\n"
+
+  # A recording that goes on with the last one has its damage, too.
+  defp damage(name, before, summary) do
+    earlier =
+      if summary.frames > before.frames and summary.from == before.from, do: before.damaged_parts, else: 0
+
+    parts = summary.damaged_parts - earlier
+    if parts > 0, do: ["#{name}: #{parts} damaged parts were skipped"], else: []
+  end
+
+  defp item(item, {trial, report, progress}) do
+    {trial, decisions} = PolicyTrial.push(trial, item)
+    if progress.json?, do: Enum.each(decisions, &put(Report.json(progress.name, &1)))
+    {trial, Enum.reduce(decisions, report, &Report.add(&2, &1)), progress(progress, item)}
+  end
+
+  defp progress(%{frames: frames} = progress, %Frame{at: at}) when rem(frames, @progress_frames) == 0 do
+    if System.monotonic_time(:millisecond) >= progress.due do
+      note("#{progress.place}: #{progress.name}, #{frames} frames, at #{Aerie.Base.Json.time(at)}")
+      %{progress | frames: frames + 1, due: due()}
+    else
+      %{progress | frames: frames + 1}
+    end
+  end
+
+  defp progress(progress, _item), do: %{progress | frames: progress.frames + 1}
+
+  defp due, do: System.monotonic_time(:millisecond) + @progress_ms
+
+  defp note(text), do: IO.puts(:stderr, Printable.lines(text))
+
+  defp put(text) do
+    IO.write(text |> IO.iodata_to_binary() |> Printable.lines())
+  rescue
+    _ended in [ArgumentError, ErlangError] ->
+      throw(with :ok <- Output.repeat("\n"), do: {:error, "standard output has ended"})
+  end
+end

@@ -1,0 +1,129 @@
+defmodule Aerie.Control.Policy.Trial do
+  @moduledoc """
+  A policy that is asked about commands of the past, in the order of their times: a pure value. It decides as `Aerie.Control.Policy.MavlinkPolicy`
+  and `Aerie.Control.Commands.Pipeline` do, and carries along what a decision depends on besides the vehicle: how often each source commanded,
+  the last item of each upload, and who is in charge.
+
+  What a gateway refuses for its own state (an audit log that cannot be written, a deadline) is not decided here.
+  """
+
+  alias Aerie.Control.Policy
+  alias Aerie.Control.Policy.{Context, Intent, Lease, Mavlink, Rate, Roles}
+  alias Aerie.Vehicle.Command
+
+  @enforce_keys [:policy]
+  defstruct [:policy, rate: Rate.new(), uploads: %{}, leases: %{}]
+
+  # Clients of one recording; their uploads are few.
+  @max_uploads 1_000
+
+  # What the rules ask of a vehicle, and what it is called.
+  @needs %{
+    condition: [:armed, :in_air],
+    battery: [:battery],
+    mode: [:mode],
+    altitude: [:position, :home],
+    geofence: [:position, :home],
+    disarmed: [:armed]
+  }
+
+  @type t :: %__MODULE__{
+          policy: Policy.t(),
+          rate: Rate.t(),
+          uploads: %{term() => Mavlink.Upload.t()},
+          leases: %{String.t() => Lease.t() | nil}
+        }
+
+  @typedoc "`:snapshot` - of the vehicle at that time (`Aerie.Vehicle.Core.snapshot/1`); `:at` - unix microseconds; `:sender` - who uploads; `:via` - the interface."
+  @type asked :: %{
+          snapshot: map(),
+          at: integer(),
+          source: Roles.source(),
+          sender: term(),
+          via: String.t()
+        }
+
+  @typedoc "`:lacking` - what the rule that denies asks for and nothing heard so far had told."
+  @type judgement :: %{
+          command: String.t(),
+          decision: Policy.decision() | {:deny, :rate, String.t()},
+          lacking: [atom()]
+        }
+
+  @doc "Nobody has commanded anything yet."
+  @spec new(Policy.t()) :: t()
+  def new(policy), do: %__MODULE__{policy: policy}
+
+  @doc "A raw MAVLink message of a client. `:free` for one that only reads."
+  @spec message(t(), struct(), asked()) :: {judgement() | :free, t()}
+  def message(trial, message, asked) do
+    case Mavlink.facts(message, Map.take(asked.snapshot, [:autopilot, :vehicle_type])) do
+      :free ->
+        {:free, trial}
+
+      facts ->
+        {facts, trial} = upload(trial, facts, message, asked)
+        judge(trial, facts, asked)
+    end
+  end
+
+  @doc "A command of the table."
+  @spec command(t(), Command.t(), asked()) :: {judgement(), t()}
+  def command(trial, command, asked), do: judge(trial, Intent.of(command), asked)
+
+  @doc "Another recording begins: nothing of the last one counts in it."
+  @spec again(t()) :: t()
+  def again(trial), do: new(trial.policy)
+
+  defp upload(trial, %{type: "mission_upload"} = facts, message, asked) do
+    key = {asked.sender, asked.snapshot.id}
+    {facts, item} = Mavlink.Upload.next(trial.uploads[key], message, facts)
+    uploads = if map_size(trial.uploads) < @max_uploads, do: trial.uploads, else: %{}
+    {facts, %{trial | uploads: Map.put(uploads, key, item)}}
+  end
+
+  defp upload(trial, facts, _message, _asked), do: {facts, trial}
+
+  defp judge(trial, facts, %{snapshot: snapshot} = asked) do
+    context = Context.seen(snapshot, trial.leases[snapshot.id], asked.source, asked.at)
+
+    # As in a gateway, a command that a rule refuses has taken its token.
+    {decision, trial} =
+      case rate(trial, facts, asked) do
+        {:ok, trial} -> decide(trial, facts, context, asked)
+        denied -> {denied, trial}
+      end
+
+    {%{command: facts.type, decision: decision, lacking: lacking(decision, context)}, trial}
+  end
+
+  defp decide(trial, facts, context, asked) do
+    with :allow <- Policy.decide(trial.policy, facts, context),
+         {:ok, trial} <- in_charge(trial, facts, asked) do
+      {:allow, trial}
+    else
+      denied -> {denied, trial}
+    end
+  end
+
+  defp rate(trial, %{ends_flight?: true}, _asked), do: {:ok, trial}
+
+  defp rate(trial, facts, %{source: source, snapshot: %{id: id}, at: at}) do
+    with {:ok, rate} <- Rate.take(trial.rate, trial.policy, source.name, id, facts.type, at),
+         do: {:ok, %{trial | rate: rate}}
+  end
+
+  defp in_charge(trial, %{control: nil}, _asked), do: {:ok, trial}
+
+  defp in_charge(trial, %{control: change}, %{snapshot: %{id: id}} = asked) do
+    case Lease.change(trial.leases[id], change, asked.source, asked.via, trial.policy.lease, asked.at) do
+      {:ok, lease} -> {:ok, %{trial | leases: Map.put(trial.leases, id, lease)}}
+      {:deny, reason} -> {:deny, :lease, reason}
+    end
+  end
+
+  defp lacking(:allow, _context), do: []
+
+  defp lacking({:deny, rule, _reason}, context),
+    do: for(field <- Map.get(@needs, rule, []), Map.fetch!(context, field) == nil, do: field)
+end

@@ -176,7 +176,7 @@ defmodule Aerie.CLI.PolicyTrial.Report do
   defp skipped(:vehicle), do: "from one vehicle to another, which router.between_vehicles decides"
   defp skipped(:unknown), do: "messages that no table knows; policy.unknown decides"
   defp skipped(:unreadable), do: "messages that cannot be decoded"
-  defp skipped(:never), do: "messages that go to no vehicle, whoever sends them"
+  defp skipped(:never), do: "messages that nobody may send to a vehicle"
   defp skipped(:copy), do: "copies of frames that were judged"
   defp skipped(:in_ledger), do: "frames of the gateway, for which the ledger's commands stand"
   defp skipped(:malformed), do: "commands of the ledger that this version cannot read"

@@ -247,7 +247,7 @@ defmodule Aerie.CLI.Subcommands do
           @json
         ],
         more:
-          "Exit status: 0 nothing would be refused, 1 something would be, 2 FILE or a recording cannot be read. docs/policy.md explains the table."
+          "Exit status: 0 nothing would be refused, 1 something would be, 2 FILE, a recording or the ledger cannot be read. docs/policy.md explains the table."
       },
       %Subcommand{
         name: "nats-setup",

@@ -30,7 +30,7 @@ defmodule Aerie.CLI.Subcommand.Policy do
          {:ok, as} <- Principals.as(options[:as], policy, keys, System.os_time(:microsecond)),
          {:ok, ledger} <- ledger(options[:ledger], folder),
          {:ok, recordings} <-
-           Recordings.list(Path.expand(options[:recordings] || config.recorder.dir, folder)) do
+           Recordings.list(place(options[:recordings], folder, config)) do
       trial =
         PolicyTrial.new(policy, Replay.Settings.from(config),
           as: as,
@@ -44,6 +44,10 @@ defmodule Aerie.CLI.Subcommand.Policy do
     :closed -> {0, ""}
     {:error, _why} = error -> error
   end
+
+  # The gateway's own folders are relative to where it runs.
+  defp place(nil, _folder, config), do: Path.expand(config.recorder.dir)
+  defp place(given, folder, _config), do: Path.expand(given, folder)
 
   defp config(request) do
     with {:error, errors} <- Subcommand.Config.load(request), do: {:error, Config.format_errors(errors)}

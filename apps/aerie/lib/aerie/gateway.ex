@@ -113,6 +113,7 @@ defmodule Aerie.Gateway do
 
     [
       {Aerie.Base.Store,
+       counters: Aerie.Gateway.Counters.all(),
        tables: [
          Journal.table(bridge.fleet),
          StreamDemand.table(),

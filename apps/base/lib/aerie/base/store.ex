@@ -32,7 +32,9 @@ defmodule Aerie.Base.Store do
   @typedoc "A table of another part: its name, ETS options besides `:public`, and its first objects."
   @type table :: {atom(), [atom() | tuple()], [tuple()]}
 
-  @doc "Options: `:gateway`, and `:tables`, those of other parts, which are to outlive them."
+  @doc """
+  Options: `:gateway`; `:tables`, those of other parts, which are to outlive them; `:counters`, which are there from the start on, with 0.
+  """
   @spec start_link(keyword()) :: GenServer.on_start()
   def start_link(options) do
     gateway = Keyword.fetch!(options, :gateway)
@@ -281,6 +283,7 @@ defmodule Aerie.Base.Store do
       notes: :ets.new(:notes, [:set | shared])
     }
 
+    true = :ets.insert(tables.counters, for(counter <- options[:counters] || [], do: {counter, 0}))
     Names.put_held(gateway, :store, Enum.into(options[:tables] || [], tables, &create/1))
     {:ok, gateway}
   end

@@ -90,6 +90,11 @@ defmodule Aerie.Control.Policy do
   @spec rules() :: [rule(), ...]
   def rules, do: Keyword.keys(@rules)
 
+  @doc "The counters of its decisions, in the read model."
+  @spec counters() :: [{:policy, :allow | :deny, atom()}]
+  def counters,
+    do: [{:policy, :allow, nil} | for(rule <- [:rate, :audit | rules()], do: {:policy, :deny, rule})]
+
   @doc "A policy from a section, or a line for everything that is wrong with it."
   @spec compile(map()) :: {:ok, t()} | {:error, [String.t(), ...]}
   def compile(section) do

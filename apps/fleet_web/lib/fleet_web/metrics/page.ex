@@ -87,9 +87,9 @@ defmodule FleetWeb.Metrics.Page do
     vehicle, link or disk.
 
     - A value that is not known is left out, because a made-up zero would look like a measurement.
-    - Counters begin at zero when the gateway starts.
-    - The label `type` of a message that no dialect knows is `unknown`, so that garbage adds no time series. Clients come and go:
-      they are summed by `kind`.
+    - Counters are there with 0 from the gateway's start, so that `rate()` sees their first event. Those by message, subject, recording or
+      status, and `gateway_commands_refused_total`, begin with their first event; those of links and vehicles with the link or vehicle.
+    - The label `type` of an unknown message is `unknown`, so garbage adds no time series. Clients are summed by `kind`: they come and go.
 
     A dashboard for Grafana and alert rules for Prometheus are in
     [rel/overlays/monitoring](../rel/overlays/monitoring/README.md).

@@ -2,7 +2,8 @@ defmodule Aerie.Control.Commands.Metrics do
   @moduledoc "Counters of commands in the read model, and the metrics that they make."
 
   alias Aerie.Base.{Names, Store}
-  alias Aerie.Vehicle.Command.Result
+  alias Aerie.Control.Policy.Intent
+  alias Aerie.Vehicle.Command.{Result, Types}
 
   # Seconds. The last bucket is all.
   @buckets [0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0, 120.0]
@@ -10,6 +11,19 @@ defmodule Aerie.Control.Commands.Metrics do
   @typedoc "A sample of a histogram has the end of its name in front."
   @type sample :: {[{atom(), String.t()}], number()} | {String.t(), [{atom(), String.t()}], number()}
   @type metric :: %{name: String.t(), type: :counter | :histogram, help: String.t(), samples: [sample()]}
+
+  @doc """
+  The counters that are there from the start: a rate sees their first event. Not those of refusals, which are all pairs of a type and a rule, and
+  would be some thousand lines of each scrape; `gateway_policy_decisions_total` has each rule.
+  """
+  @spec counters() :: [{:commands, tuple()}]
+  def counters do
+    types = ["unknown" | Intent.raw()] ++ Enum.map(Types.all(), & &1.name)
+    statuses = Enum.map(Result.table(), &elem(&1, 0))
+
+    for(type <- types, do: {:commands, {:received, type}}) ++
+      for(type <- types, status <- statuses, do: {:commands, {:executed, type, status}})
+  end
 
   @doc "A command of the table (or `\"unknown\"`) has come."
   @spec received(Names.gateway(), String.t()) :: :ok

@@ -130,6 +130,7 @@ defmodule Aerie.CLI.PolicyTryTest do
     put(dir, "times.tlog", File.read!(Path.join(@damaged, "all-2pow63.tlog")))
     put(dir, "raw.tlog", File.read!(Path.join(@damaged, "raw.rlog")))
     File.mkdir_p!(Path.join([dir, "of a flight", "folder.tlog"]))
+    {_text, 0} = System.cmd("mkfifo", [Path.join([dir, "of a flight", "pipe.tlog"])])
 
     put(
       dir,
@@ -149,7 +150,8 @@ defmodule Aerie.CLI.PolicyTryTest do
           "damaged.tlog.gz: damaged gzip data",
           "times.tlog: ",
           "raw.tlog: ",
-          "folder.tlog: "
+          "folder.tlog: not a file",
+          "pipe.tlog: not a file"
         ],
         do: assert(notes =~ part)
 

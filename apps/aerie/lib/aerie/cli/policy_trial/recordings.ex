@@ -20,6 +20,16 @@ defmodule Aerie.CLI.PolicyTrial.Recordings do
     end
   end
 
+  @doc "Whether it can be read to an end: a pipe may have none."
+  @spec check(recording()) :: :ok | {:error, String.t()}
+  def check(%{path: path}) do
+    case File.stat(path) do
+      {:ok, %{type: :regular}} -> :ok
+      {:ok, _other} -> {:error, "#{path}: not a file"}
+      {:error, reason} -> {:error, "#{path}: #{:file.format_error(reason)}"}
+    end
+  end
+
   defp recording(path) do
     {label, _start, _number} = order(Path.basename(path))
     %{path: path, name: Path.basename(path), label: label}

@@ -121,13 +121,14 @@ defmodule Aerie.CLI.Subcommand.Policy do
     end
   end
 
-  defp one(state, %{path: path, name: name, label: label}, place) do
+  defp one(state, %{path: path, name: name, label: label} = recording, place) do
     before = PolicyTrial.summary(state.trial)
     trial = PolicyTrial.recording(state.trial, label)
     options = Machine.parser(trial.settings)
     acc = {trial, %Report{}, %{name: name, place: place, json?: state.json?, frames: 0, due: due()}}
 
-    with :ok <- Source.recording(path),
+    with :ok <- Recordings.check(recording),
+         :ok <- Source.recording(path),
          {:ok, {trial, report, _progress}} <- Source.reduce(path, options, acc, &item/2) do
       summary = PolicyTrial.summary(trial)
       damage = damage(name, before, summary)

@@ -1,12 +1,12 @@
-# A private Python environment with the peers that the tests talk to (pymavlink, MAVSDK, MAVProxy, YAMSPy). Sourced by bin/setup
+# A private Python environment with the peers that the tests talk to (pymavlink, MAVSDK, MAVProxy, YAMSPy, nats-py). Sourced by bin/setup
 # and bin/test.
 # Only tests and benchmark comparisons need it; the gateway itself uses no Python.
 
 AERIE_VENV=${AERIE_VENV:-$AERIE_ROOT/.venv}
 export AERIE_VENV
 
-# pymavlink needs wsproto for WebSockets; MAVProxy needs pyserial and defusedxml to start.
-PYTHON_PEERS="pymavlink==2.4.50 wsproto==1.3.2 pyserial==3.5 defusedxml==0.7.1"
+# pymavlink needs wsproto for WebSockets; MAVProxy needs pyserial and defusedxml to start. docs/clients/command.py is what signs commands.
+PYTHON_PEERS="pymavlink==2.4.50 wsproto==1.3.2 pyserial==3.5 defusedxml==0.7.1 nats-py==2.16.0 cryptography==50.0.2"
 
 # Installed without their dependencies: MAVProxy's are half a gigabyte of GUI, maps and video.
 PYTHON_PEERS_ALONE="MAVProxy==1.8.75"

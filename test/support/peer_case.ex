@@ -29,6 +29,9 @@ defmodule Aerie.PeerCase do
     curl: "curl"
   ]
 
+  # In the checkout; bin/lib/go.sh makes it.
+  @made [go: ".go/command"]
+
   @doc "Tags of tests whose peers are not installed."
   @spec missing() :: [atom()]
   def missing, do: Keyword.keys(absent())
@@ -48,10 +51,15 @@ defmodule Aerie.PeerCase do
           Path.wildcard(Path.join(venv(), file)) == [],
           do: {tag, Path.join(venv(), file)}
 
+    made =
+      for {tag, file} <- @made,
+          not File.exists?(Path.join(@root, file)),
+          do: {tag, "#{Path.join(@root, file)}, which bin/setup --tests makes if a go is on the PATH"}
+
     programs =
       for {tag, name} <- @programs, System.find_executable(name) == nil, do: {tag, "#{name} on the PATH"}
 
-    files ++ programs
+    files ++ made ++ programs
   end
 
   defp venv, do: System.get_env("AERIE_VENV", Path.join(@root, ".venv"))

@@ -268,6 +268,20 @@ defmodule Aerie.CLI.Subcommands do
         more: "--host is required the first time. docs/fleet.md explains the files."
       },
       %Subcommand{
+        name: "nats-key",
+        summary:
+          "make a key by which a program signs commands over NATS, and print the section of the configuration that lists it",
+        where: :here,
+        module: Subcommand.NatsKey,
+        arguments: [{"FILE", "the file for the seed; a key that is there is kept, and its section printed"}],
+        options: [
+          {:name, :string, "NAME",
+           "the source's name in the policy and the audit log (default: that of FILE)"},
+          {:role, :string, "ROLE", "viewer, operator (the default) or admin"}
+        ],
+        more: "docs/commands.md describes the signature; docs/clients has programs that sign."
+      },
+      %Subcommand{
         name: "user add",
         summary: "add a user of the console; the password is the first line of standard input",
         where: :gateway,

@@ -27,12 +27,28 @@ defmodule Aerie.Control.Policy.SignatureTest do
              Sources.identify(policy, header, @subject, @body, @now)
   end
 
-  test "is what NATS's own library for Python makes of the same bytes" do
-    {:ok, key} = Nkey.from_seed("SUACSSL3UAHUDXKFSNVUZRF5UHPMWZ6BFDTJ7M6USDXIEDNPPQYYYCU3VY")
+  # Its values were made with NATS's own library for Python.
+  test "the example of docs/commands.md" do
+    page = File.read!(Path.expand("../../../../../../docs/commands.md", __DIR__))
+    [_all, lines] = Regex.run(~r/<!-- signature -->\n```\n(.+?)```\n<!-- \/signature -->/s, page)
 
-    assert Signature.sign(key, @subject, @body, @time) ==
-             "UDXU4RCSJNZOIQHZNWXHXORDPRTGNJAHAHFRGZNEEJCPQTT2M7NLCNF4 2026-11-22T09:30:00Z " <>
-               "zeIMu8g_37IwO1TXWvuHuNKzA9-li7EQ8R8r9ubNrhgEjA_kvtcxxzARNq2USpWQGreE-wuAKdhjHuI389rZAQ"
+    shown =
+      for line <- String.split(lines, "\n", trim: true),
+          [name, text] = String.split(line, ~r/ +/, parts: 2),
+          into: %{},
+          do: {name, text}
+
+    {:ok, key} = Nkey.from_seed(shown["seed"])
+    {:ok, time, 0} = DateTime.from_iso8601(shown["time"])
+    assert Base.encode16(key.secret, case: :lower) == shown["secret"]
+
+    assert Signature.sign(key, shown["subject"], shown["body"], time) ==
+             "#{shown["key"]} #{shown["time"]} #{shown["signature"]}"
+
+    # The bytes as the page puts them.
+    assert page =~ "aerie-command-1\\nSUBJECT\\nTIME\\nBODY"
+    bytes = "aerie-command-1\n#{shown["subject"]}\n#{shown["time"]}\n#{shown["body"]}"
+    assert shown["signature"] == Base.url_encode64(Nkey.sign(key, bytes), padding: false)
   end
 
   test "any change of subject, body, time, key or signature is refused" do

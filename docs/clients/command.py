@@ -1,0 +1,40 @@
+"""Signs a command, sends it over NATS, and prints its progress and its result. docs/commands.md describes the signature.
+
+    pip install nats-py cryptography
+    python command.py URL SEED_FILE fleet.dev.sim-001.cmd.takeoff '{"altitude": 20}'
+
+Exit status: 0 completed or accepted, 1 any other result, or no answer. Then the same id may be asked for again.
+"""
+import asyncio, base64, binascii, datetime, json, sys, uuid
+import nats
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+
+
+async def command(url, seed_file, subject, params="{}"):
+    seed = base64.b32decode(open(seed_file).read().strip() + "======")
+    key = Ed25519PrivateKey.from_private_bytes(seed[2:34])
+    public = b"\xa0" + key.public_key().public_bytes_raw()
+    public = base64.b32encode(public + binascii.crc_hqx(public, 0).to_bytes(2, "little")).decode()
+
+    now, id = datetime.datetime.now(datetime.timezone.utc), uuid.uuid4().hex
+    deadline = (now + datetime.timedelta(seconds=30)).isoformat()
+    body = json.dumps({"id": id, "params": json.loads(params), "deadline": deadline}).encode()
+    text = b"\n".join([b"aerie-command-1", subject.encode(), now.isoformat().encode(), body])
+    signature = base64.urlsafe_b64encode(key.sign(text)).decode().rstrip("=")
+
+    async def show(message):
+        print("progress", message.data.decode(), flush=True)
+
+    client = await nats.connect(url, allow_reconnect=False)
+    await client.subscribe(f"{subject}.progress.{id}", cb=show)
+    headers = {"Aerie-Signature": f"{public} {now.isoformat()} {signature}"}
+    reply = await client.request(subject, body, timeout=90, headers=headers)
+    await client.drain()  # shows the progress that came before
+    print("result", reply.data.decode())
+    return json.loads(reply.data)["result"] not in ("completed", "accepted")
+
+
+try:
+    sys.exit(asyncio.run(command(*sys.argv[1:])))
+except nats.errors.Error as error:
+    sys.exit(f"no answer: {error!r}")

@@ -13,9 +13,9 @@ defmodule Aerie.HubServer do
   alias Aerie.Fleet.Bridge.NatsServer.OsProcess
   alias Aerie.{BridgeCase, Patience}
 
-  @doc "Writes the set and starts its server or servers (`servers: 3`: a cluster on three loopback addresses)."
+  @doc "Writes the set and starts its server or servers (`servers: 3`: a cluster on three loopback addresses; `hosts`: by these names)."
   def start(dir, vehicles, options \\ []) do
-    hosts = for n <- 1..(options[:servers] || 1), do: "127.0.0.#{n}"
+    hosts = options[:hosts] || for n <- 1..(options[:servers] || 1), do: "127.0.0.#{n}"
     ports = %{client: free_port(), leaf: free_port(), route: free_port()}
     set = Path.join(dir, "set")
 
@@ -27,12 +27,15 @@ defmodule Aerie.HubServer do
     Map.put(hub, :keepers, pids)
   end
 
-  # As the lines that it prints say: the hub's files and those of the server into one folder.
+  # As the lines that it prints say: the server's folder.
   defp install(hub, host) do
     File.mkdir_p!(folder(hub, host))
-    for name <- ~w(hub.conf accounts.conf ca.pem), do: copy(hub, name, host)
-    for name <- ~w(server.conf server.pem server.key), do: copy(hub, Path.join(host, name), host)
-    # The three share a machine.
+    for name <- File.ls!(Path.join([hub.set, "hub", host])), do: copy(hub, name, host)
+    if String.starts_with?(host, "127."), do: listen(hub, host)
+  end
+
+  # The three share a machine.
+  defp listen(hub, host) do
     file = Path.join(folder(hub, host), "server.conf")
 
     text =
@@ -46,7 +49,7 @@ defmodule Aerie.HubServer do
   end
 
   defp copy(hub, name, host),
-    do: File.cp!(Path.join([hub.set, "hub", name]), Path.join(folder(hub, host), Path.basename(name)))
+    do: File.cp!(Path.join([hub.set, "hub", host, name]), Path.join(folder(hub, host), name))
 
   @doc "The folder in which a server runs."
   def folder(hub, host \\ "127.0.0.1"), do: Path.join(hub.dir, "run-#{host}")

@@ -255,17 +255,21 @@ defmodule Aerie.CLI.Subcommands do
           "write what a hub's nats-server and the leaf nodes of its vehicles need: accounts, keys, certificates, configuration",
         where: :here,
         module: Subcommand.NatsSetup,
-        arguments: [{"FOLDER", "where the files are; run it again to add or remove vehicles"}],
+        arguments: [{"FOLDER", "where the files are; run it again to add or remove vehicles and hubs"}],
         options: [
           {:host, :keep, "NAME",
-           "a server of the hub, by the name or address at which vehicles reach it; three make a cluster"},
+           "a server of the hub, by the name or address at which vehicles reach it; three make a cluster. Later: all of them, if they change"},
           {:vehicle, :keep, "ID", "a vehicle to add"},
-          {:revoke, :keep, "ID", "a vehicle to remove: its key stops working"},
-          {:new_gateway_key, :boolean, nil,
-           "make another key for the hub's gateways and operators: the one that they have stops working"},
+          {:hub, :keep, "NAME",
+           "another hub to add: a gateway on the same servers that shows and commands the same vehicles"},
+          {:revoke, :keep, "NAME", "a vehicle or hub to remove: its key stops working"},
+          {:new_key, :keep, "NAME",
+           "give a vehicle or hub another key (hub: the first hub), because the one that it has was lost: that one stops working"},
           {:environment, :string, "NAME", "second word of every subject (default: prod)"}
         ],
-        more: "--host is required the first time. docs/fleet.md explains the files."
+        more:
+          "--host is required the first time. It prints what to copy where, and whether the hub's servers need a restart. Run again with the same words, " <>
+            "it changes nothing. docs/fleet.md explains the files."
       },
       %Subcommand{
         name: "nats-key",

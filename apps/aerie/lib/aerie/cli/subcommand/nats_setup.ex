@@ -10,8 +10,9 @@ defmodule Aerie.CLI.Subcommand.NatsSetup do
       environment: options[:environment],
       hosts: options[:host] || [],
       vehicles: options[:vehicle] || [],
+      hubs: options[:hub] || [],
       revoked: options[:revoke] || [],
-      new_gateway_key: options[:new_gateway_key] == true
+      new_keys: options[:new_key] || []
     }
 
     with {:ok, lines} <- Setup.write(Path.expand(dir, folder), wish), do: {0, Enum.map(lines, &(&1 <> "\n"))}

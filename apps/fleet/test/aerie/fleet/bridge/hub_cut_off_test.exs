@@ -104,7 +104,7 @@ defmodule Aerie.Fleet.Bridge.HubCutOffTest do
     commit(fleet, "G", 1..10)
     make(leaves, 1..10)
     await_stored(client, 20)
-    HubServer.change(hub, %{new_gateway_key: true})
+    HubServer.change(hub, %{new_keys: ["hub"]})
     HubServer.signal(hub, "HUP")
     refused = &(&1[:status] == :down and to_string(&1[:problem]) =~ ~r/authoriz/i)
     await(fleet, :connection, refused)
@@ -154,7 +154,7 @@ defmodule Aerie.Fleet.Bridge.HubCutOffTest do
     leaves = [{"V1", leaf}, other]
     make(leaves, 1..10)
     await_all(conn(hub), leaves, 10)
-    HubServer.change(hub, %{revoked: ["V1"], vehicles: ["V1", "V3"]})
+    HubServer.change(hub, %{new_keys: ["V1"], vehicles: ["V3"]})
     HubServer.kill(hub)
     HubServer.restart(hub)
     await(leaf, :hub, &(&1[:status] == :down and to_string(&1[:problem]) =~ ~r/authoriz/i))

@@ -221,13 +221,17 @@ defmodule Aerie.Fleet.Bridge.HubTest do
 
   test "its key opens a leaf node and nothing else, and no longer that once it is revoked", context do
     %{hub: hub, a: a, tmp_dir: dir} = context
-    seed = File.read!(Path.join(hub.set, "vehicles/A/leaf.nk"))
+    file = Path.join(hub.set, "vehicles/A/leaf.nk")
+    seed = File.read!(file)
     # Our clients end with their servers.
     Process.flag(:trap_exit, true)
     assert {:error, error} = log_in(HubServer.login(hub, seed))
     assert Aerie.Fleet.Nats.text(error) =~ if(own_client?(), do: ~r/authorization/i, else: ~r/lost|closed/)
 
     HubServer.revoke(hub, ["A"])
+    # It has gone from the set; a vehicle has its own copy.
+    refute File.exists?(file)
+    :ok = Aerie.Base.Files.Private.write(file, seed)
     # The open connection leads nowhere any more, and a new one is refused.
     await(a, :hub, &(&1[:status] == :down and &1[:problem] == "it does not answer"))
     {:ok, _} = Gnat.sub(context.fleet, self(), "fleet.test.A.>")

@@ -38,15 +38,15 @@ defmodule Aerie.Fleet.Bridge.Hub.Accounts do
 
   @type vehicle :: {id :: String.t(), public :: String.t()}
 
-  @doc "The text. `gateway` is the public nkey of the hub's users."
-  @spec render(String.t(), gateway :: String.t(), [vehicle()]) :: String.t()
-  def render(environment, gateway, vehicles) do
+  @doc "The text. `gateways` are the public nkeys of the hubs."
+  @spec render(String.t(), gateways :: [String.t()], [vehicle()]) :: String.t()
+  def render(environment, gateways, vehicles) do
     """
     # Written by bin/nats-setup; changes are lost.
     accounts {
       FLEET {
         jetstream: enabled
-        users: [ { nkey: #{gateway} } ]
+        users: [ #{Enum.map_join(gateways, ", ", &"{ nkey: #{&1} }")} ]
         exports: [
     #{lines(for {id, _key} <- vehicles, {kind, subject, _to} <- granted(environment, id), do: export(kind, subject, account(id)))}
         ]

@@ -9,23 +9,22 @@ defmodule Aerie.Fleet.Bridge.Hub.Certificates do
   @spec authority(Path.t()) :: :ok | {:error, String.t()}
   def authority(dir) do
     key = Path.join(dir, "ca.key")
+    pem = Path.join(dir, "ca.pem")
 
-    if File.exists?(key) do
-      :ok
-    else
-      with :ok <- key(key) do
-        openssl(
-          ~w(req -x509 -new -sha256 -days #{@days} -subj) ++
-            ["/CN=Aerie fleet", "-key", key, "-out", Path.join(dir, "ca.pem")] ++
-            [
-              "-addext",
-              "basicConstraints=critical,CA:TRUE",
-              "-addext",
-              "keyUsage=critical,keyCertSign,cRLSign"
-            ]
-        )
-      end
-    end
+    # The key may be kept elsewhere. Another authority would make the files of all vehicles invalid.
+    if File.exists?(pem),
+      do: :ok,
+      else: with(:ok <- if(File.exists?(key), do: :ok, else: key(key)), do: authority(key, pem))
+  end
+
+  defp authority(key, pem) do
+    extensions = ["basicConstraints=critical,CA:TRUE", "keyUsage=critical,keyCertSign,cRLSign"]
+
+    out(
+      ~w(req -x509 -new -sha256 -days #{@days} -subj) ++
+        ["/CN=Aerie fleet", "-key", key | Enum.flat_map(extensions, &["-addext", &1])],
+      pem
+    )
   end
 
   @doc "Makes `server.pem` and `server.key` in `dir` for these host names or addresses, signed by the authority in `ca`."
@@ -36,20 +35,31 @@ defmodule Aerie.Fleet.Bridge.Hub.Certificates do
     extensions = Path.join(dir, "server.ext")
     names = "subjectAltName=" <> Enum.map_join(hosts, ",", &name/1)
 
-    with :ok <- key(key),
-         :ok <- openssl(~w(req -new -key #{key} -subj) ++ ["/CN=#{hd(hosts)}", "-out", request]),
+    with :ok <- signs(Path.join(ca, "ca.key")),
+         :ok <- key(key),
+         :ok <- openssl(~w(req -new -subj) ++ [subject(hosts), "-key", key, "-out", request]),
          :ok <-
            wrote(File.write(extensions, names <> "\nextendedKeyUsage=serverAuth,clientAuth\n"), extensions),
          :ok <-
-           openssl(
+           out(
              ~w(x509 -req -sha256 -days #{@days} -set_serial) ++
                ["0x" <> Base.encode16(:crypto.strong_rand_bytes(16)), "-in", request] ++
-               ["-CA", Path.join(ca, "ca.pem"), "-CAkey", Path.join(ca, "ca.key")] ++
-               ["-extfile", extensions, "-out", Path.join(dir, "server.pem")]
+               ["-CA", Path.join(ca, "ca.pem"), "-CAkey", Path.join(ca, "ca.key"), "-extfile", extensions],
+             Path.join(dir, "server.pem")
            ) do
       Enum.each([request, extensions], &File.rm/1)
     end
   end
+
+  defp signs(key) do
+    if File.exists?(key),
+      do: :ok,
+      else:
+        {:error, "#{key} is missing: put it there, because it signs the certificates of the hub's servers"}
+  end
+
+  # A common name has at most 64 characters; programs look at the alternative names.
+  defp subject(hosts), do: "/CN=" <> String.slice(hd(hosts), 0, 64)
 
   defp name(host) do
     case :inet.parse_strict_address(String.to_charlist(host)) do
@@ -61,7 +71,13 @@ defmodule Aerie.Fleet.Bridge.Hub.Certificates do
   # The file is private before there is anything in it.
   defp key(file) do
     with :ok <- wrote(Aerie.Base.Files.Private.write(file, ""), file),
-         do: openssl(~w(ecparam -name prime256v1 -genkey -noout -out #{file}))
+         do: openssl(~w(ecparam -name prime256v1 -genkey -noout -out) ++ [file])
+  end
+
+  # A certificate is there as a whole or not at all, whatever ends the program that makes it.
+  defp out(arguments, file) do
+    with :ok <- openssl(arguments ++ ["-out", file <> ".new"]),
+         do: wrote(File.rename(file <> ".new", file), file)
   end
 
   defp wrote(:ok, _file), do: :ok

@@ -1,21 +1,21 @@
 defmodule Aerie.Fleet.Bridge.Hub.Setup do
   @moduledoc """
-  Writes what a hub and its vehicles need to find and trust each other: `bin/nats-setup`.
+  Writes what a hub and its vehicles need to find and trust each other: `aerie nats-setup`.
 
       DIR/fleet.json             who is in the fleet (public keys only)
       DIR/ca.key                 the authority's key; keep it where no server is
-      DIR/shadow.key             from which the keys are derived that seal desired states; it is in the hub's gateway.yaml
-      DIR/hub/                   for the hub: hub.conf, accounts.conf, ca.pem, gateway.nk, gateway.yaml
-      DIR/hub/HOST/              for each of its servers: server.conf, server.pem, server.key
+      DIR/shadow.key             from which the keys are derived that seal desired states; it is in the gateway.yaml of the hubs
+      DIR/hub/                   for the hub's gateway: gateway.yaml, gateway.nk, ca.pem
+      DIR/hub/HOST/              for each of its servers: hub.conf, accounts.conf, server.conf, server.pem, server.key, ca.pem
+      DIR/hubs/NAME/             for the gateway of another hub: as for the first one
       DIR/vehicles/ID/           for a vehicle: leaf.nk, ca.pem, gateway.yaml
 
-  Run again, it keeps the keys that there are, adds vehicles and takes others out. A vehicle's folder may be moved to the vehicle:
-  only its public key is needed here.
+  Run again, it keeps the keys that there are, adds vehicles and hubs and takes others out. A folder may be moved to where it is used:
+  only the public key is needed here.
   """
 
-  alias Aerie.Fleet.Bridge.Hub.{Accounts, Certificates, Quota, VehicleKey}
+  alias Aerie.Fleet.Bridge.Hub.{Accounts, Certificates, Members, Quota, Report, Texts, VehicleKey}
   alias Aerie.Base.Files.Private
-  alias Aerie.Base.Settings.Types
 
   @template Path.expand("../../../../../../../rel/overlays/nats/hub.conf", __DIR__)
   @external_resource @template
@@ -26,15 +26,17 @@ defmodule Aerie.Fleet.Bridge.Hub.Setup do
   @route_port 6222
 
   @typedoc """
-  `hosts`: the hub's servers, needed the first time; `new_gateway_key`: the hub's gateways get another key, and the one that they have
-  opens nothing any more; `ports` for tests.
+  `hosts`: the servers of the hub, needed the first time, and then all of them if they change; `hubs`: gateways on the same servers that show and
+  command the same vehicles; `revoked`: vehicles and hubs that are taken out; `new_keys`: those that get another key (`hub` is the first
+  hub's gateway), and the one that they have opens nothing any more; `ports` for tests.
   """
   @type wish :: %{
           optional(:environment) => String.t() | nil,
           optional(:hosts) => [String.t()],
           optional(:vehicles) => [String.t()],
+          optional(:hubs) => [String.t()],
           optional(:revoked) => [String.t()],
-          optional(:new_gateway_key) => boolean(),
+          optional(:new_keys) => [String.t()],
           optional(:ports) => %{
             client: :inet.port_number(),
             leaf: :inet.port_number(),
@@ -45,18 +47,22 @@ defmodule Aerie.Fleet.Bridge.Hub.Setup do
   @doc "Writes the set into `dir`; what was done, as lines for a person."
   @spec write(Path.t(), wish()) :: {:ok, [String.t()]} | {:error, String.t()}
   def write(dir, wish) do
+    wish = Map.merge(%{environment: nil, hosts: [], vehicles: [], hubs: [], revoked: [], new_keys: []}, wish)
+
     with {:ok, known} <- read(dir),
-         {:ok, fleet} <- plan(known, wish),
+         {:ok, fleet} <- Members.plan(known, wish),
+         fleet = Map.put(fleet, "ports", ports(known, wish)),
          :ok <- folders(dir, fleet),
-         {:ok, fleet, gateway} <- gateway(dir, fleet, wish),
-         {:ok, fleet, made} <- vehicles(dir, fleet, wish),
-         {:ok, keys, fleet, told} <- shadow_keys(dir, fleet, Map.keys(fleet["vehicles"]) -- made),
          :ok <- Certificates.authority(dir),
          {:ok, servers} <- servers(dir, fleet),
-         :ok <- files(dir, fleet, servers, made, keys),
-         :ok <- save(dir, fleet) do
-      {:ok, gateway ++ lines(dir, made, Map.get(wish, :revoked, [])) ++ told}
-    end
+         :ok <- all(dead(known, wish), &removed(seed_file(dir, &1))),
+         {:ok, fleet, made} <- keys(dir, fleet),
+         changes = Members.changes(known, fleet, made, wish),
+         {:ok, keys, fleet, told} <- shadow_keys(dir, fleet, Map.keys(fleet["vehicles"]) -- made),
+         :ok <- all(files(dir, fleet, servers, changes, keys), &written/1),
+         :ok <- all(~w(hub.conf accounts.conf), &removed(Path.join([dir, "hub", &1]))),
+         :ok <- save(dir, fleet),
+         do: {:ok, Report.lines(dir, fleet, changes) ++ told}
   end
 
   defp read(dir) do
@@ -77,38 +83,6 @@ defmodule Aerie.Fleet.Bridge.Hub.Setup do
     end
   end
 
-  defp plan(known, wish) do
-    hosts = Map.get(wish, :hosts, [])
-    revoked = Map.get(wish, :revoked, [])
-    fleet = known || %{"environment" => wish[:environment] || "prod", "hosts" => hosts, "vehicles" => %{}}
-    names = [fleet["environment"] | Map.get(wish, :vehicles, [])]
-
-    cond do
-      known == nil and hosts == [] ->
-        {:error, "the hub's name is missing: --host hub.example.org (once for each of its servers)"}
-
-      known != nil and wish[:environment] not in [nil, known["environment"]] ->
-        {:error,
-         "the fleet's environment is #{known["environment"]}: take another folder for #{wish[:environment]}"}
-
-      bad = Enum.find(names, &(Types.parse_token(&1) == :error)) ->
-        {:error, "#{inspect(bad)}: a name has at most 64 letters, digits, - and _"}
-
-      bad = Enum.find(hosts, &(not host?(&1))) ->
-        {:error, "#{inspect(bad)}: --host is a name such as hub.example.org or an IP address"}
-
-      unknown = Enum.find(revoked, &(not is_map_key(fleet["vehicles"], &1))) ->
-        {:error,
-         "--revoke #{unknown}: there is no such vehicle (#{Enum.join(Map.keys(fleet["vehicles"]), ", ")})"}
-
-      true ->
-        fleet = if hosts == [], do: fleet, else: %{fleet | "hosts" => Enum.uniq(hosts)}
-
-        {:ok,
-         %{fleet | "vehicles" => Map.drop(fleet["vehicles"], revoked)} |> Map.put("ports", ports(known, wish))}
-    end
-  end
-
   defp ports(known, wish) do
     case {wish[:ports], known} do
       {%{} = ports, _known} -> Map.new(ports, fn {name, port} -> {Atom.to_string(name), port} end)
@@ -117,37 +91,29 @@ defmodule Aerie.Fleet.Bridge.Hub.Setup do
     end
   end
 
-  defp host?(text) do
-    match?({:ok, _ip}, :inet.parse_strict_address(String.to_charlist(text))) or
-      match?({:ok, _host}, Types.parse_host(text))
-  end
-
   defp folders(dir, fleet) do
     ["", "hub", "vehicles" | Enum.map(fleet["hosts"], &Path.join("hub", &1))]
     |> Enum.map(&Path.join(dir, &1))
     |> all(&with_path(Private.folder(&1), &1))
   end
 
-  defp gateway(dir, fleet, wish) do
-    if fleet["gateway"] == nil or wish[:new_gateway_key] == true do
-      file = Path.join(dir, "hub/gateway.nk")
+  # A key that was taken out stays out: what is added again by its name gets another one.
+  defp dead(nil, _wish), do: []
+  defp dead(known, wish), do: for(name <- wish.revoked ++ wish.new_keys, do: Members.place(known, name))
 
-      with {:ok, public} <- seed(file),
-           do:
-             {:ok, Map.put(fleet, "gateway", public),
-              ["the key of the hub's gateways is new: #{file}" | known(fleet, public)]}
-    else
-      {:ok, fleet, []}
-    end
+  defp seed_file(dir, :hub), do: Path.join([dir, "hub", "gateway.nk"])
+  defp seed_file(dir, {:hub, name}), do: Path.join([dir, "hubs", name, "gateway.nk"])
+  defp seed_file(dir, {:vehicle, id}), do: Path.join([dir, "vehicles", id, "leaf.nk"])
+
+  # Keys of those who have none yet; `made` are the names of these.
+  defp keys(dir, fleet) do
+    Enum.reduce_while(Members.without_key(fleet), {:ok, fleet, []}, fn {name, place}, {:ok, fleet, made} ->
+      case seed(seed_file(dir, place)) do
+        {:ok, public} -> {:cont, {:ok, Members.put(fleet, place, public), [name | made]}}
+        error -> {:halt, error}
+      end
+    end)
   end
-
-  # Vehicles that have their files already.
-  defp known(%{"vehicles" => vehicles}, _public) when vehicles == %{}, do: []
-
-  defp known(_fleet, public),
-    do: [
-      "each vehicle lists it: the nkey of hub in policy.sources of its gateway.yaml is #{public} from now on"
-    ]
 
   # Sets of before each vehicle had a key of its own have one for all. The hub reads by it what was sealed till then.
   defp shadow_keys(dir, %{"sealing" => "vehicle"} = fleet, _without) do
@@ -201,24 +167,32 @@ defmodule Aerie.Fleet.Bridge.Hub.Setup do
     end
   end
 
+  # One that is there is kept, as after fleet.json was lost.
   defp seed(file) do
+    with :ok <- with_path(Private.folder(Path.dirname(file)), file), {:ok, text} <- kept(file) do
+      case text && Nkey.from_seed(text) do
+        nil ->
+          new_seed(file)
+
+        {:ok, %{purpose: :user, public: public}} ->
+          {:ok, public}
+
+        _damaged ->
+          {:error, "#{file} is not the seed of a user's nkey: restore it, or remove it to make another key"}
+      end
+    end
+  end
+
+  defp new_seed(file) do
     key = Nkey.generate(:user)
     with :ok <- with_path(Private.write(file, Nkey.seed(key) <> "\n"), file), do: {:ok, key.public}
   end
 
-  defp vehicles(dir, fleet, wish) do
-    new = Enum.uniq(Map.get(wish, :vehicles, [])) -- Map.keys(fleet["vehicles"])
-
-    Enum.reduce_while(new, {:ok, fleet, new}, fn id, {:ok, fleet, new} ->
-      folder = Path.join([dir, "vehicles", id])
-
-      with :ok <- with_path(Private.folder(folder), folder),
-           {:ok, public} <- seed(Path.join(folder, "leaf.nk")) do
-        {:cont, {:ok, put_in(fleet["vehicles"][id], public), new}}
-      else
-        error -> {:halt, error}
-      end
-    end)
+  defp removed(file) do
+    case File.rm(file) do
+      {:error, reason} when reason in [:enoent, :enotdir] -> :ok
+      result -> with_path(result, file)
+    end
   end
 
   # Certificates of servers that have none yet.
@@ -232,139 +206,52 @@ defmodule Aerie.Fleet.Bridge.Hub.Setup do
          do: {:ok, folders}
   end
 
-  defp files(dir, fleet, servers, made, keys) do
+  defp files(dir, fleet, servers, changes, keys) do
     %{"environment" => environment, "hosts" => hosts, "ports" => ports} = fleet
     {:ok, authority} = File.read(Path.join(dir, "ca.pem"))
-    accounts = Accounts.render(environment, fleet["gateway"], Enum.sort(fleet["vehicles"]))
+    hubs = Members.hubs(fleet)
+    accounts = Accounts.render(environment, Enum.map(hubs, &elem(&1, 1)), Enum.sort(fleet["vehicles"]))
+    gateway = Texts.hub(environment, hosts, ports, Quota.of(map_size(fleet["vehicles"])), keys)
 
-    hub = [{"hub/hub.conf", @hub_conf}, {"hub/accounts.conf", accounts}, {"hub/ca.pem", authority}]
-    urls = fn port -> for host <- hosts, do: "tls://#{address(host)}:#{port}" end
+    own = fn id -> VehicleKey.derive(keys.key, environment, id) end
 
-    gateway =
-      {"hub/gateway.yaml",
-       hub_yaml(
-         environment,
-         urls.(ports["client"]),
-         length(hosts),
-         Quota.of(map_size(fleet["vehicles"])),
-         keys
-       )}
+    folders =
+      for(
+        {host, folder} <- servers,
+        do:
+          {folder,
+           [
+             {"hub.conf", @hub_conf},
+             {"accounts.conf", accounts},
+             {"server.conf", Texts.server(host, hosts, environment, ports)}
+           ]}
+      ) ++
+        for({name, _public} <- hubs, do: {hub_folder(dir, name), [{"gateway.yaml", gateway}]}) ++
+        for(
+          id <- changes.vehicles,
+          do:
+            {Path.join([dir, "vehicles", id]),
+             [{"gateway.yaml", Texts.vehicle(environment, id, hosts, ports, own.(id), hubs)}]}
+        )
 
-    own =
-      for {host, _folder} <- servers,
-          do: {"hub/#{host}/server.conf", server_conf(host, hosts, environment, ports)}
-
-    vehicle =
-      for id <- made,
-          {name, text} <- [
-            {"ca.pem", authority},
-            {"gateway.yaml",
-             vehicle_yaml(
-               environment,
-               id,
-               urls.(ports["leaf"]),
-               VehicleKey.derive(keys.key, environment, id),
-               fleet["gateway"]
-             )}
-          ],
-          do: {"vehicles/#{id}/#{name}", text}
-
-    all([gateway | hub] ++ own ++ vehicle, fn {name, text} ->
-      with_path(Private.write(Path.join(dir, name), text), name)
-    end)
+    for {folder, files} <- folders, {name, text} <- [{"ca.pem", authority} | files], do: {folder, name, text}
   end
 
-  defp server_conf(host, hosts, environment, ports) do
-    """
-    # Written by bin/nats-setup.
-    server_name: #{JSON.encode!(host)}
-    port: #{ports["client"]}
-    leafnodes {
-      port: #{ports["leaf"]}
-      tls { cert_file: "server.pem", key_file: "server.key", timeout: 5 }
-    }
-    """ <> cluster(hosts, environment, ports)
+  defp hub_folder(dir, name), do: dir |> seed_file(Members.hub_place(name)) |> Path.dirname()
+
+  defp written({folder, name, text}) do
+    file = Path.join(folder, name)
+
+    with :ok <- with_path(Private.folder(folder), folder),
+         true <- File.read(file) != {:ok, text},
+         do: with_path(Private.write(file, text), file),
+         else: (
+           false -> :ok
+           error -> error
+         )
   end
 
-  defp cluster([_one], _environment, _ports), do: ""
-
-  # Servers of a cluster trust each other by certificates of the fleet's authority.
-  defp cluster(hosts, environment, ports) do
-    routes = Enum.map_join(hosts, ", ", &JSON.encode!("nats-route://#{address(&1)}:#{ports["route"]}"))
-
-    """
-    cluster {
-      name: #{JSON.encode!("fleet-" <> environment)}
-      port: #{ports["route"]}
-      routes: [#{routes}]
-      tls { cert_file: "server.pem", key_file: "server.key", ca_file: "ca.pem", verify: true, timeout: 5 }
-    }
-    """
-  end
-
-  defp address(host), do: if(String.contains?(host, ":"), do: "[#{host}]", else: host)
-
-  defp hub_yaml(environment, urls, servers, room, keys) do
-    """
-    # The gateway of the hub: files beside this one.
-    environment: #{environment}
-    nats:
-      url: #{JSON.encode!(urls)}
-      nkey_seed_file: gateway.nk
-      tls:
-        ca_file: ca.pem
-      streams:
-        replicas: #{if servers >= 3, do: 3, else: 1}
-        # Room for whatever each vehicle can fill, so that none takes another one's.
-        events_per_vehicle: true
-        event_max_mb: #{room.event_mb}
-        state_max_mb: #{room.state_mb}
-    shadow:
-      key: #{JSON.encode!(keys.key)}
-      #{if keys.former, do: "former_key: #{JSON.encode!(keys.former)}"}
-      buckets:
-        desired_max_mb: #{room.desired_mb}
-        reported_max_mb: #{room.reported_mb}
-    # It shows and commands the vehicles of the fleet, and signs by the key that they list in policy.sources.
-    remote:
-      enabled: true
-      nkey_seed_file: gateway.nk
-    """
-  end
-
-  defp vehicle_yaml(environment, id, urls, key, gateway) do
-    """
-    # The gateway aboard #{id}: files beside this one.
-    vehicle_id: #{id}
-    environment: #{environment}
-    nats:
-      leaf:
-        url: #{JSON.encode!(urls)}
-        nkey_seed_file: leaf.nk
-        tls:
-          ca_file: ca.pem
-    shadow:
-      vehicle_key: #{JSON.encode!(key)}
-    policy:
-      # What the hub may do aboard, by commands and by desired states: role admin lets it set parameters, too.
-      sources:
-        - {name: hub, nkey: #{gateway}, role: operator}
-    """
-  end
-
-  defp save(dir, fleet) do
-    file = Path.join(dir, "fleet.json")
-    with_path(Private.write(file, JSON.encode!(fleet)), file)
-  end
-
-  defp lines(dir, made, revoked) do
-    for(id <- made, do: "#{id}: copy #{Path.join([dir, "vehicles", id])} to the vehicle") ++
-      for(id <- revoked, do: "#{id}: its key opens nothing any more, once the hub has been restarted") ++
-      [
-        "hub: copy #{Path.join(dir, "hub")}/*.* and the folder of each server's name into one folder there",
-        "after a change of accounts.conf: restart nats-server, one server after the other; for a new account a reload is not enough"
-      ]
-  end
+  defp save(dir, fleet), do: written({dir, "fleet.json", JSON.encode!(fleet)})
 
   defp all(list, fun) do
     Enum.reduce_while(list, :ok, fn item, :ok ->

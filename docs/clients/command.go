@@ -1,6 +1,8 @@
 // Signs a command, sends it over NATS, and prints its progress and its result. docs/commands.md describes the signature.
 //
-//	go build -o command . && ./command URL SEED_FILE fleet.dev.sim-001.cmd.takeoff '{"altitude": 20}'
+//	go build -o command . && ./command URL SEED_FILE fleet.dev.sim-001.cmd.takeoff '{"params": {"altitude": 20}}'
+//
+// Transfers (docs/transfers.md) are asked for in the same way. Without an id in the body it makes one.
 //
 // Exit status: 0 completed or accepted, 1 any other result, or no answer. Then the same id may be asked for again.
 package main
@@ -28,16 +30,16 @@ func must[T any](value T, err error) T {
 
 func main() {
 	if len(os.Args) != 5 {
-		log.Fatal("usage: command URL SEED_FILE SUBJECT PARAMS")
+		log.Fatal("usage: command URL SEED_FILE SUBJECT BODY")
 	}
-	url, seed, subject, params := os.Args[1], must(os.ReadFile(os.Args[2])), os.Args[3], json.RawMessage(os.Args[4])
+	url, seed, subject := os.Args[1], must(os.ReadFile(os.Args[2])), os.Args[3]
 	key := must(nkeys.FromSeed(bytes.TrimSpace(seed)))
 
-	id, now := nuid.Next(), time.Now().UTC()
-	deadline := now.Add(30 * time.Second)
+	body := map[string]any{"id": nuid.Next()}
+	must(0, json.Unmarshal([]byte(os.Args[4]), &body))
 	message := nats.NewMsg(subject)
-	message.Data = must(json.Marshal(map[string]any{"id": id, "params": params, "deadline": deadline}))
-	at := now.Format(time.RFC3339)
+	message.Data = must(json.Marshal(body))
+	at := time.Now().UTC().Format(time.RFC3339)
 	text := fmt.Sprintf("aerie-command-1\n%s\n%s\n%s", subject, at, message.Data)
 	signature := base64.RawURLEncoding.EncodeToString(must(key.Sign([]byte(text))))
 	message.Header.Set("Aerie-Signature", must(key.PublicKey())+" "+at+" "+signature)
@@ -45,9 +47,9 @@ func main() {
 	// One channel for both, so that progress comes before the result.
 	client, messages := must(nats.Connect(url)), make(chan *nats.Msg, 64)
 	message.Reply = nats.NewInbox()
-	must(client.ChanSubscribe(subject+".progress."+id, messages))
+	must(client.ChanSubscribe(fmt.Sprint(subject, ".progress.", body["id"]), messages))
 	must(client.ChanSubscribe(message.Reply, messages))
-	must(id, client.PublishMsg(message))
+	must(0, client.PublishMsg(message))
 	for {
 		select {
 		case m := <-messages:

@@ -1,7 +1,9 @@
 """Signs a command, sends it over NATS, and prints its progress and its result. docs/commands.md describes the signature.
 
     pip install nats-py cryptography
-    python command.py URL SEED_FILE fleet.dev.sim-001.cmd.takeoff '{"altitude": 20}'
+    python command.py URL SEED_FILE fleet.dev.sim-001.cmd.takeoff '{"params": {"altitude": 20}}'
+
+Transfers (docs/transfers.md) are asked for in the same way. Without an id in the body it makes one.
 
 Exit status: 0 completed or accepted, 1 any other result, or no answer. Then the same id may be asked for again.
 """
@@ -10,15 +12,14 @@ import nats
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 
-async def command(url, seed_file, subject, params="{}"):
+async def command(url, seed_file, subject, body="{}"):
     seed = base64.b32decode(open(seed_file).read().strip() + "======")
     key = Ed25519PrivateKey.from_private_bytes(seed[2:34])
     public = b"\xa0" + key.public_key().public_bytes_raw()
     public = base64.b32encode(public + binascii.crc_hqx(public, 0).to_bytes(2, "little")).decode()
 
-    now, id = datetime.datetime.now(datetime.timezone.utc), uuid.uuid4().hex
-    deadline = (now + datetime.timedelta(seconds=30)).isoformat()
-    body = json.dumps({"id": id, "params": json.loads(params), "deadline": deadline}).encode()
+    now, body = datetime.datetime.now(datetime.timezone.utc), {"id": uuid.uuid4().hex} | json.loads(body)
+    id, body = body["id"], json.dumps(body).encode()
     text = b"\n".join([b"aerie-command-1", subject.encode(), now.isoformat().encode(), body])
     signature = base64.urlsafe_b64encode(key.sign(text)).decode().rstrip("=")
 

@@ -39,11 +39,11 @@ defmodule Aerie.System.CommandClientsTest do
     SimVehicle.await(sim, & &1.ready)
     await_listening(gateway, ["VID-001"])
     {:ok, url} = File.read(Path.join(dir, "nats/url"))
-    command = fn subject, params -> run(program ++ [String.trim(url), seed, subject, params]) end
+    command = fn subject, body -> run(program ++ [String.trim(url), seed, subject, body]) end
 
     # The page's own words, for the vehicle of this test.
-    [_all, subject, params] = Regex.run(~r/ops\.nk fleet\.dev\.sim-001\.(\S+) '(.+)'/, @page)
-    assert {0, output} = command.("fleet.test.VID-001." <> subject, params)
+    [_all, subject, body] = Regex.run(~r/ops\.nk fleet\.dev\.sim-001\.(\S+) '(.+)'/, @page)
+    assert {0, output} = command.("fleet.test.VID-001." <> subject, body)
     assert %{"result" => "completed", "vehicle" => "VID-001"} = result(output)
     assert SimVehicle.state(sim).mode == "RTL"
 
@@ -52,13 +52,31 @@ defmodule Aerie.System.CommandClientsTest do
     assert {1, output} = command.("fleet.test.NOBODY.cmd.hold", "{}")
     assert output =~ ~r/no ?responders/i
 
+    # A transfer; the same id with other content is another one.
+    assert {0, output} = command.("fleet.test.VID-001.params.get", ~s({"name": "RTL_ALT"}))
+    assert %{"result" => "completed", "name" => "RTL_ALT"} = result(output)
+
+    assert {0, _output} =
+             command.("fleet.test.VID-001.cmd.set_mode", ~s({"id": "m1", "params": {"mode": "RTL"}}))
+
+    assert {1, output} =
+             command.("fleet.test.VID-001.cmd.set_mode", ~s({"id": "m1", "params": {"mode": "LOITER"}}))
+
+    assert %{"id" => "m1", "rule" => "id"} = result(output)
+
     # A key that no section lists.
     other = Path.join(dir, "other.nk")
     File.write!(other, Nkey.seed(Nkey.generate(:user)))
 
     assert {1, output} =
              run(
-               program ++ [String.trim(url), other, "fleet.test.VID-001.cmd.set_mode", ~s({"mode": "LOITER"})]
+               program ++
+                 [
+                   String.trim(url),
+                   other,
+                   "fleet.test.VID-001.cmd.set_mode",
+                   ~s({"params": {"mode": "LOITER"}})
+                 ]
              )
 
     assert %{"result" => "denied", "rule" => "signature"} = result(output)

@@ -70,11 +70,11 @@ defmodule Aerie.Fleet.Bridge.Hub.Certificates do
 
   # The file is private before there is anything in it.
   defp key(file) do
-    with :ok <- wrote(Aerie.Base.Files.Private.write(file, ""), file),
-         do: openssl(~w(ecparam -name prime256v1 -genkey -noout -out) ++ [file])
+    with :ok <- wrote(Aerie.Base.Files.Private.write(file <> ".new", ""), file),
+         do: out(~w(ecparam -name prime256v1 -genkey -noout), file)
   end
 
-  # A certificate is there as a whole or not at all, whatever ends the program that makes it.
+  # A file is there as a whole or not at all, whatever ends the program that makes it.
   defp out(arguments, file) do
     with :ok <- openssl(arguments ++ ["-out", file <> ".new"]),
          do: wrote(File.rename(file <> ".new", file), file)

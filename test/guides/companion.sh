@@ -28,7 +28,7 @@ block 'vehicle_id: VID-001' >"$root_companion/etc/aerie/gateway.yaml"
 in_root companion pilot /home/pilot 'sudo -u aerie aerie config check'
 
 at hub pilot "$PILOT/aerie"
-step 'bin/nats-setup fleet --host hub.example.org --vehicle VID-001'
+step 'aerie nats-setup fleet --host hub.example.org --vehicle VID-001' 'bin/nats-setup fleet --host hub.example.org --vehicle VID-001'
 cp -r "$root_hub$PILOT/aerie/fleet/vehicles/VID-001" "$root_companion/home/pilot/"
 chroot "$root_companion" chown -R pilot:pilot /home/pilot/VID-001
 at companion pilot /home/pilot
@@ -37,7 +37,7 @@ awk '/^[a-z]/ { keep = /^(nats|shadow|policy):/ } keep' "$root_companion/home/pi
 in_root companion pilot /home/pilot 'sudo -u aerie aerie config check'
 
 # The hub, as fleet.md says.
-in_root hub pilot "$PILOT/aerie/fleet/hub" 'exec ../../.toolchain/bin/nats-server -c hub.conf' >"$CACHE/nats.log" 2>&1 </dev/null &
+in_root hub pilot "$PILOT/aerie/fleet/hub/hub.example.org" 'exec ../../../.toolchain/bin/nats-server -c hub.conf' >"$CACHE/nats.log" 2>&1 </dev/null &
 in_root hub pilot "$PILOT/aerie/fleet/hub" 'exec ../../bin/run --config gateway.yaml' >"$CACHE/hub.log" 2>&1 </dev/null &
 
 step 'sudo systemctl restart aerie'

@@ -231,6 +231,17 @@ defmodule Aerie.System.ToolTest do
     assert Enum.all?(events, &match?(%{"time" => _, "type" => _}, &1))
     tried(context, path)
 
+    # The same minutes with what was commanded, under the name that the gateway gave.
+    archive = Path.join(context.folder, "incident.tar.gz")
+    assert {text, 0} = aerie(context, ["incident", "sim-001", "--from", "-10m", "--output", archive])
+    assert text =~ "#{archive}: "
+    {:ok, files} = :erl_tar.extract(archive, [:memory, :compressed])
+    files = Map.new(files, fn {name, bytes} -> {Path.basename(name), bytes} end)
+    assert files["flight.tlog"] != "" and files["commands.jsonl"] =~ ~s("type":"hold")
+    assert files["index.html"] =~ "sim-001"
+    assert {text, 2} = aerie(context, ["incident", "sim-001", "--from", "soon"])
+    assert text =~ "--from: 'soon': expected RFC 3339"
+
     assert {text, 2} = aerie(context, ["record", "start", "sim-9"])
     assert text =~ "sim-9"
     assert {text, 2} = aerie(context, ["record", "start"])

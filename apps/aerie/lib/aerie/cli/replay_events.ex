@@ -7,7 +7,7 @@ defmodule Aerie.CLI.ReplayEvents do
   """
 
   alias Aerie.Fleet.Bridge.Message
-  alias Aerie.Base.{Json, Printable}
+  alias Aerie.Base.Json
   alias Aerie.Config
   alias Aerie.Fleet.Replay
   alias Aerie.CLI.{Options, Output, Plan}
@@ -57,18 +57,11 @@ defmodule Aerie.CLI.ReplayEvents do
   defp line(_other, :ok, _what, _device), do: :ok
 
   defp put(device, json) do
-    IO.puts(device, json |> JSON.decode!() |> JSON.encode!(&in_order/2) |> Printable.lines())
+    IO.puts(device, Json.line(json))
   rescue
     _ended in [ArgumentError, ErlangError] ->
       throw(with :ok <- Output.repeat("\n"), do: {:error, "standard output has ended"})
   end
-
-  defp in_order(map, encoder) when is_map(map) do
-    members = for {key, value} <- Enum.sort(map), do: [JSON.encode!(key), ?:, encoder.(value, encoder)]
-    [?{, Enum.intersperse(members, ?,), ?}]
-  end
-
-  defp in_order(other, encoder), do: Json.encode(other, encoder)
 
   defp note(%{vehicles: []} = summary), do: "no vehicle in #{summary.frames} frames#{damage(summary)}"
 

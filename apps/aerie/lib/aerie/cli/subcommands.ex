@@ -108,6 +108,25 @@ defmodule Aerie.CLI.Subcommands do
         more: "aerie start --replay FILE plays it to clients and the console."
       },
       %Subcommand{
+        name: "incident",
+        summary: "pack what is known of a vehicle and a time into one archive, with a page that plots it",
+        where: :here,
+        module: Subcommand.Incident,
+        arguments: [@vehicle],
+        options:
+          [
+            {:from, :string, "TIME", "where it begins (default: 15 minutes before --to)"},
+            {:to, :string, "TIME", "where it ends (default: now)"},
+            {:output, :string, "FILE", "the archive (default: incident-VEHICLE-TIME.tar.gz in this folder)"},
+            {:max_mb, :integer, "N", "the most that the recordings in it may have (default: 512)"},
+            {:config, :string, "FILE",
+             "read the folders of the gateway with this configuration, whether it runs or not"}
+          ] ++ Subcommand.common(%{where: :gateway}),
+        more:
+          "TIME is RFC 3339 (2026-11-28T20:15:00Z), HH:MM in UTC, or before now: -10m, -90s, -2h, -1d. The archive has recordings, events, commands with " <>
+            "their decisions, audit log, desired state and diagnosis, without keys; index.html in it shows them. docs/recordings.md describes it."
+      },
+      %Subcommand{
         name: "msp",
         summary: "print what went over a line with MSP, from the recording of its link",
         where: :here,

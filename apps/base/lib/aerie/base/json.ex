@@ -71,6 +71,18 @@ defmodule Aerie.Base.Json do
     (values |> Enum.take(@max_shown) |> Enum.map_join(", ", show)) <> more
   end
 
+  @doc "A text of JSON as one line: keys in order, so that equal values are equal bytes, and what is not seen escaped."
+  @spec line(json :: String.t()) :: String.t()
+  def line(json),
+    do: json |> JSON.decode!() |> JSON.encode!(&in_order/2) |> Aerie.Base.Printable.lines()
+
+  defp in_order(map, encoder) when is_map(map) do
+    members = for {key, value} <- Enum.sort(map), do: [JSON.encode!(key), ?:, encoder.(value, encoder)]
+    [?{, Enum.intersperse(members, ?,), ?}]
+  end
+
+  defp in_order(other, encoder), do: encode(other, encoder)
+
   @doc "Text as valid UTF-8."
   @spec text(binary()) :: String.t()
   def text(text), do: if(String.valid?(text), do: text, else: String.replace_invalid(text))

@@ -72,7 +72,9 @@ defmodule Aerie.CLI.Subcommand.Doctor do
 
   defp errors(errors), do: for(error <- errors, do: error("configuration", Config.Error.format(error)))
 
-  defp machine(config),
+  @doc "What is found about the machine: serial ports, ModemManager, the clock, the disks."
+  @spec machine(Config.t()) :: [finding()]
+  def machine(config),
     do:
       serial(config) ++ modem_manager("/proc") ++ clock("/run/systemd/timesync/synchronized") ++ disk(config)
 

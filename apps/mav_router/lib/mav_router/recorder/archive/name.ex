@@ -11,10 +11,12 @@ defmodule MavRouter.Recorder.Archive.Name do
   @spec new(String.t(), integer) :: String.t()
   def new(label, at) do
     utc = at |> DateTime.from_unix!() |> Calendar.strftime("%Y%m%dT%H%M%SZ")
-    clean(label) <> "-" <> utc
+    label(label) <> "-" <> utc
   end
 
-  defp clean(label) do
+  @doc "A label as the names of its files begin."
+  @spec label(String.t()) :: String.t()
+  def label(label) do
     cleaned = label |> String.slice(0, @max) |> String.replace(~r/[^A-Za-z0-9._-]+/, "_")
     if cleaned =~ ~r/\A[A-Za-z0-9]/, do: cleaned, else: "x" <> cleaned
   end

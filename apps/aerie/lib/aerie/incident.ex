@@ -46,6 +46,7 @@ defmodule Aerie.Incident do
   def make(request) do
     Archive.with_folder(request.output, fn work ->
       with {:ok, found} <- collect(request, work),
+           :ok <- anything(found, request),
            {:ok, files} <- assemble(found, request, work),
            {:ok, size} <-
              Archive.write(request.output, work, name(request.vehicle, request.span), files, request.span.to) do
@@ -96,6 +97,19 @@ defmodule Aerie.Incident do
        }}
     end
   end
+
+  # A wrong name must not look like a quiet flight.
+  defp anything(%{commands: [], events: [], copies: copies, notes: notes}, %{vehicle: vehicle, span: span}) do
+    if Enum.any?(copies, &(&1.frames > 0)) do
+      :ok
+    else
+      {:error,
+       "nothing is known of #{vehicle} from #{Span.text(span.from)} to #{Span.text(span.to)}: no recording, no command, no event " <>
+         "(#{Enum.join(notes, "; ")}); is it the name that aerie status shows?"}
+    end
+  end
+
+  defp anything(_found, _request), do: :ok
 
   defp recorded(copies, vehicle) do
     damage =

@@ -166,6 +166,8 @@ defmodule Aerie.Incident.Flight do
 
   defp changed([{_at, value} | _older] = changes, _now, value), do: changes
   defp changed(changes, at, value) when length(changes) < @max_changes, do: [{at, value} | changes]
+  # From here on it is not known.
+  defp changed(changes, at, _value) when length(changes) == @max_changes, do: [{at, nil} | changes]
   defp changed(changes, _at, _value), do: changes
 
   # One place for each interval of the span.

@@ -67,7 +67,7 @@ defmodule Aerie.Incident.Plot do
   def lane(rows, title, span) do
     svg(title, 24, [
       ~s(<line class="grid" x1="#{@left}" x2="#{@width - @right}" y1="18" y2="18"/>),
-      for row <- Enum.take(rows, @max_marks) do
+      for row <- marked(rows) do
         x = x(row.at, span)
 
         shape =
@@ -144,11 +144,20 @@ defmodule Aerie.Incident.Plot do
   end
 
   defp marks(rows, span, bottom) do
-    for row <- Enum.take(rows, @max_marks), row.kind != :note do
+    for row <- marked(rows), row.kind != :note do
       x = coordinate(x(row.at, span))
       ~s(<line class="mark #{row.kind}" x1="#{x}" x2="#{x}" y1="#{@top}" y2="#{bottom}"/>)
     end
   end
+
+  # Of too many rows some plain events have no mark, evenly over the whole time.
+  defp marked(rows) do
+    {events, others} = Enum.split_with(rows, &(&1.kind == :event))
+    others = evenly(others, @max_marks)
+    evenly(events, max(@max_marks - length(others), 50)) ++ others
+  end
+
+  defp evenly(rows, most), do: Enum.take_every(rows, max(ceil(length(rows) / most), 1))
 
   @doc "The ends of a scale for values between two, and its ticks: 1, 2 or 5 times a power of ten apart."
   @spec scale({number(), number()}) :: {float(), float(), [float()]}

@@ -13,6 +13,8 @@ defmodule Aerie.Incident.Source do
   alias Aerie.Vehicle.{Event, Journal}
   alias MavRouter.Recorder
 
+  @second 1_000_000
+
   @enforce_keys [:config, :base]
   defstruct [:config, :base, :call]
 
@@ -73,10 +75,15 @@ defmodule Aerie.Incident.Source do
   def save(%{call: nil}, _vehicle, _span, _now), do: []
 
   def save(%{call: call, config: config}, vehicle, span, now) do
-    recorded? =
-      match?(%{state: :recording}, call.(Recorder, :status, [:default, {:vehicle, vehicle}]))
-
     ring_us = Recorder.Settings.from(config).ring_ms * 1000
+    since = max(span.from, now - ring_us)
+
+    # A recording that began later lacks what led up to it.
+    recorded? =
+      case call.(Recorder, :status, [:default, {:vehicle, vehicle}]) do
+        %{state: :recording, since: begun} when is_integer(begun) -> begun * @second <= since
+        _other -> false
+      end
 
     if recorded? or span.to < now - ring_us do
       []

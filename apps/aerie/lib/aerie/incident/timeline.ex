@@ -19,7 +19,7 @@ defmodule Aerie.Incident.Timeline do
           result: String.t()
         }
 
-  @doc "Rows in order, and how many there are beyond #{@max_rows}."
+  @doc "Rows in order, and how many there are beyond #{@max_rows}: plain events are left out first."
   @spec rows([Event.t()], [Event.t()], [map()], [Aerie.Incident.Records.entry()], Span.t()) ::
           {[row()], more :: non_neg_integer()}
   def rows(replayed, live, commands, audit, span) do
@@ -29,12 +29,13 @@ defmodule Aerie.Incident.Timeline do
       Enum.map(events, &event/1) ++
         Enum.map(commands, &command/1) ++ for(record <- audit, row = note(record), do: row)
 
-    rows =
+    {shown, more} =
       rows
       |> Enum.filter(&Span.within?(span, &1.at))
-      |> Enum.sort_by(&{&1.at, &1.kind, &1.what})
+      |> Enum.sort_by(&{&1.kind == :event, &1.at})
+      |> Enum.split(@max_rows)
 
-    {shown, more} = Enum.split(rows, @max_rows)
+    shown = Enum.sort_by(shown, &{&1.at, &1.kind, &1.what})
     {shown |> Enum.with_index(1) |> Enum.map(fn {row, n} -> Map.put(row, :n, n) end), length(more)}
   end
 

@@ -3,6 +3,7 @@ defmodule Aerie.Incident.MakeTest do
   use ExUnit.Case, async: true
 
   alias Aerie.{Config, Incident}
+  alias Aerie.Control.Ledger.Journal
   alias Aerie.Incident.{Source, Span}
   alias MavCodec.{Frame, Parser, Raw, Tlog}
   alias MavCodec.Messages, as: M
@@ -101,14 +102,22 @@ defmodule Aerie.Incident.MakeTest do
     assert {^files, _notes} = make(c, %{span: span})
   end
 
-  test "without recordings, ledger and audit log it is an archive that says so", c do
+  test "with nothing at all it is an error, with no more than a command an archive that says what is missing",
+       c do
+    assert {:error, text} = make(c)
+    assert text =~ "nothing is known of VID-001" and text =~ "there is no ledger" and text =~ "aerie status"
+    assert File.ls!(Path.join(c.tmp_dir, "out")) == []
+
+    {:ok, journal, nil, 0} =
+      Journal.open(Path.join(c.tmp_dir, "ledger"), nil, fn _record, nil -> nil end)
+
+    envelope = %{"id" => "x", "vehicle" => "VID-001", "type" => "land", "params" => %{}, "source" => "ann"}
+    {:ok, _journal} = Journal.append(journal, [["new", "x", "d", @start + 1, envelope]])
+    File.rm_rf!(Path.join(c.tmp_dir, "recordings"))
     assert {files, notes} = make(c)
-    assert Enum.any?(notes, &(&1 =~ "nothing was recorded")) and Enum.any?(notes, &(&1 =~ "no ledger"))
+    assert Enum.any?(notes, &(&1 =~ "nothing was recorded")) and Enum.any?(notes, &(&1 =~ "does not exist"))
     assert files["index.html"] =~ "there is no audit log" and files["events.jsonl"] == ""
     refute is_map_key(files, "flight.tlog")
-    File.rm_rf!(Path.join(c.tmp_dir, "recordings"))
-    assert {_files, notes} = make(c)
-    assert Enum.any?(notes, &(&1 =~ "does not exist"))
   end
 
   test "recordings that overlap are copied once, frames out of the span not at all, and in order", c do
@@ -221,12 +230,12 @@ defmodule Aerie.Incident.MakeTest do
 
   test "a ledger is read beside its gateway, and not touched", c do
     dir = Path.join(c.tmp_dir, "ledger")
-    {:ok, journal, nil, 0} = Aerie.Control.Ledger.Journal.open(dir, nil, fn _record, nil -> nil end)
+    {:ok, journal, nil, 0} = Journal.open(dir, nil, fn _record, nil -> nil end)
     envelope = %{"id" => "x", "vehicle" => "VID-001", "type" => "land", "params" => %{}, "source" => "ann"}
     at = @start + 5 * @second
 
     {:ok, journal} =
-      Aerie.Control.Ledger.Journal.append(journal, [
+      Journal.append(journal, [
         ["new", "x", "d", at, envelope],
         ["sent", "x", at + 1],
         ["done", "x", at + 2, "completed", nil, %{"ms" => 3}],

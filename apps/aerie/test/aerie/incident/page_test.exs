@@ -165,6 +165,15 @@ defmodule Aerie.Incident.PageTest do
     many = for n <- 1..2_100, do: event.("armed", @span.from + n, %{})
     assert {rows, 100} = Timeline.rows(many, [], [], [], @span)
     assert length(rows) == 2_000
-    assert page(%{rows: rows, more: 100}) =~ "100 further rows"
+    html = page(%{rows: rows, more: 100})
+    assert html =~ "100 further rows"
+    # Marks are over the whole time.
+    marks = for [_all, n] <- Regex.scan(~r/href="#r(\d+)"/, html), do: String.to_integer(n)
+    assert length(marks) in 200..450 and Enum.max(marks) > 1_950
+
+    # A refusal is in the table, whenever it came.
+    refused = [%{hd(commands) | "decided_at" => @span.from + 5_000}]
+    assert {rows, 101} = Timeline.rows(many, [], refused, [], @span)
+    assert List.last(rows).kind == :refused
   end
 end

@@ -237,5 +237,7 @@ defmodule Aerie.Control.Policy.Fence do
   defp metres(value), do: "#{round(value)} m"
   defp km(value), do: "#{:erlang.float_to_binary(value / 1000, decimals: 1)} km"
   defp number(value) when is_integer(value), do: "#{value}"
-  defp number(value), do: value |> Float.round(1) |> Float.to_string() |> String.replace_suffix(".0", "")
+
+  defp number(value),
+    do: value |> Float.round(1) |> Aerie.Base.Json.encode!() |> String.replace_suffix(".0", "")
 end

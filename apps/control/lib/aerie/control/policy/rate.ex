@@ -94,5 +94,5 @@ defmodule Aerie.Control.Policy.Rate do
       "allowed in #{whole(Float.ceil(wait_us / 1_000_000, 1))} s"
   end
 
-  defp whole(number), do: number |> Float.to_string() |> String.replace_suffix(".0", "")
+  defp whole(number), do: number |> Aerie.Base.Json.encode!() |> String.replace_suffix(".0", "")
 end

@@ -346,7 +346,7 @@ defmodule FleetWeb.Console.Plan.Panel do
 
   defp number(nil), do: nil
   defp number(value) when value == trunc(value), do: value |> trunc() |> Integer.to_string()
-  defp number(value), do: value |> Float.round(3) |> Float.to_string()
+  defp number(value), do: value |> Float.round(3) |> Aerie.Base.Json.encode!()
 
   defp degrees(e7), do: :erlang.float_to_binary(e7 / 1.0e7, decimals: 6)
 end

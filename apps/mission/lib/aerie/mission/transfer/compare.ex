@@ -75,7 +75,9 @@ defmodule Aerie.Mission.Transfer.Compare do
   defp right?(expected, a, b), do: StoredItem.match?([a], b) or StoredItem.match?(expected, b)
 
   # 20.119998931884766 m are 2012 cm.
-  defp format(value) when is_float(value) and abs(value) < 1.0e6, do: "#{Float.round(value, 4)}"
+  defp format(value) when is_float(value) and abs(value) < 1.0e6,
+    do: value |> Float.round(4) |> Aerie.Base.Json.encode!()
+
   defp format(nil), do: "unset"
   defp format(value), do: "#{value}"
 

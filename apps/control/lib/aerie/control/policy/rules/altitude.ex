@@ -71,5 +71,5 @@ defmodule Aerie.Control.Policy.Rules.Altitude do
   defp metres(value) when is_integer(value), do: "#{value} m"
 
   defp metres(value),
-    do: "#{value |> Float.round(1) |> Float.to_string() |> String.replace_suffix(".0", "")} m"
+    do: "#{value |> Float.round(1) |> Aerie.Base.Json.encode!() |> String.replace_suffix(".0", "")} m"
 end

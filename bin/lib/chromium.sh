@@ -3,6 +3,8 @@
 # The machine's own Chromium or Chrome is used if there is one. Otherwise, on Debian and its relatives, Chromium and the
 # libraries that this machine lacks are downloaded from its own apt sources, verified by apt, and unpacked into .chromium/.
 
+. "$AERIE_ROOT/bin/lib/download.sh"
+
 AERIE_CHROMIUM_HOME=${AERIE_CHROMIUM_HOME:-$AERIE_ROOT/.chromium}
 
 chromium_find() {
@@ -23,7 +25,7 @@ chromium_install() {
   have apt-get && have dpkg-deb || { warn "no browser, and no apt-get to get Chromium with. To fix it: install Chromium"; return 1; }
   lock "$AERIE_CHROMIUM_HOME.lock" "another set-up is running here; waiting for it"
   local status=0
-  [ -x "$AERIE_CHROMIUM_HOME/chromium" ] || chromium_unpack "$AERIE_CHROMIUM_HOME.new" || status=1
+  [ -x "$AERIE_CHROMIUM_HOME/chromium" ] || together chromium_unpack "$AERIE_CHROMIUM_HOME.new" || status=1
   unlock
   [ $status = 0 ] || return 1
   AERIE_CHROMIUM=$AERIE_CHROMIUM_HOME/chromium
@@ -31,7 +33,7 @@ chromium_install() {
 }
 
 chromium_unpack() {
-  local work=$1 log="$1/log" apt deb packages
+  local work=$1 log="$1/log" apt deb packages why cure
   rm -rf "$work"
   mkdir -p "$work/apt/lists/partial" "$work/apt/archives/partial" "$work/debs"
   apt=(-q -o "Dir::State::lists=$work/apt/lists" -o "Dir::Cache=$work/apt" -o Debug::NoLocking=1 -o Acquire::Languages=none
@@ -43,7 +45,8 @@ chromium_unpack() {
     # shellcheck disable=SC2086 # a list of words on purpose
     ! (cd "$work/debs" && apt-get "${apt[@]}" download $packages >>"$log" 2>&1); then
     tail -n 3 "$log" >&2
-    warn "Chromium could not be downloaded (the output is in $log). To fix it: install Chromium, or check the network and run this again"
+    download_fault "$log"
+    warn "Chromium could not be downloaded ($why; the output is in $log). To fix it: $cure; or install Chromium"
     return 1
   fi
   for deb in "$work"/debs/*.deb; do dpkg-deb -x "$deb" "$work"; done

@@ -7,9 +7,19 @@
 # Compiles everything for the environment $1, one caller at a time, and shows the output only if it fails. A terminal
 # shows progress. $2: a function that is called with $1 before the next caller may compile.
 compile_quietly() {
-  local log="$AERIE_ROOT/_build/compile-$1.log" pid
+  local log="$AERIE_ROOT/_build/compile-$1.log"
   mkdir -p "$AERIE_ROOT/_build"
   lock "$AERIE_ROOT/_build/compile-$1.lock" "another start is compiling here; waiting for it"
+  together compile_shown "$1" "$log" || {
+    cat "$log" >&2
+    fail "Aerie did not compile" "see above" "check your changes with git status; if there are none, report the lines above"
+  }
+  [ -z "${2:-}" ] || "$2" "$1"
+  unlock
+}
+
+compile_shown() {
+  local log=$2 pid
   (cd "$AERIE_ROOT" && MIX_ENV=$1 mix compile) >"$log" 2>&1 &
   pid=$!
   if [ -t 2 ]; then
@@ -19,22 +29,25 @@ compile_quietly() {
     done
     printf '\r%80s\r' '' >&2
   fi
-  wait "$pid" || {
-    cat "$log" >&2
-    fail "Aerie did not compile" "see above" "check your changes with git status; if there are none, report the lines above"
-  }
-  [ -z "${2:-}" ] || "$2" "$1"
-  unlock
+  wait "$pid"
 }
 
 # Compiles and sets AERIE_CODE to a copy of the result, which this process and its children hold. It compiles for prod; tests set
 # AERIE_BUILD=test, because their code is compiled already (bin/test --full does as users do).
 # If nothing has changed, it takes the last copy without asking Mix: a gateway that was killed in flight must start again
-# quickly, and Mix takes longer than all the rest.
+# quickly, and Mix takes longer than all the rest. With `any`, the last copy will do while another start compiles.
 code_install() {
   local build=${AERIE_BUILD:-prod} stamp begun
   stamp="$AERIE_ROOT/_build/code-$build"
-  lock "$AERIE_ROOT/_build/compile-$build.lock" "another start is compiling here; waiting for it"
+  if ! lock_soon "$AERIE_ROOT/_build/compile-$build.lock"; then
+    if [ "${1:-}" = any ] && code_last "$stamp"; then
+      step "another start is compiling here; this is the program as it was before"
+      unlock
+      return 0
+    fi
+    step "another start is compiling here; waiting for it"
+    flock 9
+  fi
   if AERIE_CODE=$(code_known "$stamp"); then
     export AERIE_CODE
     hold "$AERIE_CODE"
@@ -43,6 +56,7 @@ code_install() {
     return 0
   fi
   unlock
+  step "compiling what has changed (all of it takes some minutes)"
   # Sources that change from here on are newer than the stamp.
   begun=$(date +%s.%N)
   compile_quietly "$build" code_copy
@@ -55,11 +69,22 @@ code_install() {
 code_known() {
   local elixir code newer
   { read -r elixir && read -r code; } 2>/dev/null <"$1" || return 1
-  [ "$elixir" = "$(command -v elixir)" ] && [ -d "$code" ] || return 1
+  # Not that of the checkout from which this one was copied.
+  [ "$elixir" = "$(command -v elixir)" ] && [ "${code%/*}" = "$AERIE_ROOT/_build/run" ] && [ -d "$code" ] || return 1
   # The system's own toolchain has no such file.
   newer=$(cd "$AERIE_ROOT" && find -L apps packages rel mix.exs config bin/lib "$elixir" "$AERIE_TOOLCHAIN/.complete" \
     \( -name test -o -name tmp -o -name cover -o -name var \) -prune -o \( -newer "$1" -o -cnewer "$1" \) -print -quit 2>/dev/null) || true
   [ -z "$newer" ] && printf '%s\n' "$code"
+}
+
+# Takes the copy that the file $1 names, whatever has changed since, unless it is being removed.
+code_last() {
+  local elixir
+  { read -r elixir && read -r AERIE_CODE; } 2>/dev/null <"$1" || return 1
+  [ "$elixir" = "$(command -v elixir)" ] && [ "${AERIE_CODE%/*}" = "$AERIE_ROOT/_build/run" ] && [ -d "$AERIE_CODE" ] || return 1
+  hold "$AERIE_CODE"
+  [ -d "$AERIE_CODE/consolidated" ] || return 1
+  export AERIE_CODE
 }
 
 code_copy() {
@@ -72,7 +97,7 @@ code_copy() {
     rm -rf "$copies/new"
     # Mix's remarks are not the program's output.
     log="$AERIE_ROOT/_build/copy-$1.log"
-    (cd "$AERIE_ROOT" && MIX_ENV=$1 mix run --no-start --no-compile bin/lib/copy_code.exs "$copies/new") >"$log" 2>&1 || {
+    together mix_copy "$1" "$copies/new" >"$log" 2>&1 || {
       cat "$log" >&2
       fail "the compiled code could not be copied" "see above" "make room on the disk, or remove _build/ and run this again"
     }
@@ -82,10 +107,13 @@ code_copy() {
   remove_unused_copies
 }
 
+mix_copy() { cd "$AERIE_ROOT" && MIX_ENV=$1 mix run --no-start --no-compile bin/lib/copy_code.exs "$2"; }
+
 # To be called with the lock: a copy that is being made is held by nobody.
 remove_unused_copies() {
   local other
   for other in "$AERIE_ROOT/_build/run/${AERIE_BUILD:-prod}"-*; do
-    if unused "$other"; then rm -rf "$other"; fi
+    # Whoever takes it meanwhile waits for its end.
+    if have flock; then flock -n -x "$other" rm -rf "$other" || true; fi
   done
 }

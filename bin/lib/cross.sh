@@ -8,7 +8,7 @@ CROSS_REVISION=1 # increase it if the steps below change
 
 # cross_install ARCHITECTURE: installs it, and sets AERIE_CROSS to its folder.
 cross_install() {
-  local architecture=$1 stamp otp work
+  local architecture=$1 stamp otp status
   AERIE_CROSS=$AERIE_TOOLCHAIN-$architecture
   export AERIE_CROSS
   [ -x "$AERIE_TOOLCHAIN/bin/elixir" ] || fail "no release for $architecture can be made here" \
@@ -18,21 +18,28 @@ cross_install() {
   lock "$AERIE_CROSS.lock" "another set-up is running here; waiting for it"
   if [ "$(cat "$AERIE_CROSS/.complete" 2>/dev/null)" != "$stamp" ]; then
     [ ! -d "$AERIE_CROSS" ] || unused "$AERIE_CROSS" || fail "$AERIE_CROSS is outdated" "it cannot be replaced while a release is made of it" "wait, then run this again"
-    work=$AERIE_CROSS.new
-    rm -rf "$work"
-    toolchain_download "$work" "$architecture"
-    toolchain_unpack "$work"
-    # The boot script names OTP's applications with their versions, and the code is compiled and tested with those of this machine.
-    [ "$(cross_otp "$work")" = "$otp" ] || fail "Debian has OTP $(cross_otp "$work") for $architecture, and .toolchain/ has $otp" \
-      "Debian $TOOLCHAIN_SUITE has moved on" "remove $AERIE_TOOLCHAIN and run this again; if that does not help, $architecture is behind: try again in a few days"
-    toolchain_wrap "$work"
-    cross_compiler "$work/compiler" "$architecture"
-    printf '%s' "$stamp" >"$work/.complete"
-    rm -rf "$AERIE_CROSS"
-    mv "$work" "$AERIE_CROSS"
+    together cross_make "$architecture" "$otp" "$stamp"
+    # Not reached unless the caller goes on without it.
+    status=$?
+    [ $status = 0 ] || { unlock; return $status; }
   fi
   hold "$AERIE_CROSS"
   unlock
+}
+
+cross_make() {
+  local architecture=$1 otp=$2 stamp=$3 work=$AERIE_CROSS.new
+  rm -rf "$work"
+  toolchain_download "$work" "$architecture"
+  toolchain_unpack "$work"
+  # The boot script names OTP's applications with their versions, and the code is compiled and tested with those of this machine.
+  [ "$(cross_otp "$work")" = "$otp" ] || fail "Debian has OTP $(cross_otp "$work") for $architecture, and .toolchain/ has $otp" \
+    "Debian $TOOLCHAIN_SUITE has moved on" "remove $AERIE_TOOLCHAIN and run this again; if that does not help, $architecture is behind: try again in a few days"
+  toolchain_wrap "$work"
+  cross_compiler "$work/compiler" "$architecture"
+  printf '%s' "$stamp" >"$work/.complete"
+  rm -rf "$AERIE_CROSS"
+  mv "$work" "$AERIE_CROSS"
 }
 
 cross_otp() { cat "$1"/usr/lib/erlang/releases/*/OTP_VERSION; }

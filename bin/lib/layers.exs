@@ -45,7 +45,7 @@ defmodule Layers do
   # Compiled already, by the caller. Paths below lib/.
   defp edges(app) do
     dot = Path.join(System.tmp_dir!(), "layers-#{app}-#{System.pid()}.dot")
-    args = ~w(xref graph --no-compile --no-deps-check --format dot --output #{dot})
+    args = ~w(xref graph --no-compile --no-deps-check --format dot --output) ++ [dot]
     {_out, 0} = System.cmd("mix", args, cd: "apps/#{app}", stderr_to_stdout: true)
     text = File.read!(dot)
     File.rm!(dot)

@@ -1,6 +1,8 @@
 # Node and the JavaScript packages of package-lock.json: what the console's pages load, and what tests them. Sourced by bin/setup,
 # bin/run and bin/test. npm compares each package with its checksum in the lock file.
 
+. "$AERIE_ROOT/bin/lib/download.sh"
+
 AERIE_NODE=${AERIE_NODE:-$AERIE_ROOT/.node}
 export AERIE_NODE
 NODE_MIN=20
@@ -29,22 +31,23 @@ node_install() {
   node_complete "$what" && return 0
   lock "$AERIE_ROOT/.node.lock" "another set-up is running here; waiting for it"
   local status=0
-  node_complete "$what" || node_install_locked "$what" || status=1
+  node_complete "$what" || together node_install_locked "$what" || status=1
   unlock
   return $status
 }
 
 node_install_locked() {
-  local log="$AERIE_ROOT/.node.log" omit=()
+  local why cure log="$AERIE_ROOT/.node.log" omit=()
   if ! use_node; then
     have python3 || { warn "no Node >= $NODE_MIN and no python3 to get it with. To fix it: install one of them"; return 1; }
     step "node: installing $NODE_WHEEL into .node/"
     rm -rf "$AERIE_NODE"
     if ! python3 -m venv "$AERIE_NODE" >"$log" 2>&1 ||
-      ! "$AERIE_NODE/bin/pip" install --quiet --disable-pip-version-check --only-binary :all: "$NODE_WHEEL" >>"$log" 2>&1 || ! use_node; then
+      ! "$AERIE_NODE/bin/python" -m pip install --quiet --disable-pip-version-check --only-binary :all: "$NODE_WHEEL" >>"$log" 2>&1 || ! use_node; then
       tail -n 3 "$log" >&2
       rm -rf "$AERIE_NODE"
-      warn "no Node >= $NODE_MIN, and $NODE_WHEEL could not be installed (the output is in $log). To fix it: install Node"
+      download_fault "$log"
+      warn "no Node >= $NODE_MIN, and $NODE_WHEEL could not be installed ($why; the output is in $log). To fix it: $cure; or install Node"
       return 1
     fi
   fi
@@ -55,7 +58,8 @@ node_install_locked() {
   # npm removes what an earlier or interrupted run has left.
   if ! (cd "$AERIE_ROOT" && npm ci "${omit[@]}" --ignore-scripts --no-audit --no-fund --loglevel=error) >"$log" 2>&1; then
     tail -n 3 "$log" >&2
-    warn "npm could not install the JavaScript packages (the output is in $log). To fix it: check the network and run this again"
+    download_fault "$log"
+    warn "npm could not install the JavaScript packages ($why; the output is in $log). To fix it: $cure"
     return 1
   fi
   rm -f "$log"

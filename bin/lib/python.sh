@@ -2,6 +2,8 @@
 # and bin/test.
 # Only tests and benchmark comparisons need it; the gateway itself uses no Python.
 
+. "$AERIE_ROOT/bin/lib/download.sh"
+
 AERIE_VENV=${AERIE_VENV:-$AERIE_ROOT/.venv}
 export AERIE_VENV
 
@@ -20,7 +22,8 @@ esac
 
 python_stamp() { printf '%s %s %s %s' "$PYTHON_PEERS" "$PYTHON_PEERS_ALONE" "$PYTHON_PEERS_BUILT" "$(python3 -c 'import sys; print(sys.version_info[:2])' 2>/dev/null)"; }
 
-python_pip() { "$AERIE_VENV/bin/pip" install --quiet --disable-pip-version-check "$@"; }
+# Not pip's own script, which names the folder that it was installed in.
+python_pip() { "$AERIE_VENV/bin/python" -m pip install --quiet --disable-pip-version-check "$@"; }
 
 python_install() {
   [ "$(cat "$AERIE_VENV/.complete" 2>/dev/null)" = "$(python_stamp)" ] && [ -x "$AERIE_VENV/bin/python" ] && return 0
@@ -31,7 +34,15 @@ python_install() {
     unlock
     return 0
   fi
-  local log="$AERIE_VENV.log"
+  together python_make
+  # Not reached unless the caller goes on without it.
+  local status=$?
+  unlock
+  return $status
+}
+
+python_make() {
+  local why cure log="$AERIE_VENV.log"
   step "python: installing $PYTHON_PEERS $PYTHON_PEERS_ALONE $PYTHON_PEERS_BUILT into .venv/ (for the tests only)"
   rm -rf "$AERIE_VENV"
   if ! python3 -m venv "$AERIE_VENV" >"$log" 2>&1; then
@@ -45,12 +56,11 @@ python_install() {
     ! python_pip --no-deps $PYTHON_PEERS_BUILT >>"$log" 2>&1; then
     rm -rf "$AERIE_VENV"
     tail -n 3 "$log" >&2
-    fail "pip could not install $PYTHON_PEERS $PYTHON_PEERS_ALONE $PYTHON_PEERS_BUILT" "no network, or PyPI does not answer" \
-      "check the network and run this again"
+    download_fault "$log"
+    fail "pip could not install $PYTHON_PEERS $PYTHON_PEERS_ALONE $PYTHON_PEERS_BUILT" "$why; the output is in $log" "$cure"
   fi
   rm -f "$log"
   python_stamp >"$AERIE_VENV/.complete"
-  unlock
 }
 
 # The long test of REST asks it; it has an environment of its own because it brings forty packages along. Without it the test says
@@ -58,12 +68,13 @@ python_install() {
 SCHEMATHESIS="schemathesis==4.32.5"
 
 schemathesis_install() {
-  local folder="$AERIE_ROOT/.schemathesis"
+  local folder="$AERIE_ROOT/.schemathesis" why cure
   if [ "$(cat "$folder/.complete" 2>/dev/null)" != "$SCHEMATHESIS" ]; then
     step "python: installing $SCHEMATHESIS into .schemathesis/ (for the long tests only)"
     rm -rf "$folder"
-    if ! { python3 -m venv "$folder" && "$folder/bin/pip" install --quiet --disable-pip-version-check "$SCHEMATHESIS"; } >"$folder.log" 2>&1; then
-      warn "REST is not tested against its description: pip could not install $SCHEMATHESIS; see $folder.log"
+    if ! together schemathesis_make "$folder" >"$folder.log" 2>&1; then
+      download_fault "$folder.log"
+      warn "REST is not tested against its description: pip could not install $SCHEMATHESIS ($why; the output is in $folder.log). To fix it: $cure"
       return 1
     fi
     rm -f "$folder.log"
@@ -71,3 +82,5 @@ schemathesis_install() {
   fi
   PATH="$folder/bin:$PATH"
 }
+
+schemathesis_make() { python3 -m venv "$1" && "$1/bin/python" -m pip install --quiet --disable-pip-version-check "$SCHEMATHESIS"; }

@@ -31,9 +31,9 @@ release_for() {
 release_assemble() {
   step "assembling"
   rm -rf "$output/aerie"
-  (cd "$AERIE_ROOT" && MIX_ENV=$1 mix release aerie --quiet --overwrite --path "$output/aerie") >&2 ||
-    fail "mix release failed" "see above" "report the lines above"
+  together mix_release "$1" >&2 || fail "mix release failed" "see above" "report the lines above"
 }
+mix_release() { cd "$AERIE_ROOT" && MIX_ENV=$1 mix release aerie --quiet --overwrite --path "$output/aerie"; }
 
 # Adds nats-server, xz and, from a private toolchain, the loader and the libraries, so that the machine's own libc does not matter.
 # $1: the release's folder

@@ -5,6 +5,8 @@
 # keys, and unpacked into .toolchain/. A wrapper starts each ELF program there through the unpacked loader and libc, so that
 # an older system's libc does not matter. Its paths are relative, so that the folder can be moved.
 
+. "$AERIE_ROOT/bin/lib/download.sh"
+
 TOOLCHAIN_SUITE=forky
 TOOLCHAIN_REVISION=7 # increase it if the steps below change: older set-ups are then made again
 
@@ -57,7 +59,12 @@ toolchain_install() {
     "it cannot be replaced while a gateway or a test uses it" "end those, then run this again"
 
   # All work happens in a folder beside the final one; the next set-up removes what an interrupted one leaves.
-  local work="$AERIE_TOOLCHAIN.new"
+  together toolchain_make "$AERIE_TOOLCHAIN.new"
+  unlock
+}
+
+toolchain_make() {
+  local work=$1
   rm -rf "$work"
   toolchain_download "$work" "$(dpkg --print-architecture)"
   toolchain_unpack "$work"
@@ -66,7 +73,6 @@ toolchain_install() {
   toolchain_stamp >"$work/.complete"
   rm -rf "$AERIE_TOOLCHAIN"
   mv "$work" "$AERIE_TOOLCHAIN"
-  unlock
 }
 
 # The mirror that this machine's own apt uses for Debian proper, or Debian's own name for it.
@@ -77,7 +83,7 @@ toolchain_mirror() {
 
 # toolchain_lists WORK ARCHITECTURE: reads the package lists for it, and sets `apt` to how apt is called with them.
 toolchain_lists() {
-  local work=$1 architecture=$2 mirror keyring log="$1/apt/log"
+  local work=$1 architecture=$2 mirror keyring why cure log="$1/apt/log"
   mirror=$(toolchain_mirror)
   if [ -z "$mirror" ]; then
     # A container without package lists still names its mirror in the sources.
@@ -101,18 +107,20 @@ toolchain_lists() {
   # For apt a list that it cannot fetch is only a warning; here it is an error.
   if ! apt-get "${apt[@]}" -o APT::Update::Error-Mode=any update >"$log" 2>&1; then
     tail -n 3 "$log" >&2
-    fail "cannot read $mirror" "no network, or the mirror does not answer" "check the network and run this again"
+    download_fault "$log"
+    fail "cannot read the package lists of $mirror" "$why" "$cure"
   fi
 }
 
 # toolchain_fetch WORK PACKAGE ...: downloads them into WORK/debs
 toolchain_fetch() {
-  local work=$1
+  local work=$1 why cure
   shift
   mkdir -p "$work/debs"
   if ! (cd "$work/debs" && apt-get "${apt[@]}" download "$@" >"$work/apt/log" 2>&1); then
     tail -n 3 "$work/apt/log" >&2
-    fail "the download of Debian's packages failed" "no network, or a package is gone from $TOOLCHAIN_SUITE" "run this again"
+    download_fault "$work/apt/log"
+    fail "the download of Debian's packages failed" "$why" "$cure"
   fi
 }
 
@@ -153,12 +161,21 @@ toolchain_unpack() {
 # toolchain_licences FOLDER ARCHITECTURE: brings FOLDER/packages/SOURCE.copyright of the sources that are linked into its programs. They are
 # in further packages (36 MB), which only a release has a use for.
 toolchain_licences() {
-  local folder=$1 architecture=$2 work="$1/licences.new" apt source package missing=()
+  local folder=$1
   lock "$folder.lock" "another set-up is running here; waiting for it"
+  together toolchain_licences_locked "$@"
+  # Not reached unless the caller goes on without them.
+  local status=$?
+  unlock
+  return $status
+}
+
+toolchain_licences_locked() {
+  local folder=$1 architecture=$2 work="$1/licences.new" apt source package missing=()
   for source in $(cut -f 5 "$folder/packages/index" | grep -o '[^ ,]* (=' | cut -d ' ' -f 1 | sort -u); do
     [ -e "$folder/packages/$source.copyright" ] || missing+=("$source")
   done
-  [ ${#missing[@]} -gt 0 ] || { unlock; return 0; }
+  [ ${#missing[@]} -gt 0 ] || return 0
   rm -rf "$work"
   toolchain_lists "$work" "$architecture"
   step "toolchain: downloading the licences of ${missing[*]}"
@@ -177,7 +194,6 @@ toolchain_licences() {
     cp "$work/$source/usr/share/doc/$package/copyright" "$folder/packages/$source.copyright"
   done
   rm -rf "$work"
-  unlock
 }
 
 # Wraps one ELF program, so that it finds the unpacked loader wherever the folder is.

@@ -26,7 +26,8 @@ defmodule Aerie.RunCase do
         :exit_status,
         :stderr_to_stdout,
         args: words,
-        env: for({name, value} <- environment(), do: {to_charlist(name), value != nil && to_charlist(value)})
+        env:
+          for({name, value} <- environment(root), do: {to_charlist(name), value != nil && to_charlist(value)})
       ])
 
     {:os_pid, os_pid} = Port.info(port, :os_pid)
@@ -34,10 +35,10 @@ defmodule Aerie.RunCase do
     port
   end
 
-  @doc "The environment of a plain shell, without this test's Mix variables. Another checkout uses this one's toolchain."
-  @spec environment() :: [{String.t(), String.t() | nil}]
-  def environment do
-    toolchain = Path.join(@root, ".toolchain")
+  @doc "The environment of a plain shell, without this test's Mix variables, for a checkout with its own toolchain."
+  @spec environment(Path.t()) :: [{String.t(), String.t() | nil}]
+  def environment(root \\ @root) do
+    toolchain = Path.join(root, ".toolchain")
 
     [{"MIX_ENV", nil}, {"MIX_BUILD_PATH", nil}, {"AERIE_TERMINAL", nil}] ++
       if(File.dir?(toolchain) and System.get_env("AERIE_TOOLCHAIN") == nil,
@@ -94,16 +95,19 @@ defmodule Aerie.RunCase do
   @doc "The operating system process of its VM, found by its configuration file."
   @spec vm_pid(Path.t()) :: String.t()
   def vm_pid(config) do
-    {pids, 0} = System.cmd("pgrep", ["-f", "Application.*:aerie.*#{config}"])
-    pids |> String.split() |> hd()
+    hd(vm_pids(config))
   end
 
   @doc "Kills its VM with SIGKILL."
   @spec kill_9(Path.t()) :: :ok
   def kill_9(config) do
-    {pids, 0} = System.cmd("pgrep", ["-f", "Application.*:aerie.*#{config}"])
-    for pid <- String.split(pids), do: System.cmd("kill", ["-KILL", pid])
+    for pid <- vm_pids(config), do: System.cmd("kill", ["-KILL", pid])
     :ok
+  end
+
+  defp vm_pids(config) do
+    {pids, 0} = System.cmd("pgrep", ["-f", "Application.*:aerie.*" <> Regex.escape(config)])
+    String.split(pids)
   end
 
   @doc "An object from its `/api`, or nil while it does not answer."

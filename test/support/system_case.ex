@@ -1,7 +1,7 @@
 defmodule Aerie.SystemCase do
   @moduledoc """
   A whole gateway for a test, started as `bin/run` starts it: embedded nats-server, HTTP, links, all on free ports, in its
-  own folder and under its own name.
+  own folder and under its own name. The test's `tmp_dir` has a name that a shell would take apart.
   """
 
   use ExUnit.CaseTemplate
@@ -12,6 +12,16 @@ defmodule Aerie.SystemCase do
     quote do
       import Aerie.SystemCase
       alias Aerie.Base.Store
+    end
+  end
+
+  setup context do
+    with %{tmp_dir: folder} <- context do
+      folder = Path.join(folder, "Jörg's $drones & co")
+      File.mkdir_p!(folder)
+      [tmp_dir: folder]
+    else
+      _no_folder -> :ok
     end
   end
 

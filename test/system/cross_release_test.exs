@@ -30,7 +30,10 @@ defmodule Aerie.System.CrossReleaseTest do
 
   setup_all do
     folder =
-      Path.join(System.tmp_dir!(), "aerie-release-#{System.unique_integer([:positive])}-#{System.pid()}")
+      Path.join(
+        System.tmp_dir!(),
+        "Aerie's $release & co #{System.unique_integer([:positive])}-#{System.pid()}"
+      )
 
     on_exit(fn -> File.rm_rf!(folder) end)
     words = ["--arch", @other.name, "--deb", "--output", folder]

@@ -33,7 +33,7 @@ defmodule Aerie.System.MspFirmwareTest do
   defp start_firmware(name, dir) do
     home = Path.join(dir, "firmware")
     File.mkdir_p!(home)
-    peer = start_program("sh", ["-c", "cd '#{home}'; while :; do #{name} > log 2>&1; sleep 0.2; done"])
+    peer = start_program("sh", ["-c", "cd \"$1\"; while :; do $0 > log 2>&1; sleep 0.2; done", name, home])
     {:os_pid, pid} = Port.info(peer, :os_pid)
     on_exit(fn -> System.cmd("pkill", ["-9", "-P", "#{pid}"]) end)
   end

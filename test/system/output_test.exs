@@ -91,8 +91,8 @@ defmodule Aerie.System.OutputTest do
     before =
       ["unshare", "-rm", "sh", "-c"] ++
         [
-          ~s(mount -t tmpfs -o size=64k tmpfs '#{disk}' && head -c 65000 /dev/zero >'#{disk}/other'; exec "$@" >>'#{disk}/log' 2>&1),
-          "sh"
+          ~s(mount -t tmpfs -o size=64k tmpfs "$0" && head -c 65000 /dev/zero >"$0/other"; exec "$@" >>"$0/log" 2>&1),
+          disk
         ]
 
     port = open(["--config", config, "--sim", "1", "--quiet"], before)

@@ -51,7 +51,7 @@ defmodule Aerie.System.RunTest do
     # No process that names this run's folder is left: nats-server, its guard, the VM. On a busy machine one that was
     # killed needs a moment until it is gone.
     eventually(fn -> not File.exists?("/proc/#{nats}") end, "nats-server is gone")
-    eventually(fn -> System.cmd("pgrep", ["-f", folder]) == {"", 1} end, "no process is left")
+    eventually(fn -> System.cmd("pgrep", ["-f", Regex.escape(folder)]) == {"", 1} end, "no process is left")
   end
 
   test "killed with -9, its nats-server ends too, and the next start works", context do

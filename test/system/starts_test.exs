@@ -19,15 +19,15 @@ defmodule Aerie.System.StartsTest do
     root = Path.join(folder, "root")
     stamp = Path.join(folder, "stamp")
 
-    for path <- ~w(apps/one/lib apps/one/test apps/one/cover packages config bin/lib code),
+    for path <- ~w(apps/one/lib apps/one/test apps/one/cover packages config bin/lib _build/run/code),
         do: File.mkdir_p!(Path.join(root, path))
 
     for path <- ~w(mix.exs apps/one/lib/a.ex apps/one/lib/b.ex), do: File.write!(Path.join(root, path), "")
-    code = Path.join(root, "code")
+    code = Path.join(root, "_build/run/code")
 
     script = """
     . bin/lib/common.sh; . bin/lib/code.sh; AERIE_ROOT=$1 AERIE_TOOLCHAIN=$1
-    case $2 in known) code_known "$3" ;; *) printf '%s\\n%s\\n' "$(command -v elixir)" "$1/code" >"$3" ;; esac
+    case $2 in known) code_known "$3" ;; *) printf '%s\\n%s\\n' "$(command -v elixir)" "$1/_build/run/code" >"$3" ;; esac
     """
 
     bash = fn what ->
@@ -73,7 +73,10 @@ defmodule Aerie.System.StartsTest do
     write_late(cli, "second")
 
     assert {_words, 0} =
-             System.cmd(Path.join(checkout, "bin/setup"), [], env: environment(), stderr_to_stdout: true)
+             System.cmd(Path.join(checkout, "bin/setup"), [],
+               env: environment(checkout),
+               stderr_to_stdout: true
+             )
 
     File.write!(Path.join(checkout, "ask"), "")
 
@@ -115,6 +118,9 @@ defmodule Aerie.System.StartsTest do
       File.cp_r!(Path.join(root, part), Path.join(checkout, part))
     end
 
+    # The toolchain, too, has to run from a folder of that name.
+    toolchain = Path.join(root, ".toolchain")
+    if File.dir?(toolchain), do: {_output, 0} = System.cmd("cp", ["-al", toolchain, checkout])
     checkout
   end
 

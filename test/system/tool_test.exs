@@ -39,7 +39,7 @@ defmodule Aerie.System.ToolTest do
 
   defp aerie(context, words, input \\ "") do
     File.write!(Path.join(context.folder, "input"), input)
-    script = ~s(exec "$0" "$@" <"#{context.folder}/input" 2>&1)
+    script = ~s(exec "$0" "$@" <"${AERIE_SHELL_DIR%/*}/input" 2>&1)
     environment = [{"AERIE_SHELL_DIR", Path.join(context.folder, "shell")} | environment()]
     {text, status} = System.cmd("sh", ["-c", script, Path.join(@root, "bin/aerie") | words], env: environment)
     # What bin/ says while another start compiles.
@@ -342,20 +342,20 @@ defmodule Aerie.System.ToolTest do
   test "an answer that the disk has no room for is an error; a reader that has seen enough is none",
        %{folder: folder} do
     tool = Path.join(@root, "bin/aerie")
-    sh = fn script -> System.cmd("bash", ["-c", script, tool], env: environment()) end
+    flight = Path.join(folder, "flight.tlog")
+    words = [tool, Path.join(@root, "bin/run"), flight]
+    sh = fn script -> System.cmd("bash", ["-c", script | words], env: environment()) end
     assert {text, 2} = sh.(~s("$0" --help 2>&1 >/dev/full))
     assert text =~ "error: standard output takes nothing: no space left on device"
     # What is printed on the way, and by bin/run.
-    flight = Path.join(folder, "flight.tlog")
     recording = File.read!(Path.join(@root, "apps/vehicle/test/fixtures/px4_flight.tlog.gz"))
     File.write!(flight, :zlib.gunzip(recording))
-    run = Path.join(@root, "bin/run")
 
     for call <- [
           ~s|"$0" eval 'IO.puts(1)'|,
-          ~s("$0" replay '#{flight}'),
-          ~s(#{run} --replay '#{flight}' --events),
-          ~s(#{run} --help)
+          ~s("$0" replay "$2"),
+          ~s("$1" --replay "$2" --events),
+          ~s("$1" --help)
         ] do
       {text, status} = sh.(call <> " 2>&1 >/dev/full")
 
@@ -368,7 +368,7 @@ defmodule Aerie.System.ToolTest do
 
     # Nobody can be told, so that only the status says it.
     assert {"", 2} = sh.(~s("$0" stauts 2>/dev/full))
-    assert {"", 0} = sh.(~s("$0" replay '#{flight}' 2>/dev/null | true; exit "${PIPESTATUS[0]}"))
+    assert {"", 0} = sh.(~s("$0" replay "$2" 2>/dev/null | true; exit "${PIPESTATUS[0]}"))
     # The pipe closes before anything is written.
     assert {"0\n", 0} = sh.(~s("$0" --help 2>/dev/null | true; echo "${PIPESTATUS[0]}"))
   end
@@ -399,7 +399,7 @@ defmodule Aerie.System.ToolTest do
     assert {text, 0} = aerie(context, ["config", "check", context.config])
     assert text =~ "a gateway can start with it"
     assert {text, 0} = aerie(context, ["config", "show", context.config])
-    assert text =~ ~r/^shell.dir +#{context.folder}\/shell +/m
+    assert text =~ ~r/^shell.dir +#{Regex.escape(context.folder)}\/shell +/m
     wrong = Path.join(context.folder, "wrong.yaml")
     File.write!(wrong, "http: {port: many}\nnats: {prot: 4222}\n")
     assert {text, 1} = aerie(context, ["config", "check", wrong])

@@ -17,7 +17,7 @@ defmodule Aerie.HubServer do
   def start(dir, vehicles, options \\ []) do
     hosts = options[:hosts] || for n <- 1..(options[:servers] || 1), do: "127.0.0.#{n}"
     ports = %{client: free_port(), leaf: free_port(), route: free_port()}
-    set = Path.join(dir, "set")
+    set = set(dir)
 
     {:ok, _lines} = Setup.write(set, %{environment: "test", hosts: hosts, vehicles: vehicles, ports: ports})
     hub = %{set: set, dir: dir, hosts: hosts, ports: ports, disk_mb: options[:disk_mb]}
@@ -51,8 +51,11 @@ defmodule Aerie.HubServer do
   defp copy(hub, name, host),
     do: File.cp!(Path.join([hub.set, "hub", host, name]), Path.join(folder(hub, host), name))
 
+  @doc "The folder of the set; a shell would take its name apart."
+  def set(dir), do: Path.join(dir, "Jörg's $fleet")
+
   @doc "The folder in which a server runs."
-  def folder(hub, host \\ "127.0.0.1"), do: Path.join(hub.dir, "run-#{host}")
+  def folder(hub, host \\ "127.0.0.1"), do: Path.join(hub.dir, "Jörg's $server #{host}")
 
   # A process that owns the port, so that a test can stop and start the server from any process.
   defp run(hub, host) do

@@ -7,6 +7,13 @@ defmodule Aerie.CLI.NatsSetupTest do
 
   @moduletag :tmp_dir
 
+  # A shell would take this name apart.
+  setup %{tmp_dir: dir} do
+    dir = Path.join(dir, "Jörg's $drones")
+    File.mkdir_p!(dir)
+    [tmp_dir: dir]
+  end
+
   defp call(words, dir) do
     case Aerie.CLI.call(["nats-setup" | words], dir) do
       {0, text} -> {:ok, IO.iodata_to_binary(text)}
@@ -84,7 +91,7 @@ defmodule Aerie.CLI.NatsSetupTest do
     fleet = dir |> read("fleet.json") |> JSON.decode!()
     File.write!(Path.join(dir, "set/fleet.json"), JSON.encode!(Map.delete(fleet, "sealing")))
     assert {:ok, text} = setup_in(dir, ~w(--vehicle D))
-    assert text =~ ~r"A: shadow.vehicle_key in its gateway.yaml is what \S+/vehicles/A/shadow.key has"
+    assert text =~ ~r"A: shadow.vehicle_key in its gateway.yaml is what .+/vehicles/A/shadow.key has"
     refute text =~ "D: shadow.vehicle_key"
 
     assert read(dir, "vehicles/A/shadow.key") ==

@@ -76,7 +76,7 @@ defmodule Aerie.CLI.ParserTest do
 
     complete = fn words ->
       script = """
-      . "#{file}"; COMP_WORDS=(#{Enum.map_join(words, " ", &"'#{&1}'")}); COMP_CWORD=#{length(words) - 1}
+      . ./completion; COMP_WORDS=(#{Enum.map_join(words, " ", &"'#{&1}'")}); COMP_CWORD=#{length(words) - 1}
       _aerie; printf '%s\\n' "${COMPREPLY[@]}"
       """
 

@@ -19,7 +19,7 @@ defmodule Circuits.UART.PortProgramTest do
           <<8, 1::32, 9>>,
           <<5, 1::32, 0>>
         ] do
-      command = ["-c", "exec #{PortProgram.path()} 2>&1"]
+      command = ["-c", "exec \"$0\" 2>&1", PortProgram.path()]
 
       port =
         Port.open({:spawn_executable, System.find_executable("sh")}, [:binary, :exit_status, args: command])
@@ -49,7 +49,7 @@ defmodule Circuits.UART.PortProgramTest do
         requests = for {request, id} <- Enum.with_index(requests), do: numbered(request, id)
         # What comes after its end is read by another program, or the port ends with :epipe.
         port =
-          start("exec 3<&0; #{PortProgram.path()} 2>/dev/null; s=$?; cat <&3 >/dev/null & exit $s", packet: 2)
+          start(~S(exec 3<&0; "$0" 2>/dev/null; s=$?; cat <&3 >/dev/null & exit $s), packet: 2)
 
         for request <- requests, do: Port.command(port, request)
         Port.command(port, "")
@@ -64,7 +64,7 @@ defmodule Circuits.UART.PortProgramTest do
   defp start(command, options) do
     Port.open(
       {:spawn_executable, System.find_executable("sh")},
-      [:binary, :exit_status, args: ["-c", command]] ++ options
+      [:binary, :exit_status, args: ["-c", command, PortProgram.path()]] ++ options
     )
   end
 

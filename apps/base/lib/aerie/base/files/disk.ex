@@ -4,13 +4,12 @@ defmodule Aerie.Base.Files.Disk do
   @doc "Free bytes on the disk of a folder; `:unknown` if that cannot be found out. Runs a program, so call it seldom."
   @spec free(Path.t()) :: {:ok, non_neg_integer()} | :unknown
   def free(dir) do
-    # POSIX output: one line for the file system, its fourth column is what is available, in KiB.
+    # POSIX output: one line for the file system. The device and the folder may have spaces; between them stand its size, what is used and
+    # what is available in KiB, and a percentage.
     with program when is_binary(program) <- System.find_executable("df"),
          {text, 0} <- System.cmd(program, ["-Pk", dir], stderr_to_stdout: true, env: [{"LC_ALL", "C"}]),
-         [_head, line | _] <- String.split(text, "\n", trim: true),
-         [_device, _size, _used, available | _] <- String.split(line),
-         {kilobytes, ""} <- Integer.parse(available) do
-      {:ok, kilobytes * 1024}
+         [_all, kilobytes] <- Regex.run(~r/ \d+ +\d+ +(\d+) +\d+% /, text) do
+      {:ok, String.to_integer(kilobytes) * 1024}
     else
       _anything -> :unknown
     end

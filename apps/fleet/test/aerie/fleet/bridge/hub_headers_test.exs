@@ -221,7 +221,7 @@ defmodule Aerie.Fleet.Bridge.HubHeadersTest do
     hub =
       start_bridge(
         HubServer.gateway(%{
-          set: Path.join(dir, "set"),
+          set: HubServer.set(dir),
           dir: Path.join(dir, "again"),
           hosts: ["127.0.0.1"],
           ports: ports(dir)
@@ -247,7 +247,7 @@ defmodule Aerie.Fleet.Bridge.HubHeadersTest do
   end
 
   defp ports(dir) do
-    %{"ports" => ports} = dir |> Path.join("set/fleet.json") |> File.read!() |> JSON.decode!()
+    %{"ports" => ports} = dir |> HubServer.set() |> Path.join("fleet.json") |> File.read!() |> JSON.decode!()
     Map.new(ports, fn {name, port} -> {String.to_existing_atom(name), port} end)
   end
 end

@@ -59,7 +59,7 @@ defmodule Aerie.Fleet.Bridge.StorageTest do
     Process.sleep(:infinity)
     """
 
-    small = ["unshare", "-rm", "sh", "-c", "mount -t tmpfs -o size=8m tmpfs '#{disk}' && exec \"$@\"", "sh"]
+    small = ["unshare", "-rm", "sh", "-c", "mount -t tmpfs -o size=8m tmpfs \"$0\" && exec \"$@\"", disk]
     {port, problem} = other_vm(script, "told ", small)
     assert problem == "the NATS server cannot store: no space left on device"
     # All 40 are in the stream.

@@ -8,7 +8,7 @@
 # A namesake that is not in the folder is taken from here. nkey always is, because it has no namesake, and phoenix_live_view unless
 # the folder has it: the namesake's pages need Phoenix's endpoint, which serves what the one here serves itself.
 defmodule Aerie.Packages do
-  @requirements [telemetry: "~> 1.3", gnat: "~> 1.16", circuits_uart: "~> 1.5"]
+  @requirements [telemetry: "~> 1.4", gnat: "~> 1.16", circuits_uart: "~> 1.6"]
   @own [:nkey, :phoenix_live_view]
 
   def deps(names) do

@@ -120,7 +120,7 @@ defmodule Aerie.System.StartsTest do
 
     # The toolchain, too, has to run from a folder of that name.
     toolchain = Path.join(root, ".toolchain")
-    if File.dir?(toolchain), do: {_output, 0} = System.cmd("cp", ["-al", toolchain, checkout])
+    if File.dir?(toolchain), do: {_output, 0} = System.cmd("cp", ["-a", toolchain, checkout])
     checkout
   end
 

@@ -87,6 +87,16 @@ defmodule Aerie.Base.Json do
   @spec text(binary()) :: String.t()
   def text(text), do: if(String.valid?(text), do: text, else: String.replace_invalid(text))
 
+  @doc """
+  Whether a value from outside is a printable text of `min` to `max` characters. They are counted as JSON Schema counts them, as code
+  points: of bytes a schema cannot say how many there may be.
+  """
+  @spec text?(term(), non_neg_integer(), pos_integer()) :: boolean()
+  def text?(text, min, max) when is_binary(text) and byte_size(text) <= 4 * max,
+    do: String.printable?(text) and length(String.codepoints(text)) in min..max
+
+  def text?(_other, _min, _max), do: false
+
   @doc "A time in unix microseconds as ISO 8601 in UTC with milliseconds; nil stays nil."
   @spec time(integer() | nil) :: String.t() | nil
   def time(nil), do: nil

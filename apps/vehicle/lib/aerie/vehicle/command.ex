@@ -9,6 +9,7 @@ defmodule Aerie.Vehicle.Command do
   in range, with defaults filled in. Times are unix microseconds.
   """
 
+  alias Aerie.Base.Json
   alias Aerie.Vehicle.Command.{Deadline, Error, Type, Types}
 
   @enforce_keys [:id, :vehicle, :type, :source, :issued_at, :deadline]
@@ -153,12 +154,13 @@ defmodule Aerie.Vehicle.Command do
 
   defp known_type(_envelope), do: {:error, Error.new("type", "the name of a command", :missing)}
 
-  defp source(%{"source" => text}) when is_binary(text) and text != "" and byte_size(text) <= 64 do
-    if String.printable?(text), do: {:ok, text}, else: {:error, Error.new("source", "printable text", text)}
-  end
+  defp source(envelope) do
+    text = Map.get(envelope, "source", :missing)
 
-  defp source(envelope),
-    do: {:error, Error.new("source", "a text of 1 to 64 bytes", Map.get(envelope, "source", :missing))}
+    if Json.text?(text, 1, 64),
+      do: {:ok, text},
+      else: {:error, Error.new("source", "a text of 1 to 64 characters", text)}
+  end
 
   defp unknown(envelope) do
     envelope

@@ -17,6 +17,7 @@ defmodule Aerie.Fleet.Operations.Request do
   | `timeout_s` | how long a vehicle may take to converge, or a command until it is sent, 1 to 300 | 60 for a shadow, 10 for a command |
   """
 
+  alias Aerie.Base.Json
   alias Aerie.Vehicle.Command
   alias Aerie.Vehicle.Command.Error
   alias Aerie.Fleet.Shadow.Update
@@ -97,17 +98,21 @@ defmodule Aerie.Fleet.Operations.Request do
     do: {:error, Error.new("tag", "either vehicles or a tag", :rule)}
 
   defp targets(%{"vehicles" => [_ | _] = ids}) when length(ids) <= @max_vehicles do
-    case Enum.find(ids, &(not is_binary(&1) or not Command.token?(&1))) do
-      nil -> {:ok, {:vehicles, Enum.uniq(ids)}}
-      odd -> {:error, Error.new("vehicles", "ids of vehicles", odd)}
+    case Enum.reject(ids, &(is_binary(&1) and Command.token?(&1))) do
+      [] -> {:ok, {:vehicles, Enum.uniq(ids)}}
+      [odd | _more] -> {:error, Error.new("vehicles", "ids of vehicles", odd)}
     end
   end
 
   defp targets(%{"vehicles" => other}),
     do: {:error, Error.new("vehicles", "a list of 1 to #{@max_vehicles} ids", other)}
 
-  defp targets(%{"tag" => tag}) when is_binary(tag) and byte_size(tag) in 1..64, do: {:ok, {:tag, tag}}
-  defp targets(%{"tag" => other}), do: {:error, Error.new("tag", "a text of 1 to 64 bytes", other)}
+  defp targets(%{"tag" => tag}) do
+    if Json.text?(tag, 1, 64),
+      do: {:ok, {:tag, tag}},
+      else: {:error, Error.new("tag", "a text of 1 to 64 characters", tag)}
+  end
+
   defp targets(_none), do: {:error, Error.new("vehicles", "vehicles, or a tag", :missing)}
 
   defp what(%{"command" => _both, "shadow" => _given}, _now),

@@ -42,6 +42,10 @@ defmodule Aerie.Fleet.Shadow.Buckets do
   @spec leases() :: String.t()
   def leases, do: @leases
 
+  @doc "The names of all buckets."
+  @spec names() :: [String.t()]
+  def names, do: [@desired, @reported, @leases, @commands, @plans]
+
   @doc "The space that the server reserves for them, in megabytes."
   @spec reserved_mb(limits :: map()) :: pos_integer()
   def reserved_mb(limits),

@@ -47,7 +47,6 @@ defmodule Aerie.Fleet.Shadow.Document do
   @max_bytes 61_440
   @max_history 20
   @max_paths 32
-  @max_of_group %{"params" => 250, "intervals" => 64}
 
   @doc "The largest document in bytes as JSON."
   @spec max_bytes() :: pos_integer()
@@ -122,7 +121,7 @@ defmodule Aerie.Fleet.Shadow.Document do
   @spec bounded(t()) :: {:ok, t()} | {:error, {:limit, String.t()}}
   def bounded(document) do
     counts = document.fields |> Map.keys() |> Enum.frequencies_by(&hd(String.split(&1, ".")))
-    full = Enum.find(@max_of_group, fn {group, max} -> Map.get(counts, group, 0) > max end)
+    full = Enum.find(Field.max_of_group(), fn {group, max} -> Map.get(counts, group, 0) > max end)
 
     cond do
       full != nil ->

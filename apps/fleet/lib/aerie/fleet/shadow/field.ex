@@ -137,6 +137,10 @@ defmodule Aerie.Fleet.Shadow.Field do
   @spec names() :: [String.t()]
   def names, do: @leaves ++ @groups
 
+  @doc "The most fields that a group of any number of them may have, in a document and in a change."
+  @spec max_of_group() :: %{String.t() => pos_integer()}
+  def max_of_group, do: %{"params" => 250, "intervals" => 64}
+
   @doc "The field of a path; `:error` if there is none."
   @spec fetch(String.t()) :: {:ok, t()} | :error
   def fetch(path) do

@@ -9,6 +9,7 @@ defmodule Aerie.Fleet.Shadow.Update do
   based on, `token` is returned in the answer (Z3). All keys except `desired` are optional.
   """
 
+  alias Aerie.Base.Json
   alias Aerie.Vehicle.Command.Error
   alias Aerie.Fleet.Shadow.Field
 
@@ -28,9 +29,8 @@ defmodule Aerie.Fleet.Shadow.Update do
         }
 
   @keys ~w(desired version reason expires_at expires_in_s token)
-  @max_changes 250
   @max_errors 8
-  @max_text 200
+  @max_text %{reason: 200, token: 64}
   @max_expiry_s 31_536_000
   @second 1_000_000
 
@@ -50,12 +50,16 @@ defmodule Aerie.Fleet.Shadow.Update do
     end)
   end
 
+  @doc "The longest expiry in seconds, and the most characters of the texts."
+  @spec limits() :: {pos_integer(), %{reason: pos_integer(), token: pos_integer()}}
+  def limits, do: {@max_expiry_s, @max_text}
+
   defp parse(object, now, changes) when is_map(object) do
     checks = [
       changes: changes.(object),
       version: version(object["version"]),
-      reason: text("reason", object["reason"], @max_text),
-      token: text("token", object["token"], 64),
+      reason: text("reason", object["reason"], @max_text.reason),
+      token: text("token", object["token"], @max_text.token),
       expires_at: expiry(object, now)
     ]
 
@@ -70,16 +74,7 @@ defmodule Aerie.Fleet.Shadow.Update do
   defp changes(desired) when is_map(desired) and map_size(desired) > 0 do
     {changes, errors} = Enum.reduce(desired, {%{}, []}, &top/2)
 
-    cond do
-      errors != [] ->
-        {:error, Enum.reverse(errors)}
-
-      map_size(changes) > @max_changes ->
-        {:error, [Error.new("desired", "at most #{@max_changes} fields at once", map_size(changes))]}
-
-      true ->
-        {:ok, changes}
-    end
+    if errors == [], do: {:ok, changes}, else: {:error, Enum.reverse(errors)}
   end
 
   defp changes(other),
@@ -92,6 +87,10 @@ defmodule Aerie.Fleet.Shadow.Update do
 
       value == nil ->
         Enum.reduce(Field.all(), acc, &group(&1, name, &2))
+
+      is_map(value) and map_size(value) > Map.get(Field.max_of_group(), name, 250) ->
+        most = "at most #{Field.max_of_group()[name]} fields at once"
+        wrong(acc, Error.new("desired." <> name, most, map_size(value)))
 
       is_map(value) ->
         Enum.reduce(value, acc, fn {child, value}, acc -> leaf("#{name}.#{child}", value, acc) end)
@@ -135,9 +134,9 @@ defmodule Aerie.Fleet.Shadow.Update do
   defp text(_key, nil, _max), do: {:ok, nil}
 
   defp text(key, text, max) do
-    if is_binary(text) and byte_size(text) <= max and String.printable?(text),
+    if Json.text?(text, 0, max),
       do: {:ok, text},
-      else: {:error, [Error.new(key, "a text of at most #{max} bytes", text)]}
+      else: {:error, [Error.new(key, "a text of at most #{max} characters", text)]}
   end
 
   defp expiry(%{"expires_at" => at, "expires_in_s" => seconds}, _now) when at != nil and seconds != nil,

@@ -88,7 +88,10 @@ defmodule Aerie.Fleet.Shadow.DocumentTest do
     assert errors("x") == [~s(shadow: expected an object, got "x")]
     assert errors(%{}) == ["desired: expected an object with fields, got nothing"]
     assert ["desired.speed: expected only " <> _] = errors(%{"desired" => %{"speed" => 1}})
-    assert ["desired.mode: expected a text of 1 to 50 bytes, got 7"] = errors(%{"desired" => %{"mode" => 7}})
+
+    assert ["desired.mode: expected a text of 1 to 50 characters, got 7"] =
+             errors(%{"desired" => %{"mode" => 7}})
+
     assert ["desired.armed: expected true or false, got 1"] = errors(%{"desired" => %{"armed" => 1}})
     assert ["desired.signing: expected true, got false"] = errors(%{"desired" => %{"signing" => false}})
 
@@ -146,7 +149,7 @@ defmodule Aerie.Fleet.Shadow.DocumentTest do
   test "everything has a bound" do
     many = for n <- 1..251, into: %{}, do: {"P#{n}", n}
 
-    assert ["desired: expected at most 250 fields at once, got 251"] =
+    assert ["desired.params: expected at most 250 fields at once, got 251"] =
              errors(%{"desired" => %{"params" => many}})
 
     nonsense = for n <- 1..5_000, into: %{}, do: {"nonsense #{n}", n}

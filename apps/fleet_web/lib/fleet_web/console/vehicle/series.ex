@@ -68,7 +68,7 @@ defmodule FleetWeb.Console.Vehicle.Series do
   fields =
     for {group, _title, fields} <- Fields.all(),
         %{path: path, decimals: decimals} = field when decimals != nil <- fields,
-        hd(path) != :batteries,
+        hd(path) not in [:batteries, :arming_checks],
         do: {group, field}
 
   all =

@@ -6,6 +6,8 @@ defmodule Aerie.Vehicle.Command.Param do
   Checked values are numbers as floats, integers, booleans, texts and lists; a choice stays the text that it is.
   """
 
+  alias Aerie.Base.Json
+
   @enforce_keys [:name, :type, :meaning]
   defstruct [:name, :type, :unit, :min, :max, :values, :default, :meaning, :items, required: false]
 
@@ -56,7 +58,7 @@ defmodule Aerie.Vehicle.Command.Param do
   def boolean(name, meaning, options \\ []),
     do: struct!(%__MODULE__{name: name, type: :boolean, meaning: meaning}, options)
 
-  @doc "A text of at most `max` bytes."
+  @doc "A text of at most `max` characters."
   @spec text(atom(), pos_integer(), String.t(), keyword()) :: t()
   def text(name, max, meaning, options \\ []),
     do: struct!(%__MODULE__{name: name, type: :text, max: max, meaning: meaning}, options)
@@ -88,9 +90,7 @@ defmodule Aerie.Vehicle.Command.Param do
   end
 
   def check(%{type: :text} = param, value, key) when is_binary(value) do
-    if value != "" and byte_size(value) <= param.max and String.printable?(value),
-      do: {:ok, value},
-      else: error(param, value, key)
+    if Json.text?(value, 1, param.max), do: {:ok, value}, else: error(param, value, key)
   end
 
   def check(%{type: :list} = param, [_ | _] = values, key) do
@@ -126,7 +126,7 @@ defmodule Aerie.Vehicle.Command.Param do
   def expected(%{type: :boolean, values: nil}), do: "true or false"
   def expected(%{type: :boolean, values: [value]}), do: "#{value}"
   def expected(%{type: :choice, values: values}), do: "one of #{Enum.join(values, ", ")}"
-  def expected(%{type: :text, max: max}), do: "a text of 1 to #{max} bytes"
+  def expected(%{type: :text, max: max}), do: "a text of 1 to #{max} characters"
   def expected(%{type: :list} = param), do: "a list of 1 to #{param.max} items, each #{expected(param.items)}"
 
   defp range(param) do

@@ -43,8 +43,8 @@ defmodule Aerie.Vehicle.State.Battery do
       {:current, 2, "A", "discharge current", "SYS_STATUS, BATTERY_STATUS"},
       {:remaining, 2, "0..1", "remaining charge", "SYS_STATUS, BATTERY_STATUS, HIGH_LATENCY2"},
       {:consumed_mah, 0, "mAh", "consumed charge", "BATTERY_STATUS"},
-      {:charge_state, nil, nil, "MAV_BATTERY_CHARGE_STATE, the worst of all batteries", "BATTERY_STATUS"},
-      {:batteries, nil, nil, "a list of all batteries, each with the fields above and these:",
+      {:charge_state, :text, nil, "MAV_BATTERY_CHARGE_STATE, the worst of all batteries", "BATTERY_STATUS"},
+      {:batteries, {:list, :group}, nil, "a list of all batteries, each with the fields above and these:",
        "BATTERY_STATUS"},
       {[:batteries, :id], 0, nil, "id of the battery", "BATTERY_STATUS"},
       {[:batteries, :temperature], 1, "°C", "temperature", "BATTERY_STATUS"}

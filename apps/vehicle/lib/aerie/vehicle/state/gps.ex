@@ -11,16 +11,17 @@ defmodule Aerie.Vehicle.State.Gps do
     sampling: {:change, 0.5, %{}, 30.0},
     messages: [M.GpsRawInt],
     fields: [
-      {:fix, 0, nil, "GPS_FIX_TYPE as a number; 3 or more is a position with height", "GPS_RAW_INT"},
-      {:fix_name, nil, nil, "GPS_FIX_TYPE: NO_GPS, 2D_FIX, 3D_FIX, RTK_FIXED …", "GPS_RAW_INT"},
-      {:satellites, 0, nil, "satellites in view", "GPS_RAW_INT"},
-      {:hdop, 2, nil, "horizontal dilution of precision", "GPS_RAW_INT"},
-      {:vdop, 2, nil, "vertical dilution of precision", "GPS_RAW_INT"},
-      {:lat, 7, "°", "the receiver's latitude", "GPS_RAW_INT, HIGH_LATENCY2"},
-      {:lon, 7, "°", "the receiver's longitude", "GPS_RAW_INT, HIGH_LATENCY2"},
+      {:fix, 0, nil, "GPS_FIX_TYPE as a number; 3 or more is a position with height", "GPS_RAW_INT",
+       {0, nil}},
+      {:fix_name, :text, nil, "GPS_FIX_TYPE: NO_GPS, 2D_FIX, 3D_FIX, RTK_FIXED …", "GPS_RAW_INT"},
+      {:satellites, 0, nil, "satellites in view", "GPS_RAW_INT", {0, nil}},
+      {:hdop, 2, nil, "horizontal dilution of precision", "GPS_RAW_INT", {0, nil}},
+      {:vdop, 2, nil, "vertical dilution of precision", "GPS_RAW_INT", {0, nil}},
+      {:lat, 7, "°", "the receiver's latitude", "GPS_RAW_INT, HIGH_LATENCY2", -90..90},
+      {:lon, 7, "°", "the receiver's longitude", "GPS_RAW_INT, HIGH_LATENCY2", -180..180},
       {:alt_msl, 2, "m", "the receiver's height above mean sea level", "GPS_RAW_INT, HIGH_LATENCY2"},
-      {:h_acc, 2, "m", "horizontal uncertainty", "GPS_RAW_INT, HIGH_LATENCY2"},
-      {:v_acc, 2, "m", "vertical uncertainty", "GPS_RAW_INT, HIGH_LATENCY2"}
+      {:h_acc, 2, "m", "horizontal uncertainty", "GPS_RAW_INT, HIGH_LATENCY2", {0, nil}},
+      {:v_acc, 2, "m", "vertical uncertainty", "GPS_RAW_INT, HIGH_LATENCY2", {0, nil}}
     ]
 
   @impl Group

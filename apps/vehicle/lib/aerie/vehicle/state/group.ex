@@ -2,7 +2,9 @@ defmodule Aerie.Vehicle.State.Group do
   @moduledoc """
   A group of a vehicle's state, as its module declares it with `use Aerie.Vehicle.State.Group`.
 
-    * `fields` - `{name, decimals, unit, meaning, source}`; a list of names for a nested field
+    * `fields` - `{name, type, unit, meaning, source}`, or with the least and largest value, `{0, nil}` or `0..360`; a list of names for a nested
+      field. The type is a number of decimals (0 for whole numbers), `:text`, `:boolean`, `:time`, `{:one_of, texts}`, `{:list, type}`,
+      `{:list, :object}` and `{:object, decimals}` of the fields below it, `{:list, :group}` of these and the group's own
     * `sampling` - how it is published unless the configuration says otherwise: `{strategy, hz, threshold, refresh_s}`
       (`Aerie.Vehicle.Sampling`)
     * `messages` - the messages that the module reads, whichever groups they change. `{second, first}`: the second is read only
@@ -14,9 +16,19 @@ defmodule Aerie.Vehicle.State.Group do
   @enforce_keys [:name, :title, :sampling, :messages, :fields]
   defstruct @enforce_keys
 
+  @type kind ::
+          non_neg_integer()
+          | :text
+          | :boolean
+          | :time
+          | {:one_of, [String.t()]}
+          | {:list, kind() | :object | :group}
+          | {:object, non_neg_integer()}
   @typedoc "`path`: its name, or the names that lead to it. `decimals`: 0 for whole numbers, nil for anything but a number."
   @type field :: %{
           path: [atom()],
+          type: kind(),
+          range: {number() | nil, number() | nil},
           decimals: non_neg_integer() | nil,
           unit: String.t() | nil,
           meaning: String.t(),
@@ -54,12 +66,30 @@ defmodule Aerie.Vehicle.State.Group do
   @doc false
   @spec new(keyword()) :: t()
   def new(group) do
-    fields =
-      for {path, decimals, unit, meaning, source} <- group[:fields],
-          do: %{path: List.wrap(path), decimals: decimals, unit: unit, meaning: meaning, source: source}
-
-    struct!(__MODULE__, Keyword.put(group, :fields, fields))
+    struct!(__MODULE__, Keyword.put(group, :fields, Enum.map(group[:fields], &field/1)))
   end
+
+  # A ratio is 0..1, whatever is measured.
+  defp field({path, type, "0..1" = unit, meaning, source}),
+    do: field({path, type, unit, meaning, source, 0..1})
+
+  defp field({path, type, unit, meaning, source}), do: field({path, type, unit, meaning, source, {nil, nil}})
+
+  defp field({path, type, unit, meaning, source, range}) do
+    %{
+      path: List.wrap(path),
+      type: type,
+      range: with(first..last//_step <- range, do: {first, last}),
+      decimals: decimals(type),
+      unit: unit,
+      meaning: meaning,
+      source: source
+    }
+  end
+
+  defp decimals(n) when is_integer(n), do: n
+  defp decimals({_several, n}) when is_integer(n), do: n
+  defp decimals(_no_number), do: nil
 
   @doc "The data of a group so far; empty before its first message."
   @spec data(State.t(), State.group()) :: map()

@@ -24,24 +24,28 @@ defmodule Aerie.Vehicle.State.Health do
     ],
     fields: [
       {:load, 3, "0..1", "processor load", "SYS_STATUS"},
-      {:unhealthy, nil, nil, "a list of the sensors and functions that are present, enabled and unhealthy",
+      {:unhealthy, {:list, :text}, nil,
+       "a list of the sensors and functions that are present, enabled and unhealthy",
        "SYS_STATUS, HIGH_LATENCY2"},
-      {:ready_to_arm, nil, nil, "whether the pre-arm checks pass", "SYS_STATUS"},
-      {:arming_checks, nil, nil, "PX4, Betaflight, iNav: a list of the failing arming checks",
+      {:ready_to_arm, :boolean, nil, "whether the pre-arm checks pass", "SYS_STATUS"},
+      {:arming_checks, {:list, :object}, nil, "PX4, Betaflight, iNav: a list of the failing arming checks:",
        "EVENT, STATUSTEXT"},
-      {:rc_receiver, nil, nil, "whether the remote control receiver is healthy", "SYS_STATUS"},
-      {:fence_enabled, nil, nil, "whether the vehicle's fence is on; null for a vehicle without one",
+      {[:arming_checks, :id], :text, nil, "PX4: id of the report, hexadecimal", "EVENT"},
+      {[:arming_checks, :name], :text, nil, "name of the check", "EVENT, STATUSTEXT"},
+      {[:arming_checks, :severity], 0, nil, "MAV_SEVERITY", "EVENT, STATUSTEXT"},
+      {:rc_receiver, :boolean, nil, "whether the remote control receiver is healthy", "SYS_STATUS"},
+      {:fence_enabled, :boolean, nil, "whether the vehicle's fence is on; null for a vehicle without one",
        "SYS_STATUS"},
       {:drop_rate, 4, "0..1", "ratio of frames that the vehicle did not receive", "SYS_STATUS"},
       {:errors, 0, nil, "communication errors", "SYS_STATUS"},
-      {:ekf, 3, nil, "the estimator; ratios below 1 are good:", @ekf},
+      {:ekf, {:object, 3}, nil, "the estimator; ratios below 1 are good:", @ekf},
       {[:ekf, :flags], 0, nil, "flags of EKF_STATUS_REPORT or ESTIMATOR_STATUS", @ekf},
       {[:ekf, :velocity], 3, nil, "innovation test ratio of the velocity", @ekf},
       {[:ekf, :position_horizontal], 3, nil, "… of the horizontal position", @ekf},
       {[:ekf, :position_vertical], 3, nil, "… of the height", @ekf},
       {[:ekf, :compass], 3, nil, "… of the compass", @ekf},
       {[:ekf, :terrain], 3, nil, "… of the height above the ground", @ekf},
-      {:vibration, 2, "m/s²", "a list: x, y, z", "VIBRATION"},
+      {:vibration, {:list, 2}, "m/s²", "a list: x, y, z", "VIBRATION"},
       {:clipping, 0, nil, "how often an accelerometer clipped, sum of all", "VIBRATION"}
     ]
 
@@ -101,7 +105,7 @@ defmodule Aerie.Vehicle.State.Health do
       rc_receiver: rc_receiver(m),
       fence_enabled: fence_enabled(m),
       ready_to_arm: if((enabled &&& @prearm_check) != 0, do: (failing &&& @prearm_check) == 0),
-      drop_rate: Value.unsigned(m.drop_rate_comm, 16, 10_000),
+      drop_rate: Value.up_to(m.drop_rate_comm, 10_000, 10_000),
       errors: m.errors_comm
     }
   end

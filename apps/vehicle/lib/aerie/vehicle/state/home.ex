@@ -10,8 +10,8 @@ defmodule Aerie.Vehicle.State.Home do
     sampling: {:change, 1.0, %{}, 60.0},
     messages: [M.HomePosition, M.GpsGlobalOrigin],
     fields: [
-      {:lat, 7, "°", "latitude", "HOME_POSITION"},
-      {:lon, 7, "°", "longitude", "HOME_POSITION"},
+      {:lat, 7, "°", "latitude", "HOME_POSITION", -90..90},
+      {:lon, 7, "°", "longitude", "HOME_POSITION", -180..180},
       {:alt_msl, 2, "m", "height above mean sea level", "HOME_POSITION"}
     ]
 

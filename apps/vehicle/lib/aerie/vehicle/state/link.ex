@@ -9,10 +9,10 @@ defmodule Aerie.Vehicle.State.Link do
     sampling: {:aggregate, 0.2, %{}, 60.0},
     messages: [],
     fields: [
-      {:status, nil, nil, "online, stale, lost", "all frames of the autopilot"},
+      {:status, {:one_of, ~w(online stale lost)}, nil, "online, stale, lost", "all frames of the autopilot"},
       {:frames_per_s, 1, "1/s", "received frames", "all frames of the vehicle"},
       {:bytes_per_s, 0, "B/s", "received bytes", "all frames of the vehicle"},
-      {:links, nil, nil, "a list of the links that hear the vehicle, the latest first",
+      {:links, {:list, :text}, nil, "a list of the links that hear the vehicle, the latest first",
        "all frames of the vehicle"}
     ]
 end

@@ -13,11 +13,12 @@ defmodule Aerie.Vehicle.State.Mission do
     fields: [
       {:seq, 0, nil, "the current item", "MISSION_CURRENT, HIGH_LATENCY2"},
       {:total, 0, nil, "number of items", "MISSION_CURRENT"},
-      {:state, nil, nil, "MISSION_STATE", "MISSION_CURRENT"},
+      {:state, :text, nil, "MISSION_STATE", "MISSION_CURRENT"},
       {:reached, 0, nil, "the last item that was reached", "MISSION_ITEM_REACHED"},
       {:wp_distance, 0, "m", "distance to the current item", "NAV_CONTROLLER_OUTPUT, HIGH_LATENCY2"},
-      {:fence_breach, nil, nil, "true while the vehicle breaches its fence", "FENCE_STATUS, HIGH_LATENCY2"},
-      {:fence_breach_type, nil, nil, "FENCE_BREACH", "FENCE_STATUS"}
+      {:fence_breach, :boolean, nil, "true while the vehicle breaches its fence",
+       "FENCE_STATUS, HIGH_LATENCY2"},
+      {:fence_breach_type, :text, nil, "FENCE_BREACH", "FENCE_STATUS"}
     ]
 
   @impl Group

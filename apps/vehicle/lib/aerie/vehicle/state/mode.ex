@@ -39,16 +39,16 @@ defmodule Aerie.Vehicle.State.Mode do
       M.CurrentMode
     ],
     fields: [
-      {:mode, nil, nil, "name of the flight mode, which depends on firmware and type",
+      {:mode, :text, nil, "name of the flight mode, which depends on firmware and type",
        "HEARTBEAT, HIGH_LATENCY2"},
       {:custom_mode, 0, nil, "the firmware's number of the mode", "HEARTBEAT, HIGH_LATENCY2"},
-      {:armed, nil, nil, "true while the motors may turn", "HEARTBEAT, HIGH_LATENCY2 (ArduPilot)"},
-      {:in_air, nil, nil, "true while the vehicle flies",
+      {:armed, :boolean, nil, "true while the motors may turn", "HEARTBEAT, HIGH_LATENCY2 (ArduPilot)"},
+      {:in_air, :boolean, nil, "true while the vehicle flies",
        "EXTENDED_SYS_STATE, HEARTBEAT, else height and speed"},
-      {:landed_state, nil, nil, "MAV_LANDED_STATE", "EXTENDED_SYS_STATE"},
-      {:vtol_state, nil, nil, "MAV_VTOL_STATE", "EXTENDED_SYS_STATE"},
-      {:system_status, nil, nil, "MAV_STATE", "HEARTBEAT"},
-      {:failsafe, nil, nil, "true while MAV_STATE is CRITICAL or EMERGENCY", "HEARTBEAT"}
+      {:landed_state, :text, nil, "MAV_LANDED_STATE", "EXTENDED_SYS_STATE"},
+      {:vtol_state, :text, nil, "MAV_VTOL_STATE", "EXTENDED_SYS_STATE"},
+      {:system_status, :text, nil, "MAV_STATE", "HEARTBEAT"},
+      {:failsafe, :boolean, nil, "true while MAV_STATE is CRITICAL or EMERGENCY", "HEARTBEAT"}
     ]
 
   @impl Group

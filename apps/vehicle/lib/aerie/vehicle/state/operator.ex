@@ -15,13 +15,14 @@ defmodule Aerie.Vehicle.State.Operator do
     sampling: {:change, 10.0, %{}, 60.0},
     messages: [M.ControlStatus],
     fields: [
-      {:name, nil, nil, "who alone commands it through the gateway; null for nobody", "`take_control`"},
-      {:via, nil, nil, "by which way: nats, rest, elixir, mavlink", "`take_control`"},
-      {:since, nil, nil, "since when", "`take_control`"},
-      {:reason, nil, nil, "why it was taken over", "`take_control`"},
-      {:offered_to, nil, nil, "who may take it without a reason; `*` for anybody", "`hand_over_control`"},
+      {:name, :text, nil, "who alone commands it through the gateway; null for nobody", "`take_control`"},
+      {:via, :text, nil, "by which way: nats, rest, elixir, mavlink", "`take_control`"},
+      {:since, :time, nil, "since when", "`take_control`"},
+      {:reason, :text, nil, "why it was taken over", "`take_control`"},
+      {:offered_to, :text, nil, "who may take it without a reason; `*` for anybody", "`hand_over_control`"},
       {:system, 0, nil, "the ground station in control as the vehicle tells; 0 for none", "CONTROL_STATUS"},
-      {:takeover_allowed, nil, nil, "whether the vehicle gives control to anyone who asks", "CONTROL_STATUS"}
+      {:takeover_allowed, :boolean, nil, "whether the vehicle gives control to anyone who asks",
+       "CONTROL_STATUS"}
     ]
 
   # The operator in control (X15); only the component that manages the system speaks for all of it.

@@ -10,11 +10,12 @@ defmodule Aerie.Vehicle.State.Position do
     sampling: {:time, 1.0, %{}, 30.0},
     messages: [M.GlobalPositionInt, {M.Altitude, M.GlobalPositionInt}],
     fields: [
-      {:lat, 7, "°", "latitude, WGS 84, north is positive", "GLOBAL_POSITION_INT, HIGH_LATENCY2"},
-      {:lon, 7, "°", "longitude, east is positive", "GLOBAL_POSITION_INT, HIGH_LATENCY2"},
+      {:lat, 7, "°", "latitude, WGS 84, north is positive", "GLOBAL_POSITION_INT, HIGH_LATENCY2", -90..90},
+      {:lon, 7, "°", "longitude, east is positive", "GLOBAL_POSITION_INT, HIGH_LATENCY2", -180..180},
       {:alt_msl, 2, "m", "height above mean sea level", "GLOBAL_POSITION_INT, HIGH_LATENCY2"},
       {:alt_rel, 2, "m", "height above home, not above the ground", "GLOBAL_POSITION_INT, ALTITUDE"},
-      {:heading, 2, "°", "direction of the nose, 0..360 from north", "GLOBAL_POSITION_INT, HIGH_LATENCY2"}
+      {:heading, 2, "°", "direction of the nose, 0..360 from north", "GLOBAL_POSITION_INT, HIGH_LATENCY2",
+       0..360}
     ]
 
   @impl Group

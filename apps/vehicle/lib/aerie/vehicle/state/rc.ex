@@ -12,7 +12,7 @@ defmodule Aerie.Vehicle.State.Rc do
     sampling: {:time, 0.2, %{}, 60.0},
     messages: [M.RcChannels, {M.RcChannelsRaw, M.RcChannels}],
     fields: [
-      {:channels, 0, "µs", "a list of pulse widths, null for an unused channel",
+      {:channels, {:list, 0}, "µs", "a list of pulse widths, null for an unused channel",
        "RC_CHANNELS, RC_CHANNELS_RAW"},
       {:rssi, 2, "0..1", "signal strength; PX4 sends percent, others 0 to 254",
        "RC_CHANNELS, RC_CHANNELS_RAW"}

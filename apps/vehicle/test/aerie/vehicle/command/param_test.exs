@@ -30,7 +30,7 @@ defmodule Aerie.Vehicle.Command.ParamTest do
     assert Param.check(name, "abcd", "name") == {:ok, "abcd"}
 
     for bad <- ["", "abcde", <<0>>, 5],
-        do: assert({:error, _, "a text of 1 to 4 bytes", ^bad} = Param.check(name, bad, "name"))
+        do: assert({:error, _, "a text of 1 to 4 characters", ^bad} = Param.check(name, bad, "name"))
   end
 
   test "of a list the item that is wrong is named, and a long one is not read" do

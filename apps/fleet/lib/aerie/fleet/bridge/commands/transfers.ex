@@ -46,6 +46,18 @@ defmodule Aerie.Fleet.Bridge.Commands.Transfers do
   @spec max_bytes() :: pos_integer()
   def max_bytes, do: @max_bytes
 
+  @doc "All areas with their operations."
+  @spec all() :: [{area :: String.t(), operation :: String.t()}]
+  def all, do: for({area, operations} <- @areas, operation <- operations, do: {area, operation})
+
+  @doc "Whether an operation changes something: it is a command, and needs an id."
+  @spec changes?({area :: String.t(), operation :: String.t()}) :: boolean()
+  def changes?(what), do: what in @changes
+
+  @doc "The most bytes of one piece of a log."
+  @spec max_piece() :: pos_integer()
+  def max_piece, do: @max_piece
+
   @doc "An area and an operation that exist, as one name."
   @spec known?(area :: String.t(), operation :: String.t()) :: boolean()
   def known?(area, operation), do: operation in Map.get(@areas, area, [])

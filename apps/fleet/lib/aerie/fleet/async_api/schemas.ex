@@ -1,0 +1,293 @@
+defmodule Aerie.Fleet.AsyncAPI.Schemas do
+  @moduledoc "The schemas of `docs/asyncapi.json` by their names. Pure."
+
+  import Aerie.Base.JsonSchema
+
+  alias Aerie.Fleet.Bridge.Commands.Transfers
+  alias Aerie.Fleet.Bridge.Events.Gaps
+  alias Aerie.Fleet.{Operations, Shadow}
+  alias Aerie.Vehicle.{Command, Event, Fields, Kind}
+  alias Aerie.Vehicle.State.Groups
+
+  @type t :: Aerie.Base.JsonSchema.t()
+
+  @transfers %{
+    {"params", "list"} => "Lists all parameters.",
+    {"params", "get"} => "Reads one parameter.",
+    {"params", "set"} => "Sets one parameter.",
+    {"params", "load"} => "Sets several parameters, or those of a file.",
+    {"params", "metadata"} => "What the vehicle says of its parameters.",
+    {"mission", "get"} => "Reads the mission, the fence or the rally points.",
+    {"mission", "put"} => "Writes the mission, the fence or the rally points.",
+    {"mission", "clear"} => "Clears the mission, the fence or the rally points.",
+    {"files", "list"} => "Lists a folder on board.",
+    {"files", "read"} => "Reads a file on board.",
+    {"files", "write"} => "Writes a file on board.",
+    {"files", "remove"} => "Removes a file on board.",
+    {"files", "crc"} => "The checksum of a file on board.",
+    {"logs", "list"} => "Lists the logs on board.",
+    {"logs", "read"} => "Reads a piece of a log on board."
+  }
+
+  @doc "What an operation of an area does."
+  @spec transfer({area :: String.t(), operation :: String.t()}) :: String.t()
+  def transfer(what), do: Map.fetch!(@transfers, what)
+
+  @doc "The actions of the shadow."
+  @spec shadow_actions() :: [{atom(), String.t()}]
+  def shadow_actions do
+    [
+      get: "What is desired of a vehicle, and what is reported.",
+      delta: "What is desired but not yet so.",
+      update: "Changes the desired state.",
+      delete: "Clears the desired state."
+    ]
+  end
+
+  @doc "The actions of operations on many vehicles."
+  @spec operation_actions() :: [{atom(), String.t()}]
+  def operation_actions do
+    [
+      begin: "Begins an operation on many vehicles.",
+      stop: "Stops an operation: no further vehicle is begun.",
+      get: "An operation, and what became of each vehicle.",
+      list: "All operations, without their vehicles."
+    ]
+  end
+
+  @doc "All schemas."
+  @spec all() :: %{String.t() => t()}
+  def all do
+    [states(), events(), commands(), transfers(), shadow(), operations(), buckets(), headers(), answers()]
+    |> Enum.concat()
+    |> Map.new()
+  end
+
+  defp states do
+    groups =
+      for group <- Groups.all(),
+          do: {"state.#{group.name}", state(group.name, group.title, Fields.Schema.group(group))}
+
+    [{"state.gateway", state(:gateway, "What a gateway says of a vehicle.", gateway())} | groups]
+  end
+
+  defp state(name, title, data) do
+    properties = %{
+      vehicle: token(),
+      group: %{const: name},
+      gateway: described(%{type: :string}, "the gateway that published it"),
+      epoch: epoch(),
+      time: described(stamp(), "when its data was received"),
+      time_boot_ms: boot(),
+      data: data
+    }
+
+    described(
+      object(properties, [:vehicle, :group, :gateway, :time, :time_boot_ms, :data], open: true),
+      title
+    )
+  end
+
+  defp gateway do
+    object(
+      %{
+        network: described(%{type: :string}, "the network that its system id belongs to"),
+        system_id: described(integer(0, 0xFFFFFFFF), "MAVLink system id"),
+        autopilot: %{enum: Enum.sort(Map.keys(Kind.autopilots()))},
+        type: described(%{type: [:string, :null]}, "copter, plane, rover, …"),
+        firmware: %{type: [:string, :null]},
+        status: %{enum: ~w(online stale lost)},
+        silent_s: described(%{type: [:number, :null], minimum: 0}, "how long the vehicle was not heard", "s")
+      },
+      [:network, :system_id, :status],
+      open: true
+    )
+  end
+
+  defp events do
+    gap =
+      object(Map.new(~w(epoch from to lost)a, &{&1, %{type: :integer, minimum: 1}}), ~w(epoch from to lost)a,
+        open: true
+      )
+
+    lost =
+      event(Gaps.type(), "Events that a bounded store had no room for; it has no number of its own.", gap, %{
+        type: :null
+      })
+
+    Map.to_list(Fields.Schema.shared()) ++
+      [
+        {"event.#{Gaps.type()}", lost}
+        | for(
+            type <- Event.Types.all(),
+            do:
+              {"event.#{type.type}",
+               event(type.type, type.when, Fields.Schema.event(type), %{type: :integer, minimum: 1})}
+          )
+      ]
+  end
+
+  defp event(type, meaning, data, seq) do
+    properties = %{
+      id: described(%{type: :string, minLength: 1}, "of two messages with one id, the second is a copy"),
+      vehicle: described(%{type: :string}, "the vehicle, or the gateway of an event of its own"),
+      type: %{const: type},
+      epoch: epoch(),
+      seq: described(seq, "1, 2, 3 … for each vehicle in an epoch"),
+      time: described(stamp(), "when the gateway received what shows it"),
+      time_boot_ms: boot(),
+      data: data
+    }
+
+    described(
+      object(properties, [:id, :vehicle, :type, :seq, :time, :time_boot_ms, :data], open: true),
+      meaning
+    )
+  end
+
+  defp epoch, do: described(%{type: :integer, minimum: 1}, "grows with each start of the gateway")
+  defp boot, do: described(%{type: [:integer, :null], minimum: 0}, "the vehicle's own clock", "ms")
+  defp stamp, do: %{type: :string, format: :"date-time"}
+
+  defp commands do
+    cancel =
+      object(%{id: described(token(), "of the command or request that is cancelled")}, [:id], open: true)
+
+    requests =
+      for type <- Command.Types.all(), do: {"command.#{type.name}", Command.Schema.envelope(type, id?: true)}
+
+    [{"command.cancel", cancel}, {"progress", progress()} | requests] ++ Map.to_list(Command.Schema.shared())
+  end
+
+  defp progress do
+    object(
+      %{
+        id: token(),
+        progress:
+          described(
+            %{type: [:number, :null], minimum: 0, maximum: 1},
+            "the share that is done; null if unknown"
+          ),
+        text: described(%{type: [:string, :null]}, "a sentence for people")
+      },
+      [:id, :progress],
+      open: true
+    )
+  end
+
+  defp transfers do
+    requests =
+      for {area, operation} = what <- Transfers.all(),
+          do: {"#{area}.#{operation}", Transfers.Schema.request(what)}
+
+    [{"plan", Transfers.Schema.plan()} | requests]
+  end
+
+  defp shadow do
+    anything = %{type: :object}
+
+    Map.to_list(Shadow.Schema.shared()) ++
+      [
+        {"shadow.get", anything},
+        {"shadow.delta", anything},
+        {"shadow.update", Shadow.Schema.update(true)},
+        {"shadow.delete", Shadow.Schema.delete(true)}
+      ]
+  end
+
+  defp operations do
+    named = Operations.Schema.named()
+
+    Map.to_list(Operations.Schema.shared()) ++
+      [
+        {"operation.begin", Operations.Schema.request(true)},
+        {"operation.stop", named},
+        {"operation.get", named},
+        {"operation.list", %{type: :object}}
+      ]
+  end
+
+  defp buckets do
+    [
+      {"desired", Shadow.Schema.document()},
+      {"reported", Shadow.Schema.reported()},
+      {"gateway", object(%{gateway: %{type: :string}}, [:gateway], open: true)},
+      {"owner",
+       described(%{type: :string}, "the instance of `fleet_leases`, or gateway-ID for the gateway aboard")},
+      {"claim",
+       object(
+         %{
+           by: described(%{type: :string}, "the instance of the gateway"),
+           result: %{enum: for({status, _meaning, _done?} <- Command.Result.table(), do: status)},
+           reason: %{type: [:string, :null]}
+         },
+         [:by],
+         open: true
+       )}
+    ]
+  end
+
+  defp headers do
+    backfill = described(%{const: "true"}, "it comes late: history, which must not be shown as live")
+
+    [
+      {"headers.published", object(%{"Aerie-Backfill" => backfill}, [], open: true)},
+      {"headers.event",
+       object(
+         %{"Aerie-Backfill" => backfill, "Nats-Msg-Id" => described(%{type: :string}, "the id of the event")},
+         [],
+         open: true
+       )},
+      {"headers.request",
+       object(
+         %{
+           "Aerie-Signature" =>
+             described(%{type: :string}, "who asks, and that nobody changed it (docs/policy.md)"),
+           "Aerie-Deadline" => described(%{type: :string}, "of an unsigned command without one in its body"),
+           "Aerie-Source" => described(%{type: :string}, "of an unsigned command without one in its body")
+         },
+         [],
+         open: true
+       )}
+    ]
+  end
+
+  @doc "The schemas of answers by their names."
+  @spec answers() :: [{String.t(), t()}]
+  def answers do
+    ok = fn schema ->
+      %{
+        schema
+        | properties: Map.put(schema.properties, :result, %{const: "ok"}),
+          required: [:result | schema.required]
+      }
+    end
+
+    operations = %{type: :array, items: Operations.Schema.operation(false)}
+
+    refused =
+      object(
+        %{
+          result: %{const: "refused"},
+          rule: described(%{type: :string}, "malformed, role, conflict, limit, rate, signature, …"),
+          reason: %{type: :string},
+          token: %{type: [:string, :null]}
+        },
+        [:result, :rule, :reason],
+        open: true
+      )
+
+    [
+      {"result", Command.Schema.result()},
+      {"refusal", Transfers.Schema.refusal()},
+      {"refused", refused},
+      {"answer.operation", ok.(Operations.Schema.operation(true))},
+      {"answer.operation.list",
+       object(%{result: %{const: "ok"}, operations: operations}, [:result, :operations], open: true)}
+    ] ++
+      for({action, schema} <- Shadow.Schema.answers(), do: {"answer.shadow.#{action}", schema}) ++
+      for {area, operation} = what <- Transfers.all(),
+          not Transfers.changes?(what),
+          do: {"answer.#{area}.#{operation}", Transfers.Schema.reply(what)}
+  end
+end

@@ -8,6 +8,7 @@ defmodule FleetWeb.API.LinkRequest do
   file of this machine.
   """
 
+  alias Aerie.Base.Json
   alias Aerie.Base.Settings.Types
   alias FleetWeb.API.{Error, Request}
 
@@ -48,10 +49,15 @@ defmodule FleetWeb.API.LinkRequest do
   end
 
   defp text(_key, nil), do: {:ok, nil}
-  defp text("label", text) when is_binary(text) and byte_size(text) <= 256, do: {:ok, text}
+
+  defp text("label", text) do
+    if Json.text?(text, 0, 256),
+      do: {:ok, text},
+      else: Error.invalid("label must be a text of at most 256 characters")
+  end
 
   defp text(key, text) do
-    with true <- key != "label" and is_binary(text), {:ok, token} <- Types.parse_token(text) do
+    with true <- is_binary(text), {:ok, token} <- Types.parse_token(text) do
       {:ok, token}
     else
       _other -> Error.invalid("#{key} must be a name: letters, digits, - and _, 64 at most")

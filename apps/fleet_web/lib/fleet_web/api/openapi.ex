@@ -4,7 +4,8 @@ defmodule FleetWeb.API.OpenAPI do
   `FleetWeb.API.Routes`. Pure.
   """
 
-  alias FleetWeb.API.{Error, Parameters, Routes}
+  alias Aerie.Base.JsonSchema
+  alias FleetWeb.API.{Bodies, Error, Parameters, Routes}
 
   # Every answer may be one of these; those of commands only where a vehicle is asked.
   @errors [400, 401, 403, 404, 405, 409, 413, 415, 422, 429, 503]
@@ -30,7 +31,7 @@ defmodule FleetWeb.API.OpenAPI do
           key: %{type: :apiKey, in: :header, name: "X-Aerie-Key"},
           bearer: %{type: :http, scheme: :bearer}
         },
-        schemas: Map.merge(schemas(), %{error: error()}),
+        schemas: Map.merge(Bodies.all(), %{error: error()}),
         responses: Map.new(@errors ++ @command_errors, &{"error#{&1}", response(&1)})
       }
     }
@@ -38,7 +39,7 @@ defmodule FleetWeb.API.OpenAPI do
 
   @doc "The text of `docs/openapi.json`: the same bytes each time, a line for each operation."
   @spec text() :: String.t()
-  def text, do: IO.iodata_to_binary([pretty(document(), 0), "\n"])
+  def text, do: JsonSchema.pretty(document())
 
   # The version of the release; a checkout has the same.
   defp version, do: :fleet_web |> Application.spec(:vsn) |> to_string()
@@ -50,15 +51,6 @@ defmodule FleetWeb.API.OpenAPI do
       {template(path), Map.new(routes, &{String.downcase(&1.method), operation(&1)})}
     end)
   end
-
-  # Bodies that several routes share.
-  @common %{
-    object: %{type: :object},
-    nothing: %{type: :object, maxProperties: 0},
-    mode: %{type: :object, required: [:mode], properties: %{mode: %{enum: ~w(always armed off)}}}
-  }
-
-  defp schemas, do: for(%{body: {name, %{} = schema}} <- Routes.all(), into: @common, do: {name, schema})
 
   defp template(path), do: path |> String.replace(~r/:([a-z]+)/, "{\\1}") |> String.replace("[...]", "{path}")
 
@@ -79,31 +71,29 @@ defmodule FleetWeb.API.OpenAPI do
 
   defp in_path(path) do
     for [name] <- Regex.scan(~r/\{([a-z]+)\}/, template(path), capture: :all_but_first),
-        do: %{name: name, in: :path, required: true, schema: %{type: :string, minLength: 1}}
+        do: %{name: name, in: :path, required: true, schema: Parameters.in_path(path, name)}
   end
 
   defp in_query(name) do
-    {schema, meaning} = Map.fetch!(Parameters.all(), name)
+    {name, schema, meaning} = Parameters.in_query(name)
     %{name: name, in: :query, required: false, description: meaning, schema: schema}
   end
 
   defp with_body(operation, nil), do: operation
 
-  defp with_body(operation, {:bytes, types}),
-    do: Map.put(operation, :requestBody, %{required: true, content: content(types)})
+  defp with_body(operation, {:bytes, types, name}),
+    do: Map.put(operation, :requestBody, %{required: true, content: content(types, name)})
 
-  defp with_body(operation, {name, %{} = _schema}), do: with_body(operation, name)
-
-  defp with_body(operation, schema),
+  defp with_body(operation, name),
     do:
       Map.put(operation, :requestBody, %{
-        required: schema != :nothing,
-        content: %{"application/json" => %{schema: schema(schema)}}
+        required: name != :nothing,
+        content: content(["application/json"], name)
       })
 
-  defp content(types) do
+  defp content(types, name) do
     Map.new(types, fn
-      "application/json" = type -> {type, %{schema: schema(:object)}}
+      "application/json" = type -> {type, %{schema: schema(name)}}
       type -> {type, %{schema: %{type: :string}}}
     end)
   end
@@ -124,7 +114,7 @@ defmodule FleetWeb.API.OpenAPI do
   defp answer(nil), do: %{description: "Done."}
 
   defp answer({:bytes, types}),
-    do: %{description: "Done.", content: content(Enum.uniq(["application/json" | types]))}
+    do: %{description: "Done.", content: content(Enum.uniq(["application/json" | types]), :object)}
 
   defp answer(schema),
     do: %{description: "Done.", content: %{"application/json" => %{schema: schema(schema)}}}
@@ -147,35 +137,4 @@ defmodule FleetWeb.API.OpenAPI do
       }
     }
   end
-
-  # Objects in the order of their keys, those that fit on a line on one.
-  defp pretty(map, depth) when is_map(map) and map_size(map) > 0 do
-    one = IO.iodata_to_binary(plain(map))
-
-    if byte_size(one) + 2 * depth <= 120 or depth > 4 do
-      plain(map)
-    else
-      members =
-        for {key, value} <- sorted(map),
-            do: [indent(depth + 1), JSON.encode!(key), ": ", pretty(value, depth + 1)]
-
-      ["{\n", Enum.intersperse(members, ",\n"), "\n", indent(depth), "}"]
-    end
-  end
-
-  defp pretty(value, _depth), do: plain(value)
-
-  defp plain(map) when is_map(map),
-    do: [
-      "{",
-      Enum.map_intersperse(sorted(map), ", ", fn {k, v} -> [JSON.encode!(k), ": ", plain(v)] end),
-      "}"
-    ]
-
-  defp plain(list) when is_list(list), do: ["[", Enum.map_intersperse(list, ", ", &plain/1), "]"]
-  defp plain(value), do: JSON.encode!(value)
-
-  defp sorted(map), do: map |> Enum.map(fn {key, value} -> {to_string(key), value} end) |> Enum.sort()
-
-  defp indent(depth), do: String.duplicate("  ", depth)
 end

@@ -90,10 +90,11 @@ defmodule FleetWeb.API.Recordings do
     end
   end
 
-  defp reason(text) when is_binary(text) and byte_size(text) <= @max_reason, do: {:ok, text}
-
-  defp reason(_other),
-    do: Error.invalid("reason must be a text of at most #{@max_reason} bytes")
+  defp reason(text) do
+    if Json.text?(text, 0, @max_reason),
+      do: {:ok, text},
+      else: Error.invalid("reason must be a text of at most #{@max_reason} characters")
+  end
 
   @doc "Starts or stops the recording of `{:vehicle | :link, name}`: `%{\"mode\" => \"always\" | \"armed\" | \"off\"}`."
   @spec record(term(), {:vehicle | :link, String.t()}, map()) ::

@@ -8,7 +8,7 @@ defmodule FleetWeb.API.Route do
   | `action` | the clause of `FleetWeb.API.Actions.run/3` that answers |
   | `role` | the least role that may; a viewer may read everything |
   | `summary` | one line, for the description |
-  | `body` | the request's body: `:object`, `:nothing`, `:mode`, `{name, schema}`, or `{:bytes, media types}`; nil for none |
+  | `body` | the request's body: a name of `FleetWeb.API.Bodies`, or `{:bytes, media types, name of the one as JSON}`; nil for none |
   | `query` | names of parameters (`FleetWeb.API.Parameters`) |
   | `status` | of the answer; with `later: true` also 202: the command goes on |
   | `answer` | `:object`, nil for none, or `{:bytes, media types}` beside JSON |
@@ -31,7 +31,7 @@ defmodule FleetWeb.API.Route do
   ]
 
   @type action :: atom() | tuple()
-  @type body :: atom() | {atom(), map()} | {:bytes, [String.t()]} | nil
+  @type body :: atom() | {:bytes, [String.t()], atom()} | nil
   @type t :: %__MODULE__{
           method: String.t(),
           path: String.t(),
@@ -39,7 +39,7 @@ defmodule FleetWeb.API.Route do
           role: Roles.role(),
           summary: String.t(),
           body: body(),
-          query: [atom()],
+          query: [atom() | {:format, [String.t()]}],
           status: 200..299,
           later: boolean(),
           answer: :object | nil | {:bytes, [String.t()]}

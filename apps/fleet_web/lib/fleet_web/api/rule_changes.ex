@@ -64,7 +64,7 @@ defmodule FleetWeb.API.RuleChanges do
   defp value(key, n) when key in [:bytes_per_s, :queue_frames, :queue_kb] and is_integer(n) and n > 0,
     do: {:ok, n}
 
-  defp value(:group, text) when is_binary(text) and byte_size(text) <= 64, do: {:ok, text}
+  defp value(:group, text) when is_binary(text) and byte_size(text) <= 256, do: {:ok, text}
 
   defp value(key, flag) when key in [:sniffer, :served, :broadcasts, :coalesce] and is_boolean(flag),
     do: {:ok, flag}

@@ -233,8 +233,10 @@ defmodule FleetWeb.API.Transfers do
     end
   end
 
-  defp formats(:mission), do: ["json", "waypoints", "plan", "mission"]
-  defp formats(_other), do: ["json", "plan"]
+  @doc "The forms that a plan of a kind may have."
+  @spec formats(Missions.kind()) :: [String.t(), ...]
+  def formats(:mission), do: ["json", "waypoints", "plan", "mission"]
+  def formats(_other), do: ["json", "plan"]
 
   defp plan_format("plan"), do: :plan
   defp plan_format("waypoints"), do: :waypoints

@@ -3,10 +3,8 @@ defmodule FleetWeb.API.Routes.Gateway do
 
   import FleetWeb.API.Route
 
-  @text %{type: :string}
   @bytes {:bytes, ["application/octet-stream"]}
-  @plan {:bytes, ["application/json", "text/plain", "application/octet-stream"]}
-  @level ~w(debug info notice warning error none)
+  @plan {:bytes, ["application/json", "text/plain", "application/octet-stream"], :plan}
 
   @doc "The rows."
   @spec rows() :: [FleetWeb.API.Route.t()]
@@ -26,21 +24,7 @@ defmodule FleetWeb.API.Routes.Gateway do
       ),
       get("/api/links", :links, "All links."),
       post("/api/links", :add_link, :admin, "Adds a link; it lives until it is removed, or the gateway ends.",
-        body:
-          {:link,
-           %{
-             type: :object,
-             required: [:url],
-             additionalProperties: false,
-             properties: %{
-               id: @text,
-               label: @text,
-               group: @text,
-               url: @text,
-               high_latency: %{type: :boolean},
-               network: @text
-             }
-           }},
+        body: :link,
         status: 201
       ),
       delete("/api/links/:id", :remove_link, :admin, "Closes and forgets a link.", status: 204, answer: nil),
@@ -49,19 +33,7 @@ defmodule FleetWeb.API.Routes.Gateway do
       get("/api/recordings/:name", :download, "A recording.", answer: @bytes),
       get("/api/clients", :clients, "Endpoints for clients, and the clients that are connected."),
       post("/api/clients", :add_client, :admin, "Adds an endpoint for clients.",
-        body:
-          {:client,
-           %{
-             type: :object,
-             required: [:url],
-             additionalProperties: false,
-             properties: %{
-               access: %{enum: ["full", "read"]},
-               id: @text,
-               networks: %{type: :array, items: @text},
-               url: @text
-             }
-           }},
+        body: :client,
         status: 201
       ),
       delete("/api/clients/:id", :remove_client, :admin, "Removes an endpoint, or disconnects a client.",
@@ -69,9 +41,7 @@ defmodule FleetWeb.API.Routes.Gateway do
         answer: nil
       ),
       get("/api/rules", :rules, "The routing rules of links and clients."),
-      patch("/api/rules/:id", :change_rules, :admin, "Changes the rules of a link or client.",
-        body: {:rules, %{type: :object, minProperties: 1}}
-      ),
+      patch("/api/rules/:id", :change_rules, :admin, "Changes the rules of a link or client.", body: :rules),
       delete("/api/rules/:id", :reset_rules, :admin, "Restores the configured rules.",
         status: 204,
         answer: nil
@@ -84,47 +54,14 @@ defmodule FleetWeb.API.Routes.Gateway do
         body: :nothing
       ),
       get("/api/log", :log, "The levels of the log."),
-      patch("/api/log", :change_log, :admin, "Changes the levels of the log.",
-        body:
-          {:log,
-           %{
-             type: :object,
-             additionalProperties: false,
-             properties: %{
-               level: %{enum: @level},
-               areas: %{type: :object, additionalProperties: %{enum: @level ++ [nil]}}
-             },
-             minProperties: 1
-           }}
-      ),
+      patch("/api/log", :change_log, :admin, "Changes the levels of the log.", body: :log),
       get("/api/operations", :operations, "Operations on many vehicles, without their vehicles."),
       post(
         "/api/operations",
         :begin_operation,
         :operator,
         "Begins an operation on many vehicles, which goes on by itself.",
-        body:
-          {:operation,
-           %{
-             type: :object,
-             additionalProperties: false,
-             properties: %{
-               command: %{
-                 type: :object,
-                 required: [:type],
-                 properties: %{type: @text, params: %{type: :object}}
-               },
-               id: @text,
-               tag: @text,
-               step: %{default: 20, maximum: 100, type: :integer, minimum: 1},
-               shadow: %{type: :object},
-               await: %{enum: ["written", "converged"]},
-               vehicles: %{type: :array, items: @text, maxItems: 2000, minItems: 1},
-               halt_ratio: %{default: 1, maximum: 1, type: :number, minimum: 0},
-               pause_s: %{default: 0, maximum: 3600, type: :number, minimum: 0},
-               timeout_s: %{maximum: 300, type: :number, minimum: 1}
-             }
-           }},
+        body: :operation,
         status: 202
       ),
       get("/api/operations/:id", :operation, "An operation, and what became of each vehicle."),

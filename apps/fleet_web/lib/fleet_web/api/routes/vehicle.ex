@@ -3,10 +3,12 @@ defmodule FleetWeb.API.Routes.Vehicle do
 
   import FleetWeb.API.Route
 
-  @text %{type: :string}
+  alias FleetWeb.API.Transfers
+
   @bytes {:bytes, ["application/octet-stream"]}
   @params_text {:bytes, ["application/json", "text/plain"]}
   @plan {:bytes, ["application/json", "text/plain", "application/octet-stream"]}
+  @params_format {:format, ~w(json param params txt)}
   @plans [mission: "mission", fence: "fence", rally: "rally points"]
 
   @doc "The rows."
@@ -18,7 +20,7 @@ defmodule FleetWeb.API.Routes.Vehicle do
         query: [:limit, :since]
       ),
       post("/api/vehicles/:id/save", :save, :operator, "Saves the last minutes of a vehicle as a recording.",
-        body: {:save, %{type: :object, properties: %{reason: %{type: :string, maxLength: 64}}}},
+        body: :save,
         status: 201
       ),
       put("/api/vehicles/:id/recording", :record_vehicle, :admin, "Starts or stops recording a vehicle.",
@@ -30,29 +32,11 @@ defmodule FleetWeb.API.Routes.Vehicle do
         :sign_vehicle,
         :admin,
         "Gives a vehicle a signing key, or takes it away.",
-        body:
-          {:signing,
-           %{
-             type: :object,
-             required: [:action],
-             additionalProperties: false,
-             properties: %{
-               link: @text,
-               action: %{enum: ["enrol", "revoke", "discard"]},
-               key: %{enum: ["configured", "generate", "previous"]},
-               component: %{maximum: 255, type: :integer, minimum: 1}
-             }
-           }}
+        body: :signing
       ),
       post("/api/vehicles/:id/commands", :command, :operator, "Gives a command, and waits for its result.",
         query: [:wait],
-        body:
-          {:command,
-           %{
-             type: :object,
-             required: [:type],
-             properties: %{id: @text, type: @text, deadline: @text, params: %{type: :object}}
-           }},
+        body: :command,
         later: true
       ),
       get(
@@ -69,14 +53,14 @@ defmodule FleetWeb.API.Routes.Vehicle do
         "What is desired of a vehicle, what is reported, and how they differ."
       ),
       patch("/api/vehicles/:id/shadow", :update_shadow, :operator, "Changes the desired state.",
-        body: :object
+        body: :shadow
       ),
       delete("/api/vehicles/:id/shadow", :delete_shadow, :operator, "Clears the desired state.",
         query: [:version]
       ),
       get("/api/vehicles/:id/shadow/delta", :shadow_delta, "What is desired but not yet so."),
       get("/api/vehicles/:id/params", {:transfer, :list_params}, "All parameters of a vehicle.",
-        query: [:format, :component, :timeout],
+        query: [@params_format, :component, :timeout],
         answer: @params_text
       ),
       put(
@@ -84,8 +68,8 @@ defmodule FleetWeb.API.Routes.Vehicle do
         {:transfer, :load_params},
         :operator,
         "Sets several parameters of a vehicle.",
-        query: [:format, :timeout, :wait, :id, :unknown],
-        body: @params_text,
+        query: [@params_format, :timeout, :wait, :id, :unknown],
+        body: {:bytes, ["application/json", "text/plain"], :params},
         later: true
       ),
       get("/api/vehicles/:id/params/:name", {:transfer, :get_param}, "One parameter.",
@@ -93,14 +77,7 @@ defmodule FleetWeb.API.Routes.Vehicle do
       ),
       put("/api/vehicles/:id/params/:name", {:transfer, :set_param}, :operator, "Sets a parameter.",
         query: [:component, :timeout, :wait, :id],
-        body:
-          {:param,
-           %{
-             type: :object,
-             required: [:value],
-             additionalProperties: false,
-             properties: %{id: @text, value: %{type: [:number, :string]}}
-           }},
+        body: :param,
         later: true
       ),
       get(
@@ -118,7 +95,7 @@ defmodule FleetWeb.API.Routes.Vehicle do
       ),
       put("/api/vehicles/:id/files/[...]", {:transfer, :write_file}, :operator, "Writes a file on board.",
         query: [:timeout, :wait, :id],
-        body: @bytes,
+        body: {:bytes, ["application/octet-stream"], :object},
         later: true
       ),
       delete(
@@ -139,15 +116,16 @@ defmodule FleetWeb.API.Routes.Vehicle do
 
   defp plan({kind, name}) do
     path = "/api/vehicles/:id/#{kind}"
+    format = {:format, Transfers.formats(kind)}
 
     [
       get(path, {:transfer, {:get_plan, kind}}, "Reads the #{name} of a vehicle.",
-        query: [:format, :timeout],
+        query: [format, :timeout],
         answer: @plan
       ),
       put(path, {:transfer, {:put_plan, kind}}, :operator, "Writes the #{name} of a vehicle.",
-        query: [:format, :timeout, :wait, :id, :force],
-        body: @plan,
+        query: [format, :timeout, :wait, :id, :force],
+        body: {:bytes, ["application/json", "text/plain", "application/octet-stream"], :upload},
         later: true
       ),
       delete(path, {:transfer, {:clear_plan, kind}}, :operator, "Clears the #{name} of a vehicle.",

@@ -31,6 +31,16 @@ defmodule Aerie.Base.JsonSchema do
   @spec text(pos_integer(), non_neg_integer()) :: t()
   def text(max, min \\ 1), do: %{type: :string, minLength: min, maxLength: max, pattern: @printable}
 
+  @doc """
+  A text of 1 to `max` bytes, without NUL. Of bytes a schema can only say: so many characters of ASCII, or a quarter as many of any kind.
+  """
+  @spec bytes(pos_integer()) :: t()
+  def bytes(max) do
+    ascii = %{maxLength: max, pattern: "^[\\u0001-\\u007f]*$"}
+    any = %{maxLength: div(max, 4), pattern: "^[^\\u0000]*$"}
+    %{type: :string, minLength: 1, anyOf: [ascii, any]}
+  end
+
   @doc "A name: 1 to 64 letters, digits, - and _."
   @spec token() :: t()
   def token, do: %{type: :string, pattern: @token}

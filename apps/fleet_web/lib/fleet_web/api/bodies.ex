@@ -14,8 +14,8 @@ defmodule FleetWeb.API.Bodies do
 
   @modes ~w(always armed off)
   # How connection strings begin; what follows is in docs/hub.md and docs/clients.md.
-  @link "^((udp|udpin|udpout|udpbcast|tcp|tcpin|serial|msp):|wss?://|/|tty|cu\\.|rfcomm|COM)"
-  @client "^((udp|udpin|udpout|udpbcast|tcp|tcpin):|wss?://)"
+  @link "^((udp|udpin|udpout|udpbcast|tcp|tcpin|serial|msp):|wss?://|/|tty|cu\\.|rfcomm|COM)[!-~]*$"
+  @client "^((udp|udpin|udpout|udpbcast|tcp|tcpin):|wss?://)[!-~]*$"
 
   @doc "All of them."
   @spec all() :: %{(atom() | String.t()) => map()}

@@ -53,7 +53,8 @@ defmodule FleetWeb.API.Parameters do
   @spec in_path(path :: String.t(), name :: String.t()) :: map()
   def in_path("/api/vehicles/" <> _rest, "id"), do: token()
   def in_path("/api/vehicles/:id/params/:name", "name"), do: Transfers.Schema.name()
-  def in_path(_path, "path"), do: %{type: :string, minLength: 1, maxLength: 238, pattern: "^[^\\u0000]*$"}
+  # Behind a slash.
+  def in_path(_path, "path"), do: bytes(238)
   def in_path(_path, "log"), do: integer(0, 0xFFFF)
   def in_path(_path, _name), do: %{type: :string, minLength: 1}
 end

@@ -120,8 +120,8 @@ defmodule Aerie.Fleet.Bridge.Commands.Transfers.Schema do
   end
 
   defp kind, do: %{enum: ["mission", "fence", "rally", nil], default: "mission"}
-  # 239 bytes, of which a character may be four.
-  defp path, do: %{type: :string, minLength: 1, maxLength: 239, pattern: "^[^\\u0000]*$"}
+  # What a packet of MAVFTP has room for.
+  defp path, do: bytes(239)
 
   @doc "A .plan file of QGroundControl as an object. Which items and shapes it may have is in docs/transfers.md."
   @spec plan() :: t()

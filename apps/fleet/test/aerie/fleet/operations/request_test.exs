@@ -44,6 +44,7 @@ defmodule Aerie.Fleet.Operations.RequestTest do
     assert wrong(%{}) == ["vehicles", "command"]
     assert wrong(Map.put(@rtl, "tag", "x")) == ["tag"]
     assert wrong(%{@rtl | "vehicles" => ["V 1"]}) == ["vehicles"]
+    assert wrong(%{@rtl | "vehicles" => ["V-1", nil]}) == ["vehicles"]
     assert wrong(%{@rtl | "vehicles" => List.duplicate("V", 2_001)}) == ["vehicles"]
 
     assert wrong(Map.merge(@rtl, %{"step" => 0, "pause_s" => -1, "halt_ratio" => 2})) == [

@@ -23,7 +23,14 @@ defmodule Aerie.Fleet.Remote.MessageTest do
     assert {:ok, %{content: {:group, :battery, ^battery}}} =
              Message.parse("V-1", "battery", body("battery", battery))
 
-    health = %{unhealthy: ["gps"], ekf: %{flags: 3, velocity: 0.1}, vibration: [0.1, 0.2, 0.3]}
+    checks = [%{id: "0x01AEEF7E", name: "check_modes_offboard_signal_lost", severity: 3}]
+
+    health = %{
+      unhealthy: ["gps"],
+      ekf: %{flags: 3, velocity: 0.1},
+      vibration: [0.1, 0.2, 0.3],
+      arming_checks: checks
+    }
 
     assert {:ok, %{content: {:group, :health, ^health}}} =
              Message.parse("V-1", "health", body("health", health))

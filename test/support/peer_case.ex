@@ -23,6 +23,7 @@ defmodule Aerie.PeerCase do
   @programs [
     mavlink_router: "mavlink-routerd",
     mavp2p: "mavp2p",
+    promtool: "promtool",
     schemathesis: "schemathesis",
     betaflight: "betaflight_SITL",
     inav: "inav_SITL",

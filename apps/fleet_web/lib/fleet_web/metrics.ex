@@ -45,7 +45,8 @@ defmodule FleetWeb.Metrics do
             not Aerie.Control.Commands.Metrics.own?(name) and not Aerie.Fleet.Shadow.Metrics.own?(name),
           do: {[name: counter_name(name)], n}
 
-    {"gateway_counter_total", :counter, "Drops and refusals, by name.", Enum.sort(samples)}
+    {"gateway_occurrences_total", :counter, "Drops, refusals and what else is counted, by name.",
+     Enum.sort(samples)}
   end
 
   defp counter_name(name) when is_tuple(name),

@@ -49,7 +49,7 @@ defmodule FleetWeb.Metrics.Page do
     {"gateway_client_endpoints_overloaded", []},
     {"gateway_client", [:kind]},
     {"gateway_api_requests_total", [:status]},
-    {"gateway_counter_total", [:name]},
+    {"gateway_occurrences_total", [:name]},
     {"gateway_vm_memory_bytes", [:kind]}
   ]
 

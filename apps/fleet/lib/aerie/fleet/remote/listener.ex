@@ -6,7 +6,7 @@ defmodule Aerie.Fleet.Remote.Listener do
   Of vehicles that this gateway's own links hear it takes only who else hears them. It tells `Aerie.Fleet.Bridge.Commands` which
   vehicles to leave to another gateway, because this one's links have lost them.
 
-  Counters (`gateway_counter_total{name="remote.…"}`): `taken`, and those of the table.
+  Counters (`gateway_occurrences_total{name="remote.…"}`): `taken`, and those of the table.
 
   | what | limit | beyond it |
   |---|---|---|

@@ -94,7 +94,7 @@ defmodule Aerie.Vehicle.Fields.Page do
 
     `events.suppressed` tells how many events were over the budget of their type. A vehicle that sends more than the gateway can
     look at loses texts, reports, parameters and reached items before they are events: of them there is no event, only
-    `gateway_counter_total{name="vehicle.ID.inbox_dropped"}`.
+    `gateway_occurrences_total{name="vehicle.ID.inbox_dropped"}`.
     """
   end
 

@@ -19,7 +19,7 @@ defmodule Aerie.Config.RecipesTest do
                do: {Path.basename(page), n, recipe}
   @calls for page <- @guides,
              block <- @blocks.(page, ""),
-             line <- String.split(block, "\n", trim: true),
+             line <- block |> String.replace(~r/ \\\n */, " ") |> String.split("\n", trim: true),
              do: {Path.basename(page), line}
 
   test "there are some" do
@@ -49,14 +49,27 @@ defmodule Aerie.Config.RecipesTest do
           for "--" <> _ = option <- options, do: assert(help =~ option)
 
         ["aerie" | words] ->
-          assert {:ok, _subcommand, _arguments, _options} = Aerie.CLI.Parser.command_line(words)
+          parses(words)
+
+        ["docker", "exec", _container, "aerie" | words] ->
+          parses(words)
+
+        ["docker", "compose", "exec", "gateway", "aerie" | words] ->
+          parses(words)
+
+        # Its entrypoint in rel/container/compose.yaml.
+        ["docker", "compose", "run", "--rm", "setup" | words] ->
+          parses(["nats-setup", "/fleet" | words])
 
         ["mix", task | _arguments] ->
           assert Mix.Task.get(task)
 
         [program | _arguments] ->
-          assert program in ~w(apt systemctl install cd)
+          assert program in ~w(apt systemctl install cd docker printf echo)
       end
     end
   end
+
+  defp parses(words),
+    do: assert({:ok, _subcommand, _arguments, _options} = Aerie.CLI.Parser.command_line(words))
 end

@@ -13,4 +13,7 @@ made=${2:-$here/_build/release}
 work=$(mktemp -d -p "${TMPDIR:-/var/tmp}")
 trap 'rm -rf --one-file-system "$work"' EXIT
 # All processes end with the first one.
-PATH=$here/.toolchain/bin:$PATH unshare --mount --pid --mount-proc --fork --kill-child elixir "$here/test/install/image.exs" "$1" "$made" "$work"
+PATH=$here/.toolchain/bin:$PATH unshare --mount --pid --mount-proc --fork --kill-child elixir "$here/test/install/image.exs" "$1" "$made" "$work" &
+all=$!
+trap 'kill -KILL $all; wait $all; exit 143' INT TERM
+wait $all

@@ -138,7 +138,7 @@ defmodule Aerie.System.ContainerTest do
         for %{"type" => "bind", "target" => target} <- services["nats"]["volumes"], do: Path.basename(target)
 
       texts =
-        for name <- ["hub.conf", "#{@host}/server.conf"], do: File.read!(Path.join([dir, "fleet/hub", name]))
+        for name <- ["hub.conf", "server.conf"], do: File.read!(Path.join([dir, "fleet/hub", @host, name]))
 
       for text <- texts,
           [_all, name] <- Regex.scan(~r/(?:include |_file: ")([a-z.]+\.(?:conf|pem|key))/, text),

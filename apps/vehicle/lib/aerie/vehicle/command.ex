@@ -76,14 +76,19 @@ defmodule Aerie.Vehicle.Command do
   @doc "The command of the same fields for callers in Elixir: an id is made when none is given, `params` may have atoms as keys."
   @spec new(keyword(), now :: integer()) :: {:ok, t()} | {:error, [Error.t(), ...]}
   def new(fields, now \\ System.os_time(:microsecond)) do
-    params = fields |> Keyword.get(:params, %{}) |> Map.new(fn {name, value} -> {to_string(name), value} end)
-
     fields
     |> Map.new(fn {name, value} -> {Atom.to_string(name), value} end)
-    |> Map.put("params", params)
+    |> Map.update("params", %{}, &named/1)
     |> Map.put_new_lazy("id", &id/0)
     |> Map.put_new("source", "elixir")
     |> parse(now)
+  end
+
+  # What is none is left to the check.
+  defp named(params) do
+    if is_map(params) or Keyword.keyword?(params),
+      do: Map.new(params, fn {name, value} -> {to_string(name), value} end),
+      else: params
   end
 
   @doc "A new id, unique without anybody being asked."

@@ -127,9 +127,6 @@ defmodule Aerie.Fleet.Operations.Request do
       {:error, errors} -> {:error, for(error <- errors, do: %{error | key: "command." <> error.key})}
       [key | _more] -> {:error, Error.new("command." <> Error.key(key), "only type and params", :unknown)}
     end
-  rescue
-    # Params that are not an object.
-    Protocol.UndefinedError -> {:error, Error.new("command.params", "an object", command["params"])}
   end
 
   defp what(%{"command" => other}, _now), do: {:error, Error.new("command", "an object with a type", other)}

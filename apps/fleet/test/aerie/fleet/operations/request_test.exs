@@ -59,7 +59,10 @@ defmodule Aerie.Fleet.Operations.RequestTest do
     assert wrong(Map.put(@rtl, "id", "a b")) == ["id"]
     assert wrong(%{@rtl | "command" => %{"type" => "fly_away"}}) == ["command.type"]
     assert wrong(%{@rtl | "command" => %{"type" => "rtl", "source" => "me"}}) == ["command.source"]
-    assert wrong(%{@rtl | "command" => %{"type" => "rtl", "params" => 7}}) == ["command.params"]
+
+    for params <- [7, "x", [nil, nil], [1], [[]]],
+        do: assert(wrong(%{@rtl | "command" => %{"type" => "rtl", "params" => params}}) == ["command.params"])
+
     assert [_one] = wrong(%{@rtl | "command" => %{"type" => "takeoff", "params" => %{"altitude" => "high"}}})
     shadow = &%{"tag" => "x", "shadow" => &1}
     assert wrong(shadow.(%{"desired" => %{"mood" => 1}})) == ["shadow.desired.mood"]

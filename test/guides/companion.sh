@@ -6,6 +6,7 @@ checkout hub
 began=$SECONDS before=$(received) machine=$(dpkg --print-architecture)
 
 at hub pilot "$PILOT/aerie"
+step 'sudo apt install gcc libc6-dev python3-venv' 'sudo apt install -y gcc libc6-dev python3-venv'
 step 'bin/release --arch arm64 --deb' "bin/release --arch $machine --deb"
 cp "$root_hub$PILOT/aerie/_build/release/"aerie_*.deb "$root_companion/home/pilot/"
 say "the package is made $((SECONDS - began)) s after the first command; $((($(received) - before) / 1000000)) MB were received, and it has $(($(stat -c %s "$root_companion/home/pilot/"*.deb) / 1000000)) MB"

@@ -32,7 +32,7 @@ defmodule Aerie.MixProject do
       ],
       # The system tests of the whole gateway stand at the top of the repository; this app depends on all they need.
       test_paths: ["test", "../../test"],
-      test_ignore_filters: [~r"/support/", ~r"/browser/"],
+      test_ignore_filters: [~r"/support/", ~r"/browser/", ~r"/install/"],
       deps: deps()
     ]
   end

@@ -33,7 +33,7 @@ defmodule Aerie.CountersTest do
 
     assert %{[type: "arm", result: :timeout] => 0} = samples(gateway, "gateway_commands_executed_total")
     assert %{[interface: :mavlink, reason: :stalled] => 0} = samples(gateway, "gateway_clients_refused_total")
-    assert %{[name: "journal.inbox_dropped"] => 0} = samples(gateway, "gateway_counter_total")
+    assert %{[name: "journal.inbox_dropped"] => 0} = samples(gateway, "gateway_occurrences_total")
 
     for name <-
           ~w(gateway_policy_decisions_total gateway_commands_received_total gateway_commands_executed_total),

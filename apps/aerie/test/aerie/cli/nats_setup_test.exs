@@ -120,7 +120,7 @@ defmodule Aerie.CLI.NatsSetupTest do
     [gateway, a, b] = keys.()
     assert {:ok, text} = setup_in(dir, ~w(--new-key hub))
     assert text =~ "hub: its key is new"
-    assert text =~ ~r"A, B: bring aboard what is new in \S+/vehicles/ID/gateway.yaml \(policy.sources"
+    assert text =~ ~r"A, B: bring aboard what is new in .+/vehicles/ID/gateway.yaml \(policy.sources"
     assert text =~ "nats-server --signal reload=nats-server.pid"
     assert read(dir, "vehicles/A/gateway.yaml") =~ public(dir, "hub/gateway.nk")
     assert [other, ^a, ^b] = keys.()

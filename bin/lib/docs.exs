@@ -39,7 +39,7 @@ defmodule Docs do
 
   # {file, its name, its group}, in the order of the sidebar.
   defp pages do
-    for pattern <- ["{README,CHANGELOG,CONTRIBUTING}.md", "docs/guides/*.md", "docs/*.md", "{bin,packages,test,test/guides}/README.md", "rel/overlays/*/README.md", "{apps,packages}/*/README.md", "{apps,packages}/*/{lib,priv}/**/README.md"],
+    for pattern <- ["{README,CHANGELOG,CONTRIBUTING}.md", "docs/guides/*.md", "docs/*.md", "{bin,packages,test}/README.md", "test/guides/README.md", "rel/overlays/*/README.md", "{apps,packages}/*/README.md", "{apps,packages}/*/{lib,priv}/**/README.md"],
         path <- Enum.sort(Path.wildcard(pattern)),
         do: page(path, Path.split(path))
   end

@@ -53,7 +53,7 @@ defmodule Aerie.Fleet.AsyncAPITest do
       for {_id, %{"address" => address}} when address != nil <- document["channels"],
           do: {address, matcher(document, address)}
 
-    granted = Accounts.render("prod", "UGATEWAY", [{"VID-001", "UVEHICLE"}])
+    granted = Accounts.render("prod", ["UGATEWAY"], [{"VID-001", "UVEHICLE"}])
 
     subjects =
       for [_all, subject] <- Regex.scan(~r/subject: "((?:fleet\.|\$KV\.)[^"]+)"/, granted),

@@ -118,6 +118,9 @@ defmodule Aerie.Fleet.Operations.Request do
   defp what(%{"command" => _both, "shadow" => _given}, _now),
     do: {:error, Error.new("shadow", "either a command or a shadow", :rule)}
 
+  defp what(%{"command" => %{"params" => params}}, _now) when params != nil and not is_map(params),
+    do: {:error, Error.new("command.params", "an object", params)}
+
   # As a command for a vehicle that any name may be; each is parsed again with its own.
   defp what(%{"command" => %{"type" => type} = command}, _now) do
     with [] <- Map.keys(command) -- ["type", "params"],

@@ -60,7 +60,7 @@ defmodule Aerie.Fleet.Operations.RequestTest do
     assert wrong(%{@rtl | "command" => %{"type" => "fly_away"}}) == ["command.type"]
     assert wrong(%{@rtl | "command" => %{"type" => "rtl", "source" => "me"}}) == ["command.source"]
 
-    for params <- [7, "x", [nil, nil], [1], [[]]],
+    for params <- [7, "x", [nil, nil], [1], [[]], []],
         do: assert(wrong(%{@rtl | "command" => %{"type" => "rtl", "params" => params}}) == ["command.params"])
 
     assert [_one] = wrong(%{@rtl | "command" => %{"type" => "takeoff", "params" => %{"altitude" => "high"}}})

@@ -26,7 +26,9 @@ defmodule Aerie.Control.Params.Download do
 
   @no_index 65_535
   @window 10
+  # Requests for the list, and the time, after which silence is an answer: on a fast link five are over in seconds, for which a computer stands still.
   @lists 5
+  @patience 15_000_000
   @repeats 12
   @resyncs 5
   @hash_reads 6
@@ -217,8 +219,9 @@ defmodule Aerie.Control.Params.Download do
   defp tick(%{phase: :missing} = d, now), do: repeat(d, now)
   defp tick(%{due: due} = d, now) when now < due, do: {d, []}
 
-  defp tick(%{phase: :start, sent: @lists} = d, _now),
-    do: finish(d, {:error, Message.silence(d.target, d.encoding)})
+  defp tick(%{phase: :start, sent: sent, heard_at: heard} = d, now)
+       when sent >= @lists and now - heard >= @patience,
+       do: finish(d, {:error, Message.silence(d.target, d.encoding)})
 
   defp tick(%{phase: :start} = d, now), do: request_list(d, now)
 

@@ -191,8 +191,10 @@ defmodule Aerie.System.RecorderTest do
     end
   end
 
-  defp on_disk_of(dir, size),
-    do: ["unshare", "-rm", "sh", "-c", "mount -t tmpfs -o size=#{size} tmpfs '#{dir}' && exec \"$@\"", "sh"]
+  defp on_disk_of(dir, size) do
+    script = "mount -t tmpfs -o size=\"$1\" tmpfs \"$2\" && shift 2 && exec \"$@\""
+    ["unshare", "-rm", "sh", "-c", script, "sh", size, dir]
+  end
 
   defp consecutive?(frames) do
     frames

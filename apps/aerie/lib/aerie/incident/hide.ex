@@ -32,8 +32,13 @@ defmodule Aerie.Incident.Hide do
     |> Enum.sort_by(&{-byte_size(&1), &1})
   end
 
-  defp find(%Secret{} = secret), do: [Secret.reveal(secret)]
-  defp find(%_struct{} = struct), do: struct |> Map.from_struct() |> find()
+  defp find(%_struct{} = struct) do
+    case Secret.hidden(struct) do
+      {:ok, text} -> [text]
+      :error -> struct |> Map.from_struct() |> find()
+    end
+  end
+
   defp find(map) when is_map(map), do: map |> Map.values() |> Enum.flat_map(&find/1)
   defp find(list) when is_list(list), do: Enum.flat_map(list, &find/1)
   defp find(tuple) when is_tuple(tuple), do: tuple |> Tuple.to_list() |> find()

@@ -192,7 +192,7 @@ defmodule Aerie.Incident.Recordings do
     record = IO.iodata_to_binary(Tlog.Writer.records([frame], signatures: false))
     bytes = state.bytes + byte_size(record)
     if bytes > state.room, do: throw({:recordings, too_large(state.want)})
-    state = %{state | frames: state.frames + 1, bytes: bytes, held: [state.held | record]}
+    state = %{state | frames: state.frames + 1, bytes: bytes, held: [state.held, record]}
     state = if rem(state.frames, @together) == 0, do: flush(state, device), else: state
 
     cond do

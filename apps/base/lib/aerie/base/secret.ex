@@ -19,6 +19,11 @@ defmodule Aerie.Base.Secret do
   def reveal(nil), do: nil
   def reveal(%__MODULE__{fun: fun}), do: fun.()
 
+  @doc "What a value hides, if it is a secret: for those who take secrets out of a text."
+  @spec hidden(term()) :: {:ok, String.t()} | :error
+  def hidden(%__MODULE__{fun: fun}), do: {:ok, fun.()}
+  def hidden(_other), do: :error
+
   defimpl Inspect do
     def inspect(_secret, _opts), do: "#Aerie.Base.Secret<hidden>"
   end

@@ -76,7 +76,7 @@ defmodule Aerie.CLI.PolicyTrial.Report do
   end
 
   @doc "How many would be refused."
-  @spec refused(t()) :: non_neg_integer()
+  @spec refused(t()) :: number()
   def refused(report), do: report.rules |> Map.values() |> Enum.sum()
 
   @doc "The table of a recording."

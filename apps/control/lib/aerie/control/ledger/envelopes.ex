@@ -16,8 +16,12 @@ defmodule Aerie.Control.Ledger.Envelopes do
           {:ok, %{entries: [entry()], forgotten: [integer()], damaged: non_neg_integer()}}
           | {:error, String.t()}
   def read(dir) do
-    with {:ok, {entries, forgotten}, damaged} <- Journal.fold(dir, {[], []}, &record/2) do
-      {:ok, %{entries: Enum.sort_by(entries, &{&1.at, &1.id}), forgotten: forgotten, damaged: damaged}}
+    case Journal.fold(dir, {[], []}, &record/2) do
+      {:ok, {entries, forgotten}, damaged} ->
+        {:ok, %{entries: Enum.sort_by(entries, &{&1.at, &1.id}), forgotten: forgotten, damaged: damaged}}
+
+      {:error, text} ->
+        {:error, text}
     end
   end
 

@@ -44,7 +44,7 @@ defmodule Aerie.Fleet.Bridge.Message do
   def state_subject(environment, vehicle, group), do: "fleet.#{environment}.#{vehicle}.state.#{group}"
 
   @doc "Subject of an event. A type with a dot (`battery.low`) is two tokens of the subject."
-  @spec event_subject(String.t(), Event.t()) :: String.t()
+  @spec event_subject(String.t(), Event.t() | %{vehicle: String.t(), type: String.t()}) :: String.t()
   def event_subject(environment, event), do: "fleet.#{environment}.#{event.vehicle}.event.#{event.type}"
 
   @typedoc "Which start of which gateway publishes."

@@ -124,8 +124,10 @@ defmodule Aerie.Fleet.Bridge.Hub.Members do
   @doc "Gives one its public key."
   @spec put(t(), place(), String.t() | nil) :: t()
   def put(fleet, :hub, public), do: Map.put(fleet, "gateway", public)
-  def put(fleet, {:hub, name}, public), do: put_in(fleet["hubs"][name], public)
-  def put(fleet, {:vehicle, id}, public), do: put_in(fleet["vehicles"][id], public)
+  def put(fleet, {:hub, name}, public), do: put(fleet, "hubs", name, public)
+  def put(fleet, {:vehicle, id}, public), do: put(fleet, "vehicles", id, public)
+
+  defp put(fleet, kind, name, public), do: Map.update!(fleet, kind, &Map.put(&1, name, public))
 
   @doc "Those whose key is still to be made."
   @spec without_key(t()) :: [{String.t(), place()}]

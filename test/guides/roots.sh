@@ -30,10 +30,18 @@ base_root() { # SUITE: $base is its bare root, made once
   touch "$base/.complete"
 }
 
-reach() { # ROOT: names and certificates as on this machine
+# Where this machine's programs find certificates and mirrors, so that those inside reach the same.
+WAYS=()
+for name in SSL_CERT_FILE SSL_CERT_DIR CURL_CA_BUNDLE PIP_CERT REQUESTS_CA_BUNDLE NODE_EXTRA_CA_CERTS; do
+  [ -z "${!name:-}" ] || WAYS+=("$name=${!name}")
+done
+
+reach() { # ROOT: names, certificates and mirrors as on this machine
   cp -L /etc/resolv.conf "$1/etc/"
   mkdir -p "$1/etc/ssl"
   cp -rL /etc/ssl/certs "$1/etc/ssl/" 2>/dev/null || true
+  [ ! -f /etc/pip.conf ] || cp /etc/pip.conf "$1/etc/"
+  [ ! -f ~/.npmrc ] || [ ! -d "$1/home/pilot" ] || install -m 644 ~/.npmrc "$1/home/pilot/.npmrc"
 }
 
 roots=()
@@ -91,7 +99,7 @@ in_root() {
   home=$(chroot "$path" getent passwd "$user" | cut -d : -f 6)
   "${enter[@]}" chroot "$path" setpriv --reuid "${ids%:*}" --regid "${ids#*:}" --init-groups \
     env -i HOME="$home" USER="$user" LOGNAME="$user" SHELL=/bin/bash LANG=C.UTF-8 PATH=/usr/local/bin:/usr/bin:/bin:/usr/local/sbin:/usr/sbin:/sbin \
-    ${SSL_CERT_FILE:+SSL_CERT_FILE="$SSL_CERT_FILE"} \
+    ${WAYS[@]+"${WAYS[@]}"} \
     bash -ec 'cd "$1"; eval "$2"' bash "$folder" "$script"
 }
 

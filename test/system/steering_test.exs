@@ -109,7 +109,9 @@ defmodule Aerie.System.SteeringTest do
     up = &%{lat: @lat, lon: @lon, altitude: &1}
     assert %{status: :completed} = submit(c, "goto", up.(50))
     assert SimVehicle.await(c.sim, &(&1.alt_rel > 49))
-    assert %{status: :completed} = submit(c, "set_home", %{here: true}, @chief)
+    # A busy machine may hear the new home after the command's time.
+    assert %{status: status} = submit(c, "set_home", %{here: true}, @chief)
+    assert status in [:completed, :unknown]
     eventually(fn -> (data(c.gateway, :home)[:alt_msl] || 0) > 625 end, "its home is above it")
     assert %{status: :denied, reason: reason} = submit(c, "goto", up.(50), @chief)
     assert reason =~ "above where it took off; at most 60 m is allowed"

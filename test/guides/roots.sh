@@ -41,7 +41,7 @@ reach() { # ROOT: names, certificates and mirrors as on this machine
   mkdir -p "$1/etc/ssl"
   cp -rL /etc/ssl/certs "$1/etc/ssl/" 2>/dev/null || true
   [ ! -f /etc/pip.conf ] || cp /etc/pip.conf "$1/etc/"
-  [ ! -f ~/.npmrc ] || [ ! -d "$1/home/pilot" ] || install -m 644 ~/.npmrc "$1/home/pilot/.npmrc"
+  [ ! -f ~/.npmrc ] || [ ! -d "$1/home/pilot" ] || install -m 600 -o "$(stat -c %u "$1/home/pilot")" ~/.npmrc "$1/home/pilot/.npmrc"
 }
 
 roots=()

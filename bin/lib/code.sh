@@ -7,15 +7,19 @@
 # Compiles everything for the environment $1, one caller at a time, and shows the output only if it fails. A terminal
 # shows progress. $2: a function that is called with $1 before the next caller may compile.
 compile_quietly() {
+  lock "$AERIE_ROOT/_build/compile-$1.lock" "another start is compiling here; waiting for it"
+  compile_locked "$1"
+  [ -z "${2:-}" ] || "$2" "$1"
+  unlock
+}
+
+compile_locked() {
   local log="$AERIE_ROOT/_build/compile-$1.log"
   mkdir -p "$AERIE_ROOT/_build"
-  lock "$AERIE_ROOT/_build/compile-$1.lock" "another start is compiling here; waiting for it"
   together compile_shown "$1" "$log" || {
     cat "$log" >&2
     fail "Aerie did not compile" "see above" "check your changes with git status; if there are none, report the lines above"
   }
-  [ -z "${2:-}" ] || "$2" "$1"
-  unlock
 }
 
 compile_shown() {
@@ -55,14 +59,15 @@ code_install() {
     unlock
     return 0
   fi
-  unlock
   step "compiling what has changed (all of it takes some minutes)"
-  # Sources that change from here on are newer than the stamp.
+  # Sources that change from here on are newer than the stamp. Whoever waits for the lock finds the stamp.
   begun=$(date +%s.%N)
-  compile_quietly "$build" code_copy
+  compile_locked "$build"
+  code_copy "$build"
   printf '%s\n%s\n' "$(command -v elixir)" "$AERIE_CODE" >"$stamp.$$"
   touch -d "@$begun" "$stamp.$$"
   mv "$stamp.$$" "$stamp"
+  unlock
 }
 
 # Prints the copy that the file $1 names, if no source, source folder or toolchain is newer than the file.

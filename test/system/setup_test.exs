@@ -238,6 +238,30 @@ defmodule Aerie.System.SetupTest do
       assert text =~ "error: Aerie did not compile"
     end
 
+    test "who waited takes what the other one compiled", %{root: root, holder: holder} do
+      Port.command(holder, "\n")
+      File.mkdir_p!(Path.join(root, "_build/prod"))
+      File.touch!(Path.join(root, "config/config.exs"))
+      # Compiles when it is told to, and copies nothing.
+      program(root, "mix", ~S"""
+      case $1 in
+        compile) echo one >>"$AERIE_ROOT/compiled"; read -r _ <"$AERIE_ROOT/go" ;;
+        run) mkdir -p "$5/consolidated" ;;
+      esac
+      """)
+
+      {_text, 0} = System.cmd("mkfifo", [Path.join(root, "go")])
+      {first, _pid} = start(root, "code_install")
+      compiling = output(first, "", "==> compiling")
+      {second, _pid} = start(root, "code_install")
+      waiting = output(second, "", "==> another start is compiling here; waiting for it\n")
+      {"", 0} = System.cmd("sh", ["-c", ~S(echo >"$0/go"), root])
+      assert {_text, 0} = output(first, compiling)
+      assert {text, 0} = output(second, waiting)
+      refute text =~ "==> compiling"
+      assert File.read!(Path.join(root, "compiled")) == "one\n"
+    end
+
     test "without a program of before the tool waits, too", %{root: root} do
       File.rm!(Path.join(root, "_build/code-prod"))
       {port, pid} = start(root, "code_install any")

@@ -16,6 +16,8 @@ defmodule Aerie.Program do
           | {:websocket, :inet.port_number(), [{String.t(), String.t()}]}
           | {:unix, Path.t()}
 
+  # Frames over UDP that were not read after that are lost: a link that does not keep up discards datagrams.
+  @lost_ms 10_000
   # Fewer at once than a link that does not keep up takes for a backlog (`MavRouter.Link.Backlog`): nothing of them is discarded.
   @batch 50
 
@@ -40,19 +42,24 @@ defmodule Aerie.Program do
   def close(program), do: GenServer.stop(program)
 
   defp read(program, frames) do
-    before = frames_in(program)
-    say(program, frames)
-    expected = before + length(frames)
+    %{way: way} = :sys.get_state(program)
 
     Patience.eventually(
-      fn -> frames_in(program) >= expected end,
-      fn ->
-        "#{inspect(:sys.get_state(program).way)}: #{frames_in(program)} of #{expected} frames were read"
-      end
+      fn -> read?(program, frames, frames_in(program) + length(frames), way) end,
+      fn -> "#{inspect(way)}: #{length(frames)} frames are read; it had read #{frames_in(program)}" end
     )
 
     :ok
   end
+
+  defp read?(program, frames, expected, way) do
+    say(program, frames)
+    lost = now() + if(elem(way, 0) == :udp, do: @lost_ms, else: Patience.ms())
+    Patience.eventually(fn -> frames_in(program) >= expected or now() > lost end, "they are read, or lost")
+    frames_in(program) >= expected
+  end
+
+  defp now, do: System.monotonic_time(:millisecond)
 
   defp frames_in(program) do
     %{gateway: gateway, way: way, port: port} = :sys.get_state(program)

@@ -390,8 +390,8 @@ defmodule Aerie.System.RemoteTest do
     signal.("CONT")
     shown(hub, "online again", &(&1.status == :online))
 
-    # What comes after it on the same way is done, so the late one has arrived. Until the gateway aboard has renewed its lease, which it
-    # could not while its server was frozen, it refuses, and says that nothing was sent.
+    # What comes after it on the same way is done, so the late one has arrived. Until the gateway aboard listens again, and has renewed its
+    # lease, which it could not while its server was frozen, nothing is sent, which is said.
     eventually(fn -> after_thaw(hub).status == :completed end, "a command is completed again")
 
     assert SimVehicle.state(sim).mode == "BRAKE"
@@ -405,7 +405,7 @@ defmodule Aerie.System.RemoteTest do
 
   defp after_thaw(hub) do
     result = command(hub, "set_mode", %{mode: "BRAKE"})
-    assert result.status == :completed or match?(%{details: %{"rule" => "holder"}}, result), inspect(result)
+    assert result.status == :completed or result.details["rule"] in ["holder", "unreachable"], inspect(result)
     result
   end
 

@@ -33,7 +33,7 @@ step 'aerie nats-setup fleet --host hub.example.org --vehicle VID-001' 'bin/nats
 cp -r "$root_hub$PILOT/aerie/fleet/vehicles/VID-001" "$root_companion/home/pilot/"
 chroot "$root_companion" chown -R pilot:pilot /home/pilot/VID-001
 at companion pilot /home/pilot
-step 'sudo install -m 600 -o aerie -g aerie VID-001/leaf.nk VID-001/ca.pem /var/lib/aerie/'
+step 'sudo install -m 600 -o aerie -g aerie VID-001/leaf.nk VID-001/ca.pem /etc/aerie/'
 awk '/^[a-z]/ { keep = /^(nats|shadow|policy):/ } keep' "$root_companion/home/pilot/VID-001/gateway.yaml" >>"$root_companion/etc/aerie/gateway.yaml"
 in_root companion pilot /home/pilot 'sudo -u aerie aerie config check'
 

@@ -144,12 +144,12 @@ defmodule Aerie.System.ContainerTest do
           [_all, name] <- Regex.scan(~r/(?:include |_file: ")([a-z.]+\.(?:conf|pem|key))/, text),
           do: assert(name in mounted)
 
-      # So does the gateway, for which relative names begin at AERIE_HOME.
+      # So does the gateway, beside its gateway.yaml.
       targets = for %{"type" => "bind", "target" => target} <- services["gateway"]["volumes"], do: target
       assert "/etc/aerie/gateway.yaml" in targets
       text = File.read!(Path.join(dir, "gateway.yaml"))
 
-      for [_all, name] <- Regex.scan(~r/_file: (\S+)/, text), do: assert("/var/lib/aerie/#{name}" in targets)
+      for [_all, name] <- Regex.scan(~r/_file: (\S+)/, text), do: assert("/etc/aerie/#{name}" in targets)
 
       env = Map.put(services["gateway"]["environment"], "AERIE_API_KEY", "a-key-of-32-characters-for-a-test")
       assert {:ok, config} = Config.load(Path.join(dir, "gateway.yaml"), [], env: env)

@@ -22,7 +22,7 @@ defmodule Aerie.Config do
       `lines` has the lines of the file's keys
   """
 
-  alias Aerie.Config.{Environment, Error, Keys, Resolve, Yaml}
+  alias Aerie.Config.{Beside, Environment, Error, Keys, Resolve, Yaml}
   alias Aerie.Base.Settings.{Field, Schema}
 
   defstruct Keys.order() ++ [file: nil, given: %{}, lines: %{}, warnings: []]
@@ -174,6 +174,7 @@ defmodule Aerie.Config do
   end
 
   defp build(file, layers, {path, lines}) do
+    file = Beside.expand(file, Keys.fields(), path)
     raw = Enum.reduce(layers, file, fn {keys, value, _source}, raw -> put(raw, keys, value) end)
     {values, problems} = Schema.validate(Keys.fields(), raw)
     source = &source(&1, layers, path)

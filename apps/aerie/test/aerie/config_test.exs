@@ -106,6 +106,39 @@ defmodule Aerie.ConfigTest do
     end
   end
 
+  test "a relative name of a file to read begins beside the configuration, those of the gateway's own folders do not",
+       %{tmp_dir: dir} = context do
+    text = """
+    nats:
+      url: tls://hub.example.org:4222
+      nkey_seed_file: keys/gateway.nk
+      tls: {ca_file: ca.pem}
+      store_dir: var/nats
+      binary: nats-server
+    remote: {nkey_seed_file: gateway.nk}
+    signing: {keys: [{system_id: 1, key_file: one.key}, {system_id: 2, key_file: /two.key}]}
+    policy: {geofence_file: ../zones.json}
+    api: {keys_file: users}
+    """
+
+    assert {:ok, config} =
+             load(context, text, [{"websocket.cert_file", "a.pem"}, {"websocket.key_file", "a.key"}])
+
+    assert config.nats.nkey_seed_file == Path.join(dir, "keys/gateway.nk")
+    assert config.nats.tls.ca_file == Path.join(dir, "ca.pem")
+    assert config.remote.nkey_seed_file == Path.join(dir, "gateway.nk")
+    assert for(key <- config.signing.keys, do: key.key_file) == [Path.join(dir, "one.key"), "/two.key"]
+    assert config.policy.geofence_file == Path.join(dir, "../zones.json")
+    assert config.api.keys_file == Path.join(dir, "users")
+    assert {config.nats.store_dir, config.nats.binary} == {"var/nats", "nats-server"}
+    assert config.websocket.cert_file == "a.pem"
+    # What is no name at all is named by its key.
+    assert [error] = lines(load(context, "api: {keys_file: [users]}"), context)
+    assert error =~ "api.keys_file: expected a file or folder name"
+    assert [error] = lines(load(context, "signing: {keys: {key_file: one}}"), context)
+    assert error =~ "signing.keys: expected a list"
+  end
+
   describe "layers" do
     test "rise from file over environment to the command line", context do
       file = "environment: file\nnats: {port: 1001, retry_min_ms: 11}\nhttp:\n  port: 1\n"

@@ -79,7 +79,7 @@ defmodule FleetWeb.Settings do
       ),
       field(
         :tiles,
-        :path,
+        :file,
         """
         Map tiles of your own, which the gateway serves itself: a PMTiles file, or a folder of Z/X/Y.png, .jpg, .webp or .pbf. Without
         it the map has coastlines, borders and a graticule.
@@ -102,7 +102,7 @@ defmodule FleetWeb.Settings do
       ),
       field(
         :keys_file,
-        :path,
+        :file,
         """
         File of further keys, one a line, as KEY or NAME KEY, with role=, permissions= and expires= if need be, # for comments;
         KEY may be sha256: and its digest. Only its owner may be able to read it.
@@ -143,10 +143,10 @@ defmodule FleetWeb.Settings do
         default: false
       ),
       field(:max_clients, {:integer, 1, 10_000}, "Clients at a time; further ones are refused.", default: 32),
-      field(:cert_file, :path, "Certificate (PEM, with its chain); with it the server speaks wss only.",
+      field(:cert_file, :file, "Certificate (PEM, with its chain); with it the server speaks wss only.",
         example: ~S("/etc/aerie/gateway.pem")
       ),
-      field(:key_file, :path, "The certificate's private key (PEM).", example: ~S("/etc/aerie/gateway.key"))
+      field(:key_file, :file, "The certificate's private key (PEM).", example: ~S("/etc/aerie/gateway.key"))
     ]
   end
 

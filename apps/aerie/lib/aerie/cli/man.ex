@@ -22,7 +22,7 @@ defmodule Aerie.CLI.Man do
     the configuration file, unless an option names one
     .TP
     .B AERIE_HOME
-    the folder that relative paths in the configuration start from; the gateway keeps its data in var/ there (default: the release's own)
+    the folder in which the gateway keeps its data, in var/; names of such folders in the configuration begin there, those of other files at the configuration's own folder (default: the release's own)
     .TP
     .B AERIE_SHELL_DIR
     the folder by which a running gateway is found (the key shell.dir; default: var/shell)

@@ -12,6 +12,8 @@ defmodule Aerie.Config.Example do
   # A line "#key: value" shows the default (or, where it says so, an example); take the # away to set it.
   # Each key can also be set by the environment: AERIE_ and the path in capitals, as AERIE_NATS_URL for nats.url;
   # lists and maps as YAML or JSON text. The command line comes last and wins.
+  # The relative name of a key, a certificate or another file to read begins at the folder of this file, that of a folder for the
+  # gateway's data at AERIE_HOME (in a checkout, the checkout).
   """
 
   @doc "The whole file."
@@ -51,7 +53,7 @@ defmodule Aerie.Config.Example do
   end
 
   defp simple?({structure, _}) when structure in [:list, :map], do: false
-  defp simple?(type), do: type not in [:string, :secret, :path]
+  defp simple?(type), do: type not in [:string, :secret, :path, :file]
 
   defp value(nil), do: "null"
   defp value([]), do: "[]"

@@ -32,7 +32,7 @@ defmodule MavRouter.Signing.Settings do
     [
       field(:network, Types.token(), "Its network."),
       field(:system_id, {:integer, 1, 4_294_967_295}, "Its MAVLink system id."),
-      field(:key_file, :path, "File with the key."),
+      field(:key_file, :file, "File with the key."),
       field(:key_env, :string, "Environment variable with the key."),
       field(:policy, {:enum, [:required, :accept_unsigned, :off]}, "What is asked of frames.",
         default: struct(MavRouter.Signing.Scope).policy

@@ -4,7 +4,8 @@ defmodule Aerie.Base.Settings.Field do
 
   Types:
 
-    * `:string`, `:boolean`, `:secret` (a string kept in `Aerie.Base.Secret`), `:path` (a file or folder)
+    * `:string`, `:boolean`, `:secret` (a string kept in `Aerie.Base.Secret`), `:path` (a folder of the gateway's own, or a
+      program), `:file` (a file or folder that it only reads)
     * `{:integer, min, max}`, `{:number, min, max}` (integers allowed, the result is a float); both ends included
     * `{:enum, atoms}` - one of a fixed set, written as its name
     * `{:parse, fun, words}` - a string; `fun.(string)` gives `{:ok, value}`, `:error`, or `{:error, words}` when
@@ -24,6 +25,7 @@ defmodule Aerie.Base.Settings.Field do
           | :boolean
           | :secret
           | :path
+          | :file
           | {:integer, integer(), integer()}
           | {:number, number(), number()}
           | {:enum, [atom()]}
@@ -59,7 +61,7 @@ defmodule Aerie.Base.Settings.Field do
   @spec expected(type()) :: String.t()
   def expected(:string), do: "text that is not empty"
   def expected(:secret), do: "text that is not empty"
-  def expected(:path), do: "a file or folder name"
+  def expected(type) when type in [:path, :file], do: "a file or folder name"
   def expected(:boolean), do: "true or false"
   def expected({:integer, min, max}), do: "an integer from #{min} to #{max}"
   def expected({:number, min, max}), do: "a number from #{min} to #{max}"

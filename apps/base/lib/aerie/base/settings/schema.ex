@@ -203,7 +203,7 @@ defmodule Aerie.Base.Settings.Schema do
   defp refused(:secret, _hidden, path), do: problem(path, Field.expected(:secret), :hidden)
   defp refused(type, raw, path), do: problem(path, Field.expected(type), raw)
 
-  defp scalar(type, {:text, text}) when type in [:string, :secret, :path], do: scalar(type, text)
+  defp scalar(type, {:text, text}) when type in [:string, :secret, :path, :file], do: scalar(type, text)
   defp scalar(:string, text) when is_binary(text), do: if(blank?(text), do: :error, else: {:ok, text})
   # A version or a call sign that happens to look like a number is still text to its writer.
   defp scalar(:string, number) when is_integer(number), do: {:ok, Integer.to_string(number)}
@@ -211,7 +211,7 @@ defmodule Aerie.Base.Settings.Schema do
   defp scalar(:secret, text) when is_binary(text),
     do: if(blank?(text), do: :error, else: {:ok, Secret.new(text)})
 
-  defp scalar(:path, text) when is_binary(text) and text != "", do: {:ok, text}
+  defp scalar(type, text) when type in [:path, :file] and is_binary(text) and text != "", do: {:ok, text}
   defp scalar(:boolean, bool) when is_boolean(bool), do: {:ok, bool}
   defp scalar(:boolean, {:text, text}) when text in ~w(true 1 yes on), do: {:ok, true}
   defp scalar(:boolean, {:text, text}) when text in ~w(false 0 no off), do: {:ok, false}

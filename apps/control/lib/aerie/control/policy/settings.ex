@@ -25,7 +25,7 @@ defmodule Aerie.Control.Policy.Settings do
           example: "900"
 
   setting :geofence_file,
-          :path,
+          :file,
           "GeoJSON file of zones that targets of commands, and the straight ways to them, must stay in or out of.",
           example: ~S("/etc/gateway/geofence.json")
 

@@ -52,10 +52,10 @@ defmodule Aerie.Fleet.Bridge.Settings do
         default: [],
         example: ~S("nats://localhost:4222")
       ),
-      field(:credentials, :path, "Credentials file (user JWT and nkey seed).",
+      field(:credentials, :file, "Credentials file (user JWT and nkey seed).",
         example: ~S("/etc/gateway/vehicle.creds")
       ),
-      field(:nkey_seed_file, :path, "File with an nkey seed (SU…).", example: ~S("/etc/gateway/vehicle.nk")),
+      field(:nkey_seed_file, :file, "File with an nkey seed (SU…).", example: ~S("/etc/gateway/vehicle.nk")),
       field(:user, :string, "User name, with nats.password.", example: "gateway"),
       field(:password, :secret, "Password. Better given by the environment than in a file.",
         example: "secret"
@@ -70,14 +70,14 @@ defmodule Aerie.Fleet.Bridge.Settings do
         field(:enabled, :boolean, "Use TLS; a tls:// URL means it too.", default: false),
         field(
           :ca_file,
-          :path,
+          :file,
           "Certificates of the authorities that are trusted (PEM); the system's if left out.",
           example: ~S("/etc/gateway/ca.pem")
         ),
-        field(:cert_file, :path, "This gateway's certificate (PEM).",
+        field(:cert_file, :file, "This gateway's certificate (PEM).",
           example: ~S("/etc/gateway/gateway.pem")
         ),
-        field(:key_file, :path, "The certificate's private key (PEM).",
+        field(:key_file, :file, "The certificate's private key (PEM).",
           example: ~S("/etc/gateway/gateway.key")
         ),
         field(:server_name, :string, "Name expected in the server's certificate; the URL's host if left out.",

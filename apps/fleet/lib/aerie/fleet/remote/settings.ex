@@ -37,7 +37,7 @@ defmodule Aerie.Fleet.Remote.Settings do
           times: 1000
 
   setting :nkey_seed_file,
-          :path,
+          :file,
           """
           File with the nkey seed (SU…) by which this gateway signs the commands that it passes on; their policy.sources list its
           public part. Left out: they are not signed, so the other gateway needs policy.unsigned.

@@ -28,26 +28,26 @@ defmodule Aerie.Fleet.Bridge.Leaf.Config do
           default: [],
           example: ~S("tls://hub.example.org:7422")
         ),
-        field(:credentials, :path, "Credentials file (user JWT and nkey seed), for its owner only.",
+        field(:credentials, :file, "Credentials file (user JWT and nkey seed), for its owner only.",
           example: ~S("/etc/aerie/leaf.creds")
         ),
         field(
           :nkey_seed_file,
-          :path,
+          :file,
           "File with an nkey seed (SU…), for its owner only. bin/nats-setup writes one.",
           example: ~S("/etc/aerie/leaf.nk")
         ),
         section(:tls, "TLS to the hub. A tls:// URL means it.", [
           field(
             :ca_file,
-            :path,
+            :file,
             "Certificates of the authorities that are trusted (PEM); the system's if left out.",
             example: ~S("/etc/aerie/ca.pem")
           ),
-          field(:cert_file, :path, "This server's certificate (PEM), if the hub wants one.",
+          field(:cert_file, :file, "This server's certificate (PEM), if the hub wants one.",
             example: ~S("/etc/aerie/leaf.pem")
           ),
-          field(:key_file, :path, "The certificate's private key (PEM), for its owner only.",
+          field(:key_file, :file, "The certificate's private key (PEM), for its owner only.",
             example: ~S("/etc/aerie/leaf.key")
           )
         ])

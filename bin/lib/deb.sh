@@ -16,7 +16,7 @@ release_deb() {
   "$folder/aerie/install.sh" --stage "$stage"
   mkdir -p "$stage/DEBIAN" "$stage/usr/share/doc/aerie"
   {
-    printf 'Aerie is under the licence below. What the package brings along: /opt/aerie/sbom.cdx.json and /opt/aerie/licences.\n\n'
+    printf 'Aerie is under the licence below. What the package brings along: /usr/lib/aerie/sbom.cdx.json and /usr/lib/aerie/licences.\n\n'
     cat "$AERIE_ROOT/LICENSE"
   } >"$stage/usr/share/doc/aerie/copyright"
   cat >"$stage/DEBIAN/control" <<TEXT
@@ -35,17 +35,19 @@ Description: gateway between MAVLink vehicles and a NATS fleet
  Erlang runtime, libraries, nats-server and xz.
 TEXT
   # The same steps as install.sh, which is in the package.
-  deb_script "$stage" postinst configure '/opt/aerie/install.sh --configure'
+  deb_script "$stage" postinst configure '/usr/lib/aerie/install.sh --configure'
   deb_script "$stage" prerm remove 'if [ -d /run/systemd/system ]; then systemctl disable --now aerie.service || true; fi'
-  deb_script "$stage" postrm purge 'rm -rf /etc/aerie /var/lib/aerie; ! getent passwd aerie >/dev/null || userdel aerie'
+  deb_script "$stage" postrm 'remove|purge' 'rm -rf /opt/aerie /opt/aerie-versions
+    [ "$1" = purge ] || exit 0
+    rm -rf /etc/aerie /var/lib/aerie; ! getent passwd aerie >/dev/null || userdel aerie'
   find "$stage" -type d -exec chmod 755 {} +
   dpkg-deb -Zgzip --root-owner-group --build "$stage" "$deb" >&2
   rm -rf "$stage"
   step "made $deb ($(du -m "$deb" | cut -f 1) MB)"
 }
 
-# deb_script STAGE NAME WHEN COMMAND: a script of the package that runs COMMAND when dpkg calls it with WHEN
+# deb_script STAGE NAME WHEN COMMAND: a script of the package that runs COMMAND when dpkg calls it with WHEN (or one of several, with |)
 deb_script() {
-  printf '#!/bin/sh\nset -e\nif [ "${1:-}" = %s ]; then\n  %s\nfi\n' "$3" "$4" >"$1/DEBIAN/$2"
+  printf '#!/bin/sh\nset -e\ncase ${1:-} in\n  %s) %s ;;\nesac\n' "$3" "$4" >"$1/DEBIAN/$2"
   chmod 755 "$1/DEBIAN/$2"
 }

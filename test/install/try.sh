@@ -52,7 +52,7 @@ use() {
   is "the console" "$(get /sign-in)" 200
   as_aerie aerie status || fail "aerie status: $?"
   as_aerie aerie doctor --config /etc/aerie/gateway.yaml || echo "(doctor: $?)"
-  is "what xz the gateway finds" "$(as_aerie aerie rpc 'System.find_executable("xz")')" '"/opt/aerie/bin/xz"'
+  is "what xz the gateway finds" "$(as_aerie aerie rpc 'System.find_executable("xz")')" "\"$(readlink -f /opt/aerie)/bin/xz\""
   # Nobody has to know where the service keeps its files; who may not read them is told whose they are.
   env -i PATH=/usr/bin:/bin aerie status || fail "aerie status of root: $?"
   # Others than the gateway's user do not reach it.
@@ -72,7 +72,7 @@ installed() {
   is "mode of /etc/aerie" "$(stat -c '%a %U %G' /etc/aerie)" "750 root aerie"
   is "mode of gateway.yaml" "$(stat -c '%a %U %G' /etc/aerie/gateway.yaml)" "640 root aerie"
   is "mode of /var/lib/aerie" "$(stat -c '%a %U %G' /var/lib/aerie)" "700 aerie aerie"
-  ! find /opt/aerie -perm /022 -not -type l | grep . || fail "others may write the program"
+  ! find /opt/aerie/ -perm /022 -not -type l | grep . || fail "others may write the program"
   [ -e /lib/udev/rules.d/60-aerie.rules ] || fail "no rules for udev"
   ! command -v systemd-analyze >/dev/null || systemd-analyze verify /lib/systemd/system/aerie.service || fail "the unit"
   for link in /usr/share/man/man1/aerie.1 /usr/share/bash-completion/completions/aerie; do [ -s $link ] || fail "no $link"; done
@@ -80,7 +80,7 @@ installed() {
 }
 
 left() {
-  [ ! -e /opt/aerie ] && [ ! -L /usr/bin/aerie ] && [ ! -L /usr/share/man/man1/aerie.1 ] && [ ! -e /lib/systemd/system/aerie.service ] || fail "the program is still there"
+  [ ! -e /opt/aerie ] && [ ! -e /opt/aerie-versions ] && [ ! -L /usr/bin/aerie ] && [ ! -L /usr/share/man/man1/aerie.1 ] && [ ! -e /lib/systemd/system/aerie.service ] || fail "the program is still there"
   grep -q kept /etc/aerie/gateway.yaml || fail "the configuration is gone"
   [ -d /var/lib/aerie/var ] || fail "the data are gone"
 }
@@ -100,7 +100,7 @@ step "dpkg installs and purges: nothing stays"
 dpkg --install ./*.deb
 installed
 dpkg --purge aerie
-for path in /opt/aerie /etc/aerie /var/lib/aerie /usr/bin/aerie /usr/share/man/man1/aerie.1; do [ ! -e $path ] || fail "$path is still there"; done
+for path in /opt/aerie /opt/aerie-versions /usr/lib/aerie /etc/aerie /var/lib/aerie /usr/bin/aerie /usr/share/man/man1/aerie.1; do [ ! -e $path ] || fail "$path is still there"; done
 ! getent passwd aerie || fail "the user is still there"
 ! getent group aerie || fail "the group is still there"
 

@@ -96,7 +96,7 @@ defmodule Aerie.System.CrossReleaseTest do
     assert Path.basename(deb) =~ ~r/\Aaerie_0\..*_#{@other.name}\.deb\z/
     assert {@other.name <> "\n", 0} == System.cmd("dpkg-deb", ["-f", deb, "Architecture"])
     {files, 0} = System.cmd("dpkg-deb", ["-c", deb])
-    assert files =~ "./opt/aerie/bin/aerie"
+    assert files =~ "./usr/lib/aerie/bin/aerie"
   end
 
   @tag skip: @missing || (@emulator == nil && "no qemu-#{other.kernel} here (Debian's package qemu-user)")

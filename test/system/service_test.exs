@@ -22,7 +22,7 @@ defmodule Aerie.System.ServiceTest do
   defp install(release, words),
     do: System.cmd(Path.join(release, "install.sh"), words, stderr_to_stdout: true)
 
-  test "the files go to their places, and an upgrade replaces the program, not what was kept", %{tmp_dir: dir} do
+  test "the files of a package go to their places, and a new version replaces them", %{tmp_dir: dir} do
     root = Path.join(dir, "root")
     old = release(dir, "1.0")
     # What a gateway left that was once started from there.
@@ -30,7 +30,7 @@ defmodule Aerie.System.ServiceTest do
     File.write!(Path.join(old, "bin/gone"), "")
     assert {"", 0} = install(old, ["--stage", root])
 
-    for file <- ~w(opt/aerie/bin/aerie lib/systemd/system/aerie.service lib/udev/rules.d/60-aerie.rules),
+    for file <- ~w(usr/lib/aerie/bin/aerie lib/systemd/system/aerie.service lib/udev/rules.d/60-aerie.rules),
         do: assert(File.regular?(Path.join(root, file)))
 
     assert File.read_link!(Path.join(root, "usr/bin/aerie")) == "/opt/aerie/bin/aerie"
@@ -38,12 +38,11 @@ defmodule Aerie.System.ServiceTest do
     for link <- ~w(usr/share/man/man1/aerie.1 usr/share/bash-completion/completions/aerie),
         do: assert(File.read_link!(Path.join(root, link)) =~ ~r"^/opt/aerie/share/(man|bash-completion)/")
 
-    refute File.exists?(Path.join(root, "opt/aerie/var"))
+    refute File.exists?(Path.join(root, "usr/lib/aerie/var"))
 
     assert {"", 0} = install(release(dir, "2.0"), ["--stage", root])
-    assert {"2.0\n", 0} = System.cmd(Path.join(root, "opt/aerie/bin/aerie"), [])
-    refute File.exists?(Path.join(root, "opt/aerie/bin/gone"))
-    assert File.ls!(Path.join(root, "opt")) == ["aerie"]
+    assert {"2.0\n", 0} = System.cmd(Path.join(root, "usr/lib/aerie/bin/aerie"), [])
+    refute File.exists?(Path.join(root, "usr/lib/aerie/bin/gone"))
   end
 
   test "wrong calls change nothing and say what to do", %{tmp_dir: dir} do

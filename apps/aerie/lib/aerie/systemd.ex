@@ -21,6 +21,18 @@ defmodule Aerie.Systemd do
   @spec there?() :: boolean()
   def there?, do: System.get_env("NOTIFY_SOCKET", "") != ""
 
+  @doc "Tells it that another process of the service is the one to watch from now on."
+  @spec main_process(pid :: String.t()) :: :ok
+  def main_process(pid) do
+    if there?() do
+      {:ok, socket} = :gen_udp.open(0, [:local, active: false])
+      notify(%{socket: socket, path: address(System.fetch_env!("NOTIFY_SOCKET"))}, "MAINPID=#{pid}\n")
+      :gen_udp.close(socket)
+    else
+      :ok
+    end
+  end
+
   @doc "Options: `:gateway`; `:environment`, the process's own if left out."
   @spec start_link(keyword()) :: GenServer.on_start()
   def start_link(options), do: GenServer.start_link(__MODULE__, options)

@@ -36,6 +36,13 @@ defmodule Aerie.CLI.ModuleLoader do
     pid
   end
 
+  @doc "Loads them before a start, and waits for it."
+  @spec load_now() :: :ok
+  def load_now do
+    _ = :code.ensure_modules_loaded(all())
+    :ok
+  end
+
   defp batch(modules) do
     case :code.ensure_modules_loaded(modules) do
       :ok -> []

@@ -53,6 +53,12 @@ defmodule Aerie.CLI.Run do
     end
   end
 
+  @doc "What keeps a plan from being started, but for the ports that `ours?` says are free."
+  @spec check(Plan.t(), Config.Preflight.ours()) :: :ok | {:error, [String.t()]}
+  def check(plan, ours?) do
+    with {:ok, config} <- load(plan), {:ok, _warnings} <- preflight(config, ours?), do: :ok
+  end
+
   # The table of a terminal shows events itself; so do the lines of the status, those of vehicles.
   defp take_log(gateway, config, options) do
     :ok = Log.configure(Log.Settings.from(config))
@@ -71,8 +77,8 @@ defmodule Aerie.CLI.Run do
     end
   end
 
-  defp preflight(config) do
-    case Config.Preflight.check(config) do
+  defp preflight(config, ours? \\ fn _protocol, _port -> false end) do
+    case Config.Preflight.check(config, ours?) do
       {:ok, warnings} -> {:ok, warnings}
       {:error, errors} -> {:error, [Config.format_errors(errors)]}
     end

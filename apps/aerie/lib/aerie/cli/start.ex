@@ -12,6 +12,7 @@ defmodule Aerie.CLI.Start do
     CheckPolicy,
     Help,
     LogKeeper,
+    ModuleLoader,
     Options,
     Output,
     Parser,
@@ -20,6 +21,8 @@ defmodule Aerie.CLI.Start do
     ReplayEvents,
     Subcommands
   }
+
+  alias Aerie.Upgrade.Standby
 
   @doc "Entry point of `bin/run`. Returns once everything is started; the VM runs until it is stopped."
   @spec main([String.t()]) :: :ok
@@ -113,11 +116,17 @@ defmodule Aerie.CLI.Start do
     # A release has none.
     demo? = Code.ensure_loaded?(SimVehicle.Fleet)
 
-    case Run.start(Plan.from(parsed, folder, demo?), Keyword.merge(defaults, options)) do
-      {:ok, _run} -> :ok
+    plan = Plan.from(parsed, folder, demo?)
+
+    with :ok <- Standby.wait(environment, &ready(plan, &1)),
+         {:ok, _run} <- Run.start(plan, Keyword.merge(defaults, options)) do
+      :ok
+    else
       {:error, messages} -> {:fail, Enum.map_join(messages, &"error: #{&1}\n")}
     end
   end
+
+  defp ready(plan, ours?), do: with(:ok <- Run.check(plan, ours?), do: ModuleLoader.load_now())
 
   defp folder(environment), do: Map.get_lazy(environment, "AERIE_CWD", &File.cwd!/0)
 

@@ -50,6 +50,23 @@ defmodule Aerie.CLI.Subcommands do
         module: Subcommand.Stop,
         options: Subcommand.common(%{where: :gateway})
       },
+      %Subcommand{
+        name: "upgrade",
+        summary: "put another version in the place of the installed gateway, while vehicles fly",
+        where: :here,
+        module: Subcommand.Upgrade,
+        arguments: [{"[FILE]", "a release's tarball; left out: the version that a package has installed"}],
+        options:
+          [
+            {:back, :boolean, nil, "back to the version before"},
+            {:now, :boolean, nil, "also if something is lost by it, which is named otherwise"},
+            {:take_over, :boolean, nil, "the version of this program takes the place (install.sh calls this)"}
+          ] ++ Subcommand.common(%{where: :gateway}),
+        more:
+          "The other version starts beside the gateway and waits until it has loaded everything; then the gateway ends, and it goes on. Exit status: 0 it " <>
+            "runs, 4 something would be lost (transfers, operations, commands, somebody who steers or is in charge), and nothing was changed, 2 it " <>
+            "cannot, and why. docs/operating.md describes it."
+      },
       %Subcommand{name: "version", summary: "print the version", where: :here, module: Subcommand.Version}
     ]
   end

@@ -9,7 +9,7 @@ defmodule Aerie.Config.Beside do
 
   alias Aerie.Base.Settings.Field
 
-  @doc "The tree of the file at `path`, with the whole names of its files. What is no text is left for the checks."
+  @doc "The tree of the file at `path`, with the whole names of its files. Other values are left for the checks."
   @spec expand(term(), [Field.t()], Path.t() | nil) :: term()
   def expand(raw, _fields, nil), do: raw
   def expand(raw, fields, path), do: value(raw, {:section, fields}, Path.dirname(Path.expand(path)))

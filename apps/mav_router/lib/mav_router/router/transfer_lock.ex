@@ -81,6 +81,14 @@ defmodule MavRouter.Router.TransferLock do
   def give_back(gateway, vehicle, kind),
     do: GenServer.cast(server(gateway), {:give_back, {vehicle, kind}, self()})
 
+  @doc "What is being transferred, or waits for its turn: between vehicles and ground stations, or the gateway."
+  @spec turns(Names.gateway()) :: [{MavRouter.Router.vehicle_key(), kind()}]
+  def turns(gateway) do
+    GenServer.call(server(gateway), :turns, @call_ms)
+  catch
+    :exit, _no_process -> []
+  end
+
   defp part?([]), do: false
   defp part?([%{id: id} | _rest]) when is_part(id), do: true
   defp part?([_other | rest]), do: part?(rest)
@@ -174,6 +182,8 @@ defmodule MavRouter.Router.TransferLock do
     state = %{state | own: own} |> keep(key, turn) |> let_go(key)
     {:reply, if(answer == :go, do: :go, else: {:hold, whose}), state}
   end
+
+  def handle_call(:turns, _from, state), do: {:reply, Map.keys(state.turns), state}
 
   @impl GenServer
   def handle_cast({:give_back, key, pid}, state), do: {:noreply, given_back(state, key, pid)}

@@ -1,0 +1,125 @@
+defmodule Aerie.Upgrade do
+  @moduledoc """
+  The part of an upgrade that the running gateway does: it says what would be lost, starts the program of the other version, which
+  waits (`Aerie.Upgrade.Standby`), and ends for it. `aerie upgrade` calls these functions, of another version perhaps: their names,
+  arguments and answers stay as they are.
+
+  The waiting one is a child of nobody but init, in the service's control group, with the same user, environment, words and output. systemd
+  is told that it is the service's main process before this one ends (`MAINPID`, `sd_notify(3)`).
+  """
+
+  alias Aerie.Base.Files.Private
+  alias Aerie.Base.Names
+  alias Aerie.{Systemd, Upgrade}
+  alias Aerie.Upgrade.Standby
+
+  @typedoc "The waiting gateway: its process, and the folder of the files by which it is told."
+  @type standby :: %{pid: String.t(), folder: Path.t()}
+
+  @tick_ms 20
+  # A slow card and a full disk cache; it waits for nothing else.
+  @ready_ms 120_000
+  # The runtime's own, which its script sets again.
+  @runtime ~w(ROOTDIR BINDIR EMU PROGNAME)
+
+  @doc "What would be lost if the gateway ended now (`Aerie.Upgrade.Obstacles.list/1`)."
+  @spec obstacles(Names.gateway()) :: [String.t()]
+  defdelegate obstacles(gateway), to: Upgrade.Obstacles, as: :list
+
+  @doc "Starts the gateway of `program` (a release's `bin/aerie`) beside this one, and waits until it is ready to take its place. Files are made below `dir`."
+  @spec begin(program :: Path.t(), dir :: Path.t()) :: {:ok, standby()} | {:error, String.t()}
+  def begin(program, dir) do
+    folder = Path.join(dir, "upgrade-#{System.unique_integer([:positive])}-#{System.pid()}")
+
+    with :ok <- release(),
+         :ok <- made(Private.folder(folder), folder) do
+      await(start(program, folder), folder, @ready_ms)
+    end
+  end
+
+  defp release do
+    case :init.get_argument(:boot) do
+      {:ok, [[boot]]} when boot != [] ->
+        if Path.basename(List.to_string(boot)) == "start", do: :ok, else: no_release()
+
+      _none ->
+        no_release()
+    end
+  end
+
+  defp no_release, do: {:error, "this gateway runs from a checkout: end it, and start it again"}
+
+  defp made(:ok, _folder), do: :ok
+  defp made({:error, posix}, folder), do: {:error, "#{folder}: #{:file.format_error(posix)}"}
+
+  # It outlives this one, and writes where this one writes. Its process id is that of setsid.
+  defp start(program, folder) do
+    script =
+      ~S(exec 3>&- 4>&-; folder=$1; shift; setsid "$0" start "$@" </dev/null & echo $! >"$folder/process")
+
+    words = Enum.map(:init.get_plain_arguments(), &List.to_string/1)
+
+    path =
+      System.get_env("PATH", "")
+      |> String.split(":")
+      |> Enum.reject(&(&1 == Path.join(:code.root_dir(), "bin")))
+
+    environment =
+      [{"PATH", Enum.join(path, ":")} | Standby.environment(folder, System.pid())] ++
+        for(name <- @runtime, do: {name, nil})
+
+    {_no_output, 0} =
+      System.cmd("/bin/sh", ["-c", script, program, folder | words], env: environment, use_stdio: false)
+
+    folder |> Path.join("process") |> File.read!() |> String.trim()
+  end
+
+  defp await(pid, folder, left) when left <= 0 do
+    cancel(%{pid: pid, folder: folder})
+
+    {:error,
+     "the other version was not ready within #{div(@ready_ms, 1000)} s; its output is in this gateway's log"}
+  end
+
+  defp await(pid, folder, left) do
+    runs? = File.exists?("/proc/#{pid}")
+
+    case {File.exists?(Path.join(folder, "ready")), File.read(Path.join(folder, "failed"))} do
+      {true, _failed} ->
+        {:ok, %{pid: pid, folder: folder}}
+
+      {false, {:ok, text}} ->
+        _ = File.rm_rf(folder)
+        {:error, text}
+
+      {false, _none} when runs? ->
+        Process.sleep(@tick_ms)
+        await(pid, folder, left - @tick_ms)
+
+      {false, _none} ->
+        _ = File.rm_rf(folder)
+        {:error, "the other version ended at once; its output is in this gateway's log"}
+    end
+  end
+
+  @doc "Ends this gateway in order, for the one that waits."
+  @spec leave(standby()) :: :ok | {:error, String.t()}
+  def leave(%{pid: pid, folder: folder}) do
+    with true <- File.exists?("/proc/#{pid}"),
+         :ok <- Private.write(Path.join(folder, "go"), "") do
+      :ok = Systemd.main_process(pid)
+      System.stop()
+    else
+      false -> {:error, "the other version has ended; its output is in this gateway's log"}
+      {:error, posix} -> {:error, "#{folder}: #{:file.format_error(posix)}"}
+    end
+  end
+
+  @doc "Ends the one that waits."
+  @spec cancel(standby()) :: :ok
+  def cancel(%{pid: pid, folder: folder}) do
+    _ = System.cmd("kill", ["-KILL", pid], stderr_to_stdout: true)
+    _ = File.rm_rf(folder)
+    :ok
+  end
+end

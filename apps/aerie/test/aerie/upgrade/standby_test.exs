@@ -1,0 +1,65 @@
+defmodule Aerie.Upgrade.StandbyTest do
+  use ExUnit.Case, async: true
+
+  import Aerie.Patience, only: [eventually: 2]
+
+  alias Aerie.Upgrade
+  alias Aerie.Upgrade.Standby
+
+  @moduletag :tmp_dir
+
+  # A process in whose place the gateway starts.
+  setup do
+    port = Port.open({:spawn_executable, System.find_executable("sleep")}, args: ["1000"])
+    {:os_pid, pid} = Port.info(port, :os_pid)
+    on_exit(fn -> System.cmd("kill", ["-9", "#{pid}"], stderr_to_stdout: true) end)
+    %{pid: "#{pid}"}
+  end
+
+  defp environment(folder, pid), do: Map.new(Standby.environment(folder, pid))
+
+  test "it starts when it was called and the former one has ended", %{tmp_dir: folder, pid: pid} do
+    test = self()
+
+    prepare = fn ours? ->
+      send(test, {:prepares, ours?.(:tcp, 1)})
+      :ok
+    end
+
+    waiting = Task.async(fn -> Standby.wait(environment(folder, pid), prepare) end)
+    assert_receive {:prepares, false}, Aerie.Patience.ms()
+    eventually(fn -> File.exists?(Path.join(folder, "ready")) end, "it is ready")
+    assert Task.yield(waiting, 50) == nil
+    File.write!(Path.join(folder, "go"), "")
+    assert Task.yield(waiting, 50) == nil
+    {_output, 0} = System.cmd("kill", ["-9", pid])
+    assert Task.await(waiting, Aerie.Patience.ms()) == :ok
+    refute File.exists?(folder)
+  end
+
+  test "what keeps it from starting is told to the one that runs", %{tmp_dir: folder, pid: pid} do
+    assert {:error, ["no"]} = Standby.wait(environment(folder, pid), fn _ours? -> {:error, ["no"]} end)
+    assert File.read!(Path.join(folder, "failed")) == "no"
+    assert {:error, [text]} = Standby.wait(environment(folder, "x"), fn _ours? -> :ok end)
+    assert text =~ "expected a process id"
+  end
+
+  test "without a gateway to replace it does not wait" do
+    assert Standby.wait(%{}, fn _ours? -> flunk("called") end) == :ok
+  end
+
+  test "a gateway from a checkout starts none, one that has ended is not left to, and one that waits is ended",
+       %{
+         tmp_dir: folder,
+         pid: pid
+       } do
+    assert {:error, text} = Upgrade.begin("/bin/true", folder)
+    assert text =~ "checkout"
+    standby = %{pid: pid, folder: folder}
+    assert :ok = Upgrade.cancel(standby)
+    eventually(fn -> not File.exists?("/proc/#{pid}") end, "it has ended")
+    assert {:error, text} = Upgrade.leave(standby)
+    assert text =~ "has ended"
+    refute File.exists?(folder)
+  end
+end

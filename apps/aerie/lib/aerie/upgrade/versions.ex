@@ -73,7 +73,7 @@ defmodule Aerie.Upgrade.Versions do
         path = Path.join(folder, name),
         path not in kept,
         name not in ~w(former next) do
-      File.rm_rf(path)
+      _ = File.rm_rf(path)
     end
 
     :ok

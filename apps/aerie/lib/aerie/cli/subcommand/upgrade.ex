@@ -146,8 +146,13 @@ defmodule Aerie.CLI.Subcommand.Upgrade do
     cond do
       so?.() -> System.monotonic_time(:millisecond)
       left != :infinity and left <= 0 -> :timeout
-      true -> Process.sleep(@tick_ms) && await(so?, if(left == :infinity, do: left, else: left - @tick_ms))
+      true -> later(so?, left)
     end
+  end
+
+  defp later(so?, left) do
+    Process.sleep(@tick_ms)
+    await(so?, if(left == :infinity, do: left, else: left - @tick_ms))
   end
 
   defp name(versions), do: Path.basename(versions.own)

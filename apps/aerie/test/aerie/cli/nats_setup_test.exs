@@ -45,8 +45,13 @@ defmodule Aerie.CLI.NatsSetupTest do
     # The hub shows and commands its vehicles, which list the key by which it signs.
     %{"gateway" => public} = JSON.decode!(read(dir, "fleet.json"))
 
-    assert {:ok, %{remote: %{enabled: true, nkey_seed_file: "gateway.nk"}}} =
+    # The files beside it are meant, wherever the folder is.
+    seed = Path.join([dir, "set/hub/gateway.nk"])
+
+    assert {:ok, %{remote: %{enabled: true, nkey_seed_file: ^seed}} = hub} =
              Config.load(Path.join([dir, "set/hub/gateway.yaml"]), [], env: %{})
+
+    assert {:ok, _warnings} = Config.Preflight.check(hub)
 
     assert {:ok, %{policy: %{sources: [%{name: "hub", nkey: ^public, role: :operator}]}}} =
              Config.load(Path.join([dir, "set/vehicles/VID-1/gateway.yaml"]), [], env: %{})

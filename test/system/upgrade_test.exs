@@ -128,6 +128,21 @@ defmodule Aerie.System.UpgradeTest do
     assert text =~ "runs already"
     eventually(fn -> aerie(context, "1-old", ["rpc", flying()]) == {"3\n", 0} end, "three fly on")
 
+    # Of two at once, one does it; the other is refused, or finds it done.
+    answers =
+      for(_n <- 1..2, do: Task.async(fn -> aerie(context, "2-new", ["upgrade", "--take-over"]) end))
+      |> Task.await_many(Aerie.Patience.ms())
+
+    assert Enum.count(answers, fn
+             {text, 0} -> text =~ "runs as process"
+             _other -> false
+           end) == 1,
+           inspect(answers)
+
+    assert in_force(context) == "2-new"
+    assert {text, 0} = aerie(context, "2-new", ["rpc", "to_string(:code.root_dir())"])
+    assert text =~ "2-new"
+
     events = events(context)
     assert events != [] and events |> Enum.map(& &1["id"]) |> Enum.uniq() |> length() == length(events)
 

@@ -29,11 +29,39 @@ defmodule Aerie.Upgrade do
   @doc "Starts the gateway of `program` (a release's `bin/aerie`) beside this one, and waits until it is ready to take its place. Files are made below `dir`."
   @spec begin(program :: Path.t(), dir :: Path.t()) :: {:ok, standby()} | {:error, String.t()}
   def begin(program, dir) do
-    folder = Path.join(dir, "upgrade-#{System.unique_integer([:positive])}-#{System.pid()}")
+    folder = Path.join(dir, "upgrade-#{System.pid()}")
 
     with :ok <- release(),
-         :ok <- made(Private.folder(folder), folder) do
+         :ok <- claim(folder) do
       await(start(program, folder), folder, @ready_ms)
+    end
+  end
+
+  # One at a time: the folder is there as long as another version waits.
+  defp claim(folder) do
+    case File.mkdir(folder) do
+      :ok ->
+        File.chmod(folder, 0o700)
+
+      {:error, :eexist} ->
+        if waits?(folder), do: {:error, "another upgrade is under way"}, else: claim_left(folder)
+
+      {:error, posix} ->
+        {:error, "#{folder}: #{:file.format_error(posix)}"}
+    end
+  end
+
+  defp claim_left(folder) do
+    _ = File.rm_rf(folder)
+    claim(folder)
+  end
+
+  # One that has only begun has not written its process.
+  defp waits?(folder) do
+    case {File.read(Path.join(folder, "process")), File.stat(folder, time: :posix)} do
+      {{:ok, pid}, _stat} -> File.exists?("/proc/#{String.trim(pid)}")
+      {_none, {:ok, %File.Stat{mtime: at}}} -> System.os_time(:second) - at < div(@ready_ms, 1000)
+      {_none, _gone} -> false
     end
   end
 
@@ -48,9 +76,6 @@ defmodule Aerie.Upgrade do
   end
 
   defp no_release, do: {:error, "this gateway runs from a checkout: end it, and start it again"}
-
-  defp made(:ok, _folder), do: :ok
-  defp made({:error, posix}, folder), do: {:error, "#{folder}: #{:file.format_error(posix)}"}
 
   # It outlives this one, and writes where this one writes. Its process id is that of setsid.
   defp start(program, folder) do

@@ -45,9 +45,12 @@ defmodule Aerie.CLI.Subcommand.Upgrade do
   defp take_over(versions, request) do
     case Gateway.connect(request) do
       {:ok, node, entry} ->
-        case node |> Gateway.call(:code, :root_dir, []) |> to_string() do
-          root when root == versions.own -> {0, "#{name(versions)} runs already\n"}
-          root -> replace(node, entry, Versions.running(versions, root), request)
+        with root when is_list(root) <- Gateway.call(node, :code, :root_dir, []) do
+          versions = Versions.running(versions, List.to_string(root))
+
+          if versions.current == versions.own,
+            do: {0, "#{name(versions)} runs already\n"},
+            else: replace(node, entry, versions, request)
         end
 
       {3, _none_runs} ->

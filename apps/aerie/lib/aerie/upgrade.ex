@@ -28,13 +28,14 @@ defmodule Aerie.Upgrade do
 
   @doc "Starts the gateway of `program` (a release's `bin/aerie`) beside this one, and waits until it is ready to take its place. Files are made below `dir`."
   @spec begin(program :: Path.t(), dir :: Path.t()) :: {:ok, standby()} | {:error, String.t()}
-  def begin(program, dir) do
-    folder = Path.join(dir, "upgrade-#{System.pid()}")
+  def begin(program, dir), do: with(:ok <- release(), do: beside(program, dir))
 
-    with :ok <- release(),
-         :ok <- claim(folder) do
-      await(start(program, folder), folder, @ready_ms)
-    end
+  @doc false
+  # From whatever this gateway runs.
+  @spec beside(Path.t(), Path.t()) :: {:ok, standby()} | {:error, String.t()}
+  def beside(program, dir) do
+    folder = Path.join(dir, "upgrade-#{System.pid()}")
+    with :ok <- claim(folder), do: await(start(program, folder), folder, @ready_ms)
   end
 
   # One at a time: the folder is there as long as another version waits.

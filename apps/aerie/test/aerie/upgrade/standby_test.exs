@@ -62,4 +62,40 @@ defmodule Aerie.Upgrade.StandbyTest do
     assert text =~ "has ended"
     refute File.exists?(folder)
   end
+
+  # A program of another version, as far as the running gateway sees it.
+  defp program(folder, script) do
+    file = Path.join(folder, "aerie")
+    File.write!(file, "#!/bin/sh\n" <> script)
+    File.chmod!(file, 0o755)
+    file
+  end
+
+  test "the program of another version is started beside this one, one at a time, and goes on by itself", %{
+    tmp_dir: folder
+  } do
+    ready = program(folder, "echo $$ >\"$AERIE_STANDBY/ready\"; exec sleep 1000\n")
+    assert {:ok, %{pid: pid} = standby} = Upgrade.beside(ready, folder)
+    # It has a session of its own, and no input.
+    assert {text, 0} = System.cmd("ps", ["-o", "sid=,args=", "-p", pid])
+    assert String.split(text) == [pid, "sleep", "1000"]
+    assert {:error, "another upgrade is under way"} = Upgrade.beside(ready, folder)
+    :ok = Upgrade.cancel(standby)
+    # What one left that was killed is in nobody's way.
+    File.mkdir_p!(standby.folder)
+    File.write!(Path.join(standby.folder, "process"), pid)
+    eventually(fn -> not File.exists?("/proc/#{pid}") end, "it has ended")
+    assert {:ok, standby} = Upgrade.beside(ready, folder)
+    :ok = Upgrade.cancel(standby)
+  end
+
+  test "one that cannot start says why, one that ends is not waited for", %{tmp_dir: folder} do
+    failing = program(folder, "printf 'error: no' >\"$AERIE_STANDBY/failed\"; exit 2\n")
+    assert {:error, "error: no"} = Upgrade.beside(failing, folder)
+    assert {:error, text} = Upgrade.beside(program(folder, "exit 1\n"), folder)
+    assert text =~ "ended at once"
+    assert Path.wildcard(Path.join(folder, "upgrade-*")) == []
+    assert {:error, text} = Upgrade.beside(failing, Path.join(folder, "nowhere"))
+    assert text =~ "no such file"
+  end
 end

@@ -16,8 +16,13 @@ defmodule Aerie.CLI.Subcommand.Upgrade do
   @tick_ms 20
 
   @impl Aerie.CLI.Subcommand
-  def run(%{options: options, arguments: arguments} = request) do
-    with {:ok, versions} <- Versions.find(to_string(:code.root_dir())) do
+  def run(request), do: run(request, to_string(:code.root_dir()))
+
+  @doc false
+  # `root`: the folder of the release that this program is of.
+  @spec run(Aerie.CLI.Subcommand.request(), Path.t()) :: {0..255, iodata()} | {:error, String.t()}
+  def run(%{options: options, arguments: arguments} = request, root) do
+    with {:ok, versions} <- Versions.find(root) do
       case {arguments["FILE"], options} do
         {nil, %{take_over: true}} -> take_over(versions, request)
         {nil, %{back: true}} -> call(versions.former, "there is no former version", options)

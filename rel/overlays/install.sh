@@ -108,7 +108,7 @@ start() {
   if [ $status = 0 ] && [ $runs = 3 ]; then
     echo "installed; no systemd runs here. To start the gateway: AERIE_HOME=/var/lib/aerie aerie start"
   elif [ $status != 0 ]; then
-    echo "the version of before is in force; ${own##*/} is installed: sudo aerie upgrade puts it in its place"
+    echo "the earlier version stays in force; ${own##*/} is installed: sudo aerie upgrade puts it in its place"
   fi
   return $status
 }

@@ -34,7 +34,7 @@ defmodule Aerie.CLI.UpgradeTest do
 
   test "the program of the other version is called, and its status counts", c do
     assert {{:error, "no other version was installed" <> _}, ""} = upgrade(c, "1", %{})
-    assert {{:error, "there is no former version"}, ""} = upgrade(c, "1", %{back: true})
+    assert {{:error, "no earlier version is installed"}, ""} = upgrade(c, "1", %{back: true})
     File.ln_s!("2", Path.join(c.folder, "next"))
     assert {{4, ""}, "2 upgrade --take-over\n"} = upgrade(c, "1", %{})
     assert {{4, ""}, "2 upgrade --take-over --now\n"} = upgrade(c, "1", %{now: true})

@@ -25,7 +25,7 @@ defmodule Aerie.CLI.Subcommand.Upgrade do
     with {:ok, versions} <- Versions.find(root) do
       case {arguments["FILE"], options} do
         {nil, %{take_over: true}} -> take_over(versions, request)
-        {nil, %{back: true}} -> call(versions.former, "there is no former version", options)
+        {nil, %{back: true}} -> call(versions.former, "no earlier version is installed", options)
         {nil, _} -> call(versions.next, "no other version was installed: name its tarball", options)
         {_file, %{back: true}} -> {:error, "a tarball, or --back"}
         {file, _} -> Tarball.install(Path.expand(file, request.folder), versions, words(options))

@@ -110,9 +110,12 @@ defmodule Aerie.System.MspFirmwareTest do
     :ok = MavRouter.Recorder.stop(gateway, {:link, "fc"})
     [file] = dir |> Path.join("recordings/main-fc-*.tlog") |> Path.wildcard()
 
-    ExUnit.CaptureIO.capture_io(:stderr, fn ->
-      ExUnit.CaptureIO.capture_io(fn -> assert {0, ""} = Aerie.CLI.call(["msp", file], dir) end)
-    end)
+    {_listed, notes} =
+      Aerie.StandardError.capture(fn ->
+        ExUnit.CaptureIO.capture_io(fn -> assert {0, ""} = Aerie.CLI.call(["msp", file], dir) end)
+      end)
+
+    notes
   end
 
   defp level_body do

@@ -3,9 +3,8 @@ defmodule Aerie.CLI.IncidentTest do
 
   use ExUnit.Case, async: true
 
-  import ExUnit.CaptureIO
-
   alias Aerie.CLI.Subcommand.Incident
+  alias Aerie.StandardError
 
   @moduletag :tmp_dir
 
@@ -20,10 +19,7 @@ defmodule Aerie.CLI.IncidentTest do
     File.write!(config, [folders, ledger, "policy: {audit: {dir: #{inspect(Path.join(dir, "audit"))}}}\n"])
     options = Map.merge(%{config: config, to: "2026-11-28T20:15:00Z"}, options)
     request = %{name: "incident", arguments: %{"VEHICLE" => vehicle}, options: options, folder: dir}
-    test = self()
-    text = capture_io(:stderr, fn -> send(test, {:answer, Incident.run(request)}) end)
-    assert_received {:answer, answer}
-    {answer, text}
+    StandardError.capture(fn -> Incident.run(request) end)
   end
 
   test "the archive's name goes to standard output, the rest beside it", %{tmp_dir: dir} do

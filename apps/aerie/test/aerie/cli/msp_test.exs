@@ -4,6 +4,7 @@ defmodule Aerie.CLI.MspTest do
 
   import ExUnit.CaptureIO
 
+  alias Aerie.StandardError
   alias MavCodec.{Frame, Tlog}
   alias MavCodec.Messages, as: M
   alias MavCodec.Msp.Trace
@@ -33,7 +34,7 @@ defmodule Aerie.CLI.MspTest do
 
   defp run(words, dir) do
     {{result, notes}, text} =
-      with_io(fn -> with_io(:stderr, fn -> Aerie.CLI.call(["msp" | words], dir) end) end)
+      with_io(fn -> StandardError.capture(fn -> Aerie.CLI.call(["msp" | words], dir) end) end)
 
     {result, text, notes}
   end

@@ -5,6 +5,7 @@ defmodule Aerie.CLI.PolicyTryTest do
   import ExUnit.CaptureIO
 
   alias Aerie.Control.Ledger.Journal
+  alias Aerie.StandardError
   alias MavCodec.Tlog.Writer
 
   @moduletag :tmp_dir
@@ -37,7 +38,7 @@ defmodule Aerie.CLI.PolicyTryTest do
   # The exit status, standard output and standard error.
   defp try_it(words, dir) do
     {{result, notes}, text} =
-      with_io(fn -> with_io(:stderr, fn -> Aerie.CLI.call(["policy", "try" | words], dir) end) end)
+      with_io(fn -> StandardError.capture(fn -> Aerie.CLI.call(["policy", "try" | words], dir) end) end)
 
     case result do
       {status, ""} -> {status, text, notes}

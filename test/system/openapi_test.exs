@@ -30,6 +30,9 @@ defmodule Aerie.System.OpenAPITest do
         "--phases=examples,coverage,fuzzing",
         "--max-examples=15",
         "--seed=1",
+        # How fast it makes up requests is the machine's matter.
+        "--suppress-health-check=all",
+        "--warnings=off",
         "--no-color",
         # A transfer from a vehicle that is not there must not wait for an hour.
         "--request-timeout=60"

@@ -37,6 +37,9 @@ defmodule FleetWeb.API.RulesTest do
              patch(port, "/api/rules/gcs", %{"rate_limits" => %{"ATITUDE" => 1}})
 
     assert words =~ "ATITUDE"
+
+    assert {422, _, %{"error" => %{"message" => "there is no network radio; there are main"}}} =
+             patch(port, "/api/rules/gcs", %{"networks" => ["main", "radio"]})
   end
 
   test "any input is a rule or an error message, and nothing becomes an atom" do
@@ -54,6 +57,7 @@ defmodule FleetWeb.API.RulesTest do
           %{"carry" => "all"},
           %{"networks" => "main"},
           %{"networks" => []},
+          %{"networks" => [%{}]},
           %{"sniffer" => "yes"},
           %{"bytes_per_s" => 1.5},
           %{"id_offsets" => [1]}

@@ -12,7 +12,7 @@ PATIENCE=900 until_ok 'three vehicles fly' in_root "${where[@]}" \
 say "three vehicles fly $((SECONDS - began)) s after the first command; $((($(received) - before) / 1000000)) MB were received"
 
 curl_hold="curl -H \"X-Aerie-Key: \$AERIE_API_KEY\" -H \"Content-Type: application/json\" -d '{\"type\": \"hold\"}' http://127.0.0.1:4000/api/vehicles/sim-001/commands"
-step_says "$curl_hold" '"status":"completed"' "$curl_hold --silent --show-error"
+step_says "$curl_hold" '"result":"completed"' "$curl_hold --silent --show-error"
 not_here 'nats --server "$(cat var/nats/url)" sub '"'fleet.>'" "the command line tool of NATS is not in Debian"
 not_here 'nats --server "$(cat var/nats/url)" stream view FLEET_EVENTS' "likewise"
 not_here bin/test "CI runs it"

@@ -49,8 +49,10 @@ step_says() {
   local answer
   said "$1"
   say "$ ${3:-$1}"
-  answer=$(in_root "${where[@]}" "$session ${3:-$1}")
+  local status=0
+  answer=$(in_root "${where[@]}" "$session ${3:-$1}") || status=$?
   printf '%s\n' "$answer"
+  [ $status = 0 ] || fail "it ended with status $status"
   case $answer in *"$2"*) ;; *) fail "the answer does not say: $2" ;; esac
 }
 

@@ -58,6 +58,9 @@ root() {
   mount -t devpts -o newinstance,ptmxmode=0666 devpts "$path/dev/pts"
   ln -s pts/ptmx "$path/dev/ptmx"
   ln -s /proc/self/fd "$path/dev/fd"
+  ln -s /proc/self/fd/0 "$path/dev/stdin"
+  ln -s /proc/self/fd/1 "$path/dev/stdout"
+  ln -s /proc/self/fd/2 "$path/dev/stderr"
   local node
   for node in "null 1 3" "zero 1 5" "full 1 7" "random 1 8" "urandom 1 9" "tty 5 0"; do
     # shellcheck disable=SC2086 # three words

@@ -55,9 +55,6 @@ defmodule Aerie.Fleet.Shadow.HubBuckets do
   def send(conn, bucket, key, value), do: Nats.pub(conn, "hub.kv.put.#{bucket}.#{key}", value)
 
   defp text(:no_responders), do: "the hub is away, or does not let this vehicle do it"
-
-  defp text(:timeout),
-    do: "the hub does not answer for desired states: its network is slow, or no gateway has run there yet"
-
+  defp text(:timeout), do: "the hub does not answer: its network is slow, or no gateway has run there yet"
   defp text(reason), do: Nats.text(reason)
 end

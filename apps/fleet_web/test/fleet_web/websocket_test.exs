@@ -310,7 +310,7 @@ defmodule FleetWeb.WebSocketTest do
 
       # A misspelt network would be silence.
       assert {400, %{"error" => %{"message" => text}}} = open(c, "/?network=main,feild")
-      assert text == "there is no network feild; there are main"
+      assert text == ~s(unknown network "feild"; known: main)
     end
   end
 

@@ -14,7 +14,6 @@ defmodule MavRouter.Client do
   """
 
   alias Aerie.Base.Error
-  alias MavRouter.Link
   alias MavRouter.Link.Clients
   alias MavRouter.Link.Clients.Settings
   alias MavRouter.Link.FirstAttempt
@@ -41,7 +40,11 @@ defmodule MavRouter.Client do
   def add(gateway, client) when is_map(client) do
     with :ok <- Settings.known(client),
          {:ok, spec} <- client |> Map.put(:network, Clients.network(gateway)) |> Settings.client(),
-         :ok <- if(client[:from] == :remote, do: known_networks(gateway, client[:networks] || []), else: :ok),
+         :ok <-
+           if(client[:from] == :remote,
+             do: Router.known_networks(gateway, client[:networks] || []),
+             else: :ok
+           ),
          :ok <- FirstAttempt.start(spec, &Clients.start(gateway, spec, notify: &1)) do
       {:ok, spec.id}
     else
@@ -54,26 +57,6 @@ defmodule MavRouter.Client do
       {:failed, id, text} ->
         Clients.stop(gateway, id)
         Error.new({:invalid, text})
-    end
-  end
-
-  @doc "Whether a client that restricts itself to these networks can ever see something; the error names those that there are."
-  @spec known_networks(Names.gateway(), [String.t()]) :: :ok | {:error, Error.t()}
-  def known_networks(gateway, names) do
-    # Links may be added to the default network later.
-    known =
-      Enum.uniq(
-        [Clients.network(gateway)] ++
-          for(link <- Link.list(gateway), do: link.network) ++
-          for(%{side: :vehicle, network: network} <- Router.endpoints(gateway), do: network)
-      )
-
-    case names -- known do
-      [] ->
-        :ok
-
-      [stray | _] ->
-        Error.new({:invalid, "there is no network #{stray}; there are #{Enum.join(Enum.sort(known), ", ")}"})
     end
   end
 

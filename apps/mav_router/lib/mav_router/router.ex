@@ -144,6 +144,15 @@ defmodule MavRouter.Router do
   @spec configure(Names.gateway(), String.t(), map | keyword) :: :ok | {:error, Aerie.Base.Error.t()}
   defdelegate configure(gateway, id, changes), to: Rules, as: :change
 
+  @doc "Whether a client that restricts itself to these networks can ever see something; the error names those that there are."
+  @spec known_networks(Names.gateway(), [String.t()]) :: :ok | {:error, Aerie.Base.Error.t()}
+  def known_networks(gateway, names) do
+    case Tables.of(gateway) do
+      nil -> Aerie.Base.Error.new({:unavailable, "the router does not run"})
+      tables -> Endpoints.known_networks(tables, names)
+    end
+  end
+
   @doc "Undoes changes that `configure/3` made to an owner: of these keys (default: all)."
   @spec reset(Names.gateway(), String.t(), [atom] | :all) :: :ok | {:error, Aerie.Base.Error.t()}
   defdelegate reset(gateway, id, keys \\ :all), to: Rules

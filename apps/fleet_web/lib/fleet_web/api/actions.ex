@@ -243,7 +243,6 @@ defmodule FleetWeb.API.Actions do
   def run(:change_rules, state, request) do
     with {:ok, object, request} <- Request.object(request) do
       with {:ok, changes} <- RuleChanges.parse(object),
-           :ok <- Client.known_networks(state.gateway, changes[:networks] || []),
            :ok <- Router.configure(state.gateway, id(request), changes) do
         {:ok, View.rules(state.gateway)}
       end

@@ -5,7 +5,7 @@ defmodule FleetWeb.API.RuleChanges do
       {"rate_limits": {"ATTITUDE": 4}, "filter_out": {"block_messages": ["RAW_IMU"]}, "bytes_per_s": null}
 
   The keys are those of the configuration (`MavRouter.Router.Settings.changeable/0`); null removes a rule. This module checks the
-  shape of a value; `MavRouter.Router.configure/3` and `MavRouter.Client.known_networks/2` check its meaning.
+  shape of a value; `MavRouter.Router.configure/3` checks its meaning.
   """
 
   alias MavRouter.Router.Owner.Filter
@@ -59,8 +59,7 @@ defmodule FleetWeb.API.RuleChanges do
        when key in [:rate_limits, :carry, :id_offsets] and is_map(map) and map_size(map) <= @most,
        do: {:ok, map}
 
-  defp value(:networks, [_ | _] = names) when length(names) <= 16,
-    do: if(Enum.all?(names, &is_binary/1), do: {:ok, names}, else: Error.invalid("networks must be names"))
+  defp value(:networks, list) when is_list(list) and length(list) in 1..16, do: {:ok, list}
 
   defp value(key, n) when key in [:bytes_per_s, :queue_frames, :queue_kb] and is_integer(n) and n > 0,
     do: {:ok, n}

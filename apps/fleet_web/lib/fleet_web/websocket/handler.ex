@@ -17,7 +17,7 @@ defmodule FleetWeb.WebSocket.Handler do
   @behaviour :cowboy_websocket
 
   alias Authority.Principal
-  alias MavRouter.Client
+  alias MavRouter.Router
   alias MavRouter.Router.ClientConnection
   alias Aerie.Base.{Address, Names, PubSub, Store}
   alias FleetWeb.API.{Access, Error, KeyRing, Request, Tickets}
@@ -108,7 +108,7 @@ defmodule FleetWeb.WebSocket.Handler do
 
     with true <- names != [] and length(names) <= @max_networks,
          true <- Enum.all?(names, &(&1 =~ ~r/\A[A-Za-z0-9_-]{1,64}\z/)),
-         :ok <- Client.known_networks(gateway, names) do
+         :ok <- Router.known_networks(gateway, names) do
       {:ok, [networks: names]}
     else
       false ->

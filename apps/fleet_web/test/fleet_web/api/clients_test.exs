@@ -83,7 +83,7 @@ defmodule FleetWeb.API.ClientsTest do
           {%{"url" => "udpin:127.0.0.1:0", "networks" => []}, "names"},
           {%{"url" => "udpin:127.0.0.1:0", "networks" => ["a/b"]}, "names"},
           {%{"url" => "udpin:127.0.0.1:0", "networks" => ["feild"]},
-           "there is no network feild; there are main"},
+           ~s(unknown network "feild"; known: main)},
           {%{"url" => "udpin:127.0.0.1:0", "access" => "write"}, "read or full"},
           {%{"url" => "udpin:127.0.0.1:0", "sudo" => true}, "unknown key"}
         ] do

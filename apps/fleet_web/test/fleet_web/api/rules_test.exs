@@ -38,8 +38,15 @@ defmodule FleetWeb.API.RulesTest do
 
     assert words =~ "ATITUDE"
 
-    assert {422, _, %{"error" => %{"message" => "there is no network radio; there are main"}}} =
-             patch(port, "/api/rules/gcs", %{"networks" => ["main", "radio"]})
+    for {names, why} <- [
+          {["main", "radio"], ~s(unknown network "radio"; known: main)},
+          {[%{}], "names of networks"}
+        ] do
+      assert {422, _, %{"error" => %{"message" => words}}} =
+               patch(port, "/api/rules/gcs", %{"networks" => names})
+
+      assert words =~ why
+    end
   end
 
   test "any input is a rule or an error message, and nothing becomes an atom" do
@@ -57,7 +64,6 @@ defmodule FleetWeb.API.RulesTest do
           %{"carry" => "all"},
           %{"networks" => "main"},
           %{"networks" => []},
-          %{"networks" => [%{}]},
           %{"sniffer" => "yes"},
           %{"bytes_per_s" => 1.5},
           %{"id_offsets" => [1]}

@@ -4,7 +4,8 @@ defmodule MavRouter.Router.Endpoints do
   forwarding process sees it with its next frame.
   """
 
-  alias Aerie.Base.Names
+  alias Aerie.Base.{Error, Names}
+  alias MavRouter.Identity
   alias MavRouter.Router.Endpoint
   alias MavRouter.Router.Owner
   alias MavRouter.Router.Routes
@@ -50,6 +51,29 @@ defmodule MavRouter.Router.Endpoints do
 
       _none ->
         :ok
+    end
+  end
+
+  @doc "Whether these are networks of the gateway: its own, or one that a link has. The error names those that there are."
+  @spec known_networks(Tables.t(), [String.t()]) :: :ok | {:error, Error.t()}
+  def known_networks(tables, names) do
+    of_links =
+      for {_id, %Owner{side: :vehicle, networks: [_ | _] = networks}} <- :ets.tab2list(tables.owners),
+          name <- networks,
+          do: name
+
+    # Links may be added to the gateway's own later.
+    known = Enum.uniq([Tables.setting(tables, :network, Identity.default_network()) | of_links])
+
+    case names -- known do
+      [] ->
+        :ok
+
+      [stray | _] ->
+        Error.new(
+          {:invalid,
+           "unknown network #{inspect(String.slice(stray, 0, 64))}; known: #{Enum.join(Enum.sort(known), ", ")}"}
+        )
     end
   end
 

@@ -23,7 +23,9 @@ defmodule MavRouter.Router.Rules do
   @spec change(Names.gateway(), String.t(), map | keyword) :: :ok | {:error, Error.t()}
   def change(gateway, id, changes) do
     with {:ok, changes} <- known(Map.new(changes)),
-         {:ok, tables, owner} <- owner(gateway, id) do
+         {:ok, tables, owner} <- owner(gateway, id),
+         :ok <- networks(tables, owner, changes[:networks]),
+         :ok <- carriers(tables, changes[:carry] || %{}) do
       put(gateway, tables, owner, Map.merge(SavedRules.changes(gateway, id), changes))
     end
   end
@@ -83,6 +85,22 @@ defmodule MavRouter.Router.Rules do
       [key | _] -> Error.new({:invalid, "#{inspect(key)} is not a rule that can be changed at run time"})
     end
   end
+
+  # A link may be the first of a network. A client of one that does not exist would get nothing.
+  # Shapes are checked by `SavedRules.apply_to/2`.
+  defp networks(tables, %Owner{side: :client}, [_ | _] = names),
+    do: if(Enum.all?(names, &is_binary/1), do: Endpoints.known_networks(tables, names), else: :ok)
+
+  defp networks(_tables, _owner, _names), do: :ok
+
+  defp carriers(tables, %{} = carry) do
+    case Enum.find(Map.values(carry), &(is_binary(&1) and &1 != "all" and Endpoints.owner(tables, &1) == nil)) do
+      nil -> :ok
+      stray -> Error.new({:invalid, "carry: unknown link #{inspect(String.slice(stray, 0, 64))}"})
+    end
+  end
+
+  defp carriers(_tables, _wrong), do: :ok
 
   defp owner(gateway, id) do
     with tables when is_map(tables) <- Tables.of(gateway), %Owner{} = owner <- Endpoints.owner(tables, id) do

@@ -153,6 +153,24 @@ defmodule MavRouter.Router.NetworksTest do
       assert %{"g" => []} = got(c.g)
     end
 
+    test "networks and links that do not exist are refused; a link may be the first of a network", c do
+      why = ~s(unknown network "green"; known: blue, main, red)
+
+      assert {:error, %{reason: {:invalid, ^why}}} =
+               Router.configure(c.gateway, "g", networks: ["red", "green"])
+
+      assert Router.changes(c.gateway) == %{}
+      :ok = Router.configure(c.gateway, "blue", networks: ["blue", "green"])
+      :ok = Router.configure(c.gateway, "g", networks: ["red", "green"])
+      :ok = Router.known_networks(c.gateway, ["green", "main"])
+
+      assert {:error, %{reason: {:invalid, ~s(carry: unknown link "lte")}}} =
+               Router.configure(c.gateway, "blue", carry: %{"bulk" => "lte", "control" => "red"})
+
+      :ok = Router.configure(c.gateway, "blue", carry: %{"bulk" => "all", "control" => "red"})
+      assert {:error, %{reason: {:unavailable, _why}}} = Router.known_networks(make_ref(), ["main"])
+    end
+
     test "offsets can be changed at run time; an id that two networks have is still hidden", c do
       :ok = Router.configure(c.gateway, "g", id_offsets: nil)
       assert %{hidden: [{"blue", 1}], id_offsets: %{}} = counted(c.gateway, "g")

@@ -22,7 +22,6 @@ defmodule Layers do
   @picture "docs/architecture.md"
   # More arrows than that show nothing.
   @most_arrows 25
-  @most_lines 20_000
 
   def main(["--check"]) do
     apps = read()
@@ -71,7 +70,7 @@ defmodule Layers do
   defp ebin(app), do: "_build/#{System.get_env("MIX_ENV", "test")}/lib/#{app}/ebin"
 
   defp problems(app, apps) do
-    names(app) ++ directions(app, apps) ++ declared(app) ++ size(app) ++ file_cycles(app) ++ folder_cycles(app)
+    names(app) ++ directions(app, apps) ++ declared(app) ++ file_cycles(app) ++ folder_cycles(app)
   end
 
   defp names(%{name: app, prefixes: prefixes}) do
@@ -102,11 +101,6 @@ defmodule Layers do
 
     for(used <- uses -- declared, do: "apps/#{app} uses #{used}, but its mix.exs does not say so") ++
       for spare <- declared -- uses, do: "apps/#{app}/mix.exs names #{spare}, which it does not use"
-  end
-
-  defp size(%{name: app}) do
-    lines = "apps/#{app}/lib/**/*.ex" |> Path.wildcard() |> Enum.map(&Enum.count(File.stream!(&1))) |> Enum.sum()
-    if lines > @most_lines, do: ["apps/#{app} has #{lines} lines; no app has more than #{@most_lines}"], else: []
   end
 
   # A file and those in the folder of its name may use each other.

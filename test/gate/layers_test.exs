@@ -5,7 +5,7 @@ defmodule Aerie.Gate.LayersTest do
 
   use ExUnit.Case, async: true
 
-  alias Layers.{Graph, Limits, Source}
+  alias Layers.{Graph, Limits, Readme, Source}
 
   setup_all do
     apps = Layers.read()
@@ -147,6 +147,60 @@ defmodule Aerie.Gate.LayersTest do
                "a" => 14,
                "c" => 19
              }
+    end
+  end
+
+  describe "modules that other apps use" do
+    test "another one is refused", %{apps: apps} do
+      file = "fleet_web/made_up"
+
+      made_up = fn app -> put_in(app.names[file], [{:control, "Aerie.Control.Made.Up"}]) end
+
+      new = fn name ->
+        Enum.map(apps, &if(&1.name == name, do: made_up.(&1), else: &1)) |> Readme.problems()
+      end
+
+      assert [problem] = new.(:fleet_web) -- Readme.problems(apps)
+
+      assert problem =~
+               "apps/fleet_web/lib/fleet_web/made_up.ex uses Aerie.Control.Made.Up, which apps/control/README.md"
+
+      assert problem =~ "does not list under \"Used by other apps\"; use one that it lists, or add it there"
+
+      # Its own, and what wires all apps.
+      for name <- [:control, :aerie], do: assert(new.(name) == Readme.problems(apps))
+    end
+
+    test "one that no other app uses is refused" do
+      app = %{name: :control, names: %{}}
+
+      assert [problem] = Readme.problems([app], %{control: ["Aerie.Control.Made.Up"]})
+      assert problem =~ "apps/control/README.md lists Aerie.Control.Made.Up"
+      assert problem =~ "which no other app uses; remove it"
+    end
+
+    test "the list is read from the section's block" do
+      text = """
+      # a
+
+      ```
+      No: module
+      ```
+
+      ## Used by other apps
+
+      Words.
+
+      ```
+      A
+      A: B, C,
+        D
+      A.B: *
+      ```
+      """
+
+      assert Readme.listed(text) == ~w(A A.B A.C A.D A.B.*)
+      assert Readme.listed("# a\n") == []
     end
   end
 

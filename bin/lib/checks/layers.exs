@@ -2,12 +2,12 @@
 #
 # Apps use only apps below them, which their mix.exs names; a module's name begins with its app's. Within an app, files
 # form no cycle, but for a file and those in the folder of its name: `link/core.ex` may use `link.ex`, which uses it.
-# Limits with exceptions are in layers/limits.exs.
-for file <- ~w(shrinking layers/graph layers/source layers/limits),
+# Limits with exceptions are in layers/limits.exs, what an app may use of another one in layers/readme.exs.
+for file <- ~w(shrinking layers/graph layers/source layers/limits layers/readme),
     do: Code.require_file("#{file}.exs", __DIR__)
 
 defmodule Layers do
-  alias Layers.{Graph, Limits, Source}
+  alias Layers.{Graph, Limits, Readme, Source}
 
   # From the bottom up, each with how the names of its modules begin; the first one names the folder of its parts.
   @apps [
@@ -30,7 +30,7 @@ defmodule Layers do
   def main(["--check"]) do
     apps = read()
     limits = apps |> Limits.all() |> Enum.flat_map(&Shrinking.problems/1)
-    found = Enum.flat_map(apps, &problems/1) ++ limits ++ stale(apps)
+    found = Enum.flat_map(apps, &problems/1) ++ limits ++ Readme.problems(apps) ++ stale(apps)
     for problem <- found, do: IO.puts(:stderr, problem)
     if found != [], do: System.halt(1)
   end

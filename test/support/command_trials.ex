@@ -1,6 +1,6 @@
 defmodule Aerie.CommandTrials do
   @moduledoc """
-  Every command of the table (`Aerie.Vehicle.Command.Types`), as it is tried on the simulated vehicles by Aerie's own door, by pymavlink and by
+  Every command of the table (`Aerie.Vehicle.Command.Types`), as it is tried on the simulated vehicles by Aerie itself, by pymavlink and by
   MAVSDK, and what each answers. The rows are one flight, in this order; `test/system/command_trials_test.exs` flies it,
   and a table of `docs/commands.md` is made from it.
   """

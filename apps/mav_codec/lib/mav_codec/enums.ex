@@ -2,11 +2,11 @@ defmodule MavCodec.Enums do
   @moduledoc """
   The enums and bitmasks of all sources, one module each, such as `MavCodec.Enums.MavState`:
 
-    * `value/1` - the number of a name: `value(:MAV_STATE_ACTIVE)` is 4
-    * `name/1` - the name of a number, `nil` if it has none: `name(4)` is `:MAV_STATE_ACTIVE`
-    * `label/1` - the same without the prefix: `"ACTIVE"`
-    * `all/0` - all of them: `[{name, value}]`
-    * `flags/1` - bitmasks only: the flags that are set, and unknown bits
+    * `value(name)` - the number of a name: `value(:MAV_STATE_ACTIVE)` is 4
+    * `name(number)` - the name of a number, `nil` if it has none: `name(4)` is `:MAV_STATE_ACTIVE`
+    * `label(number)` - the same without the prefix: `"ACTIVE"`
+    * `all()` - all of them: `[{name, value}]`
+    * `flags(number)` - bitmasks only: the flags that are set, and unknown bits
 
   Messages keep the numbers, so unknown values pass through unchanged.
   """

@@ -20,7 +20,7 @@ defmodule Aerie.GatewayCase do
     {:links, MavRouter.Link.Supervisor}
   ]
 
-  # Modules of higher apps with `parts/0` and `plugs/1`; test_helper.exs of an app names them.
+  # Modules of higher apps with functions `parts` and `plugs`; test_helper.exs of an app names them.
   defp above, do: Application.get_env(:vehicle, :gateway_parts, [])
 
   defp parts(kinds) do

@@ -43,7 +43,7 @@ defmodule FleetWeb.API.Request do
     with {:ok, object, _text, request} <- object_and_body(request), do: {:ok, object, request}
   end
 
-  @doc "Like `json/1`, with the bytes of the body as they were signed."
+  @doc "Like `object/1`, with the bytes of the body as they were signed."
   @spec object_and_body(:cowboy_req.req()) ::
           {:ok, map(), binary(), :cowboy_req.req()} | {:error, Error.t(), :cowboy_req.req()}
   def object_and_body(request) do

@@ -1,6 +1,6 @@
 defmodule MavCodec.Message.Field do
   @moduledoc """
-  The description of a field, see `fields/0` of a message module.
+  The description of a field, see `c:MavCodec.Message.fields/0`.
 
     * `key` - the struct key, `name` - the name in the XML
     * `type` - element type (`:uint8` for a `char[]` that holds bytes), `length` - array length (`nil`: no array)

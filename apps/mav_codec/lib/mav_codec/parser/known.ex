@@ -23,7 +23,7 @@ defmodule MavCodec.Parser.Known do
   """
   @type t :: %__MODULE__{pages: tuple(), lengths: tuple(), others: [module()]}
 
-  @doc "The table of `dialects`: modules with `crc_extra/1` (behaviour `MavCodec.Dialect`)."
+  @doc "The table of `dialects`: modules with the behaviour `MavCodec.Dialect`."
   @spec new([module()]) :: t()
   def new(dialects) do
     # A link has a parser for each peer, so the table is made once. The checksum is that of the compiled module.

@@ -4,7 +4,7 @@ defmodule MavCodec.Parser.Scanner do
 
   `frames/8` is the fast path for consecutive complete frames of known ids with the right CRC: version 2 without flags or
   signed, or version 1. Each costs one match, one CRC and two references. Where a frame is due and something else comes,
-  `due/7` judges it. Behind damage, `gap/7` searches the next frame (`MavCodec.Parser.Search`).
+  `due/6` judges it. Behind damage, `gap/7` searches the next frame (`MavCodec.Parser.Search`).
 
   ## Rules
 

@@ -32,7 +32,7 @@ defmodule MavRouter.Link.Server do
 
   @doc """
   Options: `:gateway`, `:spec`, `:notify` (an alias that gets `{alias, :ok | {:error, text}}` once, after the first
-  attempt), `:home` (what keeps the snapshot: `Aerie.Base.Store`, or a module with its `link/2` and `put_link/4`). The core
+  attempt), `:home` (what keeps the snapshot: `Aerie.Base.Store`, or a module with its `Store.link/2` and `Store.put_link/4`). The core
   gets the options of `MavRouter.Link.Settings` and of the spec.
   """
   @spec start_link(keyword) :: GenServer.on_start()

@@ -3,10 +3,10 @@ defmodule MavRouter.Router.ClientConnection do
   One client's connection to the router: its bytes are delivered as frames, and frames for it wait here until they can be written. A
   value, for the process that has the client's socket and is the endpoint.
 
-      {:ok, pipe} = Pipe.open(gateway, id: "ws-1", kind: :websocket, text: "10.0.0.9:51234")
-      pipe = Pipe.read(pipe, bytes)
-      receive do: ({:forward, frames, class} -> pipe = Pipe.queue(pipe, frames, class))
-      {frames, pipe} = Pipe.take(pipe)
+      {:ok, pipe} = ClientConnection.open(gateway, id: "ws-1", kind: :websocket, text: "10.0.0.9:51234")
+      pipe = ClientConnection.read(pipe, bytes)
+      receive do: ({:forward, frames, class} -> pipe = ClientConnection.queue(pipe, frames, class))
+      {frames, pipe} = ClientConnection.take(pipe)
 
   Data that the client requested has room of its own (`MavRouter.Router.Queue.RequestedData`). When the client does not read, the oldest other
   frames of the least important class are dropped (`MavRouter.Router.Queue.ClassQueue`). Each connection is a pipe of its own, so no frame of an

@@ -25,7 +25,7 @@ defmodule MavRouter.Router.Endpoint do
   for each read. Frames count as waiting until `taken/2` is called: at #{@max_waiting} of them further ones are dropped and
   counted. A process that cannot write at once keeps them in an `MavRouter.Router.Queue.SendQueue`, which drops the oldest frames of the
   least important class. A new connection is a new endpoint, so that nothing old waits for it. The endpoint ends with its process
-  or with `detach/1`.
+  or with `MavRouter.Router.LocalEndpoint.detach/1`.
   """
 
   alias Aerie.Base.Names

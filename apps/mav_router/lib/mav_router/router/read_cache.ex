@@ -12,8 +12,8 @@ defmodule MavRouter.Router.ReadCache do
   @callback reading?(Frame.t()) :: boolean
 
   @doc """
-  A request of a client to a vehicle; its target is the vehicle's own id. `:absorb`: it is answered by `MavRouter.Router.ReadCache.Requests.answer/4`, or
-  goes on later by `forward/3` there.
+  A request of a client to a vehicle; its target is the vehicle's own id. `:absorb`: it is answered by `ReadCache.Requests.answer/4`, or
+  goes on later by `ReadCache.Requests.forward/3`.
   """
   @callback take(Names.gateway(), MavRouter.Router.vehicle_key(), Endpoint.key(), Frame.t()) ::
               :forward | :absorb

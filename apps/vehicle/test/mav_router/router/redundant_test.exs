@@ -177,7 +177,7 @@ defmodule MavRouter.Router.RedundantTest do
               sources = %{{1, 1} => %{received: received + new, lost: lost + gone}}
               heard = now - silent * 1000
               Store.put_link(c.gateway, id, %{id: id, status: :up, sources: sources, last_heard: heard})
-              # Not the mean with what was before: that is `note_rtt/3`'s.
+              # Not the mean with what was before: that is `Meter.note_rtt/3`'s.
               :ets.insert(c.tables.scores, {{:rtt, id}, rtt, second * 1000})
               {id, {received + new, lost + gone}}
             end

@@ -38,7 +38,7 @@ defmodule Phoenix.LiveView.View do
   @max_patches 20
 
   @doc """
-  Runs `on_mount`, `mount/3` and `handle_params/3`. `{:away, navigation, view}` if the view navigates elsewhere at once.
+  Runs `on_mount`, `mount` and `handle_params`. `{:away, navigation, view}` if the view navigates elsewhere at once.
   """
   @spec mount(t(), URI.t(), map()) :: {:ok, t()} | {:away, Phoenix.LiveView.Navigation.t(), t()}
   def mount(%__MODULE__{route: route, socket: socket} = view, uri, session) do

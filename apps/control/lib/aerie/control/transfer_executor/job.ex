@@ -4,8 +4,8 @@ defmodule Aerie.Control.TransferExecutor.Job do
   itself meanwhile.
 
   A machine is a module with `handle(machine, event) -> {machine, actions}` and `wake_at(machine)`, as `Aerie.Control.Params.Download`
-  describes them; its end is `{:done, result}`, or `{:result, result}` of `Aerie.Mission.Transfer`. One that uses files has `seq/1`
-  besides, the number that the next one begins with.
+  describes them; its end is `{:done, result}`, or `{:result, result}` of `Aerie.Mission.Transfer`. One that uses files also has
+  `seq(machine)`, the number that the next one begins with.
   """
 
   alias MavRouter.Router.TransferLock

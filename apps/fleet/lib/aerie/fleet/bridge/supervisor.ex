@@ -5,7 +5,7 @@ defmodule Aerie.Fleet.Bridge.Supervisor do
   | child | what its crash costs |
   |---|---|
   | `Tables` | counters and last values; then all below |
-  | `Server` (embedded mode) | the server ends with it and comes back with its data; then all below |
+  | `NatsServer` (embedded mode) | the server ends with it and comes back with its data; then all below |
   | `Connection` | the connection; events in flight are sent again |
   | `State` | nothing: last values are in the tables |
   | `Events` | events in flight are sent again; their ids make that harmless |

@@ -1,6 +1,6 @@
 defmodule Aerie.Fleet.Shadow.Core do
   @moduledoc """
-  The shadow loop of a vehicle without the process: `look/2` compares and decides, `done/5` records the outcome of an
+  The shadow loop of a vehicle without the process: `compare/2` compares and decides, `done/5` records the outcome of an
   attempt. Times are unix microseconds.
 
   Actions, to be carried out in order:

@@ -17,7 +17,7 @@ defmodule Aerie.Vehicle.Detector.Observation do
   | `:reboot`     |                                             | reboot                                                  |
   | `:collision`  | `%{sign: sign, links: links}`               | collision                                               |
   | `:streams`    | notices of `Streams.Arbiter`                | stream.contested                                        |
-  | `:gcs`        | `{:lost or :back, facts}` of `Gcs`          | gcs.lost, gcs.restored                                  |
+  | `:gcs`        | `{:lost or :back, facts}` of `Services.Gcs` | gcs.lost, gcs.restored                                  |
   | `:external`   | `%{type: type, data: data}`                 | found by another part of the gateway: signing.*, displaced |
   | `:published`  | what was published before the restart       | mode_change, armed, disarmed, takeoff, landed (`Detector.OfflineChanges`) |
   | `:quiet`      |                                             | none: nothing was observed for a while                  |

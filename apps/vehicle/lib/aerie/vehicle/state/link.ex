@@ -1,5 +1,5 @@
 defmodule Aerie.Vehicle.State.Link do
-  @moduledoc "How the vehicle is heard, from all its frames (`Aerie.Vehicle.Core.Reporting`)."
+  @moduledoc "How the vehicle is heard, from all its frames (`Aerie.Vehicle.Services.Links.Reception`)."
 
   alias Aerie.Vehicle.State.Group
 

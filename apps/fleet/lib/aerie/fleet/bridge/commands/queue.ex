@@ -50,8 +50,8 @@ defmodule Aerie.Fleet.Bridge.Commands.Queue do
   @doc """
   A request has come. `ending?`: it holds a vehicle or brings it down.
 
-    * `{:run, phase, lanes}` - work on it; `left/2` and `verified/4` say what becomes of it
-    * `{:wait, lanes}` - it waits for its turn (`left/2`, `verified/4`)
+    * `{:run, phase, lanes}` - work on it; `left/2` and `verified/5` say what becomes of it
+    * `{:wait, lanes}` - it waits for its turn (`left/2`, `verified/5`)
     * `:drop` - it is counted, and that is all
   """
   @spec arrive(t(), claim(), request :: term(), ending? :: boolean(), now :: integer()) ::

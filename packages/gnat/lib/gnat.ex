@@ -219,7 +219,7 @@ defmodule Gnat do
 
   @doc """
   Ends a subscription: now, or when it has received `max_messages: n` messages, counted from its beginning.
-  An unknown one is no error.
+  An unknown one is not an error.
   """
   @spec unsub(t(), sid() | String.t(), max_messages: pos_integer()) :: :ok | {:error, Error.t()}
   def unsub(gnat, sid, opts \\ []) do

@@ -112,7 +112,7 @@ defmodule SimVehicle.Msp.Telemetry do
         do: (sum -> sum + Bitwise.bsl(1, bit))
   end
 
-  # Bits of states, which are no reasons.
+  # Bits of states, which are not reasons.
   defp inav_flags(%{armed: true}, _flags), do: 0b1100
   defp inav_flags(_fc, flags), do: flags
 end

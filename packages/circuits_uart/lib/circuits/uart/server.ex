@@ -51,7 +51,7 @@ defmodule Circuits.UART.Server do
   def handle_info({port, {:data, packet}}, %{port: port} = server) when is_port(port) do
     case Wire.decode(packet) do
       :malformed ->
-        Logger.error("the port program of a UART sent what is no packet; it is given up")
+        Logger.error("the port program of a UART sent what is not a packet; it is given up")
         {:noreply, server |> stop_program() |> handle({:program_down, :epipe})}
 
       event ->

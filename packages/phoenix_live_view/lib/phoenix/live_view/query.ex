@@ -29,7 +29,7 @@ defmodule Phoenix.LiveView.Query do
          path when length(path) <= @max_depth <- path(name) do
       {:cont, {:ok, put(params, path, value)}}
     else
-      :error -> {:halt, {:error, "a parameter is no valid text"}}
+      :error -> {:halt, {:error, "a parameter is not valid text"}}
       _deep -> {:halt, {:error, "a parameter has more than #{@max_depth} levels"}}
     end
   end

@@ -12,7 +12,7 @@ defmodule Phoenix.LiveView.Router do
         end
       end
 
-  Navigation within one `live_session` loads no new page; between sessions the page is loaded anew. `match/2` finds the
+  Navigation within one `live_session` loads no new page; between sessions the page is loaded again. `match/2` finds the
   route of a path; segments with a colon become parameters.
   """
 

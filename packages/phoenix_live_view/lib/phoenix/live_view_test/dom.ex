@@ -151,7 +151,7 @@ defmodule Phoenix.LiveViewTest.DOM do
     |> elem(0)
   end
 
-  # As in CSS, a name begins with no digit, and a value that is no name has quotes.
+  # As in CSS, a name begins with no digit, and a value that is not a name has quotes.
   @condition ~r/\[([\w:-]+)(?:([\^*$]?=)(?|"([^"\]]*)"|'([^'\]]*)'|([a-z_-][\w-]*)))?\]|:not\(([^()]+)\)|([#.:]?)([a-z_-][\w-]*)|(\*)/i
 
   defp conditions(simple) do

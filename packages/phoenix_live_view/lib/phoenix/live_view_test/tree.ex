@@ -23,7 +23,7 @@ defmodule Phoenix.LiveViewTest.Tree do
   defp settle(text) when is_binary(text), do: text
 
   defp settle(other),
-    do: raise("the client would print, or take for a component, what is no text: #{inspect(other)}")
+    do: raise("the client would print, or take for a component, what is not text: #{inspect(other)}")
 
   defp settled({"s", static}) when is_list(static), do: {"s", static}
   defp settled({"r", 1}), do: {"r", 1}

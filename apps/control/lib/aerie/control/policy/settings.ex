@@ -88,7 +88,7 @@ defmodule Aerie.Control.Policy.Settings do
   setting :sources,
           {:list, {:section, source_fields()}},
           """
-          Who may sign commands over NATS: the public nkey of each (`aerie nats-key` makes one). Other keys can command nothing by
+          Who may sign commands over NATS: the public nkey of each (`aerie nats-key` makes one). Other keys can command nothing over
           NATS.
           """,
           default: [],

@@ -21,7 +21,7 @@ defmodule Aerie.Fleet.Shadow.Merge do
   @refused "refused aboard: the hub may not change these there (policy.sources of the gateway aboard)"
 
   @doc """
-  The hub's document with the fields aboard in place of those that it may not set or remove, and these fields. What is aboard already is no
+  The hub's document with the fields aboard in place of those that it may not set or remove, and these fields. What is aboard already is not a
   change. `allowed?` gets a path and a value, nil for a field that is removed.
   """
   @spec permitted(Document.t(), aboard :: Document.t(), hub :: Document.t(), (Field.path(), term() ->

@@ -13,7 +13,7 @@ defmodule Phoenix.LiveView.Cowboy.Page do
   def init(request, server) do
     cond do
       not Server.host?(server, request) ->
-        {:ok, :cowboy_req.reply(421, %{}, "this is no name of the server\n", request), server}
+        {:ok, :cowboy_req.reply(421, %{}, "this is not a name of the server\n", request), server}
 
       :cowboy_req.method(request) in ["GET", "HEAD"] ->
         page(request, server)

@@ -26,7 +26,7 @@ defmodule Phoenix.LiveView.Cowboy.Socket do
 
     cond do
       not Server.host?(server, request) ->
-        refuse(request, server, "this is no name of the server")
+        refuse(request, server, "this is not a name of the server")
 
       not server.origin?.(request) ->
         refuse(request, server, "this page's origin may not use the server")

@@ -137,4 +137,10 @@ defmodule Aerie.Gate.ReferencesTest do
     assert check("test/system/wing_test.exs", empty.("Aerie.System.WingTest")) == []
     assert check("apps/kite/test/support/wind.ex", empty.("Kite.Gust")) == []
   end
+
+  test "names in tests of checks are made up" do
+    source = fn module -> "defmodule #{module} do\n  # `Kite.Rudder`\nend" end
+    assert check("test/gate/wind_test.exs", source.("Aerie.Gate.WindTest")) == []
+    assert [_problem] = check("test/system/wind_test.exs", source.("Aerie.System.WindTest"))
+  end
 end

@@ -1,70 +1,220 @@
-# Turns of phrase that read as translated, in what users see (errors, pages, help, OpenAPI, README, docs) and in comments and READMEs of
-# the code. Called by bin/test; prints file, line and what to write instead.
+# Turns of phrase that read as translated, in what users see (errors, pages, help, OpenAPI, README, docs), in comments
+# and READMEs of the code, and in the names of tests. bin/test calls Words.main(), which prints file, line and what to
+# write instead.
+#
+# Those of @listed stand in many files still: words.txt has how many each file may have. Words.main(["--shrink"]) lowers
+# its numbers to what is left; none ever rises.
 defmodule Words do
-  @banned [
-    {~r/(?<!there )(?<!here )\b(is|are|was|were) no (?!longer\b|more than\b|less than\b|one\b)[a-z]+/i, "is not a ..."},
-    {~r/(?<!there )\b(is|are) no $/i, "is not a ..."},
-    {~r/\bby (NATS|REST)\b/, "over NATS, over REST"},
-    {~r/\banew\b/i, "again, or leave it out"},
-    {~r/\bceas(e|es|ed|ing)\b/i, "stop, cancel"},
-    {~r/\bbelongs? into\b/i, "belongs in"},
-    {~r/\bwhoever\b/i, "anyone who, or name the person"},
-    {~r/\bwherefore|thereof|whereof|hitherto\b/i, "plain words"},
-    {~r/\btells? of\b/i, "reports, shows"}
+  @list "bin/lib/checks/words.txt"
+  @files [
+    code: "{apps,packages}/*/lib/**/*.ex",
+    test: "{apps,packages}/*/test/**/*_test.exs",
+    test: "test/**/*_test.exs",
+    page: "*.md",
+    page: "{docs,bin,rel,test}/**/*.md",
+    page: "packages/*.md",
+    page: "{apps,packages}/*/*.md",
+    page: "{apps,packages}/*/{lib,priv,test,bench}/**/*.md",
+    # Made from texts of the code, where the turns of @listed are counted already.
+    generated: "docs/openapi.json",
+    generated: "config/gateway.example.yaml"
   ]
 
-  def main do
-    found = Enum.flat_map(code(), &(in_code(&1) ++ in_comments(&1))) ++ Enum.flat_map(pages(), &in_page/1)
-    for {file, line, text, instead} <- Enum.sort(found), do: IO.puts(:stderr, "#{file}:#{line}: \"#{text}\": #{instead}")
-    if found != [], do: System.halt(1)
+  # Each with a part that every match has, because most texts have none of them.
+  @banned [
+    {" no ", ~S"(?<!there )(?<!here )\b(?i:is|are|was|were) no (?!longer\b|more than\b|less than\b|one\b)([a-z]+|…)",
+     "is not a ..."},
+    {"by ", ~S"\bby (NATS|REST)\b", "over NATS, over REST"},
+    {"new", ~S"\b(?i:anew)\b", "again, or leave it out"},
+    {"eas", ~S"\b(?i:ceas(e|es|ed|ing))\b", "stop, cancel"},
+    {" into", ~S"\b(?i:belongs?) into\b", "belongs in"},
+    {"hoever", ~S"\b(?i:whoever)\b", "anyone who, or name the person"},
+    {"her", ~S"\b(?i:wherefore|hitherto)\b", "plain words"},
+    {"reof", ~S"\b(?i:thereof|whereof)\b", "plain words"},
+    {" of", ~S"\b(?i:tells?) of\b", "reports, shows"}
+  ]
+
+  @name_it "name it: the user, the gateway, the program that ..."
+  @listed [
+    {" none", ~S"(?<!there )(?<!here )\b(is|are|was|were|be) none\b(?! of\b)", "is not one, or what it is instead"},
+    {"one ", ~S"\b[Nn]one (is|are)(?=[.;,:)]|$)", "say what is not"},
+    {" none", ~S"\b(told|tells?) none\b", "reported no ..."},
+    {" who ",
+     ~S"\b([Ff]or|[Bb]y|to|[Oo]nly|than|from|[Ww]ith|not|[Tt]hen|[Bb]ecause) who " <>
+       ~S"(?!they\b|that\b|it\b|we\b|you\b)[a-z]+", "anybody who, the user who"},
+    {" who ", ~S"\bof who (may|can|has|had|(?!is\b|was\b|does\b)[a-z]+s)\b", "of the one who, or " <> @name_it},
+    {" who ", ~S"[;,:] who has it\b", "with it, anybody who has it"},
+    {"Who ", ~S"(^|[.:;!?] )Who (?!is\b|was\b|has\b|does\b)[a-z]+s\b(?![^.]*\?)", @name_it},
+    # With a second verb, it is a subject.
+    {"ho ",
+     ~S"(^|[.:;!?] )[Ww]ho (?!alone\b|they\b|that\b|it\b|we\b|you\b|the\b)[a-z]+ " <>
+       ~S"((?!what|which|that|whether|how|where|if|and|or)[^ .?!,:;|()]+ ){0,9}?" <>
+       ~S"(may|can|must|is|are|has|does|gets?|sees|learns|sends|needs|moves|takes|goes|keeps|counts|changes|waits) ",
+     @name_it},
+    {", too", ~S", too(?=[.,;:)]| \(|$)", "also, as well"},
+    {"Of ", ~S"(^|[.:;!?] )Of (?!course\b)[a-z]+", "begin with the subject"},
+    {" told", ~S"\b(is|are|be|being) (not |soon |then |only )?told\b(?! apart\b| otherwise\b)", "hears, is reported"},
+    {"in time", ~S"(?<!point )(?<!back )\bin time\b(?! order\b| zone\b)", "before its deadline, within ... s"},
+    {"mend it", ~S"\b(?i:to mend it)\b", "fix: ..."},
+    {"the words say", ~S"\b(?i:does what the words say)", "say what it does"},
+    {"below each", ~S"\bstands? below each other\b", "line up"},
+    {"is for nobody", ~S"\bis for nobody\b", "say what is refused"}
+  ]
+
+  def main(arguments \\ []) do
+    found = found()
+    list = @list |> File.read!() |> list()
+
+    case arguments do
+      [] ->
+        stop(problems(found, list))
+
+      ["--shrink"] ->
+        File.write!(@list, shrink(found, list))
+        stop(problems(found, list) -- lower(found, list))
+    end
   end
 
-  defp code, do: Path.wildcard("apps/{mav_codec,authority,base,msp,mav_router,vehicle,mission,control,fleet,fleet_web,aerie}/lib/**/*.ex")
-  defp pages, do: ["README.md", "CHANGELOG.md", "docs/openapi.json", "config/gateway.example.yaml"] ++ Path.wildcard("docs/**/*.md") ++ Path.wildcard("apps/*/*.md") ++ Path.wildcard("apps/*/lib/**/*.md")
+  defp stop([]), do: :ok
 
-  # Comments and documentation: lines that are not code.
-  defp in_comments(file) do
-    {found, _doc?} =
-      file
-      |> File.read!()
-      |> String.split("\n")
-      |> Enum.with_index(1)
-      |> Enum.flat_map_reduce(false, fn {text, line}, doc? ->
-        doc? = if text =~ ~r/^\s*@(module|type|)doc """/, do: true, else: doc? and not (text =~ ~r/^\s*"""/)
-        {if(doc? or text =~ ~r/^\s*(#|@(module|type|)doc ")/, do: found(file, line, text), else: []), doc?}
-      end)
-
-    found
+  defp stop(problems) do
+    Enum.each(problems, &IO.puts(:stderr, &1))
+    System.halt(1)
   end
 
-  # Texts of the code.
-  defp in_code(file) do
-    file
-    |> File.read!()
-    |> Code.string_to_quoted!(literal_encoder: &{:ok, {:__block__, &2, [&1]}}, emit_warnings: false)
-    |> texts()
-    |> Enum.flat_map(fn {text, line} -> found(file, line, text) end)
+  defp found do
+    patterns = patterns()
+
+    for({kind, wildcard} <- @files, file <- Path.wildcard(wildcard), do: {kind, file})
+    |> Task.async_stream(fn {kind, file} -> {file, find(kind, File.read!(file), patterns)} end, timeout: :infinity)
+    |> Map.new(fn {:ok, found} -> found end)
   end
 
-  defp texts(ast) do
+  def patterns do
+    for {kind, turns} <- [banned: @banned, listed: @listed], {part, pattern, instead} <- turns do
+      {kind, part, Regex.compile!(pattern, "u"), instead}
+    end
+  end
+
+  ## Turns of a text: `{kind, line, what it says, what to write instead}`.
+
+  def find(:code, text, patterns), do: text |> code() |> search(patterns)
+  def find(:test, text, patterns), do: text |> names() |> search(only(patterns, :listed))
+  def find(:page, text, patterns), do: search([{1, text}], patterns)
+  def find(:generated, text, patterns), do: search([{1, text}], only(patterns, :banned))
+
+  defp only(patterns, kind), do: Enum.filter(patterns, &(elem(&1, 0) == kind))
+
+  defp names(text) do
+    for {text, line} <- text |> String.split("\n") |> Enum.with_index(1),
+        [_, name] <- [Regex.run(~r/^\s*(?:test|describe) "(.*)"/, text)],
+        do: {line, name}
+  end
+
+  # Comments, documentation and texts.
+  defp code(text) do
+    options = [literal_encoder: &{:ok, {:__block__, &2, [&1]}}, token_metadata: true, emit_warnings: false]
+    {ast, comments} = Code.string_to_quoted_with_comments!(text, options)
+
     {_ast, texts} =
       Macro.prewalk(ast, [], fn
-        {:@, _, [{name, _, _}]}, texts when name in [:moduledoc, :doc, :typedoc, :shortdoc] -> {nil, texts}
-        {:__block__, meta, [text]} = node, texts when is_binary(text) -> {node, [{text, meta[:line]} | texts]}
-        {:<<>>, meta, parts} = node, texts -> {node, for(text <- parts, is_binary(text), do: {text, meta[:line]}) ++ texts}
-        node, texts -> {node, texts}
+        {:__block__, meta, [text]} = node, texts when is_binary(text) ->
+          {node, [{line(meta), text} | texts]}
+
+        {:<<>>, meta, parts} = node, texts ->
+          {node, [{line(meta), Enum.map_join(parts, &if(is_binary(&1), do: &1, else: "…"))} | texts]}
+
+        node, texts ->
+          {node, texts}
       end)
 
-    texts
+    texts ++ (comments |> Enum.reduce([], &comment/2) |> Enum.map(fn {first, _last, text} -> {first, text} end))
   end
 
-  defp in_page(file) do
-    for {text, line} <- file |> File.read!() |> String.split("\n") |> Enum.with_index(1), hit <- found(file, line, text), do: hit
+  # Continues the comment of the line above, or begins one.
+  defp comment(%{line: line, text: "#" <> text}, [{first, last, above} | done]) when line == last + 1,
+    do: [{first, line, above <> "\n" <> text} | done]
+
+  defp comment(%{line: line, text: "#" <> text}, done), do: [{line, line, text} | done]
+
+  # A heredoc begins behind its delimiter.
+  defp line(meta), do: if(meta[:indentation], do: meta[:line] + 1, else: meta[:line])
+
+  defp search(texts, patterns) do
+    for {line, text} <- texts, paragraph <- paragraphs(line, text), hit <- hits(paragraph, patterns), do: hit
   end
 
-  defp found(file, line, text) do
-    for {pattern, instead} <- @banned, [hit | _] <- Regex.scan(pattern, text), do: {file, line, hit, instead}
+  defp hits(lines, patterns) do
+    text = Enum.map_join(lines, " ", &elem(&1, 1))
+
+    found =
+      for {kind, part, pattern, instead} <- patterns,
+          String.contains?(text, part),
+          [{at, length} | _] <- Regex.scan(pattern, text, return: :index),
+          do: {at, {kind, line_at(lines, at), binary_part(text, at, length), instead}}
+
+    # Two patterns may find the same.
+    for {_at, hit} <- Enum.uniq_by(found, &elem(&1, 0)), do: hit
+  end
+
+  defp line_at([{line, _text}], _at), do: line
+  defp line_at([{line, text} | _lines], at) when at <= byte_size(text), do: line
+  defp line_at([{_line, text} | lines], at), do: line_at(lines, at - byte_size(text) - 1)
+
+  # Paragraphs, entries of lists and cells of tables, each as its lines.
+  defp paragraphs(first, text) do
+    text
+    |> String.split("\n")
+    |> Enum.with_index(first)
+    |> Enum.reduce([[]], fn {text, line}, [lines | done] ->
+      case String.trim(text) do
+        "" -> [[], lines | done]
+        "|" <> row -> [[] | row |> String.split("|") |> Enum.map(&[{line, String.trim(&1)}])] ++ [lines | done]
+        "- " <> entry -> [[{line, entry}], lines | done]
+        "* " <> entry -> [[{line, entry}], lines | done]
+        "#" <> heading -> [[], [{line, heading |> String.trim_leading("#") |> String.trim()}], lines | done]
+        text -> [[{line, text} | lines] | done]
+      end
+    end)
+    |> Enum.reject(&(&1 == []))
+    |> Enum.map(&Enum.reverse/1)
+  end
+
+  ## The list: how many turns each file may have
+
+  # From lines of a number and a file.
+  def list(text) do
+    for line <- String.split(text, "\n", trim: true), [n, file] = String.split(line, " ", parts: 2), into: %{} do
+      {file, String.to_integer(n)}
+    end
+  end
+
+  # What is wrong with what was found in files, `%{file => hits}`.
+  def problems(found, list), do: banned(found) ++ higher(found, list) ++ lower(found, list)
+
+  defp banned(found) do
+    for {file, hits} <- Enum.sort(found), {:banned, _, _, _} = hit <- Enum.sort(hits), do: text(file, hit)
+  end
+
+  defp higher(found, list) do
+    for {file, hits} <- Enum.sort(found), n = count(hits), n > Map.get(list, file, 0) do
+      hits = for {:listed, _, _, _} = hit <- Enum.sort(hits), do: text(file, hit) <> "\n"
+      "#{hits}#{file} may have #{Map.get(list, file, 0)} of these, and has #{n}"
+    end
+  end
+
+  defp lower(found, list) do
+    for {file, may} <- Enum.sort(list), n = count(found[file] || []), n < may do
+      "#{file} may have #{may} turns of phrase by #{@list}, and has #{n}: lower the number there, or all by " <>
+        "elixir -r bin/lib/checks/words.exs -e 'Words.main([\"--shrink\"])'"
+    end
+  end
+
+  defp count(hits), do: Enum.count(hits, &(elem(&1, 0) == :listed))
+  defp text(file, {_kind, line, says, instead}), do: "#{file}:#{line}: \"#{says}\": #{instead}"
+
+  # The list with the numbers that are lower now; those of files without any are left out.
+  def shrink(found, list) do
+    for {file, may} <- Enum.sort(list), n = min(may, count(found[file] || [])), n > 0, into: "", do: "#{n} #{file}\n"
   end
 end
-
-Words.main()

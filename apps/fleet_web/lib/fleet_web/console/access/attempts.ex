@@ -112,11 +112,14 @@ defmodule FleetWeb.Console.Access.Attempts do
     Map.put(table, key, times)
   end
 
+  # A quarter at once, so that a flood from ever new addresses sorts the table seldom.
   defp room(table, now) do
     case Map.reject(table, fn {_key, [newest | _older]} -> now - newest >= @window_ms end) do
       full when map_size(full) >= @most ->
-        {oldest, _times} = Enum.min_by(full, fn {_key, [newest | _older]} -> newest end)
-        Map.delete(full, oldest)
+        full
+        |> Enum.sort_by(fn {_key, [newest | _older]} -> newest end, :desc)
+        |> Enum.take(div(@most * 3, 4))
+        |> Map.new()
 
       left ->
         left

@@ -27,6 +27,15 @@ release_for() {
   export AERIE_ERTS
 }
 
+# Called with the lock on compiling. Compiled Elixir is the same on all machines: another architecture's release begins
+# with this machine's, so that only what is written in C is compiled for it.
+release_share() {
+  local build="$AERIE_ROOT/_build"
+  rm -rf "$build/${architecture}_$1"
+  cp -a "$build/$1" "$build/${architecture}_$1" ||
+    fail "the compiled code could not be copied" "see above" "make room on the disk and run this again"
+}
+
 # Called with the lock on compiling: Mix copies what it has compiled.
 release_assemble() {
   step "assembling"

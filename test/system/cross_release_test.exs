@@ -29,21 +29,9 @@ defmodule Aerie.System.CrossReleaseTest do
   @moduletag skip: @missing
 
   setup_all do
-    folder =
-      Path.join(
-        System.tmp_dir!(),
-        "Aerie's $release & co #{System.unique_integer([:positive])}-#{System.pid()}"
-      )
-
-    on_exit(fn -> File.rm_rf!(folder) end)
-    words = ["--arch", @other.name, "--deb", "--output", folder]
-
-    {_output, 0} =
-      System.cmd(Path.join(@root, "bin/release"), words, env: environment(), stderr_to_stdout: true)
-
-    [tarball] = Path.wildcard(Path.join(folder, "*.tar.gz"))
-    {_output, 0} = System.cmd("tar", ["-xzf", tarball, "-C", folder])
-    %{folder: folder, tarball: tarball, release: String.trim_trailing(tarball, ".tar.gz")}
+    made = Aerie.Release.make(["--arch", @other.name, "--deb"])
+    {_output, 0} = System.cmd("tar", ["-xzf", made.tarball, "-C", made.folder])
+    Map.put(made, :release, String.trim_trailing(made.tarball, ".tar.gz"))
   end
 
   defp files(release),

@@ -5,26 +5,18 @@ defmodule Aerie.System.ReleaseTest do
   use Aerie.RunCase
 
   @moduletag :tmp_dir
-  @root Path.expand("../..", __DIR__)
 
   setup_all do
+    made = Aerie.Release.made()
+
     folder =
-      Path.join(
-        System.tmp_dir!(),
-        "Aerie's $release & co #{System.unique_integer([:positive])}-#{System.pid()}"
-      )
+      Path.join(System.tmp_dir!(), "Aerie's $tarball #{System.unique_integer([:positive])}-#{System.pid()}")
 
+    File.mkdir_p!(folder)
     on_exit(fn -> File.rm_rf!(folder) end)
-
-    {output, 0} =
-      System.cmd(Path.join(@root, "bin/release"), ["--output", folder],
-        env: environment(),
-        stderr_to_stdout: true
-      )
-
-    [tarball] = Path.wildcard(Path.join(folder, "*.tar.gz"))
-    {_output, 0} = System.cmd("tar", ["-xzf", tarball, "-C", folder])
-    %{output: output, tarball: tarball, release: String.trim_trailing(tarball, ".tar.gz")}
+    {_output, 0} = System.cmd("tar", ["-xzf", made.tarball, "-C", folder])
+    name = Path.basename(made.tarball, ".tar.gz")
+    Map.put(made, :release, Path.join(folder, name))
   end
 
   defp aerie(context, words, more \\ []) do

@@ -14,16 +14,8 @@ defmodule Aerie.System.UpgradeTest do
   @root Path.expand("../..", __DIR__)
 
   setup_all do
-    folder =
-      Path.join(System.tmp_dir!(), "Aerie's $versions #{System.unique_integer([:positive])}-#{System.pid()}")
-
-    on_exit(fn -> File.rm_rf!(folder) end)
-    words = ["--output", folder]
-
-    {_text, 0} =
-      System.cmd(Path.join(@root, "bin/release"), words, env: environment(), stderr_to_stdout: true)
-
-    %{release: Path.join(folder, "aerie"), tarball: hd(Path.wildcard(Path.join(folder, "*.tar.gz")))}
+    made = Aerie.Release.made()
+    %{release: Path.join(made.folder, "aerie"), tarball: made.tarball}
   end
 
   setup context do

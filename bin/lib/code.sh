@@ -39,12 +39,13 @@ compile_shown() {
 # Compiles and sets AERIE_CODE to a copy of the result, which this process and its children hold. It compiles for prod; tests set
 # AERIE_BUILD=test, because their code is compiled already (bin/test --full does as users do).
 # If nothing has changed, it takes the last copy without asking Mix: a gateway that was killed in flight must start again
-# quickly, and Mix takes longer than all the rest. With `any`, the last copy will do while another start compiles.
+# quickly, and Mix takes longer than all the rest. With `any`, the last copy will do while another start compiles; with
+# `last`, it will also do when the sources have changed since.
 code_install() {
-  local build=${AERIE_BUILD:-prod} stamp begun
+  local build=${AERIE_BUILD:-prod} stamp begun digest
   stamp="$AERIE_ROOT/_build/code-$build"
   if ! lock_soon "$AERIE_ROOT/_build/compile-$build.lock"; then
-    if [ "${1:-}" = any ] && code_last "$stamp"; then
+    if [ -n "${1:-}" ] && code_last "$stamp"; then
       step "another start is compiling here; this is the program as it was before"
       unlock
       return 0
@@ -59,34 +60,68 @@ code_install() {
     unlock
     return 0
   fi
+  if [ "${1:-}" = last ] && code_last "$stamp"; then
+    step "the sources have changed since the last start; this is the program as it was then"
+    unlock
+    return 0
+  fi
   step "compiling what has changed (all of it takes some minutes)"
   # Sources that change from here on are newer than the stamp. Whoever waits for the lock finds the stamp.
   begun=$(date +%s.%N)
+  digest=$(code_digest)
   compile_locked "$build"
   code_copy "$build"
-  printf '%s\n%s\n' "$(command -v elixir)" "$AERIE_CODE" >"$stamp.$$"
+  printf '%s\n%s\n%s\n' "$digest" "$(code_elixir)" "${AERIE_CODE##*/}" >"$stamp.$$"
   touch -d "@$begun" "$stamp.$$"
   mv "$stamp.$$" "$stamp"
   unlock
 }
 
-# Prints the copy that the file $1 names, if no source, source folder or toolchain is newer than the file.
+# The Elixir in use, by a name that a copy of the checkout has as well.
+code_elixir() {
+  local elixir
+  elixir=$(command -v elixir) || return 0
+  printf '%s\n' "${elixir#"$AERIE_ROOT/"}"
+}
+
+# code_sources FIND'S WORDS ...: what is compiled, without what only tests and running gateways use
+code_sources() {
+  (cd "$AERIE_ROOT" && find -L apps packages rel mix.exs config bin/lib/code.sh bin/lib/copy_code.exs \
+    "$(command -v elixir)" "$AERIE_TOOLCHAIN/packages/index" \
+    \( -name test -o -name tmp -o -name cover -o -name var \) -prune -o "$@" 2>/dev/null) || true
+}
+
+# The content of what is compiled, whatever the times of the files.
+code_digest() {
+  code_sources -type f -print0 | sort -z | (cd "$AERIE_ROOT" && xargs -0 sha256sum) |
+    sed "s|$AERIE_ROOT/||" | sha256sum | cut -c 1-64
+}
+
+# Prints the copy that the file $1 names, if no source, source folder or toolchain is newer than the file, or if their
+# content is as it was: a checkout that was copied has other times.
 code_known() {
-  local elixir code newer
-  { read -r elixir && read -r code; } 2>/dev/null <"$1" || return 1
-  # Not that of the checkout from which this one was copied.
-  [ "$elixir" = "$(command -v elixir)" ] && [ "${code%/*}" = "$AERIE_ROOT/_build/run" ] && [ -d "$code" ] || return 1
-  # The system's own toolchain has no such file.
-  newer=$(cd "$AERIE_ROOT" && find -L apps packages rel mix.exs config bin/lib "$elixir" "$AERIE_TOOLCHAIN/.complete" \
-    \( -name test -o -name tmp -o -name cover -o -name var \) -prune -o \( -newer "$1" -o -cnewer "$1" \) -print -quit 2>/dev/null) || true
-  [ -z "$newer" ] && printf '%s\n' "$code"
+  local digest elixir code begun
+  code_read "$1" || return 1
+  if [ -n "$(code_sources \( -newer "$1" -o -cnewer "$1" \) -print -quit)" ]; then
+    begun=$(date +%s.%N)
+    [ "$(code_digest)" = "$digest" ] || return 1
+    touch -d "@$begun" "$1"
+  fi
+  printf '%s\n' "$code"
+}
+
+# Reads the file $1 into digest, elixir and code; false if there is no such copy, or it was made by another Elixir.
+code_read() {
+  { read -r digest && read -r elixir && read -r code; } 2>/dev/null <"$1" || return 1
+  code=$AERIE_ROOT/_build/run/$code
+  [ "$elixir" = "$(code_elixir)" ] && [ -d "$code" ]
 }
 
 # Takes the copy that the file $1 names, whatever has changed since, unless it is being removed.
 code_last() {
-  local elixir
-  { read -r elixir && read -r AERIE_CODE; } 2>/dev/null <"$1" || return 1
-  [ "$elixir" = "$(command -v elixir)" ] && [ "${AERIE_CODE%/*}" = "$AERIE_ROOT/_build/run" ] && [ -d "$AERIE_CODE" ] || return 1
+  local digest elixir code
+  code_read "$1" || return 1
+  AERIE_CODE=$code
   hold "$AERIE_CODE"
   [ -d "$AERIE_CODE/consolidated" ] || return 1
   export AERIE_CODE

@@ -1,7 +1,8 @@
-# --help of bin/run and bin/aerie in a checkout: answered from help.txt, so that nothing is downloaded or compiled for it. For any sh.
+# --help of bin/run and bin/aerie in a checkout: answered from help.txt, so that nothing is downloaded or compiled for
+# it. For any sh.
 
-# help_answer PROGRAM WORD ...: prints the help that the words of `aerie` ask for, and ends the script. Returns if they ask for none.
-# PROGRAM stands for `aerie start` in the text.
+# help_answer PROGRAM WORD ...: prints the help that the words of `aerie` ask for, and ends the script; returns if they
+# ask for something else. PROGRAM stands for `aerie start` in the text.
 help_answer() {
   program=$1
   shift
@@ -15,7 +16,8 @@ help_answer() {
   done
 }
 
-# Sets `section` to the one of these words, two words before one: `config check` is a section, and `config` lists those below it.
+# Sets `section` to the one of these words, two words before one: `config check` is a section, and `config` lists those
+# below it.
 help_find() {
   for section in "${1:-} ${2:-}" "${1:-}"; do
     ! grep -qxF "@ $section" "$AERIE_ROOT/bin/lib/help.txt" || return 0
@@ -36,6 +38,7 @@ help_print() {
   text=$(help_section "$1" | sed "s|aerie start|$program|g")
   { why=$(printf '%s\n' "$text" | LC_ALL=C cat 2>&1 >&4) || true; } 4>&1
   case $why in '' | *[Bb]roken*) exit 0 ;; esac
-  printf 'error: standard output takes nothing: %s\n' "$(printf %s "${why##*: }" | tr '[:upper:]' '[:lower:]')" >&2 || true
+  why=$(printf %s "${why##*: }" | tr '[:upper:]' '[:lower:]')
+  printf 'error: standard output takes nothing: %s\n' "$why" >&2 || true
   exit 2
 }

@@ -5,6 +5,8 @@ defmodule Aerie.System.SetupTest do
 
   import Aerie.Patience, only: [eventually: 2]
 
+  alias Aerie.CLI.{Help, Parser, Subcommands}
+
   @moduletag :tmp_dir
   @root Path.expand("../..", __DIR__)
 
@@ -66,6 +68,50 @@ defmodule Aerie.System.SetupTest do
       after
         Aerie.Patience.ms() -> flunk("no more than #{text}")
       end
+    end
+  end
+
+  describe "in a checkout where nothing is installed or compiled" do
+    setup %{root: root} do
+      for name <- ~w(run aerie), do: File.cp!(Path.join([@root, "bin", name]), Path.join([root, "bin", name]))
+      :ok
+    end
+
+    # Without Elixir, apt-get and pip on the PATH.
+    defp bare(root, name, words) do
+      environment = [
+        {"PATH", "/usr/bin:/bin"}
+        | for(name <- ~w(AERIE_TOOLCHAIN AERIE_BUILD AERIE_PROGRAM), do: {name, nil})
+      ]
+
+      System.cmd(Path.join([root, "bin", name]), words, env: environment, stderr_to_stdout: true)
+    end
+
+    test "help is there at once, of all, of a group and of one subcommand", %{root: root} do
+      rows = Subcommands.all()
+      {:ok, start} = Subcommands.fetch("start")
+      assert {text, 0} = bare(root, "run", ["--sim", "2", "--help"])
+      assert text == String.replace(Help.text(start), "aerie start", "bin/run")
+      assert bare(root, "aerie", []) == {Help.text(rows), 0}
+
+      for words <- [["--help"], ["-h"], ["help"]],
+          do: assert(bare(root, "aerie", words) == {Help.text(rows), 0})
+
+      for name <- ["start", "status", "params set", "config", "config check", "nats-setup"] do
+        {:help, asked} = Parser.command_line(String.split(name) ++ ["--help"])
+        assert bare(root, "aerie", String.split(name) ++ ["--help"]) == {Help.text(asked), 0}
+      end
+
+      refute File.exists?(Path.join(root, "_build"))
+    end
+
+    test "a question to a gateway finds none, as the compiled program says it", %{root: root} do
+      {status, text} = Aerie.CLI.Gateway.choose([], nil, Path.join(root, "var/shell"))
+
+      for words <- [["status"], ["status", "--json"], ["params", "list", "VID-001"], ["stop"]],
+          do: assert(bare(root, "aerie", words) == {text, status})
+
+      refute File.exists?(Path.join(root, "_build"))
     end
   end
 
@@ -210,7 +256,7 @@ defmodule Aerie.System.SetupTest do
     setup %{root: root} do
       program(root, "elixir", "")
       File.mkdir_p!(Path.join(root, "_build/run/prod-1/consolidated"))
-      File.write!(Path.join(root, "_build/code-prod"), "#{root}/programs/elixir\n#{root}/_build/run/prod-1\n")
+      File.write!(Path.join(root, "_build/code-prod"), "another content\nprograms/elixir\nprod-1\n")
       # Changed since.
       File.touch!(Path.join(root, "_build/code-prod"), {{2020, 1, 1}, {0, 0, 0}})
       File.write!(Path.join(root, "mix.exs"), "")
@@ -224,6 +270,17 @@ defmodule Aerie.System.SetupTest do
 
       assert text ==
                "==> another start is compiling here; this is the program as it was before\n_build/run/prod-1\n"
+    end
+
+    test "a question to a gateway is answered by the program of before, whether another start compiles or not",
+         context do
+      said = "this is the program as it was"
+      assert {text, 0} = bash(context.root, ~S(code_install last; printf '%s\n' "${AERIE_CODE#"$0/"}"))
+      assert text =~ said and text =~ "\n_build/run/prod-1\n"
+      Port.command(context.holder, "\n")
+      {_text, 0} = bash(context.root, ~S(lock "$0/_build/compile-prod.lock" waits))
+      assert {text, 0} = bash(context.root, ~S(code_install last; printf '%s\n' "${AERIE_CODE#"$0/"}"))
+      assert text == "==> the sources have changed since the last start; #{said} then\n_build/run/prod-1\n"
     end
 
     test "a gateway says that it waits, and starts when the other one has ended", %{
@@ -242,7 +299,7 @@ defmodule Aerie.System.SetupTest do
       Port.command(holder, "\n")
       File.mkdir_p!(Path.join(root, "_build/prod"))
       File.touch!(Path.join(root, "config/config.exs"))
-      # Compiles when it is told to, and copies nothing.
+      # Compiles at a sign, and copies nothing.
       program(root, "mix", ~S"""
       case $1 in
         compile) echo one >>"$AERIE_ROOT/compiled"; read -r _ <"$AERIE_ROOT/go" ;;

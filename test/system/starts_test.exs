@@ -27,7 +27,7 @@ defmodule Aerie.System.StartsTest do
 
     script = """
     . bin/lib/common.sh; . bin/lib/code.sh; AERIE_ROOT=$1 AERIE_TOOLCHAIN=$1
-    case $2 in known) code_known "$3" ;; *) printf '%s\\n%s\\n' "$(command -v elixir)" "$1/_build/run/code" >"$3" ;; esac
+    case $2 in known) code_known "$3" ;; *) printf '%s\\n' "$(code_digest)" "$(code_elixir)" code >"$3" ;; esac
     """
 
     bash = fn what ->
@@ -43,7 +43,10 @@ defmodule Aerie.System.StartsTest do
       fn -> File.rm!(Path.join(root, "apps/one/lib/b.ex")) end,
       fn -> File.write!(Path.join(root, "packages/new.ex"), "") end,
       # With the modification time of another machine.
-      fn -> File.touch!(Path.join(root, "mix.exs"), {{2020, 1, 1}, {0, 0, 0}}) end,
+      fn ->
+        File.write!(Path.join(root, "mix.exs"), "changed")
+        File.touch!(Path.join(root, "mix.exs"), {{2020, 1, 1}, {0, 0, 0}})
+      end,
       fn -> File.rmdir!(code) end
     ]
 
@@ -53,6 +56,9 @@ defmodule Aerie.System.StartsTest do
       # Tests and what they write do not count.
       File.write!(Path.join(root, "apps/one/test/a_test.exs"), "")
       File.write!(Path.join(root, "apps/one/cover/one.html"), "")
+      assert bash.("known") == code
+      # Another time is no change: a copy of a checkout has other ones.
+      File.touch!(Path.join(root, "mix.exs"))
       assert bash.("known") == code
       change.()
       assert bash.("known") == ""

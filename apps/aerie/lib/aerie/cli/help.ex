@@ -5,6 +5,22 @@ defmodule Aerie.CLI.Help do
 
   @width 100
 
+  @doc """
+  The file from which `bin/lib/help.sh` answers `--help` in a checkout where nothing is compiled yet: the help of all subcommands, of each group,
+  and of each one, below a line with its name.
+  """
+  @spec file([Subcommand.t()]) :: String.t()
+  def file(rows) do
+    groups = for row <- rows, [first, _second] <- [String.split(row.name)], uniq: true, do: first
+
+    sections =
+      [{"(all)", rows}] ++
+        for(group <- groups, do: {group, Enum.filter(rows, &String.starts_with?(&1.name, group <> " "))}) ++
+        for row <- rows, do: {row.name, row}
+
+    Enum.map_join(sections, fn {name, shown} -> "@ #{name}\n#{text(shown)}" end)
+  end
+
   @doc "The help of one subcommand, or of all."
   @spec text(Subcommand.t() | [Subcommand.t()]) :: String.t()
   def text(rows) when is_list(rows) do

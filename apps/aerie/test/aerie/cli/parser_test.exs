@@ -26,6 +26,11 @@ defmodule Aerie.CLI.ParserTest do
     assert for(line <- String.split(all, "\n"), String.length(line) > 100, do: line) == []
   end
 
+  test "bin/lib/help.txt is the help of today's table" do
+    file = Path.expand("../../../../../bin/lib/help.txt", __DIR__)
+    assert File.read!(file) == Help.file(Subcommands.all()), "mix aerie.help in apps/aerie writes it"
+  end
+
   test "words become a request" do
     assert {:ok, %{name: "rpc"}, %{"EXPRESSION" => "1 + 1"}, %{gateway: "aerie-7"}} =
              Parser.command_line(["rpc", "1 + 1", "--gateway", "aerie-7"])

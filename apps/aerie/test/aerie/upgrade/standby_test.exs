@@ -18,21 +18,38 @@ defmodule Aerie.Upgrade.StandbyTest do
 
   defp environment(folder, pid), do: Map.new(Standby.environment(folder, pid))
 
-  test "it starts when it was called and the former one has ended", %{tmp_dir: folder, pid: pid} do
+  defp kill(pid), do: {_output, 0} = System.cmd("kill", ["-9", pid])
+
+  # It has looked, and looks again after a pause.
+  defp waits(%Task{pid: pid}) do
+    pausing = [status: :waiting, current_function: {Standby, :await, 2}]
+    eventually(fn -> Process.info(pid, [:status, :current_function]) == pausing end, "it waits")
+  end
+
+  test "it waits until it is called, although the former one has ended", %{tmp_dir: folder, pid: pid} do
     test = self()
 
     prepare = fn ours? ->
       send(test, {:prepares, ours?.(:tcp, 1)})
+      kill(pid)
+      eventually(fn -> not File.exists?("/proc/#{pid}") end, "it has ended")
       :ok
     end
 
     waiting = Task.async(fn -> Standby.wait(environment(folder, pid), prepare) end)
     assert_receive {:prepares, false}, Aerie.Patience.ms()
-    eventually(fn -> File.exists?(Path.join(folder, "ready")) end, "it is ready")
-    assert Task.yield(waiting, 50) == nil
+    waits(waiting)
+    assert File.exists?(Path.join(folder, "ready"))
     File.write!(Path.join(folder, "go"), "")
-    assert Task.yield(waiting, 50) == nil
-    {_output, 0} = System.cmd("kill", ["-9", pid])
+    assert Task.await(waiting, Aerie.Patience.ms()) == :ok
+    refute File.exists?(folder)
+  end
+
+  test "it waits until the former one has ended, although it is called", %{tmp_dir: folder, pid: pid} do
+    call = fn _ours? -> File.write!(Path.join(folder, "go"), "") end
+    waiting = Task.async(fn -> Standby.wait(environment(folder, pid), call) end)
+    waits(waiting)
+    kill(pid)
     assert Task.await(waiting, Aerie.Patience.ms()) == :ok
     refute File.exists?(folder)
   end

@@ -105,7 +105,7 @@ end
 
 instant = fn loop ->
   receive do
-    {:"$gen_call", from, {:submit, %{id: id}, _progress}} ->
+    {:"$gen_call", from, {:submit, %{id: id}, _progress, _still?}} ->
       GenServer.reply(from, Command.Result.new(id, :completed))
       loop.(loop)
   end

@@ -100,8 +100,19 @@ defmodule Aerie.CommandCase do
   @doc "The next command that reaches the executor, and whom to answer; nothing else may come before."
   defmacro executing(pattern) do
     quote do
-      assert_receive {:"$gen_call", from, {:submit, unquote(pattern), _progress}}
+      assert_receive {:"$gen_call", from, {:submit, unquote(pattern), _progress, _still?}}
       from
+    end
+  end
+
+  @doc "Fails if a request to carry out a command has reached the executor, whatever the request has besides the command."
+  @spec refute_submitted() :: :ok
+  def refute_submitted do
+    receive do
+      {:"$gen_call", _from, request} when elem(request, 0) == :submit ->
+        flunk("submitted: #{inspect(request)}")
+    after
+      0 -> :ok
     end
   end
 

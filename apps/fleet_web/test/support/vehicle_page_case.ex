@@ -20,7 +20,7 @@ defmodule FleetWeb.VehiclePageCase do
 
   using do
     quote do
-      import Aerie.CommandCase, only: [answer: 3, executing: 1]
+      import Aerie.CommandCase, only: [answer: 3, executing: 1, refute_submitted: 0]
       import FleetWeb.{ConsoleCase, VehiclePageCase}
       import Phoenix.LiveViewTest, except: [conn: 1, conn: 2]
 

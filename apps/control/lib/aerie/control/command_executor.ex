@@ -38,15 +38,8 @@ defmodule Aerie.Control.CommandExecutor do
           progress: pid(),
           still?: (-> boolean()) | nil
         ) :: Result.t()
-  def submit(gateway, key, command, options \\ []) do
-    request =
-      case options[:still?] do
-        nil -> {:submit, command, options[:progress]}
-        still? -> {:submit, command, options[:progress], still?}
-      end
-
-    call(gateway, key, command.id, request)
-  end
+  def submit(gateway, key, command, options \\ []),
+    do: call(gateway, key, command.id, {:submit, command, options[:progress], options[:still?]})
 
   @doc "Cancels a command; its submitter gets the result. `:error` if it cannot be cancelled."
   @spec cancel(Names.gateway(), Store.vehicle_key(), id :: String.t()) :: :ok | {:error, reason :: String.t()}
@@ -85,9 +78,6 @@ defmodule Aerie.Control.CommandExecutor do
   end
 
   @impl GenServer
-  def handle_call({:submit, command, progress}, from, state),
-    do: handle_call({:submit, command, progress, nil}, from, state)
-
   def handle_call({:submit, command, progress, still?}, from, state) do
     case ready(state) do
       {:ok, state} ->

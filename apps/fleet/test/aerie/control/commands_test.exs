@@ -64,7 +64,7 @@ defmodule Aerie.Control.CommandsTest do
     # Of somebody else it is another command.
     other = %{operator() | name: "other"}
     assert {:rejected, "id"} = gateway |> command("land", id: "a", as: other) |> rule()
-    refute_received {:"$gen_call", _from, {:submit, _command, _progress}}
+    refute_submitted()
   end
 
   test "role, rate, policy, unknown vehicle, deadline: each refusal has its rule, and nothing is sent", %{
@@ -90,7 +90,7 @@ defmodule Aerie.Control.CommandsTest do
 
     assert {:rejected, "vehicle"} = gateway |> command("arm", vehicle: "VID-009") |> rule()
     assert {:expired, "deadline"} = gateway |> command("arm", deadline: System.os_time(:second) - 1) |> rule()
-    refute_received {:"$gen_call", _from, {:submit, _command, _progress}}
+    refute_submitted()
 
     gripper = command(gateway, "gripper", id: "g1", params: %{action: "release"})
     answer(executing(%{id: "g1"}), "g1", :accepted)
@@ -144,7 +144,7 @@ defmodule Aerie.Control.CommandsTest do
   test "progress and cancelling, for who may give the command", %{tmp_dir: dir} do
     gateway = start_commands(dir)
     task = command(gateway, "takeoff", id: "t", params: %{altitude: 9}, progress: {self(), :mine})
-    assert_receive {:"$gen_call", from, {:submit, %{id: "t"}, desk}}
+    assert_receive {:"$gen_call", from, {:submit, %{id: "t"}, desk, _still?}}
     send(desk, {:command_progress, "t", %{"progress" => 0.5, "text" => nil}})
     assert_receive {:command_progress, :mine, "t", %{"progress" => 0.5}}
     assert {:under_way, %{progress: %{"progress" => 0.5}}} = Commands.state(gateway, "VID-007", "t")
@@ -266,7 +266,7 @@ defmodule Aerie.Control.CommandsTest do
     assert {:deny, :firmware, "the mode needs set-points" <> _} =
              Commands.check(gateway, [vehicle: "VID-007", type: "set_mode"] ++ offboard)
 
-    refute_received {:"$gen_call", _from, {:submit, _command, _progress}}
+    refute_submitted()
 
     velocity = [id: "v", params: %{vx: 1, vy: 0, vz: 0, hold: 10}, as: Commands.inside()]
     stream = command(gateway, "setpoint_velocity", velocity)
@@ -354,7 +354,7 @@ defmodule Aerie.Control.CommandsTest do
     assert %{status: :unknown} = result(task)
     eventually(fn -> match?(%Result{}, Ledger.lookup(gateway, "a")) end)
     assert %{status: :unknown} = gateway |> command("arm", id: "a") |> result()
-    refute_received {:"$gen_call", _from, {:submit, _command, _progress}}
+    refute_submitted()
   end
 
   test "the supervisor of commands dies with commands under way: they are unknown, observed, and not sent again",
@@ -382,7 +382,7 @@ defmodule Aerie.Control.CommandsTest do
 
     assert %{status: :completed, reason: reason} = gateway |> command("arm", id: "a") |> result()
     assert reason =~ "the vehicle's state shows it now"
-    refute_received {:"$gen_call", _from, {:submit, _command, _progress}}
+    refute_submitted()
   end
 
   test "kill -9 of the gateway with commands under way: stored results stay, the rest is observed, nothing is sent again",
@@ -400,7 +400,7 @@ defmodule Aerie.Control.CommandsTest do
       params = if type == "gripper", do: %{action: "release"}, else: %{}
       Task.start(fn -> Aerie.Control.Commands.submit(:g, vehicle: "VID-007", id: id, type: type, params: params, as: Aerie.CommandCase.operator()) end)
       receive do
-        {:"$gen_call", from, {:submit, %{id: ^id}, _}} -> if id == "done", do: Aerie.CommandCase.answer(from, id, :completed)
+        {:"$gen_call", from, {:submit, %{id: ^id}, _, _still?}} -> if id == "done", do: Aerie.CommandCase.answer(from, id, :completed)
       end
     end
     {:ok, %{status: :completed}} = Aerie.Control.Commands.submit(:g, vehicle: "VID-007", id: "done", type: "land", as: Aerie.CommandCase.operator())
@@ -425,7 +425,7 @@ defmodule Aerie.Control.CommandsTest do
 
     assert reason =~ "it is not sent again"
     assert {:rejected, "id"} = gateway |> command("arm", id: "off") |> rule()
-    refute_received {:"$gen_call", _from, {:submit, _command, _progress}}
+    refute_submitted()
   end
 
   test "what an interrupted command did, is judged by the state", %{tmp_dir: dir} do

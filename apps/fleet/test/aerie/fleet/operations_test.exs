@@ -36,7 +36,7 @@ defmodule Aerie.Fleet.OperationsTest do
 
   defp serve(test, obeys?) do
     receive do
-      {:"$gen_call", from, {:submit, command, _progress}} ->
+      {:"$gen_call", from, {:submit, command, _progress, _still?}} ->
         send(test, {:commanded, command.vehicle, command.type})
         GenServer.reply(from, Result.new(command.id, if(obeys?, do: :completed, else: :rejected), "as it is"))
         serve(test, obeys?)

@@ -2,7 +2,7 @@ defmodule FleetWeb.API.CommandsTest do
   @moduledoc "Commands over REST; the test is the vehicle's executor."
   use FleetWeb.APICase, async: true
 
-  import Aerie.CommandCase, only: [start_commands: 2, answer: 3, executing: 1]
+  import Aerie.CommandCase, only: [start_commands: 2, answer: 3, executing: 1, refute_submitted: 0]
 
   alias Aerie.Control.Policy.Signature
 
@@ -63,7 +63,7 @@ defmodule FleetWeb.API.CommandsTest do
   test "not waiting, progress, cancelling", context do
     task = ask(context, "POST", @path <> "?wait=0", %{"type" => "takeoff", "params" => %{"altitude" => 20}})
     assert {202, %{"id" => id, "state" => "under_way"}} = reply(task)
-    assert_receive {:"$gen_call", from, {:submit, %{id: ^id}, desk}}
+    assert_receive {:"$gen_call", from, {:submit, %{id: ^id}, desk, _still?}}
     send(desk, {:command_progress, id, %{"progress" => 0.5, "text" => nil}})
 
     assert {200, %{"state" => "under_way", "progress" => %{"progress" => 0.5}, "type" => "takeoff"}} =
@@ -185,7 +185,7 @@ defmodule FleetWeb.API.CommandsTest do
       assert {200, %{"result" => "completed"}} = reply(task)
       # A copy within the minute: the stored result.
       assert {200, %{"result" => "completed"}} = context |> sign(body) |> reply()
-      refute_received {:"$gen_call", _from, {:submit, _command, _progress}}
+      refute_submitted()
       # The signer is an operator, whoever's key let it in.
       chief = "key-of-the-chief-0001"
 
@@ -211,7 +211,7 @@ defmodule FleetWeb.API.CommandsTest do
       other = %{context | nkey: Nkey.generate(:user)}
       assert {403, %{"error" => %{"message" => message}}} = other |> sign(arm) |> reply()
       assert message =~ "is not one of policy.sources"
-      refute_received {:"$gen_call", _from, {:submit, _command, _progress}}
+      refute_submitted()
     end
   end
 

@@ -28,7 +28,7 @@ defmodule Aerie.Control.Commands.RecentTest do
            ] =
              Commands.recent(gateway, "VID-007")
 
-    assert_receive {:"$gen_call", from, {:submit, %{id: "t1"}, desk}}
+    assert_receive {:"$gen_call", from, {:submit, %{id: "t1"}, desk, _still?}}
     send(desk, {:command_progress, "t1", %{"progress" => 0.5, "text" => "climbing"}})
     assert_receive {:fleet, {:commands, "VID-007"}, "t1"}
     assert [%{progress: %{"progress" => 0.5}}] = Commands.recent(gateway, "VID-007")

@@ -57,7 +57,7 @@ defmodule Aerie.Fleet.Bridge.CommandsTest do
     task = ask(context, "takeoff", body)
 
     assert_receive {:"$gen_call", from,
-                    {:submit, %{id: "t1", source: "ops", params: %{altitude: 20.0}}, desk}}
+                    {:submit, %{id: "t1", source: "ops", params: %{altitude: 20.0}}, desk, _still?}}
 
     send(desk, {:command_progress, "t1", %{"progress" => 0.25, "text" => "climbing"}})
     assert_receive {:msg, %{topic: "fleet.test.VID-007.cmd.takeoff.progress.t1", body: progress}}
@@ -91,7 +91,7 @@ defmodule Aerie.Fleet.Bridge.CommandsTest do
     assert %{"rule" => "signature"} =
              context |> ask("land", land, key: nil, headers: [{"Aerie-Signature", old}]) |> reply()
 
-    refute_received {:"$gen_call", _from, {:submit, _command, _progress}}
+    refute_submitted()
     # A flood has one record in five seconds.
     [%{"type" => "opened"} | records] =
       eventually(fn -> with [_opened] <- audit(context.tmp_dir), do: nil end)

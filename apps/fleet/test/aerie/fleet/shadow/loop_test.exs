@@ -128,7 +128,7 @@ defmodule Aerie.Fleet.Shadow.LoopTest do
     assert %{why: "shadow.allow_arming is false" <> _} = standing(gateway, "armed", :refused)
     standing(gateway, "tags", :converged)
     assert {:ok, %{"reported" => %{"tags" => ["survey"]}}} = Shadow.get(gateway, @vehicle)
-    refute_received {:"$gen_call", _from, {:submit, _command, _progress}}
+    refute_submitted()
   end
 
   @tag shadow: [{"shadow.allow_arming", true}]

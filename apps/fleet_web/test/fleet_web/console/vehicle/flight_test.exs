@@ -90,8 +90,8 @@ defmodule FleetWeb.Console.Vehicle.FlightTest do
     })
 
     browse(console, "vehicle_pending.mjs")
-    assert_received {:"$gen_call", from, {:submit, %{type: "rtl"} = command, _progress}}
+    assert_received {:"$gen_call", from, {:submit, %{type: "rtl"} = command, _progress, _still?}}
     CommandCase.answer(from, command.id, :completed)
-    refute_received {:"$gen_call", _from, {:submit, _command, _progress}}
+    CommandCase.refute_submitted()
   end
 end

@@ -46,7 +46,7 @@ defmodule FleetWeb.Console.Vehicle.PageTest do
 
     render_hook(view, "map_point", %{"lat" => 47.0, "lon" => 8.0})
     refute has_element?(view, "#goto-title")
-    refute_received {:"$gen_call", _from, {:submit, _command, _progress}}
+    refute_submitted()
     assert Aerie.Control.Commands.recent(console.gateway, @id) == []
   end
 
@@ -54,7 +54,9 @@ defmodule FleetWeb.Console.Vehicle.PageTest do
     {one, other} = {open(console), open(console, :admin)}
     refute render(one) =~ "Not sent"
     give(one, "rtl", "r1")
-    assert_receive {:"$gen_call", from, {:submit, %{id: "r1", type: "rtl", source: "operator"}, desk}}
+
+    assert_receive {:"$gen_call", from,
+                    {:submit, %{id: "r1", type: "rtl", source: "operator"}, desk, _still?}}
 
     for view <- [one, other],
         do: eventually(fn -> has_element?(view, "#commands-now-r1[data-state=pending]") end)
@@ -82,8 +84,15 @@ defmodule FleetWeb.Console.Vehicle.PageTest do
     answer(from, "h1", :completed)
     eventually(fn -> has_element?(view, "#commands-now-h1[data-state=completed]") end)
     give(view, "hold", "h1")
-    _flush = render(view)
-    refute_receive {:"$gen_call", _from, {:submit, _command, _progress}}, 50
+    # The last one is under way again until it has the stored result.
+    eventually(fn ->
+      match?(
+        [%{id: "h1", result: %{status: :completed}}],
+        Aerie.Control.Commands.recent(console.gateway, @id)
+      )
+    end)
+
+    refute_submitted()
   end
 
   test "refused with the reason; no answer and unknown look like neither", %{console: console} do
@@ -111,7 +120,7 @@ defmodule FleetWeb.Console.Vehicle.PageTest do
     put(console, mode: %{armed: false, in_air: false})
     view = open(console, :admin, @path <> "/health")
     give(view, "calibrate", "c1", %{"sensor" => "accelerometer"})
-    assert_receive {:"$gen_call", from, {:submit, %{id: "c1"}, desk}}
+    assert_receive {:"$gen_call", from, {:submit, %{id: "c1"}, desk, _still?}}
 
     send(
       desk,
@@ -150,7 +159,8 @@ defmodule FleetWeb.Console.Vehicle.PageTest do
     give(view, "goto", "g2", %{"fields" => %{fields | "altitude" => "50"}})
 
     assert_receive {:"$gen_call", from,
-                    {:submit, %{id: "g2", params: %{altitude: 50.0, altitude_reference: "home"}}, _desk}}
+                    {:submit, %{id: "g2", params: %{altitude: 50.0, altitude_reference: "home"}}, _desk,
+                     _still?}}
 
     answer(from, "g2", :completed)
     eventually(fn -> has_element?(view, "#history-g2", "47.00010, 8.00000 at 50 m above home") end)
@@ -189,7 +199,7 @@ defmodule FleetWeb.Console.Vehicle.PageTest do
     assert has_element?(view, "#action-goto[disabled]")
     assert view |> element("#goto-form") |> render_change(%{"altitude" => "x"}) =~ "expected a number"
     view |> element("#goto-form") |> render_change(%{"altitude" => "30"})
-    refute_received {:"$gen_call", _from, {:submit, _command, _progress}}
+    refute_submitted()
 
     give(view, "goto", "g1", %{"fields" => %{"lat" => "47.398", "lon" => "8.5456", "altitude" => "30"}})
     answer(executing(%{id: "g1", params: %{lat: 47.398, altitude: 30.0}}), "g1", :completed)

@@ -1,4 +1,4 @@
-defmodule Aerie.Base.Settings.RulesTest do
+defmodule MavRouter.SettingsTest do
   @moduledoc "What is wrong with several keys of a part of the router together."
   use ExUnit.Case, async: true
 

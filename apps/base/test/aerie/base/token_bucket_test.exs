@@ -1,4 +1,4 @@
-defmodule Aerie.AllowanceTest do
+defmodule Aerie.Base.TokenBucketTest do
   use ExUnit.Case, async: true
 
   alias Aerie.Base.TokenBucket

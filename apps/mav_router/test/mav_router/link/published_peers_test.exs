@@ -1,4 +1,4 @@
-defmodule MavRouter.Link.ShownTest do
+defmodule MavRouter.Link.PublishedPeersTest do
   use ExUnit.Case, async: true
 
   import Aerie.LinkCase, only: [attitude: 2]

@@ -1,4 +1,4 @@
-defmodule MavRouter.Signing.SealTest do
+defmodule MavRouter.Signing.SignerTest do
   @moduledoc "What goes out signed, with which key, and what does not."
   use ExUnit.Case, async: true
   use Aerie.SigningCase

@@ -1,4 +1,4 @@
-defmodule MavRouter.Router.WishesTest do
+defmodule MavRouter.Router.StreamRequestsTest do
   @moduledoc "Clients' requests for rates on their way to a vehicle, and what a link of high latency carries."
   use Aerie.VehicleCase, async: true
 

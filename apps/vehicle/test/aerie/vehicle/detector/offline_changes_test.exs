@@ -1,4 +1,4 @@
-defmodule Aerie.Vehicle.Detector.FoundTest do
+defmodule Aerie.Vehicle.Detector.OfflineChangesTest do
   use ExUnit.Case, async: true
 
   alias Aerie.Vehicle.Detector

@@ -1,4 +1,4 @@
-defmodule MavRouter.Router.AskedTest do
+defmodule MavRouter.Router.Queue.RequestedDataTest do
   use ExUnit.Case, async: true
   use Aerie.LinkCase
 

@@ -172,12 +172,12 @@ defmodule MavCodec.Definition.ImporterTest do
     [_all, xml] =
       Regex.run(
         ~r/^```xml\n(.*?)^```$/ms,
-        File.read!(Path.expand("../../../../docs/guides/dialect.md", __DIR__))
+        File.read!(Path.expand("../../../../../docs/guides/dialect.md", __DIR__))
       )
 
     path = Path.join(dir, "sprayer.xml")
     File.write!(path, xml)
-    assert {:ok, files} = Importer.import([path], Path.expand("../../priv/definitions/upstream", __DIR__))
+    assert {:ok, files} = Importer.import([path], Path.expand("../../../priv/definitions/upstream", __DIR__))
     assert {_name, facts} = List.keyfind(files, "sprayer.facts", 0)
     assert IO.iodata_to_binary(facts) =~ "SPRAYER_STATUS"
   end

@@ -1,4 +1,4 @@
-Code.require_file("../../bench/support/options.ex", __DIR__)
+Code.require_file("../../../bench/support/options.ex", __DIR__)
 
 defmodule MavCodec.Bench.OptionsTest do
   use ExUnit.Case, async: true
@@ -31,7 +31,7 @@ defmodule MavCodec.Bench.OptionsTest do
 
   # Whoever adds a benchmark reads its options here.
   test "every benchmark reads its options so" do
-    benches = Path.wildcard(Path.expand("../../../*/bench/*.exs", __DIR__))
+    benches = Path.wildcard(Path.expand("../../../../*/bench/*.exs", __DIR__))
     assert length(benches) >= 9
 
     for file <- benches,

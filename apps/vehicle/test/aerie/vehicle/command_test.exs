@@ -176,17 +176,17 @@ defmodule Aerie.Vehicle.CommandTest do
   end
 
   test "docs/commands.md is what the tables say (mix aerie.commands)" do
-    page = File.read!(Path.expand("../../../../../../docs/commands.md", __DIR__))
+    page = File.read!(Path.expand("../../../../../docs/commands.md", __DIR__))
     assert page == Mix.Tasks.Aerie.Commands.page()
     for name <- Types.names(), do: assert(page =~ "| `#{name}` |")
   end
 
   test "docs/msp.md is what the tables say (mix aerie.msp)" do
-    assert File.read!(Path.expand("../../../../../../docs/msp.md", __DIR__)) == Mix.Tasks.Aerie.Msp.page()
+    assert File.read!(Path.expand("../../../../../docs/msp.md", __DIR__)) == Mix.Tasks.Aerie.Msp.page()
   end
 
   test "the examples of docs/commands.md are commands" do
-    page = File.read!(Path.expand("../../../../../../docs/commands.md", __DIR__))
+    page = File.read!(Path.expand("../../../../../docs/commands.md", __DIR__))
     {:ok, now, 0} = DateTime.from_iso8601("2026-11-22T09:00:00Z")
     examples = Regex.scan(~r/```json\n(.*?)```/s, page, capture: :all_but_first)
     assert examples != []

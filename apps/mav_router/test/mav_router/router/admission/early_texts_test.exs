@@ -1,4 +1,4 @@
-defmodule MavRouter.Router.EarlyTest do
+defmodule MavRouter.Router.Admission.EarlyTextsTest do
   use ExUnit.Case, async: true
 
   alias MavRouter.Router.Admission.EarlyTexts

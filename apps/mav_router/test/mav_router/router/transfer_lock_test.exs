@@ -1,4 +1,4 @@
-defmodule MavRouter.Router.TurnsTest do
+defmodule MavRouter.Router.TransferLockTest do
   use ExUnit.Case, async: true
   use Aerie.LinkCase
 

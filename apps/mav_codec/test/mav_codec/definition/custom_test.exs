@@ -96,7 +96,7 @@ defmodule MavCodec.Definition.CustomTest do
   end
 
   describe "the generated code" do
-    @snapshots Path.expand("../fixtures/definition", __DIR__)
+    @snapshots Path.expand("../../fixtures/definition", __DIR__)
 
     test "facts of the tiny dialect" do
       {:ok, document} = @snapshots |> Path.join("tiny.xml") |> File.read!() |> Parser.parse("tiny.xml")

@@ -2,7 +2,7 @@ defmodule Aerie.Control.CommandsTest do
   @moduledoc "The pipeline of commands; the test is the vehicle's executor."
   use Aerie.CommandCase, async: true
 
-  import Aerie.BridgeCase, only: [other_vm: 2, kill9: 1]
+  import Aerie.OtherVM
 
   alias Aerie.Vehicle.Command.Result
   alias Aerie.Control.Commands.{Metrics, Recovery}
@@ -388,7 +388,7 @@ defmodule Aerie.Control.CommandsTest do
   test "kill -9 of the gateway with commands under way: stored results stay, the rest is observed, nothing is sent again",
        %{tmp_dir: dir} do
     script = """
-    Application.ensure_all_started(:fleet)
+    Application.ensure_all_started(:control)
     Application.put_env(:vehicle, :gateway_parts, [Aerie.ControlParts])
     {:ok, _} = Aerie.GatewayCase.start_link(%{}, name: :g, with: [])
     dir = #{inspect(dir)}

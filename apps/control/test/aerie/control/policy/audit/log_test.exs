@@ -1,7 +1,7 @@
 defmodule Aerie.Control.Policy.Audit.LogTest do
   use ExUnit.Case, async: true
 
-  import Aerie.BridgeCase, only: [other_vm: 2, kill9: 1]
+  import Aerie.OtherVM
 
   alias Aerie.Control.Policy.Audit.{Chain, Log, Record, Verify}
   alias Aerie.Base.Segments

@@ -1,7 +1,7 @@
 defmodule Aerie.Control.LedgerTest do
   use ExUnit.Case, async: true
 
-  import Aerie.BridgeCase, only: [other_vm: 2, kill9: 1]
+  import Aerie.OtherVM
   import Aerie.Patience
   import ExUnit.CaptureLog
 
@@ -53,7 +53,7 @@ defmodule Aerie.Control.LedgerTest do
     # One command after another, and each line is said when the ledger has answered: what follows a line may or may not have
     # happened.
     script = """
-    Application.ensure_all_started(:fleet)
+    Application.ensure_all_started(:control)
     alias Aerie.Vehicle.Command.Result
     {:ok, _} = Aerie.Control.Ledger.start_link(gateway: :g, dir: #{inspect(dir)}, max_entries: 100_000, max_age_s: 3600)
     for n <- Stream.iterate(1, &(&1 + 1)) do

@@ -5,11 +5,13 @@ defmodule Aerie.Vehicle.Detector.FailsafeFlightsTest do
   """
   use ExUnit.Case, async: true
 
-  @fixtures Path.expand("../../../../../vehicle/test/fixtures", __DIR__)
+  import Aerie.Flight, only: [frames: 1, run: 2]
 
-  defp events(recording, options \\ []) do
-    {:ok, flight} = Aerie.Fleet.Replay.run(Path.join(@fixtures, recording <> ".tlog.gz"), options)
-    for event <- flight.events, do: {Float.round((event.time - flight.summary.from) / 1.0e6, 1), event}
+  alias Aerie.Vehicle.State
+
+  defp events(recording) do
+    [first | _] = frames = frames(recording)
+    for event <- run(frames, batch: 1).events, do: {Float.round((event.time - first.at) / 1.0e6, 1), event}
   end
 
   # {time, event, type, reason, action, delay}, and for the end the duration.
@@ -69,10 +71,10 @@ defmodule Aerie.Vehicle.Detector.FailsafeFlightsTest do
 
   test "all that PX4 1.18 reports has a name and its arguments" do
     for recording <- ~w(px4_118_failsafes_a px4_118_failsafes_b) do
-      {:ok, flight} = Aerie.Fleet.Replay.run(Path.join(@fixtures, recording <> ".tlog.gz"))
+      flight = run(frames(recording), batch: 1)
       reports = for %{type: "report", data: data} <- flight.events, do: data
       assert reports != [] and Enum.all?(reports, &(is_binary(&1["name"]) and is_list(&1["values"])))
-      [checks] = for {_id, %{groups: %{health: %{data: data}}}} <- flight.snapshots, do: data.arming_checks
+      checks = State.data(flight.core.state, :health).arming_checks
       assert checks != [] and Enum.all?(checks, &is_binary(&1.name))
     end
   end

@@ -109,33 +109,6 @@ defmodule Aerie.Vehicle.SessionTest do
     assert other != id
   end
 
-  test "who is in charge is in the state, with what the vehicle says of it (X15), and is an event" do
-    gateway = gateway()
-    start_supervised!({Aerie.Control.Commands.LeaseAnnouncer, gateway: gateway})
-    deliver(gateway, [frame(@copter, at(1))])
-    alive(gateway, {"main", 1})
-    PubSub.subscribe(gateway, :events)
-    source = %{name: "olga", role: :operator, permissions: []}
-    rules = %{required: false, take_over: :operator}
-    change = &Aerie.Control.Policy.Leases.change(gateway, {"main", 1}, &1, source, "nats", rules)
-    assert {:ok, _lease} = change.({:take, nil, nil})
-    assert_receive {:fleet, :events, %{type: "operator.changed", data: data}}
-    assert %{"operator" => "olga", "before" => nil, "via" => "nats"} = JSON.decode!(JSON.encode!(data))
-    deliver(gateway, [frame(%M.ControlStatus{flags: 3, gcs_main: 245}, at(2))])
-    state = fn -> get_in(Store.vehicle(gateway, "VID-001").groups, [:operator, :data]) end
-
-    eventually(fn ->
-      match?(%{name: "olga", via: "nats", system: 245, takeover_allowed: true, offered_to: nil}, state.())
-    end)
-
-    assert {:ok, _lease} = change.({:offer, :anyone})
-    eventually(fn -> state.().offered_to == "*" end)
-    assert {:ok, nil} = change.(:release)
-    assert_receive {:fleet, :events, %{type: "operator.changed", data: data}}
-    assert %{"operator" => nil, "before" => "olga"} = JSON.decode!(JSON.encode!(data))
-    eventually(fn -> match?(%{name: nil, system: 245}, state.()) end)
-  end
-
   test "silence is noticed by the clock, without any frame" do
     gateway = gateway(%{timeouts: %{vehicle_stale_s: 0.1, vehicle_lost_s: 0.3}})
     PubSub.subscribe(gateway, :events)

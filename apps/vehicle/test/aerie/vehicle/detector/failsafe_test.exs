@@ -4,7 +4,8 @@ defmodule Aerie.Vehicle.Detector.FailsafeTest do
 
   import Aerie.Flight, only: [frame: 2, frame: 3, run: 1]
 
-  alias Aerie.Vehicle.{Detector, Options}
+  alias Aerie.Base.Json
+  alias Aerie.Vehicle.{Detector, Fields, Options}
   alias Aerie.Vehicle.Detector.{Observation, StatusTexts}
   alias MavCodec.Messages, as: M
 
@@ -452,7 +453,7 @@ defmodule Aerie.Vehicle.Detector.FailsafeTest do
         :proper.forall(:proper_types.list(what), fn story ->
           events = story |> Enum.with_index(1) |> Enum.map(fn {what, n} -> {n * 0.4, what} end) |> events()
           types = for {_at, event} <- events, do: event.type
-          for {_at, event} <- events, do: Aerie.Fleet.Bridge.Message.event(event)
+          for {_at, event} <- events, do: event.data |> Fields.event() |> Json.plain() |> Json.encode!()
           begun = Enum.count(types, &(&1 == "failsafe"))
 
           Enum.count(types, &(&1 == "failsafe.cleared")) <= begun and

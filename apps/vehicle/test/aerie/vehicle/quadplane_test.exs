@@ -3,13 +3,12 @@ defmodule Aerie.Vehicle.QuadplaneTest do
   use ExUnit.Case, async: true
 
   import Aerie.CommandSamples
-  import Aerie.Flight, only: [frame: 2, run: 1]
+  import Aerie.Flight, only: [frame: 2, frames: 1, run: 1]
 
   alias Aerie.Vehicle.Protocol
   alias Aerie.Vehicle.Protocol.Ardupilot
   alias MavCodec.Messages, as: M
 
-  @fixtures Path.expand("../../../../vehicle/test/fixtures", __DIR__)
   @second 1_000_000
   @beat %M.Heartbeat{type: 1, autopilot: 3, base_mode: 89, custom_mode: 15, system_status: 3}
 
@@ -24,8 +23,7 @@ defmodule Aerie.Vehicle.QuadplaneTest do
     do: %M.ParamValue{param_id: "Q_ENABLE", param_value: value, param_type: 2, param_index: 65_535}
 
   test "ArduPlane 4.7 in its recorded flight is one" do
-    {:ok, flight} = Aerie.Fleet.Replay.run(Path.join(@fixtures, "arduplane_47_quadplane_vtol.tlog.gz"))
-    assert [%{vehicle_type: "vtol", autopilot: :ardupilot}] = Map.values(flight.snapshots)
+    assert %{kind: "vtol", autopilot: :ardupilot} = run(frames("arduplane_47_quadplane_vtol")).core.state
   end
 
   test "it is told by its VTOL state, by Q_ENABLE or by a mode that only a quadplane has, whichever comes" do

@@ -4,11 +4,10 @@ defmodule Aerie.Vehicle.Detector.ArdupilotFailsafesTest do
   """
   use ExUnit.Case, async: true
 
-  import Aerie.Flight, only: [frame: 2]
+  import Aerie.Flight, only: [frame: 2, run: 2]
 
   alias MavCodec.Enums.MavSysStatusSensor
   alias MavCodec.Messages, as: M
-  alias MavCodec.Tlog
 
   @second 1_000_000
   @start 1_795_000_000 * @second
@@ -23,10 +22,7 @@ defmodule Aerie.Vehicle.Detector.ArdupilotFailsafesTest do
     frames =
       for {second, what} <- story, do: frame(message(what, type, modes), @start + round(second * @second))
 
-    {:ok, flight} =
-      Aerie.Fleet.Replay.run({:chunks, [frames |> Tlog.Writer.records() |> IO.iodata_to_binary()]})
-
-    for event <- flight.events, do: {(event.time - @start) / @second, event.type, event.data}
+    for event <- run(frames, batch: 1).events, do: {(event.time - @start) / @second, event.type, event.data}
   end
 
   defp message(text, _type, _modes) when is_binary(text), do: %M.Statustext{severity: 4, text: text}
@@ -151,11 +147,8 @@ defmodule Aerie.Vehicle.Detector.ArdupilotFailsafesTest do
             ),
           do: frame(message, @start + round(at * @second))
 
-    {:ok, flight} =
-      Aerie.Fleet.Replay.run({:chunks, [frames |> Tlog.Writer.records() |> IO.iodata_to_binary()]})
-
     assert [%{"type" => "ekf", "text" => "EKF variance", "action" => "land"}] =
-             for(%{type: "failsafe", data: data} <- flight.events, do: data)
+             for(%{type: "failsafe", data: data} <- run(frames, batch: 1).events, do: data)
   end
 
   describe "a lost remote control" do

@@ -14,6 +14,8 @@ defmodule Aerie.Base.UnixSocketTest do
 
     assert UnixSocket.default_dir(%{"XDG_RUNTIME_DIR" => "relative"}, fn _dir -> true end) == "/run/aerie"
     assert UnixSocket.default_dir(%{}, &(&1 == "/run")) == "/run/aerie"
+    assert UnixSocket.default_dir(%{}, &(&1 == "/run/aerie")) == "/run/aerie"
+    # An ordinary user's gateway, without a session of its own: a container, `su`.
     assert UnixSocket.default_dir(%{}, fn _dir -> false end) == "var/run"
     assert UnixSocket.dir("a") == Path.expand("a")
   end
@@ -48,8 +50,21 @@ defmodule Aerie.Base.UnixSocketTest do
     File.rm!(path)
     File.write!(path, "a text")
     assert UnixSocket.listen(path) == {:error, "#{path} is there and is not a socket"}
+    UnixSocket.remove(path, second)
     assert File.read!(path) == "a text"
     refute UnixSocket.present?(path, second)
+
+    # A file system gives a new file the inode of one that was removed.
+    %File.Stat{major_device: device, inode: inode, mtime: made} = File.lstat!(path, time: :posix)
+    UnixSocket.remove(path, {device, inode, made})
+    assert File.read!(path) == "a text"
+    {_device, _inode, was} = second
+    File.rm!(path)
+    {:ok, socket, {device, inode, made}} = UnixSocket.listen(path)
+    assert made >= was
+    UnixSocket.remove(path, {device, inode, made - 1})
+    assert UnixSocket.present?(path, {device, inode, made})
+    :gen_tcp.close(socket)
   end
 
   test "a place that cannot be used is named with the reason" do

@@ -1,4 +1,4 @@
-defmodule MavRouter.Signing.AlarmTest do
+defmodule Aerie.Vehicle.SigningAlarmTest do
   use Aerie.VehicleCase, async: true
   import Aerie.SigningCase, except: [start_signing: 1, start_signing: 2]
 

@@ -1,4 +1,4 @@
-defmodule MavRouter.Link.Serial.CableTest do
+defmodule Aerie.Vehicle.CableTest do
   # Counts what the whole node has, so nothing else may run meanwhile.
   use ExUnit.Case, async: false
   use Aerie.VehicleCase

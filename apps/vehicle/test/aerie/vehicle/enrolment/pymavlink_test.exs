@@ -1,4 +1,4 @@
-defmodule MavRouter.Signing.PymavlinkTest do
+defmodule Aerie.Vehicle.Enrolment.PymavlinkTest do
   @moduledoc "The other end of the link is pymavlink, with its own implementation of signing."
   use ExUnit.Case, async: true
   use Aerie.VehicleCase

@@ -1,4 +1,4 @@
-defmodule MavRouter.Router.StreamRequestsTest do
+defmodule Aerie.Vehicle.Services.ClientRequestsTest do
   @moduledoc "Clients' requests for rates on their way to a vehicle, and what a link of high latency carries."
   use Aerie.VehicleCase, async: true
 

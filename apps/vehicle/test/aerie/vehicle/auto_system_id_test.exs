@@ -1,4 +1,4 @@
-defmodule MavRouter.Router.AutoSystemIdOnBoardTest do
+defmodule Aerie.Vehicle.AutoSystemIdTest do
   @moduledoc "R11: a gateway aboard that was given no system id takes the autopilot's."
   use Aerie.VehicleCase, async: true
 

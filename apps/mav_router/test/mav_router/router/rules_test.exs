@@ -1,14 +1,30 @@
 defmodule MavRouter.Router.RulesTest do
-  @moduledoc "Rules that are changed at run time, in a whole gateway, whose parts are killed."
-  use Aerie.VehicleCase, async: true
+  @moduledoc "Rules that are changed at run time, while parts of the gateway are killed."
+  use Aerie.LinkCase, async: true
 
-  alias Aerie.Base.Error
-  alias Aerie.Base.Names
+  alias Aerie.Base.{Error, Names, Successor}
   alias MavRouter.Router
+
+  # When a part dies, those after it start again, as in a whole gateway.
+  defp start_gateway do
+    gateway = make_ref()
+    config = %{clients: []}
+
+    children =
+      for part <- [Aerie.Base.Store, Aerie.Base.PubSub, Router.Supervisor, MavRouter.Link.Supervisor],
+          do:
+            Successor.child_spec(
+              {part, options(part, gateway, config) ++ [children: [clients(gateway, config)]]}
+            )
+
+    start = {Supervisor, :start_link, [children, [strategy: :rest_for_one]]}
+    start_supervised!(%{id: gateway, type: :supervisor, start: start})
+    gateway
+  end
 
   @tag :capture_log
   test "what was changed of the rules survives the process and the router, is listed, and can be undone" do
-    gateway = Aerie.GatewayCase.start_gateway(%{}, with: [:router, :links])
+    gateway = start_gateway()
     add_link(gateway, "udpin:127.0.0.1:0", id: "radio")
     limits = %{"ATTITUDE" => 4}
     client = %{url: "udpin:127.0.0.1:0", id: "gcs", rate_limits: limits, queue_kb: 64}

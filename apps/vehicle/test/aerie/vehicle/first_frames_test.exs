@@ -1,5 +1,5 @@
-defmodule MavRouter.RouterTest do
-  @moduledoc "The router with real vehicles; its own tests are in `apps/mav_router`."
+defmodule Aerie.Vehicle.FirstFramesTest do
+  @moduledoc "The start of vehicles by the frames that the router delivers."
   use ExUnit.Case, async: true
   use Aerie.VehicleCase
 

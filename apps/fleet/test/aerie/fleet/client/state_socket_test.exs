@@ -1,4 +1,4 @@
-defmodule MavRouter.Client.StateSocketTest do
+defmodule Aerie.Fleet.Client.StateSocketTest do
   use ExUnit.Case, async: true
 
   import Aerie.ClientCase
@@ -45,55 +45,6 @@ defmodule MavRouter.Client.StateSocketTest do
 
     stop_supervised!({Aerie.Fleet.Client.Supervisor, gateway})
     refute File.exists?(path)
-  end
-
-  test "what a killed gateway left behind is replaced; what answers, or is not a socket, is left alone" do
-    path = Path.join(short_dir(), "s.sock")
-    {:ok, left, _identity} = UnixSocket.listen(path)
-    assert {:error, text} = UnixSocket.listen(path)
-    assert text =~ "another program"
-
-    :gen_tcp.close(left)
-    assert File.lstat!(path).type == :other
-    assert {:ok, socket, identity} = UnixSocket.listen(path)
-    assert UnixSocket.present?(path, identity)
-    :gen_tcp.close(socket)
-    File.rm!(path)
-
-    File.write!(path, "precious")
-    assert {:error, text} = UnixSocket.listen(path)
-    assert text =~ "not a socket"
-    UnixSocket.remove(path, identity)
-    assert File.read!(path) == "precious"
-
-    # A file system gives a new file the inode of one that was removed.
-    %File.Stat{major_device: device, inode: inode, mtime: made} = File.lstat!(path, time: :posix)
-    UnixSocket.remove(path, {device, inode, made})
-    assert File.read!(path) == "precious"
-    {_, _, was} = identity
-    File.rm!(path)
-    {:ok, socket, {device, inode, made}} = UnixSocket.listen(path)
-    assert made >= was
-    UnixSocket.remove(path, {device, inode, made - 1})
-    assert UnixSocket.present?(path, {device, inode, made})
-    :gen_tcp.close(socket)
-  end
-
-  test "a name that is too long, and a folder that cannot be, are told in words" do
-    assert {:error, text} = UnixSocket.listen(Path.join(short_dir(), String.duplicate("x", 90) <> "/s.sock"))
-    assert text =~ "too long"
-    file = Path.join(short_dir(), "file")
-    File.write!(file, "")
-    assert {:error, text} = UnixSocket.listen(Path.join(file, "s.sock"))
-    assert text =~ file
-  end
-
-  test "the default folder is the user's own, else the system's" do
-    assert UnixSocket.default_dir(%{"XDG_RUNTIME_DIR" => "/run/user/7"}) == "/run/user/7/aerie"
-    assert UnixSocket.default_dir(%{"XDG_RUNTIME_DIR" => "odd"}, &(&1 == "/run")) == "/run/aerie"
-    assert UnixSocket.default_dir(%{}, &(&1 == "/run/aerie")) == "/run/aerie"
-    # An ordinary user's gateway, without a session of its own: a container, `su`.
-    assert UnixSocket.default_dir(%{}, fn _folder -> false end) == "var/run"
   end
 
   test "clients beyond the limit are refused and counted, and have room when others leave" do

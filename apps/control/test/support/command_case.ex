@@ -105,7 +105,7 @@ defmodule Aerie.CommandCase do
     end
   end
 
-  @doc "Fails if a request to carry out a command has reached the executor, whatever the request has besides the command."
+  @doc "Fails if a request to carry out a command has reached the executor, whatever else is in the request."
   @spec refute_submitted() :: :ok
   def refute_submitted do
     receive do

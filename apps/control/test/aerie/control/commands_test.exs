@@ -400,7 +400,8 @@ defmodule Aerie.Control.CommandsTest do
       params = if type == "gripper", do: %{action: "release"}, else: %{}
       Task.start(fn -> Aerie.Control.Commands.submit(:g, vehicle: "VID-007", id: id, type: type, params: params, as: Aerie.CommandCase.operator()) end)
       receive do
-        {:"$gen_call", from, {:submit, %{id: ^id}, _, _still?}} -> if id == "done", do: Aerie.CommandCase.answer(from, id, :completed)
+        {:"$gen_call", from, {:submit, %{id: ^id}, _progress, _still?}} ->
+          if id == "done", do: Aerie.CommandCase.answer(from, id, :completed)
       end
     end
     {:ok, %{status: :completed}} = Aerie.Control.Commands.submit(:g, vehicle: "VID-007", id: "done", type: "land", as: Aerie.CommandCase.operator())

@@ -1,5 +1,5 @@
 defmodule Aerie.Vehicle.RedundantLinksTest do
-  @moduledoc "A group of redundant links to a vehicle: its answers to TIMESYNC are measured, and the better link carries commands."
+  @moduledoc "Redundant links to a vehicle: its answers to TIMESYNC are measured, and the better link carries."
   use Aerie.VehicleCase, async: true
 
   alias MavRouter.Router

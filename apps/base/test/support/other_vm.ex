@@ -11,8 +11,8 @@ defmodule Aerie.OtherVM do
   end
 
   @doc """
-  Runs a script in a VM of its own; waits for the line `mark <> pid` and gives the port and the VM's pid. `before` are words
-  of a command that starts it in turn.
+  Runs a script in a VM of its own. Waits for the line `mark <> pid`, and returns the port and the VM's pid. `before`
+  are words of a command that starts it in turn.
   """
   @spec other_vm(String.t(), String.t(), [String.t()]) :: {port(), String.t()}
   def other_vm(script, mark, before \\ []) do

@@ -6,8 +6,8 @@ defmodule Aerie.CLI.Help do
   @width 100
 
   @doc """
-  The file from which `bin/lib/help.sh` answers `--help` in a checkout where nothing is compiled yet: the help of all subcommands, of each group,
-  and of each one, below a line with its name.
+  The file from which `bin/lib/help.sh` answers `--help` in a checkout where nothing is compiled yet: the help of all
+  subcommands, of each group, and of each one, below a line with its name.
   """
   @spec file([Subcommand.t()]) :: String.t()
   def file(rows) do

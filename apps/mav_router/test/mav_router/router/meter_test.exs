@@ -9,7 +9,7 @@ defmodule MavRouter.Router.MeterTest do
 
   @loopback {127, 0, 0, 1}
 
-  test "a link that falls silent is worth less and less in its snapshot, too" do
+  test "a link that falls silent is worth less and less in its snapshot as well" do
     gateway = start_parts()
     {id, port} = add_link(gateway, "udpin:127.0.0.1:0")
     {:ok, socket} = :gen_udp.open(0, [:binary, ip: @loopback])

@@ -13,7 +13,7 @@ defmodule Aerie.Control.Commands.LeaseAnnouncerTest do
   defp deliver(gateway, frames),
     do: Aerie.Reader.deliver(gateway, %{id: "radio", network: "main", peer: :one}, frames)
 
-  test "who is in charge is in the state, with what the vehicle says of it (X15), and is an event" do
+  test "the state has the user in charge and what the vehicle says about it (X15), and a change is an event" do
     gateway = start_gateway(%{}, with: [:router])
     start_supervised!({LeaseAnnouncer, gateway: gateway})
     deliver(gateway, [frame(@copter, 1_000_000)])

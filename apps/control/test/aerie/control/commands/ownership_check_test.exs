@@ -13,7 +13,7 @@ defmodule Aerie.Control.Commands.OwnershipCheckTest do
     assert {_over, {:refuse, :holder, _}} = OwnershipCheck.handle(state, {:send?, {:other, "b"}, 1})
   end
 
-  test "a claim of somebody else, and one that failed, end it; who is alone needs none" do
+  test "a claim of another gateway or one that failed ends it; a gateway that is alone needs no claim" do
     held = fn holder ->
       {state, :go_on} = OwnershipCheck.handle(OwnershipCheck.new(1_000, false), {:holder, holder, 0})
       {state, :claim} = OwnershipCheck.handle(state, {:holder, holder, 0})

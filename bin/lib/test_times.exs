@@ -1,4 +1,5 @@
-# Writes how long each test took, for the end of bin/test's output: microseconds, file and line, name.
+# Writes how long each test took, for the end of bin/test's output: microseconds, file and line, name. The wait for a
+# place in the lane (Aerie.Lane) does not count.
 defmodule Aerie.TestTimes do
   use GenServer
 
@@ -11,7 +12,8 @@ defmodule Aerie.TestTimes do
 
   @impl GenServer
   def handle_cast({:test_finished, %{tags: tags} = test}, state) do
-    IO.puts(state.file, "#{test.time}\t#{Path.relative_to(tags.file, state.root)}:#{tags.line}\t#{test.name}")
+    waited = :persistent_term.get({Aerie.Lane, test.module, test.name}, 0)
+    IO.puts(state.file, "#{test.time - waited}\t#{Path.relative_to(tags.file, state.root)}:#{tags.line}\t#{test.name}")
     {:noreply, state}
   end
 

@@ -15,6 +15,8 @@ defmodule Aerie.SystemCase do
     end
   end
 
+  setup {Aerie.Lane, :setup}
+
   setup context do
     with %{tmp_dir: folder} <- context do
       folder = Path.join(folder, "Jörg's $drones & co")

@@ -34,6 +34,10 @@ defmodule FleetWeb.ConsoleCase do
     end
   end
 
+  setup context do
+    if context[:chromium], do: Aerie.Lane.setup(context), else: :ok
+  end
+
   @doc """
   Starts a gateway without links and NATS, its HTTP server on a free port, and a console with the users `viewer`, `operator` and `admin`, whose
   passwords are `password/1`. Options: `:users` (false: none), `:port`, `:dir`, `:gateway` (one that runs), `:config` (sections),

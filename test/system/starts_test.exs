@@ -65,18 +65,15 @@ defmodule Aerie.System.StartsTest do
     end
   end
 
-  @tag :long
   test "three starts of an uncompiled checkout at once, which is then compiled again beside them", context do
     checkout = checkout(context.tmp_dir)
-    cli = Path.join(checkout, "apps/aerie/lib/aerie/cli")
-    write_late(cli, "first")
-    ask_when_told(Path.join(Path.dirname(cli), "application.ex"))
+    late(checkout, "first")
 
-    ports = for n <- 1..3, do: open(["--config", config(context.tmp_dir, n), "--quiet"], [], checkout)
-    for port <- ports, do: await_output(port, "", ["connected to NATS at"])
+    ports = for _start <- 1..3, do: open([], [], checkout)
+    for port <- ports, do: await_output(port, "", ["started"])
 
     # Changes a module that none of them has loaded yet.
-    write_late(cli, "second")
+    late(checkout, "second")
 
     assert {_words, 0} =
              System.cmd(Path.join(checkout, "bin/setup"), [],
@@ -85,103 +82,102 @@ defmodule Aerie.System.StartsTest do
              )
 
     File.write!(Path.join(checkout, "ask"), "")
-
-    answers =
-      eventually(
-        fn ->
-          answers = checkout |> Path.join("answer-*") |> Path.wildcard() |> Enum.map(&File.read!/1)
-          # A file is there before what is written into it.
-          length(answers) == 3 and "" not in answers and answers
-        end,
-        "all three answered"
-      )
-
-    assert answers == ["first", "first", "first"]
+    for port <- ports, do: await_output(port, "", ["first"])
 
     # The next start runs the new code; the old copy stays while any of them runs.
-    assert {0, _version} = run(["--version"], checkout)
+    next = open([], [], checkout)
+    await_output(next, "", ["second"])
     assert [_first, _second] = File.ls!(Path.join(checkout, "_build/run"))
+    for port <- ports ++ [next], do: interrupt(port)
+    for port <- ports ++ [next], do: assert(await_exit(port) == 0)
 
-    for port <- ports do
-      {:os_pid, os_pid} = Port.info(port, :os_pid)
-      {_output, 0} = System.cmd("kill", ["-INT", "#{os_pid}"])
-    end
-
-    for port <- ports, do: assert(await_exit(port) == 0)
-    assert {0, _version} = run(["--version"], checkout)
+    last = open([], [], checkout)
+    await_output(last, "", ["second"])
     assert [_second] = File.ls!(Path.join(checkout, "_build/run"))
+    interrupt(last)
+    assert await_exit(last) == 0
   end
 
-  # What `bin/run` needs of a checkout, without this one's compiled code.
+  defp interrupt(port) do
+    {:os_pid, os_pid} = Port.info(port, :os_pid)
+    {_output, 0} = System.cmd("kill", ["-INT", "#{os_pid}"])
+  end
+
+  # The scripts of this checkout and its toolchain. In place of the gateway there is an application that is compiled in
+  # a second.
   defp checkout(folder) do
     root = Path.expand("../..", __DIR__)
     checkout = Path.join(folder, "checkout")
-
-    for part <-
-          ~w(bin config rel mix.exs packages/packages.exs) ++
-            parts(root, "{apps,packages}/*/{lib,priv,src,mix.exs}") do
-      File.mkdir_p!(Path.dirname(Path.join(checkout, part)))
-      File.cp_r!(Path.join(root, part), Path.join(checkout, part))
-    end
-
-    # The toolchain, too, has to run from a folder of that name.
+    lib = Path.join(checkout, "apps/aerie/lib")
+    File.mkdir_p!(lib)
+    for part <- ~w(bin config rel), do: File.cp_r!(Path.join(root, part), Path.join(checkout, part))
+    # The toolchain has to run from a folder of that name as well.
     toolchain = Path.join(root, ".toolchain")
     if File.dir?(toolchain), do: {_output, 0} = System.cmd("cp", ["-a", toolchain, checkout])
+    # The console's packages count as installed.
+    lock = Path.join(checkout, "package-lock.json")
+    File.write!(lock, "{}")
+    File.mkdir_p!(Path.join(checkout, "node_modules"))
+    digest = :sha256 |> :crypto.hash("{}") |> Base.encode16(case: :lower)
+    File.write!(Path.join(checkout, "node_modules/.pages"), digest <> "\n")
+
+    File.write!(Path.join(checkout, "mix.exs"), """
+    defmodule Checkout.MixProject do
+      use Mix.Project
+      def project, do: [apps_path: "apps", version: "0.1.0", deps: []]
+    end
+    """)
+
+    File.write!(Path.join(checkout, "apps/aerie/mix.exs"), """
+    defmodule Checkout.Aerie.MixProject do
+      use Mix.Project
+
+      def project,
+        do: [app: :aerie, version: "0.1.0", build_path: "../../_build", config_path: "../../config/config.exs"]
+
+      def application, do: [mod: {Checkout.Aerie, []}]
+    end
+    """)
+
+    File.write!(Path.join(lib, "aerie.ex"), """
+    defmodule Checkout.Aerie do
+      use Application
+
+      @impl Application
+      def start(_type, _arguments) do
+        IO.puts("started")
+        Task.start_link(fn -> ask(File.exists?("ask")) end)
+      end
+
+      defp ask(true) do
+        IO.puts(Checkout.Late.word())
+        Process.sleep(:infinity)
+      end
+
+      defp ask(false) do
+        Process.sleep(50)
+        ask(File.exists?("ask"))
+      end
+    end
+    """)
+
+    # Stands for the modules that the VM is started with.
+    File.write!(Path.join(lib, "directory.ex"), """
+    defmodule Aerie.Node.Directory do
+      def start_link, do: :ignore
+      def register_node(_name, _port), do: {:ok, 1}
+      def register_node(_name, _port, _family), do: {:ok, 1}
+    end
+    """)
+
     checkout
   end
 
-  defp parts(root, pattern),
-    do: root |> Path.join(pattern) |> Path.wildcard() |> Enum.map(&Path.relative_to(&1, root))
-
-  defp config(folder, n) do
-    folder = Path.join(folder, "#{n}")
-    File.mkdir_p!(folder)
-    file = Path.join(folder, "gateway.yaml")
-
-    File.write!(file, """
-    nats: {port: 0, store_dir: "#{folder}/nats"}
-    outbox: {dir: "#{folder}/outbox"}
-    recorder: {dir: "#{folder}/recordings"}
-    sockets: {dir: "#{short_dir()}"}
-    http: {port: 0}
-    websocket: {port: 0}
-    mavlink: {local_addr: "off"}
-    """)
-
-    file
-  end
-
-  defp write_late(folder, word) do
-    File.write!(Path.join(folder, "late.ex"), """
-    defmodule Aerie.CLI.Late do
+  defp late(checkout, word) do
+    File.write!(Path.join(checkout, "apps/aerie/lib/late.ex"), """
+    defmodule Checkout.Late do
       def word, do: #{inspect(word)}
     end
     """)
-  end
-
-  # Replaces the application's module: the same, plus a process that calls a module late.
-  # The application as it is, which also says what the module `Late` says when it is told to ask.
-  defp ask_when_told(file) do
-    source = File.read!(file)
-    start = "def start(_type, _args) do\n"
-    assert source =~ start
-
-    source
-    |> String.replace(start, start <> "spawn(fn -> answer(File.exists?(\"ask\")) end)\n")
-    |> String.replace_suffix("end\n", answer() <> "end\n")
-    |> then(&File.write!(file, &1))
-  end
-
-  defp answer do
-    """
-      defp answer(true), do: File.write!("answer-\#{System.pid()}", Aerie.CLI.Late.word())
-
-      defp answer(false) do
-        receive do
-        after
-          50 -> answer(File.exists?("ask"))
-        end
-      end
-    """
   end
 end

@@ -46,6 +46,13 @@ defmodule Aerie.PeerCase do
     :ok
   end
 
+  @doc """
+  The tag of a test of this peer that only `bin/test --full` runs. Without the peer it is not `:long`, because a tag
+  that is included overrides the others of its test.
+  """
+  @spec long(atom()) :: atom()
+  def long(peer), do: if(peer in missing(), do: peer, else: :long)
+
   defp absent do
     files =
       for {tag, file} <- @files,

@@ -7,7 +7,6 @@ defmodule Aerie.System.CrossReleaseTest do
   @moduletag :long
   @moduletag :tmp_dir
 
-  @root Path.expand("../..", __DIR__)
   @arm64 %{name: "arm64", kernel: "aarch64", elf: 183}
   @amd64 %{name: "amd64", kernel: "x86_64", elf: 62}
   {own, other} =
@@ -21,7 +20,7 @@ defmodule Aerie.System.CrossReleaseTest do
   @emulator System.find_executable("qemu-#{other.kernel}-static") ||
               System.find_executable("qemu-#{other.kernel}")
 
-  toolchain = System.get_env("AERIE_TOOLCHAIN") || Path.join(@root, ".toolchain")
+  toolchain = System.get_env("AERIE_TOOLCHAIN") || Path.expand("../../.toolchain", __DIR__)
 
   @missing not File.exists?("#{toolchain}-#{other.name}/.complete") &&
              "Debian's packages for #{other.name} are not here: bin/test --full or bin/release --arch #{other.name} downloads them"

@@ -6,8 +6,7 @@ defmodule Aerie.System.OpenAPITest do
 
   @moduletag :tmp_dir
   @moduletag :capture_log
-  # Long, but not tagged so: --include long would run it where schemathesis is missing. bin/test --full brings it.
-  @moduletag :schemathesis
+  @moduletag Aerie.PeerCase.long(:schemathesis)
   @key "a-key-for-schemathesis"
 
   test "every answer is one that the description has", %{tmp_dir: folder} do

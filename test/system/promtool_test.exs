@@ -10,7 +10,6 @@ defmodule Aerie.System.PromtoolTest do
 
   @moduletag :tmp_dir
   @moduletag :capture_log
-  # bin/test --full brings it. Not tagged long: --include long would run it where promtool is missing.
   @moduletag :promtool
   @folder Path.expand("../../rel/overlays/monitoring", __DIR__)
   @rules Path.join(@folder, "aerie.rules.yml")

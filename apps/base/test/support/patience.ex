@@ -47,9 +47,14 @@ defmodule Aerie.Patience do
   @spec deadline() :: integer()
   def deadline, do: System.monotonic_time(:millisecond) + ms()
 
-  @doc "Polls until `fun` gives something truthy, for facts that send no message; gives that. `what` it is, or what says so."
+  @doc """
+  Polls until `fun` gives something truthy, for facts that send no message; gives that. `what` it is, or what says so. It pauses
+  as long as `fun` took, so that asking costs half a core at most.
+  """
   @spec eventually((-> result), String.t() | (-> String.t()), integer()) :: result when result: term()
   def eventually(fun, what \\ "it came true", deadline \\ deadline()) do
+    asked = System.monotonic_time(:millisecond)
+
     cond do
       result = fun.() ->
         result
@@ -60,7 +65,7 @@ defmodule Aerie.Patience do
       true ->
         receive do
         after
-          5 -> eventually(fun, what, deadline)
+          max(5, System.monotonic_time(:millisecond) - asked) -> eventually(fun, what, deadline)
         end
     end
   end

@@ -16,13 +16,14 @@ defmodule Aerie.System.TwoGatewaysTest do
   @set_mode 176
   @lease_s 2
 
-  setup %{tmp_dir: folder} do
+  setup %{tmp_dir: folder} = context do
     nkey = Nkey.generate(:user)
     seed = Path.join(folder, "gateways.nk")
     File.write!(seed, Nkey.seed(nkey))
     File.chmod!(seed, 0o600)
     server = HubServer.start(folder, [])
-    [a, b] = for name <- ["a", "b"], do: gateway(folder, name, server, seed, nkey.public)
+    record_s = context[:record_s] || 60.0
+    [a, b] = for name <- ["a", "b"], do: gateway(Path.join(folder, name), record_s, server, seed, nkey.public)
     ports = for %{gateway: gateway} <- [a, b], do: link_port(gateway, "link-1")
     wire = wire(ports)
 
@@ -35,9 +36,7 @@ defmodule Aerie.System.TwoGatewaysTest do
     %{server: server, wire: wire, sim: sim, holder: holder, other: other, nkey: nkey}
   end
 
-  defp gateway(folder, name, server, seed, public) do
-    dir = Path.join(folder, name)
-
+  defp gateway(dir, record_s, server, seed, public) do
     start_gateway(dir,
       links: ["udpin:127.0.0.1:0"],
       overrides: %{
@@ -50,6 +49,7 @@ defmodule Aerie.System.TwoGatewaysTest do
         },
         "timeouts" => patient(),
         "remote" => %{"nkey_seed_file" => seed},
+        "commands" => %{"ledger" => %{"dir" => Path.join(dir, "ledger")}, "record_s" => record_s},
         "shadow" => %{
           "dir" => Path.join(dir, "shadow"),
           "lease_s" => @lease_s,
@@ -155,7 +155,7 @@ defmodule Aerie.System.TwoGatewaysTest do
 
   defp sent(wire), do: Agent.get(wire, &:ets.lookup(&1.counts, @set_mode))
 
-  defp mode(%{gateway: gateway}, id, mode, within_s \\ 60) do
+  defp mode(%{gateway: gateway}, id, mode) do
     Task.async(fn ->
       {:ok, result} =
         Commands.submit(gateway,
@@ -163,7 +163,7 @@ defmodule Aerie.System.TwoGatewaysTest do
           type: "set_mode",
           params: %{mode: mode},
           id: id,
-          deadline: System.os_time(:second) + within_s
+          deadline: System.os_time(:second) + 60
         )
 
       result
@@ -237,6 +237,8 @@ defmodule Aerie.System.TwoGatewaysTest do
     assert reached(wire) == sent + 1
   end
 
+  # So long a gateway waits for what it needs before it sends a command, here for its lease.
+  @tag record_s: 5.0
   test "NATS is away: neither sends anything once the lease has ended, and afterwards commands pass",
        context do
     %{holder: holder, other: other, wire: wire, server: server} = context
@@ -244,10 +246,9 @@ defmodule Aerie.System.TwoGatewaysTest do
     HubServer.kill(server)
     eventually(fn -> match?({:unknown, _why}, holder(holder)) end, "the lease has ended")
 
-    # The holder tries to claim the vehicle until the command's deadline.
     for {gateway, n} <- Enum.with_index([holder, other, holder]) do
       assert %{status: status, reason: why, details: %{"rule" => rule}} =
-               gateway |> mode("cut-#{n}", "GUIDED", 10) |> await()
+               gateway |> mode("cut-#{n}", "GUIDED") |> await()
 
       assert {status, rule} in [{:denied, "holder"}, {:failed, "unreachable"}]
       assert why =~ "nothing was sent"

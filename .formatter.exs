@@ -1,5 +1,14 @@
 [
-  inputs: ["mix.exs", "config/*.exs", "packages/packages.exs", "{apps,packages}/*/{lib,test,bench}/**/*.{ex,exs}", "{apps,packages}/*/mix.exs", "test/**/*.{ex,exs}"],
+  inputs: [
+    "mix.exs",
+    "config/*.exs",
+    "packages/packages.exs",
+    "{apps,packages}/*/{lib,test,bench}/**/*.{ex,exs}",
+    "{apps,packages}/*/mix.exs",
+    "test/**/*.{ex,exs}",
+    "bin/lib/checks/**/*.exs",
+    "bin/lib/test_times.exs"
+  ],
   line_length: 110,
   locals_without_parens: [
     # Aerie.Base.Settings

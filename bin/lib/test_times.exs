@@ -13,7 +13,12 @@ defmodule Aerie.TestTimes do
   @impl GenServer
   def handle_cast({:test_finished, %{tags: tags} = test}, state) do
     waited = :persistent_term.get({Aerie.Lane, test.module, test.name}, 0)
-    IO.puts(state.file, "#{test.time - waited}\t#{Path.relative_to(tags.file, state.root)}:#{tags.line}\t#{test.name}")
+
+    IO.puts(
+      state.file,
+      "#{test.time - waited}\t#{Path.relative_to(tags.file, state.root)}:#{tags.line}\t#{test.name}"
+    )
+
     {:noreply, state}
   end
 

@@ -33,14 +33,17 @@ defmodule References do
     if found != [], do: System.halt(1)
   end
 
-  defp read(wildcards), do: for(wildcard <- wildcards, file <- Path.wildcard(wildcard), do: {file, File.read!(file)})
+  defp read(wildcards),
+    do: for(wildcard <- wildcards, file <- Path.wildcard(wildcard), do: {file, File.read!(file)})
 
   # Tests of checks name what does not exist.
   @made_up "test/gate/"
 
   # What is wrong in sources and pages, each `{file, text}`.
   def check(sources, pages, exists?) do
-    sources = sources |> Task.async_stream(&source/1, timeout: :infinity) |> Enum.map(fn {:ok, source} -> source end)
+    sources =
+      sources |> Task.async_stream(&source/1, timeout: :infinity) |> Enum.map(fn {:ok, source} -> source end)
+
     known = known(sources, exists?)
 
     in_sources =
@@ -92,7 +95,12 @@ defmodule References do
       names:
         for(module <- modules, {name, itself} <- names(module.name), reduce: %{}) do
           names ->
-            Map.update(names, name, if(itself, do: [module], else: []), &if(itself, do: [module | &1], else: &1))
+            Map.update(
+              names,
+              name,
+              if(itself, do: [module], else: []),
+              &if(itself, do: [module | &1], else: &1)
+            )
         end,
       files: Map.new(sources, &{&1.file, &1.text}),
       tests: Enum.map(sources, &Path.basename(&1.file, ".exs")),
@@ -111,14 +119,16 @@ defmodule References do
   ## Modules of a file, with what they define: `{name, arity}`, `{field, :field}`, `{:use, module}`, or `:any` if names
   ## are computed.
 
-  defp modules(ast), do: ast |> definitions(nil) |> Enum.group_by(&elem(&1, 0), &elem(&1, 1)) |> Map.delete(nil)
+  defp modules(ast),
+    do: ast |> definitions(nil) |> Enum.group_by(&elem(&1, 0), &elem(&1, 1)) |> Map.delete(nil)
 
   defp definitions({:defmodule, _, [name, body]}, outer) do
     module = Enum.join(List.wrap(outer) ++ [Macro.to_string(name)], ".")
     [{module, :module} | definitions(body, module)]
   end
 
-  defp definitions({:defprotocol, meta, arguments}, outer), do: definitions({:defmodule, meta, arguments}, outer)
+  defp definitions({:defprotocol, meta, arguments}, outer),
+    do: definitions({:defmodule, meta, arguments}, outer)
 
   defp definitions({kind, _, [head | body]}, module)
        when kind in [:def, :defp, :defmacro, :defmacrop, :defguard, :defguardp, :defdelegate],
@@ -140,7 +150,9 @@ defmodule References do
   defp definitions({kind, _, [{:__aliases__, _, _} = used | _]}, module) when kind in [:use, :import],
     do: [{module, {:use, Macro.to_string(used)}}]
 
-  defp definitions({head, _, arguments}, module), do: definitions(head, module) ++ definitions(arguments, module)
+  defp definitions({head, _, arguments}, module),
+    do: definitions(head, module) ++ definitions(arguments, module)
+
   defp definitions({left, right}, module), do: definitions(left, module) ++ definitions(right, module)
   defp definitions(list, module) when is_list(list), do: Enum.flat_map(list, &definitions(&1, module))
   defp definitions(_leaf, _module), do: []
@@ -186,7 +198,8 @@ defmodule References do
         definition = {function, String.to_integer(arity)},
         not function?(module, definition, file, known) do
       if module == "",
-        do: "#{function}/#{arity} does not exist here: write Module.#{function}/#{arity} if another module has it",
+        do:
+          "#{function}/#{arity} does not exist here: write Module.#{function}/#{arity} if another module has it",
         else: "#{module}#{function}/#{arity} does not exist"
     end
   end
@@ -201,7 +214,9 @@ defmodule References do
 
   # MAV_CMD has a command of the name motor_test.
   defp find(:test, text, _file, known) do
-    for [_, name] <- Regex.scan(@test, text), name not in ["motor_test" | known.tests], do: "#{name} does not exist"
+    for [_, name] <- Regex.scan(@test, text),
+        name not in ["motor_test" | known.tests],
+        do: "#{name} does not exist"
   end
 
   # CONTRIBUTING's examples have the name NAME.
@@ -213,7 +228,8 @@ defmodule References do
   end
 
   defp find(:link, text, file, known),
-    do: for([_, name] <- Regex.scan(@link, text), not exists?(file, name, known), do: "#{name} does not exist")
+    do:
+      for([_, name] <- Regex.scan(@link, text), not exists?(file, name, known), do: "#{name} does not exist")
 
   defp module?(name, known), do: is_map_key(known.names, name) or elixir?(name) or foreign?(name)
 
@@ -227,7 +243,10 @@ defmodule References do
 
   defp function?("", definition, file, known) do
     here =
-      Enum.filter(known.modules, &if(Path.extname(file) == ".md", do: beside?(&1.file, file), else: &1.file == file))
+      Enum.filter(
+        known.modules,
+        &if(Path.extname(file) == ".md", do: beside?(&1.file, file), else: &1.file == file)
+      )
 
     Enum.any?(here, &defines?(&1, definition, known)) or Enum.any?(@imported, &exports?(&1, definition))
   end
@@ -256,7 +275,10 @@ defmodule References do
 
   defp exports?(module, {name, arity}) do
     Code.ensure_loaded!(module)
-    callbacks = if function_exported?(module, :behaviour_info, 1), do: module.behaviour_info(:callbacks), else: []
+
+    callbacks =
+      if function_exported?(module, :behaviour_info, 1), do: module.behaviour_info(:callbacks), else: []
+
     all = module.module_info(:exports) ++ module.__info__(:macros) ++ callbacks
     Enum.any?(all, fn {exported, n} -> Atom.to_string(exported) == name and arity in [:any, n] end)
   end
@@ -285,7 +307,10 @@ defmodule References do
     with [_, app, path] <- Regex.run(~r{^(?:(?:apps|packages)/([^/]+)/)?test/(.+_test)\.exs$}, file),
          wanted = if(app == "", do: ["aerie/" <> path], else: [path, app <> "/" <> path]),
          false <- Enum.any?(wanted, &(flat(Macro.camelize(&1)) in Enum.map(names, fn name -> flat(name) end))) do
-      [{file, 1, "the test module #{List.first(names)} is not named as its file: #{Macro.camelize(hd(wanted))}"}]
+      [
+        {file, 1,
+         "the test module #{List.first(names)} is not named as its file: #{Macro.camelize(hd(wanted))}"}
+      ]
     else
       _named -> []
     end

@@ -22,7 +22,8 @@ defmodule Words do
 
   # Each with a part that every match has, because most texts have none of them.
   @banned [
-    {" no ", ~S"(?<!there )(?<!here )\b(?i:is|are|was|were) no (?!longer\b|more than\b|less than\b|one\b)([a-z]+|…)",
+    {" no ",
+     ~S"(?<!there )(?<!here )\b(?i:is|are|was|were) no (?!longer\b|more than\b|less than\b|one\b)([a-z]+|…)",
      "is not a ..."},
     {"by ", ~S"\bby (NATS|REST)\b", "over NATS, over REST"},
     {"new", ~S"\b(?i:anew)\b", "again, or leave it out"},
@@ -36,13 +37,15 @@ defmodule Words do
 
   @name_it "name it: the user, the gateway, the program that ..."
   @listed [
-    {" none", ~S"(?<!there )(?<!here )\b(is|are|was|were|be) none\b(?! of\b)", "is not one, or what it is instead"},
+    {" none", ~S"(?<!there )(?<!here )\b(is|are|was|were|be) none\b(?! of\b)",
+     "is not one, or what it is instead"},
     {"one ", ~S"\b[Nn]one (is|are)(?=[.;,:)]|$)", "say what is not"},
     {" none", ~S"\b(told|tells?) none\b", "reported no ..."},
     {" who ",
      ~S"\b([Ff]or|[Bb]y|to|[Oo]nly|than|from|[Ww]ith|not|[Tt]hen|[Bb]ecause) who " <>
        ~S"(?!they\b|that\b|it\b|we\b|you\b)[a-z]+", "anybody who, the user who"},
-    {" who ", ~S"\bof who (may|can|has|had|(?!is\b|was\b|does\b)[a-z]+s)\b", "of the one who, or " <> @name_it},
+    {" who ", ~S"\bof who (may|can|has|had|(?!is\b|was\b|does\b)[a-z]+s)\b",
+     "of the one who, or " <> @name_it},
     {" who ", ~S"[;,:] who has it\b", "with it, anybody who has it"},
     {"Who ", ~S"(^|[.:;!?] )Who (?!is\b|was\b|has\b|does\b)[a-z]+s\b(?![^.]*\?)", @name_it},
     # With a second verb, it is a subject.
@@ -53,8 +56,10 @@ defmodule Words do
      @name_it},
     {", too", ~S", too(?=[.,;:)]| \(|$)", "also, as well"},
     {"Of ", ~S"(^|[.:;!?] )Of (?!course\b)[a-z]+", "begin with the subject"},
-    {" told", ~S"\b(is|are|be|being) (not |soon |then |only )?told\b(?! apart\b| otherwise\b)", "hears, is reported"},
-    {"in time", ~S"(?<!point )(?<!back )\bin time\b(?! order\b| zone\b)", "before its deadline, within ... s"},
+    {" told", ~S"\b(is|are|be|being) (not |soon |then |only )?told\b(?! apart\b| otherwise\b)",
+     "hears, is reported"},
+    {"in time", ~S"(?<!point )(?<!back )\bin time\b(?! order\b| zone\b)",
+     "before its deadline, within ... s"},
     {"mend it", ~S"\b(?i:to mend it)\b", "fix: ..."},
     {"the words say", ~S"\b(?i:does what the words say)", "say what it does"},
     {"below each", ~S"\bstands? below each other\b", "line up"},
@@ -86,7 +91,9 @@ defmodule Words do
     patterns = patterns()
 
     for({kind, wildcard} <- @files, file <- Path.wildcard(wildcard), do: {kind, file})
-    |> Task.async_stream(fn {kind, file} -> {file, find(kind, File.read!(file), patterns)} end, timeout: :infinity)
+    |> Task.async_stream(fn {kind, file} -> {file, find(kind, File.read!(file), patterns)} end,
+      timeout: :infinity
+    )
     |> Map.new(fn {:ok, found} -> found end)
   end
 
@@ -128,7 +135,8 @@ defmodule Words do
           {node, texts}
       end)
 
-    texts ++ (comments |> Enum.reduce([], &comment/2) |> Enum.map(fn {first, _last, text} -> {first, text} end))
+    texts ++
+      (comments |> Enum.reduce([], &comment/2) |> Enum.map(fn {first, _last, text} -> {first, text} end))
   end
 
   # Continues the comment of the line above, or begins one.
@@ -168,12 +176,23 @@ defmodule Words do
     |> Enum.with_index(first)
     |> Enum.reduce([[]], fn {text, line}, [lines | done] ->
       case String.trim(text) do
-        "" -> [[], lines | done]
-        "|" <> row -> [[] | row |> String.split("|") |> Enum.map(&[{line, String.trim(&1)}])] ++ [lines | done]
-        "- " <> entry -> [[{line, entry}], lines | done]
-        "* " <> entry -> [[{line, entry}], lines | done]
-        "#" <> heading -> [[], [{line, heading |> String.trim_leading("#") |> String.trim()}], lines | done]
-        text -> [[{line, text} | lines] | done]
+        "" ->
+          [[], lines | done]
+
+        "|" <> row ->
+          [[] | row |> String.split("|") |> Enum.map(&[{line, String.trim(&1)}])] ++ [lines | done]
+
+        "- " <> entry ->
+          [[{line, entry}], lines | done]
+
+        "* " <> entry ->
+          [[{line, entry}], lines | done]
+
+        "#" <> heading ->
+          [[], [{line, heading |> String.trim_leading("#") |> String.trim()}], lines | done]
+
+        text ->
+          [[{line, text} | lines] | done]
       end
     end)
     |> Enum.reject(&(&1 == []))
@@ -184,7 +203,9 @@ defmodule Words do
 
   # From lines of a number and a file.
   def list(text) do
-    for line <- String.split(text, "\n", trim: true), [n, file] = String.split(line, " ", parts: 2), into: %{} do
+    for line <- String.split(text, "\n", trim: true),
+        [n, file] = String.split(line, " ", parts: 2),
+        into: %{} do
       {file, String.to_integer(n)}
     end
   end
@@ -215,6 +236,10 @@ defmodule Words do
 
   # The list with the numbers that are lower now; those of files without any are left out.
   def shrink(found, list) do
-    for {file, may} <- Enum.sort(list), n = min(may, count(found[file] || [])), n > 0, into: "", do: "#{n} #{file}\n"
+    for {file, may} <- Enum.sort(list),
+        n = min(may, count(found[file] || [])),
+        n > 0,
+        into: "",
+        do: "#{n} #{file}\n"
   end
 end

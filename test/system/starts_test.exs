@@ -57,7 +57,7 @@ defmodule Aerie.System.StartsTest do
       File.write!(Path.join(root, "apps/one/test/a_test.exs"), "")
       File.write!(Path.join(root, "apps/one/cover/one.html"), "")
       assert bash.("known") == code
-      # Another time is no change: a copy of a checkout has other ones.
+      # New times alone are not a change: a copied checkout has them.
       File.touch!(Path.join(root, "mix.exs"))
       assert bash.("known") == code
       change.()

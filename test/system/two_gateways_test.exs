@@ -221,7 +221,7 @@ defmodule Aerie.System.TwoGatewaysTest do
 
     refute is_map_key(details, "gateway")
     assert reached(wire) == before + 2
-    # What the results say is what was on the wire, copies included.
+    # The results count the copies on the wire.
     assert length(sent(wire)) == copies + first + second
   end
 
@@ -237,7 +237,7 @@ defmodule Aerie.System.TwoGatewaysTest do
     assert reached(wire) == sent + 1
   end
 
-  # So long a gateway waits for what it needs before it sends a command, here for its lease.
+  # How long a gateway waits for what it needs before it sends a command, here for its lease.
   @tag record_s: 5.0
   test "NATS is away: neither sends anything once the lease has ended, and afterwards commands pass",
        context do

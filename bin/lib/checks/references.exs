@@ -264,7 +264,7 @@ defmodule References do
     end
   end
 
-  # Itself, or what it uses.
+  # The module itself, or one that it uses.
   defp defines?(module, definition, known) do
     used = for {:use, used} <- module.functions, module <- known.names[used] || [], do: module
     Enum.any?([module | used], &own?(&1.functions, definition))

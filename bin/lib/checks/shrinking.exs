@@ -28,7 +28,7 @@ defmodule Shrinking do
     over ++ spare
   end
 
-  @doc "Lowers the exceptions to what is found. Raises none."
+  @doc "Lowers the exceptions to what is found, and never raises one."
   def shrink(limit) do
     kept = shrunk(limit, read(limit.name))
     File.write!(file(limit.name), for({what, n} <- Enum.sort(kept), do: "#{n} #{what}\n"))

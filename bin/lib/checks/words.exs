@@ -2,8 +2,8 @@
 # and READMEs of the code, and in the names of tests. bin/test calls Words.main(), which prints file, line and what to
 # write instead.
 #
-# Those of @listed stand in many files still: words.txt has how many each file may have. Words.main(["--shrink"]) lowers
-# its numbers to what is left; none ever rises.
+# Many files still contain turns of @listed: words.txt has how many each file may have. Words.main(["--shrink"]) lowers
+# its numbers to what is left, and never raises one.
 defmodule Words do
   @list "bin/lib/checks/words.txt"
   @files [

@@ -8,8 +8,8 @@ defmodule Aerie.Lane do
   """
 
   @doc """
-  A setup of ExUnit: waits for a place, and keeps it until the test and its processes have ended. How long it waited, in
-  microseconds, is the persistent term `{Aerie.Lane, module, test}`.
+  An ExUnit setup that waits for a place and keeps it until the test and its processes have ended. The persistent term
+  `{Aerie.Lane, module, test}` has the microseconds that it waited.
   """
   @spec setup(map()) :: :ok
   def setup(context) do
@@ -69,7 +69,7 @@ defmodule Aerie.Lane do
     end
   end
 
-  # Nobody accepts a connection to a place; it ends with the place. One that cannot be made is to a place just left.
+  # Nobody accepts a connection to a place; it ends with the place. One that fails was to a free place.
   defp wait(places) do
     sockets =
       for place <- places, {:ok, socket} <- [:gen_tcp.connect(address(place), 0, active: true)], do: socket

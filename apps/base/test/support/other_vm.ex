@@ -30,7 +30,7 @@ defmodule Aerie.OtherVM do
     {port, marked_pid(port, mark)}
   end
 
-  # What a test that failed left running, unless somebody else has its number by now.
+  # Kills what a failed test left running, unless another program has its process id by now.
   defp end_vm(os_pid, script) do
     with {:ok, words} <- File.read("/proc/#{os_pid}/cmdline"),
          true <- String.contains?(words, script),

@@ -48,8 +48,9 @@ defmodule Aerie.Patience do
   def deadline, do: System.monotonic_time(:millisecond) + ms()
 
   @doc """
-  Polls until `fun` gives something truthy, for facts that send no message; gives that. `what` it is, or what says so. It pauses
-  as long as `fun` took, so that asking costs half a core at most.
+  Polls until `fun` returns something truthy, and returns that: for facts that send no message. `what` says in a failure
+  what was awaited: a text, or a function that returns one. It pauses for as long as `fun` took, so polling costs half a
+  core at most.
   """
   @spec eventually((-> result), String.t() | (-> String.t()), integer()) :: result when result: term()
   def eventually(fun, what \\ "it came true", deadline \\ deadline()) do

@@ -32,7 +32,7 @@ defmodule Layers.Graph do
     for(file <- files, name = child(main, file), uniq: true, do: name) -- joined
   end
 
-  @doc "Without the edges that follow from others."
+  @doc "Removes the edges that follow from others."
   def reduce(edges) do
     next = Enum.group_by(edges, &elem(&1, 0), &elem(&1, 1))
 

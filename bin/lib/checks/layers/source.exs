@@ -51,7 +51,7 @@ defmodule Layers.Source do
     for [_, from, to] <- Regex.scan(~r/"lib\/(.+)\.ex" -> "lib\/(.+)\.ex"/, text), do: {from, to}
   end
 
-  # With their files. Those of the tests' support are not in lib/.
+  # Modules with their files. Test support lies outside lib/.
   defp modules(app) do
     for beam <- Path.wildcard("#{@root}/_build/#{environment()}/lib/#{app}/ebin/Elixir.*.beam"),
         {:ok, {_module, [compile_info: info]}} = :beam_lib.chunks(String.to_charlist(beam), [:compile_info]),

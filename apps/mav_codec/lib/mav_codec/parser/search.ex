@@ -243,7 +243,7 @@ defmodule MavCodec.Parser.Search do
   defp limit({:doubt, place}, _data), do: place
   defp limit(:none, data), do: byte_size(data)
 
-  # As in `scan/8`, arguments keep their places, and there are no calls but tail calls.
+  # Arguments keep their places and every call is a tail call, as in `scan/8`.
   defp sift(<<magic, _::binary>>, pos, _pages, _lengths, _fixed, errors, limit, _good?)
        when magic in [0xFD, 0xFE] and pos > limit,
        do: {:none, errors}

@@ -35,7 +35,7 @@ defmodule MavRouter.Router.MeterTest do
     setup do
       gateway = start_parts()
       tables = Tables.of(gateway)
-      # Here it is the test that measures.
+      # The test does the measuring here.
       :ok = :sys.suspend(Aerie.Base.Names.whereis(gateway, :router_meter), Aerie.Patience.ms())
       {:ok, gateway: gateway, tables: tables}
     end
@@ -75,7 +75,7 @@ defmodule MavRouter.Router.MeterTest do
               sources = %{{1, 1} => %{received: received + new, lost: lost + gone}}
               heard = now - silent * 1000
               Store.put_link(c.gateway, id, %{id: id, status: :up, sources: sources, last_heard: heard})
-              # Not the mean with what was before: that is `Meter.note_rtt/3`'s.
+              # It replaces the last one; `Meter.note_rtt/3` would average them.
               :ets.insert(c.tables.scores, {{:rtt, id}, rtt, second * 1000})
               {id, {received + new, lost + gone}}
             end

@@ -28,10 +28,8 @@ defmodule Aerie.Vehicle.AutoSystemIdTest do
     settings = Settings.from(put_in(@config.mavlink.system_id, 7))
     assert %{id: "VID-007", own_system: 7, own_component: 191} = Options.new(settings, {"main", 7})
     assert %{id: "VID-008", own_system: 7} = Options.new(settings, {"main", 8})
-    assert Identity.resolve(settings.identity, c_none()) == settings.identity
+    assert Identity.resolve(settings.identity, make_ref()) == settings.identity
   end
-
-  defp c_none, do: make_ref()
 
   test "aboard: nothing of ours is said before, and afterwards it is said as a part of the vehicle" do
     gateway = Aerie.GatewayCase.start_gateway(@config, with: [:router, :links])

@@ -178,7 +178,7 @@ defmodule Aerie.Fleet.Bridge.HubHeadersTest do
       :ok = Gnat.pub(a, "fleet.test.A.state.#{group}", big)
     end
 
-    # The stream stores them in their order, some of them after an answer to what was sent later.
+    # The stream stores them in order, some after the answer to a later request.
     groups = Enum.sort(for group <- Bridge.Message.state_groups(), do: "fleet.test.A.state." <> group)
 
     eventually(fn ->

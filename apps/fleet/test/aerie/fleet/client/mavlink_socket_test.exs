@@ -72,7 +72,7 @@ defmodule Aerie.Fleet.Client.MavlinkSocketTest do
     ours = heartbeat(255, type: 6, autopilot: 8, component: 190)
     :ok = :gen_tcp.send(one, [LengthPrefix.wrap(ours), LengthPrefix.wrap(ours)])
     for _ <- 1..2, do: assert(frame(two) == ours)
-    # What comes next to the one that spoke is another's.
+    # The next frame that this client gets was sent by another one.
     say(c.link, attitude(1, 1))
     assert frame(one) == attitude(1, 1)
   end

@@ -8,7 +8,7 @@ defmodule MavRouter.Router.Routes.LinkSelectorTest do
 
   setup do
     gateway = start_parts()
-    # Here it is the test that measures.
+    # The test does the measuring here.
     :ok = :sys.suspend(Aerie.Base.Names.whereis(gateway, :router_meter), Aerie.Patience.ms())
     {:ok, tables: Tables.of(gateway)}
   end
@@ -37,7 +37,7 @@ defmodule MavRouter.Router.Routes.LinkSelectorTest do
     assert LinkSelector.within_reach(c.tables, @key, ways) == ways
     Routes.learn(c.tables, "main", 1, 1, {"b", :self}, 15_001)
     assert LinkSelector.within_reach(c.tables, @key, ways) == [{"b", :self}]
-    # With neither heard any more both are as good as before.
+    # While neither is heard, both are as good as before.
     assert LinkSelector.within_reach(c.tables, {"main", 9}, ways) == ways
   end
 end

@@ -43,7 +43,9 @@ defmodule Aerie.Fleet.Bridge.CommandsTest do
     headers = signature ++ Keyword.get(options, :headers, [])
 
     Task.async(fn ->
-      {:ok, %{body: reply}} = Gnat.request(context.conn, subject(type), body, headers: headers)
+      # What a flood left in the server's buffer for the gateway comes first, and a busy machine is slow to read it.
+      options = [headers: headers, receive_timeout: Aerie.Patience.ms()]
+      {:ok, %{body: reply}} = Gnat.request(context.conn, subject(type), body, options)
       JSON.decode!(reply)
     end)
   end

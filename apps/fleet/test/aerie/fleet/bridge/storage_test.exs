@@ -105,11 +105,11 @@ defmodule Aerie.Fleet.Bridge.StorageTest do
     # Events go over the new one.
     commit(gateway, "A", 1..1)
     await_empty(gateway)
-    {_, 0} = System.cmd("kill", ["-STOP", pid])
-    commit(gateway, "A", 2..4)
-    # The server is not restarted before the metric was read.
+    # Its keeper would restart it before a busy machine has read the metric.
     server = Aerie.Base.Names.whereis(gateway, :bridge_server)
     :sys.suspend(server, Aerie.Patience.ms())
+    {_, 0} = System.cmd("kill", ["-STOP", pid])
+    commit(gateway, "A", 2..4)
     assert %{stalled: "NATS does not confirm events"} = await(gateway, :outbox, & &1[:stalled])
     assert metric(gateway, "gateway_events_stalled_seconds") >= 10
     :sys.resume(server, Aerie.Patience.ms())

@@ -128,6 +128,23 @@ defmodule Aerie.Mission.PlanTest do
       assert Waypoints.read(Waypoints.write(plan)) == {:ok, plan}
     end
 
+    test "numbers may have gaps; items count by their order, and so do the targets of jumps" do
+      [header, home, one, two, _end] = String.split(@wpl, "\r\n")
+      jump = "9\t0\t3\t177\t2\t1\t0\t0\t0\t0\t0\t1"
+      renumbered = String.replace_prefix(two, "2", "7")
+      assert {:ok, plan} = Waypoints.read(Enum.join([header, home, one, renumbered, jump], "\n"))
+      assert {:ok, %{items: items}} = Waypoints.read(@wpl)
+      assert [_one, _two, %Item{command: 177, params: {2.0, 1.0, _, _}}] = plan.items
+      assert Enum.take(plan.items, 2) == items
+
+      for {lines, error} <- [
+            {[home, renumbered, one], "line 4: expected an item after 7, got 1"},
+            {[home, one, one], "line 4: expected an item after 1, got 1"},
+            {[home, String.replace_prefix(one, "1", "1.5")], "line 3: expected an item after 0, got 1.5"}
+          ],
+          do: assert(Waypoints.read(Enum.join([header | lines], "\n")) == {:error, error})
+    end
+
     test "errors say in which line" do
       for {text, error} <- [
             {"", ~s(the file is empty; it must begin with "QGC WPL 110" or "QGC WPL 120")},

@@ -211,7 +211,7 @@ defmodule Aerie.Control.Policy.Mavlink do
         command = Commands.read(request, row, vehicle)
 
         upload(0,
-          also: Enum.filter(Enum.uniq([command.permission | command.also]), &(&1 in @strong)) ++ moved(row),
+          also: Enum.filter(Enum.uniq(needed(row, command)), &(&1 in @strong)) ++ moved(row),
           number: command.number,
           mode: command.mode,
           modes: command.modes,
@@ -221,6 +221,10 @@ defmodule Aerie.Control.Policy.Mavlink do
         )
     end
   end
+
+  # A plan ends no flight at once, but it decides about a protection.
+  defp needed(%{name: "DO_PARACHUTE"}, command), do: [:protection | command.also]
+  defp needed(_row, command), do: [command.permission | command.also]
 
   # A mission moves home, or the origin, in flight.
   defp moved(%{name: name}) when name in ["DO_SET_HOME", "DO_SET_GLOBAL_ORIGIN"], do: [:protection]

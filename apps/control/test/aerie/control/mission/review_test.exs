@@ -109,6 +109,13 @@ defmodule Aerie.Control.Mission.ReviewTest do
     end
 
     admin = %{operator | source: %{name: "ada", role: :admin, permissions: []}}
+    # A parachute is a part of plans that people fly; the end of a flight is not.
+    for p1 <- [0.0, 1.0, 2.0],
+        do: assert(review([at(47.01, 8.004), nowhere.(208, {p1, 0.0, 0.0, 0.0})], denied, admin) == :allow)
+
+    assert {:deny, :role, 1, _} =
+             review([at(47.01, 8.004), nowhere.(185, {1.0, 0.0, 0.0, 0.0})], denied, admin)
+
     home = at(47.01, 8.004, 500.0, command: 179)
     assert {:deny, :altitude, 1, _reason} = review([at(47.01, 8.004), home], denied, admin)
 

@@ -3,6 +3,9 @@ defmodule Aerie.Mission.File.Waypoints do
   Waypoint files, `QGC WPL 110`: a line per item with twelve numbers; the first line is home. Mission Planner,
   QGroundControl and MAVProxy read and write them. They hold the mission only. In the older `QGC WPL 120` the first line is the
   first item: no home is given.
+
+  Numbers may have gaps, where somebody deleted a line. Items count by their order, as MAVProxy and ArduPilot's tests
+  read such files, and so do the targets of jumps.
   """
 
   alias Aerie.Mission.File.Value
@@ -24,10 +27,22 @@ defmodule Aerie.Mission.File.Waypoints do
     with {:ok, lines} <- Text.lines(text),
          {:ok, header, lines} <- header(lines),
          :ok <- few(lines),
-         {:ok, items} <- Value.all(lines, fn {line, at}, seq -> item(line, "line #{at}", seq - 1) end) do
-      {:ok, plan(header, items)}
+         {:ok, numbered} <- Value.all(lines, fn {line, at}, _n -> item(line, "line #{at}") end),
+         :ok <- rising(numbered) do
+      {:ok, plan(header, for({_index, item, _at} <- numbered, do: item))}
     end
   end
+
+  defp rising([{0, _home, _at} | numbered]) do
+    Enum.reduce_while(numbered, 0, fn {index, _item, at}, before ->
+      if is_integer(index) and index > before,
+        do: {:cont, index},
+        else: {:halt, {:error, "#{at}: expected an item after #{before}, got #{inspect(index)}"}}
+    end)
+    |> then(&if is_integer(&1), do: :ok, else: &1)
+  end
+
+  defp rising([{index, _item, at} | _]), do: {:error, "#{at}: expected item 0, got #{inspect(index)}"}
 
   @doc "The mission of a plan as text. An unset value is `nan`."
   @spec write(Plan.t()) :: binary()
@@ -66,13 +81,15 @@ defmodule Aerie.Mission.File.Waypoints do
       else: {:error, "the file has #{length(lines)} items; at most #{limit} are read"}
   end
 
-  defp item(line, at, seq) do
+  # With its number, and where it stands.
+  defp item(line, at) do
     with [_, _, _, _, _, _, _, _, _, _, _, _] = texts <- String.split(line),
          {:ok, [index, _current, frame, command | rest]} <-
            Value.all(texts, &parsed(&1, "#{at} column #{&2}")),
-         true <- index == seq || {:error, "#{at}: expected item #{seq}, got #{inspect(index)}"} do
-      {params, [autocontinue]} = Enum.split(rest, 7)
-      Value.item(whole(frame), whole(command), params, autocontinue not in [0, 0.0, nil], at)
+         {params, [autocontinue]} = Enum.split(rest, 7),
+         {:ok, item} <-
+           Value.item(whole(frame), whole(command), params, autocontinue not in [0, 0.0, nil], at) do
+      {:ok, {whole(index), item, at}}
     else
       texts when is_list(texts) -> {:error, "#{at}: expected 12 columns, got #{length(texts)}"}
       error -> error

@@ -86,6 +86,9 @@ defmodule Aerie.Control.Policy do
           | :disarmed
   @type decision :: :allow | {:deny, rule(), reason :: String.t()}
 
+  # What a command is and who sends it. These rules read nothing that a sender could fill.
+  @who Keyword.take(@rules, [:unknown, :number, :role])
+
   @doc "The names of the rules, in the order in which they are asked. Rates are asked before them (`Aerie.Control.Policy.Rate`)."
   @spec rules() :: [rule(), ...]
   def rules, do: Keyword.keys(@rules)
@@ -105,8 +108,18 @@ defmodule Aerie.Control.Policy do
   @spec decide(t(), Command.t() | Intent.t(), Context.t()) :: decision()
   def decide(policy, %Command{} = command, context), do: decide(policy, Intent.of(command), context)
 
-  def decide(policy, %Intent{} = facts, context) do
-    Enum.find_value(@rules, :allow, fn {name, rule} ->
+  def decide(policy, %Intent{} = facts, context), do: check(@rules, policy, facts, context)
+
+  @doc """
+  The part of the decision that depends on the command and its sender alone. It comes before anything is remembered of a
+  sender, so that one who may nothing takes nobody's room.
+  """
+  @spec admit(t(), Command.t() | Intent.t(), Context.t()) :: decision()
+  def admit(policy, %Command{} = command, context), do: admit(policy, Intent.of(command), context)
+  def admit(policy, %Intent{} = facts, context), do: check(@who, policy, facts, context)
+
+  defp check(rules, policy, facts, context) do
+    Enum.find_value(rules, :allow, fn {name, rule} ->
       with {:deny, reason} <- rule.check(policy, facts, context),
            do: {:deny, name, reason},
            else: (:ok -> nil)

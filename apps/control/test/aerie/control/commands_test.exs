@@ -126,6 +126,40 @@ defmodule Aerie.Control.CommandsTest do
     assert %{status: :completed} = result(goto)
   end
 
+  test "what one source has under way leaves room for the others", %{tmp_dir: dir} do
+    gateway = start_commands(dir, commands: [max_in_flight: 4])
+
+    go = fn id, source ->
+      command(gateway, "goto", id: id, as: source, params: %{lat: 47.0001, lon: 8.0, altitude: 10})
+    end
+
+    tasks = for n <- 1..3, do: go.("g#{n}", operator())
+    froms = for n <- 1..3, id = "g#{n}", into: %{}, do: {id, executing(%{id: ^id})}
+
+    assert {:ok, %{details: %{"rule" => "busy"}, reason: reason}} =
+             Task.await(go.("g4", operator()), Aerie.Patience.ms())
+
+    assert reason =~ "3 commands of ops are under way"
+    other = go.("other", %{operator() | name: "olga"})
+    answer(executing(%{id: "other"}), "other", :completed)
+    assert %{status: :completed} = result(other)
+    for {id, from} <- froms, do: answer(from, id, :completed)
+    for task <- tasks, do: assert(%{status: :completed} = result(task))
+  end
+
+  test "who may nothing fills neither rates nor the ledger", %{tmp_dir: dir} do
+    gateway = start_commands(dir, policy: %{rates: [%{types: ["arm"], per_minute: 1, burst: 1}]})
+    viewer = %{operator() | role: :viewer}
+
+    for n <- 1..3,
+        do: assert({:denied, "role"} = gateway |> command("arm", id: "v#{n}", as: viewer) |> rule())
+
+    assert nil == Commands.state(gateway, "VID-007", "v1")
+    task = command(gateway, "arm", id: "v1")
+    answer(executing(%{id: "v1"}), "v1", :completed)
+    assert %{status: :completed} = result(task)
+  end
+
   test "a caller that does not wait, or no longer: the command goes on", %{tmp_dir: dir} do
     gateway = start_commands(dir)
 

@@ -32,9 +32,12 @@ defmodule Aerie.Control.CommandExecutor.Core do
   alias Aerie.Vehicle.{Command, Protocol}
   alias Aerie.Vehicle.Command.Result
   alias Aerie.Vehicle.Protocol.Vehicle
+  alias Aerie.Control.Policy.Intent
   alias Aerie.Control.CommandExecutor.{Job, Repeater, Steps, Timing, Turns}
 
   @max_jobs 64
+  # More for what holds the vehicle or brings it down.
+  @reserve 16
   @max_said 8
 
   @enforce_keys [:protocol, :vehicle]
@@ -118,8 +121,8 @@ defmodule Aerie.Control.CommandExecutor.Core do
       now >= until ->
         refuse({core, actions}, command, :expired, "its deadline has passed")
 
-      map_size(core.jobs) >= @max_jobs ->
-        refuse({core, actions}, command, :rejected, "#{@max_jobs} commands wait for this vehicle already")
+      map_size(core.jobs) >= most(command) ->
+        refuse({core, actions}, command, :rejected, "#{most(command)} commands wait for this vehicle already")
 
       true ->
         planned({core, actions}, command, until, now)
@@ -209,6 +212,8 @@ defmodule Aerie.Control.CommandExecutor.Core do
   # Whether an answer to it may still come.
   defp awaited?(core, job, now),
     do: Job.sent?(job) and (job.accepted_at == nil or now < job.accepted_at + Timing.quiet(core.rtt))
+
+  defp most(command), do: if(Intent.of(command).ends_flight?, do: @max_jobs + @reserve, else: @max_jobs)
 
   defp refuse({core, actions}, command, status, reason) do
     details = %{"ms" => 0, "sent" => 0, "acknowledged" => false}

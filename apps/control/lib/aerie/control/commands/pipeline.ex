@@ -1,6 +1,6 @@
 defmodule Aerie.Control.Commands.Pipeline do
   @moduledoc """
-  Runs one command through every check, in this order: known id, rate, vehicle, who holds it, ledger, policy, audit log, claim of the id,
+  Runs one command through every check, in this order: known id, vehicle, role, rate, who holds it, ledger, policy, audit log, claim of the id,
   ledger again, executor, ledger, audit log. It is a task of its own; the deadline is checked between steps.
 
   `unrecorded/3` decides what happens if ledger or audit log cannot be written: the command is denied, unless it holds the
@@ -52,8 +52,9 @@ defmodule Aerie.Control.Commands.Pipeline do
       })
 
     with :new <- known(ctx),
-         :ok <- rate(ctx),
          {:ok, snapshot} <- vehicle(ctx),
+         :ok <- role(ctx, snapshot),
+         :ok <- rate(ctx),
          {:ok, snapshot, holding} <- SharedVehicle.evaluate(ctx, snapshot),
          {:ok, snapshot} <- reachable(ctx, snapshot),
          :ok <- in_time(ctx),
@@ -119,6 +120,20 @@ defmodule Aerie.Control.Commands.Pipeline do
       # `admit/1` handles the error.
       {:error, _reason} -> :new
       answer -> answer
+    end
+  end
+
+  # Before anything is remembered of it, so that one who may nothing fills neither rates nor the ledger.
+  defp role(%{gateway: gateway, request: request, facts: facts}, snapshot) do
+    context = Context.of(gateway, snapshot, request.source, System.os_time(:microsecond))
+
+    with %Policy{} = policy <- Policy.Store.get(gateway),
+         {:deny, rule, reason} <- Policy.admit(policy, facts, context) do
+      Record.decided(gateway, :deny, rule)
+      {:stop, :denied, rule, reason}
+    else
+      # Without a policy `decide/2` denies it.
+      _none_or_allow -> :ok
     end
   end
 

@@ -233,8 +233,10 @@ defmodule Aerie.Control.Commands.Server do
 
   defp admit(%{command: command} = request, digest, from, state) do
     reserve = if Pipeline.facts(request).ends_flight?, do: @reserve, else: 0
+    most = state.settings.max_in_flight + reserve
+    own = Enum.count(state.jobs, fn {_id, job} -> job.request.source.name == request.source.name end)
 
-    if map_size(state.jobs) < state.settings.max_in_flight + reserve do
+    if map_size(state.jobs) < most and own < max(div(most * 3, 4), 1) do
       environment = %{
         gateway: state.gateway,
         server: self(),
@@ -252,7 +254,11 @@ defmodule Aerie.Control.Commands.Server do
       state = %{state | tasks: Map.put(state.tasks, task.ref, command.id)}
       {:noreply, join(state, job, request, from)}
     else
-      reason = "#{map_size(state.jobs)} commands are under way, as many as there may be; try again"
+      reason =
+        if map_size(state.jobs) < most,
+          do: "#{own} commands of #{request.source.name} are under way, as many as one may have; try again",
+          else: "#{map_size(state.jobs)} commands are under way, as many as there may be; try again"
+
       refuse(request, :busy, reason, state)
     end
   end

@@ -4,14 +4,16 @@ defmodule Aerie.Control.Policy.ClientHistory do
   they were sent. A table of the store, which the clients' processes read and change without waiting for another, so a client with
   two connections has one history.
 
-  A row is `{{owner, kind, detail}, value, until}`; it counts until then (monotonic µs). There are at most 20,000 rows, and 4,000 of
-  each owner, so that no client takes the room of the others.
+  A row is `{{owner, kind, detail}, value, until}`; it counts until then (monotonic µs). An owner is a principal, never
+  a connection: there are as many as the configuration names. Each has room for 500 rows of each kind whatever the
+  others do, and for 4,000 while there are fewer than 20,000 in all; there are never more than 40,000.
   """
 
   alias Aerie.Base.{Names, Store}
 
   @max 20_000
   @max_each 4_000
+  @reserved 500
   # How often rows that count no longer are looked for while there is no room.
   @sweep_us 1_000_000
 
@@ -54,16 +56,19 @@ defmodule Aerie.Control.Policy.ClientHistory do
   defp swap(table, {key, _value, _until} = old, new),
     do: :ets.select_replace(table, [{{key, :_, :_}, [{:"=:=", :"$_", {:const, old}}], [{:const, new}]}]) == 1
 
-  defp room?(table, {owner, _kind, _detail}, now),
-    do: few?(table, owner) or (sweep?(table, now) and few?(table, owner))
+  defp room?(table, {owner, kind, _detail}, now),
+    do: few?(table, owner, kind) or (sweep?(table, now) and few?(table, owner, kind))
 
-  # While there are less than one owner may have, nobody counts them.
-  defp few?(table, owner) do
+  # While there are fewer than are reserved for one owner, nobody counts them.
+  defp few?(table, owner, kind) do
     size = :ets.info(table, :size)
 
-    size < @max_each or
-      (size <= @max and :ets.select_count(table, [{{{owner, :_, :_}, :_, :_}, [], [true]}]) < @max_each)
+    size < @reserved or
+      (size <= 2 * @max and rows(table, owner, kind) < if(size <= @max, do: @max_each, else: @reserved))
   end
+
+  defp rows(table, owner, kind),
+    do: :ets.select_count(table, [{{{owner, kind, :_}, :_, :_}, [], [true]}])
 
   defp sweep?(table, now) do
     turn = [{{:swept, :"$1"}, [{:<, :"$1", now - @sweep_us}], [{{:swept, now}}]}]

@@ -92,7 +92,7 @@ defmodule Aerie.Control.Policy.MavlinkPolicy do
     snapshot = Store.vehicle(gateway, key)
     message = message(frame)
 
-    case message |> facts(snapshot) |> on_the_way(message, gateway, sender.endpoint, key) do
+    case facts(message, snapshot) do
       :free ->
         if Principal.may?(source, :telemetry),
           do: :forward,
@@ -113,9 +113,14 @@ defmodule Aerie.Control.Policy.MavlinkPolicy do
           "command" => facts.type
         }
 
+        context = Context.of(gateway, snapshot, source, now)
+
+        # Nothing is remembered before the role has been asked, nor of a vehicle that does not exist.
         decision =
-          with :ok <- rate(policy, gateway, source.name, vehicle, facts),
-               :allow <- Policy.decide(policy, facts, Context.of(gateway, snapshot, source, now)),
+          with :allow <- Policy.admit(policy, facts, context),
+               facts = on_the_way(facts, message, gateway, sender, snapshot),
+               :ok <- rate(policy, gateway, source.name, snapshot, facts),
+               :allow <- Policy.decide(policy, facts, context),
                :allow <- recorded(gateway, facts, policy.audit_required),
                do: in_charge(policy, gateway, key, facts, {source, snapshot})
 
@@ -155,8 +160,9 @@ defmodule Aerie.Control.Policy.MavlinkPolicy do
   defp facts(message, nil), do: Mavlink.facts(message, %{autopilot: :generic, vehicle_type: "unknown"})
   defp facts(message, snapshot), do: Mavlink.facts(message, Map.take(snapshot, [:autopilot, :vehicle_type]))
 
-  # From the item of the mission before it; from an unknown place when there was no room to remember that.
-  defp on_the_way(%{type: "mission_upload"} = facts, message, gateway, endpoint, key) do
+  # From the item of the mission before it; from an unknown place when there was no room to remember that. A vehicle
+  # that was not heard yet takes no items.
+  defp on_the_way(%{type: "mission_upload"} = facts, message, gateway, sender, %{key: key}) do
     now = System.monotonic_time(:microsecond)
 
     next = fn last ->
@@ -167,13 +173,17 @@ defmodule Aerie.Control.Policy.MavlinkPolicy do
       end
     end
 
-    case ClientHistory.update(gateway, {endpoint, :upload, key}, now, next) do
+    case ClientHistory.update(gateway, {sender.principal.name, :upload, {sender.endpoint, key}}, now, next) do
       :full -> %{facts | path: :anywhere}
       facts -> facts
     end
   end
 
-  defp on_the_way(facts, _message, _gateway, _endpoint, _key), do: facts
+  defp on_the_way(%{type: "mission_upload", path: path} = facts, _message, _gateway, _sender, nil)
+       when path != :none,
+       do: %{facts | path: :anywhere}
+
+  defp on_the_way(facts, _message, _gateway, _sender, _snapshot), do: facts
 
   defp groups(nil), do: %{}
   defp groups(snapshot), do: snapshot.groups
@@ -181,11 +191,16 @@ defmodule Aerie.Control.Policy.MavlinkPolicy do
   defp name(nil, {network, system}), do: "#{network}/#{system}"
   defp name(snapshot, _key), do: snapshot.id
 
+  # Vehicles that were not heard yet count as one: their ids cost a sender nothing.
+  defp counted(nil), do: "vehicles that were not heard yet"
+  defp counted(snapshot), do: snapshot.id
+
   # Commands that bring a vehicle down are exempt, so that a stuck key cannot exhaust the rate limit.
   defp rate(_policy, _gateway, _source, _vehicle, %{ends_flight?: true}), do: :ok
 
-  defp rate(policy, gateway, source, vehicle, facts) do
+  defp rate(policy, gateway, source, snapshot, facts) do
     now = System.monotonic_time(:microsecond)
+    vehicle = counted(snapshot)
 
     take = fn rate ->
       rate = rate || Rate.new()
@@ -247,7 +262,7 @@ defmodule Aerie.Control.Policy.MavlinkPolicy do
     :telemetry.execute([:aerie, :policy, :refused], %{count: 1}, metadata)
 
     texts =
-      if due?(gateway, entry["source"], {entry["vehicle"], entry["command"], rule}) do
+      if due?(gateway, entry["source"], {counted(snapshot), entry["command"], rule}) do
         Audit.note(gateway, Map.merge(entry, %{"decision" => "deny", "rule" => rule, "reason" => reason}))
         Mavlink.Refusal.texts(reason, :erlang.phash2(reason, 0xFFFF) + 1)
       else

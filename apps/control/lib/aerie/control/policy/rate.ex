@@ -5,7 +5,7 @@ defmodule Aerie.Control.Policy.Rate do
 
   Every rule that names a command has a bucket of it for each source, vehicle and type; all of them must have a token. The
   number of buckets is bounded: full ones are dropped first, and while there is no room for another one, commands that would
-  need it are refused.
+  need it are refused. Each source has room of its own, which no other one can take.
   """
 
   alias Aerie.Vehicle.Command.Types
@@ -17,6 +17,10 @@ defmodule Aerie.Control.Policy.Rate do
   @streams for(%{group: :manual, name: name} <- Types.all(), do: name) ++ Intent.transfers()
 
   @max_buckets 20_000
+  # A source has so many while there is room, and so many are kept for it beyond that, up to a limit for all.
+  @max_each 4_000
+  @reserved 500
+  @limit 2 * @max_buckets
 
   defstruct buckets: %{}
 
@@ -59,7 +63,7 @@ defmodule Aerie.Control.Policy.Rate do
         :none -> {:halt, {:deny, :rate, text(rule, source, vehicle, type, wait(buckets[key], rule, now))}}
       end
     end)
-    |> room(rate, now)
+    |> room(rate, source, now)
   end
 
   @doc "When all buckets are full again: until then a rate is worth keeping. `now` without any."
@@ -72,18 +76,29 @@ defmodule Aerie.Control.Policy.Rate do
   defp names?(:all, _name), do: true
   defp names?(names, name), do: name in names
 
-  defp room({:ok, buckets}, rate, now) when map_size(buckets) > @max_buckets do
-    used = Map.filter(buckets, fn {_key, full} -> full > now end)
+  defp room({:ok, buckets}, rate, source, now)
+       when map_size(buckets) > @max_each and map_size(buckets) > map_size(rate.buckets) do
+    if room?(buckets, source) do
+      {:ok, %{rate | buckets: buckets}}
+    else
+      used = Map.filter(buckets, fn {_key, full} -> full > now end)
 
-    if map_size(used) <= @max_buckets,
-      do: {:ok, %{rate | buckets: used}},
-      else:
-        {:deny, :rate,
-         "#{@max_buckets} pairs of source and vehicle have commanded just now; there is no room for another one"}
+      if room?(used, source),
+        do: {:ok, %{rate | buckets: used}},
+        else:
+          {:deny, :rate,
+           "#{source} commanded too many vehicles just now to be counted; try again in a moment"}
+    end
   end
 
-  defp room({:ok, buckets}, rate, _now), do: {:ok, %{rate | buckets: buckets}}
-  defp room(deny, _rate, _now), do: deny
+  defp room({:ok, buckets}, rate, _source, _now), do: {:ok, %{rate | buckets: buckets}}
+  defp room(deny, _rate, _source, _now), do: deny
+
+  defp room?(buckets, source) do
+    own = Enum.count(buckets, fn {key, _full} -> elem(key, 0) == source end)
+    size = map_size(buckets)
+    size <= @limit and own <= if(size > @max_buckets, do: @reserved, else: @max_each)
+  end
 
   defp wait(full, rule, now), do: full + rule.interval_us - now - rule.burst * rule.interval_us
 

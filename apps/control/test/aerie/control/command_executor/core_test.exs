@@ -391,15 +391,20 @@ defmodule Aerie.Control.CommandExecutor.CoreTest do
                actions
     end
 
-    test "no more than 64" do
+    test "no more than 64, and 16 more of those that hold the vehicle or bring it down" do
       core =
         Enum.reduce(1..64, core(), fn n, core ->
           {core, _actions} = submit(core, "arm", %{}, 1, id: "a#{n}")
           core
         end)
 
-      assert {core, [{:result, %{status: :rejected, reason: "64 commands wait" <> _}}]} = submit(core, "rtl")
-      assert Core.size(core) == 64
+      assert {core, [{:result, %{status: :rejected, reason: "64 commands wait" <> _}}]} =
+               submit(core, "arm", %{}, 1, id: "more")
+
+      core = for n <- 1..16, reduce: core, do: (core -> core |> submit("rtl", %{}, 1, id: "r#{n}") |> elem(0))
+      assert Core.size(core) == 80
+      assert {core, [{:result, %{status: :rejected, reason: "80 commands wait" <> _}}]} = submit(core, "rtl")
+      assert Core.size(core) == 80
     end
 
     test "force_disarm waits for nothing, and what it takes the place of is given up" do

@@ -151,6 +151,57 @@ defmodule Aerie.Control.Policy.MavlinkPolicyTest do
         params
       )
 
+  # S3: nothing that a sender who may nothing does takes away what others need.
+  test "a viewer's items to made-up systems, by many endpoints, leave everything to operators", c do
+    viewer = Policy.Roles.principal(:client, "viewer", :viewer)
+    operator = Policy.Roles.principal(:client, "operator", :operator)
+    rows = fn -> :ets.info(Store.table!(c.gateway, :client_history), :size) end
+
+    for n <- 1..40, system <- 2..250//8 do
+      sender = %{endpoint: {"viewer", n}, owner: "viewer", peer: nil, principal: viewer}
+      assert {:refuse, _answers, _instead} = decided(c, sender, {"main", system}, item(system, 0))
+    end
+
+    before = rows.()
+    # Notices of refusals, not one for each system.
+    assert before < 10
+
+    for system <- 2..250 do
+      sender = %{endpoint: {"operator", system}, owner: "operator", peer: nil, principal: operator}
+      assert {:refuse, _answers, _instead} = decided(c, sender, {"main", system}, item(system, 0))
+    end
+
+    assert rows.() - before < 10
+
+    sender = %{endpoint: {"operator", 1}, owner: "operator", peer: nil, principal: operator}
+    for seq <- 0..2, do: assert(decided(c, sender, {"main", 1}, item(1, seq)) == :forward)
+    assert decided(c, sender, {"main", 1}, goto(47.002, 30.0)) == :forward
+  end
+
+  defp decided(c, sender, key, message) do
+    frame =
+      message
+      |> MavCodec.encode(system: 255, component: 190)
+      |> IO.iodata_to_binary()
+      |> Frame.from_bytes(nil)
+
+    frame = %{frame | crc_extra: MavCodec.Dialects.All.crc_extra(frame.id)}
+    MavlinkPolicy.decide(c.gateway, sender, key, frame)
+  end
+
+  defp item(system, seq),
+    do: %M.MissionItemInt{
+      target_system: system,
+      target_component: 1,
+      seq: seq,
+      frame: 6,
+      command: MavCmd.value(:MAV_CMD_NAV_WAYPOINT),
+      autocontinue: 1,
+      x: 470_010_000,
+      y: 80_010_000,
+      z: 20.0
+    }
+
   test "fence and altitude hold for a ground station's commands, and it is told why", c do
     gcs = client(c.gateway, "operator")
     say(gcs, goto(47.01, 50.0))

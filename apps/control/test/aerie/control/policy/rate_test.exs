@@ -5,6 +5,7 @@ defmodule Aerie.Control.Policy.RateTest do
   alias Aerie.Control.Policy.Rate
 
   @second 1_000_000
+  @minute 60 * @second
 
   defp policy(rates) do
     {:ok, policy} = Policy.compile(%{rates: rates})
@@ -70,18 +71,30 @@ defmodule Aerie.Control.Policy.RateTest do
     assert {_, 1000} = burst(Rate.new(), free, 1000, 0)
   end
 
+  defp taken(sources, each) do
+    buckets =
+      for source <- sources, n <- 1..each, do: {{"source #{source}", "v#{n}", "arm", @minute, 1}, @minute}
+
+    %Rate{buckets: Map.new(buckets)}
+  end
+
   test "made-up sources fill no memory" do
     policy = policy([%{per_minute: 1, burst: 1}])
+    rate = taken(1..40_000, 1)
 
-    rate =
-      Enum.reduce(1..20_000, Rate.new(), fn n, rate ->
-        {:ok, rate} = Rate.take(rate, policy, "source #{n}", "v", "arm", 0)
-        rate
-      end)
+    assert {:deny, :rate, "one more commanded too many" <> _} =
+             Rate.take(rate, policy, "one more", "v", "arm", 1)
 
-    assert {:deny, :rate, "20000 pairs" <> _} = Rate.take(rate, policy, "one more", "v", "arm", 1)
     assert {:ok, %{buckets: buckets}} = Rate.take(rate, policy, "one more", "v", "arm", 61 * @second)
     assert map_size(buckets) == 1
+  end
+
+  test "a source that fills its room takes nobody else's" do
+    policy = policy([%{per_minute: 1, burst: 1}])
+    rate = taken(1..5, 4_000)
+    assert {:deny, :rate, _text} = Rate.take(rate, policy, "source 1", "one more", "arm", 1)
+    assert {:ok, rate} = Rate.take(rate, policy, "another", "v1", "arm", 1)
+    assert {:ok, _rate} = Rate.take(rate, policy, "another", "v2", "arm", 1)
   end
 
   test "never more than the burst and what has come since, whatever the order of times" do

@@ -21,7 +21,7 @@ defmodule Aerie.AuthorityCase do
   @doc """
   Starts a gateway with a link that listens on all addresses, a counting vehicle on it, and a UDP and a TCP endpoint for each of `roles`, with
   ids such as `viewer-udp`. `options`: `overrides`, `clients` (further entries of `policy.clients`), `policy`, `links` (further
-  ones), `key` (with which the vehicle signs), `silent` (a vehicle that listens at one of `links`, instead of one that speaks).
+  ones), `key` (with which the vehicle signs), `params` (of the vehicle), `silent` (a vehicle that listens at one of `links`, instead of one that speaks).
   """
   @spec start_authority(Path.t(), [atom()], keyword()) :: map()
   def start_authority(folder, roles, options \\ []) do
@@ -59,13 +59,13 @@ defmodule Aerie.AuthorityCase do
     links = ["udpin:0.0.0.0:0" | options[:links] || []]
     %{gateway: gateway} = start_gateway(folder, links: links, overrides: overrides)
     link = link_port(gateway, "link-1")
-    vehicle = options[:silent] || heard(gateway, link, options[:key])
+    vehicle = options[:silent] || heard(gateway, to: link, key: options[:key], params: options[:params])
     c = %{gateway: gateway, link: link, vehicle: vehicle, sockets: sockets}
     Map.put(c, :marker, program(c, {:udp, "marker"}))
   end
 
-  defp heard(gateway, link, key) do
-    vehicle = start_vehicle(to: link, key: key)
+  defp heard(gateway, options) do
+    vehicle = start_vehicle(options)
     eventually(fn -> Store.vehicle(gateway, @vehicle) end, "the vehicle is known")
     vehicle
   end

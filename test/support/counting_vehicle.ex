@@ -1,7 +1,7 @@
 defmodule Aerie.CountingVehicle do
   @moduledoc """
   A vehicle that says where it is and counts every frame that arrives: at its socket, where no counter of the gateway can be wrong.
-  It obeys nothing.
+  It obeys nothing, and tells a parameter to who asks for it by its name.
   """
 
   use GenServer
@@ -15,7 +15,7 @@ defmodule Aerie.CountingVehicle do
   @typedoc "What was counted: message id, sender's system, command (nil of other messages), sequence number."
   @type counted :: {non_neg_integer(), non_neg_integer(), non_neg_integer() | nil, 0..255}
 
-  @doc "Options: `to` (the port of a link; without one it says nothing), `address` (its own and the link's; loopback), `system` (1), `key` (with which it signs)."
+  @doc "Options: `to` (the port of a link; without one it says nothing), `address` (its own and the link's; loopback), `system` (1), `key` (with which it signs), `params` (by name)."
   @spec start_link(keyword()) :: GenServer.on_start()
   def start_link(options), do: GenServer.start_link(__MODULE__, options)
 
@@ -46,6 +46,7 @@ defmodule Aerie.CountingVehicle do
       to: if(options[:to], do: {address, options[:to]}),
       system: options[:system] || 1,
       signing: signing,
+      params: options[:params] || %{},
       parser: Parser.new(),
       counts: %{},
       seq: 0
@@ -73,8 +74,20 @@ defmodule Aerie.CountingVehicle do
         Map.update(counts, {frame.id, frame.system, CommandNumber.of(frame), frame.seq}, 1, &(&1 + 1))
       end)
 
-    {:noreply, %{state | parser: parser, counts: counts}}
+    values = for frame <- frames, value <- value(frame, state.params), do: value
+    {:noreply, Enum.reduce(values, %{state | parser: parser, counts: counts}, &say/2)}
   end
+
+  defp value(%Frame{id: 20} = frame, params) do
+    with {:ok, %M.ParamRequestRead{param_id: name}} <- MavCodec.decode(frame),
+         %{^name => value} <- params do
+      [%M.ParamValue{param_id: name, param_value: value, param_type: 9, param_count: 1, param_index: 0}]
+    else
+      _another -> []
+    end
+  end
+
+  defp value(_frame, _params), do: []
 
   @impl GenServer
   def handle_call(:counts, _from, state), do: {:reply, state.counts, state}

@@ -6,8 +6,10 @@ defmodule Aerie.System.AuthorityAttacksTest do
   import Aerie.AuthorityCase
 
   alias Aerie.{CountingVehicle, Program}
+  alias Aerie.Base.Store
   alias Aerie.Control.Policy.Leases
   alias MavCodec.Enums.MavCmd
+  alias MavRouter.Router.{GroundStations, Tables}
   alias MavCodec.Messages, as: M
 
   @moduletag :tmp_dir
@@ -15,6 +17,8 @@ defmodule Aerie.System.AuthorityAttacksTest do
 
   @vehicle {"main", 1}
   @force 21_196.0
+  # The gateway itself.
+  @own 237
 
   defp encode(message, system, component \\ 190, seq \\ 0),
     do: MavCodec.encode(message, system: system, component: component, seq: seq)
@@ -65,6 +69,76 @@ defmodule Aerie.System.AuthorityAttacksTest do
     counts = settle(c)
     reached_nothing(counts, [201, 202], "a viewer")
     assert count(counts, M.Heartbeat.id(), 211) >= 1
+  end
+
+  # H5: ArduPilot takes a heartbeat of its SYSID_MYGCS for its operator's, whatever else it says.
+  test "H5: another vehicle's heartbeat does not keep a failsafe quiet that listens to its id", %{
+    tmp_dir: folder
+  } do
+    c = start_authority(folder, [], params: %{"SYSID_MYGCS" => 200.0})
+
+    eventually(
+      fn -> match?(%{gcs: %{failsafe_range: {200, 200}}}, Store.vehicle(c.gateway, @vehicle)) end,
+      "the gateway has read SYSID_MYGCS"
+    )
+
+    beat = %M.Heartbeat{type: 2, autopilot: 3, mavlink_version: 3}
+    # The first one tells who it is, and goes nowhere yet.
+    for system <- [200, 150],
+        other = stranger(c),
+        _turn <- 1..2,
+        do: Program.deliver(other, [encode(beat, system, 1)])
+
+    counts = settle(c)
+    assert count(counts, M.Heartbeat.id(), 150) >= 1
+    assert count(counts, M.Heartbeat.id(), 200) == 0
+    # An operator's.
+    operator = program(c, {:tcp, "operator-tcp"})
+    Program.deliver(operator, [station(200)])
+    assert c |> settle() |> count(M.Heartbeat.id(), 200) >= 1
+  end
+
+  test "H5: while the station's id is not known, no other vehicle's heartbeat reaches ArduPilot", %{
+    tmp_dir: folder
+  } do
+    c = start_authority(folder, [])
+    obeyed = fn -> GroundStations.obeyed_by(Tables.of(c.gateway), ["main"], 150) end
+    eventually(fn -> obeyed.() == [@vehicle] end, "its session says that any id may count")
+    beat = encode(%M.Heartbeat{type: 2, autopilot: 3, mavlink_version: 3}, 150, 1)
+    other = stranger(c)
+    for _turn <- 1..2, do: Program.deliver(other, [beat])
+    c |> settle() |> reached_nothing([150], "another vehicle")
+  end
+
+  # None of them is a command that the gateway has of its own.
+  test "what the gateway asks for somebody else has numbers that it would send itself", %{tmp_dir: folder} do
+    c = start_authority(folder, [:viewer])
+    askers = [{203, stranger(c)}, {201, program(c, {:udp, "viewer-udp"})}]
+
+    wrong = [
+      {"GET_MESSAGE_INTERVAL", [param1: :nan]},
+      {"GET_MESSAGE_INTERVAL", [param1: 33.5]},
+      {"GET_MESSAGE_INTERVAL", [param1: 1.0e9]},
+      {"GET_MESSAGE_INTERVAL", [param1: -1.0]},
+      {"GET_MESSAGE_INTERVAL", [param1: 33.0, param3: :infinity]},
+      {"REQUEST_VIDEO_STREAM_INFORMATION", [param1: :nan]},
+      {"REQUEST_STORAGE_INFORMATION", [param1: 0.5]},
+      {"LOGGING_START", [param1: 0.0]}
+    ]
+
+    for {system, asker} <- askers,
+        {name, params} <- wrong,
+        do: Program.deliver(asker, [command(name, system, params)])
+
+    counts = settle(c)
+    reached_nothing(counts, [203, 201], "who may not ask")
+    for {name, _params} <- wrong, do: assert(commands(counts, name, @own) == 0, name)
+
+    # MAVSDK leaves parameters out by NaN.
+    {201, viewer} = List.last(askers)
+    left_out = for n <- 2..6, do: {:"param#{n}", :nan}
+    Program.deliver(viewer, [command("GET_MESSAGE_INTERVAL", 201, [param1: 33.0] ++ left_out)])
+    assert c |> settle() |> commands("GET_MESSAGE_INTERVAL", @own) >= 1
   end
 
   test "a viewer reaches no vehicle that has not spoken yet, by an order to all or to any id", %{

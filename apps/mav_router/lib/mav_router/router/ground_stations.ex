@@ -9,11 +9,15 @@ defmodule MavRouter.Router.GroundStations do
 
   At most #{@max_stations} are kept; one that was not heard for #{div(@forget_us, 60_000_000)} minutes makes room for a new one. When
   the machine's clock is set, a station that was heard live stays as old as it was (`Aerie.Base.HostClock`).
+
+  Which system ids a vehicle takes for its own station's is told by its session (`obeyed/3`), because it reads the vehicle's parameter:
+  another vehicle's heartbeat with such an id does not reach it, or its failsafe would stay quiet.
   """
 
   alias Aerie.Base.HostClock
   alias Aerie.Base.Store
   alias Aerie.Base.Names
+  alias MavRouter.Router.Tables
 
   # A frame that came by a live link has a time close to now.
   @live_us 10_000_000
@@ -48,6 +52,44 @@ defmodule MavRouter.Router.GroundStations do
       :ok
     end
   end
+
+  # Its session tells it once a second.
+  @told_ms 60_000
+  @any_id 0xFFFFFFFF
+
+  @doc """
+  The system ids that a vehicle's failsafe takes for its station's; `:unknown`: it takes some, and nobody knows which; nil: no id is
+  known to count.
+  """
+  @spec obeyed(Names.gateway(), vehicle, {integer(), integer()} | :unknown | nil) :: :ok
+        when vehicle: {network :: String.t(), system :: non_neg_integer()}
+  def obeyed(gateway, vehicle, ids) do
+    with %{} = tables <- Tables.of(gateway), do: note(tables, vehicle, ids)
+    :ok
+  end
+
+  defp note(%{obeyed: table}, vehicle, nil), do: :ets.delete(table, vehicle)
+  defp note(tables, vehicle, :unknown), do: note(tables, vehicle, {0, @any_id})
+
+  defp note(%{obeyed: table} = tables, vehicle, {low, high}) do
+    before = :ets.lookup(table, vehicle)
+    true = :ets.insert(table, {vehicle, low, high, System.monotonic_time(:millisecond)})
+    if not match?([{_vehicle, ^low, ^high, _at}], before), do: Tables.rerouted(tables)
+  end
+
+  @doc "The vehicles of these networks that take a system for their station, itself left out."
+  @spec obeyed_by(Tables.t(), networks :: [String.t()], system :: non_neg_integer()) ::
+          [{network :: String.t(), system :: non_neg_integer()}]
+  def obeyed_by(%{obeyed: table}, networks, system) do
+    within = [{:"=<", :"$3", system}, {:>=, :"$4", system}, {:"=/=", :"$2", system}]
+    found = :ets.select(table, [{{{:"$1", :"$2"}, :"$3", :"$4", :_}, within, [{{:"$1", :"$2"}}]}])
+    for {network, _system} = vehicle <- found, network in networks, do: vehicle
+  end
+
+  @doc "Forgets vehicles of which nobody has told anything for a minute: they have no session any more."
+  @spec sweep(Tables.t(), now :: integer()) :: non_neg_integer()
+  def sweep(%{obeyed: table}, now),
+    do: :ets.select_delete(table, [{{:_, :_, :_, :"$1"}, [{:<, :"$1", now - @told_ms}], [true]}])
 
   @doc "How many stations are kept."
   @spec max() :: pos_integer()

@@ -1,10 +1,14 @@
 defmodule MavRouter.Router.Sweeper do
   @every_ms 10_000
 
-  @moduledoc "Removes what is old from the router's tables, every #{div(@every_ms, 1_000)} s: routes, refusals, rate limits, loads."
+  @moduledoc """
+  Removes what is old from the router's tables, every #{div(@every_ms, 1_000)} s: routes, refusals, rate limits, loads, and whose
+  heartbeats vehicles obey that are gone.
+  """
   use GenServer
 
   alias Aerie.Base.Names
+  alias MavRouter.Router.GroundStations
   alias MavRouter.Router.Routes
   alias MavRouter.Router.Tables
 
@@ -48,6 +52,7 @@ defmodule MavRouter.Router.Sweeper do
     :ets.select_delete(tables.refused, [{{:_, :"$1"}, [{:<, :"$1", now}], [true]}])
     :ets.select_delete(tables.load, [{{:_, :"$1", :_}, [{:<, :"$1", now - @load_ttl_ms}], [true]}])
     limits(tables.limits, now * 1000 - @limit_ttl_us)
+    GroundStations.sweep(tables, now)
     Routes.sweep(tables, now)
   end
 

@@ -8,6 +8,7 @@ defmodule MavRouter.Router.Tables do
   - `:routes` `{{network, system, component, owner, peer}, heard_ms, since_ms}`
   - `:endpoints` `{{owner, peer}, Endpoint}` and `:owners` `{owner, Owner}`: where frames can go, and by which rules
   - `:seen` for `Dedupe`, `:limits` for `RateLimit`
+  - `:obeyed` `{vehicle_key, lowest, highest, noted_ms}`: whose heartbeats a vehicle takes for its station's (`GroundStations`)
   - `:clients` `{id, snapshot}` of client endpoints; `:scores` what `Meter` measured
   - `:load` `{vehicle_key, checked_ms, overloaded?}`
   - `:refused` `{vehicle_key, until_ms}`: vehicles for which there was no room
@@ -31,6 +32,7 @@ defmodule MavRouter.Router.Tables do
           owners: :ets.table(),
           seen: {:ets.table(), :ets.table()},
           limits: :ets.table(),
+          obeyed: :ets.table(),
           clients: :ets.table(),
           scores: :ets.table(),
           load: :ets.table(),
@@ -66,6 +68,7 @@ defmodule MavRouter.Router.Tables do
       seen: {:ets.new(:seen, [:set | shared]), :ets.new(:seen, [:set | shared])},
       # Ordered, so that all limits of an endpoint are one range.
       limits: :ets.new(:limits, [:ordered_set | shared]),
+      obeyed: :ets.new(:obeyed, [:set | shared]),
       clients: :ets.new(:clients, [:set | shared]),
       scores: :ets.new(:scores, [:set | shared]),
       load: :ets.new(:load, [:set | shared]),

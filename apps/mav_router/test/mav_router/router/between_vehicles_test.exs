@@ -2,6 +2,8 @@ defmodule MavRouter.Router.BetweenVehiclesTest do
   @moduledoc "What vehicles hear of each other, and how many other listeners a link to vehicles has."
   use Aerie.EndpointCase, async: true
 
+  alias MavRouter.Router.GroundStations
+
   describe "between vehicles" do
     test "vehicles of a network hear each other's heartbeats and nothing else", c do
       all = for n <- 1..10, do: vehicle(c.gateway, "v#{n}", n)
@@ -25,6 +27,43 @@ defmodule MavRouter.Router.BetweenVehiclesTest do
       got([camera | all])
       say(v1, first)
       assert %{"camera" => [^first]} = got(camera)
+    end
+
+    test "H5: a heartbeat with an id that a vehicle takes for its station's does not reach it", c do
+      [_v5, v200, _v7] = all = for n <- [5, 200, 7], do: vehicle(c.gateway, "v#{n}", n)
+      v5 = hd(all)
+      got(all)
+      beat = heartbeat(200, seq: 9)
+      GroundStations.obeyed(c.gateway, {"main", 5}, {190, 200})
+      # Of another network, of a higher id, and itself.
+      GroundStations.obeyed(c.gateway, {"other", 7}, {1, 255})
+      GroundStations.obeyed(c.gateway, {"main", 7}, {201, 255})
+      GroundStations.obeyed(c.gateway, {"main", 200}, :unknown)
+      say(v200, beat)
+      assert %{"v5" => [], "v7" => [^beat]} = got(all)
+      # Its very first one neither.
+      late = endpoint(c.gateway, "late", side: :vehicle)
+      say(late, heartbeat(195))
+      assert %{"v5" => [], "v200" => []} = got(all)
+      # The other way round, nobody's heartbeat counts for more than a vehicle's.
+      say(v5, heartbeat(5, seq: 3))
+      assert %{"v200" => []} = got(all)
+      # The parameter was changed.
+      GroundStations.obeyed(c.gateway, {"main", 5}, {255, 255})
+      say(v200, beat)
+      assert %{"v5" => [^beat]} = got(all)
+    end
+
+    test "H5: redundant links and telemetry of a team carry no such heartbeat either" do
+      gateway = start_parts(%{router: %{between_vehicles: :all}})
+      v5 = vehicle(gateway, "v5", 5, group: "pair")
+      second = vehicle(gateway, "second", 5, group: "pair")
+      v200 = vehicle(gateway, "v200", 200)
+      GroundStations.obeyed(gateway, {"main", 5}, {200, 200})
+      got([v5, second, v200])
+      say(v200, [attitude(200, 1), heartbeat(200, seq: 9)])
+      got = got([v5, second])
+      assert Enum.sort(got["v5"] ++ got["second"]) == [attitude(200, 1)]
     end
 
     test "vehicles of a crowd hear nothing of each other, and one more changes no receivers", c do

@@ -16,7 +16,7 @@ defmodule Aerie.Vehicle.Session do
   alias Aerie.Base.{HostClock, Names, Store}
   alias Aerie.Vehicle
   alias Aerie.Vehicle.Journal
-  alias Aerie.Vehicle.Services.StreamDemand
+  alias Aerie.Vehicle.Services.{Gcs, StreamDemand}
   alias MavRouter.Identity
   alias Aerie.Vehicle.ArmAuthorization
   alias MavRouter.Router.GroundStations
@@ -56,6 +56,7 @@ defmodule Aerie.Vehicle.Session do
       events: nil,
       alone: nil,
       listeners: %{},
+      obeyed: nil,
       ticks: 0
     }
 
@@ -102,7 +103,7 @@ defmodule Aerie.Vehicle.Session do
     case Clock.expected(state.clock, due) do
       # Nothing was heard yet, so there is no time.
       nil -> {:noreply, state}
-      now -> {:noreply, state |> step({:tick, now}) |> look_around(now)}
+      now -> {:noreply, state |> step({:tick, now}) |> obeyed() |> look_around(now)}
     end
   end
 
@@ -173,12 +174,25 @@ defmodule Aerie.Vehicle.Session do
     :erlang.start_timer(at, self(), {:tick, at * 1_000}, abs: true)
   end
 
+  # At once when it changes, and once a second for a router that was restarted.
+  defp obeyed(%{core: %{gcs: gcs}, obeyed: told, ticks: ticks} = state) do
+    case Gcs.obeyed(gcs) do
+      ^told when rem(ticks, @look_around_ticks) != 0 ->
+        state
+
+      ids ->
+        GroundStations.obeyed(state.gateway, state.options.key, ids)
+        %{state | obeyed: ids}
+    end
+  end
+
   # Once a second: what other processes have written to the tables.
   defp look_around(%{ticks: ticks} = state, _now) when rem(ticks, @look_around_ticks) != 0,
     do: %{state | ticks: ticks + 1}
 
   defp look_around(state, _now) do
     stations = GroundStations.list(state.gateway, state.options.network)
+    GroundStations.obeyed(state.gateway, state.options.key, Gcs.obeyed(state.core.gcs))
     {core, []} = Vehicle.Core.handle(state.core, {:stations, stations})
     {core, []} = count_vehicles(core, state.gateway)
     state = %{state | ticks: state.ticks + 1, core: core}

@@ -9,6 +9,7 @@ defmodule MavRouter.Router.Forward.Reach do
   | `:part`: a part, to its autopilot, by a link with `parts: true` or from this machine | rows with `part` |
   | `:listener`: a vehicle, to an endpoint that has not said what it is | telemetry, questions and answers; what has a ground station's id as its target |
   | `:vehicle`: a vehicle, to another one | rows with `crosses` |
+  | `:station`: a vehicle, to another one that takes its id for its ground station's | the same without heartbeats |
   | `:stranger`: anybody else | nothing |
   """
 
@@ -28,7 +29,7 @@ defmodule MavRouter.Router.Forward.Reach do
   @authorization MavCodec.Enums.MavCmd.value(:MAV_CMD_ARM_AUTHORIZATION_REQUEST)
   @heard [:telemetry, :presence, :question, :answer]
 
-  @type relation :: :own | :part | :listener | :vehicle | :stranger
+  @type relation :: :own | :part | :listener | :vehicle | :station | :stranger
 
   @doc "How a source on a link is related to an endpoint on the side of vehicles."
   @spec relation(Source.t(), Path.t(), Path.t(), Tables.t()) :: relation
@@ -36,12 +37,19 @@ defmodule MavRouter.Router.Forward.Reach do
     own? = Enum.any?(from.networks, &Routes.on_endpoint?(tables, {&1, source.system}, to.key))
 
     cond do
-      vehicle? and to.heard_vehicle != true -> if own?, do: :own, else: :listener
+      vehicle? and to.heard_vehicle != true and own? -> :own
+      vehicle? and station?(source, to, tables) -> :station
+      vehicle? and to.heard_vehicle != true -> :listener
       vehicle? -> :vehicle
       own? and (from.parts or from.commands) -> :part
       true -> :stranger
     end
   end
+
+  @doc "Whether a vehicle at an endpoint takes the system of a source for its ground station."
+  @spec station?(Source.t(), Path.t(), Tables.t()) :: boolean
+  def station?(%{obeyed_by: vehicles}, to, tables),
+    do: Enum.any?(vehicles, &Routes.on_endpoint?(tables, &1, to.key))
 
   @doc "Whether a frame gets through. `between` is `router.between_vehicles`."
   @spec passes?(relation, Frame.t(), between :: atom) :: boolean
@@ -54,6 +62,13 @@ defmodule MavRouter.Router.Forward.Reach do
       row -> listed?(relation, row, frame, between)
     end
   end
+
+  # Its failsafe would stay quiet.
+  defp listed?(:station, _row, %{id: @heartbeat}, _between), do: false
+  defp listed?(:station, row, frame, between), do: listed?(:vehicle, row, frame, between)
+
+  # It may be a vehicle that has not spoken yet.
+  defp listed?(:listener, _row, %{id: @heartbeat} = frame, _between), do: not Heartbeat.station?(frame)
 
   # A vehicle could take RC_CHANNELS of another one for its pilot's sticks before its own first heartbeat.
   defp listed?(:listener, %{class: class, permission: permission}, frame, _between),

@@ -10,6 +10,7 @@ defmodule MavRouter.Router.Forward.Source do
   | `groups` | the same for groups of redundant links, of which one carries |
   | `heartbeat_receivers` | paths of other vehicles, which get a vehicle's heartbeats and nothing else |
   | `vehicle` | it is part of a vehicle whose autopilot is heard by the same endpoint |
+  | `obeyed_by` | vehicles that take its system for their ground station (`MavRouter.Router.GroundStations`) |
   | `redundant` | other endpoints bring it too, so its frames are checked for duplicates |
   | `collided` | it is another vehicle with a system id that was taken before (`MavRouter.Router.Routes.Collisions`) |
   | `clock` | its boot time, which tells reboots (R6) |
@@ -24,6 +25,7 @@ defmodule MavRouter.Router.Forward.Source do
   alias MavRouter.Router.Forward.Table
   alias MavRouter.Router.Forward.Table.Path
   alias MavRouter.Router.Forward.Reach
+  alias MavRouter.Router.GroundStations
   alias MavRouter.Router.Owner.Renumber
   alias MavRouter.Router.Routes
   alias MavRouter.Router.Tables
@@ -47,6 +49,7 @@ defmodule MavRouter.Router.Forward.Source do
     vehicles: [],
     groups: [],
     heartbeat_receivers: [],
+    obeyed_by: [],
     redundant: false,
     collided: false,
     autopilot: false,
@@ -138,7 +141,8 @@ defmodule MavRouter.Router.Forward.Source do
   defp of_known(source, %{tables: tables, forwarding: forwarding, path: path} = delivery) do
     others = path.networks |> Enum.flat_map(&elsewhere(tables, path, source, &1)) |> Enum.uniq()
 
-    source = %{source | vehicle: vehicle?(source, path, tables)}
+    obeyed_by = GroundStations.obeyed_by(tables, path.networks, source.system)
+    source = %{source | vehicle: vehicle?(source, path, tables), obeyed_by: obeyed_by}
 
     {all, heartbeats} =
       cond do
@@ -156,7 +160,13 @@ defmodule MavRouter.Router.Forward.Source do
     end
 
     all = for {_key, to} <- all, receives?.(to), do: to
-    heartbeats = for {_key, to} <- heartbeats, receives?.(to), do: to
+
+    heartbeats =
+      for {_key, to} <- heartbeats,
+          receives?.(to),
+          not Reach.station?(source, to, tables),
+          do: to
+
     {vehicles, clients} = Enum.split_with(all, &(&1.side == :vehicle and not &1.sniffer))
     related = for to <- vehicles, do: {Reach.relation(source, path, to, tables), to}
     {grouped, single} = Enum.split_with(related, fn {_relation, to} -> to.group != nil end)
@@ -173,8 +183,15 @@ defmodule MavRouter.Router.Forward.Source do
 
   # One of the group's links carries, so what reaches one of them must be allowed to reach each.
   defp group({name, related}, source) do
-    strictest = if source.vehicle, do: :vehicle, else: :stranger
     relations = related |> Enum.map(&elem(&1, 0)) |> Enum.uniq()
+
+    strictest =
+      cond do
+        :station in relations -> :station
+        source.vehicle -> :vehicle
+        true -> :stranger
+      end
+
     {name, if(match?([_one], relations), do: hd(relations), else: strictest), Enum.map(related, &elem(&1, 1))}
   end
 

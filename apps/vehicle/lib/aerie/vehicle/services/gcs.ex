@@ -174,6 +174,11 @@ defmodule Aerie.Vehicle.Services.Gcs do
 
   def listens_to(_generic), do: nil
 
+  @doc "The system ids whose heartbeats keep the failsafe quiet, `:unknown` while the parameter is not known, nil if ids do not count."
+  @spec obeyed(t()) :: {integer(), integer()} | :unknown | nil
+  def obeyed(%{autopilot: :ardupilot} = gcs), do: listens_to(gcs) || :unknown
+  def obeyed(_by_type_or_not_known), do: nil
+
   @doc "Whether the failsafe is enabled; nil while that is not known."
   @spec enabled?(t()) :: boolean() | nil
   def enabled?(%{autopilot: :px4, params: params}), do: on?(params["NAV_DLL_ACT"])

@@ -55,6 +55,16 @@ defmodule Aerie.Vehicle.Services.GcsTest do
 
   defp quiet({log, gcs}), do: {told(log), gcs}
 
+  test "H5: whose heartbeats count is unknown until ArduPilot's parameter is, and goes by the type with PX4" do
+    assert Gcs.obeyed(Gcs.new()) == nil
+    assert Gcs.obeyed(copter()) == :unknown
+    assert copter() |> Gcs.param("SYSID_MYGCS", 200.0) |> Gcs.obeyed() == {200, 200}
+    since_4_7 = copter() |> Gcs.param("MAV_GCS_SYSID", 250.0)
+    assert Gcs.obeyed(since_4_7) == {250, 250}
+    assert since_4_7 |> Gcs.param("MAV_GCS_SYSID_HI", 254.0) |> Gcs.obeyed() == {250, 254}
+    assert Gcs.new() |> Gcs.vehicle(:px4, "copter") |> Gcs.obeyed() == nil
+  end
+
   describe "the station that it listens to" do
     test "is read once, one by one, and only as far as it is needed" do
       answers = %{"SYSID_MYGCS" => 255, "FS_GCS_ENABLE" => 1, "FS_GCS_TIMEOUT" => 5.0}

@@ -155,7 +155,7 @@ defmodule MavRouter.Router.Gate do
         :asked ->
           []
 
-        :too_often ->
+        no when no in [:too_often, :denied] ->
           Counters.add(path.counters, :withheld, 1)
           []
 

@@ -197,14 +197,60 @@ defmodule MavRouter.Router.GateTest do
     assert until(c.one, battery) == [hello, status]
   end
 
-  test "questions of who may not ask are asked by the gateway, within a budget", c do
+  defp known(c) do
     Aerie.Base.Store.put_vehicle(c.gateway, {"main", 1}, %{
       id: "V1",
       key: {"main", 1},
       network: "main",
       system_id: 1
     })
+  end
 
+  test "a question of who may not ask goes on in the gateway's own words, if each number is one", c do
+    known(c)
+    stranger = udp(c.port)
+    say(stranger, gcs(255))
+
+    ask = fn module, fields ->
+      message = struct!(module, [target_system: 1, target_component: 1, command: 512] ++ fields)
+      say(stranger, MavCodec.encode(message, system: 255, component: 190))
+      {:ok, %Messages.CommandAck{command: 512, result: result}} = until_decoded(stranger, Messages.CommandAck)
+      result
+    end
+
+    wrong = [:nan, :infinity, {:nan, 0x7F800001}, 33.5, -1.0, 1.0e9]
+
+    for value <- wrong,
+        module <- [Messages.CommandLong, Messages.CommandInt],
+        do: assert(ask.(module, param1: value) == 2)
+
+    for n <- 2..4, do: assert(ask.(Messages.CommandLong, [{:param1, 33.0}, {:"param#{n}", 0.5}]) == 2)
+    assert ask.(Messages.CommandLong, param1: 33.0, param7: 3.0) == 2
+    assert ask.(Messages.CommandInt, param1: 33.0, z: :neg_infinity) == 2
+    assert ask.(Messages.CommandLong, param1: 33.0, param2: :nan, param7: :nan, confirmation: 7) == 0
+    assert ask.(Messages.CommandInt, param1: 33.0, x: 5, frame: 200, current: 9) == 0
+
+    asked =
+      for bytes <- until_marked(c, c.one),
+          {:ok, %module{} = message} <- [MavCodec.decode(MavCodec.Frame.from_bytes(bytes, nil))],
+          module != Messages.Heartbeat,
+          do: message
+
+    plain = %Messages.CommandLong{target_system: 1, target_component: 1, command: 512, param1: 33.0}
+    assert asked == [plain, %{plain | param5: 5.0}]
+  end
+
+  defp until_decoded(socket, module) do
+    {:ok, {_address, _port, bytes}} = :gen_udp.recv(socket, 0, @patience)
+
+    case MavCodec.decode(MavCodec.Frame.from_bytes(bytes, nil)) do
+      {:ok, %^module{}} = decoded -> decoded
+      _another -> until_decoded(socket, module)
+    end
+  end
+
+  test "questions of who may not ask are asked by the gateway, within a budget", c do
+    known(c)
     stranger = udp(c.port)
     say(stranger, gcs(255))
 

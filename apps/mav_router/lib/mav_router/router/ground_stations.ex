@@ -10,8 +10,8 @@ defmodule MavRouter.Router.GroundStations do
   At most #{@max_stations} are kept; one that was not heard for #{div(@forget_us, 60_000_000)} minutes makes room for a new one. When
   the machine's clock is set, a station that was heard live stays as old as it was (`Aerie.Base.HostClock`).
 
-  Which system ids a vehicle takes for its own station's is told by its session (`obeyed/3`), because it reads the vehicle's parameter:
-  another vehicle's heartbeat with such an id does not reach it, or its failsafe would stay quiet.
+  The session of a vehicle reads which system ids the vehicle takes for its station's, and notes them here
+  (`obeyed/3`): another vehicle's heartbeat with such an id does not reach it, or its failsafe would stay quiet.
   """
 
   alias Aerie.Base.HostClock
@@ -53,13 +53,13 @@ defmodule MavRouter.Router.GroundStations do
     end
   end
 
-  # Its session tells it once a second.
+  # The session notes them once a second.
   @told_ms 60_000
   @any_id 0xFFFFFFFF
 
   @doc """
-  The system ids that a vehicle's failsafe takes for its station's; `:unknown`: it takes some, and nobody knows which; nil: no id is
-  known to count.
+  The system ids that a vehicle's failsafe takes for its station's; `:unknown`: it takes some, and nobody knows
+  which; nil: no id is known to count.
   """
   @spec obeyed(Names.gateway(), vehicle, {integer(), integer()} | :unknown | nil) :: :ok
         when vehicle: {network :: String.t(), system :: non_neg_integer()}

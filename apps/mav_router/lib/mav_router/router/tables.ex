@@ -8,7 +8,7 @@ defmodule MavRouter.Router.Tables do
   - `:routes` `{{network, system, component, owner, peer}, heard_ms, since_ms}`
   - `:endpoints` `{{owner, peer}, Endpoint}` and `:owners` `{owner, Owner}`: where frames can go, and by which rules
   - `:seen` for `Dedupe`, `:limits` for `RateLimit`
-  - `:obeyed` `{vehicle_key, lowest, highest, noted_ms}`: whose heartbeats a vehicle takes for its station's (`GroundStations`)
+  - `:obeyed` `{vehicle_key, lowest, highest, noted_ms}`: ids that a vehicle takes for its station's (`GroundStations`)
   - `:clients` `{id, snapshot}` of client endpoints; `:scores` what `Meter` measured
   - `:load` `{vehicle_key, checked_ms, overloaded?}`
   - `:refused` `{vehicle_key, until_ms}`: vehicles for which there was no room

@@ -206,7 +206,7 @@ defmodule MavRouter.Router.GateTest do
     })
   end
 
-  test "a question of who may not ask goes on in the gateway's own words, if each number is one", c do
+  test "a viewer's question goes on in the gateway's own words, if each number is one", c do
     known(c)
     stranger = udp(c.port)
     say(stranger, gcs(255))

@@ -168,6 +168,10 @@ defmodule Aerie.Vehicle.Core do
     }
   end
 
+  @doc "The system ids that the vehicle takes for its station's (`Gcs.obeyed/1`)."
+  @spec obeyed(t()) :: {integer(), integer()} | :unknown | nil
+  def obeyed(core), do: Gcs.obeyed(core.gcs)
+
   @doc "One step."
   @spec handle(t(), event()) :: {t(), [action()]}
   def handle(core, {:link, link, %{high_latency: configured?}}),

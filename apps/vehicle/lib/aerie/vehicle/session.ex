@@ -16,7 +16,7 @@ defmodule Aerie.Vehicle.Session do
   alias Aerie.Base.{HostClock, Names, Store}
   alias Aerie.Vehicle
   alias Aerie.Vehicle.Journal
-  alias Aerie.Vehicle.Services.{Gcs, StreamDemand}
+  alias Aerie.Vehicle.Services.StreamDemand
   alias MavRouter.Identity
   alias Aerie.Vehicle.ArmAuthorization
   alias MavRouter.Router.GroundStations
@@ -175,8 +175,8 @@ defmodule Aerie.Vehicle.Session do
   end
 
   # At once when it changes, and once a second for a router that was restarted.
-  defp obeyed(%{core: %{gcs: gcs}, obeyed: told, ticks: ticks} = state) do
-    case Gcs.obeyed(gcs) do
+  defp obeyed(%{core: core, obeyed: told, ticks: ticks} = state) do
+    case Vehicle.Core.obeyed(core) do
       ^told when rem(ticks, @look_around_ticks) != 0 ->
         state
 
@@ -192,7 +192,6 @@ defmodule Aerie.Vehicle.Session do
 
   defp look_around(state, _now) do
     stations = GroundStations.list(state.gateway, state.options.network)
-    GroundStations.obeyed(state.gateway, state.options.key, Gcs.obeyed(state.core.gcs))
     {core, []} = Vehicle.Core.handle(state.core, {:stations, stations})
     {core, []} = count_vehicles(core, state.gateway)
     state = %{state | ticks: state.ticks + 1, core: core}

@@ -4,9 +4,10 @@ defmodule MavRouter.Router.Gate.Questions do
   all of them share for each vehicle, if the answer is a message to everybody. A command that asks is acknowledged in the vehicle's name,
   because the vehicle acknowledges it to the gateway.
 
-  Nothing of what the sender wrote goes on as it is: a command is made anew of its numbers, each of which must be an integer that its
-  row allows. NaN, by which programs leave a parameter out, becomes 0, and so does a parameter that the definitions do not have; as the number of what is asked for it is an error, and such a
-  question is denied.
+  Nothing of what the sender wrote goes on as it is: the gateway makes a command of the numbers, each of which
+  must be an integer that its row allows. NaN, by which programs leave a parameter out, becomes 0, and so does a
+  parameter that the definitions do not have. NaN as the number of what is asked for is an error. A question with
+  an error is denied.
   """
 
   alias Authority.Commands
@@ -33,8 +34,9 @@ defmodule MavRouter.Router.Gate.Questions do
   @exact 16_777_215
 
   @doc """
-  Asks a vehicle. `:not_askable` if the question has no known vehicle as its target, or if its answer is for the asker only;
-  `:too_often` if there is no room in the budget; `:denied` if its numbers are none that the gateway would send.
+  Asks a vehicle. `:not_askable` if the question has no known vehicle as its target, or if its answer is for the
+  asker only;
+  `:too_often` if there is no room in the budget; `:denied` if the gateway would not send such numbers.
   """
   @spec ask(Frame.t(), Authority.Messages.row(), Delivery.t()) :: :asked | :too_often | :denied | :not_askable
   def ask(%Frame{} = frame, row, delivery) do

@@ -174,7 +174,7 @@ defmodule Aerie.Vehicle.Services.Gcs do
 
   def listens_to(_generic), do: nil
 
-  @doc "The system ids whose heartbeats keep the failsafe quiet, `:unknown` while the parameter is not known, nil if ids do not count."
+  @doc "The ids whose heartbeats keep the failsafe quiet, `:unknown` before they are read, nil if ids do not count."
   @spec obeyed(t()) :: {integer(), integer()} | :unknown | nil
   def obeyed(%{autopilot: :ardupilot} = gcs), do: listens_to(gcs) || :unknown
   def obeyed(_by_type_or_not_known), do: nil

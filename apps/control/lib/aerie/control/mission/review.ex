@@ -1,10 +1,11 @@
 defmodule Aerie.Control.Mission.Review do
   @moduledoc """
-  Asks the policy about a plan before its first item is sent: about each item, each straight leg from one position to the next,
-  circles, jumps, and the way home.
+  Asks the policy about a plan before its first item is sent: about each item, each straight leg from one position
+  to the next, in order and by each jump, and the way home.
 
-  The review assumes straight flight between positions. It does not judge the bulge of a spline, or the turn that a plane flies around a
-  waypoint. How the vehicle gets to the first position is not known before it starts.
+  The review assumes straight flight between positions, with the room that a vehicle takes around them
+  (`Aerie.Control.Policy.FlightPath.Volume`). How the vehicle gets to the first position is not known before it
+  starts.
   """
 
   alias Aerie.Mission.Item
@@ -14,6 +15,9 @@ defmodule Aerie.Control.Mission.Review do
   alias MavCodec.Messages.MissionCount
 
   @rtl MavCmd.value(:MAV_CMD_NAV_RETURN_TO_LAUNCH)
+  @tag MavCmd.value(:MAV_CMD_JUMP_TAG)
+  @jump_tag MavCmd.value(:MAV_CMD_DO_JUMP_TAG)
+  @max_legs 20_000
   @jump MavCmd.value(:MAV_CMD_DO_JUMP)
   @type refusal :: {:deny, Policy.rule(), seq :: non_neg_integer() | nil, reason :: String.t()}
 
@@ -25,6 +29,7 @@ defmodule Aerie.Control.Mission.Review do
   def plan(policy, items, type, vehicle, context) do
     # A minimum altitude does not forbid landing.
     policy = %{policy | min_altitude: nil}
+    context = struct!(context, Map.take(vehicle, [:autopilot, :vehicle_type]))
     whole = Mavlink.facts(%MissionCount{mission_type: type, count: length(items)}, vehicle)
 
     with :allow <- decide(policy, whole, context, nil),
@@ -37,7 +42,7 @@ defmodule Aerie.Control.Mission.Review do
   @spec place(Item.t(), Mavlink.vehicle()) :: {number(), number()} | nil
   def place(item, vehicle) do
     case flown(item, 1, vehicle) do
-      {%{lat: lat, lon: lon}, _radius} when lat != nil -> {lat, lon}
+      {%{lat: lat, lon: lon}, _sweep} when lat != nil -> {lat, lon}
       _nowhere -> nil
     end
   end
@@ -47,76 +52,79 @@ defmodule Aerie.Control.Mission.Review do
     first(Enum.with_index(items), fn {item, seq} ->
       facts = asked(item, seq, type, vehicle)
 
-      # An item without a position is where the previous one is; circles are judged with the ways.
-      case facts.path do
-        {_kind, [%{lat: nil}]} -> decide(policy, %{facts | path: :none}, context, seq)
-        {:all, [{_kind, [%{lat: nil}]}, _circle]} -> decide(policy, %{facts | path: :none}, context, seq)
-        {:all, [place, _circle]} -> decide(policy, %{facts | path: place}, context, seq)
-        _path -> decide(policy, facts, context, seq)
-      end
+      # An item without a position is where the previous one is; the room around it is judged with its way.
+      path = if match?({_kind, [%{lat: nil}]}, facts.path), do: :none, else: facts.path
+      decide(policy, %{facts | path: path, sweep: nil}, context, seq)
     end)
   end
 
   defp asked(item, seq, type, vehicle),
     do: item |> placeless() |> Item.message(seq, type, {0, 0}) |> Mavlink.facts(vehicle)
 
-  # A mission's legs: from each position to the next one.
+  # A mission's legs: from each place where the vehicle may be to the place that comes next, by each jump as well.
   defp ways(policy, items, vehicle, context) do
-    indexed = Enum.with_index(items)
-
-    places =
-      for {item, seq} <- indexed,
-          {%{lat: lat} = place, _radius} when lat != nil <- [flown(item, seq, vehicle)],
-          do: {place, seq}
+    items =
+      items |> Enum.with_index() |> Map.new(fn {item, seq} -> {seq, {item, flown(item, seq, vehicle)}} end)
 
     home = context.home && Map.put(context.home, :alt_rel, 0.0)
-
-    indexed
-    |> Enum.reduce_while(home, fn {item, seq}, from ->
-      case step(policy, item, seq, from, {places, vehicle, context}) do
-        {:deny, _rule, _seq, _reason} = refusal -> {:halt, refusal}
-        to -> {:cont, to}
-      end
-    end)
-    |> then(&if match?({:deny, _, _, _}, &1), do: &1, else: :allow)
+    fly([{0, home, 0}], MapSet.new(), {policy, items, tags(items), context})
   end
 
-  # Where the vehicle is after an item, or the refusal of it.
-  defp step(policy, %{command: @jump, params: {target, _, _, _}}, seq, from, {places, _, context})
-       when is_number(target) do
-    case Enum.find(places, fn {_place, n} -> n >= target end) do
-      nil -> from
-      {place, _n} -> with :allow <- way(policy, place, "mission item #{seq}", seq, from, context), do: from
+  defp tags(items), do: for({seq, {%{command: @tag, params: {tag, _, _, _}}, _}} <- items, do: {tag, seq})
+
+  # `to_do`: an item, where the vehicle is before it, and the number that its way is called by: its own, or that of
+  # the jump to it.
+  defp fly([], _done, _plan), do: :allow
+
+  defp fly([{seq, from, _name} = next | to_do], done, {_policy, items, _tags, _context} = plan) do
+    cond do
+      not is_map_key(items, seq) or MapSet.member?(done, {seq, from}) ->
+        fly(to_do, done, plan)
+
+      MapSet.size(done) >= @max_legs ->
+        {:deny, :geofence, seq, "the mission has more ways than can be judged; use fewer jumps"}
+
+      true ->
+        case step(next, items[seq], plan) do
+          {:deny, _rule, _seq, _reason} = refusal -> refusal
+          more -> fly(more ++ to_do, MapSet.put(done, {seq, from}), plan)
+        end
     end
   end
 
-  defp step(policy, %{command: @rtl}, seq, from, {_places, _vehicle, %{home: home} = context})
+  # What comes after an item, or the refusal of it.
+  defp step({seq, from, _name}, {%{command: @jump, params: {target, _, _, _}}, _}, _plan)
+       when is_number(target),
+       do: [{trunc(target), from, seq}, {seq + 1, from, seq + 1}]
+
+  defp step({seq, from, _name}, {%{command: @jump_tag, params: {tag, _, _, _}}, _}, {_, _, tags, _}),
+    do: [{seq + 1, from, seq + 1} | for({^tag, target} <- tags, do: {target, from, seq})]
+
+  defp step({seq, from, _name}, {%{command: @rtl}, _}, {policy, _items, _tags, %{home: home} = context})
        when home != nil do
     place = %{lat: home.lat, lon: home.lon, height: :same}
-    with :allow <- way(policy, place, "home (mission item #{seq})", seq, from, context), do: from
+
+    with :allow <- way(policy, {place, nil}, "home (mission item #{seq})", seq, from, context),
+         do: [{seq + 1, from, seq + 1}]
   end
 
-  defp step(policy, item, seq, from, {_places, vehicle, context}) do
-    case flown(item, seq, vehicle) do
-      nil ->
-        from
+  # It goes on from where it was, by the name of the jump that led here.
+  defp step({seq, from, name}, {_item, nil}, _plan),
+    do: [{seq + 1, from, if(name == seq, do: seq + 1, else: name)}]
 
-      {place, radius} ->
-        place = here(place, from)
-        what = "mission item #{seq}"
+  defp step({seq, from, name}, {_item, {place, sweep}}, {policy, _items, _tags, context}) do
+    place = here(place, from)
 
-        with :allow <- way(policy, place, what, seq, from, context),
-             to = reached(place, from, context),
-             :allow <- circle(policy, radius, place, what, seq, to, context),
-             do: to
-    end
+    with :allow <- way(policy, {place, sweep}, "mission item #{name}", name, from, context),
+         do: [{seq + 1, reached(place, from, context), seq + 1}]
   end
 
-  # The place or the height to which the vehicle flies, with the radius of its circle there; nil if it does not.
+  # The place or the height to which the vehicle flies, and what happens there; nil if it does not.
   defp flown(item, seq, vehicle) do
-    case not Item.local?(item.frame) and asked(item, seq, 0, vehicle).path do
-      {:at, [place]} -> {place, nil}
-      {:all, [{:at, [place]}, {:ring, _place, metres}]} -> {place, metres}
+    facts = asked(item, seq, 0, vehicle)
+
+    case not Item.local?(item.frame) and facts.path do
+      {:at, [place]} -> {place, facts.sweep}
       _not_flown -> nil
     end
   end
@@ -128,21 +136,16 @@ defmodule Aerie.Control.Mission.Review do
   defp here(%{lat: nil} = place, %{lat: lat, lon: lon}), do: %{place | lat: lat, lon: lon}
   defp here(place, _from), do: place
 
-  defp way(_policy, %{lat: nil, height: :same}, _what, _seq, _from, _context), do: :allow
+  defp way(_policy, {%{lat: nil, height: :same}, _sweep}, _what, _seq, _from, _context), do: :allow
 
-  defp way(policy, %{lat: nil, height: height}, what, seq, _from, context),
+  defp way(policy, {%{lat: nil, height: height}, _sweep}, what, seq, _from, context),
     do: decide(policy, facts({:level, height}, what), context, seq)
 
-  defp way(policy, place, what, seq, nil, context),
-    do: decide(policy, facts({:at, [place]}, what), context, seq)
+  defp way(policy, {place, sweep}, what, seq, nil, context),
+    do: decide(policy, %{facts({:at, [place]}, what) | sweep: sweep}, context, seq)
 
-  defp way(policy, place, what, seq, from, context),
-    do: decide(policy, facts({:to, [place]}, what), at(context, from), seq)
-
-  defp circle(_policy, radius, _place, _what, _seq, to, _context) when radius == nil or to == nil, do: :allow
-
-  defp circle(policy, metres, place, what, seq, to, context),
-    do: decide(policy, facts({:around, place, metres}, "the circle of " <> what), at(context, to), seq)
+  defp way(policy, {place, sweep}, what, seq, from, context),
+    do: decide(policy, %{facts({:to, [place]}, what) | sweep: sweep}, at(context, from), seq)
 
   defp reached(%{lat: nil}, from, _context), do: from
 

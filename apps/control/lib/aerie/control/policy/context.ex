@@ -82,7 +82,8 @@ defmodule Aerie.Control.Policy.Context do
 
   @doc "A context of a vehicle in the gateway's store, nil for one that is not known there."
   @spec of(Names.gateway(), map() | nil, Roles.source() | nil, now :: integer()) :: t()
-  def of(_gateway, nil, source, now), do: new(%{}, source, now)
+  def of(_gateway, nil, source, now),
+    do: %{new(%{}, source, now) | autopilot: :generic, vehicle_type: "unknown"}
 
   def of(gateway, snapshot, source, now),
     do: seen(snapshot, Leases.of(gateway, snapshot.key), source, now)

@@ -120,6 +120,36 @@ defmodule Aerie.Control.Policy.Fence do
     end
   end
 
+  @doc """
+  Whether there is room for so many metres around a position, or around the way to it if `from` is given. `room`
+  says why the vehicle needs it.
+  """
+  @spec check_room(t(), position() | nil, position(), %{metres: number(), why: String.t()}, String.t()) ::
+          :ok | {:deny, String.t()}
+  def check_room(_fence, _from, _to, %{metres: metres}, _what) when metres == 0, do: :ok
+
+  def check_room(fence, from, to, room, what) do
+    {start, stop} = {place(from || to), place(to)}
+    {inclusions, exclusions} = Enum.split_with(fence.zones, &(&1.kind == :inclusion))
+    around = for zone <- inclusions, Zone.covers?(zone, stop), do: {Zone.clearance(zone, start, stop), zone}
+    near = for zone <- exclusions, level?(zone, start, stop), do: {Zone.clearance(zone, start, stop), zone}
+    # One zone that has room for all of it is enough.
+    widest = if around == [], do: [], else: [Enum.max_by(around, &elem(&1, 0))]
+
+    case Enum.find(widest ++ near, fn {metres, _zone} -> metres < room.metres end) do
+      nil -> :ok
+      {metres, zone} -> {:deny, cramped(metres, zone, to, room, what)}
+    end
+  end
+
+  defp level?(zone, start, stop),
+    do: Zone.band?(zone, start) or Zone.band?(zone, stop) or start.home != stop.home or start.msl != stop.msl
+
+  defp cramped(metres, zone, to, room, what) do
+    "#{what} #{at(to)} needs #{metres(room.metres)} around it, because #{room.why}; " <>
+      "the border of the #{zone.kind} zone \"#{zone.name}\" is #{metres(metres)} away"
+  end
+
   # Its length with the climb, as far as that is known.
   defp slant(length, from, to) do
     climb = if from.home && to.home, do: to.home - from.home, else: (to.msl || 0) - (from.msl || to.msl || 0)

@@ -6,6 +6,7 @@ defmodule Aerie.Control.Policy.FlightPath do
 
   alias Aerie.Control.Policy.{Context, Drift, Fence, Intent}
   alias Aerie.Control.Policy.Fence.Earth
+  alias Aerie.Control.Policy.FlightPath.Volume
 
   @corners 36
   @anywhere "where it leads, nobody can tell"
@@ -115,10 +116,20 @@ defmodule Aerie.Control.Policy.FlightPath do
     end
   end
 
-  @doc "The heights that a command asks for. Unlike `legs/2` it needs the vehicle's position only where a height depends on it."
+  @doc """
+  The heights that a command asks for, and to which the vehicle may climb because of it. Unlike `legs/2` it needs the
+  vehicle's position only where a height depends on it.
+  """
   @spec heights(Intent.t(), Context.t()) ::
           {:ok, [{home :: number() | nil, msl :: number() | nil, :home | :msl | :terrain | :own}]}
           | {:unknown, String.t()}
+  def heights(%{sweep: {:land, _abort}} = facts, context) do
+    with {:ok, heights} <- heights(%{facts | sweep: nil}, context) do
+      %{climb: climb} = Volume.room(facts.sweep, %{long: nil, rise: nil}, context)
+      {:ok, heights ++ for({home, msl, given} <- heights, do: {plus(climb, home), plus(climb, msl), given})}
+    end
+  end
+
   def heights(%{path: {kind, places}}, context) when kind in [:to, :along, :at],
     do: {:ok, for(%{height: {above, _} = height} <- places, do: level(height, above, context))}
 
@@ -160,6 +171,18 @@ defmodule Aerie.Control.Policy.FlightPath do
   end
 
   def heights(_level, _context), do: {:ok, []}
+
+  @doc "The room that the vehicle takes at the end of a leg."
+  @spec room(leg(), Intent.sweep(), Context.t()) :: Volume.t()
+  def room({from, to, _given}, sweep, context) do
+    long = from && Earth.distance(Earth.point(from.lat, from.lon), Earth.point(to.lat, to.lon))
+    Volume.room(sweep, %{long: long, rise: to.home}, context)
+  end
+
+  @doc "A position so many metres higher."
+  @spec raised(Fence.position(), number()) :: Fence.position()
+  def raised(position, metres),
+    do: %{position | home: plus(metres, position.home), msl: plus(metres, position.msl)}
 
   defp all(paths, fun) do
     Enum.reduce_while(paths, {:ok, []}, fn path, {:ok, done} ->

@@ -24,6 +24,7 @@ defmodule Aerie.Control.Policy.Intent do
     modes: [],
     implies: [],
     path: :none,
+    sweep: nil,
     moves?: false,
     stored?: false,
     ends_flight?: false,
@@ -67,6 +68,24 @@ defmodule Aerie.Control.Policy.Intent do
           | {:shift, :north | :body, {number(), number(), number()}}
           | {:drift, drift()}
           | {:onward, path(), drift()}
+
+  @typedoc """
+  What happens at the places of a path, by which `Aerie.Control.Policy.FlightPath.Volume` tells the room that it
+  takes; a radius that is nil or 0 is the vehicle's own:
+
+    * `{:stay, radius}` - it stays there; `{:turns, radius}` - it circles there, whatever it is
+    * `{:pass, acceptance, beyond}` - it flies on; `:curve` - it comes there by a curve
+    * `{:land, metres}` - it lands, and climbs so high if the landing is aborted
+    * `:takeoff`, and with the metres to climb `{:takeoff, metres}`
+  """
+  @type sweep ::
+          nil
+          | {:stay | :turns, number() | nil}
+          | {:pass, number(), number()}
+          | :curve
+          | {:land, number()}
+          | :takeoff
+          | {:takeoff, number()}
 
   @typedoc """
   A velocity in m/s and an acceleration in m/s². `:frame` - `:any`: in whichever direction; `:hold` - for how many seconds the gateway
@@ -114,6 +133,7 @@ defmodule Aerie.Control.Policy.Intent do
           standard_mode: String.t() | nil,
           control: Lease.change() | nil,
           path: path(),
+          sweep: sweep(),
           moves?: boolean(),
           stored?: boolean(),
           switches: switches() | nil,
@@ -245,10 +265,11 @@ defmodule Aerie.Control.Policy.Intent do
   defp lifts?(mode), do: mode in @lifting_modes
 
   defp asked("takeoff", %{altitude: metres}),
-    do: [path: {:to, [here({:home, metres})]}, what: "the height to climb to"]
+    do: [path: {:to, [here({:home, metres})]}, sweep: :takeoff, what: "the height to climb to"]
 
-  defp asked("goto", params), do: [path: {:to, [place(params)]}]
-  defp asked("setpoint_position", params), do: [path: {:to, [place(params)]}]
+  defp asked(type, params) when type in ["goto", "setpoint_position"],
+    do: [path: {:to, [place(params)]}, sweep: {:stay, nil}]
+
   defp asked("set_altitude", params), do: [path: {:to, [place(params)]}, what: "the height to fly at"]
   defp asked("orbit", params), do: [path: {:around, place(params), params.radius}, what: "the circle"]
   defp asked("setpoint_attitude", _params), do: [path: :anywhere]

@@ -111,7 +111,7 @@ defmodule Aerie.Control.Policy.Mavlink do
 
   # ArduPilot's way to say "go there now" and "be that high now".
   defp read(%module{current: 2} = m, _vehicle) when module in [M.MissionItem, M.MissionItemInt],
-    do: Intent.named("goto", path: {:to, [Place.of(m)]})
+    do: Intent.named("goto", path: {:to, [Place.of(m)]}, sweep: {:stay, nil})
 
   defp read(%module{current: 3} = m, _vehicle) when module in [M.MissionItem, M.MissionItemInt],
     do:
@@ -217,6 +217,7 @@ defmodule Aerie.Control.Policy.Mavlink do
           modes: command.modes,
           standard_mode: command.standard_mode,
           path: stop(row.as_item, m, row, request, vehicle),
+          sweep: if(row.as_item == :flown, do: Request.sweep(request)),
           what: "mission item #{m.seq}"
         )
     end
@@ -259,14 +260,7 @@ defmodule Aerie.Control.Policy.Mavlink do
     end
   end
 
-  defp stop(:flown, m, _row, request, _vehicle) do
-    place = Place.item(m)
-
-    case Request.radius(request) do
-      nil -> {:at, [place]}
-      metres -> {:all, [{:at, [place]}, {:ring, place, metres}]}
-    end
-  end
+  defp stop(:flown, m, _row, _request, _vehicle), do: {:at, [Place.item(m)]}
 
   defp removed(type, 0) when type in [@fence, @all_types], do: [also: [:protection]]
   defp removed(_type, _count), do: []

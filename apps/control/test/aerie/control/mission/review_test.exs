@@ -72,7 +72,7 @@ defmodule Aerie.Control.Mission.ReviewTest do
 
     loiter = at(47.01, 8.004, 20.0, command: 18, params: {2.0, 0.0, 500.0, 0.0})
     assert {:deny, :geofence, 0, reason} = review([loiter])
-    assert reason =~ "the circle of mission item 0"
+    assert reason =~ "mission item 0" and reason =~ "needs 500 m around it, because it circles there"
   end
 
   test "items are judged by what their commands need and lead to, as when a ground station sends them" do

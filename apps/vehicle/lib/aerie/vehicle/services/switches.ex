@@ -1,7 +1,7 @@
 defmodule Aerie.Vehicle.Services.Switches do
   @moduledoc """
   The parameters of a vehicle on which rules of the policy and adapters depend: what its mode switch, channels and buttons do, whether and
-  for how long it obeys overrides and set-points. A pure value.
+  for how long it obeys overrides and set-points, and how wide its paths are (`Authority.Shaping`). A pure value.
 
   They are read once, a few at a time, after those of `Aerie.Vehicle.Services.Gcs`, and again after a reboot; any other PARAM_VALUE that comes is
   used, too.
@@ -24,7 +24,8 @@ defmodule Aerie.Vehicle.Services.Switches do
   # Sticks may have a function, too, and there may be more buttons.
   @more for(n <- 1..4, do: "RC#{n}_OPTION") ++
           for(n <- 16..31, end_ <- ~w(FUNCTION SFUNCTION), do: "BTN#{n}_#{end_}")
-  @names MapSet.new(@flying ++ @driving ++ @diving ++ @px4 ++ @more)
+  @shaping for row <- Authority.Shaping.all(), row.metres != nil, do: row.name
+  @names MapSet.new(@flying ++ @driving ++ @diving ++ @px4 ++ @more ++ @shaping)
 
   defstruct params: %{}, asked: %{}, next: nil
 
@@ -65,8 +66,7 @@ defmodule Aerie.Vehicle.Services.Switches do
 
   def due(switches, now, {system, component}, firmware) do
     wanted =
-      firmware
-      |> plan()
+      (plan(firmware) ++ Authority.Shaping.read_by(elem(firmware, 0), elem(firmware, 1)))
       |> Enum.filter(&(not is_map_key(switches.params, &1) and Map.get(switches.asked, &1, 0) < @tries))
       |> Enum.take(@at_once)
 

@@ -119,6 +119,25 @@ defmodule Aerie.Control.Policy.Fence.Polygon do
     end
   end
 
+  @doc "Metres from a way to the border, 0 where they meet; `:far` for more than the plane can tell."
+  @spec clearance(t(), Earth.vector(), Earth.vector()) :: float() | :far
+  def clearance(polygon, from, to) do
+    with {x1, y1} <- project(polygon, from),
+         {x2, y2} <- project(polygon, to) do
+      way = {x1, y1, x2, y2}
+
+      if cross(polygon.edges, x1, y1, x2 - x1, y2 - y1, []) != [],
+        do: 0.0,
+        else: polygon.edges |> Enum.map(&between(&1, way)) |> Enum.min() |> :math.sqrt()
+    end
+  end
+
+  # The square of the distance between two lines that do not cross: from an end of one of them.
+  defp between({x1, y1, x2, y2} = edge, {x3, y3, x4, y4} = way) do
+    ends = [foot(edge, x3, y3), foot(edge, x4, y4), foot(way, x1, y1), foot(way, x2, y2)]
+    ends |> Enum.map(&elem(&1, 0)) |> Enum.min()
+  end
+
   defp ring(positions) do
     ring = if List.first(positions) == List.last(positions), do: Enum.drop(positions, 1), else: positions
     ring = ring |> Enum.map(fn {lon, lat} -> {normal(lon), lat} end) |> Enum.dedup()
@@ -334,7 +353,8 @@ defmodule Aerie.Control.Policy.Fence.Polygon do
   # The nearest point of an edge.
   defp foot({x1, y1, x2, y2}, x, y) do
     {dx, dy} = {x2 - x1, y2 - y1}
-    share = ((x - x1) * dx + (y - y1) * dy) / (dx * dx + dy * dy)
+    square = dx * dx + dy * dy
+    share = if square == 0.0, do: 0.0, else: ((x - x1) * dx + (y - y1) * dy) / square
     share = share |> max(0.0) |> min(1.0)
     {px, py} = {x1 + share * dx, y1 + share * dy}
     {(px - x) * (px - x) + (py - y) * (py - y), {px, py}}

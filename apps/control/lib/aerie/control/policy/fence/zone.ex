@@ -56,6 +56,11 @@ defmodule Aerie.Control.Policy.Fence.Zone do
   @spec distance(t(), Earth.vector()) :: float() | :far
   def distance(zone, point), do: zone.polygons |> Enum.map(&Polygon.distance(&1, point)) |> Enum.min()
 
+  @doc "Metres from a straight way to the nearest border of the zone; `:far` beyond the range of the projection."
+  @spec clearance(t(), place(), place()) :: float() | :far
+  def clearance(zone, from, to),
+    do: zone.polygons |> Enum.map(&Polygon.clearance(&1, from.point, to.point)) |> Enum.min()
+
   defp passing(limit, {from, to}) when is_number(from) and is_number(to) and from != to do
     share = (limit - from) / (to - from)
     if share > 0 and share < 1, do: [share], else: []

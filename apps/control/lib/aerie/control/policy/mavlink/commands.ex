@@ -69,7 +69,7 @@ defmodule Aerie.Control.Policy.Mavlink.Commands do
     what =
       if match?({:to, [%{lat: nil} | _]}, path), do: "the height to climb to", else: "the place to climb to"
 
-    Intent.named("takeoff", path: path, what: what)
+    Intent.named("takeoff", path: path, sweep: :takeoff, what: what)
   end
 
   defp asked("DO_ORBIT", request, _row, _vehicle) do
@@ -113,9 +113,14 @@ defmodule Aerie.Control.Policy.Mavlink.Commands do
     orders = [Request.int(request, 1), Request.int(request, 2)]
 
     cond do
-      goto("HOLD_AT_SPECIFIED_POSITION") in orders -> Intent.named("goto", path: request.path)
-      goto("DO_CONTINUE") in orders -> Intent.named("resume")
-      true -> Intent.named("hold")
+      goto("HOLD_AT_SPECIFIED_POSITION") in orders ->
+        Intent.named("goto", path: request.path, sweep: {:stay, nil})
+
+      goto("DO_CONTINUE") in orders ->
+        Intent.named("resume")
+
+      true ->
+        Intent.named("hold")
     end
   end
 
@@ -170,7 +175,10 @@ defmodule Aerie.Control.Policy.Mavlink.Commands do
     end
   end
 
-  defp asked(_other, request, row, _vehicle), do: %{plain(row) | path: path(row.as_command, request)}
+  defp asked(_other, request, row, _vehicle) do
+    sweep = if row.as_command == :flown, do: Request.sweep(request)
+    %{plain(row) | path: path(row.as_command, request), sweep: sweep}
+  end
 
   @doc "The facts of SET_MODE and DO_SET_MODE."
   @spec set_mode(integer(), non_neg_integer(), Aerie.Control.Policy.Mavlink.vehicle()) :: Intent.t()
@@ -222,12 +230,7 @@ defmodule Aerie.Control.Policy.Mavlink.Commands do
     end
   end
 
-  defp path(:flown, request) do
-    case Request.radius(request) do
-      nil -> request.path
-      metres -> {:all, [request.path, {:ring, Request.place(request), metres}]}
-    end
-  end
+  defp path(:flown, request), do: request.path
 
   defp path(:height, request), do: {:to, [%{Request.place(request) | lat: nil, lon: nil}]}
   defp path(:climb, request), do: Request.climb(request)

@@ -72,23 +72,30 @@ defmodule Aerie.Control.Policy.Mavlink.Request do
   @spec number(t(), 1..7) :: number()
   def number(request, index), do: Place.number(request.params[index])
 
-  # Which of its parameters is the radius of a circle around its place.
-  @radius for {names, index} <- [
-                {~w(NAV_LOITER_UNLIM NAV_LOITER_TURNS NAV_LOITER_TIME), 3},
-                {~w(NAV_LOITER_TO_ALT), 2},
-                {~w(DO_ORBIT DO_FIGURE_EIGHT SET_GUIDED_SUBMODE_CIRCLE), 1}
+  # What happens at its place, and which of its parameters say more about it.
+  @sweeps for {names, sweep} <- [
+                {~w(NAV_LOITER_UNLIM NAV_LOITER_TIME DO_REPOSITION), {:stay, 3}},
+                {~w(NAV_LOITER_TURNS), {:turns, 3}},
+                {~w(NAV_LOITER_TO_ALT), {:stay, 2}},
+                {~w(DO_ORBIT DO_FIGURE_EIGHT SET_GUIDED_SUBMODE_CIRCLE), {:turns, 1}},
+                {~w(NAV_WAYPOINT), {:pass, 2, 3}},
+                {~w(NAV_SPLINE_WAYPOINT NAV_ARC_WAYPOINT NAV_PATHPLANNING), :curve},
+                {~w(NAV_LAND), {:land, 1}},
+                {~w(NAV_VTOL_LAND), {:land, 3}},
+                {~w(NAV_TAKEOFF NAV_VTOL_TAKEOFF), :takeoff}
               ],
               name <- names,
               into: %{},
-              do: {MavCmd.value(:"MAV_CMD_#{name}"), index}
+              do: {MavCmd.value(:"MAV_CMD_#{name}"), sweep}
 
-  @doc "The radius of the circle that the vehicle flies around its place, nil if it flies none that is given."
-  @spec radius(t()) :: float() | nil
-  def radius(%{command: command} = request) do
-    with index when index != nil <- @radius[command],
-         metres when metres != 0 <- number(request, index),
-         do: abs(metres) * 1.0,
-         else: (_none -> nil)
+  @doc "What happens at its place."
+  @spec sweep(t()) :: Intent.sweep()
+  def sweep(request) do
+    case Map.get(@sweeps, request.command, {:stay, nil}) do
+      {:pass, acceptance, beyond} -> {:pass, abs(number(request, acceptance)), abs(number(request, beyond))}
+      {kind, index} when is_integer(index) -> {kind, abs(number(request, index))}
+      other -> other
+    end
   end
 
   @doc "The path to the height in its first parameter; 0 leaves it to the vehicle."

@@ -38,7 +38,9 @@ defmodule Aerie.Control.Policy.Mavlink.Setpoints do
       end
 
     what = if not place? and velocity?, do: [what: Intent.drift_what()], else: []
-    Intent.named(type, [path: path(readings(m, vehicle) ++ named(m))] ++ what)
+    # A plane of ArduPilot takes only the height.
+    sweep = if place? and vehicle.autopilot != :ardupilot, do: {:stay, nil}
+    Intent.named(type, [path: path(readings(m, vehicle) ++ named(m)), sweep: sweep] ++ what)
   end
 
   defp named(%{type_mask: mask} = m) do

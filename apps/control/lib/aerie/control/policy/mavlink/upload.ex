@@ -21,12 +21,6 @@ defmodule Aerie.Control.Policy.Mavlink.Upload do
     {%{facts | path: way}, item}
   end
 
-  def next(last, %module{} = item, %{path: {:all, [{:at, [place]}, {:ring, place, metres}]}} = facts)
-      when module in [M.MissionItem, M.MissionItemInt] do
-    {way, item} = way(last, item.seq, place)
-    {%{facts | path: {:all, [way, {:ring, item.place, metres}]}}, item}
-  end
-
   def next(_last, %M.MissionCount{}, facts), do: {facts, nil}
   def next(last, _other, facts), do: {facts, last}
 

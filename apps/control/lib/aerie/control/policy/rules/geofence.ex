@@ -18,7 +18,7 @@ defmodule Aerie.Control.Policy.Rules.Geofence do
                 if(length(legs) > 1, do: numbered(legs, facts), else: for(leg <- legs, do: {leg, facts.what})),
               do: target
 
-        Enum.find_value(targets, :ok, &refused(policy.fence, &1))
+        Enum.find_value(targets, :ok, &refused(policy.fence, &1, facts.sweep, context))
 
       {:unknown, why} ->
         {:deny, "a fence applies to #{facts.type}, and #{why}"}
@@ -31,9 +31,18 @@ defmodule Aerie.Control.Policy.Rules.Geofence do
   defp numbered(legs, %{path: {_kind, _, _}} = facts), do: for(leg <- legs, do: {leg, facts.what})
   defp numbered(legs, facts), do: for({leg, n} <- Enum.with_index(legs, 1), do: {leg, "#{facts.what} #{n}"})
 
-  defp refused(fence, {{from, to, _given}, what}) do
+  defp refused(fence, {{from, to, _given} = leg, what}, sweep, context) do
+    room = FlightPath.room(leg, sweep, context)
+    higher = FlightPath.raised(to, room.climb)
+
     with :ok <- Fence.check_position(fence, to, what),
-         :ok <- if(from, do: Fence.check_way(fence, from, to, "the straight way to #{what}"), else: :ok) do
+         :ok <- if(from, do: Fence.check_way(fence, from, to, "the straight way to #{what}"), else: :ok),
+         :ok <- Fence.check_room(fence, if(sweep == :curve, do: from), to, room, what),
+         :ok <-
+           if(room.climb > 0,
+             do: Fence.check_position(fence, higher, "an aborted landing at #{what}"),
+             else: :ok
+           ) do
       nil
     end
   end

@@ -2,7 +2,8 @@ defmodule MavCodec.Msp.Definition do
   @moduledoc """
   Reads the tables of messages in `priv/msp`, while the codec is compiled.
 
-      @ NAME ID read|write [since=V] [until=V] [sizes=A,B,..|exact=A,B,..] [min=N] [max=N] [each=N] [armed=yes|ask|no] [eeprom] [restart] [never=WHY]
+      @ NAME ID read|write [since=V] [until=V] [sizes=A,B,..|exact=A,B,..] [min=N] [max=N] [each=N] [armed=yes|ask|no]
+      [channels] [eeprom] [restart] [never=WHY]
       q FIELD ...     the payload of the request, or: q like NAME, that of the other one's reply
       r FIELD ...     the payload of the reply
       n TEXT          a note
@@ -89,6 +90,7 @@ defmodule MavCodec.Msp.Definition do
   defp attribute("armed=yes", message), do: %{message | armed: :yes}
   defp attribute("armed=ask", message), do: %{message | armed: :ask}
   defp attribute("armed=no", message), do: %{message | armed: :no}
+  defp attribute("channels", message), do: %{message | channels?: true}
   defp attribute("eeprom", message), do: %{message | eeprom?: true}
   defp attribute("restart", message), do: %{message | restart?: true}
 

@@ -9,7 +9,11 @@ defmodule MavCodec.Msp.Guard do
   - A payload has at most #{@max_payload} bytes: Betaflight before API 1.48 overwrites its memory with more.
   - A message must be in the table of the firmware, for its version. Another one may be a write.
   - An id above 254 needs version 2: version 1 would cut it to another message.
-  - A write must end where the firmware expects it: what is missing it fills with what happens to be in its buffer, or with zeros.
+  - A write must end where the firmware expects it: what is missing it fills with what happens to be in its buffer, or
+    with zeros. One that says itself how
+    long it is (a count, a text's length) must have that and nothing more, and no list is empty: a count of 0 ends some
+    firmware.
+  - An order of motors names each of them once.
   - MULTIPLE_MSP (230) may only name telemetry whose replies fit in #{@max_multiple_reply} bytes together. Before API 1.48 it carries out
     writes, with arguments that nobody sent, and it overruns its buffer.
   - Passthrough, boot loaders, and what the table says is never sent, are refused.
@@ -17,7 +21,7 @@ defmodule MavCodec.Msp.Guard do
   Bytes outside frames are never written either: `#` opens the command line, and `R` starts a boot loader.
   """
 
-  alias MavCodec.Msp.{Frame, Message, Messages}
+  alias MavCodec.Msp.{Field, Frame, Message, Messages, Payload}
 
   # The longest reply of each message that MULTIPLE_MSP may name, in bytes.
   @multiple %{
@@ -38,6 +42,8 @@ defmodule MavCodec.Msp.Guard do
     247 => 9
   }
   @reboot 68
+  @osd_config 85
+  @most_motors 8
   @multiple_msp 230
 
   @typedoc "Which firmware, and which version of it, or nil if that is unknown."
@@ -71,6 +77,8 @@ defmodule MavCodec.Msp.Guard do
          :ok <- never(message),
          :ok <- special(id, firmware, payload),
          :ok <- length(message, byte_size(payload)),
+         :ok <- announced(message, payload, version),
+         :ok <- content(message, payload),
          do: {:ok, message}
   end
 
@@ -107,6 +115,16 @@ defmodule MavCodec.Msp.Guard do
     end
   end
 
+  # By its first byte: general settings, a timer, or the place of an element.
+  defp special(@osd_config, :betaflight, <<address::signed, _::binary>> = payload) do
+    {least, most} = Map.get(%{-1 => {10, @max_payload}, -2 => {4, 4}}, address, {3, 4})
+    size = byte_size(payload)
+
+    if size in least..most,
+      do: :ok,
+      else: {:error, "SET_OSD_CONFIG #{address} with #{bytes(size)}: it takes #{least} to #{most}"}
+  end
+
   defp special(_id, _firmware, _payload), do: :ok
 
   defp multiple_size(ids), do: ids |> Enum.map(&(1 + @multiple[&1])) |> Enum.sum()
@@ -123,6 +141,46 @@ defmodule MavCodec.Msp.Guard do
     do:
       size >= message.min and (message.max == nil or size <= message.max) and
         (message.each == nil or rem(size, message.each) == 0)
+
+  # What a payload says of its own length.
+  defp announced(%{kind: :write, request: layout} = message, payload, version) do
+    with true <- Enum.any?(layout, &announces?/1),
+         {:error, why} <- whole(layout, Payload.decode(layout, payload, version), version),
+         do: {:error, "#{message.name} with #{bytes(byte_size(payload))}: #{why}"},
+         else: (_fits -> :ok)
+  end
+
+  defp announced(_read, _payload, _version), do: :ok
+
+  defp announces?({:list, _key, count, _layout}), do: is_atom(count) and count != :rest
+  defp announces?(%Field{type: type}), do: type == :pstr
+  defp announces?(_optional), do: false
+
+  defp whole(_layout, {:error, why}, _version), do: {:error, why}
+
+  defp whole(_layout, {:ok, %{tail: tail}}, _version),
+    do: {:error, "#{bytes(byte_size(tail))} more than it announces"}
+
+  defp whole(layout, {:ok, values}, version) do
+    Enum.find_value(layout, :ok, fn
+      {:list, key, count, _layout} when is_atom(count) and count != :rest ->
+        if values[key] in [nil, []], do: {:error, "#{count} is 0, or missing"}
+
+      %Field{key: key} = field ->
+        if Field.in?(field, version) and not is_map_key(values, key), do: {:error, "#{key} is missing"}
+
+      _other ->
+        nil
+    end)
+  end
+
+  defp content(%{name: "MSP2_SET_MOTOR_OUTPUT_REORDERING"} = message, <<count, outputs::binary>>) do
+    if count <= @most_motors and Enum.sort(:binary.bin_to_list(outputs)) == Enum.to_list(0..(count - 1)//1),
+      do: :ok,
+      else: {:error, "#{message.name}: it names each of at most #{@most_motors} motors once"}
+  end
+
+  defp content(_message, _payload), do: :ok
 
   defp wrong_length(%{sizes: [_ | _] = sizes} = message, size) do
     "#{message.name} with #{bytes(size)}: the firmware would make up the rest; it takes #{Enum.join(sizes, ", ")}"

@@ -10,6 +10,7 @@ defmodule MavCodec.Msp.Message do
   - `min`, `max`, `each`: the same as a shortest and a longest length, and as a multiple
   - `exact?`: nothing else is accepted; otherwise further bytes are ignored
   - `armed`: may it be sent to an armed vehicle? `:ask`: with a permission of its own, as it takes effect in flight. Firmware checks this for few messages.
+  - `channels?`: it moves channels of the receiver, which arm and steer: sent only with a dead-man
   - `eeprom?`: lost with the next restart, unless EEPROM_WRITE follows; `restart?`: takes effect with the next restart
   - `never`: why it is never sent, or nil
   - `note`: what its fields do not say
@@ -34,6 +35,7 @@ defmodule MavCodec.Msp.Message do
     min: 0,
     exact?: false,
     armed: :yes,
+    channels?: false,
     eeprom?: false,
     restart?: false
   ]
@@ -53,6 +55,7 @@ defmodule MavCodec.Msp.Message do
           each: pos_integer | nil,
           exact?: boolean,
           armed: :yes | :ask | :no,
+          channels?: boolean,
           eeprom?: boolean,
           restart?: boolean,
           never: String.t() | nil,

@@ -3,7 +3,7 @@ defmodule MavCodec.Msp.GuardTest do
 
   import MavCodec.Test.Msp, only: [frame: 0]
 
-  alias MavCodec.Msp.{Frame, Guard, Messages}
+  alias MavCodec.Msp.{Frame, Guard, Message, Messages, Payload}
 
   doctest MavCodec.Msp.Guard
 
@@ -40,6 +40,108 @@ defmodule MavCodec.Msp.GuardTest do
     assert refused(200, <<1, 2, 3>>) =~ "a multiple of 2"
     assert refused(200, :binary.copy(<<1>>, 38)) =~ "at most 36"
     assert refused(214, <<0::64>>) =~ "at least 16"
+  end
+
+  # Each write that says itself how long it is, in each version that has it.
+  @versions %{betaflight: for(minor <- 40..49, do: {1, minor}), inav: [{7, 0}, {8, 0}, {9, 0}, {9, 1}]}
+
+  defp announcing do
+    for {firmware, versions} <- @versions,
+        version <- versions,
+        %{kind: :write, never: nil} = message <- Messages.all(firmware),
+        Message.in?(message, version),
+        Enum.any?(
+          message.request,
+          &(match?({:list, _, key, _} when is_atom(key) and key != :rest, &1) or
+              match?(%{type: :pstr}, &1))
+        ),
+        do: {{firmware, version}, message}
+  end
+
+  defp sample(layout) do
+    for part <- layout, into: %{} do
+      case part do
+        {:list, key, _count, inner} ->
+          {key, for(n <- 0..1, do: Map.new(sample(inner), fn {k, _} -> {k, n} end))}
+
+        %{key: key, type: :pstr} ->
+          {key, "ab"}
+
+        %{key: key, type: {:text, 1}} ->
+          {key, ""}
+
+        %{key: key, type: {_kind, size}} ->
+          {key, :binary.copy("a", size - 1)}
+
+        %{key: key} ->
+          {key, 1}
+      end
+    end
+  end
+
+  test "a write that says how long it is has that length, neither less nor more, and no list is empty" do
+    assert length(announcing()) > 30
+
+    for {{_firmware, version} = target, message} <- announcing() do
+      {:ok, payload} = Payload.encode(message.request, sample(message.request), version)
+      assert {:ok, _} = check(message.id, payload, target: target), message.name
+      assert refused(message.id, payload <> <<0>>, target: target) =~ message.name
+
+      for size <- 0..(byte_size(payload) - 1),
+          do: assert(refused(message.id, binary_part(payload, 0, size), target: target) =~ message.name)
+
+      # A count of one more, one less, and of 0.
+      for {:list, key, count, _} <- message.request, is_atom(count), list <- [[], nil, 1] do
+        values = sample(message.request)
+        entries = if list == 1, do: tl(values[key]), else: list
+
+        {:ok, less} =
+          Payload.encode(message.request, Map.merge(values, %{key => entries || [], count => 0}), version)
+
+        tail = binary_part(payload, byte_size(less), byte_size(payload) - byte_size(less))
+        more = if list == nil, do: "", else: tail
+        assert refused(message.id, less <> more, target: target) =~ message.name
+      end
+    end
+  end
+
+  test "4.5.5 ended by an order of no motors, and took one whose outputs it does not have" do
+    for payload <- [
+          <<0>>,
+          <<0, 48, 2, 0, 100>>,
+          <<4, 0, 1, 2>>,
+          <<4, 0, 1, 2, 4>>,
+          <<4, 0, 1, 1, 2>>,
+          <<9, 0, 1, 2, 3, 4, 5, 6, 7, 8>>
+        ],
+        do: assert(refused(0x3002, payload) =~ "MOTOR_OUTPUT_REORDERING")
+
+    assert {:ok, _} = check(0x3002, <<4, 3, 1, 0, 2>>)
+    # By its count the firmware divides.
+    assert refused(0x100A, <<0, 1, 0::64>>) =~ "SERIAL_CONFIG"
+  end
+
+  test "SET_OSD_CONFIG is as long as its first byte says" do
+    for {payload, ok?} <- [
+          {<<-1, 0::64>>, false},
+          {<<-1, 0::72>>, true},
+          {<<-2, 0, 0, 0>>, true},
+          {<<-2, 0, 0>>, false},
+          {<<5, 0, 0>>, true},
+          {<<5, 0, 0, 1>>, true},
+          {<<5, 0>>, false}
+        ],
+        do: assert(match?({:ok, _}, check(85, payload)) == ok?)
+  end
+
+  test "what moves channels is marked, in each firmware" do
+    for {firmware, names} <- [betaflight: ["SET_RAW_RC"], inav: ["MSP2_INAV_SET_AUX_RC", "SET_RAW_RC"]] do
+      marked = for %{channels?: true, name: name} <- Messages.all(firmware), do: name
+      assert Enum.sort(marked) == names
+      # Nothing else of that name writes.
+      assert for(%{kind: :write, name: name} <- Messages.all(firmware), name =~ ~r/(RAW|AUX)_RC/, do: name)
+             |> Enum.sort() == names
+    end
   end
 
   test "MULTIPLE_MSP names telemetry only: 4.5.5 set all PIDs to 0 by [202]" do

@@ -84,6 +84,14 @@ defmodule Msp.Polls do
       else: {:at, polls |> Map.values() |> Enum.map(& &1.due) |> Enum.min()}
   end
 
+  @doc "The message that says whether the vehicle is armed, with its arguments; nil once the vehicle has refused it."
+  @spec status(t) :: {String.t(), map} | nil
+  def status(%__MODULE__{polls: polls}),
+    do:
+      Enum.find_value(@status, fn name ->
+        with(%{arguments: arguments} <- polls[name], do: {name, arguments})
+      end)
+
   @doc "Whether one has been due for longer than its own period: whatever else there is to ask has to wait for it."
   @spec late?(t, integer) :: boolean
   def late?(%__MODULE__{polls: polls}, now),

@@ -7,7 +7,8 @@ defmodule Msp.Readings do
   alias Msp.Modes
 
   @typedoc """
-  - `boxes`: permanent ids of the boxes that are on; `arming`: the arming flags; `sensors`: the sensors' bits
+  - `boxes`: permanent ids of the boxes that are on, nil while BOXIDS is not known; `boxes_at`: when it said so;
+    `arming`: the arming flags; `sensors`: the sensors' bits
   - `load`: 0..1
   - `roll`, `pitch`, `yaw`: degrees; `alt_rel`: m above the start; `climb`: m/s
   - `fix`: GPS_FIX_TYPE; `satellites`; `lat`, `lon`: degrees; `alt_msl`: m; `speed`: m/s; `course`: degrees; `dilution`
@@ -21,6 +22,8 @@ defmodule Msp.Readings do
 
   @betaflight_charge %{0 => :ok, 1 => :low, 2 => :critical, 3 => :absent}
   @inav_charge %{0 => :ok, 1 => :low, 2 => :critical, 3 => :absent}
+  # Its place in BOXIDS says which flag means armed.
+  @arm 0
   # SENSOR_STATUS, in the order of the bits of STATUS.
   @inav_sensors [acc: 0, baro: 1, mag: 2, gps: 3, rangefinder: 4, opflow: 5, pitot: 6]
 
@@ -35,7 +38,7 @@ defmodule Msp.Readings do
           do: (sum -> sum + Bitwise.bsl(byte, 32 + 8 * n))
 
     %{
-      boxes: Modes.boxes(flags, ids),
+      boxes: if(@arm in ids, do: Modes.boxes(flags, ids)),
       arming: v[:arming_disable_flags],
       sensors: v[:sensors],
       load: percent(v[:cpu_load])
@@ -44,7 +47,7 @@ defmodule Msp.Readings do
 
   def read(:inav, "MSP2_INAV_STATUS", %{mode_flags: flags} = v, ids) do
     %{
-      boxes: Modes.boxes(flags, ids),
+      boxes: if(@arm in ids, do: Modes.boxes(flags, ids)),
       arming: v[:arming_flags],
       sensors: v[:sensors],
       load: percent(v[:cpu_load])

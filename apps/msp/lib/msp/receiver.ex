@@ -3,9 +3,12 @@ defmodule Msp.Receiver do
   @settle_us 2_200_000
   @arm_us 8_000_000
   @disarm_us 2_000_000
+  # Until a vehicle believes a receiver that is back.
+  @recover_us 5_000_000
   @idle_us 10_000_000
   @steered_us 1_000_000
   @leave_us 2_000_000
+  @paused_us 200_000
 
   @moduledoc """
   The channels of a receiver that a session sends in the place of a transmitter (SET_RAW_RC): the only way to arm over MSP, or to select a mode. A
@@ -17,7 +20,10 @@ defmodule Msp.Receiver do
   - Safe channels come first, for #{@settle_us / 1_000_000} s: sticks in the middle, throttle low, disarmed. The arm switch goes up only if nothing keeps the vehicle from
     being armed and its own report of the channels is what was sent.
   - Who armed it has to steer it. Without sticks for #{div(@steered_us, 1_000_000)} s, or without any for #{div(@idle_us, 1_000_000)} s after it was armed, it is
-    over: on the ground the vehicle is disarmed; in the air the channels stop, so that the vehicle's own failsafe acts, which its owner has configured.
+    over: on the ground the vehicle is disarmed; in the air the channels pause, so that the vehicle's own failsafe
+    acts, which its owner has configured.
+  - Where MSP is the receiver, the next sticks end a pause (`resume/4`), from anyone who may steer, and disarming does
+    not need them.
   - What the vehicle does not confirm is not acknowledged as done.
   """
 
@@ -26,6 +32,8 @@ defmodule Msp.Receiver do
 
   @centre 1500
   @low 1000
+  # iNav's failsafe_stick_threshold is 50.
+  @nudged 1650
   @channels 16
   @msp_override 50
   @rx_msp_feature 14
@@ -35,6 +43,8 @@ defmodule Msp.Receiver do
   @height 1.0
   # How far a channel that the vehicle reports may be from the one that was sent.
   @near 5
+
+  @another "another program sends its channels over MSP"
 
   @enforce_keys [:firmware, :kind, :map, :ranges, :from, :since, :until, :mode, :due]
   defstruct [
@@ -50,6 +60,8 @@ defmodule Msp.Receiver do
     :sticks,
     :pending,
     :leaves,
+    :paused,
+    nudge: false,
     arm: :off,
     overrides: %{}
   ]
@@ -59,11 +71,15 @@ defmodule Msp.Receiver do
   - `from`: the client that steers; `until`: it has to be heard again before that
   - `sticks`: roll, pitch, throttle, yaw in µs, nil for the safe ones; `overrides`: channels by number from 1
   - `arm`: `:off`, `:wanted`, `:raised`, `:on`, `:lowered`; `pending`: the command that waits for it, and until when
-  - `leaves`: when the channels stop, after the vehicle was disarmed
+  - `leaves`: when the channels stop, after the vehicle was disarmed; `paused`: since when none are sent, as nobody
+    steers it
+  - `nudge`: a stick is moved, without which iNav does not leave a failsafe
   """
   @type t :: %__MODULE__{}
   @type facts :: %{
-          armed?: boolean,
+          armed: :armed | :disarmed | :unknown,
+          failsafe?: boolean,
+          lost?: boolean | nil,
           reasons: [String.t()],
           height: number | nil,
           channels: [integer] | nil
@@ -76,22 +92,26 @@ defmodule Msp.Receiver do
 
   @doc """
   Whether the session may send channels: as the receiver, or in place of another one. `config`: `features` of Betaflight, `receiver_type` of iNav; `lost?`:
-  whether the vehicle misses its receiver.
+  whether the vehicle misses its receiver, nil if it does not say. One that is armed, or may be, has to have MSP as its
+  receiver.
   """
-  @spec source(MavCodec.Msp.Guard.target(), map, MapSet.t(byte), lost? :: boolean | nil) ::
+  @spec source(MavCodec.Msp.Guard.target(), map, MapSet.t(byte), facts) ::
           {:ok, :receiver | :override} | {:error, String.t()}
-  def source({firmware, version}, config, boxes, lost?) do
+  def source({firmware, version}, config, boxes, facts) do
     override? = @msp_override in boxes
 
     cond do
-      Modes.armed?(boxes) ->
-        {:error, "it was armed by its pilot, who steers it"}
-
-      receiver?(firmware, config) and lost? == false ->
-        {:error, "another program sends its channels over MSP"}
+      receiver?(firmware, config) and facts.lost? == false ->
+        {:error, @another}
 
       receiver?(firmware, config) ->
         {:ok, :receiver}
+
+      facts.armed == :armed ->
+        {:error, "it was armed by its pilot, whose transmitter is in charge"}
+
+      facts.armed == :unknown ->
+        {:error, "whether it is armed is not known: try again"}
 
       override? and not hands_back?({firmware, version}) ->
         {:error, "Betaflight before 2026.6 keeps the last channels of MSP OVERRIDE for ever if they stop"}
@@ -147,6 +167,23 @@ defmodule Msp.Receiver do
 
   # --- what the client wants
 
+  @doc "Goes on with a vehicle that is armed already, with its arm switch on."
+  @spec take_over(t, integer) :: {:ok, t} | {:error, String.t()}
+  def take_over(receiver, now) do
+    with {:ok, _aux} <- choose(receiver, true), do: {:ok, %{receiver | arm: :on, until: now + @steered_us}}
+  end
+
+  @doc "Sends channels again after a pause, for the client that steers now, unless another program sends them."
+  @spec resume(t, from :: term, facts, integer) :: {:ok, t} | {:error, String.t()}
+  def resume(receiver, from, facts, now) do
+    if another?(receiver, facts, now),
+      do: {:error, @another},
+      else: {:ok, %{receiver | from: from, paused: nil, due: now, until: now + @steered_us}}
+  end
+
+  # What it says of its receiver is of before, at first.
+  defp another?(%{paused: at}, facts, now), do: at != nil and now - at > @steered_us and facts.lost? == false
+
   @doc "Arm, once safe channels were long enough."
   @spec arm(t, command :: term, integer) :: {:ok, t} | {:error, String.t()}
   def arm(%{arm: :on}, _command, _now), do: {:error, "it is armed"}
@@ -170,14 +207,36 @@ defmodule Msp.Receiver do
   @doc "Disarm. `fall?`: even in the air."
   @spec disarm(t, command :: term, facts, fall? :: boolean, integer) :: {:ok, t} | {:error, String.t()}
   def disarm(receiver, command, facts, fall?, now) do
-    if flying?(receiver, facts) and not fall?,
-      do: {:error, "it is in the air"},
-      else:
-        {:ok, %{safe(receiver) | arm: :lowered, pending: {command, now + @disarm_us}, until: now + @idle_us}}
+    cond do
+      another?(receiver, facts, now) ->
+        {:error, @another}
+
+      flying?(receiver, facts) and not fall? ->
+        {:error, airborne(facts)}
+
+      true ->
+        patience = if facts.lost? == false, do: @disarm_us, else: @recover_us
+
+        {:ok,
+         %{
+           safe(receiver)
+           | arm: :lowered,
+             paused: nil,
+             due: min(receiver.due, now),
+             pending: {command, now + patience},
+             until: now + @idle_us
+         }}
+    end
   end
+
+  defp airborne(%{height: nil}), do: "it is in the air, as far as is known: it does not say how high it is"
+  defp airborne(_facts), do: "it is in the air"
 
   @doc "Selects a mode."
   @spec mode(t, byte, integer) :: {:ok, t} | {:error, String.t()}
+  def mode(%{paused: at}, _mode, _now) when at != nil,
+    do: {:error, "nobody steers it: send sticks first"}
+
   def mode(receiver, mode, now) do
     changed = %{receiver | mode: mode}
 
@@ -217,8 +276,10 @@ defmodule Msp.Receiver do
     {:ok, aux} =
       with {:error, _why} <- choose(receiver, receiver.arm in [:raised, :on]), do: {:ok, %{}}
 
+    roll = if receiver.nudge, do: @nudged, else: @centre
+
     all =
-      (receiver.sticks || [@centre, @centre, @low, @centre]) ++
+      (receiver.sticks || [roll, @centre, @low, @centre]) ++
         for n <- 0..(@channels - 5), do: aux[n] || @low
 
     for {us, n} <- Enum.with_index(all, 1), do: Map.get(receiver.overrides, n, us)
@@ -239,12 +300,24 @@ defmodule Msp.Receiver do
   @spec step(t, facts, integer) :: {t, [effect]}
   def step(%{leaves: at} = receiver, _facts, now) when at != nil and now >= at, do: {receiver, [:stop]}
 
+  # The vehicle's failsafe has disarmed it.
+  def step(%{paused: at} = receiver, %{armed: :disarmed}, _now) when at != nil, do: {receiver, [:stop]}
+
+  def step(%{paused: at} = receiver, _facts, now) when at != nil,
+    do: {%{receiver | due: now + @paused_us}, []}
+
   def step(%{until: until} = receiver, facts, now) when now > until do
     cond do
       receiver.leaves ->
         {safe(receiver), []}
 
-      facts.armed? and flying?(receiver, facts) ->
+      flying?(receiver, facts) and receiver.kind == :receiver ->
+        {%{receiver | sticks: nil, overrides: %{}, pending: nil, paused: now, due: now + @paused_us},
+         failed(receiver, "nobody steers it") ++
+           [{:say, "Nobody steers it: channels stopped, so that its failsafe acts; sticks resume them"}]}
+
+      # Its pilot's transmitter has it.
+      flying?(receiver, facts) ->
         {receiver,
          failed(receiver, "nobody steers it") ++
            [{:say, "Nobody steers it: channels stopped, so that its failsafe acts"}, :stop]}
@@ -256,7 +329,9 @@ defmodule Msp.Receiver do
   end
 
   def step(%{arm: :wanted} = receiver, facts, now) do
-    ready? = now - receiver.since >= @settle_us and facts.reasons == [] and seen?(receiver, facts)
+    ready? =
+      now - receiver.since >= @settle_us and facts.armed == :disarmed and facts.reasons == [] and
+        seen?(receiver, facts)
 
     cond do
       ready? -> {%{receiver | arm: :raised}, []}
@@ -267,7 +342,7 @@ defmodule Msp.Receiver do
 
   def step(%{arm: :raised} = receiver, facts, now) do
     cond do
-      facts.armed? ->
+      facts.armed == :armed ->
         {%{receiver | arm: :on, pending: nil, until: longer(receiver, now)}, done(receiver)}
 
       late?(receiver, now) or now - receiver.since > 60 * @arm_us ->
@@ -278,27 +353,27 @@ defmodule Msp.Receiver do
     end
   end
 
-  def step(%{arm: :on} = receiver, %{armed?: false}, now),
+  def step(%{arm: :on} = receiver, %{armed: :disarmed}, now),
     do:
       {%{safe(receiver) | leaves: now + @leave_us},
        [{:say, "It disarmed by itself: its arm switch is off now, channels stop"}]}
 
   def step(%{arm: :lowered} = receiver, facts, now) do
     cond do
-      not facts.armed? ->
+      facts.armed == :disarmed ->
         {%{safe(receiver) | pending: nil, leaves: now + @leave_us}, done(receiver)}
 
       late?(receiver, now) and receiver.pending != nil ->
         {%{receiver | pending: nil}, failed(receiver, "its arm switch is off, but it says that it is armed")}
 
       true ->
-        {receiver, []}
+        {%{receiver | nudge: receiver.firmware == :inav and facts.failsafe?}, []}
     end
   end
 
   def step(receiver, _facts, _now), do: {receiver, []}
 
-  defp safe(receiver), do: %{receiver | arm: :off, sticks: nil, overrides: %{}}
+  defp safe(receiver), do: %{receiver | arm: :off, sticks: nil, overrides: %{}, nudge: false}
 
   # Who steers has to go on with it.
   defp longer(%{sticks: nil, overrides: none} = receiver, now) when none == %{},
@@ -339,6 +414,8 @@ defmodule Msp.Receiver do
   # Betaflight does not say so. What is not known flies.
   defp flying?(receiver, facts) do
     throttle = receiver |> channels() |> Enum.at(2)
-    facts.armed? and (throttle > @idle_throttle or facts.height == nil or abs(facts.height) > @height)
+
+    facts.armed != :disarmed and
+      (throttle > @idle_throttle or facts.height == nil or abs(facts.height) > @height)
   end
 end

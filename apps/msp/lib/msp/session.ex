@@ -55,7 +55,9 @@ defmodule Msp.Session do
     :motors,
     :one_way,
     :ignored_at,
+    :asked_at,
     :up_at,
+    now: 0,
     phase: :closed,
     exchange: Exchange.new(),
     todo: [],
@@ -65,6 +67,7 @@ defmodule Msp.Session do
     ids: [],
     readings: %{},
     tasks: [],
+    still: 1000,
     texts: 0,
     serial: 0,
     unsaved: false,
@@ -77,6 +80,7 @@ defmodule Msp.Session do
 
   @typedoc """
   - `system`: the MAVLink id that the vehicle has
+  - `now`: when its last event was
   - `phase`: `:closed`, `:listening` until `until`, `:identifying`, `:up` since `up_at`
   - `todo`: messages still to be asked; `found`: their answers; `heard`: the last bytes before it was known who is there
   - `boot`: when the vehicle's clock began; `heartbeat`: the last one, and when it was sent
@@ -88,8 +92,9 @@ defmodule Msp.Session do
     wrote the last one, and what came of it
   - `receiver`: the channels that are sent in place of a transmitter's, nil for none
   - `motors`: when those of a test are stopped, and how often they were told to; nil while none turns
-  - `one_way`: whether its motors turn one way only, so that 1000 us stops them; nil until it has said so
-  - `ignored_at`: when a text last said that sticks were ignored
+  - `one_way`: whether its motors turn one way only, so that `still` in µs stops them; nil until it has said so
+  - `ignored_at`: when a text last said that sticks were ignored; `asked_at`: when the vehicle was last asked whether
+    they may take it over
   - `clients`: programs that speak MSP themselves; `told`, `judgements`: what is to be said to them, and asked of the policy
   - `tasks`: what clients asked for that needs the flight controller
   """
@@ -123,30 +128,32 @@ defmodule Msp.Session do
 
   @doc "One step."
   @spec handle(t, event, integer) :: {t, [action]}
-  def handle(%{system: system, clients: clients}, :opened, now),
+  def handle(session, event, now), do: event(%{session | now: now}, event, now)
+
+  defp event(%{system: system, clients: clients}, :opened, now),
     do:
-      {%{new(system) | phase: :listening, until: now + @listen_us, clients: clients},
+      {%{new(system) | now: now, phase: :listening, until: now + @listen_us, clients: clients},
        [{:wake, now + @listen_us}]}
 
-  def handle(session, {:client, id, :up}, now),
+  defp event(session, {:client, id, :up}, now),
     do:
       if(Clients.room?(session),
         do: session |> Clients.up(id, now) |> advance(now),
         else: {session, [{:client, id, :full}]}
       )
 
-  def handle(session, {:client, id, :down}, now), do: session |> Clients.down(id, now) |> advance(now)
-  def handle(session, {:client, id, bytes}, now), do: session |> Clients.bytes(id, bytes, now) |> advance(now)
+  defp event(session, {:client, id, :down}, now), do: session |> Clients.down(id, now) |> advance(now)
+  defp event(session, {:client, id, bytes}, now), do: session |> Clients.bytes(id, bytes, now) |> advance(now)
 
-  def handle(session, {:judged, id, allowed?}, now),
+  defp event(session, {:judged, id, allowed?}, now),
     do: session |> Clients.judged(id, allowed?, now) |> advance(now)
 
-  def handle(session, :closing, _now),
+  defp event(session, :closing, _now),
     do: {%{session | phase: :closed}, Motors.closing(session) ++ Clients.closing(session)}
 
-  def handle(%{phase: :closed} = session, _event, _now), do: {session, []}
+  defp event(%{phase: :closed} = session, _event, _now), do: {session, []}
 
-  def handle(%{phase: :listening} = session, {:bytes, bytes}, _now) do
+  defp event(%{phase: :listening} = session, {:bytes, bytes}, _now) do
     session = Identifying.hear(session, bytes)
 
     case Sniff.classify(session.heard) do
@@ -158,24 +165,24 @@ defmodule Msp.Session do
     end
   end
 
-  def handle(%{phase: :listening, until: until} = session, :tick, now) when now >= until,
+  defp event(%{phase: :listening, until: until} = session, :tick, now) when now >= until,
     do: session |> Identifying.start() |> proceed(now)
 
-  def handle(%{phase: :listening} = session, _event, _now), do: {session, [{:wake, session.until}]}
+  defp event(%{phase: :listening} = session, _event, _now), do: {session, [{:wake, session.until}]}
 
-  def handle(session, {:bytes, bytes}, now) do
+  defp event(session, {:bytes, bytes}, now) do
     session = if session.identity, do: session, else: Identifying.hear(session, bytes)
     {answers, exchange} = Exchange.push(session.exchange, bytes, now)
     {next, actions} = answered(%{session | exchange: exchange}, answers, now)
     {next, damage(Exchange.counters(session.exchange), Exchange.counters(exchange)) ++ actions}
   end
 
-  def handle(session, {:mavlink, bytes}, now) do
+  defp event(session, {:mavlink, bytes}, now) do
     {frames, parser} = MavCodec.Parser.push(session.parser, bytes, now)
     frames |> Enum.reduce(%{session | parser: parser}, &Commands.frame(&2, &1, now)) |> proceed(now)
   end
 
-  def handle(session, :tick, now) do
+  defp event(session, :tick, now) do
     with {:timeout, tag, answers, exchange} <- Exchange.expire(session.exchange, now),
          {:ok, session} <- timeout(%{session | exchange: exchange}, tag, now) do
       answered(session, answers, now)

@@ -176,6 +176,31 @@ defmodule Msp.ClientsTest do
     assert line.judged == []
   end
 
+  test "channels are not for programs, by whichever message, armed or not" do
+    {answer, change, _state} = Simulated.controller(:inav, rx_msp: true)
+    change.(&%{&1 | version: {9, 1}, blocks: Map.put(&1.blocks, 3, <<9, 1, 0>>)})
+    line = Line.open(fn bytes, us -> with("" <- answer.(bytes, us), do: nil) end)
+    line = line |> Line.run(7 * @second) |> program(1)
+    line = ask(line, 1, [v2(0x2230, <<0, 0xFF, 0xFF>>), v1(200, :binary.copy(<<0xDC, 5>>, 16))], 1)
+    assert [%{id: 0x2230, direction: :error}, %{id: 200, direction: :error}] = got(line, 1)
+    assert sent(line, 0x2230) == [] and line.judged == []
+    assert notes(line) =~ "MSP2_INAV_SET_AUX_RC is not for programs"
+  end
+
+  test "a program's write that waits while the vehicle is armed is not sent" do
+    {line, change, state} = up(:betaflight)
+    before = state.().blocks[64]
+    # All in one packet, the arming between them and the next STATUS.
+    change.(&%{Firmware.sticks(&1, [1500, 1500, 1000, 1500, 1900]) | armed: true})
+    line = Line.run(line, 400_000)
+    line = ask(line, 1, List.duplicate(v1(65, <<1, 0, 2, 3, 4, 5, 6, 7>>), 3), 2)
+    assert state.().armed and state.().blocks[64] == before
+    assert sent(line, 65) == []
+    # A log's memory is not read from one either.
+    line = ask(line, 1, v1(71, <<0::32, 16, 0, 0>>), 1)
+    assert sent(line, 71) == []
+  end
+
   test "arming that a program disabled is enabled when it is gone, but not while another one wants it so" do
     {line, _change, state} = up(:betaflight)
     line = line |> program(2) |> ask(1, v1(99, <<1, 0>>)) |> ask(2, v1(99, <<1, 0>>))
@@ -203,15 +228,17 @@ defmodule Msp.ClientsTest do
 
   test "motors that a program turned are stopped when it is gone, and when it says nothing of them for ten seconds" do
     motors = fn state -> for(<<us::16-little <- state.().blocks[104]>>, do: us) end
-    on = v1(214, <<1200::16-little>> <> :binary.copy(<<1000::16-little>>, 7))
 
-    for ending <- [
+    for firmware <- [:betaflight, :inav],
+        # With DSHOT each value above the one that stops turns a motor.
+        us <- [1001, 1045, 1200],
+        ending <- [
           &(&1 |> Line.handle({:client, 1, :down}) |> Line.run(@second)),
           &Line.run(&1, 12 * @second)
         ] do
-      {line, _change, state} = up(:betaflight)
-      line = ask(line, 1, on)
-      assert Enum.max(motors.(state)) == 1200
+      {line, _change, state} = up(firmware)
+      line = ask(line, 1, v1(214, <<us::16-little>> <> :binary.copy(<<1000::16-little>>, 7)))
+      assert Enum.max(motors.(state)) == us
       ending.(line)
       assert Enum.max(motors.(state)) == 1000
     end

@@ -47,6 +47,20 @@ defmodule Msp.SticksTest do
   defp sticks(line, throttle, system \\ @client),
     do: send_mavlink(line, %M.ManualControl{target: 42, z: throttle, x: 0, y: 0, r: 0}, system)
 
+  # Armed and steered, some metres up.
+  defp flying(firmware) do
+    {line, change, state} = up(firmware, rx_msp: true)
+    line = line |> command(@arm, [1, 0]) |> Line.run(4 * @second) |> steer(2, 900)
+    assert state.().armed and state.().flight.alt > 3
+    {line, change, state}
+  end
+
+  # A new session at the same vehicle.
+  defp reopened(line, change) do
+    change.(&%{&1 | ports: Map.new(&1.ports, fn {id, _port} -> {id, %SimVehicle.Msp.Port{}} end)})
+    Line.open(line.answer, now: line.now) |> Line.run(3 * @second)
+  end
+
   # A client that steers, ten times a second.
   defp steer(line, seconds, throttle),
     do:
@@ -115,6 +129,70 @@ defmodule Msp.SticksTest do
       assert 27 in state.().boxes or not state.().armed
       # The failsafe is the vehicle's, and it is told.
       assert notes(line) =~ "ailsafe"
+    end
+
+    test "#{firmware}: sticks that come back have the vehicle again before its failsafe acts" do
+      {line, _change, state} = flying(unquote(firmware))
+      line = Line.run(line, 1_200_000)
+      assert state.().armed
+      assert notes(line) =~ "Nobody steers it: channels stopped"
+      height = state.().flight.alt
+      line = steer(line, 3, 800)
+      assert notes(line) =~ "Sticks are back"
+      assert state.().armed and state.().flight.alt > height
+      # The new ones hold for a second again, and whoever they are from.
+      line = Line.run(line, 1_200_000)
+      line = line |> sticks(800, 240) |> Line.run(200_000)
+      assert {_at, [_, _, 1800 | _]} = List.last(raw(line))
+      line = line |> sticks(300) |> Line.run(200_000)
+      assert {_at, [_, _, 1800 | _]} = List.last(raw(line))
+    end
+
+    test "#{firmware}: while nobody steers it is disarmed by force in the air, and without on the ground, by anybody" do
+      for {down, force, result} <- [{0, 21_196, @accepted}, {0, 0, @denied}, {100.0, 0, @accepted}] do
+        {line, change, state} = flying(unquote(firmware))
+        line = Line.run(line, 1_100_000)
+        low = &%{&1.receiver | msp: List.replace_at(&1.receiver.msp, 2, 1000)}
+
+        change.(
+          &%{
+            &1
+            | flight: %{&1.flight | alt: max(&1.flight.alt - down, 0.0)},
+              receiver: low.(&1),
+              rc_at: &1.now
+          }
+        )
+
+        line = Line.run(line, 600_000)
+        line = command(line, @arm, [0, force], 240)
+        assert state.().armed or result == @accepted
+        line = if result == @denied, do: line, else: Line.run(line, @second)
+        assert List.last(acks(line, @arm)) == result
+        assert state.().armed == (result == @denied)
+        refute notes(line) =~ "transmitter"
+      end
+    end
+
+    test "#{firmware}: a session that finds the vehicle armed and nobody steering has it by sticks, and disarms it" do
+      for end_by <- [:sticks, :force] do
+        {line, change, state} = flying(unquote(firmware))
+        # Another life of the gateway; the failsafe does not end it, but it comes down.
+        change.(&%{&1 | rc_at: &1.now + 5 * @second})
+        line = reopened(line, change)
+        change.(&%{&1 | rc_at: &1.now - 300_000})
+        line = Line.run(line, 300_000)
+        assert state.().armed
+
+        if end_by == :sticks do
+          line = steer(line, 2, 800)
+          assert {_at, [_, _, 1800 | _]} = List.last(raw(line))
+          assert state.().armed
+        else
+          line = line |> command(@arm, [0, 21_196], 240) |> Line.run(2 * @second)
+          assert List.last(acks(line, @arm)) == @accepted
+          refute state.().armed
+        end
+      end
     end
 
     test "#{firmware}: what keeps it from being armed is said, and its switch stays off" do
@@ -283,11 +361,40 @@ defmodule Msp.SticksTest do
       assert [{_at, last} | _] = line.written
       assert <<"$M<", 16, 214, _::binary>> = last
       # Another session, as after kill -9 of the gateway.
-      {answer, change, state} = Simulated.controller(:betaflight)
-      change.(&%{&1 | blocks: Map.put(&1.blocks, 104, <<1400::16-little, 1000::16-little, 0::96>>)})
-      line = Line.open(fn bytes, us -> with("" <- answer.(bytes, us), do: nil) end) |> Line.run(4 * @second)
-      assert Enum.max(motors(state)) == 1000
-      assert notes(line) =~ "somebody left them on"
+      for firmware <- [:betaflight, :inav], us <- [1001, 1045, 1400] do
+        {answer, change, state} = Simulated.controller(firmware)
+        change.(&%{&1 | blocks: Map.put(&1.blocks, 104, <<us::16-little, 1000::16-little, 0::96>>)})
+        line = Line.open(fn bytes, us -> with("" <- answer.(bytes, us), do: nil) end) |> Line.run(4 * @second)
+        assert Enum.max(motors(state)) == 1000
+        assert notes(line) =~ "somebody left them on"
+      end
+    end
+
+    test "the value that stops iNav's motors is its min_command" do
+      {answer, change, state} = Simulated.controller(:inav)
+      {:ok, misc} = MavCodec.Msp.Messages.fetch(:inav, "MSP2_INAV_MISC")
+      block = state.().blocks[misc.id]
+      {:ok, values} = MavCodec.Msp.Payload.decode(misc.reply, block, {9, 0})
+      {:ok, block} = MavCodec.Msp.Payload.encode(misc.reply, %{values | min_command: 1050}, {9, 0})
+      still = :binary.copy(<<1050::16-little>>, 4) <> <<0::64>>
+      change.(&%{&1 | blocks: Map.merge(&1.blocks, %{misc.id => block, 104 => still})})
+      line = Line.open(fn bytes, us -> with("" <- answer.(bytes, us), do: nil) end) |> Line.run(7 * @second)
+      refute notes(line) =~ "left them on"
+      line = command(line, @motor_test, [2, 0, 10, 1])
+      assert [1050, 1100, 1050, 1050 | _] = motors(state)
+      _line = Line.run(line, 2 * @second)
+      assert [1050, 1050, 1050, 1050 | _] = motors(state)
+    end
+
+    test "motors that were set before it was armed are stopped once it is disarmed" do
+      {line, change, state} = up(:betaflight, [])
+      line = command(line, @motor_test, [1, 0, 4, 0.5])
+      change.(&%{Firmware.sticks(&1, [1500, 1500, 1000, 1500, 1900]) | armed: true})
+      line = Line.run(line, 3 * @second)
+      assert state.().armed and Enum.max(motors(state)) == 1040
+      change.(&Firmware.sticks(&1, [1500, 1500, 1000, 1500, 1000]))
+      _line = Line.run(line, 2 * @second)
+      assert not state.().armed and Enum.max(motors(state)) == 1000
     end
 
     test "a stop that is lost is repeated until the motors stand still" do

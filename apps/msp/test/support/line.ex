@@ -32,7 +32,7 @@ defmodule Msp.Test.Line do
     line =
       struct!(
         %__MODULE__{session: Session.new(options[:system] || 42), answer: answer},
-        Keyword.take(options, [:delay, :judge, :record])
+        Keyword.take(options, [:delay, :judge, :record, :now])
       )
 
     handle(line, :opened)

@@ -24,6 +24,7 @@ defmodule Msp.Session.Asking do
   def next(session, now) do
     case if(Polls.late?(session.polls, now), do: {:none, session}, else: first(session)) do
       {:none, session} -> poll(session, now)
+      {:look, session} -> poll(session, Polls.status(session.polls), now)
       {{:ask, task, frame, patience}, session} -> send_if_ready(session, {:task, task}, frame, now, patience)
     end
   end
@@ -35,22 +36,29 @@ defmodule Msp.Session.Asking do
   defp poll(session, now) do
     case Polls.next(session.polls, now) do
       {:ask, name, arguments} ->
-        {:ok, frame} = MavCodec.Msp.request(Identifying.target(session), name, arguments)
-        {session, written} = send_if_ready(session, {:poll, name}, frame, now, 0)
-
-        if written == [],
-          do: {session, []},
-          else: {%{session | polls: Polls.asked(session.polls, name, now)}, written}
+        poll(session, {name, arguments}, now)
 
       _nothing_due ->
         case Tasks.next(session, :bulk) do
           {:none, session} ->
             {session, []}
 
+          {:look, session} ->
+            poll(session, Polls.status(session.polls), now)
+
           {{:ask, task, frame, patience}, session} ->
             send_if_ready(session, {:task, task}, frame, now, patience)
         end
     end
+  end
+
+  defp poll(session, {name, arguments}, now) do
+    {:ok, frame} = MavCodec.Msp.request(Identifying.target(session), name, arguments)
+    {session, written} = send_if_ready(session, {:poll, name}, frame, now, 0)
+
+    if written == [],
+      do: {session, []},
+      else: {%{session | polls: Polls.asked(session.polls, name, now)}, written}
   end
 
   defp send_if_ready(session, tag, frame, now, patience) do

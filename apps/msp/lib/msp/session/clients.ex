@@ -16,14 +16,13 @@ defmodule Msp.Session.Clients do
   @behaviour Msp.Session.Tasks
 
   alias MavCodec.Msp.{Frame, Guard, Parser}
-  alias Msp.{Identity, Meaning, Modes, Session}
+  alias Msp.{Identity, Meaning, Session}
   alias Msp.Session.{Motors, Output, Tasks}
+  alias Msp.Session.Tasks.Armed
 
   @arming_disabled 99
-  @set_raw_rc 200
   @set_motor 214
   @reboot 68
-  @still 1050
   @notice 5
   # Writing the EEPROM takes up to two seconds.
   @slow_us 5_000_000
@@ -140,18 +139,17 @@ defmodule Msp.Session.Clients do
   # As a flight controller that does not answer yet.
   defp begin(session, id, _frame, now), do: session |> update(id, &%{&1 | busy: false}) |> next(id, now)
 
-  defp allowed(_session, _message, %{id: @set_raw_rc}),
-    do: {:error, "SET_RAW_RC is not for programs: arm and manual_control send channels, with a dead-man"}
+  defp allowed(_session, %{channels?: true, name: name}, _frame),
+    do: {:error, "#{name} is not for programs: arm and manual_control send channels, with a dead-man"}
 
   # What stops a motor that turns both ways is another value, so it could not be stopped for a program that is gone.
   defp allowed(%{one_way: one_way}, _message, %{id: @set_motor}) when one_way != true,
     do: {:error, "SET_MOTOR refused: its motors turn both ways, or it has not said yet that they do not"}
 
   defp allowed(session, message, frame) do
-    if message.armed != :yes and not Meaning.reads?(message, frame) and
-         Modes.armed?(session.readings[:boxes] || MapSet.new()),
-       do: {:error, "#{message.name} refused: it is armed"},
-       else: :ok
+    if Armed.only_disarmed?(message, frame) and Armed.early(session) != nil,
+      do: {:error, "#{message.name} refused: #{Armed.early(session)}"},
+      else: :ok
   end
 
   # The caller asks the policy and answers with `judged/4`.
@@ -183,7 +181,7 @@ defmodule Msp.Session.Clients do
   end
 
   defp write(session, id, %{id: @set_motor, payload: payload} = frame, now) do
-    turning? = Enum.any?(for(<<us::16-little <- payload>>, do: us), &(&1 > @still))
+    turning? = Motors.turn?(session, for(<<us::16-little <- payload>>, do: us))
     session = update(session, id, &%{&1 | motors: turning?})
     session |> Motors.until(if(turning?, do: now + @silent_us, else: now)) |> ask(id, frame)
   end
@@ -216,8 +214,8 @@ defmodule Msp.Session.Clients do
       :refused ->
         over(session, id, frame, :refused, now)
 
-      {:unfit, _why} ->
-        over(session, id, frame, :refused, now)
+      {kind, why} when kind in [:denied, :unfit] ->
+        session |> Output.text(@notice, "Program #{id}: #{why}") |> over(id, frame, :refused, now)
 
       # It asks again by itself.
       :timeout ->

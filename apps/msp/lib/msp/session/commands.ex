@@ -12,8 +12,9 @@ defmodule Msp.Session.Commands do
   alias MavCodec.Enums.MavCmd
   alias MavCodec.Messages, as: M
   alias MavCodec.Msp.Messages
-  alias Msp.{Modes, Polls, Session}
+  alias Msp.{Polls, Session}
   alias Msp.Session.{Missions, Motors, Output, Params, Places, Requests, Sticks, Tasks}
+  alias Msp.Session.Tasks.Armed
 
   @command_long M.CommandLong.id()
   @command_int M.CommandInt.id()
@@ -106,8 +107,9 @@ defmodule Msp.Session.Commands do
   end
 
   # Until the gateway knows which firmware it is, its policy does not ask for what that needs.
-  defp command(%{up_at: at} = session, name, command, from, now)
-       when name in [:COMPONENT_ARM_DISARM, :DO_SET_MODE, :DO_MOTOR_TEST] and now - at < @known_us,
+  defp command(%{up_at: at} = session, name, %{param1: p} = command, from, now)
+       when name in [:COMPONENT_ARM_DISARM, :DO_SET_MODE, :DO_MOTOR_TEST] and now - at < @known_us and
+              not (name == :COMPONENT_ARM_DISARM and p == 0.0),
        do:
          session
          |> Output.text(
@@ -150,10 +152,8 @@ defmodule Msp.Session.Commands do
       not Tasks.room?(session) ->
         Output.acknowledge(session, command, from, :TEMPORARILY_REJECTED)
 
-      message.armed != :yes and Modes.armed?(session.readings[:boxes] || MapSet.new()) ->
-        session
-        |> Output.acknowledge(command, from, :DENIED)
-        |> Output.text(@notice, "#{name} refused: it is armed")
+      message.armed != :yes and Armed.early(session) != nil ->
+        denied(session, name, command, from, Armed.early(session))
 
       true ->
         Tasks.add(session, %{
@@ -164,6 +164,12 @@ defmodule Msp.Session.Commands do
         })
     end
   end
+
+  defp denied(session, name, command, from, why),
+    do:
+      session
+      |> Output.acknowledge(command, from, :DENIED)
+      |> Output.text(@notice, "#{name} refused: #{why}")
 
   # Its argument means nothing.
   defp values("WP_MISSION_SAVE"), do: %{mission: 0}
@@ -176,6 +182,7 @@ defmodule Msp.Session.Commands do
     case answer do
       {:ok, _values} -> session |> Output.acknowledge(command, from, :ACCEPTED) |> done(name, now)
       :refused -> Output.acknowledge(session, command, from, :FAILED)
+      {:denied, why} -> denied(session, name, command, from, why)
       # This version does not have it.
       {:unfit, _why} -> Output.acknowledge(session, command, from, :UNSUPPORTED)
       :timeout -> session

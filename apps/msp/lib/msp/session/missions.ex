@@ -16,8 +16,9 @@ defmodule Msp.Session.Missions do
 
   alias MavCodec.Enums.MavMissionResult
   alias MavCodec.Messages, as: M
-  alias Msp.{Mission, Modes, Session}
+  alias Msp.{Mission, Session}
   alias Msp.Session.{Output, Tasks}
+  alias Msp.Session.Tasks.Armed
 
   @handled [
     M.MissionRequestList,
@@ -141,7 +142,7 @@ defmodule Msp.Session.Missions do
 
   defp refusal(session, from, now) do
     cond do
-      Modes.armed?(session.readings[:boxes] || MapSet.new()) -> {:DENIED, "it is armed"}
+      Armed.early(session) != nil -> {:DENIED, Armed.early(session)}
       session.upload == nil -> if(not Tasks.room?(session), do: {:DENIED, "it is busy"})
       session.upload.items == :writing -> {:DENIED, "another one is being written"}
       # One that its client has given up.
@@ -158,7 +159,7 @@ defmodule Msp.Session.Missions do
 
   defp complete(%{upload: %{from: from}} = session, items, now) do
     # It may have been armed since.
-    with nil <- if(Modes.armed?(session.readings[:boxes] || MapSet.new()), do: {:denied, "it is armed"}),
+    with {:armed, nil} <- {:armed, Armed.early(session)},
          {:ok, [first | rest] = waypoints} <- Mission.waypoints(items) do
       task = %{kind: __MODULE__, what: :write, from: from, tries: 0, waypoints: waypoints, rest: rest, at: 1}
 
@@ -167,7 +168,7 @@ defmodule Msp.Session.Missions do
         Map.put(task, :ask, {"SET_WP", first})
       )
     else
-      {:denied, why} -> ended(session, from, :DENIED, why)
+      {:armed, why} -> ended(session, from, :DENIED, why)
       {:error, {:unsupported, why}} -> ended(session, from, :UNSUPPORTED, why)
       {:error, {:frame, why}} -> ended(session, from, :UNSUPPORTED_FRAME, why)
       {:error, {:invalid, why}} -> ended(session, from, :INVALID, why)
@@ -204,6 +205,9 @@ defmodule Msp.Session.Missions do
 
   defp step(session, %{what: :write, rest: []} = task, {:ok, _acknowledged}),
     do: Tasks.ask_next(session, task, Map.merge(reading(:check, task.from), %{tries: 0}))
+
+  defp step(session, %{what: :write, at: 1} = task, {:denied, why}),
+    do: session |> Tasks.done(task) |> ended(task.from, :DENIED, why)
 
   defp step(session, %{what: :write} = task, answer),
     do:
@@ -283,6 +287,7 @@ defmodule Msp.Session.Missions do
 
   defp why(:timeout), do: "was not answered"
   defp why(:refused), do: "was refused"
+  defp why({:denied, why}), do: "was not written: #{why}"
   defp why({:unfit, why}), do: "cannot be sent: #{why}"
   defp why(_other), do: "got another answer"
 

@@ -6,19 +6,23 @@ defmodule Msp.Session.Motors do
   Motors that turn without the vehicle being armed: DO_MOTOR_TEST, for #{div(@longest_us, 1_000_000)} s at most, one motor at a time.
 
   Firmware lets a motor run until it is told otherwise, also when nobody is there any more. So all are stopped when the time is over, when the
-  line is closed in order, and when a vehicle is found whose motors turn although it is disarmed: somebody left them on. Stopping is written
-  every #{div(@again_us, 1000)} ms until the vehicle says that they stand still. Vehicles whose motors turn both ways are left alone: the value that stops them is another
-  one.
+  line is closed in order, and when a vehicle is found whose motors turn although it is not armed: somebody left them
+  on. Stopping is written
+  every #{div(@again_us, 1000)} ms until the vehicle says that they stand still; while it is armed its motors are its
+  own, and stopping goes on afterwards. Vehicles whose
+  motors turn both ways are left alone: the value that stops them is another one.
+
+  A motor stands still at the value that stops it and at no other: with DSHOT each value above turns it. That is 1000,
+  and with iNav its `min_command`.
   """
   @behaviour Msp.Session.Tasks
 
   alias MavCodec.Msp.Frame
-  alias Msp.{Identity, Modes, Session}
+  alias Msp.{Identity, Session}
   alias Msp.Session.{Output, Tasks}
+  alias Msp.Session.Tasks.Armed
 
   @stop 1000
-  # A motor that is said to be slower stands still.
-  @still 1050
   @motors 8
   @both_ways 12
   @percent 0
@@ -40,7 +44,7 @@ defmodule Msp.Session.Motors do
           percent > 100 ->
         Output.acknowledge(session, command, from, :DENIED)
 
-      Modes.armed?(session.readings[:boxes] || MapSet.new()) or session.receiver != nil ->
+      Armed.early(session) != nil or session.receiver != nil ->
         refuse(session, command, from, "it is armed, or about to be")
 
       us > @longest_us ->
@@ -84,15 +88,32 @@ defmodule Msp.Session.Motors do
   def answer(session, %{ask: {_feature, _}} = task, {:ok, %{features: features}}, _now) do
     session = %{session | one_way: Bitwise.band(features, Bitwise.bsl(1, @both_ways)) == 0}
 
-    if session.one_way,
-      do: Tasks.ask_next(session, task, %{tries: 0, ask: {"MOTOR", %{}}}),
-      else: ended(session, task, "its motors turn both ways")
+    cond do
+      not session.one_way ->
+        ended(session, task, "its motors turn both ways")
+
+      session.identity.firmware == :inav ->
+        Tasks.ask_next(session, task, %{tries: 0, ask: {"MSP2_INAV_MISC", %{}}})
+
+      true ->
+        motors(%{session | still: @stop}, task)
+    end
   end
+
+  def answer(session, %{ask: {"MSP2_INAV_MISC", _}} = task, answer, _now) do
+    still = with {:ok, %{min_command: us}} <- answer, do: us, else: (_unknown -> @stop)
+    motors(%{session | still: still}, task)
+  end
+
+  def answer(session, %{what: :run} = task, {:denied, why}, _now),
+    do: %{session | motors: nil} |> Tasks.done(task) |> refuse(task.command, task.from, why)
 
   def answer(session, %{what: :run} = task, _none, _now),
     do: session |> ended(task, "whether the motor turned is not known") |> stop()
 
   def answer(session, task, _none, _now), do: ended(session, task, "it does not say how its motors are")
+
+  defp motors(session, task), do: Tasks.ask_next(session, task, %{tries: 0, ask: {"MOTOR", %{}}})
 
   defp ended(session, %{what: :test} = task, why),
     do: session |> Tasks.done(task) |> refuse(task.command, task.from, why)
@@ -109,7 +130,7 @@ defmodule Msp.Session.Motors do
 
   defp turning(session, %{what: :test} = task, values, now) do
     cond do
-      Enum.any?(values, &(&1 > @still)) ->
+      turn?(session, values) ->
         session
         |> Tasks.done(task)
         |> left_on(now)
@@ -119,7 +140,7 @@ defmodule Msp.Session.Motors do
         ended(session, task, "it has no motor #{task.motor}")
 
       true ->
-        entries = for n <- 1..@motors, do: %{motor: if(n == task.motor, do: task.value, else: @stop)}
+        entries = for n <- 1..@motors, do: %{motor: if(n == task.motor, do: task.value, else: session.still)}
 
         Tasks.ask_next(%{session | motors: %{due: now + task.us, stops: 0}}, task, %{
           what: :run,
@@ -130,24 +151,27 @@ defmodule Msp.Session.Motors do
 
   defp turning(session, %{what: :found} = task, values, now) do
     session = Tasks.done(session, task)
-    disarmed? = not Modes.armed?(session.readings[:boxes] || MapSet.new())
 
-    if disarmed? and session.readings[:boxes] != nil and Enum.any?(values, &(&1 > @still)),
+    if Armed.state(session) != :armed and turn?(session, values),
       do: left_on(session, now),
       else: session
   end
 
   defp turning(session, %{what: :stopping} = task, values, _now) do
     session = Tasks.done(session, task)
-    if Enum.any?(values, &(&1 > @still)), do: session, else: %{session | motors: nil}
+    if turn?(session, values), do: session, else: %{session | motors: nil}
   end
+
+  @doc "Whether one of these motors turns, by its value. 0 is a motor that is not there."
+  @spec turn?(Session.t(), [non_neg_integer]) :: boolean
+  def turn?(%{still: still}, values), do: Enum.any?(values, &(&1 not in [0, still]))
 
   defp left_on(session, now),
     do:
       Output.text(
         %{session | motors: %{due: now, stops: 0}},
         @critical,
-        "Motors turned although it was disarmed: somebody left them on, and they are stopped"
+        "Motors turned although it was not armed: somebody left them on, and they are stopped"
       )
 
   @doc "Stops them at once, before anything else."
@@ -163,9 +187,9 @@ defmodule Msp.Session.Motors do
   @spec due(Session.t(), integer) :: {Session.t(), [{:write, binary}]}
   def due(%{motors: %{due: due, stops: stops}, phase: :up} = session, now) when now >= due do
     cond do
-      # It is armed now: the motors are its own.
-      Modes.armed?(session.readings[:boxes] || MapSet.new()) ->
-        {%{session | motors: nil}, []}
+      # Its motors are its own now. Those that were set turn again once it is disarmed.
+      Armed.state(session) == :armed ->
+        {%{session | motors: %{due: now + @again_us, stops: 0}}, []}
 
       stops >= @most_stops ->
         {Output.text(
@@ -203,7 +227,7 @@ defmodule Msp.Session.Motors do
   def closing(_session), do: []
 
   defp stop_frame(session) do
-    entries = List.duplicate(%{motor: @stop}, @motors)
+    entries = List.duplicate(%{motor: session.still}, @motors)
     {:ok, frame} = MavCodec.Msp.request(Identity.target(session.identity), "SET_MOTOR", %{entries: entries})
     IO.iodata_to_binary(Frame.encode(frame))
   end

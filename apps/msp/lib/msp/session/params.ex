@@ -11,9 +11,10 @@ defmodule Msp.Session.Params do
 
   alias MavCodec.Messages, as: M
   alias MavCodec.Msp.Params
-  alias Msp.{Modes, Session}
+  alias Msp.Session
   alias Msp.Params.Line
   alias Msp.Session.{Output, Tasks}
+  alias Msp.Session.Tasks.Armed
   alias Msp.Session.Params.{Answers, Blocks, Lines, ReadAll, Settings}
 
   @messages [M.ParamRequestList.id(), M.ParamRequestRead.id(), M.ParamSet.id()]
@@ -62,10 +63,10 @@ defmodule Msp.Session.Params do
       not is_number(value) ->
         Answers.error(session, name, nil, :out_of_range, from)
 
-      Modes.armed?(session.readings[:boxes] || MapSet.new()) ->
+      Armed.early(session) != nil ->
         session
         |> Answers.error(name, nil, :denied, from)
-        |> Output.text(@notice, "#{full(session, name)} not set: it is armed")
+        |> Output.text(@notice, "#{full(session, name)} not set: #{Armed.early(session)}")
 
       true ->
         begin(session, %{what: :set, name: full(session, name), value: value, from: from})
@@ -117,6 +118,10 @@ defmodule Msp.Session.Params do
 
   # Whether it was set is not known.
   def answer(session, task, :timeout, _now), do: Tasks.done(session, task)
+
+  def answer(session, task, {:denied, why}, _now),
+    do: Answers.refuse(session, task, :denied, "not set: " <> why)
+
   def answer(session, task, {:unfit, why}, _now), do: Answers.refuse(session, task, :denied, why)
   def answer(session, task, answer, _now), do: task.by.answer(session, %{task | tries: 0}, answer)
 

@@ -21,7 +21,7 @@ defmodule Msp.Session.Reports do
   def polled(session, "BOXIDS", values, _now), do: %{session | ids: ids(values)}
 
   def polled(session, name, values, now) do
-    readings = Readings.read(session.identity.firmware, name, values, session.ids)
+    readings = session.identity.firmware |> Readings.read(name, values, session.ids) |> dated(now)
 
     if readings == %{} do
       session
@@ -36,6 +36,11 @@ defmodule Msp.Session.Reports do
       |> navigation(before)
     end
   end
+
+  # Flags whose meaning is not known say nothing.
+  defp dated(%{boxes: nil}, _now), do: %{}
+  defp dated(%{boxes: _known} = readings, now), do: Map.put(readings, :boxes_at, now)
+  defp dated(readings, _now), do: readings
 
   # Another program, or the pilot, may have changed it.
   defp mission(%{mission: %{waypoints: known}, readings: %{waypoints: count}} = session, "WP_GETINFO")

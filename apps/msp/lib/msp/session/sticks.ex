@@ -11,6 +11,7 @@ defmodule Msp.Session.Sticks do
   alias MavCodec.Msp.Frame
   alias Msp.{Arming, Identity, Modes, Receiver, Session}
   alias Msp.Session.{Output, Tasks}
+  alias Msp.Session.Tasks.Armed
 
   @manual M.ManualControl.id()
   @override M.RcChannelsOverride.id()
@@ -22,6 +23,9 @@ defmodule Msp.Session.Sticks do
   # After the first time.
   @tries 2
   @say_us 10_000_000
+  # How often sticks ask whether they may take a vehicle over.
+  @ask_us 1_000_000
+  @unarmed "no channels are sent over MSP before it is armed that way"
   # RC_CHANNELS_OVERRIDE: left alone, given back.
   @leave 65_535
   @release 65_534
@@ -39,16 +43,12 @@ defmodule Msp.Session.Sticks do
           integer
         ) ::
           Session.t()
-  def command(%{receiver: nil} = session, want, command, from, _now)
-      when want in [:disarm, {:disarm, :force}] do
-    # There is nothing to do.
-    if Modes.armed?(session.readings[:boxes] || MapSet.new([0])),
-      do: refuse(session, command, from, "its pilot's transmitter is in charge"),
-      else: Output.acknowledge(session, command, from, :ACCEPTED)
-  end
-
   def command(%{receiver: nil} = session, want, command, from, _now) do
     cond do
+      # There is nothing to do.
+      want in [:disarm, {:disarm, :force}] and Armed.state(session) == :disarmed ->
+        Output.acknowledge(session, command, from, :ACCEPTED)
+
       Enum.any?(session.tasks, &match?(%{kind: __MODULE__, command: ^command, from: ^from}, &1)) ->
         Output.acknowledge(session, command, from, :IN_PROGRESS)
 
@@ -59,20 +59,7 @@ defmodule Msp.Session.Sticks do
         Output.acknowledge(session, command, from, :TEMPORARILY_REJECTED)
 
       true ->
-        [first | asks] = asks(session.identity.firmware)
-
-        task = %{
-          kind: __MODULE__,
-          command: command,
-          from: from,
-          want: want,
-          got: %{},
-          asks: asks,
-          tries: 0,
-          ask: first
-        }
-
-        session |> Output.acknowledge(command, from, :IN_PROGRESS) |> Tasks.add(task)
+        session |> Output.acknowledge(command, from, :IN_PROGRESS) |> look(want, command, from)
     end
   end
 
@@ -93,7 +80,7 @@ defmodule Msp.Session.Sticks do
       case want do
         :disarm -> Receiver.disarm(receiver, {command, from}, facts(session), false, now)
         {:disarm, :force} -> Receiver.disarm(receiver, {command, from}, facts(session), true, now)
-        _other when not mine? -> {:error, "another client steers it"}
+        _other when not mine? and receiver.paused == nil -> {:error, "another client steers it"}
         :arm -> Receiver.arm(receiver, {command, from}, now)
         {:mode, mode} -> Receiver.mode(receiver, mode, now)
       end
@@ -110,31 +97,89 @@ defmodule Msp.Session.Sticks do
     end
   end
 
-  @doc "A message of sticks. One of a client that does not steer is ignored, and a text says so now and then."
+  defp look(session, want, command, from) do
+    [first | asks] = asks(session.identity.firmware)
+
+    Tasks.add(session, %{
+      kind: __MODULE__,
+      command: command,
+      from: from,
+      want: want,
+      got: %{},
+      asks: asks,
+      tries: 0,
+      ask: first
+    })
+  end
+
+  @doc """
+  A message of sticks. Those of an armed vehicle that nobody steers take it over, where MSP is its receiver. One of a
+  client that does not steer is
+  ignored, and a text says so now and then.
+  """
   @spec message(Session.t(), struct, {byte, byte}, integer) :: Session.t()
   def message(%{receiver: %{from: from} = receiver, system: system} = session, message, from, now) do
-    case message do
-      %M.ManualControl{target: ^system} ->
-        %{session | receiver: Receiver.steer(receiver, sticks(message), now)}
-
-      %M.RcChannelsOverride{target_system: ^system} ->
-        %{session | receiver: override(receiver, message, now)}
-
-      _for_another ->
+    cond do
+      not ours?(message, system) ->
         session
+
+      receiver.paused == nil ->
+        %{session | receiver: steer(receiver, message, now)}
+
+      not leads?(message) ->
+        session
+
+      true ->
+        resumed(session, Receiver.resume(receiver, from, facts(session), now), message, now)
     end
   end
 
-  def message(%{ignored_at: at} = session, message, _from, now) do
-    ours? = Map.get(message, :target) == session.system or Map.get(message, :target_system) == session.system
+  def message(%{receiver: %{paused: at} = receiver} = session, message, from, now) when at != nil,
+    do: message(%{session | receiver: %{receiver | from: from}}, message, from, now)
 
-    if ours? and (at == nil or now - at > @say_us),
-      do: Output.text(%{session | ignored_at: now}, @notice, "Sticks ignored: #{ignored(session.receiver)}"),
-      else: session
+  def message(session, message, from, now) do
+    cond do
+      not ours?(message, session.system) -> session
+      session.receiver != nil -> ignored(session, "another client steers it", now)
+      Armed.state(session) != :armed -> ignored(session, @unarmed, now)
+      not leads?(message) or asked?(session, now) or not Tasks.room?(session) -> session
+      true -> look(%{session | asked_at: now}, {:steer, message}, nil, from)
+    end
   end
 
-  defp ignored(nil), do: "no channels are sent over MSP before it is armed that way"
-  defp ignored(_another), do: "another client steers it"
+  defp ours?(message, system), do: system in [Map.get(message, :target), Map.get(message, :target_system)]
+
+  defp asked?(%{asked_at: at} = session, now),
+    do: (at != nil and now - at < @ask_us) or Enum.any?(session.tasks, &(&1.kind == __MODULE__))
+
+  # A message that leaves all channels alone, or gives them back, steers nothing.
+  defp leads?(%M.ManualControl{}), do: true
+  defp leads?(message), do: Enum.any?(override(message), fn {_n, us} -> us != nil end)
+
+  defp steer(receiver, %M.ManualControl{} = message, now), do: Receiver.steer(receiver, sticks(message), now)
+
+  defp steer(receiver, message, now) do
+    case override(message) do
+      none when none == %{} -> receiver
+      channels -> Receiver.override(receiver, channels, now)
+    end
+  end
+
+  defp resumed(session, {:ok, receiver}, message, now),
+    do:
+      Output.text(
+        %{session | receiver: steer(receiver, message, now)},
+        @notice,
+        "Sticks are back: channels resume"
+      )
+
+  defp resumed(session, {:error, why}, _message, now), do: ignored(session, why, now)
+
+  defp ignored(%{ignored_at: at} = session, why, now) do
+    if at == nil or now - at > @say_us,
+      do: Output.text(%{session | ignored_at: now}, @notice, "Sticks ignored: #{why}"),
+      else: session
+  end
 
   # x is forward, y to the right, z thrust, r to the right; beyond ±1000 is invalid.
   defp sticks(%{x: x, y: y, z: z, r: r}), do: [axis(y), axis(x), throttle(z), axis(r)]
@@ -143,15 +188,12 @@ defmodule Msp.Session.Sticks do
   defp throttle(value) when value in 0..1000, do: 1000 + value
   defp throttle(_invalid), do: 1000
 
-  defp override(receiver, message, now) do
-    channels =
-      for n <- 1..18,
-          us = Map.fetch!(message, :"chan#{n}_raw"),
-          change = change(n, us),
-          into: %{},
-          do: {n, if(change == :release, do: nil, else: change)}
-
-    if channels == %{}, do: receiver, else: Receiver.override(receiver, channels, now)
+  defp override(message) do
+    for n <- 1..18,
+        us = Map.fetch!(message, :"chan#{n}_raw"),
+        change = change(n, us),
+        into: %{},
+        do: {n, if(change == :release, do: nil, else: change)}
   end
 
   defp change(n, 0), do: if(n <= 8, do: :release)
@@ -165,7 +207,7 @@ defmodule Msp.Session.Sticks do
   def due(%{receiver: %{due: at} = receiver} = session, now) when now >= at do
     {receiver, effects} = Receiver.step(receiver, facts(session), now)
     session = Enum.reduce(effects, %{session | receiver: receiver}, &effect(&2, &1))
-    if session.receiver, do: write(session, now), else: {session, []}
+    if session.receiver == nil or session.receiver.paused, do: {session, []}, else: write(session, now)
   end
 
   def due(session, _now), do: {session, []}
@@ -188,14 +230,29 @@ defmodule Msp.Session.Sticks do
 
   defp facts(%{readings: readings} = session) do
     %{
-      armed?: Modes.armed?(boxes(session)),
+      armed: Armed.state(session),
+      failsafe?: Modes.failsafe?(boxes(session)),
+      lost?: lost?(session),
       reasons: Arming.names(Identity.target(session.identity), readings[:arming] || 0),
       height: readings[:alt_rel],
       channels: readings[:channels]
     }
   end
 
+  # A failsafe shows it where the flags do not.
+  defp lost?(%{readings: readings} = session) do
+    armed? = Armed.state(session) != :disarmed
+
+    cond do
+      Modes.failsafe?(boxes(session)) -> true
+      readings[:arming] == nil -> nil
+      true -> Arming.rc_lost?(Identity.target(session.identity), readings.arming, armed?)
+    end
+  end
+
   defp boxes(session), do: session.readings[:boxes] || MapSet.new()
+
+  defp refuse(session, nil, _from, why), do: ignored(session, why, session.now)
 
   defp refuse(session, command, from, why),
     do: session |> Output.text(@warning, "Not done: #{why}") |> Output.acknowledge(command, from, :DENIED)
@@ -245,13 +302,19 @@ defmodule Msp.Session.Sticks do
   defp begin(session, task, now) do
     target = {firmware, _version} = Identity.target(session.identity)
     boxes = boxes(session)
-    lost? = Arming.rc_lost?(target, session.readings[:arming] || 0, Modes.armed?(boxes))
+    facts = facts(session)
 
     with %{map: [_, _, _, _ | _], ranges: _} <- task.got,
-         {:ok, kind} <- Receiver.source(target, task.got, boxes, lost?),
+         {:ok, kind} <- Receiver.source(target, task.got, boxes, facts),
+         :ok <- fits(task.want, facts.armed),
          {:ok, receiver} <-
-           Receiver.new(firmware, kind, task.got, task.from, modes(task.want, firmware, boxes), now) do
-      session |> Output.text(@notice, begun(kind)) |> Map.put(:receiver, receiver) |> wanted(task, now)
+           Receiver.new(firmware, kind, task.got, task.from, modes(task.want, firmware, boxes), now),
+         {:ok, receiver} <- wanted(receiver, task, facts, now) do
+      session = session |> Output.text(@notice, begun(kind)) |> Map.put(:receiver, receiver)
+
+      if match?({:mode, _mode}, task.want),
+        do: Output.acknowledge(session, task.command, task.from, :ACCEPTED),
+        else: session
     else
       {:error, why} ->
         refuse(session, task.command, task.from, why)
@@ -261,6 +324,15 @@ defmodule Msp.Session.Sticks do
     end
   end
 
+  # The channels that begin are those of a disarmed vehicle.
+  defp fits(want, :disarmed) when want == :arm or elem(want, 0) == :mode, do: :ok
+  defp fits({:steer, _message}, :armed), do: :ok
+  defp fits(want, armed) when want in [:disarm, {:disarm, :force}] and armed != :disarmed, do: :ok
+  defp fits(want, :disarmed) when want in [:disarm, {:disarm, :force}], do: :ok
+  defp fits({:steer, _message}, _not), do: {:error, @unarmed}
+  defp fits(_want, :armed), do: {:error, "it is armed: sticks take it over, or disarm it"}
+  defp fits(_want, :unknown), do: {:error, "whether it is armed is not known: try again"}
+
   defp begun(:receiver), do: "Channels are sent over MSP now: the vehicle's receiver is MSP"
   defp begun(:override), do: "Channels are sent over MSP now: the pilot handed them over"
 
@@ -268,15 +340,17 @@ defmodule Msp.Session.Sticks do
   defp modes({:mode, mode}, _firmware, _boxes), do: [mode]
   defp modes(_arm, firmware, boxes), do: Enum.uniq([@angle, Modes.mode(firmware, boxes), @acro]) -- [27]
 
-  defp wanted(session, %{want: {:mode, _mode}} = task, _now),
-    do: Output.acknowledge(session, task.command, task.from, :ACCEPTED)
+  defp wanted(receiver, %{want: {:mode, _mode}}, _facts, _now), do: {:ok, receiver}
 
-  defp wanted(session, %{want: :arm} = task, now) do
-    case Receiver.arm(session.receiver, {task.command, task.from}, now) do
-      {:ok, receiver} -> %{session | receiver: receiver}
-      {:error, why} -> refuse(%{session | receiver: nil}, task.command, task.from, why)
-    end
+  defp wanted(receiver, %{want: :arm} = task, _facts, now),
+    do: Receiver.arm(receiver, {task.command, task.from}, now)
+
+  defp wanted(receiver, %{want: {:steer, message}}, _facts, now) do
+    with {:ok, receiver} <- Receiver.take_over(receiver, now), do: {:ok, steer(receiver, message, now)}
   end
+
+  defp wanted(receiver, %{want: want} = task, facts, now),
+    do: Receiver.disarm(receiver, {task.command, task.from}, facts, want != :disarm, now)
 
   @doc "COMPONENT_ARM_DISARM and DO_SET_MODE as what is wanted; nil for what MSP does not have."
   @spec wish(:COMPONENT_ARM_DISARM | :DO_SET_MODE, struct, Modes.firmware()) :: term

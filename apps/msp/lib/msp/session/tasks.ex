@@ -3,13 +3,19 @@ defmodule Msp.Session.Tasks do
   What clients asked for that needs the flight controller: one request after the other, each by its turn.
 
   A task is a map with `kind` (the module that knows it) and `ask`, its next request: `{message, values}` or `{message, values, patience}`
-  in us. Tasks that read hundreds of values are `bulk`: they take the turns that no poll needs, so that a vehicle is not silent meanwhile.
+  in us. What is not for armed vehicles is sent only to one that said less than a second ago that it is disarmed; tasks
+  with `armed: true` are for
+  armed ones. Tasks that read hundreds of values are `bulk`: they take the turns that no poll needs, so that a vehicle
+  is not silent meanwhile.
   """
 
-  alias MavCodec.Msp.{Frame, Guard}
-  alias Msp.{Identity, Session}
+  alias MavCodec.Msp.{Frame, Guard, Messages}
+  alias Msp.{Identity, Polls, Session}
+  alias Msp.Session.Tasks.Armed
 
   @most 16
+  # How often a vehicle is asked whether it is armed before a task is refused.
+  @most_looks 3
 
   @type t :: %{
           :kind => module,
@@ -17,7 +23,8 @@ defmodule Msp.Session.Tasks do
           optional(atom) => term
         }
   @typedoc "The values of a reply, or what came in place of one."
-  @type answer :: {:ok, map} | {:frame, Frame.t()} | :refused | :timeout | {:unfit, why :: String.t()}
+  @type answer ::
+          {:ok, map} | {:frame, Frame.t()} | :refused | :timeout | {:unfit | :denied, why :: String.t()}
 
   @doc "The answer to its request: the session with the task's next request (`ask_next/3`), or with what comes of it (`done/2`)."
   @callback answer(Session.t(), t, answer, now :: integer) :: Session.t()
@@ -36,7 +43,7 @@ defmodule Msp.Session.Tasks do
   @doc "Its next request, and changes of it."
   @spec ask_next(Session.t(), t, map) :: Session.t()
   def ask_next(session, %{serial: serial} = task, changes) do
-    task = Map.merge(task, changes)
+    task = task |> Map.delete(:looks) |> Map.merge(changes)
     %{session | tasks: Enum.map(session.tasks, &if(&1.serial == serial, do: task, else: &1))}
   end
 
@@ -47,22 +54,49 @@ defmodule Msp.Session.Tasks do
 
   @doc """
   The next request of a task: of the first command of a client (`:urgent`), of the first request of a program (`:program`), or of what takes long
-  (`:bulk`); `:none`. One that cannot be sent is over.
+  (`:bulk`); `:none`; `:look` if the vehicle is to be asked first whether it is armed. One that cannot be sent is over.
   """
   @spec next(Session.t(), :urgent | :program | :bulk) ::
-          {{:ask, t, MavCodec.Msp.Frame.t(), non_neg_integer} | :none, Session.t()}
+          {{:ask, t, Frame.t(), non_neg_integer} | :look | :none, Session.t()}
   def next(session, kind) do
     case Enum.find(session.tasks, &(class(&1) == kind)) do
       nil ->
         {:none, session}
 
       task ->
-        case request(task.ask, Identity.target(session.identity)) do
-          {:ok, frame, patience} -> {{:ask, task, frame, patience}, session}
-          {:error, why} -> session |> task.kind.answer(task, {:unfit, why}, 0) |> next(kind)
+        with {:ok, frame, patience} <- request(task.ask, Identity.target(session.identity)),
+             :ok <- in_time(session, task, frame) do
+          {{:ask, task, frame, patience}, session}
+        else
+          :look -> {:look, ask_next(session, task, %{looks: looks(task) + 1})}
+          {:denied, why} -> session |> task.kind.answer(task, {:denied, why}, session.now) |> next(kind)
+          {:error, why} -> session |> task.kind.answer(task, {:unfit, why}, session.now) |> next(kind)
         end
     end
   end
+
+  # It may have been armed since it was asked for.
+  defp in_time(_session, %{armed: true}, _frame), do: :ok
+
+  defp in_time(session, task, frame) do
+    {:ok, message} = Messages.fetch(session.identity.firmware, frame.id)
+
+    cond do
+      not Armed.only_disarmed?(message, frame) ->
+        :ok
+
+      Armed.refusal(session) == nil ->
+        :ok
+
+      Armed.state(session) == :unknown and looks(task) < @most_looks and Polls.status(session.polls) != nil ->
+        :look
+
+      true ->
+        {:denied, Armed.refusal(session)}
+    end
+  end
+
+  defp looks(task), do: Map.get(task, :looks, 0)
 
   defp class(%{bulk: true}), do: :bulk
   defp class(%{client: id}) when id != nil, do: :program

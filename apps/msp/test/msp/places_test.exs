@@ -46,13 +46,73 @@ defmodule Msp.PlacesTest do
     {line, change, state} = up()
     line = line |> switch(change, @armed) |> switch(change, @held) |> command(goto())
     assert acks(line) == [0]
-    assert state.().mission.desired == <<474_000_000::32-little, 85_500_000::32-little>>
+    assert state.().mission.desired == <<474_000_000::32-little, 85_500_000::32-little, 3000::32-little>>
     line = command(line, %M.CommandInt{command: @set_home, frame: 5, x: 473_900_000, y: 85_400_000, z: 500.0})
     assert acks(line) == [0, 0]
     assert {_at, %{latitude: 473_900_000, longitude: 85_400_000}} = List.last(Line.told(line, M.HomePosition))
     line = command(line, %M.CommandLong{command: @set_home, param1: 1.0})
     assert acks(line) == [0, 0, 0]
     assert <<473_977_420::32-little, _::binary>> = state.().mission.home
+  end
+
+  test "a height above sea level, or above a home that is higher than the origin, is given as one above the origin" do
+    {line, change, state} = up()
+    # The origin is at 488 m, and it was armed 20 m above that.
+    change.(&%{&1 | flight: %{&1.flight | alt: 20.0}})
+    line = switch(line, change, @armed)
+    <<home::32-little-signed>> = binary_part(state.().mission.home, 8, 4)
+    assert home > 1000
+    line = line |> switch(change, @held) |> command(goto(frame: 5, z: 518.0))
+    assert acks(line) == [0]
+    assert_in_delta height(state), 3000, 50
+    line = command(line, goto(frame: 6, z: 30.0))
+    assert acks(line) == [0, 0]
+    assert_in_delta height(state), home + 3000, 50
+    # The height of home stays, although 0 would be the origin's.
+    line = command(line, %M.CommandInt{command: @set_home, frame: 5, x: 473_900_000, y: 85_400_000})
+    assert acks(line) == [0, 0, 0]
+    assert <<kept::32-little-signed>> = binary_part(state.().mission.home, 8, 4)
+    assert_in_delta kept, home, 50
+  end
+
+  test "without a home there are heights above sea level only" do
+    {line, change, state} = up()
+    line = line |> switch(change, @armed) |> switch(change, @held)
+    change.(&%{&1 | mission: %{&1.mission | home: nil}})
+    line = command(line, goto())
+    assert acks(line) == [2]
+    assert notes(line) =~ "it does not say how high its home is"
+    line = command(line, goto(frame: 5, z: 518.0))
+    assert acks(line) == [2, 0]
+    assert_in_delta height(state), 3000, 50
+  end
+
+  test "another height than the one that was set is not acknowledged" do
+    {answer, change, _state} = Simulated.controller(:inav)
+
+    higher = fn bytes, us ->
+      case answer.(bytes, us) do
+        "" ->
+          nil
+
+        <<"$M>", 21, 118, 254, action, place::binary-size(8), cm::32-little, rest::binary-size(7), _sum>> ->
+          payload = <<254, action, place::binary, cm + 48_800::32-little, rest::binary>>
+          MavCodec.Msp.Frame.encode(%MavCodec.Msp.Frame{id: 118, direction: :reply, payload: payload})
+
+        reply ->
+          reply
+      end
+    end
+
+    line = higher |> Line.open() |> Line.run(7 * @second)
+    line = line |> switch(change, @armed) |> switch(change, @held) |> command(goto())
+    assert acks(line) == [4]
+    assert notes(line) =~ "has the height 1006.0 m above sea level instead of 518.0 m"
+  end
+
+  defp height(state) do
+    <<_place::binary-size(8), cm::32-little-signed>> = state.().mission.desired
+    cm
   end
 
   test "refused with the reason where iNav would acknowledge and ignore it" do

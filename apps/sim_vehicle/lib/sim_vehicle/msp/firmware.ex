@@ -236,7 +236,11 @@ defmodule SimVehicle.Msp.Firmware do
   end
 
   defp changed(%{armed: same} = fc, same), do: fc
-  defp changed(fc, _was), do: event(fc, if(fc.armed, do: :armed, else: :disarmed))
+
+  defp changed(%{armed: true} = fc, _was),
+    do: event(%{fc | mission: Waypoints.armed(fc.mission, fc.flight)}, :armed)
+
+  defp changed(fc, _was), do: event(fc, :disarmed)
 
   defp wanted(fc) do
     for <<box, aux, first, last <- fc.blocks[34]>>,
@@ -359,8 +363,8 @@ defmodule SimVehicle.Msp.Firmware do
   end
 
   defp read(%{firmware: :inav} = fc, 20, _none), do: {:ok, Waypoints.info(fc.mission)}
-  defp read(%{firmware: :inav} = fc, 118, <<number>>), do: {:ok, Waypoints.get(fc.mission, number)}
-  defp read(%{firmware: :inav} = fc, 118, _none), do: {:ok, Waypoints.get(fc.mission, 0)}
+  defp read(%{firmware: :inav} = fc, 118, <<number>>), do: {:ok, Waypoints.get(fc.mission, number, fc.flight)}
+  defp read(%{firmware: :inav} = fc, 118, _none), do: {:ok, Waypoints.get(fc.mission, 0, fc.flight)}
   defp read(%{firmware: :inav} = fc, 0x1003, name), do: Settings.get(fc.settings, name)
   defp read(%{firmware: :inav} = fc, 0x1007, name), do: Settings.info(fc.settings, name)
 
@@ -392,7 +396,8 @@ defmodule SimVehicle.Msp.Firmware do
     {{:ok, ""}, store(put_in(fc.ports[id], port), message, filled)}
   end
 
-  defp mission(fc, "SET_WP", <<number, _action, place::binary-size(8), _::binary>>) when number in [0, 255] do
+  defp mission(fc, "SET_WP", <<number, _action, place::binary-size(12), _::binary>>)
+       when number in [0, 255] do
     takes? = fc.armed and 31 in fc.boxes and (number == 0 or 11 in fc.boxes)
     {{:ok, ""}, %{fc | mission: Waypoints.place(fc.mission, number, place, takes?)}}
   end

@@ -4,6 +4,8 @@ defmodule SimVehicle.Msp.Waypoints do
   and the flag of the last one makes it valid.
   """
 
+  alias SimVehicle.Msp.Flight
+
   @room 120
   @last 0xA5
   @actions [1, 3, 4, 5, 6, 7, 8]
@@ -11,7 +13,7 @@ defmodule SimVehicle.Msp.Waypoints do
 
   defstruct list: [], stored: [], home: nil, desired: nil
 
-  @typedoc "`home`, `desired`: latitude and longitude as eight bytes, which are set only where iNav takes them"
+  @typedoc "`home`, `desired`: latitude, longitude, height above the origin (12 bytes), set where iNav takes them"
   @type t :: %__MODULE__{list: [binary], stored: [binary], home: binary | nil, desired: binary | nil}
 
   @doc "WP_GETINFO."
@@ -21,14 +23,31 @@ defmodule SimVehicle.Msp.Waypoints do
   defp valid(%{list: []}), do: 0
   defp valid(%{list: list}), do: if(:binary.last(List.last(list)) == @last, do: 1, else: 0)
 
-  @doc "WP: the waypoint of a number, or what iNav says of one that is not there."
-  @spec get(t, byte) :: binary
-  def get(%{list: list}, number) when number in 1..@room,
+  @doc """
+  WP: the waypoint of a number, or what iNav says of one that is not there. Its home, and where it is and wants to be,
+  have heights above sea level.
+  """
+  @spec get(t, byte, Flight.t()) :: binary
+  def get(%{list: list}, number, _flight) when number in 1..@room,
     do: Enum.at(list, number - 1) || <<number>> <> @beyond
 
-  def get(%{home: place}, 0) when place != nil, do: <<0, 1, place::binary, 0::88>>
-  def get(%{desired: place}, 254) when place != nil, do: <<254, 1, place::binary, 0::88>>
-  def get(_mission, number), do: <<number>> <> @beyond
+  def get(%{home: place}, 0, flight) when place != nil, do: above_sea(0, place, flight)
+  def get(%{desired: place}, 254, flight) when place != nil, do: above_sea(254, place, flight)
+  def get(_mission, 255, flight), do: above_sea(255, place(flight), flight)
+  def get(_mission, number, _flight), do: <<number>> <> @beyond
+
+  defp above_sea(number, <<place::binary-size(8), height::32-little-signed>>, flight),
+    do: <<number, 1, place::binary, round(flight.ground * 100) + height::32-little-signed, 0::56>>
+
+  defp place(flight),
+    do:
+      <<round(flight.lat * 1.0e7)::32-little-signed, round(flight.lon * 1.0e7)::32-little-signed,
+        round(flight.alt * 100)::32-little-signed>>
+
+  @doc "It is armed: its first home is here."
+  @spec armed(t, Flight.t()) :: t
+  def armed(%{home: nil} = mission, flight), do: %{mission | home: place(flight)}
+  def armed(mission, _flight), do: mission
 
   @doc "SET_WP of home (0) or of where to fly (255), which the vehicle takes now or ignores."
   @spec place(t, 0 | 255, binary, takes? :: boolean) :: t

@@ -239,7 +239,7 @@ defmodule Aerie.System.TwoGatewaysTest do
 
   # How long a gateway waits for what it needs before it sends a command, here for its lease.
   @tag record_s: 5.0
-  test "NATS is away: neither sends anything once the lease has ended, and afterwards commands pass",
+  test "NATS is away: once the lease has ended only what brings the vehicle down is sent; later all passes",
        context do
     %{holder: holder, other: other, wire: wire, server: server} = context
     sent = reached(wire)
@@ -255,6 +255,15 @@ defmodule Aerie.System.TwoGatewaysTest do
     end
 
     assert reached(wire) == sent
+
+    # No lease keeps back what holds a vehicle or brings it down: of a gateway that may not hold it either.
+    for {gateway, n} <- Enum.with_index([holder, other]) do
+      assert %{status: :completed, details: details} = gateway |> mode("home-#{n}", "RTL") |> await()
+      assert details["once"] in ["gateway", nil]
+      assert reached(wire) == sent + n + 1
+    end
+
+    sent = reached(wire)
     HubServer.restart(server)
     {holder, other} = held(holder, other)
     assert %{status: :completed} = holder |> mode("again-h", "GUIDED") |> await()

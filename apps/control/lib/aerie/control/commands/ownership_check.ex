@@ -4,8 +4,9 @@ defmodule Aerie.Control.Commands.OwnershipCheck do
   `Aerie.Control.Commands.Pipeline` asks what it wants to know and does what it says.
 
   One gateway holds the vehicle. It sends a command when it has claimed the command's id where all of them see it, and only while its
-  lease lasts. The others pass the command on to it. Who does not know whether it holds the vehicle sends nothing, whatever the
-  command is. A gateway that is alone needs no lease, and its own ledger is enough.
+  lease lasts. The others pass the command on to it. A gateway that does not know whether it holds the vehicle
+  sends nothing, but for what holds the vehicle or brings it down (`urgent?`): no lease keeps that from it, and
+  at worst it arrives twice. A gateway that is alone needs no lease, and its own ledger is enough.
 
       look ──▶ held ──▶ claiming ──▶ claimed ──▶ send
         │└ pass_on         └ known (somebody has claimed it)
@@ -17,12 +18,17 @@ defmodule Aerie.Control.Commands.OwnershipCheck do
   @again_ms 50
 
   @enforce_keys [:until, :relayed?]
-  defstruct [:until, :relayed?, :lease, stage: :look]
+  defstruct [:until, :relayed?, :lease, urgent?: false, stage: :look]
 
-  @typedoc "`:until` - until when it waits to know who holds the vehicle; `:relayed?` - it came over NATS, so it is not passed on."
+  @typedoc """
+    * `:until` - until when it waits to know who holds the vehicle
+    * `:relayed?` - it came over NATS, so it is not passed on
+    * `:urgent?` - it holds the vehicle or brings it down
+  """
   @type t :: %__MODULE__{
           until: integer(),
           relayed?: boolean(),
+          urgent?: boolean(),
           lease: :alone | integer() | nil,
           stage: :look | :held | :claiming | :claimed | :over
         }
@@ -38,12 +44,13 @@ defmodule Aerie.Control.Commands.OwnershipCheck do
           | {:pass_on, String.t()}
           | :go_on
           | :claim
-          | {:send, :fleet | :gateway}
+          | {:send, :fleet | :gateway | :urgent}
           | {:known, term()}
           | {:refuse, rule :: :holder | :claim, String.t()}
 
-  @spec new(until :: integer(), relayed? :: boolean()) :: t()
-  def new(until, relayed?), do: %__MODULE__{until: until, relayed?: relayed?}
+  @spec new(until :: integer(), relayed? :: boolean(), urgent? :: boolean()) :: t()
+  def new(until, relayed?, urgent? \\ false),
+    do: %__MODULE__{until: until, relayed?: relayed?, urgent?: urgent?}
 
   @doc """
   What follows from what is known. Events: who holds the vehicle (`:holder`, at the beginning, and again right before the claim),
@@ -53,8 +60,10 @@ defmodule Aerie.Control.Commands.OwnershipCheck do
   def handle(%{stage: :look} = state, {:holder, holder, now}) do
     case lease(holder, now) do
       {:ok, lease} -> {%{state | stage: :held, lease: lease}, :go_on}
+      {:other, _name} when state.relayed? and state.urgent? -> {%{state | stage: :held}, :go_on}
       {:other, name} -> other(state, name)
       {:unknown, _why} when now < state.until -> {state, {:again, @again_ms}}
+      {:unknown, _why} when state.urgent? -> {%{state | stage: :held}, :go_on}
       {:unknown, why} -> over(state, {:refuse, :holder, why})
     end
   end
@@ -62,6 +71,7 @@ defmodule Aerie.Control.Commands.OwnershipCheck do
   def handle(%{stage: :held} = state, {:holder, holder, now}) do
     case lease(holder, now) do
       {:ok, lease} -> {%{state | stage: :claiming, lease: lease}, :claim}
+      _lost when state.urgent? -> {%{state | stage: :claiming, lease: nil}, :claim}
       {:other, name} -> over(state, {:refuse, :holder, "the gateway #{name} has taken the vehicle over"})
       {:unknown, why} -> over(state, {:refuse, :holder, why})
     end
@@ -70,9 +80,10 @@ defmodule Aerie.Control.Commands.OwnershipCheck do
   def handle(%{stage: :claiming} = state, {:claimed, :ok}), do: {%{state | stage: :claimed}, :go_on}
   def handle(%{stage: :claiming} = state, {:claimed, {:taken, what}}), do: over(state, {:known, what})
 
-  # Nobody else could have claimed it.
-  def handle(%{stage: :claiming, lease: :alone} = state, {:claimed, {:error, _why}}),
-    do: {%{state | stage: :claimed}, :go_on}
+  # Nobody else could have claimed it, or it may arrive twice.
+  def handle(%{stage: :claiming, lease: lease, urgent?: urgent?} = state, {:claimed, {:error, _why}})
+      when lease == :alone or urgent?,
+      do: {%{state | stage: :claimed}, :go_on}
 
   def handle(%{stage: :claiming} = state, {:claimed, {:error, why}}),
     do: over(state, {:refuse, :claim, "its id could not be claimed where other gateways see it (#{why})"})
@@ -81,6 +92,7 @@ defmodule Aerie.Control.Commands.OwnershipCheck do
     case lease(holder, now) do
       {:ok, :alone} -> over(state, {:send, :gateway})
       {:ok, _until} -> over(state, {:send, :fleet})
+      _lost when state.urgent? -> over(state, {:send, :urgent})
       _lost -> over(state, {:refuse, :holder, "this gateway lost the vehicle's lease before it was sent"})
     end
   end

@@ -222,7 +222,11 @@ defmodule Aerie.Control.Commands.Pipeline do
 
   defp carry_out(ctx, %{via: via} = snapshot) when via != nil do
     progress = fn told -> send(ctx.server, {:command_progress, ctx.command.id, told}) end
-    pass_on(ctx.request.change, ctx, snapshot, progress)
+    result = pass_on(ctx.request.change, ctx, snapshot, progress)
+
+    if SharedVehicle.again?(ctx, snapshot, result),
+      do: carry_out(ctx, Map.drop(snapshot, [:via, :holds?])),
+      else: result
   end
 
   defp carry_out(%{facts: %{control: nil}} = ctx, snapshot), do: execute(ctx, snapshot)

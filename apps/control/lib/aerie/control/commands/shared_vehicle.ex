@@ -8,8 +8,11 @@ defmodule Aerie.Control.Commands.SharedVehicle do
   alias Aerie.Control.Commands.OwnershipCheck
   alias Aerie.Base.Names
 
-  # For a claim that nobody needs.
+  # For a claim that nobody waits for.
   @alone_ms 500
+
+  # Why a gateway that was said to have the lease gave no command to the vehicle.
+  @unheld ~w(unreachable holder claim unavailable vehicle)
 
   @type ctx :: map()
   @type stop :: {:stop, Result.status(), rule :: atom(), reason :: String.t()}
@@ -23,7 +26,12 @@ defmodule Aerie.Control.Commands.SharedVehicle do
   def evaluate(_way, %{via: via} = snapshot) when via != nil, do: {:ok, snapshot, nil}
 
   def evaluate(%{request: request, patience: patience} = ctx, snapshot),
-    do: evaluate(ctx, snapshot, OwnershipCheck.new(now() + patience, request.via == "nats"))
+    do:
+      evaluate(
+        ctx,
+        snapshot,
+        OwnershipCheck.new(now() + patience, request.via == "nats", ctx.facts.ends_flight?)
+      )
 
   defp evaluate(ctx, snapshot, holding) do
     case OwnershipCheck.handle(holding, {:holder, holder(ctx), now()}) do
@@ -40,6 +48,9 @@ defmodule Aerie.Control.Commands.SharedVehicle do
       ms -> evaluate(ctx, snapshot, holding)
     end
   end
+
+  defp pass_on(%{remote_gateway: nil, facts: %{ends_flight?: true}}, snapshot, _name),
+    do: {:ok, snapshot, nil}
 
   defp pass_on(%{remote_gateway: nil}, _snapshot, name),
     do: refuse(:holder, "the gateway #{name} holds the vehicle")
@@ -63,6 +74,16 @@ defmodule Aerie.Control.Commands.SharedVehicle do
 
   defp by(_holder, _gateway, snapshot, _mine_or_unknown), do: snapshot
 
+  @doc """
+  Whether this gateway gives a command itself after it was passed on in vain: the vehicle is heard here, the
+  command holds it or brings it down, and the gateway that has the lease did not answer or does not have it any more.
+  """
+  @spec again?(ctx(), snapshot :: map(), Result.t()) :: boolean()
+  def again?(%{facts: %{ends_flight?: true}}, %{holds?: _heard_here}, result),
+    do: result.status == :unknown or result.details["rule"] in @unheld
+
+  def again?(_ctx, _snapshot, _result), do: false
+
   @doc "Claims the id of a command that this gateway is to send."
   @spec claim(ctx(), OwnershipCheck.t() | nil) ::
           {:ok, OwnershipCheck.t() | nil} | {:known, Result.t()} | stop()
@@ -70,7 +91,11 @@ defmodule Aerie.Control.Commands.SharedVehicle do
 
   def claim(%{holder: holder, command: command} = ctx, holding) do
     with {holding, :claim} <- OwnershipCheck.handle(holding, {:holder, holder(ctx), now()}),
-         patience = if(holding.lease == :alone, do: min(@alone_ms, ctx.patience), else: ctx.patience),
+         patience =
+           if(holding.lease == :alone or holding.urgent?,
+             do: min(@alone_ms, ctx.patience),
+             else: ctx.patience
+           ),
          claimed = holder.claim(ctx.gateway, command.vehicle, command.id, patience),
          {holding, :go_on} <- OwnershipCheck.handle(holding, {:claimed, claimed}) do
       {:ok, holding}
@@ -86,7 +111,7 @@ defmodule Aerie.Control.Commands.SharedVehicle do
       Result.new(id, :unknown, "the gateway #{by} had this command, and what became of it is not known here")
 
   @doc "Whether it may be sent now, and what then holds: that no gateway of the fleet sends it again, or that this one does not."
-  @spec send?(ctx(), OwnershipCheck.t() | nil) :: {:ok, :fleet | :gateway | nil} | stop()
+  @spec send?(ctx(), OwnershipCheck.t() | nil) :: {:ok, :fleet | :gateway | :urgent | nil} | stop()
   def send?(_way, nil), do: {:ok, nil}
 
   def send?(ctx, holding) do
@@ -101,7 +126,7 @@ defmodule Aerie.Control.Commands.SharedVehicle do
   `:promise` of the context is the answer of `send?/2`.
   """
   @spec still?(ctx()) :: (-> boolean()) | nil
-  def still?(%{promise: nil}), do: nil
+  def still?(%{promise: promise}) when promise in [nil, :urgent], do: nil
   # Its shadow may be restarting, so that it knows nothing for a moment.
   def still?(%{promise: :gateway} = ctx), do: fn -> not match?({:other, _name}, holder(ctx)) end
 
@@ -116,10 +141,11 @@ defmodule Aerie.Control.Commands.SharedVehicle do
   end
 
   @doc "Tells the others of the result, and says in it what holds."
-  @spec done(Result.t(), ctx(), :fleet | :gateway | nil) :: Result.t()
+  @spec done(Result.t(), ctx(), :fleet | :gateway | :urgent | nil) :: Result.t()
   def done(result, _way, nil), do: result
 
   def done(result, %{holder: holder} = ctx, promise) do
+    promise = if promise == :urgent, do: :gateway, else: promise
     result = %{result | details: Map.put(result.details, "once", Atom.to_string(promise))}
     :ok = holder.done(ctx.gateway, ctx.command.vehicle, result)
     result

@@ -30,6 +30,30 @@ defmodule Aerie.Control.Commands.OwnershipCheckTest do
     assert {_over, {:send, :gateway}} = OwnershipCheck.handle(state, {:send?, :alone, 0})
   end
 
+  test "what brings a vehicle down waits for no lease: unknown, not renewed, not claimed, or relayed" do
+    for {relayed?, holder} <- [
+          {false, {:unknown, "NATS is away"}},
+          {false, {:mine, 10}},
+          {true, {:other, "b"}}
+        ] do
+      state = OwnershipCheck.new(1_000, relayed?, true)
+      assert {state, :go_on} = OwnershipCheck.handle(state, {:holder, holder, 1_000})
+      assert {state, :claim} = OwnershipCheck.handle(state, {:holder, holder, 1_000})
+      assert {state, :go_on} = OwnershipCheck.handle(state, {:claimed, {:error, "NATS is away"}})
+      assert {_over, {:send, :urgent}} = OwnershipCheck.handle(state, {:send?, holder, 1_001})
+    end
+
+    # With a lease nothing changes, and what was done before is not done again.
+    state = OwnershipCheck.new(1_000, false, true)
+    assert {_over, {:pass_on, "b"}} = OwnershipCheck.handle(state, {:holder, {:other, "b"}, 0})
+    assert {_state, {:again, _ms}} = OwnershipCheck.handle(state, {:holder, {:unknown, "why"}, 999})
+    assert {state, :go_on} = OwnershipCheck.handle(state, {:holder, {:mine, 500}, 0})
+    assert {state, :claim} = OwnershipCheck.handle(state, {:holder, {:mine, 500}, 0})
+    assert {_over, {:known, :them}} = OwnershipCheck.handle(state, {:claimed, {:taken, :them}})
+    assert {state, :go_on} = OwnershipCheck.handle(state, {:claimed, :ok})
+    assert {_over, {:send, :fleet}} = OwnershipCheck.handle(state, {:send?, {:mine, 500}, 1})
+  end
+
   test "another one's command is passed on, but not twice; without knowing who holds it nothing is sent" do
     assert {_over, {:pass_on, "b"}} =
              OwnershipCheck.handle(OwnershipCheck.new(1_000, false), {:holder, {:other, "b"}, 0})

@@ -211,7 +211,19 @@ defmodule Aerie.Fleet.AsyncAPI.Schemas do
     [
       {"desired", Shadow.Schema.document()},
       {"reported", Shadow.Schema.reported()},
-      {"gateway", object(%{gateway: %{type: :string}}, [:gateway], open: true)},
+      {"gateway",
+       object(
+         %{
+           gateway: %{type: :string},
+           seen:
+             described(
+               %{type: :object, additionalProperties: %{type: :integer}},
+               "the last numbers of other gateways' signs of life (`Aerie-Seal`): this one was written later"
+             )
+         },
+         [:gateway],
+         open: true
+       )},
       {"owner",
        described(%{type: :string}, "the instance of `fleet_leases`, or gateway-ID for the gateway aboard")},
       {"claim",

@@ -19,6 +19,7 @@ defmodule Aerie.Fleet.Shadow.Buckets do
   alias Aerie.Fleet.Nats
   alias Aerie.Fleet.Nats.KV
   alias Aerie.Fleet.Shadow.{Document, Keys, Report, SealedDocument}
+  alias Aerie.Fleet.Shadow.Documents.LeaseSeal
   alias Gnat.Jetstream.API.Stream
 
   @desired "fleet_desired"
@@ -27,7 +28,7 @@ defmodule Aerie.Fleet.Shadow.Buckets do
   @plans "fleet_plans"
   @commands "fleet_commands"
   @mb 1_048_576
-  # A name, with the headers of the message.
+  # A name and who was heard, with the headers of the message.
   @lease_bytes 1_024
   @timeout_ms 2_000
   # Attempts at one update while others keep writing to the same document.
@@ -261,49 +262,49 @@ defmodule Aerie.Fleet.Shadow.Buckets do
     with {:ok, value, _revision} <- KV.get(conn, @plans, hash), do: {:ok, value}, else: (_none -> :error)
   end
 
-  @doc "Writes this gateway's heartbeat."
-  @spec renew(Nats.conn(), String.t(), instance :: String.t(), name :: String.t()) ::
+  @doc "Writes this gateway's heartbeat with its seal (`Aerie.Fleet.Shadow.Documents.LeaseSeal`)."
+  @spec renew(Nats.conn(), String.t(), instance :: String.t(), value :: binary(), seal :: Nats.headers()) ::
           :ok | {:error, String.t()}
-  def renew(conn, environment, instance, name) do
-    value = JSON.encode!(%{"gateway" => name})
-
-    conn |> KV.put(@leases, "#{environment}.gateways.#{instance}", value, timeout: @timeout_ms) |> written()
+  def renew(conn, environment, instance, value, seal) do
+    key = "#{environment}.gateways.#{instance}"
+    conn |> KV.put(@leases, key, value, timeout: @timeout_ms, headers: seal) |> written()
   end
 
   # No revision was expected, so a race is not lost.
   defp written(:ok), do: :ok
   defp written({:error, reason}), do: {:error, Nats.text(reason)}
 
-  @doc """
-  Makes this gateway a vehicle's owner if nobody is, or if `gone?` is true for the present owner: `:mine`, or the owner.
-  """
-  @spec claim(Nats.conn(), String.t(), String.t(), instance :: String.t(), (String.t() -> boolean())) ::
-          :mine | {:other, String.t()} | {:error, String.t()}
-  def claim(conn, environment, vehicle, instance, gone?) do
-    key = "#{environment}.vehicles.#{vehicle}"
-
-    case KV.get(conn, @leases, key) do
-      {:ok, ^instance, _revision} ->
-        :mine
-
-      {:ok, owner, revision} ->
-        if gone?.(owner), do: take(conn, key, instance, revision), else: {:other, owner}
-
-      {:none, revision} ->
-        take(conn, key, instance, revision)
-
-      {:error, reason} ->
-        {:error, Nats.text(reason)}
-    end
+  @doc "The owner of a vehicle, nil for nobody, with the seal of that word and the key's revision."
+  @spec owner(Nats.conn(), String.t(), String.t()) ::
+          {:ok, String.t() | nil, seal :: String.t() | nil, revision :: non_neg_integer()}
+          | {:error, String.t()}
+  def owner(conn, environment, vehicle) do
+    with {:error, reason} <- KV.get_with(conn, @leases, owned(environment, vehicle), LeaseSeal.header()),
+         do: {:error, Nats.text(reason)}
   end
 
-  defp take(conn, key, instance, revision) do
-    case KV.put(conn, @leases, key, instance, expected: revision, timeout: @timeout_ms) do
-      :ok -> :mine
+  @doc "Makes this gateway a vehicle's owner, if nobody wrote the key since `revision`."
+  @spec own(Nats.conn(), String.t(), String.t(), instance :: String.t(), Nats.headers(), non_neg_integer()) ::
+          :ok | {:error, String.t()}
+  def own(conn, environment, vehicle, instance, seal, revision) do
+    options = [expected: revision, timeout: @timeout_ms, headers: seal]
+
+    case KV.put(conn, @leases, owned(environment, vehicle), instance, options) do
+      :ok -> :ok
       :lost_race -> {:error, "another gateway was faster"}
       {:error, reason} -> {:error, Nats.text(reason)}
     end
   end
+
+  @doc "Says that nobody owns a vehicle, if nobody wrote the key since `revision`. If this fails, the others wait."
+  @spec disown(Nats.conn(), String.t(), String.t(), Nats.headers(), revision :: non_neg_integer()) :: :ok
+  def disown(conn, environment, vehicle, seal, revision) do
+    options = [expected: revision, timeout: @timeout_ms, headers: seal]
+    _ = KV.delete(conn, @leases, owned(environment, vehicle), options)
+    :ok
+  end
+
+  defp owned(environment, vehicle), do: "#{environment}.vehicles.#{vehicle}"
 
   @doc "Claims a command by its vehicle and id: `{:taken, value}` if somebody did before."
   @spec claim_command(
@@ -332,19 +333,6 @@ defmodule Aerie.Fleet.Shadow.Buckets do
   @spec command_subject(String.t(), {vehicle :: String.t(), id :: String.t()}) :: String.t()
   def command_subject(environment, {vehicle, id}),
     do: "$KV.#{@commands}.#{environment}.#{vehicle}.#{Base.url_encode64(id, padding: false)}"
-
-  @doc "Gives a vehicle up if this gateway owns it."
-  @spec release(Nats.conn(), String.t(), String.t(), instance :: String.t()) :: :ok
-  def release(conn, environment, vehicle, instance) do
-    key = "#{environment}.vehicles.#{vehicle}"
-
-    # If this fails, the others wait until the lease has expired.
-    _ =
-      with {:ok, ^instance, revision} <- KV.get(conn, @leases, key),
-           do: KV.delete(conn, @leases, key, expected: revision, timeout: @timeout_ms)
-
-    :ok
-  end
 
   @doc "The subject of a key in the bucket of leases, in an environment."
   @spec lease(String.t(), String.t()) :: {:gateway | :vehicle, String.t()} | nil

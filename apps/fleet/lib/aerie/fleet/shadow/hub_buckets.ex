@@ -19,23 +19,34 @@ defmodule Aerie.Fleet.Shadow.HubBuckets do
           | {:none, revision :: non_neg_integer()}
           | {:error, String.t()}
   def get(conn, bucket, key) do
+    case get_with(conn, bucket, key, "") do
+      {:ok, nil, _header, revision} -> {:none, revision}
+      {:ok, value, _header, revision} -> {:ok, value, revision}
+      error -> error
+    end
+  end
+
+  @doc "As `get/3`, with a header of the value or its removal (its name in lower case); without a value nil."
+  @spec get_with(Nats.conn(), String.t(), String.t(), header :: String.t()) ::
+          {:ok, binary() | nil, String.t() | nil, revision :: non_neg_integer()} | {:error, String.t()}
+  def get_with(conn, bucket, key, header) do
     case Nats.request(conn, "hub.kv.get.#{bucket}.#{key}", "", receive_timeout: @timeout_ms) do
-      {:ok, %{status: "404"}} -> {:none, 0}
-      {:ok, %{headers: headers} = message} -> value(Map.new(headers), message)
+      {:ok, %{status: "404"}} -> {:ok, nil, nil, 0}
+      {:ok, %{headers: headers} = message} -> value(Map.new(headers), message, header)
       {:ok, _other} -> {:error, "the hub's answer is not understood"}
       {:error, reason} -> {:error, text(reason)}
     end
   end
 
-  defp value(%{"nats-sequence" => sequence} = headers, message) do
+  defp value(%{"nats-sequence" => sequence} = headers, message, header) do
     case {Integer.parse(sequence), headers["kv-operation"]} do
-      {{revision, ""}, nil} -> {:ok, IO.iodata_to_binary(message.body), revision}
-      {{revision, ""}, _deleted} -> {:none, revision}
+      {{revision, ""}, nil} -> {:ok, IO.iodata_to_binary(message.body), headers[header], revision}
+      {{revision, ""}, _deleted} -> {:ok, nil, headers[header], revision}
       _no_number -> {:error, "the hub's answer is not understood"}
     end
   end
 
-  defp value(_headers, _message), do: {:error, "the hub's answer is not understood"}
+  defp value(_headers, _message, _header), do: {:error, "the hub's answer is not understood"}
 
   @doc "Writes a key if `revision` is still its last one, 0 for none."
   @spec put(Nats.conn(), String.t(), String.t(), iodata(), revision :: non_neg_integer()) ::
@@ -48,11 +59,15 @@ defmodule Aerie.Fleet.Shadow.HubBuckets do
   end
 
   @doc "Writes a key, or removes it (`:delete`), without waiting."
-  @spec send(Nats.conn(), String.t(), String.t(), iodata() | :delete) :: :ok | {:error, term()}
-  def send(conn, bucket, key, :delete),
-    do: Nats.pub(conn, "hub.kv.put.#{bucket}.#{key}", "", headers: [{"KV-Operation", "DEL"}])
+  @spec send(Nats.conn(), String.t(), String.t(), iodata() | :delete, Nats.headers()) ::
+          :ok | {:error, term()}
+  def send(conn, bucket, key, value, headers \\ [])
 
-  def send(conn, bucket, key, value), do: Nats.pub(conn, "hub.kv.put.#{bucket}.#{key}", value)
+  def send(conn, bucket, key, :delete, headers),
+    do: Nats.pub(conn, "hub.kv.put.#{bucket}.#{key}", "", headers: [{"KV-Operation", "DEL"} | headers])
+
+  def send(conn, bucket, key, value, headers),
+    do: Nats.pub(conn, "hub.kv.put.#{bucket}.#{key}", value, headers: headers)
 
   defp text(:no_responders), do: "the hub is away, or does not let this vehicle do it"
   defp text(:timeout), do: "the hub does not answer: its network is slow, or no gateway has run there yet"

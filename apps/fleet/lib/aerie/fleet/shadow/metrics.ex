@@ -29,6 +29,9 @@ defmodule Aerie.Fleet.Shadow.Metrics do
     documents_refused:
       {"gateway_shadow_documents_refused_total",
        "Documents in the bucket that no gateway with this key wrote, or that are older than the known one."},
+    leases_refused:
+      {"gateway_shadow_leases_refused_total",
+       "Leases and signs of life in NATS that no gateway with this key wrote, or that are older than the known ones."},
     reports_shortened:
       {"gateway_shadow_reports_shortened_total",
        "Reported documents that were too large and left fields out (omitted_fields)."},

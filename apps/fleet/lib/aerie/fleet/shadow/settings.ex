@@ -60,9 +60,10 @@ defmodule Aerie.Fleet.Shadow.Settings do
   setting :key,
           :secret,
           """
-          Gateways heed desired states only of gateways with the same key, of 16 characters or more, from which each vehicle's own is derived. It opens all
-          vehicles' desired states, so it belongs at the hub; a companion has a vehicle_key. Left out: a random one of this gateway,
-          in shadow.dir.
+          Gateways heed desired states, leases and signs of life only of gateways with the same key, of 16
+          characters or more, from which each vehicle's own is derived. It opens all vehicles' desired states,
+          so it belongs at the hub; a companion has a vehicle_key. Left out: a random one of this gateway, in
+          shadow.dir, so that it heeds no other gateway.
           """,
           example: "a long random text"
 
@@ -151,13 +152,16 @@ defmodule Aerie.Fleet.Shadow.Settings do
   end
 
   @impl Aerie.Base.Settings
-  def warnings(%{nats: nats, shadow: %{buckets: buckets}}) do
+  def warnings(%{nats: nats, shadow: %{buckets: buckets} = shadow}) do
     needed = nats.streams.state_max_mb + nats.streams.event_max_mb + Buckets.reserved_mb(buckets)
 
     texts([
       {nats.mode == :embedded and nats.max_store_mb < needed,
        "nats.max_store_mb is #{nats.max_store_mb}: the server has no room for the shadow's buckets, so no desired state can be " <>
-         "stored. With the streams as configured it takes #{needed}."}
+         "stored. With the streams as configured it takes #{needed}."},
+      {nats.mode == :url and shadow.key == nil and shadow.vehicle_key == nil,
+       "shadow.key is not set: this gateway heeds no lease of another one at nats.url, and no other one heeds its " <>
+         "own, so two that hear the same vehicle both act on it. Give all of them the same shadow.key."}
     ])
   end
 end

@@ -39,6 +39,7 @@ defmodule Aerie.Fleet.Shadow.Uplink do
   }
 
   alias Aerie.Base.PubSub
+  alias Aerie.Fleet.Shadow.Documents.LeaseSeal
 
   require Logger
 
@@ -99,8 +100,10 @@ defmodule Aerie.Fleet.Shadow.Uplink do
   def handle_info({:msg, %{topic: "$KV.fleet_reported." <> _key, body: body}}, state),
     do: {:noreply, %{state | reported: body}}
 
-  def handle_info({:msg, %{topic: "$KV.fleet_leases." <> _key, body: body}}, state),
-    do: {:noreply, work(%{state | owner: if(body == "", do: :nobody, else: :aboard)})}
+  def handle_info({:msg, %{topic: "$KV.fleet_leases." <> _key, body: body} = message}, state) do
+    seal = Map.new(Map.get(message, :headers, []))[String.downcase(LeaseSeal.header())]
+    {:noreply, work(%{state | owner: who(state, body, seal) || state.owner})}
+  end
 
   # Written aboard, or at the hub.
   def handle_info({:msg, _desired}, state), do: {:noreply, work(%{state | desired?: true})}
@@ -140,13 +143,29 @@ defmodule Aerie.Fleet.Shadow.Uplink do
       with {:ok, value, _revision} <- KV.get(conn, @reported, state.key), do: value, else: (_none -> nil)
 
     owner =
-      case KV.get(conn, @leases, state.lease) do
-        {:ok, _owner, _revision} -> :aboard
-        {:none, _revision} -> :nobody
+      case KV.get_with(conn, @leases, state.lease, LeaseSeal.header()) do
+        {:ok, nil, _seal, _revision} -> :nobody
+        {:ok, owner, seal, _revision} -> who(state, owner, seal)
         {:error, _no_answer} -> nil
       end
 
     %{state | desired?: true, reported: state.reported || reported, owner: owner, looked_at: now()}
+  end
+
+  # Whether a gateway acts aboard, as one with our key says; nil for what another program wrote.
+  defp who(state, owner, seal) do
+    case number(state, owner, seal) do
+      nil -> nil
+      _number when owner == "" -> :nobody
+      _number -> :aboard
+    end
+  end
+
+  defp number(%{environment: environment, vehicle: vehicle} = state, owner, seal) do
+    with %{keys: keys} <- Names.value(state.gateway, :shadow_documents),
+         {:ok, number} <- LeaseSeal.read(keys, environment, {:vehicle, vehicle}, owner, seal),
+         do: number,
+         else: (_none -> nil)
   end
 
   # It comes once a second as long as something changes, and again with the next change, if this notice is lost.
@@ -170,18 +189,28 @@ defmodule Aerie.Fleet.Shadow.Uplink do
   defp own(state) do
     name = "gateway-" <> state.vehicle
 
-    case {state.owner, HubBuckets.get(state.conn, @leases, state.lease)} do
-      {_any, {:error, why}} -> later(state, why)
-      {:aboard, {:ok, ^name, _revision}} -> %{state | owner: nil}
-      # The holder at the hub gives way to the gateway aboard.
-      {:aboard, _other} -> owner(state, name)
-      {:nobody, {:ok, ^name, _revision}} -> owner(state, :delete)
-      {:nobody, _other} -> %{state | owner: nil}
+    header = String.downcase(LeaseSeal.header())
+
+    with {:ok, present, seal, _revision} <- HubBuckets.get_with(state.conn, @leases, state.lease, header) do
+      case {state.owner, present, number(state, present || "", seal)} do
+        {:aboard, ^name, number} when number != nil -> %{state | owner: nil}
+        # The holder at the hub gives way to the gateway aboard.
+        {:aboard, _other, number} -> owner(state, name, number)
+        {:nobody, ^name, number} -> owner(state, :delete, number)
+        {:nobody, _other, _number} -> %{state | owner: nil}
+      end
+    else
+      {:error, why} -> later(state, why)
     end
   end
 
-  defp owner(state, value) do
-    case HubBuckets.send(state.conn, @leases, state.lease, value) do
+  defp owner(%{environment: environment, vehicle: vehicle} = state, value, before) do
+    number = max(System.os_time(:millisecond), (before || 0) + 1)
+    %{keys: keys} = Names.value(state.gateway, :shadow_documents)
+    text = if value == :delete, do: "", else: value
+    seal = LeaseSeal.headers(keys, environment, {:vehicle, vehicle}, text, number)
+
+    case HubBuckets.send(state.conn, @leases, state.lease, value, seal) do
       :ok -> %{state | owner: nil}
       {:error, _lost} -> state
     end

@@ -2,7 +2,10 @@ defmodule Aerie.Fleet.Shadow.DocumentsTest do
   @moduledoc "Desired documents in a real nats-server, on disk, and among gateways; the test is the loop."
   use Aerie.ShadowCase, async: true
 
+  alias Aerie.Base.Store
+  alias Aerie.Fleet.Nats
   alias Aerie.Fleet.Shadow.{Buckets, Document}
+  alias Aerie.Fleet.Shadow.Documents.LeaseSeal
 
   @moduletag :tmp_dir
   @moduletag :capture_log
@@ -524,6 +527,56 @@ defmodule Aerie.Fleet.Shadow.DocumentsTest do
       kill9(pid)
       eventually(fn -> Documents.authority(gateway, @vehicle) == :mine end)
       assert %{version: 1, fields: %{"mode" => %{value: "LOITER"}}} = Documents.document(gateway, @vehicle)
+    end
+
+    # S3: what proves who holds a vehicle is a seal, not access to NATS.
+    test "a forged lease, one of another key and an old one that is sent again take the vehicle from nobody",
+         context do
+      %{gateway: gateway, other: other, conn: conn} = context
+      join(other)
+      key = "test.vehicles.#{@vehicle}"
+      mine? = fn -> Documents.authority(gateway, @vehicle) == :mine end
+
+      theirs? = fn ->
+        match?({:held, "gateway", "the gateway gateway-" <> _}, Documents.authority(other, @vehicle))
+      end
+
+      refused = fn gateway -> Store.counter(gateway, {:shadow, :leases_refused}) end
+      eventually(fn -> mine?.() and theirs?.() end)
+      {:ok, owner, seal, _revision} = Nats.KV.get_with(conn, "fleet_leases", key, "Aerie-Seal")
+      named = [{"Aerie-Seal", seal}]
+
+      stranger = %Shadow.Keys{common: Aerie.Base.Secret.new("the key of somebody else")}
+      now = System.os_time(:millisecond) + 1_000
+      forged = LeaseSeal.headers(stranger, "test", {:vehicle, @vehicle}, "ee00", now)
+
+      for {value, headers} <- [{"ee00", []}, {"ee00", forged}, {"ee00", named}] do
+        before = for g <- [gateway, other], do: {g, refused.(g)}
+        sign = JSON.encode!(%{"gateway" => "evil"})
+        :ok = Nats.KV.put(conn, "fleet_leases", "test.gateways.ee00", sign, headers: headers)
+        :ok = Nats.KV.put(conn, "fleet_leases", key, value, headers: headers)
+        for {g, n} <- before, do: eventually(fn -> refused.(g) >= n + 2 end)
+        assert mine?.() and theirs?.()
+        assert Documents.holder(gateway, @vehicle) == :alone
+      end
+
+      # The one that holds it writes it again, with a later number: the first word, sent again, is then an old one.
+      eventually(fn ->
+        match?(
+          {:ok, ^owner, later, _} when later not in [nil, seal],
+          Nats.KV.get_with(conn, "fleet_leases", key, "Aerie-Seal")
+        )
+      end)
+
+      before = refused.(other)
+      :ok = Nats.KV.put(conn, "fleet_leases", key, owner, headers: named)
+      eventually(fn -> refused.(other) > before end)
+
+      # Nor does a removal that no gateway sealed.
+      before = refused.(other)
+      :ok = Nats.KV.delete(conn, "fleet_leases", key)
+      eventually(fn -> refused.(other) > before end)
+      assert mine?.() and theirs?.()
     end
 
     test "an orderly end, and not hearing the vehicle any more, give it to the other one at once", context do

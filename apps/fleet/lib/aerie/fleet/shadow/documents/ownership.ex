@@ -4,28 +4,98 @@ defmodule Aerie.Fleet.Shadow.Documents.Ownership do
   `Aerie.Fleet.Shadow.Documents.Server`, their only caller.
   """
 
+  alias Aerie.Base.Store
   alias Aerie.Fleet.Bridge
-  alias Aerie.Fleet.Shadow.{Buckets, Lease}
+  alias Aerie.Fleet.Shadow.{Buckets, Lease, Metrics}
+  alias Aerie.Fleet.Shadow.Documents.{LeaseNumbers, LeaseSeal}
+
+  require Logger
 
   @max_claims 50
+  @log_ms 60_000
   @max_names 256
 
   @type state :: map()
 
-  @doc "Handles another gateway's heartbeat."
-  @spec peer(state(), String.t(), value :: binary()) :: state()
-  def peer(state, instance, value) do
-    names = if map_size(state.names) > @max_names, do: %{}, else: state.names
-    lease = Lease.peer(state.lease, instance, monotonic())
-    %{state | lease: lease, names: Map.put(names, instance, peer_name(value))}
+  @doc "Handles a gateway's heartbeat."
+  @spec peer(state(), String.t(), value :: binary(), seal :: String.t() | nil) :: state()
+  def peer(%{lease: %{me: me}} = state, instance, value, seal) do
+    case read(state, {:gateway, instance}, value, seal) do
+      {:new, state} when instance != me -> heard(state, instance, value)
+      {:refused, state} -> state
+      {_own_or_known, state} -> state
+    end
+  end
+
+  defp heard(state, instance, value) do
+    {name, echo} = sign(value, state.lease.me)
+    {alive?, numbers} = LeaseNumbers.alive(state.numbers, instance, echo, monotonic())
+    state = %{state | numbers: numbers}
+
+    if alive? do
+      names = if map_size(state.names) > @max_names, do: %{}, else: state.names
+      lease = Lease.peer(state.lease, instance, monotonic())
+      %{state | lease: lease, names: Map.put(names, instance, name)}
+    else
+      refused(state, {:gateway, instance}, "is old: it knows none of this gateway's last signs of life")
+    end
+  end
+
+  defp sign(value, me) do
+    case JSON.decode(value) do
+      {:ok, %{"gateway" => name} = sign} when is_binary(name) and byte_size(name) <= 64 ->
+        {name, with(%{^me => number} <- sign["seen"], do: number, else: (_none -> nil))}
+
+      _unnamed ->
+        {"unnamed", nil}
+    end
+  end
+
+  # `:new`, `:same` as before, or `:refused`, which is counted.
+  defp read(state, subject, value, seal) do
+    case LeaseSeal.read(state.kept.keys, state.kept.environment, subject, value, seal) do
+      {:ok, number} ->
+        {age, numbers} = LeaseNumbers.seen(state.numbers, subject, number)
+        state = %{state | numbers: numbers}
+
+        if age == :old,
+          do: {:refused, refused(state, subject, "is older than the known one")},
+          else: {age, state}
+
+      :unsealed ->
+        {:refused,
+         refused(state, subject, "has no seal: another program or an earlier version of Aerie wrote it")}
+
+      :forged ->
+        {:refused, refused(state, subject, "has a seal by another key (shadow.key, shadow.vehicle_key)")}
+    end
+  end
+
+  defp refused(state, {kind, name}, why) do
+    Metrics.count(state.gateway, :leases_refused)
+
+    if Store.claim(state.gateway, {__MODULE__, :refused}, @log_ms) do
+      what = if kind == :gateway, do: "the sign of life of the gateway", else: "the lease of"
+      Logger.warning("shadow: #{what} #{inspect(name, printable_limit: 64)} in NATS is not heeded: it #{why}")
+    end
+
+    state
   end
 
   @doc "Handles the owner of a vehicle from the bucket, nil for nobody."
-  @spec owner(state(), String.t(), String.t() | nil) :: state()
-  def owner(state, vehicle, nil),
+  @spec owner(state(), String.t(), String.t() | nil, seal :: String.t() | nil) :: state()
+  def owner(state, vehicle, owner, seal) do
+    case read(state, {:vehicle, vehicle}, owner || "", seal) do
+      {:refused, state} when owner == nil and seal == nil -> removed(state, vehicle)
+      {:refused, state} -> %{state | repairs: MapSet.put(state.repairs, vehicle)}
+      {_new_or_same, state} -> owner(state, vehicle, owner)
+    end
+  end
+
+  defp owner(state, vehicle, nil),
     do: %{state | lease: Lease.owner(state.lease, vehicle, nil, monotonic())} |> claim() |> authorities()
 
-  def owner(state, vehicle, instance),
+  defp owner(state, vehicle, instance),
     do: authorities(%{state | lease: owned(state.lease, vehicle, instance, monotonic())})
 
   # This gateway knows its own vehicles from its claims; a notice from the bucket may be old.
@@ -34,10 +104,60 @@ defmodule Aerie.Fleet.Shadow.Documents.Ownership do
 
   defp owned(lease, vehicle, other, now), do: Lease.owner(lease, vehicle, other, now)
 
-  defp peer_name(value) do
-    case JSON.decode(value) do
-      {:ok, %{"gateway" => name}} when is_binary(name) and byte_size(name) <= 64 -> name
-      _unnamed -> "unnamed"
+  # A removal without a seal (by an operator, an earlier version, the server) ends no lease of a gateway that lives.
+  defp removed(%{lease: %{me: me} = lease} = state, vehicle) do
+    case lease.owners do
+      %{^vehicle => ^me} -> %{state | repairs: MapSet.put(state.repairs, vehicle)}
+      %{^vehicle => other} -> if lives?(lease, vehicle, other), do: state, else: owner(state, vehicle, nil)
+      _none -> owner(state, vehicle, nil)
+    end
+  end
+
+  defp lives?(lease, vehicle, other),
+    do: not Lease.aboard?(vehicle, other) and not Lease.gone?(lease, other, monotonic())
+
+  @doc "Writes this gateway's sign of life."
+  @spec renew(state()) :: {:ok | {:error, String.t()}, state()}
+  def renew(%{kept: kept, lease: %{me: me}} = state) do
+    {echo, numbers} = LeaseNumbers.echo(state.numbers)
+    value = JSON.encode!(%{"gateway" => state.name, "seen" => echo})
+    {seal, number, state} = seal(%{state | numbers: numbers}, {:gateway, me}, value)
+    state = %{state | numbers: LeaseNumbers.sent(state.numbers, number, monotonic())}
+    {Buckets.renew(state.conn, kept.environment, me, value, seal), state}
+  end
+
+  @doc "This gateway's sign of life, sent at `sent_at`, was confirmed."
+  @spec renewed(state(), sent_at :: integer()) :: state()
+  def renewed(%{lease: lease} = state, sent_at) do
+    gap? = lease.renewed_at != nil and sent_at - lease.renewed_at >= lease.ttl_ms
+    numbers = if gap?, do: LeaseNumbers.gap(state.numbers), else: state.numbers
+    %{state | lease: Lease.renewed(lease, sent_at), numbers: numbers}
+  end
+
+  defp seal(%{kept: kept} = state, subject, value) do
+    {number, numbers} = LeaseNumbers.next(state.numbers, subject, System.os_time(:millisecond))
+    seal = LeaseSeal.headers(kept.keys, kept.environment, subject, value, number)
+    {seal, number, %{state | numbers: numbers}}
+  end
+
+  @doc "Writes what somebody overwrote or removed: our leases once more, and that we do not hold those that name us."
+  @spec repair(state()) :: state()
+  def repair(%{conn: nil} = state), do: state
+
+  def repair(%{repairs: repairs} = state) do
+    Enum.reduce(repairs, %{state | repairs: MapSet.new()}, fn vehicle, state ->
+      case Buckets.owner(state.conn, state.kept.environment, vehicle) do
+        {:ok, owner, _seal, revision} -> repair(state, vehicle, owner, revision)
+        {:error, _next_time} -> %{state | repairs: MapSet.put(state.repairs, vehicle)}
+      end
+    end)
+  end
+
+  defp repair(%{lease: %{me: me}} = state, vehicle, owner, revision) do
+    case state.lease.owners do
+      %{^vehicle => ^me} -> own(state, vehicle, revision)
+      _others when owner == me -> disown(state, vehicle, revision)
+      _not_ours -> state
     end
   end
 
@@ -49,21 +169,43 @@ defmodule Aerie.Fleet.Shadow.Documents.Ownership do
     state.lease |> Lease.claims(monotonic()) |> Enum.take(@max_claims) |> Enum.reduce(state, &take/2)
   end
 
-  defp take(vehicle, %{lease: lease} = state) do
-    now = monotonic()
-    gone? = &(not Lease.aboard?(vehicle, &1) and Lease.gone?(lease, &1, now))
+  # What no gateway of ours wrote, or what is old, does not keep it.
+  defp take(vehicle, %{kept: kept, lease: %{me: me} = lease} = state) do
+    with {:ok, owner, seal, revision} <- Buckets.owner(state.conn, kept.environment, vehicle) do
+      {age, state} = if owner, do: read(state, {:vehicle, vehicle}, owner, seal), else: {:same, state}
+      now = monotonic()
 
-    case Buckets.claim(state.conn, state.kept.environment, vehicle, lease.me, gone?) do
-      :mine -> %{state | lease: Lease.owner(lease, vehicle, lease.me, now)}
-      {:other, id} -> %{state | lease: Lease.owner(lease, vehicle, id, now)}
+      if owner in [nil, me] or age == :refused or
+           (not Lease.aboard?(vehicle, owner) and Lease.gone?(lease, owner, now)),
+         do: own(state, vehicle, revision),
+         else: %{state | lease: Lease.owner(lease, vehicle, owner, now)}
+    else
       {:error, _next_time} -> state
     end
   end
 
+  defp own(%{kept: kept, lease: %{me: me}} = state, vehicle, revision) do
+    {seal, _number, state} = seal(state, {:vehicle, vehicle}, me)
+
+    case Buckets.own(state.conn, kept.environment, vehicle, me, seal, revision) do
+      :ok -> %{state | lease: Lease.owner(state.lease, vehicle, me, monotonic())}
+      {:error, _next_time} -> state
+    end
+  end
+
+  defp disown(%{kept: kept} = state, vehicle, revision) do
+    {seal, _number, state} = seal(state, {:vehicle, vehicle}, "")
+    :ok = Buckets.disown(state.conn, kept.environment, vehicle, seal, revision)
+    state
+  end
+
   @doc "Gives a vehicle up, so that another gateway need not wait for the lease to expire."
-  @spec release(state(), String.t()) :: :ok
-  def release(state, vehicle) do
-    Buckets.release(state.conn, state.kept.environment, vehicle, state.lease.me)
+  @spec release(state(), String.t()) :: state()
+  def release(%{lease: %{me: me}} = state, vehicle) do
+    case Buckets.owner(state.conn, state.kept.environment, vehicle) do
+      {:ok, ^me, _seal, revision} -> disown(state, vehicle, revision)
+      _others -> state
+    end
   end
 
   @doc "See `Aerie.Fleet.Shadow.Lease.holder/3`."

@@ -12,7 +12,7 @@ defmodule Aerie.Fleet.Shadow.Documents.Server do
   alias Aerie.Fleet.{Bridge, Nats}
   alias Aerie.Fleet.Bridge.LastPublished
   alias Aerie.Fleet.Shadow.{Buckets, Keys, Lease, LocalStore, Settings}
-  alias Aerie.Fleet.Shadow.Documents.{Desired, Ownership}
+  alias Aerie.Fleet.Shadow.Documents.{Desired, LeaseNumbers, LeaseSeal, Ownership}
   alias Aerie.Base.PubSub
   alias Aerie.Base.TokenBucket
 
@@ -42,9 +42,11 @@ defmodule Aerie.Fleet.Shadow.Documents.Server do
     local? = bridge.nats.mode == :off
 
     kept = %{table: table, local?: local?, environment: bridge.environment, keys: keys, dir: dir}
-    :ets.insert(table, {:instance, folder.instance})
     Names.put_value(gateway, :shadow_documents, kept)
     :ok = PubSub.subscribe(gateway, :bridge)
+
+    me = LeaseSeal.name(folder.instance, keys)
+    :ets.insert(table, {:instance, me})
 
     state = %{
       gateway: gateway,
@@ -54,7 +56,10 @@ defmodule Aerie.Fleet.Shadow.Documents.Server do
       table: table,
       name: LastPublished.name(bridge.vehicle.identity),
       names: %{},
-      lease: Lease.new(folder.instance, settings.lease_ms),
+      lease: Lease.new(me, settings.lease_ms),
+      numbers: LeaseNumbers.new(me, settings.lease_ms),
+      # Vehicles whose lease in the bucket is not what it should be.
+      repairs: MapSet.new(),
       loops: %{},
       reports: %{},
       rates: %{},
@@ -105,8 +110,8 @@ defmodule Aerie.Fleet.Shadow.Documents.Server do
   end
 
   # The watchers call this and wait, so that a flood of writes waits in NATS.
-  def handle_call({:kv, bucket, key, change}, _from, state),
-    do: {:reply, :ok, changed(bucket, key, change, state)}
+  def handle_call({:kv, bucket, key, change, headers}, _from, state),
+    do: {:reply, :ok, changed(bucket, key, change, headers, state)}
 
   # For vehicles that are not heard here only the tags are kept.
   def handle_call({:written, document}, _from, state) do
@@ -138,7 +143,8 @@ defmodule Aerie.Fleet.Shadow.Documents.Server do
   @impl GenServer
   def handle_info(:renew, state) do
     schedule(state)
-    {:noreply, state |> connect() |> renew() |> Ownership.claim() |> Ownership.authorities()}
+    state = state |> connect() |> renew() |> Ownership.repair() |> Ownership.claim()
+    {:noreply, Ownership.authorities(state)}
   end
 
   def handle_info({:fleet, :bridge, {:connection, _info}}, state), do: {:noreply, connect(state)}
@@ -219,7 +225,8 @@ defmodule Aerie.Fleet.Shadow.Documents.Server do
 
   defp watch(conn, [bucket | others], watchers) do
     documents = self()
-    changed = fn key, change -> GenServer.call(documents, {:kv, bucket, key, change}, :infinity) end
+    call = fn message -> GenServer.call(documents, message, :infinity) end
+    changed = fn key, change, headers -> call.({:kv, bucket, key, change, headers}) end
 
     case Nats.KV.watch(conn, bucket, changed) do
       {:ok, watcher} ->
@@ -233,18 +240,20 @@ defmodule Aerie.Fleet.Shadow.Documents.Server do
 
   ## Changes in the buckets
 
-  defp changed("fleet_desired", key, change, state) do
+  defp changed("fleet_desired", key, change, _headers, state) do
     case Buckets.vehicle(key, state.kept.environment) do
       nil -> state
       vehicle -> Desired.changed(state, vehicle, change)
     end
   end
 
-  defp changed("fleet_leases", key, change, state) do
+  defp changed("fleet_leases", key, change, headers, state) do
+    seal = headers[String.downcase(LeaseSeal.header())]
+
     case {Buckets.lease(key, state.kept.environment), change} do
-      {{:gateway, instance}, {:put, value}} -> Ownership.peer(state, instance, value)
-      {{:vehicle, vehicle}, {:put, value}} -> Ownership.owner(state, vehicle, value)
-      {{:vehicle, vehicle}, :removed} -> Ownership.owner(state, vehicle, nil)
+      {{:gateway, instance}, {:put, value}} -> Ownership.peer(state, instance, value, seal)
+      {{:vehicle, vehicle}, {:put, value}} -> Ownership.owner(state, vehicle, value, seal)
+      {{:vehicle, vehicle}, :removed} -> Ownership.owner(state, vehicle, nil, seal)
       _other -> state
     end
   end
@@ -255,10 +264,8 @@ defmodule Aerie.Fleet.Shadow.Documents.Server do
 
   defp renew(%{looked_at: looked_at} = state) do
     sent_at = monotonic()
-
-    if sent_at - looked_at < @look_ms and put_lease(state) == :ok,
-      do: %{state | lease: Lease.renewed(state.lease, sent_at)},
-      else: look(state)
+    {renewed, state} = if sent_at - looked_at < @look_ms, do: Ownership.renew(state), else: {:look, state}
+    if renewed == :ok, do: Ownership.renewed(state, sent_at), else: look(state)
   end
 
   # Somebody may have deleted a bucket.
@@ -266,16 +273,14 @@ defmodule Aerie.Fleet.Shadow.Documents.Server do
     sent_at = monotonic()
 
     with {:ok, made, state} <- buckets(state, state.conn),
-         :ok <- put_lease(state) do
-      state = %{state | lease: Lease.renewed(state.lease, sent_at)}
+         {:ok, state} <- Ownership.renew(state) do
+      state = Ownership.renewed(state, sent_at)
       if made == [], do: state, else: all(state)
     else
+      {{:error, why}, state} -> Desired.problem(disconnected(state), why)
       {:error, why} -> Desired.problem(disconnected(state), why)
     end
   end
-
-  defp put_lease(state),
-    do: Buckets.renew(state.conn, state.kept.environment, state.lease.me, state.name)
 
   defp left(state, vehicle) do
     lease = Lease.want(state.lease, vehicle, false)
@@ -285,9 +290,8 @@ defmodule Aerie.Fleet.Shadow.Documents.Server do
   end
 
   defp give_up(state, vehicle) do
-    if state.conn != nil and match?({:mine, _until}, Ownership.holder(state, vehicle)),
-      do: Ownership.release(state, vehicle)
-
+    held? = state.conn != nil and match?({:mine, _until}, Ownership.holder(state, vehicle))
+    state = if held?, do: Ownership.release(state, vehicle), else: state
     Ownership.authorities(%{state | lease: Lease.owner(state.lease, vehicle, nil, monotonic())})
   end
 

@@ -5,7 +5,7 @@ defmodule Authority.Shaping do
   """
 
   @typedoc """
-    * `:shapes` - a width, a height, or the path in another way
+    * `:shapes` - a width, a height, or the path in another way; a speed, which leaves it as it is
     * `:metres` - metres of its unit, nil where no length is meant
     * `:assumed` - how many metres count as long as the vehicle has not told its value: more than people set. nil:
       nobody asks for it
@@ -13,7 +13,7 @@ defmodule Authority.Shaping do
   """
   @type row :: %{
           name: String.t(),
-          shapes: :width | :height | :path,
+          shapes: :width | :height | :path | :speed,
           metres: number() | nil,
           meaning: String.t(),
           assumed: number() | nil,
@@ -64,6 +64,22 @@ defmodule Authority.Shaping do
             {"MIS_LTRMIN_ALT", :height, 1, "the least height of a circle"},
             {"LAND_ALT_LOW", :height, 0.01, "where a landing slows down"},
             {"LAND_ALT_LOW_M", :height, 1, "where a landing slows down"},
+            {"WPNAV_SPEED", :speed, nil, "a speed"},
+            {"WPNAV_SPEED_UP", :speed, nil, "a speed"},
+            {"WPNAV_SPEED_DN", :speed, nil, "a speed"},
+            {"WPNAV_ACCEL", :speed, nil, "a speed"},
+            {"WP_SPEED", :speed, nil, "a speed"},
+            {"WP_SPD", :speed, nil, "a speed"},
+            {"WP_SPD_UP", :speed, nil, "a speed"},
+            {"WP_SPD_DN", :speed, nil, "a speed"},
+            {"RTL_SPEED", :speed, nil, "a speed"},
+            {"RTL_SPEED_MS", :speed, nil, "a speed"},
+            {"LAND_SPEED", :speed, nil, "a speed"},
+            {"LAND_SPEED_HIGH", :speed, nil, "a speed"},
+            {"LAND_SPD_MS", :speed, nil, "a speed"},
+            {"LAND_SPD_HIGH_MS", :speed, nil, "a speed"},
+            {"LOIT_SPEED", :speed, nil, "a speed"},
+            {"LOIT_SPEED_MS", :speed, nil, "a speed"},
             {"RTL_CONE_SLOPE", :path, nil, "how high it climbs by its distance from home"},
             {"RTL_CONE_ANG", :path, nil, "how high it climbs by its distance from home"},
             {"RTL_TYPE", :path, nil, "by which way it comes home"},
@@ -112,6 +128,13 @@ defmodule Authority.Shaping do
   defp family?([name], name), do: true
   defp family?([start, ""], name), do: String.starts_with?(name, start)
   defp family?(_other, _name), do: false
+
+  @doc "Whether a parameter shapes a path, as far as is known."
+  @spec shapes?(String.t()) :: boolean()
+  def shapes?(name) do
+    row = get(name)
+    row == :unknown or (row != nil and row.shapes != :speed)
+  end
 
   @doc "The names whose values the gateway reads from a vehicle of a firmware and a kind."
   @spec read_by(atom(), String.t()) :: [String.t()]

@@ -205,7 +205,13 @@ defmodule Aerie.Control.Params do
       }
 
       asked = {"params", "set", of(component, %{"name" => name, "value" => value})}
-      change = Map.put(change([name], Map.merge(%{name: name, value: value}, whose)), :remote_request, asked)
+
+      change =
+        Map.put(
+          change([{name, value}], Map.merge(%{name: name, value: value}, whose)),
+          :remote_request,
+          asked
+        )
 
       Transfers.change(gateway, vehicle, change, transfer, options, fn param ->
         %{"name" => name, "value" => param.value}
@@ -233,7 +239,8 @@ defmodule Aerie.Control.Params do
     wired = for {name, value, type} <- entries, do: {LongNames.wire(name), value, type}
 
     with :ok <- check_all(entries), :ok <- known(gateway, vehicle, names) do
-      change = change(names, %{count: length(entries), digest: digest(entries)})
+      sets = for {name, value, _type} <- entries, do: {name, value}
+      change = change(sets, %{count: length(entries), digest: digest(entries)})
       change = Map.put(change, :before, fn _snapshot -> &Result.remark(&1, remarks) end)
 
       transfer = %{
@@ -324,7 +331,7 @@ defmodule Aerie.Control.Params do
 
   defp common(context), do: Component.options(context, nil)
 
-  defp change(names, params), do: %{facts: Intent.set_parameters(names), params: params}
+  defp change(sets, params), do: %{facts: Intent.set_parameters(sets), params: params}
 
   defp entry(%{name: name, value: value, type: type}), do: {name, value, type}
   defp entry({name, value}), do: {name, value, nil}

@@ -150,6 +150,10 @@ defmodule Aerie.Control.Policy.Fence do
       "the border of the #{zone.kind} zone \"#{zone.name}\" is #{metres(metres)} away"
   end
 
+  @doc "Whether a zone of it has a floor or a ceiling."
+  @spec heights?(t()) :: boolean()
+  def heights?(fence), do: Enum.any?(fence.zones, &(&1.floor != nil or &1.ceiling != nil))
+
   # Its length with the climb, as far as that is known.
   defp slant(length, from, to) do
     climb = if from.home && to.home, do: to.home - from.home, else: (to.msl || 0) - (from.msl || to.msl || 0)

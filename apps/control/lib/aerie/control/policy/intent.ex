@@ -25,6 +25,7 @@ defmodule Aerie.Control.Policy.Intent do
     implies: [],
     path: :none,
     sweep: nil,
+    sets: [],
     moves?: false,
     stored?: false,
     ends_flight?: false,
@@ -105,6 +106,9 @@ defmodule Aerie.Control.Policy.Intent do
   """
   @type switches :: %{channels: %{(1..18) => integer()}, buttons: [0..31]} | :unknown
 
+  @typedoc "A parameter and its new value, nil if that is not known."
+  @type setting :: {name :: String.t() | nil, number() | nil}
+
   @typedoc "A message by its id, or a command of MAV_CMD."
   @type unknown :: {:message, non_neg_integer()} | {:command, non_neg_integer()}
 
@@ -134,6 +138,7 @@ defmodule Aerie.Control.Policy.Intent do
           control: Lease.change() | nil,
           path: path(),
           sweep: sweep(),
+          sets: [setting()],
           moves?: boolean(),
           stored?: boolean(),
           switches: switches() | nil,
@@ -177,11 +182,15 @@ defmodule Aerie.Control.Policy.Intent do
   @spec ending() :: [String.t()]
   def ending, do: @ending
 
-  @doc "The facts of parameters that are set, by their names; nil for one whose name is not known."
-  @spec set_parameters([String.t() | nil]) :: t()
-  def set_parameters(names) do
-    guarded? = Enum.any?(names, &(&1 == nil or Protection.parameter?(&1)))
-    %__MODULE__{type: "set_parameter", permission: :maintain, also: protection(guarded?)}
+  @doc """
+  The facts of parameters that are set, by their names and values, or by their names alone; a name that is not known
+  is nil.
+  """
+  @spec set_parameters([setting() | String.t() | nil]) :: t()
+  def set_parameters(settings) do
+    sets = for setting <- settings, do: if(is_tuple(setting), do: setting, else: {setting, nil})
+    guarded? = Enum.any?(sets, fn {name, _value} -> name == nil or Protection.parameter?(name) end)
+    %__MODULE__{type: "set_parameter", permission: :maintain, also: protection(guarded?), sets: sets}
   end
 
   @doc "The facts of a file that is written, moved or removed, by its path."

@@ -25,7 +25,7 @@ defmodule Aerie.Control.Policy.Mavlink do
   alias Aerie.Vehicle.Command.{Type, Types}
   alias Aerie.Control.Policy.Intent
   alias Aerie.Control.Policy.Mavlink.{Commands, Place, Request, Setpoints, Sticks}
-  alias MavCodec.Enums.{MavCmd, MavMissionType, MavRemoteLogDataBlockCommands}
+  alias MavCodec.Enums.{MavCmd, MavMissionType, MavParamType, MavRemoteLogDataBlockCommands}
   alias MavCodec.Messages, as: M
 
   @typedoc "What is known of the vehicle: its firmware and its kind, as its snapshot has them."
@@ -43,6 +43,8 @@ defmodule Aerie.Control.Policy.Mavlink do
   # Operations of FTP that only read or end a read, and answers; of the others, the one whose data is not a path.
   @ftp_reads [0, 1, 2, 3, 4, 5, 14, 15, 128, 129]
   @ftp_write 7
+
+  @real32 MavParamType.value(:MAV_PARAM_TYPE_REAL32)
 
   @log_orders [
     MavRemoteLogDataBlockCommands.value(:MAV_REMOTE_LOG_DATA_BLOCK_STOP),
@@ -95,8 +97,13 @@ defmodule Aerie.Control.Policy.Mavlink do
 
   defp read(%M.SetMode{} = m, vehicle), do: Commands.set_mode(m.base_mode, m.custom_mode, vehicle)
 
-  defp read(%module{param_id: name}, _vehicle) when module in [M.ParamSet, M.ParamExtSet],
-    do: Intent.set_parameters([name])
+  # PX4 sends the bits of an integer in the place of a float.
+  defp read(%M.ParamSet{param_id: name, param_type: type, param_value: value}, vehicle) do
+    value = if type == @real32 or vehicle.autopilot == :ardupilot, do: value
+    Intent.set_parameters([{name, if(is_number(value), do: value)}])
+  end
+
+  defp read(%M.ParamExtSet{param_id: name}, _vehicle), do: Intent.set_parameters([name])
 
   # A number other than -1 counts in place of the name.
   defp read(%M.ParamMapRc{param_index: -1, param_id: name}, _vehicle), do: Intent.set_parameters([name])

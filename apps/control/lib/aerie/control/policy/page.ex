@@ -5,7 +5,7 @@ defmodule Aerie.Control.Policy.Page do
   them.
   """
 
-  alias Authority.{Commands, Messages, Principal}
+  alias Authority.{Commands, Messages, Principal, Shaping}
   alias Aerie.Vehicle.Command.Page, as: Markdown
   alias Aerie.Vehicle.Command.Type
   alias Aerie.Control.Policy
@@ -25,7 +25,22 @@ defmodule Aerie.Control.Policy.Page do
 
   @doc "The sections of docs/policy.md by their names."
   @spec sections() :: %{String.t() => String.t()}
-  def sections, do: %{"ways" => ways(), "messages" => messages(), "mav-commands" => commands()}
+  def sections,
+    do: %{"ways" => ways(), "messages" => messages(), "mav-commands" => commands(), "shaping" => shaping()}
+
+  @doc "The parameters that shape paths, and how many metres one counts that is not known."
+  @spec shaping() :: String.t()
+  def shaping do
+    rows = Enum.group_by(Shaping.all(), &{&1.shapes, &1.meaning, &1.assumed})
+
+    table =
+      for {{shapes, meaning, assumed}, rows} <- Enum.sort(rows),
+          do: ["#{shapes}", meaning, names(rows), if(assumed, do: "#{assumed} m", else: "")]
+
+    Markdown.table(["shapes", "what", "parameters", "not known yet"], table)
+  end
+
+  defp names(rows), do: Enum.map_join(rows, ", ", &"`#{&1.name}`")
 
   @doc "What each interface may send without an entry of `policy.clients`."
   @spec ways() :: String.t()

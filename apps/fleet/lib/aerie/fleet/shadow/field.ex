@@ -6,6 +6,7 @@ defmodule Aerie.Fleet.Shadow.Field do
   A field is named by its path. `params.*` and `intervals.*` have one entry for each parameter and message.
   """
 
+  alias Authority.Shaping
   alias Aerie.Vehicle.Command.{Error, Param, Type}
   alias Aerie.Control.Params.LongNames
   alias Aerie.Control.Policy.Protection
@@ -184,7 +185,11 @@ defmodule Aerie.Fleet.Shadow.Field do
 
   defp besides("geofence.enabled", false), do: [:protection]
   defp besides("params." <> _name, nil), do: []
-  defp besides("params." <> name, _value), do: if(Protection.parameter?(name), do: [:protection], else: [])
+
+  # Whatever the limits are when it comes true.
+  defp besides("params." <> name, _value),
+    do: if(Protection.parameter?(name) or Shaping.shapes?(name), do: [:protection], else: [])
+
   defp besides(_path, _value), do: []
 
   @doc "Checks a value from outside."

@@ -7,22 +7,31 @@ defmodule Aerie.Control.Policy.Rules.Role do
 
   @behaviour Aerie.Control.Policy.Rule
 
+  alias Aerie.Control.Policy.FlightPath.Shaping
   alias Aerie.Control.Policy.{Roles, Switches}
 
   @msp [:betaflight, :inav]
   @by_channels ~w(arm set_mode rtl hold rc_override manual_control)
 
   @impl Aerie.Control.Policy.Rule
-  def check(_policy, facts, %{source: source} = context) do
+  def check(policy, facts, %{source: source} = context) do
     needed =
       [facts.permission | facts.also] ++
         aloft(facts, context) ++ by_channels(facts, context) ++ Switches.permissions(facts, context)
 
     case Enum.find(needed, &(not Roles.allowed?(source, &1))) do
-      nil -> :ok
-      lacking -> {:deny, "#{facts.type} needs the permission #{lacking}" <> why(lacking, source)}
+      nil ->
+        if Roles.allowed?(source, :protection),
+          do: :ok,
+          else: shaping(Shaping.refused(policy, facts, context))
+
+      lacking ->
+        {:deny, "#{facts.type} needs the permission #{lacking}" <> why(lacking, source)}
     end
   end
+
+  defp shaping(nil), do: :ok
+  defp shaping(why), do: {:deny, "set_parameter needs the permission protection: #{why}"}
 
   defp aloft(%{type: type}, context) when type in ["set_home", "set_origin"] do
     flying? = if context.in_air == nil, do: context.armed != false, else: context.in_air

@@ -143,13 +143,14 @@ defmodule Authority.Shaping do
   end
 
   @doc "Metres of a parameter by its value, or assumed because the value is not known, and which of both."
-  @spec metres(String.t(), %{String.t() => number()}) :: {:known | :assumed, float()}
-  def metres(name, params) do
+  @spec metres(String.t(), %{String.t() => number()}, assumed :: number() | nil) ::
+          {:known | :assumed, float()}
+  def metres(name, params, assumed \\ nil) do
     row = Map.fetch!(@rows, name)
 
     case params do
       %{^name => value} when is_number(value) -> {:known, abs(value) * row.metres * 1.0}
-      _unknown -> {:assumed, (row.assumed || @wide) * 1.0}
+      _unknown -> {:assumed, (assumed || row.assumed || @wide) * 1.0}
     end
   end
 end

@@ -69,12 +69,12 @@ defmodule Aerie.Control.Policy.FlightPath.Volume do
     %{circle | metres: circle.metres * @circles + @entry_m}
   end
 
-  @doc "The room by the first parameter that is known."
-  @spec by(String.t(), [String.t(), ...], params()) :: t()
-  def by(what, [first | _] = names, params) do
+  @doc "The room by the first parameter that is known; `assumed` metres, if they are others than the row's, otherwise."
+  @spec by(String.t(), [String.t(), ...], params(), assumed :: number() | nil) :: t()
+  def by(what, [first | _] = names, params, assumed \\ nil) do
     name = Enum.find(names, first, &is_map_key(params, &1))
 
-    case Authority.Shaping.metres(name, params) do
+    case Authority.Shaping.metres(name, params, assumed) do
       {:known, metres} ->
         given(metres, "#{what}#{name}, #{round(metres)} m")
 

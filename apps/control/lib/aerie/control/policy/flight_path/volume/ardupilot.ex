@@ -11,6 +11,7 @@ defmodule Aerie.Control.Policy.FlightPath.Volume.Ardupilot do
   @behaviour Volume
 
   @wheeled ["rover", "boat"]
+  @wheeled_m 10
   @abort_m 30
   # A plane climbs about one metre on four.
   @climb 4
@@ -19,7 +20,7 @@ defmodule Aerie.Control.Policy.FlightPath.Volume.Ardupilot do
   def room(sweep, kind, params) do
     cond do
       Volume.winged?(kind) -> winged(sweep, kind, params)
-      kind in @wheeled -> Volume.by("it stops or turns within ", ["WP_RADIUS"], params)
+      kind in @wheeled -> Volume.by("it stops or turns within ", ["WP_RADIUS"], params, @wheeled_m)
       true -> hovering(sweep, params)
     end
   end

@@ -114,6 +114,31 @@ defmodule Aerie.System.AuthorityAttacksTest do
     c |> settle() |> reached_nothing([150], "another vehicle")
   end
 
+  test "a companion on a link with parts: true is an operator of its own vehicle", %{tmp_dir: folder} do
+    parts = %{"id" => "parts", "url" => "udpin:127.0.0.1:0", "gcs" => "deny", "parts" => true}
+    links = [%{"id" => "link-1", "url" => "udpin:0.0.0.0:0"}, parts]
+    c = start_authority(folder, [], overrides: %{"links" => links})
+    companion = program(c, {:udp, "parts"})
+    order = fn message -> MavCodec.encode(message, system: 1, component: 191) end
+    to = [target_system: 1, target_component: 1]
+    Program.deliver(companion, [order.(%M.Heartbeat{type: 18, autopilot: 8, mavlink_version: 3})])
+
+    Program.deliver(companion, [
+      order.(struct!(%M.CommandLong{command: 400, param1: 1.0}, to)),
+      # An operator may neither.
+      order.(struct!(%M.CommandLong{command: 400, param1: 0.0, param2: @force, confirmation: 1}, to)),
+      order.(struct!(%M.ParamSet{param_id: "ARMING_CHECK", param_type: 9}, to)),
+      order.(%M.SetMode{target_system: 1, base_mode: 1, custom_mode: 6}),
+      order.(%M.CommandLong{command: 400, param1: 1.0, confirmation: 2})
+    ])
+
+    counts = settle(c)
+    assert commands(counts, "COMPONENT_ARM_DISARM", 1) >= 1
+    assert count(counts, M.ParamSet.id(), 1) == 0
+    assert count(counts, M.SetMode.id(), 1) >= 1
+    assert Store.counter(c.gateway, {:policy, :deny, :role}) >= 2
+  end
+
   # None of them is a command that the gateway has of its own.
   test "what the gateway asks for somebody else has numbers that it would send itself", %{tmp_dir: folder} do
     c = start_authority(folder, [:viewer])

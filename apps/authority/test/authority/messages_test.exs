@@ -92,7 +92,9 @@ defmodule Authority.MessagesTest do
   end
 
   test "a clock and a radio's flow control come from no part, and no sensor crosses to another vehicle" do
-    for name <- ~w(SYSTEM_TIME RADIO_STATUS GPS_INPUT GPS_RTCM_DATA), do: assert(%{part: false} = row(name))
+    for name <- ~w(SYSTEM_TIME RADIO_STATUS HIL_GPS), do: assert(%{part: false} = row(name))
+    # A vehicle's own receiver and module.
+    for name <- ~w(GPS_INPUT GPS_RTCM_DATA OPEN_DRONE_ID_LOCATION), do: assert(%{part: true} = row(name))
 
     assert [] =
              names(
@@ -105,10 +107,10 @@ defmodule Authority.MessagesTest do
     assert %{class: :answer, permission: :arm, crosses: :never, part: false} = row("COMMAND_ACK")
     assert %{class: :setpoint, permission: :fly, crosses: :never} = row("FOLLOW_TARGET")
     assert %{permission: :sensors, crosses: :never} = row("BATTERY_STATUS")
-    assert %{permission: :sensors, crosses: :never, part: false} = row("OPEN_DRONE_ID_ARM_STATUS")
+    assert %{permission: :sensors, crosses: :never, part: true} = row("OPEN_DRONE_ID_ARM_STATUS")
 
-    for name <- ~w(GLOBAL_POSITION_INT ADSB_VEHICLE COLLISION UTM_GLOBAL_POSITION),
-        do: assert(%{permission: :sensors, crosses: :team, part: false} = row(name))
+    for {name, part} <- [GLOBAL_POSITION_INT: false, COLLISION: false, ADSB_VEHICLE: true, AIS_VESSEL: true],
+        do: assert(%{permission: :sensors, crosses: :team, part: ^part} = row(to_string(name)))
   end
 
   test "sticks and set-points need manual, fly or maintain" do

@@ -124,8 +124,9 @@ defmodule MavRouter.Link.Settings do
         :parts,
         :boolean,
         """
-        Cameras, gimbals and companions of the vehicles are on this link, and what they measure goes to their autopilots. Only for
-        a link that nobody else reaches: a sender on it is taken for the part that it says it is.
+        Cameras, receivers, modules and companions of the vehicles are on this link: what they measure goes to their
+        autopilots, they may ask them, and a companion (component 191 to 194) commands its own vehicle as an operator
+        does. Only for a link that nobody else reaches: a sender on it is taken for the part that it says it is.
         """,
         default: false
       ),

@@ -9,7 +9,9 @@ defmodule MavRouter.Router.Gate do
   | `:clients` | clients only |
   | `:related` | clients, and those vehicles and parts that the sender's relation to them allows (`MavRouter.Router.Forward.Reach`) |
 
-  - Frames of vehicles, their parts and strangers are `:related`.
+  - Frames of vehicles, their parts and strangers are `:related`. By a link with `parts: true` a part asks its own
+    system what it likes, and a companion commands its own system as an operator does, unless the same endpoint brings
+    parts of several vehicles.
   - Telemetry, heartbeats, questions, input and answers of a client are `:cleared` if the client has the row's permission, and
     nobody else is in charge of the vehicle. Otherwise they go to clients only. A question of a client that may not ask is
     answered from the gateway's copies, or asked by the gateway (`MavRouter.Router.Gate.Questions`).
@@ -31,6 +33,7 @@ defmodule MavRouter.Router.Gate do
   alias Authority.Messages
   alias Authority.Principal
   alias MavCodec.CommandNumber
+  alias MavCodec.Enums.MavComponent
   alias MavRouter.Router.Gate.Questions
   alias MavRouter.Router.Delivery
   alias MavRouter.Router.Endpoint.Counters
@@ -43,6 +46,9 @@ defmodule MavRouter.Router.Gate do
   alias Aerie.Base.Store
   alias MavCodec.Frame
 
+  # Companions of a vehicle, by their component ids.
+  @companions Enum.map(["" | ~w(2 3 4)], &MavComponent.value(:"MAV_COMP_ID_ONBOARD_COMPUTER#{&1}"))
+
   @type scope :: :cleared | :clients | :related
 
   @doc "The frames that go on, in their order, in runs of one scope."
@@ -50,9 +56,11 @@ defmodule MavRouter.Router.Gate do
   def sort(frames, %{path: %{role: :read_only}}), do: [{:clients, frames}]
 
   def sort(frames, %{path: %{side: :vehicle, commands: false} = path, source: source} = delivery) do
-    if path.heard_vehicle == true or path.parts or source.collided,
-      do: [{:related, frames}],
-      else: of_client(frames, delivery)
+    cond do
+      path.parts and not source.vehicle and not source.collided -> of_part(frames, delivery)
+      path.heard_vehicle == true or source.collided -> [{:related, frames}]
+      true -> of_client(frames, delivery)
+    end
   end
 
   def sort(frames, %{path: %{side: :vehicle}, source: %{vehicle: true}} = delivery) do
@@ -84,6 +92,43 @@ defmodule MavRouter.Router.Gate do
         else: order(frame, target, principal(delivery), delivery)
     else
       [{:related, frame}]
+    end
+  end
+
+  defp of_part(frames, delivery), do: frames |> Enum.flat_map(&part(&1, delivery)) |> runs()
+
+  # What is for another system, or for all, is judged by the relation alone.
+  defp part(%{system: system} = frame, %{source: %{component: component}} = delivery) do
+    with %{part: false} = row <- Messages.row(frame.id),
+         {^system, _component} = target <- Forward.target(frame, delivery),
+         false <- others_too?(system, delivery) do
+      cond do
+        row.class == :question or question?(frame) ->
+          [{:cleared, frame}]
+
+        row.order? and (component in @companions or least(frame, row) == :telemetry) ->
+          # Its link has an entry of its own, or it is an operator of this system.
+          order(frame, target, principal(%{delivery | path: %{delivery.path | commands: true}}), delivery)
+
+        true ->
+          [{:related, frame}]
+      end
+    else
+      _not_to_its_own -> [{:related, frame}]
+    end
+  end
+
+  # Whether it says that it is part of several vehicles.
+  defp others_too?(system, %{gateway: gateway, tables: tables, path: path}) do
+    Enum.any?(Routes.heard_by(tables, path.key), fn {_network, other} = key ->
+      other != system and Store.vehicle(gateway, key) != nil
+    end)
+  end
+
+  defp least(frame, row) do
+    case CommandNumber.of(frame) do
+      nil -> row.permission
+      number -> Commands.permission(number)
     end
   end
 

@@ -117,6 +117,14 @@ defmodule MavRouter.Router.Routes do
     end
   end
 
+  @doc "The systems that an endpoint brings, with their networks."
+  @spec heard_by(Tables.t(), Endpoint.key()) :: [{String.t(), non_neg_integer}]
+  def heard_by(tables, {link, peer}) do
+    tables.heard_by
+    |> :ets.select([{{{link, peer, :"$1", :"$2", :_}}, [], [{{:"$1", :"$2"}}]}])
+    |> Enum.uniq()
+  end
+
   @doc "Whether a component is heard by an endpoint."
   @spec talks?(Tables.t(), {String.t(), non_neg_integer, 0..255}, Endpoint.key()) :: boolean
   def talks?(tables, {network, system, component}, {link, peer}),

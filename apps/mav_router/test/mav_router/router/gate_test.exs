@@ -197,13 +197,119 @@ defmodule MavRouter.Router.GateTest do
     assert until(c.one, battery) == [hello, status]
   end
 
-  defp known(c) do
-    Aerie.Base.Store.put_vehicle(c.gateway, {"main", 1}, %{
-      id: "V1",
-      key: {"main", 1},
+  defp known(c, system \\ 1) do
+    Aerie.Base.Store.put_vehicle(c.gateway, {"main", system}, %{
+      id: "V#{system}",
+      key: {"main", system},
       network: "main",
-      system_id: 1
+      system_id: system
     })
+  end
+
+  # A receiver, a camera, a companion … of vehicle 1 on a link of its own.
+  defp part(c, component, options \\ []) do
+    id = "part-#{component}"
+    router = Keyword.merge([gcs: :deny, parts: true], options)
+    {_id, port} = add_link(c.gateway, "udpin:127.0.0.1:0", id: id, options: [router: router])
+    socket = udp(port)
+    say(socket, heartbeat(1, type: 18, autopilot: 8, component: component))
+    heard(c, 1, component)
+    known(c, 1)
+    known(c, 2)
+    socket
+  end
+
+  defp heard(c, system, component) do
+    eventually(fn ->
+      match?(%{components: %{^component => _}}, Aerie.Base.Store.system(c.gateway, {"main", system}))
+    end)
+  end
+
+  defp of_part(message, component, system \\ 1),
+    do: MavCodec.encode(message, system: system, component: component)
+
+  test "a vehicle's own receivers and modules reach it on a link with parts: true, and no other vehicle", c do
+    for {component, messages} <- [
+          {156, [%Messages.AdsbVehicle{icao_address: 9}]},
+          {236, [%Messages.OpenDroneIdLocation{latitude: 5}, %Messages.OpenDroneIdArmStatus{status: 1}]},
+          {220, [%Messages.GpsInput{lat: 5}, %Messages.GpsRtcmData{len: 3}]},
+          {191, [%Messages.NamedValueFloat{value: 2.0}, %Messages.Odometry{x: 7.0}]}
+        ] do
+      socket = part(c, component)
+      bytes = for message <- messages, do: of_part(message, component)
+      Enum.each(bytes, &say(socket, &1))
+
+      came = until(c.one, List.last(bytes))
+      assert Enum.filter(came, &(&1 in bytes)) == bytes -- [List.last(bytes)]
+      assert Enum.filter(until_marked(c, c.two), &(&1 in bytes)) == []
+    end
+  end
+
+  test "a companion commands its own system and no other on a link with parts: true; other parts ask", c do
+    companion = part(c, 191)
+    camera = part(c, 100)
+
+    arm = fn target ->
+      %Messages.CommandLong{target_system: target, target_component: 1, command: 400, param1: 1.0}
+    end
+
+    ask = %Messages.CommandLong{target_system: 1, target_component: 1, command: 512, param1: 242.0}
+
+    rate = %Messages.CommandLong{
+      target_system: 1,
+      target_component: 1,
+      command: 511,
+      param1: 30.0,
+      param2: 1.0e5
+    }
+
+    read = %Messages.ParamRequestRead{target_system: 1, target_component: 1, param_index: 3}
+    move = %Messages.SetPositionTargetLocalNed{target_system: 1, target_component: 1, vx: 1.0}
+
+    allowed =
+      for(message <- [ask, rate, read], do: {camera, of_part(message, 100)}) ++
+        for message <- [ask, arm.(1), move], do: {companion, of_part(message, 191)}
+
+    refused =
+      for(message <- [arm.(1), move], do: {camera, of_part(message, 100)}) ++
+        for message <- [arm.(2), arm.(0), %{move | target_system: 2}], do: {companion, of_part(message, 191)}
+
+    # In one turn, and the last one is allowed: what is refused before it would have come before it.
+    for {socket, bytes} <- refused, do: say(socket, bytes)
+    eventually(fn -> snapshot(c.gateway, "part-191").counters.denied >= 3 end)
+    eventually(fn -> snapshot(c.gateway, "part-100").counters.denied >= 2 end)
+
+    for {socket, bytes} <- allowed do
+      say(socket, bytes)
+
+      assert Enum.filter(until(c.one, bytes), &(&1 in Enum.map(refused, fn {_socket, bytes} -> bytes end))) ==
+               []
+    end
+
+    said = Enum.map(allowed ++ refused, &elem(&1, 1))
+    assert Enum.filter(until_marked(c, c.two), &(&1 in said)) == []
+  end
+
+  test "who says that it is the companion of several vehicles commands none of them", c do
+    companion = part(c, 191)
+    say(companion, heartbeat(2, type: 18, autopilot: 8, component: 191))
+    heard(c, 2, 191)
+
+    for system <- [1, 2] do
+      order = %Messages.CommandLong{target_system: system, target_component: 1, command: 400, param1: 1.0}
+      say(companion, of_part(order, 191, system))
+    end
+
+    eventually(fn -> snapshot(c.gateway, "part-191").counters.denied >= 2 end)
+
+    came = until_marked(c, c.one) ++ until_marked(c, c.two)
+
+    assert [] ==
+             for(
+               bytes <- came,
+               MavCodec.Frame.from_bytes(bytes, nil).id == Messages.CommandLong.id(),
+               do: bytes
+             )
   end
 
   test "a viewer's question goes on in the gateway's own words, if each number is one", c do

@@ -238,6 +238,17 @@ defmodule Aerie.Vehicle.ProtocolTest do
     assert {:refused, :rejected, _reason} = ack(int, result: 9)
   end
 
+  test "PX4 takes the channels of an override as a whole, and gets them so; 0 would not give them back" do
+    override = first(:px4, "rc_override", %{channels: [1500, 1500, 1000, 1500], hold: 1})
+    assert [] = Protocol.Px4.release(override, vehicle(:px4))
+
+    for channels <- [[1500], [1500, 1500, 1000], [0, 0, 0, 0, 0, 0, 2000], [1500, 0, 1000, 1500]] do
+      assert {:error, reason} = steps(:px4, "rc_override", %{channels: channels})
+      assert reason =~ "together"
+      assert {:ok, _steps} = steps(:ardupilot, "rc_override", %{channels: channels})
+    end
+  end
+
   test "streams: one takes the place of another, and overrides are given back" do
     override = first(:ardupilot, "rc_override", %{channels: [1500, 0], hold: 2, rate: 20})
     velocity = first(:ardupilot, "setpoint_velocity", %{vx: 1, vy: 0, vz: 0})

@@ -287,6 +287,33 @@ defmodule Aerie.System.AuthorityAttacksTest do
     assert count(counts, M.ParamRequestList.id(), 237) - asked <= 5
   end
 
+  test "while a vehicle's switches are not known, an operator's channels beyond the sticks reach it by no message",
+       %{tmp_dir: folder} do
+    c = start_authority(folder, [])
+    operator = program(c, {:tcp, "operator-tcp"})
+    target = [target_system: 1, target_component: 1]
+    left_alone = for n <- 1..8, do: {:"chan#{n}_raw", 65_535}
+    override = &struct!(%M.RcChannelsOverride{}, target ++ left_alone ++ &1)
+
+    Program.deliver(operator, [
+      station(211),
+      encode(override.(chan5_raw: 2_000), 211),
+      encode(override.(chan7_raw: 2_000), 211),
+      encode(override.(chan8_raw: 0, chan9_raw: 1_000), 211),
+      encode(override.(chan16_raw: 65_534, chan15_raw: 900), 211),
+      encode(struct!(%M.RadioRcChannels{count: 16, channels: List.duplicate(4_096, 32)}, target), 211),
+      encode(%M.CubepilotRawRc{rc_raw: :binary.copy(<<7>>, 32)}, 211),
+      encode(%M.RcChannels{chancount: 16, chan7_raw: 2_000}, 211)
+    ])
+
+    counts = settle(c)
+    reached = for {{id, 211, _command, _seq}, _n} <- counts, id != M.Heartbeat.id(), do: id
+    assert reached == []
+
+    Program.deliver(operator, [encode(override.(chan1_raw: 1_500, chan3_raw: 1_200), 211)])
+    assert count(settle(c), M.RcChannelsOverride.id(), 211) >= 1
+  end
+
   describe "while a program is in charge" do
     setup %{tmp_dir: folder} do
       c = start_authority(folder, [])

@@ -13,7 +13,7 @@ defmodule Aerie.Control.Policy do
 
   alias Authority.Principal
   alias Aerie.Vehicle.Command
-  alias Aerie.Control.Policy.{Compile, Context, Fence, Intent, Lease, Rate, Roles, Rules, Sources}
+  alias Aerie.Control.Policy.{Compile, Context, Fence, Intent, Lease, Rate, Roles, Rules, Sources, Switches}
 
   @enforce_keys [:modes, :lease, :audit_required]
   defstruct [
@@ -119,6 +119,8 @@ defmodule Aerie.Control.Policy do
   def admit(policy, %Intent{} = facts, context), do: check(@who, policy, facts, context)
 
   defp check(rules, policy, facts, context) do
+    facts = Switches.judge(facts, context, Rules.Mode.limits?(policy))
+
     Enum.find_value(rules, :allow, fn {name, rule} ->
       with {:deny, reason} <- rule.check(policy, facts, context),
            do: {:deny, name, reason},

@@ -23,6 +23,7 @@ defmodule Aerie.Control.Policy.Intent do
     also: [],
     modes: [],
     implies: [],
+    reasons: %{},
     path: :none,
     sweep: nil,
     sets: [],
@@ -101,10 +102,21 @@ defmodule Aerie.Control.Policy.Intent do
         }
 
   @typedoc """
-  Pulse widths of channels in µs by their numbers, and the numbers of buttons that are pressed, from 0; `:unknown` for a message that says
-  neither in a way that is known here.
+  What works channels of the remote control; `:unknown` for a message that says so in no way that is known here.
+
+    * `:channels` - RC_CHANNELS_OVERRIDE's values by the numbers of the channels, as they are sent: what ignores or gives back a channel depends on the
+      firmware (`Aerie.Control.Policy.Switches`)
+    * `:axes` - a joystick's, in thousandths; nil for one that is missing
+    * `:buttons` - those that are pressed, from 0; `:aux` - the numbers of MANUAL_CONTROL's outputs that are set
   """
-  @type switches :: %{channels: %{(1..18) => integer()}, buttons: [0..31]} | :unknown
+  @type switches ::
+          %{
+            channels: %{(1..18) => 0..65_535},
+            axes: %{optional(:pitch | :roll | :throttle | :yaw) => integer() | nil},
+            buttons: [0..31],
+            aux: [1..6]
+          }
+          | :unknown
 
   @typedoc "A parameter and its new value, nil if that is not known."
   @type setting :: {name :: String.t() | nil, number() | nil}
@@ -114,7 +126,7 @@ defmodule Aerie.Control.Policy.Intent do
 
   @typedoc """
     * `:permission` - what a source must be allowed to do (`t:Aerie.Vehicle.Command.Type.permission/0`)
-    * `:also` - permissions that it needs besides
+    * `:also` - permissions that it needs besides; `:reasons` - why, for those of which the name alone does not say it
     * `:unknown` - that no table of the gateway knows the message or command; `:number` - what is wrong with one of its numbers
     * `:mode` - the mode that it asks for, by its name; `:modes` - others for which a firmware may take it;
       `:standard_mode` - the mode by the name of MAVLink's standard modes
@@ -129,6 +141,7 @@ defmodule Aerie.Control.Policy.Intent do
           type: String.t(),
           permission: Type.permission(),
           also: [Type.permission()],
+          reasons: %{Type.permission() => String.t()},
           unknown: unknown() | nil,
           number: String.t() | nil,
           modes: [String.t()],
@@ -220,6 +233,14 @@ defmodule Aerie.Control.Policy.Intent do
     %{facts | implies: Map.get(@implies, name, [])} |> struct!(fields) |> by_mode()
   end
 
+  @doc "What works nothing, but for the fields that are given (`t:switches/0`)."
+  @spec switches(keyword()) :: switches()
+  def switches(fields), do: Map.merge(%{channels: %{}, axes: %{}, buttons: [], aux: []}, Map.new(fields))
+
+  @doc "The permissions that something needs of which nobody knows what it does."
+  @spec most() :: [Type.permission(), ...]
+  def most, do: [:terminate, :force_disarm, :protection, :maintain]
+
   @doc "The numbers of the buttons that are pressed, from 0."
   @spec pressed(non_neg_integer()) :: [0..31]
   def pressed(bits), do: for(n <- 0..31, (bits >>> n &&& 1) == 1, do: n)
@@ -292,13 +313,24 @@ defmodule Aerie.Control.Policy.Intent do
     [path: {:drift, drift}, what: drift_what()]
   end
 
-  # 0 leaves a channel to the pilot.
+  # 0 leaves a channel to the pilot, as the values do that are sent for it.
   defp asked("rc_override", params) do
-    channels = for {us, n} <- Enum.with_index(params.channels, 1), us != 0, into: %{}, do: {n, us}
-    [switches: %{channels: channels, buttons: []}]
+    channels =
+      for {us, n} <- Enum.with_index(params.channels, 1),
+          into: %{},
+          do: {n, if(us == 0 and n <= 8, do: 65_535, else: us)}
+
+    [switches: switches(channels: channels)]
   end
 
-  defp asked("manual_control", params), do: [switches: %{channels: %{}, buttons: pressed(params.buttons)}]
+  defp asked("manual_control", params) do
+    axes =
+      for axis <- [:pitch, :roll, :throttle, :yaw],
+          into: %{},
+          do: {axis, round(Map.fetch!(params, axis) * 1000)}
+
+    [switches: switches(axes: axes, buttons: pressed(params.buttons))]
+  end
 
   defp asked("set_home", %{lat: lat, lon: lon, altitude_msl: metres}),
     do: [path: {:at, [%{lat: lat, lon: lon, height: {:msl, metres}}]}, what: "the new home"]

@@ -147,12 +147,12 @@ defmodule Aerie.Control.Policy.Mavlink do
     do: upload(@rally, path: {:at, [Place.int(lat, lon, {:home, metres})]}, what: "rally point #{n}")
 
   defp read(%M.RcChannelsOverride{} = m, _vehicle),
-    do: Intent.named("rc_override", switches: %{channels: Sticks.channels(m), buttons: []})
+    do: Intent.named("rc_override", switches: Sticks.switches(m))
 
   defp read(%module{}, _vehicle) when module in @sticks, do: Intent.named("rc_override", switches: :unknown)
 
   defp read(%M.ManualControl{} = m, _vehicle),
-    do: Intent.named("manual_control", switches: %{channels: %{}, buttons: Sticks.buttons(m)})
+    do: Intent.named("manual_control", switches: Sticks.switches(m))
 
   # Where an attitude leads, nobody can tell.
   defp read(%module{}, _vehicle) when module in @attitude,

@@ -1,151 +1,103 @@
 defmodule Aerie.Control.Policy.Switches do
   @moduledoc """
-  What channels of the remote control and buttons do that an override or a joystick works: by the vehicle's parameters, as far as they are
-  known (`Aerie.Vehicle.Services.Switches`).
+  What the channels and buttons that an override or a joystick works do to a vehicle, by its parameters as far as they are known
+  (`Aerie.Vehicle.Services.Switches`). Each effect is judged like the command that does the same: a kill switch needs `terminate`, a mode switch
+  changes the mode.
 
-  ArduPilot: the mode channel (FLTMODE_CH, MODE_CH) has six positions with a mode each (`RC_Channel::read_6pos_switch`), the others a function
-  (RCn_OPTION) that a switch works in its low, middle and high position; a submarine's buttons have functions (BTNn_FUNCTION), others' none.
-  PX4: the channels that RC_MAP_* names; which position means what depends on their calibration, so they may mean anything.
+  The four sticks are a pilot's and pass. A channel or button whose effect nobody here knows needs the most, because it may be the one that
+  stops the motors. Vehicles with MSP are not meant: who works their channels needs `receiver`.
   """
 
   alias Aerie.Control.Policy.{Context, Intent}
-  alias Aerie.Control.Policy.Mavlink.AuxFunctions
-  alias Aerie.Vehicle.Protocol.Modes
+  alias Aerie.Control.Policy.Switches.{Ardupilot, Gestures, Px4}
 
-  # The sticks, unless somebody has mapped them otherwise.
+  @msp [:betaflight, :inav]
+  @ignored 65_535
   @sticks 4
-  # ArduPilot takes no notice of a pulse beyond these; each band ends before its number.
-  @pulse 801..2199
-  @bands [1231, 1361, 1491, 1621, 1750]
-  @low 1200
-  @high 1800
-  @options 16
 
-  @px4_modes ~w(RC_MAP_FLTMODE RC_MAP_RETURN_SW RC_MAP_LOITER_SW RC_MAP_OFFB_SW)
-  @px4_buttons "RC_MAP_FLTM_BTN"
+  @typedoc "What a channel or button does, and which one in words; `:unknown` for what is not known."
+  @type effect :: {why :: String.t(), Intent.t() | :unknown}
 
-  # Functions of a submarine's buttons, as its firmware numbers them.
-  @sub_modes %{
-    5 => "MANUAL",
-    6 => "STABILIZE",
-    7 => "ALT_HOLD",
-    8 => "POSHOLD",
-    9 => "AUTO",
-    10 => "CIRCLE",
-    11 => "GUIDED",
-    12 => "ACRO",
-    13 => "SURFTRAK"
-  }
-  @own [:force_disarm, :terminate, :protection]
+  @doc """
+  The facts with all that its channels and buttons need and amount to. Where modes are limited, the rule `mode` refuses what is not known, whatever
+  the permissions.
+  """
+  @spec judge(Intent.t(), Context.t(), modes_limited? :: boolean()) :: Intent.t()
+  def judge(%{switches: nil} = facts, _context, _modes_limited?), do: facts
+  def judge(facts, %{autopilot: autopilot}, _modes_limited?) when autopilot in @msp, do: facts
+
+  def judge(facts, context, modes_limited?) do
+    facts.switches
+    |> effects(context)
+    |> Enum.reject(fn {_why, effect} -> effect == :unknown and modes_limited? end)
+    # The first one gives the reason.
+    |> Enum.sort_by(fn {_why, effect} -> effect == :unknown end)
+    |> Enum.reduce(facts, fn {why, effect}, facts ->
+      {needs, implies} = needs(effect)
+
+      %{
+        facts
+        | also: Enum.uniq(facts.also ++ needs),
+          implies: Enum.uniq(facts.implies ++ implies),
+          reasons: Map.merge(Map.new(needs, &{&1, why}), facts.reasons)
+      }
+    end)
+  end
+
+  defp needs(:unknown), do: {Intent.most(), ["takeoff", "arm"]}
+
+  defp needs(effect) do
+    arms = if effect.type == "arm", do: ["arm"], else: []
+    {[effect.permission | effect.also], arms ++ effect.implies}
+  end
 
   @doc "The modes that may be entered by it, by their names, or what would have to be known."
   @spec modes(Intent.t(), Context.t()) :: {:ok, [String.t()]} | {:unknown, String.t()}
   def modes(%{switches: nil}, _context), do: {:ok, []}
-  def modes(%{switches: :unknown}, _context), do: {:unknown, "which channels it works cannot be read"}
 
-  def modes(%{switches: %{channels: channels, buttons: buttons}}, context) do
-    found =
-      for({n, us} <- Enum.sort(channels), do: channel(n, us, context)) ++
-        for n <- buttons, do: button(n, context)
+  def modes(%{switches: switches}, context) do
+    effects = effects(switches, context)
 
-    Enum.find(
-      found,
-      {:ok, for({:ok, names} <- found, name <- names, uniq: true, do: name)},
-      &match?({:unknown, _}, &1)
-    )
-  end
-
-  @doc "Permissions that it needs, because a channel ends a flight or takes away a protection."
-  @spec permissions(Intent.t(), Context.t()) :: [atom()]
-  def permissions(%{switches: %{channels: channels}}, %{autopilot: :ardupilot} = context) do
-    for {n, us} <- channels,
-        {:ok, %{} = facts} <- [option(n, us, context)],
-        permission <- [facts.permission | facts.also],
-        permission in @own,
-        uniq: true,
-        do: permission
-  end
-
-  def permissions(_facts, _context), do: []
-
-  defp channel(_n, us, %{autopilot: :ardupilot}) when us not in @pulse, do: {:ok, []}
-
-  defp channel(n, us, %{autopilot: :ardupilot} = context) do
-    with {:ok, by_switch} <- mode_switch(n, us, context),
-         {:ok, option} <- option(n, us, context),
-         do: {:ok, by_switch ++ if(option && option.mode, do: [option.mode], else: [])}
-  end
-
-  defp channel(n, _us, %{autopilot: :px4, params: params}) do
-    cond do
-      Enum.any?(@px4_modes, &(params[&1] == n)) or params[@px4_buttons] not in [nil, 0] ->
-        {:unknown, "channel #{n} may change the mode"}
-
-      Enum.all?(@px4_modes, &is_map_key(params, &1)) ->
-        {:ok, []}
-
-      true ->
-        beyond_sticks(n, "which channels change the mode (RC_MAP_*) is not known")
+    case Enum.find(effects, &unknown_mode?/1) do
+      {why, _effect} -> {:unknown, why}
+      nil -> {:ok, for({_why, %Intent{mode: mode}} <- effects, mode != nil, uniq: true, do: mode)}
     end
   end
 
-  defp channel(n, _us, _context), do: beyond_sticks(n, "what channel #{n} switches is not known")
+  defp unknown_mode?({_why, :unknown}), do: true
+  defp unknown_mode?({_why, %Intent{type: "set_mode", mode: nil}}), do: true
+  defp unknown_mode?(_known), do: false
 
-  defp mode_switch(_n, _us, %{vehicle_type: "sub"}), do: {:ok, []}
+  @spec effects(Intent.switches(), Context.t()) :: [effect()]
+  defp effects(:unknown, _context), do: [{"which channels it works cannot be read", :unknown}]
 
-  defp mode_switch(n, us, %{vehicle_type: kind, params: params} = context) do
-    {channel, slot} = if kind in ["rover", "boat"], do: {"MODE_CH", "MODE"}, else: {"FLTMODE_CH", "FLTMODE"}
-
-    case params do
-      %{^channel => known} when known == n -> slot(slot <> "#{position(us)}", context)
-      %{^channel => _another} -> {:ok, []}
-      _unknown -> beyond_sticks(n, "which channel changes the mode (#{channel}) is not known")
-    end
+  defp effects(switches, %{autopilot: :ardupilot} = context) do
+    worked = %{switches | channels: Ardupilot.worked(switches.channels)}
+    Ardupilot.effects(worked, context) ++ Gestures.effects(worked, context)
   end
 
-  defp slot(name, %{params: params} = context) do
-    with number when is_number(number) <- params[name],
-         [_ | _] = modes <- Modes.asked(:ardupilot, context.vehicle_type, 1, trunc(number)) do
-      {:ok, modes}
-    else
-      _unknown -> {:unknown, "which mode its switch then chooses (#{name}) is not known"}
-    end
+  defp effects(switches, %{autopilot: :px4} = context) do
+    worked = %{switches | channels: Px4.worked(switches.channels)}
+    Px4.effects(worked, context) ++ Gestures.effects(worked, context)
   end
 
-  # The facts of the function of a channel, nil for none.
-  defp option(n, _us, _context) when n > @options, do: {:ok, nil}
+  # PX4 works more channels by a message than any other firmware.
+  defp effects(switches, context) do
+    worked = %{switches | channels: Px4.worked(switches.channels)}
 
-  defp option(n, us, %{params: params}) do
-    case params["RC#{n}_OPTION"] do
-      none when none == 0 ->
-        {:ok, nil}
+    channels =
+      for {n, _us} <- Enum.sort(worked.channels), n > @sticks, do: unknown("what channel #{n} switches")
 
-      function when is_number(function) ->
-        {:ok, AuxFunctions.facts(trunc(function), level(us))}
-
-      nil ->
-        with {:ok, []} <- beyond_sticks(n, "what channel #{n} switches (RC#{n}_OPTION) is not known"),
-             do: {:ok, nil}
-    end
+    buttons = for n <- switches.buttons, do: unknown("what button #{n} does")
+    outputs = for n <- switches.aux, do: unknown("what AUX #{n} does")
+    channels ++ buttons ++ outputs ++ Gestures.effects(worked, context)
   end
 
-  defp position(us), do: Enum.find_index(@bands ++ [:infinity], &(us < &1)) + 1
+  defp unknown(what), do: {"#{what} is not known, because the vehicle's firmware is not", :unknown}
 
-  defp level(us) when us < @low, do: 0
-  defp level(us) when us > @high, do: 2
-  defp level(_middle), do: 1
-
-  defp beyond_sticks(n, _why) when n <= @sticks, do: {:ok, []}
-  defp beyond_sticks(_n, why), do: {:unknown, why}
-
-  # It may be pressed with the shift button, too.
-  defp button(n, %{autopilot: :ardupilot, vehicle_type: "sub", params: params}) do
-    functions = for name <- ["BTN#{n}_FUNCTION", "BTN#{n}_SFUNCTION"], do: params[name]
-
-    if nil in functions,
-      do: {:unknown, "what button #{n} does (BTN#{n}_FUNCTION, BTN#{n}_SFUNCTION) is not known"},
-      else: {:ok, for(function <- functions, mode = @sub_modes[trunc(function)], do: mode)}
-  end
-
-  defp button(_n, _no_functions), do: {:ok, []}
+  @doc "Whether a channel is left as it is by a value that every firmware ignores."
+  @spec ignored?(pos_integer(), non_neg_integer()) :: boolean()
+  def ignored?(_n, @ignored), do: true
+  def ignored?(n, 0), do: n > 8
+  def ignored?(_n, _us), do: false
 end

@@ -5,6 +5,7 @@ defmodule Aerie.Control.Policy.SteeringTest do
   alias Aerie.Control.Policy
   alias Aerie.Vehicle.Command
   alias Aerie.Control.Policy.{Context, Mavlink}
+  alias Aerie.Vehicle.Services.Switches
   alias MavCodec.Enums.MavCmd
   alias MavCodec.Frame
   alias MavCodec.Messages, as: M
@@ -268,7 +269,7 @@ defmodule Aerie.Control.Policy.SteeringTest do
     assert judge(denied, override.(%{6 => 1900}), @copter, known) == :allow
     assert {:deny, :mode, _} = judge(denied, override.(%{7 => 1900}), @copter, known)
     assert {:deny, :role, _} = judge(%{}, override.(%{8 => 1900}), @copter, known)
-    assert judge(%{}, override.(%{5 => 1400}), @copter) == :allow
+    assert {:deny, :role, _} = judge(%{}, override.(%{5 => 1400}), @copter)
 
     # The same by the command.
     channels = &command("rc_override", %{channels: [0, 0, 0, 0, &1]})
@@ -279,7 +280,7 @@ defmodule Aerie.Control.Policy.SteeringTest do
     assert {:deny, :mode, _} = judge(denied, override.(%{8 => 1000}), @rover, rover)
     assert judge(denied, override.(%{8 => 1300}), @rover, rover) == :allow
     # PX4's depend on a calibration.
-    px4 = %{params: Map.new(~w(RC_MAP_FLTMODE RC_MAP_RETURN_SW RC_MAP_LOITER_SW RC_MAP_OFFB_SW), &{&1, 0})}
+    px4 = %{params: Map.new(Switches.plan({:px4, "copter"}), &{&1, 0})}
     assert judge(%{modes: %{denied: ["AUTO_RTL"]}}, override.(%{6 => 1500}), @px4, px4) == :allow
 
     assert {:deny, :mode, _} =

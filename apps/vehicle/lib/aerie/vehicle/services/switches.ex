@@ -15,15 +15,22 @@ defmodule Aerie.Vehicle.Services.Switches do
   @tries 2
 
   slots = fn name -> for n <- 1..6, do: "#{name}#{n}" end
-  options = for n <- 5..16, do: "RC#{n}_OPTION"
+  options = for n <- 1..16, do: "RC#{n}_OPTION"
+  sticks = ~w(RCMAP_ROLL RCMAP_PITCH RCMAP_THROTTLE RCMAP_YAW)
   overrides = ~w(RC_OVERRIDE_TIME RC_OPTIONS)
-  @flying ["FLTMODE_CH", "GUID_TIMEOUT"] ++ overrides ++ slots.("FLTMODE") ++ options
-  @driving ["MODE_CH"] ++ overrides ++ slots.("MODE") ++ options
-  @diving overrides ++ for(n <- 0..15, end_ <- ~w(FUNCTION SFUNCTION), do: "BTN#{n}_#{end_}")
-  @px4 ~w(COM_OF_LOSS_T COM_RC_IN_MODE RC_MAP_FLTMODE RC_MAP_FLTM_BTN RC_MAP_RETURN_SW RC_MAP_LOITER_SW RC_MAP_OFFB_SW)
-  # Sticks may have a function, too, and there may be more buttons.
-  @more for(n <- 1..4, do: "RC#{n}_OPTION") ++
-          for(n <- 16..31, end_ <- ~w(FUNCTION SFUNCTION), do: "BTN#{n}_#{end_}")
+  @flying ["FLTMODE_CH", "GUID_TIMEOUT"] ++
+            overrides ++
+            slots.("FLTMODE") ++ Enum.drop(options, 4) ++ sticks ++ Enum.take(options, 4) ++ ["TUNE"]
+  @driving ["MODE_CH"] ++
+             overrides ++ slots.("MODE") ++ Enum.drop(options, 4) ++ sticks ++ Enum.take(options, 4)
+  @diving overrides ++ for(n <- 0..31, end_ <- ~w(FUNCTION SFUNCTION), do: "BTN#{n}_#{end_}") ++ options
+  # Some versions lack the first two. The others are known only after these had their turn.
+  @px4 ~w(RC_MAP_TERM_SW RC_MAP_ENG_MOT COM_OF_LOSS_T COM_RC_IN_MODE RC_MAP_KILL_SW RC_MAP_ARM_SW RC_MAP_TRANS_SW RC_MAP_FLTMODE RC_MAP_FLTM_BTN
+    RC_MAP_RETURN_SW RC_MAP_LOITER_SW RC_MAP_OFFB_SW RC_MAP_ROLL RC_MAP_PITCH RC_MAP_THROTTLE RC_MAP_YAW RC_MAP_FAILSAFE RC_MAP_GEAR_SW
+    RC_MAP_PARAM1 RC_MAP_PARAM2 RC_MAP_PARAM3 RC_MAP_AUX1 RC_MAP_AUX2 RC_MAP_AUX3 RC_MAP_AUX4 RC_MAP_AUX5 RC_MAP_AUX6 RC_MAP_PAY_SW
+    MAN_KILL_GEST_T)
+  # Of old versions.
+  @more ~w(RC_MAP_MODE_SW RC_MAP_ACRO_SW RC_MAP_STAB_SW RC_MAP_MAN_SW RC_MAP_POSCTL_SW RC_MAP_RATT_SW)
   @shaping for row <- Authority.Shaping.all(), row.metres != nil, do: row.name
   @names MapSet.new(@flying ++ @driving ++ @diving ++ @px4 ++ @more ++ @shaping)
 
@@ -75,9 +82,11 @@ defmodule Aerie.Vehicle.Services.Switches do
     {%{switches | asked: asked, next: now + @pause_us}, for(name <- wanted, do: %{request | param_id: name})}
   end
 
-  defp plan({:px4, _kind}), do: @px4
-  defp plan({:ardupilot, kind}) when kind in ["rover", "boat"], do: @driving
-  defp plan({:ardupilot, "sub"}), do: @diving
-  defp plan({:ardupilot, _kind}), do: @flying
-  defp plan(_generic), do: []
+  @doc "The parameters that are read from a vehicle of a firmware and a kind."
+  @spec plan(firmware :: {atom(), String.t()}) :: [String.t()]
+  def plan({:px4, _kind}), do: @px4
+  def plan({:ardupilot, kind}) when kind in ["rover", "boat"], do: @driving
+  def plan({:ardupilot, "sub"}), do: @diving
+  def plan({:ardupilot, _kind}), do: @flying
+  def plan(_generic), do: []
 end

@@ -1,7 +1,7 @@
 defmodule Aerie.Control.Policy.Mavlink.AuxFunctions do
   @moduledoc """
-  DO_AUX_FUNCTION: what the functions of ArduPilot's switches do (RCn_OPTION), which a command may work as well as a pilot. A function
-  that is not here needs `maintain`.
+  What the functions of ArduPilot's switches do (RCn_OPTION), which DO_AUX_FUNCTION, a mission and an override may work as well as a pilot. A function
+  that is not here needs the most, because nobody here knows what it does.
   """
 
   alias Aerie.Control.Policy.Intent
@@ -52,8 +52,10 @@ defmodule Aerie.Control.Policy.Mavlink.AuxFunctions do
   @parachute [21, 22, 23]
   # Fence and avoidance: on in the high position only.
   @guards [11, 38, 40]
-  # Sensors that fail, checks for a crash, an emergency landing, the mode of the switch.
-  @failures [65, 100, 101, 105, 106, 110, 157, 159]
+  # Sensors that fail, checks for a crash, an emergency landing, the mode of the switch; terrain that is not followed any more, thermals that are.
+  @failures [65, 86, 88, 100, 101, 105, 106, 110, 157, 159]
+  # The throttle is idle while it lasts.
+  @flare 89
   @payload [
              9,
              15,
@@ -83,8 +85,60 @@ defmodule Aerie.Control.Policy.Mavlink.AuxFunctions do
              177
            ] ++
              Enum.to_list(212..217)
-  @mission [7, 24, 58, 61, 93]
-  @fly [3, 13, 29, 39, 63, 83, 86, 87, 88, 89, 95, 152, 160, 173, 178]
+  @mission [7, 24, 58, 61]
+  @fly [3, 13, 29, 39, 63, 83, 87, 95, 152, 160, 173, 178]
+  # Sticks that an option puts on a channel.
+  @manual [201, 202, 203, 204, 207, 208, 209, 210, 211]
+  @nothing 0
+  # Trims, calibrations, controllers, sources of estimates, scripts, other functions of a workshop.
+  @maintain [
+              5,
+              10,
+              12,
+              14,
+              25,
+              26,
+              43,
+              46,
+              47,
+              48,
+              49,
+              50,
+              62,
+              64,
+              74,
+              75,
+              76,
+              80,
+              82,
+              84,
+              85,
+              90,
+              91,
+              96,
+              97,
+              103,
+              104,
+              107,
+              109,
+              111,
+              112,
+              155,
+              156,
+              158,
+              161,
+              162,
+              164,
+              171,
+              172,
+              176,
+              180,
+              181,
+              182,
+              218,
+              219,
+              220
+            ] ++ Enum.to_list(300..315)
 
   @doc "The facts of a function and the position of its switch; nil for what is not an integer."
   @spec facts(integer() | nil, integer() | nil) :: Intent.t()
@@ -109,8 +163,22 @@ defmodule Aerie.Control.Policy.Mavlink.AuxFunctions do
   def facts(function, _position) when function in @payload, do: own(:payload)
   def facts(function, _position) when function in @mission, do: own(:mission)
   def facts(function, _position) when function in @fly, do: own(:fly)
-  def facts(_other, _position), do: own(:maintain)
+  def facts(@flare, @high), do: own(:fly, [:force_disarm])
+  def facts(@flare, _low), do: own(:fly)
+  def facts(@nothing, _position), do: own(:payload)
+  def facts(function, _position) when function in @manual, do: own(:manual)
+  def facts(function, _position) when function in @maintain, do: own(:maintain)
 
-  defp own(permission),
-    do: %Intent{type: "aux_function", permission: permission, moves?: permission in [:fly, :mission]}
+  def facts(_unlisted, _position) do
+    [first | more] = Intent.most()
+    own(first, more)
+  end
+
+  defp own(permission, also \\ []),
+    do: %Intent{
+      type: "aux_function",
+      permission: permission,
+      also: also,
+      moves?: permission in [:fly, :mission]
+    }
 end

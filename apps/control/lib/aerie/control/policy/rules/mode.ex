@@ -19,6 +19,10 @@ defmodule Aerie.Control.Policy.Rules.Mode do
   @typedoc "Names in capitals. A mode that is not in `transitions` may be left for any other."
   @type modes :: %{denied: [String.t()], transitions: %{String.t() => [String.t()]}}
 
+  @doc "Whether a policy limits modes."
+  @spec limits?(Aerie.Control.Policy.t()) :: boolean()
+  def limits?(%{modes: modes}), do: modes.denied != [] or modes.transitions != %{}
+
   @impl Aerie.Control.Policy.Rule
   def check(_policy, %{mode: nil, standard_mode: nil, switches: nil}, _context), do: :ok
   def check(%{modes: %{denied: [], transitions: none}}, _facts, _context) when none == %{}, do: :ok

@@ -8,16 +8,14 @@ defmodule Aerie.Control.Policy.Rules.Role do
   @behaviour Aerie.Control.Policy.Rule
 
   alias Aerie.Control.Policy.FlightPath.Shaping
-  alias Aerie.Control.Policy.{Roles, Switches}
+  alias Aerie.Control.Policy.Roles
 
   @msp [:betaflight, :inav]
   @by_channels ~w(arm set_mode rtl hold rc_override manual_control)
 
   @impl Aerie.Control.Policy.Rule
   def check(policy, facts, %{source: source} = context) do
-    needed =
-      [facts.permission | facts.also] ++
-        aloft(facts, context) ++ by_channels(facts, context) ++ Switches.permissions(facts, context)
+    needed = [facts.permission | facts.also] ++ aloft(facts, context) ++ by_channels(facts, context)
 
     case Enum.find(needed, &(not Roles.allowed?(source, &1))) do
       nil ->
@@ -26,7 +24,8 @@ defmodule Aerie.Control.Policy.Rules.Role do
           else: shaping(Shaping.refused(policy, facts, context))
 
       lacking ->
-        {:deny, "#{facts.type} needs the permission #{lacking}" <> why(lacking, source)}
+        {:deny,
+         "#{facts.type} needs the permission #{lacking}" <> why(lacking, source) <> because(facts, lacking)}
     end
   end
 
@@ -49,6 +48,8 @@ defmodule Aerie.Control.Policy.Rules.Role do
   end
 
   defp by_channels(_facts, _context), do: []
+
+  defp because(%{reasons: reasons}, lacking), do: if(reasons[lacking], do: ": " <> reasons[lacking], else: "")
 
   defp why(_lacking, nil), do: ", and nobody is signed in"
 

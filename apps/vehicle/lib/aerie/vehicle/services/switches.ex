@@ -18,6 +18,7 @@ defmodule Aerie.Vehicle.Services.Switches do
   options = for n <- 1..16, do: "RC#{n}_OPTION"
   sticks = ~w(RCMAP_ROLL RCMAP_PITCH RCMAP_THROTTLE RCMAP_YAW)
   overrides = ~w(RC_OVERRIDE_TIME RC_OPTIONS)
+
   @flying ["FLTMODE_CH", "GUID_TIMEOUT"] ++
             overrides ++
             slots.("FLTMODE") ++ Enum.drop(options, 4) ++ sticks ++ Enum.take(options, 4) ++ ["TUNE"]

@@ -24,24 +24,25 @@ defmodule Aerie.Control.Policy.Rules.Mode do
   def limits?(%{modes: modes}), do: modes.denied != [] or modes.transitions != %{}
 
   @impl Aerie.Control.Policy.Rule
-  def check(_policy, %{mode: nil, standard_mode: nil, switches: nil}, _context), do: :ok
-  def check(%{modes: %{denied: [], transitions: none}}, _facts, _context) when none == %{}, do: :ok
+  def check(policy, facts, context), do: if(limits?(policy), do: limited(policy, facts, context), else: :ok)
 
-  def check(policy, %{mode: nil, standard_mode: nil} = facts, context) do
+  defp limited(_policy, %{mode: nil, standard_mode: nil, switches: nil}, _context), do: :ok
+
+  defp limited(policy, %{mode: nil, standard_mode: nil} = facts, context) do
     case Switches.modes(facts, context) do
       {:ok, names} -> wanted(policy.modes, Enum.map(names, &known_as(&1, context)), facts, context)
       {:unknown, why} -> {:deny, "#{facts.type}: #{why}, and modes are limited (policy.modes)"}
     end
   end
 
-  def check(policy, %{mode: nil, standard_mode: name} = facts, context) do
+  defp limited(policy, %{mode: nil, standard_mode: name} = facts, context) do
     case context.standard_modes do
       %{^name => mode} -> wanted(policy.modes, [known_as(mode, context)], facts, context)
       _unknown -> {:deny, "which of its modes the standard mode #{name} is for this vehicle is not known"}
     end
   end
 
-  def check(policy, facts, context) do
+  defp limited(policy, facts, context) do
     names = Enum.flat_map([facts.mode | facts.modes], &[known_as(&1, context) | effects(&1, context)])
     wanted(policy.modes, Enum.uniq(names), facts, context)
   end

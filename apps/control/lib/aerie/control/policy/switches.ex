@@ -1,10 +1,13 @@
 defmodule Aerie.Control.Policy.Switches do
   @moduledoc """
-  What the channels and buttons that an override or a joystick works do to a vehicle, by its parameters as far as they are known
-  (`Aerie.Vehicle.Services.Switches`). Each effect is judged like the command that does the same: a kill switch needs `terminate`, a mode switch
+  What the channels and buttons that an override or a joystick works do to a vehicle, by its parameters as far as they
+  are known
+  (`Aerie.Vehicle.Services.Switches`). Each effect is judged like the command that does the same: a kill switch needs
+  `terminate`, a mode switch
   changes the mode.
 
-  The four sticks are a pilot's and pass. A channel or button whose effect nobody here knows needs the most, because it may be the one that
+  The four sticks are a pilot's and pass. A channel or button whose effect nobody here knows needs the most, because
+  it may be the one that
   stops the motors. Vehicles with MSP are not meant: who works their channels needs `receiver`.
   """
 
@@ -19,7 +22,8 @@ defmodule Aerie.Control.Policy.Switches do
   @type effect :: {why :: String.t(), Intent.t() | :unknown}
 
   @doc """
-  The facts with all that its channels and buttons need and amount to. Where modes are limited, the rule `mode` refuses what is not known, whatever
+  The facts with all that its channels and buttons need and amount to. Where modes are limited, the rule `mode`
+  refuses what is not known, whatever
   the permissions.
   """
   @spec judge(Intent.t(), Context.t(), modes_limited? :: boolean()) :: Intent.t()

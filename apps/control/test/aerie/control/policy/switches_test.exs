@@ -1,5 +1,6 @@
 defmodule Aerie.Control.Policy.SwitchesTest do
-  @moduledoc "Channels, axes and buttons of overrides and joysticks: what each of them needs, by the parameters that are known of the vehicle."
+  @moduledoc "Channels, axes and buttons of overrides and joysticks: what each of them needs, by the parameters that
+  are known of the vehicle."
   use ExUnit.Case, async: true
 
   alias Aerie.Control.Policy

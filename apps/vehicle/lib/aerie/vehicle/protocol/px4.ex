@@ -78,7 +78,8 @@ defmodule Aerie.Vehicle.Protocol.Px4 do
   defp special("rc_override", _params, %{params: %{"COM_RC_IN_MODE" => mode}}) when mode in [1, 4],
     do: {:error, "its parameter COM_RC_IN_MODE is #{trunc(mode)}, so it takes no channels"}
 
-  # It takes a channel that is left out before the last one as at its highest, fewer than four as a lost receiver, and 0 as the lowest, so that it cannot
+  # It takes a channel that is left out before the last one as at its highest, fewer than four as a lost receiver, and
+  # 0 as the lowest, so that it cannot
   # be given any back.
   defp special("rc_override", %{channels: channels} = params, vehicle) do
     given = channels |> Enum.reverse() |> Enum.drop_while(&(&1 == 0))

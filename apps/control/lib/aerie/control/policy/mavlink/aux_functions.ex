@@ -1,7 +1,7 @@
 defmodule Aerie.Control.Policy.Mavlink.AuxFunctions do
   @moduledoc """
-  What the functions of ArduPilot's switches do (RCn_OPTION), which DO_AUX_FUNCTION, a mission and an override may work as well as a pilot. A function
-  that is not here needs the most, because nobody here knows what it does.
+  What the functions of ArduPilot's switches do (RCn_OPTION), which DO_AUX_FUNCTION, a mission and an override may work
+  as well as a pilot. A function that is not here needs the most, because nobody here knows what it does.
   """
 
   alias Aerie.Control.Policy.Intent
@@ -45,14 +45,16 @@ defmodule Aerie.Control.Policy.Mavlink.AuxFunctions do
     184 => "SYSTEMID"
   }
 
-  # Motors: emergency stop, interlock, arming by a switch, disarming, the engine. Not in their high position they stop them,
+  # Motors: emergency stop, interlock, arming by a switch, disarming, the engine. Not in their high position they stop
+  # them,
   # in flight, too.
   @motors [32, 41, 153, 154, 165, 179]
   @stops [31, 81]
   @parachute [21, 22, 23]
   # Fence and avoidance: on in the high position only.
   @guards [11, 38, 40]
-  # Sensors that fail, checks for a crash, an emergency landing, the mode of the switch; terrain that is not followed any more, thermals that are.
+  # Sensors that fail, checks for a crash, an emergency landing, the mode of the switch; terrain that is not followed
+  # any more, thermals that are.
   @failures [65, 86, 88, 100, 101, 105, 106, 110, 157, 159]
   # The throttle is idle while it lasts.
   @flare 89

@@ -1,7 +1,9 @@
 defmodule Aerie.Control.Policy.Switches.Ardupilot do
   @moduledoc """
-  ArduPilot's channels and buttons: the mode channel (FLTMODE_CH, MODE_CH) has six positions with a mode each (`RC_Channel::read_6pos_switch`), the
-  others a function (RCn_OPTION) that a switch works in its low, middle and high position; a submarine's buttons have functions (BTNn_FUNCTION), others'
+  ArduPilot's channels and buttons: the mode channel (FLTMODE_CH, MODE_CH) has six positions with a mode each
+  (`RC_Channel::read_6pos_switch`), the
+  others a function (RCn_OPTION) that a switch works in its low, middle and high position; a submarine's buttons have
+  functions (BTNn_FUNCTION), others'
   none. The sticks are those of RCMAP_*, a submarine's its first six channels.
   """
 
@@ -147,7 +149,7 @@ defmodule Aerie.Control.Policy.Switches.Ardupilot do
   defp stick?(n, %{params: params}),
     do: Enum.any?(@sticks, fn {name, usual} -> Map.get(params, name, usual) == n end)
 
-  # It may be pressed with the shift button, too.
+  # It may be pressed with the shift button as well.
   defp button(n, %{vehicle_type: "sub", params: params}) do
     names = ["BTN#{n}_FUNCTION", "BTN#{n}_SFUNCTION"]
 

@@ -1,9 +1,11 @@
 defmodule Aerie.Control.Policy.Switches.Gestures do
   @moduledoc """
-  What a pilot's sticks do when they are held in a corner: yaw with the throttle down arms (ArduPilot's ARMING_RUDDER, PX4's MAN_ARM_GESTURE), and all
+  What a pilot's sticks do when they are held in a corner: yaw with the throttle down arms (ArduPilot's ARMING_RUDDER,
+  PX4's MAN_ARM_GESTURE), and all
   four sticks down and apart kill PX4's motors where MAN_KILL_GEST_T is set (`ManualControl::processStickArming`).
 
-  Which channel is which stick, and which end of it is low, depends on parameters and calibration: a channel of the first four counts as far out at
+  Which channel is which stick, and which end of it is low, depends on parameters and calibration: a channel of the
+  first four counts as far out at
   either end.
   """
 

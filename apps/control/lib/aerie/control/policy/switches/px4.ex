@@ -1,23 +1,32 @@
 defmodule Aerie.Control.Policy.Switches.Px4 do
   @moduledoc """
-  PX4's channels, by the parameters that map them (`rc_update`, `ManualControl`). Which position of a switch means what depends on the channel's
+  PX4's channels, by the parameters that map them (`rc_update`, `ManualControl`). Which position of a switch means
+  what depends on the channel's
   calibration, so each position counts as the one that does the most.
 
-  PX4 takes an override as a whole (`handle_message_rc_channels_override`): each channel up to the last one with a value. An ignored one in between is
+  PX4 takes an override as a whole (`handle_message_rc_channels_override`): each channel up to the last one with a
+  value. An ignored one in between is
   at its highest, and 0 does not give one of the first eight back but is its lowest.
   """
 
   alias Aerie.Control.Policy.{Context, Intent, Switches}
 
   # Every version has these. Those that some versions lack are read before them (`Aerie.Vehicle.Services.Switches`).
-  @needed ~w(RC_MAP_KILL_SW RC_MAP_ARM_SW RC_MAP_TRANS_SW RC_MAP_PARAM1 RC_MAP_PARAM2 RC_MAP_PARAM3 RC_MAP_FAILSAFE RC_MAP_RETURN_SW RC_MAP_LOITER_SW
-    RC_MAP_OFFB_SW RC_MAP_FLTMODE)
-  @modes ~w(RC_MAP_FLTMODE RC_MAP_RETURN_SW RC_MAP_LOITER_SW RC_MAP_OFFB_SW RC_MAP_MODE_SW RC_MAP_ACRO_SW RC_MAP_STAB_SW RC_MAP_MAN_SW
-    RC_MAP_POSCTL_SW RC_MAP_RATT_SW)
+  @needed ~w(
+    RC_MAP_KILL_SW RC_MAP_ARM_SW RC_MAP_TRANS_SW RC_MAP_PARAM1 RC_MAP_PARAM2 RC_MAP_PARAM3 RC_MAP_FAILSAFE
+    RC_MAP_RETURN_SW RC_MAP_LOITER_SW RC_MAP_OFFB_SW RC_MAP_FLTMODE
+  )
+  @modes ~w(
+    RC_MAP_FLTMODE RC_MAP_RETURN_SW RC_MAP_LOITER_SW RC_MAP_OFFB_SW RC_MAP_MODE_SW RC_MAP_ACRO_SW RC_MAP_STAB_SW
+    RC_MAP_MAN_SW RC_MAP_POSCTL_SW RC_MAP_RATT_SW
+  )
   @buttons "RC_MAP_FLTM_BTN"
   @sticks %{"RC_MAP_ROLL" => 1, "RC_MAP_PITCH" => 2, "RC_MAP_THROTTLE" => 3, "RC_MAP_YAW" => 4}
-  @switches ~w(RC_MAP_KILL_SW RC_MAP_TERM_SW RC_MAP_ARM_SW RC_MAP_ENG_MOT RC_MAP_TRANS_SW RC_MAP_FAILSAFE RC_MAP_PARAM1 RC_MAP_PARAM2 RC_MAP_PARAM3
-    RC_MAP_GEAR_SW RC_MAP_PAY_SW RC_MAP_AUX1 RC_MAP_AUX2 RC_MAP_AUX3 RC_MAP_AUX4 RC_MAP_AUX5 RC_MAP_AUX6) ++
+  @switches ~w(
+    RC_MAP_KILL_SW RC_MAP_TERM_SW RC_MAP_ARM_SW RC_MAP_ENG_MOT RC_MAP_TRANS_SW RC_MAP_FAILSAFE RC_MAP_PARAM1
+    RC_MAP_PARAM2 RC_MAP_PARAM3 RC_MAP_GEAR_SW RC_MAP_PAY_SW RC_MAP_AUX1 RC_MAP_AUX2 RC_MAP_AUX3 RC_MAP_AUX4
+    RC_MAP_AUX5 RC_MAP_AUX6
+  ) ++
               @modes
 
   @doc "The channels that an override works, with the pulses that PX4 takes for them."

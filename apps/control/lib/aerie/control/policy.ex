@@ -13,7 +13,7 @@ defmodule Aerie.Control.Policy do
 
   alias Authority.Principal
   alias Aerie.Vehicle.Command
-  alias Aerie.Control.Policy.{Compile, Context, Fence, Intent, Lease, Rate, Roles, Rules, Sources, Switches}
+  alias Aerie.Control.Policy.{Compile, Context, Fence, Intent, Lease, Rate, Roles, Rules, Sources}
 
   @enforce_keys [:modes, :lease, :audit_required]
   defstruct [
@@ -57,21 +57,6 @@ defmodule Aerie.Control.Policy do
   @typedoc "What a client that sends raw MAVLink may do: one by its id, all others by nil."
   @type client :: %{id: String.t() | nil, role: Roles.role(), permissions: [Command.Type.permission()]}
 
-  # In the order in which they are asked: what, who, when, in which state, where.
-  @rules [
-    unknown: Rules.Unknown,
-    number: Rules.Number,
-    role: Rules.Role,
-    lease: Rules.Lease,
-    window: Rules.Window,
-    condition: Rules.Condition,
-    battery: Rules.Battery,
-    mode: Rules.Mode,
-    altitude: Rules.Altitude,
-    geofence: Rules.Geofence,
-    disarmed: Rules.Disarmed
-  ]
-
   @type rule ::
           :unknown
           | :number
@@ -86,12 +71,9 @@ defmodule Aerie.Control.Policy do
           | :disarmed
   @type decision :: :allow | {:deny, rule(), reason :: String.t()}
 
-  # What a command is and who sends it. These rules read nothing that a sender could fill.
-  @who Keyword.take(@rules, [:unknown, :number, :role])
-
   @doc "The names of the rules, in the order in which they are asked. Rates are asked before them (`Aerie.Control.Policy.Rate`)."
   @spec rules() :: [rule(), ...]
-  def rules, do: Keyword.keys(@rules)
+  defdelegate rules, to: Rules, as: :names
 
   @doc "The counters of its decisions, in the read model."
   @spec counters() :: [{:policy, :allow | :deny, atom()}]
@@ -108,7 +90,7 @@ defmodule Aerie.Control.Policy do
   @spec decide(t(), Command.t() | Intent.t(), Context.t()) :: decision()
   def decide(policy, %Command{} = command, context), do: decide(policy, Intent.of(command), context)
 
-  def decide(policy, %Intent{} = facts, context), do: check(@rules, policy, facts, context)
+  def decide(policy, %Intent{} = facts, context), do: Rules.check(Rules.names(), policy, facts, context)
 
   @doc """
   The part of the decision that depends on the command and its sender alone. It comes before anything is remembered of a
@@ -116,17 +98,11 @@ defmodule Aerie.Control.Policy do
   """
   @spec admit(t(), Command.t() | Intent.t(), Context.t()) :: decision()
   def admit(policy, %Command{} = command, context), do: admit(policy, Intent.of(command), context)
-  def admit(policy, %Intent{} = facts, context), do: check(@who, policy, facts, context)
+  def admit(policy, %Intent{} = facts, context), do: Rules.check(Rules.of_sender(), policy, facts, context)
 
-  defp check(rules, policy, facts, context) do
-    facts = Switches.judge(facts, context, Rules.Mode.limits?(policy))
-
-    Enum.find_value(rules, :allow, fn {name, rule} ->
-      with {:deny, reason} <- rule.check(policy, facts, context),
-           do: {:deny, name, reason},
-           else: (:ok -> nil)
-    end)
-  end
+  @doc "Whether nobody else is in charge of the vehicle, for what is not judged by the other rules."
+  @spec in_charge?(t(), Intent.t(), Context.t()) :: boolean()
+  def in_charge?(policy, facts, context), do: Rules.check([:lease], policy, facts, context) == :allow
 
   @typedoc "What the policy must know of where a frame came from: a `MavRouter.Router.Forward.Table.Path`."
   @type origin :: %{

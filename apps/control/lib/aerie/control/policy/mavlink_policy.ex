@@ -24,8 +24,7 @@ defmodule Aerie.Control.Policy.MavlinkPolicy do
     Leases,
     Mavlink,
     Rate,
-    RecentCommands,
-    Rules
+    RecentCommands
   }
 
   alias MavCodec.Dialects.All
@@ -66,7 +65,7 @@ defmodule Aerie.Control.Policy.MavlinkPolicy do
 
       policy ->
         context = %Context{source: principal, lease: Leases.of(gateway, key)}
-        Rules.Lease.check(policy, @input, context) == :ok
+        Policy.in_charge?(policy, @input, context)
     end
   end
 

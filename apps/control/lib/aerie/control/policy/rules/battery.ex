@@ -4,13 +4,13 @@ defmodule Aerie.Control.Policy.Rules.Battery do
   the vehicle take off (`Aerie.Control.Policy.Intent`, `implies`).
   """
 
-  @behaviour Aerie.Control.Policy.Rule
+  @behaviour Aerie.Control.Policy.Rules
 
   alias Aerie.Control.Policy.Intent
 
   @types ~w(takeoff arm)
 
-  @impl Aerie.Control.Policy.Rule
+  @impl Aerie.Control.Policy.Rules
   def check(%{takeoff_battery: nil}, _facts, _context), do: :ok
 
   def check(policy, facts, context) do

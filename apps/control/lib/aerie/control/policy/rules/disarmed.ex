@@ -4,9 +4,9 @@ defmodule Aerie.Control.Policy.Rules.Disarmed do
   Commands of the table are refused by the firmware's adapter, with its reason (`Aerie.Vehicle.Protocol.plan/3`).
   """
 
-  @behaviour Aerie.Control.Policy.Rule
+  @behaviour Aerie.Control.Policy.Rules
 
-  @impl Aerie.Control.Policy.Rule
+  @impl Aerie.Control.Policy.Rules
   def check(_policy, %{stored?: true} = facts, %{armed: false}),
     do:
       {:deny, "the vehicle is disarmed, and #{facts.type} would move it as soon as it is armed: arm it first"}

@@ -1,11 +1,11 @@
 defmodule Aerie.Control.Policy.Rules.Geofence do
   @moduledoc "What a command names must be inside the fence, and so must the straight way of the vehicle to it (`Aerie.Control.Policy.Fence`)."
 
-  @behaviour Aerie.Control.Policy.Rule
+  @behaviour Aerie.Control.Policy.Rules
 
   alias Aerie.Control.Policy.{Fence, FlightPath}
 
-  @impl Aerie.Control.Policy.Rule
+  @impl Aerie.Control.Policy.Rules
   def check(%{fence: nil}, _facts, _context), do: :ok
   def check(_policy, %{ends_flight?: true}, _context), do: :ok
 

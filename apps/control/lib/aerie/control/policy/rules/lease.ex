@@ -5,11 +5,11 @@ defmodule Aerie.Control.Policy.Rules.Lease do
   allows it.
   """
 
-  @behaviour Aerie.Control.Policy.Rule
+  @behaviour Aerie.Control.Policy.Rules
 
   alias Aerie.Control.Policy.Lease
 
-  @impl Aerie.Control.Policy.Rule
+  @impl Aerie.Control.Policy.Rules
   def check(policy, %{control: change}, context) when change != nil do
     with {:ok, _lease} <- Lease.change(context.lease, change, context.source, "", policy.lease, context.now),
          do: :ok

@@ -4,9 +4,9 @@ defmodule Aerie.Control.Policy.Rules.Number do
   its range (`Authority.Commands`). PX4 takes 0.6 for 1, and ArduPilot 257 as well.
   """
 
-  @behaviour Aerie.Control.Policy.Rule
+  @behaviour Aerie.Control.Policy.Rules
 
-  @impl Aerie.Control.Policy.Rule
+  @impl Aerie.Control.Policy.Rules
   def check(_policy, %{number: nil}, _context), do: :ok
   def check(_policy, facts, _context), do: {:deny, "#{facts.type}: #{facts.number}"}
 end

@@ -5,7 +5,7 @@ defmodule Aerie.Control.Policy.Rules.Role do
   channels in the place of its pilot's, which needs `receiver`; `motors` is for turning its motors.
   """
 
-  @behaviour Aerie.Control.Policy.Rule
+  @behaviour Aerie.Control.Policy.Rules
 
   alias Aerie.Control.Policy.FlightPath.Shaping
   alias Aerie.Control.Policy.Roles
@@ -13,7 +13,7 @@ defmodule Aerie.Control.Policy.Rules.Role do
   @msp [:betaflight, :inav]
   @by_channels ~w(arm set_mode rtl hold rc_override manual_control)
 
-  @impl Aerie.Control.Policy.Rule
+  @impl Aerie.Control.Policy.Rules
   def check(policy, facts, %{source: source} = context) do
     needed = [facts.permission | facts.also] ++ aloft(facts, context) ++ by_channels(facts, context)
 

@@ -159,6 +159,99 @@ defmodule Aerie.System.CollisionTest do
     end
   end
 
+  test "whoever has no right to the id gets neither its commands nor its state, whatever he sends", %{
+    tmp_dir: folder
+  } do
+    %{gateway: gateway} = start_gateway(folder, links: ["udpin:127.0.0.1:0?gcs=deny"])
+    Aerie.Base.PubSub.subscribe(gateway, :events)
+    first = sim(gateway, "link-1", @first)
+    SimVehicle.await(first, & &1.ready)
+    eventually(fn -> lat(gateway) == home(@first) end, "the first is there")
+    other = sim(gateway, "link-1", @second)
+    assert_receive {:fleet, :events, %{type: "collision", data: %{"sign" => "claim", "links" => [[_], [_]]}}}
+
+    command = fn type, params ->
+      fields = [vehicle: "VID-001", type: type, params: params, deadline: System.os_time(:second) + 120]
+      {:ok, result} = Aerie.Control.Commands.submit(gateway, fields)
+      result
+    end
+
+    for {type, params} <- [{"set_mode", %{mode: "GUIDED"}}, {"arm", %{}}],
+        do: assert(%{status: :completed} = command.(type, params))
+
+    assert SimVehicle.state(first).armed
+    refute SimVehicle.state(other).armed
+    assert lat(gateway) == home(@first)
+
+    # When the first one is gone, the other one gets the id.
+    GenServer.stop(first)
+    eventually(fn -> lat(gateway) == home(@second) end, "the other one has the id")
+  end
+
+  test "a camera on a socket of its own gets its commands, and the autopilot its own", %{tmp_dir: folder} do
+    %{gateway: gateway} = start_gateway(folder, links: ["udpin:127.0.0.1:0"])
+    first = sim(gateway, "link-1", @first)
+    SimVehicle.await(first, & &1.ready)
+    port = link_port(gateway, "link-1")
+    camera = spawn_link(fn -> camera(self(), port) end)
+
+    eventually(
+      fn -> 100 in for(%{system: 1, component: c} <- Router.routes(gateway), do: c) end,
+      "the camera is heard"
+    )
+
+    command = fn type, params ->
+      fields = [vehicle: "VID-001", type: type, params: params, deadline: System.os_time(:second) + 120]
+      {:ok, result} = Aerie.Control.Commands.submit(gateway, fields)
+      result
+    end
+
+    for n <- 1..4, do: assert({n, :completed} == {n, command.("set_mode", %{mode: "GUIDED"}).status})
+    for n <- 1..3, do: assert({n, :accepted} == {n, command.("camera_photo", %{component: 100}).status})
+    send(camera, {:got, self()})
+    assert_receive {:got, commands}
+    assert Enum.count(commands, &(&1 == 2_000)) == 3
+    assert Enum.uniq(commands) -- [2_000, 512, 521, 511] == []
+  end
+
+  # It talks as much as the autopilot does, and acknowledges what is for it.
+  defp camera(_pid, port) do
+    {:ok, socket} = :gen_udp.open(0, [:binary, active: true])
+    :timer.send_interval(50, :beat)
+    camera_loop(socket, port, [])
+  end
+
+  defp camera_loop(socket, port, got) do
+    say = &:gen_udp.send(socket, {127, 0, 0, 1}, port, MavCodec.encode(&1, system: 1, component: 100))
+
+    receive do
+      :beat ->
+        say.(%M.Heartbeat{type: 30, autopilot: 8, mavlink_version: 3})
+        camera_loop(socket, port, got)
+
+      {:got, from} ->
+        send(from, {:got, Enum.reverse(got)})
+        camera_loop(socket, port, got)
+
+      {:udp, _socket, _address, _port, bytes} ->
+        {frames, _parser} = MavCodec.Parser.push(MavCodec.Parser.new(), bytes)
+
+        commands =
+          for frame <- frames, {:ok, %M.CommandLong{} = command} <- [MavCodec.decode(frame)] do
+            say.(%M.CommandAck{
+              command: command.command,
+              result: 0,
+              target_system: frame.system,
+              target_component: frame.component
+            })
+
+            command.command
+          end
+
+        camera_loop(socket, port, Enum.reverse(commands) ++ got)
+    end
+  end
+
   defp told do
     receive do
       {:fleet, :events, %{type: type}} -> Enum.uniq([type | told()])

@@ -3,7 +3,7 @@ defmodule MavRouter.Router do
   From links to vehicles and back: plain functions that run in the process of their caller, over shared tables.
 
   - `deliver/4`: frames of a link go to other endpoints and to the sessions of their vehicles, and teach who is heard where
-  - `send/4`: bytes for a vehicle go out by the endpoint where it was heard last
+  - `send/4`: bytes for a vehicle go out by the endpoint that brings it
   - `routes/1`, `systems/1`: what was learned
 
   Frames are forwarded unchanged, as the bytes that came in (R3).
@@ -28,6 +28,7 @@ defmodule MavRouter.Router do
   alias MavRouter.Router.Endpoint
   alias MavRouter.Router.Endpoints
   alias MavRouter.Router.Routes
+  alias MavRouter.Router.Forward.Holders
   alias MavRouter.Router.Rules
   alias MavRouter.Router.Tables
   alias MavRouter.Router.View
@@ -83,7 +84,8 @@ defmodule MavRouter.Router do
   defdelegate first_frames(gateway, key), to: MavRouter.Router.Admission
 
   @doc """
-  Sends bytes (one or more whole frames) to a vehicle or any other system, by the endpoint where it was heard last; of redundant
+  Sends bytes (one or more whole frames) to a vehicle, by the endpoint that brings it (`MavRouter.Router.Forward.Holders`), or to any
+  other system, by the endpoint where it was heard last; of redundant
   links by the one that carries their class (`MavRouter.Router.Routes.LinkSelector`).
 
   `component:` prefers endpoints where that component was heard, `link:` allows that link only. `{:error, :no_route}` for a system
@@ -96,10 +98,11 @@ defmodule MavRouter.Router do
   @spec broadcast(Names.gateway(), iodata, network :: String.t() | :all) :: :ok
   defdelegate broadcast(gateway, bytes, network \\ :all), to: Dispatch
 
-  @doc "The endpoint by which a system was heard last, nil for none. `link:` and `component:` as in `send/4`."
+  @doc "The endpoint by which `send/4` sends, the first of several; nil for none. `link:` and `component:` as there."
   @spec route(Names.gateway(), vehicle_key, keyword) :: Endpoint.key() | nil
   def route(gateway, key, options \\ []) do
-    with tables when is_map(tables) <- Tables.of(gateway), do: Routes.best(tables, key, options)
+    with tables when is_map(tables) <- Tables.of(gateway),
+         do: tables |> Holders.way(key, options, System.monotonic_time(:millisecond)) |> List.first()
   end
 
   @doc "All learned routes, with their ages in ms."
@@ -198,15 +201,6 @@ defmodule MavRouter.Router do
   @doc "All systems that sent a heartbeat, vehicles or not (`MavRouter.Router.Systems`)."
   @spec systems(Names.gateway()) :: %{vehicle_key => map}
   def systems(gateway), do: Store.systems(gateway)
-
-  @doc "Forgets the routes of a system, as after its reboot (R6)."
-  @spec clear(Names.gateway(), vehicle_key) :: :ok
-  def clear(gateway, key) do
-    with_tables(gateway, fn tables ->
-      Routes.clear(tables, key)
-      Tables.rerouted(tables)
-    end)
-  end
 
   @doc "Forgets the routes by a link."
   @spec forget(Names.gateway(), String.t()) :: :ok

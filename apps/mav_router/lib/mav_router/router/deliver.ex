@@ -56,6 +56,7 @@ defmodule MavRouter.Router.Deliver do
           forwarding: forwarding,
           path: path,
           now: :erlang.monotonic_time(:millisecond),
+          secure: origin[:trust] == :secure,
           sender: path.owner
         })
     end
@@ -99,7 +100,7 @@ defmodule MavRouter.Router.Deliver do
 
     cond do
       trusted == [] -> {@nothing, cache}
-      delivery.path.side != :vehicle -> {unclaimed(trusted), cache}
+      delivery.path.side != :vehicle or delivery.source.standing == :claim -> {unclaimed(trusted), cache}
       true -> to_session(trusted, system, cache, sender(delivery))
     end
   end
@@ -107,28 +108,30 @@ defmodule MavRouter.Router.Deliver do
   defp several(frames, trusted, cache, %{tables: tables, forwarding: %{own: own}} = delivery) do
     {looped, others} = Enum.split_with(frames, &({&1.system, &1.component} == own))
 
-    {delivery, cache, vehicles} =
+    {delivery, cache, {vehicles, claims}} =
       others
       |> Enum.group_by(&{&1.system, &1.component})
-      |> Enum.reduce({delivery, cache, []}, fn {{system, _component} = ids, frames},
-                                               {delivery, cache, vehicles} ->
+      |> Enum.reduce({delivery, cache, {[], []}}, fn {{system, _component} = ids, frames},
+                                                     {delivery, cache, {vehicles, claims}} ->
         # The source before it may have changed the path or a route.
         cache = Cache.refresh(cache, tables)
         own_trusted = if trusted == frames, do: frames, else: of_source(trusted, ids)
         {delivery, cache} = route(frames, own_trusted, ids, cache, %{delivery | forwarding: cache.forwarding})
         vehicles = if delivery.vehicle, do: [system | vehicles], else: vehicles
-        {%{sender(delivery) | source: nil, vehicle: false}, cache, vehicles}
+        claims = if delivery.source.standing == :claim, do: [ids | claims], else: claims
+        {%{sender(delivery) | source: nil, vehicle: false}, cache, {vehicles, claims}}
       end)
 
     {echoes, claimed} = Enum.split_with(trusted, &({&1.system, &1.component} == own))
     if echoes != [], do: Echo.check(delivery, echoes)
 
-    {outcome, cache} =
+    {foreign, theirs} =
       if delivery.path.side == :vehicle,
-        do: to_sessions(claimed, vehicles, cache, delivery),
-        else: {unclaimed(claimed), cache}
+        do: Enum.split_with(claimed, &({&1.system, &1.component} in claims)),
+        else: {claimed, []}
 
-    {%{outcome | looped: length(looped)}, cache}
+    {outcome, cache} = to_sessions(theirs, vehicles, cache, delivery)
+    {%{outcome | looped: length(looped), unclaimed: outcome.unclaimed + length(foreign)}, cache}
   end
 
   defp of_source(frames, ids), do: Enum.filter(frames, &({&1.system, &1.component} == ids))
@@ -151,7 +154,7 @@ defmodule MavRouter.Router.Deliver do
   defp route(frames, trusted, {system, component}, cache, %{path: path} = delivery) do
     before = Cache.source(cache, path.key, system, component)
     source = Source.refresh(before, delivery, known?(trusted))
-    delivery = HeartbeatLearner.read(trusted, %{delivery | source: source})
+    delivery = trusted |> HeartbeatLearner.read(%{delivery | source: source}) |> joined(source)
 
     for {scope, frames} <- Gate.sort(frames, delivery),
         do: forward(frames, trusted, %{delivery | scope: scope})
@@ -160,6 +163,15 @@ defmodule MavRouter.Router.Deliver do
       do: {delivery, cache},
       else: {delivery, Cache.put_source(cache, path.key, delivery.source)}
   end
+
+  # By this very heartbeat it became the vehicle's endpoint.
+  defp joined(%{source: %{standing: :holder} = source} = delivery, %{standing: :claim}),
+    do: %{delivery | source: Source.refresh(source, delivery, true)}
+
+  defp joined(delivery, _before), do: delivery
+
+  defp forward(frames, _trusted, %{source: %{standing: :claim}} = delivery),
+    do: Forward.frames(frames, delivery)
 
   defp forward(frames, trusted, delivery) do
     frames = StreamRequests.pass(frames, trusted, delivery)

@@ -11,6 +11,7 @@ defmodule MavRouter.Router.Delivery do
   | `now` | monotonic ms |
   | `sender` | what the vehicle's session is told of their origin: the id of the link, or the endpoint's key while several endpoints bring the system |
   | `vehicle` | whether one of the frames was the heartbeat of a vehicle's autopilot |
+  | `secure` | whether the link is a cable that the operator vouches for (`secure: true`) |
   | `scope` | whom the frames may reach (`MavRouter.Router.Gate`): clients only, unless the gate says more |
   """
 
@@ -19,7 +20,8 @@ defmodule MavRouter.Router.Delivery do
   alias MavRouter.Router.Tables
 
   @enforce_keys [:gateway, :tables, :forwarding, :path, :now]
-  defstruct [:gateway, :tables, :forwarding, :path, :source, :now, :sender, vehicle: false, scope: :clients]
+  defstruct [:gateway, :tables, :forwarding, :path, :source, :now, :sender] ++
+              [secure: false, vehicle: false, scope: :clients]
 
   @type t :: %__MODULE__{
           gateway: Aerie.Base.Names.gateway(),
@@ -29,6 +31,7 @@ defmodule MavRouter.Router.Delivery do
           source: Source.t() | nil,
           now: integer,
           sender: String.t() | MavRouter.Router.Endpoint.key() | nil,
+          secure: boolean,
           vehicle: boolean,
           scope: :cleared | :clients | :related
         }

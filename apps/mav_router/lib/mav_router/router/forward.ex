@@ -8,7 +8,7 @@ defmodule MavRouter.Router.Forward do
   | R2 | no frame goes back to the endpoint that it came from, and a frame for an unknown target goes nowhere |
   | R3, S10 | frames go out as they came in, signature and all; only what a client with `sign` sends unsigned is signed, by the link that needs it |
   | R4 | an unknown message goes to every client; to vehicles only if the policy opens it |
-  | R6 | a boot time that starts over clears the system's routes |
+  | R6 | a boot time that starts over clears the routes that the same endpoint taught of the system |
   | R9 | a component that never spoke is reached where its system is |
   | S8 | SETUP_SIGNING goes nowhere |
   | F10 | a target that was cut off is 0, which is everyone |
@@ -31,7 +31,8 @@ defmodule MavRouter.Router.Forward do
   alias MavRouter.Router.Forward.Refusal
   alias MavRouter.Router.Owner.Renumber
   alias MavRouter.Router.Routes
-  alias Aerie.Base.TokenBucket
+  alias MavRouter.Router.Forward.Holders
+  alias Aerie.Base.{Names, TokenBucket}
   alias MavCodec.Frame
 
   @heartbeat MessageName.id!("HEARTBEAT")
@@ -54,8 +55,30 @@ defmodule MavRouter.Router.Forward do
     if source.collided, do: Counters.add(path.counters, :collided, length(frames))
 
     case admitted(frames, delivery) do
-      [] -> :ok
-      frames -> run(frames, [], delivery)
+      [] ->
+        :ok
+
+      frames ->
+        if source.standing == :claim, do: claimed(hd(frames), delivery)
+        run(frames, [], delivery)
+    end
+  end
+
+  # Frames in the name of a vehicle that are not an echo of it: its session reports them. Once a second is enough.
+  defp claimed(%{at: at}, %{gateway: gateway, tables: tables, path: path, source: source}) do
+    key = {path.key, :claim, source.system, 0}
+
+    with {:pass, due} <-
+           RateLimit.pass(
+             :ets.lookup_element(tables.limits, key, 2, nil),
+             1_000_000,
+             System.monotonic_time(:microsecond)
+           ) do
+      :ets.insert(tables.limits, {key, due})
+
+      for network <- path.networks, session = Names.whereis(gateway, :session, {network, source.system}) do
+        send(session, {:claimed, path.key, at || System.os_time(:microsecond)})
+      end
     end
   end
 
@@ -274,17 +297,14 @@ defmodule MavRouter.Router.Forward do
   end
 
   # The first of the sender's networks in which the target is known decides.
-  defp addressed({id, component}, %{tables: tables, forwarding: forwarding, path: path}) do
+  defp addressed({id, component}, %{tables: tables, forwarding: forwarding, path: path, now: now}) do
     Enum.find_value(path.networks, {nil, []}, fn network ->
       key = {network, Renumber.meant(path.renumber, network, id)}
 
-      case component != 0 && Routes.endpoints(tables, key, component) do
-        none when none in [false, []] ->
-          if({id, component} != forwarding.own, do: some(key, Routes.endpoints(tables, key)))
+      heard? = component != 0 and Routes.endpoints(tables, key, component) != []
 
-        endpoints ->
-          {key, endpoints}
-      end
+      if heard? or {id, component} != forwarding.own,
+        do: some(key, Holders.endpoints(tables, key, component, now))
     end)
   end
 

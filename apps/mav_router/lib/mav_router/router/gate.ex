@@ -54,6 +54,7 @@ defmodule MavRouter.Router.Gate do
   @doc "The frames that go on, in their order, in runs of one scope."
   @spec sort([Frame.t()], Delivery.t()) :: [{scope, [Frame.t()]}]
   def sort(frames, %{path: %{role: :read_only}}), do: [{:clients, frames}]
+  def sort(frames, %{source: %{standing: :claim}}), do: [{:clients, frames}]
 
   def sort(frames, %{path: %{side: :vehicle, commands: false} = path, source: source} = delivery) do
     cond do

@@ -10,6 +10,7 @@ defmodule MavRouter.Router.HeartbeatLearner do
   alias MavRouter.Router.Delivery
   alias MavRouter.Router.Endpoints
   alias MavRouter.Router.Routes
+  alias MavRouter.Router.Forward.Holders
   alias MavRouter.Router.Systems
   alias MavRouter.Router.Tables
   alias MavCodec.Frame
@@ -18,6 +19,8 @@ defmodule MavRouter.Router.HeartbeatLearner do
   # Takes the place of the heartbeat on a link of high latency (X6).
   @high_latency2 MessageName.id!("HIGH_LATENCY2")
   @system_time MessageName.id!("SYSTEM_TIME")
+  # The component id of nearly every autopilot.
+  @autopilot1 1
   # An endpoint that sends a heartbeat after being there for so long has sent one before.
   @repeated_us 500_000
 
@@ -38,13 +41,50 @@ defmodule MavRouter.Router.HeartbeatLearner do
 
   def read([_other | rest], delivery), do: read(rest, delivery)
 
-  defp heartbeat(frame, %{tables: tables, path: path, source: source} = delivery) do
+  defp heartbeat(frame, delivery) do
     heartbeat = Heartbeat.read(frame)
+    vehicle? = Heartbeat.vehicle?(heartbeat)
+
+    case if(vehicle?, do: join(heartbeat, delivery), else: {delivery.source.standing, delivery.source}) do
+      # What somebody says in the name of another one's vehicle teaches nothing.
+      {:claim, source} -> %{delivery | source: source}
+      {_standing, source} -> heartbeat(frame, heartbeat, vehicle?, %{delivery | source: source})
+    end
+  end
+
+  defp join(_heartbeat, %{source: %{collided: true, standing: standing} = source}) when standing != :claim,
+    do: {standing, source}
+
+  defp join(_heartbeat, %{path: %{side: :client, auto: false}, source: source}), do: {source.standing, source}
+
+  defp join(%{type: type, autopilot: autopilot}, %{tables: tables, path: path, source: source} = delivery) do
+    joined =
+      for network <- path.networks do
+        system = {network, source.system}
+        Holders.join(tables, system, path, {type, autopilot}, delivery.secure, delivery.now)
+      end
+
+    cond do
+      :claim in joined ->
+        {:claim, %{source | autopilot: true, standing: :claim, looked: nil, marks: nil}}
+
+      :changed in joined ->
+        # Other senders under this id have another standing now.
+        if others?(tables, path, source.system), do: Tables.rerouted(tables)
+        {:holder, %{source | standing: :holder, collided: false, looked: nil, marks: nil}}
+
+      true ->
+        {:holder, source}
+    end
+  end
+
+  defp others?(tables, path, system),
+    do: Enum.any?(path.networks, &(Routes.endpoints(tables, {&1, system}) -- [path.key] != []))
+
+  defp heartbeat(frame, heartbeat, vehicle?, %{tables: tables, path: path, source: source} = delivery) do
     # Beyond the limit of systems, frames are still forwarded.
     for network <- path.networks,
         do: _ = Systems.note(delivery.gateway, network, path.owner, frame, heartbeat)
-
-    vehicle? = Heartbeat.vehicle?(heartbeat)
 
     path =
       if vehicle?, do: latency(vehicle(path, tables), tables, frame), else: other(path, tables, heartbeat)
@@ -134,12 +174,16 @@ defmodule MavRouter.Router.HeartbeatLearner do
     end
   end
 
-  # The reboot of another vehicle with that id says nothing about this one.
+  # The reboot of another vehicle with that id says nothing about this one, nor does that of a part. What other
+  # endpoints taught stays.
   defp reboot(%{source: %{collided: true}}), do: :ok
 
-  defp reboot(%{gateway: gateway, tables: tables, path: path, source: source}) do
+  defp reboot(%{path: %{side: :client}}), do: :ok
+  defp reboot(%{source: %{autopilot: false, component: component}}) when component != @autopilot1, do: :ok
+
+  defp reboot(%{gateway: gateway, tables: tables, path: %{key: {link, peer}} = path, source: source}) do
     for network <- path.networks do
-      Routes.clear(tables, {network, source.system})
+      Routes.forget_system(tables, {network, source.system}, link, peer)
       metadata = %{gateway: gateway, network: network, system: source.system}
       :telemetry.execute([:aerie, :router, :reboot], %{}, metadata)
     end

@@ -157,14 +157,7 @@ defmodule MavRouter.Router.Routes do
     end
   end
 
-  @doc "Forgets all routes of a system: it rebooted (R6) or is gone."
-  @spec clear(Tables.t(), {String.t(), non_neg_integer}) :: :ok
-  def clear(tables, {network, system}) do
-    true = :ets.match_delete(tables.routes, {{network, system, :_, :_, :_}, :_, :_})
-    :ok
-  end
-
-  @doc "Forgets the routes of a system by a link, or by one of its peers."
+  @doc "Forgets the routes of a system by a link, or by one of its peers, as after its reboot there (R6)."
   @spec forget_system(Tables.t(), {String.t(), non_neg_integer}, String.t(), term) :: :ok
   def forget_system(tables, {network, system}, link, peer) do
     true = :ets.match_delete(tables.routes, {{network, system, :_, link, peer}, :_, :_})

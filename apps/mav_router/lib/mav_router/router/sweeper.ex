@@ -10,6 +10,7 @@ defmodule MavRouter.Router.Sweeper do
   alias Aerie.Base.Names
   alias MavRouter.Router.GroundStations
   alias MavRouter.Router.Routes
+  alias MavRouter.Router.Forward.Holders
   alias MavRouter.Router.Tables
 
   @load_ttl_ms 60_000
@@ -53,7 +54,9 @@ defmodule MavRouter.Router.Sweeper do
     :ets.select_delete(tables.load, [{{:_, :"$1", :_}, [{:<, :"$1", now - @load_ttl_ms}], [true]}])
     limits(tables.limits, now * 1000 - @limit_ttl_us)
     GroundStations.sweep(tables, now)
-    Routes.sweep(tables, now)
+    swept = Routes.sweep(tables, now)
+    Holders.sweep(tables)
+    swept
   end
 
   # Streams that ended; all of them, if somebody invents sources faster than they end.

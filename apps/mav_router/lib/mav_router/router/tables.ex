@@ -17,6 +17,7 @@ defmodule MavRouter.Router.Tables do
   - `:settings` `{name, value}`, `{{:network, name}, order in which it came}`, `{{:admission, owner}, token bucket}`
   - `:changes` `{generation, endpoint's key | :all}`: what moved the generation, the last #{@max_changes} times
   - `:heard_by` `{{owner, peer, network, system, component}}`: the routes, by endpoint
+  - `:holders` `{vehicle_key, members, kind, claimed_ms}` of `MavRouter.Router.Forward.Holders`
 
   `generation` counts two things: changes of endpoints and owners, and changes of routes that concern others. Forwarding processes
   keep what they worked out from these tables for as long as it stands still. `id` tells the tables from those before a restart.
@@ -27,6 +28,7 @@ defmodule MavRouter.Router.Tables do
   @type t :: %{
           routes: :ets.table(),
           heard_by: :ets.table(),
+          holders: :ets.table(),
           changes: :ets.table(),
           endpoints: :ets.table(),
           owners: :ets.table(),
@@ -62,6 +64,7 @@ defmodule MavRouter.Router.Tables do
       # Ordered, so that all routes of a system or a component are one range.
       routes: :ets.new(:routes, [:ordered_set | shared]),
       heard_by: :ets.new(:heard_by, [:ordered_set | shared]),
+      holders: :ets.new(:holders, [:set | shared]),
       changes: :ets.new(:changes, [:set | shared]),
       endpoints: :ets.new(:endpoints, [:set | shared]),
       owners: :ets.new(:owners, [:set | shared]),

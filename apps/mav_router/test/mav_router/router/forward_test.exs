@@ -71,6 +71,7 @@ defmodule MavRouter.Router.ForwardTest do
       unknown = <<0xFD, 3, 0, 0, 1, 1, 1, 0xABCDEF::24-little, 1, 1, 5, 9, 9>>
       say(c.v1, unknown)
       assert got(c.all) == %{"v1" => [], "v2" => [], "g1" => [unknown], "g2" => [unknown]}
+      unknown = <<0xFD, 3, 0, 0, 1, 255, 190, 0xABCDEF::24-little, 1, 1, 5, 9, 9>>
       say(c.g1, unknown)
       assert got(c.all) == %{"v1" => [], "v2" => [], "g1" => [], "g2" => [unknown]}
       assert counted(c.gateway, "g1").counters.withheld == 1
@@ -164,20 +165,29 @@ defmodule MavRouter.Router.ForwardTest do
       assert %{"g1" => ^all} = got(c.all)
     end
 
-    test "R6: a boot time that starts over clears the system's routes", c do
+    test "R6: a boot time that starts over clears the routes that the same endpoint taught, and no others",
+         c do
       time = fn ms ->
         message(%Messages.SystemTime{time_boot_ms: ms, time_unix_usec: 1_000_000_000_000_000}, 1, 1)
       end
 
-      other = endpoint(c.gateway, "old", side: :vehicle)
-      say(other, heartbeat(1, component: 77, type: 30, autopilot: 8))
+      other = endpoint(c.gateway, "camera", side: :vehicle)
+
+      for {endpoint, part} <- [{c.v1, 77}, {other, 78}],
+          do: say(endpoint, heartbeat(1, component: part, type: 30, autopilot: 8))
 
       # The clock is sure after three readings over a second; all of them by one process, as those of a link are.
       at = fn ms, us -> Enum.map(parse(time.(ms)), &%{&1 | at: us}) end
       deliver(c.gateway, "v1", at.(500_000, 0))
-      assert Enum.any?(Router.routes(c.gateway), &(&1.link == "old"))
+
+      parts = fn ->
+        for %{system: 1, component: part} when part in 77..78 <- Router.routes(c.gateway), do: part
+      end
+
+      assert Enum.sort(parts.()) == [77, 78]
       for n <- 0..4, do: deliver(c.gateway, "v1", at.(1_000 + n * 500, n * 500_000))
-      refute Enum.any?(Router.routes(c.gateway), &(&1.link == "old"))
+      assert parts.() == [78]
+      assert Router.route(c.gateway, {"main", 1}) == {"v1", :self}
     end
   end
 end

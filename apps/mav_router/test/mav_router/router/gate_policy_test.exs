@@ -262,8 +262,8 @@ defmodule MavRouter.Router.GatePolicyTest do
     say(liar, heartbeat(77))
     eventually(fn -> Router.route(c.gateway, {"main", 77}) end)
 
-    # As itself, as somebody behind the same router, and as the vehicle that it commands.
-    for {system, component} <- [{77, 1}, {255, 190}, {1, 190}, {1, 1}], number <- [411, 412] do
+    # As itself, as somebody behind the same router, and as a part of the vehicle that it commands.
+    for {system, component} <- [{77, 1}, {255, 190}, {1, 190}], number <- [411, 412] do
       say(
         liar,
         command(number, [system: system, component: component], target_system: 1, target_component: 1)
@@ -273,6 +273,11 @@ defmodule MavRouter.Router.GatePolicyTest do
     end
 
     assert {%M.CommandLong{command: 412}, %{system: 77}} = next(c.one)
+    # As the vehicle itself: nobody is asked, because it goes nowhere.
+    say(liar, command(412, [system: 1, component: 1], target_system: 1, target_component: 1))
+    say(liar, command(414, [system: 77, component: 1], target_system: 1, target_component: 1))
+    assert_receive {:asked, %{owner: "radio"}, {"main", 1}, %M.CommandLong{command: 414}}
+    refute_received {:asked, _sender, _vehicle, %M.CommandLong{command: 412}}
     # A real vehicle that commands another one is no different.
     say(c.one, command(413, [system: 1, component: 1], target_system: 2))
     assert_receive {:asked, _sender, {"main", 2}, %M.CommandLong{command: 413}}

@@ -170,7 +170,7 @@ defmodule MavRouter.Router.ModelTest do
   end
 
   defp step({:reboot, network, system}, {gateway, routes, n, :ok}) do
-    :ok = Router.clear(gateway, {network, system})
+    :ok = gateway |> Router.Tables.of() |> Router.Routes.forget_system({network, system}, :_, :_)
     {gateway, Map.reject(routes, &match?({{^network, ^system, _component}, _names}, &1)), n, :ok}
   end
 

@@ -46,7 +46,7 @@ defmodule MavRouter.Router.RoutesTest do
 
   test "are cleared by system on a reboot (R6), forgotten by link and by peer", c do
     for system <- 1..3, peer <- 1..2, do: Routes.learn(c.tables, "main", system, 1, {"a", peer}, 0)
-    :ok = Router.clear(c.gateway, {"main", 1})
+    :ok = Routes.forget_system(c.tables, {"main", 1}, "a", :_)
     assert c.tables |> Routes.list(0) |> Enum.map(& &1.system) == [2, 2, 3, 3]
     :ok = Router.forget(c.gateway, "a", 2)
     assert c.tables |> Routes.list(0) |> Enum.map(& &1.peer) == [1, 1]

@@ -6,6 +6,7 @@ defmodule Aerie.Vehicle.Core do
 
     * `{:frames, path, frames}` - frames of this system in the order of their arrival, each with its time `at`; `path` is a
       link's id, or `{link, peer}` if several peers bring the system
+    * `{:claimed, path, at}` - somebody sends under the vehicle's id by a path that is not its own; the router keeps his frames off
     * `{:link_reconnected, link}` - a link on which the vehicle was heard was interrupted and is connected again
     * `{:tick, now}` - it is `now` (unix microseconds), and nothing has come
     * `{:rebase, now}` - time goes on from `now`, which is not comparable with the time before: a recording began again. What was
@@ -78,7 +79,7 @@ defmodule Aerie.Vehicle.Core do
     collision_detector: Collision.Detector.new(),
     owner: Collision.Owner.new(),
     suspicion: Collision.Suspicion.new(),
-    other_vehicle: %{collision: nil, paths: []},
+    other_vehicle: %{collision: nil, paths: [], claims: %{}},
     texts: %Texts{},
     reports: Reports.new(),
     streams: Arbiter.new(),
@@ -99,12 +100,14 @@ defmodule Aerie.Vehicle.Core do
   - `heard_again_at`: the first frame after a silence, until the vehicle's clock shows whether it was restarted
   - `settle_at`: when the detector looks again for the cause of a failsafe
   - `digest`: what the detector was shown last; `:restored` after a crash, until it has got the status again
-  - `path`: that of the frames at hand; `other_vehicle`: the last collision, and what the last `:other_vehicle` action said
+  - `path`: that of the frames at hand; `other_vehicle`: the last collision, what the last `:other_vehicle` action said,
+    and since when who claims the id
   """
   @type t :: %__MODULE__{}
   @type status :: :online | :stale | :lost
   @type event ::
           {:frames, Collision.Owner.path(), [struct()]}
+          | {:claimed, Collision.Owner.path(), integer()}
           | {:link_reconnected, link :: term()}
           | {:tick, integer()}
           | {:rebase, integer()}
@@ -224,6 +227,14 @@ defmodule Aerie.Vehicle.Core do
     {core, actions} = Effects.show({core, actions}, core.now)
 
     {Timers.observed(core, actions), Enum.reverse(actions)}
+  end
+
+  def handle(%{now: nil} = core, {:claimed, _path, _at}), do: {core, []}
+
+  def handle(core, {:claimed, path, at}) do
+    {core, actions} = Collisions.claimed(core, [], path, at)
+    {core, actions} = Effects.show({core, actions}, core.now)
+    {core, Enum.reverse(actions)}
   end
 
   # The vehicle may have been restarted, or be on another of its ports, which sends other streams.

@@ -88,6 +88,8 @@ defmodule Aerie.Vehicle.Session do
     {:noreply, step(%{state | clock: clock}, {:frames, path, frames})}
   end
 
+  def handle_info({:claimed, path, at}, state), do: {:noreply, step(state, {:claimed, path, at})}
+
   # A link on which the vehicle was heard is connected again (`MavRouter.Link.Reconnected`).
   def handle_info({:link_reconnected, link}, state), do: {:noreply, step(state, {:link_reconnected, link})}
 

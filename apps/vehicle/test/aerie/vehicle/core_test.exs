@@ -318,6 +318,31 @@ defmodule Aerie.Vehicle.CoreTest do
     assert Core.snapshot(tick(run, 80).core).collision == nil
   end
 
+  test "a sender that claims the id is reported when it goes on, and changes nothing" do
+    claim = fn run, at, path ->
+      {core, actions} = Core.handle(run.core, {:claimed, path, round(at * @second)})
+      %{run | core: core, actions: run.actions ++ actions}
+    end
+
+    run = %{(start() |> beat(10, "a")) | actions: []}
+    stranger = {"lan", {{10, 0, 0, 9}, 5_000}}
+    once = claim.(run, 11, stranger)
+    assert Core.snapshot(once.core).collision == nil
+    # A vehicle that changes its address is heard by both once or twice.
+    again = claim.(once, 30, stranger)
+    assert Core.snapshot(again.core).collision == nil
+
+    on = Enum.reduce(1..3, again, &claim.(&2, 30 + &1, stranger))
+    assert %{sign: "claim", links: [["a"], ["lan (10.0.0.9:5000)"]]} = Core.snapshot(on.core).collision
+    assert Enum.any?(on.actions, &match?({:observe, %{kind: :collision, data: %{sign: "claim"}}}, &1))
+    refute Enum.any?(on.actions, &match?({:other_vehicle, _paths}, &1))
+    assert Core.snapshot(on.core).groups == Core.snapshot(run.core).groups
+
+    # Made-up senders without end take no memory.
+    full = Enum.reduce(1..1_000, on, &claim.(&2, 34, {"lan", &1}))
+    assert map_size(full.core.other_vehicle.claims) <= 16
+  end
+
   describe "two vehicles with a path each" do
     defp fly(run, at, path, lat) do
       place = frame(%M.GlobalPositionInt{time_boot_ms: 0, lat: lat * 10_000_000, lon: 0}, round(at * @second))

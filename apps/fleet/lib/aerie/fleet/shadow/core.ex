@@ -108,6 +108,9 @@ defmodule Aerie.Fleet.Shadow.Core do
 
   defp rebooted(core, _snapshot), do: core
 
+  # What somebody says in its name reaches nobody.
+  defp not_heard(%{status: :online, collision: %{sign: "claim"}}), do: []
+
   defp not_heard(%{status: :online, collision: collision}) when collision != nil,
     do: [%{by: "collision", until: nil, why: "two vehicles have its system id"}]
 

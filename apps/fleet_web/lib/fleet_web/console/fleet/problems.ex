@@ -32,6 +32,7 @@ defmodule FleetWeb.Console.Fleet.Problems do
   defp failsafe(_mode), do: []
 
   defp collision(nil), do: []
+  defp collision(%{sign: "claim"}), do: [{:bad, "somebody else sends under its id"}]
   defp collision(_seen), do: [{:bad, "two vehicles with one id"}]
 
   defp fence(%{fence_breach: true}), do: [{:bad, "outside its fence"}]

@@ -76,12 +76,16 @@ defmodule FleetWeb.Console.Vehicle.View do
     [
       mode[:failsafe] && {:bad, "failsafe active (#{mode[:system_status]})"},
       get(view, [:mission, :fence_breach]) && {:bad, "outside its fence"},
-      view.vehicle[:collision] && {:bad, "two vehicles use this system id"},
+      collision(view.vehicle[:collision]),
       battery(get(view, [:battery, :charge_state])),
       get(view, [:health, :rc_receiver]) == false && {:warn, "no remote control"}
     ]
     |> Enum.filter(& &1)
   end
+
+  defp collision(nil), do: nil
+  defp collision(%{sign: "claim"}), do: {:bad, "somebody else sends under this system id"}
+  defp collision(_two), do: {:bad, "two vehicles use this system id"}
 
   defp battery(state) when state in ["CRITICAL", "EMERGENCY", "FAILED"],
     do: {:bad, "battery #{String.downcase(state)}"}

@@ -3,6 +3,8 @@ defmodule MavRouter.Router.Forward.Dedupe do
   @window_ms 500
   # How often the same bytes from the same endpoint may pass.
   @repeats 16
+  # What comes more slowly is a program that repeats itself, not a loop.
+  @slow_ms 150
 
   @moduledoc """
   Whether the same frame came from another endpoint a moment ago: redundant links deliver everything twice, and a loop between two
@@ -10,8 +12,8 @@ defmodule MavRouter.Router.Forward.Dedupe do
 
   A frame is remembered by a 64-bit hash of its bytes, for #{@window_ms} to #{2 * @window_ms} ms, in two tables of at most #{@max}
   entries: when time or room is over, the older one is emptied and becomes the newer one. A frame that came from *another* endpoint
-  is a duplicate. One that comes again from the same endpoint is not, up to #{@repeats} times: more often than that it goes round in
-  a loop that began before anybody looked for duplicates.
+  is a duplicate. One that comes again from the same endpoint is not, up to #{@repeats} times less than #{@slow_ms} ms apart: more often
+  than that it goes round in a loop that began before anybody looked for duplicates.
 
   Frames are compared only with those that had the same scope (`MavRouter.Router.Gate`): what somebody sends who may not command
   cannot suppress a command, and what a client sends cannot suppress a vehicle's telemetry. What is for clients only is compared with
@@ -30,8 +32,8 @@ defmodule MavRouter.Router.Forward.Dedupe do
     hash = hash(bytes, scope)
 
     case known(newer, hash) || known(older, hash) || brought_back({newer, older}, bytes, scope) do
-      nil -> not :ets.insert_new(newer, {hash, from, 1}) and known(newer, hash) not in [nil, from]
-      ^from -> :ets.update_counter(newer, hash, {3, 1}, {hash, from, before(older, hash)}) > @repeats
+      nil -> not :ets.insert_new(newer, {hash, from, 1, now}) and known(newer, hash) not in [nil, from]
+      ^from -> repeated(newer, older, hash, from, now) > @repeats
       _other -> true
     end
   end
@@ -43,7 +45,7 @@ defmodule MavRouter.Router.Forward.Dedupe do
   @spec note(Tables.t(), binary, term, scope, integer) :: :ok
   def note(tables, bytes, from, scope, now) do
     {newer, _older} = pair(tables, now)
-    _ = :ets.insert_new(newer, {hash(bytes, scope), from, 1})
+    _ = :ets.insert_new(newer, {hash(bytes, scope), from, 1, now})
     :ok
   end
 
@@ -54,8 +56,19 @@ defmodule MavRouter.Router.Forward.Dedupe do
 
   defp brought_back(_tables, _bytes, _scope), do: nil
 
+  # How often it came within short times.
+  defp repeated(newer, older, hash, from, now) do
+    {count, last} = counted(newer, hash) || counted(older, hash)
+    count = if now - last < @slow_ms, do: count + 1, else: 1
+    :ets.insert(newer, {hash, from, count, now})
+    count
+  end
+
   defp known(table, hash), do: :ets.lookup_element(table, hash, 2, nil)
-  defp before(table, hash), do: :ets.lookup_element(table, hash, 3, 1)
+
+  defp counted(table, hash) do
+    with [{_hash, _from, count, last}] <- :ets.lookup(table, hash), do: {count, last}, else: ([] -> nil)
+  end
 
   @doc "The hash by which bytes are remembered: two independent ones of 32 bits, apart for each scope."
   @spec hash(binary, scope) :: non_neg_integer

@@ -10,7 +10,7 @@ defmodule MavRouter.Router.Forward.Dispatch do
   alias MavRouter.Router.Endpoints
   alias MavRouter.Router.Output
   alias MavRouter.Router.Forward.Table
-  alias MavRouter.Router.Routes
+  alias MavRouter.Router.Forward.Holders
   alias MavRouter.Router.Tables
 
   @doc "See `MavRouter.Router.send/4`."
@@ -27,20 +27,25 @@ defmodule MavRouter.Router.Forward.Dispatch do
   end
 
   defp carriers(tables, key, bytes, options) do
-    with {link, _peer} = best <- Routes.best(tables, key, options) do
+    now = System.monotonic_time(:millisecond)
+
+    tables
+    |> Holders.way(key, options, now)
+    |> Enum.flat_map(fn {link, _peer} = endpoint ->
       case Endpoints.owner(tables, link) do
         %{group: group} when group != nil ->
-          if options[:link], do: [best], else: of_group(tables, key, bytes, group, best)
+          if options[:link], do: [endpoint], else: of_group(tables, key, bytes, group, endpoint, now)
 
         _no_group ->
-          [best]
+          [endpoint]
       end
-    end
+    end)
+    |> Enum.uniq()
   end
 
   # Each link of the group by which the system is heard, with the peer of it that was heard last.
-  defp of_group(tables, key, bytes, group, best) do
-    endpoints = tables |> Routes.endpoints(key) |> Enum.uniq_by(&elem(&1, 0))
+  defp of_group(tables, key, bytes, group, best, now) do
+    endpoints = tables |> Holders.endpoints(key, 0, now) |> Enum.uniq_by(&elem(&1, 0))
 
     owners =
       for {link, _} = endpoint <-

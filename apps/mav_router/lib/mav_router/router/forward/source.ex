@@ -12,7 +12,8 @@ defmodule MavRouter.Router.Forward.Source do
   | `vehicle` | it is part of a vehicle whose autopilot is heard by the same endpoint |
   | `obeyed_by` | vehicles that take its system for their ground station (`MavRouter.Router.GroundStations`) |
   | `redundant` | other endpoints bring it too, so its frames are checked for duplicates |
-  | `collided` | it is another vehicle with a system id that was taken before (`MavRouter.Router.Routes.Collisions`) |
+  | `collided` | it is another vehicle with an id that was taken (`MavRouter.Router.Routes.Collisions`), or a claim |
+  | `standing` | what its endpoint is to the vehicle with its id (`MavRouter.Router.Forward.Holders`) |
   | `clock` | its boot time, which tells reboots (R6) |
   | `session` | `{vehicle key, pid}` of its vehicle; a number in the place of the pid (`Aerie.Base.Names.epoch/0`) says that there was none |
   | `learned`, `looked` | monotonic ms of the last time that its route was noted, and its receivers were worked out |
@@ -28,6 +29,7 @@ defmodule MavRouter.Router.Forward.Source do
   alias MavRouter.Router.GroundStations
   alias MavRouter.Router.Owner.Renumber
   alias MavRouter.Router.Routes
+  alias MavRouter.Router.Forward.Holders
   alias MavRouter.Router.Tables
 
   # How long it may take until what another process learned is seen here. A change of rules is seen at once.
@@ -52,6 +54,7 @@ defmodule MavRouter.Router.Forward.Source do
     obeyed_by: [],
     redundant: false,
     collided: false,
+    standing: :free,
     autopilot: false,
     vehicle: false
   ]
@@ -109,19 +112,40 @@ defmodule MavRouter.Router.Forward.Source do
   defp elsewhere(tables, path, source, network),
     do: Routes.endpoints(tables, {network, source.system}, source.component) -- [path.key]
 
+  # Who may not command cannot make a client's commands look like copies.
+  defp rivals(others, %{commands: true, side: :client}, %{paths: paths}),
+    do: Enum.reject(others, &match?(%{^&1 => %{commands: false}}, paths))
+
+  defp rivals(others, _path, _forwarding), do: others
+
   defp find_receivers(source, %{path: path} = delivery) do
-    if path.side == :vehicle and collided?(delivery, source, path),
+    source = %{source | standing: standing(source, delivery)}
+
+    if source.standing == :claim or (path.side == :vehicle and collided?(delivery, source, path)),
       do: of_collided(source, delivery),
       else: of_known(%{source | collided: false}, delivery)
+  end
+
+  defp standing(source, %{tables: tables, path: path, now: now}) do
+    standings =
+      for network <- path.networks,
+          do:
+            Holders.standing(tables, {network, source.system}, source.component, path, source.autopilot, now)
+
+    Enum.find([:claim, :part, :holder], :free, &(&1 in standings))
   end
 
   defp collided?(%{tables: tables, path: path}, source, to),
     do: Enum.any?(path.networks, &Collisions.other?(tables, {&1, source.system}, to.key))
 
   # Another vehicle with that id: no route leads to it, and only sniffers get its frames.
-  defp of_collided(source, %{tables: tables, forwarding: forwarding, path: path}) do
-    for network <- path.networks,
-        do: Routes.drop(tables, {network, source.system, source.component}, path.key)
+  defp of_collided(source, %{tables: tables, forwarding: forwarding, path: path, now: now}) do
+    for network <- path.networks do
+      Routes.drop(tables, {network, source.system, source.component}, path.key)
+
+      if source.standing == :claim and Holders.claim(tables, {network, source.system}, now) == :new,
+        do: Tables.rerouted(tables)
+    end
 
     sniffers =
       for {_key, %{sniffer: true} = to} <- forwarding.listeners, broadcast?(path, to, source, tables), do: to
@@ -134,12 +158,13 @@ defmodule MavRouter.Router.Forward.Source do
         vehicles: [],
         groups: [],
         heartbeat_receivers: [],
-        redundant: false
+        redundant: source.standing == :claim
     }
   end
 
   defp of_known(source, %{tables: tables, forwarding: forwarding, path: path} = delivery) do
     others = path.networks |> Enum.flat_map(&elsewhere(tables, path, source, &1)) |> Enum.uniq()
+    claimed? = Enum.any?(path.networks, &Holders.claimed?(tables, {&1, source.system}, delivery.now))
 
     obeyed_by = GroundStations.obeyed_by(tables, path.networks, source.system)
     source = %{source | vehicle: vehicle?(source, path, tables), obeyed_by: obeyed_by}
@@ -177,7 +202,7 @@ defmodule MavRouter.Router.Forward.Source do
         vehicles: single,
         groups: grouped |> Enum.group_by(fn {_relation, to} -> to.group end) |> Enum.map(&group(&1, source)),
         heartbeat_receivers: heartbeats,
-        redundant: others != []
+        redundant: rivals(others, path, forwarding) != [] or claimed?
     }
   end
 

@@ -14,6 +14,10 @@ defmodule Aerie.Vehicle.Core.Collisions do
   @autopilot_version M.AutopilotVersion.id()
   @identifying [@heartbeat, @position, @autopilot_version]
   @with_clock [M.SystemTime.id(), M.Attitude.id(), @position]
+  # A vehicle that changes its address is heard by both for a moment.
+  @claim_us 2_500_000
+  @claim_gap_us 3_000_000
+  @max_claims 16
   # No vehicle flies faster.
   @max_speed_m_s 100
 
@@ -109,6 +113,40 @@ defmodule Aerie.Vehicle.Core.Collisions do
   end
 
   def late_message(core, actions, _frame, _message), do: {core, actions}
+
+  @doc """
+  Somebody sends under the vehicle's id by a path that is not its own. That is reported when it goes on, and changes
+  nothing.
+  """
+  @spec claimed(Core.t(), [Core.action()], Collision.Owner.path(), integer()) :: acc()
+  def claimed(%{other_vehicle: %{claims: claims} = other_vehicle} = core, actions, path, at) do
+    claims = Map.filter(claims, fn {_path, {_since, last}} -> at - last <= @claim_gap_us end)
+    {since, _last} = Map.get(claims, path, {at, at})
+
+    claims =
+      if map_size(claims) < @max_claims or is_map_key(claims, path),
+        do: Map.put(claims, path, {since, at}),
+        else: claims
+
+    core = %{core | other_vehicle: %{other_vehicle | claims: claims}}
+    if at - since < @claim_us, do: {core, actions}, else: report_claims(core, actions, at)
+  end
+
+  # A collision of two vehicles says more.
+  defp report_claims(%{other_vehicle: %{paths: [_ | _]}} = core, actions, _at), do: {core, actions}
+
+  defp report_claims(%{other_vehicle: other_vehicle} = core, actions, at) do
+    claimants = for {path, {since, _last}} <- other_vehicle.claims, at - since >= @claim_us, do: path
+    kept = Enum.map(Reception.links(core.reception), &to_string/1)
+    others = claimants |> Enum.map(&MavRouter.Router.Routes.Collisions.text/1) |> Enum.sort()
+    collision = %{at: max(at, core.now), sign: "claim", links: [kept, others]}
+
+    observation =
+      Observation.new(:collision, collision.at, core.state.boot_ms, Map.take(collision, [:sign, :links]))
+
+    {%{core | other_vehicle: %{other_vehicle | collision: collision}, dirty: true},
+     [{:observe, observation} | actions]}
+  end
 
   defp verdict(core, actions, {detector, :one}, _sign, _at),
     do: {%{core | collision_detector: detector}, actions}

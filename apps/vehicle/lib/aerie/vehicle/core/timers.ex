@@ -45,7 +45,7 @@ defmodule Aerie.Vehicle.Core.Timers do
       | now: now,
         last_heard: core.last_heard && now,
         expired_at: nil,
-        other_vehicle: %{core.other_vehicle | collision: nil},
+        other_vehicle: %{core.other_vehicle | collision: nil, claims: %{}},
         observed_at: core.observed_at && now,
         heard_again_at: nil,
         settle_at: core.settle_at && now,

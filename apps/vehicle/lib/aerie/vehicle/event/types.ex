@@ -149,9 +149,10 @@ defmodule Aerie.Vehicle.Event.Types do
      [{"time_boot_ms", :integer, "ms", "the vehicle's clock"}],
      severity: 4, text: "the vehicle restarted", ends: :all},
     {"collision", "two vehicles use one system id",
-     "boot times, positions, types or unique ids that alternate",
+     "boot times, positions, types or unique ids that alternate; or somebody else who sends under the id",
      [
-       {"sign", :string, nil, "what alternates: time_boot_ms, position, type, uid"},
+       {"sign", :string, nil,
+        "what alternates: time_boot_ms, position, type, uid; claim: others send under its id"},
        {"links", :list, nil,
         "two lists: the links of the vehicle that keeps the id, and those of the other one"}
      ], severity: 2, text: "two vehicles use this system id"},

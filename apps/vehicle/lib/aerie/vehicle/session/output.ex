@@ -30,20 +30,24 @@ defmodule Aerie.Vehicle.Session.Output do
   end
 
   @doc """
-  Sends a message to the vehicle in the MAVLink version that it speaks, by the path that it was last heard on, or by
-  `link`. A message to a vehicle without a route is dropped and counted (`unsent`).
+  Sends a message to its target component of the vehicle in the MAVLink version that it speaks, by the path that brings
+  it, or by `link`. A message to a vehicle without a route is dropped and counted (`unsent`).
   """
   @spec send(t(), struct(), 1 | 2, link :: term()) :: t()
   def send(%{gateway: gateway, options: options} = output, %module{} = message, version, link \\ nil) do
     {bytes, encoder} = Encoder.encode(output.encoder, message, version: version)
 
-    case MavRouter.Router.send(gateway, options.key, bytes, by(link)) do
+    case MavRouter.Router.send(gateway, options.key, bytes, [component: component(message)] ++ by(link)) do
       :ok -> Store.count(gateway, {:sent, module.id()})
       {:error, _no_route} -> Store.count(gateway, {:vehicle, options.id, :unsent})
     end
 
     %{output | encoder: encoder}
   end
+
+  # A camera or a gimbal may be on a socket of its own (R1).
+  defp component(%{target_component: component}) when is_integer(component), do: component
+  defp component(_to_all), do: 0
 
   defp by(nil), do: []
   defp by(link), do: [link: link]

@@ -93,7 +93,7 @@ defmodule Aerie.Vehicle.Enrolment.PymavlinkTest do
     # It has the right key, and is asked for as another component.
     start("signing_peer.py", ["udpout:127.0.0.1:#{port}", "7", "3", passphrase()])
     eventually(fn -> Store.vehicle(gateway, {"main", 7}) end)
-    :ok = Router.clear(gateway, {"main", 7})
+    :ok = Router.forget(gateway, "usb")
     silent = [link: "usb", key: :generate, timeout_ms: 300]
     assert {:error, %Aerie.Base.Error{} = error} = Aerie.Vehicle.Enrolment.enrol(gateway, {"main", 9}, silent)
     assert Exception.message(error) =~ "no frame signed with the new key came on link usb within 300 ms"

@@ -36,6 +36,20 @@ defmodule Aerie.Fleet.Diagnosis.Rules.Vehicles do
 
   defp rules, do: [&collision/2, &own_id/2, &version/2, &streams/2, &contested/2, &station/2, &signing/2]
 
+  defp collision(%{collision: %{sign: "claim", links: links}} = vehicle, _facts) do
+    title = "somebody else sends as system id #{vehicle.system_id} (#{vehicle.id})"
+
+    condition(vehicle, :two_vehicles_one_id, :error, title,
+      evidence: [
+        "the vehicle is heard by #{names(Enum.at(links, 0))}",
+        "frames under its id come by #{names(Enum.at(links, 1))} as well; they reach nobody"
+      ],
+      mend:
+        "Find out who that is. A second radio of the same vehicle belongs to the group of the first (links: group), " <>
+          "and another vehicle needs another id or a network of its own."
+    )
+  end
+
   defp collision(%{collision: %{sign: sign, links: links}} = vehicle, _facts) do
     title = "two vehicles use system id #{vehicle.system_id} (#{vehicle.id})"
 

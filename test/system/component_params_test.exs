@@ -88,6 +88,17 @@ defmodule Aerie.System.ComponentParamsTest do
     assert %{"result" => "denied", "rule" => "role"} = nats(c, "params.set", set)
   end
 
+  @tag policy: %{"unsigned" => "operator"}
+  test "P8: an operator sets a camera's parameters, and not those of another component", c do
+    set = %{"id" => "c1", "component" => 100, "name" => "CAM_MODE", "value" => 2}
+    assert %{"result" => "completed"} = nats(c, "params.set", set)
+
+    for component <- [1, 25, 191] do
+      denied = nats(c, "params.set", %{set | "id" => "d#{component}", "component" => component})
+      assert %{"result" => "denied", "rule" => "role"} = denied
+    end
+  end
+
   @tag policy: %{"unsigned" => "admin"}
   test "the examples of docs/transfers.md do what it says", c do
     [_all, section] = Regex.run(~r/## Parameters of cameras.*?\n(.*?)\n## /s, @page)

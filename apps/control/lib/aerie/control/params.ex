@@ -208,7 +208,10 @@ defmodule Aerie.Control.Params do
 
       change =
         Map.put(
-          change([{name, value}], Map.merge(%{name: name, value: value}, whose)),
+          change(
+            component_facts(gateway, vehicle, component, {name, value}),
+            Map.merge(%{name: name, value: value}, whose)
+          ),
           :remote_request,
           asked
         )
@@ -331,7 +334,20 @@ defmodule Aerie.Control.Params do
 
   defp common(context), do: Component.options(context, nil)
 
-  defp change(sets, params), do: %{facts: Intent.set_parameters(sets), params: params}
+  defp change(sets, params) when is_list(sets), do: change(Intent.set_parameters(sets), params)
+  defp change(facts, params), do: %{facts: facts, params: params}
+
+  defp component_facts(_gateway, _vehicle, nil, set), do: Intent.set_parameters([set])
+
+  defp component_facts(gateway, vehicle, component, set) do
+    autopilot =
+      case Transfers.vehicle(gateway, vehicle) do
+        {:ok, snapshot} -> snapshot.component || :unknown
+        {:error, _refused} -> :unknown
+      end
+
+    Intent.set_extended([set], component, autopilot)
+  end
 
   defp entry(%{name: name, value: value, type: type}), do: {name, value, type}
   defp entry({name, value}), do: {name, value, nil}

@@ -206,6 +206,25 @@ defmodule Aerie.Control.Policy.Intent do
     %__MODULE__{type: "set_parameter", permission: :maintain, also: protection(guarded?), sets: sets}
   end
 
+  # MAV_COMP_ID_CAMERA to CAMERA6.
+  @cameras 100..105
+
+  @doc """
+  The facts of parameters of a component that has its own (PARAM_EXT): those of a camera change nothing of a flight.
+  `autopilot` is the component that flies, nil where it is not one of these, `:unknown` for a vehicle that is
+  not known.
+  """
+  @spec set_extended([setting() | String.t()], 0..255, 0..255 | nil | :unknown) :: t()
+  def set_extended(_settings, component, autopilot)
+      when component in @cameras and component != autopilot and autopilot != :unknown,
+      do: %__MODULE__{type: "set_parameter", permission: :payload}
+
+  def set_extended(settings, _another, _autopilot), do: set_parameters(settings)
+
+  @doc "The facts of an operation on files that no definition has: it may write anything."
+  @spec unknown_operation() :: t()
+  def unknown_operation, do: %__MODULE__{type: "write_file", permission: :maintain, also: [:protection]}
+
   @doc "The facts of a file that is written, moved or removed, by its path."
   @spec write_file(String.t()) :: t()
   def write_file(path),

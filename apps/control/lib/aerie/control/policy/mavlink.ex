@@ -8,7 +8,7 @@ defmodule Aerie.Control.Policy.Mavlink do
   | type | messages | permission |
   |---|---|---|
   | `mission_upload`, `fence_upload`, `rally_upload` | MISSION_COUNT, MISSION_ITEM(_INT), MISSION_WRITE_PARTIAL_LIST, MISSION_CLEAR_ALL, FENCE_POINT, RALLY_POINT | `mission` |
-  | `set_parameter` | PARAM_SET, PARAM_EXT_SET, PARAM_MAP_RC | `maintain` |
+  | `set_parameter` | PARAM_SET, PARAM_EXT_SET, PARAM_MAP_RC | `maintain`; a camera's PARAM_EXT_SET `payload` |
   | `write_file` | FILE_TRANSFER_PROTOCOL with an operation that writes; LOG_ERASE | `maintain` |
   | `aux_function` | DO_AUX_FUNCTION, as far as it is not another command by another name (`Aerie.Control.Policy.Mavlink.AuxFunctions`) | by function |
   | `mav_cmd_N` | a command that has no type of its own | by its row (`Authority.Commands`) |
@@ -25,11 +25,15 @@ defmodule Aerie.Control.Policy.Mavlink do
   alias Aerie.Vehicle.Command.{Type, Types}
   alias Aerie.Control.Policy.Intent
   alias Aerie.Control.Policy.Mavlink.{Commands, Place, Request, Setpoints, Sticks}
-  alias MavCodec.Enums.{MavCmd, MavMissionType, MavParamType, MavRemoteLogDataBlockCommands}
+  alias MavCodec.Enums.{MavCmd, MavFtpOpcode, MavMissionType, MavParamType, MavRemoteLogDataBlockCommands}
   alias MavCodec.Messages, as: M
 
-  @typedoc "What is known of the vehicle: its firmware and its kind, as its snapshot has them."
-  @type vehicle :: %{autopilot: Aerie.Vehicle.Kind.autopilot(), vehicle_type: String.t()}
+  @typedoc "What is known of the vehicle, as its snapshot has it: firmware, kind, its autopilot's component."
+  @type vehicle :: %{
+          :autopilot => Aerie.Vehicle.Kind.autopilot(),
+          :vehicle_type => String.t(),
+          optional(:component) => 0..255 | nil | :unknown
+        }
 
   @fence MavMissionType.value(:MAV_MISSION_TYPE_FENCE)
   @rally MavMissionType.value(:MAV_MISSION_TYPE_RALLY)
@@ -40,9 +44,13 @@ defmodule Aerie.Control.Policy.Mavlink do
     MavCmd.value(:MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION),
     MavCmd.value(:MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION)
   ]
-  # Operations of FTP that only read or end a read, and answers; of the others, the one whose data is not a path.
-  @ftp_reads [0, 1, 2, 3, 4, 5, 14, 15, 128, 129]
-  @ftp_write 7
+  # Operations of FTP that write; of them, the one whose data is not a path. The other ones that are defined read, end a
+  # read, or answer.
+  @ftp_writes Enum.map(
+                ~w(CREATEFILE WRITEFILE REMOVEFILE CREATEDIRECTORY REMOVEDIRECTORY OPENFILEWO TRUNCATEFILE RENAME),
+                &MavFtpOpcode.value(:"MAV_FTP_OPCODE_#{&1}")
+              )
+  @ftp_write MavFtpOpcode.value(:MAV_FTP_OPCODE_WRITEFILE)
 
   @real32 MavParamType.value(:MAV_PARAM_TYPE_REAL32)
 
@@ -103,7 +111,8 @@ defmodule Aerie.Control.Policy.Mavlink do
     Intent.set_parameters([{name, if(is_number(value), do: value)}])
   end
 
-  defp read(%M.ParamExtSet{param_id: name}, _vehicle), do: Intent.set_parameters([name])
+  defp read(%M.ParamExtSet{param_id: name, target_component: component}, vehicle),
+    do: Intent.set_extended([name], component, Map.get(vehicle, :component))
 
   # A number other than -1 counts in place of the name.
   defp read(%M.ParamMapRc{param_index: -1, param_id: name}, _vehicle), do: Intent.set_parameters([name])
@@ -183,9 +192,9 @@ defmodule Aerie.Control.Policy.Mavlink do
 
   defp read(%M.FileTransferProtocol{payload: <<_sequence::16, _session, operation, rest::binary>>}, _vehicle) do
     case {operation, rest} do
-      {reads, _bytes} when reads in @ftp_reads -> :free
       {@ftp_write, _bytes} -> Intent.write_file("")
-      {_writes, <<_header::binary-size(8), path::binary>>} -> Intent.write_file(path)
+      {write, <<_header::binary-size(8), path::binary>>} when write in @ftp_writes -> Intent.write_file(path)
+      _another -> if(MavFtpOpcode.name(operation), do: :free, else: Intent.unknown_operation())
     end
   end
 

@@ -156,8 +156,12 @@ defmodule Aerie.Control.Policy.MavlinkPolicy do
   end
 
   defp facts(nil, _snapshot), do: Mavlink.unreadable()
-  defp facts(message, nil), do: Mavlink.facts(message, %{autopilot: :generic, vehicle_type: "unknown"})
-  defp facts(message, snapshot), do: Mavlink.facts(message, Map.take(snapshot, [:autopilot, :vehicle_type]))
+
+  defp facts(message, nil),
+    do: Mavlink.facts(message, %{autopilot: :generic, vehicle_type: "unknown", component: :unknown})
+
+  defp facts(message, snapshot),
+    do: Mavlink.facts(message, Map.take(snapshot, [:autopilot, :vehicle_type, :component]))
 
   # From the item of the mission before it; from an unknown place when there was no room to remember that. A vehicle
   # that was not heard yet takes no items.

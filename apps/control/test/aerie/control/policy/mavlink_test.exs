@@ -214,11 +214,18 @@ defmodule Aerie.Control.Policy.MavlinkTest do
 
   test "files: who only reads is free, who writes needs more" do
     ftp = &%M.FileTransferProtocol{payload: <<7::16-little, 0, &1, 0::size(247 * 8)>>}
-    for operation <- [0, 1, 2, 3, 4, 5, 14, 15, 128], do: assert(facts(ftp.(operation)) == :free)
+    # 16 lists a folder with times: MAVProxy's first question.
+    for operation <- [0, 1, 2, 3, 4, 5, 14, 15, 16, 128, 129], do: assert(facts(ftp.(operation)) == :free)
 
-    # One that is new may write, too.
-    for operation <- [16, 100, 200 | Enum.to_list(6..13)],
+    for operation <- 6..13,
         do: assert(%Intent{type: "write_file", permission: :maintain} = facts(ftp.(operation)))
+
+    # One that is new may write, and who knows what.
+    for operation <- [17, 100, 200, 255],
+        do:
+          assert(
+            %Intent{type: "write_file", permission: :maintain, also: [:protection]} = facts(ftp.(operation))
+          )
 
     assert %Intent{permission: :maintain} = facts(%M.ParamSet{})
     assert %Intent{permission: :payload} = facts(%M.MountControl{})
@@ -312,6 +319,35 @@ defmodule Aerie.Control.Policy.MavlinkTest do
     # P3: the vehicle says which value it has.
     assert %M.ParamRequestRead{param_id: "RTL_ALT", param_index: -1, target_system: 1} =
              Refusal.instead(%M.ParamSet{param_id: "RTL_ALT", target_system: 1})
+  end
+
+  test "T: a refused operation that no definition has is unknown to the vehicle, so that a client falls back" do
+    frame = %Frame{system: 255, component: 190}
+
+    for {operation, error} <- [{6, 9}, {13, 9}, {17, 7}, {127, 7}, {200, 7}] do
+      payload = <<0xFFFF::16-little, 3, operation, 0::size(247 * 8)>>
+
+      [%M.FileTransferProtocol{payload: nak}] =
+        Refusal.messages(%M.FileTransferProtocol{payload: payload}, frame, nil)
+
+      assert <<0::16, 3, 129, 1, ^operation, 0, 0, 0::32, ^error, _::binary>> = nak
+    end
+  end
+
+  test "P8: a camera's parameters need payload; those of the autopilot and of what is not known stay strict" do
+    read = fn component, vehicle ->
+      Mavlink.facts(%M.ParamExtSet{param_id: "CAM_MODE", target_component: component}, vehicle)
+    end
+
+    vehicle = %{autopilot: :px4, vehicle_type: "copter", component: 1}
+    for component <- 100..105, do: assert(%Intent{permission: :payload, also: []} = read.(component, vehicle))
+
+    for component <- [0, 1, 25, 99, 106, 154, 191, 255],
+        do: assert(%Intent{type: "set_parameter", permission: :maintain} = read.(component, vehicle))
+
+    # An autopilot may have any component.
+    assert %Intent{permission: :maintain} = read.(100, %{vehicle | component: 100})
+    assert %Intent{permission: :maintain} = read.(100, %{vehicle | component: :unknown})
   end
 
   test "the reason comes as STATUSTEXT, in chunks where it is long" do

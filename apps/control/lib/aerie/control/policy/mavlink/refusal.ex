@@ -10,7 +10,7 @@ defmodule Aerie.Control.Policy.Mavlink.Refusal do
   | MISSION_SET_CURRENT | MISSION_CURRENT with the item that is the current one |
   | PARAM_SET | the vehicle is asked for the value that it has, and its PARAM_VALUE is the answer (P3) |
   | PARAM_EXT_SET | PARAM_EXT_ACK, PARAM_ACK_FAILED, without a value; the component is asked for the one that it has (PARAM_EXT_VALUE) |
-  | FILE_TRANSFER_PROTOCOL | NAK, FileProtected |
+  | FILE_TRANSFER_PROTOCOL | NAK, FileProtected; for one without a definition UnknownCommand, as firmwares say |
   """
 
   alias MavCodec.Enums.{MavFtpErr, MavFtpOpcode, MavMissionResult, MavResult, MavSeverity, ParamAck}
@@ -23,6 +23,7 @@ defmodule Aerie.Control.Policy.Mavlink.Refusal do
   @failed ParamAck.value(:PARAM_ACK_FAILED)
   @nak MavFtpOpcode.value(:MAV_FTP_OPCODE_NAK)
   @protected MavFtpErr.value(:MAV_FTP_ERR_FILEPROTECTED)
+  @unknown_command MavFtpErr.value(:MAV_FTP_ERR_UNKNOWNCOMMAND)
   @warning MavSeverity.value(:MAV_SEVERITY_WARNING)
   # ArduPilot acknowledges SET_MODE by the number of the message.
   @set_mode MavCodec.Dialects.All.message_id("SET_MODE")
@@ -64,8 +65,9 @@ defmodule Aerie.Control.Policy.Mavlink.Refusal do
   def messages(%M.FileTransferProtocol{payload: payload}, frame, _current) do
     <<sequence::16-little, session, operation, _::binary>> = payload
 
-    nak =
-      <<Bitwise.band(sequence + 1, 0xFFFF)::16-little, session, @nak, 1, operation, 0, 0, 0::32, @protected>>
+    # A client then falls back to an operation that everybody knows.
+    error = if MavFtpOpcode.name(operation), do: @protected, else: @unknown_command
+    nak = <<Bitwise.band(sequence + 1, 0xFFFF)::16-little, session, @nak, 1, operation, 0, 0, 0::32, error>>
 
     [
       %M.FileTransferProtocol{

@@ -85,4 +85,30 @@ defmodule Aerie.Base.Address do
       {:error, "#{inspect(text)} is neither an address nor a name"}
     end
   end
+
+  @login ~r{\A([A-Za-z][A-Za-z0-9+.-]*:(?://)?)?.*@}s
+  # Values of these are shown; any other may be a password for the other end.
+  @open ~w(network id secure gcs baud sysid share speed loop)
+
+  @doc """
+  An address or connection string as people may see it, in errors, logs, pages and records: without a login, and
+  without the values behind its `?` that are not among the options of links.
+
+      iex> Aerie.Base.Address.shown("ws://ann:pass@10.0.0.5:8765/x?token=abc&id=north")
+      "ws://[hidden]@10.0.0.5:8765/x?token=[hidden]&id=north"
+  """
+  @spec shown(String.t()) :: String.t()
+  def shown(text) do
+    case text |> String.replace(@login, "\\1[hidden]@") |> String.split("?", parts: 2) do
+      [body] -> body
+      [body, query] -> body <> "?" <> (query |> String.split("&") |> Enum.map_join("&", &option/1))
+    end
+  end
+
+  defp option(pair) do
+    case String.split(pair, "=", parts: 2) do
+      [key, value] when key not in @open and value != "" -> key <> "=[hidden]"
+      _open_or_flag -> pair
+    end
+  end
 end

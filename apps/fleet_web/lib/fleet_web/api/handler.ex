@@ -8,7 +8,7 @@ defmodule FleetWeb.API.Handler do
 
   @behaviour :cowboy_handler
 
-  alias Aerie.Base.{Json, Store}
+  alias Aerie.Base.{Address, Json, Store}
   alias Aerie.Control.Policy
   alias FleetWeb.API.{Access, Actions, Error, KeyRing, Misdirected, Request, Routes}
 
@@ -68,7 +68,13 @@ defmodule FleetWeb.API.Handler do
     id = if is_map(body) and is_binary(body[:id]), do: body.id, else: :cowboy_req.binding(:id, request, nil)
     url = if is_map(body), do: body[:url]
     entry = %{"type" => "change", "action" => Atom.to_string(action), "source" => "http:" <> requester.name}
-    entry = for {key, text} <- [{"target", id}, {"url", url}], is_binary(text), into: entry, do: {key, text}
+
+    entry =
+      for {key, text} <- [{"target", id}, {"url", url}],
+          is_binary(text),
+          into: entry,
+          do: {key, Address.shown(text)}
+
     Policy.Audit.note(gateway, entry)
     answer
   end

@@ -126,9 +126,19 @@ defmodule MavRouter.Link.Spec do
   @spec parse(String.t(), keyword) :: {:ok, t} | {:error, Error.t()}
   def parse(text, overrides \\ []) do
     with {:error, reasons} <- read(text, overrides) do
-      usual = [input: text, expected: Transport.usage(), example: @example]
-      {:error, struct!(Error, Keyword.merge(usual, reasons))}
+      usual = [input: shown(text), expected: Transport.usage(), example: @example]
+      {:error, struct!(Error, Keyword.merge(usual, without_login(reasons, text)))}
     end
+  end
+
+  defp shown(text) when is_binary(text), do: Address.shown(text)
+  defp shown(other), do: other
+
+  # A reason names the part that is wrong, and that may be a password.
+  defp without_login(reasons, text) do
+    if is_binary(text) and String.contains?(text, "@"),
+      do: reasons |> Keyword.delete(:hint) |> Keyword.put(:reason, "a login is not possible in it"),
+      else: reasons
   end
 
   @doc "As `parse/2`, raising the error."
@@ -198,9 +208,15 @@ defmodule MavRouter.Link.Spec do
 
   defp printable(text) do
     cond do
-      not is_binary(text) -> {:error, reason: "it is not a string"}
-      String.printable?(text) and byte_size(text) <= @max_bytes -> :ok
-      true -> {:error, input: String.slice(inspect(text), 0, 80), reason: "it is not a line of text"}
+      not is_binary(text) ->
+        {:error, reason: "it is not a string"}
+
+      String.printable?(text) and byte_size(text) <= @max_bytes ->
+        :ok
+
+      true ->
+        {:error,
+         input: text |> shown() |> inspect() |> String.slice(0, 80), reason: "it is not a line of text"}
     end
   end
 

@@ -216,4 +216,30 @@ defmodule MavRouter.Link.SpecTest do
 
     assert :proper.quickcheck(property, [:quiet, numtests: 300]) == true, inspect(:proper.counterexample())
   end
+
+  # S9: what is refused is shown, and may have a password.
+  test "an error has neither a login nor what was meant for the other end" do
+    for text <- [
+          "tcp://ann:hunter22@h:5760",
+          "tcp:ann:hunter22@h:5760",
+          "udpin:hunter22@0.0.0.0:1",
+          "ws://ann:hunter22@h:80/x",
+          "wss://ann:hunter22@h/x?token=hunter22",
+          "ws://ann:hunter22/@h:80/",
+          "ws://ann:b?hunter22@h",
+          "msp:tcp:ann:hunter22@h:1",
+          "rtsp://ann:hunter22@h/1",
+          "wsserver:0.0.0.0:80?token=hunter22",
+          "tcp:h:5760?password=hunter22",
+          "tcp:h:0?key=hunter22&id=a",
+          "ws://ann:hunter22@h\n"
+        ] do
+      assert {:error, error} = Spec.parse(text)
+      refute Exception.message(error) =~ "hunter22", Exception.message(error)
+    end
+
+    # What helps remains.
+    assert {:error, error} = Spec.parse("tcp:h?secure=true&token=x")
+    assert Exception.message(error) =~ ~s(cannot use "tcp:h?secure=true&token=[hidden]" as a link)
+  end
 end

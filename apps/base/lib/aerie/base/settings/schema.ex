@@ -7,6 +7,7 @@ defmodule Aerie.Base.Settings.Schema do
   `decode` reads a text that stands for a list or a map, as `{:ok, value}` or `{:error, %{expected: words, got: words}}`.
   """
 
+  alias Aerie.Base.Address
   alias Aerie.Base.Secret
   alias Aerie.Base.Settings.Field
 
@@ -267,7 +268,7 @@ defmodule Aerie.Base.Settings.Schema do
   @spec show(term()) :: String.t()
   def show(text) when elem(text, 0) == :text, do: show(elem(text, 1))
   def show(nil), do: "nothing"
-  def show(value) when is_binary(value), do: "\"#{printable(value)}\""
+  def show(value) when is_binary(value), do: "\"#{value |> Address.shown() |> printable()}\""
   def show(value) when is_map(value), do: "a section (#{map_size(value)} keys)"
   def show([]), do: "an empty list"
   def show(value) when is_list(value), do: "a list (#{length(value)} items)"

@@ -13,7 +13,7 @@ defmodule FleetWeb.Console.Links.Page do
 
   import FleetWeb.Console.Links.Parts
 
-  alias Aerie.Base.Store
+  alias Aerie.Base.{Address, Store}
   alias Aerie.Control.Policy
   alias MavRouter.{Client, Link, Router}
   alias Aerie.Control.Policy.Roles
@@ -137,7 +137,7 @@ defmodule FleetWeb.Console.Links.Page do
 
   defp note(%{assigns: %{gateway: gateway, user: user}}, what, id, url) do
     entry = %{"type" => "link", "action" => what, "link" => id, "source" => "console:" <> user.name}
-    Policy.Audit.note(gateway, if(url, do: Map.put(entry, "url", url), else: entry))
+    Policy.Audit.note(gateway, if(url, do: Map.put(entry, "url", Address.shown(url)), else: entry))
   end
 
   @impl Phoenix.LiveView

@@ -9,6 +9,7 @@ defmodule Aerie.Fleet.Bridge.Leaf.Config do
   import Aerie.Base.Settings.Field, only: [field: 4, section: 3]
   import Aerie.Base.Settings.Rules
 
+  alias Aerie.Base.Address
   alias Aerie.Base.Settings.{Field, Schema, Types}
 
   @port 7422
@@ -101,9 +102,9 @@ defmodule Aerie.Fleet.Bridge.Leaf.Config do
       {leaf.tls.cert_file == nil != (leaf.tls.key_file == nil), ["nats", "leaf", "tls"],
        "cert_file and key_file together", "one of them"},
       {on?(leaf) and not tls? and Enum.any?(Map.values(leaf.tls)), ["nats", "leaf", "url"],
-       "tls:// for nats.leaf.tls", Enum.join(leaf.url, ", ")},
+       "tls:// for nats.leaf.tls", Enum.map_join(leaf.url, ", ", &Address.shown/1)},
       {tls? and Enum.any?(leaf.url, &(not String.starts_with?(&1, "tls://"))), ["nats", "leaf", "url"],
-       "tls:// for all of the hub's servers", Enum.join(leaf.url, ", ")}
+       "tls:// for all of the hub's servers", Enum.map_join(leaf.url, ", ", &Address.shown/1)}
     ])
   end
 

@@ -248,6 +248,28 @@ defmodule MavRouter.RecorderTest do
       assert_received {:record, {:link, "radio"}, _bytes, [%{id: 256} = one, %{id: 256} = other], nil}
       for term <- [one, other], do: assert(:binary.match(:erlang.term_to_binary(term), key) == :nomatch)
     end
+
+    test "S9: nor do passwords in any other message, into a file, a ring or a tap", c do
+      gateway = start_recorder(c.tmp_dir)
+      recording = vehicle(gateway)
+      _counters = Tap.open(Recorder.Tables.of(gateway), {:link, "radio"}, 100_000)
+
+      for %module{} = message <- MavCodec.SecretSamples.all() do
+        bytes = MavCodec.encode(message, system: 1)
+        give(gateway, [frame(bytes, 1)])
+        :ok = Recorder.sent(gateway, "radio", "main", [bytes])
+        :ok = Recorder.link_frames(gateway, "radio", [frame(bytes, 1)])
+        assert_receive {:record, {:link, "radio"}, _bytes, [%{id: id}] = frames, nil}
+        assert id == module.id()
+        assert :binary.match(:erlang.term_to_binary(frames), "hunter22") == :nomatch
+      end
+
+      file = Recording.flush(recording)
+      assert length(recorded(file)) >= length(MavCodec.Redact.table())
+      assert File.read!(file) |> :binary.match("hunter22") == :nomatch
+      entries = Recorder.Ring.entries(Recorder.Tables.of(gateway), @key)
+      for {_n, records, _frames} <- entries, do: assert(:binary.match(records, "hunter22") == :nomatch)
+    end
   end
 
   describe "a disk that fails" do

@@ -3,10 +3,11 @@ defmodule Aerie.Incident.Hide do
   Takes secrets out of what goes into an incident: the secrets of the configuration wherever they appear, passwords in URLs, and values
   whose name says that they are secret. Pure.
 
-  Recordings have no keys and no signatures (S9). Of the frames that carry other secrets (`message?/1`) none is taken over.
+  Recordings have no keys and no signatures (S9). Frames that carry other secrets (`frame?/1`) are left out.
   """
 
   alias Aerie.Base.Secret
+  alias MavCodec.{Frame, Redact}
 
   @hidden "(hidden)"
   # A shorter one would be found in ordinary words.
@@ -14,12 +15,12 @@ defmodule Aerie.Incident.Hide do
   @names ~r/pass(word|wd|key|phrase)|secret|token|credential|private|seed\z|(\A|_)(api|secret|signing|shadow)?_?key\z|(\A|_)pin\z/i
   @url ~r{://[^/@\s"]+@}
 
-  # CHANGE_OPERATOR_CONTROL, AUTH_KEY, WIFI_CONFIG_AP, CELLULAR_CONFIG, AIRLINK_AUTH.
-  @messages [5, 7, 299, 336, 52_000]
+  @setup_signing 256
 
-  @doc "Whether a message has a password, a key or a PIN in the clear."
-  @spec message?(non_neg_integer()) :: boolean()
-  def message?(id), do: id in @messages
+  @doc "Whether a frame has a secret. SETUP_SIGNING stays, and the writer takes its key out."
+  @spec frame?(Frame.t()) :: boolean()
+  def frame?(%Frame{id: @setup_signing}), do: false
+  def frame?(frame), do: Redact.secret?(frame)
 
   @doc "All secrets of a configuration, or of any other term."
   @spec secrets(term()) :: [String.t()]

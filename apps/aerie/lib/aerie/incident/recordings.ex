@@ -174,7 +174,7 @@ defmodule Aerie.Incident.Recordings do
     cond do
       not Span.within?(state.want.span, frame.at) -> state
       copied?(frame, state) -> state
-      Hide.message?(frame.id) -> %{state | secret: state.secret + 1}
+      Hide.frame?(frame) -> %{state | secret: state.secret + 1}
       true -> take(frame, state, device)
     end
   end

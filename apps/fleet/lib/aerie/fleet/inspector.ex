@@ -10,8 +10,8 @@ defmodule Aerie.Fleet.Inspector do
   recorder's taps, so it never makes a link wait: what it does not take in time is left out and counted (`skipped`). Nothing is decoded
   but what somebody asks for, in the process of the caller (`Aerie.Fleet.Inspector.Fields`).
 
-  What a link sends is seen as far as the recorder sees it (`recorder.sent`); without a recorder there is nothing to see. Keys in
-  SETUP_SIGNING are never shown (S9).
+  What a link sends is seen as far as the recorder sees it (`recorder.sent`); without a recorder there is
+  nothing to see. Passwords and keys (`MavCodec.Redact`) are never shown (S9).
   """
   use GenServer
 

@@ -6,13 +6,11 @@ defmodule MavRouter.Recorder.Tap do
   or hangs), further frames are dropped here, and counted. So a bad disk costs records, never frames, and a bounded amount of memory.
   """
 
-  alias MavCodec.MessageName
   alias MavRouter.Recorder.Tables
   alias MavCodec.{Frame, Redact}
 
   @waiting 1
   @dropped 2
-  @setup_signing MessageName.id!("SETUP_SIGNING")
   # A frame's part of the message that carries it, and of the list that it is in.
   @overhead 200
 
@@ -57,9 +55,9 @@ defmodule MavRouter.Recorder.Tap do
     end
   end
 
-  # The writer removes keys too, but a process that crashes shows its last message (S9).
+  # The writer removes secrets as well, but a process that crashes shows its last message (S9).
   defp without_keys(frames) do
-    if Enum.any?(frames, &(&1.id == @setup_signing)), do: Enum.map(frames, &Redact.frame/1), else: frames
+    if Enum.any?(frames, &Redact.secret?/1), do: Enum.map(frames, &Redact.frame/1), else: frames
   end
 
   @doc "Ends the taps of processes that died."

@@ -11,6 +11,7 @@ defmodule MavRouter.Router.Forward do
   | R6 | a boot time that starts over clears the routes that the same endpoint taught of the system |
   | R9 | a component that never spoke is reached where its system is |
   | S8 | SETUP_SIGNING goes nowhere |
+  | S9 | other passwords and keys (`MavCodec.Redact`) go to vehicles; clients get what vehicles say without them |
   | F10 | a target that was cut off is 0, which is everyone |
 
   Runs in the process that received the frames. Each receiver gets its frames in their order.
@@ -33,7 +34,7 @@ defmodule MavRouter.Router.Forward do
   alias MavRouter.Router.Routes
   alias MavRouter.Router.Forward.Holders
   alias Aerie.Base.{Names, TokenBucket}
-  alias MavCodec.Frame
+  alias MavCodec.{Frame, Redact}
 
   @heartbeat MessageName.id!("HEARTBEAT")
   @setup_signing MessageName.id!("SETUP_SIGNING")
@@ -114,16 +115,55 @@ defmodule MavRouter.Router.Forward do
   defp run([], gathered, delivery), do: broadcast(gathered, delivery)
 
   defp run([frame | rest], gathered, delivery) do
-    case target(frame, delivery) do
-      :all ->
+    case {target(frame, delivery), Redact.kept?(frame)} do
+      {:all, false} ->
         run(rest, [frame | gathered], delivery)
 
-      target ->
+      {target, false} ->
         broadcast(gathered, delivery)
         send_to(target, frame, delivery)
         run(rest, [], delivery)
+
+      {target, true} ->
+        broadcast(gathered, delivery)
+        secret(target, frame, delivery)
+        run(rest, [], delivery)
     end
   end
+
+  # To vehicles only. Clients learn what a vehicle says without the secret itself; what other clients say they
+  # do not hear.
+  defp secret(:all, frame, %{source: source, path: path} = delivery) do
+    vehicles = for {relation, to} <- source.vehicles, relation == :own or vehicle?(to), do: {relation, to}
+
+    groups =
+      for {group, relation, paths} <- source.groups, do: {group, relation, Enum.filter(paths, &vehicle?/1)}
+
+    groups = Enum.reject(groups, &match?({_group, _relation, []}, &1))
+    _ = to_vehicles(Batch.new([frame]), %{delivery | source: %{source | vehicles: vehicles, groups: groups}})
+
+    if path.side == :vehicle,
+      do: emit_all(source.receivers, Batch.new([Redact.frame(frame)]), delivery),
+      else: Refusal.of_broadcast([frame], delivery)
+  end
+
+  defp secret(target, frame, %{forwarding: forwarding, path: path} = delivery) do
+    {system, keys} = addressed(target, delivery)
+
+    with keys when is_list(keys) <- open(keys, frame, delivery) do
+      # A camera has not said that it is a vehicle.
+      {vehicles, clients} = Enum.split_with(keys, &match?(%{side: :vehicle}, forwarding.paths[&1]))
+      if vehicles != [] or clients == [], do: send_by(frame, system, vehicles, delivery)
+
+      case clients do
+        [] -> :ok
+        clients when path.side == :vehicle -> send_by(Redact.frame(frame), system, clients, delivery)
+        _another_client -> Counters.add(path.counters, :secret, length(clients))
+      end
+    end
+  end
+
+  defp vehicle?(to), do: match?(%{side: :vehicle, heard_vehicle: true}, to)
 
   @doc "The receiver of a frame: a system and a component of it (0 for all), or everybody."
   @spec target(Frame.t(), Delivery.t()) :: :all | {pos_integer, 0..255}
@@ -271,6 +311,7 @@ defmodule MavRouter.Router.Forward do
 
     sniffers =
       for {key, %{sniffer: true} = to} <- forwarding.listeners,
+          not Redact.kept?(frame),
           key != path.key,
           key not in keys,
           shares?(path, to),

@@ -92,6 +92,65 @@ defmodule MavRouter.Router.ForwardTest do
       assert counted(c.gateway, "g1").counters.secret == 1
     end
 
+    test "S9: the passwords of a client reach vehicles and nobody else, whatever the message", c do
+      sniffer = endpoint(c.gateway, "sniffer", sniffer: true)
+      stranger = endpoint(c.gateway, "stranger", side: :vehicle)
+      others = [sniffer, stranger | c.all]
+      got(others)
+
+      for %{message: message, target: target} <- secrets(2), bytes = message(message, 255, 190) do
+        say(c.g1, bytes)
+        reached = for {name, [_ | _] = frames} <- got(others), do: {name, frames}
+
+        cond do
+          target ->
+            assert(reached == [{"v2", [bytes]}])
+
+          Authority.Messages.order?(message.__struct__.id()) ->
+            assert(reached == [{"v1", [bytes]}, {"v2", [bytes]}])
+
+          # A vehicle's answer.
+          true ->
+            assert(reached == [])
+        end
+      end
+
+      # An id that another client has said it has.
+      say(c.g2, heartbeat(9, type: 6, autopilot: 8, component: 190))
+      got(others)
+      say(c.g1, message(%Messages.ChangeOperatorControl{target_system: 9, passkey: "hunter22"}, 255, 190))
+      assert got(others) |> Map.values() |> Enum.concat() == []
+    end
+
+    test "S9: clients and sniffers get what a vehicle says without its passwords, and other vehicles nothing",
+         c do
+      sniffer = endpoint(c.gateway, "sniffer", sniffer: true)
+      others = [sniffer | c.all]
+      got(others)
+
+      for %{message: message} <- secrets(255) do
+        bytes = message(message, 1, 1)
+        say(c.v1, bytes)
+        reached = for {name, [_ | _] = frames} <- got(others), do: {name, frames}
+        assert [{"g1", [copy]} | _more] = reached
+        assert Enum.all?(reached, fn {name, frames} -> name in ~w(g1 g2 sniffer) and frames == [copy] end)
+        assert :binary.match(copy, "hunter22") == :nomatch
+        assert {:ok, %_same{}} = copy |> MavCodec.Frame.from_bytes(nil) |> MavCodec.decode()
+      end
+    end
+
+    defp secrets(target) do
+      for %module{} = message <- MavCodec.SecretSamples.all(),
+          module != Messages.SetupSigning,
+          kept?(message) do
+        target? = is_map_key(message, :target_system)
+        %{message: if(target?, do: %{message | target_system: target}, else: message), target: target?}
+      end
+    end
+
+    defp kept?(message),
+      do: message |> message(1, 1) |> MavCodec.Frame.from_bytes(nil) |> MavCodec.Redact.kept?()
+
     test "S10: a signed frame is forwarded unchanged, rightly signed or not", c do
       signing = MavCodec.Signing.new(:binary.copy(<<7>>, 32), link_id: 3)
 

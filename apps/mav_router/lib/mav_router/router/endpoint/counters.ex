@@ -15,7 +15,7 @@ defmodule MavRouter.Router.Endpoint.Counters do
   | `routes_refused` | components heard from it that got no route, four times a second each while they speak (`MavRouter.Router.Routes`) |
   | `held` | from it, kept until another's transfer with the vehicle was over (`MavRouter.Router.TransferLock`) |
   | `out_of_turn` | from it, steps of a transfer while another had the turn, and beginnings that waited in vain |
-  | `secret` | from it, SETUP_SIGNING (S8) |
+  | `secret` | from it, SETUP_SIGNING (S8), and passwords for a client (S9) |
   | `filtered_in`, `filtered_out`, `limited` | stopped by a filter or a rate limit |
   | `spared` | not carried by a link of high latency (X6) |
   | `refused` | to or from it, with an id that cannot be renumbered (`MavRouter.Router.Owner.Renumber`) |

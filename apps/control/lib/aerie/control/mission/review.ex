@@ -59,7 +59,7 @@ defmodule Aerie.Control.Mission.Review do
   end
 
   defp asked(item, seq, type, vehicle),
-    do: item |> placeless() |> Item.message(seq, type, {0, 0}) |> Mavlink.facts(vehicle)
+    do: item |> Item.message(seq, type, {0, 0}) |> Mavlink.facts(vehicle)
 
   # A mission's legs: from each place where the vehicle may be to the place that comes next, by each jump as well.
   defp ways(policy, items, vehicle, context) do
@@ -128,10 +128,6 @@ defmodule Aerie.Control.Mission.Review do
       _not_flown -> nil
     end
   end
-
-  # Both firmwares take 0, 0 for the present position.
-  defp placeless(%{x: 0, y: 0} = item), do: %{item | x: nil, y: nil}
-  defp placeless(item), do: item
 
   defp here(%{lat: nil} = place, %{lat: lat, lon: lon}), do: %{place | lat: lat, lon: lon}
   defp here(place, _from), do: place

@@ -44,6 +44,7 @@ defmodule Aerie.Control.Policy.FlightPath do
   def legs(%{path: :none}, _context), do: {:ok, []}
   def legs(%{path: {:level, _height}}, _context), do: {:ok, []}
   def legs(%{path: :anywhere}, _context), do: {:unknown, @anywhere}
+  def legs(%{path: {:unknown, why}}, _context), do: {:unknown, why}
   def legs(%{path: {:all, paths}} = facts, context), do: all(paths, &legs(%{facts | path: &1}, context))
 
   def legs(%{path: {:at, places}}, context) do
@@ -157,6 +158,7 @@ defmodule Aerie.Control.Policy.FlightPath do
 
   def heights(%{path: {:level, {above, _} = height}}, context), do: {:ok, [level(height, above, context)]}
   def heights(%{path: :anywhere}, _context), do: {:unknown, @anywhere}
+  def heights(%{path: {:unknown, why}}, _context), do: {:unknown, why}
   def heights(%{path: {:all, paths}} = facts, context), do: all(paths, &heights(%{facts | path: &1}, context))
 
   def heights(%{path: {:shift, _frame, {_x, _y, down}}}, _context) when down == 0, do: {:ok, []}

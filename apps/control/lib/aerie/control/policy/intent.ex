@@ -23,6 +23,7 @@ defmodule Aerie.Control.Policy.Intent do
     also: [],
     modes: [],
     implies: [],
+    besides: [],
     reasons: %{},
     path: :none,
     sweep: nil,
@@ -56,11 +57,13 @@ defmodule Aerie.Control.Policy.Intent do
     * `{:drift, drift}` - a velocity (`t:drift/0`); `{:onward, path, drift}` - from the end of a path on
     * `{:level, height}` - to a height, wherever it is then
     * `{:all, paths}` - to each of them, because firmwares read the message in different ways
+    * `{:unknown, why}` - a number that it needs is missing: no fence and no limit of height allows it either
     * `:anywhere` - where it leads, nobody can tell: no fence and no limit of height allows it
   """
   @type path ::
           :none
           | :anywhere
+          | {:unknown, String.t()}
           | {:all, [path()]}
           | {:level, height()}
           | {:to | :along | :at, [place()]}
@@ -131,6 +134,7 @@ defmodule Aerie.Control.Policy.Intent do
     * `:mode` - the mode that it asks for, by its name; `:modes` - others for which a firmware may take it;
       `:standard_mode` - the mode by the name of MAVLink's standard modes
     * `:implies` - the types that it amounts to while the vehicle is on the ground: what may make it take off or arm
+    * `:besides` - types that it is as well, wherever the vehicle is
     * `:control` - how it changes who is in charge of the vehicle
     * `:moves?` - the vehicle may move because of it; `:stored?` - it comes as raw MAVLink, and a disarmed vehicle may keep it until it is armed
     * `:switches` - channels of the remote control, and buttons, that it works (`t:switches/0`)
@@ -146,6 +150,7 @@ defmodule Aerie.Control.Policy.Intent do
           number: String.t() | nil,
           modes: [String.t()],
           implies: [String.t()],
+          besides: [String.t()],
           mode: String.t() | nil,
           standard_mode: String.t() | nil,
           control: Lease.change() | nil,
@@ -284,13 +289,11 @@ defmodule Aerie.Control.Policy.Intent do
 
   @doc "The types by which a command is judged: its own, and on the ground those that it amounts to."
   @spec types(t(), Context.t()) :: [String.t(), ...]
-  def types(%{implies: []} = facts, _context), do: [facts.type]
-  def types(facts, %{in_air: true}), do: [facts.type]
+  def types(facts, context), do: [facts.type | facts.besides ++ implied(facts, context)]
 
-  def types(facts, %{vehicle_type: kind}) when kind in @grounded,
-    do: [facts.type | facts.implies -- ["takeoff"]]
-
-  def types(facts, _context), do: [facts.type | facts.implies]
+  defp implied(_facts, %{in_air: true}), do: []
+  defp implied(facts, %{vehicle_type: kind}) when kind in @grounded, do: facts.implies -- ["takeoff"]
+  defp implied(facts, _context), do: facts.implies
 
   defp by_mode(%{mode: nil, standard_mode: nil} = facts), do: facts
 

@@ -38,6 +38,9 @@ defmodule Aerie.Control.Policy.Mavlink do
   @fence MavMissionType.value(:MAV_MISSION_TYPE_FENCE)
   @rally MavMissionType.value(:MAV_MISSION_TYPE_RALLY)
   @all_types MavMissionType.value(:MAV_MISSION_TYPE_ALL)
+  @waypoint MavCmd.value(:MAV_CMD_NAV_WAYPOINT)
+  @rally_point MavCmd.value(:MAV_CMD_NAV_RALLY_POINT)
+  @fence_items for %{id: id, name: "NAV_FENCE_" <> _kind} <- Authority.Commands.all(), do: id
   # Where the vehicle may be. Exclusions may lie anywhere.
   @fence_inside [
     MavCmd.value(:MAV_CMD_NAV_FENCE_RETURN_POINT),
@@ -84,7 +87,8 @@ defmodule Aerie.Control.Policy.Mavlink do
   @doc "The facts of a message; `:free` for one that only reads."
   @spec facts(struct(), vehicle()) :: Intent.t() | :free
   def facts(message, vehicle) do
-    with %Intent{} = facts <- read(message, vehicle), do: %{facts | stored?: stored?(facts, vehicle)}
+    with %Intent{} = facts <- read(message, vehicle),
+         do: %{facts | stored?: facts.stored? or stored?(facts, vehicle)}
   end
 
   # PX4 arms with it.
@@ -122,28 +126,43 @@ defmodule Aerie.Control.Policy.Mavlink do
     do: upload(type, removed(type, count))
 
   defp read(%M.MissionWritePartialList{mission_type: type}, _vehicle), do: upload(type)
+
+  # It removes each of them.
+  defp read(%M.MissionClearAll{mission_type: @all_types}, _vehicle),
+    do: own("mission_upload", :mission, [besides: ["fence_upload", "rally_upload"]] ++ removed(@fence, 0))
+
   defp read(%M.MissionClearAll{mission_type: type}, _vehicle), do: upload(type, removed(type, 0))
   defp read(%M.MissionSetCurrent{}, _vehicle), do: Intent.named("mission_set_current")
 
-  # ArduPilot's way to say "go there now" and "be that high now".
-  defp read(%module{current: 2} = m, _vehicle) when module in [M.MissionItem, M.MissionItemInt],
-    do: Intent.named("goto", path: {:to, [Place.of(m)]}, sweep: {:stay, nil})
-
-  defp read(%module{current: 3} = m, _vehicle) when module in [M.MissionItem, M.MissionItemInt],
-    do:
-      Intent.named("set_altitude",
-        path: {:to, [%{Place.of(m) | lat: nil, lon: nil}]},
-        what: "the height to fly at"
-      )
+  # ArduPilot's way to say "go there now" and "be that high now": it stores no such item. Other firmwares do, and an
+  # unknown one may do either.
+  defp read(%module{current: current, mission_type: 0} = m, vehicle)
+       when module in [M.MissionItem, M.MissionItemInt] and current in [2, 3] do
+    case vehicle.autopilot do
+      :ardupilot when m.command == @waypoint -> %{now(m) | number: item(m, vehicle).number}
+      :ardupilot -> both(now(m), item(m, vehicle))
+      :px4 -> item(m, vehicle)
+      _unknown -> %{both(item(m, vehicle), now(m)) | stored?: true}
+    end
+  end
 
   defp read(%module{mission_type: @fence} = m, _vehicle) when module in [M.MissionItem, M.MissionItemInt] do
     if m.command in @fence_inside,
       do: upload(@fence, path: {:at, [%{Place.of(m) | height: :same}]}, what: "fence item #{m.seq}"),
-      else: upload(@fence)
+      else: upload(@fence, foreign(m, @fence_items, "a fence"))
   end
 
   defp read(%module{mission_type: @rally} = m, _vehicle) when module in [M.MissionItem, M.MissionItemInt],
-    do: upload(@rally, path: {:at, [Place.of(m)]}, what: "rally point #{m.seq}")
+    do:
+      upload(
+        @rally,
+        [path: {:at, [Place.of(m)]}, what: "rally point #{m.seq}"] ++
+          foreign(m, [@rally_point], "rally points")
+      )
+
+  defp read(%module{mission_type: type}, _vehicle)
+       when module in [M.MissionItem, M.MissionItemInt] and type != 0,
+       do: upload(type)
 
   defp read(%module{} = m, vehicle) when module in [M.MissionItem, M.MissionItemInt], do: item(m, vehicle)
 
@@ -185,7 +204,11 @@ defmodule Aerie.Control.Policy.Mavlink do
   defp read(%M.FollowTarget{lat: lat, lon: lon, alt: metres}, _vehicle) do
     own("follow_target", :fly,
       moves?: true,
-      path: {:to, [Place.int(lat, lon, {:msl, Place.number(metres)})]},
+      path:
+        if(is_number(metres),
+          do: {:to, [Place.int(lat, lon, {:msl, metres})]},
+          else: {:unknown, "its height is not a number"}
+        ),
       what: "the place of who is followed"
     )
   end
@@ -239,6 +262,39 @@ defmodule Aerie.Control.Policy.Mavlink do
     end
   end
 
+  defp now(%{z: z} = m) when not is_number(z),
+    do: %{now(%{m | z: 0.0}) | path: Request.missing(7, "the height")}
+
+  defp now(%{current: 2} = m), do: Intent.named("goto", path: {:to, [Place.of(m)]}, sweep: {:stay, nil})
+
+  defp now(m) do
+    path = {:to, [%{Place.of(m) | lat: nil, lon: nil}]}
+    Intent.named("set_altitude", path: path, what: "the height to fly at")
+  end
+
+  # What needs and leads to all that both do.
+  defp both(facts, other) do
+    %{
+      facts
+      | also: Enum.uniq(facts.also ++ [other.permission | other.also]),
+        besides: [other.type | facts.besides],
+        implies: Enum.uniq(facts.implies ++ other.implies),
+        unknown: facts.unknown || other.unknown,
+        number: facts.number || other.number,
+        mode: facts.mode || other.mode,
+        modes: Enum.uniq(facts.modes ++ other.modes),
+        standard_mode: facts.standard_mode || other.standard_mode,
+        path: if(other.path in [:none, facts.path], do: facts.path, else: {:all, [facts.path, other.path]}),
+        moves?: facts.moves? or other.moves?,
+        ends_flight?: facts.ends_flight? and other.ends_flight?
+    }
+  end
+
+  # A command that does not belong in a plan of this type.
+  defp foreign(%{command: command}, commands, what) do
+    if command in commands, do: [], else: [number: "#{Commands.name(command)} is not an item of #{what}"]
+  end
+
   # A plan ends no flight at once, but it decides about a protection.
   defp needed(%{name: "DO_PARACHUTE"}, command), do: [:protection | command.also]
   defp needed(_row, command), do: [command.permission | command.also]
@@ -256,10 +312,16 @@ defmodule Aerie.Control.Policy.Mavlink do
   # Its height is the first parameter, and its frame the second.
   defp stop(:height, m, %{name: "DO_CHANGE_ALTITUDE"}, request, _vehicle) do
     frame = Request.int(request, 2) || -1
-    {:at, [%{lat: nil, lon: nil, height: Place.height(frame, m.param1)}]}
+
+    if is_number(m.param1),
+      do: {:at, [%{lat: nil, lon: nil, height: Place.height(frame, m.param1)}]},
+      else: Request.missing(1, "the height")
   end
 
-  defp stop(:height, m, _row, _request, _vehicle), do: {:at, [%{Place.item(m) | lat: nil, lon: nil}]}
+  defp stop(:height, %{z: z}, _row, _request, _vehicle) when not is_number(z),
+    do: Request.missing(7, "the height")
+
+  defp stop(:height, m, _row, _request, vehicle), do: {:at, [%{Place.item(m, vehicle) | lat: nil, lon: nil}]}
 
   # A mark, or a home: no way leads there.
   defp stop(:stored, _m, %{name: "DO_SET_HOME"}, request, _vehicle) do
@@ -270,13 +332,15 @@ defmodule Aerie.Control.Policy.Mavlink do
   end
 
   defp stop(:stored, m, _row, _request, _vehicle) do
-    case Place.item(m) do
+    # A mark without a place, mostly.
+    case Place.here(Place.of(m)) do
       %{lat: nil} -> :none
       place -> {:along, [%{place | height: :same}]}
     end
   end
 
-  defp stop(:flown, m, _row, _request, _vehicle), do: {:at, [Place.item(m)]}
+  defp stop(:flown, _m, _row, %{path: {:unknown, _why} = path}, _vehicle), do: path
+  defp stop(:flown, m, _row, _request, vehicle), do: {:at, [Place.item(m, vehicle)]}
 
   defp removed(type, 0) when type in [@fence, @all_types], do: [also: [:protection]]
   defp removed(_type, _count), do: []
@@ -284,7 +348,13 @@ defmodule Aerie.Control.Policy.Mavlink do
   defp upload(mission_type, fields \\ [])
   defp upload(@fence, fields), do: own("fence_upload", :mission, fields)
   defp upload(@rally, fields), do: own("rally_upload", :mission, fields)
-  defp upload(_mission, fields), do: own("mission_upload", :mission, fields)
+  defp upload(0, fields), do: own("mission_upload", :mission, fields)
+
+  # Firmwares take it for one of the others, or for all of them.
+  defp upload(type, fields) do
+    number = "the mission type #{type} is not one of mission (0), fence (1) and rally points (2)"
+    own("mission_upload", :mission, [besides: ["fence_upload", "rally_upload"], number: number] ++ fields)
+  end
 
   defp own(type, permission, fields \\ []),
     do: struct!(%Intent{type: type, permission: permission}, fields)

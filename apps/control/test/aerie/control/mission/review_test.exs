@@ -48,8 +48,14 @@ defmodule Aerie.Control.Mission.ReviewTest do
     do: Review.plan(policy, items, type, vehicle, context)
 
   test "a mission inside is allowed, around the notch" do
-    takeoff = %Item{command: 22, frame: 3, x: 0, y: 0, z: 20.0}
+    takeoff = at(47.01, 8.004, 20.0, command: 22)
     assert review([takeoff | around()] ++ [at(47.003, 8.015), %Item{command: 20, frame: 2}]) == :allow
+
+    # 0, 0 is where it is to ArduPilot, and a place to PX4.
+    here = %Item{command: 22, frame: 3, x: 0, y: 0, z: 20.0}
+    assert {:deny, :geofence, 0, _reason} = review([here | around()])
+    ardupilot = %{@vehicle | autopilot: :ardupilot}
+    assert review([at(47.01, 8.004), here | around()], policy(), context(), 0, ardupilot) == :allow
   end
 
   defp around, do: [at(47.01, 8.004), at(47.003, 8.004), at(47.003, 8.016), at(47.01, 8.016)]

@@ -355,7 +355,8 @@ defmodule Aerie.Control.Policy.FirmwareReadingTest do
       {:altitude, @ap, local(0xDF8, coordinate_frame: 21, x: 1.0)},
       {:geofence, @ap, %M.MissionItemInt{current: 2, frame: 3, command: 16, x: @far, y: @lon, z: 20.0}},
       {:geofence, @ap, %M.MissionItem{current: 2, frame: 3, command: 16, x: 47.5, y: 8.001, z: 20.0}},
-      {:geofence, @ap,
+      {:geofence, @ap, %M.MissionItemInt{current: 2, frame: 3, command: 178, x: @far, y: @lon, z: 20.0}},
+      {:number, @ap,
        %M.MissionItemInt{current: 2, frame: 3, command: 178, x: @far, y: @lon, z: 20.0, mission_type: 1}}
     ])
 
@@ -497,7 +498,11 @@ defmodule Aerie.Control.Policy.FirmwareReadingTest do
       item("NAV_RETURN_TO_LAUNCH", nowhere)
     ]
 
-    for vehicle <- [@ap, @px4], do: assert(upload(policy, usual, vehicle, context(vehicle)) == :allow)
+    assert upload(policy, usual, @ap, context(@ap)) == :allow
+    # To PX4, 0, 0 is a place.
+    assert {:deny, :geofence, _reason} = upload(policy, usual, @px4, context(@px4))
+    usual = List.replace_at(usual, 1, item("NAV_TAKEOFF"))
+    assert upload(policy, usual, @px4, context(@px4)) == :allow
   end
 
   test "a command that is new is refused, until an admin opens it", c do

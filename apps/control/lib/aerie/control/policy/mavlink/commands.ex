@@ -23,6 +23,15 @@ defmodule Aerie.Control.Policy.Mavlink.Commands do
   @spec place?(non_neg_integer()) :: boolean()
   defdelegate place?(command), to: Authority.Commands
 
+  @doc "A command by its name, or by its number if it has no row."
+  @spec name(non_neg_integer()) :: String.t()
+  def name(command) do
+    case Authority.Commands.get(command) do
+      nil -> "the command #{command}"
+      row -> row.name
+    end
+  end
+
   @doc "The facts of COMMAND_LONG and COMMAND_INT."
   @spec facts(struct(), Aerie.Control.Policy.Mavlink.vehicle()) :: Intent.t()
   def facts(%{command: command} = message, vehicle) do
@@ -72,8 +81,16 @@ defmodule Aerie.Control.Policy.Mavlink.Commands do
     Intent.named("takeoff", path: path, sweep: :takeoff, what: what)
   end
 
+  # What is not given PX4 keeps: the radius and the middle of the last circle.
   defp asked("DO_ORBIT", request, _row, _vehicle) do
-    path = {:around, Request.place(request), Request.number(request, 1)}
+    path =
+      case {request.params[1], request.path} do
+        {radius, _path} when not is_number(radius) -> Request.missing(1, "the radius")
+        {_radius, {:unknown, _why} = path} -> path
+        {_radius, {:to, [%{lat: nil} | _]}} -> Request.missing(5, "the latitude of its middle")
+        {radius, _path} -> {:around, Request.place(request), radius}
+      end
+
     Intent.named("orbit", path: path, what: "the circle")
   end
 
@@ -93,18 +110,26 @@ defmodule Aerie.Control.Policy.Mavlink.Commands do
   end
 
   defp asked("DO_CHANGE_ALTITUDE", request, _row, vehicle) do
-    metres = Request.number(request, 1)
+    metres = request.params[1]
     heights = [Place.height(Request.int(request, 2) || -1, metres)]
     # PX4 takes it as above mean sea level, whatever the frame says.
     heights = if vehicle.autopilot == :px4, do: Enum.uniq(heights ++ [{:msl, metres}]), else: heights
-    set_altitude(for height <- heights, do: %{lat: nil, lon: nil, height: height})
+
+    if is_number(metres),
+      do: set_altitude({:to, for(height <- heights, do: %{lat: nil, lon: nil, height: height})}),
+      else: set_altitude(Request.missing(1, "the height"))
   end
 
-  defp asked("GUIDED_CHANGE_ALTITUDE", request, _row, _vehicle),
-    do: set_altitude([%{Request.place(request) | lat: nil, lon: nil}])
+  defp asked("GUIDED_CHANGE_ALTITUDE", request, _row, _vehicle) do
+    if is_number(request.params[7]),
+      do: set_altitude({:to, [%{Request.place(request) | lat: nil, lon: nil}]}),
+      else: set_altitude(Request.missing(7, "the height"))
+  end
 
-  defp asked("DO_SET_HOME", request, _row, _vehicle),
-    do: Intent.named("set_home", path: {:at, homes(request)}, what: "the new home")
+  defp asked("DO_SET_HOME", request, _row, _vehicle) do
+    path = if elsewhere?(request), do: request.path, else: {:at, homes(request)}
+    Intent.named("set_home", path: path, what: "the new home")
+  end
 
   defp asked("DO_PAUSE_CONTINUE", request, _row, _vehicle),
     do: Intent.named(if(Request.int(request, 1) == 0, do: "mission_pause", else: "resume"))
@@ -126,10 +151,21 @@ defmodule Aerie.Control.Policy.Mavlink.Commands do
 
   # Rovers drive by it: a speed in a direction.
   defp asked("NAV_SET_YAW_SPEED", request, _row, _vehicle) do
-    {angle, speed} = {Request.number(request, 1) * :math.pi() / 180, Request.number(request, 2)}
-    frame = if Request.int(request, 3) == 0, do: :north, else: :body
-    drift = Intent.drift(frame, {speed * :math.cos(angle), speed * :math.sin(angle), 0})
-    Intent.named("setpoint_velocity", path: {:drift, drift}, what: Intent.drift_what())
+    path =
+      case {request.params[1], request.params[2]} do
+        {degrees, _speed} when not is_number(degrees) ->
+          Request.missing(1, "the angle")
+
+        {_degrees, speed} when not is_number(speed) ->
+          Request.missing(2, "the speed")
+
+        {degrees, speed} ->
+          angle = degrees * :math.pi() / 180
+          frame = if Request.int(request, 3) == 0, do: :north, else: :body
+          {:drift, Intent.drift(frame, {speed * :math.cos(angle), speed * :math.sin(angle), 0})}
+      end
+
+    Intent.named("setpoint_velocity", path: path, what: Intent.drift_what())
   end
 
   defp asked("DO_PARACHUTE", request, _row, _vehicle),
@@ -206,16 +242,23 @@ defmodule Aerie.Control.Policy.Mavlink.Commands do
   defp armed(base, %{autopilot: :px4}) when band(base, @safety_armed) != 0, do: [implies: ["arm"]]
   defp armed(_base, _vehicle), do: []
 
-  defp set_altitude(places),
-    do: Intent.named("set_altitude", path: {:to, places}, what: "the height to fly at")
+  defp set_altitude(path), do: Intent.named("set_altitude", path: path, what: "the height to fly at")
 
-  # PX4 flies to 0, 0 if ordered to.
+  # A new home at a place that is not known.
+  defp elsewhere?(request), do: match?({:unknown, _why}, request.path) and Request.int(request, 1) != 1
+
+  # PX4 flies to 0, 0 if ordered to, and an unknown firmware may.
   defp takeoff({:to, places}, %{autopilot: :px4}), do: {:to, places}
-  defp takeoff({:to, places}, _vehicle), do: {:to, Enum.map(places, &here/1)}
-  defp takeoff(local, _vehicle), do: local
+  defp takeoff({:to, places}, %{autopilot: :ardupilot}), do: {:to, Enum.map(places, &Place.here/1)}
 
-  defp here(%{lat: lat, lon: lon} = place) when lat == 0 and lon == 0, do: %{place | lat: nil, lon: nil}
-  defp here(place), do: place
+  defp takeoff({:to, places}, _vehicle) do
+    case Enum.map(places, &Place.here/1) do
+      ^places -> {:to, places}
+      here -> {:all, [{:to, here}, {:to, places}]}
+    end
+  end
+
+  defp takeoff(local, _vehicle), do: local
 
   @doc "The places of a new home. Without a frame, its height is above mean sea level; with one, firmwares differ about it."
   @spec homes(Request.t()) :: [Intent.place(), ...]
@@ -232,6 +275,7 @@ defmodule Aerie.Control.Policy.Mavlink.Commands do
 
   defp path(:flown, request), do: request.path
 
+  defp path(:height, %{path: {:unknown, _why} = path}), do: path
   defp path(:height, request), do: {:to, [%{Request.place(request) | lat: nil, lon: nil}]}
   defp path(:climb, request), do: Request.climb(request)
   defp path(:anywhere, _request), do: :anywhere

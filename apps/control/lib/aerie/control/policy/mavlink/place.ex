@@ -20,14 +20,18 @@ defmodule Aerie.Control.Policy.Mavlink.Place do
 
   def of(%{x: lat, y: lon} = m), do: int(lat, lon, height(m.frame, m.z))
 
-  @doc "The place of an item of a mission: latitude and longitude 0 mean where the vehicle is (a take-off, mostly)."
-  @spec item(struct()) :: Intent.place()
-  def item(message) do
-    case of(message) do
-      %{lat: lat, lon: lon} = place when lat == 0 and lon == 0 -> %{place | lat: nil, lon: nil}
-      place -> place
-    end
-  end
+  @doc """
+  The place of an item of a mission: to ArduPilot, latitude and longitude 0 mean where the vehicle is (a take-off,
+  mostly). To PX4 they are a place, and to an unknown firmware they may be.
+  """
+  @spec item(struct(), Aerie.Control.Policy.Mavlink.vehicle()) :: Intent.place()
+  def item(message, %{autopilot: :ardupilot}), do: message |> of() |> here()
+  def item(message, _vehicle), do: of(message)
+
+  @doc "The same place, or where the vehicle is if latitude and longitude are 0."
+  @spec here(Intent.place()) :: Intent.place()
+  def here(%{lat: lat, lon: lon} = place) when lat == 0 and lon == 0, do: %{place | lat: nil, lon: nil}
+  def here(place), do: place
 
   @doc "A place in 1e-7 degrees; the largest number means where the vehicle is."
   @spec int(integer(), integer(), Intent.height()) :: Intent.place()

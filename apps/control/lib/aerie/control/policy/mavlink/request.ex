@@ -28,17 +28,37 @@ defmodule Aerie.Control.Policy.Mavlink.Request do
   @spec of(struct(), Aerie.Control.Policy.Mavlink.vehicle()) :: t()
   def of(%M.CommandLong{} = m, vehicle) do
     place = Place.floats(m.param5, m.param6, long_height(m.param7, vehicle))
-    new(m, {m.param5, m.param6, m.param7}, {:to, [place]})
+    values = {m.param5, m.param6, m.param7}
+    new(m, values, known({:to, [place]}, values, vehicle))
   end
 
   def of(%M.CommandInt{frame: @local_ned} = m, _vehicle),
     do: new(m, {m.x, m.y, m.z}, Place.local(@local_ned, {m.x / 1.0e4, m.y / 1.0e4, m.z}))
 
-  def of(%M.CommandInt{} = m, vehicle),
-    do: new(m, {int(m.x), int(m.y), m.z}, {:to, readings(Place.of(m), vehicle)})
+  def of(%M.CommandInt{} = m, vehicle) do
+    values = {int(m.x), int(m.y), m.z}
+    new(m, values, known({:to, readings(Place.of(m), vehicle)}, {m.x, m.y, m.z}, vehicle))
+  end
 
-  def of(%M.MissionItem{} = m, _vehicle), do: new(m, {m.x, m.y, m.z}, {:to, [Place.item(m)]})
-  def of(%M.MissionItemInt{} = m, _vehicle), do: new(m, {int(m.x), int(m.y), m.z}, {:to, [Place.item(m)]})
+  def of(%M.MissionItem{} = m, vehicle), do: item(m, {m.x, m.y, m.z}, vehicle)
+  def of(%M.MissionItemInt{} = m, vehicle), do: item(m, {int(m.x), int(m.y), m.z}, vehicle)
+
+  # In a mission nothing is kept as it is.
+  defp item(m, {_x, _y, z} = values, vehicle),
+    do: new(m, values, if(is_number(z), do: {:to, [Place.item(m, vehicle)]}, else: missing(7, "the height")))
+
+  # PX4 keeps what is NaN as it is. ArduPilot makes an integer of it, which may be any.
+  defp known(path, _values, %{autopilot: :px4}), do: path
+  defp known(_path, {_x, _y, z}, _vehicle) when not is_number(z), do: missing(7, "the height")
+
+  defp known(_path, {x, y, _z}, _vehicle) when not is_number(x) and not is_number(y),
+    do: missing(5, "the latitude")
+
+  defp known(path, _values, _vehicle), do: path
+
+  @doc "The path of a command of which a number is missing that the vehicle takes from elsewhere, or makes up."
+  @spec missing(1..7, String.t()) :: Intent.path()
+  def missing(index, what), do: {:unknown, "#{what} (parameter #{index}) is not a number"}
 
   defp new(m, {p5, p6, p7}, path) do
     params = %{1 => m.param1, 2 => m.param2, 3 => m.param3, 4 => m.param4, 5 => p5, 6 => p6, 7 => p7}
@@ -101,8 +121,11 @@ defmodule Aerie.Control.Policy.Mavlink.Request do
   @doc "The path to the height in its first parameter; 0 leaves it to the vehicle."
   @spec climb(t()) :: Intent.path()
   def climb(request) do
-    metres = number(request, 1)
-    if metres == 0, do: :none, else: {:level, {:home, metres}}
+    case request.params[1] do
+      metres when metres == 0 -> :none
+      metres when is_number(metres) -> {:level, {:home, metres}}
+      _nan -> missing(1, "the height")
+    end
   end
 
   @doc "The first place that it names."

@@ -21,6 +21,13 @@ defmodule Aerie.Control.Policy.Mavlink.Upload do
     {%{facts | path: way}, item}
   end
 
+  # One that an unknown firmware may obey at once or store.
+  def next(last, %module{} = item, %{path: {:all, [{:at, [_place]} = stop | others]}} = facts)
+      when module in [M.MissionItem, M.MissionItemInt] do
+    {stored, last} = next(last, item, %{facts | path: stop})
+    {%{facts | path: {:all, [stored.path | others]}}, last}
+  end
+
   def next(_last, %M.MissionCount{}, facts), do: {facts, nil}
   def next(last, _other, facts), do: {facts, last}
 

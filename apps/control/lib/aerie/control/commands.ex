@@ -86,7 +86,8 @@ defmodule Aerie.Control.Commands do
   end
 
   defp take(given, {:ok, command}, gateway, source, options) do
-    pass(gateway, %{command | source: source.name}, source, if(given["source"], do: command.source), options)
+    says = if given["source"], do: command.source
+    pass(gateway, of(command, source, says, options), source, says, options)
   end
 
   @doc """
@@ -94,8 +95,16 @@ defmodule Aerie.Control.Commands do
   that its facts name: what it changes is in `params`, short enough for the audit log. The caller has checked its id and deadline.
   """
   @spec carry_out(Names.gateway(), Command.t(), Change.t(), Roles.source(), [option()]) :: answer()
-  def carry_out(gateway, command, %Change{} = change, source, options),
-    do: pass(gateway, %{command | source: source.name}, source, nil, [change: change] ++ options)
+  def carry_out(gateway, command, %Change{} = change, source, options) do
+    {says, options} = Keyword.pop(options, :says)
+    pass(gateway, of(command, source, says, options), source, says, [change: change] ++ options)
+  end
+
+  # A gateway that passes a command on signs it and says for whom; then it is the same command as by any other way.
+  defp of(command, source, says, options) do
+    relayed? = via(options) == "nats" and match?(%{kind: :key}, source)
+    %{command | source: source.name, sender: if(relayed?, do: Command.sender(says))}
+  end
 
   defp pass(gateway, command, source, says, options) do
     wait_ms = Keyword.get(options, :wait_ms, :infinity)

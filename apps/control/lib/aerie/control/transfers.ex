@@ -32,7 +32,7 @@ defmodule Aerie.Control.Transfers do
           | {:timeout_ms, pos_integer()}
           | {:wait_ms, timeout()}
 
-  @options [:as, :via, :id, :progress, :timeout_ms, :wait_ms]
+  @options [:as, :via, :says, :id, :progress, :timeout_ms, :wait_ms]
 
   @typedoc """
   A transfer: the lanes that it uses, the function that makes its machine (`t:Aerie.Control.TransferExecutor.Job.t/0`), its default time limit,
@@ -93,7 +93,7 @@ defmodule Aerie.Control.Transfers do
          %{via: via} = snapshot when via != nil <- RemoteGateway.vehicle(gateway, vehicle),
          module when module != nil <- RemoteGateway.module(gateway) do
       id = options[:id] || Command.id()
-      who = "#{source(options).name} by #{options[:via] || "elixir"}"
+      who = Command.passed_on(source(options).name, options[:via] || "elixir")
       tell = teller(options[:progress], id)
       module.transfer(gateway, snapshot, id, request, who, options[:timeout_ms] || timeout_ms, tell)
     else
@@ -163,7 +163,7 @@ defmodule Aerie.Control.Transfers do
              command,
              work,
              source(options),
-             Keyword.take(options, [:via, :progress, :wait_ms])
+             Keyword.take(options, [:via, :progress, :wait_ms, :says])
            )
   end
 

@@ -126,6 +126,29 @@ defmodule Aerie.Control.CommandsTest do
     assert %{status: :completed} = result(goto)
   end
 
+  test "the same command, once directly and once passed on by another gateway, is one; another sender's is not",
+       %{tmp_dir: dir} do
+    gateway = start_commands(dir)
+    relay = Map.merge(operator(), %{kind: :key, name: "gateways"})
+    task = command(gateway, "land", id: "a")
+    answer(executing(%{id: "a"}), "a", :completed)
+    assert %{status: :completed} = result(task)
+
+    passed_on = fn says, as ->
+      gateway |> command("land", id: "a", via: "nats", source: says, as: as) |> result()
+    end
+
+    assert %{status: :completed} = passed_on.("ops by rest", relay)
+    assert %{status: :rejected, details: %{"rule" => "id"}} = passed_on.("ann by rest", relay)
+    # Nobody is believed about a sender without a signature.
+    assert %{status: :rejected} = passed_on.("ops by rest", %{relay | kind: :stranger})
+    # And the other way round.
+    task = command(gateway, "hold", id: "b", via: "nats", source: "ops by console", as: relay)
+    answer(executing(%{id: "b"}), "b", :completed)
+    assert %{status: :completed} = result(task)
+    assert %{status: :completed} = gateway |> command("hold", id: "b") |> result()
+  end
+
   test "what one source has under way leaves room for the others", %{tmp_dir: dir} do
     gateway = start_commands(dir, commands: [max_in_flight: 4])
 

@@ -43,8 +43,7 @@ defmodule Aerie.Fleet.Remote do
 
   @impl Aerie.Control.Commands.RemoteGateway
   def transfer(gateway, snapshot, id, {area, operation, body}, who, timeout_ms, progress) do
-    source = String.slice(who, 0, 64)
-    text = JSON.encode!(Map.merge(body, %{"id" => id, "timeout" => timeout_ms / 1000, "source" => source}))
+    text = JSON.encode!(Map.merge(body, %{"id" => id, "timeout" => timeout_ms / 1000, "source" => who}))
 
     if byte_size(text) > Transfers.max_bytes() do
       {:error,
@@ -138,7 +137,7 @@ defmodule Aerie.Fleet.Remote do
   defp body(command, %{source: source, via: via}) do
     command
     |> Command.plain()
-    |> Map.put("source", String.slice("#{source.name} by #{via}", 0, 64))
+    |> Map.put("source", Command.passed_on(source.name, via))
     |> JSON.encode!()
   end
 

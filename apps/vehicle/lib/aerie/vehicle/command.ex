@@ -13,7 +13,7 @@ defmodule Aerie.Vehicle.Command do
   alias Aerie.Vehicle.Command.{Deadline, Error, Type, Types}
 
   @enforce_keys [:id, :vehicle, :type, :source, :issued_at, :deadline]
-  defstruct [:id, :vehicle, :type, :source, :issued_at, :deadline, params: %{}]
+  defstruct [:id, :vehicle, :type, :source, :sender, :issued_at, :deadline, params: %{}]
 
   @typedoc """
     * `:id` - chosen by the source, 1 to 64 letters, digits, `-` and `_` (it becomes part of a NATS subject)
@@ -21,6 +21,7 @@ defmodule Aerie.Vehicle.Command do
     * `:type` - a name of `Aerie.Vehicle.Command.Types`
     * `:params` - by the names of the type's parameters; what was not given and has no default is not there
     * `:source` - who says that it commands; who that is in truth, authentication decides
+    * `:sender` - who gave it to the gateway that passed it on; nil for one that came directly
     * `:issued_at`, `:deadline` - nothing is sent to the vehicle from the deadline on
   """
   @type t :: %__MODULE__{
@@ -29,10 +30,13 @@ defmodule Aerie.Vehicle.Command do
           type: String.t(),
           params: %{atom() => term()},
           source: String.t(),
+          sender: String.t() | nil,
           issued_at: integer(),
           deadline: integer()
         }
 
+  # So much of a sender's name counts: a gateway that passes a command on has no room for more.
+  @sender 48
   @keys ~w(id vehicle type params source issued_at deadline)
   # What an interface adds to the envelope and reads itself.
   @others ~w(signature key)
@@ -100,16 +104,39 @@ defmodule Aerie.Vehicle.Command do
   def type(%__MODULE__{type: name}), do: Types.fetch!(name)
 
   @doc """
-  What the command says, as 64 hexadecimal digits: vehicle, type, parameters and source. Two envelopes with one id are the
-  same command when their digests are equal; id and times do not count, so a repetition may have a later deadline.
+  What the command says, as 64 hexadecimal digits: vehicle, type, parameters and who gave it. Two envelopes with
+  one id are the same command when their digests are equal; id and times do not count, so a repetition may have
+  a later deadline, nor does the gateway that passed it on.
   """
   @spec digest(t()) :: String.t()
   def digest(command) do
     # Lists, because the order of an object's keys is not defined.
     params = for {name, value} <- Enum.sort(command.params), do: [name, value]
-    text = JSON.encode!([command.vehicle, command.type, params, command.source])
+    sender = String.slice(command.sender || command.source, 0, @sender)
+    text = JSON.encode!([command.vehicle, command.type, params, sender])
     :sha256 |> :crypto.hash(text) |> Base.encode16(case: :lower)
   end
+
+  @doc """
+  What a gateway that passes a command on says of its sender: the name and the interface by which it came.
+  Longer names are cut.
+
+      iex> Aerie.Vehicle.Command.passed_on("ops", "rest")
+      "ops by rest"
+  """
+  @spec passed_on(name :: String.t(), via :: String.t()) :: String.t()
+  def passed_on(name, via), do: "#{String.slice(name, 0, @sender)} by #{String.slice(via, 0, 8)}"
+
+  @doc "The sender that a gateway named with `passed_on/2`; nil for any other text."
+  @spec sender(String.t() | nil) :: String.t() | nil
+  def sender(text) when is_binary(text) do
+    case Regex.run(~r/\A(.+) by [a-z]{1,8}\z/s, text) do
+      [_text, name] -> name
+      nil -> nil
+    end
+  end
+
+  def sender(_none), do: nil
 
   @doc "Whether its deadline has come."
   @spec expired?(t(), now :: integer()) :: boolean()

@@ -154,6 +154,18 @@ defmodule Aerie.Vehicle.CommandTest do
       assert digest.(more) != same
     end
 
+    # Nor does it count by which gateway it came.
+    {:ok, command} = Command.parse(Map.merge(@takeoff, %{"source" => "gateways"}), @now)
+    sender = Command.sender(Command.passed_on(@takeoff["source"], "rest"))
+    assert Command.digest(%{command | sender: sender}) == same
+    long = String.duplicate("n", 64)
+    by_long = Command.sender(Command.passed_on(long, "console"))
+    assert Command.digest(%{command | sender: by_long}) == Command.digest(%{command | source: long})
+    assert Command.digest(%{command | sender: "another"}) != same
+
+    for text <- ["tablet 3", " by rest", "ann by REST", "ann by rest\n", nil],
+        do: assert(Command.sender(text) == nil)
+
     # A ledger is read by later versions: this value must not change.
     assert same == "ced6f014e55ed3071d15227a7886b70a8fecbf5f2d699f3bb55e69fbaa7a9b0f"
   end

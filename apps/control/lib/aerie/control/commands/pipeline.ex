@@ -269,7 +269,7 @@ defmodule Aerie.Control.Commands.Pipeline do
 
   defp pass_on(%{remote_request: request}, %{command: command} = ctx, snapshot, progress) do
     left_ms = max(div(command.deadline - System.os_time(:microsecond), 1000), 1)
-    who = "#{ctx.request.source.name} by #{ctx.request.via}"
+    who = Command.passed_on(ctx.request.source.name, ctx.request.via)
 
     case ctx.remote_gateway.transfer(ctx.gateway, snapshot, command.id, request, who, left_ms, progress) do
       {:ok, details} -> Result.new(command.id, :completed, nil, details)

@@ -65,7 +65,8 @@ defmodule Aerie.Fleet.Bridge.Commands.Transfers do
   @doc "The reply to a request of somebody; progress goes to `progress`."
   @spec answer(Names.gateway(), {String.t(), String.t()}, map(), Roles.source(), {pid(), term()}) :: map()
   def answer(gateway, {area, operation} = what, request, source, progress) do
-    options = [as: source, via: "nats", progress: progress]
+    says = if is_binary(request["source"]) and byte_size(request["source"]) <= 256, do: request["source"]
+    options = [as: source, via: "nats", progress: progress, says: says]
 
     with :ok <- exists(area, operation),
          {:ok, options} <- timeout(request["timeout"], options),

@@ -87,7 +87,7 @@ defmodule Aerie.Control.Policy.Audit do
           :allow | {:deny, :audit, String.t()}
   def verdict({:error, reason}, %{ends_flight?: false} = facts, true) do
     {:deny, :audit,
-     "#{facts.type} must be recorded, and the audit log cannot be written (#{reason}). Make room or mend the folder; " <>
+     "#{Intent.label(facts)} must be recorded, and the audit log cannot be written (#{reason}). Make room or mend the folder; " <>
        "policy.audit.required: false lets commands pass unrecorded"}
   end
 

@@ -14,6 +14,7 @@ defmodule Aerie.Control.Policy.Intent do
   defstruct [
     :type,
     :permission,
+    :label,
     :mode,
     :standard_mode,
     :control,
@@ -129,6 +130,7 @@ defmodule Aerie.Control.Policy.Intent do
 
   @typedoc """
     * `:permission` - what a source must be allowed to do (`t:Aerie.Vehicle.Command.Type.permission/0`)
+    * `:label` - what refusals call it, where its type is not in the table of commands
     * `:also` - permissions that it needs besides; `:reasons` - why, for those of which the name alone does not say it
     * `:unknown` - that no table of the gateway knows the message or command; `:number` - what is wrong with one of its numbers
     * `:mode` - the mode that it asks for, by its name; `:modes` - others for which a firmware may take it;
@@ -144,6 +146,7 @@ defmodule Aerie.Control.Policy.Intent do
   @type t :: %__MODULE__{
           type: String.t(),
           permission: Type.permission(),
+          label: String.t() | nil,
           also: [Type.permission()],
           reasons: %{Type.permission() => String.t()},
           unknown: unknown() | nil,
@@ -196,6 +199,10 @@ defmodule Aerie.Control.Policy.Intent do
   @spec transfers() :: [String.t()]
   def transfers, do: @transfers
 
+  @doc "Whether commands of a type come in streams: set-points and sticks."
+  @spec stream?(String.t()) :: boolean()
+  def stream?(type), do: String.starts_with?(type, "setpoint_") or type in ~w(rc_override manual_control)
+
   @doc "Commands that hold a vehicle or bring it down."
   @spec ending() :: [String.t()]
   def ending, do: @ending
@@ -207,8 +214,24 @@ defmodule Aerie.Control.Policy.Intent do
   @spec set_parameters([setting() | String.t() | nil]) :: t()
   def set_parameters(settings) do
     sets = for setting <- settings, do: if(is_tuple(setting), do: setting, else: {setting, nil})
-    guarded? = Enum.any?(sets, fn {name, _value} -> name == nil or Protection.parameter?(name) end)
-    %__MODULE__{type: "set_parameter", permission: :maintain, also: protection(guarded?), sets: sets}
+    guarded = Enum.filter(sets, fn {name, _value} -> name == nil or Protection.parameter?(name) end)
+
+    %__MODULE__{
+      type: "set_parameter",
+      permission: :maintain,
+      label: "setting #{setting(List.first(guarded ++ sets))}",
+      also: protection(guarded != []),
+      sets: sets
+    }
+  end
+
+  defp setting({name, _value}) when is_binary(name), do: shown(name)
+  defp setting(_no_name), do: "a parameter that has no name here"
+
+  # What a sender wrote, as far as it can be shown.
+  defp shown(text) do
+    [text | _rest] = :binary.split(text, <<0>>)
+    if String.printable?(text), do: String.slice(text, 0, 60), else: inspect(text, limit: 20)
   end
 
   # MAV_COMP_ID_CAMERA to CAMERA6.
@@ -220,23 +243,35 @@ defmodule Aerie.Control.Policy.Intent do
   not known.
   """
   @spec set_extended([setting() | String.t()], 0..255, 0..255 | nil | :unknown) :: t()
-  def set_extended(_settings, component, autopilot)
+  def set_extended(settings, component, autopilot)
       when component in @cameras and component != autopilot and autopilot != :unknown,
-      do: %__MODULE__{type: "set_parameter", permission: :payload}
+      do: %{set_parameters(settings) | permission: :payload, also: [], sets: []}
 
   def set_extended(settings, _another, _autopilot), do: set_parameters(settings)
 
   @doc "The facts of an operation on files that no definition has: it may write anything."
   @spec unknown_operation() :: t()
-  def unknown_operation, do: %__MODULE__{type: "write_file", permission: :maintain, also: [:protection]}
+  def unknown_operation do
+    label = "an operation on files that the gateway does not know"
+    %__MODULE__{type: "write_file", permission: :maintain, label: label, also: [:protection]}
+  end
 
   @doc "The facts of a file that is written, moved or removed, by its path."
   @spec write_file(String.t()) :: t()
   def write_file(path),
-    do: %__MODULE__{type: "write_file", permission: :maintain, also: protection(Protection.file?(path))}
+    do: %__MODULE__{
+      type: "write_file",
+      permission: :maintain,
+      label: if(path == "", do: "writing to a file", else: "changing the file #{shown(path)}"),
+      also: protection(Protection.file?(path))
+    }
 
   defp protection(true), do: [:protection]
   defp protection(false), do: []
+
+  @doc "What a refusal calls it."
+  @spec label(t()) :: String.t()
+  def label(facts), do: facts.label || facts.type
 
   @doc "The facts of a command that was checked by the table (`Aerie.Vehicle.Command.parse/2`)."
   @spec of(Command.t()) :: t()

@@ -24,7 +24,7 @@ defmodule Aerie.Control.Policy.Mavlink do
   alias Authority
   alias Aerie.Vehicle.Command.{Type, Types}
   alias Aerie.Control.Policy.Intent
-  alias Aerie.Control.Policy.Mavlink.{Commands, Place, Request, Setpoints, Sticks}
+  alias Aerie.Control.Policy.Mavlink.{Commands, Place, Request, Setpoints, Sticks, Wording}
   alias MavCodec.Enums.{MavCmd, MavFtpOpcode, MavMissionType, MavParamType, MavRemoteLogDataBlockCommands}
   alias MavCodec.Messages, as: M
 
@@ -88,8 +88,15 @@ defmodule Aerie.Control.Policy.Mavlink do
   @spec facts(struct(), vehicle()) :: Intent.t() | :free
   def facts(message, vehicle) do
     with %Intent{} = facts <- read(message, vehicle),
-         do: %{facts | stored?: facts.stored? or stored?(facts, vehicle)}
+         do: named(%{facts | stored?: facts.stored? or stored?(facts, vehicle)}, message)
   end
+
+  # Commands of the table have a name that everybody knows.
+  defp named(%{label: nil} = facts, message) do
+    if Types.fetch(facts.type) == :error, do: %{facts | label: Wording.of(message)}, else: facts
+  end
+
+  defp named(facts, _message), do: facts
 
   # PX4 arms with it.
   defp stored?(%{type: "mission_start"}, %{autopilot: :px4}), do: false

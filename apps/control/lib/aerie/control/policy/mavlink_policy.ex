@@ -5,7 +5,8 @@ defmodule Aerie.Control.Policy.MavlinkPolicy do
 
   It runs in the process that received the message and never blocks; rates, uploads and the times of notices are in a table
   (`Aerie.Control.Policy.ClientHistory`). A refusal that repeats itself (set-points, sticks) is answered each time where its protocol has
-  an answer; its STATUSTEXT comes every 5 s, and so does its record.
+  an answer. The same text comes every 5 s as STATUSTEXT, and says how many were left out; another text comes at once.
+  A record is written every 5 s for each type of command and rule.
 
   Telemetry: `[:aerie, :policy, :refused]` (`count` 1; `gateway`, `vehicle`, `source`, `type`, `rule`), with each refusal.
   """
@@ -33,6 +34,9 @@ defmodule Aerie.Control.Policy.MavlinkPolicy do
 
   @input %Intent{type: "sensor_input", permission: :sensors}
   @told_us 5_000_000
+  # How long repeats of a text are counted, and how many texts a client has for each vehicle.
+  @kept_us 60_000_000
+  @texts 2_048
   # A vehicle gives an upload up long before.
   @upload_us 600_000_000
   # Frames of streams and of uploads are too many for the log; what they begin with is in it.
@@ -264,13 +268,9 @@ defmodule Aerie.Control.Policy.MavlinkPolicy do
 
     :telemetry.execute([:aerie, :policy, :refused], %{count: 1}, metadata)
 
-    texts =
-      if due?(gateway, entry["source"], {counted(snapshot), entry["command"], rule}) do
-        Audit.note(gateway, Map.merge(entry, %{"decision" => "deny", "rule" => rule, "reason" => reason}))
-        Mavlink.Refusal.texts(reason, :erlang.phash2(reason, 0xFFFF) + 1)
-      else
-        []
-      end
+    denied = Map.merge(entry, %{"decision" => "deny", "rule" => rule, "reason" => reason})
+    if recorded?(gateway, denied, snapshot), do: Audit.note(gateway, denied)
+    texts = gateway |> told(denied, snapshot) |> Mavlink.Refusal.texts(:erlang.phash2(reason, 0xFFFF) + 1)
 
     current = get_in(groups(snapshot), [:mission, :data, :seq])
     answers = if message, do: Mavlink.Refusal.messages(message, frame, current), else: []
@@ -298,10 +298,35 @@ defmodule Aerie.Control.Policy.MavlinkPolicy do
     end
   end
 
-  # Without room to remember it, it is reported each time.
-  defp due?(gateway, owner, what) do
+  # Without room to remember it, it is recorded each time.
+  defp recorded?(gateway, %{"source" => source, "command" => type, "rule" => rule}, snapshot) do
     now = System.monotonic_time(:microsecond)
-    told = fn value -> if value, do: {:keep, false}, else: {:put, true, true, now + @told_us} end
-    ClientHistory.update(gateway, {owner, :told, what}, now, told) in [true, :full]
+    noted = fn value -> if value, do: {:keep, false}, else: {:put, true, true, now + @told_us} end
+
+    ClientHistory.update(gateway, {source, :told, {counted(snapshot), type, rule}}, now, noted) in [
+      true,
+      :full
+    ]
+  end
+
+  # The text of a refusal, nil for one that was sent just now. It says how often it was not sent since.
+  defp told(gateway, %{"source" => source, "reason" => reason} = denied, snapshot) do
+    now = System.monotonic_time(:microsecond)
+
+    tell = fn
+      nil -> {:put, reason, {now, 0}, now + @kept_us}
+      {at, n} when now - at < @told_us -> {:put, nil, {at, n + 1}, now + @kept_us}
+      {_at, 0} -> {:put, reason, {now, 0}, now + @kept_us}
+      {_at, n} -> {:put, "#{reason} (#{n} more since)", {now, 0}, now + @kept_us}
+    end
+
+    with :full <-
+           ClientHistory.update(gateway, {source, :text, {counted(snapshot), subject(denied)}}, now, tell),
+         do: reason
+  end
+
+  # A stream would have another number in each of its refusals. Somebody who sends whatever he likes takes little room.
+  defp subject(%{"command" => type, "rule" => rule, "reason" => reason}) do
+    if Intent.stream?(type), do: {type, rule}, else: :erlang.phash2(reason, @texts)
   end
 end

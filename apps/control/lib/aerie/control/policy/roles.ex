@@ -45,6 +45,14 @@ defmodule Aerie.Control.Policy.Roles do
   @spec own() :: [Type.permission(), ...]
   def own, do: @own
 
+  @doc "Why something needs a permission that not everybody has, in words; empty for the ordinary ones."
+  @spec guards(Type.permission()) :: String.t()
+  def guards(:terminate), do: "it may end the flight"
+  def guards(:force_disarm), do: "it may stop the motors in flight"
+  def guards(:protection), do: "it changes what protects the vehicle"
+  def guards(:maintain), do: "it changes how the vehicle is set up"
+  def guards(_ordinary), do: ""
+
   @doc "The permissions of a role."
   @spec permissions(role()) :: [Type.permission()]
   def permissions(role), do: Map.fetch!(@roles, role)

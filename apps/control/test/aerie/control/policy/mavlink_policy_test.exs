@@ -228,6 +228,65 @@ defmodule Aerie.Control.Policy.MavlinkPolicyTest do
         do: assert(Store.counter(c.gateway, counter) == n)
   end
 
+  defp texts(answers) do
+    for bytes <- answers,
+        {:ok, %M.Statustext{text: text}} <- [
+          bytes |> IO.iodata_to_binary() |> Frame.from_bytes(nil) |> MavCodec.decode()
+        ],
+        into: "",
+        do: text
+  end
+
+  test "every refused thing has its own text at once, and names what was sent; the same one is not repeated",
+       c do
+    operator = Policy.Roles.principal(:client, "olga", :operator)
+    sender = %{endpoint: {"olga", 1}, owner: "olga", peer: nil, principal: operator}
+
+    refused = fn message ->
+      {:refuse, answers, _instead} = decided(c, sender, {"main", 1}, message)
+      texts(answers)
+    end
+
+    to = [target_system: 1, target_component: 1]
+    item = fn seq, name -> %{item(1, seq) | command: MavCmd.value(:"MAV_CMD_#{name}")} end
+
+    ftp = fn operation, path ->
+      <<0::16, 0, operation, 0::64, path::binary, 0::size((239 - byte_size(path)) * 8)>>
+    end
+
+    lacks = "; olga is operator, which does not include it"
+    setup = " needs the permission maintain (it changes how the vehicle is set up)" <> lacks
+    guard = " needs the permission protection (it changes what protects the vehicle)" <> lacks
+
+    for {message, text} <- [
+          {struct!(%M.ParamSet{param_id: "WPNAV_SPEED", param_type: 9}, to), "setting WPNAV_SPEED" <> setup},
+          {struct!(%M.ParamSet{param_id: "FENCE_ENABLE", param_type: 9}, to),
+           "setting FENCE_ENABLE" <> setup},
+          {struct!(%M.SerialControl{}, to), "SERIAL_CONTROL" <> setup},
+          {long("SCRIPTING"), "SCRIPTING" <> setup},
+          {long("DO_SET_SYS_CMP_ID"), "DO_SET_SYS_CMP_ID" <> setup},
+          {long("DO_AUX_FUNCTION", param1: 250.0),
+           "DO_AUX_FUNCTION 250 needs the permission terminate (it may end"},
+          {item.(3, "SCRIPTING"), "mission item 3 (SCRIPTING)" <> setup},
+          {item.(4, "SCRIPTING"), "mission item 4 (SCRIPTING)" <> setup},
+          {item.(4, "INJECT_FAILURE"), "mission item 4 (INJECT_FAILURE)" <> guard},
+          {struct!(%M.MissionClearAll{mission_type: 1}, to), "removing the fence" <> guard},
+          {struct!(%M.MissionCount{mission_type: 1}, to), "removing the fence" <> guard},
+          {struct!(%M.LogErase{}, to), "erasing the logs" <> setup},
+          {struct!(%M.FileTransferProtocol{payload: ftp.(8, "/fs/a.txt")}, to),
+           "changing the file /fs/a.txt" <> setup},
+          {long("DO_SET_MODE") |> Map.put(:command, 43_999),
+           "the gateway does not know the command 43999 (MAV_CMD)"}
+        ] do
+      got = refused.(message)
+      assert got =~ "refused: " <> String.slice(text, 0, 150) or got == "", inspect({got, text})
+      refute got =~ ~r/mav_cmd_|raw needs|_upload needs/
+      # Two messages that mean the same have the same text.
+      assert got != "" or match?(%M.MissionCount{}, message)
+      for _again <- 1..3, do: assert(refused.(message) == "")
+    end
+  end
+
   test "roles: a viewer reaches no vehicle with anything, an operator maintains nothing", c do
     viewer = client(c.gateway, "viewer")
     say(viewer, long("COMPONENT_ARM_DISARM", param1: 1.0))

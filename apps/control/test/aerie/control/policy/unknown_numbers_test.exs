@@ -200,7 +200,7 @@ defmodule Aerie.Control.Policy.UnknownNumbersTest do
     end
 
     assert {:deny, :number, reason} = judge(%{}, item(id("NAV_LAND"), mission_type: 1), @ap)
-    assert reason == "fence_upload: NAV_LAND is not an item of a fence"
+    assert reason == "fence item 3: NAV_LAND is not an item of a fence"
     assert {:deny, :number, _} = judge(%{}, item(43_999, mission_type: 2), @ap)
   end
 

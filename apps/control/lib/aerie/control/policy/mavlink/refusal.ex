@@ -104,8 +104,10 @@ defmodule Aerie.Control.Policy.Mavlink.Refusal do
 
   def instead(_other), do: nil
 
-  @doc "The reason as STATUSTEXT, in chunks with this id where it is long (X2)."
-  @spec texts(String.t(), 1..0xFFFF) :: [struct()]
+  @doc "The reason as STATUSTEXT, in chunks with this id where it is long (X2); none for nil."
+  @spec texts(String.t() | nil, 1..0xFFFF) :: [struct()]
+  def texts(nil, _id), do: []
+
   def texts(reason, id) do
     case chunks("refused: " <> reason) do
       [text] ->

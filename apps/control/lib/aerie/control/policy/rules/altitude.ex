@@ -7,7 +7,7 @@ defmodule Aerie.Control.Policy.Rules.Altitude do
 
   @behaviour Aerie.Control.Policy.Rules
 
-  alias Aerie.Control.Policy.FlightPath
+  alias Aerie.Control.Policy.{FlightPath, Intent}
 
   @impl Aerie.Control.Policy.Rules
   def check(%{max_altitude: nil, min_altitude: nil, max_altitude_msl: nil}, _facts, _context), do: :ok
@@ -16,7 +16,7 @@ defmodule Aerie.Control.Policy.Rules.Altitude do
   def check(policy, facts, context) do
     case FlightPath.heights(facts, context) do
       {:ok, heights} -> Enum.find_value(heights, :ok, &refused(policy, facts, &1, context))
-      {:unknown, why} -> {:deny, "a limit of altitude applies to #{facts.type}, and #{why}"}
+      {:unknown, why} -> {:deny, "a limit of altitude applies to #{Intent.label(facts)}, and #{why}"}
     end
   end
 

@@ -15,7 +15,7 @@ defmodule Aerie.Control.Policy.Rules.Battery do
 
   def check(policy, facts, context) do
     if Enum.any?(Intent.types(facts, context), &(&1 in @types)),
-      do: charge(policy.takeoff_battery, facts.type, context),
+      do: charge(policy.takeoff_battery, Intent.label(facts), context),
       else: :ok
   end
 

@@ -27,12 +27,12 @@ defmodule Aerie.Control.Policy.Rules.Condition do
   defp state(facts, what, must, nil),
     do:
       {:deny,
-       "#{facts.type} is allowed only while the vehicle is #{word(what, must)}; whether it is, is not known"}
+       "#{Intent.label(facts)} is allowed only while the vehicle is #{word(what, must)}; whether it is, is not known"}
 
   defp state(facts, what, must, is),
     do:
       {:deny,
-       "#{facts.type} is allowed only while the vehicle is #{word(what, must)}; it is #{word(what, is)}"}
+       "#{Intent.label(facts)} is allowed only while the vehicle is #{word(what, must)}; it is #{word(what, is)}"}
 
   defp word(:armed, true), do: "armed"
   defp word(:armed, false), do: "disarmed"

@@ -6,10 +6,13 @@ defmodule Aerie.Control.Policy.Rules.Disarmed do
 
   @behaviour Aerie.Control.Policy.Rules
 
+  alias Aerie.Control.Policy.Intent
+
   @impl Aerie.Control.Policy.Rules
   def check(_policy, %{stored?: true} = facts, %{armed: false}),
     do:
-      {:deny, "the vehicle is disarmed, and #{facts.type} would move it as soon as it is armed: arm it first"}
+      {:deny,
+       "the vehicle is disarmed, and #{Intent.label(facts)} would move it as soon as it is armed: arm it first"}
 
   def check(_policy, _facts, _context), do: :ok
 end

@@ -3,7 +3,7 @@ defmodule Aerie.Control.Policy.Rules.Geofence do
 
   @behaviour Aerie.Control.Policy.Rules
 
-  alias Aerie.Control.Policy.{Fence, FlightPath}
+  alias Aerie.Control.Policy.{Fence, FlightPath, Intent}
 
   @impl Aerie.Control.Policy.Rules
   def check(%{fence: nil}, _facts, _context), do: :ok
@@ -21,7 +21,7 @@ defmodule Aerie.Control.Policy.Rules.Geofence do
         Enum.find_value(targets, :ok, &refused(policy.fence, &1, facts.sweep, context))
 
       {:unknown, why} ->
-        {:deny, "a fence applies to #{facts.type}, and #{why}"}
+        {:deny, "a fence applies to #{Intent.label(facts)}, and #{why}"}
     end
   end
 

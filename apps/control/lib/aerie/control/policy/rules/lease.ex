@@ -7,7 +7,7 @@ defmodule Aerie.Control.Policy.Rules.Lease do
 
   @behaviour Aerie.Control.Policy.Rules
 
-  alias Aerie.Control.Policy.Lease
+  alias Aerie.Control.Policy.{Intent, Lease}
 
   @impl Aerie.Control.Policy.Rules
   def check(policy, %{control: change}, context) when change != nil do
@@ -22,7 +22,7 @@ defmodule Aerie.Control.Policy.Rules.Lease do
   def check(_policy, facts, %{lease: nil}),
     do:
       {:deny,
-       "nobody is in charge of the vehicle; #{facts.type} #{Lease.take_first()} (policy.lease.required)"}
+       "nobody is in charge of the vehicle; #{Intent.label(facts)} #{Lease.take_first()} (policy.lease.required)"}
 
   def check(_policy, _facts, %{lease: lease, source: source}) do
     if source != nil and Lease.who(source) == lease.holder,

@@ -13,7 +13,7 @@ defmodule Aerie.Control.Policy.Rules.Mode do
 
   @behaviour Aerie.Control.Policy.Rules
 
-  alias Aerie.Control.Policy.Switches
+  alias Aerie.Control.Policy.{Intent, Switches}
   alias Aerie.Vehicle.Protocol.Modes
 
   @typedoc "Names in capitals. A mode that is not in `transitions` may be left for any other."
@@ -31,7 +31,7 @@ defmodule Aerie.Control.Policy.Rules.Mode do
   defp limited(policy, %{mode: nil, standard_mode: nil} = facts, context) do
     case Switches.modes(facts, context) do
       {:ok, names} -> wanted(policy.modes, Enum.map(names, &known_as(&1, context)), facts, context)
-      {:unknown, why} -> {:deny, "#{facts.type}: #{why}, and modes are limited (policy.modes)"}
+      {:unknown, why} -> {:deny, "#{Intent.label(facts)}: #{why}, and modes are limited (policy.modes)"}
     end
   end
 

@@ -6,7 +6,9 @@ defmodule Aerie.Control.Policy.Rules.Number do
 
   @behaviour Aerie.Control.Policy.Rules
 
+  alias Aerie.Control.Policy.Intent
+
   @impl Aerie.Control.Policy.Rules
   def check(_policy, %{number: nil}, _context), do: :ok
-  def check(_policy, facts, _context), do: {:deny, "#{facts.type}: #{facts.number}"}
+  def check(_policy, facts, _context), do: {:deny, "#{Intent.label(facts)}: #{facts.number}"}
 end

@@ -8,7 +8,7 @@ defmodule Aerie.Control.Policy.Rules.Role do
   @behaviour Aerie.Control.Policy.Rules
 
   alias Aerie.Control.Policy.FlightPath.Shaping
-  alias Aerie.Control.Policy.Roles
+  alias Aerie.Control.Policy.{Intent, Roles}
 
   @msp [:betaflight, :inav]
   @by_channels ~w(arm set_mode rtl hold rc_override manual_control)
@@ -25,7 +25,8 @@ defmodule Aerie.Control.Policy.Rules.Role do
 
       lacking ->
         {:deny,
-         "#{facts.type} needs the permission #{lacking}" <> why(lacking, source) <> because(facts, lacking)}
+         "#{Intent.label(facts)} needs the permission #{lacking}" <>
+           guards(facts, lacking) <> why(lacking, source) <> because(facts, lacking)}
     end
   end
 
@@ -50,6 +51,10 @@ defmodule Aerie.Control.Policy.Rules.Role do
   defp by_channels(_facts, _context), do: []
 
   defp because(%{reasons: reasons}, lacking), do: if(reasons[lacking], do: ": " <> reasons[lacking], else: "")
+
+  # What a command of the table needs is in its description.
+  defp guards(%{label: nil}, _lacking), do: ""
+  defp guards(_facts, lacking), do: with(text when text != "" <- Roles.guards(lacking), do: " (#{text})")
 
   defp why(_lacking, nil), do: ", and nobody is signed in"
 

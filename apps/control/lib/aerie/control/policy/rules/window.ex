@@ -33,7 +33,7 @@ defmodule Aerie.Control.Policy.Rules.Window do
 
       windows ->
         {:deny,
-         "#{facts.type} is allowed #{Enum.map_join(windows, " or ", &text/1)} only; it is #{clock(now)}"}
+         "#{Intent.label(facts)} is allowed #{Enum.map_join(windows, " or ", &text/1)} only; it is #{clock(now)}"}
     end
   end
 

@@ -529,6 +529,46 @@ defmodule Aerie.System.MspTest do
     Msp.await(sim, &(Enum.max(motors.(&1)) == 1000))
   end
 
+  # `spoof.py`: one heartbeat, and the vehicle was of an unknown firmware for good, which needed neither permission.
+  test "what somebody says in its name, by another link, does not make it another vehicle", %{tmp_dir: dir} do
+    alias MavCodec.Messages, as: M
+    sim = start_supervised!({Msp, firmware: :betaflight, uid: 7, rx_msp: true})
+    links = ["msp:tcp:127.0.0.1:#{Msp.port(sim)}?sysid=7", "udpin:127.0.0.1:0"]
+    %{gateway: gateway} = start_gateway(dir, links: links, overrides: %{"timeouts" => patient()})
+    vehicle = fn -> Aerie.Base.Store.vehicle(gateway, key(:betaflight)) end
+    eventually(fn -> vehicle.()[:autopilot] == :betaflight end, "it is known")
+    {:ok, socket} = :gen_udp.open(0, [:binary, active: false, ip: {127, 0, 0, 1}])
+    port = link_port(gateway, "link-2")
+
+    for message <- [
+          %M.Heartbeat{type: 2, autopilot: 3, system_status: 3},
+          %M.Heartbeat{type: 1, autopilot: 12, system_status: 3},
+          %M.ComponentInformationBasic{vendor_name: "iNav"}
+        ] do
+      since = vehicle.().last_heard
+
+      eventually(
+        fn ->
+          :ok = :gen_udp.send(socket, {127, 0, 0, 1}, port, MavCodec.encode(message, system: 7, component: 1))
+          assert %{autopilot: :betaflight, vehicle_type: "copter"} = vehicle.()
+          vehicle.().last_heard > since + 1_500_000
+        end,
+        "it went on saying what it is"
+      )
+    end
+
+    c = %{gateway: gateway}
+    operator = %{name: "olga", role: :operator, permissions: []}
+
+    assert %{status: :denied, reason: "arm needs the permission receiver" <> _} =
+             submit(c, :betaflight, "arm", %{}, operator)
+
+    assert %{status: :denied, reason: "motor_test needs the permission" <> _} =
+             submit(c, :betaflight, "motor_test", %{motor: 1, throttle: 0.1, duration: 1}, operator)
+
+    assert %{status: :completed} = submit(c, :betaflight, "disarm", %{}, @commander)
+  end
+
   test "a network of its own keeps it from ground stations that have another one", %{tmp_dir: dir} do
     links =
       for {network, id} <- [{"msp", 7}, {"main", 8}] do

@@ -57,6 +57,7 @@ defmodule Msp.Session do
     :ignored_at,
     :asked_at,
     :up_at,
+    :introduced_at,
     now: 0,
     phase: :closed,
     exchange: Exchange.new(),
@@ -80,7 +81,7 @@ defmodule Msp.Session do
 
   @typedoc """
   - `system`: the MAVLink id that the vehicle has
-  - `now`: when its last event was
+  - `now`: when its last event was; `introduced_at`: when it last said which firmware it is
   - `phase`: `:closed`, `:listening` until `until`, `:identifying`, `:up` since `up_at`
   - `todo`: messages still to be asked; `found`: their answers; `heard`: the last bytes before it was known who is there
   - `boot`: when the vehicle's clock began; `heartbeat`: the last one, and when it was sent

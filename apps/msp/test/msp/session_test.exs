@@ -523,7 +523,8 @@ defmodule Msp.SessionTest do
       refute line.failed
       assert ["iNav 9.0.0" | _] = texts(line)
 
-      assert [{_, %M.ComponentInformationBasic{vendor_name: "iNav"}}] =
+      # Again after ten seconds, for those who were not there.
+      assert [{_, %M.ComponentInformationBasic{vendor_name: "iNav"} = identity}, {_, identity}] =
                Line.told(line, M.ComponentInformationBasic)
 
       assert length(Line.told(line, M.Heartbeat)) > 15

@@ -105,6 +105,7 @@ defmodule Msp.Session.Identifying do
       session
       | phase: :up,
         up_at: now,
+        introduced_at: nil,
         one_way: nil,
         identity: identity,
         uid: identity.uid,

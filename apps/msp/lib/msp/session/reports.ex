@@ -8,6 +8,7 @@ defmodule Msp.Session.Reports do
   alias Msp.Session.{Clients, Output, Requests}
 
   @heartbeat_us 1_000_000
+  @introduce_us 10_000_000
   # iNav's clock has seconds.
   @clock_us 2_000_000
   # The mode of NAV_STATUS.
@@ -74,8 +75,8 @@ defmodule Msp.Session.Reports do
 
     case session.heartbeat do
       {^heartbeat, at} when now - at < @heartbeat_us -> session
-      nil -> session |> Output.emit(heartbeat) |> introduce() |> status(heartbeat, now)
-      _changed_or_due -> session |> Output.emit(heartbeat) |> status(heartbeat, now)
+      nil -> session |> Output.emit(heartbeat) |> identify(now) |> introduce() |> status(heartbeat, now)
+      _changed_or_due -> session |> Output.emit(heartbeat) |> identify(now) |> status(heartbeat, now)
     end
     |> complain()
   end
@@ -125,9 +126,15 @@ defmodule Msp.Session.Reports do
   # After the first heartbeat: who it is, and what its modes are called.
   defp introduce(session) do
     session
-    |> Output.emit([Requests.identity(session), Requests.version(session) | Requests.modes(session)])
+    |> Output.emit([Requests.version(session) | Requests.modes(session)])
     |> Output.text(@info, session.identity.text)
   end
+
+  # Again now and then, for those who were not there: a heartbeat cannot say which firmware it is.
+  defp identify(%{introduced_at: at} = session, now) when at != nil and now - at < @introduce_us, do: session
+
+  defp identify(session, now),
+    do: Output.emit(%{session | introduced_at: now}, Requests.identity(session))
 
   defp status(session, heartbeat, now) do
     Output.emit(

@@ -12,7 +12,8 @@ defmodule Aerie.Vehicle.Core do
     * `{:rebase, now}` - time goes on from `now`, which is not comparable with the time before: a recording began again. What was
       waited for before is not waited for again
     * `{:shift, step}` - the clock was set by `step` (microseconds): everything was heard as long ago as before
-    * `{:link, link, %{high_latency: boolean}}` - what is configured for a link
+    * `{:link, link, %{high_latency: boolean, msp: boolean}}` - what is configured for a link; `msp`: it says itself
+      what its vehicle is
     * `{:stations, stations}` - what else sends heartbeats on the vehicle's network (`MavRouter.Router.GroundStations`)
     * `{:vehicles, n}` - how many vehicles the gateway has: the more, the less often each is shown
     * `{:asked, request, at}` - a TIMESYNC request of ours that is in a recording, to recognise its answers
@@ -112,7 +113,7 @@ defmodule Aerie.Vehicle.Core do
           | {:tick, integer()}
           | {:rebase, integer()}
           | {:shift, integer()}
-          | {:link, link :: term(), %{high_latency: boolean()}}
+          | {:link, link :: term(), %{:high_latency => boolean(), optional(:msp) => boolean()}}
           | {:stations, [MavRouter.Router.GroundStations.station()]}
           | {:vehicles, non_neg_integer()}
           | {:demand, Aerie.Vehicle.Services.StreamDemand.merged(), non_neg_integer() | nil}
@@ -177,8 +178,10 @@ defmodule Aerie.Vehicle.Core do
 
   @doc "One step."
   @spec handle(t(), event()) :: {t(), [action()]}
-  def handle(core, {:link, link, %{high_latency: configured?}}),
-    do: {%{core | high_latency: HighLatency.configured(core.high_latency, link, configured?)}, []}
+  def handle(core, {:link, link, %{high_latency: configured?} = facts}) do
+    owner = Collision.Owner.says(core.owner, link, Map.get(facts, :msp, false))
+    {%{core | high_latency: HighLatency.configured(core.high_latency, link, configured?), owner: owner}, []}
+  end
 
   def handle(core, {:stations, stations}),
     do: {%{core | gcs: Gcs.stations(core.gcs, stations, own(core.options))}, []}

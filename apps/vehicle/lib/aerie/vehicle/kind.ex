@@ -51,6 +51,13 @@ defmodule Aerie.Vehicle.Kind do
   @spec vendor(String.t()) :: autopilot() | nil
   def vendor(name), do: @vendors[name]
 
+  @doc "What a MAV_AUTOPILOT says of a vehicle whose firmware is known: those without a number stay what they are."
+  @spec autopilot(integer(), known :: autopilot()) :: autopilot()
+  def autopilot(number, known) when known in [:betaflight, :inav],
+    do: with(:generic <- autopilot(number), do: known)
+
+  def autopilot(number, _known), do: autopilot(number)
+
   @doc "The firmware family of a MAV_AUTOPILOT."
   @spec autopilot(integer()) :: autopilot()
   def autopilot(@ardupilot), do: :ardupilot

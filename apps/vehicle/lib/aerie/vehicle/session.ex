@@ -260,7 +260,11 @@ defmodule Aerie.Vehicle.Session do
   defp past_end(state), do: state
 
   defp configured(state, link) do
-    configured = %{high_latency: Vehicle.Services.Links.HighLatency.link?(state.gateway, link)}
+    configured = %{
+      high_latency: Vehicle.Services.Links.HighLatency.link?(state.gateway, link),
+      msp: match?(%{spec: %{kind: :msp}}, Store.link(state.gateway, link))
+    }
+
     {core, []} = Vehicle.Core.handle(state.core, {:link, link, configured})
     %{state | core: core}
   end

@@ -36,6 +36,69 @@ defmodule Aerie.Vehicle.CoreTest do
     assert map_size(Core.new(options([]))) <= 32
   end
 
+  describe "what a vehicle is" do
+    @vendor %M.ComponentInformationBasic{vendor_name: "Betaflight"}
+    @msp %M.Heartbeat{type: 2, autopilot: 0, base_mode: 0x81, custom_mode: 1, system_status: 4}
+
+    defp say(run, message, seconds, link, options \\ []),
+      do: frames(run, [frame(message, round(seconds * @second), options)], link)
+
+    defp what(run), do: run.core |> Core.snapshot() |> Map.take([:autopilot, :type, :component])
+    defp armed(run), do: Core.snapshot(run.core).groups.mode.data.armed
+
+    defp msp(run, seconds) do
+      run = step(run, {:link, "racer", %{high_latency: false, msp: true}})
+      run |> say(@msp, seconds, "racer") |> say(@vendor, seconds, "racer")
+    end
+
+    test "is said by its link where that speaks MSP, and by nobody else, however long that one is silent" do
+      run = start() |> msp(10)
+      known = what(run)
+      assert known.autopilot == :betaflight
+
+      for {message, options} <- [
+            {@copter, []},
+            {%{@msp | type: 1}, []},
+            {%M.Heartbeat{type: 2, autopilot: 12}, []},
+            {@copter, [component: 5]},
+            {%M.HighLatency2{type: 2, autopilot: 3}, []},
+            {%M.ComponentInformationBasic{vendor_name: "iNav"}, []}
+          ],
+          at <- [10.5, 100] do
+        run = say(run, message, at, "stranger", options)
+        assert what(run) == known
+        assert armed(run)
+        # Its own go on.
+        assert run |> say(%{@msp | base_mode: 1}, at + 1, "racer") |> what() == known
+      end
+    end
+
+    test "is taken back by its link from a stranger who was first" do
+      run = start() |> say(@copter, 9, "stranger") |> msp(10) |> say(@copter, 10.2, "stranger")
+      assert what(run).autopilot == :betaflight
+    end
+
+    test "changes by the path that proved it only, unless that one is silent" do
+      run = start() |> beat(10)
+      assert what(run) == %{autopilot: :ardupilot, type: 2, component: 1}
+
+      for other <- [%{@copter | autopilot: 12}, %{@copter | type: 1}, @msp] do
+        assert run |> say(other, 10.2, "b") |> what() == what(run)
+        # As after another firmware was loaded.
+        refute run |> say(other, 14, "a") |> what() == what(run)
+        refute run |> say(other, 100, "b") |> what() == what(run)
+      end
+
+      # A second radio says the same, and does not become the one that proves it.
+      run = run |> say(@copter, 10.1, "b") |> beat(11) |> say(%{@copter | autopilot: 12}, 11.1, "b")
+      assert what(run).autopilot == :ardupilot
+      # A restarted session knows nobody who proved it, and still what it is.
+      restored = %{run | core: Core.new(options([]), Core.snapshot(run.core))}
+      assert restored |> say(%{@copter | autopilot: 12}, 12, "b") |> what() == what(run)
+      assert restored |> beat(12) |> what() == what(run)
+    end
+  end
+
   describe "silence (H1)" do
     test "stale after three seconds, lost after five, exactly then; restored with the next frame" do
       run = start() |> beat(10) |> tick(12.9)

@@ -14,6 +14,7 @@ defmodule Aerie.Control.Policy.FirmwareReadingTest do
 
   @ap %{autopilot: :ardupilot, vehicle_type: "copter"}
   @px4 %{autopilot: :px4, vehicle_type: "copter"}
+  @unknown %{autopilot: :generic, vehicle_type: "unknown"}
   @rover %{autopilot: :ardupilot, vehicle_type: "rover"}
   @operator %{name: "olga", role: :operator, permissions: []}
   # Who may move home in flight.
@@ -241,6 +242,34 @@ defmodule Aerie.Control.Policy.FirmwareReadingTest do
         do: assert({:deny, :role, _} = judge(policy, message, @ap, context(@ap, %{}, @admin)))
   end
 
+  test "a vehicle that has not said what it is needs what any firmware would need" do
+    sticks = %M.ManualControl{target: 1, x: 0, y: 0, z: 500, r: 0}
+    alone = Map.new(1..8, &{:"chan#{&1}_raw", 65_535})
+
+    channels =
+      struct!(%M.RcChannelsOverride{target_system: 1, target_component: 1}, %{alone | chan3_raw: 1600})
+
+    for {permission, message} <- [
+          {:receiver, long("COMPONENT_ARM_DISARM", [1])},
+          {:receiver, %M.SetMode{base_mode: 1, custom_mode: 1}},
+          {:receiver, long("NAV_RETURN_TO_LAUNCH", [])},
+          {:receiver, sticks},
+          {:receiver, channels},
+          {:motors, long("DO_MOTOR_TEST", [1, 0, 10, 1])}
+        ],
+        known <- [@unknown, %{autopilot: :betaflight, vehicle_type: "copter"}] do
+      # A motor test needs `maintain` besides.
+      for source <- if(permission == :motors, do: [@admin], else: [@operator, @admin]) do
+        assert {:deny, :role, reason} = judge(policy(%{}), message, known, context(known, %{}, source))
+        assert reason =~ "needs the permission #{permission}"
+      end
+    end
+
+    # To disarm it needs no more than anywhere.
+    disarm = long("COMPONENT_ARM_DISARM", [0])
+    assert :allow = judge(policy(%{}), disarm, @unknown, context(@unknown, %{mode: %{in_air: false}}))
+  end
+
   test "modes are those that the firmware makes of the numbers", c do
     acro = Bitwise.bsl(5, 16)
 
@@ -264,10 +293,18 @@ defmodule Aerie.Control.Policy.FirmwareReadingTest do
       {:number, @px4, long("DO_SET_STANDARD_MODE", [264])},
       {:mode, @ap, long("DO_AUX_FUNCTION", [52, 2])},
       # Back to the mode of a switch, which may be any.
-      {:mode, @ap, long("DO_AUX_FUNCTION", [52, 0])},
-      {:mode, %{autopilot: :generic, vehicle_type: "unknown"}, %M.SetMode{base_mode: 1, custom_mode: 1}},
-      {:mode, %{autopilot: :generic, vehicle_type: "unknown"}, %M.SetMode{base_mode: 5, custom_mode: 1}}
+      {:mode, @ap, long("DO_AUX_FUNCTION", [52, 0])}
     ])
+
+    # It may be any firmware, so the channels' permission is needed before the mode is looked at.
+    refusals(
+      c.section,
+      [
+        {:mode, @unknown, %M.SetMode{base_mode: 1, custom_mode: 1}},
+        {:mode, @unknown, %M.SetMode{base_mode: 5, custom_mode: 1}}
+      ],
+      %{@operator | permissions: [:receiver]}
+    )
 
     allowed(c.section, [
       {@ap, %M.SetMode{base_mode: 1, custom_mode: 4}},

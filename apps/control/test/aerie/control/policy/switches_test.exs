@@ -73,23 +73,31 @@ defmodule Aerie.Control.Policy.SwitchesTest do
     for vehicle <- @vehicles do
       # ArduPilot has sixteen channels.
       ignored = if vehicle.autopilot == :ardupilot, do: [17, 18], else: []
+      # It may be one with MSP, whose sticks are its receiver's.
+      own = if vehicle == @unknown, do: [:receiver], else: []
+      if own != [], do: assert({:deny, :role, _} = judge(override(%{1 => 1500}), vehicle))
+      if own != [], do: assert({:deny, :role, _} = judge(%M.ManualControl{z: 500}, vehicle))
 
       for n <- 1..18 do
         expected = if n in sticks.(vehicle) or n in ignored, do: :allow, else: :role
-        assert {n, vehicle, rule(judge(override(%{n => 1500}), vehicle))} == {n, vehicle, expected}
+
+        assert {n, vehicle, rule(judge(override(%{n => 1500}), vehicle, permissions: own))} ==
+                 {n, vehicle, expected}
+
         channels = List.duplicate(0, n - 1) ++ [1500]
 
-        assert {n, vehicle, rule(judge(command("rc_override", %{channels: channels}), vehicle))} ==
+        assert {n, vehicle,
+                rule(judge(command("rc_override", %{channels: channels}), vehicle, permissions: own))} ==
                  {n, vehicle, expected}
       end
 
       for message <- [%M.RadioRcChannels{}, %M.CubepilotRawRc{}, %M.RcChannelsOverrideV2{}, %M.RcChannels{}] do
-        assert {:deny, :role, reason} = judge(message, vehicle)
+        assert {:deny, :role, reason} = judge(message, vehicle, permissions: own)
         assert reason =~ "needs the permission terminate"
-        assert judge(message, vehicle, permissions: Intent.most()) == :allow
+        assert judge(message, vehicle, permissions: own ++ Intent.most()) == :allow
       end
 
-      assert judge(%M.ManualControl{x: 300, y: -300, z: 500, r: 200}, vehicle) == :allow
+      assert judge(%M.ManualControl{x: 300, y: -300, z: 500, r: 200}, vehicle, permissions: own) == :allow
     end
   end
 

@@ -18,19 +18,23 @@ defmodule Aerie.Vehicle.Collision.Owner do
   @gap_us 2_000_000
   @max_paths 32
 
-  defstruct paths: %{}, others: [], kept: [], until: nil
+  defstruct paths: %{}, others: [], kept: [], until: nil, proved: nil, says: []
 
   @typedoc "How a vehicle is heard: a link's id, or `{link, peer}` where several peers of a link bring the system."
   @type path :: term()
   @typedoc """
   `paths`: when a path was heard first, since when without a gap, and last; `kept`: the owner's own paths; `others`: those of the
-  other vehicle; `until`: how long that holds.
+  other vehicle; `until`: how long that holds. `proved`: the path by which the vehicle said what it is (firmware, type,
+  component);
+  `says`: the links that say so themselves (MSP).
   """
   @type t :: %__MODULE__{
           paths: %{path() => {first :: integer(), since :: integer(), last :: integer()}},
           others: [path()],
           kept: [path()],
-          until: integer() | nil
+          until: integer() | nil,
+          proved: path() | nil,
+          says: [term()]
         }
 
   @spec new() :: t()
@@ -68,6 +72,35 @@ defmodule Aerie.Vehicle.Collision.Owner do
 
   defp none(owner), do: %{owner | kept: [], others: [], until: nil}
 
+  @doc "A link says itself what its vehicle is: nobody else changes that."
+  @spec says(t(), link :: term(), boolean()) :: t()
+  def says(owner, link, true), do: %{owner | says: Enum.uniq([link | owner.says])}
+  def says(owner, link, false), do: %{owner | says: List.delete(owner.says, link)}
+
+  @doc """
+  The vehicle said by a path what it is, as is known already or as it may (`changes?/3`). The path that proved it stays
+  the one that does, until it is
+  silent.
+  """
+  @spec proves(t(), path(), integer()) :: t()
+  def proves(%{proved: nil} = owner, path, _now), do: %{owner | proved: path}
+  def proves(owner, path, now), do: if(changes?(owner, path, now), do: %{owner | proved: path}, else: owner)
+
+  @doc """
+  Whether what a frame by this path says of the vehicle's firmware, type or component may differ from what is known. In
+  a session that was
+  restarted, of which it is not known who proved it, a path has to be heard for a minute.
+  """
+  @spec changes?(t(), path(), integer()) :: boolean()
+  def changes?(owner, path, now) do
+    cond do
+      same?(owner.proved, path) or link(path) in owner.says -> true
+      owner.proved == nil -> match?({first, _since, _last} when now - first > @hold_us, owner.paths[path])
+      link(owner.proved) in owner.says -> false
+      true -> not match?({_first, _since, last} when now - last <= @hold_us, owner.paths[owner.proved])
+    end
+  end
+
   @doc """
   A collision was found: `ones` brought the one vehicle and `others` the other (some paths perhaps both). Returns both lists
   again, the owner's first.
@@ -80,12 +113,22 @@ defmodule Aerie.Vehicle.Collision.Owner do
     # If one of them has no path of its own, the collision is reported, but the vehicles cannot be separated.
     if separate == [] or kept -- other == [],
       do: {owner, kept, other},
-      else: {%{owner | kept: kept -- other, others: separate, until: at + @hold_us}, kept, other}
+      else: {held(owner, kept -- other, separate, at), kept, other}
   end
 
-  # Whether the second one keeps the id: it has it already, or was heard earlier.
+  # The one with the id says what it is.
+  defp held(%{proved: proved} = owner, [path | _] = kept, others, at) do
+    proved = if Enum.any?(others, &same?(proved, &1)), do: path, else: proved
+    %{owner | kept: kept, others: others, until: at + @hold_us, proved: proved}
+  end
+
+  # Whether the second one keeps the id: its link says what it is, it has it already, or was heard earlier.
   defp second?(owner, ones, others, at) do
+    said = {said?(owner, ones), said?(owner, others)}
+
     cond do
+      said == {true, false} -> false
+      said == {false, true} -> true
       not holds?(owner, at) -> first(owner, others) < first(owner, ones)
       Enum.any?(owner.kept, &(&1 in ones)) -> false
       Enum.any?(owner.others, &(&1 in ones)) -> true
@@ -94,9 +137,20 @@ defmodule Aerie.Vehicle.Collision.Owner do
   end
 
   defp first(owner, paths) do
-    # nil, an atom, is greater than any number.
-    paths |> Enum.map(&with({first, _since, _last} <- owner.paths[&1], do: first)) |> Enum.min(fn -> nil end)
+    # nil, an atom, is greater than any number. Until a second peer came, a path was its link.
+    for(
+      path <- paths,
+      known <- [path, link(path)],
+      do: with({first, _since, _last} <- owner.paths[known], do: first)
+    )
+    |> Enum.min(fn -> nil end)
   end
+
+  defp said?(owner, paths), do: Enum.any?(paths, &(link(&1) in owner.says))
+
+  # A link with one peer.
+  defp same?(link, {link, :remote}), do: true
+  defp same?(proved, path), do: proved == path
 
   @doc "Whether a path is another vehicle's at this time."
   @spec other?(t(), path(), integer()) :: boolean()

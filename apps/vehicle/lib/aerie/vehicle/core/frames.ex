@@ -18,6 +18,8 @@ defmodule Aerie.Vehicle.Core.Frames do
   @param_value M.ParamValue.id()
   @high_latency M.HighLatency2.id()
   @statustext M.Statustext.id()
+  # Besides the heartbeat.
+  @identifying [@high_latency, M.ComponentInformationBasic.id()]
   @reports [M.Event.id(), M.CurrentEventSequence.id(), M.ResponseEventError.id()]
   # For `Services.message/5`.
   @services [M.Ping.id(), M.CommandAck.id(), M.CommandLong.id(), M.Timesync.id(), M.MessageInterval.id()]
@@ -64,18 +66,42 @@ defmodule Aerie.Vehicle.Core.Frames do
     {:ok, message} = MavCodec.decode(frame)
     known = core.component
 
-    if Kind.vehicle?(message.type, message.autopilot, frame.component) and
-         (known in [nil, frame.component] or frame.component == 1) do
-      {core, actions} = alive(%{core | component: frame.component, version: frame.version}, actions, frame.at)
-      core = core |> Services.heartbeat_heard(link, frame.at) |> Services.received(link, frame.id, frame.at)
-      {core, actions} = early_texts({core, actions})
-      content = {message.base_mode, message.custom_mode, message.system_status}
-      suspicion = Collision.Suspicion.heartbeat(core.suspicion, core.path, content, frame.at)
-      message(%{core | suspicion: suspicion}, actions, link, frame, message)
-    else
-      {core, actions}
+    cond do
+      not Kind.vehicle?(message.type, message.autopilot, frame.component) or
+          (known not in [nil, frame.component] and frame.component != 1) ->
+        {core, actions}
+
+      foreign?(core, frame, message) ->
+        Collisions.other_vehicle(core, actions, frame)
+
+      true ->
+        autopilot_heartbeat(core, actions, link, frame, message)
     end
   end
+
+  defp autopilot_heartbeat(core, actions, link, frame, message) do
+    core = %{core | owner: Collision.Owner.proves(core.owner, core.path, frame.at)}
+    {core, actions} = alive(%{core | component: frame.component, version: frame.version}, actions, frame.at)
+    core = core |> Services.heartbeat_heard(link, frame.at) |> Services.received(link, frame.id, frame.at)
+    {core, actions} = early_texts({core, actions})
+    content = {message.base_mode, message.custom_mode, message.system_status}
+    suspicion = Collision.Suspicion.heartbeat(core.suspicion, core.path, content, frame.at)
+    message(%{core | suspicion: suspicion}, actions, link, frame, message)
+  end
+
+  # A frame says that the vehicle is another one, and does not come by the path by which the vehicle said what it is.
+  defp foreign?(%{state: %{type: nil}}, _frame, _message), do: false
+
+  defp foreign?(%{state: state} = core, frame, message),
+    do: other?(core, state, frame, message) and not Collision.Owner.changes?(core.owner, core.path, frame.at)
+
+  defp other?(core, state, frame, %{type: type, autopilot: autopilot}),
+    do:
+      core.component not in [nil, frame.component] or type != state.type or
+        Kind.autopilot(autopilot, state.autopilot) != state.autopilot
+
+  defp other?(_core, _state, _frame, %M.ComponentInformationBasic{}), do: true
+  defp other?(_core, _state, _frame, _message), do: false
 
   # Frames of the autopilot from before its component was known to be one.
   defp early_texts({core, actions}) do
@@ -188,7 +214,15 @@ defmodule Aerie.Vehicle.Core.Frames do
 
   defp apply_message(core, actions, %{id: @system_time}, _message), do: {core, actions}
 
-  defp apply_message(core, actions, %{id: id, at: at}, message) do
+  defp apply_message(core, actions, %{id: id, at: at} = frame, message) when id in @identifying do
+    if foreign?(core, frame, message),
+      do: Collisions.other_vehicle(core, actions, frame),
+      else: applied(core, actions, id, message, at)
+  end
+
+  defp apply_message(core, actions, %{id: id, at: at}, message), do: applied(core, actions, id, message, at)
+
+  defp applied(core, actions, id, message, at) do
     case State.apply(core.state, id, message, at) do
       {:invalid, _field} ->
         {core, [{:count, :invalid} | actions]}

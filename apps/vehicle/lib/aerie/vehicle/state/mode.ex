@@ -53,7 +53,7 @@ defmodule Aerie.Vehicle.State.Mode do
 
   @impl Group
   def read(%M.Heartbeat{} = m, state, _at) do
-    autopilot = autopilot(Kind.autopilot(m.autopilot), state.autopilot)
+    autopilot = Kind.autopilot(m.autopilot, state.autopilot)
     named = Kind.name(m.type)
     # Only a quadplane enters one of these.
     quadplane =
@@ -117,9 +117,6 @@ defmodule Aerie.Vehicle.State.Mode do
   def quadplane(%{quadplane: true}), do: []
   def quadplane(%{autopilot: :ardupilot, kind: "plane" = kind}), do: [quadplane: true, kind: kind(kind, true)]
   def quadplane(_state), do: []
-
-  defp autopilot(:generic, told) when told in [:betaflight, :inav], do: told
-  defp autopilot(autopilot, _told), do: autopilot
 
   defp kind("plane", true), do: "vtol"
   defp kind(kind, _quadplane), do: kind

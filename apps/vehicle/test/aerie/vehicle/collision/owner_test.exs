@@ -59,6 +59,20 @@ defmodule Aerie.Vehicle.Collision.OwnerTest do
     end
   end
 
+  test "the one that was heard first keeps the id by whichever path, and before it a link that says what it is" do
+    # A second path makes of the first link's path one of a peer, which is heard after that of the second.
+    owner = Owner.new() |> heard(["a"], 0..10) |> heard([{"b", 1}], [11]) |> heard([{"a", :remote}], [11.1])
+
+    assert {owner, [{"a", :remote}], [{"b", 1}]} =
+             Owner.decide(owner, [{"b", 1}], [{"a", :remote}], 12 * @second)
+
+    assert Owner.other?(owner, {"b", 1}, 12 * @second)
+
+    # Heard later.
+    says = Owner.new() |> heard(["b"], 0..10) |> heard(["a"], 5..10) |> Owner.says("a", true)
+    assert {_owner, ["a"], ["b"]} = Owner.decide(says, ["a"], ["b"], 11 * @second)
+  end
+
   test "paths stay bounded" do
     owner = Enum.reduce(1..1_000, Owner.new(), &Owner.seen(&2, &1, &1 * @second))
     assert map_size(owner.paths) <= 32

@@ -2,7 +2,8 @@ defmodule Aerie.Control.Policy.Rules.Role do
   @moduledoc """
   The source must have the permission that the command needs (`Aerie.Control.Policy.Roles`). Who moves home or the origin of a vehicle that may be
   flying changes where it returns to and what its heights are measured from: that needs `protection`, too. A vehicle with MSP is armed and steered by
-  channels in the place of its pilot's, which needs `receiver`; `motors` is for turning its motors.
+  channels in the place of its pilot's, which needs `receiver`; `motors` is for turning its motors. One whose firmware
+  is not known may be such a vehicle.
   """
 
   @behaviour Aerie.Control.Policy.Rules
@@ -10,7 +11,8 @@ defmodule Aerie.Control.Policy.Rules.Role do
   alias Aerie.Control.Policy.FlightPath.Shaping
   alias Aerie.Control.Policy.{Intent, Roles}
 
-  @msp [:betaflight, :inav]
+  # A vehicle may be one of these as long as it has not said what it is.
+  @msp [:betaflight, :inav, :generic]
   @by_channels ~w(arm set_mode rtl hold rc_override manual_control)
 
   @impl Aerie.Control.Policy.Rules

@@ -9,14 +9,15 @@ defmodule Aerie.Control.Commands.Record do
   | `[:aerie, :command, :done]` | `count` (1), `us` (since it came; nil for one of an earlier run) | `gateway`, `id`, `vehicle`, `type`, `result`, `reason` |
 
   What can come in floods (rates, malformed commands, ids that are used) is counted each time, and in the audit log once in five
-  seconds for each source and rule: a flood must not push the rest out of the log.
+  seconds for each source and rule: a flood must not push the rest out of the log. All refusals of somebody who
+  may nothing are summed up there (`Aerie.Control.Policy.Audit.Refusals`).
   """
 
   alias Aerie.Base.{Names, Store}
   alias Aerie.Vehicle.Command
   alias Aerie.Vehicle.Command.{Result, Types}
   alias Aerie.Control.Commands.{Metrics, Server}
-  alias Aerie.Control.Policy.{Audit, Intent}
+  alias Aerie.Control.Policy.{Audit, Intent, Roles}
 
   @quiet_ms 5_000
   @floods [:rate, :busy, :id, :vehicle, :holder, :deadline, :malformed, :signature, :size]
@@ -59,9 +60,11 @@ defmodule Aerie.Control.Commands.Record do
   @doc "A command is not carried out; gives its result."
   @spec refused(Names.gateway(), Server.request(), Result.status(), rule :: atom(), String.t()) :: Result.t()
   def refused(gateway, %{command: command} = request, status, rule, reason) do
-    if rule not in @floods or Store.claim(gateway, {__MODULE__, rule, request.source.name}, @quiet_ms) do
+    flood? = rule in @floods and not Audit.Refusals.nobody?(request.source)
+
+    if not flood? or Store.claim(gateway, {__MODULE__, rule, request.source.name}, @quiet_ms) do
       entry = decision(request, :deny, %{"rule" => rule, "reason" => reason, "result" => status})
-      Audit.note(gateway, entry)
+      Audit.refusal(gateway, request.source, rule, entry)
     end
 
     count(gateway, command.vehicle, command.type, request.source.name, rule, reason)
@@ -78,7 +81,7 @@ defmodule Aerie.Control.Commands.Record do
   @spec turned_away(
           Names.gateway(),
           map(),
-          who :: String.t() | nil,
+          who :: Roles.source() | String.t() | nil,
           via :: String.t(),
           rule :: atom(),
           String.t()
@@ -89,20 +92,23 @@ defmodule Aerie.Control.Commands.Record do
     received(gateway, type)
     vehicle = if Store.vehicle(gateway, to_string_or_none(envelope["vehicle"])), do: envelope["vehicle"]
 
-    if Store.claim(gateway, {__MODULE__, rule, who, via}, @quiet_ms) do
-      Audit.note(gateway, %{
+    source = if is_binary(who), do: %{name: who, role: :operator}, else: who
+    name = source && source.name
+
+    if Audit.Refusals.nobody?(source) or Store.claim(gateway, {__MODULE__, rule, name, via}, @quiet_ms) do
+      Audit.refusal(gateway, source, rule, %{
         "type" => "decision",
         "decision" => "deny",
         "rule" => rule,
         "reason" => reason,
         "vehicle" => vehicle,
         "command" => type,
-        "source" => who,
+        "source" => name,
         "via" => via
       })
     end
 
-    count(gateway, vehicle, type, who, rule, reason)
+    count(gateway, vehicle, type, name, rule, reason)
   end
 
   @doc "A command has its result. `us`: microseconds since it came, nil for one of an earlier run."

@@ -24,8 +24,17 @@ defmodule Aerie.Control.Policy.Arming do
       "via" => "arm authorization"
     }
 
-    Audit.note(gateway, Map.merge(entry, record(decision)))
+    recorded(decision, gateway, snapshot, entry)
     decision
+  end
+
+  defp recorded(:allow, gateway, _snapshot, entry),
+    do: Audit.note(gateway, Map.put(entry, "decision", "allow"))
+
+  # A vehicle may ask as often as it likes.
+  defp recorded({:deny, rule, reason}, gateway, snapshot, entry) do
+    entry = Map.merge(entry, %{"decision" => "deny", "rule" => rule, "reason" => reason})
+    Audit.refusal(gateway, Roles.principal(:vehicle, snapshot.id, :viewer), rule, entry)
   end
 
   # In the name of the lease's holder: the rule only asks whether a lease is required.
@@ -34,7 +43,4 @@ defmodule Aerie.Control.Policy.Arming do
     source = Roles.principal(:vehicle, name || "the vehicle", :admin)
     Policy.decide(policy, Intent.named("arm"), %{context | source: source})
   end
-
-  defp record(:allow), do: %{"decision" => "allow"}
-  defp record({:deny, rule, reason}), do: %{"decision" => "deny", "rule" => rule, "reason" => reason}
 end

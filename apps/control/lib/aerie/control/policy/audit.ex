@@ -15,13 +15,14 @@ defmodule Aerie.Control.Policy.Audit do
 
   alias Aerie.Base.{Names, Store}
   alias Aerie.Base.Files.{Damaged, Disk, FolderLock}
-  alias Aerie.Control.Policy.Audit.{Log, Verify}
-  alias Aerie.Control.Policy.Intent
+  alias Aerie.Control.Policy.Audit.{Log, Refusals, Verify}
+  alias Aerie.Control.Policy.{Intent, Roles}
 
   require Logger
 
   @sync_ms 1_000
   @retry_ms 1_000
+  @refusals_ms 60_000
   @call_ms 5_000
   # Notes of forwarding processes that wait at most; each is some hundred bytes.
   @max_waiting 1_000
@@ -59,7 +60,7 @@ defmodule Aerie.Control.Policy.Audit do
   The same for who must not wait: a forwarding process. Where the log cannot keep up, the entry is not written and counts as
   missed. `failing/1` tells beforehand whether it can be written.
   """
-  @spec note(Names.gateway(), %{String.t() => term()}) :: :ok
+  @spec note(Names.gateway(), %{String.t() => term()} | {:refusal, %{String.t() => term()}}) :: :ok
   def note(gateway, entry) do
     case Names.whereis(gateway, :audit) do
       nil ->
@@ -68,6 +69,24 @@ defmodule Aerie.Control.Policy.Audit do
       pid ->
         {:message_queue_len, waiting} = Process.info(pid, :message_queue_len) || {:message_queue_len, 0}
         GenServer.cast(pid, if(waiting < @max_waiting, do: {:note, entry}, else: :missed))
+    end
+  end
+
+  @doc """
+  A refusal, for callers that must not wait. Those of somebody who may nothing are counted and summed up
+  (`Aerie.Control.Policy.Audit.Refusals`).
+  """
+  @spec refusal(Names.gateway(), Roles.source() | nil, rule :: atom(), %{String.t() => term()}) :: :ok
+  def refusal(gateway, source, rule, entry) do
+    if Refusals.nobody?(source) do
+      now = System.monotonic_time(:microsecond)
+
+      for entry <- Refusals.add(gateway, source && source.name, rule, entry, now),
+          do: note(gateway, {:refusal, entry})
+
+      :ok
+    else
+      note(gateway, entry)
     end
   end
 
@@ -116,9 +135,12 @@ defmodule Aerie.Control.Policy.Audit do
       tried: nil,
       sync: Keyword.get(options, :sync, &Disk.sync/1),
       sync_due?: false,
-      syncing: nil
+      syncing: nil,
+      room: nil,
+      unwritten: 0
     }
 
+    _ = Process.send_after(self(), :refusals, @refusals_ms)
     state = open(state)
     _ = Task.start(fn -> verify(state.gateway, state.dir) end)
     {:ok, state}
@@ -157,6 +179,9 @@ defmodule Aerie.Control.Policy.Audit do
   end
 
   @impl GenServer
+  # Those who may nothing have a part of the log, and what does not fit is counted in the next one.
+  def handle_cast({:note, {:refusal, entry}}, state), do: {:noreply, refused(entry, state)}
+
   def handle_cast({:note, entry}, state) do
     {:reply, _answer, state} = handle_call({:append, entry}, nil, state)
     {:noreply, state}
@@ -166,6 +191,13 @@ defmodule Aerie.Control.Policy.Audit do
   def handle_cast(:missed, state), do: {:noreply, missed(state)}
 
   @impl GenServer
+  def handle_info(:refusals, state) do
+    _ = Process.send_after(self(), :refusals, @refusals_ms)
+
+    {:noreply,
+     state.gateway |> Refusals.due(System.monotonic_time(:microsecond)) |> Enum.reduce(state, &refused/2)}
+  end
+
   # The one before it still waits for the disk; there is one at a time.
   def handle_info(:sync, %{syncing: %Task{}} = state), do: {:noreply, schedule(%{state | sync_due?: false})}
 
@@ -200,6 +232,18 @@ defmodule Aerie.Control.Policy.Audit do
       schedule(%{state | log: log})
     else
       {:error, reason} -> failed(state, reason)
+    end
+  end
+
+  defp refused(entry, state) do
+    case Refusals.room(state.room, state.max_bytes, System.monotonic_time(:microsecond)) do
+      {:ok, room} ->
+        entry = if state.unwritten > 0, do: Map.put(entry, "unwritten", state.unwritten), else: entry
+        {:reply, _answer, state} = handle_call({:append, entry}, nil, %{state | room: room, unwritten: 0})
+        state
+
+      :none ->
+        %{state | unwritten: state.unwritten + Map.get(entry, "count", 1)}
     end
   end
 

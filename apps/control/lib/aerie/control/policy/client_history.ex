@@ -48,6 +48,22 @@ defmodule Aerie.Control.Policy.ClientHistory do
     end
   end
 
+  @doc "Takes the rows of a kind whose values `fun` wants; none while the store does not run."
+  @spec take(Names.gateway(), kind :: atom(), (value() -> boolean())) :: [value()]
+  def take(gateway, kind, fun) do
+    case Names.held(gateway, :store) do
+      %{client_history: table} ->
+        for {_key, value, _until} = row <- :ets.match_object(table, {{:_, kind, :_}, :_, :_}),
+            fun.(value),
+            # Another process may have changed it meanwhile.
+            :ets.select_delete(table, [{:"$1", [{:"=:=", :"$1", {:const, row}}], [true]}]) == 1,
+            do: value
+
+      nil ->
+        []
+    end
+  end
+
   defp current({_key, value, until}, now) when until > now, do: value
   defp current(_none_or_over, _now), do: nil
 

@@ -129,7 +129,7 @@ defmodule Aerie.Control.Policy.MavlinkPolicy do
 
         count(gateway, decision)
         if decision == :allow and snapshot != nil, do: commanded(gateway, vehicle, source.name, facts)
-        conclude(decision, gateway, entry, {message, frame, key, snapshot})
+        conclude(decision, gateway, entry, {message, frame, key, snapshot, source})
     end
   end
 
@@ -243,7 +243,7 @@ defmodule Aerie.Control.Policy.MavlinkPolicy do
     end
   end
 
-  defp conclude(:allow, gateway, entry, {%module{} = message, frame, key, snapshot})
+  defp conclude(:allow, gateway, entry, {%module{} = message, frame, key, snapshot, _source})
        when module in @recorded do
     Audit.note(gateway, Map.put(entry, "decision", "allow"))
 
@@ -257,7 +257,7 @@ defmodule Aerie.Control.Policy.MavlinkPolicy do
 
   defp conclude(:allow, _gateway, _entry, _refused), do: :forward
 
-  defp conclude({:deny, rule, reason}, gateway, entry, {message, frame, key, snapshot}) do
+  defp conclude({:deny, rule, reason}, gateway, entry, {message, frame, key, snapshot, source}) do
     metadata = %{
       gateway: gateway,
       vehicle: entry["vehicle"],
@@ -269,7 +269,10 @@ defmodule Aerie.Control.Policy.MavlinkPolicy do
     :telemetry.execute([:aerie, :policy, :refused], %{count: 1}, metadata)
 
     denied = Map.merge(entry, %{"decision" => "deny", "rule" => rule, "reason" => reason})
-    if recorded?(gateway, denied, snapshot), do: Audit.note(gateway, denied)
+    # Each one of a sender who may nothing is counted.
+    if Audit.Refusals.nobody?(source) or recorded?(gateway, denied, snapshot),
+      do: Audit.refusal(gateway, source, rule, denied)
+
     texts = gateway |> told(denied, snapshot) |> Mavlink.Refusal.texts(:erlang.phash2(reason, 0xFFFF) + 1)
 
     current = get_in(groups(snapshot), [:mission, :data, :seq])

@@ -178,6 +178,40 @@ defmodule Aerie.Control.Policy.MavlinkPolicyTest do
     assert decided(c, sender, {"main", 1}, goto(47.002, 30.0)) == :forward
   end
 
+  test "a viewer's refused commands leave an admin's arming in the audit log, and are counted", c do
+    admin = %{
+      endpoint: {"a", 1},
+      owner: "a",
+      peer: nil,
+      principal: Policy.Roles.principal(:client, "admin", :admin)
+    }
+
+    eve = %{
+      endpoint: {"v", 1},
+      owner: "v",
+      peer: nil,
+      principal: Policy.Roles.principal(:client, "eve", :viewer)
+    }
+
+    assert decided(c, admin, {"main", 1}, arm()) == :forward
+
+    for n <- 1..3_000, system = rem(n, 250) + 1 do
+      message = %M.CommandLong{target_system: system, target_component: 1, command: n}
+      assert {:refuse, _answers, _instead} = decided(c, eve, {"main", system}, message)
+    end
+
+    assert {:ok, %{missed: 0}} = Audit.status(c.gateway)
+    {:ok, %{records: records}} = Audit.Reader.page(c.audit, %{limit: 1000})
+    assert Enum.any?(records, &match?(%{"source" => "admin", "command" => "arm", "decision" => "allow"}, &1))
+    assert length(for %{"source" => "eve"} = record <- records, do: record) <= 4
+
+    late = System.monotonic_time(:microsecond) + 120_000_000
+    counts = for %{"source" => "eve", "count" => n} <- Audit.Refusals.due(c.gateway, late), do: n
+    assert Enum.sum(counts) > 2_900
+  end
+
+  defp arm, do: %M.CommandLong{target_system: 1, target_component: 1, command: 400, param1: 1.0}
+
   defp decided(c, sender, key, message) do
     frame =
       message

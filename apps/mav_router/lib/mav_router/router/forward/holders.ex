@@ -92,8 +92,9 @@ defmodule MavRouter.Router.Forward.Holders do
       # The same autopilot was loaded with another firmware.
       member? and not heard? -> put(tables, system, members, kind)
       member? -> :unchanged
+      # Another autopilot, while the vehicle's own connection is still there.
+      kind != known and Enum.any?(members, &there?(tables, system, &1)) -> :claim
       not heard? -> add(tables, system, members, {key, 0}, kind, path, secure?, now)
-      kind != known -> :claim
       true -> add(tables, system, members, {key, nil}, kind, path, secure?, now)
     end
   end
@@ -185,6 +186,8 @@ defmodule MavRouter.Router.Forward.Holders do
     heard = Routes.heard(tables, system, key)
     heard != nil and now - heard <= silent_ms(tables, key)
   end
+
+  defp there?(tables, system, {key, _rank}), do: Routes.heard(tables, system, key) != nil
 
   defp silent_ms(tables, {owner, _peer} = key) do
     slow? =

@@ -176,6 +176,7 @@ defmodule MavRouter.Router.Forward.HoldersTest do
       assert Holders.standing(c.tables, @vehicle, 1, path("lte"), true, later) == :claim
 
       gone = later + 5_001
+      assert Holders.join(c.tables, @vehicle, path("lte"), {2, 12}, false, gone) == :claim
       assert Holders.standing(c.tables, @vehicle, 1, path("lte"), true, gone) == :claim
       assert Holders.join(c.tables, @vehicle, path("lte"), {2, 3}, false, gone) == :changed
       hears(c, "lte", gone)

@@ -116,20 +116,36 @@ defmodule FleetWeb.RightsTest do
 
     {204, _answer} = ask(port, :admin, "DELETE", "/api/clients/mine")
     {403, _answer} = ask(port, :operator, "DELETE", "/api/clients/mine")
+    {201, _answer} = ask(port, :admin, "POST", "/api/links", %{"url" => "udpin:127.0.0.1:0", "id" => "new"})
+
+    {401, _headers, _answer} =
+      request(port, "GET", "/api/status", [{"x-aerie-key", "a wrong key of somebody"}])
 
     entries =
       eventually(fn ->
         found =
           for %{"type" => "change"} = entry <- CommandCase.audit(dir),
-              do: Map.take(entry, ["action", "target", "source"])
+              do: Map.take(entry, ["action", "target", "source", "from", "url"])
 
-        if length(found) >= 2, do: found
+        if length(found) >= 3, do: found
       end)
 
-    assert entries == [
-             %{"action" => "add_client", "target" => "mine", "source" => "http:admin"},
-             %{"action" => "remove_client", "target" => "mine", "source" => "http:admin"}
-           ]
+    assert [
+             %{"action" => "add_client", "target" => "mine", "url" => "tcpin:" <> _},
+             %{"action" => "remove_client", "target" => "mine"},
+             %{"action" => "add_link", "target" => "new", "url" => "udpin:" <> _}
+           ] = entries
+
+    for entry <- entries, do: assert(%{"source" => "http:admin", "from" => "127.0.0.1"} = entry)
+
+    eventually(fn ->
+      Enum.find(
+        CommandCase.audit(dir),
+        &match?(%{"type" => "sign_in", "via" => "http", "outcome" => "refused"}, &1)
+      )
+    end)
+
+    for file <- Path.wildcard(Path.join(dir, "audit/*.jsonl")), do: refute(File.read!(file) =~ "wrong key of")
   end
 
   test "the description says which role each operation needs" do

@@ -11,9 +11,11 @@ defmodule Aerie.Fleet.Shadow do
   alias Aerie.Vehicle.Command.Error
   alias Aerie.Base.Json
   alias Aerie.Base.Names
-  alias Aerie.Control.Policy.Roles
+  alias Aerie.Control.Policy.{Audit, Roles}
   alias Aerie.Fleet.Shadow.{Buckets, Document, Documents, Field, Metrics, Plans, Tags, Update}
 
+  # So many fields of a change are in the audit log.
+  @noted 32
   @inside Aerie.Control.Policy.Roles.principal(:gateway, "elixir", :admin)
 
   @typedoc """
@@ -173,6 +175,16 @@ defmodule Aerie.Fleet.Shadow do
     Metrics.count(gateway, :updates)
     [change | _older] = document.history
 
+    Audit.note(gateway, %{
+      "type" => "desired",
+      "vehicle" => document.vehicle,
+      "version" => document.version,
+      "source" => source.name,
+      "via" => via,
+      "set" => Enum.take(change.set, @noted),
+      "removed" => Enum.take(change.removed, @noted)
+    })
+
     :telemetry.execute([:aerie, :shadow, :updated], %{version: document.version}, %{
       gateway: gateway,
       vehicle: document.vehicle,
@@ -185,6 +197,19 @@ defmodule Aerie.Fleet.Shadow do
 
   defp refused(gateway, vehicle, source, via, refusal) do
     Metrics.count(gateway, :updates_refused)
+
+    with {:role, why} <- refusal do
+      entry = %{
+        "type" => "desired",
+        "decision" => "deny",
+        "rule" => "role",
+        "reason" => why,
+        "vehicle" => vehicle
+      }
+
+      Audit.refusal(gateway, source, :role, Map.merge(entry, %{"source" => source.name, "via" => via}))
+    end
+
     metadata = %{gateway: gateway, vehicle: vehicle, actor: source.name, via: via, reason: text(refusal)}
     :telemetry.execute([:aerie, :shadow, :refused], %{count: 1}, metadata)
   end

@@ -8,8 +8,8 @@ defmodule FleetWeb.API.Handler do
 
   @behaviour :cowboy_handler
 
-  alias Aerie.Base.{Address, Json, Store}
-  alias Aerie.Control.Policy
+  alias Aerie.Base.{Json, Store}
+  alias FleetWeb.Changes
   alias FleetWeb.API.{Access, Actions, Error, KeyRing, Misdirected, Request, Routes}
 
   @json "application/json; charset=utf-8"
@@ -56,30 +56,25 @@ defmodule FleetWeb.API.Handler do
          :ok <- Misdirected.check(route.action, state.gateway, request) do
       route.action
       |> Actions.run(Map.merge(state, %{name: requester.name, requester: requester}), request)
-      |> recorded(route, requester, state.gateway)
+      |> recorded(route, %{name: "http:" <> requester.name, from: Changes.place(facts.peer)}, state.gateway)
     else
-      {:error, error} -> {:error, error, request}
+      {:error, error} ->
+        if error.status == 401 and facts.key != nil,
+          do: Changes.sign_in(state.gateway, :refused, "http", nil, facts.peer)
+
+        {:error, error, request}
     end
   end
 
-  # An admin's change is recorded in the audit log, as for the console. Reloading a policy records itself.
-  defp recorded({:ok, _status, body, request} = answer, %{role: :admin, action: action}, requester, gateway)
-       when action != :reload_policy do
-    id = if is_map(body) and is_binary(body[:id]), do: body.id, else: :cowboy_req.binding(:id, request, nil)
-    url = if is_map(body), do: body[:url]
-    entry = %{"type" => "change", "action" => Atom.to_string(action), "source" => "http:" <> requester.name}
+  # What was changed is in the audit log, as for the console.
+  defp recorded({:ok, _status, body, request} = answer, %{method: method, action: action}, by, gateway) do
+    if Changes.recorded?(method, action),
+      do: Changes.request(gateway, by, action, :cowboy_req.binding(:id, request, nil), body)
 
-    entry =
-      for {key, text} <- [{"target", id}, {"url", url}],
-          is_binary(text),
-          into: entry,
-          do: {key, Address.shown(text)}
-
-    Policy.Audit.note(gateway, entry)
     answer
   end
 
-  defp recorded(answer, _route, _requester, _gateway), do: answer
+  defp recorded(answer, _route, _by, _gateway), do: answer
 
   defp reply(_status, _headers, :sent, request), do: request
   defp reply(204, headers, nil, request), do: :cowboy_req.reply(204, headers, request)

@@ -14,6 +14,7 @@ defmodule FleetWeb.API.KeyRing do
   alias Aerie.Base.Names
   alias Aerie.Base.PubSub
   alias FleetWeb.API.{Access, Keys}
+  alias FleetWeb.Changes
 
   @most 100
   @name ~r/\A[a-z0-9][a-z0-9._-]{0,31}\z/
@@ -61,7 +62,7 @@ defmodule FleetWeb.API.KeyRing do
     do: for(key <- keys, do: key |> Map.take([:name, :role, :permissions, :until]) |> Map.put(:made, made?))
 
   @doc "Makes a key in the name of `by`; gives its text, which is known nowhere else. `expires`: a day as `2027-12-31`, or nothing."
-  @spec make(Names.gateway(), name :: term(), role :: term(), expires :: term(), by :: String.t()) ::
+  @spec make(Names.gateway(), name :: term(), role :: term(), expires :: term(), Changes.by()) ::
           {:ok, String.t()} | {:error, String.t()}
   def make(gateway, name, role, expires, by) do
     text = Base.url_encode64(:crypto.strong_rand_bytes(24), padding: false)
@@ -96,7 +97,7 @@ defmodule FleetWeb.API.KeyRing do
   end
 
   @doc "Revokes a key that was made in the console: it opens nothing any more, and its WebSockets are closed."
-  @spec revoke(Names.gateway(), String.t(), by :: String.t()) :: :ok | {:error, String.t()}
+  @spec revoke(Names.gateway(), String.t(), Changes.by()) :: :ok | {:error, String.t()}
   def revoke(gateway, name, by), do: call(gateway, {:revoke, name, by})
 
   defp call(gateway, request) do
@@ -159,7 +160,9 @@ defmodule FleetWeb.API.KeyRing do
         {:reply, {:error, "there are #{@most} keys already; revoke some first"}, state}
 
       true ->
-        change(%{state | made: state.made ++ [key]}, state, "the key #{key.name} was made by #{by}")
+        expires = key.until && key.until |> DateTime.from_unix!(:microsecond) |> DateTime.to_iso8601()
+        said = %{"action" => "make", "key" => key.name, "role" => key.role, "expires" => expires}
+        change(%{state | made: state.made ++ [key]}, state, by, said)
     end
   end
 
@@ -169,17 +172,18 @@ defmodule FleetWeb.API.KeyRing do
         {:reply, {:error, "#{name} was not made here: it is configured, or gone"}, state}
 
       {[_key], made} ->
-        reply = change(%{state | made: made}, state, "the key #{name} was revoked by #{by}")
+        reply = change(%{state | made: made}, state, by, %{"action" => "revoke", "key" => name})
         PubSub.publish(state.gateway, {:notice, :api_keys}, name)
         reply
     end
   end
 
   # It holds once it is on the disk.
-  defp change(new, old, words) do
+  defp change(new, old, by, said) do
     case write(new.file, new.made) do
       :ok ->
-        Logger.info(words)
+        Logger.info("the key #{said["key"]}: #{said["action"]} by #{Changes.name(by)}")
+        Changes.note(new.gateway, by, "key", said)
         {:reply, :ok, share(new)}
 
       {:error, reason} ->

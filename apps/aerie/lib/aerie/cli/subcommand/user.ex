@@ -22,7 +22,7 @@ defmodule Aerie.CLI.Subcommand.User do
   end
 
   def run(%{name: "user remove", arguments: %{"NAME" => name}}),
-    do: done(fn -> Users.remove(:default, name) end, "removed #{name}")
+    do: done(fn -> Users.remove(:default, name, "aerie") end, "removed #{name}")
 
   def run(%{name: "user list"}),
     do: {0, Columns.render(~w(NAME ROLE), for(user <- Users.list(:default), do: [user.name, user.role]))}

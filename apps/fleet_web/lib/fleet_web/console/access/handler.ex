@@ -8,6 +8,7 @@ defmodule FleetWeb.Console.Access.Handler do
 
   alias Aerie.Base.{Address, Store}
   alias FleetWeb.API
+  alias FleetWeb.Changes
   alias FleetWeb.API.Request
   alias FleetWeb.Console.Access.{Attempts, Launch, Limiter, Session, Sessions, SignIn, Users}
   alias Phoenix.LiveView.{Cookie, Query}
@@ -38,10 +39,13 @@ defmodule FleetWeb.Console.Access.Handler do
     end
   end
 
-  defp answer(:sign_out, "POST", request, _facts, state) do
+  defp answer(:sign_out, "POST", request, facts, state) do
     case fields(request, state) do
       {:ok, _fields, request} ->
-        Sessions.finish(state.gateway, Cookie.read(request, state.server.secret, state.server.cookie)["id"])
+        session = Cookie.read(request, state.server.secret, state.server.cookie)
+        user = Session.user(state.gateway, session)
+        if user, do: record(state, :signed_out, user.name, facts.peer)
+        Sessions.finish(state.gateway, session["id"])
         signed(request, %{}, "/sign-in", state)
 
       {:error, request} ->
@@ -59,11 +63,11 @@ defmodule FleetWeb.Console.Access.Handler do
 
       Launch.valid?(state.gateway, query["token"]) ->
         # Never limited: the token cannot be guessed, and this way in must be open while somebody tries passwords.
-        count(state, :launched)
+        record(state, :launched, "local", facts.peer)
         signed(request, Session.of_launch(state.gateway), "/", state)
 
       true ->
-        count(state, :refused)
+        record(state, :refused, nil, facts.peer)
 
         form(
           request,
@@ -80,14 +84,16 @@ defmodule FleetWeb.Console.Access.Handler do
     with {:ok, known?} <- Limiter.try(gateway, peer, name),
          {:ok, user} <- Users.check(gateway, name, password, {:place, Attempts.place(peer), known?}) do
       Limiter.outcome(gateway, peer, name, :right)
-      count(state, :signed_in)
+      record(state, :signed_in, user.name, peer)
       signed(request, Session.of_user(gateway, user), "/", state)
     else
       {:wait, seconds} ->
+        record(state, :limited, known(gateway, name), peer)
         wait(request, seconds, "Too many attempts. Please wait #{seconds} seconds.", state)
 
       {:busy, seconds} ->
         Limiter.outcome(gateway, peer, name, :none)
+        record(state, :limited, known(gateway, name), peer)
 
         wait(
           request,
@@ -98,7 +104,7 @@ defmodule FleetWeb.Console.Access.Handler do
 
       :error ->
         Limiter.outcome(gateway, peer, name, :wrong)
-        count(state, :refused)
+        record(state, :refused, known(gateway, name), peer)
         form(request, 403, "The name or the password is wrong.", state)
     end
   end
@@ -107,7 +113,6 @@ defmodule FleetWeb.Console.Access.Handler do
     do: form(request, 400, "Name or password is missing.", state)
 
   defp wait(request, seconds, words, state) do
-    count(state, :limited)
     request = :cowboy_req.set_resp_header("retry-after", "#{seconds}", request)
     form(request, 429, words, state)
   end
@@ -181,5 +186,11 @@ defmodule FleetWeb.Console.Access.Handler do
   defp text(request, status, words),
     do: :cowboy_req.reply(status, %{"content-type" => "text/plain; charset=utf-8"}, words <> "\n", request)
 
-  defp count(%{gateway: gateway}, outcome), do: Store.count_if_running(gateway, {:console, outcome})
+  # What is not a user's name may be a password.
+  defp known(gateway, name), do: if(Users.find(gateway, name), do: name)
+
+  defp record(%{gateway: gateway}, outcome, name, peer) do
+    if outcome != :signed_out, do: Store.count_if_running(gateway, {:console, outcome})
+    Changes.sign_in(gateway, outcome, "console", name, peer)
+  end
 end

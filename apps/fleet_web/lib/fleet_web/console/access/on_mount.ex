@@ -56,6 +56,7 @@ defmodule FleetWeb.Console.Access.OnMount do
        |> assign(
          gateway: gateway,
          user: user,
+         peer: with(%{address: address} <- get_connect_info(socket, :peer_data), do: address),
          path: "/",
          connecting: unless(connected?(socket), do: clock()),
          theme: session["theme"],

@@ -18,6 +18,7 @@ defmodule FleetWeb.Console.Access.Users do
   alias Aerie.Base.Names
   alias Aerie.Base.PubSub
   alias Aerie.Control.Policy.Roles
+  alias FleetWeb.Changes
   alias FleetWeb.Console.Access.Password
   alias FleetWeb.WorkLimit
 
@@ -59,18 +60,19 @@ defmodule FleetWeb.Console.Access.Users do
   end
 
   @doc "Adds a user, in the name of `by`."
-  @spec add(Names.gateway(), term(), term(), term(), by :: String.t()) :: :ok | {:error, String.t()}
+  @spec add(Names.gateway(), term(), term(), term(), Changes.by()) :: :ok | {:error, String.t()}
   def add(gateway, name, role, password, by) do
     with :ok <- name(name),
          {:ok, role} <- role(role),
          :ok <- Password.check(password),
          {:ok, stored} <- hash(gateway, password, by) do
-      change(gateway, {:add, %{name: name, role: role, password: stored}})
+      change(gateway, {:add, %{name: name, role: role, password: stored}}, by)
     end
   end
 
   defp hash(gateway, password, by) do
-    with {:busy, seconds} <- WorkLimit.run(gateway, :users, {:name, by}, fn -> Password.hash(password) end),
+    with {:busy, seconds} <-
+           WorkLimit.run(gateway, :users, {:name, Changes.name(by)}, fn -> Password.hash(password) end),
          do: {:error, busy(seconds)}
   end
 
@@ -78,18 +80,18 @@ defmodule FleetWeb.Console.Access.Users do
   @spec busy(seconds :: pos_integer()) :: String.t()
   def busy(seconds), do: "too many passwords at once: try again in #{seconds} s"
 
-  @doc "Changes a user's role, which ends the user's sessions."
-  @spec set_role(Names.gateway(), String.t(), term()) :: :ok | {:error, String.t()}
-  def set_role(gateway, name, role) do
-    with {:ok, role} <- role(role), do: change(gateway, {:update, name, %{role: role}})
+  @doc "Changes a user's role, in the name of `by`, which ends the user's sessions."
+  @spec set_role(Names.gateway(), String.t(), term(), Changes.by()) :: :ok | {:error, String.t()}
+  def set_role(gateway, name, role, by \\ "elixir") do
+    with {:ok, role} <- role(role), do: change(gateway, {:update, name, %{role: role}}, by)
   end
 
   @doc "Changes a user's password, in the name of `by`, which ends the user's sessions."
-  @spec set_password(Names.gateway(), String.t(), term(), by :: String.t()) :: :ok | {:error, String.t()}
+  @spec set_password(Names.gateway(), String.t(), term(), Changes.by()) :: :ok | {:error, String.t()}
   def set_password(gateway, name, password, by) do
     with :ok <- Password.check(password),
          {:ok, stored} <- hash(gateway, password, by),
-         do: change(gateway, {:update, name, %{password: stored}})
+         do: change(gateway, {:update, name, %{password: stored}}, by)
   end
 
   @doc "The new password if both inputs are equal."
@@ -97,12 +99,12 @@ defmodule FleetWeb.Console.Access.Users do
   def same(password, password), do: {:ok, password}
   def same(_password, _other), do: {:error, "the two new passwords differ"}
 
-  @doc "Removes a user."
-  @spec remove(Names.gateway(), String.t()) :: :ok | {:error, String.t()}
-  def remove(gateway, name), do: change(gateway, {:remove, name})
+  @doc "Removes a user, in the name of `by`."
+  @spec remove(Names.gateway(), String.t(), Changes.by()) :: :ok | {:error, String.t()}
+  def remove(gateway, name, by \\ "elixir"), do: change(gateway, {:remove, name}, by)
 
-  defp change(gateway, change) do
-    GenServer.call(Names.via(gateway, :console_users), change)
+  defp change(gateway, change, by) do
+    GenServer.call(Names.via(gateway, :console_users), {change, by})
   catch
     :exit, _gone -> {:error, "the gateway takes no changes of users just now; try again"}
   end
@@ -222,7 +224,7 @@ defmodule FleetWeb.Console.Access.Users do
   end
 
   @impl GenServer
-  def handle_call(change, _from, %{table: table} = state) do
+  def handle_call({change, by}, _from, %{table: table} = state) do
     users = Map.new(:ets.tab2list(table))
 
     with {:ok, name, changed} <- changed(users, change),
@@ -230,11 +232,21 @@ defmodule FleetWeb.Console.Access.Users do
       true = :ets.delete(table, name)
       true = :ets.insert(table, Map.to_list(Map.take(changed, [name])))
       PubSub.publish(state.gateway, {:notice, :console_users}, name)
+      Changes.note(state.gateway, by, "user", said(change, users))
       {:reply, :ok, state}
     else
       {:error, words} -> {:reply, {:error, words}, state}
     end
   end
+
+  # The password itself is nobody's business.
+  defp said({:add, user}, _users), do: %{"action" => "add", "user" => user.name, "role" => user.role}
+  defp said({:remove, name}, users), do: %{"action" => "remove", "user" => name, "before" => users[name].role}
+
+  defp said({:update, name, %{role: role}}, users),
+    do: %{"action" => "role", "user" => name, "role" => role, "before" => users[name].role}
+
+  defp said({:update, name, %{password: _hidden}}, _users), do: %{"action" => "password", "user" => name}
 
   defp changed(users, {:add, %{name: name} = user}) do
     cond do

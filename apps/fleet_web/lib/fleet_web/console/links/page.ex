@@ -14,9 +14,9 @@ defmodule FleetWeb.Console.Links.Page do
   import FleetWeb.Console.Links.Parts
 
   alias Aerie.Base.{Address, Store}
-  alias Aerie.Control.Policy
   alias MavRouter.{Client, Link, Router}
   alias Aerie.Control.Policy.Roles
+  alias FleetWeb.Changes
   alias FleetWeb.Console.Links.View
 
   @parts [{"links", "Links"}, {"clients", "Clients"}, {"routes", "Routes"}, {"rules", "Changed rules"}]
@@ -135,9 +135,9 @@ defmodule FleetWeb.Console.Links.Page do
     end
   end
 
-  defp note(%{assigns: %{gateway: gateway, user: user}}, what, id, url) do
-    entry = %{"type" => "link", "action" => what, "link" => id, "source" => "console:" <> user.name}
-    Policy.Audit.note(gateway, if(url, do: Map.put(entry, "url", Address.shown(url)), else: entry))
+  defp note(%{assigns: %{gateway: gateway} = assigns}, what, id, url) do
+    said = %{"action" => what, "link" => id, "url" => url && Address.shown(url)}
+    Changes.note(gateway, Changes.user(assigns), "link", said)
   end
 
   @impl Phoenix.LiveView

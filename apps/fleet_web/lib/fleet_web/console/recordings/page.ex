@@ -15,9 +15,9 @@ defmodule FleetWeb.Console.Recordings.Page do
        costly: ~w(events save)}
 
   alias Aerie.Base.Store
-  alias Aerie.Control.Policy
   alias MavRouter.{Link, Recorder}
   alias Aerie.Control.Policy.Roles
+  alias FleetWeb.Changes
   alias FleetWeb.Console.Clock
   alias FleetWeb.Console.Recordings.{TimeLine, TlogFile}
   alias FleetWeb.Console.UI.Age
@@ -61,8 +61,12 @@ defmodule FleetWeb.Console.Recordings.Page do
 
   def handle_event("save", %{"id" => id}, %{assigns: %{gateway: gateway}} = socket) when is_binary(id) do
     case Recorder.save(gateway, id, "console") do
-      {:ok, path} -> {:noreply, socket |> put_flash(:info, "Saved as #{Path.basename(path)}.") |> load(:now)}
-      {:error, error} -> {:noreply, put_flash(socket, :error, Exception.message(error))}
+      {:ok, path} ->
+        note(socket, "save", Path.basename(path))
+        {:noreply, socket |> put_flash(:info, "Saved as #{Path.basename(path)}.") |> load(:now)}
+
+      {:error, error} ->
+        {:noreply, put_flash(socket, :error, Exception.message(error))}
     end
   end
 
@@ -80,7 +84,11 @@ defmodule FleetWeb.Console.Recordings.Page do
   end
 
   def handle_event("stop", %{"id" => id}, %{assigns: %{gateway: gateway, playing: playing}} = socket) do
-    if Enum.any?(playing, &(&1.id == id)), do: Link.stop(gateway, id)
+    if Enum.any?(playing, &(&1.id == id)) do
+      :ok = Link.stop(gateway, id)
+      note(socket, "stop", id)
+    end
+
     {:noreply, load(socket, :now)}
   end
 
@@ -114,10 +122,8 @@ defmodule FleetWeb.Console.Recordings.Page do
 
   defp file(%{assigns: %{files: files}}, name), do: Enum.find(files, &(&1.name == name))
 
-  defp note(%{assigns: %{gateway: gateway, user: user}}, what, name) do
-    entry = %{"type" => "recording", "action" => what, "file" => name, "source" => "console:" <> user.name}
-    Policy.Audit.note(gateway, entry)
-  end
+  defp note(%{assigns: %{gateway: gateway} = assigns}, what, name),
+    do: Changes.note(gateway, Changes.user(assigns), "recording", %{"action" => what, "file" => name})
 
   @impl Phoenix.LiveView
   def handle_info(:refresh, socket), do: {:noreply, load(socket)}

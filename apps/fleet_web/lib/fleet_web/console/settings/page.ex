@@ -17,6 +17,7 @@ defmodule FleetWeb.Console.Settings.Page do
 
   alias FleetWeb.API.KeyRing
   alias Aerie.Control.Policy.Roles
+  alias FleetWeb.Changes
   alias FleetWeb.Console.Access.{Password, Users}
   alias FleetWeb.Console.Settings.Configuration
 
@@ -61,7 +62,7 @@ defmodule FleetWeb.Console.Settings.Page do
           socket,
           :own,
           Users.same(new, form["again"]),
-          &Users.set_password(gateway, user.name, &1, user.name)
+          &Users.set_password(gateway, user.name, &1, Changes.user(socket.assigns))
         )
 
       :error ->
@@ -83,11 +84,17 @@ defmodule FleetWeb.Console.Settings.Page do
         socket,
         :add,
         {:ok, password},
-        &Users.add(socket.assigns.gateway, name, role, &1, socket.assigns.user.name)
+        &Users.add(socket.assigns.gateway, name, role, &1, Changes.user(socket.assigns))
       )
 
   def handle_event("change-role", %{"name" => name, "role" => role}, socket),
-    do: change(socket, :role, {:ok, role}, &Users.set_role(socket.assigns.gateway, name, &1))
+    do:
+      change(
+        socket,
+        :role,
+        {:ok, role},
+        &Users.set_role(socket.assigns.gateway, name, &1, Changes.user(socket.assigns))
+      )
 
   def handle_event("change-password", %{"name" => name, "password" => password}, socket),
     do:
@@ -95,16 +102,20 @@ defmodule FleetWeb.Console.Settings.Page do
         socket,
         :password,
         {:ok, password},
-        &Users.set_password(socket.assigns.gateway, name, &1, socket.assigns.user.name)
+        &Users.set_password(socket.assigns.gateway, name, &1, Changes.user(socket.assigns))
       )
 
   def handle_event("remove", %{"name" => name}, socket),
-    do: change(socket, :remove, {:ok, name}, &Users.remove(socket.assigns.gateway, &1))
+    do:
+      change(
+        socket,
+        :remove,
+        {:ok, name},
+        &Users.remove(socket.assigns.gateway, &1, Changes.user(socket.assigns))
+      )
 
   def handle_event("add-key", %{"name" => name, "role" => role, "expires" => expires}, socket) do
-    %{gateway: gateway, user: user} = socket.assigns
-
-    case KeyRing.make(gateway, name, role, expires, user.name) do
+    case KeyRing.make(socket.assigns.gateway, name, role, expires, Changes.user(socket.assigns)) do
       {:ok, text} -> {:noreply, socket |> assign(made: {name, text}, errors: %{}) |> load()}
       {:error, words} -> {:noreply, assign(socket, :errors, %{key: words})}
     end
@@ -118,7 +129,7 @@ defmodule FleetWeb.Console.Settings.Page do
         socket,
         :revoke,
         {:ok, name},
-        &KeyRing.revoke(socket.assigns.gateway, &1, socket.assigns.user.name)
+        &KeyRing.revoke(socket.assigns.gateway, &1, Changes.user(socket.assigns))
       )
 
   def handle_event("configuration", form, socket),

@@ -17,7 +17,7 @@ defmodule Aerie.Control.Missions do
   alias Aerie.Mission
   alias Aerie.Vehicle.Protocol
   alias Aerie.Vehicle.Command.{Error, Result}
-  alias Aerie.Control.Mission.{OwnFence, Review}
+  alias Aerie.Control.Mission.{Known, OwnFence}
   alias Aerie.Mission.{Item, Onboard, Plan, Transfer}
   alias Aerie.Mission.File.{Mwp, QgcPlan, Waypoints}
   alias Aerie.Mission.Transfer.Compare
@@ -154,11 +154,13 @@ defmodule Aerie.Control.Missions do
         change = %{
           params: Map.merge(sent("upload", items), forced),
           remote_request: put(kind, plan, force),
-          review: &review(&1, &2, &3, items, {kind, plan, force}),
+          review: &review(gateway, &1, &2, &3, items, {kind, plan, force}),
           before: &remark(&1, kind, plan)
         }
 
-        send_items(gateway, vehicle, kind, {:upload, items}, change, options)
+        gateway
+        |> send_items(vehicle, kind, {:upload, items}, change, options)
+        |> Known.note(gateway, RemoteGateway.vehicle(gateway, vehicle), @kinds[kind], items)
     end
   end
 
@@ -171,11 +173,13 @@ defmodule Aerie.Control.Missions do
     change = %{
       params: sent("clear", []),
       remote_request: {"mission", "clear", %{"kind" => Atom.to_string(kind)}},
-      review: &review(&1, &2, &3, [], {kind, %Plan{}, true}),
+      review: &review(gateway, &1, &2, &3, [], {kind, %Plan{}, true}),
       before: &removing(gateway, &1, kind)
     }
 
-    send_items(gateway, vehicle, kind, :clear, change, options)
+    gateway
+    |> send_items(vehicle, kind, :clear, change, options)
+    |> Known.note(gateway, RemoteGateway.vehicle(gateway, vehicle), @kinds[kind], [])
   end
 
   defp sent(action, items), do: %{action: action, items: length(items), digest: Plan.digest(items)}
@@ -288,14 +292,11 @@ defmodule Aerie.Control.Missions do
         vehicle_type: "unknown"
       })
 
-  defp review(policy, context, snapshot, items, {kind, plan, force}) do
-    vehicle = Map.take(snapshot, [:autopilot, :vehicle_type])
+  defp review(gateway, policy, context, snapshot, items, {kind, plan, force}) do
+    read = fn -> read(gateway, snapshot.id, kind) end
 
-    case Review.plan(policy, items, @kinds[kind], vehicle, context) do
-      :allow when kind == :fence and not force -> breach(plan, snapshot)
-      :allow -> :allow
-      {:deny, rule, _seq, reason} -> {:deny, rule, reason}
-    end
+    with :allow <- Known.review(policy, context, {gateway, snapshot}, items, @kinds[kind], read),
+         do: if(kind == :fence and not force, do: breach(plan, snapshot), else: :allow)
   end
 
   defp breach(plan, snapshot) do

@@ -13,6 +13,7 @@ defmodule Aerie.Control.Commands.Pipeline do
   alias Aerie.Vehicle.Command
   alias Aerie.Vehicle.Command.Result
   alias Aerie.Control.Commands.{OffboardPrecondition, Record, RemoteGateway, SharedVehicle}
+  alias Aerie.Control.Policy.Mavlink.Writing
   alias Aerie.Control.Policy.{Audit, Context, Intent, Leases, RecentCommands}
 
   @typedoc """
@@ -201,6 +202,7 @@ defmodule Aerie.Control.Commands.Pipeline do
 
     with %Policy{} = policy <- Policy.Store.get(gateway),
          :allow <- Policy.decide(policy, facts, context),
+         :allow <- Writing.entered(policy, gateway, snapshot, facts, context),
          :allow <- review(request.change, policy, context, snapshot),
          recorded = Audit.append(gateway, Record.decision(request, :allow), ctx.patience),
          :allow <- Audit.verdict(recorded, facts, policy.audit_required) do

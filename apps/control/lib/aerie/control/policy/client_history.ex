@@ -5,8 +5,9 @@ defmodule Aerie.Control.Policy.ClientHistory do
   two connections has one history.
 
   A row is `{{owner, kind, detail}, value, until}`; it counts until then (monotonic µs). An owner is a principal, never
-  a connection: there are as many as the configuration names. Each has room for 500 rows of each kind whatever the
-  others do, and for 4,000 while there are fewer than 20,000 in all; there are never more than 40,000.
+  a connection: there are as many as the configuration names; or a vehicle, for the plans that are written to it.
+  Each has room for 500 rows of each kind whatever the others do, and for 4,000 while there are fewer than 20,000 in
+  all; there are never more than 40,000.
   """
 
   alias Aerie.Base.{Names, Store}

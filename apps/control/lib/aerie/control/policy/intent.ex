@@ -29,6 +29,7 @@ defmodule Aerie.Control.Policy.Intent do
     path: :none,
     sweep: nil,
     sets: [],
+    enters: [],
     moves?: false,
     stored?: false,
     ends_flight?: false,
@@ -122,6 +123,9 @@ defmodule Aerie.Control.Policy.Intent do
           }
           | :unknown
 
+  @typedoc "Where a vehicle goes on with its mission: at an item, a tag, its landing, or its current item."
+  @type entry :: {:item | :tag, integer()} | :landing | :current
+
   @typedoc "A parameter and its new value, nil if that is not known."
   @type setting :: {name :: String.t() | nil, number() | nil}
 
@@ -160,6 +164,7 @@ defmodule Aerie.Control.Policy.Intent do
           path: path(),
           sweep: sweep(),
           sets: [setting()],
+          enters: [entry()],
           moves?: boolean(),
           stored?: boolean(),
           switches: switches() | nil,
@@ -183,6 +188,9 @@ defmodule Aerie.Control.Policy.Intent do
     GUIDED_COURSE OFFBOARD FOLLOW FOLLOWME AUTO_FOLLOW_TARGET THROW AVOID_ADSB AUTO_RTL) ++
                    ["NAV LAUNCH", "NAV WP", "AUTOPILOT"]
   @lifting_standard ~w(mission takeoff)
+  # Commands and modes by which a vehicle goes on with its mission.
+  @enters %{"mission_start" => [:current], "resume" => [:current], "land_start" => [:landing]}
+  @mission_modes ["AUTO", "AUTO_MISSION", "MISSION", "NAV WP"]
   # They are never in the air.
   @grounded ~w(rover boat sub tracker)
 
@@ -289,7 +297,9 @@ defmodule Aerie.Control.Policy.Intent do
       ends_flight?: type.name in @ending
     }
 
-    %{facts | implies: Map.get(@implies, name, [])} |> struct!(fields) |> by_mode()
+    %{facts | implies: Map.get(@implies, name, []), enters: Map.get(@enters, name, [])}
+    |> struct!(fields)
+    |> by_mode()
   end
 
   @doc "What works nothing, but for the fields that are given (`t:switches/0`)."
@@ -338,9 +348,12 @@ defmodule Aerie.Control.Policy.Intent do
     ends? = if modes == [], do: standard in @ending_standard, else: Enum.all?(modes, &(&1 in @ending_modes))
     lifts? = Enum.any?(modes, &lifts?/1) or standard in @lifting_standard
 
+    enters? = Enum.any?(modes, &(&1 in @mission_modes)) or standard == "mission"
+
     %{
       facts
       | ends_flight?: ends?,
+        enters: if(enters?, do: [:current], else: facts.enters),
         implies: Enum.uniq(facts.implies ++ if(lifts?, do: ["takeoff"], else: [])),
         also: Enum.uniq(facts.also ++ if(@termination in modes, do: [:terminate], else: []))
     }
@@ -397,6 +410,8 @@ defmodule Aerie.Control.Policy.Intent do
   defp asked("take_control", params), do: [control: {:take, params[:reason], nil}]
   defp asked("hand_over_control", params), do: [control: {:offer, params[:to] || :anyone}]
   defp asked("release_control", _params), do: [control: :release]
+  defp asked("mission_set_current", %{seq: seq}), do: [enters: [{:item, seq}]]
+  defp asked("jump", %{tag: tag}), do: [enters: [{:tag, tag}]]
   defp asked("set_geofence", %{enabled: false}), do: [also: [:protection]]
   # The fence and the failsafes are reset, too.
   defp asked("reset_params", _params), do: [also: [:protection]]

@@ -17,8 +17,8 @@ defmodule Aerie.Control.Policy.Mavlink do
   An item of a mission needs `mission`, and what its command needs if that is more than an operator has. Parameters and files that protect
   a vehicle, and a fence that is removed, need `protection` besides (`Aerie.Control.Policy.Protection`).
 
-  Items of a mission come one by one: `Aerie.Control.Policy.Mavlink.Upload` remembers where the last one was, so that the way from it is
-  judged, too.
+  Items of a mission come one by one: `Aerie.Control.Policy.Mavlink.Upload` remembers where the last one was, so
+  that the way from it is judged, and `Aerie.Control.Policy.Mavlink.Writing` all of them.
   """
 
   alias Authority
@@ -139,7 +139,9 @@ defmodule Aerie.Control.Policy.Mavlink do
     do: own("mission_upload", :mission, [besides: ["fence_upload", "rally_upload"]] ++ removed(@fence, 0))
 
   defp read(%M.MissionClearAll{mission_type: type}, _vehicle), do: upload(type, removed(type, 0))
-  defp read(%M.MissionSetCurrent{}, _vehicle), do: Intent.named("mission_set_current")
+
+  defp read(%M.MissionSetCurrent{seq: seq}, _vehicle),
+    do: Intent.named("mission_set_current", enters: [{:item, seq}])
 
   # ArduPilot's way to say "go there now" and "be that high now": it stores no such item. Other firmwares do, and an
   # unknown one may do either.
@@ -173,9 +175,10 @@ defmodule Aerie.Control.Policy.Mavlink do
 
   defp read(%module{} = m, vehicle) when module in [M.MissionItem, M.MissionItemInt], do: item(m, vehicle)
 
-  defp read(%M.FencePoint{lat: lat, lng: lon, idx: n, count: count}, _vehicle) do
+  defp read(%M.FencePoint{lat: lat, lng: lon, idx: n}, _vehicle) do
     place = %{lat: lat, lon: lon, height: :same}
-    upload(@fence, [path: {:at, [place]}, what: "fence point #{n}"] ++ removed(@fence, count))
+    # It changes the fence in place, whatever was there.
+    upload(@fence, path: {:at, [place]}, what: "fence point #{n}", also: [:protection])
   end
 
   defp read(%M.RallyPoint{lat: lat, lng: lon, alt: metres, idx: n}, _vehicle),

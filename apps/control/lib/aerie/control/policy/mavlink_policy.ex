@@ -37,8 +37,6 @@ defmodule Aerie.Control.Policy.MavlinkPolicy do
   # How long repeats of a text are counted, and how many texts a client has for each vehicle.
   @kept_us 60_000_000
   @texts 2_048
-  # A vehicle gives an upload up long before.
-  @upload_us 600_000_000
   # Frames of streams and of uploads are too many for the log; what they begin with is in it.
   @recorded [
     M.CommandLong,
@@ -121,9 +119,11 @@ defmodule Aerie.Control.Policy.MavlinkPolicy do
         # Nothing is remembered before the role has been asked, nor of a vehicle that does not exist.
         decision =
           with :allow <- Policy.admit(policy, facts, context),
-               facts = on_the_way(facts, message, gateway, sender, snapshot),
+               facts = Mavlink.Writing.on_the_way(facts, message, gateway, sender, snapshot),
                :ok <- rate(policy, gateway, source.name, snapshot, facts),
                :allow <- Policy.decide(policy, facts, context),
+               :allow <- Mavlink.Writing.written(policy, gateway, snapshot, message, facts, context),
+               :allow <- Mavlink.Writing.entered(policy, gateway, snapshot, facts, context),
                :allow <- recorded(gateway, facts, policy.audit_required),
                do: in_charge(policy, gateway, key, facts, {source, snapshot})
 
@@ -166,31 +166,6 @@ defmodule Aerie.Control.Policy.MavlinkPolicy do
 
   defp facts(message, snapshot),
     do: Mavlink.facts(message, Map.take(snapshot, [:autopilot, :vehicle_type, :component]))
-
-  # From the item of the mission before it; from an unknown place when there was no room to remember that. A vehicle
-  # that was not heard yet takes no items.
-  defp on_the_way(%{type: "mission_upload"} = facts, message, gateway, sender, %{key: key}) do
-    now = System.monotonic_time(:microsecond)
-
-    next = fn last ->
-      case Mavlink.Upload.next(last, message, facts) do
-        {facts, ^last} -> {:keep, facts}
-        {facts, nil} -> {:put, facts, nil, now}
-        {facts, item} -> {:put, facts, item, now + @upload_us}
-      end
-    end
-
-    case ClientHistory.update(gateway, {sender.principal.name, :upload, {sender.endpoint, key}}, now, next) do
-      :full -> %{facts | path: :anywhere}
-      facts -> facts
-    end
-  end
-
-  defp on_the_way(%{type: "mission_upload", path: path} = facts, _message, _gateway, _sender, nil)
-       when path != :none,
-       do: %{facts | path: :anywhere}
-
-  defp on_the_way(facts, _message, _gateway, _sender, _snapshot), do: facts
 
   defp groups(nil), do: %{}
   defp groups(snapshot), do: snapshot.groups

@@ -9,10 +9,11 @@ defmodule Aerie.Control.Policy.Trial do
 
   alias Aerie.Control.Policy
   alias Aerie.Control.Policy.{Context, Intent, Lease, Mavlink, Rate, Roles}
+  alias Aerie.Control.Policy.Mavlink.Writing
   alias Aerie.Vehicle.Command
 
   @enforce_keys [:policy]
-  defstruct [:policy, rate: Rate.new(), uploads: %{}, leases: %{}]
+  defstruct [:policy, rate: Rate.new(), uploads: %{}, plans: %{}, aboard: %{}, leases: %{}]
 
   # Clients of one recording; their uploads are few.
   @max_uploads 1_000
@@ -31,6 +32,8 @@ defmodule Aerie.Control.Policy.Trial do
           policy: Policy.t(),
           rate: Rate.t(),
           uploads: %{term() => Mavlink.Upload.t()},
+          plans: %{term() => Mavlink.Writing.RawPlan.t() | nil},
+          aboard: %{term() => [Aerie.Mission.Item.t()]},
           leases: %{String.t() => Lease.t() | nil}
         }
 
@@ -63,7 +66,7 @@ defmodule Aerie.Control.Policy.Trial do
 
       facts ->
         {facts, trial} = upload(trial, facts, message, asked)
-        judge(trial, facts, asked)
+        judge(trial, facts, Map.put(asked, :message, message))
     end
   end
 
@@ -99,10 +102,46 @@ defmodule Aerie.Control.Policy.Trial do
 
   defp decide(trial, facts, context, asked) do
     with :allow <- Policy.decide(trial.policy, facts, context),
+         {:allow, trial} <- written(trial, facts, context, asked),
+         :allow <- Writing.enters(trial.policy, asked.snapshot, facts, context, aboard(trial, asked, 0)),
          {:ok, trial} <- in_charge(trial, facts, asked) do
       {:allow, trial}
     else
+      {{:deny, _rule, _reason} = denied, trial} -> {denied, trial}
       denied -> {denied, trial}
+    end
+  end
+
+  defp written(trial, facts, context, %{message: message, snapshot: snapshot} = asked) do
+    with {type, part} <- Writing.plan(message, facts, snapshot) do
+      key = {snapshot.id, type}
+      about = {trial.policy, snapshot, context}
+      before = trial.plans[{key, part}]
+      {decision, plan, sent} = Writing.step(before, message, aboard(trial, asked, type), about, asked.at)
+
+      aboard =
+        case sent do
+          :same -> trial.aboard
+          nil -> Map.delete(trial.aboard, key)
+          items -> Map.put(trial.aboard, key, items)
+        end
+
+      plans = if map_size(trial.plans) < @max_uploads, do: trial.plans, else: %{}
+      {decision, %{trial | plans: Map.put(plans, {key, part}, plan), aboard: aboard}}
+    else
+      nil -> {:allow, trial}
+    end
+  end
+
+  defp written(trial, _facts, _context, _command), do: {:allow, trial}
+
+  # As the recording had it sent; what it did not show is not known.
+  defp aboard(trial, %{snapshot: %{id: id}}, type) do
+    fn ->
+      case trial.aboard do
+        %{{^id, ^type} => items} when type == 0 -> {:ok, items}
+        _not_sent -> :unknown
+      end
     end
   end
 

@@ -7,6 +7,7 @@ defmodule Aerie.Control.ReadCache.Vehicle do
 
   alias Aerie.Base.{Names, Store}
   alias Aerie.Control.{Missions, Params, ReadCache}
+  alias Aerie.Control.Policy.Mavlink.Writing.Aboard
   alias Aerie.Mission
   alias Aerie.Vehicle.Protocol
   alias MavRouter.Router.ReadCache.Requests
@@ -15,6 +16,10 @@ defmodule Aerie.Control.ReadCache.Vehicle do
 
   @listens Enum.map([M.ParamValue, M.MissionCurrent, M.MissionAck, M.MissionCount, M.HomePosition], & &1.id())
   @kinds %{0 => :mission, 1 => :fence, 2 => :rally}
+  # Whose reading is answered to nobody: the policy's.
+  @nobody {0, 0}
+  @fence 1
+  @fenced [:ardupilot, :px4]
   @max_stations 256
   @portion 20
   @portion_ms 5
@@ -28,6 +33,7 @@ defmodule Aerie.Control.ReadCache.Vehicle do
   def init(gateway: gateway, key: key) do
     Process.set_label({:serving, key})
     {:ok, tasks} = Task.Supervisor.start_link()
+    for type <- Map.keys(@kinds), do: Aboard.put(gateway, key, type, :read, nil)
 
     state = %{
       gateway: gateway,
@@ -72,6 +78,7 @@ defmodule Aerie.Control.ReadCache.Vehicle do
   defp station(part, from, message, endpoint, frame, state) do
     state = if part == :plans, do: met(state, from, endpoint), else: state
     {served, actions} = served(part).handle(Map.fetch!(state, part), {:station, message, from, now()})
+    if part == :plans, do: publish(state, served)
     {now, later} = Enum.split_with(actions, &forward?(&1, from, message))
     waits? = now == [] and waits?(message)
     state = if waits?, do: put_in(state.frames[{part, from}], {endpoint, frame}), else: state
@@ -90,6 +97,17 @@ defmodule Aerie.Control.ReadCache.Vehicle do
   defp forward?({:forward, from}, from, _message), do: true
   defp forward?({:forward, message, from}, from, message), do: true
   defp forward?(_other, _from, _message), do: false
+
+  @impl GenServer
+  def handle_cast({:learn, type}, state) do
+    state = known(state)
+
+    if state.vehicle == nil or Mission.Responder.fresh?(state.plans, type),
+      do: {:noreply, state},
+      else:
+        {:noreply,
+         event(state, :plans, {:station, %M.MissionRequestList{mission_type: type}, @nobody, now()})}
+  end
 
   @impl GenServer
   def handle_info({:frames, frames}, state), do: {:noreply, Enum.reduce(frames, state, &receive_frame/2)}
@@ -143,14 +161,30 @@ defmodule Aerie.Control.ReadCache.Vehicle do
 
   defp begun(%{vehicle: %{autopilot: autopilot}} = state) do
     protocol = Protocol.of(autopilot)
+    for type <- Map.keys(@kinds), do: Aboard.put(state.gateway, state.key, type, :read, nil)
+    # A new fence is compared with it, for those without the permission to take it away.
+    if autopilot in @fenced, do: GenServer.cast(self(), {:learn, @fence})
     %{state | params: Params.Responder.new(protocol.param_encoding()), plans: Mission.Responder.new(protocol)}
   end
 
   defp receive_frame(frame, %{vehicle: %{component: component}} = state) when frame.component == component do
     case MavCodec.decode(frame) do
-      {:ok, %M.ParamValue{} = message} -> event(state, :params, {:vehicle, message, now()})
-      {:ok, message} -> event(state, :plans, {:vehicle, message, now()})
-      {:error, _unknown} -> state
+      {:ok, %M.ParamValue{} = message} ->
+        event(state, :params, {:vehicle, message, now()})
+
+      {:ok, %M.MissionAck{mission_type: type, type: error} = message} when error != 0 and type in 0..2 ->
+        Aboard.put(state.gateway, state.key, type, :sent, nil)
+        event(state, :plans, {:vehicle, message, now()})
+
+      {:ok, %M.MissionAck{mission_type: @fence, type: 0} = message} ->
+        GenServer.cast(self(), {:learn, @fence})
+        event(state, :plans, {:vehicle, message, now()})
+
+      {:ok, message} ->
+        event(state, :plans, {:vehicle, message, now()})
+
+      {:error, _unknown} ->
+        state
     end
   end
 
@@ -161,7 +195,16 @@ defmodule Aerie.Control.ReadCache.Vehicle do
 
   defp event(state, part, event) do
     {served, actions} = served(part).handle(Map.fetch!(state, part), event)
+    if part == :plans, do: publish(state, served)
     Enum.reduce(actions, Map.put(state, part, served), &act(&1, &2, part))
+  end
+
+  # What the vehicle has, for the policy.
+  defp publish(%{gateway: gateway, key: key, plans: before}, after_) do
+    for type <- Map.keys(@kinds), before.plans[type] != after_.plans[type] do
+      plan = after_.plans[type]
+      Aboard.put(gateway, key, type, :read, plan && Tuple.to_list(plan.items))
+    end
   end
 
   defp served(:params), do: Params.Responder

@@ -635,6 +635,45 @@ defmodule Aerie.Control.Policy.MavlinkPolicyTest do
            ] = answers(gcs, 3)
   end
 
+  test "an upload is judged whole with its jumps, and a mission that is entered by the way there", c do
+    # Both are in the corners of a field whose middle is cut out; the way leads round it.
+    hole = "[[8.009, 47.009], [8.011, 47.009], [8.011, 47.011], [8.009, 47.011]]"
+    File.write!(c.section.geofence_file, String.replace(@fence, "[8.0, 47.02]]]", "[8.0, 47.02]], #{hole}]"))
+    :ok = Policy.Store.put(c.gateway, c.section)
+    gcs = client(c.gateway, "operator")
+    to = %M.MissionItemInt{target_system: 1, target_component: 1, frame: 6, command: 16, z: 20.0}
+    at = &%{to | seq: &1, x: &2, y: &3}
+
+    round = [
+      at.(0, 0, 0),
+      at.(1, 470_010_000, 80_100_000),
+      at.(2, 470_100_000, 80_180_000),
+      at.(3, 470_190_000, 80_100_000)
+    ]
+
+    jump = %{to | seq: 4, frame: 2, command: 177, param1: 1.0, param2: -1.0}
+    count = %M.MissionCount{target_system: 1, target_component: 1}
+    current = %M.MissionSetCurrent{target_system: 1, target_component: 1}
+
+    # Nobody knows what is aboard.
+    say(gcs, %{current | seq: 3})
+    assert [%M.MissionCurrent{seq: 4}, %M.Statustext{} = unknown | _] = answers(gcs, 5)
+    assert unknown.text =~ "refused: a fence or a limit of height applies to"
+    for message <- [%{count | count: 5} | round] ++ [jump], do: say(gcs, message)
+    assert [%M.MissionCount{} | taken] = reached(gcs, c)
+    assert Enum.map(taken, & &1.seq) == [0, 1, 2, 3]
+    assert [%M.MissionAck{type: 14}, %M.Statustext{} = refused] = answers(gcs, 2)
+    assert refused.text =~ "refused: the straight way to mission item 4"
+
+    # Without the jump it is whole. From item 1 the vehicle gets to item 3 only through the hole.
+    known(c.gateway, %{position: %{lat: 47.001, lon: 8.01, alt_rel: 20.0, alt_msl: 520.0, heading: 0.0}})
+
+    for message <- [%{count | count: 4} | round] ++ [%{current | seq: 1}, %{current | seq: 3}],
+        do: say(gcs, message)
+
+    assert [%M.MissionCount{}, _0, _1, _2, _3, %M.MissionSetCurrent{seq: 1}] = reached(gcs, c)
+  end
+
   test "a vehicle of which nothing is known is refused what needs to be known, and a new policy counts at once",
        c do
     Store.put_vehicle(c.gateway, {"main", 1}, %{
@@ -741,6 +780,10 @@ defmodule Aerie.Control.Policy.MavlinkPolicyTest do
     for {role, n} <- Enum.with_index(~w(viewer operator admin)a), permissions <- [[], [:force_disarm]] do
       source = Policy.Roles.principal(:client, "#{role}-#{length(permissions)}", role, permissions)
       sender = %{endpoint: {"c", {n, permissions}}, owner: "c", peer: nil, principal: source}
+      # A vehicle of its own: an upload that one of them leaves unfinished counts for the next.
+      key = {"main", 100 + 10 * n + length(permissions)}
+      snapshot = %{snapshot | key: key, id: "VID-#{elem(key, 1)}"}
+      Store.put_vehicle(gateway, key, snapshot)
 
       asked = %{
         snapshot: snapshot,
@@ -754,7 +797,7 @@ defmodule Aerie.Control.Policy.MavlinkPolicyTest do
         Enum.map_reduce(frames, Trial.new(policy), fn frame, trial ->
           {:ok, message} = MavCodec.decode(frame)
           {judged, trial} = Trial.message(trial, message, asked)
-          live = MavlinkPolicy.decide(gateway, sender, {"main", 1}, frame)
+          live = MavlinkPolicy.decide(gateway, sender, key, frame)
 
           case judged do
             :free -> assert live == :forward or role == :viewer

@@ -19,7 +19,9 @@ defmodule Aerie.Control.Policy.FlightPath.Shaping do
         end)
   end
 
-  defp limited?(policy),
+  @doc "Whether a policy limits where vehicles fly."
+  @spec limited?(Policy.t()) :: boolean()
+  def limited?(policy),
     do: Enum.any?([policy.fence, policy.max_altitude, policy.min_altitude, policy.max_altitude_msl])
 
   defp wrong(nil, _set, _policy, _context), do: nil

@@ -186,6 +186,26 @@ defmodule Aerie.Control.Policy.Mavlink.Commands do
   defp asked("DO_AUX_FUNCTION", request, _row, _vehicle),
     do: AuxFunctions.facts(Request.int(request, 1), Request.int(request, 2))
 
+  # -1 leaves it where it is; the second parameter begins it again.
+  defp asked("DO_SET_MISSION_CURRENT", request, row, _vehicle) do
+    seq = Request.int(request, 1) || 0
+    again = if Request.int(request, 2) == 0, do: [], else: [{:item, 0}]
+    %{plain(row) | enters: [if(seq < 0, do: :current, else: {:item, seq}) | again]}
+  end
+
+  defp asked("DO_JUMP", request, row, _vehicle),
+    do: %{plain(row) | enters: [{:item, Request.int(request, 1) || 0}]}
+
+  defp asked("DO_JUMP_TAG", request, row, _vehicle),
+    do: %{plain(row) | enters: [{:tag, Request.int(request, 1) || 0}]}
+
+  defp asked("DO_LAND_START", _request, row, _vehicle), do: %{plain(row) | enters: [:landing]}
+
+  defp asked("MISSION_START", request, _row, _vehicle) do
+    first = Request.int(request, 1) || 0
+    Intent.named("mission_start", enters: [:current | if(first > 0, do: [{:item, first}], else: [])])
+  end
+
   # Known only by its number.
   defp asked("DO_SET_PARAMETER", _request, _row, _vehicle), do: Intent.set_parameters([nil])
 

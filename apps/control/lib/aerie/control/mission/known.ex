@@ -1,0 +1,61 @@
+defmodule Aerie.Control.Mission.Known do
+  @moduledoc """
+  What a vehicle has of a plan that the gateway sends: the policy judges by it what may take its place, and where a
+  mission leads that is begun (`Aerie.Control.Policy.Mavlink.Writing.Aboard`).
+  """
+
+  alias Aerie.Base.Names
+  alias Aerie.Control.Policy
+  alias Aerie.Control.Policy.{Context, Roles}
+  alias Aerie.Control.Policy.Mavlink.{Review, Writing}
+  alias Aerie.Control.Policy.Mavlink.Writing.Aboard
+  alias Aerie.Mission.Item
+  alias Aerie.Vehicle.Command.Result
+
+  @fence 1
+
+  @doc "Remembers the outcome of an upload, and gives it back; `snapshot` nil: there is no such vehicle."
+  @spec note(answer, Names.gateway(), map() | nil, 0..2, [Item.t()]) :: answer when answer: term()
+  def note(answer, _gateway, nil, _type, _items), do: answer
+
+  def note(answer, gateway, %{key: key}, type, items) do
+    whole? = match?({:ok, %Result{status: status}} when status in [:completed, :accepted], answer)
+    Aboard.put(gateway, key, type, :sent, if(whole?, do: items))
+    answer
+  end
+
+  @doc """
+  The review of a plan. Without the permission to take a fence away a source may put one in its place that keeps as
+  much; `read` reads the one aboard if it is not known.
+  """
+  @spec review(Policy.t(), Context.t(), {Names.gateway(), map()}, [Item.t()], 0..2, (-> {:ok, map()}
+                                                                                        | {:error, term()})) ::
+          :allow | {:deny, Policy.rule(), String.t()}
+  def review(policy, context, {gateway, snapshot}, items, type, read) do
+    vehicle = Map.take(snapshot, [:autopilot, :vehicle_type])
+
+    with :allow <- Review.plan(policy, items, type, vehicle, context),
+         :allow <- replaced(context, {gateway, snapshot}, items, type, read) do
+      :allow
+    else
+      {:deny, rule, _seq, reason} -> {:deny, rule, reason}
+    end
+  end
+
+  defp replaced(context, {gateway, snapshot}, items, @fence, read) do
+    if Roles.allowed?(context.source, :protection) do
+      :allow
+    else
+      with :unknown <- Aboard.items(gateway, snapshot.key, @fence),
+           {:error, _result} <- read.() do
+        {:deny, :role, nil,
+         "fence_upload needs the permission protection, because the fence aboard could not be read"}
+      else
+        {:ok, %{items: old}} -> Writing.kept(items, old)
+        {:ok, old} -> Writing.kept(items, old)
+      end
+    end
+  end
+
+  defp replaced(_context, _vehicle, _items, _type, _read), do: :allow
+end

@@ -24,7 +24,7 @@ defmodule Authority.Principal do
   @type t :: %__MODULE__{
           kind: kind(),
           name: String.t(),
-          role: :viewer | :operator | :admin | nil,
+          role: :viewer | :operator | :pilot | :admin | nil,
           permissions: [atom()],
           program: String.t() | nil,
           endpoint: {String.t(), term()} | nil,

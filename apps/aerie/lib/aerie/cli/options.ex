@@ -79,7 +79,7 @@ defmodule Aerie.CLI.Options do
     {:command, :string, "JSON", "with --check-policy: the command, or the name of a file that has it"},
     {:vehicle, :string, "JSON",
      ~s(with --check-policy: what is known about the vehicle, e.g. {"mode": {"armed": false}})},
-    {:role, :string, "ROLE", "with --check-policy: viewer, operator (the default) or admin"},
+    {:role, :string, "ROLE", "with --check-policy: viewer, operator (the default), pilot or admin"},
     {:permission, :keep, "NAME", "with --check-policy: a permission beyond the role's, e.g. force_disarm"},
     {:check_audit, :string, "FOLDER",
      "check an audit log, and exit: status 0 intact, 1 damaged or changed, 2 error"},

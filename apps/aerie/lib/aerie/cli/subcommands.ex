@@ -278,7 +278,7 @@ defmodule Aerie.CLI.Subcommands do
            "the folder of the recordings, or one of them (default: recorder.dir of FILE)"},
           {:ledger, :string, "DIR", "the folder of a ledger: its commands with the names of their senders"},
           {:as, :string, "WHO",
-           "judge senders that are known by their ids only as viewer, operator or admin, or as an id of policy.clients, " <>
+           "judge senders that are known by their ids only as viewer, operator, pilot or admin, or as an id of policy.clients, " <>
              "a name of policy.sources or of a key"},
           @json
         ],
@@ -317,7 +317,7 @@ defmodule Aerie.CLI.Subcommands do
         options: [
           {:name, :string, "NAME",
            "the source's name in the policy and the audit log (default: that of FILE)"},
-          {:role, :string, "ROLE", "viewer, operator (the default) or admin"}
+          {:role, :string, "ROLE", "viewer, operator (the default), pilot or admin"}
         ],
         more: "docs/commands.md describes the signature; docs/clients has programs that sign."
       },
@@ -327,7 +327,7 @@ defmodule Aerie.CLI.Subcommands do
         where: :gateway,
         module: Subcommand.User,
         arguments: [{"NAME", "a-z, 0-9, dot, underscore, hyphen"}],
-        options: [{:role, :string, "ROLE", "viewer, operator (the default) or admin"}]
+        options: [{:role, :string, "ROLE", "viewer, operator (the default), pilot or admin"}]
       },
       %Subcommand{
         name: "user list",

@@ -37,7 +37,7 @@ defmodule Aerie.CLI.NatsKeyTest do
           {["."], "give one with --name"},
           {["missing/ops.nk"], "cannot write"},
           {["two words.nk"], "give one with --name"},
-          {~w(a.nk --role king), "--role king: expected one of viewer, operator, admin"}
+          {~w(a.nk --role king), "--role king: expected one of viewer, operator, pilot, admin"}
         ] do
       assert {:error, text} = key(words, dir), inspect(words)
       assert text =~ said, inspect({words, text})

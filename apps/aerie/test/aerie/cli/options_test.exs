@@ -220,7 +220,7 @@ defmodule Aerie.CLI.OptionsTest do
           {~w(--check-policy g.yaml --command {} --sim 1), "leave out --sim"},
           {~w(--check-audit a --config b), "leave out --config"},
           {~w(--check-policy g.yaml --command {} --role boss),
-           "--role: expected viewer, operator, admin, got: boss"},
+           "--role: expected viewer, operator, pilot, admin, got: boss"},
           {~w(--check-policy g.yaml --command {} --permission all), "--permission: expected arm"},
           {~w(--check-polcy g.yaml), "did you mean --check-policy?"}
         ] do

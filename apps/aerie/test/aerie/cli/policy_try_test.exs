@@ -118,7 +118,7 @@ defmodule Aerie.CLI.PolicyTryTest do
     assert refused.(["--as", "robot"]) == %{"unknown" => 1}
 
     assert {2, "", why} = try_it([file, "--as", "nobody"], dir)
-    assert why =~ "--as: nobody is not known; expected viewer, operator, admin, field, robot"
+    assert why =~ "--as: nobody is not known; expected viewer, operator, pilot, admin, field, robot"
   end
 
   test "bad recordings are remarked on, and do not stop the others", %{tmp_dir: dir} do

@@ -6,7 +6,7 @@ defmodule Authority.Commands.Row do
   @enforce_keys [:id, :name, :class, :permission, :as_command, :as_item, :numbers]
   defstruct @enforce_keys
 
-  @permissions ~w(arm fly mission manual payload telemetry sensors maintain protection force_disarm terminate
+  @permissions ~w(arm fly mission manual payload telemetry sensors pilot maintain protection force_disarm terminate
                   receiver motors)a
 
   @typedoc """

@@ -41,7 +41,7 @@ defmodule FleetWeb.API.KeysTest do
     assert Keys.check(keys, "sha256:" <> digest) == {:error, :unknown}
 
     for {fields, words} <- [
-          {"role=boss", "role= expects viewer, operator, admin"},
+          {"role=boss", "role= expects viewer, operator, pilot, admin"},
           {"permissions=fly,all", "permissions= expects"},
           {"expires=soon", "expires= expects a day"},
           {"colour=red", "expected KEY, NAME KEY"},

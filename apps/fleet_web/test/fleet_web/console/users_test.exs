@@ -52,7 +52,8 @@ defmodule FleetWeb.Console.UsersTest do
           {"", "expected JSON"},
           {"[]", "expected JSON"},
           {~s({"users": [1]}), "users[0]: expected name, role and password"},
-          {String.replace(one, "operator", "boss"), "users[0]: expected the role viewer, operator, admin"},
+          {String.replace(one, "operator", "boss"),
+           "users[0]: expected the role viewer, operator, pilot, admin"},
           {String.replace(one, "ann", "Ann Lee"), "users[0]: a name has"},
           {String.replace(one, @stored, "secret-text"), "users[0].password: expected pbkdf2-sha256"},
           {~s({"users": [#{String.duplicate("1,", 40_000)}1]}), "larger than"}

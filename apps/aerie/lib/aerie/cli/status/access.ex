@@ -87,8 +87,8 @@ defmodule Aerie.CLI.Status.Access do
   defp source(listed, id), do: entry(listed, id) || @unlisted
 
   defp may(%{role: :viewer}), do: "look on (viewer)"
-  defp may(%{role: :operator} = source), do: "look on and command vehicles (#{named(source)})"
   defp may(%{role: :admin} = source), do: "look on, command and maintain vehicles (#{named(source)})"
+  defp may(source), do: "look on and command vehicles (#{named(source)})"
 
   # Missing permissions of a role are listed by name.
   defp named(%{role: role, permissions: permissions}), do: Enum.join([role | permissions], ", ")

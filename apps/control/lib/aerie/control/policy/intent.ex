@@ -197,7 +197,7 @@ defmodule Aerie.Control.Policy.Intent do
   # PX4's mode that is the end of a flight.
   @termination "TERMINATION"
 
-  @transfers ~w(mission_upload fence_upload rally_upload set_parameter write_file payload raw)
+  @transfers ~w(mission_upload fence_upload rally_upload set_parameter write_file erase_logs payload raw)
 
   @doc "Types outside the table of commands: other requests of raw MAVLink (`Aerie.Control.Policy.Mavlink`)."
   @spec raw() :: [String.t()]

@@ -9,7 +9,8 @@ defmodule Aerie.Control.Policy.Mavlink do
   |---|---|---|
   | `mission_upload`, `fence_upload`, `rally_upload` | MISSION_COUNT, MISSION_ITEM(_INT), MISSION_WRITE_PARTIAL_LIST, MISSION_CLEAR_ALL, FENCE_POINT, RALLY_POINT | `mission` |
   | `set_parameter` | PARAM_SET, PARAM_EXT_SET, PARAM_MAP_RC | `maintain`; a camera's PARAM_EXT_SET `payload` |
-  | `write_file` | FILE_TRANSFER_PROTOCOL with an operation that writes; LOG_ERASE | `maintain` |
+  | `write_file` | FILE_TRANSFER_PROTOCOL with an operation that writes | `maintain` |
+  | `erase_logs` | LOG_ERASE | `maintain` |
   | `aux_function` | DO_AUX_FUNCTION, as far as it is not another command by another name (`Aerie.Control.Policy.Mavlink.AuxFunctions`) | by function |
   | `mav_cmd_N` | a command that has no type of its own | by its row (`Authority.Commands`) |
   | `raw` | every other message that changes a vehicle, and those that cannot be read | `maintain` |
@@ -234,7 +235,7 @@ defmodule Aerie.Control.Policy.Mavlink do
   # It starts and stops the log; its receipts for the blocks of a log change nothing, and are many.
   defp read(%M.RemoteLogBlockStatus{seqno: seqno}, _vehicle) when seqno not in @log_orders, do: :free
 
-  defp read(%M.LogErase{}, _vehicle), do: own("write_file", :maintain)
+  defp read(%M.LogErase{}, _vehicle), do: own("erase_logs", :maintain)
   defp read(%M.RequestDataStream{}, _vehicle), do: Intent.named("set_message_interval")
   defp read(%module{}, _vehicle) when module in @payload, do: own("payload", :payload)
   defp read(_other, _vehicle), do: unreadable()

@@ -5,7 +5,7 @@ defmodule Aerie.Control.Policy.Page do
   them.
   """
 
-  alias Authority.{Commands, Messages, Principal, Shaping}
+  alias Authority.{Commands, Messages, Pilot, Principal, Shaping}
   alias Aerie.Vehicle.Command.Page, as: Markdown
   alias Aerie.Vehicle.Command.Type
   alias Aerie.Control.Policy
@@ -21,12 +21,33 @@ defmodule Aerie.Control.Policy.Page do
     {"anybody on a link with `gcs: allow`", %{side: :vehicle, commands: true, local: false}},
     {"anybody else on a link, a ground station included", %{side: :vehicle, commands: false, local: false}}
   ]
-  @keys [viewer: "`role=viewer`", operator: "`role=operator`", admin: "`role=admin`"]
+  @keys for role <- Roles.all(), do: {role, "`role=#{role}`"}
 
   @doc "The sections of docs/policy.md by their names."
   @spec sections() :: %{String.t() => String.t()}
-  def sections,
-    do: %{"ways" => ways(), "messages" => messages(), "mav-commands" => commands(), "shaping" => shaping()}
+  def sections do
+    %{
+      "ways" => ways(),
+      "roles" => roles(),
+      "pilot" => pilot(),
+      "messages" => messages(),
+      "mav-commands" => commands(),
+      "shaping" => shaping()
+    }
+  end
+
+  defp roles do
+    may = fn role -> if(Roles.permissions(role) == [], do: "look on", else: list(Roles.permissions(role))) end
+    Markdown.table(["role", "may"], for(role <- Roles.all(), do: ["`#{role}`", may.(role)]))
+  end
+
+  defp pilot do
+    rows =
+      for {name, least, most, unit, what} <- Pilot.all(),
+          do: ["`#{name}`", what, "#{least} to #{most} #{unit}"]
+
+    Markdown.table(["parameter", "is", "bounds"], rows)
+  end
 
   @doc "The parameters that shape paths, and how many metres one counts that is not known."
   @spec shaping() :: String.t()

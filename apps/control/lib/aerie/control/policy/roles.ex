@@ -6,6 +6,7 @@ defmodule Aerie.Control.Policy.Roles do
   |---|---|
   | `viewer` | look on |
   | `operator` | `arm`, `fly`, `mission`, `manual`, `payload`, `telemetry`, `sensors` |
+  | `pilot` | the same, and `pilot`: heights and speeds, home in flight, the vehicle's own fence, its logs |
   | `admin` | the same, and `maintain` and `protection` |
 
   No role includes `force_disarm` and `terminate`, which can bring a vehicle down on somebody, nor `receiver` and `motors`, which arm vehicles with MSP
@@ -16,25 +17,33 @@ defmodule Aerie.Control.Policy.Roles do
   alias Aerie.Vehicle.Command.Type
 
   @operator [:arm, :fly, :mission, :manual, :payload, :telemetry, :sensors]
-  @roles %{viewer: [], operator: @operator, admin: [:maintain, :protection | @operator]}
+  @pilot [:pilot | @operator]
+  # From the one that may least.
+  @roles [viewer: [], operator: @operator, pilot: @pilot, admin: [:maintain, :protection | @pilot]]
+  @names Keyword.keys(@roles)
   @own [:force_disarm, :terminate, :receiver, :motors]
 
-  @type role :: :viewer | :operator | :admin
+  @type role :: :viewer | :operator | :pilot | :admin
 
   @typedoc "Who commands, as authentication found out: a name for people, a role, and permissions beyond the role."
   @type source :: Principal.t()
 
   @doc "All roles, from the one that may least."
   @spec all() :: [role(), ...]
-  def all, do: [:viewer, :operator, :admin]
+  def all, do: @names
+
+  @doc "The names of all roles, in words."
+  @spec text() :: String.t()
+  def text do
+    {others, [last]} = Enum.split(@names, -1)
+    Enum.join(others, ", ") <> " or #{last}"
+  end
 
   @doc "Whether a role may do what `least` may."
   @spec at_least?(role(), role()) :: boolean()
   def at_least?(role, least), do: rank(role) >= rank(least)
 
-  defp rank(:viewer), do: 0
-  defp rank(:operator), do: 1
-  defp rank(:admin), do: 2
+  defp rank(role), do: Enum.find_index(@names, &(&1 == role))
 
   @doc "The role with a name from outside."
   @spec parse(term()) :: {:ok, role()} | :error
@@ -55,7 +64,7 @@ defmodule Aerie.Control.Policy.Roles do
 
   @doc "The permissions of a role."
   @spec permissions(role()) :: [Type.permission()]
-  def permissions(role), do: Map.fetch!(@roles, role)
+  def permissions(role), do: Keyword.fetch!(@roles, role)
 
   @doc "Somebody with a role, and permissions beyond it."
   @spec principal(Principal.kind(), String.t(), role(), [Type.permission()]) :: Principal.t()

@@ -79,8 +79,8 @@ defmodule Aerie.Control.Policy.Settings do
   setting :clients,
           {:list, {:section, client_fields()}},
           """
-          What clients that send raw MAVLink may do. A client that no entry names, by its id or by one without an id, may do
-          everything, because the operator opened it.
+          What clients that send raw MAVLink may do. A client that no entry names, by its id or by one without an id, is an
+          operator on this machine (it writes no parameters), and a viewer beyond it.
           """,
           default: [],
           example: ~S([{id: field-laptop, role: operator}, {role: viewer}])
@@ -164,7 +164,7 @@ defmodule Aerie.Control.Policy.Settings do
   defp client_fields do
     [
       field(:id, Types.token(), "The client's id; all others if left out."),
-      field(:role, {:enum, Roles.all()}, "viewer, operator or admin.", default: :operator),
+      field(:role, {:enum, Roles.all()}, "#{String.capitalize(Roles.text())}.", default: :operator),
       field(:permissions, {:one_or_list, {:enum, Type.permissions()}}, "Permissions beyond the role's.",
         default: []
       )
@@ -175,7 +175,7 @@ defmodule Aerie.Control.Policy.Settings do
     [
       field(:name, Types.token(), "For people, rates and the audit log.", required: true),
       field(:nkey, :string, "Its public nkey (U…).", required: true),
-      field(:role, {:enum, Roles.all()}, "viewer, operator or admin.", default: :operator),
+      field(:role, {:enum, Roles.all()}, "#{String.capitalize(Roles.text())}.", default: :operator),
       field(:permissions, {:one_or_list, {:enum, Type.permissions()}}, "Permissions beyond the role's.",
         default: []
       ),

@@ -306,7 +306,7 @@ defmodule Aerie.Control.Policy.MavlinkPolicyTest do
           {item.(4, "INJECT_FAILURE"), "mission item 4 (INJECT_FAILURE)" <> guard},
           {struct!(%M.MissionClearAll{mission_type: 1}, to), "removing the fence" <> guard},
           {struct!(%M.MissionCount{mission_type: 1}, to), "removing the fence" <> guard},
-          {struct!(%M.LogErase{}, to), "erasing the logs" <> setup},
+          {struct!(%M.LogErase{}, to), "erasing the logs needs the permission maintain or pilot ("},
           {struct!(%M.FileTransferProtocol{payload: ftp.(8, "/fs/a.txt")}, to),
            "changing the file /fs/a.txt" <> setup},
           {long("DO_SET_MODE") |> Map.put(:command, 43_999),

@@ -46,7 +46,7 @@ defmodule FleetWeb.Console.Params.Page do
      )
      |> assign(
        filter: @all,
-       able: Roles.allowed?(socket.assigns.user, :maintain),
+       able: Enum.any?([:maintain, :pilot], &Roles.allowed?(socket.assigns.user, &1)),
        now: System.os_time(:microsecond)
      )
      |> relist()

@@ -78,7 +78,7 @@ defmodule FleetWeb.Console.Params.Parts do
       <p>{length(@file.entries)} parameters, {length(@differing)} differ from the vehicle{missing(@missing)}.</p>
       <p :for={remark <- @file.remarks} class="notice warn"><.icon name="alert" /> <span>{remark}</span></p>
       <.hold_button :if={@able and @differing != [] and @via == nil} id="params-load" event="command" icon="upload" value={%{shown: Listing.target(@vehicle, nil, @differing)}} phx-value-type="load">Set the {length(@differing)} that differ</.hold_button>
-      <p :if={not @able} class="hint">Setting parameters needs the permission maintain.</p>
+      <p :if={not @able} class="hint">Setting parameters needs the permission maintain or pilot.</p>
     </section>
     """
   end
@@ -143,7 +143,7 @@ defmodule FleetWeb.Console.Params.Parts do
         <.field id="param-value" name="value" label="New value" inputmode={if @row.type == "text", do: "text", else: "decimal"} autocomplete="off" value={@row.file || @row.value} errors={List.wrap(@error)} autofocus={true} />
         <.button type="submit" kind="primary">Set</.button>
       </form>
-      <p :if={not @able} class="hint">Setting parameters needs the permission maintain.</p>
+      <p :if={not @able} class="hint">Setting parameters needs the permission maintain or pilot.</p>
     </.dialog>
     """
   end

@@ -34,13 +34,14 @@ defmodule FleetWeb.Console.Plan.Outcome do
         phx-value-digest={@transfer.aboard.digest}
         phx-value-vehicle={@vehicle}
         disabled={not may_remove?(@transfer.aboard, @user)}
-        reason="Removing a fence needs the permission protection"
+        reason="Removing a fence needs the permission protection or pilot"
       >Remove the {name(@transfer.aboard.kind)} aboard {@vehicle}: {@transfer.aboard.text}</.hold_button>
     </section>
     """
   end
 
-  defp may_remove?(%{kind: kind}, user), do: kind != :fence or Roles.allowed?(user, :protection)
+  defp may_remove?(%{kind: kind}, user),
+    do: kind != :fence or Enum.any?([:protection, :pilot], &Roles.allowed?(user, &1))
 
   defp badge_kind(:ok), do: "ok"
   defp badge_kind(:none), do: "plain"

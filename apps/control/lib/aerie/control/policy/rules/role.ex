@@ -1,15 +1,17 @@
 defmodule Aerie.Control.Policy.Rules.Role do
   @moduledoc """
-  The source must have the permission that the command needs (`Aerie.Control.Policy.Roles`). Who moves home or the origin of a vehicle that may be
-  flying changes where it returns to and what its heights are measured from: that needs `protection`, too. A vehicle with MSP is armed and steered by
-  channels in the place of its pilot's, which needs `receiver`; `motors` is for turning its motors. One whose firmware
-  is not known may be such a vehicle.
+  The source must have the permission that the command needs (`Aerie.Control.Policy.Roles`). Who moves home or the origin
+  of a vehicle that may be flying changes where it returns to and what its heights are measured from: that needs
+  `protection` as well. A vehicle with MSP is armed and steered by channels in the place of its pilot's, which needs
+  `receiver`; `motors` is for turning its motors. One whose firmware is not known may be such a vehicle. `pilot` opens
+  some of what needs `maintain` or `protection` (`Aerie.Control.Policy.Rules.Role.Pilot`).
   """
 
   @behaviour Aerie.Control.Policy.Rules
 
   alias Aerie.Control.Policy.FlightPath.Shaping
   alias Aerie.Control.Policy.{Intent, Roles}
+  alias Aerie.Control.Policy.Rules.Role.Pilot
 
   # A vehicle may be one of these as long as it has not said what it is.
   @msp [:betaflight, :inav, :generic]
@@ -19,15 +21,18 @@ defmodule Aerie.Control.Policy.Rules.Role do
   def check(policy, facts, %{source: source} = context) do
     needed = [facts.permission | facts.also] ++ aloft(facts, context) ++ by_channels(facts, context)
 
-    case Enum.find(needed, &(not Roles.allowed?(source, &1))) do
-      nil ->
+    lacking = Enum.reject(needed, &Roles.allowed?(source, &1))
+    opens? = lacking != [] and Pilot.opens?(policy, facts, lacking)
+
+    case if(opens? and Roles.allowed?(source, :pilot), do: [], else: lacking) do
+      [] ->
         if Roles.allowed?(source, :protection),
           do: :ok,
           else: shaping(Shaping.refused(policy, facts, context))
 
-      lacking ->
+      [lacking | _more] ->
         {:deny,
-         "#{Intent.label(facts)} needs the permission #{lacking}" <>
+         "#{Intent.label(facts)} needs the permission #{lacking}#{if opens?, do: " or pilot"}" <>
            guards(facts, lacking) <> why(lacking, source) <> because(facts, lacking)}
     end
   end

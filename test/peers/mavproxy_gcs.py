@@ -13,7 +13,7 @@ import tempfile
 import threading
 import time
 
-MODULES = "cmdlong,param,mode,arm,wp,rc,link,misc,signing,battery"
+MODULES = "cmdlong,param,mode,arm,wp,rc,link,misc,signing,battery,ftp"
 
 
 class Proxy:
@@ -101,6 +101,9 @@ def flight(p, firmware, system, parameter, folder):
     p.type("param set %s %f" % (parameter, value + 1.5))
     p.until("param fetch %s" % parameter, r"%s = %s" % (parameter, re.escape("%.6f" % (value + 1.5))))
     say("set", True)
+
+    # Its first question is an operation that not every vehicle knows; after UnknownCommand it asks the older one.
+    say("files", p.until("ftp list /", r"Total size ([\d.]+) kByte", 20, 5.0).group(1))
 
     rows = [(16, 0, lat, lon, 0.0), (22, 3, lat, lon, 12.0), (16, 3, lat + 0.0003, lon, 15.0), (21, 3, lat, lon, 0.0)]
     up, down = os.path.join(folder, "up.txt"), os.path.join(folder, "down.txt")

@@ -61,7 +61,9 @@ defmodule Aerie.System.PeersTest do
     mavsdk = start_peer("mavsdk_gcs.py", ["udpout://127.0.0.1:#{udp}" | @px4])
     mavproxy = start_peer("mavproxy_gcs.py", ["tcp:127.0.0.1:#{tcp}" | @copter])
     assert_flown(findings(mavsdk), "[22, 16, 21]")
-    assert_flown(findings(mavproxy), "[16, 22, 16, 21]")
+    flown = findings(mavproxy)
+    assert_flown(flown, "[16, 22, 16, 21]")
+    assert %{"files" => _size} = flown
     assert_landed([c.copter, c.px4])
   end
 

@@ -321,6 +321,29 @@ defmodule Aerie.Control.Policy.MavlinkPolicyTest do
     end
   end
 
+  test "T: an operator's listing with times goes to the vehicle, and an operation without a definition is unknown",
+       c do
+    operator = Policy.Roles.principal(:client, "olga", :operator)
+    sender = %{endpoint: {"olga", 1}, owner: "olga", peer: nil, principal: operator}
+
+    ask = fn operation ->
+      payload = <<9::16-little, 1, operation, 1, 0, 0, 0, 0::32, "/", 0::size(238 * 8)>>
+      message = %M.FileTransferProtocol{target_system: 1, target_component: 1, payload: payload}
+      decided(c, sender, {"main", 1}, message)
+    end
+
+    for operation <- [3, 16], do: assert(ask.(operation) == :forward)
+
+    for {operation, error} <- [{17, 7}, {100, 7}, {8, 9}] do
+      assert {:refuse, [nak | _texts], nil} = ask.(operation)
+
+      {:ok, %M.FileTransferProtocol{payload: payload}} =
+        nak |> IO.iodata_to_binary() |> Frame.from_bytes(nil) |> MavCodec.decode()
+
+      assert <<10::16-little, 1, 129, 1, ^operation, 0, 0, 0::32, ^error, _::binary>> = payload
+    end
+  end
+
   test "roles: a viewer reaches no vehicle with anything, an operator maintains nothing", c do
     viewer = client(c.gateway, "viewer")
     say(viewer, long("COMPONENT_ARM_DISARM", param1: 1.0))

@@ -310,6 +310,10 @@ defmodule Aerie.Control.Policy.Intent do
   @spec most() :: [Type.permission(), ...]
   def most, do: [:terminate, :force_disarm, :protection, :maintain]
 
+  @doc "Whether a vehicle flies its mission in a mode."
+  @spec mission_mode?(String.t() | nil) :: boolean()
+  def mission_mode?(mode), do: mode != nil and String.upcase(mode) in @mission_modes
+
   @doc "The numbers of the buttons that are pressed, from 0."
   @spec pressed(non_neg_integer()) :: [0..31]
   def pressed(bits), do: for(n <- 0..31, (bits >>> n &&& 1) == 1, do: n)

@@ -105,6 +105,14 @@ defmodule Aerie.Control.Policy.Mavlink.Review do
     end
   end
 
+  @doc "The ways from an item of a mission on."
+  @spec onward(Policy.t(), [Item.t()], seq :: non_neg_integer(), Mavlink.vehicle(), Context.t()) ::
+          :allow | refusal()
+  def onward(policy, items, seq, vehicle, context) do
+    context = struct!(context, Map.take(vehicle, [:autopilot, :vehicle_type]))
+    fly([{seq, nil, seq}], MapSet.new(), flight(%{policy | min_altitude: nil}, items, vehicle, context))
+  end
+
   defp tags(items), do: for({seq, {%{command: @tag, params: {tag, _, _, _}}, _}} <- items, do: {tag, seq})
 
   # `to_do`: an item, where the vehicle is before it, and the number that its way is called by: its own, or that of

@@ -14,7 +14,7 @@ defmodule Aerie.Control.Policy.Mavlink.Writing do
   alias Aerie.Control.Policy.Mavlink.{Review, Upload}
   alias Aerie.Control.Policy.Mavlink.Writing.{Aboard, RawPlan}
   alias Aerie.Mission.Item
-  alias MavCodec.Messages.MissionClearAll
+  alias MavCodec.Messages.{MissionClearAll, MissionCount}
 
   @mission 0
   @fence 1
@@ -113,16 +113,17 @@ defmodule Aerie.Control.Policy.Mavlink.Writing do
     # Nothing has to be known to let it pass.
     aboard = if judged?, do: aboard, else: fn -> {:ok, []} end
 
-    case RawPlan.take(plan, message, aboard, now) do
-      {:ok, new} ->
-        {lists, own} = RawPlan.wholes(new)
+    with {:ok, new} <- RawPlan.take(plan, message, aboard, now),
+         flown? = judged? and in_place?(message, context),
+         {:ok, new} <- if(flown?, do: RawPlan.flown(new, plan, aboard), else: {:ok, new}) do
+      {lists, own} = RawPlan.wholes(new)
 
-        case if(judged?, do: judged(new, lists, about), else: :allow) do
-          :allow when own != nil -> {:allow, RawPlan.done(new), own}
-          :allow -> {:allow, new, if(is_map_key(message, :seq), do: :same)}
-          {:deny, rule, _seq, reason} -> {{:deny, rule, reason}, plan, :same}
-        end
-
+      case if(judged?, do: judged(new, lists, message, about), else: :allow) do
+        :allow when own != nil -> {:allow, RawPlan.done(new), own}
+        :allow -> {:allow, new, if(is_map_key(message, :seq), do: :same)}
+        {:deny, rule, _seq, reason} -> {{:deny, rule, reason}, plan, :same}
+      end
+    else
       {:deny, reason} when judged? ->
         {{:deny, if(type == @fence, do: :role, else: :geofence), reason}, plan, :same}
 
@@ -131,7 +132,20 @@ defmodule Aerie.Control.Policy.Mavlink.Writing do
     end
   end
 
-  defp judged(plan, lists, about),
+  # PX4 flies the old mission until the new one is whole.
+  defp in_place?(%MissionCount{mission_type: @mission}, context),
+    do: context.autopilot != :px4 and context.in_air != false and Intent.mission_mode?(context.mode)
+
+  defp in_place?(_message, _context), do: false
+
+  defp judged(%{flown: [_ | _]} = plan, lists, %{seq: seq} = message, {policy, snapshot, context} = about) do
+    vehicle = Map.take(snapshot, [:autopilot, :vehicle_type])
+
+    with :allow <- Review.onward(policy, RawPlan.mixed(plan), max(seq - 1, 0), vehicle, context),
+         do: judged(%{plan | flown: nil}, lists, message, about)
+  end
+
+  defp judged(plan, lists, _message, about),
     do: Enum.find_value(lists, :allow, fn items -> with :allow <- judge(plan, items, about), do: nil end)
 
   defp judge(%{before: nil}, items, {policy, snapshot, context}),

@@ -140,6 +140,35 @@ defmodule Aerie.Control.Policy.Mavlink.WritingTest do
     assert {:deny, :geofence, _} = last(List.replace_at(known, -1, part.(3, 9)), vehicle)
   end
 
+  test "while ArduPilot flies its mission, an item is judged with those of the old one behind it" do
+    flying = fn autopilot -> put_in(snapshot(autopilot).groups.mode.mode, "AUTO") end
+    old = [place(@west, 0), place(@west, 1), place(@north, 2), place(@east, 3)]
+
+    judge = fn messages, trial, vehicle ->
+      Enum.map_reduce(messages, trial, fn message, trial ->
+        {%{decision: decision}, trial} = Trial.message(trial, message, asked(vehicle))
+        {decision, trial}
+      end)
+    end
+
+    sent = fn messages, autopilot ->
+      # The old one is aboard before the vehicle flies it.
+      {_allowed, trial} = judge.([count(4) | old], Trial.new(policy()), snapshot(autopilot))
+      messages |> judge.(trial, flying.(autopilot)) |> elem(0)
+    end
+
+    # From the new item in the south the vehicle would fly on to the old one in the north.
+    new = [count(4), place(@west, 0), place(@south, 1), place(@east, 2), place(@east, 3)]
+    assert [:allow, :allow, {:deny, :geofence, reason} | _] = sent.(new, :ardupilot)
+    assert reason =~ ~s(enters the exclusion zone "tower")
+    assert Enum.all?(sent.(new, :px4), &(&1 == :allow))
+    same = [count(4), place(@west, 0), place(@west, 1), place({47.0151, 8.015}, 2), place(@east, 3)]
+    assert Enum.all?(sent.(same, :ardupilot), &(&1 == :allow))
+
+    assert [{:deny, :geofence, reason}] = decisions([count(4)], asked(flying.(:ardupilot)))
+    assert reason =~ "the one aboard is not known; the gateway reads it now"
+  end
+
   test "a mission that is entered: from where the vehicle is to the item, and on from there" do
     whole = [place(@west, 0), place(@west, 1), place(@north, 2), place(@east, 3), place({47.012, 8.025}, 4)]
 

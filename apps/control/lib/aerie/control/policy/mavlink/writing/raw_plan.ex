@@ -21,6 +21,7 @@ defmodule Aerie.Control.Policy.Mavlink.Writing.RawPlan do
     :count,
     :at,
     :before,
+    :flown,
     items: %{},
     sent: %{},
     earlier: %{},
@@ -32,14 +33,15 @@ defmodule Aerie.Control.Policy.Mavlink.Writing.RawPlan do
 
   @typedoc """
   `:items` - by their numbers; `:sent` - those that came; `:earlier` - those of uploads that were not finished, and
-  `:counts` how many these were to have; `:before` - the fence before it; `:part` - the
-  items of a partial write, which have to come in order; `:next` - the item that is due, in their order; `:done?` -
-  all came, and were judged.
+  `:counts` how many these were to have; `:before` - the fence before it; `:flown` - the mission that
+  the vehicle flies meanwhile; `:part` - the items of a partial write, which have to come in order; `:next` - the
+  item that is due, in their order; `:done?` - all came, and were judged.
   """
   @type t :: %__MODULE__{
           count: non_neg_integer() | nil,
           at: integer() | nil,
           before: [Item.t()] | nil,
+          flown: [Item.t()] | nil,
           items: %{non_neg_integer() => Item.t()},
           sent: %{non_neg_integer() => Item.t()},
           earlier: %{non_neg_integer() => Item.t()},
@@ -137,6 +139,31 @@ defmodule Aerie.Control.Policy.Mavlink.Writing.RawPlan do
   end
 
   defp counted(new, _plan, _message, _aboard), do: {:ok, new}
+
+  @doc "The plan for a vehicle that flies the one aboard: ArduPilot replaces it item by item, and flies what it has."
+  @spec flown(t(), t() | nil, aboard()) :: {:ok, t()} | {:deny, String.t()}
+  def flown(new, plan, aboard) do
+    case aboard.() do
+      {:ok, items} ->
+        {:ok, %{new | flown: items}}
+
+      :unknown when plan != nil and plan.flown != nil and not plan.done? ->
+        {:ok, %{new | flown: plan.flown}}
+
+      :unknown ->
+        {:deny,
+         "the vehicle flies its mission, and the one aboard is not known; the gateway reads it now: " <>
+           "try again, or hold the vehicle first"}
+    end
+  end
+
+  @doc "What a vehicle flies that has taken some items of the plan: these, and the others of the mission that it has."
+  @spec mixed(t()) :: [Item.t()]
+  def mixed(%{flown: flown, count: count, items: items}) do
+    old = for {item, seq} <- Enum.with_index(Enum.take(flown, count)), into: %{}, do: {seq, item}
+    all = Map.merge(old, items)
+    0..(count - 1)//1 |> Enum.take_while(&is_map_key(all, &1)) |> Enum.map(&all[&1])
+  end
 
   @doc "The plan after all of it was judged. If its items came in another order, the vehicle may still wait for one."
   @spec done(t()) :: t()

@@ -114,6 +114,48 @@ defmodule Aerie.System.AuthorityAttacksTest do
     c |> settle() |> reached_nothing([150], "another vehicle")
   end
 
+  test "each parameter that shapes a path needs `protection` beyond the limits; without it a speed passes",
+       %{tmp_dir: folder} do
+    fence = Path.join(folder, "fence.geojson")
+    ring = [[8.0, 47.0], [8.03, 47.0], [8.03, 47.02], [8.0, 47.02], [8.0, 47.0]]
+    File.write!(fence, JSON.encode!(%{"type" => "Polygon", "coordinates" => [ring]}))
+
+    clients = [
+      %{"id" => "marker", "role" => "operator"},
+      %{"id" => "operator-udp", "role" => "operator", "permissions" => ["maintain"]},
+      %{"id" => "admin-udp", "role" => "admin"}
+    ]
+
+    policy = %{
+      "geofence_file" => fence,
+      "max_altitude" => 60,
+      "clients" => clients,
+      "audit" => %{"dir" => Path.join(folder, "audit")}
+    }
+
+    c = start_authority(folder, [:operator, :admin], policy: policy)
+    rows = Authority.Shaping.all()
+    unknown = ~w(WP_NAVALT_MIN RTL_LOIT_TIME MIS_YAW_TMT)
+    names = Enum.map(rows, & &1.name) ++ unknown
+
+    for {client, system} <- [{"operator-udp", 211}, {"admin-udp", 212}] do
+      sets =
+        for {name, seq} <- Enum.with_index(names) do
+          set = %M.ParamSet{param_id: name, param_type: 9, param_value: 1.0e6}
+          encode(struct!(set, target_system: 1, target_component: 1), system, 190, seq)
+        end
+
+      Program.deliver(program(c, {:udp, client}), sets)
+    end
+
+    counts = settle(c)
+    # One that was delivered twice counts once.
+    id = M.ParamSet.id()
+    set = fn system -> Enum.count(Enum.uniq(for {{^id, ^system, _command, seq}, _n} <- counts, do: seq)) end
+    assert set.(212) == length(names)
+    assert set.(211) == Enum.count(rows, &(&1.shapes == :speed))
+  end
+
   test "a companion on a link with parts: true is an operator of its own vehicle", %{tmp_dir: folder} do
     parts = %{"id" => "parts", "url" => "udpin:127.0.0.1:0", "gcs" => "deny", "parts" => true}
     links = [%{"id" => "link-1", "url" => "udpin:0.0.0.0:0"}, parts]

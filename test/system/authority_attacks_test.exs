@@ -356,6 +356,42 @@ defmodule Aerie.System.AuthorityAttacksTest do
     assert count(settle(c), M.RcChannelsOverride.id(), 211) >= 1
   end
 
+  test "where a height is limited, an operator gives estimators nothing without `inputs`; corrections pass",
+       %{
+         tmp_dir: folder
+       } do
+    # An entry without an id is for `mavlink.sock`.
+    helper = [%{"role" => "operator", "permissions" => ["inputs"]}]
+    c = start_authority(folder, [], policy: %{"max_altitude" => 60}, clients: helper)
+    operator = program(c, {:tcp, "operator-tcp"})
+    helper = program(c, :unix)
+
+    inputs = fn system ->
+      [
+        encode(%M.GpsInput{lat: 7}, system),
+        encode(%M.HilGps{lat: 7}, system),
+        encode(%M.GlobalPositionInt{lat: 7}, system),
+        encode(%M.BatteryStatus{battery_remaining: 1}, system),
+        encode(%M.VisionPositionEstimate{x: 1.0}, system),
+        encode(%M.Odometry{x: 1.0}, system),
+        encode(%M.AttPosMocap{x: 1.0}, system),
+        encode(%M.LandingTarget{x: 1.0}, system),
+        encode(%M.DistanceSensor{current_distance: 7}, system),
+        encode(%M.ObstacleDistance{min_distance: 7}, system)
+      ]
+    end
+
+    reached = fn counts, system ->
+      Enum.sort(for {{id, ^system, _command, _seq}, _n} <- counts, id != M.Heartbeat.id(), uniq: true, do: id)
+    end
+
+    Program.deliver(operator, [station(211) | inputs.(211)] ++ [encode(%M.GpsRtcmData{len: 7}, 211)])
+    Program.deliver(helper, [station(212) | inputs.(212)])
+    counts = settle(c)
+    assert reached.(counts, 211) == [M.GpsRtcmData.id()]
+    assert reached.(counts, 212) |> length() == length(inputs.(212))
+  end
+
   describe "while a program is in charge" do
     setup %{tmp_dir: folder} do
       c = start_authority(folder, [])

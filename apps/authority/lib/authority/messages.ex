@@ -9,6 +9,7 @@ defmodule Authority.Messages do
   | `class` | see below |
   | `permission` | what a client, key or user needs so that the message goes to a vehicle; nil: theirs never does |
   | `crosses` | whether another vehicle's goes to a vehicle: `:never`, `:always`, or `:team` (only with `router.between_vehicles: all`) |
+  | `limited` | whether a client needs `inputs` as well where a fence or a limit of height is configured |
   | `part` | whether one of a part of the vehicle (a camera, a gimbal, a companion) goes to its autopilot, by a link with `parts: true` |
   | `order?` | whether a vehicle obeys or keeps it, which follows from the class; the policy judges orders one by one |
   | `per_minute` | how often the gateway asks a vehicle for somebody who may not ask it himself, for each such client; 0: never |
@@ -34,7 +35,7 @@ defmodule Authority.Messages do
   alias Authority.Messages.Rows
 
   @enforce_keys [:class]
-  defstruct [:class, :permission, crosses: :never, part: false, per_minute: 0, order?: false]
+  defstruct [:class, :permission, limited: false, crosses: :never, part: false, per_minute: 0, order?: false]
 
   # Messages that a vehicle obeys or stores. The others report, request, or inform.
   @orders [:stick, :setpoint, :command, :parameter, :mission, :file, :internal]
@@ -56,6 +57,7 @@ defmodule Authority.Messages do
   @type row :: %__MODULE__{
           class: class(),
           permission: atom() | nil,
+          limited: boolean(),
           crosses: :never | :team | :always,
           part: boolean(),
           per_minute: non_neg_integer(),

@@ -69,6 +69,20 @@ defmodule Authority.MessagesTest do
     end
   end
 
+  test "what may lead a vehicle around a fence is limited; corrections, terrain and clocks are not" do
+    for {name, %{limited: true} = row} <- rows(),
+        do: assert({row.permission, row.order?} == {:sensors, false}, name)
+
+    limited = names(for {_name, %{limited: true}} = row <- rows(), do: row)
+
+    assert ~w(GPS_INPUT HIL_GPS GLOBAL_POSITION_INT BATTERY_STATUS VISION_POSITION_ESTIMATE ODOMETRY ATT_POS_MOCAP
+              LANDING_TARGET DISTANCE_SENSOR OBSTACLE_DISTANCE COLLISION) -- limited == []
+
+    assert ~w(GPS_RTCM_DATA GPS_INJECT_DATA TERRAIN_DATA SYSTEM_TIME OPEN_DRONE_ID_SYSTEM RADIO_STATUS) --
+             limited ==
+             ~w(GPS_RTCM_DATA GPS_INJECT_DATA TERRAIN_DATA SYSTEM_TIME OPEN_DRONE_ID_SYSTEM RADIO_STATUS)
+  end
+
   test "names that speak of writing are orders" do
     assert [] = for({name, %{order?: false}} <- rows(), name =~ @writes, do: name)
   end

@@ -7,7 +7,7 @@ defmodule Authority.Commands.Row do
   defstruct @enforce_keys
 
   @permissions ~w(arm fly mission manual payload telemetry sensors pilot maintain protection force_disarm terminate
-                  receiver motors)a
+                  receiver motors inputs)a
 
   @typedoc """
   What a source must be allowed to do, as `t:Aerie.Vehicle.Command.Type.permission/0` describes it. It is the least that any form of the command

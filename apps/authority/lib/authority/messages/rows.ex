@@ -51,15 +51,17 @@ defmodule Authority.Messages.Rows do
     # A pilot's sticks to PX4, when they come from somebody else.
     {:telemetry, :manual, [], ~w(RC_CHANNELS)},
 
-    # Messages that an autopilot takes for the state of its own vehicle.
-    {:telemetry, :sensors, [part: true],
-     ~w(BATTERY_STATUS BATTERY_STATUS_V2 GENERATOR_STATUS EFI_STATUS ONBOARD_COMPUTER_STATUS CELLULAR_STATUS
+    # Messages that an autopilot takes for the state of its own vehicle; by the first a failsafe begins.
+    {:telemetry, :sensors, [part: true, limited: true],
+     ~w(BATTERY_STATUS BATTERY_STATUS_V2 GENERATOR_STATUS EFI_STATUS)},
+    {:telemetry, :sensors, [part: true], ~w(ONBOARD_COMPUTER_STATUS CELLULAR_STATUS
        DEBUG DEBUG_VECT DEBUG_FLOAT_ARRAY NAMED_VALUE_FLOAT NAMED_VALUE_INT NAMED_VALUE_STRING
        UAVIONIX_ADSB_TRANSCEIVER_HEALTH_REPORT OPEN_DRONE_ID_ARM_STATUS)},
     # Where others are, as a vehicle's own receiver hears them: avoidance.
-    {:telemetry, :sensors, [crosses: :team, part: true], ~w(ADSB_VEHICLE UTM_GLOBAL_POSITION AIS_VESSEL)},
+    {:telemetry, :sensors, [crosses: :team, part: true], ~w(ADSB_VEHICLE)},
+    {:telemetry, :sensors, [crosses: :team, part: true, limited: true], ~w(UTM_GLOBAL_POSITION AIS_VESSEL)},
     # Where one other is: avoidance and following.
-    {:telemetry, :sensors, [crosses: :team], ~w(GLOBAL_POSITION_INT COLLISION)},
+    {:telemetry, :sensors, [crosses: :team, limited: true], ~w(GLOBAL_POSITION_INT COLLISION)},
 
     # One answer in answer to one question.
     {:question, :telemetry, [per_minute: 60], ~w(PARAM_REQUEST_READ AUTOPILOT_VERSION_REQUEST)},
@@ -79,21 +81,24 @@ defmodule Authority.Messages.Rows do
        AIRLINK_AUTH_RESPONSE)},
 
     # Measurements of a companion, a receiver or a sensor for its autopilot.
-    {:input, :sensors, [part: true],
+    {:input, :sensors, [part: true, limited: true],
      ~w(VISION_POSITION_ESTIMATE VISION_SPEED_ESTIMATE VISION_POSITION_DELTA GLOBAL_VISION_POSITION_ESTIMATE
        VICON_POSITION_ESTIMATE ATT_POS_MOCAP ODOMETRY OPTICAL_FLOW OPTICAL_FLOW_RAD DISTANCE_SENSOR OBSTACLE_DISTANCE
        OBSTACLE_DISTANCE_3D LANDING_TARGET TARGET_RELATIVE TARGET_ABSOLUTE WHEEL_DISTANCE
-       GPS_INPUT GPS_INJECT_DATA GPS_RTCM_DATA GLOBAL_POSITION_SENSOR RANGING_BEACON TERRAIN_DATA
-       AIRSPEED HYGROMETER_SENSOR LOWEHEISER_GOV_EFI)},
+       GPS_INPUT GLOBAL_POSITION_SENSOR RANGING_BEACON AIRSPEED HYGROMETER_SENSOR LOWEHEISER_GOV_EFI)},
+    # Corrections and terrain, as ground stations send them as well.
+    {:input, :sensors, [part: true], ~w(GPS_INJECT_DATA GPS_RTCM_DATA TERRAIN_DATA)},
     # What a module for Remote ID and its autopilot tell each other.
     {:input, :sensors, [part: true],
      ~w(OPEN_DRONE_ID_BASIC_ID OPEN_DRONE_ID_SYSTEM OPEN_DRONE_ID_SYSTEM_UPDATE OPEN_DRONE_ID_OPERATOR_ID
        OPEN_DRONE_ID_SELF_ID OPEN_DRONE_ID_LOCATION OPEN_DRONE_ID_AUTHENTICATION OPEN_DRONE_ID_MESSAGE_PACK)},
-    # Clocks; what radios tell who is next to them, autopilots their parts, and simulators their autopilots.
+    # Simulators for their autopilots.
+    {:input, :sensors, [limited: true],
+     ~w(HIL_SENSOR HIL_GPS HIL_STATE HIL_STATE_QUATERNION HIL_OPTICAL_FLOW)},
+    # Clocks; what radios tell who is next to them, and autopilots their parts.
     {:input, :sensors, [],
      ~w(SYSTEM_TIME RADIO_STATUS RADIO MLRS_RADIO_LINK_STATS MLRS_RADIO_LINK_FLOW_CONTROL AUTOPILOT_STATE_FOR_GIMBAL_DEVICE
-       AUTOPILOT_STATE_FOR_GIMBAL_DEVICE_EXT UAVIONIX_ADSB_OUT_DYNAMIC
-       HIL_SENSOR HIL_GPS HIL_STATE HIL_STATE_QUATERNION HIL_OPTICAL_FLOW)},
+       AUTOPILOT_STATE_FOR_GIMBAL_DEVICE_EXT UAVIONIX_ADSB_OUT_DYNAMIC)},
     {:stick, :manual, [],
      ~w(MANUAL_CONTROL MANUAL_SETPOINT RC_CHANNELS_OVERRIDE RC_CHANNELS_OVERRIDE_V2 RADIO_RC_CHANNELS CUBEPILOT_RAW_RC
 )},

@@ -15,7 +15,8 @@ defmodule MavRouter.Router.Gate do
   - Telemetry, heartbeats, questions, input and answers of a client are `:cleared` if the client has the row's permission, and
     nobody else is in charge of the vehicle. Otherwise they go to clients only. A question of a client that may not ask is
     answered from the gateway's copies, or asked by the gateway (`MavRouter.Router.Gate.Questions`).
-  - Everything else of a client is judged by `MavRouter.Router.Policy`. A refused command goes nowhere, and is counted as `denied`.
+  - Everything else of a client is judged by `MavRouter.Router.Policy`, and so is input by which a vehicle may be led around a
+    fence (`limited` in the table). A refused command goes nowhere, and is counted as `denied`.
   - A message without a row reaches no vehicle, unless the policy opens it.
 
   A command for all systems is judged for each vehicle that it would reach, and goes to none if it is refused for one. A peer of
@@ -155,7 +156,8 @@ defmodule MavRouter.Router.Gate do
       %{class: :telemetry} when path.side == :vehicle ->
         [{:related, frame}]
 
-      %{order?: order?, permission: permission} = row when order? or permission == :manual ->
+      %{order?: order?, permission: permission, limited: limited?} = row
+      when order? or limited? or permission == :manual ->
         cond do
           question?(frame) ->
             if Principal.may?(principal, :telemetry),
@@ -256,7 +258,9 @@ defmodule MavRouter.Router.Gate do
           Counters.add(path.counters, :denied, 1)
           answer(answers, path, network)
           # A question, which needs its own permission.
-          instead |> List.wrap() |> Enum.flat_map(&decision(&1, principal, delivery))
+          if Messages.order?(frame.id),
+            do: instead |> List.wrap() |> Enum.flat_map(&decision(&1, principal, delivery)),
+            else: [{:clients, frame}]
       end
     end)
   end

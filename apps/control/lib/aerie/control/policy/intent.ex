@@ -197,7 +197,7 @@ defmodule Aerie.Control.Policy.Intent do
   # PX4's mode that is the end of a flight.
   @termination "TERMINATION"
 
-  @transfers ~w(mission_upload fence_upload rally_upload set_parameter write_file erase_logs payload raw)
+  @transfers ~w(mission_upload fence_upload rally_upload set_parameter write_file erase_logs payload sensor_input raw)
 
   @doc "Types outside the table of commands: other requests of raw MAVLink (`Aerie.Control.Policy.Mavlink`)."
   @spec raw() :: [String.t()]
@@ -262,6 +262,13 @@ defmodule Aerie.Control.Policy.Intent do
   def unknown_operation do
     label = "an operation on files that the gateway does not know"
     %__MODULE__{type: "write_file", permission: :maintain, label: label, also: [:protection]}
+  end
+
+  @doc "The facts of what a vehicle's estimators and failsafes are given, by the name of the message."
+  @spec sensor_input(String.t()) :: t()
+  def sensor_input(message) do
+    why = "a fence or a limit of height is configured, and #{message} may lead the vehicle around it"
+    %__MODULE__{type: "sensor_input", permission: :sensors, reasons: %{inputs: why}}
   end
 
   @doc "The facts of a file that is written, moved or removed, by its path."

@@ -10,6 +10,7 @@ defmodule Aerie.Control.Policy.Mavlink do
   | `mission_upload`, `fence_upload`, `rally_upload` | MISSION_COUNT, MISSION_ITEM(_INT), MISSION_WRITE_PARTIAL_LIST, MISSION_CLEAR_ALL, FENCE_POINT, RALLY_POINT | `mission` |
   | `set_parameter` | PARAM_SET, PARAM_EXT_SET, PARAM_MAP_RC | `maintain`; a camera's PARAM_EXT_SET `payload` |
   | `write_file` | FILE_TRANSFER_PROTOCOL with an operation that writes | `maintain` |
+  | `sensor_input` | what estimators and failsafes are given (`limited` of `Authority.Messages`) | `sensors`, `inputs` |
   | `erase_logs` | LOG_ERASE | `maintain` |
   | `aux_function` | DO_AUX_FUNCTION, as far as it is not another command by another name (`Aerie.Control.Policy.Mavlink.AuxFunctions`) | by function |
   | `mav_cmd_N` | a command that has no type of its own | by its row (`Authority.Commands`) |
@@ -27,6 +28,7 @@ defmodule Aerie.Control.Policy.Mavlink do
   alias Aerie.Control.Policy.Intent
   alias Aerie.Control.Policy.Mavlink.{Commands, Place, Request, Setpoints, Sticks, Wording}
   alias MavCodec.Enums.{MavCmd, MavFtpOpcode, MavMissionType, MavParamType, MavRemoteLogDataBlockCommands}
+  alias MavCodec.Dialects.All
   alias MavCodec.Messages, as: M
 
   @typedoc "What is known of the vehicle, as its snapshot has it: firmware, kind, its autopilot's component."
@@ -238,7 +240,13 @@ defmodule Aerie.Control.Policy.Mavlink do
   defp read(%M.LogErase{}, _vehicle), do: own("erase_logs", :maintain)
   defp read(%M.RequestDataStream{}, _vehicle), do: Intent.named("set_message_interval")
   defp read(%module{}, _vehicle) when module in @payload, do: own("payload", :payload)
-  defp read(_other, _vehicle), do: unreadable()
+
+  defp read(%module{}, _vehicle) do
+    case Authority.Messages.row(module.id()) do
+      %{limited: true} -> Intent.sensor_input(All.name(module.id()))
+      _another -> unreadable()
+    end
+  end
 
   @doc "The facts of what cannot be read, or is not known: only who may do everything may send it."
   @spec unreadable() :: Intent.t()

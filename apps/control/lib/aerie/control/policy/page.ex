@@ -101,12 +101,12 @@ defmodule Aerie.Control.Policy.Page do
     rows
     |> Enum.group_by(&elem(&1, 0), &elem(&1, 1))
     |> Enum.sort_by(fn {row, _names} ->
-      {order(row.class), row.permission, row.crosses, row.part, row.per_minute}
+      {order(row.class), row.permission, row.limited, row.crosses, row.part, row.per_minute}
     end)
     |> Enum.map(fn {row, names} ->
       [
         label(row.class),
-        if(row.permission, do: "`#{row.permission}`", else: "nobody"),
+        needs(row),
         who_else(row),
         if(row.per_minute > 0, do: "#{row.per_minute}", else: ""),
         names |> Enum.sort() |> Enum.join(", ")
@@ -114,6 +114,10 @@ defmodule Aerie.Control.Policy.Page do
     end)
     |> then(&Markdown.table(["class", "a client needs", "others", "asked a minute", "messages"], &1))
   end
+
+  defp needs(%{permission: nil}), do: "nobody"
+  defp needs(%{limited: true, permission: permission}), do: "`#{permission}`, and `inputs` where limited"
+  defp needs(%{permission: permission}), do: "`#{permission}`"
 
   @classes ~w(telemetry presence question answer input stick setpoint command parameter mission file internal)a
   defp order(class), do: Enum.find_index(@classes, &(&1 == class))

@@ -7,7 +7,7 @@ defmodule Aerie.Control.Policy.Roles do
   | `viewer` | look on |
   | `operator` | `arm`, `fly`, `mission`, `manual`, `payload`, `telemetry`, `sensors` |
   | `pilot` | the same, and `pilot`: heights and speeds, home in flight, the vehicle's own fence, its logs |
-  | `admin` | the same, and `maintain` and `protection` |
+  | `admin` | the same, and `maintain`, `protection` and `inputs` |
 
   No role includes `force_disarm` and `terminate`, which can bring a vehicle down on somebody, nor `receiver` and `motors`, which arm vehicles with MSP
   and turn their motors: they are given by name, to an operator or an admin.
@@ -19,7 +19,7 @@ defmodule Aerie.Control.Policy.Roles do
   @operator [:arm, :fly, :mission, :manual, :payload, :telemetry, :sensors]
   @pilot [:pilot | @operator]
   # From the one that may least.
-  @roles [viewer: [], operator: @operator, pilot: @pilot, admin: [:maintain, :protection | @pilot]]
+  @roles [viewer: [], operator: @operator, pilot: @pilot, admin: [:maintain, :protection, :inputs | @pilot]]
   @names Keyword.keys(@roles)
   @own [:force_disarm, :terminate, :receiver, :motors]
 

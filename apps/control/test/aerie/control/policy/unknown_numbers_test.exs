@@ -7,6 +7,7 @@ defmodule Aerie.Control.Policy.UnknownNumbersTest do
 
   alias Aerie.Control.Policy
   alias Aerie.Control.Policy.{Context, Intent, Mavlink, Roles}
+  alias MavCodec.Dialects.All
   alias MavCodec.Enums.MavCmd
   alias MavCodec.Frame
   alias MavCodec.Messages, as: M
@@ -65,6 +66,7 @@ defmodule Aerie.Control.Policy.UnknownNumbersTest do
   defp item(command, fields),
     do: struct!(%M.MissionItemInt{seq: 3, command: command}, Keyword.merge(@here, fields))
 
+  defp module(name), do: Module.concat(M, name |> String.downcase() |> Macro.camelize())
   defp rows(key, kinds), do: for(row <- Authority.Commands.all(), Map.fetch!(row, key) in kinds, do: row)
 
   test "a height that is not a number is refused where heights or places are limited, in every command and item",
@@ -181,6 +183,21 @@ defmodule Aerie.Control.Policy.UnknownNumbersTest do
     for vehicle <- [@ap, @px4, @unknown],
         current <- [2, 3],
         do: assert({:deny, :unknown, _} = judge(%{}, item(43_999, current: current), vehicle))
+  end
+
+  test "what estimators and failsafes are given needs `inputs` where anything is limited", c do
+    limited = for id <- All.ids(), Authority.Messages.row(id).limited, do: module(All.name(id))
+
+    for message <- Enum.map(limited, &struct!(&1, [])), vehicle <- [@ap, @px4, @unknown] do
+      for section <- [%{max_altitude_msl: 600} | c.limits] do
+        assert {:deny, :role, reason} = judge(section, message, vehicle, role: :operator, permissions: [])
+        assert reason =~ "needs the permission inputs"
+        assert judge(section, message, vehicle, role: :operator, permissions: [:inputs]) == :allow
+        assert judge(section, message, vehicle, role: :admin, permissions: []) == :allow
+      end
+
+      assert judge(%{}, message, vehicle, role: :operator, permissions: []) == :allow
+    end
   end
 
   test "a fence and rally points consist of their own commands, whatever `current` says" do

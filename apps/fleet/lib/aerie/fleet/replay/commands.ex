@@ -76,8 +76,8 @@ defmodule Aerie.Fleet.Replay.Commands do
 
   defp kind(nil, frame, machine), do: if(vehicle?(machine, frame), do: :nothing, else: :unknown)
 
-  defp kind(%{order?: order?, permission: permission}, frame, machine)
-       when order? or permission == :manual do
+  defp kind(%{order?: order?, permission: permission, limited: limited?}, frame, machine)
+       when order? or limited? or permission == :manual do
     cond do
       question?(frame) -> :nothing
       vehicle?(machine, frame) -> if(order? and other?(machine, frame), do: :vehicle, else: :nothing)

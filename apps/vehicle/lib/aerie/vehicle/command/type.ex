@@ -34,7 +34,8 @@ defmodule Aerie.Vehicle.Command.Type do
     * `:protection` - take away what protects a vehicle: its fence, its safety switch, its failsafes and checks
     * `:receiver` - take the place of the pilot's receiver, which is how vehicles with MSP are armed and steered; `:motors` - turn their
       motors on the ground
-    * `:sensors` - tell its estimators what they shall believe: positions, corrections
+    * `:sensors` - tell its estimators what they shall believe: positions, corrections; where a fence or a limit of
+      height is configured, `:inputs` as well for what may lead it around them
   """
   @type permission :: Row.permission()
 

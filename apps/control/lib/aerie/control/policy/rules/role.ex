@@ -19,7 +19,9 @@ defmodule Aerie.Control.Policy.Rules.Role do
 
   @impl Aerie.Control.Policy.Rules
   def check(policy, facts, %{source: source} = context) do
-    needed = [facts.permission | facts.also] ++ aloft(facts, context) ++ by_channels(facts, context)
+    needed =
+      [facts.permission | facts.also] ++
+        limited(policy, facts) ++ aloft(facts, context) ++ by_channels(facts, context)
 
     lacking = Enum.reject(needed, &Roles.allowed?(source, &1))
     opens? = lacking != [] and Pilot.opens?(policy, facts, lacking)
@@ -39,6 +41,11 @@ defmodule Aerie.Control.Policy.Rules.Role do
 
   defp shaping(nil), do: :ok
   defp shaping(why), do: {:deny, "set_parameter needs the permission protection: #{why}"}
+
+  # What a vehicle believes of where it is, and of its battery, leads it around a fence and a limit.
+  defp limited(%{fence: nil, max_altitude: nil, min_altitude: nil, max_altitude_msl: nil}, _facts), do: []
+  defp limited(_policy, %{type: "sensor_input"}), do: [:inputs]
+  defp limited(_policy, _facts), do: []
 
   defp aloft(%{type: type}, context) when type in ["set_home", "set_origin"] do
     flying? = if context.in_air == nil, do: context.armed != false, else: context.in_air

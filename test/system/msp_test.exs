@@ -341,6 +341,76 @@ defmodule Aerie.System.MspTest do
   </mission>
   """
 
+  test "one steers: neither another key nor another ground station with the same ids", %{tmp_dir: dir} do
+    alias MavCodec.Messages, as: M
+
+    c =
+      fly(
+        dir,
+        [:betaflight],
+        %{
+          "clients" => [%{"id" => "gcs", "url" => "tcpin:127.0.0.1:0"}],
+          "policy" => %{"clients" => [%{"id" => "gcs", "role" => "operator", "permissions" => ["receiver"]}]}
+        },
+        rx_msp: true
+      )
+
+    port = eventually(fn -> MavRouter.Link.snapshot(c.gateway, "gcs").port end, "the client's port is open")
+
+    [first, second] =
+      for _n <- 1..2 do
+        {:ok, socket} = :gen_tcp.connect({127, 0, 0, 1}, port, [:binary, active: false])
+        socket
+      end
+
+    say = fn socket, message ->
+      :ok = :gen_tcp.send(socket, MavCodec.encode(message, system: 255, component: 190))
+    end
+
+    sticks = &%M.ManualControl{target: 7, x: 0, y: 0, z: &1, r: 0}
+    arm = %M.CommandLong{target_system: 7, target_component: 1, command: 400, param1: 1.0}
+    armed = fn -> Msp.state(c.sims.betaflight).armed end
+    eventually(fn -> armed.() || (say.(first, arm) && false) end, "it is armed")
+
+    throttle = fn -> Enum.at(Msp.state(c.sims.betaflight).channels, 2) end
+    other = %{@commander | name: "carl"}
+
+    eventually(
+      fn ->
+        say.(first, sticks.(100))
+        say.(second, sticks.(900))
+        assert throttle.() <= 1100
+        throttle.() == 1100
+      end,
+      "the first one's sticks arrive"
+    )
+
+    # While it goes on, nobody else steers, by whichever way.
+    steering =
+      Task.async(fn ->
+        fn -> say.(first, sticks.(100)) && Process.sleep(20) end |> Stream.repeatedly() |> Stream.run()
+      end)
+
+    assert %{status: :denied, reason: reason} =
+             submit(c, :betaflight, "manual_control", %{throttle: 0.9}, other)
+
+    assert reason =~ ~r/gcs .*127.0.0.1:\d+.* steers it/
+    say.(second, sticks.(900))
+
+    told = fn frames ->
+      Enum.any?(frames, fn frame ->
+        match?({:ok, %M.Statustext{text: "refused: manual_control: gcs" <> _}}, MavCodec.decode(frame))
+      end)
+    end
+
+    heard(second, MavCodec.Parser.new(), told, [])
+    assert throttle.() == 1100
+    # But may disarm it.
+    assert %{status: :completed} = submit(c, :betaflight, "disarm", %{}, other)
+    Task.shutdown(steering, :brutal_kill)
+    refute armed.()
+  end
+
   test "iNav's mission: from mwp's file to the vehicle and back, stored, and there after a restart", %{
     tmp_dir: dir
   } do

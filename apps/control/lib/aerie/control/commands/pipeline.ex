@@ -204,6 +204,7 @@ defmodule Aerie.Control.Commands.Pipeline do
          :allow <- Policy.decide(policy, facts, context),
          :allow <- Writing.entered(policy, gateway, snapshot, facts, context),
          :allow <- review(request.change, policy, context, snapshot),
+         :allow <- Leases.steer(gateway, snapshot, facts, request.source, hold_us(ctx.command)),
          recorded = Audit.append(gateway, Record.decision(request, :allow), ctx.patience),
          :allow <- Audit.verdict(recorded, facts, policy.audit_required) do
       Record.decided(gateway, :allow, nil)
@@ -216,6 +217,10 @@ defmodule Aerie.Control.Commands.Pipeline do
         {:stop, :denied, rule, reason}
     end
   end
+
+  # The gateway repeats it for so long.
+  defp hold_us(%{params: %{hold: seconds}}) when is_number(seconds), do: round(seconds * 1_000_000)
+  defp hold_us(_command), do: 0
 
   defp review(%{review: review}, policy, context, snapshot) when review != nil,
     do: review.(policy, context, snapshot)

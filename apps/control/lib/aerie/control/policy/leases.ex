@@ -8,7 +8,7 @@ defmodule Aerie.Control.Policy.Leases do
 
   alias Aerie.Base.{Names, Store}
   alias MavRouter.Router
-  alias Aerie.Control.Policy.{Lease, Roles}
+  alias Aerie.Control.Policy.{Intent, Lease, Roles}
   alias Aerie.Base.PubSub
 
   @doc "The table that the store owns for this module."
@@ -28,6 +28,11 @@ defmodule Aerie.Control.Policy.Leases do
         lease
     end
   end
+
+  @doc "Whether a source may steer a vehicle with MSP: see `Aerie.Control.Policy.Lease.Steering`."
+  @spec steer(Names.gateway(), map() | nil, Intent.t(), Roles.source(), hold_us :: non_neg_integer()) ::
+          :allow | {:deny, :lease, String.t()}
+  defdelegate steer(gateway, snapshot, facts, source, hold_us \\ 0), to: Lease.Steering, as: :claim
 
   defp row(gateway, key),
     do: Store.with_table(gateway, :leases, nil, &:ets.lookup_element(&1, key, 2, nil))

@@ -125,6 +125,7 @@ defmodule Aerie.Control.Policy.MavlinkPolicy do
                :allow <- Policy.decide(policy, facts, context),
                :allow <- Mavlink.Writing.written(policy, gateway, snapshot, message, facts, context),
                :allow <- Mavlink.Writing.entered(policy, gateway, snapshot, facts, context),
+               :allow <- Leases.steer(gateway, snapshot, facts, source),
                :allow <- recorded(gateway, facts, policy.audit_required),
                do: in_charge(policy, gateway, key, facts, {source, snapshot})
 

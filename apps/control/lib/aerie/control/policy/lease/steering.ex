@@ -1,0 +1,81 @@
+defmodule Aerie.Control.Policy.Lease.Steering do
+  @arming_us 18_000_000
+  @begun_us 10_000_000
+  @sticks_us 1_000_000
+
+  @moduledoc """
+  The one source that steers a vehicle with MSP. Its session sends the channels of one source, which it knows by
+  system and component only, and those are the gateway's own for all of its keys and users, and the same for most
+  ground stations. So the principal is asked before that (`claim/5`): a key, a user, or a program by its connection.
+
+  It steers for #{div(@sticks_us, 1_000_000)} s after sticks, #{div(@begun_us, 1_000_000)} s after it chose a mode, and
+  #{div(@arming_us, 1_000_000)} s after it asked to arm, as the session waits for it (`Msp.Receiver`). Anyone with the
+  permission may disarm, which ends it.
+  """
+
+  alias Aerie.Base.Names
+  alias Aerie.Control.Policy.{ClientHistory, Intent, Lease, Roles}
+
+  @msp [:betaflight, :inav]
+  @until %{
+    "arm" => @arming_us,
+    "set_mode" => @begun_us,
+    "rtl" => @begun_us,
+    "hold" => @begun_us,
+    "manual_control" => @sticks_us,
+    "rc_override" => @sticks_us
+  }
+  @ends ~w(disarm force_disarm)
+  # The owner of the rows: they are of vehicles.
+  @owner :steering
+
+  @doc """
+  Whether a source may steer, by what it asks for of a vehicle's snapshot; from then on it does. `hold_us`: for how
+  long the gateway repeats its sticks.
+  """
+  @spec claim(Names.gateway(), map() | nil, Intent.t(), Roles.source(), hold_us :: non_neg_integer()) ::
+          :allow | {:deny, :lease, String.t()}
+  def claim(gateway, snapshot, facts, source, hold_us \\ 0)
+
+  def claim(gateway, %{autopilot: autopilot, key: key}, %{type: type}, _source, _hold_us)
+      when autopilot in @msp and type in @ends do
+    now = now()
+
+    update(gateway, key, now, fn
+      nil -> {:keep, :allow}
+      _somebody -> {:put, :allow, nil, now}
+    end)
+  end
+
+  def claim(gateway, %{autopilot: autopilot, key: key}, %{type: type}, source, hold_us)
+      when autopilot in @msp and is_map_key(@until, type) do
+    now = now()
+    who = {Map.get(source, :kind), Lease.who(source)}
+    until = now + @until[type] + hold_us
+
+    update(gateway, key, now, fn
+      {^who, _name, before} when type in ["set_mode", "rtl", "hold"] ->
+        put(who, max(before, now + @sticks_us))
+
+      {other, name, _until} when other != who ->
+        {:keep, {:deny, :lease, refusal(type, name)}}
+
+      _own_or_none ->
+        put(who, until)
+    end)
+  end
+
+  def claim(_gateway, _snapshot, _facts, _source, _hold_us), do: :allow
+
+  defp put({_kind, name} = who, until), do: {:put, :allow, {who, name, until}, until}
+
+  defp update(gateway, key, now, fun) do
+    with :full <- ClientHistory.update(gateway, {@owner, :steers, key}, now, fun),
+         do: {:deny, :lease, "too many vehicles are steered at once"}
+  end
+
+  defp refusal(type, name),
+    do: "#{type}: #{name} steers it, until it has sent nothing for a while; anyone who may can disarm it"
+
+  defp now, do: System.monotonic_time(:microsecond)
+end

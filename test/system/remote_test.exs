@@ -59,6 +59,7 @@ defmodule Aerie.System.RemoteTest do
         overrides: %{
           "vehicle_id" => @vehicle,
           "nats" => companion_nats(server, hub, dir),
+          "shadow" => shadow(dir),
           "remote" => %{"announce_s" => 0.5},
           "timeouts" => patient(),
           "policy" => %{
@@ -85,10 +86,14 @@ defmodule Aerie.System.RemoteTest do
             "announce_s" => 0.5,
             "nkey_seed_file" => seed
           },
+          "shadow" => shadow(dir),
           "vehicles" => [%{"system_id" => 1, "id" => @vehicle}]
         })
     ).gateway
   end
+
+  # Each believes the leases of the other one.
+  defp shadow(dir), do: %{"dir" => Path.join(dir, "shadow"), "key" => "the key of hub and companion"}
 
   # One server for both, that of the hub.
   defp hub_nats(nil, _host), do: %{}

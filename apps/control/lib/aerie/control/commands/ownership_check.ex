@@ -78,12 +78,16 @@ defmodule Aerie.Control.Commands.OwnershipCheck do
   end
 
   def handle(%{stage: :claiming} = state, {:claimed, :ok}), do: {%{state | stage: :claimed}, :go_on}
+
+  # It may arrive twice. Claims have no seal: any program that reaches NATS can make one.
+  def handle(%{stage: :claiming, urgent?: true} = state, {:claimed, _taken_or_error}),
+    do: {%{state | stage: :claimed}, :go_on}
+
   def handle(%{stage: :claiming} = state, {:claimed, {:taken, what}}), do: over(state, {:known, what})
 
-  # Nobody else could have claimed it, or it may arrive twice.
-  def handle(%{stage: :claiming, lease: lease, urgent?: urgent?} = state, {:claimed, {:error, _why}})
-      when lease == :alone or urgent?,
-      do: {%{state | stage: :claimed}, :go_on}
+  # Nobody else could have claimed it.
+  def handle(%{stage: :claiming, lease: :alone} = state, {:claimed, {:error, _why}}),
+    do: {%{state | stage: :claimed}, :go_on}
 
   def handle(%{stage: :claiming} = state, {:claimed, {:error, why}}),
     do: over(state, {:refuse, :claim, "its id could not be claimed where other gateways see it (#{why})"})

@@ -356,6 +356,50 @@ defmodule Aerie.System.AuthorityAttacksTest do
     assert count(settle(c), M.RcChannelsOverride.id(), 211) >= 1
   end
 
+  test "no item of a mission brings what its command may not, by any `current` and any `mission_type`", %{
+    tmp_dir: folder
+  } do
+    c = start_authority(folder, [])
+    operator = program(c, {:tcp, "operator-tcp"})
+    unknown = [43_999, 65_535]
+
+    names =
+      ~w(DO_FLIGHTTERMINATION DO_PARACHUTE INJECT_FAILURE NAV_SCRIPT_TIME DO_SET_HOME DO_MOTOR_TEST DEBUG_TRAP)
+
+    items =
+      for command <- unknown ++ Enum.map(names, &MavCmd.value(:"MAV_CMD_#{&1}")),
+          current <- [0, 2, 3],
+          type <- [0, 1, 2, 3, 255],
+          do: %M.MissionItemInt{
+            target_system: 1,
+            target_component: 1,
+            seq: 3,
+            command: command,
+            current: current,
+            mission_type: type,
+            param1: 2.0
+          }
+
+    # A waypoint is no part of a fence, of rally points, and of what has no name.
+    others =
+      for type <- [1, 2, 3, 255],
+          current <- [0, 2],
+          do: %{hd(items) | command: 16, mission_type: type, current: current}
+
+    counts =
+      for type <- [3, 254, 255],
+          do: %M.MissionCount{target_system: 1, target_component: 1, count: 1, mission_type: type}
+
+    clear = %M.MissionClearAll{target_system: 1, target_component: 1, mission_type: 255}
+
+    Program.deliver(operator, [
+      station(211) | for(m <- items ++ others ++ counts ++ [clear], do: encode(m, 211))
+    ])
+
+    reached = for {{id, 211, _command, _seq}, _n} <- settle(c), id != M.Heartbeat.id(), do: id
+    assert reached == []
+  end
+
   test "where a height is limited, an operator gives estimators nothing without `inputs`; corrections pass",
        %{
          tmp_dir: folder

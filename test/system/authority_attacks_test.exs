@@ -181,6 +181,25 @@ defmodule Aerie.System.AuthorityAttacksTest do
     assert Store.counter(c.gateway, {:policy, :deny, :role}) >= 2
   end
 
+  test "a viewer on this machine is not believed as a part of a vehicle", %{tmp_dir: folder} do
+    c = start_authority(folder, [], clients: [%{"role" => "viewer"}])
+    local = program(c, {:link, {127, 0, 0, 1}})
+    part = fn message -> encode(message, 1, 154) end
+    Program.deliver(local, [part.(%M.Heartbeat{type: 26, autopilot: 8, mavlink_version: 3})])
+
+    believed = [
+      %M.BatteryStatus{battery_remaining: 3},
+      %M.AdsbVehicle{icao_address: 7},
+      %M.OpenDroneIdArmStatus{status: 1},
+      %M.GimbalDeviceAttitudeStatus{flags: 1},
+      %M.GpsInput{lat: 5}
+    ]
+
+    Program.deliver(local, Enum.map(believed, part))
+    counts = settle(c)
+    for %module{} <- believed, do: assert(count(counts, module.id(), 1) == 0, inspect(module))
+  end
+
   # None of them is a command that the gateway has of its own.
   test "what the gateway asks for somebody else has numbers that it would send itself", %{tmp_dir: folder} do
     c = start_authority(folder, [:viewer])

@@ -153,8 +153,10 @@ defmodule MavRouter.Router.Gate do
         unknown(frame, principal, delivery)
 
       # A vehicle may not have said what it is yet.
-      %{class: :telemetry} when path.side == :vehicle ->
-        [{:related, frame}]
+      %{class: :telemetry} = row when path.side == :vehicle ->
+        if row.part and not Principal.may?(principal, row.permission),
+          do: [{:clients, frame}],
+          else: [{:related, frame}]
 
       %{order?: order?, permission: permission, limited: limited?} = row
       when order? or limited? or permission == :manual ->

@@ -11,6 +11,7 @@ defmodule Aerie.Control.Policy.Rate do
   alias Aerie.Vehicle.Command.Types
   alias Aerie.Control.Policy
   alias Aerie.Control.Policy.Intent
+  alias Aerie.Control.Policy.Mavlink.Wording
   alias Aerie.Base.TokenBucket
 
   # Set-points and sticks come many times a second, and a transfer as fast as the vehicle asks for its parts.
@@ -105,9 +106,13 @@ defmodule Aerie.Control.Policy.Rate do
   defp text(rule, source, vehicle, type, wait_us) do
     per_minute = Float.round(60_000_000 / rule.interval_us, 1)
 
-    "#{source} may command #{type} of #{vehicle} #{whole(per_minute)} times a minute, #{rule.burst} at once; the next one is " <>
+    "#{source} may command #{named(type)} of #{vehicle} #{whole(per_minute)} times a minute, #{rule.burst} at once; the next one is " <>
       "allowed in #{whole(Float.ceil(wait_us / 1_000_000, 1))} s"
   end
+
+  # A command without a name in the table has that of its MAV_CMD.
+  defp named("mav_cmd_" <> number), do: number |> String.to_integer() |> Wording.command()
+  defp named(type), do: type
 
   defp whole(number), do: number |> Aerie.Base.Json.encode!() |> String.replace_suffix(".0", "")
 end

@@ -22,6 +22,14 @@ defmodule Aerie.Control.Policy.RateTest do
     end)
   end
 
+  test "a command without a name in the table is named as MAVLink does" do
+    policy = policy([%{types: ["mav_cmd_16"], per_minute: 6, burst: 1}])
+    {rate, 1} = burst(Rate.new(), policy, 1, 0, {"olga", "VID-001", "mav_cmd_16"})
+
+    assert {:deny, :rate, "olga may command NAV_WAYPOINT of" <> _} =
+             Rate.take(rate, policy, "olga", "VID-001", "mav_cmd_16", 0)
+  end
+
   test "so many at once, then one in so long, for each source, vehicle and type" do
     policy = policy([%{types: ["goto"], per_minute: 6, burst: 3}])
     {rate, 3} = burst(Rate.new(), policy, 10, 0)

@@ -252,7 +252,6 @@ defmodule Aerie.Control.Policy.FirmwareReadingTest do
     for {permission, message} <- [
           {:receiver, long("COMPONENT_ARM_DISARM", [1])},
           {:receiver, %M.SetMode{base_mode: 1, custom_mode: 1}},
-          {:receiver, long("NAV_RETURN_TO_LAUNCH", [])},
           {:receiver, sticks},
           {:receiver, channels},
           {:motors, long("DO_MOTOR_TEST", [1, 0, 10, 1])}
@@ -264,6 +263,12 @@ defmodule Aerie.Control.Policy.FirmwareReadingTest do
         assert reason =~ "needs the permission #{permission}"
       end
     end
+
+    # What brings it home is not kept from it; of a Betaflight that works its pilot's channels.
+    home = long("NAV_RETURN_TO_LAUNCH", [])
+    betaflight = %{autopilot: :betaflight, vehicle_type: "copter"}
+    assert :allow = judge(policy(%{}), home, @unknown, context(@unknown, %{}, @operator))
+    assert {:deny, :role, _why} = judge(policy(%{}), home, betaflight, context(betaflight, %{}, @operator))
 
     # To disarm it needs no more than anywhere.
     disarm = long("COMPONENT_ARM_DISARM", [0])

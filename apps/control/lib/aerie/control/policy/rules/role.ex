@@ -3,8 +3,9 @@ defmodule Aerie.Control.Policy.Rules.Role do
   The source must have the permission that the command needs (`Aerie.Control.Policy.Roles`). Who moves home or the origin
   of a vehicle that may be flying changes where it returns to and what its heights are measured from: that needs
   `protection` as well. A vehicle with MSP is armed and steered by channels in the place of its pilot's, which needs
-  `receiver`; `motors` is for turning its motors. One whose firmware is not known may be such a vehicle. `pilot` opens
-  some of what needs `maintain` or `protection` (`Aerie.Control.Policy.Rules.Role.Pilot`).
+  `receiver`; `motors` is for turning its motors. One whose firmware is not known may be such a vehicle, but `rtl` and
+  `hold` do not need it there. `pilot` opens some of what needs `maintain` or `protection`
+  (`Aerie.Control.Policy.Rules.Role.Pilot`).
   """
 
   @behaviour Aerie.Control.Policy.Rules
@@ -13,9 +14,10 @@ defmodule Aerie.Control.Policy.Rules.Role do
   alias Aerie.Control.Policy.{Intent, Roles}
   alias Aerie.Control.Policy.Rules.Role.Pilot
 
-  # A vehicle may be one of these as long as it has not said what it is.
-  @msp [:betaflight, :inav, :generic]
+  @msp [:betaflight, :inav]
   @by_channels ~w(arm set_mode rtl hold rc_override manual_control)
+  # What holds a vehicle or brings it home is not kept from one that has not said yet what it is.
+  @unknown @by_channels -- ~w(rtl hold)
 
   @impl Aerie.Control.Policy.Rules
   def check(policy, facts, %{source: source} = context) do
@@ -54,13 +56,13 @@ defmodule Aerie.Control.Policy.Rules.Role do
 
   defp aloft(_facts, _context), do: []
 
-  defp by_channels(%{type: type}, %{autopilot: autopilot}) when autopilot in @msp do
-    cond do
-      type in @by_channels -> [:receiver]
-      type == "motor_test" -> [:motors]
-      true -> []
-    end
-  end
+  defp by_channels(%{type: "motor_test"}, %{autopilot: autopilot}) when autopilot in [:generic | @msp],
+    do: [:motors]
+
+  defp by_channels(%{type: type}, %{autopilot: :generic}) when type in @unknown, do: [:receiver]
+
+  defp by_channels(%{type: type}, %{autopilot: msp}) when msp in @msp and type in @by_channels,
+    do: [:receiver]
 
   defp by_channels(_facts, _context), do: []
 

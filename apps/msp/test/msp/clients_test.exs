@@ -187,6 +187,31 @@ defmodule Msp.ClientsTest do
     assert notes(line) =~ "MSP2_INAV_SET_AUX_RC is not for programs"
   end
 
+  for firmware <- [:betaflight, :inav] do
+    test "#{firmware}: a range of the arm switch in which the switch is already would arm it, and is not written" do
+      {line, _change, state} = up(unquote(firmware))
+      # Its first auxiliary channel is at 1000 µs: the fourth step of 25 above 900.
+      high = v1(35, <<0, 0, 0, 32, 48>>)
+      here = v1(35, <<0, 0, 0, 0, 12>>)
+      line = ask(line, 1, [high, here], 1)
+      assert [%{direction: :reply}, %{direction: :error}] = got(line, 1)
+      assert [%{payload: <<0, 0, 0, 32, 48>>}] = sent(line, 35)
+      assert notes(line) =~ "so that it would arm"
+      line = Line.run(line, 2 * @second)
+      refute state.().armed
+      # Another mode's range may be there, and an empty one arms nothing.
+      line = ask(line, 1, [v1(35, <<1, 1, 0, 0, 12>>), v1(35, <<0, 0, 0, 0, 0>>)], 1)
+      assert [_, _, %{direction: :reply}, %{direction: :reply}] = got(line, 1)
+    end
+  end
+
+  test "a program that keeps it disarmed may set the range of its arm switch, but links it to no mode otherwise" do
+    {line, _change, state} = up(:betaflight)
+    line = ask(line, 1, [v1(35, <<0, 0, 0, 0, 0, 0, 1>>), v1(99, <<1, 0>>), v1(35, <<0, 0, 0, 0, 12>>)], 1)
+    assert [%{direction: :error}, %{direction: :reply}, %{id: 35, direction: :reply}] = got(line, 1)
+    refute state.().armed
+  end
+
   test "a program's write that waits while the vehicle is armed is not sent" do
     {line, change, state} = up(:betaflight)
     before = state.().blocks[64]

@@ -20,6 +20,8 @@ defmodule Msp.Session.Clients do
   alias Msp.Session.{Motors, Output, Tasks}
   alias Msp.Session.Tasks.Armed
 
+  @arm 0
+  @set_mode_range 35
   @arming_disabled 99
   @set_motor 214
   @reboot 68
@@ -54,7 +56,7 @@ defmodule Msp.Session.Clients do
         session = %{session | clients: clients, tasks: Enum.reject(session.tasks, &(&1[:client] == id))}
         session = if client.motors, do: Motors.until(session, now), else: session
 
-        if client.disables and not Enum.any?(clients, fn {_id, other} -> other.disables end),
+        if client.disables and not wants_disarmed?(session),
           do: enable(session),
           else: session
     end
@@ -66,7 +68,7 @@ defmodule Msp.Session.Clients do
   """
   @spec disabled(Session.t(), boolean) :: Session.t()
   def disabled(session, true) do
-    if Enum.any?(session.clients, fn {_id, client} -> client.disables end), do: session, else: enable(session)
+    if wants_disarmed?(session), do: session, else: enable(session)
   end
 
   def disabled(session, false), do: session
@@ -84,7 +86,7 @@ defmodule Msp.Session.Clients do
   def closing(%{phase: :up} = session) do
     {name, values} = enabling()
 
-    with true <- Enum.any?(session.clients, fn {_id, client} -> client.disables end),
+    with true <- wants_disarmed?(session),
          {:ok, frame} <- MavCodec.Msp.request(Identity.target(session.identity), name, values) do
       [{:write, IO.iodata_to_binary(Frame.encode(frame))}]
     else
@@ -146,7 +148,24 @@ defmodule Msp.Session.Clients do
   defp allowed(%{one_way: one_way}, _message, %{id: @set_motor}) when one_way != true,
     do: {:error, "SET_MOTOR refused: its motors turn both ways, or it has not said yet that they do not"}
 
-  defp allowed(session, message, frame) do
+  # Betaflight's last byte links it to another mode.
+  defp allowed(session, message, %{id: @set_mode_range, payload: <<_slot, @arm, aux, range::binary>>} = frame) do
+    if wants_disarmed?(session) or not arms?(range, Enum.at(session.readings[:channels] || [], aux + 4)),
+      do: disarmed(session, message, frame),
+      else:
+        {:error, "SET_MODE_RANGE refused: its switch is there already, or is not known, so that it would arm"}
+  end
+
+  defp allowed(session, message, frame), do: disarmed(session, message, frame)
+
+  defp arms?(<<_first, _last, _logic, linked, _::binary>>, _us) when linked != 0, do: true
+  defp arms?(<<first, last, _::binary>>, _us) when first >= last, do: false
+  defp arms?(_range, nil), do: true
+  defp arms?(<<first, last, _::binary>>, us), do: us >= 900 + 25 * first and us < 900 + 25 * last
+
+  defp wants_disarmed?(session), do: Enum.any?(session.clients, fn {_id, client} -> client.disables end)
+
+  defp disarmed(session, message, frame) do
     if Armed.only_disarmed?(message, frame) and Armed.early(session) != nil,
       do: {:error, "#{message.name} refused: #{Armed.early(session)}"},
       else: :ok
@@ -173,9 +192,9 @@ defmodule Msp.Session.Clients do
 
   # Others may still want it disabled.
   defp write(session, id, %{id: @arming_disabled, payload: <<disable, _::binary>>} = frame, now) do
-    before = Enum.any?(session.clients, fn {_id, client} -> client.disables end)
+    before = wants_disarmed?(session)
     session = update(session, id, &%{&1 | disables: disable != 0})
-    wanted = Enum.any?(session.clients, fn {_id, client} -> client.disables end)
+    wanted = wants_disarmed?(session)
 
     if before and wanted, do: over(session, id, frame, {:reply, ""}, now), else: ask(session, id, frame)
   end

@@ -23,7 +23,7 @@ defmodule Aerie.Control.Policy.RateTest do
   end
 
   test "a command without a name in the table is named as MAVLink does" do
-    policy = policy([%{types: ["mav_cmd_16"], per_minute: 6, burst: 1}])
+    policy = policy([%{per_minute: 6, burst: 1}])
     {rate, 1} = burst(Rate.new(), policy, 1, 0, {"olga", "VID-001", "mav_cmd_16"})
 
     assert {:deny, :rate, "olga may command NAV_WAYPOINT of" <> _} =

@@ -20,6 +20,7 @@ defmodule Aerie.Control.ReadCache.Vehicle do
   @nobody {0, 0}
   @fence 1
   @fenced [:ardupilot, :px4]
+  @relearn_ms 1_000
   @max_stations 256
   @portion 20
   @portion_ms 5
@@ -49,7 +50,8 @@ defmodule Aerie.Control.ReadCache.Vehicle do
       out: %{},
       seq: 0,
       timer: nil,
-      router_cache: nil
+      router_cache: nil,
+      relearned: 0
     }
 
     {:ok, state |> listen() |> known()}
@@ -78,7 +80,8 @@ defmodule Aerie.Control.ReadCache.Vehicle do
   defp station(part, from, message, endpoint, frame, state) do
     state = if part == :plans, do: met(state, from, endpoint), else: state
     {served, actions} = served(part).handle(Map.fetch!(state, part), {:station, message, from, now()})
-    if part == :plans, do: publish(state, served)
+    # Somebody writes it.
+    state = if part == :plans, do: publish(%{state | relearned: 0}, served), else: state
     {now, later} = Enum.split_with(actions, &forward?(&1, from, message))
     waits? = now == [] and waits?(message)
     state = if waits?, do: put_in(state.frames[{part, from}], {endpoint, frame}), else: state
@@ -99,7 +102,9 @@ defmodule Aerie.Control.ReadCache.Vehicle do
   defp forward?(_other, _from, _message), do: false
 
   @impl GenServer
-  def handle_cast({:learn, type}, state) do
+  def handle_cast({:learn, type}, state), do: learn(type, state)
+
+  defp learn(type, state) do
     state = known(state)
 
     if state.vehicle == nil or Mission.Responder.fresh?(state.plans, type),
@@ -111,6 +116,7 @@ defmodule Aerie.Control.ReadCache.Vehicle do
 
   @impl GenServer
   def handle_info({:frames, frames}, state), do: {:noreply, Enum.reduce(frames, state, &receive_frame/2)}
+  def handle_info(:learn_fence, state), do: learn(@fence, state)
   def handle_info({:rebooted, _boot_ms}, state), do: {:noreply, both(state, {:rebooted, now()})}
   def handle_info(:session, state), do: {:noreply, listen(state)}
 
@@ -176,10 +182,6 @@ defmodule Aerie.Control.ReadCache.Vehicle do
         Aboard.put(state.gateway, state.key, type, :sent, nil)
         event(state, :plans, {:vehicle, message, now()})
 
-      {:ok, %M.MissionAck{mission_type: @fence, type: 0} = message} ->
-        GenServer.cast(self(), {:learn, @fence})
-        event(state, :plans, {:vehicle, message, now()})
-
       {:ok, message} ->
         event(state, :plans, {:vehicle, message, now()})
 
@@ -195,16 +197,26 @@ defmodule Aerie.Control.ReadCache.Vehicle do
 
   defp event(state, part, event) do
     {served, actions} = served(part).handle(Map.fetch!(state, part), event)
-    if part == :plans, do: publish(state, served)
+    state = if part == :plans, do: publish(state, served), else: state
     Enum.reduce(actions, Map.put(state, part, served), &act(&1, &2, part))
   end
 
   # What the vehicle has, for the policy.
-  defp publish(%{gateway: gateway, key: key, plans: before}, after_) do
+  defp publish(%{gateway: gateway, key: key, plans: before} = state, after_) do
     for type <- Map.keys(@kinds), before.plans[type] != after_.plans[type] do
       plan = after_.plans[type]
       Aboard.put(gateway, key, type, :read, plan && Tuple.to_list(plan.items))
     end
+
+    if is_map_key(before.plans, @fence) and not is_map_key(after_.plans, @fence),
+      do: relearn(state),
+      else: state
+  end
+
+  # The next fence is compared with it. The more often nobody wrote it, the later.
+  defp relearn(%{relearned: n} = state) do
+    Process.send_after(self(), :learn_fence, @relearn_ms * 2 ** min(n, 8))
+    %{state | relearned: n + 1}
   end
 
   defp served(:params), do: Params.Responder

@@ -118,7 +118,7 @@ defmodule Aerie.Control.Policy.Mavlink.WritingTest do
       assert last(begun ++ [count(4), home, one, two], vehicle) == :allow
       # The vehicle may not have taken the second beginning.
       assert {:deny, :geofence, reason} = last(begun ++ [count(4), home, place(@north, 1)], vehicle)
-      assert reason =~ "begin again in 15 s"
+      assert reason =~ "begin again in 10 s"
 
       assert {:deny, :geofence, _} =
                last(begun ++ [count(1, target_component: 77), place(@north, 1)], vehicle)

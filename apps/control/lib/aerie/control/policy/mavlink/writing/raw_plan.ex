@@ -13,7 +13,7 @@ defmodule Aerie.Control.Policy.Mavlink.Writing.RawPlan do
 
   @fence 1
   # ArduPilot gives up after 8 s, PX4 after 5 s.
-  @given_up_us 15_000_000
+  @given_up_us 10_000_000
   @given_up_s div(@given_up_us, 1_000_000)
   @most_begun 8
 

@@ -59,7 +59,8 @@ defmodule Aerie.CLI.PolicyTryTest do
              ~r/2026-11-20T22:22:40.446Z  255\/190  operator  VID-001  takeoff .* deny +altitude +the height to climb to is 20 m/
 
     assert text =~ ~r/setpoint_velocity +SET_POSITION_TARGET_LOCAL_NED +12 +allow/
-    assert text =~ "41 commands in 1 recordings: 10 would be refused (altitude 8, role 1, unknown 1)"
+    # A mission that would not have come whole would not have been begun.
+    assert text =~ "41 commands in 1 recordings: 12 would be refused (altitude 10, role 1, unknown 1)"
 
     # The same by its own name, and with nothing to refuse.
     file = config(dir, "unknown: maintain")
@@ -78,7 +79,7 @@ defmodule Aerie.CLI.PolicyTryTest do
     assert {1, text, ""} = try_it([config(dir, "max_altitude: 15"), "--json"], dir)
     {decisions, [summary]} = text |> lines() |> Enum.split_with(&(&1["type"] == "decision"))
 
-    assert %{"commands" => n, "refused" => 10, "by_rule" => %{"altitude" => 4, "role" => 5, "unknown" => 1}} =
+    assert %{"commands" => n, "refused" => 14, "by_rule" => %{"altitude" => 8, "role" => 5, "unknown" => 1}} =
              summary
 
     assert length(decisions) == n

@@ -33,7 +33,7 @@ defmodule Aerie.Control.Policy.Trial do
           rate: Rate.t(),
           uploads: %{term() => Mavlink.Upload.t()},
           plans: %{term() => Mavlink.Writing.RawPlan.t() | nil},
-          aboard: %{term() => [Aerie.Mission.Item.t()]},
+          aboard: %{term() => [Aerie.Mission.Item.t()] | nil},
           leases: %{String.t() => Lease.t() | nil}
         }
 
@@ -122,7 +122,7 @@ defmodule Aerie.Control.Policy.Trial do
       aboard =
         case sent do
           :same -> trial.aboard
-          nil -> Map.delete(trial.aboard, key)
+          nil -> Map.put(trial.aboard, key, nil)
           items -> Map.put(trial.aboard, key, items)
         end
 
@@ -135,12 +135,13 @@ defmodule Aerie.Control.Policy.Trial do
 
   defp written(trial, _facts, _context, _command), do: {:allow, trial}
 
-  # As the recording had it sent; what it did not show is not known.
+  # As the recording had it sent. What was aboard before, a gateway reads; here it counts as nothing.
   defp aboard(trial, %{snapshot: %{id: id}}, type) do
     fn ->
       case trial.aboard do
-        %{{^id, ^type} => items} when type == 0 -> {:ok, items}
-        _not_sent -> :unknown
+        %{{^id, ^type} => nil} -> :unknown
+        %{{^id, ^type} => items} -> {:ok, items}
+        _never_written -> {:ok, []}
       end
     end
   end

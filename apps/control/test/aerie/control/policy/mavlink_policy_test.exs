@@ -8,6 +8,7 @@ defmodule Aerie.Control.Policy.MavlinkPolicyTest do
   alias MavRouter.{Link, Router}
   alias Aerie.Control.Policy.{Audit, ClientHistory, Leases, MavlinkPolicy, RecentCommands}
   alias Aerie.Control.Policy.Audit.Verify
+  alias Aerie.Control.Policy.Mavlink.Writing.Aboard
   alias Aerie.Control.Policy.Trial
   alias MavCodec.Enums.MavCmd
   alias MavCodec.Frame
@@ -807,6 +808,9 @@ defmodule Aerie.Control.Policy.MavlinkPolicyTest do
       key = {"main", 100 + 10 * n + length(permissions)}
       snapshot = %{snapshot | key: key, id: "VID-#{elem(key, 1)}"}
       Store.put_vehicle(gateway, key, snapshot)
+      # A trial knows of no plan that was aboard before.
+      Aboard.put(gateway, key, 1, :read, [])
+      Aboard.put(gateway, key, 0, :sent, [])
 
       asked = %{
         snapshot: snapshot,

@@ -125,7 +125,7 @@ defmodule Aerie.Control.Policy.Mavlink.Writing do
       end
     else
       {:deny, reason} when judged? ->
-        {{:deny, if(type == @fence, do: :role, else: :geofence), reason}, plan, :same}
+        {{:deny, if(type == @fence, do: :role, else: rule(policy)), reason}, plan, :same}
 
       {:deny, _reason} ->
         {:allow, nil, nil}
@@ -187,7 +187,7 @@ defmodule Aerie.Control.Policy.Mavlink.Writing do
         :allow
 
       :unknown ->
-        {:deny, :geofence,
+        {:deny, rule(policy),
          "a fence or a limit of height applies to #{facts.type}, and the mission aboard is not known; " <>
            "the gateway reads it now: try again in a moment"}
     end
@@ -199,6 +199,9 @@ defmodule Aerie.Control.Policy.Mavlink.Writing do
     with {:deny, rule, _seq, reason} <- Review.entered(policy, items, entries, vehicle, context),
          do: {:deny, rule, reason}
   end
+
+  defp rule(%{fence: nil}), do: :altitude
+  defp rule(_with_fence), do: :geofence
 
   # Where it is in its mission just now.
   defp present(:current, snapshot), do: {:item, get_in(snapshot.groups, [:mission, :data, :seq]) || 0}

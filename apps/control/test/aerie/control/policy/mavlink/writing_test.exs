@@ -78,10 +78,13 @@ defmodule Aerie.Control.Policy.Mavlink.WritingTest do
   defp count(n, fields \\ []),
     do: struct!(%M.MissionCount{target_system: 1, target_component: 1, count: n}, fields)
 
+  # A vehicle of which nobody knows what is aboard.
+  defp unread, do: %{Trial.new(policy()) | aboard: %{{"VID-001", 0} => nil, {"VID-001", 1} => nil}}
+
   # Decisions about messages, in their order.
   defp decisions(messages, asked) do
     {decisions, _trial} =
-      Enum.map_reduce(messages, Trial.new(policy()), fn message, trial ->
+      Enum.map_reduce(messages, unread(), fn message, trial ->
         {%{decision: decision}, trial} = Trial.message(trial, message, asked)
         {decision, trial}
       end)
@@ -255,7 +258,7 @@ defmodule Aerie.Control.Policy.Mavlink.WritingTest do
     dummy = [place(@west, 0, mission_type: 1, frame: 0, command: 5004, param1: 1.0)]
     fence = &[count(length(&1), mission_type: 1) | &1]
 
-    # What is aboard is not known to a trial.
+    # Nobody knows what is aboard.
     assert {:deny, :role, reason} = last([count(4, mission_type: 1)], snapshot(:px4))
     assert reason =~ "needs the permission protection" and reason =~ "the gateway reads it now"
     assert last(fence.(dummy), snapshot(:px4), :admin) == :allow

@@ -42,8 +42,9 @@ defmodule Aerie.ConfigTest do
     assert %{strategy: :threshold, threshold: %{"remaining" => 0.01}} = config.sampling.groups.battery
     assert %{max_altitude: 120.0, geofence_file: "/etc/gateway/geofence.json", rates: nil} = config.policy
     assert %{audit: %{dir: "var/audit", max_mb: 64, required: true}, clients: []} = config.policy
-    assert [component] = config.warnings
+    assert [component, lease] = config.warnings
     assert component =~ "component_id is 1" and component =~ "191"
+    assert lease =~ "shadow.key is not set"
   end
 
   test "without a file there are defaults: a hub with embedded NATS and UDP 14550 open" do
@@ -321,7 +322,8 @@ defmodule Aerie.ConfigTest do
     nats: {url: "nats://gw:secret@nats.example"}
     """
 
-    assert {:ok, %{warnings: [same_id, plain_password]}} = load(context, text)
+    assert {:ok, %{warnings: [same_id, plain_password, lease]}} = load(context, text)
+    assert lease =~ "shadow.key is not set"
     assert same_id =~ "is also a vehicle's"
     assert plain_password =~ "without TLS"
     refute plain_password =~ "secret"

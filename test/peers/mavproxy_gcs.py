@@ -13,7 +13,7 @@ import tempfile
 import threading
 import time
 
-MODULES = "cmdlong,param,mode,arm,wp,rc,link,misc,signing,battery,ftp"
+MODULES = "cmdlong,param,mode,arm,wp,rc,link,misc,signing,battery"
 
 
 class Proxy:
@@ -102,6 +102,8 @@ def flight(p, firmware, system, parameter, folder):
     p.until("param fetch %s" % parameter, r"%s = %s" % (parameter, re.escape("%.6f" % (value + 1.5))))
     say("set", True)
 
+    # Not before: with it MAVProxy asks for the parameters by FTP once, which a vehicle with a key does not hear yet.
+    p.type("module load ftp")
     # Its first question is an operation that not every vehicle knows; after UnknownCommand it asks the older one.
     say("files", p.until("ftp list /", r"Total size ([\d.]+) kByte", 20, 5.0).group(1))
 

@@ -370,7 +370,14 @@ defmodule Aerie.System.MspTest do
     sticks = &%M.ManualControl{target: 7, x: 0, y: 0, z: &1, r: 0}
     arm = %M.CommandLong{target_system: 7, target_component: 1, command: 400, param1: 1.0}
     armed = fn -> Msp.state(c.sims.betaflight).armed end
-    eventually(fn -> armed.() || (say.(first, arm) && false) end, "it is armed")
+
+    eventually(
+      fn ->
+        :ok = say.(first, arm)
+        armed.()
+      end,
+      "it is armed"
+    )
 
     throttle = fn -> Enum.at(Msp.state(c.sims.betaflight).channels, 2) end
     other = %{@commander | name: "carl"}

@@ -198,17 +198,18 @@ defmodule Aerie.Fleet.Shadow do
   defp refused(gateway, vehicle, source, via, refusal) do
     Metrics.count(gateway, :updates_refused)
 
-    with {:role, why} <- refusal do
-      entry = %{
-        "type" => "desired",
-        "decision" => "deny",
-        "rule" => "role",
-        "reason" => why,
-        "vehicle" => vehicle
-      }
+    _ =
+      with {:role, why} <- refusal do
+        entry = %{
+          "type" => "desired",
+          "decision" => "deny",
+          "rule" => "role",
+          "reason" => why,
+          "vehicle" => vehicle
+        }
 
-      Audit.refusal(gateway, source, :role, Map.merge(entry, %{"source" => source.name, "via" => via}))
-    end
+        Audit.refusal(gateway, source, :role, Map.merge(entry, %{"source" => source.name, "via" => via}))
+      end
 
     metadata = %{gateway: gateway, vehicle: vehicle, actor: source.name, via: via, reason: text(refusal)}
     :telemetry.execute([:aerie, :shadow, :refused], %{count: 1}, metadata)

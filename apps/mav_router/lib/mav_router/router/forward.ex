@@ -60,7 +60,7 @@ defmodule MavRouter.Router.Forward do
         :ok
 
       frames ->
-        if source.standing == :claim, do: claimed(hd(frames), delivery)
+        _ = if source.standing == :claim, do: claimed(hd(frames), delivery)
         run(frames, [], delivery)
     end
   end

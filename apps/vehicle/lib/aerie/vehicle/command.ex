@@ -131,7 +131,7 @@ defmodule Aerie.Vehicle.Command do
   @spec sender(String.t() | nil) :: String.t() | nil
   def sender(text) when is_binary(text) do
     case Regex.run(~r/\A(.+) by [a-z]{1,8}\z/s, text) do
-      [_text, name] -> name
+      [_text, name] when is_binary(name) -> name
       nil -> nil
     end
   end

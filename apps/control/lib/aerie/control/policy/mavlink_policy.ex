@@ -67,8 +67,13 @@ defmodule Aerie.Control.Policy.MavlinkPolicy do
         true
 
       policy ->
-        context = %Context{source: principal, lease: Leases.of(gateway, key)}
-        Policy.in_charge?(policy, @input, context)
+        now = System.os_time(:microsecond)
+
+        Policy.in_charge?(policy, @input, %Context{
+          source: principal,
+          lease: Leases.of(gateway, key),
+          now: now
+        })
     end
   end
 

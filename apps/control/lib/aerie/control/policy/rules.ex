@@ -1,7 +1,7 @@
 defmodule Aerie.Control.Policy.Rules do
   @moduledoc """
-  The rules, in the order in which they are asked: what, who, when, in which state, where. A rule is a pure check of
-  what a command asks for against what is known of its vehicle.
+  The rules, in the order in which they are asked: what, who, when, in which state, where. Each is an
+  `Aerie.Control.Policy.Rules.Rule`.
   """
 
   alias Aerie.Control.Policy
@@ -24,11 +24,6 @@ defmodule Aerie.Control.Policy.Rules do
   @names Keyword.keys(@rules)
   # What a command is and who sends it. These rules read nothing that a sender could fill.
   @of_sender [:unknown, :number, :role]
-
-  @doc """
-  `{:deny, sentence}`, with the numbers in it. What is not known and needed denies, and the sentence says what it is.
-  """
-  @callback check(Policy.t(), Intent.t(), Context.t()) :: :ok | {:deny, String.t()}
 
   @doc "The names of all rules."
   @spec names() :: [Policy.rule(), ...]

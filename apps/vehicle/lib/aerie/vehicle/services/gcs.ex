@@ -176,7 +176,13 @@ defmodule Aerie.Vehicle.Services.Gcs do
 
   @doc "The ids whose heartbeats keep the failsafe quiet, `:unknown` before they are read, nil if ids do not count."
   @spec obeyed(t()) :: {integer(), integer()} | :unknown | nil
-  def obeyed(%{autopilot: :ardupilot} = gcs), do: listens_to(gcs) || :unknown
+  def obeyed(%{autopilot: :ardupilot} = gcs) do
+    case listens_to(gcs) do
+      {_low, _high} = ids -> ids
+      _unread -> :unknown
+    end
+  end
+
   def obeyed(_by_type_or_not_known), do: nil
 
   @doc "Whether the failsafe is enabled; nil while that is not known."

@@ -66,7 +66,7 @@ defmodule Aerie.Control.Policy.Mavlink.Review do
   # A mission's legs: from each place where the vehicle may be to the place that comes next, by each jump as well.
   defp ways(policy, items, vehicle, context) do
     home = context.home && Map.put(context.home, :alt_rel, 0.0)
-    fly([{0, home, 0}], MapSet.new(), flight(policy, items, vehicle, context))
+    fly([{0, home, 0}], %{}, flight(policy, items, vehicle, context))
   end
 
   defp flight(policy, items, vehicle, context) do
@@ -101,7 +101,7 @@ defmodule Aerie.Control.Policy.Mavlink.Review do
       {:unknown, why} = Context.position(context)
       {:deny, :geofence, nil, "a fence or a limit of height applies to the way to its mission, and #{why}"}
     else
-      fly(for(seq <- starts, do: {seq, here, seq}), MapSet.new(), flight)
+      fly(for(seq <- starts, do: {seq, here, seq}), %{}, flight)
     end
   end
 
@@ -110,7 +110,7 @@ defmodule Aerie.Control.Policy.Mavlink.Review do
           :allow | refusal()
   def onward(policy, items, seq, vehicle, context) do
     context = struct!(context, Map.take(vehicle, [:autopilot, :vehicle_type]))
-    fly([{seq, nil, seq}], MapSet.new(), flight(%{policy | min_altitude: nil}, items, vehicle, context))
+    fly([{seq, nil, seq}], %{}, flight(%{policy | min_altitude: nil}, items, vehicle, context))
   end
 
   defp tags(items), do: for({seq, {%{command: @tag, params: {tag, _, _, _}}, _}} <- items, do: {tag, seq})
@@ -121,16 +121,16 @@ defmodule Aerie.Control.Policy.Mavlink.Review do
 
   defp fly([{seq, from, _name} = next | to_do], done, {_policy, items, _tags, _context} = plan) do
     cond do
-      not is_map_key(items, seq) or MapSet.member?(done, {seq, from}) ->
+      not is_map_key(items, seq) or is_map_key(done, {seq, from}) ->
         fly(to_do, done, plan)
 
-      MapSet.size(done) >= @max_legs ->
+      map_size(done) >= @max_legs ->
         {:deny, :geofence, seq, "the mission has more ways than can be judged; use fewer jumps"}
 
       true ->
         case step(next, items[seq], plan) do
           {:deny, _rule, _seq, _reason} = refusal -> refusal
-          more -> fly(more ++ to_do, MapSet.put(done, {seq, from}), plan)
+          more -> fly(more ++ to_do, Map.put(done, {seq, from}, true), plan)
         end
     end
   end

@@ -34,7 +34,10 @@ defmodule Aerie.Control.Policy.Mavlink.Wording do
     do: "#{command(@aux_function)} #{trunc(function)}"
 
   def of(%module{command: number}) when module in @commands, do: command(number)
-  def of(%module{}), do: All.name(module.id()) || "message #{module.id()}"
+  def of(%module{}), do: message(All.name(module.id()), module.id())
+
+  defp message(nil, id), do: "message #{id}"
+  defp message(name, _id), do: name
 
   @doc "A command by its name, without MAV_CMD."
   @spec command(non_neg_integer()) :: String.t()

@@ -5,11 +5,11 @@ defmodule Aerie.Control.Policy.Rules.Altitude do
   home. A command that leaves the vehicle at its height is not judged.
   """
 
-  @behaviour Aerie.Control.Policy.Rules
+  @behaviour Aerie.Control.Policy.Rules.Rule
 
   alias Aerie.Control.Policy.{FlightPath, Intent}
 
-  @impl Aerie.Control.Policy.Rules
+  @impl Aerie.Control.Policy.Rules.Rule
   def check(%{max_altitude: nil, min_altitude: nil, max_altitude_msl: nil}, _facts, _context), do: :ok
   def check(_policy, %{ends_flight?: true}, _context), do: :ok
 

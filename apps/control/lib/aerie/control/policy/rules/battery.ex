@@ -4,13 +4,13 @@ defmodule Aerie.Control.Policy.Rules.Battery do
   the vehicle take off (`Aerie.Control.Policy.Intent`, `implies`).
   """
 
-  @behaviour Aerie.Control.Policy.Rules
+  @behaviour Aerie.Control.Policy.Rules.Rule
 
   alias Aerie.Control.Policy.Intent
 
   @types ~w(takeoff arm)
 
-  @impl Aerie.Control.Policy.Rules
+  @impl Aerie.Control.Policy.Rules.Rule
   def check(%{takeoff_battery: nil}, _facts, _context), do: :ok
 
   def check(policy, facts, context) do

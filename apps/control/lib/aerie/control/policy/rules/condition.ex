@@ -4,14 +4,14 @@ defmodule Aerie.Control.Policy.Rules.Condition do
   take off or arm must meet the conditions of `takeoff` and `arm`, too.
   """
 
-  @behaviour Aerie.Control.Policy.Rules
+  @behaviour Aerie.Control.Policy.Rules.Rule
 
   alias Aerie.Control.Policy.Intent
 
   @typedoc "What must be so; nil: either."
   @type condition :: %{armed: boolean() | nil, in_air: boolean() | nil}
 
-  @impl Aerie.Control.Policy.Rules
+  @impl Aerie.Control.Policy.Rules.Rule
   def check(policy, facts, context) do
     for(type <- Intent.types(facts, context), condition = policy.conditions[type], do: condition)
     |> Enum.find_value(:ok, fn condition ->

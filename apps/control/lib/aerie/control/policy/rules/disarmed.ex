@@ -4,11 +4,11 @@ defmodule Aerie.Control.Policy.Rules.Disarmed do
   Commands of the table are refused by the firmware's adapter, with its reason (`Aerie.Vehicle.Protocol.plan/3`).
   """
 
-  @behaviour Aerie.Control.Policy.Rules
+  @behaviour Aerie.Control.Policy.Rules.Rule
 
   alias Aerie.Control.Policy.Intent
 
-  @impl Aerie.Control.Policy.Rules
+  @impl Aerie.Control.Policy.Rules.Rule
   def check(_policy, %{stored?: true} = facts, %{armed: false}),
     do:
       {:deny,

@@ -1,11 +1,11 @@
 defmodule Aerie.Control.Policy.Rules.Geofence do
   @moduledoc "What a command names must be inside the fence, and so must the straight way of the vehicle to it (`Aerie.Control.Policy.Fence`)."
 
-  @behaviour Aerie.Control.Policy.Rules
+  @behaviour Aerie.Control.Policy.Rules.Rule
 
   alias Aerie.Control.Policy.{Fence, FlightPath, Intent}
 
-  @impl Aerie.Control.Policy.Rules
+  @impl Aerie.Control.Policy.Rules.Rule
   def check(%{fence: nil}, _facts, _context), do: :ok
   def check(_policy, %{ends_flight?: true}, _context), do: :ok
 
@@ -37,7 +37,7 @@ defmodule Aerie.Control.Policy.Rules.Geofence do
 
     with :ok <- Fence.check_position(fence, to, what),
          :ok <- if(from, do: Fence.check_way(fence, from, to, "the straight way to #{what}"), else: :ok),
-         :ok <- Fence.check_room(fence, if(sweep == :curve, do: from), to, room, what),
+         :ok <- Fence.check_room(fence, bent(sweep, from), to, room, what),
          :ok <-
            if(room.climb > 0,
              do: Fence.check_position(fence, higher, "an aborted landing at #{what}"),
@@ -46,4 +46,8 @@ defmodule Aerie.Control.Policy.Rules.Geofence do
       nil
     end
   end
+
+  # A spline leaves the straight way.
+  defp bent(:curve, %{} = from), do: from
+  defp bent(_straight, _from), do: nil
 end

@@ -5,11 +5,11 @@ defmodule Aerie.Control.Policy.Rules.Lease do
   allows it.
   """
 
-  @behaviour Aerie.Control.Policy.Rules
+  @behaviour Aerie.Control.Policy.Rules.Rule
 
   alias Aerie.Control.Policy.{Intent, Lease}
 
-  @impl Aerie.Control.Policy.Rules
+  @impl Aerie.Control.Policy.Rules.Rule
   def check(policy, %{control: change}, context) when change != nil do
     with {:ok, _lease} <- Lease.change(context.lease, change, context.source, "", policy.lease, context.now),
          do: :ok

@@ -11,7 +11,7 @@ defmodule Aerie.Control.Policy.Rules.Mode do
   In a mission only `denied` counts: from which mode the vehicle will change then, is not known.
   """
 
-  @behaviour Aerie.Control.Policy.Rules
+  @behaviour Aerie.Control.Policy.Rules.Rule
 
   alias Aerie.Control.Policy.{Intent, Switches}
   alias Aerie.Vehicle.Protocol.Modes
@@ -23,7 +23,7 @@ defmodule Aerie.Control.Policy.Rules.Mode do
   @spec limits?(Aerie.Control.Policy.t()) :: boolean()
   def limits?(%{modes: modes}), do: modes.denied != [] or modes.transitions != %{}
 
-  @impl Aerie.Control.Policy.Rules
+  @impl Aerie.Control.Policy.Rules.Rule
   def check(policy, facts, context), do: if(limits?(policy), do: limited(policy, facts, context), else: :ok)
 
   defp limited(_policy, %{mode: nil, standard_mode: nil, switches: nil}, _context), do: :ok

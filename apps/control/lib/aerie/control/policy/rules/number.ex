@@ -4,11 +4,11 @@ defmodule Aerie.Control.Policy.Rules.Number do
   its range (`Authority.Commands`). PX4 takes 0.6 for 1, and ArduPilot 257 as well.
   """
 
-  @behaviour Aerie.Control.Policy.Rules
+  @behaviour Aerie.Control.Policy.Rules.Rule
 
   alias Aerie.Control.Policy.Intent
 
-  @impl Aerie.Control.Policy.Rules
+  @impl Aerie.Control.Policy.Rules.Rule
   def check(_policy, %{number: nil}, _context), do: :ok
   def check(_policy, facts, _context), do: {:deny, "#{Intent.label(facts)}: #{facts.number}"}
 end

@@ -8,7 +8,7 @@ defmodule Aerie.Control.Policy.Rules.Role do
   (`Aerie.Control.Policy.Rules.Role.Pilot`).
   """
 
-  @behaviour Aerie.Control.Policy.Rules
+  @behaviour Aerie.Control.Policy.Rules.Rule
 
   alias Aerie.Control.Policy.FlightPath.Shaping
   alias Aerie.Control.Policy.{Intent, Roles}
@@ -19,7 +19,7 @@ defmodule Aerie.Control.Policy.Rules.Role do
   # What holds a vehicle or brings it home is not kept from one that has not said yet what it is.
   @unknown @by_channels -- ~w(rtl hold)
 
-  @impl Aerie.Control.Policy.Rules
+  @impl Aerie.Control.Policy.Rules.Rule
   def check(policy, facts, %{source: source} = context) do
     needed =
       [facts.permission | facts.also] ++

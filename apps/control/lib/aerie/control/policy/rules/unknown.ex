@@ -4,9 +4,9 @@ defmodule Aerie.Control.Policy.Rules.Unknown do
   `policy.open` opens single ones to who may `maintain`, `policy.unknown: maintain` all of them.
   """
 
-  @behaviour Aerie.Control.Policy.Rules
+  @behaviour Aerie.Control.Policy.Rules.Rule
 
-  @impl Aerie.Control.Policy.Rules
+  @impl Aerie.Control.Policy.Rules.Rule
   def check(_policy, %{unknown: nil}, _context), do: :ok
   def check(%{unknown: :maintain}, _facts, _context), do: :ok
 

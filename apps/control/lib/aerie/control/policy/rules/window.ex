@@ -5,7 +5,7 @@ defmodule Aerie.Control.Policy.Rules.Window do
   vehicle take off or arm needs the windows of `takeoff` and `arm`, too.
   """
 
-  @behaviour Aerie.Control.Policy.Rules
+  @behaviour Aerie.Control.Policy.Rules.Rule
 
   alias Aerie.Control.Policy.Intent
 
@@ -18,7 +18,7 @@ defmodule Aerie.Control.Policy.Rules.Window do
   @spec days() :: [atom()]
   def days, do: Tuple.to_list(@days)
 
-  @impl Aerie.Control.Policy.Rules
+  @impl Aerie.Control.Policy.Rules.Rule
 
   def check(%{windows: []}, _facts, _context), do: :ok
 

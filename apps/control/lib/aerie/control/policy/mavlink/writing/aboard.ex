@@ -29,8 +29,8 @@ defmodule Aerie.Control.Policy.Mavlink.Writing.Aboard do
     with nil <- known(gateway, key, type, :read),
          # A fence that a vehicle did not take would be a weaker measure.
          nil <- if(type != @fence, do: known(gateway, key, type, :sent)) do
-      with pid when pid != nil <- Names.whereis(gateway, :serving, key),
-           do: GenServer.cast(pid, {:learn, type})
+      pid = Names.whereis(gateway, :serving, key)
+      _asked = if pid, do: GenServer.cast(pid, {:learn, type})
 
       :unknown
     else

@@ -395,7 +395,7 @@ defmodule Aerie.System.MspTest do
     # While it goes on, nobody else steers, by whichever way.
     steering =
       Task.async(fn ->
-        fn -> say.(first, sticks.(100)) && Process.sleep(20) end |> Stream.repeatedly() |> Stream.run()
+        Stream.interval(20) |> Enum.each(fn _n -> say.(first, sticks.(100)) end)
       end)
 
     assert %{status: :denied, reason: reason} =

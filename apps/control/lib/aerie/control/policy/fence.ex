@@ -16,6 +16,7 @@ defmodule Aerie.Control.Policy.Fence do
 
   @typedoc "A position in degrees, with its heights in metres above home and above mean sea level, nil where not known."
   @type position :: %{lat: number(), lon: number(), home: number() | nil, msl: number() | nil}
+  @type room :: %{:metres => number(), :why => String.t(), optional(atom()) => term()}
 
   # No vehicle of a gateway flies farther, and the map of a zone would distort a longer way.
   @max_way 1_000_000
@@ -124,7 +125,7 @@ defmodule Aerie.Control.Policy.Fence do
   Whether there is room for so many metres around a position, or around the way to it if `from` is given. `room`
   says why the vehicle needs it.
   """
-  @spec check_room(t(), position() | nil, position(), %{metres: number(), why: String.t()}, String.t()) ::
+  @spec check_room(t(), position() | nil, position(), room(), String.t()) ::
           :ok | {:deny, String.t()}
   def check_room(_fence, _from, _to, %{metres: metres}, _what) when metres == 0, do: :ok
 

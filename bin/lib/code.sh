@@ -88,7 +88,8 @@ code_elixir() {
 code_sources() {
   (cd "$AERIE_ROOT" && find -L apps packages rel mix.exs config bin/lib/code.sh bin/lib/copy_code.exs \
     "$(command -v elixir)" "$AERIE_TOOLCHAIN/packages/index" \
-    \( -name test -o -name tmp -o -name cover -o -name var \) -prune -o "$@" 2>/dev/null) || true
+    \( -name test -o -name tmp -o -name cover -o -name var -o -name _build -o -name '.*' \) -prune -o \
+    "$@" 2>/dev/null) || true
 }
 
 # The content of what is compiled, whatever the times of the files.

@@ -167,6 +167,20 @@ defmodule Aerie.Control.CommandExecutor.LossyTest do
     end
   end
 
+  test "C8: an acknowledgement for the autopilot by its number is not taken for one of the autopilot" do
+    for seed <- 1..50, autopilot <- [:ardupilot, :px4] do
+      world =
+        for {params, n} <- [{%{"stream" => 243, "component" => 1}, 1}, {%{"stream" => 0}, 2}],
+            reduce: LossyVehicle.new(autopilot, seed) do
+          world ->
+            video = command("camera_video", Map.put(params, "action", "stop"), "s#{seed}n#{n}")
+            LossyVehicle.submit(world, video, 5_000)
+        end
+
+      assert world |> LossyVehicle.advance(700_000) |> LossyVehicle.wrong() == []
+    end
+  end
+
   test "an acknowledgement of a calibration is not taken for one of its cancellation" do
     for seed <- 1..300 do
       # PX4 calibrates nothing while it is armed.

@@ -17,6 +17,8 @@ defmodule Aerie.Vehicle.Protocol.Mavlink do
   alias MavCodec.Messages, as: M
 
   # The value of x and y in COMMAND_INT for "not given" (C9).
+  # The component id of nearly every autopilot.
+  @autopilot 1
   @no_place 2_147_483_647
   @accepted MavResult.value(:MAV_RESULT_ACCEPTED)
   @busy MavResult.value(:MAV_RESULT_TEMPORARILY_REJECTED)
@@ -69,8 +71,9 @@ defmodule Aerie.Vehicle.Protocol.Mavlink do
     do: step({:message, module}, [{:message, message}], [acked?: false] ++ options)
 
   defp step(key, forms, options) do
-    # A camera and an autopilot may get the same command at the same time.
-    struct!(%Step{key: {options[:component], key}, forms: forms}, options)
+    # A camera and an autopilot may get the same command at the same time; its own number means the autopilot (C8).
+    component = if options[:component] != @autopilot, do: options[:component]
+    struct!(%Step{key: {component, key}, forms: forms}, options)
   end
 
   defp number(name) do

@@ -186,7 +186,8 @@ defmodule Aerie.Vehicle.Protocol.Mavlink.Commands do
     [
       Mavlink.long(:MAV_CMD_REQUEST_MESSAGE, %{1 => params.message_id, 2 => params.index},
         component: params[:component],
-        shared?: params[:component] == nil,
+        # The session asks the autopilot as well, which may be named here.
+        shared?: params[:component] in [nil, 1],
         confirm: if(seen?, do: :told),
         watch: if(seen?, do: {:message, params.message_id})
       )

@@ -212,7 +212,9 @@ defmodule Aerie.Control.TransfersTest do
              }
              | _
            ] =
-             for(%{"id" => "high"} = record <- CommandCase.audit(dir), do: record)
+             Aerie.Patience.eventually(fn ->
+               with [] <- for(%{"id" => "high"} = record <- CommandCase.audit(dir), do: record), do: nil
+             end)
 
     assert {:error, [%{key: "name"}]} = Params.set(gateway, "VID-001", "A NAME", 1)
 

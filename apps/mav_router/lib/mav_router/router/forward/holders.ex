@@ -120,7 +120,8 @@ defmodule MavRouter.Router.Forward.Holders do
   defp room(tables, system, members, now), do: Enum.filter(members, &heard?(tables, system, elem(&1, 0), now))
 
   defp put(tables, system, members, kind) do
-    true = :ets.update_element(tables.holders, system, [{2, members}, {3, kind}])
+    # The sweeper may just have forgotten the system; the next heartbeat begins it again.
+    _there? = :ets.update_element(tables.holders, system, [{2, members}, {3, kind}])
     :changed
   end
 
@@ -160,11 +161,6 @@ defmodule MavRouter.Router.Forward.Holders do
     claimed = :ets.lookup_element(tables.holders, system, 4, nil)
     claimed != nil and now - claimed <= @claimed_ms
   end
-
-  @doc "Whether a vehicle has the id, and is heard."
-  @spec heard?(Tables.t(), system, integer) :: boolean
-  def heard?(tables, system, now),
-    do: Enum.any?(members(tables, system), fn {key, _rank} -> heard?(tables, system, key, now) end)
 
   @doc "The endpoints that bring a vehicle now, seniors first; none while no vehicle has the id."
   @spec active(Tables.t(), system, integer) :: [Endpoint.key()]

@@ -30,6 +30,8 @@ defmodule Aerie.Control.Policy.FlightPath.Volume do
   # Assumed where nothing is known.
   @curve_m 300
   @rise_m 120
+  # Metres that a plane flies for each that it climbs.
+  @climb 4
 
   @doc "The room at a place. `:long` - how long the way to it is; `:rise` - how high it is above home; nil: not known."
   @spec room(Intent.sweep(), %{long: number() | nil, rise: number() | nil}, Context.t()) :: t()
@@ -93,6 +95,15 @@ defmodule Aerie.Control.Policy.FlightPath.Volume do
       | metres: room.metres + abs(metres),
         why: "it flies on for #{round(abs(metres))} m, and " <> room.why
     }
+
+  @doc "The room of a plane's take-off that climbs `rise` metres: on rotors (`vtol`) it climbs where it is."
+  @spec climbing(number(), kind :: String.t(), circle :: t()) :: t()
+  def climbing(_rise, "vtol", circle), do: circle
+
+  def climbing(rise, _kind, circle) do
+    way = given(rise * @climb, "a plane flies about #{@climb} m for each metre that it climbs")
+    larger([circle, way])
+  end
 
   @doc "The largest of rooms, with the highest climb of any."
   @spec larger([t(), ...]) :: t()

@@ -13,8 +13,6 @@ defmodule Aerie.Control.Policy.FlightPath.Volume.Ardupilot do
   @wheeled ["rover", "boat"]
   @wheeled_m 10
   @abort_m 30
-  # A plane climbs about one metre on four.
-  @climb 4
 
   @impl Volume
   def room(sweep, kind, params) do
@@ -48,13 +46,7 @@ defmodule Aerie.Control.Policy.FlightPath.Volume.Ardupilot do
   defp winged({:land, abort}, _kind, params),
     do: %{circle(nil, params) | climb: if(abort == 0, do: @abort_m, else: abs(abort))}
 
-  # On rotors it climbs where it is.
-  defp winged({:takeoff, rise}, kind, params) when kind != "vtol" do
-    way = Volume.given(rise * @climb, "a plane flies about #{@climb} m for each metre that it climbs")
-    Volume.larger([circle(nil, params), way])
-  end
-
-  defp winged({:takeoff, _rise}, _kind, params), do: circle(nil, params)
+  defp winged({:takeoff, rise}, kind, params), do: Volume.climbing(rise, kind, circle(nil, params))
   defp winged({_circles, radius}, _kind, params), do: circle(radius, params)
 
   defp circle(radius, params), do: Volume.circle(radius, ["WP_LOITER_RAD"], params)

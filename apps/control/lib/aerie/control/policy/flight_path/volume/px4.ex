@@ -9,9 +9,6 @@ defmodule Aerie.Control.Policy.FlightPath.Volume.Px4 do
 
   @behaviour Volume
 
-  # A plane climbs about one metre on four.
-  @climb 4
-
   @impl Volume
   def room({:pass, acceptance, _beyond}, kind, params) do
     Volume.larger([
@@ -34,13 +31,7 @@ defmodule Aerie.Control.Policy.FlightPath.Volume.Px4 do
     %{circle(nil, params) | climb: max(metres, abs(abort))}
   end
 
-  # On rotors it climbs where it is.
-  defp winged({:takeoff, rise}, kind, params) when kind != "vtol" do
-    way = Volume.given(rise * @climb, "a plane flies about #{@climb} m for each metre that it climbs")
-    Volume.larger([circle(nil, params), way])
-  end
-
-  defp winged({:takeoff, _rise}, _kind, params), do: circle(nil, params)
+  defp winged({:takeoff, rise}, kind, params), do: Volume.climbing(rise, kind, circle(nil, params))
   defp winged({_circles, radius}, _kind, params), do: circle(radius, params)
 
   defp circle(radius, params), do: Volume.circle(radius, ["NAV_LOITER_RAD"], params)

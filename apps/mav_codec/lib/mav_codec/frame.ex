@@ -127,6 +127,13 @@ defmodule MavCodec.Frame do
   defp signature_size(_incompat), do: 13
 
   @doc """
+  The version for what is sent in place of a frame, or as the answer to it, with a system id of `system`: that of the
+  frame, because its peers may know no other one. Ids above 255 are in version 2 only (N1).
+  """
+  @spec version_for(t(), non_neg_integer()) :: 1 | 2
+  def version_for(%__MODULE__{version: version}, system), do: if(system > 255, do: 2, else: version)
+
+  @doc """
   The frame with exactly these bytes. Nothing is checked: use it for bytes that a parser has accepted or that
   `MavCodec.encode/2` returned.
   """

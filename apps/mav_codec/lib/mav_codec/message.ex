@@ -71,6 +71,24 @@ defmodule MavCodec.Message do
 
   defp put([], _message), do: []
 
+  @doc """
+  What a message cannot say in a version: `:id` if version 1 has no such message (F2), the key of an extension field
+  that is not zero and would be lost (F9), or nil.
+  """
+  @spec unsayable(t(), 1 | 2) :: :id | atom() | nil
+  def unsayable(_message, 2), do: nil
+
+  def unsayable(%module{} = message, 1) do
+    if module.id() > 255,
+      do: :id,
+      else:
+        Enum.find_value(module.fields(), &(&1.extension and not zero?(Map.get(message, &1.key)) and &1.key))
+  end
+
+  defp zero?(values) when is_list(values), do: Enum.all?(values, &zero?/1)
+  defp zero?(bytes) when is_binary(bytes), do: trim(bytes) in ["", <<0>>]
+  defp zero?(number), do: number == 0
+
   @doc "A payload without its trailing zeros; its first byte always stays (F7)."
   @spec trim(binary()) :: binary()
   def trim(<<payload::binary>>), do: trim(payload, byte_size(payload))

@@ -28,7 +28,7 @@ defmodule SimVehicle.Options do
     logs: {[], "contents of the logs on board"},
     camera:
       {nil, "nil, or the component id of a camera with parameters of its own, 2..255 (`SimVehicle.Camera`)"},
-    mavlink: {2, "protocol version that is spoken, 1 or 2"},
+    mavlink: {2, "protocol version that is spoken, 1, 2, or :both: one frame in each"},
     key: {nil, "nil, or the 32 bytes of the signing key that it has from the start"},
     signed_at: {nil, "nil (GPS time), or the time stamp that the clock of its signatures begins with"},
     secure:
@@ -102,7 +102,7 @@ defmodule SimVehicle.Options do
   defp valid?(:speed, value, _opts), do: is_number(value) and value >= 0.1 and value <= 100
   defp valid?(:wind, value, _opts), do: is_number(value) and value >= 0 and value <= 10
   defp valid?(:seed, value, _opts), do: is_integer(value)
-  defp valid?(:mavlink, value, _opts), do: value in [1, 2]
+  defp valid?(:mavlink, value, _opts), do: value in [1, 2, :both]
 
   defp valid?(:battery, value, _opts) do
     Keyword.keyword?(value) and

@@ -242,7 +242,7 @@ defmodule SimVehicle.Server do
           system: state.vehicle.system,
           component: component,
           seq: seq,
-          version: state.options.mavlink,
+          version: version(state, message, seq),
           dialect: state.dialect
         )
 
@@ -250,6 +250,11 @@ defmodule SimVehicle.Server do
       transmit(%{state | seq: Map.put(state.seq, component, rem(seq + 1, 256)), signing: signing}, bytes)
     end
   end
+
+  defp version(%{options: %{mavlink: :both}} = state, message, seq),
+    do: if(version_1?(state, message), do: 1 + rem(seq, 2), else: 2)
+
+  defp version(state, _message, _seq), do: state.options.mavlink
 
   defp version_1?(state, %module{}),
     do: match?({id, _crc, _base, _ext} when id < 256, state.dialect.layout(module))

@@ -184,6 +184,7 @@ defmodule Aerie.Control.TransferExecutor do
          %{
            target: {state.options.system_id, snapshot.component || 1},
            us: {state.options.own_system, state.options.own_component},
+           version: snapshot[:mavlink_version] || 2,
            protocol: Protocol.of(snapshot.autopilot),
            autopilot: snapshot.autopilot,
            capabilities: snapshot[:capabilities],

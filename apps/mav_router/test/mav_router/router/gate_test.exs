@@ -346,6 +346,23 @@ defmodule MavRouter.Router.GateTest do
     assert asked == [plain, %{plain | param5: 5.0}]
   end
 
+  test "V1: whoever speaks MAVLink 1 is answered in it, and asked for in it", c do
+    known(c)
+    stranger = udp(c.port)
+    ask = %Messages.CommandLong{target_system: 1, target_component: 1, command: 512, param1: 33.0}
+
+    for {message, result} <- [{ask, 0}, {%{ask | command: 400, param1: 0.0}, 2}] do
+      say(stranger, MavCodec.encode(message, system: 255, component: 190, version: 1))
+      {:ok, {_address, _port, bytes}} = :gen_udp.recv(stranger, 0, @patience)
+      frame = MavCodec.Frame.from_bytes(bytes, nil)
+      assert frame.version == 1
+      assert {:ok, %Messages.CommandAck{result: ^result}} = MavCodec.decode(frame)
+    end
+
+    question = MavCodec.encode(ask, system: 245, component: 191, version: 1)
+    assert question in until_marked(c, c.one)
+  end
+
   defp until_decoded(socket, module) do
     {:ok, {_address, _port, bytes}} = :gen_udp.recv(socket, 0, @patience)
 

@@ -71,7 +71,7 @@ defmodule Aerie.Vehicle.Core do
     :modes_asked,
     status: :online,
     version: 2,
-    heartbeat: %{at: nil, version: 1},
+    heartbeat: %{at: nil, version: 1, heard2: nil},
     shown: %SnapshotSchedule{},
     dirty: false,
     state: %State{},
@@ -97,7 +97,8 @@ defmodule Aerie.Vehicle.Core do
   For this module and those in its folder.
 
   - `expired_at`, `observed_at`: when deadlines were last handled, the detector was last given something
-  - `heartbeat`: when ours was last due, and the version of the last one
+  - `version`: 2 while the autopilot is heard in MAVLink 2, by whichever link; `heartbeat`: when ours was last due, the
+    version of the last one, and when version 2 was last heard (`heard2`)
   - `heard_again_at`: the first frame after a silence, until the vehicle's clock shows whether it was restarted
   - `settle_at`: when the detector looks again for the cause of a failsafe
   - `digest`: what the detector was shown last; `:restored` after a crash, until it has got the status again
@@ -161,6 +162,7 @@ defmodule Aerie.Vehicle.Core do
         now: snapshot.last_heard,
         status: snapshot.status,
         component: snapshot[:component],
+        version: snapshot[:mavlink_version] || 2,
         reception: Reception.new(snapshot.links, snapshot.last_heard),
         boot_clock: BootClock.new(Enum.max(boots, fn -> nil end)),
         gcs: Gcs.new(snapshot[:gcs]),

@@ -502,6 +502,48 @@ defmodule Aerie.Vehicle.CoreTest do
     assert for({:heartbeat, _} <- tick(beat(start(heartbeat: false), 10), 20).actions, do: 1) == []
   end
 
+  describe "V1: the version in which a vehicle is spoken to" do
+    @mavlink2 M.AutopilotVersion |> struct(capabilities: 0xFFFF)
+    defp version(run), do: Core.snapshot(run.core).mavlink_version
+
+    defp heard(run, seconds, versions),
+      do:
+        frames(
+          run,
+          for({v, n} <- Enum.with_index(versions), do: frame(@copter, (seconds + n) * @second, version: v))
+        )
+
+    test "is 2 while one of its radios speaks it, whatever came last" do
+      assert start() |> heard(10, [1, 1]) |> version() == 1
+      run = start() |> heard(10, [1, 2, 1, 1])
+      assert version(run) == 2
+      assert run |> heard(40, [1]) |> version() == 2
+      assert run |> heard(42, [1]) |> version() == 1
+      # Any frame of the autopilot, and nobody else's.
+      attitude = frame(%M.Attitude{}, 13 * @second)
+      assert start() |> heard(10, [1]) |> frames([attitude]) |> version() == 2
+      assert start() |> heard(10, [1]) |> frames([%{attitude | component: 154}]) |> version() == 1
+    end
+
+    test "is 1 whatever its capabilities say: what it answers by that port has no mission_type either" do
+      run = start() |> heard(10, [1]) |> frames([frame(@mavlink2, 11 * @second, version: 1)])
+      assert version(run) == 1
+      assert Core.snapshot(run.core).capabilities == 0xFFFF
+    end
+
+    test "outlives a crash of the session" do
+      run = start() |> heard(10, [1])
+      assert Core.new(options(), Core.snapshot(run.core)) |> Core.snapshot() |> Map.get(:mavlink_version) == 1
+    end
+
+    test "F9: a message of ours says only what it can say in it" do
+      run = Enum.reduce(10..60, start(), fn at, run -> run |> heard(at, [1]) |> tick(at + 0.5) end)
+      sent = for {:send, message, 1} <- run.actions, do: message
+      assert Enum.any?(sent, &is_struct(&1, M.Timesync)) and Enum.any?(sent, &is_struct(&1, M.CommandLong))
+      assert Enum.map(sent, &MavCodec.Message.unsayable(&1, 1)) |> Enum.uniq() == [nil]
+    end
+  end
+
   test "requesting streams can be switched off" do
     sent = fn run -> for {:send, _message, _version} <- run.actions, do: 1 end
     long = fn run -> Enum.reduce(1..200, run, &beat(&2, 10 + &1 / 10)) end

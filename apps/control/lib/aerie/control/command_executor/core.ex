@@ -31,6 +31,7 @@ defmodule Aerie.Control.CommandExecutor.Core do
 
   alias Aerie.Vehicle.{Command, Protocol}
   alias Aerie.Vehicle.Command.Result
+  alias Aerie.Vehicle.Protocol.Mavlink.Version
   alias Aerie.Vehicle.Protocol.Vehicle
   alias Aerie.Control.Policy.Intent
   alias Aerie.Control.CommandExecutor.{Job, Repeater, Steps, Timing, Turns}
@@ -175,7 +176,10 @@ defmodule Aerie.Control.CommandExecutor.Core do
   defp planned({core, actions}, command, until, now) do
     case Protocol.plan(core.protocol, command, core.vehicle) do
       {:ok, [%{stream: %{}} = step]} ->
-        stream({core, actions}, command, step, until, now)
+        case Version.refusal(core.protocol.encode(step, 0, core.vehicle), core.vehicle.version) do
+          nil -> stream({core, actions}, command, step, until, now)
+          reason -> refuse({core, actions}, command, :rejected, reason)
+        end
 
       {:ok, steps} ->
         job = %Job{command: command, until: until, steps: steps, since: now, mode: core.vehicle.mode}

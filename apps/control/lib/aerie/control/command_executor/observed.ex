@@ -42,6 +42,7 @@ defmodule Aerie.Control.CommandExecutor.Observed do
     position = Snapshot.data(snapshot, :position)
 
     %{
+      version: snapshot[:mavlink_version] || 2,
       mode: mode[:mode],
       armed: mode[:armed],
       in_air: mode[:in_air],

@@ -6,6 +6,7 @@ defmodule Aerie.Control.CommandExecutor.Steps do
 
   alias Aerie.Vehicle.Command.Result
   alias Aerie.Vehicle.Protocol
+  alias Aerie.Vehicle.Protocol.Mavlink.Version
   alias Aerie.Control.CommandExecutor.{Core, Ending, Job, Repeater, Timing, Turns, Verdict}
 
   # Results that the vehicle's own words may explain.
@@ -79,9 +80,17 @@ defmodule Aerie.Control.CommandExecutor.Steps do
     {put(%{core | alone: :asked}, job), ask ++ actions}
   end
 
-  defp transmit({core, actions}, job, now) do
+  defp transmit({core, _actions} = acc, job, now) do
+    messages = core.protocol.encode(Job.step(job), job.sends, core.vehicle)
+
+    case Version.refusal(messages, core.vehicle.version) do
+      reason when reason != nil and job.sends == 0 -> finish(acc, job, {:rejected, reason}, now)
+      _sayable_or_sent_before -> transmit(acc, job, messages, now)
+    end
+  end
+
+  defp transmit({core, actions}, job, messages, now) do
     step = Job.step(job)
-    messages = core.protocol.encode(step, job.sends, core.vehicle)
     job = Job.sent(job, core.vehicle, now, now + patience(core, step))
     job = %{job | ambiguous?: job.ambiguous? or Ending.mistakable?(core.jobs, core.lanes, step, now)}
     {job, jobs} = Job.doubt(job, Ending.begun(core.jobs, step, now))

@@ -164,7 +164,8 @@ defmodule Aerie.Control.Policy.MavlinkPolicy do
   defp encoded(_messages, _frame, _snapshot, {_network, 0}), do: []
 
   defp encoded(messages, frame, snapshot, {_network, system}) do
-    options = [system: system, component: component(frame, snapshot), sysid32: true]
+    ids = [system: system, component: component(frame, snapshot), sysid32: true]
+    options = [version: Frame.version_for(frame, system)] ++ ids
     Enum.map(messages, &MavCodec.encode(&1, options))
   end
 
@@ -282,7 +283,8 @@ defmodule Aerie.Control.Policy.MavlinkPolicy do
   defp instead(message, frame) do
     with %_module{} = question <- Mavlink.Refusal.instead(message) do
       ids = [system: frame.system, component: frame.component, seq: frame.seq, sysid32: true]
-      bytes = MavCodec.encode(question, ids)
+      version = Frame.version_for(frame, frame.system)
+      bytes = MavCodec.encode(question, [version: version] ++ ids)
       question = Frame.from_bytes(bytes, nil, frame.at)
       %{question | crc_extra: All.crc_extra(question.id)}
     end

@@ -28,6 +28,7 @@ defmodule Aerie.Control.TransferExecutor.Core do
 
   alias MavRouter.Router.TransferLock
   alias Aerie.Control.TransferExecutor.Job
+  alias Aerie.Vehicle.Protocol.Mavlink.Version
   alias MavCodec.Messages, as: M
 
   @max_jobs 32
@@ -219,9 +220,15 @@ defmodule Aerie.Control.TransferExecutor.Core do
     ftp? = core.silent == nil or core.silent != core.vehicle.links
 
     case job.start.(Map.merge(core.vehicle, %{seq: core.seq, ftp?: ftp?, now: now})) do
-      {:ok, machine} ->
-        job = %{job | phase: :running, machine: machine}
-        step(put(core, job), job, {:start, now}, now)
+      {:ok, %module{} = machine} ->
+        {machine, said} = module.handle(machine, {:start, now})
+        first = for {:send, messages} <- said, message <- List.wrap(messages), do: message
+
+        # Later on, the session keeps back what this version does not have.
+        case Version.refusal(first, core.vehicle.version) do
+          nil -> acted(core, %{job | phase: :running, machine: machine}, said)
+          reason -> finish(core, job, {:error, reason})
+        end
 
       {:error, reason} ->
         finish(core, job, {:error, reason})
@@ -230,9 +237,10 @@ defmodule Aerie.Control.TransferExecutor.Core do
 
   defp step(core, %{machine: %module{} = machine} = job, event, _now) do
     {machine, said} = module.handle(machine, event)
-    job = %{job | machine: machine}
-    Enum.reduce(said, {put(core, job), []}, &act(&1, &2, job))
+    acted(core, %{job | machine: machine}, said)
   end
+
+  defp acted(core, job, said), do: Enum.reduce(said, {put(core, job), []}, &act(&1, &2, job))
 
   defp act({:send, messages}, {core, actions}, _job), do: {core, actions ++ [{:send, List.wrap(messages)}]}
 

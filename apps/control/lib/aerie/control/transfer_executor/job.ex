@@ -20,13 +20,14 @@ defmodule Aerie.Control.TransferExecutor.Job do
   @type lane :: :params | :mission | :file | :log
 
   @typedoc """
-  What a machine is made of when its turn has come: ids of the vehicle's autopilot and of the gateway, the adapter of the firmware,
+  What a machine is made of when its turn has come: ids of the vehicle's autopilot and of the gateway, the version of MAVLink, the adapter of the firmware,
   MAV_PROTOCOL_CAPABILITY bits (nil: not known), the measured round trip (nil: not measured), the number of the next FTP request, and
   the time.
   """
   @type context :: %{
           target: {non_neg_integer(), 0..255},
           us: {non_neg_integer(), 0..255},
+          version: 1 | 2,
           protocol: module(),
           autopilot: Aerie.Vehicle.Kind.autopilot(),
           capabilities: non_neg_integer() | nil,

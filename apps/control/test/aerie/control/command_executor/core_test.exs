@@ -597,6 +597,20 @@ defmodule Aerie.Control.CommandExecutor.CoreTest do
       assert Core.wake_at(core) == nil
     end
 
+    test "F9: of sticks, MAVLink 1 has eight channels; more are refused before the first is sent" do
+      old = core(:ardupilot, %{version: 1})
+
+      assert {_core, [{:send, [_sticks], _id}, {:result, %{status: :accepted}}]} =
+               submit(old, "rc_override", %{channels: List.duplicate(1500, 8)})
+
+      {core, [result: result]} = submit(old, "rc_override", %{channels: List.duplicate(1500, 9)})
+
+      assert %{status: :rejected, reason: "this vehicle speaks MAVLink 1, which has no field chan9_raw" <> _} =
+               result
+
+      assert Core.wake_at(core) == nil
+    end
+
     test "are renewed without a gap, and one takes the place of another" do
       {core, _sent} = submit(core(), "setpoint_velocity", %{vx: 1, vy: 0, vz: 0, hold: 1}, 0, id: "a")
       {core, _sent} = submit(core, "setpoint_velocity", %{vx: 2, vy: 0, vz: 0, hold: 1}, 500 * @ms, id: "b")

@@ -213,10 +213,10 @@ defmodule Aerie.Control.Policy.MavlinkPolicyTest do
 
   defp arm, do: %M.CommandLong{target_system: 1, target_component: 1, command: 400, param1: 1.0}
 
-  defp decided(c, sender, key, message) do
+  defp decided(c, sender, key, message, options \\ []) do
     frame =
       message
-      |> MavCodec.encode(system: 255, component: 190)
+      |> MavCodec.encode([system: 255, component: 190] ++ options)
       |> IO.iodata_to_binary()
       |> Frame.from_bytes(nil)
 
@@ -385,6 +385,19 @@ defmodule Aerie.Control.Policy.MavlinkPolicyTest do
     mark = MavCodec.encode(%M.AdsbVehicle{icao_address: 7}, system: 254, component: 190)
     say(client(c.gateway, "marker"), mark)
     assert [{245, M.ParamRequestRead}] = until_bytes(c.vehicle, mark)
+  end
+
+  test "V1: a refusal and what takes the place of a refused frame are in the version of the frame", c do
+    operator = Policy.Roles.principal(:client, "operator", :operator)
+    sender = %{endpoint: {"operator", 1}, owner: "operator", peer: nil, principal: operator}
+    set = %M.ParamSet{target_system: 1, target_component: 1, param_id: "RTL_ALT"}
+
+    for version <- [1, 2] do
+      {:refuse, answers, instead} = decided(c, sender, {"main", 1}, set, version: version)
+      assert version == 2 or answers != []
+      for bytes <- answers, do: assert(%{version: ^version} = Frame.from_bytes(bytes, nil))
+      assert %{version: ^version} = instead
+    end
   end
 
   # Who sent what, up to these bytes.

@@ -23,7 +23,7 @@ defmodule Aerie.Control.TransferExecutor.CoreTest do
       do: {toy, [{:data, 0, "x"}, {:done, {:ok, toy.name}}]}
   end
 
-  @facts %{target: {1, 1}, links: ["link-1"]}
+  @facts %{target: {1, 1}, version: 2, links: ["link-1"]}
 
   defp job(id, lanes, more \\ []) do
     start = fn context -> {:ok, %Toy{name: id, seq: context.seq}} end

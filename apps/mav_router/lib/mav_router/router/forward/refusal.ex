@@ -84,7 +84,8 @@ defmodule MavRouter.Router.Forward.Refusal do
         target_component: frame.component
       }
 
-      bytes = MavCodec.encode(ack, system: system, component: max(component, 1), sysid32: true)
+      ids = [system: system, component: max(component, 1), sysid32: true]
+      bytes = MavCodec.encode(ack, [version: Frame.version_for(frame, system)] ++ ids)
       Output.bytes(path, bytes, :ack, 1)
     end
 

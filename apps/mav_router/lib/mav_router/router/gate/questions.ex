@@ -51,7 +51,7 @@ defmodule MavRouter.Router.Gate.Questions do
       case own_words(message, command) do
         {:ok, message} ->
           room? = room?(delivery.tables, {vehicle, frame.id}, per_minute)
-          _ = if room?, do: send_on(message, target, vehicle, own, delivery)
+          _ = if room?, do: send_on(message, target, vehicle, own, frame, delivery)
 
           _ =
             if command,
@@ -118,8 +118,16 @@ defmodule MavRouter.Router.Gate.Questions do
     end)
   end
 
-  defp send_on(message, {_id, component}, {_network, system} = vehicle, {own_system, own_component}, delivery) do
-    ids = [system: own_system, component: own_component, sysid32: true]
+  defp send_on(
+         message,
+         {_id, component},
+         {_network, system} = vehicle,
+         {own_system, own_component},
+         frame,
+         delivery
+       ) do
+    version = Frame.version_for(frame, max(system, own_system))
+    ids = [system: own_system, component: own_component, sysid32: true, version: version]
     bytes = MavCodec.encode(%{message | target_system: system}, ids)
     options = if component > 0, do: [component: component], else: []
     Dispatch.send(delivery.gateway, vehicle, bytes, options)
@@ -145,7 +153,8 @@ defmodule MavRouter.Router.Gate.Questions do
         target_component: frame.component
       }
 
-      bytes = MavCodec.encode(ack, system: system, component: max(component, 1), sysid32: true)
+      ids = [system: system, component: max(component, 1), sysid32: true]
+      bytes = MavCodec.encode(ack, [version: Frame.version_for(frame, system)] ++ ids)
       Output.bytes(path, bytes, :ack, 1)
     end
   end

@@ -24,6 +24,8 @@ defmodule Aerie.Vehicle.Core.Frames do
   # For `Services.message/5`.
   @services [M.Ping.id(), M.CommandAck.id(), M.CommandLong.id(), M.Timesync.id(), M.MessageInterval.id()]
   @decoded [@system_time, @param_value, @statustext | @services]
+  # A vehicle that was heard in version 2 for so long is spoken to in it.
+  @version2_us 30_000_000
   # A vehicle that restarts is silent for longer than this.
   @silence_us 2_000_000
 
@@ -81,13 +83,25 @@ defmodule Aerie.Vehicle.Core.Frames do
 
   defp autopilot_heartbeat(core, actions, link, frame, message) do
     core = %{core | owner: Collision.Owner.proves(core.owner, core.path, frame.at)}
-    {core, actions} = alive(%{core | component: frame.component, version: frame.version}, actions, frame.at)
+    {core, actions} = alive(%{spoken(core, frame) | component: frame.component}, actions, frame.at)
     core = core |> Services.heartbeat_heard(link, frame.at) |> Services.received(link, frame.id, frame.at)
     {core, actions} = early_texts({core, actions})
     content = {message.base_mode, message.custom_mode, message.system_status}
     suspicion = Collision.Suspicion.heartbeat(core.suspicion, core.path, content, frame.at)
     message(%{core | suspicion: suspicion}, actions, link, frame, message)
   end
+
+  # Its radios may speak both versions, and what we send must not depend on which one was heard last: a fence of
+  # version 1 is a mission. Its capabilities do not count. ArduPilot has the bit on ports that are set to MAVLink 1 as
+  # well, and what it answers there has no mission_type either.
+  defp spoken(core, %{version: 2, at: at}),
+    do: %{core | version: 2, heartbeat: %{core.heartbeat | heard2: at}}
+
+  defp spoken(%{heartbeat: %{heard2: heard}} = core, %{at: at})
+       when heard != nil and abs(at - heard) <= @version2_us,
+       do: core
+
+  defp spoken(core, _version1), do: %{core | version: 1}
 
   # A frame says that the vehicle is another one, and does not come by the path by which the vehicle said what it is.
   defp foreign?(%{state: %{type: nil}}, _frame, _message), do: false
@@ -113,6 +127,7 @@ defmodule Aerie.Vehicle.Core.Frames do
   end
 
   defp autopilot(core, actions, link, %{id: id, at: at} = frame) do
+    core = if core.version == 1 and frame.version == 2, do: spoken(core, frame), else: core
     {core, actions} = alive(core, actions, at)
     core = Services.received(core, link, id, at)
     core = if id == @high_latency, do: Services.summary_heard(core, link, at), else: core

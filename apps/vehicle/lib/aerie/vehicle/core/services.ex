@@ -64,7 +64,7 @@ defmodule Aerie.Vehicle.Core.Services do
     with answer when answer != nil <- Timesync.answer(request, from, own(core), frame.at),
          false <- HighLatency.high_latency?(core.high_latency, link),
          {true, timesync} <- Timesync.answer?(core.timesync, frame.at) do
-      {%{core | timesync: timesync}, [{:send, answer, core.version} | actions]}
+      {%{core | timesync: timesync}, [{:send, answered(answer, core), core.version} | actions]}
     else
       _none -> {core, actions}
     end
@@ -232,13 +232,18 @@ defmodule Aerie.Vehicle.Core.Services do
 
   defp clock(acc, _now, _ask), do: acc
 
-  # Without a target, every vehicle on a radio's network would answer. (A PING with a target is an answer.)
-  defp addressed(%M.Timesync{} = request, core) do
+  # Without a target, every vehicle on a radio's network would answer, as it has to in MAVLink 1. (A PING with a target
+  # is an answer.)
+  defp addressed(%M.Timesync{} = request, %{version: 2} = core) do
     {system, component} = target(core)
     %{request | target_system: system, target_component: component}
   end
 
   defp addressed(request, _core), do: request
+
+  # MAVLink 1 tells the receiver by the time that is given back.
+  defp answered(%M.Timesync{} = answer, %{version: 1}), do: %{answer | target_system: 0, target_component: 0}
+  defp answered(answer, _core), do: answer
 
   # The links that are measured: the vehicle is heard on them, and a byte costs nothing (X6).
   defp asked_links(core, now) do
@@ -285,7 +290,9 @@ defmodule Aerie.Vehicle.Core.Services do
 
       true ->
         version = if core.version == 1, do: 3 - core.heartbeat.version, else: 2
-        {%{core | heartbeat: %{at: now, version: version}}, [{:heartbeat, version} | actions]}
+
+        {%{core | heartbeat: %{core.heartbeat | at: now, version: version}},
+         [{:heartbeat, version} | actions]}
     end
   end
 

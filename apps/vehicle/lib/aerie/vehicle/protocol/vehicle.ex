@@ -24,6 +24,7 @@ defmodule Aerie.Vehicle.Protocol.Vehicle do
     :busy_with,
     :gcs,
     component: 1,
+    version: 2,
     params: %{},
     us: {237, 191},
     mode_names: %{},
@@ -38,6 +39,7 @@ defmodule Aerie.Vehicle.Protocol.Vehicle do
 
   @typedoc """
     * `:kind` - as `Aerie.Vehicle.Kind.name/1` says: copter, plane, vtol, rover, boat, sub …
+    * `:version` - that of MAVLink which it speaks
     * `:us` - system and component that commands are sent from
     * `:mode_names` - number to name, of modes that the vehicle itself named (X4)
     * `:standard_modes` - the numbers of its modes for MAVLink's standard modes, if it reported them (X4)
@@ -51,6 +53,7 @@ defmodule Aerie.Vehicle.Protocol.Vehicle do
   @type t :: %__MODULE__{
           system: pos_integer(),
           component: 1..255,
+          version: 1 | 2,
           autopilot: Aerie.Vehicle.Kind.autopilot(),
           kind: String.t(),
           us: {non_neg_integer(), non_neg_integer()},

@@ -11,7 +11,7 @@ defmodule Aerie.Vehicle.Session.Output do
   alias Aerie.Vehicle
   alias MavRouter.Identity.Watchdog
   alias Aerie.Vehicle.Services.Identity
-  alias MavCodec.Encoder
+  alias MavCodec.{Encoder, Message}
 
   @heartbeat_ms 900
   @withheld_ms 3_000
@@ -31,18 +31,23 @@ defmodule Aerie.Vehicle.Session.Output do
 
   @doc """
   Sends a message to its target component of the vehicle in the MAVLink version that it speaks, by the path that brings
-  it, or by `link`. A message to a vehicle without a route is dropped and counted (`unsent`).
+  it, or by `link`. A message to a vehicle without a route is dropped and counted (`unsent`), and so is one that this
+  version cannot say: without its extension fields it would be another message.
   """
   @spec send(t(), struct(), 1 | 2, link :: term()) :: t()
   def send(%{gateway: gateway, options: options} = output, %module{} = message, version, link \\ nil) do
-    {bytes, encoder} = Encoder.encode(output.encoder, message, version: version)
-
-    case MavRouter.Router.send(gateway, options.key, bytes, [component: component(message)] ++ by(link)) do
-      :ok -> Store.count(gateway, {:sent, module.id()})
-      {:error, _no_route} -> Store.count(gateway, {:vehicle, options.id, :unsent})
+    with nil <- Message.unsayable(message, version),
+         {bytes, encoder} = Encoder.encode(output.encoder, message, version: version),
+         output = %{output | encoder: encoder},
+         to = [component: component(message)] ++ by(link),
+         {:sent, :ok} <- {:sent, MavRouter.Router.send(gateway, options.key, bytes, to)} do
+      Store.count(gateway, {:sent, module.id()})
+      output
+    else
+      _unsayable_or_no_route ->
+        Store.count(gateway, {:vehicle, options.id, :unsent})
+        output
     end
-
-    %{output | encoder: encoder}
   end
 
   # A camera or a gimbal may be on a socket of its own (R1).

@@ -94,8 +94,8 @@ defmodule Aerie.Fleet.Diagnosis.Rules.Vehicles do
       condition(vehicle, :mavlink1_only, :notice, "#{vehicle.id} speaks MAVLink 1",
         evidence: ["its heartbeats are in version 1, though it got ours in version 2"],
         mend:
-          "Set SERIALn_PROTOCOL 2 (ArduPilot) or MAV_PROTO_VER 2 (PX4). Without MAVLink 2 there are no signatures, no messages above id 255 " <>
-            "and no fences by the mission protocol."
+          "Set SERIALn_PROTOCOL 2 (ArduPilot) or MAV_PROTO_VER 2 (PX4). Without MAVLink 2 there are no signatures, no messages above id 255, " <>
+            "no fences, rally points or parameters of cameras."
       )
     else
       []

@@ -105,6 +105,24 @@ defmodule MavRouter.Router do
          do: tables |> Holders.way(key, options, System.monotonic_time(:millisecond)) |> List.first()
   end
 
+  @doc """
+  Whether a vehicle that is not lost is reached by an endpoint: its link keeps the path open, however long it is silent.
+  """
+  @spec needed?(Names.gateway(), Endpoint.key()) :: boolean
+  def needed?(gateway, key) do
+    case Tables.of(gateway) do
+      nil -> false
+      tables -> Holders.needed?(tables, gateway, key, System.monotonic_time(:millisecond))
+    end
+  end
+
+  @doc "Whether an endpoint gets only what links of high latency carry (X6)."
+  @spec high_latency?(Names.gateway(), Endpoint.key()) :: boolean
+  def high_latency?(gateway, key) do
+    tables = Tables.of(gateway)
+    tables != nil and Holders.slow?(tables, key)
+  end
+
   @doc "All learned routes, with their ages in ms."
   @spec routes(Names.gateway()) :: [Routes.route()]
   def routes(gateway) do

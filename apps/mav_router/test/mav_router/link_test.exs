@@ -242,6 +242,22 @@ defmodule MavRouter.LinkTest do
       refute MavRouter.Link.Announcer.silent?(%{snapshot | spec: %{announced: false}}, 10_000_000)
     end
 
+    test "X6: says it more and more seldom on a link of high latency that hears nothing, and no more when it has" do
+      link = %{id: "sat", since: 5, last_heard: nil}
+      second = 1_000_000
+
+      {said, _seldom} =
+        Enum.flat_map_reduce(0..7_200, %{}, fn at, seldom ->
+          {links, seldom} = MavRouter.Link.Announcer.seldom(seldom, [link], at * second)
+          {Enum.map(links, fn _sat -> at end), seldom}
+        end)
+
+      assert said == [0, 30, 90, 210, 450, 930, 1_890, 3_810]
+      assert MavRouter.Link.Announcer.seldom(%{}, [%{link | last_heard: 6}], 0) == {[], %{}}
+      # It was opened again since, so that the other end does not know where from.
+      assert {[_sat], _seldom} = MavRouter.Link.Announcer.seldom(%{}, [%{link | last_heard: 4}], 0)
+    end
+
     test "datagrams of other hosts are ignored", c do
       be_session(c.gateway, 1)
       server = socket(ip: {127, 0, 0, 2})

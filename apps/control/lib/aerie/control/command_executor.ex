@@ -170,12 +170,17 @@ defmodule Aerie.Control.CommandExecutor do
     step(state, {:observed, Map.merge(Observed.changes(snapshot), more), groups, now()})
   end
 
-  defp rtt(state, %{clock: %{rtt_us: us}}) when is_integer(us) do
-    {core, []} = Core.handle(state.core, {:rtt, us})
+  defp rtt(%{core: %{rtt: before}} = state, snapshot) do
+    rtt =
+      case snapshot do
+        %{high_latency: %{only?: true}} -> :high_latency
+        %{clock: %{rtt_us: us}} when is_integer(us) -> us
+        _unmeasured -> if before == :high_latency, do: nil, else: before
+      end
+
+    {core, []} = Core.handle(state.core, {:rtt, rtt})
     %{state | core: core}
   end
-
-  defp rtt(state, _snapshot), do: state
 
   defp step(state, event, from \\ nil)
   defp step(%{core: nil} = state, _event, _from), do: state

@@ -4,6 +4,9 @@ defmodule MavRouter.Link.Announcer do
   something is heard, the vehicles' sessions keep the connection alive. A peer whose frames are refused because of its
   signing clock has no session; it gets a heartbeat and a TIMESYNC request from here too (`MavRouter.LinkProcess.announce/5`).
 
+  On a link of high latency silence means nothing, and each byte costs (X6): it gets one heartbeat when it opens, and
+  others after 30 s, a minute, two … an hour, until something is heard.
+
   The heartbeat is that of an on-board computer with the gateway's own ids, never that of a ground station (H5). Like all of
   our heartbeats it stops while the gateway's loops do not answer (H3, `MavRouter.Identity`), which is counted as
   `{:identity, :held}`.
@@ -19,6 +22,8 @@ defmodule MavRouter.Link.Announcer do
 
   @every_ms 1_000
   @silence_us 3_000_000
+  @seldom_us 30_000_000
+  @most_seldom_us 3_600_000_000
   @active Enums.MavState.value(:MAV_STATE_ACTIVE)
   @critical Enums.MavState.value(:MAV_STATE_CRITICAL)
 
@@ -36,7 +41,7 @@ defmodule MavRouter.Link.Announcer do
     Process.set_label({:link_announcer, gateway})
     %Identity.Settings{heartbeat: heartbeat} = settings = Keyword.fetch!(options, :settings)
     _timer = if heartbeat, do: :timer.send_interval(@every_ms, :announce)
-    {:ok, %{gateway: gateway, settings: settings, heartbeat: heartbeat, encoder: nil}}
+    {:ok, %{gateway: gateway, settings: settings, heartbeat: heartbeat, encoder: nil, seldom: %{}}}
   end
 
   @impl GenServer
@@ -79,9 +84,17 @@ defmodule MavRouter.Link.Announcer do
   def handle_info(:announce, state) do
     now = System.os_time(:microsecond)
 
-    case for(link <- Store.links(state.gateway), silent?(link, now), do: link) do
-      [] -> {:noreply, state}
-      links -> {:noreply, announce(state, links, Identity.status(state.gateway))}
+    {slow, links} =
+      for(link <- Store.links(state.gateway), silent?(link, now), do: link)
+      |> Enum.split_with(
+        &(&1.high_latency or MavRouter.Router.high_latency?(state.gateway, {&1.id, :remote}))
+      )
+
+    {first, seldom} = seldom(state.seldom, slow, System.monotonic_time(:microsecond))
+
+    case links ++ first do
+      [] -> {:noreply, %{state | seldom: seldom}}
+      links -> {:noreply, announce(%{state | seldom: seldom}, links, Identity.status(state.gateway))}
     end
   end
 
@@ -112,6 +125,25 @@ defmodule MavRouter.Link.Announcer do
     end
 
     %{state | encoder: encoder}
+  end
+
+  @doc """
+  Which of the silent links of high latency are to hear of us now (monotonic us), and when each of those that have not
+  been heard since they were opened is to hear of us next.
+  """
+  @spec seldom(%{term => {due :: integer, wait :: pos_integer}}, [map], integer) :: {[map], map}
+  def seldom(before, links, now) do
+    unheard = for %{last_heard: heard, since: since} = link <- links, heard == nil or heard < since, do: link
+
+    Enum.reduce(unheard, {[], %{}}, fn %{id: id} = link, {due, seldom} ->
+      case Map.get(before, id, {now, @seldom_us}) do
+        {at, wait} when at <= now ->
+          {[link | due], Map.put(seldom, id, {now + wait, min(2 * wait, @most_seldom_us)})}
+
+        later ->
+          {due, Map.put(seldom, id, later)}
+      end
+    end)
   end
 
   @doc "Whether a link needs our heartbeat, from its snapshot and the time in unix microseconds."

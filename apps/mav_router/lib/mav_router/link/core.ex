@@ -68,8 +68,10 @@ defmodule MavRouter.Link.Core do
   @garbled_ms 5_000
   # A search that fails takes five seconds, so that one begins every ten.
   @search_ms 5_000
-  # After this silence a UDP client resolves its name again, and a detected serial port is searched for again.
+  # After this silence a UDP client resolves its name again, and a detected serial port is searched for again, unless a
+  # vehicle that is not lost is reached by it.
   @silent_ms 30_000
+  @silent_high_latency_ms 3_600_000
 
   # Between two warnings of refused connections.
   @refused_ms 60_000
@@ -91,6 +93,8 @@ defmodule MavRouter.Link.Core do
     :behind,
     :damage,
     :idle_ms,
+    :silent_ms,
+    :needed?,
     diagnosis: [],
     phase: :idle,
     backoff: Backoff.new(),
@@ -99,7 +103,6 @@ defmodule MavRouter.Link.Core do
     rates: Rates.new(),
     info: %{},
     connected_before: false,
-    silent_ms: @silent_ms,
     garbled_ms: @garbled_ms,
     heard: nil,
     sampled: nil
@@ -116,8 +119,9 @@ defmodule MavRouter.Link.Core do
   def tick_ms, do: @tick_ms
 
   @doc """
-  A link before its start. Options: `:counters` (of its former process), `:seed` (any term), `:silent_ms` (#{@silent_ms}), `:garbled_ms`
-  (#{@garbled_ms}), and those of `MavRouter.Link.Settings`: `:max_peers`, `:idle_ms`, `:parser` (options of
+  A link before its start. Options: `:counters` (of its former process), `:seed` (any term), `:silent_ms` (#{@silent_ms}; on
+  a link of high latency #{@silent_high_latency_ms}), `:garbled_ms` (#{@garbled_ms}), `:needed?` (whether a vehicle is
+  reached by a peer), and those of `MavRouter.Link.Settings`: `:max_peers`, `:idle_ms`, `:parser` (options of
   `MavCodec.Parser.new/1`).
   """
   @spec new(Spec.t(), keyword) :: t
@@ -131,11 +135,15 @@ defmodule MavRouter.Link.Core do
       damage: DamageLog.new(options[:counters] || %Counters{}),
       seed: :rand.seed_s(:exsss, :erlang.phash2(options[:seed])),
       idle_ms: options[:idle_ms],
-      silent_ms: options[:silent_ms] || @silent_ms,
+      silent_ms: options[:silent_ms] || silent_ms(spec),
+      needed?: options[:needed?] || fn _peer -> false end,
       garbled_ms: options[:garbled_ms] || @garbled_ms,
       backoff: if(spec.detect, do: Backoff.new(@search_ms, @search_ms), else: Backoff.new())
     }
   end
+
+  defp silent_ms(%{options: %{high_latency: true}}), do: @silent_high_latency_ms
+  defp silent_ms(_spec), do: @silent_ms
 
   @doc "Handles one event. An event that does not belong to the phase changes nothing."
   @spec handle(t, event, now) :: {t, [action]}
@@ -254,7 +262,7 @@ defmodule MavRouter.Link.Core do
   defp moved(core, step), do: core.last_heard && core.last_heard + step
 
   defp tick(%{phase: :up} = core, {mono, _at} = now) do
-    {deliveries, changes, peers} = Peers.tick(core.peers, mono)
+    {deliveries, changes, peers} = Peers.tick(core.peers, mono, core.needed?)
     peers = Peers.measure(peers)
     {core, more} = changes(%{core | peers: peers}, changes)
     {core, sniff} = Reception.sniff(core, mono)

@@ -14,7 +14,7 @@ defmodule MavRouter.Link.Peers do
 
   When the limit of peers is reached, a newcomer replaces the earliest peer that has not become known in 5 s
   (`MavRouter.Link.Peer`); if there is none, the newcomer is refused. Known peers are never replaced. A datagram peer is forgotten
-  after 60 s of silence. The peers of a stream come and go with their connections.
+  after 60 s of silence, unless a vehicle is reached by it. The peers of a stream come and go with their connections.
   """
 
   alias Aerie.Base.TokenBucket
@@ -183,10 +183,13 @@ defmodule MavRouter.Link.Peers do
     end
   end
 
-  @doc "Forgets datagram peers after a long silence; after a short one, parsers give up waiting for more bytes."
-  @spec tick(t, integer) :: {[{term, [MavCodec.Frame.t()]}], [change], t}
-  def tick(peers, now) do
-    idle = if peers.framing == :datagram, do: idle(peers, now), else: []
+  @doc """
+  Forgets datagram peers after a long silence, unless a vehicle is reached by one (`needed?`); after a short one,
+  parsers give up waiting for more bytes.
+  """
+  @spec tick(t, integer, (term -> boolean)) :: {[{term, [MavCodec.Frame.t()]}], [change], t}
+  def tick(peers, now, needed? \\ fn _peer -> false end) do
+    idle = if peers.framing == :datagram, do: idle(peers, now, needed?), else: []
     peers = Enum.reduce(idle, peers, fn peer, peers -> elem(remove(peers, peer.id), 1) end)
     {gone, fragments} = Fragments.expire(peers.fragments, now)
     peers = retire(%{peers | fragments: fragments}, gone)
@@ -199,8 +202,8 @@ defmodule MavRouter.Link.Peers do
   end
 
   # The only other end is never forgotten.
-  defp idle(peers, now) do
-    for {id, peer} <- peers.map, id != :remote, now - peer.heard >= @idle_ms, do: peer
+  defp idle(peers, now, needed?) do
+    for {id, peer} <- peers.map, id != :remote, now - peer.heard >= @idle_ms, not needed?.(id), do: peer
   end
 
   @doc "Removes all peers, as their connection ended; returns their last frames."

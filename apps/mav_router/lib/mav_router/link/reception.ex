@@ -5,15 +5,18 @@ defmodule MavRouter.Link.Reception do
 
   @sniff_every_ms 10_000
 
-  @doc "Whether the silence is long enough to connect or search again."
+  @doc "Whether the silence is long enough to connect or search again, and no vehicle is reached by the link."
   @spec silent?(Core.t(), mono :: integer) :: boolean
-  def silent?(%{spec: %{announced: true}} = core, mono), do: mono - heard_at(core) >= core.silent_ms
+  def silent?(%{spec: %{announced: true}} = core, mono), do: unneeded?(core, mono - heard_at(core))
 
   # A port with a configured rate stays open: a radio may be out of range, and may still hear us.
   def silent?(%{spec: %{detect: detect}} = core, mono) when detect != nil,
-    do: mono - max(heard_at(core), bytes_at(core)) >= core.silent_ms
+    do: unneeded?(core, mono - max(heard_at(core), bytes_at(core)))
 
   def silent?(_core, _mono), do: false
+
+  # A vehicle that is silent for minutes answers to where it heard us last.
+  defp unneeded?(core, silent_ms), do: silent_ms >= core.silent_ms and not core.needed?.(:remote)
 
   @doc "Whether bytes come, but no frame was among them for a while (`:garbled_ms`)."
   @spec garbled?(Core.t(), mono :: integer) :: boolean

@@ -91,7 +91,11 @@ defmodule MavRouter.Link.Server do
     gateway
     |> Settings.options_of()
     |> Keyword.merge(Map.to_list(spec.options))
-    |> Keyword.merge(counters: counters, seed: {self(), now})
+    |> Keyword.merge(
+      counters: counters,
+      seed: {self(), now},
+      needed?: &Router.needed?(gateway, {spec.id, &1})
+    )
   end
 
   @impl GenServer

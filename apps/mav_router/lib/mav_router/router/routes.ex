@@ -184,12 +184,23 @@ defmodule MavRouter.Router.Routes do
     :ok
   end
 
-  @doc "Forgets routes by which nothing was heard for `ttl` ms (#{div(@ttl_ms, 60_000)} minutes); how many."
-  @spec sweep(Tables.t(), integer, pos_integer) :: non_neg_integer
-  def sweep(tables, now, ttl \\ @ttl_ms) do
-    swept = :ets.select_delete(tables.routes, [{{:_, :"$1", :_}, [{:<, :"$1", now - ttl}], [true]}])
+  @typedoc "Whether a vehicle that is not lost is reached by an endpoint at a time."
+  @type needed? :: (Endpoint.key(), integer -> boolean)
+
+  @doc """
+  Forgets routes by which nothing was heard for #{div(@ttl_ms, 60_000)} minutes and no vehicle is reached; how many.
+  """
+  @spec sweep(Tables.t(), integer, needed?) :: non_neg_integer
+  def sweep(tables, now, needed? \\ fn _endpoint, _now -> false end) do
+    old = :ets.select(tables.routes, [{{:"$1", :"$2", :_}, [{:<, :"$2", now - @ttl_ms}], [:"$1"]}])
+
+    swept =
+      for {_, _, _, link, peer} = key <- old,
+          not needed?.({link, peer}, now),
+          do: :ets.delete(tables.routes, key)
+
     _ = if :ets.info(tables.heard_by, :size) > :ets.info(tables.routes, :size), do: tidy(tables)
-    swept
+    length(swept)
   end
 
   # Routes that were forgotten by system still have their entry by endpoint.

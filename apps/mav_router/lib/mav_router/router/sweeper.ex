@@ -34,8 +34,11 @@ defmodule MavRouter.Router.Sweeper do
   def handle_info(:sweep, gateway) do
     _swept =
       case Tables.of(gateway) do
-        nil -> 0
-        tables -> sweep(tables, System.monotonic_time(:millisecond))
+        nil ->
+          0
+
+        tables ->
+          sweep(tables, System.monotonic_time(:millisecond), &Holders.needed?(tables, gateway, &1, &2))
       end
 
     {:noreply, gateway}
@@ -47,14 +50,14 @@ defmodule MavRouter.Router.Sweeper do
     {:noreply, gateway}
   end
 
-  @doc "One sweep at a monotonic time in ms; gives how many routes it removed."
-  @spec sweep(Tables.t(), integer) :: non_neg_integer
-  def sweep(tables, now) do
+  @doc "One sweep at a monotonic time in ms; gives how many routes it removed. `needed?` is as for `Routes.sweep/3`."
+  @spec sweep(Tables.t(), integer, Routes.needed?()) :: non_neg_integer
+  def sweep(tables, now, needed? \\ fn _endpoint, _now -> false end) do
     :ets.select_delete(tables.refused, [{{:_, :"$1"}, [{:<, :"$1", now}], [true]}])
     :ets.select_delete(tables.load, [{{:_, :"$1", :_}, [{:<, :"$1", now - @load_ttl_ms}], [true]}])
     limits(tables.limits, now * 1000 - @limit_ttl_us)
     GroundStations.sweep(tables, now)
-    swept = Routes.sweep(tables, now)
+    swept = Routes.sweep(tables, now, needed?)
     Holders.sweep(tables)
     swept
   end

@@ -4,7 +4,8 @@ defmodule MavRouter.Signing.ClockRecovery do
   that were heard of it before. ArduPilot's clock nearly stands still while it hears nothing, and after a reboot starts from what it
   had stored; the gateway may have been killed, and then goes on from the latest time stamp that it may have heard. A rightly signed
   frame with a later time stamp sets the vehicle's clock (S5). So such a vehicle gets a heartbeat and a TIMESYNC of ours, signed with
-  the key, at once and then twice a second for as long as it is refused. Somebody who replays old frames gets them too, which is of
+  the key, at once and then twice a second (on a link of high latency once a minute) for as long as it is
+  refused. Somebody who replays old frames gets them too, which is of
   no use to them.
   """
 
@@ -13,6 +14,7 @@ defmodule MavRouter.Signing.ClockRecovery do
   alias MavRouter.Signing.{Scope, Tables}
 
   @again_ms 500
+  @again_high_latency_ms 60_000
   @max 1024
 
   @doc "Frames of a system were refused although their signature is right by the scope's key."
@@ -21,7 +23,7 @@ defmodule MavRouter.Signing.ClockRecovery do
     key = {link, source[:peer], scope.id}
     now = System.monotonic_time(:millisecond)
 
-    if due?(tables, key, now) do
+    if due?(tables, key, now, if(source[:high_latency], do: @again_high_latency_ms, else: @again_ms)) do
       :ets.insert(tables.announced, {key, now})
       LinkProcess.announce(gateway, link, source[:peer], scope, system)
     end
@@ -30,9 +32,9 @@ defmodule MavRouter.Signing.ClockRecovery do
   end
 
   # When there are too many, a further one waits until earlier ones are forgotten.
-  defp due?(tables, key, now) do
+  defp due?(tables, key, now, again_ms) do
     case :ets.lookup(tables.announced, key) do
-      [{_key, at}] -> now - at >= @again_ms
+      [{_key, at}] -> now - at >= again_ms
       [] -> room?(tables, now)
     end
   end

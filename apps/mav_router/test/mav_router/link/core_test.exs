@@ -306,6 +306,32 @@ defmodule MavRouter.Link.CoreTest do
     assert core.reason == "nothing heard from 127.0.0.1:1 for 30 s"
   end
 
+  test "X6: a path by which a vehicle is reached stays open however long it is silent; any other is forgotten" do
+    sender = {{127, 0, 0, 1}, 5}
+    udpin = up("udpin:127.0.0.1:0", needed?: &(&1 == sender))
+
+    {udpin, _} =
+      run(udpin, for(peer <- [sender, {{127, 0, 0, 1}, 6}], do: {0, {:read, [{peer, attitude(1, 1)}]}}))
+
+    {udpin, actions} = Core.handle(udpin, :tick, now(3_600_000))
+    assert for({:forget, peer} <- actions, do: peer) == [{{127, 0, 0, 1}, 6}]
+    assert Map.keys(udpin.peers.map) == [sender]
+
+    udpout = up("udpout:127.0.0.1:1", needed?: &(&1 == :remote))
+    assert {%{phase: :up}, []} = Core.handle(udpout, :tick, now(3_600_000)) |> without_publishing()
+    found = %{up("serial:auto", needed?: &(&1 == :remote)) | heard: 0}
+    assert {%{phase: :up}, []} = Core.handle(found, :tick, now(3_600_000)) |> without_publishing()
+  end
+
+  defp without_publishing({core, actions}), do: {core, actions -- [:publish_snapshot]}
+
+  test "X6: silence of less than an hour is no reason to open a link of high latency again" do
+    slow = Core.new(Spec.parse!("udpout:127.0.0.1:1", options: %{high_latency: true}), seed: 1)
+    {slow, _} = run(slow, [{0, :start}, {0, {:opened, %{local: "here"}}}])
+    assert {%{phase: :up}, _} = Core.handle(slow, :tick, now(3_599_999))
+    assert {%{phase: :down}, _} = Core.handle(slow, :tick, now(3_600_000))
+  end
+
   describe "a serial port" do
     alias MavRouter.Link.Serial.Finding
     alias MavCodec.Sniff

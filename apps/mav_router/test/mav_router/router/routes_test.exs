@@ -5,6 +5,9 @@ defmodule MavRouter.Router.RoutesTest do
   import :proper_types, only: [list: 1, elements: 1, range: 2]
 
   alias MavRouter.Router
+  alias MavRouter.Router.Endpoints
+  alias MavRouter.Router.Forward.Holders
+  alias MavRouter.Router.Owner
   alias MavRouter.Router.Routes
   alias MavRouter.Router.Sweeper
   alias MavRouter.Router.Tables
@@ -42,6 +45,35 @@ defmodule MavRouter.Router.RoutesTest do
 
     assert Sweeper.sweep(c.tables, 300_001) == 1
     assert [%{system: 1}] = Routes.list(c.tables, 300_001)
+  end
+
+  test "of a vehicle that is not lost stay, by the endpoint where the gateway reaches it (X6)", c do
+    heard = &Routes.learn(c.tables, "main", &1, 1, &2, &3)
+    status = &Aerie.Base.Store.put_vehicle(c.gateway, {"main", 1}, %{id: "VID-001", status: &1})
+
+    for {peer, at} <- [{{"a", 1}, 0}, {{"a", 2}, 5}, {{"sat", 1}, 1}, {{"sat", 2}, 2}],
+        do: heard.(1, peer, at)
+
+    heard.(2, {"a", 3}, 0)
+    needed? = &Holders.needed?(c.tables, c.gateway, &1, &2)
+
+    status.(:online)
+    assert for(n <- 1..3, needed?.({"a", n}, 9), do: n) == [2]
+    assert for(n <- 1..2, needed?.({"sat", n}, 9), do: n) == []
+    # A radio that is out of reach next must not have cost the way by satellite.
+    {:ok, sat} = Owner.new("sat", high_latency: true, networks: ["main"])
+    Endpoints.put_owner(c.tables, sat)
+    assert for(n <- 1..2, needed?.({"sat", n}, 9), do: n) == [2]
+
+    assert Sweeper.sweep(c.tables, 3_600_000, needed?) == 3
+
+    assert c.tables |> Routes.list(0) |> Enum.map(&{&1.link, &1.peer}) |> Enum.sort() == [
+             {"a", 2},
+             {"sat", 2}
+           ]
+
+    status.(:lost)
+    assert Sweeper.sweep(c.tables, 3_600_000, needed?) == 2
   end
 
   test "are cleared by system on a reboot (R6), forgotten by link and by peer", c do

@@ -15,7 +15,7 @@ defmodule Aerie.Control.CommandExecutor.Core do
     * `{:observed, changes, groups, now}` - its state: fields of `Aerie.Vehicle.Protocol.Vehicle`, and which groups were heard
     * `{:said, {:text | :report, words}, now}` - a warning of the vehicle, which may be the reason for a refusal
     * `{:alone, now}` - nobody else asks the vehicle by the commands that are shared, as `{:alone, true}` wanted
-    * `{:rtt, us}` - the measured round trip
+    * `{:rtt, us}` - the measured round trip, `:high_latency` while only such links reach the vehicle
     * `{:tick, now}` - at `wake_at/1` at the latest
 
   Actions, to be carried out in order:
@@ -72,7 +72,7 @@ defmodule Aerie.Control.CommandExecutor.Core do
           | {:observed, map(), [Vehicle.group()], now :: integer()}
           | {:said, {:text | :report, String.t()}, now :: integer()}
           | {:alone, now :: integer()}
-          | {:rtt, non_neg_integer()}
+          | {:rtt, Timing.rtt()}
           | {:tick, now :: integer()}
   @type action ::
           {:send, [Protocol.message(), ...], id :: String.t()}
@@ -243,7 +243,15 @@ defmodule Aerie.Control.CommandExecutor.Core do
       messages ->
         # Where it is cancelled by the command itself, the answers to both look alike.
         ambiguous? = job.ambiguous? or Job.step(job).cancel != nil
-        job = %{job | phase: :cancelling, ambiguous?: ambiguous?, cancels: 1, due: now + Timing.cancel()}
+
+        job = %{
+          job
+          | phase: :cancelling,
+            ambiguous?: ambiguous?,
+            cancels: 1,
+            due: now + Timing.cancel(core.rtt)
+        }
+
         {core, actions} = Steps.keep(acc, job)
         {core, [{:send, messages, Job.id(job)} | actions]}
     end

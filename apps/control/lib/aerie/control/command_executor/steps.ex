@@ -91,7 +91,7 @@ defmodule Aerie.Control.CommandExecutor.Steps do
 
   defp transmit({core, actions}, job, messages, now) do
     step = Job.step(job)
-    job = Job.sent(job, core.vehicle, now, now + patience(core, step))
+    job = Job.sent(job, core.vehicle, now, now + patience(core, job, now))
     job = %{job | ambiguous?: job.ambiguous? or Ending.mistakable?(core.jobs, core.lanes, step, now)}
     {job, jobs} = Job.doubt(job, Ending.begun(core.jobs, step, now))
 
@@ -102,8 +102,15 @@ defmodule Aerie.Control.CommandExecutor.Steps do
     if step.acked? or step.confirm != nil, do: acc, else: step_done(acc, job, :accepted, nil, now)
   end
 
-  defp patience(core, %{repeat: :safe} = step), do: Timing.answer(core.rtt, step.answer_ms * 1000)
-  defp patience(core, step), do: Timing.only_answer(core.rtt, step.answer_ms * 1000)
+  defp patience(%{rtt: rtt}, job, now) do
+    %{repeat: repeat, answer_ms: ms} = Job.step(job)
+    answer = Timing.answer(rtt, ms * 1000)
+    last? = job.sends + 1 >= Timing.sends(rtt) or now + answer >= job.until
+
+    if repeat == :safe and not (rtt == :high_latency and last?),
+      do: answer,
+      else: Timing.only_answer(rtt, ms * 1000)
+  end
 
   # --- Answers
 
@@ -151,7 +158,7 @@ defmodule Aerie.Control.CommandExecutor.Steps do
       case job.phase do
         :cancelling -> job
         :accepted -> %{job | due: now + Job.step(job).within_ms * 1000}
-        _running -> %{job | phase: :running, due: now + Timing.progress()}
+        _running -> %{job | phase: :running, due: now + Timing.progress(core.rtt)}
       end
 
     {put(core, job), [progress | actions]}
@@ -206,8 +213,8 @@ defmodule Aerie.Control.CommandExecutor.Steps do
   def explained(acc, job, :text, now), do: keep(acc, %{job | due: min(job.due, now + Timing.more())})
 
   # The refusal of a repetition may mean that the vehicle did it, or is at it, since the first time.
-  defp refused(acc, job, refusal, wait, now) do
-    wait = if Verdict.observable?(job), do: Timing.observe(), else: wait
+  defp refused({core, _actions} = acc, job, refusal, wait, now) do
+    wait = if Verdict.observable?(job), do: Timing.observe(core.rtt), else: wait
     keep(acc, %{job | phase: :observing, refusal: refusal, due: now + wait})
   end
 
@@ -263,13 +270,14 @@ defmodule Aerie.Control.CommandExecutor.Steps do
     keep(acc, %{job | due: due, prolonged: due})
   end
 
-  def due(acc, %{phase: :sent} = job, now) do
+  def due({%{rtt: rtt}, _actions} = acc, %{phase: :sent} = job, now) do
     cond do
-      job.sends < Timing.sends() and Job.step(job).repeat == :safe and now < job.until ->
+      job.sends < Timing.sends(rtt) and Job.step(job).repeat == :safe and now < job.until ->
         transmit(acc, job, now)
 
-      Verdict.observable?(job) ->
-        keep(acc, %{job | phase: :observing, due: now + Timing.observe()})
+      # By a link of high latency its state was awaited together with the answer.
+      Verdict.observable?(job) and rtt != :high_latency ->
+        keep(acc, %{job | phase: :observing, due: now + Timing.observe(rtt)})
 
       true ->
         evaluate(acc, job, now)
@@ -286,7 +294,7 @@ defmodule Aerie.Control.CommandExecutor.Steps do
   def due({core, actions}, %{phase: :cancelling, cancels: sent} = job, now)
       when sent in 1..4 and not is_nil(hd(job.steps).cancel) do
     messages = core.protocol.cancel(Job.step(job), core.vehicle)
-    job = %{job | cancels: sent + 1, due: now + Timing.cancel()}
+    job = %{job | cancels: sent + 1, due: now + Timing.cancel(core.rtt)}
     {put(core, job), [{:send, messages, Job.id(job)} | actions]}
   end
 
@@ -298,8 +306,15 @@ defmodule Aerie.Control.CommandExecutor.Steps do
 
   defp evaluate({core, _actions} = acc, job, now) do
     case Verdict.of(job, core.vehicle, Timing.quiet(core.rtt)) do
-      {:completed, reason} -> step_done(acc, job, :completed, reason, now)
-      verdict -> finish(acc, %{job | phase: :given_up}, verdict, now)
+      {:completed, reason} ->
+        step_done(acc, job, :completed, reason, now)
+
+      # The next summary of a vehicle behind a link of high latency may be minutes away.
+      {:unknown, _reason} when core.rtt == :high_latency and job.accepted_at != nil and tl(job.steps) == [] ->
+        step_done(acc, job, :accepted, "its state will show it with its next summary", now)
+
+      verdict ->
+        finish(acc, %{job | phase: :given_up}, verdict, now)
     end
   end
 

@@ -636,6 +636,50 @@ defmodule Aerie.Control.CommandExecutor.CoreTest do
     end
   end
 
+  describe "by links of high latency only" do
+    defp slow(more \\ %{}), do: core(:ardupilot, more) |> Core.handle({:rtt, :high_latency}) |> elem(0)
+
+    test "X6: copies are few, and an answer counts minutes later" do
+      {core, actions} = submit(slow(), "rtl", %{}, 1, for: 30 * @second)
+      {core, more} = until(core, 20 * @second)
+      assert length(sent(actions ++ more)) == 1
+      {core, []} = ack(core, [command: 20], 20 * @second)
+      {_core, actions} = until(core, 60 * @second)
+      assert %{status: :accepted, reason: "its state will show it" <> _} = result(actions)
+      # Without an end of its time a copy may follow, and a third; then the answer is awaited.
+      {core, actions} = submit(slow(), "rtl", %{}, 1, for: 600 * @second)
+      {core, more} = until(core, 100 * @second)
+      assert length(sent(actions ++ more)) == 3
+      {core, []} = until(core, 250 * @second)
+      {core, []} = ack(core, [command: 20], 260 * @second)
+      assert {_core, [_accepted]} = until(core, 270 * @second)
+    end
+
+    test "X6: what is not repeated waits for its only answer, and nothing is sent after the deadline" do
+      {core, actions} = submit(slow(), "arm", %{}, 1, for: 10 * @second)
+      {core, more} = until(core, 179 * @second)
+      assert length(sent(actions ++ more)) == 1 and results(more) == []
+      {_core, actions} = until(core, 181 * @second)
+      assert %{status: :unknown} = result(actions)
+    end
+
+    test "a summary that shows it is enough; one that left before the command came is not" do
+      {core, _actions} = submit(slow(), "rtl")
+      {core, []} = observed(core, %{mode: "GUIDED"}, 10 * @second)
+      {_core, actions} = observed(core, %{mode: "RTL"}, 75 * @second)
+      assert %{status: :completed} = result(actions)
+    end
+
+    test "steps that need the state of the one before it do not go on blindly" do
+      {core, actions} =
+        submit(slow(%{mode: "STABILIZE", in_air: false}), "takeoff", %{altitude: 10}, 1, for: 600 * @second)
+
+      {_core, more} = until(core, 600 * @second)
+      assert %{status: :unknown} = result(more)
+      assert sent(actions ++ more) |> Enum.map(& &1.command) |> Enum.uniq() |> length() == 1
+    end
+  end
+
   test "time-outs follow the measured round trip" do
     assert Timing.answer(nil) == @second
     assert Timing.answer(10 * @ms) == 500 * @ms

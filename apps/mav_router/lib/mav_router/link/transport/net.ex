@@ -18,6 +18,7 @@ defmodule MavRouter.Link.Transport.Net do
   # SO_MEMINFO of Linux: nine numbers; the first is how many bytes wait, the last how many datagrams were dropped.
   @meminfo {:raw, 1, 55, 36}
   @send_limit 128 * 1024
+  @slow_patience 10
 
   @doc "How many messages a socket delivers before it has to be asked again (`{:active, n}`)."
   @spec active() :: pos_integer
@@ -227,9 +228,12 @@ defmodule MavRouter.Link.Transport.Net do
   @spec udp_info(:gen_udp.socket()) :: MavRouter.Link.Transport.info()
   def udp_info(socket), do: Map.put(local(socket), :warning, short_buffer(socket))
 
-  @doc "The options of every TCP socket; a half-open connection is noticed within half a minute."
-  @spec tcp_options() :: keyword
-  def tcp_options do
+  @doc """
+  The options of a link's TCP sockets; a half-open connection is noticed within half a minute, on a link of high latency
+  within #{@slow_patience} times that.
+  """
+  @spec tcp_options(MavRouter.Link.Spec.t()) :: keyword
+  def tcp_options(spec) do
     [
       :binary,
       active: false,
@@ -241,14 +245,22 @@ defmodule MavRouter.Link.Transport.Net do
       high_watermark: 2 * @send_limit,
       send_timeout: 1000,
       send_timeout_close: true
-    ] ++ keepalive_options()
+    ] ++ keepalive_options(patience(spec))
   end
 
+  @doc "How many times as long as on other links an answer of the other end may take."
+  @spec patience(MavRouter.Link.Spec.t()) :: pos_integer
+  def patience(%{options: %{high_latency: true}}), do: @slow_patience
+  def patience(_spec), do: 1
+
   # Seconds, seconds, attempts; milliseconds for unacknowledged data.
-  defp keepalive_options do
+  defp keepalive_options(patience) do
     case :os.type() do
-      {:unix, :linux} -> [keepidle: 10, keepintvl: 5, keepcnt: 4, user_timeout: 30_000]
-      _other -> []
+      {:unix, :linux} ->
+        [keepidle: 10 * patience, keepintvl: 5 * patience, keepcnt: 4, user_timeout: 30_000 * patience]
+
+      _other ->
+        []
     end
   end
 

@@ -26,7 +26,7 @@ defmodule MavRouter.Link.Transport.TcpServer do
   @impl MavRouter.Link.Transport
   def open(spec) do
     with {:ok, [address | _]} <- Net.resolve(spec.host) do
-      options = [Net.family(address), ip: address, reuseaddr: true, backlog: 128] ++ Net.tcp_options()
+      options = [Net.family(address), ip: address, reuseaddr: true, backlog: 128] ++ Net.tcp_options(spec)
       with {:ok, listener} <- :gen_tcp.listen(spec.port, options), do: {:ok, %__MODULE__{listener: listener}}
     end
   end

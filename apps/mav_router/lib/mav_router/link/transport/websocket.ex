@@ -6,7 +6,8 @@ defmodule MavRouter.Link.Transport.WebSocket do
   stream. Over TLS (`wss://`) the server needs a certificate for its name from an authority of this system, or of the link's
   `ca` file.
 
-  A silent server is pinged every #{div(@ping_ms, 1000)} s; after three pings without any answer the connection is closed.
+  A silent server is pinged every #{div(@ping_ms, 1000)} s, ten times as rarely on a link of high latency; after three pings without
+  any answer the connection is closed.
   """
   @behaviour MavRouter.Link.Transport
 
@@ -21,7 +22,7 @@ defmodule MavRouter.Link.Transport.WebSocket do
   @silent_pings 3
 
   @enforce_keys [:by, :socket, :early]
-  defstruct [:by, :socket, :early, :timer, frames: Frames.new(), silent: 0]
+  defstruct [:by, :socket, :early, :timer, ping_ms: @ping_ms, frames: Frames.new(), silent: 0]
 
   @impl MavRouter.Link.Transport
   def traits, do: %{kind: :websocket, framing: :stream, protocol: :tcp}
@@ -39,7 +40,7 @@ defmodule MavRouter.Link.Transport.WebSocket do
   def open(spec) do
     with {:ok, addresses} <- Net.resolve(spec.host), {:ok, conn} <- connect(addresses, spec) do
       case shake(conn, spec) do
-        {:ok, conn} -> {:ok, conn}
+        {:ok, conn} -> {:ok, %{conn | ping_ms: @ping_ms * Net.patience(spec)}}
         {:error, reason} -> {conn.by.close(conn.socket), {:error, reason}} |> elem(1)
       end
     end
@@ -55,7 +56,7 @@ defmodule MavRouter.Link.Transport.WebSocket do
   end
 
   defp connect_to(address, %{tls: false} = spec) do
-    options = [Net.family(address) | Net.tcp_options()]
+    options = [Net.family(address) | Net.tcp_options(spec)]
 
     with {:ok, socket} <- :gen_tcp.connect(address, spec.port, options, connect_ms(spec)),
          do: {:ok, %__MODULE__{by: :gen_tcp, socket: socket, early: ""}}
@@ -63,7 +64,7 @@ defmodule MavRouter.Link.Transport.WebSocket do
 
   defp connect_to(address, %{tls: true} = spec) do
     with {:ok, trusted} <- trusted(spec.ca),
-         options = [Net.family(address) | Net.tcp_options()] ++ trusted ++ name(spec.host) ++ checks(),
+         options = [Net.family(address) | Net.tcp_options(spec)] ++ trusted ++ name(spec.host) ++ checks(),
          {:ok, socket} <- :ssl.connect(address, spec.port, options, connect_ms(spec)),
          do: {:ok, %__MODULE__{by: :ssl, socket: socket, early: ""}}
   end
@@ -151,7 +152,7 @@ defmodule MavRouter.Link.Transport.WebSocket do
   defp options(%{by: :gen_tcp}), do: :inet
 
   defp ping_later(conn),
-    do: %{conn | timer: Process.send_after(self(), {:websocket, :ping, conn.socket}, @ping_ms)}
+    do: %{conn | timer: Process.send_after(self(), {:websocket, :ping, conn.socket}, conn.ping_ms)}
 
   @impl MavRouter.Link.Transport
   def handle(%{socket: socket} = conn, {:websocket, :early, socket}),

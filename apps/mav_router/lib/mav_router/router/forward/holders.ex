@@ -25,6 +25,8 @@ defmodule MavRouter.Router.Forward.Holders do
   endpoint.
   """
 
+  alias Aerie.Base.Names
+  alias Aerie.Base.Store
   alias MavRouter.Router.Access
   alias MavRouter.Router.Endpoint
   alias MavRouter.Router.Endpoints
@@ -185,12 +187,13 @@ defmodule MavRouter.Router.Forward.Holders do
 
   defp there?(tables, system, {key, _rank}), do: Routes.heard(tables, system, key) != nil
 
-  defp silent_ms(tables, {owner, _peer} = key) do
-    slow? =
-      match?(%{high_latency: true}, Endpoints.get(tables, key)) or
-        match?(%{high_latency: true}, Endpoints.owner(tables, owner))
+  defp silent_ms(tables, key), do: if(slow?(tables, key), do: @slow_silent_ms, else: @silent_ms)
 
-    if slow?, do: @slow_silent_ms, else: @silent_ms
+  @doc "Whether an endpoint is one of high latency: configured, or found out."
+  @spec slow?(Tables.t(), Endpoint.key()) :: boolean
+  def slow?(tables, {owner, _peer} = key) do
+    match?(%{high_latency: true}, Endpoints.get(tables, key)) or
+      match?(%{high_latency: true}, Endpoints.owner(tables, owner))
   end
 
   defp members(tables, system), do: :ets.lookup_element(tables.holders, system, 2, [])
@@ -251,6 +254,20 @@ defmodule MavRouter.Router.Forward.Holders do
     else
       _gone -> false
     end
+  end
+
+  @doc """
+  Whether the gateway's own messages to a vehicle that is not lost go to an endpoint, or would if no other link brought
+  the vehicle and this one has a high latency.
+  """
+  @spec needed?(Tables.t(), Names.gateway(), Endpoint.key(), integer) :: boolean
+  def needed?(tables, gateway, {link, _peer} = key, now) do
+    options = if slow?(tables, key), do: [link: link], else: []
+
+    Enum.any?(Routes.heard_by(tables, key), fn system ->
+      vehicle = Store.vehicle(gateway, system)
+      vehicle != nil and vehicle[:status] != :lost and key in way(tables, system, options, now)
+    end)
   end
 
   @doc "The endpoints where frames of others reach a component of a system; 0 stands for all components (R1, R9)."

@@ -157,6 +157,14 @@ defmodule Aerie.Vehicle.Core.Services do
     end
   end
 
+  @doc "After which silence of a link the vehicle is lost on it (us)."
+  @spec lost_us(Core.t(), term()) :: pos_integer()
+  def lost_us(%{options: options} = core, link) do
+    if HighLatency.high_latency?(core.high_latency, link),
+      do: max(options.lost_us, options.lost_high_latency_us),
+      else: options.lost_us
+  end
+
   @doc "Whether the vehicle can only be reached by high-latency links."
   @spec only_high_latency?(Core.t(), integer()) :: boolean()
   def only_high_latency?(core, now) do

@@ -153,7 +153,7 @@ defmodule Aerie.Vehicle.Core.Timers do
   end
 
   defp measure({core, actions}, now) do
-    case Reception.measure(core.reception, now) do
+    case Reception.measure(core.reception, now, &Services.lost_us(core, &1)) do
       {reception, nil} ->
         {%{core | reception: reception}, actions}
 

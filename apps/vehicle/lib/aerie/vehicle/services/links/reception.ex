@@ -2,7 +2,8 @@ defmodule Aerie.Vehicle.Services.Links.Reception do
   @moduledoc """
   On which links a vehicle is heard, when last, and at which rates: the `:link` group. A pure value.
 
-  Rates are measured over a second or a little more. A link that was silent for a minute is forgotten.
+  Rates are measured over a second or a little more. A link that was silent for a minute, and for as long as makes a
+  vehicle lost on it, is forgotten.
   """
 
   defstruct links: %{}, since: nil, frames: 0, bytes: 0
@@ -54,13 +55,20 @@ defmodule Aerie.Vehicle.Services.Links.Reception do
   @spec times(t()) :: [{term(), integer() | nil}]
   def times(reception), do: Map.to_list(reception.links)
 
-  @doc "The data of the `:link` group once a second, nil in between."
-  @spec measure(t(), integer()) :: {t(), map() | nil}
-  def measure(%{since: nil} = reception, _now), do: {reception, nil}
-  def measure(%{since: since} = reception, now) when now - since < 1_000_000, do: {reception, nil}
+  @doc """
+  The data of the `:link` group once a second, nil in between. `lost_us` says after which silence of a link a vehicle is
+  lost on it.
+  """
+  @spec measure(t(), integer(), (term() -> pos_integer())) :: {t(), map() | nil}
+  def measure(%{since: nil} = reception, _now, _lost_us), do: {reception, nil}
+  def measure(%{since: since} = reception, now, _lost_us) when now - since < 1_000_000, do: {reception, nil}
 
-  def measure(reception, now) do
-    links = Map.filter(reception.links, fn {_link, at} -> at != nil and now - at < @forget_us end)
+  def measure(reception, now, lost_us) do
+    links =
+      Map.filter(reception.links, fn {link, at} ->
+        at != nil and now - at < max(@forget_us, lost_us.(link))
+      end)
+
     seconds = (now - reception.since) / 1_000_000
     reception = %{reception | links: links}
 

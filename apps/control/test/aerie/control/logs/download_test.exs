@@ -79,6 +79,50 @@ defmodule Aerie.Control.Logs.DownloadTest do
     assert start > 0
   end
 
+  # Entries `{id, size}`, and what last_log_num says; `lost` entries do not come the first time.
+  defp listed(entries, last, options \\ []) do
+    count = Keyword.get(options, :count, 3)
+
+    answer = fn lost, %M.LogRequestList{} = asked, _at ->
+      entries = for {id, size} <- entries, id in asked.start..asked.end, do: {id, size}
+      {gone, entries} = Enum.split_with(entries, fn {id, _size} -> id in lost end)
+
+      {lost -- Enum.map(gone, &elem(&1, 0)),
+       for(
+         {id, size} <- entries,
+         do: {id * 100, %M.LogEntry{id: id, size: size, num_logs: count, last_log_num: last}}
+       )}
+    end
+
+    list = Logs.List.new({1, 1}, @deadline, Keyword.take(options, [:only]))
+
+    with {:ok, logs} <- LossyLink.run(Logs.List, list, Keyword.get(options, :lost, []), answer).result,
+         do: for(log <- logs, do: {log.id, log.size})
+  end
+
+  test "X1: an empty entry before the logs costs none of them" do
+    logs = [{1, 1000}, {2, 2000}, {3, 3000}]
+    assert listed([{0, 0} | logs], 3) == logs
+    assert listed([{0, 0} | logs], 3, lost: [2]) == logs
+    assert listed([{0, 0} | logs], 3, lost: [3]) == logs
+    # A log that was announced is one, however empty.
+    assert listed([{1, 1000}, {2, 0}, {3, 3000}], 3) == [{1, 1000}, {2, 0}, {3, 3000}]
+    assert listed([{0, 0}, {1, 5}, {2, 6}], 2) == [{0, 0}, {1, 5}, {2, 6}]
+  end
+
+  test "X1: a vehicle whose last_log_num says nothing" do
+    logs = [{1, 1000}, {2, 2000}, {3, 3000}]
+
+    for last <- [0, 1, 9, 65_535] do
+      assert listed(logs, last) == logs
+      assert listed([{0, 0} | logs], last) == logs
+      assert listed([{0, 0} | logs], last, lost: [1]) == logs
+      assert listed([{1, 1000}, {2, 0}, {3, 3000}], last, lost: [3]) == [{1, 1000}, {2, 0}, {3, 3000}]
+    end
+
+    assert listed(logs, 0, only: 2, lost: [2]) == [{2, 2000}]
+  end
+
   test "every size, to the last byte" do
     for n <- [0, 1, 89, 90, 91, 180, 23_040, 23_041, 60_000] do
       run = get(vehicle([bytes(n)]), %{id: 1, size: n})

@@ -49,9 +49,11 @@ defmodule Aerie.Incident.Timeline do
   end
 
   defp told(%{type: "statustext", data: %{"text" => text} = data}),
-    do: words(["statustext", data["severity_name"]]) <> ": " <> value(text)
+    do: words(["statustext", data["severity_name"], part(data)]) <> ": " <> value(text)
 
   defp told(event), do: "#{event.type} #{values(Map.delete(event.data, "position"))}"
+
+  defp part(data), do: if(data["component"], do: "component #{data["component"]}")
 
   defp command(command) do
     kind = if command["decision"] == "deny", do: :refused, else: :command

@@ -45,7 +45,7 @@ defmodule Aerie.Vehicle.Core do
 
   Only the autopilot's component says anything about the vehicle (H2, H4): the first one that sends an autopilot's
   heartbeat, or component 1 when it does. Frames of gimbals, cameras and ground stations with the vehicle's system id count
-  as heard on the link and change nothing else.
+  as heard on the link, and their texts and reports become events; they change nothing else.
   """
 
   alias MavCodec.BootClock

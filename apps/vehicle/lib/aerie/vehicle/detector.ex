@@ -190,12 +190,11 @@ defmodule Aerie.Vehicle.Detector do
     {detector, events ++ losses ++ failsafes, %{}}
   end
 
-  defp step(detector, %{kind: :text, data: %{severity: severity, text: text}} = observation, _known) do
+  defp step(detector, %{kind: :text, data: %{text: text} = data} = observation, _known) do
     if held_back?(detector, text, observation.at) do
       {detector, [], %{}}
     else
-      data = %{"severity" => severity, "severity_name" => severity_name(severity), "text" => text}
-      {detector, texts} = emit({detector, [Step.event("statustext", data)]}, observation)
+      {detector, texts} = emit({detector, [statustext(data)]}, observation)
       {detector, events} = detector |> TextConditions.steps(text, moment(observation)) |> emit(observation)
       {detector, texts ++ events, %{}}
     end
@@ -214,6 +213,9 @@ defmodule Aerie.Vehicle.Detector do
 
   defp steps(:px4_report, detector, %{data: %{name: name, values: values}} = observation),
     do: Px4Reports.steps(%{detector | reports: true}, name, values, moment(observation))
+
+  defp steps(:part_text, detector, %{data: %{component: component} = data}),
+    do: {detector, [statustext(data, %{"component" => component})]}
 
   # Handled by `observe/3`.
   defp steps(:settle, _detector, _observation), do: :ignore
@@ -358,6 +360,11 @@ defmodule Aerie.Vehicle.Detector do
   # An earlier item was reached after the end: the mission is flown again.
   defp completed(last, seq) when is_integer(last) and seq < last, do: nil
   defp completed(last, _seq), do: last
+
+  defp statustext(%{severity: severity, text: text}, more \\ %{}) do
+    data = %{"severity" => severity, "severity_name" => severity_name(severity), "text" => text}
+    Step.event("statustext", Map.merge(data, more))
+  end
 
   defp param_changed(name, old, value, index),
     do: Step.event("param_changed", %{"name" => name, "from" => old, "to" => value, "index" => index})

@@ -155,7 +155,7 @@ defmodule Aerie.Vehicle.CoreTest do
           |> frames(others.(second))
         end)
 
-      assert types(run) == []
+      assert Enum.uniq(types(run)) == ["statustext"]
       snapshot = Core.snapshot(run.core)
       assert %{status: :online, component: 1, collision: nil, time_boot_ms: 30_000} = snapshot
       assert %{lat: lat} = snapshot.groups.position.data
@@ -164,7 +164,7 @@ defmodule Aerie.Vehicle.CoreTest do
       refute is_map_key(snapshot.groups, :attitude)
       # They do not keep it alive either.
       run = Enum.reduce(31..40, run, fn second, run -> frames(run, others.(second)) end)
-      assert types(run) == ["link.lost"]
+      assert Enum.uniq(types(run)) == ["statustext", "link.lost"]
     end
 
     test "a satellite link may be silent for longer (X6)" do
@@ -298,6 +298,61 @@ defmodule Aerie.Vehicle.CoreTest do
     assert types(run) == ["statustext"]
     # The same text sent twice is two events.
     assert run |> frames([text.(6)], "a") |> types() == ["statustext", "statustext"]
+  end
+
+  test "H2: a companion's and a camera's texts are events that name them, and say nothing about the vehicle" do
+    text = fn at, component, severity, text ->
+      frame(%M.Statustext{severity: severity, text: text}, round(at * @second), component: component)
+    end
+
+    armed = frame(%{@copter | base_mode: 81 + 128}, 10 * @second)
+    part = frame(%M.Heartbeat{type: 18, autopilot: 8}, 11 * @second, component: 191)
+    # Before it is known which component is the autopilot.
+    early = text.(9, 191, 6, "companion ready")
+
+    run =
+      start()
+      |> frames([early, armed, part])
+      |> frames([text.(11, 1, 4, "text of the autopilot"), text.(11.1, 191, 1, "obstacle: stopping")])
+      |> frames([text.(11.2, 100, 2, "card full"), text.(11.3, 191, 2, "Battery 1 is critical: failsafe")])
+      |> frames([text.(11.4, 100, 2, "Lost connection to GCS"), text.(11.5, 191, 6, "Mission complete")])
+      |> frames([text.(11.6, 191, 2, "Fence breached"), text.(11.7, 191, 4, "RC failsafe on")])
+
+    told = for %{type: "statustext", data: data} <- Enum.reverse(run.events), do: data
+
+    assert Enum.map(told, &{&1["component"], &1["severity"], &1["text"]}) == [
+             {191, 6, "companion ready"},
+             {nil, 4, "text of the autopilot"},
+             {191, 1, "obstacle: stopping"},
+             {100, 2, "card full"},
+             {191, 2, "Battery 1 is critical: failsafe"},
+             {100, 2, "Lost connection to GCS"},
+             {191, 6, "Mission complete"},
+             {191, 2, "Fence breached"},
+             {191, 4, "RC failsafe on"}
+           ]
+
+    assert types(run) -- List.duplicate("statustext", 9) == []
+    # The autopilot's own word for the same counts.
+    assert run |> frames([text.(12, 1, 4, "RC failsafe on")]) |> types() |> Enum.member?("rc.lost")
+  end
+
+  test "a part that talks without end crowds out no text of the autopilot" do
+    chatter = fn n ->
+      frame(%M.Statustext{severity: 0, text: "#{n}"}, 11 * @second + n * 1000, component: 191)
+    end
+
+    # Texts that never end, of which only so many are kept.
+    half = String.duplicate("a", 50)
+    open = fn n -> %M.Statustext{severity: 4, id: n, text: half} end
+    own = frame(open.(7), 11 * @second)
+    others = for n <- 1..20, do: frame(open.(n), 11 * @second + n, component: 191)
+    rest = frame(%M.Statustext{severity: 4, id: 7, chunk_seq: 1, text: "b"}, 11 * @second + 100)
+
+    run = start() |> beat(10) |> frames([own] ++ others ++ [rest]) |> frames(for n <- 1..500, do: chatter.(n))
+    run = frames(run, [frame(%M.Statustext{severity: 0, text: "crash"}, (11.6 * @second) |> round())])
+    texts = for %{type: "statustext", data: data} <- run.events, data["component"] == nil, do: data["text"]
+    assert texts == ["crash", half <> "b"]
   end
 
   test "missing chunks are given up by time alone" do

@@ -33,7 +33,8 @@ defmodule FleetWeb.Console.Vehicle.Arming do
   end
 
   defp complaints(events, now) do
-    for %{type: "statustext", time: time, data: %{"text" => text}} <- Enum.reverse(events),
+    for %{type: "statustext", time: time, data: %{"text" => text} = data} <- Enum.reverse(events),
+        not is_map_key(data, "component"),
         now - time <= @fresh_us,
         [_all, reason] <- [Regex.run(@complaint, text)],
         uniq: true,

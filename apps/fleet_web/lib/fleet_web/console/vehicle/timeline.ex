@@ -66,6 +66,7 @@ defmodule FleetWeb.Console.Vehicle.Timeline do
   defp tone(4), do: :warn
   defp tone(_severity), do: :plain
 
+  defp text("statustext", _row, %{"component" => part} = data), do: "component #{part}: #{data["text"]}"
   defp text("statustext", _row, data), do: data["text"] || ""
 
   defp text("report", _row, data),

@@ -86,6 +86,7 @@ defmodule FleetWeb.Console.Vehicle.PartsTest do
       event("statustext", %{"text" => "PreArm: old complaint", "severity" => 2}, 60),
       event("statustext", %{"text" => "PreArm: Compass not calibrated", "severity" => 2}, 20),
       event("statustext", %{"text" => "hello", "severity" => 6}),
+      event("statustext", %{"text" => "PreArm: no map", "severity" => 2, "component" => 191}),
       event("statustext", %{"text" => "Arm: Throttle too high", "severity" => 2})
     ]
 

@@ -48,7 +48,10 @@ defmodule Aerie.Vehicle.Core.Frames do
       core.component == nil and frame.id == @high_latency ->
         autopilot(%{core | component: frame.component}, actions, link, frame)
 
-      # Other components of the vehicle send reports, too.
+      # Other components of the vehicle send texts and reports as well.
+      frame.id == @statustext ->
+        decoded(core, actions, link, frame)
+
       core.component != nil and frame.id in @reports ->
         report(core, actions, frame)
 
@@ -117,12 +120,12 @@ defmodule Aerie.Vehicle.Core.Frames do
   defp other?(_core, _state, _frame, %M.ComponentInformationBasic{}), do: true
   defp other?(_core, _state, _frame, _message), do: false
 
-  # Frames of the autopilot from before its component was known to be one.
+  # From before it was known which component is the autopilot.
   defp early_texts({core, actions}) do
-    {early, texts} = Texts.release(core.texts, core.component)
+    {early, texts} = Texts.release(core.texts)
 
     Enum.reduce(early, {%{core | texts: texts}, actions}, fn {link, frame}, {core, actions} ->
-      autopilot_message(core, actions, link, frame)
+      decoded(core, actions, link, frame)
     end)
   end
 
@@ -132,10 +135,10 @@ defmodule Aerie.Vehicle.Core.Frames do
     core = Services.received(core, link, id, at)
     core = if id == @high_latency, do: Services.summary_heard(core, link, at), else: core
 
-    if id in @reports, do: report(core, actions, frame), else: autopilot_message(core, actions, link, frame)
+    if id in @reports, do: report(core, actions, frame), else: decoded(core, actions, link, frame)
   end
 
-  defp autopilot_message(core, actions, link, %{id: id, at: at} = frame) do
+  defp decoded(core, actions, link, %{id: id, at: at} = frame) do
     if State.wants?(core.state, id, at) or id in @decoded do
       case MavCodec.decode(frame) do
         {:ok, message} -> message(core, actions, link, frame, message)

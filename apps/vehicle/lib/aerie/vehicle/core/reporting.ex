@@ -32,10 +32,20 @@ defmodule Aerie.Vehicle.Core.Reporting do
   @spec texts(acc(), [StatusText.text()]) :: acc()
   def texts(acc, texts) do
     Enum.reduce(texts, acc, fn text, {core, actions} ->
-      observe = Effects.observation(core, :text, text.at, Map.take(text, [:severity, :text]))
-      core = if StatusTexts.may_act?(text.text), do: Effects.settle(core, :text, text.at), else: core
-      arming({%{core | reports: Reports.text(core.reports, text)}, [observe | actions]}, text)
+      text({%{core | reports: Reports.text(core.reports, text)}, actions}, text)
     end)
+  end
+
+  defp text({%{component: component} = core, actions}, %{source: component} = text) do
+    observe = Effects.observation(core, :text, text.at, Map.take(text, [:severity, :text]))
+    core = if StatusTexts.may_act?(text.text), do: Effects.settle(core, :text, text.at), else: core
+    arming({core, [observe | actions]}, text)
+  end
+
+  # A part of the vehicle is heard, and says nothing about the autopilot's state (H2).
+  defp text({core, actions}, text) do
+    data = %{severity: text.severity, text: text.text, component: text.source}
+    {core, [Effects.observation(core, :part_text, text.at, data) | actions]}
   end
 
   # By MSP a text names what keeps the vehicle from being armed; SYS_STATUS says when nothing does any more.

@@ -22,17 +22,13 @@ defmodule Aerie.Vehicle.Core.Texts do
           recent: %{term() => {link :: term(), integer()}}
         }
 
-  @doc "Keeps a text of a component that may be the autopilot."
+  @doc "Keeps a text until it is known which component is the autopilot."
   @spec hold(t(), link :: term(), Frame.t()) :: t()
   def hold(texts, link, frame), do: %{texts | early: Enum.take(texts.early ++ [{link, frame}], @max_early)}
 
-  @doc "Those that were kept of a component, with their links; the others' are dropped."
-  @spec release(t(), component :: 0..255) :: {[{link :: term(), Frame.t()}], t()}
-  def release(%{early: []} = texts, _component), do: {[], texts}
-
-  def release(texts, component),
-    do:
-      {Enum.filter(texts.early, fn {_link, frame} -> frame.component == component end), %{texts | early: []}}
+  @doc "Those that were kept, with their links."
+  @spec release(t()) :: {[{link :: term(), Frame.t()}], t()}
+  def release(texts), do: {texts.early, %{texts | early: []}}
 
   @doc "A STATUSTEXT: the texts that are complete now (X2)."
   @spec push(t(), link :: term(), Frame.t(), struct()) :: {t(), [StatusText.text()]}

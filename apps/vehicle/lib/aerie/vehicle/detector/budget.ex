@@ -6,13 +6,15 @@ defmodule Aerie.Vehicle.Detector.Budget do
   How many events of each kind a vehicle may have, so that a script or an attacker with three thousand messages a second cannot
   push what matters out of the stream. A pure value.
 
-  Each kind has a token bucket of its own: no number of texts suppresses `armed`, and chatter suppresses no urgent text.
+  Each kind has a token bucket of its own: no number of texts suppresses `armed`, chatter suppresses no urgent text, and the
+  vehicle's parts suppress no text of its autopilot.
 
   | kind                                             | burst   | a second |
   |--------------------------------------------------|---------|----------|
   | texts of severity 0 to 2 (emergency to critical) | 60      | 2        |
   | texts of severity 3 and 4 (error, warning)       | 60      | 2        |
   | all other texts                                  | 60      | 2        |
+  | texts of all parts of the vehicle, like the three above | 60 | 2      |
   | `param_changed` (a whole file may be loaded)     | 2000    | 20       |
   | every other type                                 | 60      | 2        |
 
@@ -33,7 +35,7 @@ defmodule Aerie.Vehicle.Detector.Budget do
   """
   @type t :: %__MODULE__{due: %{kind() => integer()}, over: %{kind() => map()}, suppressed: non_neg_integer()}
   @typedoc "A type of event, texts by their urgency. The number of types bounds the tables."
-  @type kind :: String.t() | {String.t(), :urgent | :warning | :other}
+  @type kind :: String.t() | {String.t(), :urgent | :warning | :other, part? :: boolean()}
 
   @spec new() :: t()
   def new, do: %__MODULE__{}
@@ -91,10 +93,14 @@ defmodule Aerie.Vehicle.Detector.Budget do
   defp noun("statustext", _count), do: "texts"
   defp noun(type, _count), do: type
 
-  defp kind("statustext", %{"severity" => severity}) when severity <= 2, do: {"statustext", :urgent}
-  defp kind("statustext", %{"severity" => severity}) when severity <= 4, do: {"statustext", :warning}
-  defp kind("statustext", _data), do: {"statustext", :other}
+  defp kind("statustext", %{"severity" => severity} = data),
+    do: {"statustext", urgency(severity), is_map_key(data, "component")}
+
   defp kind(type, _data), do: type
+
+  defp urgency(severity) when severity <= 2, do: :urgent
+  defp urgency(severity) when severity <= 4, do: :warning
+  defp urgency(_severity), do: :other
 
   defp rate("param_changed"), do: @params
   defp rate(_type), do: @usual

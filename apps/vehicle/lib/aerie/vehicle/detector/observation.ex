@@ -6,6 +6,7 @@ defmodule Aerie.Vehicle.Detector.Observation do
   |---------------|---------------------------------------------|---------------------------------------------------------|
   | `:state`      | a digest (`Detector.Digest`), `where`, `voltages` | mode_change, armed, disarmed, takeoff, landed, failsafe, geofence, battery, rc, gps, position, mission.completed |
   | `:text`       | `%{severity: 0..7, text: text}`             | statustext; failsafe, gcs_failsafe, geofence, rc, kill_switch, mission.completed if the text says so |
+  | `:part_text`  | the same with `component`: not the autopilot's | statustext                                         |
   | `:report`     | the data of the event                       | report                                                  |
   | `:px4_report` | `%{name: name, values: values, where: position}` | failsafe, gcs_failsafe, rc, kill_switch (`Detector.Px4Reports`) |
   | `:settle`     | the position                                | failsafe, when the time for its cause is over           |
@@ -31,6 +32,7 @@ defmodule Aerie.Vehicle.Detector.Observation do
   @type kind ::
           :state
           | :text
+          | :part_text
           | :report
           | :px4_report
           | :settle

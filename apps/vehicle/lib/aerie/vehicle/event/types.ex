@@ -156,11 +156,13 @@ defmodule Aerie.Vehicle.Event.Types do
        {"links", :list, nil,
         "two lists: the links of the vehicle that keeps the id, and those of the other one"}
      ], severity: 2, text: "two vehicles use this system id"},
-    {"statustext", "the vehicle sends a text", "STATUSTEXT",
+    {"statustext", "the vehicle or a part of it sends a text", "STATUSTEXT",
      [
        {"severity", :integer, nil, "0 emergency to 7 debug"},
        {"severity_name", :string, nil, "MAV_SEVERITY"},
-       {"text", :string, nil, "the whole text"}
+       {"text", :string, nil, "the whole text"},
+       {"component", :integer, nil,
+        "the part of the vehicle that sent it (100 camera, 191 companion …), if not the autopilot"}
      ], severity: :data},
     {"report", "the vehicle sends a report that is not also a text", "EVENT",
      [

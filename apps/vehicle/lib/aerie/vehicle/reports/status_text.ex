@@ -11,8 +11,8 @@ defmodule Aerie.Vehicle.Reports.StatusText do
 
   PX4 ends a text that it also sends as an EVENT with a tab, which is removed and shown as `doubled`.
 
-  At most #{@max_open} texts are incomplete at once, and a text has at most #{@max_chunks} chunks; beyond that the oldest text is returned
-  incomplete.
+  At most #{@max_open} texts are incomplete at once, and a text has at most #{@max_chunks} chunks; beyond that the oldest text
+  of the source that has most of them is returned incomplete.
   """
 
   defstruct open: %{}
@@ -94,7 +94,11 @@ defmodule Aerie.Vehicle.Reports.StatusText do
 
   defp bound(texts, at) do
     if map_size(texts.open) > @max_open do
-      {oldest, _entry} = Enum.min_by(texts.open, fn {key, entry} -> {entry.at, key} end)
+      open = Enum.frequencies_by(texts.open, fn {{source, _id}, _entry} -> source end)
+
+      {oldest, _entry} =
+        Enum.min_by(texts.open, fn {{source, _} = key, one} -> {-open[source], one.at, key} end)
+
       close(texts, oldest, at)
     else
       {texts, []}

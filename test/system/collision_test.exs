@@ -188,67 +188,94 @@ defmodule Aerie.System.CollisionTest do
     eventually(fn -> lat(gateway) == home(@second) end, "the other one has the id")
   end
 
-  test "a camera on a socket of its own gets its commands, and the autopilot its own", %{tmp_dir: folder} do
-    %{gateway: gateway} = start_gateway(folder, links: ["udpin:127.0.0.1:0"])
-    first = sim(gateway, "link-1", @first)
-    SimVehicle.await(first, & &1.ready)
-    port = link_port(gateway, "link-1")
-    camera = spawn_link(fn -> camera(self(), port) end)
+  # The autopilot and the others have sockets of their own, and speak every so many milliseconds.
+  for {name, autopilot, others} <- [{"seldom", 60, 1_000}, {"as often as it", 500, 200}] do
+    test "a camera and a gimbal that speak #{name} get their commands, and the autopilot its own (R1, R9)",
+         %{tmp_dir: folder} do
+      %{gateway: gateway} = start_gateway(folder, links: ["udpin:127.0.0.1:0"])
+      port = link_port(gateway, "link-1")
+      beat = %M.Heartbeat{type: 2, autopilot: 3, base_mode: 81, system_status: 3, mavlink_version: 3}
+      camera = %M.Heartbeat{type: 30, autopilot: 8, mavlink_version: 3}
+      manager = %M.GimbalManagerStatus{gimbal_device_id: 154}
 
-    eventually(
-      fn -> 100 in for(%{system: 1, component: c} <- Router.routes(gateway), do: c) end,
-      "the camera is heard"
-    )
+      parts =
+        for {component, messages, ms} <- [
+              {1, [beat, %M.Attitude{time_boot_ms: 1}], unquote(autopilot)},
+              {100, [camera], unquote(others)},
+              {154, [%{camera | type: 26}, manager], unquote(others)}
+            ],
+            into: %{},
+            do: {component, part(port, component, messages, ms)}
 
-    command = fn type, params ->
-      fields = [vehicle: "VID-001", type: type, params: params, deadline: System.os_time(:second) + 120]
-      {:ok, result} = Aerie.Control.Commands.submit(gateway, fields)
-      result
+      heard = fn -> for(%{system: 1, component: c} <- Router.routes(gateway), do: c) end
+      eventually(fn -> [1, 100, 154] -- heard.() == [] end, "all of them are heard")
+      managed = fn -> get_in(Store.vehicle(gateway, "VID-001").memory, [:gimbal_manager]) end
+      eventually(fn -> managed.() == 154 end, "the gimbal is known as the manager")
+
+      command = fn type, params ->
+        fields = [vehicle: "VID-001", type: type, params: params, deadline: System.os_time(:second) + 120]
+        {:ok, result} = Aerie.Control.Commands.submit(gateway, fields)
+        result.status
+      end
+
+      for n <- 1..8, do: assert({n, :accepted} == {n, command.("set_speed", %{speed: 5.0})})
+      for n <- 1..3, do: assert({n, :accepted} == {n, command.("camera_photo", %{component: 100})})
+      assert command.("gimbal", %{pitch: -30, yaw: 0}) == :accepted
+      assert command.("gimbal", %{pitch: -30, yaw: 0, component: 1}) == :accepted
+
+      got =
+        Map.new(parts, fn {component, part} ->
+          send(part, {:got, self()})
+          assert_receive {:got, ^part, commands}
+          {component, commands |> Enum.filter(&(&1 in [178, 1000, 2000])) |> Enum.frequencies()}
+        end)
+
+      assert got == %{1 => %{178 => 8, 1000 => 1}, 100 => %{2000 => 3}, 154 => %{1000 => 1}}
     end
-
-    for n <- 1..4, do: assert({n, :completed} == {n, command.("set_mode", %{mode: "GUIDED"}).status})
-    for n <- 1..3, do: assert({n, :accepted} == {n, command.("camera_photo", %{component: 100}).status})
-    send(camera, {:got, self()})
-    assert_receive {:got, commands}
-    assert Enum.count(commands, &(&1 == 2_000)) == 3
-    assert Enum.uniq(commands) -- [2_000, 512, 521, 511] == []
   end
 
-  # It talks as much as the autopilot does, and acknowledges what is for it.
-  defp camera(_pid, port) do
-    {:ok, socket} = :gen_udp.open(0, [:binary, active: true])
-    :timer.send_interval(50, :beat)
-    camera_loop(socket, port, [])
+  # It says its messages, and acknowledges what is for it.
+  defp part(port, component, messages, ms) do
+    spawn_link(fn ->
+      {:ok, socket} = :gen_udp.open(0, [:binary, active: true])
+      :timer.send_interval(ms, :beat)
+      say = &:gen_udp.send(socket, {127, 0, 0, 1}, port, MavCodec.encode(&1, system: 1, component: component))
+      Enum.each(messages, say)
+      part_loop(component, messages, say, [])
+    end)
   end
 
-  defp camera_loop(socket, port, got) do
-    say = &:gen_udp.send(socket, {127, 0, 0, 1}, port, MavCodec.encode(&1, system: 1, component: 100))
-
+  defp part_loop(component, messages, say, got) do
     receive do
       :beat ->
-        say.(%M.Heartbeat{type: 30, autopilot: 8, mavlink_version: 3})
-        camera_loop(socket, port, got)
+        Enum.each(messages, say)
+        part_loop(component, messages, say, got)
 
       {:got, from} ->
-        send(from, {:got, Enum.reverse(got)})
-        camera_loop(socket, port, got)
+        send(from, {:got, self(), got})
+        part_loop(component, messages, say, got)
 
       {:udp, _socket, _address, _port, bytes} ->
         {frames, _parser} = MavCodec.Parser.push(MavCodec.Parser.new(), bytes)
 
+        # Whoever it is for: what is not for this part must not come here.
         commands =
-          for frame <- frames, {:ok, %M.CommandLong{} = command} <- [MavCodec.decode(frame)] do
-            say.(%M.CommandAck{
-              command: command.command,
-              result: 0,
-              target_system: frame.system,
-              target_component: frame.component
-            })
+          for frame <- frames,
+              {:ok, %module{} = command} <- [MavCodec.decode(frame)],
+              module in [M.CommandLong, M.CommandInt] do
+            if command.target_component == component do
+              say.(%M.CommandAck{
+                command: command.command,
+                result: 0,
+                target_system: frame.system,
+                target_component: frame.component
+              })
+            end
 
             command.command
           end
 
-        camera_loop(socket, port, Enum.reverse(commands) ++ got)
+        part_loop(component, messages, say, commands ++ got)
     end
   end
 

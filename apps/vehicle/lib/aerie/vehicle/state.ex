@@ -45,6 +45,7 @@ defmodule Aerie.Vehicle.State do
             liftoff: nil,
             origin: nil,
             high_latency: false,
+            gimbal_manager: nil,
             groups: %{},
             sources: %{}
 
@@ -70,6 +71,7 @@ defmodule Aerie.Vehicle.State do
           liftoff: State.Liftoff.t() | nil,
           origin: place() | nil,
           high_latency: boolean(),
+          gimbal_manager: 0..255 | nil,
           groups: %{group() => entry()},
           sources: %{non_neg_integer() => integer()}
         }
@@ -156,6 +158,7 @@ defmodule Aerie.Vehicle.State do
     :sources,
     :boot_ms,
     :high_latency,
+    :gimbal_manager,
     :base_mode,
     :mode_names,
     :standard_modes,

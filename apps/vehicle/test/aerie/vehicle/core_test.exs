@@ -337,6 +337,16 @@ defmodule Aerie.Vehicle.CoreTest do
     assert run |> frames([text.(12, 1, 4, "RC failsafe on")]) |> types() |> Enum.member?("rc.lost")
   end
 
+  test "which component manages the gimbals is known by its own word, the autopilot's first" do
+    status = &frame(%M.GimbalManagerStatus{gimbal_device_id: 154}, 11 * @second, component: &1)
+    manager = &Core.snapshot(&1.core).memory.gimbal_manager
+    run = start() |> beat(10)
+    assert manager.(run) == nil
+    run = frames(run, [status.(154), status.(191)])
+    assert manager.(run) == 154
+    assert run |> frames([status.(1), status.(154)]) |> manager.() == 1
+  end
+
   test "a part that talks without end crowds out no text of the autopilot" do
     chatter = fn n ->
       frame(%M.Statustext{severity: 0, text: "#{n}"}, 11 * @second + n * 1000, component: 191)

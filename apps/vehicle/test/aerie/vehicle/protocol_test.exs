@@ -180,6 +180,24 @@ defmodule Aerie.Vehicle.ProtocolTest do
     assert [%{confirmation: 255}] = Protocol.Px4.encode(first(:px4, "disarm"), 300, vehicle)
   end
 
+  test "a gimbal's commands are for the component that manages it, or the one that is named" do
+    point = %{pitch: -30, yaw: 0}
+
+    for firmware <- [:ardupilot, :px4],
+        {params, manager, component} <- [
+          {point, nil, nil},
+          {point, 1, nil},
+          {point, 154, 154},
+          {Map.put(point, :component, 191), 154, 191},
+          {Map.put(point, :component, 1), 154, nil}
+        ] do
+      {:ok, steps} = steps(firmware, "gimbal", params, %{gimbal_manager: manager})
+
+      assert {firmware, params, [component]} ==
+               {firmware, params, Enum.uniq(for step <- steps, do: step.component)}
+    end
+  end
+
   defp ack(step, fields, source \\ {1, 1}, protocol \\ Protocol.Ardupilot) do
     [message] = protocol.encode(step, 0, vehicle(:ardupilot))
     protocol.read(step, struct!(%M.CommandAck{command: message.command}, fields), source, vehicle(:ardupilot))

@@ -57,6 +57,7 @@ defmodule Aerie.Control.CommandExecutor.Observed do
       arming_checks: checks(snapshot),
       gcs: get_in(snapshot, [:gcs, :failsafe_range]),
       params: snapshot[:params] || %{},
+      gimbal_manager: get_in(snapshot, [:memory, :gimbal_manager]),
       mode_names: get_in(snapshot, [:memory, :mode_names]) || %{},
       standard_modes: get_in(snapshot, [:memory, :standard_modes]) || %{}
     }

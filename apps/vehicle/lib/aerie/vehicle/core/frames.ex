@@ -18,6 +18,8 @@ defmodule Aerie.Vehicle.Core.Frames do
   @param_value M.ParamValue.id()
   @high_latency M.HighLatency2.id()
   @statustext M.Statustext.id()
+  # By these a component says that it manages the gimbals.
+  @gimbal_manager [M.GimbalManagerInformation.id(), M.GimbalManagerStatus.id()]
   # Besides the heartbeat.
   @identifying [@high_latency, M.ComponentInformationBasic.id()]
   @reports [M.Event.id(), M.CurrentEventSequence.id(), M.ResponseEventError.id()]
@@ -33,7 +35,7 @@ defmodule Aerie.Vehicle.Core.Frames do
   def frame(core, actions, link, frame) do
     # Whichever component sent it: the link reaches this system.
     reception = Reception.frame(core.reception, link, byte_size(frame.bytes), frame.at)
-    core = %{core | reception: reception}
+    core = gimbal_manager(%{core | reception: reception}, frame)
 
     cond do
       frame.id == @heartbeat ->
@@ -59,6 +61,13 @@ defmodule Aerie.Vehicle.Core.Frames do
         {core, actions}
     end
   end
+
+  # The autopilot's own word counts more than that of a part.
+  defp gimbal_manager(%{state: %{gimbal_manager: known}} = core, %{id: id, component: component})
+       when id in @gimbal_manager and component != known and (known == nil or component == core.component),
+       do: %{core | state: %{core.state | gimbal_manager: component}, dirty: true}
+
+  defp gimbal_manager(core, _frame), do: core
 
   defp report(core, actions, frame) do
     case MavCodec.decode(frame) do

@@ -197,7 +197,9 @@ defmodule Aerie.Vehicle.Protocol.Px4 do
   # A gimbal obeys only its controller, so we take control first; -1 keeps the secondary controller.
   defp special("gimbal", params, %{us: {system, component}} = vehicle) do
     control = %{1 => system, 2 => component, 3 => -1, 4 => -1, 7 => params.gimbal}
-    [Mavlink.long(:MAV_CMD_DO_GIMBAL_MANAGER_CONFIGURE, control) | Commands.steps("gimbal", params, vehicle)]
+    to = [component: Commands.gimbal_manager(params, vehicle)]
+    configure = Mavlink.long(:MAV_CMD_DO_GIMBAL_MANAGER_CONFIGURE, control, to)
+    [configure | Commands.steps("gimbal", params, vehicle)]
   end
 
   defp special(type, params, vehicle) when type in ["camera_photo", "camera_video"],

@@ -23,6 +23,7 @@ defmodule Aerie.Vehicle.Protocol.Vehicle do
     :booted_at,
     :busy_with,
     :gcs,
+    :gimbal_manager,
     component: 1,
     version: 2,
     params: %{},
@@ -46,6 +47,7 @@ defmodule Aerie.Vehicle.Protocol.Vehicle do
     * `:arming_checks` - names of the checks that keep it from being armed, if it reports them (PX4)
     * heights in metres, `:heading` in degrees from north; `:home` with `lat`, `lon`, `alt_msl`
     * `:gcs` - lowest and highest system id of the ground stations that ArduPilot obeys; `:params` - `Aerie.Vehicle.Services.Switches`
+    * `:gimbal_manager` - the component that says that it manages the gimbals
     * `:boots` - how many reboots were observed; `:booted_at` - when the last one was, by its own clock, in the time of `:seen`
     * `:busy_with` - what it accepted and has not told the end of: the sensor that it calibrates
     * `:seen` - when each group was last heard, in the time of the frames (microseconds)
@@ -72,6 +74,7 @@ defmodule Aerie.Vehicle.Protocol.Vehicle do
           home: %{lat: float(), lon: float(), alt_msl: float()} | nil,
           mission_seq: non_neg_integer() | nil,
           gcs: {integer(), integer()} | nil,
+          gimbal_manager: 1..255 | nil,
           params: %{String.t() => number()},
           boots: non_neg_integer(),
           booted_at: integer() | nil,

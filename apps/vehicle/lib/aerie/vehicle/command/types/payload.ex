@@ -59,7 +59,8 @@ defmodule Aerie.Vehicle.Command.Types.Payload do
       %Type{
         name: "gimbal",
         group: :payload,
-        meaning: "Points the gimbal.",
+        meaning:
+          "Points the gimbal. Without `component` the command is for the one that says that it manages gimbals, otherwise for the autopilot.",
         mav_cmds: ~w(DO_MOUNT_CONFIGURE DO_MOUNT_CONTROL DO_MOUNT_CONTROL_QUAT DO_GIMBAL_MANAGER_PITCHYAW
           DO_GIMBAL_MANAGER_CONFIGURE)a,
         permission: :payload,
@@ -69,7 +70,8 @@ defmodule Aerie.Vehicle.Command.Types.Payload do
           Param.number(:pitch, "°", -180, 180, "up is positive; required for point"),
           Param.number(:yaw, "°", -180, 180, "right is positive; required for point"),
           Param.choice(:yaw_reference, ~w(vehicle north), "what yaw is measured from", default: "vehicle"),
-          Param.integer(:gimbal, nil, 0, 255, "which gimbal; 0: the first", default: 0)
+          Param.integer(:gimbal, nil, 0, 255, "which gimbal; 0: the first", default: 0),
+          component()
         ]
       },
       %Type{

@@ -151,13 +151,14 @@ defmodule Aerie.Vehicle.Protocol.Mavlink.Commands do
   def steps("camera_video", params, _vehicle),
     do: [Mavlink.long(:MAV_CMD_VIDEO_STOP_CAPTURE, %{1 => params.stream}, component: params[:component])]
 
-  def steps("gimbal", params, _vehicle) do
+  def steps("gimbal", params, vehicle) do
     point = %{1 => params[:pitch] || :nan, 2 => params[:yaw] || :nan, 3 => :nan, 4 => :nan}
 
     [
       Mavlink.long(
         :MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW,
-        Map.merge(point, %{5 => gimbal_flags(params), 7 => params.gimbal})
+        Map.merge(point, %{5 => gimbal_flags(params), 7 => params.gimbal}),
+        component: gimbal_manager(params, vehicle)
       )
     ]
   end
@@ -219,6 +220,13 @@ defmodule Aerie.Vehicle.Protocol.Mavlink.Commands do
   defp interval(%{rate: rate}), do: round(@second_us / rate)
   defp interval(%{action: "stop"}), do: -1
   defp interval(%{action: "default"}), do: 0
+
+  @doc "The component that a gimbal's commands are for: the one that says that it manages gimbals, nil for the autopilot."
+  @spec gimbal_manager(map(), Aerie.Vehicle.Protocol.Vehicle.t()) :: 1..255 | nil
+  def gimbal_manager(params, vehicle) do
+    component = params[:component] || vehicle.gimbal_manager
+    if component != vehicle.component, do: component
+  end
 
   defp gimbal_flags(%{action: "retract"}), do: @gimbal_retract
   defp gimbal_flags(%{action: "neutral"}), do: @gimbal_neutral

@@ -9,7 +9,8 @@ defmodule Aerie.Control.Params.Set do
 
   An autopilot answers with PARAM_VALUE. A component that speaks PARAM_EXT (the encoding `:extended`, P8) answers with PARAM_EXT_ACK.
   IN_PROGRESS is waited on for as long as the component answers; meanwhile the value is read, because the acknowledgement of the end comes
-  once and can be lost. Acknowledgements do not say whose set they answer, so after each of them the value is read: what the component
+  once and can be lost. Some components do not acknowledge what they have already, so a set that is repeated is read as well: a value that
+  is shown is set, whoever says it. Acknowledgements do not say whose set they answer, so after each of them the value is read: what the component
   has decides, and the acknowledgement gives the reason.
   """
 
@@ -121,12 +122,12 @@ defmodule Aerie.Control.Params.Set do
 
   defp reported(%{phase: :type, value: nil} = read, param, _now), do: finish(read, {:ok, param})
   defp reported(%{phase: :type} = set, param, now), do: begin(%{set | type: param.type}, now)
-  # It may have been on its way when the value was sent.
-  defp reported(%{phase: :set, encoding: :extended} = set, _param, _now), do: {set, []}
 
   defp reported(set, param, now) do
     cond do
       Message.same?(param.value, set.wire, set.type, set.encoding) -> finish(set, {:ok, param})
+      # It may have been on its way when the value was sent.
+      set.phase == :set and set.encoding == :extended -> {set, []}
       set.phase == :progress -> {%{set | sent: 0, due: now + @progress_us}, []}
       set.phase == :set -> {%{set | shown: param.value || "it keeps a value that is not a number"}, []}
       set.verdict == :accepted -> {%{set | shown: {:keeps, param.value}}, []}
@@ -159,14 +160,19 @@ defmodule Aerie.Control.Params.Set do
   defp enter(set, phase, now), do: again(%{set | phase: phase, sent: 0}, now)
 
   defp again(set, now) do
-    message =
+    read = Message.read(set.target, set.name, set.encoding)
+
+    messages =
       if set.phase == :set,
-        do: Message.set(set.target, set.name, set.wire, set.type, set.encoding),
-        else: Message.read(set.target, set.name, set.encoding)
+        do: [Message.set(set.target, set.name, set.wire, set.type, set.encoding)],
+        else: [read]
+
+    shown? = set.phase == :set and set.encoding == :extended and set.sent > 0
+    messages = if shown?, do: messages ++ [read], else: messages
 
     since = if set.sent == 0, do: now, else: set.since
     due = now + RoundTrip.timeout(set.trip, set.sent)
-    {%{set | sent: set.sent + 1, since: since, due: due}, [{:send, [message]}]}
+    {%{set | sent: set.sent + 1, since: since, due: due}, [{:send, messages}]}
   end
 
   defp refused(%{phase: :check} = set, shown), do: finish(set, {:error, {:not_set, set.verdict, shown}})

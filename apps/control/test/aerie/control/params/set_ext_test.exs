@@ -90,6 +90,49 @@ defmodule Aerie.Control.Params.SetExtTest do
     assert [{_at, %M.ParamExtSet{}} | _read] = set("CAM_MODE", 2, [], type: 1).sent
   end
 
+  test "what a component shows is set, without an acknowledgement, and with leavings behind its text" do
+    camera = put_in(ParamsCamera.new().params["CAM_NAME"], "Nadir" <> <<0, "old">>)
+    start = fn name, value -> Set.new(name, value, {1, 1}, @deadline, encoding: :extended) end
+
+    # It answers a set with the value.
+    shows = fn
+      camera, %M.ParamExtSet{param_id: name} = m, now ->
+        {camera, _ack} = ParamsCamera.answer(camera, m, now)
+        ParamsCamera.answer(camera, %M.ParamExtRequestRead{param_index: -1, param_id: name}, now)
+
+      camera, message, now ->
+        ParamsCamera.answer(camera, message, now)
+    end
+
+    assert {:ok, %{value: 2}} = LossyLink.run(Set, start.("CAM_MODE", 2), camera, shows).result
+
+    # It says nothing about a set of what it has.
+    silent = fn
+      camera, %M.ParamExtSet{}, _now -> {camera, []}
+      camera, message, now -> ParamsCamera.answer(camera, message, now)
+    end
+
+    for {name, value} <- [{"CAM_MODE", 1}, {"CAM_NAME", "Nadir"}] do
+      assert {:ok, %{value: ^value}} = LossyLink.run(Set, start.(name, value), camera, silent).result
+    end
+
+    # It refuses what it has, and copies text over the text before.
+    copies = fn
+      camera, %M.ParamExtSet{param_value: <<text::binary-2, 0, _::binary>>} = m, now ->
+        {camera, ack} = ParamsCamera.answer(camera, m, now)
+        {put_in(camera.params["CAM_NAME"], text <> <<0, "ir", 0, "old">>), ack}
+
+      camera, message, now ->
+        ParamsCamera.answer(camera, message, now)
+    end
+
+    assert {:ok, %{value: "Up"}} = LossyLink.run(Set, start.("CAM_NAME", "Up"), camera, copies).result
+    refused = set("CAM_SERIAL", "base64:AAEC/w==")
+    assert {:ok, %{value: "base64:AAEC/w=="}} = refused.result
+    assert {:error, {:not_set, :failed, _keeps}} = set("CAM_SERIAL", "x").result
+    assert {:error, {:invalid, "expected text without zeros" <> _}} = set("CAM_NAME", <<"a", 0, "b">>).result
+  end
+
   test "IN_PROGRESS is waited on, and the end is known even if its acknowledgement is lost" do
     run = set("CAM_FORMAT", 7)
     assert {:ok, %{value: 7}} = run.result

@@ -4,7 +4,8 @@ defmodule Aerie.Vehicle.Protocol.ExtValue do
 
   A number is in the first bytes, little-endian, as its MAV_PARAM_EXT_TYPE says: integers of 8 to 64 bits, floats of 32 and 64. The
   type CUSTOM, and any that MAVLink does not know, has text, or bytes: a value that is not printable text is `base64:` followed by
-  them, so that each value can be shown, stored and sent back as it was. Zeros at the end do not count.
+  them, so that each value can be shown, stored and sent back as it was. Text ends at the first zero, whatever a component left
+  behind it; zeros at the end of bytes do not count.
   """
 
   alias MavCodec.Message.Value
@@ -44,9 +45,10 @@ defmodule Aerie.Vehicle.Protocol.ExtValue do
 
   def decode(bytes, _custom) do
     bytes = String.trim_trailing(bytes, <<0>>)
+    [text | _left_behind] = :binary.split(bytes, <<0>>)
 
-    if String.printable?(bytes) and not String.starts_with?(bytes, @mark),
-      do: bytes,
+    if (text != "" or bytes == "") and String.printable?(text) and not String.starts_with?(text, @mark),
+      do: text,
       else: @mark <> Base.encode64(bytes)
   end
 
@@ -71,6 +73,11 @@ defmodule Aerie.Vehicle.Protocol.ExtValue do
     end
   end
 
-  def encode(value, _custom) when is_binary(value) and byte_size(value) <= @bytes, do: {:ok, value}
+  def encode(value, _custom) when is_binary(value) and byte_size(value) <= @bytes do
+    if String.contains?(value, <<0>>),
+      do: {:error, "expected text without zeros, or #{@mark} and the bytes"},
+      else: {:ok, value}
+  end
+
   def encode(_value, _custom), do: {:error, "expected text of at most #{@bytes} bytes"}
 end

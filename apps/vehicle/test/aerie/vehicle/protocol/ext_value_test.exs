@@ -41,7 +41,9 @@ defmodule Aerie.Vehicle.Protocol.ExtValueTest do
   test "text, and bytes that are none, can be sent back as they came" do
     assert ExtValue.decode(pad("photo"), 11) == "photo"
 
-    for bytes <- ["photo", <<1, 2, 255>>, "base64:x", ""] do
+    assert ExtValue.decode(pad("photo" <> <<0, "graph", 255>>), 11) == "photo"
+
+    for bytes <- ["photo", <<0, 1, 2>>, <<1, 2, 255>>, "base64:x", ""] do
       value = ExtValue.decode(pad(bytes), 11)
       assert String.printable?(value)
       assert ExtValue.encode(value, 11) == {:ok, bytes}

@@ -5,9 +5,10 @@ defmodule Aerie.Control.Logs.List do
 
   Ids begin at 0 (PX4) or 1 (ArduPilot); a vehicle without logs answers with id 0 and num_logs 0 (X1).
 
-  The list is complete with every id that num_logs and last_log_num announce, or with num_logs entries that say something. An entry with
-  neither size nor time that was not announced is no log: some vehicles begin with one. Others announce ids that they do not have
-  (last_log_num 0, or the last id of what was asked); their empty entries count when a second question brings no more.
+  The list is complete with every id that num_logs and last_log_num announce, or with num_logs entries that say
+  something. Some vehicles begin with an entry that has neither size nor time and was not announced: it is left out.
+  Others announce ids that they do not have (last_log_num 0, or the last id of what was asked); their empty entries
+  count when a second question brings no more.
   """
 
   alias Aerie.Control.Ftp.RoundTrip

@@ -9,9 +9,9 @@ defmodule Aerie.Control.Params.Set do
 
   An autopilot answers with PARAM_VALUE. A component that speaks PARAM_EXT (the encoding `:extended`, P8) answers with PARAM_EXT_ACK.
   IN_PROGRESS is waited on for as long as the component answers; meanwhile the value is read, because the acknowledgement of the end comes
-  once and can be lost. Some components do not acknowledge what they have already, so a set that is repeated is read as well: a value that
-  is shown is set, whoever says it. Acknowledgements do not say whose set they answer, so after each of them the value is read: what the component
-  has decides, and the acknowledgement gives the reason.
+  once and can be lost. Some components do not acknowledge what they have already, so the value is read with each
+  repeated set: one that is shown is set. Acknowledgements do not say whose set they answer, so after each of them the
+  value is read: what the component has decides, and the acknowledgement gives the reason.
   """
 
   alias Aerie.Control.Ftp.RoundTrip

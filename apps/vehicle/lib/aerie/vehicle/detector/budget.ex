@@ -6,8 +6,8 @@ defmodule Aerie.Vehicle.Detector.Budget do
   How many events of each kind a vehicle may have, so that a script or an attacker with three thousand messages a second cannot
   push what matters out of the stream. A pure value.
 
-  Each kind has a token bucket of its own: no number of texts suppresses `armed`, chatter suppresses no urgent text, and the
-  vehicle's parts suppress no text of its autopilot.
+  Each kind has a token bucket of its own: no number of texts suppresses `armed`, chatter suppresses no urgent text, and
+  the vehicle's parts suppress no text of its autopilot.
 
   | kind                                             | burst   | a second |
   |--------------------------------------------------|---------|----------|

@@ -60,7 +60,7 @@ defmodule Aerie.Vehicle.Command.Types.Payload do
         name: "gimbal",
         group: :payload,
         meaning:
-          "Points the gimbal. Without `component` the command is for the one that says that it manages gimbals, otherwise for the autopilot.",
+          "Points the gimbal. Without `component` it is for the one that manages gimbals, or the autopilot.",
         mav_cmds: ~w(DO_MOUNT_CONFIGURE DO_MOUNT_CONTROL DO_MOUNT_CONTROL_QUAT DO_GIMBAL_MANAGER_PITCHYAW
           DO_GIMBAL_MANAGER_CONFIGURE)a,
         permission: :payload,

@@ -221,7 +221,7 @@ defmodule Aerie.Vehicle.Protocol.Mavlink.Commands do
   defp interval(%{action: "stop"}), do: -1
   defp interval(%{action: "default"}), do: 0
 
-  @doc "The component that a gimbal's commands are for: the one that says that it manages gimbals, nil for the autopilot."
+  @doc "The component that gets a gimbal's commands: the one that says that it manages gimbals; nil: the autopilot."
   @spec gimbal_manager(map(), Aerie.Vehicle.Protocol.Vehicle.t()) :: 1..255 | nil
   def gimbal_manager(params, vehicle) do
     component = params[:component] || vehicle.gimbal_manager

@@ -2,10 +2,10 @@ defmodule Aerie.Vehicle.Protocol.ExtValue do
   @moduledoc """
   The value of an extended parameter and the 128 bytes that PARAM_EXT_VALUE, PARAM_EXT_SET and PARAM_EXT_ACK carry (P8).
 
-  A number is in the first bytes, little-endian, as its MAV_PARAM_EXT_TYPE says: integers of 8 to 64 bits, floats of 32 and 64. The
-  type CUSTOM, and any that MAVLink does not know, has text, or bytes: a value that is not printable text is `base64:` followed by
-  them, so that each value can be shown, stored and sent back as it was. Text ends at the first zero: what a component left
-  behind it does not count, nor do zeros at the end of bytes.
+  A number is in the first bytes, little-endian, as its MAV_PARAM_EXT_TYPE says: integers of 8 to 64 bits, floats of 32
+  and 64. The type CUSTOM, and any that MAVLink does not know, has text, or bytes: a value that is not printable text is
+  `base64:` followed by them, so that each value can be shown, stored and sent back as it was. Text ends at the first
+  zero: what a component left behind it does not count, nor do zeros at the end of bytes.
   """
 
   alias MavCodec.Message.Value

@@ -19,6 +19,7 @@ defmodule Aerie.StreamVehicle do
             acks: true,
             tells: true,
             carried: 1.0,
+            loss: 0.0,
             cap: 1000,
             old: true,
             up: true,
@@ -28,7 +29,7 @@ defmodule Aerie.StreamVehicle do
   @doc """
   Options: `rates` (messages per second by id that it begins with), `gateway` (wants of the gateway), `knows` (`:all` or
   ids), `command` (`:obeyed`, `:ignored`, `:unsupported`, `:failed`), `acks`, `tells` (answers MESSAGE_INTERVAL), `old`
-  (obeys REQUEST_DATA_STREAM), `carried` (share that the link carries), `cap` (what its scheduler reaches).
+  (obeys REQUEST_DATA_STREAM), `carried` (share that the link carries), `loss` (share of commands and answers that it loses), `cap` (what its scheduler reaches).
   """
   def new(options \\ []) do
     {gateway, options} = Keyword.pop(options, :gateway, %{})
@@ -103,8 +104,12 @@ defmodule Aerie.StreamVehicle do
     %{vehicle | arbiter: arbiter, due: Map.put(vehicle.due, id, owed - whole)}
   end
 
-  defp hear(message, vehicle),
-    do: obey(%{vehicle | sent: [{vehicle.now, message} | vehicle.sent]}, message)
+  defp hear(message, vehicle) do
+    vehicle = %{vehicle | sent: [{vehicle.now, message} | vehicle.sent]}
+    if lost?(vehicle, message), do: vehicle, else: obey(vehicle, message)
+  end
+
+  defp lost?(%{loss: loss, now: now}, what), do: :erlang.phash2({now, what}, 1000) < loss * 1000
 
   defp obey(vehicle, %CommandLong{command: 511, param1: id, param2: us}) do
     id = trunc(id)
@@ -123,7 +128,7 @@ defmodule Aerie.StreamVehicle do
     hz = Map.get(vehicle.rates, id, 0)
     interval = if hz > 0, do: round(1_000_000 / hz), else: -1
 
-    if vehicle.tells do
+    if vehicle.tells and not lost?(vehicle, interval) do
       vehicle = ack(vehicle, 512, 0)
       %{vehicle | arbiter: Arbiter.interval(vehicle.arbiter, id, interval, vehicle.now)}
     else

@@ -101,8 +101,12 @@ defmodule Aerie.Vehicle.Services.Streams.WantedMessage do
   def evaluate(wanted, rate, _last, _now), do: if(faster?(wanted, rate), do: :faster, else: :good)
 
   # Only a rate that was as requested before can have been changed by another program.
-  defp faster?(%{set: set, state: :ok}, rate) when set != nil, do: rate > set * @faster and rate > set + 1
+  defp faster?(%{state: :ok} = wanted, rate), do: raised?(wanted, rate)
   defp faster?(_line, _rate), do: false
+
+  @doc "Whether a rate is far higher than what was requested."
+  @spec raised?(t(), number()) :: boolean()
+  def raised?(%{set: set}, rate), do: set != nil and rate > set * @faster and rate > set + 1
 
   @doc "It was requested at a rate (0: the vehicle's default); `last` is when it last came."
   @spec asked(t(), number(), integer() | nil) :: t()

@@ -290,11 +290,34 @@ defmodule Aerie.Vehicle.Services.Streams.ArbiterTest do
       assert [%{id: 30, asked: 10, how: :slower, yielded: true}] = vehicle.notices
     end
 
-    test "also if the vehicle does not tell its interval" do
+    test "if the vehicle does not tell its interval, it is corrected once, and nobody is blamed" do
       vehicle = Sim.new(rates: @default, gateway: %{30 => 10}, tells: false) |> Sim.run(30)
       vehicle = Sim.run(vehicle, 600, &Sim.set(&1, 30, 2))
       assert length(sets(vehicle, 30)) == 2
-      assert state(vehicle, 30) == :yielded
+      assert {state(vehicle, 30), vehicle.notices} == {:short, []}
+    end
+
+    test "M2: a link of ours that loses data is not another program, whatever it loses" do
+      for carried <- [0.05, 0.2, 0.4, 0.55, 0.8],
+          loss <- [0.2, 0.5, 0.9],
+          wants <- [%{30 => 10}, %{30 => 10, 33 => 5}] do
+        vehicle = Sim.new(rates: @default, gateway: wants) |> Sim.run(60)
+        vehicle = Sim.run(%{vehicle | carried: carried, loss: loss}, 900)
+        assert {carried, loss, vehicle.notices} == {carried, loss, []}
+        refute :yielded in Enum.map(Map.keys(wants), &state(vehicle, &1))
+        assert Sim.run(%{vehicle | carried: 1.0, loss: 0.0}, 120) |> state(30) == :ok
+      end
+    end
+
+    test "nor is one that makes up for a pause" do
+      vehicle = Sim.new(rates: @default, gateway: %{30 => 10}) |> Sim.run(30)
+
+      vehicle =
+        for(_ <- 1..20, carried <- [0.8, 1.9], do: carried)
+        |> Enum.reduce(vehicle, &Sim.run(%{&2 | carried: &1}, 6))
+
+      assert vehicle.notices == []
+      assert Sim.run(%{vehicle | carried: 1.0}, 60) |> state(30) == :ok
     end
 
     test "a rate that another program raised is reported and left" do

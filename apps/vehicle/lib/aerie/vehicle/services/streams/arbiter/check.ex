@@ -96,10 +96,9 @@ defmodule Aerie.Vehicle.Services.Streams.Arbiter.Check do
 
   defp verdict(arbiter, wanted, :wait, _now), do: Arbiter.put(arbiter, wanted)
 
-  defp verdict(arbiter, %{faster: reported} = wanted, :faster, _now) do
-    arbiter = if reported, do: arbiter, else: notice(arbiter, wanted, :faster, wanted.rate, true)
-    Arbiter.put(arbiter, %{wanted | faster: true})
-  end
+  # What a link held back comes all at once, so the vehicle is asked.
+  defp verdict(arbiter, %{faster: false} = wanted, :faster, now), do: query(arbiter, wanted, now, :ok)
+  defp verdict(arbiter, wanted, :faster, _now), do: Arbiter.put(arbiter, wanted)
 
   defp verdict(arbiter, wanted, :good, _now) do
     arbiter = if wanted.state == :asked, do: %{arbiter | obeyed: true}, else: arbiter
@@ -117,7 +116,7 @@ defmodule Aerie.Vehicle.Services.Streams.Arbiter.Check do
     # The vehicle has not answered.
     if slow_link?(arbiter),
       do: Arbiter.put(arbiter, %{wanted | state: :short}),
-      else: changed(arbiter, wanted, wanted.rate, now)
+      else: changed(arbiter, wanted, wanted.rate, now, :measured)
   end
 
   # It was requested again because another program had changed it. Has it been changed once more?
@@ -139,7 +138,7 @@ defmodule Aerie.Vehicle.Services.Streams.Arbiter.Check do
   defp verdict(arbiter, wanted, :short, _now), do: Arbiter.put(arbiter, wanted)
 
   # Bounded, because a link may come and go.
-  defp query(arbiter, wanted, now) do
+  defp query(arbiter, wanted, now, otherwise \\ :short) do
     queries = Enum.filter(wanted.queries, &(now - &1 < @query_again_us))
 
     if length(queries) < @queries,
@@ -147,7 +146,7 @@ defmodule Aerie.Vehicle.Services.Streams.Arbiter.Check do
         arbiter
         |> Arbiter.put(%{wanted | state: :query, queries: [now | queries]})
         |> Arbiter.enqueue({:query, wanted.id}),
-      else: Arbiter.put(arbiter, %{wanted | state: :short})
+      else: Arbiter.put(arbiter, %{wanted | state: otherwise})
   end
 
   defp ask(arbiter, wanted, id) do
@@ -165,9 +164,10 @@ defmodule Aerie.Vehicle.Services.Streams.Arbiter.Check do
     case arbiter.messages do
       %{^id => %{set: set, state: state} = wanted} when set != nil and state in [:ok, :query] ->
         cond do
-          not WantedMessage.as_set?(wanted, interval) -> changed(arbiter, wanted, hz(interval), at)
-          # The interval is ours, so the link is too slow.
-          state == :query -> Arbiter.put(arbiter, %{wanted | state: :short})
+          not WantedMessage.as_set?(wanted, interval) -> changed(arbiter, wanted, hz(interval), at, :told)
+          WantedMessage.raised?(wanted, hz(interval)) -> raised(arbiter, wanted, hz(interval))
+          # The interval is ours: it is the link that is too slow, or made up for a pause.
+          state == :query -> Arbiter.put(arbiter, %{wanted | state: if(slow?(wanted), do: :short, else: :ok)})
           true -> arbiter
         end
 
@@ -179,8 +179,15 @@ defmodule Aerie.Vehicle.Services.Streams.Arbiter.Check do
   defp hz(interval) when interval > 0, do: 1_000_000 / interval
   defp hz(_none), do: 0.0
 
-  # Another program changed the rate.
-  defp changed(arbiter, wanted, rate, now) do
+  defp slow?(%{rate: rate, set: set}), do: rate == nil or rate < set
+
+  defp raised(arbiter, %{faster: true} = wanted, _rate), do: Arbiter.put(arbiter, %{wanted | state: :ok})
+
+  defp raised(arbiter, wanted, rate),
+    do: arbiter |> Arbiter.put(%{wanted | state: :ok, faster: true}) |> notice(wanted, :faster, rate, true)
+
+  # Another program changed the rate. Only the vehicle's word for that is reported: a link that loses data looks the same.
+  defp changed(arbiter, wanted, rate, now, how) do
     changes = [now | Enum.filter(wanted.changes, &(now - &1 < @contest_us))]
     wanted = %{wanted | changes: changes, rate: rate, tries: 0}
     arbiter = %{arbiter | queue: List.delete(arbiter.queue, {:query, wanted.id})}
@@ -189,6 +196,7 @@ defmodule Aerie.Vehicle.Services.Streams.Arbiter.Check do
       # Any rate will do, so this one may stay.
       wanted.hz == nil and rate != nil and rate > 0 -> Arbiter.put(arbiter, %{wanted | state: :ok, set: nil})
       length(changes) < 2 -> ask(arbiter, wanted, wanted.id)
+      how == :measured -> Arbiter.put(arbiter, %{wanted | state: :short})
       true -> arbiter |> Arbiter.put(%{wanted | state: :yielded}) |> notice(wanted, :slower, rate, true)
     end
   end

@@ -108,7 +108,7 @@ defmodule Aerie.Control.PolicyTest do
       {%{}, command("set_geofence", %{enabled: false}), context(%{}, admin), :allow},
       {%{}, command("reset_params"), context(%{}, maintainer),
        {:deny, :role, "reset_params needs the permission protection" <> lacking}},
-      {%{}, command("reset_params"), context(%{}, admin), :allow},
+      {%{}, command("reset_params"), context(%{mode: %{armed: false, in_air: false}}, admin), :allow},
       {%{}, command("set_mode", %{mode: "TERMINATION"}), context(%{}, admin),
        {:deny, :role,
         "set_mode needs the permission terminate, which no role includes; ada (admin) was not given it"}}
@@ -232,6 +232,33 @@ defmodule Aerie.Control.PolicyTest do
       {%{conditions: [%{types: ["reboot"], armed: nil, in_air: false}]}, command("reboot"), armed.(true),
        :allow}
     ])
+
+    # The whole workshop, on a bench alone; what is not known counts as flying.
+    params = %{
+      "motor_test" => %{motor: 1, throttle: 0.1, duration: 1},
+      "rx_pair" => %{receiver: "crsf"},
+      "calibrate" => %{sensor: "gyro"},
+      "calibrate_position" => %{position: "level"}
+    }
+
+    for type <- ~w(reboot reset_params motor_test rx_pair calibrate calibrate_position calibrate_accept),
+        {armed, in_air} <- [
+          {true, false},
+          {true, true},
+          {false, true},
+          {nil, false},
+          {false, nil},
+          {nil, nil}
+        ] do
+      asked = command(type, Map.get(params, type, %{}))
+      state = context(%{mode: %{armed: armed, in_air: in_air}}, admin)
+      assert {^type, {:deny, :condition, _why}} = {type, Policy.decide(policy(%{}), asked, state)}
+      state = context(%{mode: %{armed: false, in_air: false}}, admin)
+      assert Policy.decide(policy(%{}), asked, state) == :allow
+    end
+
+    # A calibration can always be ended.
+    assert Policy.decide(policy(%{}), command("calibrate_cancel"), armed.(true)) == :allow
   end
 
   test "battery: no take-off below the floor" do

@@ -9,16 +9,10 @@ defmodule Aerie.Control.Policy.Compile do
   alias Aerie.Control.Policy
   alias Aerie.Control.Policy.Compile.Modes
   alias Aerie.Control.Policy.{Fence, Intent, Settings}
-  alias Aerie.Control.Policy.Rules.Window
+  alias Aerie.Control.Policy.Rules.{Condition, Window}
   alias Aerie.Base.Settings.Schema
   alias MavCodec.Dialects.All
 
-  # Commands that are refused in flight by default.
-  @conditions %{
-    "reboot" => %{armed: false, in_air: nil},
-    "calibrate" => %{armed: false, in_air: nil},
-    "motor_test" => %{armed: false, in_air: nil}
-  }
   # Fifty a second and a hundred at once: more than any stream of set-points, less than a flood.
   @rates [%{types: :all, sources: :all, vehicles: :all, interval_us: 20_000, burst: 100}]
   @max_items 100
@@ -69,7 +63,7 @@ defmodule Aerie.Control.Policy.Compile do
            takeoff_battery: section.takeoff_battery,
            fence: fence,
            modes: modes,
-           conditions: conditions |> Enum.concat() |> Enum.into(@conditions),
+           conditions: conditions |> Enum.concat() |> Enum.into(Condition.defaults()),
            windows: windows,
            rates: if(section.rates == nil, do: @rates, else: rates),
            unknown: section.unknown,

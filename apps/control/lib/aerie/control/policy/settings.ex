@@ -40,7 +40,8 @@ defmodule Aerie.Control.Policy.Settings do
           {:list, {:section, condition_fields()}},
           """
           Commands that are allowed only while the vehicle is armed or not, in the air or not. Without an entry of their own,
-          reboot, calibrate and motor_test need a disarmed vehicle.
+          #{Enum.join(Rules.Condition.workshop(), ", ")}
+          need a vehicle that is disarmed and on the ground.
           """,
           default: [],
           example: ~S([{types: [gripper], in_air: false}])

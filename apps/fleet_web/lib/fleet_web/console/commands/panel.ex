@@ -1,5 +1,8 @@
 defmodule FleetWeb.Console.Commands.Panel do
-  @moduledoc "The form of one command. Its button has to be held if the command moves the vehicle, otherwise pressed."
+  @moduledoc """
+  The form of one command. Its button has to be held for what moves the vehicle, changes what it does or protects it, or lets something fall;
+  otherwise it is pressed. It is off while the policy or the firmware would refuse the command.
+  """
   use FleetWeb.Console, :component
 
   attr :entry, :map, required: true, doc: "`t:FleetWeb.Console.Commands.Catalog.entry/0`"
@@ -34,20 +37,31 @@ defmodule FleetWeb.Console.Commands.Panel do
         <p :for={text <- @errors.general} class="field-error" role="alert">{text}</p>
         <.answer :if={@answer != nil} answer={@answer} obstacles={@obstacles} />
         <.hold_button
-          :if={@entry.type.moves_vehicle?}
+          :if={held?(@entry.type)}
           id={"command-send-#{@entry.type.name}"}
           event="command"
           kind={kind(@entry.type)}
           hold_ms={hold(@entry.type)}
           phx-value-type={@entry.type.name}
+          disabled={refused?(@answer)}
+          reason="It would be refused: see above"
         >
           {@entry.title} (press and hold)
         </.hold_button>
-        <.button :if={not @entry.type.moves_vehicle?} type="submit" kind="primary">{@entry.title}</.button>
+        <.button :if={not held?(@entry.type)} type="submit" kind="primary" disabled={refused?(@answer)}>{@entry.title}</.button>
       </form>
     </section>
     """
   end
+
+  # Questions, cameras and who is in charge.
+  defp held?(%{moves_vehicle?: true}), do: true
+  defp held?(%{group: group}) when group in [:telemetry, :control], do: false
+
+  defp held?(%{name: name}),
+    do: name not in ~w(prearm_check gimbal) and not String.starts_with?(name, "camera_")
+
+  defp refused?(answer), do: match?({:deny, _rule, _reason}, answer)
 
   attr :answer, :any, required: true
   attr :obstacles, :list, default: []

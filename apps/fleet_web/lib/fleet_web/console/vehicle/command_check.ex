@@ -28,6 +28,18 @@ defmodule FleetWeb.Console.Vehicle.CommandCheck do
 
   def of(_nothing), do: nil
 
+  @doc """
+  Why the vehicle may not be calibrated now: the policy's condition, by default disarmed and on the ground; nil if it may. What the user or the
+  firmware lacks is another matter.
+  """
+  @spec workshop(map()) :: String.t() | nil
+  def workshop(assigns) do
+    case check(assigns, "calibrate", %{"sensor" => "gyro"}) do
+      {:deny, :condition, reason} -> reason
+      _other -> nil
+    end
+  end
+
   defp check(%{gateway: gateway, id: id, user: user}, type, params),
     do: Commands.check(gateway, vehicle: id, type: type, params: params, as: user)
 end

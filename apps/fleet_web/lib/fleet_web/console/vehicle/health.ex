@@ -11,6 +11,7 @@ defmodule FleetWeb.Console.Vehicle.Health do
   attr :user, :map, required: true
   attr :arming, :map, required: true, doc: "`t:FleetWeb.Console.Vehicle.Arming.t/0`"
   attr :calibrations, :list, required: true, doc: "lives of calibrations"
+  attr :workshop, :string, required: true, doc: "why the vehicle may not be calibrated now, nil if it may"
   attr :now, :integer, required: true
 
   @doc "The health section."
@@ -27,7 +28,7 @@ defmodule FleetWeb.Console.Vehicle.Health do
         <div class="spread"><h2 id="arming-title">Arming</h2><.age us={View.age(@view, :health)} limit_us={5_000_000} /></div>
         <p><.badge kind={ready_kind(@arming)}>{ready(@arming)}</.badge></p>
         <ul :if={@arming.reasons != []} class="reasons"><li :for={reason <- @arming.reasons} :key={reason}><.icon name="alert" /> {reason}</li></ul>
-        <.hold_button :if={Actions.able?("prearm_check", assigns)} id="action-prearm" event="command" kind="plain" hold_ms={500} icon="refresh" phx-value-type="prearm_check">Check again</.hold_button>
+        <.hold_button :if={@arming.armed == false and Actions.able?("prearm_check", assigns)} id="action-prearm" event="command" kind="plain" hold_ms={500} icon="refresh" phx-value-type="prearm_check">Check again</.hold_button>
       </section>
       <section id="sensors" class="card" aria-labelledby="sensors-title">
         <h2 id="sensors-title">Sensors</h2>
@@ -62,17 +63,18 @@ defmodule FleetWeb.Console.Vehicle.Health do
       <.facts id="home" title="Home" view={@view} group={:home} old_us={3_600_000_000} fields={[lat: "Latitude", lon: "Longitude", alt_msl: "Altitude (MSL)"]} />
       <section :if={Actions.able?("calibrate", assigns)} id="calibration" class="card calibration" aria-labelledby="calibration-title">
         <h2 id="calibration-title">Calibration</h2>
-        <p class="hint">Vehicle on the ground, disarmed and still. Its instructions appear below.</p>
+        <p :if={@workshop == nil} class="hint">Keep the vehicle still. Its instructions appear below.</p>
+        <p :if={@workshop} class="notice info" role="note"><.icon name="lock" /> <span>Not now: {@workshop}.</span></p>
         <EntryList.lives id="calibrations" lives={@calibrations} now={@now} user={@user} />
-        <div class="row">
+        <div :if={@workshop == nil} class="row">
           <.hold_button :for={sensor <- Calibration.sensors()} id={"calibrate-#{sensor}"} event="command" kind="plain" hold_ms={500} phx-value-type="calibrate" phx-value-sensor={sensor}>{String.replace(sensor, "_", " ")}</.hold_button>
         </div>
-        <div :if={Actions.able?("calibrate_position", assigns)} class="row" role="group" aria-label="Position">
+        <div :if={@workshop == nil and Actions.able?("calibrate_position", assigns)} class="row" role="group" aria-label="Position">
           <span class="muted">Position:</span>
           <.hold_button :for={position <- Calibration.positions()} id={"lies-#{position}"} event="command" kind="plain" hold_ms={500} phx-value-type="calibrate_position" phx-value-position={position}>{String.replace(position, "_", " ")}</.hold_button>
         </div>
         <div class="row">
-          <.hold_button :if={Actions.able?("calibrate_accept", assigns)} id="calibrate-accept" event="command" kind="plain" hold_ms={500} icon="check" phx-value-type="calibrate_accept">Save compass calibration</.hold_button>
+          <.hold_button :if={@workshop == nil and Actions.able?("calibrate_accept", assigns)} id="calibrate-accept" event="command" kind="plain" hold_ms={500} icon="check" phx-value-type="calibrate_accept">Save compass calibration</.hold_button>
           <.hold_button id="calibrate-cancel" event="command" kind="plain" hold_ms={500} icon="x" phx-value-type="calibrate_cancel">Cancel calibration</.hold_button>
         </div>
       </section>

@@ -6,7 +6,8 @@ defmodule FleetWeb.Console.Vehicle.Section do
   alias FleetWeb.Console.Commands.{Catalog, EntryList, Form, Panel}
   alias FleetWeb.Console.Map.Tiles
 
-  alias FleetWeb.Console.Vehicle.{Arming, Calibration, Charts, Events, Fly, Health, LinkTable, Sections}
+  alias FleetWeb.Console.Vehicle.{Arming, Calibration, Charts, CommandCheck, Events, Fly, Health, LinkTable}
+  alias FleetWeb.Console.Vehicle.Sections
   alias FleetWeb.Console.Vehicle.Timeline
 
   @doc "Draws the section `:section`."
@@ -72,6 +73,7 @@ defmodule FleetWeb.Console.Vehicle.Section do
       view={@view}
       user={@user}
       arming={Arming.of(@view.vehicle, @events, @now)}
+      workshop={CommandCheck.workshop(assigns)}
       calibrations={Enum.filter(@lives, &Calibration.command?(&1.name))}
       now={@now}
     />

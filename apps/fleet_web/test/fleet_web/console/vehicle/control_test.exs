@@ -78,6 +78,54 @@ defmodule FleetWeb.Console.Vehicle.ControlTest do
     refute open(console, :viewer) |> has_element?("#action-arm-first")
   end
 
+  test "the workshop is not offered in the air, nor where that is not known", %{console: console} do
+    calibrations = ~w(#calibrate-gyro #calibrate-esc #calibrate-compass_motor #lies-level #calibrate-accept)
+
+    for mode <- [
+          %{armed: true, in_air: true},
+          %{armed: true, in_air: false},
+          %{armed: false, in_air: true},
+          %{armed: nil, in_air: nil},
+          %{armed: false, in_air: nil}
+        ] do
+      put(console, mode: mode)
+      view = open(console, :admin, @path <> "/health")
+      for button <- calibrations, do: refute(has_element?(view, button))
+      assert has_element?(view, "#calibration", "is allowed only while the vehicle is")
+      assert has_element?(view, "#calibrate-cancel")
+
+      for type <- ~w(reboot reset_params) do
+        view = open(console, :admin, @path <> "/commands?c=#{type}")
+        assert has_element?(view, "#command-send-#{type}[disabled]")
+        assert has_element?(view, ".policy-answer.bad", "#{type} is allowed only while the vehicle is")
+      end
+    end
+
+    # A press that was made before it took off.
+    view = open(console, :admin)
+    give(view, "calibrate", "c1", %{"sensor" => "gyro"})
+    eventually(fn -> has_element?(view, "#commands-now-c1[data-state=denied]") end)
+
+    put(console, mode: %{armed: false, in_air: false})
+    view = open(console, :admin, @path <> "/health")
+    for button <- calibrations, do: assert(has_element?(view, button))
+
+    assert open(console, :admin, @path <> "/commands?c=reboot")
+           |> has_element?("#command-send-reboot:not([disabled])")
+  end
+
+  test "a single click commands nothing but questions and cameras", %{console: console} do
+    put(console, mode: %{armed: false, in_air: false})
+
+    for {type, held?} <-
+          [reset_params: true, set_geofence: true, set_home: true, gripper: true, disarm: true] ++
+            [request_message: false, camera_photo: false, prearm_check: false] do
+      view = open(console, :admin, @path <> "/commands?c=#{type}")
+      assert {type, has_element?(view, "#command-form-#{type} .hold")} == {type, held?}
+      assert {type, has_element?(view, "#command-form-#{type} [type=submit]")} == {type, not held?}
+    end
+  end
+
   test "what keeps it from arming", %{console: console} do
     put(console,
       mode: %{armed: false},

@@ -11,6 +11,17 @@ defmodule Aerie.Control.Policy.Rules.Condition do
   @typedoc "What must be so; nil: either."
   @type condition :: %{armed: boolean() | nil, in_air: boolean() | nil}
 
+  # The workshop's commands: in the air they stop motors, move the attitude's zero or take the receiver away.
+  @workshop ~w(reboot reset_params motor_test rx_pair calibrate calibrate_position calibrate_accept)
+
+  @doc "The commands that need a vehicle disarmed on the ground, unless the configuration has an entry for them."
+  @spec workshop() :: [String.t()]
+  def workshop, do: @workshop
+
+  @doc "The conditions without a configuration. What is not known does not meet them."
+  @spec defaults() :: %{String.t() => condition()}
+  def defaults, do: Map.new(@workshop, &{&1, %{armed: false, in_air: false}})
+
   @impl Aerie.Control.Policy.Rules.Rule
   def check(policy, facts, context) do
     for(type <- Intent.types(facts, context), condition = policy.conditions[type], do: condition)

@@ -65,6 +65,7 @@ export default {
     if (target && text(target) && !event.repeat) return;
     if (target) return hint(`${key} does nothing while “${called(target)}” has the focus. Move the focus away, then hold ${key}.`);
     if (refusal) return hint(refusal);
+    if (lost()) return hint(`${key} does nothing while the gateway is lost.`);
     this.press(event, [event.key]);
   },
   begin(by, event) {

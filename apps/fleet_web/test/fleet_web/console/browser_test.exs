@@ -50,6 +50,7 @@ defmodule FleetWeb.Console.BrowserTest do
     :ok = stop_console(console)
     Port.command(script, "gone\n")
     await_line(script, "tried")
+    put_vehicle(console, "VID-007", [mode: %{mode: "BRAKE"}], %{key: {"main", 7}, system_id: 7, component: 1})
 
     [console: again] = start_console(gateway: console.gateway, dir: console.dir, port: console.port)
     Port.command(script, "back\n")

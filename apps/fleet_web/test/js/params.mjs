@@ -1,5 +1,5 @@
 // A parameter is found, set, and is so after a reload. Argument: the console's address.
-import { contains, equal, live, main, open } from "../../../../test/browser/chromium.mjs";
+import { contains, equal, hold, live, main, open, slip } from "../../../../test/browser/chromium.mjs";
 import { signIn } from "./sign_in.mjs";
 
 const base = process.argv[2];
@@ -13,7 +13,12 @@ main(async (browser) => {
   await page.click("#param-PILOT_TKOFF_ALT a");
   await page.waitForSelector("dialog[open] #param-form");
   await page.fill("#param-value", "150");
-  await page.click("#param-form button[type=submit]");
+  // Neither a click nor Enter sets it.
+  await slip(page, "#param-set");
+  await page.press("#param-value", "Enter");
+  await page.focus("#param-value");
+  equal("nothing was set", await page.locator("#params-commands .life").count(), 0);
+  await hold(page, "#param-set");
   await page.waitForSelector("#params-commands .life[data-state=completed]");
   await contains(page, "#param-PILOT_TKOFF_ALT strong", "150");
   await page.reload();

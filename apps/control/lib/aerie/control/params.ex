@@ -183,20 +183,23 @@ defmodule Aerie.Control.Params do
   @doc """
   Sets a parameter: `:completed` if the vehicle reported the new value (P3), `:rejected` if it keeps another one. Needs the
   permission `maintain`, and `protection` for what protects the vehicle (`Aerie.Control.Policy.Protection`). Option `:type`: its MAV_PARAM_TYPE, if known; otherwise the parameter is read first.
+  Option `:was`: the value that the source saw before, for the list of commands and the audit log.
 
   A component that says that it works on it (PARAM_ACK_IN_PROGRESS) is waited for, up to `:timeout_ms`. `:failed` if it says so, or if it accepted the
   value and does not have it.
   """
   @spec set(Names.gateway(), vehicle :: String.t(), name :: String.t(), number() | String.t(), [
-          option() | {:type, 1..11}
+          option() | {:type, 1..11} | {:was, String.t()}
         ]) :: Commands.answer()
   def set(gateway, vehicle, name, value, options \\ []) do
     {type, options} = Keyword.pop(options, :type)
     {component, options} = Keyword.pop(options, :component)
+    {was, options} = Keyword.pop(options, :was)
 
     with :ok <- check(name, value, component),
          :ok <- if(component, do: :ok, else: known(gateway, vehicle, [name])) do
-      whose = if component, do: %{component: component}, else: %{}
+      besides =
+        for {key, value} <- [component: component, was: was], value != nil, into: %{}, do: {key, value}
 
       transfer = %{
         lanes: [:params],
@@ -210,7 +213,7 @@ defmodule Aerie.Control.Params do
         Map.put(
           change(
             component_facts(gateway, vehicle, component, {name, value}),
-            Map.merge(%{name: name, value: value}, whose)
+            Map.merge(%{name: name, value: value}, besides)
           ),
           :remote_request,
           asked

@@ -2,7 +2,9 @@ defmodule FleetWeb.Console.Params.Listing do
   @moduledoc "The rows of a vehicle's parameters that a page shows. Pure."
 
   alias Aerie.Control.Params.{File, Metadata, Param, Table}
+  alias Aerie.Control.Policy.Protection
   alias Aerie.Vehicle.Protocol.ParamValue
+  alias Aerie.Vehicle.Snapshot
   alias MavCodec.Enums.MavParamType
 
   @max 200
@@ -93,10 +95,32 @@ defmodule FleetWeb.Console.Params.Listing do
     {differing, Enum.map(missing, & &1.name)}
   end
 
-  @doc "What a button that sets parameters applies to: the vehicle, its component (nil: the autopilot), and the entries of a file that it would set."
-  @spec target(vehicle :: String.t(), 1..255 | nil, [File.entry()] | nil) :: String.t()
-  def target(vehicle, component, entries),
-    do: Enum.join([vehicle, component || "autopilot", :erlang.phash2(entries)], " ")
+  @doc """
+  What a button that sets parameters applies to: the vehicle, its component (nil: the autopilot), and what the operator sees there: the value
+  that a parameter has, or the entries of a file that would be set.
+  """
+  @spec target(vehicle :: String.t(), 1..255 | nil, String.t() | [File.entry()]) :: String.t()
+  def target(vehicle, component, seen),
+    do: Enum.join([vehicle, component || "autopilot", :erlang.phash2(seen)], " ")
+
+  @doc "What to think of before parameters of a vehicle (its snapshot) are set."
+  @spec cautions([String.t()], map() | nil) :: [String.t()]
+  def cautions(names, vehicle) do
+    mode = Snapshot.data(vehicle || %{groups: %{}}, :mode)
+    protecting = Enum.filter(names, &Protection.parameter?/1)
+
+    [
+      protecting != [] && "What protects the vehicle changes: #{listed(protecting)}.",
+      mode[:armed] != false && "The vehicle is armed, or may be.",
+      mode[:in_air] != false && "The vehicle is in the air, or may be."
+    ]
+    |> Enum.filter(& &1)
+  end
+
+  @doc "Names of parameters in a few words."
+  @spec listed([String.t()]) :: String.t()
+  def listed(names) when length(names) <= 5, do: Enum.join(names, ", ")
+  def listed(names), do: "#{length(names)} of them (#{names |> Enum.take(3) |> Enum.join(", ")} …)"
 
   @doc "The value of such a type in the text of a field: of a component's text (MAV_PARAM_EXT_TYPE_CUSTOM) the text, else a number."
   @spec value(String.t(), type :: 1..11) :: {:ok, number() | String.t()} | :error

@@ -41,7 +41,9 @@ defmodule FleetWeb.Console.Params.Page do
        problem: nil,
        file: nil,
        lives: [],
+       undo: nil,
        open: nil,
+       given: nil,
        error: nil
      )
      |> assign(
@@ -64,8 +66,11 @@ defmodule FleetWeb.Console.Params.Page do
         do: socket,
         else: choose(socket, id, component)
 
-    {:noreply, assign(socket, open: params["p"], error: nil)}
+    {:noreply, assign(socket, open: params["p"], given: given(params["value"]), error: nil)}
   end
+
+  defp given(text) when is_binary(text), do: String.slice(text, 0, 128)
+  defp given(_none), do: nil
 
   # Any may be asked for: not each of them sends heartbeats.
   defp component(text) do
@@ -207,11 +212,12 @@ defmodule FleetWeb.Console.Params.Page do
         %{assigns: %{table: %{}}} = socket
       )
       when is_binary(text) do
-    with :ok <- meant(event, socket, nil),
-         %{} = param <- socket.assigns.table.params[name],
+    with %{} = param <- socket.assigns.table.params[name],
+         was = Listing.text(param.value),
+         :ok <- meant(event, socket, was),
          {:ok, value} <- Listing.value(text, param.type) do
       %{gateway: gateway, vehicle: id, component: component} = socket.assigns
-      options = [type: param.type, component: component] ++ options(socket, press)
+      options = [type: param.type, component: component, was: was] ++ options(socket, press)
       gateway |> Params.set(id, name, value, options) |> answered(socket)
     else
       :changed -> changed(socket)
@@ -243,8 +249,8 @@ defmodule FleetWeb.Console.Params.Page do
   def handle_event(_other, _value, socket), do: {:noreply, socket}
 
   # A press is for the vehicle and the values that its operator saw: another one may be chosen by now, or other values read.
-  defp meant(event, %{assigns: %{vehicle: id, component: component}}, differing),
-    do: if(event["shown"] == Listing.target(id, component, differing), do: :ok, else: :changed)
+  defp meant(event, %{assigns: %{vehicle: id, component: component}}, seen),
+    do: if(event["shown"] == Listing.target(id, component, seen), do: :ok, else: :changed)
 
   defp changed(socket),
     do: {:noreply, put_flash(socket, :error, "The vehicle or its values changed; nothing was sent.")}
@@ -268,16 +274,24 @@ defmodule FleetWeb.Console.Params.Page do
     assign(socket,
       vehicles: for(vehicle <- Fleet.vehicles(gateway), do: vehicle.id),
       components: others,
+      snapshot: vehicle,
       via: vehicle[:via]
     )
   end
 
-  defp commands(%{assigns: %{vehicle: nil}} = socket), do: assign(socket, lives: [])
+  defp commands(%{assigns: %{vehicle: nil}} = socket), do: assign(socket, lives: [], undo: nil)
 
   defp commands(%{assigns: %{gateway: gateway, vehicle: id}} = socket) do
-    lives = for %{type: @set} = entry <- Commands.recent(gateway, id, 20), do: Entry.of(entry)
-    assign(socket, lives: Enum.take(lives, 5), now: System.os_time(:microsecond))
+    entries = for %{type: @set} = entry <- Commands.recent(gateway, id, 20), do: entry
+    lives = for entry <- Enum.take(entries, 5), do: Entry.of(entry)
+    assign(socket, lives: lives, undo: undo(entries), now: System.os_time(:microsecond))
   end
+
+  # What the parameter that was set last had before.
+  defp undo([%{result: %{status: :completed}, params: %{was: was} = set} | _earlier]),
+    do: %{name: set.name, was: was, component: set[:component]}
+
+  defp undo(_entries), do: nil
 
   # When somebody has set a parameter, the list is read again. The gateway has it, or reads what changed.
   defp follow(%{assigns: %{lives: before}} = socket) do
@@ -312,11 +326,14 @@ defmodule FleetWeb.Console.Params.Page do
       <.elsewhere :if={@via} via={@via}>It reads them. Descriptions and setting parameters from a file are available only there.</.elsewhere>
       <.progress :if={@reading} reading={@reading} />
       <EntryList.lives id="params-commands" lives={@lives} now={@now} user={@user} />
+      <p :if={@undo && @able} class="hint" id="params-undo">
+        {@undo.name} was {@undo.was}. <.link patch={path(@vehicle, @undo.component, @undo.name, @undo.was)}>Set it back…</.link>
+      </p>
       <.error :if={@problem} title="The parameters could not be read">{@problem}</.error>
       <.empty :if={@vehicle == nil} icon="params" title="No vehicle chosen">{if @vehicles == [], do: "No vehicles yet", else: "Choose one above."}</.empty>
-      <.file :if={@file && @table} file={@file} vehicle={@vehicle} differing={@differing} missing={@missing} able={@able} via={@via} />
+      <.file :if={@file && @table} file={@file} vehicle={@vehicle} differing={@differing} cautions={Listing.cautions(Enum.map(@differing, & &1.name), @snapshot)} missing={@missing} able={@able} via={@via} />
       <.table :if={@table} rows={@rows} total={@total} path={&path(@vehicle, @component, &1)} file={@file} />
-      <.editor :if={@row} row={@row} vehicle={@vehicle} component={@component} able={@able} error={@error} />
+      <.editor :if={@row} row={@row} vehicle={@vehicle} component={@component} able={@able} cautions={Listing.cautions([@row.name], @snapshot)} given={@given} error={@error} />
     </div>
     """
   end
@@ -326,11 +343,12 @@ defmodule FleetWeb.Console.Params.Page do
 
   defp path(%Phoenix.LiveView.Socket{assigns: %{vehicle: id, component: component}}), do: path(id, component)
 
-  defp path(id, component, name \\ nil)
-  defp path(none, _component, _name) when none in [nil, ""], do: "/params"
+  defp path(id, component, name \\ nil, value \\ nil)
+  defp path(none, _component, _name, _value) when none in [nil, ""], do: "/params"
 
-  defp path(id, component, name) do
-    query = for {key, value} <- [vehicle: id, component: component, p: name], value != nil, do: {key, value}
+  defp path(id, component, name, value) do
+    asked = [vehicle: id, component: component, p: name, value: value]
+    query = for {key, value} <- asked, value != nil, do: {key, value}
     "/params?" <> URI.encode_query(query)
   end
 end

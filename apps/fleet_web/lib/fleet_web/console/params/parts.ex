@@ -63,6 +63,7 @@ defmodule FleetWeb.Console.Params.Parts do
   attr :file, :map, required: true
   attr :vehicle, :string, required: true
   attr :differing, :list, required: true
+  attr :cautions, :list, required: true, doc: "`FleetWeb.Console.Params.Listing.cautions/2`"
   attr :missing, :list, required: true
   attr :able, :boolean, required: true
   attr :via, :string, required: true, doc: "the gateway that hears the vehicle; nil: this one"
@@ -77,17 +78,15 @@ defmodule FleetWeb.Console.Params.Parts do
       </div>
       <p>{length(@file.entries)} parameters, {length(@differing)} differ from the vehicle{missing(@missing)}.</p>
       <p :for={remark <- @file.remarks} class="notice warn"><.icon name="alert" /> <span>{remark}</span></p>
-      <.hold_button :if={@able and @differing != [] and @via == nil} id="params-load" event="command" icon="upload" value={%{shown: Listing.target(@vehicle, nil, @differing)}} phx-value-type="load">Set the {length(@differing)} that differ</.hold_button>
+      <.cautions :if={@able and @differing != [] and @via == nil} texts={@cautions} />
+      <.hold_button :if={@able and @differing != [] and @via == nil} id="params-load" event="command" icon="upload" kind={kind(@cautions)} hold_ms={hold(@cautions)} value={%{shown: Listing.target(@vehicle, nil, @differing)}} phx-value-type="load">Set the {length(@differing)} that differ</.hold_button>
       <p :if={not @able} class="hint">Setting parameters needs the permission maintain or pilot.</p>
     </section>
     """
   end
 
   defp missing([]), do: ""
-  defp missing(names) when length(names) <= 5, do: "; the vehicle does not have #{Enum.join(names, ", ")}"
-
-  defp missing(names),
-    do: "; the vehicle does not have #{length(names)} of them (#{names |> Enum.take(3) |> Enum.join(", ")} …)"
+  defp missing(names), do: "; the vehicle does not have #{Listing.listed(names)}"
 
   attr :rows, :list, required: true, doc: "`t:FleetWeb.Console.Params.Listing.row/0`"
   attr :total, :integer, required: true
@@ -124,9 +123,11 @@ defmodule FleetWeb.Console.Params.Parts do
   attr :vehicle, :string, required: true
   attr :component, :integer, required: true, doc: "nil for the autopilot"
   attr :able, :boolean, required: true
+  attr :cautions, :list, required: true, doc: "`FleetWeb.Console.Params.Listing.cautions/2`"
+  attr :given, :string, required: true, doc: "a value that the address proposes; nil for none"
   attr :error, :string, required: true
 
-  @doc "The form that sets one parameter."
+  @doc "The form that sets one parameter. Its button is held: what bounds or protects a vehicle may be behind any name."
   def editor(assigns) do
     ~H"""
     <.dialog id="param-editor" title={@row.name} cancel="close_param">
@@ -138,15 +139,30 @@ defmodule FleetWeb.Console.Params.Parts do
         <div :if={@row.file} class="fact"><dt>In the file</dt><dd>{@row.file}</dd></div>
         <div :for={{label, text} <- about(@row.about)} class="fact"><dt>{label}</dt><dd>{text}</dd></div>
       </dl>
-      <form :if={@able} id="param-form" class="control" phx-hook="CommandForm" phx-auto-recover="ignore" data-type="set" data-value={JSON.encode!(%{shown: Listing.target(@vehicle, @component, nil)})}>
+      <form :if={@able} id="param-form" class="control" phx-hook="CommandForm" phx-auto-recover="ignore">
         <input type="hidden" name="name" value={@row.name} />
-        <.field id="param-value" name="value" label="New value" inputmode={if @row.type == "text", do: "text", else: "decimal"} autocomplete="off" value={@row.file || @row.value} errors={List.wrap(@error)} autofocus={true} />
-        <.button type="submit" kind="primary">Set</.button>
+        <.field id="param-value" name="value" label="New value" inputmode={if @row.type == "text", do: "text", else: "decimal"} autocomplete="off" value={@given || @row.file || @row.value} errors={List.wrap(@error)} autofocus={true} />
+        <.cautions texts={@cautions} />
+        <.hold_button id="param-set" event="command" kind={kind(@cautions)} hold_ms={hold(@cautions)} value={%{shown: Listing.target(@vehicle, @component, @row.value)}} phx-value-type="set">Set</.hold_button>
       </form>
       <p :if={not @able} class="hint">Setting parameters needs the permission maintain or pilot.</p>
     </.dialog>
     """
   end
+
+  attr :texts, :list, required: true
+
+  defp cautions(assigns) do
+    ~H"""
+    <p :for={text <- @texts} class="notice warn"><.icon name="alert" /> <span>{text}</span></p>
+    """
+  end
+
+  defp kind([]), do: "primary"
+  defp kind(_cautions), do: "danger"
+
+  defp hold([]), do: 800
+  defp hold(_cautions), do: 1500
 
   defp about(nil), do: []
 

@@ -51,7 +51,7 @@ defmodule FleetWeb.Console.Shadow.Page do
   end
 
   # Based on the version that the page showed, which may not be the latest.
-  def handle_event("desire", %{"version" => version} = form, socket) do
+  def handle_event("desire", %{"fields" => %{"version" => version} = form}, socket) do
     version = Input.version(version)
     form = texts(socket, form)
 

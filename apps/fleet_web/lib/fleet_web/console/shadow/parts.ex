@@ -46,14 +46,14 @@ defmodule FleetWeb.Console.Shadow.Parts do
     ~H"""
     <section class="card" aria-labelledby="desire-title">
       <h2 id="desire-title">Set a desired value</h2>
-      <form id="desire" class="form-row" phx-change="form" phx-submit="desire" phx-auto-recover="ignore">
+      <form id="desire" class="form-row" phx-hook="CommandForm" phx-change="form" phx-auto-recover="ignore">
         <input type="hidden" name="version" value={@version} />
         <.field id="desire-field" name="field" type="select" label="Field" options={[{"choose", ""} | Enum.map(@names, &{&1, &1})]} value={@form["field"]} hint={@field && @field.meaning} />
         <.field :if={@named} id="desire-name" name="name" label={if @form["field"] == "params.*", do: "Parameter", else: "Message"} value={@form["name"]} autocomplete="off" />
         <.field :if={@field} id="desire-value" name="value" label="Value" value={@form["value"]} hint={hint(@field)} autocomplete="off" />
         <.field :if={@field} id="desire-expires" name="expires" type="select" label="Ends" options={Input.expiries()} value={@form["expires"]} />
         <.field :if={@field} id="desire-reason" name="reason" label="Reason" maxlength="200" value={@form["reason"]} autocomplete="off" />
-        <.button :if={@field} type="submit" kind="primary">Set</.button>
+        <.hold_button :if={@field} id="desire-set" event="desire">Set</.hold_button>
       </form>
       <p :if={@error} class="notice bad" role="alert">{@error}</p>
       <p class="hint">The gateway brings the vehicle to this state as the policy allows, once nobody else is in charge of it. It never makes a vehicle take off.</p>

@@ -28,6 +28,22 @@ defmodule FleetWeb.Console.Params.ListingTest do
              Listing.rows(@table, [], %{}, @all)
   end
 
+  test "cautions: what protects, and a vehicle that may fly; what is not known counts as that" do
+    says = fn names, mode -> Listing.cautions(names, mode && %{groups: %{mode: %{data: mode}}}) end
+    still = %{armed: false, in_air: false}
+    assert says.(["ATC_RAT_P"], still) == []
+
+    # ArduPilot, PX4, Betaflight and iNav.
+    for name <- ~w(FENCE_ALT_MAX FS_THR_ENABLE GF_MAX_VER_DIST COM_ARM_WO_GPS FAILSAFE_DELAY SMALL_ANGLE) do
+      assert says.([name], still) == ["What protects the vehicle changes: #{name}."]
+    end
+
+    assert says.(["RTL_ALT"], %{armed: true, in_air: false}) == ["The vehicle is armed, or may be."]
+    assert says.(["RTL_ALT"], %{armed: false, in_air: true}) == ["The vehicle is in the air, or may be."]
+    assert [_armed, _air] = says.(["RTL_ALT"], %{armed: nil, in_air: nil})
+    assert [_armed, _air] = says.(["RTL_ALT"], nil)
+  end
+
   test "a file: what differs, and what the vehicle does not have" do
     {:ok, entries} =
       Aerie.Control.Params.parse("RTL_ALT,1500\nATC_RAT_P,0.135000\nANGLE_MAX,3000\nNO_SUCH,1\n")

@@ -47,9 +47,17 @@ defmodule FleetWeb.Console.Params.PageTest do
     view
   end
 
-  # As the form or the button says for what it is.
-  defp command(view, type, id, fields, shown \\ Listing.target("VID-001", nil, nil)),
-    do: render_hook(view, "command", %{"type" => type, "id" => id, "fields" => fields, "shown" => shown})
+  # As the button says for what it is: the value that the table shows.
+  defp command(view, type, id, fields, shown \\ nil) do
+    shown = shown || Listing.target("VID-001", nil, value(view, fields["name"]))
+    render_hook(view, "command", %{"type" => type, "id" => id, "fields" => fields, "shown" => shown})
+  end
+
+  defp value(view, name) do
+    with true <- name != nil and has_element?(view, "#param-#{name} strong"),
+         [_all, text] <- Regex.run(~r/>([^<]*)</, view |> element("#param-#{name} strong") |> render()),
+         do: text
+  end
 
   @tag :chromium
   test("in a browser: a parameter is found, set, and is so after a reload", %{console: console},
@@ -69,9 +77,26 @@ defmodule FleetWeb.Console.Params.PageTest do
              "expected a number"
 
     assert command(view, "set", "p0", %{"name" => "NO_SUCH", "value" => "1"}) =~ "no parameter of this name"
+    before = value(view, "PILOT_TKOFF_ALT")
     command(view, "set", "p1", %{"name" => "PILOT_TKOFF_ALT", "value" => "150"})
-    eventually(fn -> has_element?(view, "#params-commands-p1[data-state=completed]") end)
+    eventually(fn -> has_element?(view, "#params-commands-p1[data-state=completed]", "was #{before}") end)
     eventually(fn -> has_element?(view, "#param-PILOT_TKOFF_ALT strong", "150") end)
+
+    # Somebody who still sees the value of before changes nothing.
+    assert command(
+             view,
+             "set",
+             "p2",
+             %{"name" => "PILOT_TKOFF_ALT", "value" => "80"},
+             Listing.target("VID-001", nil, before)
+           ) =~
+             "nothing was sent"
+
+    # It can be set back, from a page that was loaded since as well.
+    {:ok, again, _html} = live(conn(console, :admin), @path)
+    eventually(fn -> has_element?(again, "#params") end)
+    again |> element("#params-undo a") |> render_click()
+    assert has_element?(again, "#param-value[value='#{before}']")
 
     render_hook(view, "open_file", %{"name" => "mine.param", "text" => "PILOT_TKOFF_ALT,200\nNO_SUCH,1\n"})
     assert has_element?(view, "#params-file", "1 differ from the vehicle; the vehicle does not have NO_SUCH")
@@ -121,12 +146,13 @@ defmodule FleetWeb.Console.Params.PageTest do
     view |> element("#param-CAM_NAME a") |> render_click()
     # A press that was made while the autopilot's were shown.
     assert command(view, "set", "c0", %{"name" => "CAM_NAME", "value" => "Front"}) =~ "nothing was sent"
-    camera = Listing.target("VID-001", 100, nil)
+    camera = Listing.target("VID-001", 100, value(view, "CAM_NAME"))
     command(view, "set", "c1", %{"name" => "CAM_NAME", "value" => "Rear"}, camera)
     eventually(fn -> has_element?(view, "#params-commands-c1[data-state=completed]") end)
     eventually(fn -> has_element?(view, "#param-CAM_NAME strong", "Rear") end)
     view |> element("#param-CAM_MODE a") |> render_click()
-    assert command(view, "set", "c2", %{"name" => "CAM_MODE", "value" => "x"}, camera) =~ "expected a number"
+    mode = Listing.target("VID-001", 100, value(view, "CAM_MODE"))
+    assert command(view, "set", "c2", %{"name" => "CAM_MODE", "value" => "x"}, mode) =~ "expected a number"
 
     # Events that belong to what this page does not show now.
     render_hook(view, "save", %{"format" => "param"})
@@ -134,6 +160,27 @@ defmodule FleetWeb.Console.Params.PageTest do
     refute has_element?(view, "#params-file")
     {:ok, _view, html} = live(conn(console, :viewer), @path <> "&component=300")
     assert html =~ "VID-001"
+  end
+
+  test "setting is held, and longer what protects the vehicle", %{console: console} do
+    view = open(console, :admin)
+    view |> element("#param-PILOT_TKOFF_ALT a") |> render_click()
+    assert has_element?(view, "#param-form #param-set.hold-800")
+    refute has_element?(view, "#param-form [type=submit]")
+    {:ok, view, _html} = live(conn(console, :admin), @path <> "&p=FENCE_ALT_MAX")
+    eventually(fn -> has_element?(view, "#param-set.hold-1500.danger") end)
+    assert has_element?(view, "#param-form", "What protects the vehicle changes: FENCE_ALT_MAX.")
+    refute has_element?(view, "#param-form", "may be")
+
+    render_hook(view, "open_file", %{"name" => "mine.param", "text" => "PILOT_TKOFF_ALT,200\n"})
+    assert has_element?(view, "#params-load.hold-800")
+
+    render_hook(view, "open_file", %{
+      "name" => "mine.param",
+      "text" => "FENCE_ALT_MAX,200\nPILOT_TKOFF_ALT,200\n"
+    })
+
+    assert has_element?(view, "#params-load.hold-1500.danger")
   end
 
   test "a viewer reads; neither viewer nor operator sets", %{console: console} do

@@ -35,7 +35,12 @@ defmodule FleetWeb.Console.Shadow.PageTest do
 
   defp desire(view, fields) do
     view |> form("#desire", Map.take(fields, [:field])) |> render_change()
-    view |> form("#desire", fields) |> render_submit()
+    assert has_element?(view, "#desire #desire-set.hold")
+    refute has_element?(view, "#desire [type=submit]")
+    view |> form("#desire", fields) |> render_change()
+    [_all, version] = Regex.run(~r/name="version" value="(\d+)"/, view |> element("#desire") |> render())
+    fields = Map.new(fields, fn {name, value} -> {to_string(name), value} end)
+    render_hook(view, "desire", %{"id" => "d1", "fields" => Map.put(fields, "version", version)})
   end
 
   test "what is desired, how it stands, who set it, until it agrees; then it is removed", %{console: console} do
@@ -66,7 +71,10 @@ defmodule FleetWeb.Console.Shadow.PageTest do
     assert desire(view, %{field: "params.*", name: "RTL_ALT", value: "high"}) =~ "expected a number"
     assert desire(view, %{field: "home", value: "47.1"}) =~ "desired.home"
     assert desire(view, %{field: "mission.plan", value: "abc"}) =~ "64 hexadecimal digits"
-    assert render_hook(view, "desire", %{"field" => "__proto__", "version" => "0"}) =~ "is not a field"
+
+    assert render_hook(view, "desire", %{"fields" => %{"field" => "__proto__", "version" => "0"}}) =~
+             "is not a field"
+
     assert {:ok, %{"version" => 0}} = Shadow.get(console.gateway, @id)
   end
 
@@ -79,12 +87,12 @@ defmodule FleetWeb.Console.Shadow.PageTest do
     refute has_element?(view, "[id='field-params.RTL_ALT'] button")
 
     form = %{"field" => "params.*", "name" => "RTL_ALT", "value" => "1", "version" => "1"}
-    assert render_hook(view, "desire", form) =~ "maintain"
+    assert render_hook(view, "desire", %{"fields" => form}) =~ "maintain"
     # A press on what was shown before that change.
     mode = %{"field" => "mode", "value" => "LOITER"}
 
     for earlier <- ["0", "x"],
-        do: assert(render_hook(view, "desire", Map.put(mode, "version", earlier)) =~ "version")
+        do: assert(render_hook(view, "desire", %{"fields" => Map.put(mode, "version", earlier)}) =~ "version")
 
     assert {:ok, %{"version" => 1}} = Shadow.get(console.gateway, @id)
 

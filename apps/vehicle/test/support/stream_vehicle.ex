@@ -29,7 +29,8 @@ defmodule Aerie.StreamVehicle do
   @doc """
   Options: `rates` (messages per second by id that it begins with), `gateway` (wants of the gateway), `knows` (`:all` or
   ids), `command` (`:obeyed`, `:ignored`, `:unsupported`, `:failed`), `acks`, `tells` (answers MESSAGE_INTERVAL), `old`
-  (obeys REQUEST_DATA_STREAM), `carried` (share that the link carries), `loss` (share of commands and answers that it loses), `cap` (what its scheduler reaches).
+  (obeys REQUEST_DATA_STREAM), `carried` (share that the link carries),
+  `loss` (share of commands and answers that it loses), `cap` (what its scheduler reaches).
   """
   def new(options \\ []) do
     {gateway, options} = Keyword.pop(options, :gateway, %{})

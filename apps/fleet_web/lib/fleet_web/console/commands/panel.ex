@@ -1,7 +1,7 @@
 defmodule FleetWeb.Console.Commands.Panel do
   @moduledoc """
-  The form of one command. Its button has to be held for what moves the vehicle, changes what it does or protects it, or lets something fall;
-  otherwise it is pressed. It is off while the policy or the firmware would refuse the command.
+  The form of one command. Its button has to be held for what moves the vehicle, changes what it does or protects it,
+  or lets something fall; otherwise it is pressed. It is off while the policy or the firmware would refuse the command.
   """
   use FleetWeb.Console, :component
 
@@ -48,7 +48,9 @@ defmodule FleetWeb.Console.Commands.Panel do
         >
           {@entry.title} (press and hold)
         </.hold_button>
-        <.button :if={not held?(@entry.type)} type="submit" kind="primary" disabled={refused?(@answer)}>{@entry.title}</.button>
+        <.button :if={not held?(@entry.type)} type="submit" kind="primary" disabled={refused?(@answer)}>
+          {@entry.title}
+        </.button>
       </form>
     </section>
     """

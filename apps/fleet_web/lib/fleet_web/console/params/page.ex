@@ -331,9 +331,27 @@ defmodule FleetWeb.Console.Params.Page do
       </p>
       <.error :if={@problem} title="The parameters could not be read">{@problem}</.error>
       <.empty :if={@vehicle == nil} icon="params" title="No vehicle chosen">{if @vehicles == [], do: "No vehicles yet", else: "Choose one above."}</.empty>
-      <.file :if={@file && @table} file={@file} vehicle={@vehicle} differing={@differing} cautions={Listing.cautions(Enum.map(@differing, & &1.name), @snapshot)} missing={@missing} able={@able} via={@via} />
+      <.file
+        :if={@file && @table}
+        file={@file}
+        vehicle={@vehicle}
+        differing={@differing}
+        cautions={Listing.cautions(Enum.map(@differing, & &1.name), @snapshot)}
+        missing={@missing}
+        able={@able}
+        via={@via}
+      />
       <.table :if={@table} rows={@rows} total={@total} path={&path(@vehicle, @component, &1)} file={@file} />
-      <.editor :if={@row} row={@row} vehicle={@vehicle} component={@component} able={@able} cautions={Listing.cautions([@row.name], @snapshot)} given={@given} error={@error} />
+      <.editor
+        :if={@row}
+        row={@row}
+        vehicle={@vehicle}
+        component={@component}
+        able={@able}
+        cautions={Listing.cautions([@row.name], @snapshot)}
+        given={@given}
+        error={@error}
+      />
     </div>
     """
   end

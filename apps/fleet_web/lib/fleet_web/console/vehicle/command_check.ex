@@ -29,8 +29,8 @@ defmodule FleetWeb.Console.Vehicle.CommandCheck do
   def of(_nothing), do: nil
 
   @doc """
-  Why the vehicle may not be calibrated now: the policy's condition, by default disarmed and on the ground; nil if it may. What the user or the
-  firmware lacks is another matter.
+  Why the vehicle may not be calibrated now: the policy's condition, by default disarmed and on the ground; nil if it
+  may. What the user or the firmware lacks is another matter.
   """
   @spec workshop(map()) :: String.t() | nil
   def workshop(assigns) do

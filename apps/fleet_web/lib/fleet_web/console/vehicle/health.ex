@@ -28,7 +28,15 @@ defmodule FleetWeb.Console.Vehicle.Health do
         <div class="spread"><h2 id="arming-title">Arming</h2><.age us={View.age(@view, :health)} limit_us={5_000_000} /></div>
         <p><.badge kind={ready_kind(@arming)}>{ready(@arming)}</.badge></p>
         <ul :if={@arming.reasons != []} class="reasons"><li :for={reason <- @arming.reasons} :key={reason}><.icon name="alert" /> {reason}</li></ul>
-        <.hold_button :if={@arming.armed == false and Actions.able?("prearm_check", assigns)} id="action-prearm" event="command" kind="plain" hold_ms={500} icon="refresh" phx-value-type="prearm_check">Check again</.hold_button>
+        <.hold_button
+          :if={@arming.armed == false and Actions.able?("prearm_check", assigns)}
+          id="action-prearm"
+          event="command"
+          kind="plain"
+          hold_ms={500}
+          icon="refresh"
+          phx-value-type="prearm_check"
+        >Check again</.hold_button>
       </section>
       <section id="sensors" class="card" aria-labelledby="sensors-title">
         <h2 id="sensors-title">Sensors</h2>

@@ -17,9 +17,9 @@ defmodule Aerie.Vehicle.Services.Streams.Arbiter do
 
   If a message that came as requested becomes too slow, its interval was changed by another program, or the link is too slow.
   The vehicle is asked for the interval (MESSAGE_INTERVAL). If it is ours, the link is too slow, and a request would not help.
-  Otherwise the message is requested once more; when it is changed again within two minutes, it is left to the other program,
-  and reported. Without an answer nothing is reported, because a link that loses data looks the same. The same goes for a
-  message that comes too fast.
+  Otherwise the message is requested once more; when it is changed again within two minutes, it is left to the other
+  program, and reported. Without an answer nothing is reported, because a link that loses data looks the same. The same
+  goes for a message that comes too fast.
 
   Each function takes the time (us) as `now` or `at`. `Check` judges, `Sender` sends, `Groups` knows REQUEST_DATA_STREAM.
   """

@@ -186,7 +186,8 @@ defmodule Aerie.Vehicle.Services.Streams.Arbiter.Check do
   defp raised(arbiter, wanted, rate),
     do: arbiter |> Arbiter.put(%{wanted | state: :ok, faster: true}) |> notice(wanted, :faster, rate, true)
 
-  # Another program changed the rate. Only the vehicle's word for that is reported: a link that loses data looks the same.
+  # Another program changed the rate. Only the vehicle's word for that is reported, as a link that loses data looks the
+  # same.
   defp changed(arbiter, wanted, rate, now, how) do
     changes = [now | Enum.filter(wanted.changes, &(now - &1 < @contest_us))]
     wanted = %{wanted | changes: changes, rate: rate, tries: 0}

@@ -46,6 +46,7 @@ defmodule Aerie.Vehicle.State do
             origin: nil,
             high_latency: false,
             gimbal_manager: nil,
+            silent_batteries: %{},
             groups: %{},
             sources: %{}
 
@@ -72,6 +73,7 @@ defmodule Aerie.Vehicle.State do
           origin: place() | nil,
           high_latency: boolean(),
           gimbal_manager: 0..255 | nil,
+          silent_batteries: %{(id :: 0..255) => messages_of_others :: pos_integer()},
           groups: %{group() => entry()},
           sources: %{non_neg_integer() => integer()}
         }
@@ -159,6 +161,7 @@ defmodule Aerie.Vehicle.State do
     :boot_ms,
     :high_latency,
     :gimbal_manager,
+    :silent_batteries,
     :base_mode,
     :mode_names,
     :standard_modes,

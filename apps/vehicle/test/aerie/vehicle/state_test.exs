@@ -9,6 +9,8 @@ defmodule Aerie.Vehicle.StateTest do
   @copter %M.Heartbeat{type: 2, autopilot: 3, base_mode: 81, custom_mode: 4, system_status: 3}
   @px4 %M.Heartbeat{type: 2, autopilot: 12, base_mode: 29, custom_mode: 50_593_792, system_status: 3}
 
+  defp ids(battery), do: Enum.map(battery.batteries, & &1.id)
+
   defp fold(messages, state \\ %State{}) do
     messages
     |> Enum.with_index()
@@ -131,6 +133,11 @@ defmodule Aerie.Vehicle.StateTest do
     battery = State.data(fold([@copter, two, one, blind]), :battery)
     assert %{id: 1, voltage: 16.2, remaining: 0.5, charge_state: "CRITICAL"} = battery
     assert [%{id: 0}, %{id: 1, voltage: 16.2}, %{id: 2, voltage: 15.1, remaining: 0.2}] = battery.batteries
+
+    # One that misses a message now and then stays; one that was taken out goes, and its charge state with it.
+    assert [0, 1, 2] = fold([@copter, two, one, blind, one, one, blind]) |> State.data(:battery) |> ids()
+    without = State.data(fold([@copter, two, blind] ++ List.duplicate(one, 70)), :battery)
+    assert {[1], "OK"} = {ids(without), without.charge_state}
   end
 
   test "SYS_STATUS counts only while no BATTERY_STATUS comes" do
@@ -143,6 +150,13 @@ defmodule Aerie.Vehicle.StateTest do
 
     {state, _groups} = State.apply(fold([@copter, one]), 1, status, 60_000_000)
     assert %{id: nil, voltage: 12.0, remaining: 0.36} = State.data(state, :battery)
+
+    # What only BATTERY_STATUS says is kept for a while, and is not of the present then.
+    low = fold([@copter, %{one | charge_state: 2}])
+    {state, _groups} = State.apply(low, 1, status, 30 * @second)
+    assert %{id: nil, charge_state: "LOW", batteries: [_one]} = State.data(state, :battery)
+    {state, _groups} = State.apply(state, 1, status, 90 * @second)
+    assert %{remaining: 0.36, charge_state: nil, batteries: nil} = State.data(state, :battery)
 
     unknown = %{one | voltages: List.duplicate(0xFFFF, 10), battery_remaining: -1}
     assert %{id: nil, remaining: 0.36} = State.data(fold([@copter, status, unknown, status]), :battery)

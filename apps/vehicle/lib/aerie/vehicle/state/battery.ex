@@ -15,6 +15,9 @@ defmodule Aerie.Vehicle.State.Battery do
 
   # PX4 sends BATTERY_STATUS every two seconds, slow links less often.
   @fresh_us 10_000_000
+  # One of which nothing came in this many rounds of the others was taken out; all are out if none tells for this long.
+  @missed_rounds 30
+  @gone_us 60_000_000
   @battery_status M.BatteryStatus.id()
   # MAV_BATTERY_CHARGE_STATE by severity.
   @severity %{
@@ -28,6 +31,7 @@ defmodule Aerie.Vehicle.State.Battery do
   }
   # Ids have 8 bits. No vehicle has more than a few batteries, and a faulty one must not fill the memory.
   @max_batteries 16
+  @unknown %{id: nil, voltage: nil, current: nil, consumed_mah: nil}
   @own [:id, :voltage, :current, :remaining, :consumed_mah]
 
   use Group,
@@ -63,10 +67,13 @@ defmodule Aerie.Vehicle.State.Battery do
     }
 
     group = Group.data(state, :battery)
-    others = Enum.reject(group[:batteries] || [], &(&1.id == m.id))
+    known = Enum.reject(group[:batteries] || [], &(&1.id == m.id))
+    most = @missed_rounds * length(known)
+    others = for one <- known, Map.get(state.silent_batteries, one.id, 0) < most, do: one
+    silent = Map.new(others, &{&1.id, Map.get(state.silent_batteries, &1.id, 0) + 1})
     batteries = Enum.take(Enum.sort_by([one | others], & &1.id), @max_batteries)
 
-    {[],
+    {[silent_batteries: silent],
      battery: Map.merge(own(first(batteries), group), %{batteries: batteries, charge_state: worst(batteries)})}
   end
 
@@ -97,8 +104,14 @@ defmodule Aerie.Vehicle.State.Battery do
   @spec summary(map(), State.t(), at :: integer()) :: [{:battery, map()}]
   def summary(values, state, at) do
     case {Group.data(state, :battery), state.sources} do
-      {%{id: id}, %{@battery_status => heard}} when id != nil and at - heard <= @fresh_us -> []
-      _no_battery -> [battery: Map.merge(%{id: nil, voltage: nil, current: nil, consumed_mah: nil}, values)]
+      {%{id: id}, %{@battery_status => heard}} when id != nil and at - heard <= @fresh_us ->
+        []
+
+      {_group, %{@battery_status => heard}} when at - heard > @gone_us ->
+        [battery: Map.merge(Map.merge(@unknown, %{batteries: nil, charge_state: nil}), values)]
+
+      _no_battery ->
+        [battery: Map.merge(@unknown, values)]
     end
   end
 

@@ -40,7 +40,8 @@ defmodule Aerie.Vehicle.Services.Gcs do
   @typedoc """
   - `asked`: how often each parameter was requested since the vehicle's boot
   - `heard`: `{time, system}` of the last heartbeat that keeps the failsafe quiet
-  - `quiet`: whether the failsafe is kept quiet; nil before the first such heartbeat
+  - `quiet`: whether the failsafe is kept quiet; nil before the first such heartbeat. A loss that was told of is kept over a restart and
+    a break of time, so that its end is told as well
   """
   @type t :: %__MODULE__{}
   @type notice :: {:lost | :back, at :: integer(), map()}
@@ -48,8 +49,10 @@ defmodule Aerie.Vehicle.Services.Gcs do
   @doc "Nothing known, or what a snapshot's `gcs` shows."
   @spec new(map() | nil) :: t()
   def new(shown \\ nil)
-  def new(%{params: params}), do: %__MODULE__{params: params}
+  def new(%{params: params} = shown), do: %__MODULE__{params: params, quiet: lost(shown[:quiet?])}
   def new(_nothing), do: %__MODULE__{}
+
+  defp lost(quiet), do: if(quiet == false, do: false)
 
   @doc "The vehicle's firmware and kind, which decide which parameters count."
   @spec vehicle(t(), atom(), String.t()) :: t()
@@ -67,7 +70,8 @@ defmodule Aerie.Vehicle.Services.Gcs do
 
   @doc "Time goes on from `now`, which is not comparable with the time before: stations are unheard."
   @spec rebased(t(), integer()) :: t()
-  def rebased(gcs, now), do: %{gcs | next: gcs.next && now + @pause_us, heard: nil, quiet: nil, stations: []}
+  def rebased(gcs, now),
+    do: %{gcs | next: gcs.next && now + @pause_us, heard: nil, quiet: lost(gcs.quiet), stations: []}
 
   @doc "The clock was set by `step` (us): a station was heard as long ago as before."
   @spec shifted(t(), integer()) :: t()

@@ -173,6 +173,18 @@ defmodule Aerie.Vehicle.Services.GcsTest do
       {log, _gcs} = gcs |> Gcs.rebased(5_000 * @second) |> run(5_000..5_010, fn at -> [station(255, at)] end)
       assert told(log) == []
     end
+
+    test "a loss before a restart or a break of time ends with the first heartbeat after it" do
+      {_log, gcs} = run(known(), 0..30, fn at -> [station(255, min(at, 10))] end)
+
+      for again <- [Gcs.rebased(gcs, 5_000 * @second), Gcs.new(Gcs.show(gcs, 30 * @second))] do
+        again = Gcs.vehicle(again, :ardupilot, "copter")
+        {log, waiting} = run(again, 5_000..5_010, fn _at -> [] end)
+        assert told(log) == []
+        {log, _gcs} = run(waiting, 5_011..5_020, fn at -> [station(255, at)] end)
+        assert told(log) == [back: 5_011]
+      end
+    end
   end
 
   test "lost and back alternate, whichever stations are heard" do

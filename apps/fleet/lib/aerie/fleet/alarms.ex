@@ -4,9 +4,9 @@ defmodule Aerie.Fleet.Alarms do
   @moduledoc """
   The alarms of a gateway. A pure value.
 
-  A *condition* is something that is wrong. Conditions have two kinds of sources: snapshots and the diagnosis say what is wrong now (`put/4`,
-  all of one source at once), events say what began or ended (`Aerie.Fleet.Alarms.EventAlarms`). Each condition has a key, so it is one
-  alarm however often it is reported.
+  A *condition* is something that is wrong now. Each source tells all of its conditions at once (`put/4`): snapshots,
+  the diagnosis, and what the vehicles' detectors made of their events (`Aerie.Fleet.Alarms.Detected`). So the end of a
+  condition needs no message that could be lost. Each condition has a key, so it is one alarm however often it comes.
 
   An alarm goes through these states:
 
@@ -27,8 +27,17 @@ defmodule Aerie.Fleet.Alarms do
   @type severity :: :critical | :warning | :notice
   @typedoc "The kind of condition, and the vehicle, link or other subject that it concerns."
   @type key :: {kind :: atom(), subject :: term()}
-  @typedoc "`:vehicle` is the one that it is about, and its page's name; the text does not name it again."
-  @type condition :: %{key: key(), severity: severity(), text: String.t(), vehicle: String.t() | nil}
+  @typedoc """
+  `:vehicle` is the one that it is about, and its page's name; the text does not name it again.
+  `:since`: if that is not now.
+  """
+  @type condition :: %{
+          :key => key(),
+          :severity => severity(),
+          :text => String.t(),
+          :vehicle => String.t() | nil,
+          optional(:since) => integer()
+        }
   @type alarm :: %{
           id: String.t(),
           key: key(),
@@ -62,24 +71,19 @@ defmodule Aerie.Fleet.Alarms do
   @doc "Begins a condition at `now`. One that holds already keeps its time; one that got worse has to be acknowledged again."
   @spec raise_alarm(t(), source :: term(), condition(), integer()) :: t()
   def raise_alarm(%__MODULE__{} = alarms, source, %{key: key} = condition, now) do
+    since = Map.get(condition, :since, now)
+
     case alarms.alarms do
       %{^key => %{over: nil} = alarm} ->
         worse? = @rank[condition.severity] < @rank[alarm.severity]
         kept = Map.merge(alarm, Map.take(condition, [:severity, :text]))
-        store(alarms, if(worse?, do: %{kept | by: nil, since: now}, else: kept))
+        store(alarms, if(worse?, do: %{kept | by: nil, since: since}, else: kept))
 
       _new_or_again ->
-        alarm = Map.merge(condition, %{id: "a#{alarms.next}", source: source, since: now, over: nil, by: nil})
-        %{alarms | next: alarms.next + 1} |> store(alarm) |> bound()
-    end
-  end
+        alarm =
+          Map.merge(condition, %{id: "a#{alarms.next}", source: source, since: since, over: nil, by: nil})
 
-  @doc "Gives a condition that holds another text, made from the alarm."
-  @spec reword(t(), key(), (alarm() -> String.t())) :: t()
-  def reword(%__MODULE__{} = alarms, key, text) do
-    case alarms.alarms do
-      %{^key => %{over: nil} = alarm} -> store(alarms, %{alarm | text: text.(alarm)})
-      _none -> alarms
+        %{alarms | next: alarms.next + 1} |> store(alarm) |> bound()
     end
   end
 
@@ -91,12 +95,6 @@ defmodule Aerie.Fleet.Alarms do
       %{^key => %{over: nil}} -> %{alarms | alarms: Map.delete(alarms.alarms, key)}
       _none -> alarms
     end
-  end
-
-  @doc "Ends all conditions whose key `over?` selects."
-  @spec clear_all(t(), (key() -> boolean()), integer()) :: t()
-  def clear_all(%__MODULE__{} = alarms, over?, now) do
-    alarms.alarms |> Map.keys() |> Enum.filter(over?) |> Enum.reduce(alarms, &clear(&2, &1, now))
   end
 
   @doc "Records that `by` has seen the alarms with these ids, or `:all`. Those that are over are removed."

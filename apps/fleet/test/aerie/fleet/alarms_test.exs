@@ -4,7 +4,7 @@ defmodule Aerie.Fleet.AlarmsTest do
   alias Aerie.Fleet.Diagnosis.Condition
   alias Aerie.Vehicle.Event
   alias Aerie.Fleet.Alarms
-  alias Aerie.Fleet.Alarms.{Conditions, EventAlarms}
+  alias Aerie.Fleet.Alarms.{Conditions, Detected}
 
   defp condition(key, severity \\ :warning),
     do: %{key: key, severity: severity, text: inspect(key), vehicle: nil}
@@ -74,54 +74,101 @@ defmodule Aerie.Fleet.AlarmsTest do
     end
   end
 
-  describe "events" do
-    test "each that begins something raises an alarm, and the one that ends it ends the alarm" do
-      for {begins, ends, data} <- [
-            {"failsafe", "failsafe.cleared", %{"type" => "rc", "reason" => "radio", "action" => "rtl"}},
-            {"geofence", "geofence.cleared", %{"breach" => "MAX_ALT"}},
-            {"rc.lost", "rc.restored", %{}},
-            {"gps.lost", "gps.restored", %{}},
-            {"position.lost", "position.restored", %{}},
-            {"kill_switch.engaged", "kill_switch.released", %{}},
-            {"gcs.lost", "gcs.restored", %{}},
-            {"battery.low", "reboot", %{"remaining" => 0.2}}
-          ] do
-        alarms = EventAlarms.apply(Alarms.new(), event(begins, data))
-        assert [%{over: nil, text: <<_first, _rest::binary>>, vehicle: "V-1"}] = Alarms.list(alarms)
-        assert [%{over: 5_000}] = alarms |> EventAlarms.apply(event(ends, data)) |> Alarms.list()
+  describe "what detectors found" do
+    defp detected(type, data, subject \\ nil), do: %{type: type, subject: subject, since: 4_000, data: data}
 
-        assert alarms |> EventAlarms.apply(event("statustext", %{"text" => "x"})) |> Alarms.list() ==
-                 Alarms.list(alarms)
+    defp vehicle(battery \\ %{}, changes \\ %{}),
+      do: Map.merge(%{id: "V-1", status: :online, via: nil, groups: %{battery: %{data: battery}}}, changes)
+
+    defp put(alarms \\ Alarms.new(), conditions, vehicle \\ vehicle()),
+      do: Detected.put(alarms, %{"V-1" => conditions}, [vehicle], 9_000)
+
+    defp texts(alarms), do: for(alarm <- Alarms.list(alarms), do: {alarm.text, alarm.over})
+
+    test "each of the table is an alarm while it holds, and over when it does not, without any event" do
+      for %{type: type, begins: {_kind, severity, text}} <- Event.Types.all() do
+        held = put([detected(type, %{})])
+        assert [%{over: nil, since: 4_000, severity: ^severity, vehicle: "V-1"} = alarm] = Alarms.list(held)
+        assert String.starts_with?(alarm.text, text)
+        assert put(held, [detected(type, %{})]) == held
+        assert [%{over: 9_000}] = held |> put([]) |> Alarms.list()
       end
     end
 
-    test "a battery that gets worse is one alarm that got worse" do
-      alarms =
-        for type <- ["battery.low", "battery.critical"], reduce: Alarms.new() do
-          alarms ->
-            alarms |> EventAlarms.apply(event(type, %{"remaining" => 0.1})) |> Alarms.acknowledge(:all, "ann")
-        end
+    test "one that has ended before it was looked at stays until somebody has seen it" do
+      alarms = Detected.told(Alarms.new(), event("gps.lost", %{}), [])
+      assert [{{:gps, "V-1"}, :over}] = states(alarms)
+      assert [] = alarms |> put([]) |> Alarms.acknowledge(:all, "ann") |> states()
 
-      assert [%{severity: :critical, text: "Battery nearly empty, 10 % left"}] = Alarms.list(alarms)
+      assert [] =
+               Alarms.new() |> Detected.told(event("gps.lost", %{}), [detected("gps.lost", %{})]) |> states()
+
+      assert [] = Alarms.new() |> Detected.told(event("statustext", %{"text" => "x"}), []) |> states()
+
+      # A battery that is critical was low on the way.
+      critical = detected("battery.critical", %{"remaining" => 0.04})
+
+      assert [] =
+               Alarms.new()
+               |> Detected.told(event("battery.low", %{"remaining" => 0.2}), [critical])
+               |> states()
     end
-  end
 
-  test "an alarm's text follows the value, and keeps the last one of a lost vehicle (F13)" do
-    alarms = EventAlarms.apply(Alarms.new(), event("battery.critical", %{"remaining" => 0.1}))
-    battery = fn status, data -> [%{id: "V-1", status: status, groups: %{battery: %{data: data}}}] end
+    test "a battery that gets worse is one alarm that got worse; one that gets better is one that got better" do
+      low = put([detected("battery.low", %{"remaining" => 0.2})]) |> Alarms.acknowledge(:all, "ann")
+      critical = put(low, [detected("battery.critical", %{"remaining" => 0.1})])
 
-    text = fn vehicles ->
-      alarms |> EventAlarms.follow(vehicles) |> Alarms.list() |> hd() |> Map.fetch!(:text)
+      assert [%{severity: :critical, by: nil, text: "Battery nearly empty, 10 % left"}] =
+               Alarms.list(critical)
+
+      assert [%{severity: :warning, text: "Battery low, 21 % left"}] =
+               critical |> put([detected("battery.low", %{"remaining" => 0.21})]) |> Alarms.list()
     end
 
-    assert text.(battery.(:online, %{remaining: 0.06})) == "Battery nearly empty, 6 % left"
-    assert text.(battery.(:online, %{remaining: nil, voltage: 9.61})) == "Battery nearly empty, 9.6 V"
+    test "of several batteries each is an alarm of its own, and is named" do
+      one = &detected("battery.low", %{"remaining" => &1, "battery" => &2, "several" => true}, &3)
+      both = put([one.(0.2, 0, nil), one.(0.1, 1, 1)])
 
-    assert text.(battery.(:online, %{remaining: 0.9, batteries: [%{remaining: 0.9}, %{remaining: 0.04}]})) =~
-             "4 %"
+      assert Enum.sort(texts(both)) == [
+               {"Battery low (battery 0), 20 % left", nil},
+               {"Battery low (battery 1), 10 % left", nil}
+             ]
 
-    for vehicles <- [[], battery.(:lost, %{remaining: 0.06}), battery.(:online, %{})],
-        do: assert(text.(vehicles) == "Battery nearly empty, 10 % left")
+      assert {"Battery low (battery 0), 20 % left", 9_000} in texts(put(both, [one.(0.1, 1, 1)]))
+    end
+
+    test "an alarm's text follows the value, and says what is not known (F13)" do
+      text = fn data, battery ->
+        Alarms.new()
+        |> put([detected("battery.critical", data)], vehicle(battery))
+        |> texts()
+        |> hd()
+        |> elem(0)
+      end
+
+      assert text.(%{"remaining" => 0.06}, %{}) == "Battery nearly empty, 6 % left"
+      assert text.(%{"remaining" => nil}, %{id: nil, voltage: 9.61}) == "Battery nearly empty, 9.6 V"
+
+      assert text.(%{"remaining" => nil, "battery" => 1}, %{id: 0, voltage: 9.61}) ==
+               "Battery nearly empty, charge unknown"
+
+      assert text.(%{"remaining" => 0.94, "said" => "CRITICAL"}, %{}) ==
+               "Battery nearly empty, 94 % left, the vehicle says CRITICAL"
+    end
+
+    test "a lost vehicle keeps what was known last; another gateway's, or one that was removed, has none here" do
+      conditions = [detected("failsafe", %{"reason" => "radio", "action" => "rtl"}, {"rc", "radio"})]
+
+      assert [{"Failsafe: radio → rtl", nil}] =
+               texts(put(Alarms.new(), conditions, vehicle(%{}, %{status: :lost})))
+
+      held = put(conditions)
+
+      assert [{"Failsafe: radio → rtl", 9_000}] =
+               texts(put(held, conditions, vehicle(%{}, %{via: "companion"})))
+
+      assert [{_text, 9_000}] = held |> Detected.put(%{"V-1" => conditions}, [], 9_000) |> texts()
+    end
   end
 
   describe "snapshots" do

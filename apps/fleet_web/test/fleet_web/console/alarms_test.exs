@@ -1,9 +1,9 @@
 defmodule FleetWeb.Console.AlarmsTest do
   use FleetWeb.ConsoleCase, async: true
 
-  alias Aerie.Base.PubSub
   alias Aerie.Fleet.Alarms.Server
-  alias Aerie.Vehicle.Event
+  alias Aerie.Vehicle.{Detector, Journal, Options}
+  alias Aerie.Vehicle.Detector.Observation
 
   setup do: {:ok, start_console()}
 
@@ -37,14 +37,36 @@ defmodule FleetWeb.Console.AlarmsTest do
     assert {[%{text: ^title, vehicle: "VID-001", severity: :critical}], 0} = Server.list(console.gateway)
   end
 
-  test "events become alarms; a restart finds those of the journal", %{console: console} do
+  # A step of the vehicle's detector, as its event loop commits it.
+  defp observe(console, detector, at_s, changes) do
+    data =
+      Map.merge(%{mode: "GUIDED", armed: true, in_air: true, gps: "OK", remaining: 0.9}, Map.new(changes))
+
+    at = System.os_time(:microsecond) + at_s * 1_000_000
+    {detector, events, params} = Detector.observe(detector, Observation.new(:state, at, 1000, data))
+    :ok = Journal.commit(console.gateway, "VID-001", detector, events, params)
+    detector
+  end
+
+  test "events begin alarms, and the vehicle's state ends them, on the page and for the ear", %{
+    console: console
+  } do
+    put_vehicle(console, "VID-001")
     {:ok, view, _html} = live(conn(console, :operator), "/alarms")
+    new = Detector.new(Options.new(Aerie.Vehicle.Settings.from(%{}), {"main", 1}))
+    detector = observe(console, new, 0, [])
+    detector = observe(console, detector, 1, gps: "NO_FIX", remaining: 0.05)
 
-    event =
-      Event.new("VID-001", "gps.lost", 1, System.os_time(:microsecond), nil, %{"fix_name" => "NO_FIX"})
+    eventually(fn ->
+      render(view) =~ "GNSS position lost" and render(view) =~ "Battery nearly empty, 5 % left"
+    end)
 
-    PubSub.publish(console.gateway, :events, event)
-    eventually(fn -> render(view) =~ "GNSS position lost" end)
     assert %{sound: :critical} = Server.summary(console.gateway)
+
+    detector = observe(console, detector, 2, gps: "OK", remaining: 0.94)
+    eventually(fn -> match?(%{sound: nil, counts: %{critical: 0}}, Server.summary(console.gateway)) end)
+    eventually(fn -> view |> element("#alarms") |> render() |> String.split("Cleared") |> length() == 3 end)
+    refute render(view) =~ "94 % left"
+    assert detector.conditions == []
   end
 end

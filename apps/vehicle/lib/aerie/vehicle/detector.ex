@@ -39,14 +39,14 @@ defmodule Aerie.Vehicle.Detector do
     battery: %{},
     failsafe: %Failsafe{},
     gcs_failsafe: false,
-    gcs_lost: false,
+    gcs_lost: nil,
     gcs_reported_at: nil,
     reports: false,
     armed_by: nil,
     rc_lost: nil,
     gps_lost: nil,
     position_lost: nil,
-    killed: false,
+    killed: nil,
     fence_event_at: nil,
     fence_open: nil,
     mission_completed: nil,
@@ -56,15 +56,17 @@ defmodule Aerie.Vehicle.Detector do
     boot_at: nil,
     collision_at: nil,
     published: nil,
+    conditions: [],
     budget: Budget.new()
   ]
 
   @typedoc """
   - `seq`: number of the last event; `done`: number of the last inbox entry
   - `last`: the last digest; `published`: what was published before the gateway was started and is not compared yet
-  - `gcs_failsafe`, `gcs_lost`, `lost`: that event came last, not the one that ends it; `lost` is `:unheard` if the gateway
+  - `gcs_failsafe`, `lost`: that event came last, not the one that ends it; `lost` is `:unheard` if the gateway
     never heard the vehicle
-  - `rc_lost`, `gps_lost`, `position_lost`: since when; `fence_open`: since when, and which breach
+  - `rc_lost`, `gps_lost`, `position_lost`, `gcs_lost`, `killed`: since when; `fence_open`: since when, and which breach
+  - `conditions`: what is wrong with the vehicle now
   - `gcs_reported_at`, `fence_event_at`, `collision_at`: when that was last reported
   - `reports`: the vehicle sends reports; `armed_by`: what the last one said
   - `mission_completed`: its last item; `last_item`: the current item is the last one; `reached`: the last one reached
@@ -76,17 +78,17 @@ defmodule Aerie.Vehicle.Detector do
           seq: non_neg_integer(),
           done: non_neg_integer(),
           last: map(),
-          battery: %{(0..255 | :own) => Batteries.level()},
+          battery: Batteries.levels(),
           failsafe: Failsafe.t(),
           gcs_failsafe: boolean(),
-          gcs_lost: boolean(),
+          gcs_lost: integer() | nil,
           gcs_reported_at: integer() | nil,
           reports: boolean(),
           armed_by: {integer(), armed :: boolean(), reason :: term()} | nil,
           rc_lost: integer() | nil,
           gps_lost: integer() | nil,
           position_lost: integer() | nil,
-          killed: boolean(),
+          killed: integer() | nil,
           fence_event_at: integer() | nil,
           fence_open: {integer(), String.t() | nil} | nil,
           mission_completed: non_neg_integer() | :unknown | nil,
@@ -96,6 +98,7 @@ defmodule Aerie.Vehicle.Detector do
           boot_at: integer() | nil,
           collision_at: integer() | nil,
           published: OfflineChanges.t(),
+          conditions: [condition()],
           budget: Budget.t()
         }
 
@@ -125,9 +128,12 @@ defmodule Aerie.Vehicle.Detector do
 
   @doc "One step. `known` returns the last known value of a parameter; the new values are in the third element."
   @spec observe(t(), Observation.t(), known()) :: {t(), [Event.t()], %{String.t() => term()}}
-  def observe(detector, observation, known \\ fn _name -> :error end)
+  def observe(detector, observation, known \\ fn _name -> :error end) do
+    {detector, events, params} = observed(detector, observation, known)
+    {%{detector | conditions: conditions(detector)}, events, params}
+  end
 
-  def observe(%{failsafe: %{pending: %{}}} = detector, %Observation{received: now} = observation, known) do
+  defp observed(%{failsafe: %{pending: %{}}} = detector, %Observation{received: now} = observation, known) do
     facts = Map.put(facts(detector), :where, where(observation))
     {failsafe, steps} = Failsafe.due(detector.failsafe, now, facts)
     moment = %{at: now, boot_ms: nil, where: nil, received: now}
@@ -137,13 +143,13 @@ defmodule Aerie.Vehicle.Detector do
   end
 
   # The session, which was started later, does not know of the silence and cannot tell that it ends.
-  def observe(%{lost: :unheard} = detector, %Observation{kind: :state, at: at} = observation, known) do
+  defp observed(%{lost: :unheard} = detector, %Observation{kind: :state, at: at} = observation, known) do
     {detector, restored, %{}} = step(detector, Observation.new(:restored, at, observation.boot_ms), known)
     {detector, events, params} = step(detector, observation, known)
     {detector, restored ++ events, params}
   end
 
-  def observe(detector, %Observation{} = observation, known), do: step(detector, observation, known)
+  defp observed(detector, %Observation{} = observation, known), do: step(detector, observation, known)
 
   defp where(%{kind: :state, data: digest}), do: digest[:where]
   defp where(%{kind: :settle, data: where}), do: where
@@ -305,18 +311,18 @@ defmodule Aerie.Vehicle.Detector do
     {detector, [Step.event("stream.contested", %{"messages" => messages})]}
   end
 
-  defp steps(:gcs, %{gcs_lost: false} = detector, %{data: {:lost, facts}}) do
+  defp steps(:gcs, %{gcs_lost: nil} = detector, %{at: at, data: {:lost, facts}}) do
     data = %{
       "system" => facts.system,
       "timeout_s" => facts.timeout_s,
       "failsafe_enabled" => facts.enabled
     }
 
-    {detector, [Step.event("gcs.lost", data, gcs_lost: true)]}
+    {detector, [Step.event("gcs.lost", data, gcs_lost: at)]}
   end
 
-  defp steps(:gcs, %{gcs_lost: true} = detector, %{data: {:back, facts}}),
-    do: {detector, [Step.event("gcs.restored", %{"system" => facts.system}, gcs_lost: false)]}
+  defp steps(:gcs, %{gcs_lost: since} = detector, %{data: {:back, facts}}) when since != nil,
+    do: {detector, [Step.event("gcs.restored", %{"system" => facts.system}, gcs_lost: nil)]}
 
   defp steps(:gcs, detector, _already_reported), do: {detector, []}
 
@@ -333,6 +339,35 @@ defmodule Aerie.Vehicle.Detector do
   @spec fence_reported?(t(), integer()) :: boolean()
   def fence_reported?(%{fence_event_at: nil}, _at), do: false
   def fence_reported?(%{fence_event_at: reported}, at), do: at - reported < @fence_again_us
+
+  @doc "Whether a message that shows the vehicle's fence was heard: FENCE_STATUS, or PX4's checks."
+  @spec fence_shown?(map()) :: boolean()
+  def fence_shown?(digest), do: is_map_key(digest, :fence_breach) or is_map_key(digest, :fence_check)
+
+  @typedoc """
+  Something that holds: the event that began it (`Aerie.Vehicle.Event.Types`), which of several (of a vehicle's batteries, of its failsafes; nil if it
+  is the only one), since when, and data as of that event.
+  """
+  @type condition :: %{type: String.t(), subject: term(), since: integer(), data: map()}
+
+  # Each alarm of `Aerie.Vehicle.Event.Types` that events begin is here while it holds, so its end needs no event.
+  defp conditions(%{last: last} = detector) do
+    {fence, breach} = detector.fence_open || {nil, nil}
+
+    single =
+      for {type, since, holds?, data} <- [
+            {"geofence", fence, true, %{"breach" => breach}},
+            {"rc.lost", detector.rc_lost, true, %{}},
+            {"gps.lost", detector.gps_lost, last[:armed] != false, %{}},
+            {"position.lost", detector.position_lost, last[:in_air] != false, %{}},
+            {"kill_switch.engaged", detector.killed, true, %{}},
+            {"gcs.lost", detector.gcs_lost, true, %{}}
+          ],
+          since != nil and holds?,
+          do: %{type: type, subject: nil, since: since, data: data}
+
+    Batteries.conditions(detector) ++ Failsafe.conditions(detector.failsafe, last) ++ single
+  end
 
   @doc "The detector's knowledge of the vehicle: the last digest, and its faults (`:troubles`)."
   @spec facts(t()) :: map()

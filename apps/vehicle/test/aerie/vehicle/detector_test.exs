@@ -126,10 +126,15 @@ defmodule Aerie.Vehicle.DetectorTest do
     test "low and critical by charge, with hysteresis" do
       at = fn remaining -> state(0, remaining: remaining) end
       assert types(Enum.map([0.3, 0.25, 0.26, 0.24, 0.29, 0.2], at)) == ["battery.low"]
-      assert types(Enum.map([0.3, 0.25, 0.31, 0.25], at)) == ["battery.low", "battery.low"]
+
+      assert types(Enum.map([0.3, 0.25, 0.31, 0.25], at)) ==
+               ["battery.low", "battery.recovered", "battery.low"]
+
       assert types(Enum.map([0.3, 0.2, 0.1, 0.12, 0.09], at)) == ["battery.low", "battery.critical"]
       assert types(Enum.map([0.3, 0.05], at)) == ["battery.low", "battery.critical"]
-      assert types(Enum.map([0.3, 0.05, 0.2, 0.05], at)) == ~w(battery.low battery.critical battery.critical)
+
+      assert types(Enum.map([0.3, 0.05, 0.2, 0.05], at)) ==
+               ~w(battery.low battery.critical battery.recovered battery.critical)
     end
 
     test "by the charge state" do

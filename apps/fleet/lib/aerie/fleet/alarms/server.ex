@@ -1,7 +1,8 @@
 defmodule Aerie.Fleet.Alarms.Server do
   @moduledoc """
   Keeps a gateway's alarms, for all operators together. It looks at the snapshots when they have changed, at most twice a second, and
-  handles events as they come. After a restart it begins with the events that the journal still has, and nothing is acknowledged.
+  handles events as they come. After a restart it begins with what the vehicles' detectors and the journal still have, and nothing is
+  acknowledged.
 
   Pages are notified of a change by `{:notice, :console_alarms}` of `Aerie.Base.PubSub`, with the summary.
   """
@@ -13,7 +14,7 @@ defmodule Aerie.Fleet.Alarms.Server do
   alias Aerie.Vehicle.Journal
   alias Aerie.Base.PubSub
   alias Aerie.Fleet.Alarms
-  alias Aerie.Fleet.Alarms.{Conditions, EventAlarms}
+  alias Aerie.Fleet.Alarms.{Conditions, Detected}
 
   @look_ms 500
   # No notice announces a new diagnosis, or a problem of the gateway itself.
@@ -49,7 +50,12 @@ defmodule Aerie.Fleet.Alarms.Server do
     for topic <- [:vehicles, :links, :events], do: PubSub.subscribe(gateway, topic)
     table = :ets.new(:console_alarms, [:set, :protected, read_concurrency: true])
     Names.put_value(gateway, :console_alarms, table)
-    alarms = Enum.reduce(Journal.recent(gateway, :all), Alarms.new(), &EventAlarms.apply(&2, &1))
+    detected = detected(gateway)
+
+    alarms =
+      for event <- Journal.recent(gateway, :all), reduce: Alarms.new() do
+        alarms -> Detected.told(alarms, event, Map.get(detected, event.vehicle, []))
+      end
 
     state = %{
       gateway: gateway,
@@ -69,8 +75,16 @@ defmodule Aerie.Fleet.Alarms.Server do
     do: {:reply, :ok, publish(%{state | alarms: Alarms.acknowledge(state.alarms, ids, by)})}
 
   @impl GenServer
-  def handle_info({:fleet, :events, event}, state),
-    do: {:noreply, publish(%{state | alarms: EventAlarms.apply(state.alarms, event)})}
+  def handle_info({:fleet, :events, event}, state) do
+    if Detected.about?(event) do
+      detected = detected(state.gateway)
+      alarms = Detected.told(state.alarms, event, Map.get(detected, event.vehicle, []))
+      alarms = Detected.put(alarms, detected, Fleet.vehicles(state.gateway), System.os_time(:microsecond))
+      {:noreply, publish(%{state | alarms: alarms})}
+    else
+      {:noreply, soon(state)}
+    end
+  end
 
   def handle_info({:fleet, _topic, _changed}, state), do: {:noreply, soon(state)}
   def handle_info(:look, state), do: {:noreply, refresh(state)}
@@ -92,7 +106,7 @@ defmodule Aerie.Fleet.Alarms.Server do
     alarms =
       state.alarms
       |> Alarms.put(:vehicles, Enum.flat_map(vehicles, &Conditions.vehicle/1), now)
-      |> EventAlarms.follow(vehicles)
+      |> Detected.put(detected(gateway), vehicles, now)
       |> Alarms.put(:links, links, now)
       |> Alarms.put(:gateway, own(gateway, now - state.problem_since > @settle_us), now)
       |> diagnosed(gateway, now)
@@ -100,6 +114,11 @@ defmodule Aerie.Fleet.Alarms.Server do
     _ = with {_kind, timer} <- state.timer, do: Process.cancel_timer(timer)
     publish(%{state | alarms: alarms, timer: {:idle, Process.send_after(self(), :look, @idle_ms)}})
   end
+
+  # What the detectors' committed states have, by vehicle.
+  defp detected(gateway),
+    do:
+      for([id, conditions] <- Journal.states(gateway, %{conditions: :"$2"}), into: %{}, do: {id, conditions})
 
   # A diagnosis that does not answer in time changes nothing.
   defp diagnosed(alarms, gateway, now) do

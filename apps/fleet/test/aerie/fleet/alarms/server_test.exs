@@ -5,7 +5,8 @@ defmodule Aerie.Fleet.Alarms.ServerTest do
 
   alias Aerie.Base.{PubSub, Store}
   alias Aerie.Fleet.Alarms.Server
-  alias Aerie.Vehicle.{Event, Journal}
+  alias Aerie.Vehicle.{Detector, Event, Journal, Options}
+  alias Aerie.Vehicle.Detector.Observation
 
   setup do
     gateway = Aerie.GatewayCase.start_gateway(%{}, with: [:router])
@@ -51,16 +52,51 @@ defmodule Aerie.Fleet.Alarms.ServerTest do
     eventually(fn -> match?([{{:link, "radio"}, true, nil}], texts(c.gateway)) end)
   end
 
-  test "after a restart those of the journal are there again, and nothing is acknowledged", c do
-    event = Event.new("VID-009", "gps.lost", 1, System.os_time(:microsecond), nil, %{"fix_name" => "NO_FIX"})
-    :ok = Journal.commit(c.gateway, "VID-009", %{}, [event])
-    PubSub.publish(c.gateway, :events, event)
+  # The detector's step is committed as the vehicle's event loop does it.
+  defp observe(gateway, detector, remaining, told? \\ true) do
+    data = %{mode: "GUIDED", armed: true, in_air: true, remaining: remaining}
+    observation = Observation.new(:state, System.os_time(:microsecond), 1000, data)
+    {detector, events, params} = Detector.observe(detector, observation)
+    :ok = Journal.commit(gateway, detector.vehicle, detector, if(told?, do: events, else: []), params)
+    {detector, events}
+  end
+
+  defp detector do
+    options = Options.new(Aerie.Vehicle.Settings.from(%{}), {"main", 9})
+    Detector.new(%{options | id: "VID-009"})
+  end
+
+  test "a battery that was nearly empty and is charged is over, with or without the event that says so", c do
+    put_vehicle(c.gateway, :online)
+    {detector, _events} = observe(c.gateway, detector(), 0.9)
+
+    for told? <- [true, false], reduce: detector do
+      detector ->
+        {detector, [_low, %Event{type: "battery.critical"}]} = observe(c.gateway, detector, 0.05)
+        eventually(fn -> match?([{{:battery, "VID-009"}, false, nil}], texts(c.gateway)) end)
+        {detector, [%Event{type: "battery.recovered"}]} = observe(c.gateway, detector, 0.94, told?)
+        eventually(fn -> match?([{{:battery, "VID-009"}, true, nil}], texts(c.gateway)) end)
+        :ok = Server.acknowledge(c.gateway, :all, "ann")
+        assert texts(c.gateway) == []
+        detector
+    end
+  end
+
+  test "after a restart what holds is there again, and nothing is acknowledged", c do
+    put_vehicle(c.gateway, :online)
+    {detector, _events} = observe(c.gateway, detector(), 0.05)
     eventually(fn -> match?([{_key, false, nil}], texts(c.gateway)) end)
     :ok = Server.acknowledge(c.gateway, :all, "ann")
     stop_supervised!(Server)
     assert Server.list(c.gateway) == {[], 0}
     assert %{waiting: 0} = Server.summary(c.gateway)
     start_supervised!({Server, gateway: c.gateway, look_ms: 5})
-    assert [{_key, false, nil}] = texts(c.gateway)
+    assert [{{:battery, "VID-009"}, false, nil}] = texts(c.gateway)
+
+    # What ended while it was down is over.
+    stop_supervised!(Server)
+    {_detector, _events} = observe(c.gateway, detector, 0.94)
+    start_supervised!({Server, gateway: c.gateway, look_ms: 5})
+    assert [{{:battery, "VID-009"}, true, nil}] = texts(c.gateway)
   end
 end

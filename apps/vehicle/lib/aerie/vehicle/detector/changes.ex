@@ -17,7 +17,7 @@ defmodule Aerie.Vehicle.Detector.Changes do
       armed(last, now, detector, at) ++
       takeoff(last, now) ++
       geofence(last, now, detector, at) ++
-      Detector.Batteries.steps(now, detector) ++
+      Detector.Batteries.steps(now, detector, at) ++
       mission(last, now, detector) ++
       landed(last, now) ++
       landed_mission(last, now, detector) ++

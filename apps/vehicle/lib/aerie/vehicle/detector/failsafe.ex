@@ -13,7 +13,7 @@ defmodule Aerie.Vehicle.Detector.Failsafe do
 
   Several failsafes can be `active` at once, each with its type and reason; the system status shows them together. A failsafe
   is over when a text or report says so, when the system status is normal again, or, if that never showed it, when the vehicle
-  is disarmed.
+  is disarmed, or armed again: what was disarmed had nothing to act on.
   """
 
   alias Aerie.Vehicle.Detector.Step
@@ -112,7 +112,23 @@ defmodule Aerie.Vehicle.Detector.Failsafe do
   defp disarmed(failsafe, %{armed: true}, %{armed: false} = now, moment),
     do: clear(failsafe, :unshown, "disarmed", now, moment)
 
+  # One that a disarmed vehicle told of. What it told of just now may be about the flight that begins.
+  defp disarmed(%{active: active} = failsafe, %{armed: false}, %{armed: true} = now, moment) do
+    {new, before} = Map.split_with(active, fn {_key, one} -> moment.at - one.last <= @reason_us end)
+    {failsafe, steps} = clear(%{failsafe | active: before}, :unshown, "armed", now, moment)
+    {%{failsafe | active: Map.merge(failsafe.active, new)}, steps}
+  end
+
   defp disarmed(failsafe, _last, _now, _moment), do: {failsafe, []}
+
+  @doc "The failsafes that are active now; `facts` are the last digest."
+  @spec conditions(t(), map()) :: [Aerie.Vehicle.Detector.condition()]
+  def conditions(failsafe, facts) do
+    for {{type, reason} = key, one} <- failsafe.active, one.shown or facts[:armed] != false do
+      data = %{"type" => type, "reason" => reason, "action" => one.action}
+      %{type: "failsafe", subject: key, since: one.since, data: data}
+    end
+  end
 
   @doc "A failsafe begins, or one that has begun is shown again. `:by` of the facts is what shows it."
   @spec start(t(), facts(), map(), Step.moment()) :: {t(), [Step.t()]}

@@ -1,7 +1,8 @@
 defmodule Aerie.Vehicle.Detector.Losses do
   @moduledoc """
   What a vehicle loses and gets back: remote control, GNSS, its position, the inside of its fence; and its kill switch.
-  Several sources may say the same; each loss is reported once, and its end with its duration.
+  Several sources may say the same; each loss is reported once, and its end with its duration. The state shows an end
+  as well, because the message that tells it may be lost.
 
   GNSS counts as lost only while the vehicle is armed, the position only in the air: on the ground they come and go.
   """
@@ -9,10 +10,13 @@ defmodule Aerie.Vehicle.Detector.Losses do
   alias Aerie.Vehicle.Detector
   alias Aerie.Vehicle.Detector.{Failsafe, Step}
 
+  # For as long as this the state may be older than the message that something was lost.
+  @settled_us 5_000_000
+
   @doc "The events that follow from the difference of two digests."
   @spec changed(Detector.t(), map(), map(), Step.moment()) :: {Detector.t(), [Step.t()]}
   def changed(detector, last, now, %{at: at} = moment) do
-    parts = [&gps/4, &position/4, &receiver/4, &fence_end/4]
+    parts = [&gps/4, &position/4, &receiver/4, &fence_end/4, &kill_end/4]
 
     Enum.reduce(parts, fence_begin(detector, last, now, moment), fn part, {detector, steps} ->
       {detector, more} = part.(detector, last, now, at)
@@ -57,12 +61,20 @@ defmodule Aerie.Vehicle.Detector.Losses do
 
   defp receiver(detector, %{rc_receiver: true}, %{rc_receiver: false}, at), do: rc(detector, :lost, nil, at)
   defp receiver(detector, %{rc_receiver: false}, %{rc_receiver: true}, at), do: rc(detector, :back, nil, at)
+
+  defp receiver(%{rc_lost: since} = detector, _last, %{rc_receiver: true}, at)
+       when is_integer(since) and at - since > @settled_us,
+       do: rc(detector, :back, nil, at)
+
   defp receiver(detector, _last, _now, _at), do: {detector, []}
 
   defp fence_end(%{fence_open: {_since, _breach}} = detector, last, now, at) do
-    if now[:fence_breach] == false or (last[:fence_check] not in [nil, false] and now[:fence_check] == false),
-      do: fence_over(detector, at),
-      else: {detector, []}
+    inside? =
+      now[:fence_breach] == false or (last[:fence_check] not in [nil, false] and now[:fence_check] == false)
+
+    # Nothing else may show the end of a breach that only a text told of.
+    told_over? = not Detector.fence_shown?(now) and last[:armed] == true and now[:armed] == false
+    if inside? or told_over?, do: fence_over(detector, at), else: {detector, []}
   end
 
   defp fence_end(detector, _last, _now, _at), do: {detector, []}
@@ -105,14 +117,27 @@ defmodule Aerie.Vehicle.Detector.Losses do
 
   def rc(detector, _known, _text, _at), do: {detector, []}
 
-  @doc "The kill switch is engaged or released; nil: nothing is said of it."
-  @spec kill(Detector.t(), boolean() | nil, String.t() | nil) :: {Detector.t(), [Step.t()]}
-  def kill(%{killed: known} = detector, on?, _text) when on? in [known, nil], do: {detector, []}
+  # No firmware arms or takes off with the switch engaged. PX4's heartbeat shows it as well.
+  defp kill_end(%{killed: since} = detector, last, now, at) when since != nil do
+    begins? = &(last[&1] == false and now[&1] == true)
+    shown? = last[:system_status] == "FLIGHT_TERMINATION" and now[:system_status] != "FLIGHT_TERMINATION"
 
-  def kill(detector, on?, text) do
-    type = if on?, do: "kill_switch.engaged", else: "kill_switch.released"
-    {%{detector | killed: on?}, [Step.event(type, %{"text" => text})]}
+    if begins?.(:armed) or begins?.(:in_air) or shown?,
+      do: kill(detector, false, nil, at),
+      else: {detector, []}
   end
+
+  defp kill_end(detector, _last, _now, _at), do: {detector, []}
+
+  @doc "The kill switch is engaged or released; nil: nothing is said of it."
+  @spec kill(Detector.t(), boolean() | nil, String.t() | nil, integer()) :: {Detector.t(), [Step.t()]}
+  def kill(%{killed: nil} = detector, true, text, at),
+    do: {%{detector | killed: at}, [Step.event("kill_switch.engaged", %{"text" => text})]}
+
+  def kill(%{killed: since} = detector, false, text, _at) when since != nil,
+    do: {%{detector | killed: nil}, [Step.event("kill_switch.released", %{"text" => text})]}
+
+  def kill(detector, _known, _text, _at), do: {detector, []}
 
   @doc "The vehicle's present faults that may cause a failsafe, the most likely cause first."
   @spec troubles(Detector.t()) :: [String.t()]
@@ -123,7 +148,7 @@ defmodule Aerie.Vehicle.Detector.Losses do
           {"position", detector.position_lost != nil},
           {"rc", detector.rc_lost != nil},
           {"gcs", detector.gcs_failsafe},
-          {"battery", :critical in Map.values(detector.battery)}
+          {"battery", Enum.any?(detector.battery, &match?({_key, {:critical, _since}}, &1))}
         ],
         do: type
   end
@@ -131,7 +156,7 @@ defmodule Aerie.Vehicle.Detector.Losses do
   @doc "After a reboot none of this is known."
   @spec forget(Detector.t()) :: Detector.t()
   def forget(detector),
-    do: %{detector | gps_lost: nil, position_lost: nil, rc_lost: nil, fence_open: nil, killed: false}
+    do: %{detector | gps_lost: nil, position_lost: nil, rc_lost: nil, fence_open: nil, killed: nil}
 
   defp hint(detector, at, type),
     do: %{detector | failsafe: Failsafe.hint(detector.failsafe, at, type, type)}

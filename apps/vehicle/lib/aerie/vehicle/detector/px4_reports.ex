@@ -58,11 +58,11 @@ defmodule Aerie.Vehicle.Detector.Px4Reports do
     {%{detector | failsafe: failsafe}, steps}
   end
 
-  def steps(detector, "commander_kill_sw_engaged", _values, _moment),
-    do: Losses.kill(detector, true, nil)
+  def steps(detector, "commander_kill_sw_engaged", _values, %{at: at}),
+    do: Losses.kill(detector, true, nil, at)
 
-  def steps(detector, "commander_kill_sw_disengaged", _values, _moment),
-    do: Losses.kill(detector, false, nil)
+  def steps(detector, "commander_kill_sw_disengaged", _values, %{at: at}),
+    do: Losses.kill(detector, false, nil, at)
 
   def steps(detector, "commander_armed_by", [reason], %{at: at}),
     do: {%{detector | armed_by: {at, true, reason}}, []}

@@ -52,7 +52,7 @@ defmodule Aerie.Vehicle.Detector.TextConditions do
 
   defp losses(detector, text, at) do
     {detector, rc} = Losses.rc(detector, StatusTexts.rc(text), text, at)
-    {detector, kill} = Losses.kill(detector, StatusTexts.kill(text), text)
+    {detector, kill} = Losses.kill(detector, StatusTexts.kill(text), text, at)
     {detector, rc ++ kill}
   end
 
@@ -115,11 +115,9 @@ defmodule Aerie.Vehicle.Detector.TextConditions do
 
   # FENCE_STATUS and PX4's checks are better sources, if they come.
   defp fence_event(detector, text, at) do
-    reported? =
-      is_map_key(detector.last, :fence_breach) or is_map_key(detector.last, :fence_check) or
-        Detector.fence_reported?(detector, at)
-
-    if reported?, do: [], else: [Step.event("geofence", %{"text" => text}, fence_event_at: at)]
+    if Detector.fence_shown?(detector.last) or Detector.fence_reported?(detector, at),
+      do: [],
+      else: [Step.event("geofence", %{"text" => text}, fence_event_at: at, fence_open: {at, nil})]
   end
 
   defp mission(detector, text) do

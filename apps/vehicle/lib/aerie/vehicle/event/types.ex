@@ -19,7 +19,10 @@ defmodule Aerie.Vehicle.Event.Types do
     * `severity` - MAV_SEVERITY, 6 (information) if the row has none; `:data`: its data has a `severity`
     * `text` - its text for people. `{name}` is a value of its data, `({name})` the same with spaces for underscores; what is in
       square brackets is left out if that value is not known. nil: the type and its data
-    * `begins` - the alarm that it raises; `ends` - the alarm that it clears; `:all`: all that events raised
+    * `begins` - the alarm that it raises: it holds as long as the detector has the condition
+      (`t:Aerie.Vehicle.Detector.condition/0`), so that a lost end leaves no alarm. `over`: what else
+      ends it
+    * `ends` - the alarm whose end it tells; `:all`: it tells the end of all
   """
   @type t :: %{
           type: String.t(),
@@ -29,6 +32,7 @@ defmodule Aerie.Vehicle.Event.Types do
           severity: 0..7 | :data,
           text: String.t() | nil,
           begins: {kind :: atom(), :warning | :critical, text :: String.t()} | nil,
+          over: String.t() | nil,
           ends: atom()
         }
 
@@ -89,7 +93,10 @@ defmodule Aerie.Vehicle.Event.Types do
        @mode,
        {"system_status", :string, nil, "MAV_STATE at that time"},
        {"found", :boolean, nil, "true: it was active when the vehicle was first heard"}
-     ], severity: 2, begins: {:failsafe, :critical, "Failsafe"}},
+     ],
+     severity: 2,
+     begins: {:failsafe, :critical, "Failsafe"},
+     over: "normal system status; if that never showed it, disarming and arming"},
     {"failsafe.cleared", "a failsafe is over",
      "system status, a text (… Cleared), a report, the end of a breach; disarming, if the system status never showed the failsafe",
      [
@@ -106,7 +113,8 @@ defmodule Aerie.Vehicle.Event.Types do
      ],
      severity: 3,
      text: "outside the fence[ ({breach})][ ({text})]",
-     begins: {:fence, :critical, "Fence breached"}},
+     begins: {:fence, :critical, "Fence breached"},
+     over: "a fence that is whole or off; if only a text told of it, disarming"},
     {"geofence.cleared", "the vehicle is inside its fence again, or the fence is disabled",
      "as `geofence`, but never a text; the parameter FENCE_ENABLE",
      [
@@ -115,26 +123,53 @@ defmodule Aerie.Vehicle.Event.Types do
      ], severity: 5, text: "inside the fence again, or the fence is off", ends: :fence},
     {"battery.low", "a battery is low",
      "BATTERY_STATUS of each battery; without it SYS_STATUS and HIGH_LATENCY2; with the thresholds of the configuration",
-     @battery, severity: 4, text: "battery low", begins: {:battery, :warning, "Battery low"}},
+     @battery,
+     severity: 4,
+     text: "battery low",
+     begins: {:battery, :warning, "Battery low"},
+     over: "a charge 5 % above the threshold, or a battery that is not there any more"},
     {"battery.critical", "a battery is nearly empty", "as `battery.low`", @battery,
-     severity: 2, text: "battery critical", begins: {:battery, :critical, "Battery nearly empty"}},
+     severity: 2,
+     text: "battery critical",
+     begins: {:battery, :critical, "Battery nearly empty"},
+     over: "as for `battery.low`"},
+    {"battery.recovered", "a battery that was low or critical is better: charged, changed or taken out",
+     "as `battery.low`; 5 % above the threshold, or no BATTERY_STATUS of it while those of others come",
+     @battery ++
+       [
+         {"level", :string, nil, "what it is now: ok, low (was critical), gone"},
+         {"duration", :number, "s", "how long it was low or critical"}
+       ], severity: 5, text: "battery recovered[ ({level})]", ends: :battery},
     {"rc.lost", "the remote control is lost", "reports, texts, and the receiver's health in SYS_STATUS",
-     [@text], severity: 3, text: "remote control lost", begins: {:rc, :warning, "Remote control lost"}},
+     [@text],
+     severity: 3,
+     text: "remote control lost",
+     begins: {:rc, :warning, "Remote control lost"},
+     over: "a healthy receiver in SYS_STATUS"},
     {"rc.restored", "the remote control is back", "as `rc.lost`", [@text, @lasted],
      text: "remote control restored", ends: :rc},
     {"gps.lost", "an armed vehicle loses its GNSS position", "GPS_RAW_INT: a fix of 3 or more becomes less",
      [{"fix_name", :string, nil, "the present GPS_FIX_TYPE"}],
-     severity: 3, text: "GNSS position lost[ ({fix_name})]", begins: {:gps, :critical, "GNSS position lost"}},
+     severity: 3,
+     text: "GNSS position lost[ ({fix_name})]",
+     begins: {:gps, :critical, "GNSS position lost"},
+     over: "a fix; disarming"},
     {"gps.restored", "the GNSS position is back", "GPS_RAW_INT", [@lasted],
      text: "GNSS position restored", ends: :gps},
     {"position.lost", "in the air, the estimator loses the position",
      "EKF_STATUS_REPORT, ESTIMATOR_STATUS: neither an absolute nor a relative horizontal position", [],
-     severity: 2, text: "position estimate lost", begins: {:position, :critical, "Position estimate lost"}},
+     severity: 2,
+     text: "position estimate lost",
+     begins: {:position, :critical, "Position estimate lost"},
+     over: "a position; landing"},
     {"position.restored", "the estimator knows the position again", "as `position.lost`", [@lasted],
      text: "position estimate restored", ends: :position},
     {"kill_switch.engaged", "the kill switch stops the motors", "PX4's reports, texts of both firmwares",
      [@text],
-     severity: 1, text: "kill switch engaged", begins: {:kill_switch, :critical, "Kill switch engaged"}},
+     severity: 1,
+     text: "kill switch engaged",
+     begins: {:kill_switch, :critical, "Kill switch engaged"},
+     over: "arming, take-off; the end of PX4's system status FLIGHT_TERMINATION"},
     {"kill_switch.released", "the kill switch is released", "as `kill_switch.engaged`", [@text],
      text: "kill switch released", ends: :kill_switch},
     {"link.lost", "the vehicle was not heard for timeouts.vehicle_lost_s", "silence",
@@ -220,7 +255,11 @@ defmodule Aerie.Vehicle.Event.Types do
        {"system", :integer, nil, "system id of the ground station"},
        {"timeout_s", :number, "s", "the silence after which the failsafe acts"},
        {"failsafe_enabled", :boolean, nil, "whether the failsafe is enabled"}
-     ], severity: 4, text: "ground station[ {system}] lost", begins: {:gcs, :warning, "Ground station lost"}},
+     ],
+     severity: 4,
+     text: "ground station[ {system}] lost",
+     begins: {:gcs, :warning, "Ground station lost"},
+     over: "any heartbeat that the failsafe listens to, also the first after a restart"},
     {"gcs.restored", "that ground station is heard again", "as `gcs.lost`",
      [{"system", :integer, nil, "system id of the ground station"}],
      text: "ground station[ {system}] restored", ends: :gcs},
@@ -284,6 +323,7 @@ defmodule Aerie.Vehicle.Event.Types do
           severity: 6,
           text: nil,
           begins: nil,
+          over: nil,
           ends: nil
         },
         Map.new(options)

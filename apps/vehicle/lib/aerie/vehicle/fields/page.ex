@@ -98,12 +98,19 @@ defmodule Aerie.Vehicle.Fields.Page do
     """
   end
 
-  defp event(%{type: type, when: moment, source: source, fields: fields}) do
+  defp event(%{type: type, when: moment, source: source, fields: fields} = event) do
     rows =
       for field <- fields, do: row(["`#{field.name}`", Atom.to_string(field.type), field.unit, field.meaning])
 
     table = if rows == [], do: "", else: ["\n", header(~w(field type unit meaning)), rows]
-    ["\n### #{type}\n\n", sentence(moment), " Shown by: ", source, ".\n", table]
+    ["\n### #{type}\n\n", sentence(moment), " Shown by: ", source, ".", alarm(event), "\n", table]
+  end
+
+  defp alarm(%{begins: nil}), do: ""
+
+  defp alarm(%{begins: {kind, severity, text}, over: over}) do
+    [ends] = for %{ends: ^kind, type: type} <- Event.Types.all(), do: type
+    " Alarm: #{text} (#{severity}), until `#{ends}`, or until the state shows that it is over: #{over}."
   end
 
   defp sentence(<<first::utf8, rest::binary>>), do: String.upcase(<<first::utf8>>) <> rest <> "."

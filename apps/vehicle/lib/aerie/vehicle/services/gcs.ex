@@ -40,8 +40,8 @@ defmodule Aerie.Vehicle.Services.Gcs do
   @typedoc """
   - `asked`: how often each parameter was requested since the vehicle's boot
   - `heard`: `{time, system}` of the last heartbeat that keeps the failsafe quiet
-  - `quiet`: whether the failsafe is kept quiet; nil before the first such heartbeat. A loss that was told of is kept over a restart and
-    a break of time, so that its end is told as well
+  - `quiet`: whether the failsafe is kept quiet; nil before the first such heartbeat. A loss
+    that was reported is kept over a restart and a break of time, so that its end is reported as well
   """
   @type t :: %__MODULE__{}
   @type notice :: {:lost | :back, at :: integer(), map()}

@@ -17,6 +17,13 @@ defmodule MavCodec.Signing do
   called when a stream is new or runs further ahead of the clock than before: from `streams/1` and `ahead/1` at that moment,
   `resumed/3` computes what may have been received before a crash.
 
+  ## Clocks that are wrong
+
+  A time stamp that is more than ten years ahead (a program that counts from 1970 is 45 years ahead) is accepted, as a
+  stream of its own, but it does not set our time, by which others are measured; with `follow_far: true`, where nobody
+  else has the key, it does. One that is an hour ahead makes no first frames of others stale, if our clock is right.
+  `leads/1` says who is how far ahead.
+
   ## Safety
 
   State changes only after a valid signature (S5), so nobody without the key can fill or shift it. The key is kept in a
@@ -40,9 +47,15 @@ defmodule MavCodec.Signing do
   @max_streams 1024
   @radio_status 109
   @max_timestamp 0xFFFF_FFFF_FFFF
+  @hour 60 * @minute
+  @far 3_653 * 24 * @hour
+  # 2026-01-01: a clock that says an earlier time is wrong itself.
+  @built 34_715_520_000_000
+  # Streams of time stamps that are too far ahead have these link ids and above.
+  @far_link 256
 
   @enforce_keys [:key, :link_id, :clock, :save, :accept_unsigned]
-  defstruct @enforce_keys ++ [timestamp: 0, reserved: 0, streams: %{}]
+  defstruct @enforce_keys ++ [:leads, timestamp: 0, reserved: 0, limit: 0, follow_far: false, streams: %{}]
 
   @typedoc "Units of 10 us since 2015-01-01T00:00:00Z, 48 bits."
   @type timestamp :: 0..0xFFFF_FFFF_FFFF
@@ -56,6 +69,9 @@ defmodule MavCodec.Signing do
           accept_unsigned: [non_neg_integer()] | (Frame.t() -> boolean()),
           timestamp: timestamp(),
           reserved: timestamp(),
+          limit: timestamp(),
+          follow_far: boolean(),
+          leads: {system :: non_neg_integer(), component :: 0..255, by_us :: pos_integer()} | nil,
           streams: %{
             optional({0..255, non_neg_integer(), 0..255}) => {timestamp(), integer(), integer() | nil}
           }
@@ -68,11 +84,13 @@ defmodule MavCodec.Signing do
     * `:accept_unsigned` - message ids that are accepted without a signature, or a function of the frame; default
       `[#{@radio_status}]`, RADIO_STATUS, which radios send themselves (S7)
     * `:clock` - a function that returns unix microseconds; default: the system's clock
+    * `:follow_far` - whether our time follows any that is received; default false
     * `:streams` - what `streams/1` returned before a restart, so that frames recorded before cannot be replayed after
       it (S3)
   """
   @type option ::
           {:link_id, 0..255}
+          | {:follow_far, boolean()}
           | {:stored, timestamp()}
           | {:save, (timestamp() -> any())}
           | {:accept_unsigned, [non_neg_integer()] | (Frame.t() -> boolean())}
@@ -80,7 +98,7 @@ defmodule MavCodec.Signing do
           | {:streams, %{optional(stream()) => timestamp()}}
 
   @typedoc "A signer: link id of the signature, system, component."
-  @type stream :: {link_id :: 0..255, system :: non_neg_integer(), component :: 0..255}
+  @type stream :: {link_id :: 0..511, system :: non_neg_integer(), component :: 0..255}
 
   @typedoc """
     * `:signed` - the signature is valid
@@ -105,6 +123,7 @@ defmodule MavCodec.Signing do
     options =
       Keyword.validate!(options,
         link_id: 0,
+        follow_far: false,
         stored: 0,
         save: fn _timestamp -> :ok end,
         accept_unsigned: [@radio_status],
@@ -118,6 +137,7 @@ defmodule MavCodec.Signing do
       clock: options[:clock],
       save: options[:save],
       accept_unsigned: options[:accept_unsigned],
+      follow_far: options[:follow_far],
       streams:
         for(
           {stream, last} <- Enum.take(options[:streams], @max_streams),
@@ -126,8 +146,24 @@ defmodule MavCodec.Signing do
         )
     }
 
-    reserve(%{signing | timestamp: max(now(signing), options[:stored])})
+    now = now(signing)
+    reserve(%{signing | limit: limit(now), timestamp: max(now, options[:stored])})
   end
+
+  @doc "The stream of a signed frame."
+  @spec stream(t(), Frame.t()) :: stream()
+  def stream(signing, %Frame{signature: %{link_id: link_id, timestamp: timestamp}} = frame) do
+    line = if timestamp > signing.limit, do: @far_link, else: 0
+    {link_id + line, frame.system, frame.component}
+  end
+
+  @doc "Who was found to be more than an hour ahead of our clock since the last call, and by how much."
+  @spec leads(t()) :: {{system :: non_neg_integer(), component :: 0..255, by_us :: pos_integer()} | nil, t()}
+  def leads(signing), do: {signing.leads, %{signing | leads: nil}}
+
+  @doc "Whether our time is one that nobody else's may be measured by."
+  @spec far?(t()) :: boolean()
+  def far?(signing), do: signing.timestamp > signing.limit
 
   @doc "The key that ground stations derive from a passphrase: its SHA-256."
   @spec key(String.t()) :: <<_::256>>
@@ -167,7 +203,9 @@ defmodule MavCodec.Signing do
   def resumed(streams, stored, {at, now}) do
     Map.new(streams, fn
       {stream, {last, ahead}} when ahead != nil and at != nil and now >= at ->
-        {stream, max(last, min(stored, units(now) + ahead))}
+        # One that is too far ahead is beyond what we stored of our time.
+        bound = if last > stored, do: units(now) + ahead, else: min(stored, units(now) + ahead)
+        {stream, max(last, bound)}
 
       {stream, {last, _unknown}} ->
         {stream, max(last, stored)}
@@ -223,12 +261,11 @@ defmodule MavCodec.Signing do
 
   def check(
         %__MODULE__{streams: streams} = signing,
-        %Frame{signature: %{link_id: link_id, timestamp: timestamp, signature: given}} = frame
+        %Frame{signature: %{timestamp: timestamp, signature: given}} = frame
       ) do
-    %Frame{system: system, component: component, bytes: bytes} = frame
-    stream = {link_id, system, component}
+    stream = stream(signing, frame)
 
-    if right?(signing.key.(), bytes, given) do
+    if right?(signing.key.(), frame.bytes, given) do
       case streams do
         # The common case: the clock is not read.
         %{^stream => {last, until, ahead}} when timestamp > last and timestamp <= until ->
@@ -251,6 +288,9 @@ defmodule MavCodec.Signing do
     end
   end
 
+  defp accept(%{limit: limit, follow_far: false} = signing, streams, timestamp) when timestamp > limit,
+    do: %{signing | streams: streams}
+
   defp accept(signing, streams, timestamp),
     do: reserve(%{signing | streams: streams, timestamp: max(signing.timestamp, timestamp)})
 
@@ -262,8 +302,12 @@ defmodule MavCodec.Signing do
     most = if ahead == nil or by > ahead, do: by + @slack, else: ahead
     signing = accept(signing, Map.put(signing.streams, stream, {timestamp, now + most, most}), timestamp)
     if most != ahead, do: signing.save.(min(signing.reserved, @max_timestamp))
-    signing
+    {_link_id, system, component} = stream
+    leads = if by > @hour, do: {system, component, by * 10}, else: signing.leads
+    %{signing | limit: limit(now), leads: leads}
   end
+
+  defp limit(now), do: max(now, @built) + @far
 
   # As numbers of 48 bits, which are compared in constant time.
   defp right?(key, bytes, <<given::48>>) do
@@ -278,10 +322,13 @@ defmodule MavCodec.Signing do
 
   # Why the first frame of a stream is not accepted.
   defp refusal(signing, timestamp) do
+    now = now(signing)
+    ahead? = now >= @built and signing.timestamp > now + @hour
+
     cond do
-      timestamp + @minute < signing.timestamp -> :stale
+      timestamp + @minute < signing.timestamp and not ahead? -> :stale
       map_size(signing.streams) >= @max_streams -> :too_many_streams
-      timestamp + @minute < now(signing) -> :stale
+      timestamp + @minute < now -> :stale
       true -> nil
     end
   end

@@ -203,6 +203,56 @@ defmodule MavCodec.SigningTest do
       assert frame(bytes).signature.timestamp > base + 500_000
     end
 
+    test "S4, S5: a clock that is 45 years ahead counts for its own stream only, and is named" do
+      base = Signing.timestamp(new())
+      # A program that counts from 1970.
+      far = base + 142_007_040_000_000
+      signing = accept(new(), received(timestamp: far, system: 9))
+      assert {{9, 1, by_us}, signing} = Signing.leads(signing)
+      assert_in_delta by_us / 1.0e6 / 86_400 / 365.25, 45.0, 0.01
+      assert {nil, signing} = Signing.leads(signing)
+      assert Signing.timestamp(signing) == base
+
+      # Others, and itself after its clock was set right; what it signed before is not worth a replay.
+      signing = accept(signing, received(timestamp: base, system: 1))
+      signing = accept(signing, received(timestamp: base, system: 9))
+      assert verdict(signing, received(timestamp: far, system: 9)) == {:rejected, :replayed}
+      assert verdict(signing, received(timestamp: base - 5, system: 9)) == {:rejected, :replayed}
+      assert verdict(signing, received(timestamp: base - 2 * @minute, system: 2)) == {:rejected, :stale}
+      # Nor after a restart or a kill.
+      again = new(streams: Signing.streams(signing), stored: base)
+      assert verdict(again, received(timestamp: far, system: 9)) == {:rejected, :replayed}
+
+      both =
+        Map.new(Signing.streams(signing), fn {stream, last} ->
+          {stream, {last, Signing.ahead(signing)[stream]}}
+        end)
+
+      killed = new(streams: Signing.resumed(both, base + @minute, {@now, @now + 1_000_000}))
+      assert verdict(killed, received(timestamp: far + 50_000, system: 9)) == {:rejected, :replayed}
+      assert verdict(killed, received(timestamp: far + 500_000, system: 9)) == :signed
+    end
+
+    test "S4: one that is hours ahead sets our time, and makes nobody else stale; with a clock of before it does" do
+      ahead = 2 * 60 * @minute
+      base = Signing.timestamp(new())
+      signing = accept(new(), received(timestamp: base + ahead))
+      assert Signing.timestamp(signing) > base + ahead
+      assert {{1, 1, _by_us}, signing} = Signing.leads(signing)
+      assert verdict(signing, received(timestamp: base, system: 2)) == :signed
+
+      without_a_clock = accept(new(clock: fn -> 0 end), received(timestamp: base + ahead))
+      assert Signing.timestamp(without_a_clock) > base
+      assert verdict(without_a_clock, received(timestamp: base, system: 2)) == {:rejected, :stale}
+    end
+
+    test "S5: where nobody else has the key our time follows any clock" do
+      far = Signing.timestamp(new()) + 142_007_040_000_000
+      signing = accept(new(follow_far: true), received(timestamp: far))
+      assert Signing.timestamp(signing) > far and Signing.far?(signing)
+      assert verdict(signing, received(timestamp: Signing.timestamp(new()), system: 2)) == :signed
+    end
+
     test "a stream that keeps its distance to the clock has it read five times a second, not for each frame" do
       reads = :counters.new(1, [])
       base = div(@now, 10) - 142_007_040_000_000

@@ -14,7 +14,7 @@ defmodule MavRouter.Signing.Admission do
   alias Aerie.Base.Store
   alias Aerie.Base.Names
   alias MavRouter.Signing.{Alarm, ClockRecovery, KeyStore, Signer, Tables, Verifier, Verifiers}
-  alias MavCodec.Frame
+  alias MavCodec.{Frame, Signing}
 
   @max_sources 4096
   # 10 s in units of 10 µs; for links of high latency the minute of S4.
@@ -46,6 +46,8 @@ defmodule MavRouter.Signing.Admission do
 
     # Only right signatures change a state (S5).
     for {_slot, {scope, signing, true}} <- acc.verifiers do
+      {leads, signing} = Signing.leads(signing)
+      if leads, do: Alarm.ahead(gateway, origin, leads, List.last(frames).at)
       Verifiers.put(tables, link, scope, signing)
       Signer.proved(tables, link, origin[:peer], scope.id)
     end
@@ -71,7 +73,7 @@ defmodule MavRouter.Signing.Admission do
         %{^slot => {scope, signing, moved?}} = verifiers
         {verdict, signing} = Verifier.check(scope, signing, frame, acc.trust)
         verifiers = %{verifiers | slot => {scope, signing, moved? or verdict == :verified}}
-        {verdict, newest} = elsewhere(verdict, acc, frame)
+        {verdict, newest} = elsewhere(verdict, acc, frame, signing)
         {verdict, scope, acc} = candidate({verdict, scope}, acc, frame)
 
         %{acc | verifiers: verifiers, newest: newest}
@@ -96,9 +98,10 @@ defmodule MavRouter.Signing.Admission do
   defp elsewhere(
          :verified,
          %{newest: newest} = acc,
-         %{signature: %{timestamp: timestamp} = signature} = frame
+         %{signature: %{timestamp: timestamp}} = frame,
+         signing
        ) do
-    stream = {acc.network, signature.link_id, frame.system, frame.component}
+    stream = Tuple.insert_at(Signing.stream(signing, frame), 0, acc.network)
 
     {last, moved?} =
       case newest do
@@ -113,7 +116,7 @@ defmodule MavRouter.Signing.Admission do
     end
   end
 
-  defp elsewhere(verdict, acc, _frame), do: {verdict, acc.newest}
+  defp elsewhere(verdict, acc, _frame, _signing), do: {verdict, acc.newest}
 
   # Only where the key in force does not fit, so it costs nothing as long as all is well.
   defp candidate({verdict, scope}, acc, %Frame{signature: signature} = frame)

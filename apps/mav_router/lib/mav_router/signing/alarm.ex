@@ -1,7 +1,8 @@
 defmodule MavRouter.Signing.Alarm do
   @moduledoc """
   Reports bursts of refused frames (`MavRouter.Signing.Burst`): telemetry, a counter, a line in the log, and an event
-  `signing.rejected` of the vehicle that they claim to come from, if it is known.
+  `signing.rejected` of the vehicle that they claim to come from, if it is known. It also reports clocks of senders
+  that are far ahead: a line in the log, and the event `signing.clock`.
   """
 
   alias Aerie.Base.{Names, Store}
@@ -12,6 +13,7 @@ defmodule MavRouter.Signing.Alarm do
   @max_sources 1024
   # For each link, however many sources somebody invents.
   @every_ms 1_000
+  @clock_ms 60_000
 
   @doc "`n` frames of a source were refused."
   @spec rejected(
@@ -40,6 +42,34 @@ defmodule MavRouter.Signing.Alarm do
 
     :ok
   end
+
+  @doc """
+  A sender that has the key signs with a time that is so many microseconds ahead of this machine's. Reported once a
+  minute while it lasts.
+  """
+  @spec ahead(Names.gateway(), map, {non_neg_integer, 0..255, pos_integer}, integer | nil) :: :ok
+  def ahead(gateway, %{id: link} = source, {system, component, _by_us} = leads, at) do
+    if Store.claim(gateway, {:signing_clock, link, system, component}, @clock_ms),
+      do: tell_ahead(gateway, source, leads, at),
+      else: :ok
+  end
+
+  defp tell_ahead(gateway, %{id: link, network: network}, {system, component, by_us}, at) do
+    hours = by_us / 3_600_000_000
+    ahead = span(hours)
+
+    Logger.warning(
+      "link #{link}: the signing clock of #{system}/#{component} is #{ahead} ahead of this machine's. Set the clock " <>
+        "that is wrong: until then one of them may refuse what the other signs"
+    )
+
+    data = %{"link" => link, "component" => component, "ahead_h" => Float.round(hours, 1), "ahead" => ahead}
+    Audit.event(gateway, {network, system}, "signing.clock", data, at || System.os_time(:microsecond))
+  end
+
+  defp span(hours) when hours < 48, do: "#{Float.round(hours, 1)} hours"
+  defp span(hours) when hours < 48 * 365, do: "#{round(hours / 24)} days"
+  defp span(hours), do: "#{Float.round(hours / 24 / 365.25, 1)} years"
 
   defp raise_alarm(:quiet, _gateway, _source, _who, _at), do: :ok
 

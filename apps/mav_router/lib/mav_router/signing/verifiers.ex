@@ -37,6 +37,7 @@ defmodule MavRouter.Signing.Verifiers do
   defp latest(tables, link) do
     tables.verifiers
     |> :ets.select([{{{link, :_}, :_, :"$1"}, [], [:"$1"]}])
+    |> Enum.reject(&Signing.far?/1)
     |> Enum.reduce(0, &max(Signing.timestamp(&1), &2))
   end
 
@@ -56,6 +57,8 @@ defmodule MavRouter.Signing.Verifiers do
     signing =
       Signing.new(Secret.reveal(scope.secret),
         link_id: link_id(tables, link),
+        # A vehicle with a key of its own understands us only by its own clock, and nobody else has to follow.
+        follow_far: match?({_network, system} when is_integer(system), scope.id),
         stored: timestamp,
         streams: streams,
         clock: Tables.clock(tables),

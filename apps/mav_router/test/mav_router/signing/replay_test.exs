@@ -42,6 +42,23 @@ defmodule MavRouter.Signing.ReplayTest do
     assert heard(gateway, Enum.shuffle(frames)) == 0
   end
 
+  test "S5: a vehicle whose clock is 45 years ahead is heard and named, and shuts nobody out", c do
+    gateway = start(c, clock(@now))
+    {wrong, _} = passphrase() |> signer(clock: fn -> @now + 1_420_070_400_000_000 end) |> signed(9)
+
+    log =
+      ExUnit.CaptureLog.capture_log(fn -> assert heard(gateway, [frame(wrong, @now)]) == 1 end)
+
+    assert log =~ "the signing clock of 9/1 is 45.0 years ahead of this machine's"
+    assert heard(gateway, recorded(5, 100_000)) == 5
+    assert heard(gateway, recorded(6, 100_000), "other") == 6
+
+    # What we send is not signed with that time, which others would follow.
+    tables = Signing.Tables.of(gateway)
+    sent = Signing.Verifiers.timestamp(tables, "radio", Signing.Tables.scope(tables, {"main", 1}))
+    assert_in_delta sent, div(@now, 10) - 142_007_040_000_000, 60_000_000
+  end
+
   test "by another link of the network: what is late is a radio, what is old is a replay", c do
     gateway = start(c, clock(@now))
     frames = recorded(600, 100_000)

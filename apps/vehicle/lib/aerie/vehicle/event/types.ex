@@ -297,6 +297,14 @@ defmodule Aerie.Vehicle.Event.Types do
        {"component", :integer, nil, "the component that sent them"},
        {"reasons", :object, nil, "how many for each reason"}
      ], severity: 3, text: "frames without a valid signature rejected[ on {link}]"},
+    {"signing.clock", "the vehicle signs with a time that is more than an hour ahead of the gateway's",
+     "signatures",
+     [
+       {"link", :string, nil, "the link that it came by"},
+       {"component", :integer, nil, "the component that signs"},
+       {"ahead_h", :number, "h", "how far it is ahead"},
+       {"ahead", :string, nil, "the same in words"}
+     ], severity: 4, text: "signing clock[ {ahead}] ahead of the gateway's[ on {link}]"},
     {"signing.enrolled", "the vehicle was given its signing key", "an operator's request", @signing,
      text: "signing key set[ by {by}]"},
     {"signing.revoked", "the vehicle's signing key was removed", "an operator's request", @signing,

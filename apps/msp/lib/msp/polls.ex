@@ -31,7 +31,7 @@ defmodule Msp.Polls do
       {"WP_GETINFO", %{}, 5000},
       {"MSP2_INAV_MISC2", %{}, 1000},
       {"SENSOR_STATUS", %{}, 2000},
-      {"WP", %{number: 0}, 5000},
+      {"WP", %{number: 0}, 2500},
       {"BOXIDS", %{}, 10_000}
     ]
   }
@@ -46,7 +46,8 @@ defmodule Msp.Polls do
   }
   @fastest_us 40_000
   @slowest_us 5_000_000
-  # The sign of life, in which changes of the mode show: never rarer than usual.
+  # The sign of life, in which changes of the mode show: never rarer than usual, as the height, by which it is in the
+  # air or not.
   @status ["STATUS_EX", "MSP2_INAV_STATUS"]
 
   defstruct polls: %{}, wanted: %{}, told: %{}
@@ -99,7 +100,25 @@ defmodule Msp.Polls do
 
   @doc "It was asked: it is due again a period later."
   @spec asked(t, String.t(), integer) :: t
-  def asked(polls, name, now), do: update(polls, name, &%{&1 | due: max(&1.due, now - &1.period) + &1.period})
+  def asked(polls, name, now),
+    do: update(polls, name, &next_one(%{&1 | due: max(&1.due, now - &1.period) + &1.period}))
+
+  # iNav's home, and where it is.
+  defp next_one(%{arguments: %{number: number}} = poll), do: %{poll | arguments: %{number: 255 - number}}
+  defp next_one(poll), do: poll
+
+  @doc "These are to be asked at once."
+  @spec soon(t, [String.t()], integer) :: t
+  def soon(polls, names, now),
+    do: Enum.reduce(names, polls, fn name, polls -> update(polls, name, &%{&1 | due: min(&1.due, now)}) end)
+
+  @doc "The messages that say whether it is armed."
+  @spec status_names() :: [String.t()]
+  def status_names, do: @status
+
+  @doc "Whether it is asked for this."
+  @spec asks?(t, String.t()) :: boolean
+  def asks?(%__MODULE__{polls: polls}, name), do: is_map_key(polls, name)
 
   @doc "The vehicle refused it, as a build without the part that it is about does: it is asked no more."
   @spec refused(t, String.t()) :: t
@@ -136,7 +155,7 @@ defmodule Msp.Polls do
   defp period(name, usual, wanted) do
     intervals = for {id, names} <- @made_of, name in names, do: Map.get(wanted, id, usual)
     least = intervals |> Enum.reject(&(&1 == :never)) |> Enum.min(fn -> @slowest_us end) |> min(@slowest_us)
-    if name in @status, do: min(least, usual), else: least
+    if name == "ALTITUDE" or name in @status, do: min(least, usual), else: least
   end
 
   @doc "The present interval of a MAVLink message in us, -1 for one that nobody wants, nil for one that is not made here."

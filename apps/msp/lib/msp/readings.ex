@@ -10,18 +10,24 @@ defmodule Msp.Readings do
   - `boxes`: permanent ids of the boxes that are on, nil while BOXIDS is not known; `boxes_at`: when it said so;
     `arming`: the arming flags; `sensors`: the sensors' bits
   - `load`: 0..1
-  - `roll`, `pitch`, `yaw`: degrees; `alt_rel`: m above the start; `climb`: m/s
+  - `roll`, `pitch`, `yaw`: degrees; `climb`: m/s
+  - `alt_rel`: m above home, nil if that is not known, `alt_at`: when it was read; `alt_last`: the last one, and when;
+    `alt_local`: m above iNav's origin
   - `fix`: GPS_FIX_TYPE; `satellites`; `lat`, `lon`: degrees; `alt_msl`: m; `speed`: m/s; `course`: degrees; `dilution`
   - `voltage`: V; `current`: A; `drawn`: mAh; `cells`; `remaining`: 0..1; `charge`: `:ok | :low | :critical | :absent`
   - `rssi`: 0..1; `channels`: µs in the order of the receiver (AETR)
   - `nav_mode`, `waypoint`: what iNav's navigation does (NAV_STATUS); `waypoints`: of its mission
-  - `home`: `{lat, lon}` of iNav; `on_s`: its seconds since its start
+  - `home`: `{lat, lon, alt_msl}` of iNav, nil without one; `here_msl`: how high it is itself; `origin_msl`: above what
+    its ALTITUDE is; `on_s`: its seconds since its start
   - `unhealthy`: bits of `sensors` that do not work
   """
   @type t :: %{optional(atom) => term}
 
   @betaflight_charge %{0 => :ok, 1 => :low, 2 => :critical, 3 => :absent}
   @inav_charge %{0 => :ok, 1 => :low, 2 => :critical, 3 => :absent}
+  # Its bit in the sensors of both firmwares; GPS_FIX_TYPE.
+  @baro 1
+  @fix_3d 3
   # Its place in BOXIDS says which flag means armed.
   @arm 0
   # SENSOR_STATUS, in the order of the bits of STATUS.
@@ -132,11 +138,24 @@ defmodule Msp.Readings do
     %{unhealthy: bits}
   end
 
-  def read(:inav, "WP", %{number: 0, lat: lat, lon: lon}, _ids) do
-    if lat == 0 and lon == 0, do: %{home: nil}, else: %{home: {lat / 1.0e7, lon / 1.0e7}}
+  def read(:inav, "WP", %{number: 0, lat: lat, lon: lon, altitude: cm}, _ids) do
+    if lat == 0 and lon == 0, do: %{home: nil}, else: %{home: {lat / 1.0e7, lon / 1.0e7, cm / 100}}
   end
 
+  def read(:inav, "WP", %{number: 255, lat: lat, lon: lon, altitude: cm}, _ids),
+    do: %{here_msl: if(lat != 0 or lon != 0, do: cm / 100)}
+
   def read(_firmware, _name, _values, _ids), do: %{}
+
+  @doc "Whether it has a barometer that works, by which it knows how high it is."
+  @spec barometer?(t) :: boolean
+  def barometer?(readings), do: bit?(readings[:sensors], @baro) and not bit?(readings[:unhealthy], @baro)
+
+  @doc "Whether it measures heights: without a barometer by its position. If not it says 0, however high it is."
+  @spec altimeter?(t) :: boolean
+  def altimeter?(readings), do: barometer?(readings) or (readings[:fix] || 0) >= @fix_3d
+
+  defp bit?(bits, bit), do: Bitwise.band(Bitwise.bsr(bits || 0, bit), 1) == 1
 
   # A mask with Betaflight, of which a fix is a bit; it does not say whether there is a height.
   defp gps_fix(:betaflight, 0), do: 1

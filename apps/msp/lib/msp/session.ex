@@ -58,6 +58,7 @@ defmodule Msp.Session do
     :asked_at,
     :up_at,
     :introduced_at,
+    :height,
     now: 0,
     phase: :closed,
     exchange: Exchange.new(),
@@ -81,6 +82,7 @@ defmodule Msp.Session do
 
   @typedoc """
   - `system`: the MAVLink id that the vehicle has
+  - `height`: the last one of an armed vehicle, and when it was read, until it says that it is still armed
   - `now`: when its last event was; `introduced_at`: when it last said which firmware it is
   - `phase`: `:closed`, `:listening` until `until`, `:identifying`, `:up` since `up_at`
   - `todo`: messages still to be asked; `found`: their answers; `heard`: the last bytes before it was known who is there

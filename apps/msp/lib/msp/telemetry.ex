@@ -165,9 +165,12 @@ defmodule Msp.Telemetry do
     }
   end
 
-  @doc "GLOBAL_POSITION_INT, or without a position of the receiver ALTITUDE, which has the height above the start alone."
-  @spec position(Readings.t(), boot_ms :: non_neg_integer, boot_us :: integer) :: [struct]
-  def position(%{lat: lat, lon: lon, alt_msl: msl} = readings, boot_ms, _boot_us)
+  @doc """
+  GLOBAL_POSITION_INT; none without a position of the receiver. It cannot leave out the height above home, which is 0 then: ALTITUDE says
+  whether it is known (`height/2`).
+  """
+  @spec position(Readings.t(), boot_ms :: non_neg_integer) :: [struct]
+  def position(%{lat: lat, lon: lon, alt_msl: msl} = readings, boot_ms)
       when is_number(lat) and is_number(msl) do
     {north, east} = velocity(readings[:speed], readings[:course])
 
@@ -177,7 +180,7 @@ defmodule Msp.Telemetry do
         lat: scaled(lat, 1.0e7, :place),
         lon: scaled(lon, 1.0e7, :place),
         alt: scaled(msl, 1000, :height),
-        relative_alt: scaled(readings[:alt_rel], 1000, :i32),
+        relative_alt: scaled(readings[:alt_rel] || 0, 1000, :i32),
         vx: scaled(north, 100, :i16),
         vy: scaled(east, 100, :i16),
         vz: scaled(readings[:climb] && -readings.climb, 100, :i16),
@@ -186,21 +189,23 @@ defmodule Msp.Telemetry do
     ]
   end
 
-  def position(%{alt_rel: height}, _boot_ms, boot_us) when is_number(height) do
-    [
-      %M.Altitude{
-        time_usec: boot_us,
-        altitude_monotonic: @nan,
-        altitude_amsl: @nan,
-        altitude_local: height,
-        altitude_relative: height,
-        altitude_terrain: @nan,
-        bottom_clearance: @nan
-      }
-    ]
-  end
+  def position(_readings, _boot_ms), do: []
 
-  def position(_readings, _boot_ms, _boot_us), do: []
+  @doc "ALTITUDE: the height above home, and above the sea where the receiver has a position."
+  @spec height(Readings.t(), boot_us :: integer) :: struct
+  def height(readings, boot_us) do
+    height = readings[:alt_rel] || @nan
+
+    %M.Altitude{
+      time_usec: boot_us,
+      altitude_monotonic: @nan,
+      altitude_amsl: if(readings[:lat], do: readings[:alt_msl], else: @nan),
+      altitude_local: height,
+      altitude_relative: height,
+      altitude_terrain: @nan,
+      bottom_clearance: @nan
+    }
+  end
 
   defp velocity(speed, course) when is_number(speed) and is_number(course),
     do: {speed * :math.cos(radians(course)), speed * :math.sin(radians(course))}
@@ -261,14 +266,14 @@ defmodule Msp.Telemetry do
 
   def mission(_readings, _known), do: []
 
-  @doc "HOME_POSITION of iNav, whose height follows from the two heights of the vehicle; none as long as one is not known."
+  @doc "HOME_POSITION of iNav; none as long as it has none."
   @spec home(Readings.t()) :: [struct]
-  def home(%{home: {lat, lon}, alt_msl: msl, alt_rel: height}) when is_number(msl) and is_number(height) do
+  def home(%{home: {lat, lon, msl}}) do
     [
       %M.HomePosition{
         latitude: scaled(lat, 1.0e7, :place),
         longitude: scaled(lon, 1.0e7, :place),
-        altitude: scaled(msl - height, 1000, :i32),
+        altitude: scaled(msl, 1000, :i32),
         q: [1.0, 0.0, 0.0, 0.0]
       }
     ]

@@ -75,6 +75,27 @@ defmodule Msp.PlacesTest do
     assert_in_delta kept, home, 50
   end
 
+  test "heights are those above home, wherever its origin is" do
+    {line, change, _state} = up()
+
+    last = fn line ->
+      line |> Line.told(M.Altitude) |> List.last() |> elem(1) |> Map.fetch!(:altitude_relative)
+    end
+
+    line = switch(line, change, @armed)
+    assert_in_delta last.(line), 0.0, 0.1
+    # It hovers at 25 m; its pilot sets another home, 20 m above the origin.
+    line = switch(line, change, [1500, 1500, 1500 | Enum.drop(@armed, 3)])
+    change.(&%{&1 | flight: %{&1.flight | alt: 25.0}})
+    line = Line.run(line, @second)
+    assert_in_delta last.(line), 25.0, 0.1
+    home = <<473_977_420::32-little, 85_455_940::32-little, 2000::32-little>>
+    change.(&%{&1 | mission: %{&1.mission | home: home}})
+    line = Line.run(line, 6 * @second)
+    assert_in_delta last.(line), 5.0, 0.1
+    assert {_at, %{altitude: 508_000}} = List.last(Line.told(line, M.HomePosition))
+  end
+
   test "without a home there are heights above sea level only" do
     {line, change, state} = up()
     line = line |> switch(change, @armed) |> switch(change, @held)

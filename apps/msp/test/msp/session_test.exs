@@ -131,7 +131,7 @@ defmodule Msp.SessionTest do
     end
 
     test "values: degrees to radians, pitch with the nose up, heights and speeds, and what is not known" do
-      line = run(betaflight(), 3)
+      line = run(betaflight(%{"STATUS_EX" => status(%{mode_flags: 1})}), 3)
       [{_at, attitude} | _] = Line.told(line, M.Attitude)
       assert_in_delta attitude.roll, 12.3 * :math.pi() / 180, 1.0e-6
       assert_in_delta attitude.pitch, 4.5 * :math.pi() / 180, 1.0e-6
@@ -158,7 +158,7 @@ defmodule Msp.SessionTest do
         dop: 120
       }
 
-      line = run(betaflight(%{"RAW_GPS" => gps}), 4)
+      line = run(betaflight(%{"RAW_GPS" => gps, "STATUS_EX" => status(%{mode_flags: 1})}), 4)
 
       assert [{_, %M.GpsRawInt{fix_type: 3, lat: 473_977_420, satellites_visible: 12, eph: 120}} | _] =
                Line.told(line, M.GpsRawInt)
@@ -176,10 +176,56 @@ defmodule Msp.SessionTest do
                hdg: 27_000
              } = position
 
+      assert {_, %M.Altitude{altitude_relative: 2.5, altitude_amsl: 500.0}} =
+               line |> Line.told(M.Altitude) |> List.last()
+
       # Without a fix it is none, although the numbers are still there.
       line = run(betaflight(%{"RAW_GPS" => %{gps | fix: 0}}), 4)
       assert [{_, %M.GpsRawInt{fix_type: 1, lat: 0, lon: 0, cog: 0xFFFF}} | _] = Line.told(line, M.GpsRawInt)
       assert Line.told(line, M.GlobalPositionInt) == []
+    end
+
+    defp heights(line),
+      do: for({at, height} <- Line.told(line, M.Altitude), do: {at, height.altitude_relative})
+
+    test "heights of Betaflight are above home only while it is armed: disarmed they are above the sea" do
+      # Disarmed between two answers about it, and the height of after that comes before the next one.
+      armed? = fn us -> us in (4 * @second)..(9 * @second) end
+
+      answers =
+        betaflight(%{
+          "STATUS_EX" => fn us -> status(%{mode_flags: if(armed?.(us), do: 1, else: 0)}) end,
+          "ALTITUDE" => fn us -> %{altitude: if(armed?.(us), do: 120, else: 48_800), vario: 0} end
+        })
+
+      heights = answers |> run(14) |> heights()
+
+      assert heights |> Enum.map(&elem(&1, 1)) |> Enum.dedup() |> Enum.map(&(is_float(&1) and round(&1))) == [
+               false,
+               1,
+               false
+             ]
+
+      assert Enum.count(heights, fn {_at, height} -> height != :nan end) >= 8
+    end
+
+    test "without a barometer and without a position it does not know how high it is, whatever it says" do
+      for {sensors, answers} <- [
+            {0b100001, %{}},
+            {0b101001, %{"RAW_GPS" => %{fix: 0, satellites: 3, lat: 1, lon: 1}}}
+          ] do
+        armed = status(%{mode_flags: 1, sensors: sensors})
+        none = %{"ALTITUDE" => %{altitude: 0, vario: 0}, "STATUS_EX" => armed}
+
+        gps =
+          for {name, values} <- answers,
+              into: %{},
+              do: {name, Map.merge(%{altitude: 1, ground_speed: 0, course: 0, dop: 0}, values)}
+
+        line = run(betaflight(Map.merge(none, gps)), 6)
+        assert [_, _ | _] = heights(line)
+        assert Enum.all?(heights(line), fn {_at, height} -> height == :nan end)
+      end
     end
 
     test "a battery; without cells there is none" do
@@ -516,6 +562,19 @@ defmodule Msp.SessionTest do
       assert_in_delta angle, 36.55, 0.7
       assert_in_delta disarmed, 47.7, 0.7
       assert Enum.any?(Line.told(line, M.Attitude), fn {_at, attitude} -> abs(attitude.roll) > 0.2 end)
+    end
+
+    test "Betaflight 4.5.5: 250 m above the sea are no height above home, before it is armed and after" do
+      line = run(Recorded.answers("betaflight_4.5.5", 0.0), 62)
+      known = for {at, height} <- heights(line), height != :nan, do: {at / @second, height}
+      assert {first, low} = hd(known)
+      assert first > 28.5 and low < 6
+      assert {last, _height} = List.last(known)
+      assert last < 47.8
+      assert Enum.all?(known, fn {_at, height} -> abs(height) < 11.1 end)
+
+      assert {_at, 11.01} =
+               Enum.max_by(known, &elem(&1, 1)) |> then(fn {at, height} -> {at, Float.round(height, 2)} end)
     end
 
     test "iNav 9.0.0: what it is, its state and its home" do

@@ -131,6 +131,25 @@ defmodule Msp.SticksTest do
       assert notes(line) =~ "ailsafe"
     end
 
+    test "#{firmware}: without an altimeter it is in the air, as far as is known: nobody but the pilot disarms it" do
+      {line, change, state} = up(unquote(firmware), rx_msp: true, blind: true)
+      line = line |> command(@arm, [1, 0]) |> Line.run(4 * @second) |> steer(2, 900) |> steer(1, 0)
+      assert state.().armed
+      change.(&%{&1 | flight: %{&1.flight | alt: 30.0}})
+      line = command(line, @arm, [0, 0])
+      assert List.last(acks(line, @arm)) == @denied
+      assert notes(line) =~ "it is in the air, as far as is known: it does not say how high it is"
+      # A second of silence with idle throttle.
+      line = Line.run(line, 1_200_000)
+      assert state.().armed
+      assert notes(line) =~ "Nobody steers it: channels stopped"
+      refute notes(line) =~ "Nobody steers it: disarmed"
+      assert Enum.all?(Enum.take(raw(line), -20), fn {_at, channels} -> Enum.at(channels, 4) > 1700 end)
+      line = line |> command(@arm, [0, 21_196]) |> Line.run(@second)
+      assert List.last(acks(line, @arm)) == @accepted
+      refute state.().armed
+    end
+
     test "#{firmware}: sticks that come back have the vehicle again before its failsafe acts" do
       {line, _change, state} = flying(unquote(firmware))
       line = Line.run(line, 1_200_000)

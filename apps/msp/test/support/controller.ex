@@ -57,7 +57,7 @@ defmodule Msp.Test.Controller do
       %{
         cycle_time: 125,
         i2c_errors: 0,
-        sensors: 0b100001,
+        sensors: 0b100011,
         mode_flags: 0,
         pid_profile: 0,
         cpu_load: 12,

@@ -118,6 +118,7 @@ defmodule Msp.Session.Identifying do
         # Whether it was restarted shows in what it says now and said then.
         readings: Map.take(session.readings, [:arming]),
         heartbeat: nil,
+        height: nil,
         complaint: nil,
         heard: ""
     }

@@ -131,7 +131,7 @@ defmodule Msp.Session.Places do
         refuse(session, task.command, task.from, :FAILED, why)
 
       true ->
-        session |> moved(wanted) |> Output.acknowledge(task.command, task.from, :ACCEPTED)
+        session |> moved(wanted, read) |> Output.acknowledge(task.command, task.from, :ACCEPTED)
     end
   end
 
@@ -198,12 +198,12 @@ defmodule Msp.Session.Places do
 
   defp metres(cm), do: :erlang.float_to_binary(cm / 100, decimals: 1)
 
-  defp moved(session, %{number: 0} = home) do
-    readings = Map.put(session.readings, :home, {home.lat / 1.0e7, home.lon / 1.0e7})
+  defp moved(session, %{number: 0} = home, read) do
+    readings = Map.put(session.readings, :home, {home.lat / 1.0e7, home.lon / 1.0e7, read.altitude / 100})
     Output.emit(%{session | readings: readings}, Telemetry.home(readings))
   end
 
-  defp moved(session, _desired), do: session
+  defp moved(session, _desired, _read), do: session
 
   defp refuse(session, command, from, result, why),
     do: session |> Output.text(@warning, "Not done: #{why}") |> Output.acknowledge(command, from, result)

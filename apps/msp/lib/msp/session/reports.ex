@@ -11,6 +11,10 @@ defmodule Msp.Session.Reports do
   @introduce_us 10_000_000
   # iNav's clock has seconds.
   @clock_us 2_000_000
+  # m/s, m
+  @still 0.5
+  @fastest 100
+  @near 10
   # The mode of NAV_STATUS.
   @emergency 15
   @critical 2
@@ -23,19 +27,108 @@ defmodule Msp.Session.Reports do
 
   def polled(session, name, values, now) do
     readings = session.identity.firmware |> Readings.read(name, values, session.ids) |> dated(now)
+    if readings == %{}, do: session, else: read(session, name, readings, now)
+  end
 
-    if readings == %{} do
-      session
-    else
-      before = session.readings
-      session = clock(session, readings, now)
+  # Where Betaflight was armed is its home. Until then its heights are above the sea or above anything, and again from
+  # when it is disarmed: so one counts if it was armed before and after.
+  defp read(%{identity: %{firmware: :betaflight}} = session, "ALTITUDE", height, now) do
+    cond do
+      not armed?(session) ->
+        session |> read_all(%{height | alt_rel: nil}) |> show("ALTITUDE", now)
 
-      %{session | readings: Map.merge(before, readings)}
-      |> mission(name)
-      |> show(name, now)
-      |> failsafe(before)
-      |> navigation(before)
+      session.receiver ->
+        %{session | height: {height, now}, polls: Polls.soon(session.polls, Polls.status_names(), now)}
+
+      true ->
+        %{session | height: {height, now}}
     end
+  end
+
+  # iNav's are above its origin, and home is where it was armed, or set.
+  defp read(session, "ALTITUDE", %{alt_rel: up} = height, now) do
+    session = read_all(session, %{alt_local: up})
+    height(session, %{height | alt_rel: above_home(session, up)}, now, now)
+  end
+
+  defp read(session, name, readings, now) do
+    before = session.readings
+    was_armed? = armed?(session)
+
+    session
+    |> clock(readings, now)
+    |> read_all(readings)
+    |> origin(readings, now)
+    |> mission(name)
+    |> show(name, now)
+    |> failsafe(before)
+    |> navigation(before)
+    |> confirm(readings, was_armed?, now)
+  end
+
+  defp read_all(session, readings), do: %{session | readings: Map.merge(session.readings, readings)}
+  defp armed?(%{readings: %{boxes: boxes}}), do: Modes.armed?(boxes)
+  defp armed?(_unknown), do: false
+
+  defp above_home(%{readings: %{home: {_lat, _lon, home}, origin_msl: origin}}, up) when origin != nil,
+    do: up - (home - origin)
+
+  defp above_home(%{readings: %{home: nil}}, up), do: up
+  # Its build has none.
+  defp above_home(%{polls: polls}, up), do: if(not Polls.asks?(polls, "WP"), do: up)
+
+  # Only while it hardly moves were both heights of the same moment.
+  defp origin(%{readings: %{alt_local: up} = known} = session, %{here_msl: here}, now) do
+    still? = not armed?(session) or not is_map_key(known, :origin_msl) or abs(known[:climb] || 0) < @still
+    origin = if here, do: if(still?, do: here - up, else: known.origin_msl)
+    session |> read_all(%{origin_msl: origin}) |> places(now)
+  end
+
+  defp origin(session, %{home: _home}, now), do: places(session, now)
+  defp origin(session, _readings, _now), do: session
+
+  defp places(%{readings: %{home: _, origin_msl: _}} = session, _now), do: session
+  defp places(session, now), do: %{session | polls: Polls.soon(session.polls, ["WP"], now)}
+
+  # Where it is armed is home, and its origin may have moved until then.
+  defp confirm(%{identity: %{firmware: :inav}} = session, %{boxes: _known}, was_armed?, now) do
+    if armed?(session) == was_armed?,
+      do: session,
+      else: places(%{session | readings: Map.drop(session.readings, [:home, :origin_msl, :alt_rel])}, now)
+  end
+
+  defp confirm(session, %{boxes: _known}, was_armed?, now) do
+    last = %{session | height: nil}
+
+    case {session.height, armed?(session)} do
+      {_any, false} ->
+        read_all(last, %{alt_rel: nil, alt_last: nil})
+
+      {_any, true} when not was_armed? ->
+        read_all(last, %{alt_last: {0.0, now}})
+
+      {nil, true} ->
+        last
+
+      {{height, at}, true} ->
+        if(far?(session.readings, height, at), do: last, else: height(last, height, at, now))
+    end
+  end
+
+  defp confirm(session, _readings, _was_armed?, _now), do: session
+
+  # Nothing gets so far in the time: it was disarmed meanwhile, or its filter still comes down from the height above the
+  # sea.
+  defp far?(%{alt_last: {before, then}}, %{alt_rel: height}, at),
+    do: abs(height - before) > @near + @fastest * (at - then) / 1_000_000
+
+  defp far?(_first, _height, _at), do: false
+
+  defp height(session, height, at, now) do
+    known? = Readings.altimeter?(session.readings)
+    dated = Map.merge(height, %{alt_at: at, alt_last: {height.alt_rel, at}})
+    height = if known?, do: dated, else: %{alt_rel: nil, climb: nil}
+    session |> read_all(height) |> show("ALTITUDE", now)
   end
 
   # Flags whose meaning is not known say nothing.
@@ -87,9 +180,8 @@ defmodule Msp.Session.Reports do
   defp show(session, "RAW_GPS", now),
     do: session |> tell(Telemetry.gps_raw(session.readings, now - session.boot), now) |> position(now)
 
-  # With a position the height goes with it.
-  defp show(%{readings: %{lat: lat}} = session, "ALTITUDE", _now) when is_number(lat), do: session
-  defp show(session, "ALTITUDE", now), do: position(session, now)
+  defp show(session, "ALTITUDE", now),
+    do: tell(session, Telemetry.height(session.readings, now - session.boot), now)
 
   defp show(session, name, now) when name in ["BATTERY_STATE", "MSP2_INAV_ANALOG"],
     do: tell(session, Telemetry.battery(session.readings), now)
@@ -104,12 +196,7 @@ defmodule Msp.Session.Reports do
   defp show(session, _name, _now), do: session
 
   defp position(session, now),
-    do:
-      tell(
-        session,
-        Telemetry.position(session.readings, Output.boot_ms(session, now), now - session.boot),
-        now
-      )
+    do: tell(session, Telemetry.position(session.readings, Output.boot_ms(session, now)), now)
 
   # At the rate that clients want: others may be made of the same reply.
   defp tell(session, messages, now) do

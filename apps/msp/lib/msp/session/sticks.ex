@@ -9,7 +9,7 @@ defmodule Msp.Session.Sticks do
 
   alias MavCodec.Messages, as: M
   alias MavCodec.Msp.Frame
-  alias Msp.{Arming, Identity, Modes, Receiver, Session}
+  alias Msp.{Arming, Identity, Modes, Readings, Receiver, Session}
   alias Msp.Session.{Output, Tasks}
   alias Msp.Session.Tasks.Armed
 
@@ -25,6 +25,7 @@ defmodule Msp.Session.Sticks do
   @say_us 10_000_000
   # How often sticks ask whether they may take a vehicle over.
   @ask_us 1_000_000
+  @height_us 1_500_000
   @unarmed "no channels are sent over MSP before it is armed that way"
   # RC_CHANNELS_OVERRIDE: left alone, given back.
   @leave 65_535
@@ -234,10 +235,16 @@ defmodule Msp.Session.Sticks do
       failsafe?: Modes.failsafe?(boxes(session)),
       lost?: lost?(session),
       reasons: Arming.names(Identity.target(session.identity), readings[:arming] || 0),
-      height: readings[:alt_rel],
+      height: height(session),
       channels: readings[:channels]
     }
   end
+
+  # Positions are off by metres, and by an old height it may have climbed since.
+  defp height(%{readings: %{alt_rel: height, alt_at: at} = readings, now: now}) when now - at <= @height_us,
+    do: if(Readings.barometer?(readings), do: height)
+
+  defp height(_session), do: nil
 
   # A failsafe shows it where the flags do not.
   defp lost?(%{readings: readings} = session) do

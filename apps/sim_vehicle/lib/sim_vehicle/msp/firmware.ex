@@ -53,6 +53,7 @@ defmodule SimVehicle.Msp.Firmware do
     dead: false,
     started: 0,
     flight: %Flight{},
+    home_alt: 0.0,
     channels: [1500, 1500, 1000, 1500 | List.duplicate(1000, 12)],
     rc_at: 0,
     rc_lost: false,
@@ -65,6 +66,7 @@ defmodule SimVehicle.Msp.Firmware do
     mission: %Waypoints{},
     receiver: %Receiver{},
     rx_msp: false,
+    blind: false,
     ports: %{},
     events: []
   ]
@@ -74,7 +76,7 @@ defmodule SimVehicle.Msp.Firmware do
 
   @doc """
   A flight controller that was just switched on. Options: `uid`, `flight`, `rx_msp` (MSP is its receiver), `mask` (of the channels that MSP may override),
-  `api` (Betaflight's version of MSP).
+  `api` (Betaflight's version of MSP), `blind` (it has neither a barometer nor a position).
   """
   @spec new(Messages.firmware(), keyword) :: t
   def new(firmware, options \\ []) do
@@ -97,6 +99,7 @@ defmodule SimVehicle.Msp.Firmware do
 
     %__MODULE__{
       rx_msp: rx_msp,
+      blind: options[:blind] || false,
       receiver: %Receiver{mask: options[:mask] || 0},
       firmware: firmware,
       version: version,
@@ -238,7 +241,7 @@ defmodule SimVehicle.Msp.Firmware do
   defp changed(%{armed: same} = fc, same), do: fc
 
   defp changed(%{armed: true} = fc, _was),
-    do: event(%{fc | mission: Waypoints.armed(fc.mission, fc.flight)}, :armed)
+    do: event(%{fc | mission: Waypoints.armed(fc.mission, fc.flight), home_alt: fc.flight.alt}, :armed)
 
   defp changed(fc, _was), do: event(fc, :disarmed)
 

@@ -5,6 +5,8 @@ defmodule SimVehicle.Msp.Telemetry do
   alias SimVehicle.Msp.Flight
 
   @gps_us 3_000_000
+  # Barometer and GPS receiver.
+  @altimeters 0b1010
 
   @doc "The payload of a reply that tells its state; nil for one of its configuration."
   @spec payload(map, id :: non_neg_integer, arming_flags :: non_neg_integer) :: binary | nil
@@ -25,6 +27,9 @@ defmodule SimVehicle.Msp.Telemetry do
 
     values = Map.put(values, :mode_flags, mode_flags(fc))
 
+    values =
+      if fc.blind, do: Map.update!(values, :sensors, &(&1 - Bitwise.band(&1, @altimeters))), else: values
+
     if fc.firmware == :inav,
       do: %{values | arming_flags: inav_flags(fc, flags)},
       else: %{values | arming_disable_flags: flags}
@@ -33,13 +38,21 @@ defmodule SimVehicle.Msp.Telemetry do
   defp values(%{flight: f}, "ATTITUDE", _block),
     do: %{roll: round(f.roll * 10), pitch: round(-f.pitch * 10), yaw: rem(round(f.yaw), 360)}
 
+  # It says so however high it is.
+  defp values(%{blind: true} = fc, "ALTITUDE", _block),
+    do: Map.merge(%{altitude: 0, vario: 0}, if(fc.firmware == :inav, do: %{baro_altitude: 0}, else: %{}))
+
+  defp values(%{firmware: :inav, flight: f}, "ALTITUDE", _block),
+    do: %{altitude: cm(f.alt), vario: cm(f.climb), baro_altitude: cm(f.alt)}
+
+  # Above where it was armed; disarmed above the sea, as soon as there is a position.
   defp values(%{flight: f} = fc, "ALTITUDE", _block) do
-    values = %{altitude: round(f.alt * 100), vario: round(f.climb * 100)}
-    if fc.firmware == :inav, do: Map.put(values, :baro_altitude, round(f.alt * 100)), else: values
+    above = if not fc.armed and fix?(fc), do: f.ground + f.alt, else: f.alt - fc.home_alt
+    %{altitude: cm(above), vario: cm(f.climb)}
   end
 
   defp values(%{flight: f} = fc, "RAW_GPS", _block) do
-    fix? = fc.now - fc.started > @gps_us
+    fix? = fix?(fc)
 
     values = %{
       fix: if(fix?, do: 2, else: 0),
@@ -100,6 +113,9 @@ defmodule SimVehicle.Msp.Telemetry do
   end
 
   defp values(_fc, _name, _block), do: nil
+
+  defp fix?(fc), do: not fc.blind and fc.now - fc.started > @gps_us
+  defp cm(metres), do: round(metres * 100)
 
   defp charge(volts) when volts < 4 * 3.4, do: 2
   defp charge(volts) when volts < 4 * 3.5, do: 1

@@ -173,7 +173,7 @@ defmodule Aerie.Vehicle.Detector do
   end
 
   defp step(detector, %{kind: :state, at: at} = observation, _known) do
-    {beside, digest} = Map.split(observation.data, [:where, :voltages])
+    {beside, digest} = Map.split(observation.data, [:where, :voltages, :aloft])
     last = detector.last
     now = last |> Map.merge(Map.reject(digest, fn {_key, value} -> is_nil(value) end)) |> fence_off(last)
     {published, missed} = OfflineChanges.steps(detector.published, now, at)

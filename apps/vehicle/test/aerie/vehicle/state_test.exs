@@ -288,6 +288,16 @@ defmodule Aerie.Vehicle.StateTest do
       assert in_air([armed, at.(1600, 0), %{armed | base_mode: 29}]) == false
     end
 
+    test "without a height it is not known, unless it flew" do
+      armed = %{@px4 | base_mode: 157, system_status: 4}
+      disarmed = %{armed | base_mode: 29}
+      up = %M.GlobalPositionInt{lat: 1, lon: 1, relative_alt: 9000}
+      assert in_air([disarmed]) == false
+      assert in_air([disarmed, armed]) == nil
+      assert in_air([disarmed, armed, up]) == true
+      assert in_air([disarmed, armed, up, %{up | relative_alt: 0x7FFFFFFF}]) == true
+    end
+
     test "an old EXTENDED_SYS_STATE does not count" do
       armed = %{@copter | base_mode: 0xD1, system_status: 4}
       messages = [{armed, 0}, {%M.ExtendedSysState{landed_state: 1}, @second}]

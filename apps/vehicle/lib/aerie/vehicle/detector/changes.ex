@@ -52,6 +52,8 @@ defmodule Aerie.Vehicle.Detector.Changes do
   defp takeoff(%{in_air: false}, %{in_air: true} = now), do: [Step.event("takeoff", %{"mode" => now[:mode]})]
   defp takeoff(_last, _now), do: []
 
+  # A fall is not a landing.
+  defp landed(%{in_air: true, armed: true}, %{armed: false, aloft: true}), do: []
   defp landed(%{in_air: true}, %{in_air: false} = now), do: [Step.event("landed", %{"mode" => now[:mode]})]
   defp landed(_last, _now), do: []
 

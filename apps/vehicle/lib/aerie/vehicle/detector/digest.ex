@@ -50,9 +50,17 @@ defmodule Aerie.Vehicle.Detector.Digest do
   defp violation("check_gf_violation_" <> what = name), do: {String.upcase(what), name}
   defp violation(_other), do: nil
 
-  @doc "Data that events need besides the digest, however often it changes: the position and the batteries' voltages."
+  @doc """
+  Data that events need besides the digest, however often it changes: the position, the batteries' voltages, and
+  whether one that is disarmed now would fall.
+  """
   @spec beside(State.t()) :: map()
-  def beside(state), do: %{where: position(state), voltages: Detector.Batteries.voltages(state)}
+  def beside(state),
+    do: %{
+      where: position(state),
+      voltages: Detector.Batteries.voltages(state),
+      aloft: State.Flight.aloft?(state)
+    }
 
   @doc "The position as event data; nil if it is not known."
   @spec position(State.t()) :: map() | nil

@@ -4,7 +4,7 @@ defmodule Aerie.Vehicle.Detector.Observation do
 
   | kind          | data                                        | events                                                  |
   |---------------|---------------------------------------------|---------------------------------------------------------|
-  | `:state`      | a digest (`Detector.Digest`), `where`, `voltages` | mode_change, armed, disarmed, takeoff, landed, failsafe, geofence, battery, rc, gps, position, mission.completed |
+  | `:state`      | a digest (`Detector.Digest`) and what is beside it | mode_change, armed, disarmed, takeoff, landed, failsafe, geofence, battery, rc, gps, position, mission.completed |
   | `:text`, `:part_text` | `%{severity: 0..7, text: text}`, and of a part `component` | statustext; of the autopilot failsafe, gcs_failsafe, geofence, rc, kill_switch, mission.completed if the text says so |
   | `:report`     | the data of the event                       | report                                                  |
   | `:px4_report` | `%{name: name, values: values, where: position}` | failsafe, gcs_failsafe, rc, kill_switch (`Detector.Px4Reports`) |

@@ -77,8 +77,8 @@ defmodule Aerie.Vehicle.Event.Types do
     {"takeoff", "the vehicle leaves the ground",
      "EXTENDED_SYS_STATE; without it ArduPilot's system status, or the height", [@mode | @found],
      severity: 5, text: "took off"},
-    {"landed", "the vehicle is on the ground again", "as `takeoff`", [@mode | @found],
-     severity: 5, text: "landed"},
+    {"landed", "the vehicle is on the ground again; not one that was disarmed in the air, which falls",
+     "as `takeoff`", [@mode | @found], severity: 5, text: "landed"},
     {"failsafe", "a failsafe begins, or is active when the vehicle is first heard",
      "whichever comes first: system status (HEARTBEAT), a status text, a report (EVENT), a mode that only the vehicle itself chooses, a broken fence with a change of the mode",
      [

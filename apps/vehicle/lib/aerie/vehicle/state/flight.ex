@@ -7,7 +7,7 @@ defmodule Aerie.Vehicle.State.Flight do
   3. A vehicle that is not armed does not fly.
   4. ArduPilot's heartbeat: ACTIVE is flying, STANDBY is not (in a failsafe it says neither).
   5. The height: above 1.5 m it flies; below 0.5 m with less than 0.3 m/s vertical speed it does not; in between it is as
-     before. Without a height it is not known.
+     before. Without a height one that flew still does; whether another one does is not known.
   """
 
   alias Aerie.Vehicle.{Kind, State}
@@ -46,6 +46,18 @@ defmodule Aerie.Vehicle.State.Flight do
   defp landed_state({landed, heard}, at) when landed in @airborne and at - heard <= @fresh_us, do: true
   defp landed_state(_undefined_old_or_never, _at), do: nil
 
+  @doc """
+  Whether a vehicle that was just disarmed may be falling: it does not detect landings itself, and is not known to be
+  low enough to stand on the ground.
+  """
+  @spec aloft?(State.t()) :: boolean()
+  def aloft?(%{autopilot: autopilot}) when autopilot in [:ardupilot, :px4], do: false
+
+  def aloft?(state) do
+    height = State.data(state, :position).alt_rel
+    State.data(state, :mode).landed_state != "ON_GROUND" and (height == nil or height > @up_m)
+  end
+
   defp fall_back(in_air, _state, _mode) when is_boolean(in_air), do: in_air
   defp fall_back(nil, _state, %{armed: false}), do: false
   defp fall_back(nil, %{autopilot: :ardupilot}, %{system_status: "ACTIVE"}), do: true
@@ -56,7 +68,8 @@ defmodule Aerie.Vehicle.State.Flight do
     sinking = State.data(state, :velocity).vd
 
     cond do
-      height == nil -> mode.in_air
+      # ArduPilot has said so, but for a failsafe.
+      height == nil -> if mode.in_air || state.autopilot == :ardupilot, do: mode.in_air
       height > @up_m -> true
       height < @down_m and abs(sinking || 0.0) < @still_m_s -> false
       true -> mode.in_air || false

@@ -8,7 +8,7 @@ defmodule Aerie.Vehicle.State.Position do
     name: :position,
     title: "The vehicle's position.",
     sampling: {:time, 1.0, %{}, 30.0},
-    messages: [M.GlobalPositionInt, {M.Altitude, M.GlobalPositionInt}],
+    messages: [M.GlobalPositionInt, M.Altitude],
     fields: [
       {:lat, 7, "°", "latitude, WGS 84, north is positive", "GLOBAL_POSITION_INT, HIGH_LATENCY2", -90..90},
       {:lon, 7, "°", "longitude, east is positive", "GLOBAL_POSITION_INT, HIGH_LATENCY2", -180..180},
@@ -19,7 +19,7 @@ defmodule Aerie.Vehicle.State.Position do
     ]
 
   @impl Group
-  def read(%M.GlobalPositionInt{} = m, _state, _at) do
+  def read(%M.GlobalPositionInt{} = m, state, _at) do
     case Value.lat_lon(m.lat, m.lon) do
       :invalid ->
         {:invalid, :global_position_int}
@@ -33,7 +33,7 @@ defmodule Aerie.Vehicle.State.Position do
           lat: lat,
           lon: lon,
           alt_msl: Value.height(place, m.alt, none?),
-          alt_rel: Value.height(place, m.relative_alt, none?),
+          alt_rel: if(msp?(state), do: known_height(state), else: Value.height(place, m.relative_alt, none?)),
           heading: heading(m.hdg)
         }
 
@@ -47,20 +47,20 @@ defmodule Aerie.Vehicle.State.Position do
     end
   end
 
-  # By MSP, while there is no position: one from before is none. PX4 sends it besides.
-  def read(%M.Altitude{}, %{autopilot: autopilot}, _at) when autopilot not in [:betaflight, :inav],
-    do: {[], []}
+  # By MSP it has the height, which GLOBAL_POSITION_INT cannot leave out; PX4 sends it besides. Without a height above
+  # the sea there is no position: one from before is none.
+  def read(%M.Altitude{} = m, state, _at) do
+    height = %{alt_rel: Value.float(m.altitude_relative)}
 
-  def read(%M.Altitude{} = m, _state, _at) do
-    {[],
-     position: %{
-       lat: nil,
-       lon: nil,
-       alt_msl: Value.float(m.altitude_amsl),
-       alt_rel: Value.float(m.altitude_relative),
-       heading: nil
-     }}
+    cond do
+      not msp?(state) -> {[], []}
+      Value.float(m.altitude_amsl) -> {[], position: height}
+      true -> {[], position: Map.merge(height, %{lat: nil, lon: nil, alt_msl: nil, heading: nil})}
+    end
   end
+
+  defp msp?(%{autopilot: autopilot}), do: autopilot in [:betaflight, :inav]
+  defp known_height(state), do: Group.data(state, :position)[:alt_rel]
 
   defp heading(hdg) when hdg in 0..36_000, do: rem(hdg, 36_000) / 100
   defp heading(_unknown), do: nil

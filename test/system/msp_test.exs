@@ -95,7 +95,7 @@ defmodule Aerie.System.MspTest do
       event(c, firmware, "takeoff")
 
       eventually(
-        fn -> data(c.gateway, :position, key(firmware))[:alt_rel] > 5 end,
+        fn -> (data(c.gateway, :position, key(firmware))[:alt_rel] || 0) > 5 end,
         "#{firmware} is above 5 m"
       )
 
@@ -319,7 +319,12 @@ defmodule Aerie.System.MspTest do
       end
 
       up = Task.async(fn -> climb.(0.8) end)
-      eventually(fn -> data(c.gateway, :position, key(firmware))[:alt_rel] > 2 end, "#{firmware} climbs")
+
+      eventually(
+        fn -> (data(c.gateway, :position, key(firmware))[:alt_rel] || 0) > 2 end,
+        "#{firmware} climbs"
+      )
+
       mode = if firmware == :inav, do: "NAV RTH", else: "GPS RESCUE"
       assert %{status: :completed} = submit(c, firmware, "rtl", %{}, @commander)
       assert data(c.gateway, :mode, key(firmware)).mode == mode
@@ -329,6 +334,14 @@ defmodule Aerie.System.MspTest do
       # Nobody steers any more, in the air: its own failsafe.
       event(c, firmware, "failsafe", &(&1["active"] != false))
     end
+  end
+
+  test "a rescue that is flown as a plan of the autopilot is a return", %{tmp_dir: dir} do
+    c = fly(dir, [:betaflight], %{}, rx_msp: true, api: {1, 48}, rescue_plan: true)
+    Msp.await(c.sims.betaflight, &(&1.now > 6_000_000))
+    assert %{status: :completed} = command(c, :betaflight, "arm")
+    assert %{status: :completed, reason: nil} = submit(c, :betaflight, "rtl", %{}, @commander)
+    assert data(c.gateway, :mode, key(:betaflight)).mode == "AUTOPILOT"
   end
 
   @mwp """

@@ -88,6 +88,8 @@ defmodule Msp.Arming do
 
   @doc "Whether the vehicle has just started: Betaflight does not arm for some seconds after that."
   @spec booting?(MavCodec.Msp.Guard.target(), flags) :: boolean
-  def booting?({:betaflight, version}, flags), do: version >= {1, 42} and (flags >>> 9 &&& 1) == 1
+  def booting?({:betaflight, version}, flags),
+    do: (flags >>> if(version >= {1, 42}, do: 9, else: 8) &&& 1) == 1
+
   def booting?({:inav, _version}, _flags), do: false
 end

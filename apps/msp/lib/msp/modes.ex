@@ -12,6 +12,7 @@ defmodule Msp.Modes do
   @arm 0
   @failsafe 27
   @acro 0
+  @autopilot 56
 
   @modes %{
     betaflight: [
@@ -83,10 +84,14 @@ defmodule Msp.Modes do
     Enum.find_value(all(firmware), @acro, fn {id, _name} -> if id != @arm and id in boxes, do: id end)
   end
 
-  @doc "What a vehicle in a failsafe does: it returns, if the box for that is on; else it comes down."
+  @doc "What a vehicle in a failsafe does: it returns, or flies a plan, if the box for that is on; else it comes down."
   @spec failsafe_action(firmware, MapSet.t(byte)) :: String.t()
   def failsafe_action(firmware, boxes) do
-    if %{betaflight: 46, inav: 10}[firmware] in boxes, do: "RTH", else: "landing"
+    cond do
+      %{betaflight: 46, inav: 10}[firmware] in boxes -> "RTH"
+      firmware == :betaflight and @autopilot in boxes -> "AUTOPILOT"
+      true -> "landing"
+    end
   end
 
   @doc "Whether the vehicle is armed."

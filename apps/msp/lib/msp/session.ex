@@ -59,6 +59,7 @@ defmodule Msp.Session do
     :up_at,
     :introduced_at,
     :height,
+    :unsure_until,
     now: 0,
     phase: :closed,
     exchange: Exchange.new(),
@@ -83,6 +84,7 @@ defmodule Msp.Session do
   @typedoc """
   - `system`: the MAVLink id that the vehicle has
   - `height`: the last one of an armed vehicle, and when it was read, until it says that it is still armed
+  - `unsure_until`: until then that it misses no receiver does not show that somebody else sends channels
   - `now`: when its last event was; `introduced_at`: when it last said which firmware it is
   - `phase`: `:closed`, `:listening` until `until`, `:identifying`, `:up` since `up_at`
   - `todo`: messages still to be asked; `found`: their answers; `heard`: the last bytes before it was known who is there

@@ -56,6 +56,30 @@ defmodule Msp.ClientsTest do
     assert beats |> Enum.chunk_every(2, 1, :discard) |> Enum.all?(fn [a, b] -> b - a < 1.4 * @second end)
   end
 
+  test "the reply to version 2 keeps the flags of its request, by which programs number them" do
+    for firmware <- [:betaflight, :inav], form <- [:v2, :v2_over_v1] do
+      {line, _change, _state} = up(firmware)
+      asked = for flags <- [0, 0x40, 0xFC], do: %{v2(2) | form: form, flags: flags}
+      line = ask(line, 1, asked ++ [%{v2(0x7777) | form: form, flags: 0x42}], 1)
+
+      assert for(frame <- got(line, 1), do: {frame.id, frame.form, frame.flags, frame.direction}) == [
+               {2, form, 0, :reply},
+               {2, form, 0x40, :reply},
+               {2, form, 0xFC, :reply},
+               {0x7777, form, 0x42, :error}
+             ]
+
+      # What goes to the flight controller is the gateway's own, with none.
+      assert Enum.all?(sent(line, 2), &(&1.flags == 0))
+    end
+  end
+
+  test "iNav answers none whose lowest flag says so" do
+    {line, _change, _state} = up(:inav)
+    line = ask(line, 1, [%{v2(2) | flags: 1}, %{v2(0x7777) | flags: 0x41}, %{v2(2) | flags: 0x20}], 1)
+    assert [%{id: 2, flags: 0x20}] = got(line, 1)
+  end
+
   test "what is not a request of this firmware, or would harm it, is refused and never written; nothing outside frames is" do
     {line, _change, _state} = up(:betaflight)
     before = length(line.written)

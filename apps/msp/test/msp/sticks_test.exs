@@ -11,6 +11,7 @@ defmodule Msp.SticksTest do
   @arm 400
   @set_mode 176
   @accepted 0
+  @temporarily 1
   @denied 2
   @failed 4
   @in_progress 5
@@ -262,6 +263,16 @@ defmodule Msp.SticksTest do
       assert List.last(acks(line, @arm)) == @accepted
     end
 
+    test "#{firmware}: its own channels, which just ended, are not another program's" do
+      {line, _change, state} = up(unquote(firmware), rx_msp: true)
+      line = line |> command(@arm, [1, 0]) |> Line.run(4 * @second) |> command(@arm, [0, 0])
+      line = Enum.find(Stream.iterate(line, &Line.run(&1, 20_000)), &(&1.session.receiver == nil))
+      refute state.().armed
+      line = line |> command(@arm, [1, 0]) |> Line.run(4 * @second)
+      assert List.last(acks(line, @arm)) == @accepted
+      refute notes(line) =~ "another program"
+    end
+
     test "#{firmware}: a mode by its switch alone, one without a range not at all" do
       {line, _change, state} = up(unquote(firmware), rx_msp: true)
       line = line |> command(@set_mode, [1, 1]) |> Line.run(@second)
@@ -275,6 +286,20 @@ defmodule Msp.SticksTest do
       line = command(line, @set_mode, [1, 27])
       assert List.last(acks(line, @set_mode)) == 3
     end
+  end
+
+  test "in Betaflight's first seconds nobody is blamed for channels that it does not miss: try again" do
+    {line, change, state} = up(:betaflight, rx_msp: true)
+    change.(&%{&1 | started: &1.now})
+    line = line |> Line.run(@second) |> command(@arm, [1, 0]) |> Line.run(@second)
+    assert acks(line, @arm) == [@in_progress, @temporarily]
+    assert notes(line) =~ "it was just switched on"
+    refute notes(line) =~ "another program"
+    assert raw(line) == []
+    # As soon as it is over, although the flag of a receiver that is missed may come later.
+    line = line |> Line.run(3_300_000) |> command(@arm, [1, 0]) |> Line.run(4 * @second)
+    assert List.last(acks(line, @arm)) == @accepted
+    assert state.().armed
   end
 
   test "iNav: the pilot hands the channels over, and has them back when they stop" do

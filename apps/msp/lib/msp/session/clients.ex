@@ -249,7 +249,7 @@ defmodule Msp.Session.Clients do
     session =
       case outcome do
         :refused -> refuse(session, id, frame)
-        {:reply, payload} -> tell(session, id, %{frame | direction: :reply, flags: 0, payload: payload})
+        {:reply, payload} -> tell(session, id, %{frame | direction: :reply, payload: payload})
         :silent -> session
       end
 
@@ -259,7 +259,11 @@ defmodule Msp.Session.Clients do
   end
 
   defp refuse(session, id, frame),
-    do: tell(session, id, %{frame | direction: :error, flags: 0, payload: ""})
+    do: tell(session, id, %{frame | direction: :error, payload: ""})
+
+  # Flags stay, as iNav keeps them: programs number their requests by them. With the lowest one none is answered.
+  defp tell(%{identity: %{firmware: :inav}} = session, _id, %{flags: flags}) when rem(flags, 2) == 1,
+    do: session
 
   defp tell(session, id, frame), do: %{session | told: [{:client, id, Frame.encode(frame)} | session.told]}
 

@@ -11,6 +11,8 @@ defmodule Msp.Session.Reports do
   @introduce_us 10_000_000
   # iNav's clock has seconds.
   @clock_us 2_000_000
+  # Until a receiver that is missed shows.
+  @grace_us 1_500_000
   # m/s, m
   @still 0.5
   @fastest 100
@@ -158,10 +160,19 @@ defmodule Msp.Session.Reports do
        when is_integer(flags) and is_integer(before) do
     target = Identity.target(session.identity)
     restarted? = Arming.booting?(target, flags) and not Arming.booting?(target, before)
-    if restarted?, do: %{session | boot: now}, else: session
+    grace(if(restarted?, do: %{session | boot: now}, else: session), flags, now)
   end
 
+  defp clock(session, %{arming: flags}, now) when is_integer(flags), do: grace(session, flags, now)
+
   defp clock(session, _readings, _now), do: session
+
+  # It looks for its receiver only when it may be armed.
+  defp grace(session, flags, now) do
+    if Arming.booting?(Identity.target(session.identity), flags),
+      do: %{session | unsure_until: max(session.unsure_until || now, now + @grace_us)},
+      else: session
+  end
 
   defp show(session, name, now) when name in ["STATUS_EX", "MSP2_INAV_STATUS"] do
     heartbeat = Telemetry.heartbeat(session.identity, session.type, session.readings)

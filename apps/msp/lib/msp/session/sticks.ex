@@ -26,6 +26,9 @@ defmodule Msp.Session.Sticks do
   # How often sticks ask whether they may take a vehicle over.
   @ask_us 1_000_000
   @height_us 1_500_000
+  # Until its reply says that it misses channels that stopped.
+  @own_us 1_500_000
+  @starting "it was just switched on, and does not say yet whether others send its channels: try again in 5 s"
   @unarmed "no channels are sent over MSP before it is armed that way"
   # RC_CHANNELS_OVERRIDE: left alone, given back.
   @leave 65_535
@@ -217,7 +220,9 @@ defmodule Msp.Session.Sticks do
     {channels, receiver} = Receiver.frame(receiver, now)
     entries = for us <- channels, do: %{channel: us}
     {:ok, frame} = MavCodec.Msp.request(Identity.target(session.identity), "SET_RAW_RC", %{entries: entries})
-    {%{session | receiver: receiver}, [{:write, IO.iodata_to_binary(Frame.encode(frame))}]}
+    # They are the gateway's own that it does not miss.
+    session = %{session | receiver: receiver, unsure_until: max(session.unsure_until || now, now + @own_us)}
+    {session, [{:write, IO.iodata_to_binary(Frame.encode(frame))}]}
   end
 
   defp effect(session, {:done, {command, from}, _why}),
@@ -251,11 +256,19 @@ defmodule Msp.Session.Sticks do
     armed? = Armed.state(session) != :disarmed
 
     cond do
-      Modes.failsafe?(boxes(session)) -> true
-      readings[:arming] == nil -> nil
-      true -> Arming.rc_lost?(Identity.target(session.identity), readings.arming, armed?)
+      Modes.failsafe?(boxes(session)) ->
+        true
+
+      readings[:arming] == nil ->
+        nil
+
+      true ->
+        session.identity |> Identity.target() |> Arming.rc_lost?(readings.arming, armed?) |> sure(session)
     end
   end
+
+  defp sure(false, %{unsure_until: until, now: now}) when until != nil and now < until, do: nil
+  defp sure(lost?, _session), do: lost?
 
   defp boxes(session), do: session.readings[:boxes] || MapSet.new()
 
@@ -312,6 +325,7 @@ defmodule Msp.Session.Sticks do
     facts = facts(session)
 
     with %{map: [_, _, _, _ | _], ranges: _} <- task.got,
+         :ok <- started(session),
          {:ok, kind} <- Receiver.source(target, task.got, boxes, facts),
          :ok <- fits(task.want, facts.armed),
          {:ok, receiver} <-
@@ -326,9 +340,23 @@ defmodule Msp.Session.Sticks do
       {:error, why} ->
         refuse(session, task.command, task.from, why)
 
+      :starting when task.command != nil ->
+        session
+        |> Output.text(@warning, "Not done: #{@starting}")
+        |> Output.acknowledge(task.command, task.from, :TEMPORARILY_REJECTED)
+
+      :starting ->
+        ignored(session, @starting, now)
+
       _unknown ->
         refuse(session, task.command, task.from, "the vehicle does not say how its receiver is configured")
     end
+  end
+
+  # In its first seconds Betaflight does not miss a receiver.
+  defp started(%{readings: readings} = session) do
+    booting? = Arming.booting?(Identity.target(session.identity), readings[:arming] || 0)
+    if booting? and lost?(session) == nil, do: :starting, else: :ok
   end
 
   # The channels that begin are those of a disarmed vehicle.

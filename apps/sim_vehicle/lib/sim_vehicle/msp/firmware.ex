@@ -22,6 +22,8 @@ defmodule SimVehicle.Msp.Firmware do
   }
   @arm 0
   @failsafe 27
+  @gps_rescue 46
+  @autopilot 56
   @throttle_low 1050
   # Until the flag, until the failsafe, after the last frame of the receiver.
   @lost_us %{betaflight: {150_000, 1_500_000}, inav: {200_000, 700_000}}
@@ -67,6 +69,7 @@ defmodule SimVehicle.Msp.Firmware do
     receiver: %Receiver{},
     rx_msp: false,
     blind: false,
+    rescue_plan: false,
     ports: %{},
     events: []
   ]
@@ -76,7 +79,8 @@ defmodule SimVehicle.Msp.Firmware do
 
   @doc """
   A flight controller that was just switched on. Options: `uid`, `flight`, `rx_msp` (MSP is its receiver), `mask` (of the channels that MSP may override),
-  `api` (Betaflight's version of MSP), `blind` (it has neither a barometer nor a position).
+  `api` (Betaflight's version of MSP), `blind` (it has neither a barometer nor a position),
+  `rescue_plan` (Betaflight's rescue is flown as a plan: AUTOPILOT, and not GPS RESCUE).
   """
   @spec new(Messages.firmware(), keyword) :: t
   def new(firmware, options \\ []) do
@@ -94,12 +98,16 @@ defmodule SimVehicle.Msp.Firmware do
         do: Map.put(settings, "receiver_type", <<if(rx_msp, do: 2, else: 1)>>),
         else: settings
 
+    blocks =
+      if options[:rescue_plan], do: Map.update!(blocks, 119, &(&1 <> <<@autopilot, 11, 3>>)), else: blocks
+
     version = options[:api] || @versions[firmware]
     {blocks, settings} = if named?(firmware, version), do: named(blocks, version), else: {blocks, settings}
 
     %__MODULE__{
       rx_msp: rx_msp,
       blind: options[:blind] || false,
+      rescue_plan: options[:rescue_plan] || false,
       receiver: %Receiver{mask: options[:mask] || 0},
       firmware: firmware,
       version: version,
@@ -233,6 +241,7 @@ defmodule SimVehicle.Msp.Firmware do
       end
 
     modes = if failsafe? and (was_armed or fc.armed), do: [@failsafe, 1], else: MapSet.delete(wanted, @arm)
+    modes = if fc.rescue_plan and @gps_rescue in modes, do: [@autopilot, 11, 3, 1], else: modes
     boxes = MapSet.new(modes) |> then(&if fc.armed, do: MapSet.put(&1, @arm), else: &1)
     boxes = if failsafe? and fc.must_switch_off, do: MapSet.put(boxes, @failsafe), else: boxes
     %{changed(fc, was_armed) | boxes: boxes}
@@ -260,12 +269,15 @@ defmodule SimVehicle.Msp.Firmware do
     {lost_us, failsafe_us} = @lost_us[fc.firmware]
     silent = fc.now - fc.rc_at
 
+    grace? = fc.now - fc.started < @grace_us
+
     reasons = [
-      rx: silent > lost_us,
+      # Betaflight looks for its receiver only after its first seconds.
+      rx: silent > lost_us and (fc.firmware == :inav or not grace?),
       failsafe: silent > failsafe_us,
       not_disarmed: fc.must_switch_off,
       throttle: Enum.at(fc.channels, 2) > @throttle_low,
-      grace: fc.now - fc.started < @grace_us,
+      grace: grace?,
       calibrating: fc.now < fc.calibrating_until,
       cli: Enum.any?(fc.ports, fn {_id, port} -> port.cli end),
       msp: Enum.any?(fc.ports, fn {_id, port} -> port.disabled end)

@@ -18,6 +18,8 @@ defmodule Aerie.Vehicle.Protocol.Msp do
   @has ~w(reboot save_params calibrate request_message set_message_interval arm disarm force_disarm set_mode rtl hold rc_override
     manual_control motor_test goto set_home)
   @return %{betaflight: "GPS RESCUE", inav: "NAV RTH"}
+  # Betaflight from 2026.6 flies its rescue as a plan of its autopilot, if it was built with that.
+  @flown_as %{"GPS RESCUE" => ["GPS RESCUE", "AUTOPILOT"]}
   @hold %{betaflight: "POS HOLD", inav: "NAV POSHOLD"}
   # Safe channels for two seconds, and what keeps it from being armed may take longer.
   @arm_ms 12_000
@@ -104,7 +106,7 @@ defmodule Aerie.Vehicle.Protocol.Msp do
          [
            Mavlink.long(:MAV_CMD_DO_SET_MODE, %{1 => 1, 2 => number},
              answer_ms: @slow_ms,
-             confirm: {:mode, [name]}
+             confirm: {:mode, Map.get(@flown_as, name, [name])}
            )
          ]}
 

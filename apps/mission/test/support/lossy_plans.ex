@@ -54,7 +54,8 @@ defmodule Aerie.LossyPlans do
         target: @vehicle,
         us: @us,
         until: world.now + (options[:ms] || 600_000) * @ms,
-        rtt: options[:rtt]
+        rtt: options[:rtt],
+        item_us: options[:item_us] || 0
       )
 
     step(%{world | transfer: transfer, result: nil}, {:start, world.now})

@@ -17,8 +17,11 @@ defmodule Aerie.Control.Files do
   alias Aerie.Control.Policy.Intent
   alias Aerie.Control.Transfers.Spool
 
-  @short_ms 60_000
-  @long_ms 3_600_000
+  # A folder has no size that is known before, and a checksum takes as long as the file is large.
+  @short_ms 600_000
+  # How long a file is that is read, the vehicle says when it is opened.
+  @read_ms 86_400_000
+  @byte_ms 4
   @max_bytes Client.max_bytes()
 
   @typedoc "An entry of a folder; the size is nil for folders, and if the vehicle does not report it."
@@ -49,7 +52,7 @@ defmodule Aerie.Control.Files do
     with {:ok, snapshot} <- Transfers.vehicle(gateway, vehicle) do
       reading = fn offset, acc, fun ->
         more = [offset: offset, max_bytes: max_bytes]
-        Transfers.read(gateway, snapshot, transfer({:read, path}, more, @long_ms), options, acc, fun)
+        Transfers.read(gateway, snapshot, transfer({:read, path}, more, @read_ms), options, acc, fun)
       end
 
       if into,
@@ -112,7 +115,14 @@ defmodule Aerie.Control.Files do
 
     if String.valid?(params.path) and byte_size(path) <= 239 do
       change = %{facts: Intent.write_file(path), params: params}
-      Transfers.change(gateway, vehicle, change, transfer(operation, [], @long_ms), options)
+
+      Transfers.change(
+        gateway,
+        vehicle,
+        change,
+        transfer(operation, [], Transfers.time_ms(params[:bytes] || 0, @byte_ms)),
+        options
+      )
     else
       {:error, [Error.new("path", "text of at most 239 bytes", params.path)]}
     end

@@ -19,12 +19,8 @@ defmodule Aerie.Control.Logs do
   alias Aerie.Control.Transfers.{InOrder, Spool}
   alias Aerie.Vehicle.Snapshot
 
-  @list_ms 60_000
-  @log_ms 14_400_000
-
-  @doc "How long a download may take unless `timeout_ms` says it (ms)."
-  @spec timeout_ms() :: pos_integer()
-  def timeout_ms, do: @log_ms
+  @list_ms 600_000
+  @byte_ms 4
 
   @doc "The logs in the order of their ids."
   @spec list(Names.gateway(), vehicle :: String.t(), [Transfers.option()]) ::
@@ -109,7 +105,7 @@ defmodule Aerie.Control.Logs do
   defp read(gateway, snapshot, entry, offset, options, acc, fun) do
     transfer = %{
       lanes: [:log],
-      timeout_ms: @log_ms,
+      timeout_ms: Transfers.time_ms(entry.size, @byte_ms),
       start: fn context, until ->
         {:ok, Download.new(entry, context.target, until, offset: offset, rtt_us: context.rtt_us)}
       end

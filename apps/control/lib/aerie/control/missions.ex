@@ -26,7 +26,8 @@ defmodule Aerie.Control.Missions do
 
   @kinds %{mission: 0, fence: 1, rally: 2}
   @names %{mission: "a mission", fence: "a fence", rally: "rally points"}
-  @timeout_ms 300_000
+  # An item that is sent or read.
+  @item_ms 5_000
   # The beginning of a file that shows whether it is JSON.
   @looked_at 1_000
 
@@ -56,7 +57,7 @@ defmodule Aerie.Control.Missions do
     type = Map.fetch!(@kinds, kind)
     asked = {"mission", "get", %{"kind" => Atom.to_string(kind)}}
 
-    with :here <- Transfers.read_remote(gateway, vehicle, asked, options, @timeout_ms),
+    with :here <- Transfers.read_remote(gateway, vehicle, asked, options),
          {:ok, result} <- read(gateway, vehicle, kind, options),
          {:ok, plan} <- Onboard.put(%Plan{}, type, result.items, protocol(gateway, vehicle)) do
       {:ok,
@@ -313,7 +314,7 @@ defmodule Aerie.Control.Missions do
   defp transfer(op, type, kind) do
     %{
       lanes: [:mission],
-      timeout_ms: @timeout_ms,
+      timeout_ms: Transfers.time_ms(2 * sent(op), @item_ms),
       start: fn context, until ->
         Transfer.new(op, type,
           protocol: context.protocol,
@@ -321,11 +322,15 @@ defmodule Aerie.Control.Missions do
           target: context.target,
           us: context.us,
           until: until,
-          rtt: context.rtt_us
+          rtt: context.rtt_us,
+          item_us: if(context.grows?, do: @item_ms * 1000, else: 0)
         )
       end
     }
   end
+
+  defp sent({:upload, items}), do: length(items)
+  defp sent(_clear_or_download), do: 0
 
   defp kind_of(gateway, vehicle) do
     case RemoteGateway.vehicle(gateway, vehicle) do

@@ -42,10 +42,11 @@ defmodule Aerie.Control.Params do
   @type option :: Transfers.option() | {:component, 1..255}
 
   @ftp MavProtocolCapability.value(:MAV_PROTOCOL_CAPABILITY_FTP)
-  @list_ms 180_000
-  @one_ms 20_000
-  @component_ms 60_000
-  @all_ms 600_000
+  @list_ms 300_000
+  @one_ms 60_000
+  # One of a list, one that is set and shown.
+  @each_ms 1_000
+  @set_ms 5_000
 
   @doc """
   All parameters, read from the vehicle in the best way that it offers (P4). A list that was read earlier, even before a restart, is
@@ -59,7 +60,7 @@ defmodule Aerie.Control.Params do
     {component, options} = Keyword.pop(options, :component)
     asked = {"params", "list", of(component, %{})}
 
-    case Transfers.read_remote(gateway, vehicle, asked, options, @list_ms) do
+    case Transfers.read_remote(gateway, vehicle, asked, options) do
       :here when component == nil -> list_of_autopilot(gateway, vehicle, refresh?, options)
       :here -> list_of_component(gateway, vehicle, component, options)
       {:ok, answer} -> remote_answer(Table.parse(answer))
@@ -91,7 +92,7 @@ defmodule Aerie.Control.Params do
         share: {:params_of, component},
         start: fn context, until ->
           target = Component.target(context, component)
-          {:ok, Download.new(target, until, Component.options(context, component))}
+          {:ok, Download.new(target, until, growing(context) ++ Component.options(context, component))}
         end
       }
 
@@ -118,7 +119,7 @@ defmodule Aerie.Control.Params do
             seq: context.seq
           ]
 
-          {:ok, Fetch.new(context.target, until, more ++ common(context))}
+          {:ok, Fetch.new(context.target, until, more ++ growing(context) ++ common(context))}
         end
       }
 
@@ -160,11 +161,11 @@ defmodule Aerie.Control.Params do
     with :ok <- readable(check_name(name)),
          :ok <- readable(Component.check(component)),
          asked = {"params", "get", of(component, %{"name" => name})},
-         :here <- Transfers.read_remote(gateway, vehicle, asked, options, @one_ms),
+         :here <- Transfers.read_remote(gateway, vehicle, asked, options),
          {:ok, snapshot} <- Transfers.vehicle(gateway, vehicle) do
       transfer = %{
         lanes: [:params],
-        timeout_ms: if(component, do: @component_ms, else: @one_ms),
+        timeout_ms: @one_ms,
         share: {:param, component, name},
         start: fn context, until ->
           target = Component.target(context, component)
@@ -203,7 +204,7 @@ defmodule Aerie.Control.Params do
 
       transfer = %{
         lanes: [:params],
-        timeout_ms: if(component, do: @component_ms, else: @one_ms),
+        timeout_ms: @one_ms,
         start: &Component.set(LongNames.wire(name), value, type, &1, &2, component)
       }
 
@@ -251,7 +252,7 @@ defmodule Aerie.Control.Params do
 
       transfer = %{
         lanes: [:params],
-        timeout_ms: @all_ms,
+        timeout_ms: Transfers.time_ms(length(wired), @set_ms),
         start: fn context, until -> {:ok, SetAll.new(wired, context.target, until, common(context))} end
       }
 
@@ -335,6 +336,7 @@ defmodule Aerie.Control.Params do
      for({line, reason} <- errors, do: Error.new(if(line, do: "line #{line}", else: "file"), reason, :rule))}
   end
 
+  defp growing(context), do: [each_us: if(context.grows?, do: @each_ms * 1000, else: 0)]
   defp common(context), do: Component.options(context, nil)
 
   defp change(sets, params) when is_list(sets), do: change(Intent.set_parameters(sets), params)

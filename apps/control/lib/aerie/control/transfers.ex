@@ -21,7 +21,8 @@ defmodule Aerie.Control.Transfers do
     * `:id` - the id of a change: the same id with the same content is carried out once. 1 to 64 letters, digits, `-` and `_`
     * `:progress` - a process, or one with a term: it gets `{:command_progress, term, id, progress}` as for commands; the progress has
       `"phase"` (`"waiting"`, `"sending"`, `"reading"` or `"checking"`), `"done"` and `"total"` besides
-    * `:timeout_ms` - the time limit, including the wait for other transfers
+    * `:timeout_ms` - the time limit, including the wait for other transfers; without it a transfer has the time that its length needs,
+      and ends when the vehicle does not answer any more
     * `:wait_ms` - how long to wait for the result of a change, which then continues by itself; by default `:infinity`
   """
   @type option ::
@@ -35,8 +36,9 @@ defmodule Aerie.Control.Transfers do
   @options [:as, :via, :says, :id, :progress, :timeout_ms, :wait_ms]
 
   @typedoc """
-  A transfer: the lanes that it uses, the function that makes its machine (`t:Aerie.Control.TransferExecutor.Job.t/0`), its default time limit,
-  and for reads a term: identical reads, which have the same term, share one transfer.
+  A transfer: the lanes that it uses, the function that makes its machine (`t:Aerie.Control.TransferExecutor.Job.t/0`), its default time limit
+  (`time_ms/2`), and for reads a term: identical reads, which have the same term, share one transfer. `context.grows?`: nobody gave a time limit, so it
+  may grow with the length that the vehicle tells.
   """
   @type transfer :: %{
           required(:lanes) => [Job.lane(), ...],
@@ -61,6 +63,13 @@ defmodule Aerie.Control.Transfers do
   @spec max_timeout_s() :: pos_integer()
   def max_timeout_s, do: 3_600
 
+  @doc """
+  The time limit of a transfer of so many pieces, each of which may take `each_ms`: that of a slow radio. Transfers end sooner when the vehicle
+  falls silent, so the limit is for one that answers and does not come to an end.
+  """
+  @spec time_ms(pieces :: non_neg_integer(), each_ms :: pos_integer()) :: pos_integer()
+  def time_ms(pieces, each_ms), do: max(300_000, 60_000 + pieces * each_ms)
+
   @doc "The present snapshot of a vehicle by its name, if this gateway's links hear it: what asks for this is not passed on."
   @spec vehicle(Names.gateway(), String.t()) :: {:ok, map()} | {:error, Result.t()}
   def vehicle(gateway, id) do
@@ -84,18 +93,17 @@ defmodule Aerie.Control.Transfers do
           Names.gateway(),
           String.t(),
           RemoteGateway.request(),
-          [option()],
-          timeout_ms :: pos_integer()
+          [option()]
         ) ::
           :here | {:ok, %{String.t() => term()}} | {:error, Result.t()}
-  def read_remote(gateway, vehicle, request, options, timeout_ms) do
+  def read_remote(gateway, vehicle, request, options) do
     with true <- options[:via] != "nats",
          %{via: via} = snapshot when via != nil <- RemoteGateway.vehicle(gateway, vehicle),
          module when module != nil <- RemoteGateway.module(gateway) do
       id = options[:id] || Command.id()
       who = Command.passed_on(source(options).name, options[:via] || "elixir")
       tell = teller(options[:progress], id)
-      module.transfer(gateway, snapshot, id, request, who, options[:timeout_ms] || timeout_ms, tell)
+      module.transfer(gateway, snapshot, id, request, who, options[:timeout_ms], tell)
     else
       _here -> :here
     end
@@ -143,6 +151,7 @@ defmodule Aerie.Control.Transfers do
     work = %Change{
       facts: change.facts,
       review: change[:review],
+      timeout_ms: options[:timeout_ms],
       remote_request: change[:remote_request],
       run: fn snapshot, tell ->
         complete = Map.get(change, :before, fn _snapshot -> & &1 end).(snapshot)
@@ -192,7 +201,7 @@ defmodule Aerie.Control.Transfers do
     job = %Job{
       id: id,
       lanes: transfer.lanes,
-      start: &transfer.start.(&1, until),
+      start: &transfer.start.(Map.put(&1, :grows?, options[:timeout_ms] == nil), until),
       until: until,
       share: transfer[:share]
     }

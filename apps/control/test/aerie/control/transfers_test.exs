@@ -255,6 +255,36 @@ defmodule Aerie.Control.TransfersTest do
     assert {:ok, _table} = eventually(fn -> match_ok(Params.list(gateway, "VID-001")) end)
   end
 
+  test "the time limit of a transfer follows from its length, unless it is given", %{tmp_dir: dir} do
+    {gateway, port} = start(dir)
+    sim = fly(gateway, port, firmware: :ardupilot)
+    :ok = SimVehicle.fault(sim, :deaf, true)
+    values = Map.new(1..500, &{"P#{&1}", &1})
+    # With home, which is ArduPilot's first item.
+    upload = fn count, options -> Missions.upload(gateway, "VID-001", :mission, plan(count), options) end
+    bytes = :binary.copy("x", 1_000_000)
+
+    for {ask, seconds} <- [
+          {&upload.(10, &1), 300},
+          {&upload.(720, &1), 7_270},
+          {&upload.(720, [timeout_ms: 50_000] ++ &1), 50},
+          {&Params.set_all(gateway, "VID-001", values, &1), 2_560},
+          {&Files.write(gateway, "VID-001", "/a", bytes, &1), 4_060},
+          {&Logs.fold(gateway, "VID-001", %{id: 1, size: 10_000_000, time: nil}, 0, [], fn b, _ -> b end, &1),
+           40_060}
+        ] do
+      before = System.monotonic_time(:microsecond)
+      task = Task.async(fn -> ask.([]) end)
+      transfers = eventually(fn -> Names.whereis(gateway, :transfers, {"main", 1}) end)
+      [job] = eventually(fn -> with [] <- Map.values(:sys.get_state(transfers).core.jobs), do: nil end)
+
+      now = System.monotonic_time(:microsecond)
+      assert job.until in (before + seconds * 1_000_000)..(now + seconds * 1_000_000)
+      Process.exit(transfers, :kill)
+      Task.await(task, Aerie.Patience.ms())
+    end
+  end
+
   defp match_ok({:ok, _value} = ok), do: ok
   defp match_ok(_other), do: nil
 

@@ -25,6 +25,9 @@ defmodule Aerie.Fleet.Remote do
   @max_text 512
   # The other gateway's answer may come a little after its time limit.
   @late_ms 5_000
+  # A transfer without a time limit goes on as long as the other gateway tells of progress.
+  @idle_ms 600_000
+  @longest_ms 86_400_000
   @own ~w(id result reason)
   @progress ~w(progress text phase done total)
 
@@ -43,13 +46,22 @@ defmodule Aerie.Fleet.Remote do
 
   @impl Aerie.Control.Commands.RemoteGateway
   def transfer(gateway, snapshot, id, {area, operation, body}, who, timeout_ms, progress) do
-    text = JSON.encode!(Map.merge(body, %{"id" => id, "timeout" => timeout_ms / 1000, "source" => who}))
+    limit = if timeout_ms, do: %{"timeout" => timeout_ms / 1000}, else: %{}
+    text = body |> Map.merge(%{"id" => id, "source" => who}) |> Map.merge(limit) |> JSON.encode!()
 
     if byte_size(text) > Transfers.max_bytes() do
       {:error,
        Result.new(id, :failed, "it is larger than what NATS carries: ask its gateway", %{"rule" => "size"})}
     else
-      case ask(gateway, snapshot, id, "#{area}.#{operation}", text, timeout_ms + @late_ms, progress) do
+      case ask(
+             gateway,
+             snapshot,
+             id,
+             "#{area}.#{operation}",
+             text,
+             timeout_ms && timeout_ms + @late_ms,
+             progress
+           ) do
         {:ok, %{"result" => "completed"} = answer} ->
           {:ok, answer |> Map.drop(@own) |> Map.put("gateway", snapshot.via)}
 
@@ -74,14 +86,14 @@ defmodule Aerie.Fleet.Remote do
 
   defp ask(gateway, conn, snapshot, {id, what, body, timeout}, progress) do
     subject = "fleet.#{Bridge.environment(gateway)}.#{snapshot.id}.#{what}"
-    options = [receive_timeout: timeout, headers: signature(gateway, subject, body)]
+    options = [receive_timeout: timeout || @longest_ms, headers: signature(gateway, subject, body)]
 
     case Nats.sub(conn, self(), "#{subject}.progress.#{id}") do
       {:ok, sid} ->
         task = Task.async(fn -> Nats.request(conn, subject, body, options) end)
 
         try do
-          wait(task, gateway, snapshot, progress)
+          wait(task, gateway, snapshot, progress, if(timeout == nil, do: now() + @idle_ms))
         after
           _ = Task.shutdown(task, :brutal_kill)
           _ = Nats.unsub(conn, sid)
@@ -92,11 +104,12 @@ defmodule Aerie.Fleet.Remote do
     end
   end
 
-  defp wait(%{ref: ref} = task, gateway, snapshot, progress) do
+  # `until`: when it is over without a word of progress; nil while the request itself has a time limit.
+  defp wait(%{ref: ref} = task, gateway, snapshot, progress, until) do
     receive do
       {:msg, %{body: text}} ->
         with {:ok, %{} = told} <- JSON.decode(text), do: progress.(Map.take(told, @progress))
-        wait(task, gateway, snapshot, progress)
+        wait(task, gateway, snapshot, progress, until && now() + @idle_ms)
 
       {^ref, answer} ->
         answer(answer, snapshot)
@@ -105,11 +118,20 @@ defmodule Aerie.Fleet.Remote do
         {:unknown, "the connection to NATS was lost while it was under way"}
     after
       @look_ms ->
-        if there?(gateway, snapshot),
-          do: wait(task, gateway, snapshot, progress),
-          else: {:unknown, "the gateway #{snapshot.via} fell silent while it was under way"}
+        cond do
+          not there?(gateway, snapshot) ->
+            {:unknown, "the gateway #{snapshot.via} fell silent while it was under way"}
+
+          until != nil and now() >= until ->
+            {:unknown, "the gateway #{snapshot.via} told of no progress for #{div(@idle_ms, 60_000)} minutes"}
+
+          true ->
+            wait(task, gateway, snapshot, progress, until)
+        end
     end
   end
+
+  defp now, do: System.monotonic_time(:millisecond)
 
   # This gateway hears the vehicle, too, and the other one holds it (`Aerie.Control.Commands.SharedVehicle`).
   defp there?(_gateway, %{holds?: holds?}), do: holds?.()

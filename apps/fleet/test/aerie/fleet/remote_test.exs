@@ -5,9 +5,10 @@ defmodule Aerie.Fleet.RemoteTest do
   import Aerie.CommandCase, only: [start_part: 3, commands: 1, audit: 1]
 
   alias Aerie.Base.Names
-  alias Aerie.Control.{Commands, Policy}
+  alias Aerie.Control.{Commands, Missions, Policy}
   alias Aerie.Fleet.Remote
   alias Aerie.LinkCase
+  alias Aerie.Mission.Item
   alias Aerie.Fleet.RemoteTable, as: Table
 
   @moduletag :tmp_dir
@@ -83,13 +84,13 @@ defmodule Aerie.Fleet.RemoteTest do
   end
 
   # The test answers the next request for the vehicle.
-  defp serve(%{conn: conn}, answer) do
+  defp serve(%{conn: conn}, answer, subject \\ "cmd.*") do
     test = self()
 
     start_supervised!(
       {Task,
        fn ->
-         {:ok, _sid} = Gnat.sub(conn, self(), "fleet.test.VID-009.cmd.*")
+         {:ok, _sid} = Gnat.sub(conn, self(), "fleet.test.VID-009.#{subject}")
          {:ok, _known} = Gnat.request(conn, "$JS.API.INFO", "")
          send(test, :serving)
 
@@ -156,6 +157,43 @@ defmodule Aerie.Fleet.RemoteTest do
              audit(context.tmp_dir),
              &match?(%{"type" => "result", "id" => "r1", "result" => "completed"}, &1)
            )
+  end
+
+  test "a transfer without a time limit has the other gateway's, by the length of what is sent", context do
+    known(context)
+    test = self()
+    plan = %Aerie.Mission.Plan{items: for(n <- 1..720, do: %Item{command: 16, frame: 3, x: n, y: n, z: 20.0})}
+
+    serve_plan = fn ->
+      serve(
+        context,
+        fn message, body ->
+          send(test, {:asked, body})
+
+          Gnat.pub(
+            message.gnat,
+            message.reply_to,
+            JSON.encode!(%{"id" => body["id"], "result" => "completed"})
+          )
+        end,
+        "mission.*"
+      )
+    end
+
+    for {more, limit} <- [{[], nil}, {[timeout_ms: 90_000], 90}] do
+      serve_plan.()
+      options = [as: %{name: "ops", role: :admin, permissions: []}] ++ more
+
+      assert {:ok, %{status: :completed}} =
+               Missions.upload(context.gateway, "VID-009", :mission, plan, options)
+
+      assert_receive {:asked, body}
+      if limit, do: assert_in_delta(body["timeout"], limit, 60), else: refute(is_map_key(body, "timeout"))
+      serve_plan.()
+      assert {:error, _no_plan} = Missions.download(context.gateway, "VID-009", :mission, options)
+      assert_receive {:asked, body}
+      assert body["timeout"] == limit
+    end
   end
 
   test "nobody listens: unreachable, and nothing was sent", %{gateway: gateway} = context do

@@ -14,6 +14,8 @@ defmodule FleetWeb.API.Transfers do
   alias FleetWeb.WorkLimit
 
   @max_timeout_s Aerie.Control.Transfers.max_timeout_s()
+  # A transfer ends by itself.
+  @longest_ms 86_400_000
   @plan_bytes 4_194_304
   @param_bytes 1_048_576
   @file_bytes Aerie.Control.Ftp.Client.max_bytes()
@@ -42,7 +44,7 @@ defmodule FleetWeb.API.Transfers do
 
     with {:ok, timeout_ms} <- timeout_ms(parameters["timeout"]),
          {:ok, wait_ms} <- Commands.wait_ms(parameters["wait"]) do
-      request = Request.patient(request, timeout_ms || longest_ms(action))
+      request = Request.patient(request, timeout_ms || @longest_ms)
       more = if timeout_ms, do: [timeout_ms: timeout_ms], else: []
       options = [as: Commands.source(requester), via: "rest", wait_ms: wait_ms] ++ more
       act(action, {gateway, :cowboy_req.binding(:id, request)}, options, parameters, request)
@@ -303,9 +305,6 @@ defmodule FleetWeb.API.Transfers do
       id -> [id: id] ++ options
     end
   end
-
-  defp longest_ms(:download_log), do: Logs.timeout_ms()
-  defp longest_ms(_action), do: @max_timeout_s * 1000
 
   defp timeout_ms(nil), do: {:ok, nil}
 

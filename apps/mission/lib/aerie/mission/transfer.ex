@@ -51,6 +51,7 @@ defmodule Aerie.Mission.Transfer do
     :due,
     :started,
     :read_at,
+    item_us: 0,
     items: [],
     remarks: [],
     phase: :new,
@@ -89,6 +90,7 @@ defmodule Aerie.Mission.Transfer do
     * `:target` - system and component of the vehicle; `:us` - ours
     * `:until` - the deadline, by the clock of the events
     * `:rtt` - the measured round trip in microseconds, or nil
+    * `:item_us` - what the deadline grows by for each item that the vehicle says it has; by default 0
   """
   @spec new(op(), 0..2, keyword()) :: {:ok, t()} | {:error, String.t()}
   def new(op, type, options) do
@@ -107,6 +109,7 @@ defmodule Aerie.Mission.Transfer do
          target: Keyword.fetch!(options, :target),
          us: Keyword.fetch!(options, :us),
          until: Keyword.fetch!(options, :until),
+         item_us: Keyword.get(options, :item_us, 0),
          retry: Retry.new(options[:rtt])
        }}
     end
@@ -225,6 +228,7 @@ defmodule Aerie.Mission.Transfer do
       {:next, part, request} ->
         t = %{t | part: part, heard?: true, retry: Retry.answered(t.retry, now)}
         t = %{t | retry: Retry.sent(t.retry, if(part.count, do: :item, else: :first), now)}
+        t = if part.next == 0, do: %{t | until: max(t.until, now + (part.count || 0) * t.item_us)}, else: t
         {t, elem(acc, 1)} |> progress(:reading, part.next, part.count || 0) |> send_it(request)
 
       {:done, items, opaque_id, ack} ->

@@ -44,6 +44,23 @@ defmodule Aerie.Mission.TransferTest do
   defp result(actions),
     do: Enum.find_value(actions, fn action -> match?({:result, _}, action) && elem(action, 1) end)
 
+  test "720 items by a radio whose answers take a quarter of a second are sent and read back, and read" do
+    new = items(720)
+    # What `Aerie.Control.Transfers.time_ms/2` gives 1,440 messages of 5 s.
+    world =
+      LossyPlans.new(:ardupilot, items(3), delay: {120, 130})
+      |> LossyPlans.start({:upload, new}, 0, ms: 7_260_000)
+
+    world = LossyPlans.finish(world)
+    assert %{status: :completed, on_board: :new, items: ^new} = world.result
+    assert world.result.ms > 300_000
+
+    # What a vehicle has is known when it says so.
+    read = &(world |> LossyPlans.start(:download, 0, &1) |> LossyPlans.finish())
+    assert %{status: :completed, items: ^new} = read.(ms: 60_000, item_us: 5_000_000).result
+    assert %{status: :timeout} = read.(ms: 60_000).result
+  end
+
   describe "on a good link" do
     for style <- [:ardupilot, :px4] do
       test "#{style}: a plan is sent, read back and found right" do

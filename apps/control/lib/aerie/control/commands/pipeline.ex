@@ -274,8 +274,8 @@ defmodule Aerie.Control.Commands.Pipeline do
   defp pass_on(nil, ctx, snapshot, progress),
     do: ctx.remote_gateway.submit(ctx.gateway, snapshot, ctx.command, ctx.request, progress)
 
-  defp pass_on(%{remote_request: request}, %{command: command} = ctx, snapshot, progress) do
-    left_ms = max(div(command.deadline - System.os_time(:microsecond), 1000), 1)
+  defp pass_on(%{remote_request: request} = change, %{command: command} = ctx, snapshot, progress) do
+    left_ms = if change.timeout_ms, do: max(div(command.deadline - System.os_time(:microsecond), 1000), 1)
     who = Command.passed_on(ctx.request.source.name, ctx.request.via)
 
     case ctx.remote_gateway.transfer(ctx.gateway, snapshot, command.id, request, who, left_ms, progress) do

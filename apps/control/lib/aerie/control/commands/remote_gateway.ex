@@ -29,7 +29,7 @@ defmodule Aerie.Control.Commands.RemoteGateway do
 
   @doc """
   Asks the gateway of the vehicle's snapshot for something that is not a command, in the name of `who`, and waits at most a little longer
-  than `timeout_ms`. Gives what it answered beside its result, or the result that says why there is nothing.
+  than `timeout_ms`, nil: as long as that gateway tells of progress. Gives what it answered beside its result, or the result that says why there is nothing.
   """
   @callback transfer(
               Names.gateway(),
@@ -37,7 +37,7 @@ defmodule Aerie.Control.Commands.RemoteGateway do
               id :: String.t(),
               request(),
               who :: String.t(),
-              timeout_ms :: pos_integer(),
+              timeout_ms :: pos_integer() | nil,
               progress :: (map() -> term())
             ) :: {:ok, %{String.t() => term()}} | {:error, Result.t()}
 

@@ -50,6 +50,7 @@ defmodule Aerie.Control.Params.Download do
     :first_hash,
     :last_hash,
     :heard_at,
+    each_us: 0,
     phase: :idle,
     hashed?: false,
     gap: 0,
@@ -93,7 +94,8 @@ defmodule Aerie.Control.Params.Download do
   @doc """
   A download that has not begun. `target` is `{system, component}`, `deadline` in the clock of the events.
 
-  Options: `:encoding` (`c:Aerie.Vehicle.Protocol.param_encoding/0`, or `:extended` for PARAM_EXT), `:hash` (whether the firmware has `_HASH_CHECK`), `:rtt_us`.
+  Options: `:encoding` (`c:Aerie.Vehicle.Protocol.param_encoding/0`, or `:extended` for PARAM_EXT), `:hash` (whether the firmware has `_HASH_CHECK`), `:rtt_us`,
+  `:each_us` (what the deadline grows by for each parameter that the vehicle says it has).
   """
   @spec new({non_neg_integer(), 0..255}, deadline :: integer(), keyword()) :: t()
   def new(target, deadline, options \\ []) do
@@ -102,6 +104,7 @@ defmodule Aerie.Control.Params.Download do
       encoding: Keyword.get(options, :encoding, :c_cast),
       hashed?: Keyword.get(options, :hash, false),
       deadline: deadline,
+      each_us: Keyword.get(options, :each_us, 0),
       trip: RoundTrip.new(options[:rtt_us])
     }
   end
@@ -158,9 +161,12 @@ defmodule Aerie.Control.Params.Download do
       count > Table.max() -> finish(d, {:error, {:too_many, count}})
       index >= count -> {%{d | ignored: d.ignored + 1}, []}
       d.count not in [nil, count] or moved?(d, param.name, index) -> changed(d, now)
-      true -> take(%{d | count: count, strikes: 0}, param, index, now)
+      true -> take(%{grown(d, count, now) | count: count, strikes: 0}, param, index, now)
     end
   end
+
+  defp grown(%{count: nil} = d, count, now), do: %{d | deadline: max(d.deadline, now + count * d.each_us)}
+  defp grown(d, _count, _now), do: d
 
   # A few may be late ones of the previous list.
   defp changed(%{strikes: @strikes} = d, now), do: resync(d, now)

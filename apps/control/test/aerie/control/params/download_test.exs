@@ -31,6 +31,13 @@ defmodule Aerie.Control.Params.DownloadTest do
     assert length(run.progress) <= 101
   end
 
+  test "a slow radio has the time that the number of parameters needs, unless it was limited (P4)" do
+    slow = ParamsVehicle.new(ParamsVehicle.some(1_400), pace: 250_000)
+    assert {:ok, table} = run(slow, [loss: 0.02], each_us: 1_000_000).result
+    assert map_size(table.params) == 1_400
+    assert {:error, :deadline} = run(slow).result
+  end
+
   test "what is lost is requested by index, ten at a time, and nothing else is" do
     run = run(ParamsVehicle.new(ParamsVehicle.some(200)), loss: 0.25, seed: 7)
     assert {:ok, table} = run.result

@@ -7,14 +7,14 @@ defmodule Aerie.Fleet.Operations.Request do
 
   | key | meaning | left out |
   |---|---|---|
-  | `id` | the same id is the same operation | one is made |
+  | `id` | the same id is the same operation | one is made; over NATS it must be there, where a request may come twice |
   | `vehicles`, or `tag` | which: at most 2,000 ids, or all with a tag when it begins | one of them must be there |
   | `command`, or `shadow` | a command's `type` and `params`, or a change of the desired state (docs/shadow.md) without `version` | one of them must be there |
   | `step` | how many at once, 1 to 100 | 20 |
   | `pause_s` | between two steps, 0 to 3,600 | 0 |
   | `halt_ratio` | the share of failures beyond which nothing begins any more, 0 to 1 | 1: go on |
   | `await` | of a shadow: `written`, or `converged` | `written` |
-  | `timeout_s` | how long a vehicle may take to converge, or a command until it is sent, 1 to 300 | 60 for a shadow, 10 for a command |
+  | `timeout_s` | how long a vehicle may take to converge, 1 to 3,600, or a command until it is sent, 1 to 300 | 60 for a shadow, 5 more for each field and 600 for a plan; 10 for a command |
   """
 
   alias Aerie.Base.Json
@@ -52,8 +52,7 @@ defmodule Aerie.Fleet.Operations.Request do
       pause_s: number(object, "pause_s", 0..3_600, 0, &is_number/1),
       halt_ratio: number(object, "halt_ratio", 0..1, 1, &is_number/1),
       await: await(object),
-      timeout_s:
-        number(object, "timeout_s", 1..300, if(is_map_key(object, "shadow"), do: 60, else: 10), &is_number/1)
+      timeout_s: timeout_s(object)
     ]
 
     unknown =
@@ -155,6 +154,16 @@ defmodule Aerie.Fleet.Operations.Request do
         {:error, Error.new(key, "a number from #{first} to #{last}", other)}
     end
   end
+
+  # By a slow radio a field takes seconds, and a plan minutes.
+  defp timeout_s(%{"shadow" => shadow} = object) do
+    desired = if is_map(shadow) and is_map(shadow["desired"]), do: shadow["desired"], else: %{}
+    fields = for {_name, value} <- desired, do: if(is_map(value), do: map_size(value), else: 1)
+    plans = Enum.count(desired, fn {_name, value} -> is_map(value) and is_map_key(value, "plan") end)
+    number(object, "timeout_s", 1..3_600, min(60 + 5 * Enum.sum(fields) + 600 * plans, 3_600), &is_number/1)
+  end
+
+  defp timeout_s(object), do: number(object, "timeout_s", 1..300, 10, &is_number/1)
 
   defp await(%{"await" => _any, "command" => _given}),
     do: {:error, Error.new("await", "nothing: a command has its own end", :rule)}

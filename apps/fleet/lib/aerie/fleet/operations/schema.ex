@@ -16,8 +16,7 @@ defmodule Aerie.Fleet.Operations.Schema do
       id: described(id(), "the same id is the same operation"),
       step: Map.put(integer(1, 100), :default, 20),
       pause_s: Map.put(number(0, 3_600), :default, 0),
-      halt_ratio: Map.put(number(0, 1), :default, 1),
-      timeout_s: number(1, 300)
+      halt_ratio: Map.put(number(0, 1), :default, 1)
     }
 
     vehicles = %{type: :array, minItems: 1, maxItems: Request.max_vehicles(), items: token()}
@@ -25,8 +24,8 @@ defmodule Aerie.Fleet.Operations.Schema do
     await = %{enum: ~w(written converged), default: :written}
 
     what = [
-      command: %{command: ref("command_of_operation")},
-      shadow: %{shadow: ref("change_of_operation"), await: await}
+      command: %{command: ref("command_of_operation"), timeout_s: number(1, 300)},
+      shadow: %{shadow: ref("change_of_operation"), await: await, timeout_s: number(1, 3_600)}
     ]
 
     required = if id?, do: [:id], else: []

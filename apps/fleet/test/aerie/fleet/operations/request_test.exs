@@ -36,7 +36,17 @@ defmodule Aerie.Fleet.Operations.RequestTest do
              Request.parse(object, @now)
 
     assert request.plan == %{step: 3, pause_ms: 1500, halt_ratio: 0.0}
-    assert request.timeout_ms == 60_000
+    assert request.timeout_ms == 65_000
+
+    desired = %{
+      "params" => Map.new(1..100, &{"P#{&1}", &1}),
+      "mission" => %{"plan" => String.duplicate("a", 64)}
+    }
+
+    long = %{object | "shadow" => %{"desired" => desired}}
+    assert {:ok, %{timeout_ms: 1_165_000}} = Request.parse(long, @now)
+    assert {:ok, %{timeout_ms: 3_600_000}} = long |> Map.put("timeout_s", 3_600) |> Request.parse(@now)
+    assert wrong(Map.put(@rtl, "timeout_s", 301)) == ["timeout_s"]
   end
 
   test "what is wrong is named, each key by itself" do

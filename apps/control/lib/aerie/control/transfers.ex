@@ -21,8 +21,8 @@ defmodule Aerie.Control.Transfers do
     * `:id` - the id of a change: the same id with the same content is carried out once. 1 to 64 letters, digits, `-` and `_`
     * `:progress` - a process, or one with a term: it gets `{:command_progress, term, id, progress}` as for commands; the progress has
       `"phase"` (`"waiting"`, `"sending"`, `"reading"` or `"checking"`), `"done"` and `"total"` besides
-    * `:timeout_ms` - the time limit, including the wait for other transfers; without it a transfer has the time that its length needs,
-      and ends when the vehicle does not answer any more
+    * `:timeout_ms` - the time limit, including the wait for other transfers; without it a transfer has the time that its
+      length needs, and ends when the vehicle does not answer any more
     * `:wait_ms` - how long to wait for the result of a change, which then continues by itself; by default `:infinity`
   """
   @type option ::
@@ -36,9 +36,9 @@ defmodule Aerie.Control.Transfers do
   @options [:as, :via, :says, :id, :progress, :timeout_ms, :wait_ms]
 
   @typedoc """
-  A transfer: the lanes that it uses, the function that makes its machine (`t:Aerie.Control.TransferExecutor.Job.t/0`), its default time limit
-  (`time_ms/2`), and for reads a term: identical reads, which have the same term, share one transfer. `context.grows?`: nobody gave a time limit, so it
-  may grow with the length that the vehicle tells.
+  A transfer: the lanes that it uses, the function that makes its machine (`t:Aerie.Control.TransferExecutor.Job.t/0`),
+  its default time limit (`time_ms/2`), and for reads a term: identical reads, which have the same term, share one
+  transfer. `context.grows?`: nobody gave a time limit, so it may grow with the length that the vehicle reports.
   """
   @type transfer :: %{
           required(:lanes) => [Job.lane(), ...],
@@ -64,8 +64,8 @@ defmodule Aerie.Control.Transfers do
   def max_timeout_s, do: 3_600
 
   @doc """
-  The time limit of a transfer of so many pieces, each of which may take `each_ms`: that of a slow radio. Transfers end sooner when the vehicle
-  falls silent, so the limit is for one that answers and does not come to an end.
+  The time limit of a transfer of so many pieces, each of which may take `each_ms`: that of a slow radio. Transfers end
+  sooner when the vehicle falls silent, so the limit is for one that answers and does not come to an end.
   """
   @spec time_ms(pieces :: non_neg_integer(), each_ms :: pos_integer()) :: pos_integer()
   def time_ms(pieces, each_ms), do: max(300_000, 60_000 + pieces * each_ms)

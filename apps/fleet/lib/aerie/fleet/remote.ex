@@ -25,7 +25,7 @@ defmodule Aerie.Fleet.Remote do
   @max_text 512
   # The other gateway's answer may come a little after its time limit.
   @late_ms 5_000
-  # A transfer without a time limit goes on as long as the other gateway tells of progress.
+  # A transfer without a time limit goes on as long as the other gateway reports progress.
   @idle_ms 600_000
   @longest_ms 86_400_000
   @own ~w(id result reason)
@@ -123,7 +123,8 @@ defmodule Aerie.Fleet.Remote do
             {:unknown, "the gateway #{snapshot.via} fell silent while it was under way"}
 
           until != nil and now() >= until ->
-            {:unknown, "the gateway #{snapshot.via} told of no progress for #{div(@idle_ms, 60_000)} minutes"}
+            {:unknown,
+             "the gateway #{snapshot.via} reported no progress for #{div(@idle_ms, 60_000)} minutes"}
 
           true ->
             wait(task, gateway, snapshot, progress, until)

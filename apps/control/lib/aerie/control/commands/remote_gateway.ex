@@ -28,8 +28,9 @@ defmodule Aerie.Control.Commands.RemoteGateway do
   @type request :: {area :: String.t(), operation :: String.t(), body :: %{String.t() => term()}}
 
   @doc """
-  Asks the gateway of the vehicle's snapshot for something that is not a command, in the name of `who`, and waits at most a little longer
-  than `timeout_ms`, nil: as long as that gateway tells of progress. Gives what it answered beside its result, or the result that says why there is nothing.
+  Asks the gateway of the vehicle's snapshot for something that is not a command, in the name of `who`, and waits at most
+  a little longer than `timeout_ms`; nil: as long as that gateway reports progress. Gives what it answered beside its
+  result, or the result that says why there is nothing.
   """
   @callback transfer(
               Names.gateway(),

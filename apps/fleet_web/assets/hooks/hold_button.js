@@ -28,7 +28,7 @@ export default {
   },
   updated() {
     if (this.el.disabled) this.end();
-    else if (this.timer && this.changed()) this.end(undefined, "Changed");
+    else if (this.timer && (this.el.dataset.refusal || this.changed())) this.end(undefined, "Changed");
   },
   destroyed() {
     this.end();
@@ -56,7 +56,7 @@ export default {
     if (!event.repeat) this.begin(event.key, event);
   },
   shortcut(event) {
-    const { shortcut: key, refusal } = this.el.dataset;
+    const { shortcut: key } = this.el.dataset;
     if (!key || event.ctrlKey || event.metaKey || event.altKey || event.key.toLowerCase() !== key.toLowerCase()) return;
     // A dialog in front of the button keeps its keys to itself.
     if (document.querySelector("dialog[open]") && !this.el.closest("dialog[open]")) return;
@@ -64,12 +64,13 @@ export default {
     // A letter that somebody types is none that is held.
     if (target && text(target) && !event.repeat) return;
     if (target) return hint(`${key} does nothing while “${called(target)}” has the focus. Move the focus away, then hold ${key}.`);
-    if (refusal) return hint(refusal);
-    if (lost()) return hint(`${key} does nothing while the gateway is lost.`);
     this.press(event, [event.key]);
   },
   begin(by, event) {
-    if (this.timer || this.el.matches(":disabled") || lost()) return;
+    if (this.timer || this.el.matches(":disabled")) return;
+    // The hand on the button and the key do the same, and learn the same.
+    const refusal = lost() ? "Nothing is sent while the gateway is lost." : this.el.dataset.refusal;
+    if (refusal) return hint(refusal);
     this.by = by;
     this.since = Math.min(event.timeStamp, performance.now());
     this.value = JSON.stringify(shown(this.el));

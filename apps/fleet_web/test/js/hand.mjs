@@ -146,8 +146,14 @@ const tasks = {
     await contains(page, ".fleet-hidden", "1 selected, not in this list: V1");
     await page.evaluate(() => document.activeElement.blur());
     await page.keyboard.press("l");
-    await shows(page, "#hint", "L does nothing: 1 selected, not in this list: V1.");
-    equal("no press began", (await presses(page, "#fleet-land")).ended, 0);
+    await shows(page, "#hint", "Land does nothing: 1 selected, not in this list: V1. Clear the filter or the selection first.");
+    // The button does the same as its key, and is told why.
+    await page.evaluate(() => { document.getElementById("hint").hidden = true; });
+    await page.hover("#fleet-hold");
+    await page.mouse.down();
+    await shows(page, "#hint", "Hold does nothing: 1 selected, not in this list: V1. Clear the filter or the selection first.");
+    await page.mouse.up();
+    for (const button of ["#fleet-land", "#fleet-hold"]) equal("no press began", (await presses(page, button)).ended, 0);
     await page.fill("#fleet-search", "");
     await selected(page, "V1");
 

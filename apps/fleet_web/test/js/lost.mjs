@@ -21,7 +21,7 @@ main(async (browser) => {
   await page.keyboard.down("l");
   equal("a held button", await page.locator("#action-land").getAttribute("data-state"), null);
   await page.keyboard.up("l");
-  await shows(page, "#hint", "L does nothing while the gateway is lost.");
+  await shows(page, "#hint", "Nothing is sent while the gateway is lost.");
 
   // What the page is when the banner goes: joined again, and with the values of now.
   await page.evaluate(() => {

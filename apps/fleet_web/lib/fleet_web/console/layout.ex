@@ -77,7 +77,7 @@ defmodule FleetWeb.Console.Layout do
       <header class="top">
         <.link navigate="/" class="brand" aria-label="Aerie, to the fleet"><.logo /><span>Aerie</span></.link>
         <p :if={@connecting} class="badge warn" role="status">Connecting…, values of {@connecting}</p>
-        <.alarm_strip alarms={@alarms} age={@alarm_age} />
+        <.alarm_strip alarms={@alarms} age={@alarm_age} user={@user} />
         <span id="clock" class="clock wide-only" title="All times are UTC">{@clock}</span>
         <details class="menu" id="user-menu" phx-mounted={JS.ignore_attributes("open")}>
           <summary aria-label={"#{@user.name}, #{@user.role}: account and look"}>

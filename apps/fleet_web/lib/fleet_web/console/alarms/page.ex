@@ -2,7 +2,6 @@ defmodule FleetWeb.Console.Alarms.Page do
   @moduledoc "The page of all alarms: which vehicle, what, how old, and who has acknowledged them."
   use FleetWeb.Console, :page
 
-  alias Aerie.Control.Policy.Roles
   alias Aerie.Fleet.Alarms
   alias Aerie.Fleet.Alarms.Server
   alias FleetWeb.Console.Alarms.Strip
@@ -21,7 +20,7 @@ defmodule FleetWeb.Console.Alarms.Page do
     {list, dropped} = Server.list(socket.assigns.gateway)
     now = System.os_time(:microsecond)
     rows = for alarm <- list, do: Map.merge(alarm, %{state: Alarms.state(alarm), age: now - alarm.since})
-    assign(socket, rows: rows, dropped: dropped, may?: Roles.at_least?(socket.assigns.user.role, :operator))
+    assign(socket, rows: rows, dropped: dropped, may?: Strip.may?(socket.assigns.user))
   end
 
   @impl Phoenix.LiveView

@@ -5,11 +5,13 @@ defmodule FleetWeb.Console.Alarms.Strip do
   """
   use FleetWeb.Console, :component
 
+  alias Aerie.Control.Policy.Roles
   alias Aerie.Fleet.Alarms
   alias FleetWeb.Console.Vehicle.Sections
 
   attr :alarms, :map, required: true
   attr :age, :string, required: true, doc: "of the first alarm, nil without one"
+  attr :user, :map, required: true
 
   @doc "The strip."
   def alarm_strip(assigns) do
@@ -35,7 +37,7 @@ defmodule FleetWeb.Console.Alarms.Strip do
         <span :if={@alarms.first && Alarms.state(@alarms.first) == :over} class="muted">Cleared</span>
       </.link>
       <button
-        :if={@alarms.first && @alarms.first.by == nil}
+        :if={@alarms.first && @alarms.first.by == nil && may?(@user)}
         type="button"
         class="button small"
         aria-label="Acknowledge"
@@ -54,6 +56,10 @@ defmodule FleetWeb.Console.Alarms.Strip do
     </div>
     """
   end
+
+  @doc "Whether a user may acknowledge alarms."
+  @spec may?(Roles.source()) :: boolean()
+  def may?(user), do: Roles.at_least?(user.role, :operator)
 
   defp kind(%{first: nil}), do: "off"
   defp kind(%{first: alarm}), do: kind_of(alarm)

@@ -36,7 +36,7 @@ defmodule FleetWeb.Console.Fleet.Actions do
             event="command"
             icon={icon}
             shortcut={key}
-            refusal={@hidden && "#{key} does nothing: #{@hidden}."}
+            refusal={@hidden && "#{label} does nothing: #{Selection.hidden_refusal(@hidden)}"}
             value={@value}
             phx-value-type={type}
           >{label}</.hold_button>
@@ -44,7 +44,7 @@ defmodule FleetWeb.Console.Fleet.Actions do
         </div>
         <.button icon="plan" phx-click={JS.push("plans", value: @value)} aria-pressed={to_string(Enum.all?(@chosen, &Plans.on?(@plans, &1.id)))}>Missions</.button>
         <.button kind="quiet" icon="x" label="Select none" phx-click="none" />
-        <.charge :if={Roles.at_least?(@user.role, :operator)} rows={@chosen} user={@user} />
+        <.charge :if={@hidden == nil and Roles.at_least?(@user.role, :operator)} rows={@chosen} user={@user} />
       </div>
     </div>
     """

@@ -193,8 +193,15 @@ defmodule FleetWeb.Console.Fleet.Page do
      end)}
   end
 
-  def handle_event("command", %{"type" => _type} = event, socket),
-    do: {:noreply, meant(socket, event, &command(socket, event, &1))}
+  def handle_event("command", %{"type" => _type} = event, %{assigns: %{rows: rows} = assigns} = socket) do
+    {:noreply,
+     meant(socket, event, fn chosen ->
+       case Selection.summary(assigns.selection, ids(chosen), ids(rows)) do
+         {_seen, nil} -> command(socket, event, chosen)
+         {_seen, hidden} -> put_flash(socket, :error, "Nothing was sent: #{Selection.hidden_refusal(hidden)}")
+       end
+     end)}
+  end
 
   def handle_event("close_batch", _value, socket) do
     forget(socket.assigns.gateway, socket.assigns.batch)

@@ -66,6 +66,10 @@ defmodule FleetWeb.Console.Fleet.Selection do
      if(hidden != [], do: "#{length(hidden)} selected, not in this list: #{names(hidden)}")}
   end
 
+  @doc "Why nothing is done with such a selection, and what to do."
+  @spec hidden_refusal(hidden :: String.t()) :: String.t()
+  def hidden_refusal(hidden), do: "#{hidden}. Clear the filter or the selection first."
+
   @doc "Vehicles in a few words."
   @spec names([String.t()]) :: String.t()
   def names(ids) when length(ids) <= 3, do: Enum.join(ids, ", ")

@@ -69,7 +69,7 @@ defmodule FleetWeb.Console.Fleet.Table do
     <th scope="row" data-label="Vehicle" class="fleet-name">{flat(name(assigns))}</th>
     <td data-label="State" class="fleet-state">{flat(state(assigns))}</td>
     <td data-label="Alarms" class="fleet-problems" title={Enum.map_join(@row.problems, ", ", &elem(&1, 1))}>{flat(problems(assigns))}</td>
-    <td data-label="Mode" title={@row.mode}>{@row.mode || "–"}</td>
+    <td data-label="Mode" class="fleet-mode" title={@row.mode}>{mode(@row.mode)}</td>
     <td data-label="Battery">{flat(battery(assigns))}</td>
     <td data-label="GPS" class={gps(@row.fix)}>{fix(@row)}</td>
     <td data-label="Height" class="number">{unit(@row.height, "m")}</td>
@@ -95,10 +95,25 @@ defmodule FleetWeb.Console.Fleet.Table do
   defp state(assigns),
     do: ~H"<.badge kind={kind(@row.state)}>{word(@row)}</.badge><.age us={@row.silent_us} />"
 
+  # The worst one, and how many more: a row keeps its height whatever is wrong.
   defp problems(assigns) do
     ~H"""
-    <.badge :for={{severity, text} <- @row.problems} kind={Atom.to_string(severity)}>{text}</.badge>
+    <div :if={@row.problems != []} class="fleet-worst">
+      <.badge :for={{severity, text} <- Enum.take(@row.problems, 1)} kind={Atom.to_string(severity)}>{text}</.badge>
+      <.badge :if={length(@row.problems) > 1}>+{length(@row.problems) - 1}</.badge>
+    </div>
     """
+  end
+
+  # AUTO_LOITER and AUTO_LAND must not look alike: a name that is too long goes on in the next line.
+  defp mode(nil), do: "–"
+
+  defp mode(name) do
+    parts =
+      for part <- String.split(name, "_"),
+          do: part |> Phoenix.HTML.html_escape() |> Phoenix.HTML.Safe.to_iodata()
+
+    {:safe, parts |> Enum.intersperse("_<wbr>") |> IO.iodata_to_binary()}
   end
 
   defp battery(assigns),

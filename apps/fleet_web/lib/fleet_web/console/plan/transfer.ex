@@ -145,7 +145,7 @@ defmodule FleetWeb.Console.Plan.Transfer do
     end
   end
 
-  defp remarks(%{details: %{"remarks" => remarks}}), do: "; but " <> Enum.join(remarks, "; ")
+  defp remarks(%{details: %{"remarks" => [_ | _] = remarks}}), do: "; but " <> Enum.join(remarks, "; ")
   defp remarks(_result), do: ""
 
   defp failed({:pending, _id}), do: {:error, "it is still under way"}

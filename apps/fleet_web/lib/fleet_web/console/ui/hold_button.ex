@@ -20,7 +20,7 @@ defmodule FleetWeb.Console.UI.HoldButton do
   attr :icon, :string, default: nil
   attr :hold_ms, :integer, default: 800, values: [500, 800, 1500]
   attr :shortcut, :string, default: nil, doc: "a key that is held instead, wherever the focus is"
-  attr :refusal, :string, default: nil, doc: "why the key does nothing now"
+  attr :refusal, :string, default: nil, doc: "why it does nothing now, by its key or the hand"
   attr :value, :map, default: %{}, doc: "what it is for, as the operator sees it"
   attr :disabled, :boolean, default: false
   attr :reason, :string, default: nil, doc: "why it is disabled"
@@ -41,9 +41,10 @@ defmodule FleetWeb.Console.UI.HoldButton do
       data-hold={@hold_ms}
       data-shortcut={@shortcut}
       data-refusal={@refusal}
+      aria-disabled={@refusal && "true"}
       data-value={JSON.encode!(@value)}
       disabled={@disabled}
-      title={if(@disabled, do: @reason, else: "Press and hold")}
+      title={if(@disabled, do: @reason, else: @refusal || "Press and hold")}
       aria-description="Press and hold"
       {@rest}
     ><.icon :if={@icon} name={@icon} /><span>{render_slot(@inner_block)}</span><kbd :if={@shortcut}>{@shortcut}</kbd></button>

@@ -2,6 +2,7 @@ defmodule FleetWeb.Console.Fleet.HandTest do
   @moduledoc "The fleet's page under an operator's hand: a press is for what it showed, and rows keep their places."
   use FleetWeb.ConsoleCase, async: true
 
+  alias Aerie.Control.Commands
   alias FleetWeb.Console.Fleet.{Batch, Order, Row, Selection, Sequence}
 
   @changed "The selection changed; nothing was sent."
@@ -96,10 +97,10 @@ defmodule FleetWeb.Console.Fleet.HandTest do
       [console: console] = start_console()
       for n <- 1..3, do: put_vehicle(console, "V#{n}", [], %{key: {"main", n}, system_id: n})
       {:ok, view, _html} = live(conn(console, :operator), "/")
-      {:ok, view: view}
+      {:ok, view: view, console: console}
     end
 
-    test "are named, and take no keys", %{view: view} do
+    test "are named, and take neither keys nor presses", %{view: view, console: console} do
       select(view, "V1")
       refute has_element?(view, ".fleet-hidden")
       refute view |> element("#fleet-hold") |> render() =~ "data-refusal"
@@ -107,12 +108,19 @@ defmodule FleetWeb.Console.Fleet.HandTest do
       assert has_element?(view, ".fleet-hidden", "1 selected, not in this list: V1")
       refute has_element?(view, ".fleet-selected > strong:not(.fleet-hidden)")
 
-      for {type, key} <- [{"hold", "H"}, {"rtl", "R"}, {"land", "L"}],
-          do:
-            assert(
-              view |> element("#fleet-#{type}") |> render() =~
-                ~s(data-refusal="#{key} does nothing: 1 selected, not in this list: V1.")
-            )
+      for {type, label} <- [{"hold", "Hold"}, {"rtl", "Return"}, {"land", "Land"}] do
+        assert view |> element("#fleet-#{type}[aria-disabled=true]") |> render() =~
+                 ~s(data-refusal="#{label} does nothing: 1 selected, not in this list: V1. Clear the filter)
+
+        # A press that was made before the filter.
+        press = %{"type" => type, "id" => "p-#{type}", "ids" => ["V1"]}
+        assert render_hook(view, "command", press) =~ "Nothing was sent: 1 selected, not in this list: V1."
+      end
+
+      refute has_element?(view, "#fleet-charge")
+      take = %{"type" => "take_control", "id" => "p-take", "ids" => ["V1"], "holders" => %{}}
+      assert render_hook(view, "command", take) =~ "Nothing was sent"
+      assert Commands.recent(console.gateway, "V1") == []
 
       select(view, "V2", "toggle")
       assert has_element?(view, ".fleet-selected strong", "V2")

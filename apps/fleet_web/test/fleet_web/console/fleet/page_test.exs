@@ -5,6 +5,7 @@ defmodule FleetWeb.Console.Fleet.PageTest do
 
   alias Aerie.Control.Policy.Leases
   alias Aerie.Fleet.Shadow
+  alias Aerie.Vehicle.Protocol.Modes
 
   setup do: {:ok, start_console()}
 
@@ -44,6 +45,36 @@ defmodule FleetWeb.Console.Fleet.PageTest do
     assert view |> element("#vehicle-VID-002") |> render() =~ "90 min"
     assert view |> element("#vehicle-VID-002") |> render() =~ "lost"
     assert html =~ "2 vehicles"
+  end
+
+  @tag :chromium
+  test "nothing of a row is cut, whatever the firmware calls its modes", %{console: console} do
+    modes =
+      for {autopilot, kinds} <- [ardupilot: ~w(copter plane vtol rover boat sub), px4: ["copter"]],
+          kind <- kinds,
+          mode <- Modes.all(autopilot, kind),
+          do: mode
+
+    problems = [
+      %{},
+      %{mode: %{failsafe: true}, mission: %{fence_breach: true}},
+      %{battery: %{remaining: 1.0, charge_state: "EMERGENCY"}},
+      %{mission: %{fence_breach: true}, gps: %{fix: 4, satellites: 22}}
+    ]
+
+    for {mode, n} <- Enum.with_index(Enum.uniq(modes) ++ ["MODE(4294967295)", "FAILSAFE"], 1) do
+      groups =
+        Map.merge(Enum.at(problems, rem(n, 4)), %{
+          velocity: %{groundspeed: 123.4},
+          position: %{alt_rel: -1234.0}
+        })
+
+      groups = Map.update(groups, :mode, %{mode: mode}, &Map.put(&1, :mode, mode))
+      status = Enum.at([:online, :stale, :lost], rem(n, 3))
+      put_vehicle(console, "V#{n}", Map.to_list(groups), %{key: {"main", n}, system_id: n, status: status})
+    end
+
+    browse(console, "table.mjs")
   end
 
   test "says so when nobody is heard any more", %{console: console} do

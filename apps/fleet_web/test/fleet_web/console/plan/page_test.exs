@@ -176,6 +176,8 @@ defmodule FleetWeb.Console.Plan.PageTest do
         add(view, 0)
         sent = send_plan(view, "web-0001")
         assert sent =~ "1 item, verified" and sent =~ "not sent: the plan has none"
+        # Nothing follows where there is nothing to remark.
+        refute sent =~ "; but"
         assert {:ok, %{plan: %{fence: [_]}}} = Missions.download(c.gateway, c.vehicle, :fence)
 
         # What is read and cleared in the drawing is not removed aboard; the rest is as it was read.

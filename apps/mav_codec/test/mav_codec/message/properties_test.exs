@@ -23,7 +23,11 @@ defmodule MavCodec.Message.PropertiesTest do
 
           crc_extra == unquote(dialect).crc_extra(id) and byte_size(payload) >= 1 and
             unquote(dialect).decode(id, payload) == {:ok, message} and
-            (id > 255 or version_1?(message, unquote(dialect), id))
+            Message.unsayable(message, 2) == nil and
+            if(id > 255,
+              do: Message.unsayable(message, 1) == :id,
+              else: version_1?(message, unquote(dialect), id)
+            )
         end)
       end)
     end
@@ -114,8 +118,9 @@ defmodule MavCodec.Message.PropertiesTest do
   defp version_1?(message, dialect, id) do
     {:ok, ^id, _crc_extra, payload} = Message.encode_payload(message, 1, dialect)
     {min, _max} = dialect.length(id)
+    whole? = Message.unsayable(message, 1) == nil
 
-    byte_size(payload) == min and
+    byte_size(payload) == min and whole? == (base(message) == message) and
       MavCodec.decode(%{version: 1, id: id, payload: payload}, dialect) == {:ok, base(message)}
   end
 

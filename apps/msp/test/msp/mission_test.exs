@@ -96,6 +96,10 @@ defmodule Msp.MissionTest do
 
       assert {:frame, "item 1: " <> _} = refused.([%{wp | frame: 10}])
       assert {:invalid, "item 1: it has no place"} = refused.([%{wp | x: 0, y: 0}])
+
+      for z <- [:nan, {:nan, 1}, :infinity],
+          do: assert({:invalid, "item 1: it has no height"} = refused.([%{wp | z: z}]))
+
       assert {:invalid, "item 1: it has no place on Earth"} = refused.([%{wp | x: 0x7FFFFFFF}])
       assert {:invalid, "item 2: no waypoint follows" <> _} = refused.([wp, item(:DO_CHANGE_SPEED, {1, 5})])
 

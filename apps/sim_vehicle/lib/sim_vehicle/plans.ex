@@ -29,7 +29,7 @@ defmodule SimVehicle.Plans do
   @denied MavMissionResult.value(:MAV_MISSION_DENIED)
   @cancelled MavMissionResult.value(:MAV_MISSION_OPERATION_CANCELLED)
 
-  @frames %{0 => [0, 2, 3, 5, 6, 10, 11], 1 => [0, 3, 5, 6], 2 => [0, 3, 5, 6]}
+  @frames %{0 => [0, 2, 3, 5, 6, 10, 11], 1 => [0, 3, 5, 6], 2 => [0, 3, 5, 6, 10, 11]}
   @px4_frames %{0 => [0, 2, 3, 5, 6], 1 => [0, 2, 3, 5, 6], 2 => [0, 3, 5, 6]}
 
   @nav cmds(~w(
@@ -50,7 +50,7 @@ defmodule SimVehicle.Plans do
     0 => @nav ++ @conditions ++ @actions ++ @cameras,
     1 => cmds(~w(
       NAV_FENCE_RETURN_POINT NAV_FENCE_POLYGON_VERTEX_INCLUSION NAV_FENCE_POLYGON_VERTEX_EXCLUSION
-      NAV_FENCE_CIRCLE_INCLUSION NAV_FENCE_CIRCLE_EXCLUSION
+      NAV_FENCE_CIRCLE_INCLUSION NAV_FENCE_CIRCLE_EXCLUSION NAV_FENCE_HOME_CIRCLE_INCLUSION
     )a),
     2 => [cmd(:NAV_RALLY_POINT)]
   }

@@ -31,7 +31,7 @@ defmodule Aerie.Control.Missions do
   # The beginning of a file that shows whether it is JSON.
   @looked_at 1_000
 
-  @type kind :: :mission | :fence | :rally
+  @type kind :: Plan.kind()
 
   @typedoc """
     * `:plan` - a plan with only the kind that was read
@@ -58,15 +58,15 @@ defmodule Aerie.Control.Missions do
     asked = {"mission", "get", %{"kind" => Atom.to_string(kind)}}
 
     with :here <- Transfers.read_remote(gateway, vehicle, asked, options),
-         {:ok, result} <- read(gateway, vehicle, kind, options),
-         {:ok, plan} <- Onboard.put(%Plan{}, type, result.items, protocol(gateway, vehicle)) do
+         {:ok, result} <- read(gateway, vehicle, kind, options) do
+      plan = Onboard.put(%Plan{}, type, result.items, protocol(gateway, vehicle))
+
       {:ok,
        %{plan: plan, items: result.items, opaque_id: result.opaque_id, digest: Plan.digest(result.items)}}
     else
       {:ok, %{"plan" => plan} = answer} -> outcome(plan, answer, type, protocol(gateway, vehicle))
       {:ok, _other} -> no_plan("its gateway told none")
-      {:error, %Result{}} = error -> error
-      {:error, text} -> no_plan(text)
+      error -> error
     end
   end
 
@@ -108,13 +108,7 @@ defmodule Aerie.Control.Missions do
     with {:ok, mission} <- download(gateway, vehicle, :mission, options),
          {:ok, fence} <- download(gateway, vehicle, :fence, options),
          {:ok, rally} <- download(gateway, vehicle, :rally, options) do
-      {:ok,
-       %{
-         mission.plan
-         | fence: fence.plan.fence,
-           fence_return: fence.plan.fence_return,
-           rally: rally.plan.rally
-       }}
+      {:ok, mission.plan |> Plan.put_part(:fence, fence.plan) |> Plan.put_part(:rally, rally.plan)}
     end
   end
 
@@ -124,8 +118,9 @@ defmodule Aerie.Control.Missions do
   permission `mission`. The details have `"on_board"`: `"new"`, `"old"`, `"other"` or `"unknown"`, and `"remarks"`: what the firmware does
   not keep of it, and what is wrong with the plan by its own fence (`Aerie.Control.Mission.OwnFence`).
 
-  A plan that has nothing of this kind is refused: what is aboard is removed by `clear/4` only. Refused as well, unless the option `force: true` is given, is a fence
-  that the vehicle, which is known to fly with its fence on, would breach at once.
+  A plan that has nothing of this kind is refused: what is aboard is removed by `clear/4` only. So is one with a place
+  without a height, which would reach the vehicle as NaN. Refused as well, unless the option `force: true` is given, is a
+  fence that the vehicle, which is known to fly with its fence on, would breach at once.
   """
   @spec upload(Names.gateway(), vehicle :: String.t(), kind(), Plan.t(), [
           Transfers.option() | {:force, boolean()}
@@ -145,6 +140,9 @@ defmodule Aerie.Control.Missions do
              :rule
            )
          ]}
+
+      (heightless = Plan.heightless(plan, kind)) != nil ->
+        {:error, [Error.new(Atom.to_string(kind), heightless, :rule)]}
 
       length(items) > Transfer.limit() ->
         {:error, [Error.new(Atom.to_string(kind), "at most #{Transfer.limit()} items", length(items))]}
@@ -209,13 +207,7 @@ defmodule Aerie.Control.Missions do
   @doc "Describes a plan of a kind from its items: `\"4 corners\"`, `\"nothing\"`."
   @spec contents([Item.t()], kind(), module()) :: String.t()
   def contents(items, kind, protocol) do
-    with {:ok, plan} <- Onboard.put(%Plan{}, @kinds[kind], items, protocol),
-         text when is_binary(text) <- Plan.contents(plan, kind) do
-      text
-    else
-      nil -> "nothing"
-      {:error, _not_understood} -> "#{length(items)} items"
-    end
+    %Plan{} |> Onboard.put(@kinds[kind], items, protocol) |> Plan.contents(kind) || "nothing"
   end
 
   # The request to the gateway that hears the vehicle.
@@ -268,7 +260,10 @@ defmodule Aerie.Control.Missions do
   def export(plan, :waypoints), do: {:ok, Waypoints.write(plan)}
   def export(plan, :mission), do: Mwp.write(plan)
 
-  @doc "The answer for NATS and REST, with the plan as in a `.plan` file."
+  @doc """
+  The answer for NATS and REST, with the plan as in a `.plan` file; `remarks` say what of it QGroundControl would not
+  read.
+  """
   @spec plain(stored(), kind()) :: map()
   def plain(stored, kind) do
     %{
@@ -276,6 +271,7 @@ defmodule Aerie.Control.Missions do
       items: length(stored.items),
       digest: stored.digest,
       opaque_id: stored.opaque_id,
+      remarks: Plan.remarks(stored.plan, kind),
       plan: stored.plan |> QgcPlan.write() |> JSON.decode!()
     }
   end

@@ -167,6 +167,57 @@ defmodule Aerie.Control.TransfersTest do
     end
   end
 
+  test "what a plan file has no place for is named, and the same aboard when it is sent back", %{tmp_dir: dir} do
+    {gateway, port} = start(dir)
+    fly(gateway, port, firmware: :ardupilot)
+    around_home = %Item{command: 5005, frame: 0, params: {300.0, 0.0, 0.0, 0.0}}
+    zone = {:exclusion, {:circle, {-353_600_000, 1_491_600_000}, 25.0}}
+    [place, other, third] = for n <- 1..3, do: {-353_632_000 + n, 1_491_652_000}
+    rally = [{place, {560.0, 0}}, {other, 40.0}, {third, {30.0, 10}}]
+    plan = %Plan{fence: [zone], fence_others: [around_home], rally: rally}
+
+    for {kind, n} <- [fence: 1, rally: 2] do
+      assert {:ok, %Result{status: :completed}} = Missions.upload(gateway, "VID-001", kind, plan)
+      assert {:ok, stored} = Missions.download(gateway, "VID-001", kind)
+      assert %{remarks: remarks, plan: file} = Missions.plain(stored, kind)
+      assert length(remarks) == n
+      {:ok, read} = file |> JSON.encode!() |> Missions.import(:plan)
+      assert read == stored.plan
+      assert {:ok, %Result{status: :completed}} = Missions.upload(gateway, "VID-001", kind, read)
+      assert {:ok, ^stored} = Missions.download(gateway, "VID-001", kind)
+    end
+
+    assert {:ok, %{rally: ^rally, fence: [^zone], fence_others: [_]}} =
+             Missions.download_all(gateway, "VID-001")
+
+    assert {:ok, %Result{status: :completed, details: %{"removed" => removed}}} =
+             Missions.clear(gateway, "VID-001", :fence)
+
+    assert removed == "1 circle and 1 other item"
+  end
+
+  test "a place without a height is refused before anything is sent, by whichever file or firmware", %{
+    tmp_dir: dir
+  } do
+    {gateway, port} = start(dir)
+    for {firmware, n} <- [ardupilot: 1, px4: 2], do: fly(gateway, port, firmware: firmware, system: n)
+    file = File.read!(Path.join(@plans, "../heightless/terrain-null.plan"))
+    {:ok, from_plan} = Missions.import(file, :plan)
+    line = "1\t0\t3\t16\t0\t0\t0\t0\t47.1\t8.5\tnan\t1\n"
+
+    {:ok, from_waypoints} =
+      Missions.import("QGC WPL 110\n0\t1\t0\t16\t0\t0\t0\t0\t47\t8\t500\t1\n" <> line, :any)
+
+    for {plan, number} <- [{from_plan, 2}, {from_waypoints, 1}], vehicle <- ["VID-001", "VID-002"] do
+      assert {:error, [error]} = Missions.upload(gateway, vehicle, :mission, plan)
+      assert Exception.message(error) =~ "mission: expected a height in item #{number} (NAV_WAYPOINT)"
+      assert {:ok, %{items: []}} = Missions.download(gateway, vehicle, :mission)
+    end
+
+    beside = %Plan{rally_others: [%Item{command: 5100, frame: 3, x: 1, y: 1, z: nil}]}
+    assert {:error, [%{key: "rally"}]} = Missions.upload(gateway, "VID-001", :rally, beside)
+  end
+
   test "a component without parameters, and what is not a component", %{tmp_dir: dir} do
     {gateway, port} = start(dir)
     fly(gateway, port, firmware: :px4)

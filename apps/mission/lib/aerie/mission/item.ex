@@ -46,6 +46,17 @@ defmodule Aerie.Mission.Item do
   def place?(_command, @mission), do: false
   def place?(command, _frame), do: MavCmd.location?(command) != false
 
+  @doc "Whether an item whose command has a place says how high that is, whatever its frame."
+  @spec height?(t()) :: boolean()
+  def height?(%{z: z}) when z != nil, do: true
+
+  def height?(item) do
+    case MavCmd.location?(item.command) do
+      nil -> item.x == nil and item.y == nil
+      place? -> not place?
+    end
+  end
+
   @doc "The message for an item with its number (W5). The first item of a mission is the current one."
   @spec message(t(), non_neg_integer(), 0..2, {0..255, 0..255}) :: struct()
   def message(item, seq, mission_type, {system, component}) do

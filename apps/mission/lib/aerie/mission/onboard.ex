@@ -5,6 +5,7 @@ defmodule Aerie.Mission.Onboard do
   """
 
   alias Aerie.Mission.{Item, Plan}
+  alias Aerie.Vehicle.Protocol.Mavlink
   alias MavCodec.Enums.{MavCmd, MavFrame}
 
   @waypoint MavCmd.value(:MAV_CMD_NAV_WAYPOINT)
@@ -23,6 +24,7 @@ defmodule Aerie.Mission.Onboard do
   @circles Map.new(@circle, fn {kind, command} -> {command, kind} end)
   @global MavFrame.value(:MAV_FRAME_GLOBAL)
   @relative MavFrame.value(:MAV_FRAME_GLOBAL_RELATIVE_ALT)
+  @terrain MavFrame.value(:MAV_FRAME_GLOBAL_TERRAIN_ALT)
 
   @doc "The items of a part of a plan, for a firmware."
   @spec items(Plan.t(), 0..2, module()) :: [Item.t()]
@@ -38,16 +40,30 @@ defmodule Aerie.Mission.Onboard do
       for {{x, y}, z} <- List.wrap(plan.fence_return),
           do: %Item{command: @return, frame: @relative, x: x, y: y, z: z}
 
-    Enum.flat_map(plan.fence, &zone/1) ++ back
+    Enum.flat_map(plan.fence, &zone/1) ++ back ++ plan.fence_others
   end
 
-  def items(plan, 2, _protocol),
-    do: for({{x, y}, z} <- plan.rally, do: %Item{command: @rally, frame: @relative, x: x, y: y, z: z})
+  def items(plan, 2, _protocol), do: Enum.map(plan.rally, &rally_item/1) ++ plan.rally_others
 
-  @doc """
-  A plan with one part replaced by the items of a vehicle; an error names the item that is not valid.
-  """
-  @spec put(Plan.t(), 0..2, [Item.t()], module()) :: {:ok, Plan.t()} | {:error, String.t()}
+  @doc "The item of a rally point."
+  @spec rally_item(Plan.rally_point()) :: Item.t()
+  def rally_item({{x, y}, {z, frame}}), do: %Item{command: @rally, frame: frame, x: x, y: y, z: z}
+  def rally_item({place, z}), do: rally_item({place, {z, @relative}})
+
+  @doc "The rally point of an item; nil if it is not a place with a height above home, the sea or the ground."
+  @spec rally_point(Item.t()) :: Plan.rally_point() | nil
+  def rally_point(%{command: @rally, x: x, y: y, z: z} = item) when x != nil and y != nil and z != nil do
+    case Mavlink.plain_frame(item.frame) do
+      @relative -> {{x, y}, z}
+      frame when frame in [@global, @terrain] -> {{x, y}, {z, frame}}
+      _no_height -> nil
+    end
+  end
+
+  def rally_point(_other), do: nil
+
+  @doc "A plan with one part replaced by the items of a vehicle."
+  @spec put(Plan.t(), 0..2, [Item.t()], module()) :: Plan.t()
   def put(plan, 0, items, protocol) do
     {home, items} = if protocol.home_is_item_0?(), do: Enum.split(items, 1), else: {[], items}
 
@@ -60,16 +76,15 @@ defmodule Aerie.Mission.Onboard do
           plan.home
       end
 
-    {:ok, %{plan | home: home, items: Enum.map(items, &jump(&1, -protocol.item_offset()))}}
+    %{plan | home: home, items: Enum.map(items, &jump(&1, -protocol.item_offset()))}
   end
 
-  def put(plan, 1, items, _protocol), do: zones(items, 0, %{plan | fence: [], fence_return: nil})
+  def put(plan, 1, items, _protocol),
+    do: zones(items, %{plan | fence: [], fence_return: nil, fence_others: []})
 
   def put(plan, 2, items, _protocol) do
-    case Enum.find_index(items, &(&1.command != @rally or &1.x == nil or &1.y == nil)) do
-      nil -> {:ok, %{plan | rally: for(item <- items, do: {{item.x, item.y}, item.z || 0.0})}}
-      seq -> {:error, "item #{seq} is not a rally point"}
-    end
+    {points, others} = Enum.split_with(items, &rally_point/1)
+    %{plan | rally: Enum.map(points, &rally_point/1), rally_others: others}
   end
 
   defp home(%{home: {{x, y}, z}}), do: %Item{command: @waypoint, frame: @global, x: x, y: y, z: z}
@@ -91,33 +106,33 @@ defmodule Aerie.Mission.Onboard do
   defp zone({kind, {:circle, {x, y}, radius}}),
     do: [%Item{command: @circle[kind], frame: @global, params: {radius, 0.0, 0.0, 0.0}, x: x, y: y}]
 
-  defp zones([], _seq, plan), do: {:ok, %{plan | fence: Enum.reverse(plan.fence)}}
+  defp zones([], plan),
+    do: %{plan | fence: Enum.reverse(plan.fence), fence_others: Enum.reverse(plan.fence_others)}
 
-  defp zones([%{x: x, y: y} | _rest], seq, _plan) when x == nil or y == nil,
-    do: {:error, "item #{seq} of the fence has no place"}
+  # No firmware keeps the height of the return point, and ArduPilot gives it back as 0 above the sea.
+  defp zones([%{command: @return, x: x, y: y} = item | rest], %{fence_return: nil} = plan)
+       when x != nil and y != nil and (item.z in [nil, 0.0] or item.frame in [@relative, 6]),
+       do: zones(rest, %{plan | fence_return: {{x, y}, item.z || 0.0}})
 
-  defp zones([%{command: @return} = item | rest], seq, plan),
-    do: zones(rest, seq + 1, %{plan | fence_return: {{item.x, item.y}, item.z || 0.0}})
+  defp zones([%{command: command, params: {radius, _, _, _}, x: x, y: y} | rest], plan)
+       when is_map_key(@circles, command) and x != nil and y != nil and is_number(radius) and radius > 0,
+       do: zones(rest, %{plan | fence: [{@circles[command], {:circle, {x, y}, radius}} | plan.fence]})
 
-  defp zones([%{command: command} = item | rest], seq, plan) when is_map_key(@circles, command) do
-    zone = {@circles[command], {:circle, {item.x, item.y}, elem(item.params, 0) || 0.0}}
-    zones(rest, seq + 1, %{plan | fence: [zone | plan.fence]})
-  end
-
-  defp zones([%{command: command} = item | _] = items, seq, plan) when is_map_key(@polygons, command) do
+  defp zones([%{command: command} = item | rest] = items, plan) when is_map_key(@polygons, command) do
     count = trunc(elem(item.params, 0) || 0)
-    {corners, rest} = Enum.split(items, max(count, 1))
+    {corners, others} = Enum.split(items, max(count, 1))
 
     if count >= 3 and length(corners) == count and Enum.all?(corners, &corner?(&1, item)) do
       zone = {@polygons[command], {:polygon, for(corner <- corners, do: {corner.x, corner.y})}}
-      zones(rest, seq + count, %{plan | fence: [zone | plan.fence]})
+      zones(others, %{plan | fence: [zone | plan.fence]})
     else
-      {:error, "item #{seq} begins a polygon of #{count} corners, which is not complete"}
+      other(item, rest, plan)
     end
   end
 
-  defp zones([item | _rest], seq, _plan),
-    do: {:error, "item #{seq} has command #{item.command}, which is not part of a fence"}
+  defp zones([item | rest], plan), do: other(item, rest, plan)
+
+  defp other(item, rest, plan), do: zones(rest, %{plan | fence_others: [item | plan.fence_others]})
 
   defp corner?(corner, first),
     do:

@@ -84,7 +84,7 @@ defmodule Aerie.Mission.KeptTest do
       assert %{status: :completed, items: items} = result
       assert List.last(items).x == unquote(x)
 
-      {:ok, stored} = Onboard.put(%Plan{home: plan.home}, 0, items, Protocol.Ardupilot)
+      stored = Onboard.put(%Plan{home: plan.home}, 0, items, Protocol.Ardupilot)
       assert %{"mission" => %{"items" => shown}} = JSON.decode!(QgcPlan.write(stored))
       assert Enum.at(List.last(shown)["params"], 4) == unquote(x)
       assert Waypoints.write(stored) |> String.split() |> Enum.at(-4) == "#{unquote(x)}"

@@ -49,13 +49,25 @@ defmodule Aerie.Mission.MwpTest do
              wrong.(~s(lon="8.5465939"), ~s(lon="east"))
 
     assert {:error, "line 6, item 1: a mission ends here" <> _} =
-             wrong.(~s(alt="35" parameter1="0" parameter2="0" parameter3="0" flag="0"), ~s(flag="165"))
+             wrong.(
+               ~s(alt="35" parameter1="0" parameter2="0" parameter3="0" flag="0"),
+               ~s(alt="35" flag="165")
+             )
 
     assert {:error, "waypoint 4 jumps to waypoint 9, which is not there" <> _} =
              wrong.(~s(parameter1="2"), ~s(parameter1="9"))
 
     assert {:error, "waypoint 4 jumps to a waypoint beside it" <> _} =
              wrong.(~s(parameter1="2"), ~s(parameter1="3"))
+
+    for {name, rest} <- [
+          {"lat", ~s( lon="8.5455939" alt="35")},
+          {"lon", ~s( alt="35")},
+          {"alt", ~s( parameter1="0")}
+        ] do
+      given = Regex.run(~r/ #{name}="[^"]*"#{rest}/, @mwp) |> hd()
+      assert wrong.(given, rest) == {:error, "line 6, item 1: #{name} is missing"}
+    end
 
     assert {:error, "line 6, item 1: flag goes" <> _} =
              wrong.(~s(parameter3="0" flag="0"></mis), ~s(flag="999"></mis))

@@ -98,6 +98,15 @@ defmodule Aerie.Mission.PlanTest do
              "rallyPoints.points[1] longitude: expected degrees from -180 to 180, got 200"},
             {["rallyPoints", "points"], Enum.map(1..501, fn _ -> [1, 2, 3] end),
              "rallyPoints.points: 501 entries; at most 500 are read"},
+            {["rallyPoints", "points", 1], [1, 20],
+             "rallyPoints.points[1] altitude: expected a number, got null"},
+            {["rallyPoints", "points", 1], [1, 20, nil],
+             "rallyPoints.points[1] altitude: expected a number, got null"},
+            {["rallyPoints", "others"], [%{"type" => "SimpleItem", "command" => 5100, "index" => -1}],
+             "rallyPoints.others[0].params: expected seven numbers, got null"},
+            {["geoFence", "breachReturn"], [1, 20, nil],
+             "geoFence.breachReturn altitude: expected a number, got null"},
+            {["geoFence", "others"], nil, "geoFence.others: expected a list, got null"},
             {["fileType"], "Other", "fileType: expected \"Plan\": this is not a plan of QGroundControl"}
           ] do
         assert QgcPlan.read(edit(path, value)) == {:error, error}
@@ -181,8 +190,7 @@ defmodule Aerie.Mission.PlanTest do
       for protocol <- [Protocol.Ardupilot, Protocol.Px4] do
         stored =
           Enum.reduce(0..2, %Plan{home: plan.home}, fn type, stored ->
-            {:ok, stored} = Onboard.put(stored, type, Onboard.items(plan, type, protocol), protocol)
-            stored
+            Onboard.put(stored, type, Onboard.items(plan, type, protocol), protocol)
           end)
 
         assert stored == plan
@@ -191,16 +199,114 @@ defmodule Aerie.Mission.PlanTest do
       assert Onboard.items(%Plan{}, 0, Protocol.Ardupilot) == []
     end
 
-    test "a fence that is not complete is an error" do
-      corner = %Item{command: 5001, frame: 0, params: {3.0, 0.0, 0.0, 0.0}, x: 1, y: 1}
+    @corner %Item{command: 5001, frame: 0, params: {4.0, 0.0, 0.0, 0.0}, x: 473_900_000, y: 85_400_000}
+    @around_home %Item{@corner | command: 5005, params: {300.0, 0.0, 0.0, 0.0}}
+    @keep_out %Item{@corner | command: 5004, params: {25.0, 0.0, 0.0, 0.0}}
 
-      assert Onboard.put(%Plan{}, 1, [corner, corner], Protocol.Px4) ==
-               {:error, "item 0 begins a polygon of 3 corners, which is not complete"}
+    defp reread(plan) do
+      assert {:ok, read} = plan |> QgcPlan.write() |> QgcPlan.read()
+      read
+    end
 
-      assert Onboard.put(%Plan{}, 1, [%{corner | command: 16}], Protocol.Px4) ==
-               {:error, "item 0 has command 16, which is not part of a fence"}
+    # As newer ArduPilot has it: a circle around home among others.
+    test "the rest of a fence is read, and what a file has no place for stands beside it and is named" do
+      square =
+        for {dx, dy} <- [{0, 0}, {1, 0}, {1, 1}, {0, 1}],
+            do: %{@corner | x: @corner.x + dx, y: @corner.y + dy}
 
-      assert Onboard.put(%Plan{}, 2, [corner], Protocol.Px4) == {:error, "item 0 is not a rally point"}
+      items = square ++ [@around_home, @keep_out]
+      plan = Onboard.put(%Plan{}, 1, items, Protocol.Ardupilot)
+      assert [{:inclusion, {:polygon, [_, _, _, _]}}, {:exclusion, {:circle, _, 25.0}}] = plan.fence
+      assert plan.fence_others == [@around_home]
+      assert Plan.contents(plan, :fence) == "4 corners and 1 circle and 1 other item"
+
+      assert [remark] = Plan.remarks(plan, :fence)
+
+      assert remark =~
+               "an item has the command NAV_FENCE_HOME_CIRCLE_INCLUSION and the frame GLOBAL: this is under"
+
+      assert reread(plan) == plan
+      assert Enum.sort(Onboard.items(reread(plan), 1, Protocol.Ardupilot)) == Enum.sort(items)
+      refute Plan.empty?(Onboard.put(%Plan{}, 1, [@around_home], Protocol.Ardupilot), :fence)
+    end
+
+    test "whatever a vehicle has in a fence is there again after a file" do
+      back = %{@corner | command: 5000, params: {0.0, 0.0, 0.0, 0.0}}
+
+      for items <- [
+            # Not complete, of another command, without a place or a radius, a second return point, one above the sea.
+            [@corner, @corner],
+            [%{@corner | params: {3.0, 0.0, 0.0, 0.0}}, @keep_out],
+            [%{@corner | command: 16}],
+            [%{@corner | params: {nil, 0.0, 0.0, 0.0}}],
+            [%{@keep_out | x: nil, y: nil}],
+            [%{@keep_out | params: {nil, 0.0, 0.0, 0.0}}],
+            [%{@keep_out | params: {0.0, 0.0, 0.0, 0.0}}],
+            [back, back],
+            [%{back | z: 500.0}]
+          ] do
+        plan = Onboard.put(%Plan{}, 1, [@keep_out | items], Protocol.Px4)
+        assert [{:exclusion, {:circle, _, 25.0}} | _] = plan.fence
+        assert [_ | _] = plan.fence_others
+        assert length(Plan.remarks(plan, :fence)) == length(plan.fence_others)
+        assert reread(plan) == plan
+        assert length(Onboard.items(plan, 1, Protocol.Px4)) == 1 + length(items)
+      end
+
+      many = List.duplicate(%{@corner | command: 16}, 30)
+      assert length(Plan.remarks(Onboard.put(%Plan{}, 1, many, Protocol.Px4), :fence)) == 21
+    end
+
+    test "the height of a rally point keeps its frame, by a file as well" do
+      point = fn frame, z -> %Item{command: 5100, frame: frame, x: 473_950_000, y: 85_450_000, z: z} end
+
+      items = [
+        point.(0, 560.0),
+        point.(3, 40.0),
+        point.(10, 30.0),
+        point.(5, 1.0),
+        point.(6, 2.0),
+        point.(11, 3.0)
+      ]
+
+      plan = Onboard.put(%Plan{}, 2, items, Protocol.Ardupilot)
+
+      assert Enum.map(plan.rally, &elem(&1, 1)) == [{560.0, 0}, 40.0, {30.0, 10}, {1.0, 0}, 2.0, {3.0, 10}]
+      assert reread(plan) == plan
+
+      assert for(item <- Onboard.items(reread(plan), 2, Protocol.Ardupilot), do: {item.frame, item.z}) ==
+               [{0, 560.0}, {3, 40.0}, {10, 30.0}, {0, 1.0}, {3, 2.0}, {10, 3.0}]
+
+      # QGroundControl reads what is above home, and no height as another one.
+      assert {:ok, %{"rallyPoints" => %{"points" => [[_, _, 40.0], [_, _, 2.0]]}}} =
+               JSON.decode(QgcPlan.write(plan))
+
+      assert [
+               "rally point 1 is 560.0 m above mean sea level: " <> _,
+               "rally point 3 is 30.0 m above the ground: " <> _ | _
+             ] =
+               Plan.remarks(plan, :rally)
+
+      odd = [point.(2, 5.0), point.(1, 5.0), point.(3, nil), %{point.(3, 5.0) | x: nil}, @corner]
+      plan = Onboard.put(plan, 2, [point.(3, 7.0) | odd], Protocol.Ardupilot)
+      assert [{_place, 7.0}] = plan.rally
+      assert plan.rally_others == odd
+      assert reread(plan) == plan
+    end
+
+    test "a place has to have a height, whatever the frame" do
+      {:ok, plan} =
+        "../../fixtures/heightless/terrain-null.plan"
+        |> Path.expand(__DIR__)
+        |> File.read!()
+        |> QgcPlan.read()
+
+      assert Enum.map(plan.items, &Item.height?/1) == [true, false, false]
+      for frame <- [0, 2, 3, 5, 6, 10, 11], do: refute(Item.height?(%Item{command: 16, frame: frame, z: nil}))
+      # Without a place the last parameter may be unset; a command that nobody knows has one if it is given.
+      assert Item.height?(%Item{command: 2000, frame: 2, z: nil})
+      refute Item.height?(%Item{command: 65_000, frame: 3, z: nil})
+      assert Item.height?(%Item{command: 65_000, frame: 3, x: nil, y: nil, z: nil})
     end
 
     test "a digest is of what the items say" do
@@ -241,6 +347,8 @@ defmodule Aerie.Mission.PlanTest do
             ["geoFence", "polygons", 0, "polygon"],
             ["geoFence", "circles", 0, "circle"],
             ["geoFence", "breachReturn"],
+            ["geoFence", "others"],
+            ["rallyPoints", "others"],
             ["rallyPoints", "points"],
             ["rallyPoints", "points", 0]
           ],

@@ -84,7 +84,7 @@ defmodule Aerie.Mission.SimulatedTest do
 
           {result, station} = MissionStation.transfer(station, :download, type, protocol)
           assert %{status: :completed, on_board: :read} = result
-          {:ok, stored} = Onboard.put(stored, type, result.items, protocol)
+          stored = Onboard.put(stored, type, result.items, protocol)
           {stored, station}
         end)
 

@@ -279,6 +279,8 @@ defmodule Msp.Mission.Items do
     end
   end
 
+  defp at(%{z: unset}) when not is_number(unset), do: {:error, :invalid, "it has no height"}
+
   defp at(%{frame: frame, x: x, y: y} = item) do
     with {:ok, cm} <- whole(item.z, 100) do
       case Map.get(@frames, frame) do

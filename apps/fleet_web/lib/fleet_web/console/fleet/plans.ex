@@ -86,9 +86,9 @@ defmodule FleetWeb.Console.Fleet.Plans do
   end
 
   defp updated(entry, :done), do: %{entry | reading: false}
-  defp updated(entry, {:mission, {:ok, %{plan: plan}}}), do: put_in(entry.plan.items, plan.items)
-  defp updated(entry, {:fence, {:ok, %{plan: plan}}}), do: put_in(entry.plan.fence, plan.fence)
-  defp updated(entry, {:rally, {:ok, %{plan: plan}}}), do: put_in(entry.plan.rally, plan.rally)
+
+  defp updated(entry, {kind, {:ok, %{plan: plan}}}),
+    do: %{entry | plan: Plan.put_part(entry.plan, kind, plan)}
 
   defp updated(entry, {kind, {:error, %Result{reason: reason, status: status}}}),
     do: %{entry | errors: entry.errors ++ ["#{kind}: #{reason || status}"]}

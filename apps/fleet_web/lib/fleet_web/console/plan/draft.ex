@@ -191,16 +191,13 @@ defmodule FleetWeb.Console.Plan.Draft do
     end
   end
 
-  @doc "Changes the height of a rally point (metres above home)."
+  @doc "Changes the height of a rally point, in metres above what it is measured from."
   @spec set_rally(t(), index :: non_neg_integer(), altitude :: float()) :: result()
   def set_rally(%{plan: plan} = draft, index, altitude) do
-    with {:ok, {position, _old}} <- fetch(plan.rally, index, "rally point"),
-         do:
-           done(
-             draft,
-             %{plan | rally: List.replace_at(plan.rally, index, {position, altitude / 1})},
-             {index, nil}
-           )
+    with {:ok, {position, old}} <- fetch(plan.rally, index, "rally point") do
+      height = if is_tuple(old), do: put_elem(old, 0, altitude / 1), else: altitude / 1
+      done(draft, %{plan | rally: List.replace_at(plan.rally, index, {position, height})}, {index, nil})
+    end
   end
 
   @doc "Sets the planned start, with its height above mean sea level."
@@ -213,8 +210,7 @@ defmodule FleetWeb.Console.Plan.Draft do
   @doc "Removes everything in the part that is edited."
   @spec clear(t()) :: result()
   def clear(%{plan: plan, part: part} = draft) do
-    empty = Map.take(%Plan{}, %{mission: [:items], fence: [:fence, :fence_return], rally: [:rally]}[part])
-    done(draft, Map.merge(plan, empty), nil)
+    done(draft, %{Plan.put_part(plan, part, %Plan{}) | home: plan.home}, nil)
   end
 
   @doc "The plan before the last change; the draft itself if there was none."

@@ -204,6 +204,7 @@ defmodule FleetWeb.Console.Plan.Panel do
   @doc "The zones of the fence."
   def fences(assigns) do
     ~H"""
+    <.others remarks={Plan.remarks(@draft.plan, :fence)} />
     <.empty :if={@draft.plan.fence == []} icon="shield" title="No fence yet">Click on the map to begin a zone, then drag its corners.</.empty>
     <ol :if={@draft.plan.fence != []} id="plan-zones" class="plan-items">
       <li :for={{{kind, shape}, n} <- Enum.with_index(@draft.plan.fence)} :key={n} class={picked?(@draft, n) && "picked"}>
@@ -238,23 +239,32 @@ defmodule FleetWeb.Console.Plan.Panel do
     """
   end
 
+  attr :remarks, :list, required: true
+
+  defp others(assigns) do
+    ~H"""
+    <p :for={remark <- @remarks} class="notice warn"><.icon name="alert" /> <span>{remark}</span></p>
+    """
+  end
+
   attr :draft, :map, required: true
 
   @doc "The rally points."
   def rally(assigns) do
     ~H"""
+    <.others remarks={Plan.remarks(@draft.plan, :rally)} />
     <.empty :if={@draft.plan.rally == []} icon="home" title="No rally points yet">Click on the map where vehicles may return to in place of home.</.empty>
     <ol :if={@draft.plan.rally != []} id="plan-rally" class="plan-items">
       <li :for={{{{lat, lon}, altitude}, n} <- Enum.with_index(@draft.plan.rally)} :key={n} class={picked?(@draft, n) && "picked"}>
         <div class="plan-item">
           <button type="button" class="plan-pick" phx-click="plan_pick" phx-value-part="rally" phx-value-index={n}>
-            <span class="plan-number">R{n + 1}</span> <span class="muted">{number(altitude)} m above home</span>
+            <span class="plan-number">R{n + 1}</span> <span class="muted">{altitude(altitude)}</span>
           </button>
           <.button small kind="quiet" icon="trash" label={"Remove rally point #{n + 1}"} phx-click="remove" phx-value-part="rally" phx-value-index={n} />
         </div>
         <form :if={picked?(@draft, n)} id={"plan-rally-#{n}"} class="plan-fields" phx-change="set" phx-submit="set" phx-auto-recover="ignore">
           <input type="hidden" name="part" value="rally" /><input type="hidden" name="index" value={n} />
-          <.field id={"rally-#{n}-z"} type="number" step="any" name="z" label="Altitude above home" unit="m" value={number(altitude)} phx-debounce="500" />
+          <.field id={"rally-#{n}-z"} type="number" step="any" name="z" label={"Altitude #{Plan.above(altitude)}"} unit="m" value={number(metres(altitude))} phx-debounce="500" />
           <.field id={"rally-#{n}-lat"} type="number" step="any" name="lat" label="Latitude" unit="°" value={degrees(lat)} phx-debounce="500" />
           <.field id={"rally-#{n}-lon"} type="number" step="any" name="lon" label="Longitude" unit="°" value={degrees(lon)} phx-debounce="500" />
         </form>
@@ -343,6 +353,10 @@ defmodule FleetWeb.Console.Plan.Panel do
   defp shape({:circle, _centre, radius}), do: "circle of #{number(radius)} m"
 
   defp radius({:circle, _centre, metres}), do: number(metres)
+
+  defp altitude(height), do: "#{number(metres(height))} m #{Plan.above(height)}"
+  defp metres({metres, _frame}), do: metres
+  defp metres(metres), do: metres
 
   defp number(nil), do: nil
   defp number(value) when value == trunc(value), do: value |> trunc() |> Integer.to_string()

@@ -48,7 +48,7 @@ defmodule FleetWeb.Console.Plan.Transfer do
         Plan.empty?(plan, kind) ->
           {kind, {:skip, "not sent: the plan has none. What is aboard stays."}}
 
-        read != nil and part(plan, kind) == part(read, kind) ->
+        read != nil and Plan.part(plan, kind) == Plan.part(read, kind) ->
           {kind, {:skip, "not sent: it is as it was read."}}
 
         true ->
@@ -56,10 +56,6 @@ defmodule FleetWeb.Console.Plan.Transfer do
       end
     end
   end
-
-  defp part(plan, :mission), do: {plan.items, plan.home}
-  defp part(plan, :fence), do: {plan.fence, plan.fence_return}
-  defp part(plan, :rally), do: plan.rally
 
   @doc "What a button that sends applies to: the vehicle and the plan that it shows."
   @spec target(vehicle :: String.t() | nil, Plan.t()) :: String.t()
@@ -107,9 +103,10 @@ defmodule FleetWeb.Console.Plan.Transfer do
   end
 
   defp run(:download, gateway, vehicle, kind, _plan, options) do
-    with {:ok, %{plan: plan}} <- Missions.download(gateway, vehicle, kind, options),
-         do: {:ok, "read: #{Plan.contents(plan, kind) || "nothing"} on board", plan},
-         else: (error -> failed(error))
+    case Missions.download(gateway, vehicle, kind, options) do
+      {:ok, %{plan: plan}} -> {:ok, "read: #{read(plan, kind)}", plan}
+      error -> failed(error)
+    end
   end
 
   defp run(:verify, gateway, vehicle, kind, plan, options) do
@@ -145,6 +142,9 @@ defmodule FleetWeb.Console.Plan.Transfer do
     end
   end
 
+  defp read(plan, kind),
+    do: Enum.join(["#{Plan.contents(plan, kind) || "nothing"} on board" | Plan.remarks(plan, kind)], "; ")
+
   defp remarks(%{details: %{"remarks" => [_ | _] = remarks}}), do: "; but " <> Enum.join(remarks, "; ")
   defp remarks(_result), do: ""
 
@@ -168,17 +168,16 @@ defmodule FleetWeb.Console.Plan.Transfer do
   def update(transfer, :done), do: %{transfer | kind: nil, progress: nil}
 
   def update(transfer, {:ended, kind, {:ok, text, %Plan{} = plan}}),
-    do: %{update(transfer, {:ended, kind, {:ok, text}}) | plan: joined(transfer.plan || %Plan{}, kind, plan)}
+    do: %{
+      update(transfer, {:ended, kind, {:ok, text}})
+      | plan: Plan.put_part(transfer.plan || %Plan{}, kind, plan)
+    }
 
   def update(transfer, {:ended, kind, {:ok, text, aboard}}),
     do: %{update(transfer, {:ended, kind, {:ok, text}}) | aboard: aboard}
 
   def update(transfer, {:ended, kind, {outcome, text}}),
     do: %{transfer | progress: nil, results: transfer.results ++ [{kind, {outcome, text}}]}
-
-  defp joined(all, :mission, plan), do: %{all | items: plan.items, home: plan.home}
-  defp joined(all, :fence, plan), do: %{all | fence: plan.fence, fence_return: plan.fence_return}
-  defp joined(all, :rally, plan), do: %{all | rally: plan.rally}
 
   @doc "Whether the transfer has ended."
   @spec over?(t()) :: boolean()

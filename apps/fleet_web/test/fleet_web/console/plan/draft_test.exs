@@ -62,6 +62,19 @@ defmodule FleetWeb.Console.Plan.DraftTest do
       assert [%{command: 16}] = draft.plan.items
     end
 
+    test "a rally point keeps what its height is measured from, and a part that is cleared has nothing left" do
+      other = %Aerie.Mission.Item{command: 5005, frame: 0}
+      place = {473_977_420, 85_455_940}
+      plan = %Plan{home: {place, 488.0}, rally: [{place, {560.0, 0}}, {place, 30.0}], fence_others: [other]}
+      draft = Draft.part(%Draft{plan: plan}, :rally)
+      {:ok, draft} = Draft.set_rally(draft, 0, 570)
+      {:ok, draft} = Draft.set_rally(draft, 1, 40)
+      {:ok, draft} = Draft.move(draft, {:rally, 0, nil}, {47.0, 8.0})
+      assert [{{470_000_000, 80_000_000}, {570.0, 0}}, {^place, 40.0}] = draft.plan.rally
+      {:ok, draft} = draft |> Draft.part(:fence) |> Draft.clear()
+      assert draft.plan.fence_others == [] and draft.plan.home == plan.home
+    end
+
     test "what cannot be is refused" do
       draft = added(%Draft{})
       assert {:error, "there is no such item"} = Draft.remove(draft, {:mission, 1, nil})

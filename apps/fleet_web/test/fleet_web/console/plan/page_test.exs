@@ -3,7 +3,7 @@ defmodule FleetWeb.Console.Plan.PageTest do
 
   alias Aerie.Control.Missions
   alias Aerie.TransferCase
-  alias Aerie.Mission.Plan
+  alias Aerie.Mission.{Item, Plan}
 
   @place %{"map" => "plan-map", "lat" => 47.397742, "lon" => 8.545594}
 
@@ -75,6 +75,21 @@ defmodule FleetWeb.Console.Plan.PageTest do
                fence: [{:inclusion, {:polygon, [_, _, _, _, _]}}, {:exclusion, {:circle, _, 25.0}}],
                rally: [{_, 30.0}]
              } = plan_of(view)
+    end
+
+    test "heights above the sea and what no plan file has room for are shown as that, and kept", %{
+      console: console
+    } do
+      view = open(console)
+      other = %Item{command: 5005, frame: 0, params: {300.0, 0.0, 0.0, 0.0}}
+      plan = %Plan{fence_others: [other], rally: [{{473_977_420, 85_455_940}, {560.0, 0}}]}
+      {:ok, text} = Missions.export(plan, :plan)
+      render_hook(view, "import", %{"name" => "a.plan", "text" => text})
+      assert view |> element("button", "Fence (0)") |> render_click() =~ "NAV_FENCE_HOME_CIRCLE_INCLUSION"
+      assert view |> element("button", "Rally points (1)") |> render_click() =~ "560.0 m above mean sea level"
+      view |> element("button.plan-pick") |> render_click()
+      view |> form("#plan-rally-0", %{z: "570"}) |> render_change()
+      assert %Plan{fence_others: [^other], rally: [{_place, {570.0, 0}}]} = plan_of(view)
     end
 
     test "what is wrong is shown, and what a browser should not send does nothing", %{console: console} do

@@ -18,6 +18,8 @@ defmodule Aerie.Mission.File.Mwp do
   @written Map.put(Msp.Mission.actions(), 3, "POSHOLD_TIME")
   @jump MavCmd.value(:MAV_CMD_DO_JUMP)
   @last 165
+  # RTH, JUMP, SET_HEAD
+  @nowhere [4, 6, 7]
 
   @doc "The plan of a text, or an error."
   @spec read(binary()) :: {:ok, Plan.t()} | {:error, String.t()}
@@ -137,6 +139,7 @@ defmodule Aerie.Mission.File.Mwp do
 
   defp waypoint(fields, number, count) do
     with {:ok, action} <- action(fields["action"]),
+         :ok <- whole(fields, placed(action, fields["flag"])),
          {:ok, [lat, lon]} <- numbers(fields, ["lat", "lon"], 10_000_000),
          {:ok, [altitude]} <- numbers(fields, ["alt"], 100),
          {:ok, [p1, p2, p3, flag]} <- numbers(fields, ["parameter1", "parameter2", "parameter3", "flag"], 1) do
@@ -153,10 +156,22 @@ defmodule Aerie.Mission.File.Mwp do
     end
   end
 
+  # What a waypoint may not lack: 0 would be a place, and a height.
+  defp placed(action, _flag) when action in @nowhere, do: []
+  defp placed(_action, "72"), do: ["alt"]
+  defp placed(_action, _flag), do: ["lat", "lon", "alt"]
+
+  defp whole(fields, names) do
+    case Enum.find(names, &(not is_map_key(fields, &1))) do
+      nil -> :ok
+      name -> {:error, "#{name} is missing"}
+    end
+  end
+
   # Files have coordinates where iNav has none.
   defp place(action, number, {lat, lon, altitude}, {p1, p2, p3, flag}) do
     {lat, lon, altitude} =
-      if action in [4, 6, 7] or flag == 72,
+      if action in @nowhere or flag == 72,
         do: {0, 0, if(flag == 72, do: altitude, else: 0)},
         else: {lat, lon, altitude}
 

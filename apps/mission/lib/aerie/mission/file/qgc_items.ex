@@ -38,7 +38,9 @@ defmodule Aerie.Mission.File.QgcItems do
     end
   end
 
-  defp item(%{"type" => type} = value, at) when type in @simple do
+  @doc "The items of an entry, each with its id and where it stands."
+  @spec item(term(), String.t()) :: {:ok, [{id :: term(), Item.t(), String.t()}]} | {:error, String.t()}
+  def item(%{"type" => type} = value, at) when type in @simple do
     with [_, _, _, _, _, _, _] = params <- params(value),
          {:ok, item} <-
            Value.item(value["frame"], value["command"], params, value["autoContinue"] != false, at) do
@@ -49,7 +51,7 @@ defmodule Aerie.Mission.File.QgcItems do
     end
   end
 
-  defp item(%{"type" => "ComplexItem"} = value, at) do
+  def item(%{"type" => "ComplexItem"} = value, at) do
     stored = Enum.find_value(@stored, &if(is_map(value[&1]), do: {&1, value[&1]["Items"]}))
 
     case stored do
@@ -62,8 +64,8 @@ defmodule Aerie.Mission.File.QgcItems do
     end
   end
 
-  defp item(%{"type" => type}, at), do: Value.error(at <> ".type", "\"SimpleItem\" or \"ComplexItem\"", type)
-  defp item(other, at), do: Value.error(at, "an item", other)
+  def item(%{"type" => type}, at), do: Value.error(at <> ".type", "\"SimpleItem\" or \"ComplexItem\"", type)
+  def item(other, at), do: Value.error(at, "an item", other)
 
   defp params(%{"params" => [_, _, _, _] = params, "coordinate" => [_, _, _] = place}), do: params ++ place
   defp params(%{"params" => params}), do: params

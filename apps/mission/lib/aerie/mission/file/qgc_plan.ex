@@ -5,11 +5,15 @@ defmodule Aerie.Mission.File.QgcPlan do
   A file may lack sections: then its plan has nothing of that kind. A section that is there and not understood (an unknown version, a
   misspelt or missing key, null) is an error: read as empty, it would look like a plan without a fence. Fences of version 1 have one
   polygon to stay in. Items are those of `Aerie.Mission.File.QgcItems`. Files are written with SimpleItems only.
+
+  QGroundControl has no place for some items of fences, and for the height of a rally point above anything but home.
+  These are written beside its own lists as `others`, a key that it ignores: SimpleItems, those of rally points with
+  `index`, their place in the list.
   """
 
   alias Aerie.Base.Json
   alias Aerie.Mission.File.{QgcItems, Value}
-  alias Aerie.Mission.Plan
+  alias Aerie.Mission.{Onboard, Plan}
   alias Aerie.Base.Files.Text
 
   @max_bytes 4 * 1024 * 1024
@@ -27,7 +31,10 @@ defmodule Aerie.Mission.File.QgcPlan do
   }
   # The versions of each section that are read, and the keys of the sections that have no others.
   @versions %{"mission" => [1, 2], "geoFence" => [1, 2], "rallyPoints" => [1, 2]}
-  @fence_keys %{1 => ["polygon", "breachReturn", "parameters"], 2 => ["polygons", "circles", "breachReturn"]}
+  @fence_keys %{
+    1 => ["polygon", "breachReturn", "parameters"],
+    2 => ["polygons", "circles", "breachReturn", "others"]
+  }
   @advice "open it in a current QGroundControl and save it again"
 
   @doc "The largest numbers of polygons, of circles, and of rally points in a file."
@@ -65,13 +72,10 @@ defmodule Aerie.Mission.File.QgcPlan do
         "hoverSpeed" => 5,
         "globalPlanAltitudeMode" => 0,
         "plannedHomePosition" => Value.degrees(position) ++ [altitude],
-        "items" => for({item, n} <- Enum.with_index(plan.items, 1), do: simple(item, n))
+        "items" => simple(plan.items)
       },
       "geoFence" => written(plan),
-      "rallyPoints" => %{
-        "version" => 2,
-        "points" => for({position, altitude} <- plan.rally, do: Value.degrees(position) ++ [altitude])
-      }
+      "rallyPoints" => written_rally(plan)
     })
   end
 
@@ -132,7 +136,8 @@ defmodule Aerie.Mission.File.QgcPlan do
     with :ok <- only(fence, @fence_keys[version], "geoFence"),
          {:ok, zones} <- zones(version, fence),
          {:ok, back} <- back(fence["breachReturn"]),
-         do: {:ok, %{plan | fence: zones, fence_return: back}}
+         {:ok, others} <- others(fence, "geoFence"),
+         do: {:ok, %{plan | fence: zones, fence_return: back, fence_others: Enum.map(others, &elem(&1, 1))}}
   end
 
   defp zones(1, fence) do
@@ -162,9 +167,26 @@ defmodule Aerie.Mission.File.QgcPlan do
   defp rally(nil, plan), do: {:ok, plan}
 
   defp rally(rally, plan) do
-    with :ok <- only(rally, ["points"], "rallyPoints"),
+    with :ok <- only(rally, ["points", "others"], "rallyPoints"),
          {:ok, points} <- Value.list(rally["points"], @max_rally, "rallyPoints.points", &place/2),
-         do: {:ok, %{plan | rally: points}}
+         {:ok, others} <- others(rally, "rallyPoints"),
+         do: {:ok, Enum.reduce(others, %{plan | rally: points}, &put_rally/2)}
+  end
+
+  defp put_rally({index, item}, plan) do
+    case Onboard.rally_point(item) do
+      nil -> %{plan | rally_others: plan.rally_others ++ [item]}
+      point -> %{plan | rally: List.insert_at(plan.rally, index, point)}
+    end
+  end
+
+  defp others(section, name),
+    do: Value.list(Map.get(section, "others", []), @max_rally, name <> ".others", &other/2)
+
+  defp other(value, at) do
+    with {:ok, [{_id, item, _at}]} <- QgcItems.item(value, at),
+         {:ok, index} <- Value.integer(Map.get(value, "index", @max_rally), 0..@max_rally, at <> ".index"),
+         do: {:ok, {index, item}}
   end
 
   defp only(section, keys, at) do
@@ -181,6 +203,8 @@ defmodule Aerie.Mission.File.QgcPlan do
   defp home(nil), do: {:ok, nil}
   # As old files have it: an item.
   defp home(%{"coordinate" => place}), do: home(place)
+  # The vehicle knows better how high its home is.
+  defp home([lat, lon | rest]) when rest in [[], [nil]], do: home([lat, lon, 0.0])
 
   defp home(value) do
     with {:ok, {position, altitude}} <- place(value, "mission.plannedHomePosition"),
@@ -188,12 +212,14 @@ defmodule Aerie.Mission.File.QgcPlan do
   end
 
   defp back(nil), do: {:ok, nil}
+  # As old files have it; no firmware keeps its height.
+  defp back([lat, lon]), do: back([lat, lon, 0.0])
   defp back(value), do: place(value, "geoFence.breachReturn")
 
   defp place([lat, lon | rest], at) when length(rest) <= 1 do
     with {:ok, position} <- Value.position(lat, lon, at),
-         {:ok, altitude} <- Value.float(List.first(rest), at <> " altitude"),
-         do: {:ok, {position, altitude || 0.0}}
+         {:ok, altitude} <- Value.number(List.first(rest), at <> " altitude"),
+         do: {:ok, {position, altitude}}
   end
 
   defp place(other, at), do: Value.error(at, "[latitude, longitude, altitude]", other)
@@ -232,6 +258,22 @@ defmodule Aerie.Mission.File.QgcPlan do
 
   # --- Writing
 
+  defp written_rally(plan) do
+    {points, others} =
+      plan.rally |> Enum.with_index() |> Enum.split_with(fn {{_place, height}, _n} -> is_number(height) end)
+
+    others =
+      for {point, n} <- others, do: point |> Onboard.rally_item() |> simple(n + 1) |> Map.put("index", n)
+
+    points = for {{position, altitude}, _n} <- points, do: Value.degrees(position) ++ [altitude]
+    beside(%{"version" => 2, "points" => points}, others ++ simple(plan.rally_others))
+  end
+
+  defp beside(section, []), do: section
+  defp beside(section, others), do: Map.put(section, "others", others)
+
+  defp simple(items), do: for({item, n} <- Enum.with_index(items, 1), do: simple(item, n))
+
   defp simple(item, number) do
     %{
       "type" => "SimpleItem",
@@ -258,7 +300,7 @@ defmodule Aerie.Mission.File.QgcPlan do
         %{"version" => 1, "inclusion" => kind == :inclusion, "circle" => circle}
       end
 
-    fence = %{"version" => 2, "polygons" => polygons, "circles" => circles}
+    fence = beside(%{"version" => 2, "polygons" => polygons, "circles" => circles}, simple(plan.fence_others))
 
     case plan.fence_return do
       nil -> fence

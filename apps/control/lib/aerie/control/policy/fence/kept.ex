@@ -21,8 +21,8 @@ defmodule Aerie.Control.Policy.Fence.Kept do
 
   def by?(new, old) do
     with false <- Enum.map(new, &place/1) == Enum.map(old, &place/1),
-         {:ok, %{fence: new}} <- zones(new),
-         {:ok, %{fence: old}} <- zones(old) do
+         %{fence: new, fence_others: []} <- zones(new),
+         %{fence: old, fence_others: []} <- zones(old) do
       compare? = length(new) * length(old) <= @most_pairs
       {new_in, new_out} = Enum.split_with(new, &inclusion?/1)
       {old_in, old_out} = Enum.split_with(old, &inclusion?/1)

@@ -119,7 +119,8 @@ defmodule Aerie.Vehicle.Protocol.Ardupilot.StoredItem do
   ]
   @circles [
     MavCmd.value(:MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION),
-    MavCmd.value(:MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION)
+    MavCmd.value(:MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION),
+    MavCmd.value(:MAV_CMD_NAV_FENCE_HOME_CIRCLE_INCLUSION)
   ]
 
   @nothing %{param1: :any, param2: :any, param3: :any, param4: :any, autocontinue: :any}

@@ -167,6 +167,8 @@ defmodule Aerie.Fleet.Bridge.Commands.Transfers.Schema do
       items: count(),
       digest: described(%{type: :string}, "of the content"),
       opaque_id: described(%{type: [:integer, :null]}, "the vehicle's own id of it"),
+      remarks:
+        described(%{type: :array, items: %{type: :string}}, "what QGroundControl would not read of the plan"),
       plan: ref("plan")
     }
   end

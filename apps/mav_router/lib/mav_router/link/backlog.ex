@@ -7,7 +7,12 @@ defmodule MavRouter.Link.Backlog do
   A socket keeps the oldest datagrams and drops the newest, so a link that does not keep up would show a state that is
   seconds old for as long as the overload lasts. Instead, when what waits would take half a second to read at the pace of the
   last #{@every_ms} ms, datagrams are discarded until a tenth of a second is left. A burst, or a machine that was busy for a
-  moment, is not an overload: discarding begins when this has lasted for a second, and ends after five seconds without it.
+  moment, is not an overload: discarding begins when this has lasted for a second, and the overload ends when for two seconds no more
+  waited than those that are left.
+
+  The pace is what was read in the time since the last measurement, a discarded datagram counted for what it costs (a twentieth of a
+  kept one), if others waited all the time. If nothing was left, the link waited for datagrams, and only the time in which it passed on
+  those it had counts. A pace of what was kept, or of what came, would feed on its own result. At least one datagram of a read is kept.
 
   It is fair to senders (`MavRouter.Link.Senders`). Of the datagrams read at a time, those are kept first whose senders had been heard for
   a minute when the overload began, then those of senders heard for five seconds, then those of new ones: hundreds of strangers take
@@ -19,7 +24,9 @@ defmodule MavRouter.Link.Backlog do
   @late_ms 500
   @keep_ms 100
   @patience_ms 1_000
-  @relief_ms 5_000
+  @relief_ms 2_000
+  # So many are discarded in the time in which one is passed on.
+  @discards 20
   # Fewer datagrams than this are not a backlog.
   @some 64
   @many 256
@@ -31,6 +38,9 @@ defmodule MavRouter.Link.Backlog do
             waiting: 0,
             keep: {0, 1},
             done: 0,
+            lost: 0,
+            reads: 0,
+            passed: nil,
             shed: 0,
             late: nil,
             strained: nil,
@@ -39,8 +49,9 @@ defmodule MavRouter.Link.Backlog do
 
   @typedoc """
   - `shed`: of how many of the next datagrams to discard some; `keep`: so many of so many are kept
-  - `measured`: monotonic ms of the last measurement; `waiting`: how many waited then; `done`: how many were read since
-  - `late`: since when too many have been waiting; `strained`: when that was last so, in an overload that has begun; `began`: when it
+  - `measured`: monotonic ms of the last measurement; `waiting`: how many waited then; `done`, `lost`: how many were kept and
+    discarded since, in so many `reads`; `passed`: when the last of them had been passed on, if that is known
+  - `late`: since when too many have been waiting; `strained`: when more waited than are left, in an overload that has begun; `began`: when it
     began
   """
   @type t :: %__MODULE__{
@@ -48,6 +59,9 @@ defmodule MavRouter.Link.Backlog do
           waiting: non_neg_integer,
           keep: {non_neg_integer, of :: pos_integer},
           done: non_neg_integer,
+          lost: non_neg_integer,
+          reads: non_neg_integer,
+          passed: integer | nil,
           shed: non_neg_integer,
           late: integer | nil,
           strained: integer | nil,
@@ -75,41 +89,64 @@ defmodule MavRouter.Link.Backlog do
   @spec measure(t, non_neg_integer, integer) :: t
   def measure(%__MODULE__{shed: shed} = backlog, waiting, now) when shed > 0 do
     left = if waiting > some(backlog), do: min(shed, waiting), else: 0
-    %{backlog | measured: now, waiting: waiting, done: 0, shed: left}
+    %{next(backlog, waiting, now) | shed: left}
   end
 
-  # How much was read is the pace only if datagrams waited all the time.
-  def measure(%__MODULE__{measured: at, waiting: before} = backlog, waiting, now) do
-    busy? = at != nil and before > some(backlog) and waiting > some(backlog)
-    excess = if busy?, do: excess(waiting, backlog.done / max(now - at, 1))
-    evaluate(%{backlog | measured: now, waiting: waiting, done: 0}, excess, now)
+  def measure(%__MODULE__{waiting: before} = backlog, waiting, now) do
+    some = some(backlog)
+    ms = if before > some and waiting > some, do: busy_ms(backlog, now)
+    per_ms = if ms, do: (backlog.done + backlog.lost / @discards) / max(ms, 1), else: :idle
+    backlog |> next(waiting, now) |> evaluate(per_ms, now)
   end
+
+  defp busy_ms(%{measured: nil}, _now), do: nil
+
+  defp busy_ms(%{waiting: before, done: done, lost: lost} = b, now) when before > done + lost,
+    do: now - b.measured
+
+  defp busy_ms(%{reads: 1, passed: at} = backlog, _now) when at != nil, do: at - backlog.measured
+  defp busy_ms(_idle, _now), do: nil
+
+  defp next(backlog, waiting, now),
+    do: %{backlog | measured: now, waiting: waiting, done: 0, lost: 0, reads: 0, passed: nil}
 
   # In an overload a link may be so slow that these few are seconds.
   defp some(%{strained: nil}), do: @some
   defp some(_strained), do: 0
 
-  defp evaluate(%{strained: strained} = backlog, nil, now) do
-    if strained != nil and now - strained < @relief_ms,
-      do: %{backlog | late: nil},
-      else: %{backlog | late: nil, strained: nil, began: nil}
+  defp evaluate(%{waiting: waiting} = backlog, per_ms, now)
+       when per_ms == :idle or waiting <= per_ms * @late_ms do
+    short? = per_ms == :idle or waiting <= per_ms * @keep_ms
+    relieved(%{backlog | late: nil}, short?, now)
   end
 
-  defp evaluate(%{late: late, strained: strained} = backlog, excess, now) do
-    backlog = %{backlog | late: late || now, began: backlog.began || now}
+  defp evaluate(%{strained: strained} = backlog, per_ms, now) do
+    backlog = %{backlog | late: backlog.late || now, began: backlog.began || now}
+
+    keep = {max(round(per_ms * @keep_ms), 1), backlog.waiting}
 
     if strained != nil or now - backlog.late >= @patience_ms,
-      do: %{backlog | strained: now, shed: backlog.waiting, keep: excess},
+      do: %{backlog | strained: now, shed: backlog.waiting, keep: keep},
       else: backlog
   end
 
-  defp excess(waiting, per_ms) when waiting > per_ms * @late_ms, do: {round(per_ms * @keep_ms), waiting}
-  defp excess(_waiting, _per_ms), do: nil
+  defp relieved(%{strained: nil} = backlog, _short?, _now), do: %{backlog | began: nil}
+  defp relieved(backlog, false, now), do: %{backlog | strained: now}
+  defp relieved(%{strained: at} = backlog, true, now) when now - at < @relief_ms, do: backlog
+  defp relieved(backlog, true, _now), do: %{backlog | strained: nil, began: nil}
+
+  @doc "Whether to say when the datagrams taken last have been passed on (`passed/2`): while some wait."
+  @spec timed?(t) :: boolean
+  def timed?(backlog), do: backlog.waiting > some(backlog)
+
+  @doc "The datagrams taken last were passed on by `now`."
+  @spec passed(t, integer) :: t
+  def passed(backlog, now), do: %{backlog | passed: now}
 
   @doc "The kept ones of the datagrams that were read, in order, and the number of discarded ones."
   @spec take(t, [{term, binary}]) :: {[{term, binary}], discarded, t}
   def take(%__MODULE__{shed: 0} = backlog, datagrams),
-    do: {datagrams, @none, noted(%{backlog | done: backlog.done + length(datagrams)}, datagrams)}
+    do: {datagrams, @none, backlog |> counted(length(datagrams), 0) |> noted(datagrams)}
 
   def take(%__MODULE__{shed: shed, keep: {keep, of}} = backlog, datagrams) do
     backlog = noted(backlog, datagrams)
@@ -126,9 +163,11 @@ defmodule MavRouter.Link.Backlog do
     new = Enum.count(lost, &new?/1)
     lost = length(lost)
 
-    {kept, %{shed: lost - new, shed_new: new},
-     %{backlog | shed: max(shed - n, 0), done: backlog.done + n - lost}}
+    {kept, %{shed: lost - new, shed_new: new}, counted(%{backlog | shed: max(shed - n, 0)}, n - lost, lost)}
   end
+
+  defp counted(backlog, kept, lost),
+    do: %{backlog | done: backlog.done + kept, lost: backlog.lost + lost, reads: backlog.reads + 1}
 
   defp known({more, lost}) do
     {new, known} = Enum.split_with(more, &new?/1)

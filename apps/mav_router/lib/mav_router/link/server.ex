@@ -231,6 +231,7 @@ defmodule MavRouter.Link.Server do
   defp event({:written, {:error, _reason}}, state), do: step(state, {:count, :dropped_out, 1})
   defp event({:records, _records} = event, state), do: state |> step(event) |> delivered()
   defp event(:redirected, state), do: sync(state)
+  defp event(:passed_on, state), do: %{state | conn: state.transport.passed_on(state.conn, mono())}
   defp event(event, state), do: step(state, event)
 
   defp delivered(%{conn: nil} = state), do: state

@@ -90,6 +90,7 @@ defmodule MavRouter.Link.Transport do
   - `{:peer_up, peer, text}`, `{:peer_down, peer, reason}`: connections of a server
   - `{:refused, n, text}`: connections of a server that were beyond its limits
   - `:redirected`: writes to the other end go to another address from now on
+  - `:passed_on`: asks for word when the reads before it have been delivered (`c:passed_on/2`)
   - `{:closed, reason}`: the connection ended, and is to be made again
   - `{:ended, text}`: nothing more will ever come
   - `{:warning, text}`: for the log
@@ -105,6 +106,7 @@ defmodule MavRouter.Link.Transport do
           | {:peer_down, peer, term}
           | {:refused, pos_integer, String.t()}
           | :redirected
+          | :passed_on
           | {:closed, term}
           | {:ended | :warning, String.t()}
           | {:sniffed, String.t(), pos_integer, MavCodec.Sniff.t()}
@@ -158,6 +160,9 @@ defmodule MavRouter.Link.Transport do
   """
   @callback delivered(conn, backlog :: non_neg_integer) :: conn
 
+  @doc "Says that the reads before a `:passed_on` event were delivered by `now` (monotonic ms)."
+  @callback passed_on(conn, now :: integer) :: conn
+
   @doc """
   A value that changes when what a closed link waits for may have come (a device was plugged in): the link then connects
   at once. Compared four times a second while the link is down.
@@ -182,6 +187,7 @@ defmodule MavRouter.Link.Transport do
                       kernel_dropped: 1,
                       drop: 2,
                       delivered: 2,
+                      passed_on: 2,
                       watch: 1,
                       sniff: 1,
                       direct: 2

@@ -20,6 +20,7 @@ defmodule MavRouter.Link.BacklogTest do
       backlog: Backlog.new(),
       queue: :queue.new(),
       credit: 0,
+      passing?: false,
       sent: %{},
       read: %{},
       age: 0,
@@ -31,9 +32,16 @@ defmodule MavRouter.Link.BacklogTest do
       senders = send.(now)
       queue = Enum.reduce(senders, state.queue, &:queue.in({&1, <<now::64>>}, &2))
       sent = Enum.reduce(senders, state.sent, fn sender, sent -> Map.update(sent, sender, 1, &(&1 + 1)) end)
-      spend(%{state | queue: queue, sent: sent, credit: min(state.credit, 20_000) + budget}, now)
+      state = passed(%{state | queue: queue, sent: sent, credit: min(state.credit, 20_000) + budget}, now)
+      spend(state, now)
     end)
   end
+
+  # What was read has been passed on once it is paid for.
+  defp passed(%{passing?: true, credit: credit} = state, now) when credit > 0,
+    do: %{state | passing?: false, backlog: Backlog.passed(state.backlog, now)}
+
+  defp passed(state, _now), do: state
 
   defp spend(%{credit: credit} = state, now) do
     n = min(128, :queue.len(state.queue))
@@ -41,6 +49,7 @@ defmodule MavRouter.Link.BacklogTest do
     if n == 0 or credit < 1_000 do
       state
     else
+      state = passed(state, now)
       {taken, rest} = :queue.split(n, state.queue)
 
       backlog =
@@ -57,6 +66,7 @@ defmodule MavRouter.Link.BacklogTest do
           state
           | backlog: backlog,
             queue: rest,
+            passing?: Backlog.timed?(backlog),
             credit: credit - 1_000 * length(read) - 50 * (shed + new),
             read: heard,
             age: age,
@@ -110,6 +120,82 @@ defmodule MavRouter.Link.BacklogTest do
       end)
 
     assert :proper.quickcheck(property, [:quiet, numtests: 300]) == true, inspect(:proper.counterexample())
+  end
+
+  # One read of `n` datagrams while `waiting` wait; how many were kept.
+  defp read(backlog, now, waiting, n) do
+    backlog = if Backlog.due?(backlog, now), do: Backlog.measure(backlog, waiting, now), else: backlog
+    datagrams = for i <- 1..n//1, do: {{:vehicle, rem(i, 4)}, <<0xFD, 0::32, rem(i, 4)>>}
+    {kept, _discarded, backlog} = Backlog.take(backlog, datagrams)
+    {length(kept), backlog}
+  end
+
+  # A processor that is free: what waits is read at once, then `burst` datagrams every `ms`, all that came at each read. What was lost
+  # after the first two seconds.
+  defp free(backlog, now, waiting, {burst, ms}) do
+    {backlog, now} =
+      Enum.reduce_while(Stream.iterate(waiting, &(&1 - 128)), {backlog, now}, fn
+        left, {backlog, now} when left <= 0 -> {:halt, {backlog, now}}
+        left, {backlog, now} -> {:cont, {backlog |> read(now + 1, left, min(left, 128)) |> elem(1), now + 1}}
+      end)
+
+    steps = div(10_000, ms)
+
+    {_backlog, lost} =
+      Enum.reduce(1..steps, {backlog, 0}, fn i, {backlog, lost} ->
+        {kept, backlog} = read(backlog, now + i * ms, burst, burst)
+        {backlog, if(i * ms > 2_000, do: lost + burst - kept, else: lost)}
+      end)
+
+    lost
+  end
+
+  # A link that was short of a processor just after its vehicles appeared: every datagram was read afterwards, and none passed on.
+  for fine_s <- [2, 10, 70], reads <- [3, 5, 8], n <- [1, 2, 8] do
+    test "after #{fine_s} s, and #{reads} slow reads of #{n} while hundreds wait, a link with a free processor loses nothing" do
+      {backlog, now} =
+        Enum.reduce(1..(unquote(fine_s) * 100), {Backlog.new(), 0}, fn _i, {backlog, now} ->
+          {backlog |> read(now, 10, 10) |> elem(1), now + 10}
+        end)
+
+      {backlog, now} =
+        Enum.reduce(1..unquote(reads), {backlog, now}, fn i, {backlog, now} ->
+          {backlog |> read(now, 600 * i, unquote(n)) |> elem(1), now + 600}
+        end)
+
+      assert free(backlog, now, 5_000, {10, 10}) == 0
+    end
+  end
+
+  test "whatever went before, a link with a free processor loses nothing after two seconds" do
+    step = {range(0, 128), range(1, 2_000), range(0, 5_000), range(0, 1)}
+
+    property =
+      :proper.forall({list(step), range(1, 128), range(1, 1_000)}, fn {steps, burst, ms} ->
+        {backlog, now, waiting} =
+          Enum.reduce(steps, {Backlog.new(), 0, 0}, fn {n, ms, waiting, passed}, {backlog, now, _waiting} ->
+            {_kept, backlog} = read(backlog, now, max(waiting, n), n)
+            now = now + ms
+            {if(passed == 1, do: Backlog.passed(backlog, now), else: backlog), now, waiting}
+          end)
+
+        free(backlog, now, waiting, {burst, ms}) == 0
+      end)
+
+    assert :proper.quickcheck(property, [:quiet, numtests: 500, max_size: 60]) == true,
+           inspect(:proper.counterexample())
+  end
+
+  test "a burst every second is no overload, though more than wait otherwise" do
+    backlog = Enum.reduce(1..30, Backlog.new(), &(&2 |> read(&1 * 1_000, 120, 120) |> elem(1)))
+    assert {120, backlog} = read(backlog, 31_000, 120, 120)
+    assert backlog.strained == nil
+  end
+
+  test "at least one datagram of a read is kept" do
+    starved = Enum.reduce(1..20, Backlog.new(), &(&2 |> read(&1 * 600, 4_000, 2) |> elem(1)))
+    assert starved.strained != nil
+    for n <- 1..3, do: assert({1, _backlog} = read(starved, 20 * 600 + 1, 4_000, n))
   end
 
   for {budget, strangers, least} <- [{40, 300, 0.7}, {160, 300, 0.98}, {250, 300, 0.98}, {400, 3_000, 0.98}] do

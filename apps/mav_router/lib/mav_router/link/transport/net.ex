@@ -132,15 +132,13 @@ defmodule MavRouter.Link.Transport.Net do
   end
 
   @doc """
-  A datagram and those that wait behind it in the mailbox, without those that are too many (`MavRouter.Link.Backlog`), and
-  how many those were.
+  The datagrams without those that are too many (`MavRouter.Link.Backlog`), and how many those were. They were all that
+  waited in the mailbox at `now` (monotonic ms).
   """
-  @spec take(:gen_udp.socket(), Backlog.t(), datagram) :: {[datagram], Backlog.discarded(), Backlog.t()}
+  @spec take(:gen_udp.socket(), Backlog.t(), [datagram], integer) ::
+          {[datagram], Backlog.discarded(), Backlog.t()}
         when datagram: {{:inet.ip_address(), :inet.port_number()}, binary}
-  def take(socket, backlog, first) do
-    datagrams = [first | drain(socket)]
-    now = :erlang.monotonic_time(:millisecond)
-
+  def take(socket, backlog, datagrams, now) do
     backlog =
       if Backlog.due?(backlog, now),
         do: Backlog.measure(backlog, waiting(socket) + length(datagrams), now),
@@ -150,11 +148,16 @@ defmodule MavRouter.Link.Transport.Net do
   end
 
   @doc "Datagrams, and how many were discarded, as events of a transport."
-  @spec events([{term, binary}], Backlog.discarded()) :: [MavRouter.Link.Transport.event()]
-  def events(reads, discarded) do
+  @spec events([{term, binary}], Backlog.discarded(), Backlog.t()) :: [MavRouter.Link.Transport.event()]
+  def events(reads, discarded, backlog) do
     counts = for {name, n} when n > 0 <- Map.to_list(discarded), do: {:count, name, n}
-    if reads == [], do: counts, else: counts ++ [{:read, reads}]
+    reads = if reads == [], do: [], else: [{:read, reads}]
+    counts ++ reads ++ if(Backlog.timed?(backlog), do: [:passed_on], else: [])
   end
+
+  @doc "What was read last has been passed on by `now`, as `c:MavRouter.Link.Transport.passed_on/2`."
+  @spec passed_on(conn, integer) :: conn when conn: %{:backlog => Backlog.t(), optional(atom) => term}
+  def passed_on(conn, now), do: %{conn | backlog: Backlog.passed(conn.backlog, now)}
 
   defp waiting(socket) do
     {:message_queue_len, messages} = Process.info(self(), :message_queue_len)

@@ -64,9 +64,13 @@ defmodule MavRouter.Link.Transport.UdpClient do
 
   @impl MavRouter.Link.Transport
   def handle(%{socket: socket} = conn, {:udp, socket, address, port, bytes}) do
-    {datagrams, shed, backlog} = Net.take(socket, conn.backlog, {{address, port}, bytes})
+    datagrams = [{{address, port}, bytes} | Net.drain(socket)]
+
+    {datagrams, shed, backlog} =
+      Net.take(socket, conn.backlog, datagrams, :erlang.monotonic_time(:millisecond))
+
     {reads, heard} = Enum.flat_map_reduce(datagrams, %{conn | backlog: backlog}, &hear/2)
-    events = Net.events(reads, shed)
+    events = Net.events(reads, shed, backlog)
     # Before the reads, so that an answer to them goes to the new address.
     {if(heard.to == conn.to, do: events, else: [:redirected | events]), heard}
   end
@@ -84,6 +88,9 @@ defmodule MavRouter.Link.Transport.UdpClient do
   end
 
   defp hear(_stranger, conn), do: {[], conn}
+
+  @impl MavRouter.Link.Transport
+  defdelegate passed_on(conn, now), to: Net
 
   @impl MavRouter.Link.Transport
   def write(%{to: {address, port}} = conn, _peer, bytes) do

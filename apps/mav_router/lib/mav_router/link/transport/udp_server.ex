@@ -43,9 +43,11 @@ defmodule MavRouter.Link.Transport.UdpServer do
 
   @impl MavRouter.Link.Transport
   def handle(%{socket: socket} = conn, {:udp, socket, address, port, bytes}) do
-    {reads, shed, backlog} = Net.take(socket, conn.backlog, {{address, port}, bytes})
-    gathering = Gathering.read(conn.gathering, reads, :erlang.monotonic_time(:millisecond))
-    {Net.events(reads, shed), rest(%{conn | backlog: backlog, gathering: gathering})}
+    now = :erlang.monotonic_time(:millisecond)
+    datagrams = [{{address, port}, bytes} | Net.drain(socket)]
+    {reads, shed, backlog} = Net.take(socket, conn.backlog, datagrams, now)
+    gathering = Gathering.read(conn.gathering, datagrams, now)
+    {Net.events(reads, shed, backlog), rest(%{conn | backlog: backlog, gathering: gathering})}
   end
 
   def handle(%{socket: socket} = conn, {:gathered, socket}) do
@@ -70,6 +72,9 @@ defmodule MavRouter.Link.Transport.UdpServer do
         %{conn | resting?: true}
     end
   end
+
+  @impl MavRouter.Link.Transport
+  defdelegate passed_on(conn, now), to: Net
 
   @impl MavRouter.Link.Transport
   def write(conn, {address, port}, bytes) do

@@ -346,11 +346,12 @@ defmodule MavRouter.Link.Egress do
   end
 
   @doc "Corrects a peer's budget by the RADIO_STATUS (and ArduPilot's RADIO) among frames that it sent."
-  @spec radio(t, term, [MavCodec.Frame.t()]) :: t
-  def radio(egress, id, frames) do
+  @spec radio(t, term, [MavCodec.Frame.t()], integer) :: t
+  def radio(egress, id, frames, now) do
     with %{^id => %{send_queue: %{budget: %{}}} = peer} <- egress.peers,
          txbuf when txbuf != nil <- Enum.reduce(frames, nil, &txbuf/2) do
-      %{egress | peers: %{egress.peers | id => %{peer | send_queue: SendQueue.radio(peer.send_queue, txbuf)}}}
+      send_queue = SendQueue.radio(peer.send_queue, txbuf, now)
+      %{egress | peers: %{egress.peers | id => %{peer | send_queue: send_queue}}}
     else
       _nothing -> egress
     end

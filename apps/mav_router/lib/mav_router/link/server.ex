@@ -279,7 +279,8 @@ defmodule MavRouter.Link.Server do
     source = source(spec, peer)
     if state.home == Store, do: MavRouter.Recorder.link_frames(state.gateway, spec.id, frames)
     {outcome, cache} = Router.deliver(state.gateway, source, frames, state.router_cache)
-    egress = state.egress |> Egress.radio(peer, frames) |> Egress.note_requests(peer, frames, mono())
+    now = mono()
+    egress = state.egress |> Egress.radio(peer, frames, now) |> Egress.note_requests(peer, frames, now)
     sessions = if outcome.sessions == [], do: state.sessions, else: outcome.sessions
     dropped(%{state | egress: egress, sessions: sessions, router_cache: cache}, outcome)
   end

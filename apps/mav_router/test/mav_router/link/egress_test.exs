@@ -38,7 +38,7 @@ defmodule MavRouter.Link.EgressTest do
   test "RADIO_STATUS slows it down", c do
     bytes = MavCodec.encode(%Messages.RadioStatus{txbuf: 5, rssi: 100}, system: 51, component: 68)
     {frames, _} = MavCodec.Parser.push_datagram(MavCodec.Parser.new(), bytes, 0)
-    slow = Enum.reduce(1..20, c.egress, fn _, egress -> Egress.radio(egress, :remote, frames) end)
+    slow = Enum.reduce(1..20, c.egress, fn _, egress -> Egress.radio(egress, :remote, frames, 0) end)
 
     run = fn egress ->
       {egress, first} = forward(egress, :state, List.duplicate(:binary.copy("s", 100), 900), 0)

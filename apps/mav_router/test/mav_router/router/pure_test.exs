@@ -333,11 +333,14 @@ defmodule MavRouter.Router.PureTest do
 
     test "a radio without room slows it down, one with room lets it go again, never beyond the line (RADIO_STATUS)" do
       budget = Budget.new(Budget.of_baud(57_600), 0)
-      slow = Enum.reduce(1..50, budget, fn _, budget -> Budget.radio(budget, 5) end)
+      slow = Enum.reduce(1..50, budget, fn _, budget -> Budget.radio(budget, 5, 0) end)
       assert_in_delta Budget.rate(slow), 5760 * 0.05, 0.1
-      fast = Enum.reduce(1..50, slow, fn _, budget -> Budget.radio(budget, 100) end)
+      fast = Enum.reduce(1..50, slow, fn _, budget -> Budget.radio(budget, 100, 0) end)
       assert Budget.rate(fast) == 5760
-      assert Budget.radio(slow, 255) == slow
+      assert Budget.radio(slow, 255, 0) == slow
+      # A radio that was exchanged, or does not report any more, does not leave its link slow for good.
+      assert Budget.rate(Budget.fill(slow, 10_000)) == Budget.rate(slow)
+      assert Budget.rate(Budget.fill(slow, 10_001)) == 5760
     end
 
     test "what is important goes first through a line that is too slow, and all that is shed is counted" do

@@ -1,4 +1,6 @@
 defmodule MavRouter.Router.Queue.Budget do
+  @report_ms 10_000
+
   @moduledoc """
   How many bytes may go out by a link: a token bucket that fills at the rate of the line, corrected by the radio.
 
@@ -7,16 +9,24 @@ defmodule MavRouter.Router.Queue.Budget do
   and what is important goes first (`MavRouter.Router.Queue.ClassQueue`).
 
   RADIO_STATUS tells how much room is left in the radio's buffer (`txbuf`, per cent): little room lowers the rate, much room raises
-  it again, between a twentieth and the whole of the line's rate.
+  it again, between a twentieth and the whole of the line's rate. Radios report once a second; if a radio says nothing for
+  #{div(@report_ms, 1_000)} s, its last report does not hold any more, or a link would stay slow for good.
 
   Rates are bytes a second, times monotonic ms. A frame may be sent while there is any token left, so the bucket may go
   into debt by one frame.
   """
 
   @enforce_keys [:rate, :capacity, :tokens, :at]
-  defstruct [:rate, :capacity, :tokens, :at, factor: 1.0]
+  defstruct [:rate, :capacity, :tokens, :at, :reported, factor: 1.0]
 
-  @type t :: %__MODULE__{rate: pos_integer, capacity: float, tokens: float, at: integer, factor: float}
+  @type t :: %__MODULE__{
+          rate: pos_integer,
+          capacity: float,
+          tokens: float,
+          at: integer,
+          reported: integer | nil,
+          factor: float
+        }
 
   @lowest 0.05
   # A burst of a tenth of a second, and always room for the longest frame.
@@ -38,6 +48,10 @@ defmodule MavRouter.Router.Queue.Budget do
   @spec fill(t, integer) :: t
   def fill(%__MODULE__{at: at} = budget, now) when now <= at, do: budget
 
+  def fill(%__MODULE__{reported: reported} = budget, now)
+      when reported != nil and now - reported > @report_ms,
+      do: fill(%{budget | reported: nil, factor: 1.0}, now)
+
   def fill(budget, now) do
     tokens = min(budget.tokens + (now - budget.at) * rate(budget) / 1000, budget.capacity)
     %{budget | tokens: tokens, at: now}
@@ -56,9 +70,9 @@ defmodule MavRouter.Router.Queue.Budget do
   def wait_ms(%__MODULE__{tokens: tokens}) when tokens > 0, do: 0
   def wait_ms(budget), do: max(ceil((1 - budget.tokens) * 1000 / rate(budget)), 1)
 
-  @doc "The radio's report: room in its buffer in percent. Other values (255: unknown) change nothing."
-  @spec radio(t, non_neg_integer) :: t
-  def radio(budget, txbuf) when txbuf in 0..100 do
+  @doc "The radio's report at `now`: room in its buffer in percent. Other values (255: unknown) change nothing."
+  @spec radio(t, non_neg_integer, integer) :: t
+  def radio(budget, txbuf, now) when txbuf in 0..100 do
     change =
       cond do
         txbuf < 20 -> 0.7
@@ -68,10 +82,10 @@ defmodule MavRouter.Router.Queue.Budget do
         true -> 1.0
       end
 
-    %{budget | factor: (budget.factor * change) |> min(1.0) |> max(@lowest)}
+    %{budget | factor: (budget.factor * change) |> min(1.0) |> max(@lowest), reported: now}
   end
 
-  def radio(budget, _unknown), do: budget
+  def radio(budget, _unknown, _now), do: budget
 
   @doc "The present rate in bytes a second."
   @spec rate(t) :: float

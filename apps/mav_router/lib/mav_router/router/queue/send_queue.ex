@@ -102,7 +102,7 @@ defmodule MavRouter.Router.Queue.SendQueue do
   end
 
   @doc "The radio's report (RADIO_STATUS.txbuf, %)."
-  @spec radio(t, non_neg_integer) :: t
-  def radio(%__MODULE__{budget: nil} = send_queue, _txbuf), do: send_queue
-  def radio(send_queue, txbuf), do: %{send_queue | budget: Budget.radio(send_queue.budget, txbuf)}
+  @spec radio(t, non_neg_integer, integer) :: t
+  def radio(%__MODULE__{budget: nil} = send_queue, _txbuf, _now), do: send_queue
+  def radio(send_queue, txbuf, now), do: %{send_queue | budget: Budget.radio(send_queue.budget, txbuf, now)}
 end

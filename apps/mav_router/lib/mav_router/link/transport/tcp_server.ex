@@ -11,8 +11,11 @@ defmodule MavRouter.Link.Transport.TcpServer do
   alias MavRouter.Link.Transport.Net
   alias MavRouter.Link.Transport.TcpAcceptor
 
-  @enforce_keys [:listener]
-  defstruct [:listener, :acceptor, next: 1, sockets: %{}, peers: %{}]
+  # Of the kernel, for connections that come all at once: those beyond it would try again after seconds.
+  @backlog 1_024
+
+  @enforce_keys [:listener, :options]
+  defstruct [:listener, :options, :acceptor, next: 1, sockets: %{}, peers: %{}, silent: MapSet.new()]
 
   @impl MavRouter.Link.Transport
   def traits, do: %{kind: :tcp_server, framing: :stream, protocol: :tcp, server: true, client: :remote}
@@ -26,8 +29,8 @@ defmodule MavRouter.Link.Transport.TcpServer do
   @impl MavRouter.Link.Transport
   def open(spec) do
     with {:ok, [address | _]} <- Net.resolve(spec.host) do
-      options = [Net.family(address), ip: address, reuseaddr: true, backlog: 128] ++ Net.tcp_options(spec)
-      with {:ok, listener} <- :gen_tcp.listen(spec.port, options), do: {:ok, %__MODULE__{listener: listener}}
+      options = [:binary, Net.family(address), ip: address, reuseaddr: true, active: false, backlog: @backlog]
+      with {:ok, listener} <- :gen_tcp.listen(spec.port, options), do: {:ok, %__MODULE__{listener: listener, options: Net.tcp_options(spec)}}
     end
   end
 
@@ -37,12 +40,12 @@ defmodule MavRouter.Link.Transport.TcpServer do
   @impl MavRouter.Link.Transport
   def activate(conn) do
     listener = conn.listener
-    {:ok, %{conn | acceptor: TcpAcceptor.start(listener)}, Net.local(listener)}
+    {:ok, %{conn | acceptor: TcpAcceptor.start(listener, conn.options)}, Net.local(listener)}
   end
 
   @impl MavRouter.Link.Transport
   def handle(conn, {:tcp, socket, bytes}) when is_map_key(conn.sockets, socket) do
-    {[{:read, [{conn.sockets[socket], bytes}]}], conn}
+    {[{:read, [{conn.sockets[socket], bytes}]}], heard(conn, socket)}
   end
 
   def handle(conn, {:tcp_passive, socket}) when is_map_key(conn.sockets, socket) do
@@ -62,14 +65,28 @@ defmodule MavRouter.Link.Transport.TcpServer do
     with {:ok, {_address, port}} <- :inet.peername(socket),
          :ok <- :inet.setopts(socket, active: Net.active()) do
       peer = conn.next
-      conn = %{conn | next: peer + 1, sockets: Map.put(conn.sockets, socket, peer)}
-      {[{:peer_up, peer, Address.format(address, port)}], put_in(conn.peers[peer], {socket, address})}
+
+      conn = %{
+        conn
+        | next: peer + 1,
+          sockets: Map.put(conn.sockets, socket, peer),
+          peers: Map.put(conn.peers, peer, socket),
+          silent: MapSet.put(conn.silent, socket)
+      }
+
+      {[{:peer_up, peer, Address.format(address, port)}], conn}
     else
       {:error, _already_closed} ->
         Net.tcp_discard(socket)
-        TcpAcceptor.gone(conn.acceptor, address)
+        TcpAcceptor.gone(conn.acceptor, socket)
         {[], conn}
     end
+  end
+
+  def handle(%{listener: listener} = conn, {:yield, listener, socket})
+      when is_map_key(conn.sockets, socket) do
+    Net.tcp_discard(socket)
+    gone(conn, socket, "it sent nothing, and its place was needed")
   end
 
   def handle(%{listener: listener} = conn, {:refused, listener, n, text}), do: {[{:refused, n, text}], conn}
@@ -77,15 +94,33 @@ defmodule MavRouter.Link.Transport.TcpServer do
   def handle(_conn, _message), do: :unknown
 
   defp gone(conn, socket, reason) do
+    {[{:peer_down, conn.sockets[socket], reason}], remove(conn, socket)}
+  end
+
+  defp remove(conn, socket) do
+    TcpAcceptor.gone(conn.acceptor, socket)
     {peer, sockets} = Map.pop!(conn.sockets, socket)
-    {{_socket, address}, peers} = Map.pop!(conn.peers, peer)
-    TcpAcceptor.gone(conn.acceptor, address)
-    {[{:peer_down, peer, reason}], %{conn | sockets: sockets, peers: peers}}
+
+    %{
+      conn
+      | sockets: sockets,
+        peers: Map.delete(conn.peers, peer),
+        silent: MapSet.delete(conn.silent, socket)
+    }
+  end
+
+  defp heard(%{silent: silent} = conn, socket) do
+    if MapSet.member?(silent, socket) do
+      TcpAcceptor.heard(conn.acceptor, socket)
+      %{conn | silent: MapSet.delete(silent, socket)}
+    else
+      conn
+    end
   end
 
   @impl MavRouter.Link.Transport
   def write(conn, peer, bytes) do
-    with {:ok, {socket, _address}} <- Map.fetch(conn.peers, peer),
+    with {:ok, socket} <- Map.fetch(conn.peers, peer),
          :ok <- Net.tcp_write(socket, bytes) do
       {:ok, conn}
     else
@@ -98,14 +133,13 @@ defmodule MavRouter.Link.Transport.TcpServer do
 
   @impl MavRouter.Link.Transport
   def drop(conn, peer) do
-    case Map.pop(conn.peers, peer) do
-      {nil, _peers} ->
-        conn
-
-      {{socket, address}, peers} ->
+    case conn.peers do
+      %{^peer => socket} ->
         Net.tcp_discard(socket)
-        TcpAcceptor.gone(conn.acceptor, address)
-        %{conn | peers: peers, sockets: Map.delete(conn.sockets, socket)}
+        remove(conn, socket)
+
+      _gone ->
+        conn
     end
   end
 
@@ -116,7 +150,7 @@ defmodule MavRouter.Link.Transport.TcpServer do
       Process.exit(conn.acceptor, :kill)
     end
 
-    for {_peer, {socket, _address}} <- conn.peers, do: Net.tcp_discard(socket)
+    for {_peer, socket} <- conn.peers, do: Net.tcp_discard(socket)
     :gen_tcp.close(conn.listener)
   end
 end

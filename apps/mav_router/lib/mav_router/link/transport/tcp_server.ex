@@ -12,7 +12,7 @@ defmodule MavRouter.Link.Transport.TcpServer do
   alias MavRouter.Link.Transport.TcpAcceptor
 
   # Of the kernel, for connections that come all at once: those beyond it would try again after seconds.
-  @backlog 1_024
+  @backlog 4_096
 
   @enforce_keys [:listener, :options]
   defstruct [:listener, :options, :acceptor, next: 1, sockets: %{}, peers: %{}, silent: MapSet.new()]

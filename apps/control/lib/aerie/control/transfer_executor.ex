@@ -45,8 +45,8 @@ defmodule Aerie.Control.TransferExecutor do
   transfer, unless others wait for the same.
 
   Errors beside those of the machines: `{:unavailable, text}` (the vehicle is not known, is lost, or is reached only by links of high
-  latency), `:full` (as many wait as may), `:taken` (one with that id is under way), `:waited` (others were under way for too long), `:lost` (the
-  vehicle's processes were restarted).
+  latency), `:full` (as many wait as may), `:taken` (one with that id is under way), `:waited` (others were under way for too long), `:yielded` (it
+  made way for another one), `:lost` (the vehicle's processes were restarted).
   """
   @spec run(Names.gateway(), Store.vehicle_key(), Job.t(), acc, (event(), acc -> acc)) :: {term(), acc}
         when acc: term()
@@ -129,6 +129,9 @@ defmodule Aerie.Control.TransferExecutor do
 
   def handle_info({:timeout, timer, :wake}, %{timer: {timer, _at}} = state),
     do: {:noreply, step(%{state | timer: nil}, {:tick, now()})}
+
+  def handle_info({:transfer_wanted, _vehicle, kind}, state),
+    do: {:noreply, step(state, {:wanted, kind, now()})}
 
   # Without the process that gives turns nobody waits for one.
   def handle_info({:DOWN, turns, :process, _pid, _reason}, %{turns: turns} = state) do

@@ -23,6 +23,7 @@ defmodule Aerie.Control.Transfers do
       `"phase"` (`"waiting"`, `"sending"`, `"reading"` or `"checking"`), `"done"` and `"total"` besides
     * `:timeout_ms` - the time limit, including the wait for other transfers; without it a transfer has the time that its
       length needs, and ends when the vehicle does not answer any more
+    * `:yields` - whether a read ends as soon as another transfer, or a ground station's, wants its place; by default that of a viewer does
     * `:wait_ms` - how long to wait for the result of a change, which then continues by itself; by default `:infinity`
   """
   @type option ::
@@ -31,6 +32,7 @@ defmodule Aerie.Control.Transfers do
           | {:id, String.t()}
           | {:progress, pid() | {pid(), term()}}
           | {:timeout_ms, pos_integer()}
+          | {:yields, boolean()}
           | {:wait_ms, timeout()}
 
   @options [:as, :via, :says, :id, :progress, :timeout_ms, :wait_ms]
@@ -203,7 +205,8 @@ defmodule Aerie.Control.Transfers do
       lanes: transfer.lanes,
       start: &transfer.start.(Map.put(&1, :grows?, options[:timeout_ms] == nil), until),
       until: until,
-      share: transfer[:share]
+      share: transfer[:share],
+      yields: Keyword.get_lazy(options, :yields, fn -> transfer[:share] != nil and viewer?(options) end)
     }
 
     TransferExecutor.run(gateway, snapshot.key, job, acc, fn
@@ -215,6 +218,8 @@ defmodule Aerie.Control.Transfers do
         fun.(event, acc)
     end)
   end
+
+  defp viewer?(options), do: match?(%{role: :viewer}, source(options))
 
   defp teller(nil, _id), do: fn _progress -> :ok end
   defp teller(pid, id) when is_pid(pid), do: teller({pid, nil}, id)

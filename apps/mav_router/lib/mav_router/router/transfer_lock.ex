@@ -66,7 +66,7 @@ defmodule MavRouter.Router.TransferLock do
   @doc """
   A transfer of the gateway wants the turn: `:go`; or `{:hold, whose}`, and `{:transfer_turn, vehicle, kind}` comes when it has it. `whose`
   are the ids of the ground station whose turn it is, nil for another transfer of the gateway. The turn ends with `give_back/3` or with
-  the calling process.
+  the calling process. `{:transfer_wanted, vehicle, kind}` comes when a ground station waits for it.
   """
   @spec take(Names.gateway(), MavRouter.Router.vehicle_key(), kind()) ::
           :go | {:hold, {non_neg_integer, 0..255} | nil}
@@ -166,9 +166,12 @@ defmodule MavRouter.Router.TransferLock do
     {answer, turn} =
       state.turns |> Map.get(key, Turn.new()) |> Turn.ask(who, step, part, {who, frame}, state.clock.())
 
-    if map_size(state.turns) >= @max_turns and not is_map_key(state.turns, key),
-      do: {:reply, :go, state},
-      else: {:reply, answer, state |> keep(key, turn) |> let_go(key)}
+    if map_size(state.turns) >= @max_turns and not is_map_key(state.turns, key) do
+      {:reply, :go, state}
+    else
+      if answer == :hold, do: wanted(turn.who, key)
+      {:reply, answer, state |> keep(key, turn) |> let_go(key)}
+    end
   end
 
   def handle_call({:take, {vehicle, kind} = key}, {pid, _tag}, state) do
@@ -207,6 +210,10 @@ defmodule MavRouter.Router.TransferLock do
     keys = for {{key, ^pid}, _monitor} <- state.own, do: key
     {:noreply, Enum.reduce(keys, state, &given_back(&2, &1, pid))}
   end
+
+  # A transfer of the gateway may give way.
+  defp wanted({:gateway, pid}, {vehicle, kind}), do: send(pid, {:transfer_wanted, vehicle, kind})
+  defp wanted(_station, _key), do: :ok
 
   defp given_back(state, key, pid) do
     {monitor, own} = Map.pop(state.own, {key, pid})

@@ -318,6 +318,8 @@ defmodule MavRouter.Router.TransferLockTest do
       say(c.a, count(255, 3))
       say(c.a, mark(255, 1))
       refute count(255, 3) in until(c.vehicle, mark(255, 1))
+      # It may give way.
+      assert_receive {:transfer_wanted, ^vehicle, :mission}, @patience
       Router.TransferLock.give_back(c.gateway, vehicle, :mission)
       until(c.vehicle, count(255, 3))
 

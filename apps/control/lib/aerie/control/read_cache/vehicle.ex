@@ -247,10 +247,11 @@ defmodule Aerie.Control.ReadCache.Vehicle do
   defp act({:forward, _message, from}, state, :plans), do: forwarded(state, {:plans, from})
 
   defp act(:fetch, %{vehicle: %{id: id}, gateway: gateway} = state, :params),
-    do: task(state, :params, fn -> Params.list(gateway, id) end)
+    do: task(state, :params, fn -> Params.list(gateway, id, yields: true) end)
 
   defp act({:fetch, type}, %{vehicle: %{id: id}, gateway: gateway} = state, :plans),
-    do: task(state, {:plan, type}, fn -> Missions.read(gateway, id, Map.fetch!(@kinds, type)) end)
+    do:
+      task(state, {:plan, type}, fn -> Missions.read(gateway, id, Map.fetch!(@kinds, type), yields: true) end)
 
   defp task(state, what, fun) do
     task = Task.Supervisor.async_nolink(state.tasks, fun)

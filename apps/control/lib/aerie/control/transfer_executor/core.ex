@@ -3,13 +3,15 @@ defmodule Aerie.Control.TransferExecutor.Core do
   The transfers of one vehicle, without the process: `handle(core, event) -> {core, actions}`.
 
   Of each lane (`t:Aerie.Control.TransferExecutor.Job.lane/0`) one transfer is under way; the others wait in the order of their arrival, at most
-  32 in all. Before a transfer of missions, files or logs begins, it takes its turn among those of ground stations.
+  32 in all. Before a transfer of missions, files or logs begins, it takes its turn among those of ground stations. One that yields
+  (`t:Aerie.Control.TransferExecutor.Job.t/0`) goes out of the way of others, and of a ground station that wants the turn.
 
   Events, with the time `now` in microseconds of a clock that is never set:
 
     * `{:submit, job, now}` - a transfer
     * `{:cancel, id, now}`
     * `{:turn, kind, now}` - it is our turn; `{:held, kind, whose}` - it is that of a ground station, whose ids are given, or nil
+    * `{:wanted, kind, now}` - a ground station waits for our turn
     * `{:message, id, message, source, now}` - a message of the vehicle's system, with its MAVLink id
     * `{:vehicle, facts}` - what is known of the vehicle: the fields of `t:Aerie.Control.TransferExecutor.Job.context/0` but `seq`, `ftp?` and `now`
     * `{:rebooted, now}` - the vehicle has rebooted
@@ -23,7 +25,7 @@ defmodule Aerie.Control.TransferExecutor.Core do
     * `{:data, id, offset, bytes}` - a piece of a file or log
     * `{:joined, id, other}` - this transfer is the same as that one, whose end is its end too
     * `{:done, id, result}` - the end: what the machine gave, or `{:error, :full | :taken | :waited | :cancelled}` for one that did not
-      begin
+      begin, `{:error, :yielded}`
   """
 
   alias MavRouter.Router.TransferLock
@@ -58,6 +60,7 @@ defmodule Aerie.Control.TransferExecutor.Core do
         }
   @type event ::
           {:submit, Job.t(), integer()}
+          | {:wanted, TransferLock.kind(), integer()}
           | {:cancel, String.t(), integer()}
           | {:turn, TransferLock.kind(), integer()}
           | {:held, TransferLock.kind(), {non_neg_integer(), 0..255} | nil}
@@ -113,11 +116,13 @@ defmodule Aerie.Control.TransferExecutor.Core do
     same = job.share && Enum.find_value(core.jobs, fn {id, other} -> other.share == job.share && id end)
 
     cond do
-      same -> {core, [{:joined, job.id, same}]}
-      size(core) >= @max_jobs -> {core, [{:done, job.id, {:error, :full}}]}
-      true -> core |> queued(job, now) |> next(now)
+      same -> {joined(core, core.jobs[same], job), [{:joined, job.id, same}]}
+      size(core) >= @max_jobs and not yields_to?(core, job) -> {core, [{:done, job.id, {:error, :full}}]}
+      true -> core |> make_way(job.lanes, not job.yields, now) |> queued(job, now) |> next(now)
     end
   end
+
+  def handle(core, {:wanted, kind, now}), do: core |> make_way([kind], true, now) |> next(now)
 
   def handle(core, {:cancel, id, now}) do
     case core.jobs do
@@ -177,10 +182,29 @@ defmodule Aerie.Control.TransferExecutor.Core do
 
   # --- Waiting
 
-  defp queued(core, job, now) do
+  defp queued({core, actions}, job, now) do
     job = %{job | start_by: min(job.until, now + @wait_us)}
-    {%{put(core, job) | order: core.order ++ [job.id]}, []}
+    {%{put(core, job) | order: core.order ++ [job.id]}, actions}
   end
+
+  # Who joins a transfer waits for it as well.
+  defp joined(core, same, job), do: put(core, %{same | yields: same.yields and job.yields})
+
+  defp make_way(core, _lanes, false, _now), do: {core, []}
+  defp make_way(core, lanes, true, now), do: each(core, &in_the_way?(&1, lanes), &give_way(&1, &2, now))
+
+  # The vehicle learns that nobody reads any more.
+  defp give_way(core, %{phase: :running, id: id} = job, now) do
+    {core, actions} = step(core, job, {:cancel, now}, now)
+    {core, Enum.map(actions, &with({:done, ^id, _result} <- &1, do: {:done, id, {:error, :yielded}}))}
+  end
+
+  defp give_way(core, job, _now), do: finish(core, job, {:error, :yielded})
+
+  defp in_the_way?(job, lanes), do: job.yields and Enum.any?(job.lanes, &(&1 in lanes))
+
+  defp yields_to?(core, job),
+    do: not job.yields and Enum.any?(core.jobs, fn {_id, other} -> in_the_way?(other, job.lanes) end)
 
   # A job begins when it has no lane in common with those before it.
   defp next({core, actions}, now) do

@@ -11,7 +11,8 @@ defmodule Aerie.Control.TransferExecutor.Job do
   alias MavRouter.Router.TransferLock
 
   @enforce_keys [:id, :lanes, :start, :until]
-  defstruct [:id, :lanes, :start, :until, :share, :machine, :start_by, phase: :queued, turns: [], asked: []]
+  defstruct [:id, :lanes, :start, :until, :share, :machine, :start_by] ++
+              [yields: false, phase: :queued, turns: [], asked: []]
 
   @typedoc """
   What only one transfer at a time may use: PARAM and PARAM_EXT messages, the mission protocol (missions, fences and rally points together, as in
@@ -42,6 +43,8 @@ defmodule Aerie.Control.TransferExecutor.Job do
     * `:start` - makes the machine; an error is the end of the transfer
     * `:until` - its deadline in microseconds of `System.monotonic_time/1`; nothing is sent from then on
     * `:share` - transfers with the same term (not nil) are one: callers that come while it is under way get its result
+    * `:yields` - it is nobody's who may change the vehicle: it ends (`{:error, :yielded}`) when anything else wants its lane, or a ground station
+      its turn
     * the others are the state of it: the machine, when it has to have begun, and which turns it has and waits for
   """
   @type t :: %__MODULE__{
@@ -50,6 +53,7 @@ defmodule Aerie.Control.TransferExecutor.Job do
           start: (context() -> {:ok, struct()} | {:error, term()}),
           until: integer(),
           share: term(),
+          yields: boolean(),
           machine: struct() | nil,
           start_by: integer() | nil,
           phase: :queued | :turn | :running,

@@ -66,6 +66,9 @@ defmodule Aerie.Control.Transfers.Outcome do
 
   defp error(:taken), do: {:rejected, "a transfer with this id is under way", %{"rule" => "id"}}
 
+  defp error(:yielded),
+    do: {:expired, "it made way for another transfer with the vehicle; try again", %{}}
+
   defp error(:waited),
     do: {:expired, "other transfers with the vehicle were under way until it had to begin", %{}}
 

@@ -115,6 +115,46 @@ defmodule Aerie.Control.TransferExecutor.CoreTest do
     assert {[{:done, "late", {:error, :full}}], _core} = run(core, [{:submit, job("late", [:log]), 0}])
   end
 
+  test "a reading for a stranger makes way for anything else, under way or waiting, and for a ground station" do
+    {_actions, core} =
+      run(core(), [
+        {:submit, job("s", [:mission], yields: true), 0},
+        {:turn, :mission, 0},
+        {:submit, job("t", [:mission], yields: true), 0},
+        {:submit, job("p", [:params], yields: true), 0}
+      ])
+
+    assert {[{:give_back, :mission}, {:done, "s", yielded}, {:done, "t", yielded}, {:take, :mission}], core} =
+             run(core, [{:submit, job("upload", [:mission]), 1}])
+
+    assert yielded == {:error, :yielded}
+    # The vehicle learns it from the machine, which is not asked again.
+    assert {actions, core} = run(core, [{:turn, :mission, 2}, {:wanted, :mission, 3}])
+    assert {:send, ["upload"]} in actions and Core.known?(core, "upload") and Core.known?(core, "p")
+
+    {_actions, core} =
+      run(core(), [{:submit, job("s", [:file], yields: true), 0}, {:turn, :file, 0}])
+
+    assert {[{:give_back, :file}, {:done, "s", {:error, :yielded}}], _core} = run(core, [{:wanted, :file, 1}])
+  end
+
+  test "who joins such a reading keeps it from making way, and a full queue makes room by it" do
+    {_actions, core} =
+      run(core(), [
+        {:submit, job("s", [:params], yields: true, share: :list), 0},
+        {:submit, job("t", [:params], yields: true, share: :list), 0}
+      ])
+
+    full = for(n <- 2..32, do: {:submit, job("j#{n}", [:log], yields: true), 0})
+    {_actions, crowded} = run(core, full)
+    assert {actions, crowded} = run(crowded, [{:submit, job("late", [:params]), 0}])
+    assert {:done, "s", {:error, :yielded}} in actions and Core.known?(crowded, "late")
+
+    {_actions, core} = run(core, [{:submit, job("mine", [:params], share: :list), 0}])
+    assert {[], core} = run(core, [{:submit, job("set", [:params]), 0}])
+    assert Core.known?(core, "s") and Core.known?(core, "set")
+  end
+
   test "a reboot is told to what is under way; what waits begins after it" do
     {_actions, core} = run(core(), [{:submit, job("a", [:params]), 0}, {:submit, job("b", [:params]), 0}])
     {actions, _core} = run(core, [{:rebooted, 5}])
@@ -159,6 +199,8 @@ defmodule Aerie.Control.TransferExecutor.CoreTest do
       :proper_types.oneof([
         {:submit, id, lanes},
         {:submit, id, lanes},
+        {:yields, id, lanes},
+        {:wanted, kind},
         {:cancel, id},
         {:turn, kind},
         {:turn, kind},
@@ -191,6 +233,8 @@ defmodule Aerie.Control.TransferExecutor.CoreTest do
     {event, began} =
       case event do
         {:submit, id, _lanes} when is_map_key(core.jobs, id) -> {{:submit, job(id, [:log]), now}, []}
+        {:yields, id, _lanes} when is_map_key(core.jobs, id) -> {{:cancel, id, now}, []}
+        {:yields, id, lanes} -> {{:submit, job(id, lanes, yields: true), now}, [{:began, id}]}
         {:submit, id, lanes} -> {{:submit, job(id, lanes), now}, [{:began, id}]}
         {:message, id} -> {{:message, id, :said, {1, 1}, now}, []}
         {what, of} -> {{what, of, now}, []}

@@ -1,10 +1,10 @@
 defmodule Aerie.Control.Transfers do
   @moduledoc """
-  What `Aerie.Control.Params`, `Aerie.Control.Missions`, `Aerie.Control.Files` and `Aerie.Control.Logs` have in common: who starts a transfer, for which vehicle,
-  with which time limit, and what its end means.
+  What `Aerie.Control.Params`, `Aerie.Control.Missions`, `Aerie.Control.Files` and `Aerie.Control.Logs` have in
+  common: who starts a transfer, for which vehicle, with which time limit, and what its end means.
 
-  Reading needs no permission and is not recorded. A change passes the same checks as a command (`Aerie.Control.Commands.carry_out/5`):
-  the policy's roles and rules, the audit log, and the ledger by its id.
+  Reading needs no permission and is not recorded. A change passes the same checks as a command
+  (`Aerie.Control.Commands.carry_out/5`): the policy's roles and rules, the audit log, and the ledger by its id.
   """
 
   alias Aerie.Base.{Names, Store}
@@ -17,13 +17,16 @@ defmodule Aerie.Control.Transfers do
   alias Aerie.Control.TransferExecutor.Job
 
   @typedoc """
-    * `:as` - who asks (`t:Aerie.Control.Policy.Roles.source/0`), by default an admin called `elixir`; `:via` - the interface, for the audit log
-    * `:id` - the id of a change: the same id with the same content is carried out once. 1 to 64 letters, digits, `-` and `_`
-    * `:progress` - a process, or one with a term: it gets `{:command_progress, term, id, progress}` as for commands; the progress has
-      `"phase"` (`"waiting"`, `"sending"`, `"reading"` or `"checking"`), `"done"` and `"total"` besides
-    * `:timeout_ms` - the time limit, including the wait for other transfers; without it a transfer has the time that its
-      length needs, and ends when the vehicle does not answer any more
-    * `:yields` - whether a read ends as soon as another transfer, or a ground station's, wants its place; by default that of a viewer does
+    * `:as` - who asks (`t:Aerie.Control.Policy.Roles.source/0`), by default an admin called `elixir`; `:via` - the
+      interface, for the audit log
+    * `:id` - the id of a change: the same id with the same content is carried out once. 1 to 64 letters, digits, `-`
+      and `_`
+    * `:progress` - a process, or one with a term: it gets `{:command_progress, term, id, progress}` as for commands;
+      the progress has `"phase"` (`"waiting"`, `"sending"`, `"reading"` or `"checking"`), `"done"` and `"total"` besides
+    * `:timeout_ms` - the time limit, including the wait for other transfers; without it a transfer has the time that
+      its length needs, and ends when the vehicle does not answer any more
+    * `:yields` - whether a read ends as soon as another transfer, or a ground station's, wants its place; by default
+      that of a viewer does
     * `:wait_ms` - how long to wait for the result of a change, which then continues by itself; by default `:infinity`
   """
   @type option ::
@@ -50,8 +53,9 @@ defmodule Aerie.Control.Transfers do
         }
 
   @typedoc """
-  What a transfer changes: its type for the policy, what the audit log records, `review` of `t:Aerie.Control.Commands.Change.t/0`, and `before`: what is
-  found out, when the change was allowed, before it begins; gives a function that adds it to the result.
+  What a transfer changes: its type for the policy, what the audit log records, `review` of
+  `t:Aerie.Control.Commands.Change.t/0`, and `before`: what is found out, when the change was allowed, before it
+  begins; gives a function that adds it to the result.
   """
   @type change :: %{
           required(:facts) => Intent.t(),
@@ -88,8 +92,8 @@ defmodule Aerie.Control.Transfers do
   end
 
   @doc """
-  Asks the gateway that hears a vehicle to read something, and gives its answer; `:here` for one that is not to be asked for elsewhere:
-  this gateway hears it, nobody does, or the question came from another gateway.
+  Asks the gateway that hears a vehicle to read something, and gives its answer; `:here` for one that is not to be
+  asked for elsewhere: this gateway hears it, nobody does, or the question came from another gateway.
   """
   @spec read_remote(
           Names.gateway(),
@@ -112,8 +116,8 @@ defmodule Aerie.Control.Transfers do
   end
 
   @doc """
-  Reads something: returns the machine's value, or a result that says why there is none. `fun` folds the bytes that the machine
-  delivers (`{:data, offset, bytes}`), starting with `acc`.
+  Reads something: returns the machine's value, or a result that says why there is none. `fun` folds the bytes that
+  the machine delivers (`{:data, offset, bytes}`), starting with `acc`.
   """
   @spec read(Names.gateway(), map(), transfer(), [option()], acc, (TransferExecutor.event(), acc -> acc)) ::
           {{:ok, term()} | {:error, Result.t()}, acc}
@@ -130,8 +134,8 @@ defmodule Aerie.Control.Transfers do
   end
 
   @doc """
-  Changes something: returns the answer of `Aerie.Control.Commands`. `finish` makes the details of a success. Raises `ArgumentError` for an option that is
-  not one: with a misspelt `:as` anybody would be an admin.
+  Changes something: returns the answer of `Aerie.Control.Commands`. `finish` makes the details of a success. Raises
+  `ArgumentError` for an option that is not one: with a misspelt `:as` anybody would be an admin.
   """
   @spec change(Names.gateway(), String.t(), change(), transfer(), [option()], (term() -> map())) ::
           Commands.answer()

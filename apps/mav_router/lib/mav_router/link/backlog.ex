@@ -5,18 +5,20 @@ defmodule MavRouter.Link.Backlog do
   How old the datagrams are that wait for a link, and how many of them to discard: a value.
 
   A socket keeps the oldest datagrams and drops the newest, so a link that does not keep up would show a state that is
-  seconds old for as long as the overload lasts. Instead, when what waits would take half a second to read at the pace of the
-  last #{@every_ms} ms, datagrams are discarded until a tenth of a second is left. A burst, or a machine that was busy for a
-  moment, is not an overload: discarding begins when this has lasted for a second, and the overload ends when for two seconds no more
-  waited than those that are left.
+  seconds old for as long as the overload lasts. Instead, when what waits would take half a second to read at the pace
+  of the last #{@every_ms} ms, datagrams are discarded until a tenth of a second is left. A burst, or a machine that
+  was busy for a moment, is not an overload: discarding begins when this has lasted for a second, and the overload
+  ends when for two seconds no more waited than those that are left.
 
-  The pace is what was read in the time since the last measurement, a discarded datagram counted for what it costs (a twentieth of a
-  kept one), if others waited all the time. If nothing was left, the link waited for datagrams, and only the time in which it passed on
-  those it had counts. A pace of what was kept, or of what came, would feed on its own result. At least one datagram of a read is kept.
+  The pace is what was read in the time since the last measurement, a discarded datagram counted for what it costs (a
+  twentieth of a kept one), if others waited all the time. If nothing was left, the link waited for datagrams, and
+  only the time in which it passed on those it had counts. A pace of what was kept, or of what came, would feed on its
+  own result. At least one datagram of a read is kept.
 
-  It is fair to senders (`MavRouter.Link.Senders`). Of the datagrams read at a time, those are kept first whose senders had been heard for
-  a minute when the overload began, then those of senders heard for five seconds, then those of new ones: hundreds of strangers take
-  nothing from a vehicle that was there before. Among equals each sender keeps as many as the others that have so many, its newest.
+  It is fair to senders (`MavRouter.Link.Senders`). Of the datagrams read at a time, those are kept first whose
+  senders had been heard for a minute when the overload began, then those of senders heard for five seconds, then
+  those of new ones: hundreds of strangers take nothing from a vehicle that was there before. Among equals each sender
+  keeps as many as the others that have so many, its newest.
   """
 
   alias MavRouter.Link.Senders
@@ -49,10 +51,10 @@ defmodule MavRouter.Link.Backlog do
 
   @typedoc """
   - `shed`: of how many of the next datagrams to discard some; `keep`: so many of so many are kept
-  - `measured`: monotonic ms of the last measurement; `waiting`: how many waited then; `done`, `lost`: how many were kept and
-    discarded since, in so many `reads`; `passed`: when the last of them had been passed on, if that is known
-  - `late`: since when too many have been waiting; `strained`: when more waited than are left, in an overload that has begun; `began`: when it
-    began
+  - `measured`: monotonic ms of the last measurement; `waiting`: how many waited then; `done`, `lost`: how many were
+    kept and discarded since, in so many `reads`; `passed`: when the last of them had been passed on, if that is known
+  - `late`: since when too many have been waiting; `strained`: when more waited than are left, in an overload that has
+    begun; `began`: when it began
   """
   @type t :: %__MODULE__{
           measured: integer | nil,
@@ -78,7 +80,10 @@ defmodule MavRouter.Link.Backlog do
   @spec new() :: t
   def new, do: %__MODULE__{}
 
-  @doc "Whether to measure what waits. At every read while there are too many: one read more than necessary is 128 datagrams."
+  @doc """
+  Whether to measure what waits. At every read while there are too many: one read more than necessary is 128
+  datagrams.
+  """
   @spec due?(t, integer) :: boolean
   def due?(%__MODULE__{measured: nil}, _now), do: true
 
@@ -155,8 +160,8 @@ defmodule MavRouter.Link.Backlog do
     keep = ceil(n * keep / of)
     {kept, lost} = datagrams |> ranked(backlog) |> Enum.split(keep)
 
-    # Senders that were there before, if they are few, do not pay for a pace that was low for a moment. Where very many wait it was low
-    # for longer.
+    # Senders that were there before, if they are few, do not pay for a pace that was low for a moment. Where very
+    # many wait it was low for longer.
     extra = if of <= @many, do: n, else: keep
     {more, lost} = lost |> Enum.split(min(extra, max(div(n + 3, 4) - keep, 0))) |> known()
     kept = for {_order, datagram} <- Enum.sort_by(more ++ kept, fn {{_, _, i}, _} -> -i end), do: datagram
@@ -176,7 +181,8 @@ defmodule MavRouter.Link.Backlog do
 
   defp new?({{rank, _round, _i}, _datagram}), do: rank == 0
 
-  # In the order in which to keep them: by the rank of their senders, each sender's newest before any other's second newest.
+  # In the order in which to keep them: by the rank of their senders, each sender's newest before any other's second
+  # newest.
   defp ranked(datagrams, backlog) do
     {ranked, _rounds} =
       datagrams

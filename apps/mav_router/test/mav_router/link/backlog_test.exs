@@ -12,9 +12,9 @@ defmodule MavRouter.Link.BacklogTest do
     end)
   end
 
-  # A link that reads `budget` datagrams in a second, while `send` says who sends in each ms, for so many seconds: what each sender
-  # sent, what was read of it, how old what was read after three seconds was, and what is left. Reads are of at most 128 datagrams,
-  # which it cannot leave half done, and discarding costs a twentieth of reading.
+  # A link that reads `budget` datagrams in a second, while `send` says who sends in each ms, for so many seconds:
+  # what each sender sent, what was read of it, how old what was read after three seconds was, and what is left. Reads
+  # are of at most 128 datagrams, which it cannot leave half done, and discarding costs a twentieth of reading.
   defp hear(seconds, budget, send) do
     state = %{
       backlog: Backlog.new(),
@@ -130,8 +130,8 @@ defmodule MavRouter.Link.BacklogTest do
     {length(kept), backlog}
   end
 
-  # A processor that is free: what waits is read at once, then `burst` datagrams every `ms`, all that came at each read. What was lost
-  # after the first two seconds.
+  # A processor that is free: what waits is read at once, then `burst` datagrams every `ms`, all that came at each
+  # read. What was lost after the first two seconds.
   defp free(backlog, now, waiting, {burst, ms}) do
     {backlog, now} =
       Enum.reduce_while(Stream.iterate(waiting, &(&1 - 128)), {backlog, now}, fn
@@ -150,9 +150,11 @@ defmodule MavRouter.Link.BacklogTest do
     lost
   end
 
-  # A link that was short of a processor just after its vehicles appeared: every datagram was read afterwards, and none passed on.
+  # A link that was short of a processor just after its vehicles appeared: every datagram was read afterwards, and
+  # none passed on.
   for fine_s <- [2, 10, 70], reads <- [3, 5, 8], n <- [1, 2, 8] do
-    test "after #{fine_s} s, and #{reads} slow reads of #{n} while hundreds wait, a link with a free processor loses nothing" do
+    test "after #{fine_s} s, and #{reads} slow reads of #{n} while hundreds wait, a link with a free processor loses
+    nothing" do
       {backlog, now} =
         Enum.reduce(1..(unquote(fine_s) * 100), {Backlog.new(), 0}, fn _i, {backlog, now} ->
           {backlog |> read(now, 10, 10) |> elem(1), now + 10}
@@ -199,7 +201,8 @@ defmodule MavRouter.Link.BacklogTest do
   end
 
   for {budget, strangers, least} <- [{40, 300, 0.7}, {160, 300, 0.98}, {250, 300, 0.98}, {400, 3_000, 0.98}] do
-    test "a known vehicle with 20 frames a second keeps #{least} of them beside #{strangers} made-up senders, with a budget of #{budget}" do
+    test "a known vehicle with 20 frames a second keeps #{least} of them beside #{strangers} made-up senders, with a
+    budget of #{budget}" do
       heard =
         hear(40, unquote(budget), fn now ->
           # They come in the tenth second, all of them once a second.

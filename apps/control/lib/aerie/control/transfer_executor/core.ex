@@ -2,18 +2,21 @@ defmodule Aerie.Control.TransferExecutor.Core do
   @moduledoc """
   The transfers of one vehicle, without the process: `handle(core, event) -> {core, actions}`.
 
-  Of each lane (`t:Aerie.Control.TransferExecutor.Job.lane/0`) one transfer is under way; the others wait in the order of their arrival, at most
-  32 in all. Before a transfer of missions, files or logs begins, it takes its turn among those of ground stations. One that yields
-  (`t:Aerie.Control.TransferExecutor.Job.t/0`) goes out of the way of others, and of a ground station that wants the turn.
+  Of each lane (`t:Aerie.Control.TransferExecutor.Job.lane/0`) one transfer is under way; the others wait in the order
+  of their arrival, at most 32 in all. Before a transfer of missions, files or logs begins, it takes its turn among
+  those of ground stations. One that yields (`t:Aerie.Control.TransferExecutor.Job.t/0`) goes out of the way of
+  others, and of a ground station that wants the turn.
 
   Events, with the time `now` in microseconds of a clock that is never set:
 
     * `{:submit, job, now}` - a transfer
     * `{:cancel, id, now}`
-    * `{:turn, kind, now}` - it is our turn; `{:held, kind, whose}` - it is that of a ground station, whose ids are given, or nil
+    * `{:turn, kind, now}` - it is our turn; `{:held, kind, whose}` - it is that of a ground station, whose ids are
+      given, or nil
     * `{:wanted, kind, now}` - a ground station waits for our turn
     * `{:message, id, message, source, now}` - a message of the vehicle's system, with its MAVLink id
-    * `{:vehicle, facts}` - what is known of the vehicle: the fields of `t:Aerie.Control.TransferExecutor.Job.context/0` but `seq`, `ftp?` and `now`
+    * `{:vehicle, facts}` - what is known of the vehicle: the fields of
+      `t:Aerie.Control.TransferExecutor.Job.context/0` but `seq`, `ftp?` and `now`
     * `{:rebooted, now}` - the vehicle has rebooted
     * `{:tick, now}` - at `wake_at/1` at the latest
 
@@ -21,11 +24,12 @@ defmodule Aerie.Control.TransferExecutor.Core do
 
     * `{:send, messages}`
     * `{:take, kind}` - asks for the turn; `{:turn, …}` or `{:held, …}` is the answer; `{:give_back, kind}`
-    * `{:progress, id, progress}` - the machine's words, as `{done, total}` or the map of `Aerie.Mission.Transfer`; or `{:waiting, whose}`
+    * `{:progress, id, progress}` - the machine's words, as `{done, total}` or the map of `Aerie.Mission.Transfer`; or
+      `{:waiting, whose}`
     * `{:data, id, offset, bytes}` - a piece of a file or log
     * `{:joined, id, other}` - this transfer is the same as that one, whose end is its end too
-    * `{:done, id, result}` - the end: what the machine gave, or `{:error, :full | :taken | :waited | :cancelled}` for one that did not
-      begin, `{:error, :yielded}`
+    * `{:done, id, result}` - the end: what the machine gave, or `{:error, :full | :taken | :waited | :cancelled}` for
+      one that did not begin, `{:error, :yielded}`
   """
 
   alias MavRouter.Router.TransferLock
@@ -49,7 +53,10 @@ defmodule Aerie.Control.TransferExecutor.Core do
 
   defstruct vehicle: nil, seq: 0, silent: nil, jobs: %{}, order: []
 
-  @typedoc "`silent`: the links by which FTP was not answered; until the vehicle reboots or answers, it is not asked for parameters by them"
+  @typedoc """
+  `silent`: the links by which FTP was not answered; until the vehicle reboots or answers, it is not asked
+  for parameters by them
+  """
 
   @type t :: %__MODULE__{
           vehicle: map() | nil,
@@ -187,7 +194,7 @@ defmodule Aerie.Control.TransferExecutor.Core do
     {%{put(core, job) | order: core.order ++ [job.id]}, actions}
   end
 
-  # Who joins a transfer waits for it as well.
+  # Both callers wait for one transfer.
   defp joined(core, same, job), do: put(core, %{same | yields: same.yields and job.yields})
 
   defp make_way(core, _lanes, false, _now), do: {core, []}

@@ -138,7 +138,7 @@ defmodule Aerie.Control.TransferExecutor.CoreTest do
     assert {[{:give_back, :file}, {:done, "s", {:error, :yielded}}], _core} = run(core, [{:wanted, :file, 1}])
   end
 
-  test "who joins such a reading keeps it from making way, and a full queue makes room by it" do
+  test "a caller that joins such a reading keeps it from making way, and a full queue makes room by it" do
     {_actions, core} =
       run(core(), [
         {:submit, job("s", [:params], yields: true, share: :list), 0},

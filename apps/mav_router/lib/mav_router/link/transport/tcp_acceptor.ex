@@ -6,22 +6,27 @@ defmodule MavRouter.Link.Transport.TcpAcceptor do
   @yields_ms 5_000
 
   @moduledoc """
-  Accepts the connections of a TCP server, in a process of its own that is linked to the link's: accepting blocks, and a connection
-  beyond the limits is closed here, not in the path of frames. There may be #{@connections} connections to a port, #{@per_address} of them
-  from one address.
+  Accepts the connections of a TCP server, in a process of its own that is linked to the link's: accepting blocks, and
+  a connection beyond the limits is closed here, not in the path of frames. There may be #{@connections} connections
+  to a port, #{@per_address} of them from one address.
 
-  At a limit, a newcomer takes the place of the earliest connection that has been there for #{div(@yields_ms, 1_000)} s and never sent a byte: one of its
-  own address, or, if the port is full, one of the address with the most connections. So connections that do nothing keep nobody out.
+  At a limit, a newcomer takes the place of the earliest connection that has been there for #{div(@yields_ms, 1_000)}
+  s and never sent a byte: one of its own address, or, if the port is full, one of the address with the most
+  connections. So connections that do nothing keep nobody out.
 
-  The link gets `{:accepted, listener, socket, address}` for each connection and answers `heard/2` with its first bytes and `gone/2`
-  when it has ended; `{:yield, listener, socket}` asks it to end one. It gets `{:refused, listener, n, text}` at most once a second.
+  The link gets `{:accepted, listener, socket, address}` for each connection and answers `heard/2` with its first
+  bytes and `gone/2` when it has ended; `{:yield, listener, socket}` asks it to end one. It gets `{:refused, listener,
+  n, text}` at most once a second.
   """
 
   alias MavRouter.Link.Transport.Net
 
   @every_ms 1_000
 
-  @typedoc "The connections by socket: their address, and since when each has been silent (monotonic ms), nil once it has sent something."
+  @typedoc """
+  The connections by socket: their address, and since when each has been silent (monotonic ms), nil once it
+  has sent something.
+  """
   @type held :: %{:gen_tcp.socket() => {:inet.ip_address(), since :: integer | nil}}
 
   @doc "Starts to accept for the calling process; the options are for the sockets of those that have room."

@@ -11,7 +11,7 @@ defmodule MavRouter.Link.Transport.TcpServer do
   alias MavRouter.Link.Transport.Net
   alias MavRouter.Link.Transport.TcpAcceptor
 
-  # Of the kernel, for connections that come all at once: those beyond it would try again after seconds.
+  # Connections that the kernel keeps until they are accepted: those beyond it would try again after seconds.
   @backlog 4_096
 
   @enforce_keys [:listener, :options]

@@ -4,12 +4,13 @@ defmodule MavRouter.Router.Queue.Budget do
   @moduledoc """
   How many bytes may go out by a link: a token bucket that fills at the rate of the line, corrected by the radio.
 
-  A serial line at 57,600 baud takes 5,760 bytes a second, and the radio behind it perhaps half of that. More than that would wait
-  in buffers that nobody can look into, and a command would wait behind it for seconds. So no more is written than the line takes,
-  and what is important goes first (`MavRouter.Router.Queue.ClassQueue`).
+  A serial line at 57,600 baud takes 5,760 bytes a second, and the radio behind it perhaps half of that. More than
+  that would wait in buffers that nobody can look into, and a command would wait behind it for seconds. So no more is
+  written than the line takes, and what is important goes first (`MavRouter.Router.Queue.ClassQueue`).
 
-  RADIO_STATUS tells how much room is left in the radio's buffer (`txbuf`, per cent): little room lowers the rate, much room raises
-  it again, between a twentieth and the whole of the line's rate. Radios report once a second; if a radio says nothing for
+  RADIO_STATUS tells how much room is left in the radio's buffer (`txbuf`, per cent): little room lowers the rate,
+  much room raises it again, between a twentieth and the whole of the line's rate. Radios report once a second; if a
+  radio says nothing for
   #{div(@report_ms, 1_000)} s, its last report does not hold any more, or a link would stay slow for good.
 
   Rates are bytes a second, times monotonic ms. A frame may be sent while there is any token left, so the bucket may go

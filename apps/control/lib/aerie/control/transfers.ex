@@ -76,7 +76,10 @@ defmodule Aerie.Control.Transfers do
   @spec time_ms(pieces :: non_neg_integer(), each_ms :: pos_integer()) :: pos_integer()
   def time_ms(pieces, each_ms), do: max(300_000, 60_000 + pieces * each_ms)
 
-  @doc "The present snapshot of a vehicle by its name, if this gateway's links hear it: what asks for this is not passed on."
+  @doc """
+  The present snapshot of a vehicle by its name, if this gateway's links hear it: what asks for this is not
+  passed on.
+  """
   @spec vehicle(Names.gateway(), String.t()) :: {:ok, map()} | {:error, Result.t()}
   def vehicle(gateway, id) do
     case RemoteGateway.vehicle(gateway, id) do

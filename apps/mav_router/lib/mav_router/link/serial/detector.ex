@@ -45,6 +45,8 @@ defmodule MavRouter.Link.Serial.Detector do
   # What a UART has unless somebody changed it, then radios and fast ones; USB answers at any.
   @msp_bauds [115_200, 57_600, 921_600]
   @limit_ms 20_000
+  # Before ports are asked they are listened to for longer, and there are two sets of them.
+  @ask_limit_ms 40_000
   @grace_ms 500
   @max_probes 32
 
@@ -166,7 +168,7 @@ defmodule MavRouter.Link.Serial.Detector do
     hits = Enum.filter(detector.order, &match?({:hit, _, _}, detector.probes[&1].outcome))
     busy = Enum.filter(detector.order, &is_nil(detector.probes[&1].outcome))
     detector = if hits != [] and detector.hit_at == nil, do: %{detector | hit_at: now}, else: detector
-    late? = now - detector.started >= @limit_ms
+    late? = now - detector.started >= if(detector.ask, do: @ask_limit_ms, else: @limit_ms)
 
     cond do
       hits != [] and (late? or not wait?(detector, hd(hits), busy, now)) -> found(detector, actions, hd(hits))

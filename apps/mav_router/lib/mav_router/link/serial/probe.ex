@@ -1,4 +1,6 @@
 defmodule MavRouter.Link.Serial.Probe do
+  @quiet_ms 11_000
+
   @moduledoc """
   Listens to one serial port at one baud rate after the other: a pure value, used by `MavRouter.Link.Serial.Detector`.
 
@@ -10,8 +12,9 @@ defmodule MavRouter.Link.Serial.Probe do
   - Another protocol with good checksums ends the probe: the port is not ours.
   - A silent port gets five seconds in all, one that is not silent gets all rates.
 
-  It never writes to the port, unless it searches for a flight controller with MSP, which only answers (`msp:auto`): then it asks one question
-  (`MavRouter.Link.Serial.Question`) at each rate at which nothing came.
+  It never writes to the port, unless it searches for a flight controller with MSP, which only answers (`msp:auto`): then
+  it asks one question (`MavRouter.Link.Serial.Question`) at each rate, once nothing came at any of them for
+  #{div(@quiet_ms, 1000)} s. Some radios bring a heartbeat every ten seconds.
   """
 
   alias MavRouter.Link.Serial.{Finding, Question}
@@ -48,6 +51,8 @@ defmodule MavRouter.Link.Serial.Probe do
     # Whether it searches for MSP, and has asked at this rate.
     ask: false,
     asked: false,
+    # Since when nothing came.
+    quiet: nil,
     tried: [],
     outcome: nil
   ]
@@ -85,7 +90,7 @@ defmodule MavRouter.Link.Serial.Probe do
   def handle(%{outcome: outcome} = probe, _event, _now) when outcome != nil, do: {probe, []}
 
   def handle(%{phase: :opening} = probe, :opened, now) do
-    listen(%{probe | opened: now}, now)
+    listen(%{probe | opened: now, quiet: now}, now)
   end
 
   def handle(%{phase: :busy} = probe, :tick, _now), do: {%{probe | phase: :opening}, [{:open, probe.baud}]}
@@ -133,8 +138,8 @@ defmodule MavRouter.Link.Serial.Probe do
 
   defp take(probe, "", _now), do: probe
 
-  defp take(%{ask: true} = probe, bytes, _now) do
-    probe = %{probe | count: probe.count + byte_size(bytes), buffer: keep(probe.buffer, bytes)}
+  defp take(%{ask: true} = probe, bytes, now) do
+    probe = %{probe | quiet: now, count: probe.count + byte_size(bytes), buffer: keep(probe.buffer, bytes)}
 
     case Question.answer(probe.buffer, probe.port.path, probe.baud) do
       nil -> probe
@@ -183,8 +188,13 @@ defmodule MavRouter.Link.Serial.Probe do
   defp decide(%{outcome: {:over, _finding}} = probe, _now), do: {%{probe | phase: :closed}, [:close]}
 
   defp decide(%{ask: true, asked: false, count: 0, deadline: deadline} = probe, now) when now >= deadline do
-    probe = %{probe | asked: true, deadline: now + @answer_ms}
-    {probe, [{:write, Question.bytes()}, read(probe, now)]}
+    if now - probe.quiet < @quiet_ms do
+      probe = %{probe | deadline: probe.quiet + @quiet_ms}
+      {probe, [read(probe, now)]}
+    else
+      probe = %{probe | asked: true, deadline: now + @answer_ms}
+      {probe, [{:write, Question.bytes()}, read(probe, now)]}
+    end
   end
 
   defp decide(probe, now) do
@@ -223,7 +233,9 @@ defmodule MavRouter.Link.Serial.Probe do
     silent? = Enum.all?(probe.tried, fn {_baud, count, _sniffed} -> count == 0 end)
 
     case probe.bauds do
-      _any when silent? and now - probe.started >= @heartbeat_ms -> over(probe, now)
+      # Those that may be asked were.
+      [] when probe.ask -> over(probe, now)
+      _any when silent? and not probe.ask and now - probe.started >= @heartbeat_ms -> over(probe, now)
       [] when silent? -> start_over(probe)
       [] -> over(probe, now)
       [baud | bauds] -> {%{probe | phase: :setting, baud: baud, bauds: bauds}, [{:set, baud}]}

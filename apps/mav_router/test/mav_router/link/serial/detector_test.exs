@@ -167,7 +167,7 @@ defmodule MavRouter.Link.Serial.DetectorTest do
                  live(Detector.new(ask: true), [port(1), port(2), port(3)], world)
 
         assert Finding.format(finding) =~ ~r/MSP v1 at \d+ baud, answers as (Betaflight|iNav)/
-        assert ms < 7_000
+        assert ms < 17_000
         asked = for {:write, 2, bytes} <- log, do: bytes
         assert length(asked) in 1..3 and Enum.uniq(asked) == ["$M<" <> <<0, 2, 2>>]
       end
@@ -187,6 +187,31 @@ defmodule MavRouter.Link.Serial.DetectorTest do
         assert Finding.format(finding) =~ why
         refute Enum.any?(log, &match?({:write, _, _}, &1))
       end
+    end
+
+    test "a vehicle whose heartbeats come once in one, two, five or ten seconds is never asked, whatever its rate" do
+      for period <- [1_000, 2_000, 5_000, 10_000],
+          right <- [57_600, 115_200, 921_600, 9_600],
+          first <- [0, 700, 9_900] do
+        {:ok, last} = Agent.start_link(fn -> -1 end)
+
+        # What came since it was read last, as it is read at this rate.
+        says = fn baud, ms ->
+          n = if ms < first, do: -1, else: div(ms - first, period)
+          came? = Agent.get_and_update(last, &{n > &1, n})
+          if(came?, do: if(baud == right, do: heartbeat(1), else: binary_part(noise(baud), 0, 1)), else: "")
+        end
+
+        assert {:failed, [finding], _ms, log} = live(Detector.new(ask: true), [port(1)], %{1 => says})
+        refute Enum.any?(log, &match?({:write, _, _}, &1))
+        refute finding.condition == :silent
+      end
+    end
+
+    test "ports of the second turn are asked too" do
+      ports = [port(1, :configured), port(2)]
+      world = %{1 => silent(), 2 => answers(921_600, variant("BTFL"))}
+      assert {:found, 2, %{baud: 921_600}, "", _ms, _log} = live(Detector.new(ask: true), ports, world)
     end
 
     test "what answers otherwise is named" do

@@ -34,8 +34,15 @@ defmodule Aerie.Vehicle.Kind do
   @px4 MavAutopilot.value(:MAV_AUTOPILOT_PX4)
 
   @autopilots [:ardupilot, :px4, :betaflight, :inav, :generic]
-  # What COMPONENT_INFORMATION_BASIC calls those that MAV_AUTOPILOT has no number for.
-  @vendors %{"Betaflight" => :betaflight, "iNav" => :inav}
+  @firmwares %{
+    ardupilot: "ArduPilot",
+    px4: "PX4",
+    betaflight: "Betaflight",
+    inav: "iNav",
+    generic: "unknown firmware"
+  }
+  # COMPONENT_INFORMATION_BASIC has the names of those that MAV_AUTOPILOT has no number for.
+  @vendors Map.new([:betaflight, :inav], &{@firmwares[&1], &1})
 
   @type autopilot :: :ardupilot | :px4 | :betaflight | :inav | :generic
 
@@ -46,6 +53,10 @@ defmodule Aerie.Vehicle.Kind do
   @doc "The firmware families by their names."
   @spec autopilots() :: %{String.t() => autopilot()}
   def autopilots, do: Map.new(@autopilots, &{Atom.to_string(&1), &1})
+
+  @doc "The name of a firmware family for people."
+  @spec firmware(autopilot()) :: String.t()
+  def firmware(autopilot), do: Map.fetch!(@firmwares, autopilot)
 
   @doc "The firmware family of a vendor's name that a vehicle sends, nil for another one."
   @spec vendor(String.t()) :: autopilot() | nil

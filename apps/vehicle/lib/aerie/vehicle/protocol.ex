@@ -4,12 +4,12 @@ defmodule Aerie.Vehicle.Protocol do
   everything that depends on the firmware is in its adapter. `Aerie.Vehicle.Protocol.Ardupilot` and `Aerie.Vehicle.Protocol.Px4`
   share `Aerie.Vehicle.Protocol.Mavlink`; the behaviour itself does not depend on MAVLink, so another protocol fits.
 
-  An adapter declares what its firmware lacks, with the reason (`c:gap/2`; shown by `capabilities/2`). Such a command is refused at
+  An adapter declares what its firmware lacks, with the reason (`c:gap/3`). Such a command is refused at
   once, and nothing is sent to the vehicle.
   """
 
   alias Aerie.Vehicle.Command
-  alias Aerie.Vehicle.Command.{Type, Types}
+  alias Aerie.Vehicle.Command.Type
   alias Aerie.Vehicle.Protocol.{Step, StoredItem, Vehicle}
 
   @type plan :: [Step.t(), ...]
@@ -41,11 +41,14 @@ defmodule Aerie.Vehicle.Protocol do
           | :done
           | {:instead, Step.t()}
 
-  @doc "Why this firmware lacks a command on a kind of vehicle; nil if it has it."
-  @callback gap(type :: String.t(), kind :: String.t()) :: String.t() | nil
+  @doc "Why this firmware lacks a command on a kind of vehicle, whatever its parameters are; nil if it has it."
+  @callback gap(type :: String.t(), kind :: String.t(), Aerie.Vehicle.Kind.autopilot()) :: String.t() | nil
 
-  @doc "The steps of a command without a gap; `{:error, reason}` if too little is known about the vehicle."
-  @callback steps(Command.t(), Vehicle.t()) :: {:ok, plan()} | {:error, String.t()}
+  @doc """
+  The steps of a command without a gap; `{:gap, reason}` if the firmware lacks it with these parameters, `{:error, reason}`
+  if too little is known about the vehicle, or its present state is against it.
+  """
+  @callback steps(Command.t(), Vehicle.t()) :: {:ok, plan()} | {:gap | :error, String.t()}
 
   @doc "The messages that send a step after `attempt` earlier attempts (C1)."
   @callback encode(Step.t(), attempt :: non_neg_integer(), Vehicle.t()) :: [message()]
@@ -73,6 +76,9 @@ defmodule Aerie.Vehicle.Protocol do
   `Aerie.Mission.Item`; `kind` is that of the vehicle.
   """
   @callback kept(item :: map(), mission_type :: 0..2, kind :: String.t()) :: StoredItem.t()
+
+  @doc "Why a firmware has no plans of this kind; nil if it has them, or may have them."
+  @callback plan_gap(mission_type :: 0..2, Aerie.Vehicle.Kind.autopilot()) :: String.t() | nil
 
   @doc "The offset from an item's number, counted from 1, to the firmware's number."
   @callback item_offset() :: 0 | -1
@@ -105,7 +111,7 @@ defmodule Aerie.Vehicle.Protocol do
   @doc "The steps of a command, or why there are none: `:gap` is permanent, `:error` temporary."
   @spec plan(module(), Command.t(), Vehicle.t()) :: {:ok, plan()} | {:gap, String.t()} | {:error, String.t()}
   def plan(protocol, command, vehicle) do
-    case protocol.gap(command.type, vehicle.kind) do
+    case protocol.gap(command.type, vehicle.kind, vehicle.autopilot) do
       nil ->
         with {:ok, steps} <- protocol.steps(command, vehicle),
              :ok <- armed(Command.type(command), vehicle),
@@ -127,8 +133,4 @@ defmodule Aerie.Vehicle.Protocol do
 
   # Steps before the last one, such as a mode, may be repeated.
   defp repeats(steps, retry), do: List.update_at(steps, -1, &%{&1 | repeat: retry})
-
-  @doc "Each command with nil or the reason for its gap, for a kind of vehicle."
-  @spec capabilities(module(), kind :: String.t()) :: %{String.t() => String.t() | nil}
-  def capabilities(protocol, kind), do: Map.new(Types.names(), &{&1, protocol.gap(&1, kind)})
 end

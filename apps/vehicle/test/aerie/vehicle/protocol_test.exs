@@ -10,7 +10,7 @@ defmodule Aerie.Vehicle.ProtocolTest do
   alias MavCodec.Messages, as: M
 
   @kinds Protocol.Page.kinds()
-  @adapters [ardupilot: Protocol.Ardupilot, px4: Protocol.Px4, betaflight: Protocol.Msp]
+  @adapters [ardupilot: Protocol.Ardupilot, px4: Protocol.Px4, betaflight: Protocol.Msp, inav: Protocol.Msp]
 
   defp steps(autopilot, name, params, more \\ %{}) do
     Protocol.plan(Protocol.of(autopilot), command(name, params), vehicle(autopilot, more))
@@ -39,9 +39,9 @@ defmodule Aerie.Vehicle.ProtocolTest do
         fn {{autopilot, protocol}, kind, command} ->
           vehicle = vehicle(autopilot, %{kind: kind})
 
-          case {protocol.gap(command.type, kind), Protocol.plan(protocol, command, vehicle)} do
+          case {protocol.gap(command.type, kind, autopilot), Protocol.plan(protocol, command, vehicle)} do
             {nil, {:ok, steps}} -> Enum.all?(steps, &sound?(&1, protocol, vehicle))
-            {nil, {:error, reason}} -> reason =~ ~r/\A\w/
+            {nil, {why_not, reason}} when why_not in [:gap, :error] -> reason =~ ~r/\A\w/
             {reason, {:gap, reason}} -> reason =~ ~r/\A\w/
           end
         end
@@ -91,13 +91,36 @@ defmodule Aerie.Vehicle.ProtocolTest do
              Protocol.plan(Protocol.Unknown, command("arm"), vehicle(:ardupilot))
   end
 
-  test "capabilities name every command" do
-    for {_autopilot, protocol} <- @adapters, kind <- @kinds do
-      assert protocol |> Protocol.capabilities(kind) |> Map.keys() |> Enum.sort() == Enum.sort(Types.names())
+  test "a gap may be of a firmware, of a kind of vehicle, or of a parameter's value" do
+    gap = fn autopilot, name, kind -> Protocol.of(autopilot).gap(name, kind, autopilot) end
+
+    assert [nil, nil, "ArduPilot has no" <> _] =
+             for(name <- ~w(arm relay actuator), do: gap.(:ardupilot, name, "copter"))
+
+    assert [nil, nil] = for(name <- ~w(goto set_home), do: gap.(:inav, name, "copter"))
+
+    assert ["Betaflight has" <> _, "Betaflight has" <> _] =
+             for(name <- ~w(goto set_home), do: gap.(:betaflight, name, "copter"))
+
+    sensors =
+      for %{name: :sensor, values: values} <- Types.fetch!("calibrate").params, sensor <- values, do: sensor
+
+    able = fn autopilot ->
+      for sensor <- sensors, {:ok, _steps} <- [steps(autopilot, "calibrate", %{sensor: sensor})], do: sensor
     end
 
-    assert %{"arm" => nil, "relay" => nil, "actuator" => "ArduPilot has no" <> _} =
-             Protocol.capabilities(Protocol.Ardupilot, "copter")
+    assert ~w(accelerometer magnetometer) = Enum.sort(able.(:betaflight))
+    assert ["compass_motor"] = sensors -- able.(:px4)
+    assert ["rc"] = sensors -- able.(:ardupilot)
+  end
+
+  test "a mode that the vehicle has not named yet is no gap; one that it does not have is" do
+    for {type, params} <- [{"hold", %{}}, {"rtl", %{}}, {"set_mode", %{mode: "GPS RESCUE"}}] do
+      assert {:error, "the vehicle has not said" <> _} = steps(:betaflight, type, params)
+
+      assert {:gap, "this firmware has no mode" <> _} =
+               steps(:betaflight, type, params, %{mode_names: %{0 => "ACRO"}})
+    end
   end
 
   test "heights: ArduPilot's above home, PX4's above mean sea level" do

@@ -35,51 +35,55 @@ defmodule Aerie.Vehicle.Protocol.Ardupilot do
   @missions ~w(copter plane vtol rover boat sub)
 
   @impl true
-  def gap("takeoff", "plane"),
+  def gap("takeoff", "plane", _firmware),
     do:
       "ArduPlane takes off by its mode TAKEOFF, to TKOFF_ALT, or by a mission: use set_mode or mission_start"
 
-  def gap("takeoff", kind) when kind not in ["copter", "vtol"], do: "it does not take off"
+  def gap("takeoff", kind, _firmware) when kind not in ["copter", "vtol"], do: "it does not take off"
 
-  def gap("land", "plane"),
+  def gap("land", "plane", _firmware),
     do: "ArduPlane lands by the landing of its mission: use land_start"
 
-  def gap("land", kind) when kind not in ["copter", "vtol", "blimp"], do: "it does not land"
+  def gap("land", kind, _firmware) when kind not in ["copter", "vtol", "blimp"], do: "it does not land"
 
-  def gap("rtl", kind) when kind not in @returning, do: "this firmware has no mode for returning"
+  def gap("rtl", kind, _firmware) when kind not in @returning, do: "this firmware has no mode for returning"
 
-  def gap("hold", kind) when not is_map_key(@hold, kind), do: "this firmware has no mode for holding"
+  def gap("hold", kind, _firmware) when not is_map_key(@hold, kind),
+    do: "this firmware has no mode for holding"
 
-  def gap(type, kind) when type in ["mission_start", "mission_pause", "resume"] and kind not in @missions,
-    do: "this firmware has no missions"
+  def gap(type, kind, _firmware)
+      when type in ["mission_start", "mission_pause", "resume"] and kind not in @missions,
+      do: "this firmware has no missions"
 
-  def gap("mission_pause", kind) when kind in ["rover", "boat", "sub"],
+  def gap("mission_pause", kind, _firmware) when kind in ["rover", "boat", "sub"],
     do: "this firmware does not pause a mission: use hold, and then resume"
 
-  def gap("set_altitude", kind) when kind in @grounded, do: "it has no height to change"
+  def gap("set_altitude", kind, _firmware) when kind in @grounded, do: "it has no height to change"
 
-  def gap(type, kind)
+  def gap(type, kind, _firmware)
       when type in ["setpoint_position", "setpoint_local", "setpoint_velocity"] and kind in @winged,
       do: "ArduPlane takes only the height of a set-point: use goto or set_altitude"
 
-  def gap("orbit", kind) when kind not in @winged,
+  def gap("orbit", kind, _firmware) when kind not in @winged,
     do: "only ArduPlane circles around a place that it is told; set_mode CIRCLE does so in front of a copter"
 
-  def gap("set_yaw", kind) when kind in @winged, do: "ArduPlane steers its nose itself"
+  def gap("set_yaw", kind, _firmware) when kind in @winged, do: "ArduPlane steers its nose itself"
 
-  def gap("vtol_transition", kind) when kind not in @winged,
+  def gap("vtol_transition", kind, _firmware) when kind not in @winged,
     do: "it has no wings and rotors to change between"
 
-  def gap("land_start", kind) when kind not in ["copter" | @winged], do: "its missions have no landing"
-  def gap("actuator", _kind), do: "ArduPilot has no DO_SET_ACTUATOR: use servo"
-  def gap("save_params", _kind), do: "ArduPilot stores each parameter when it is set"
-  def gap(_type, _kind), do: nil
+  def gap("land_start", kind, _firmware) when kind not in ["copter" | @winged],
+    do: "its missions have no landing"
+
+  def gap("actuator", _kind, _firmware), do: "ArduPilot has no DO_SET_ACTUATOR: use servo"
+  def gap("save_params", _kind, _firmware), do: "ArduPilot stores each parameter when it is set"
+  def gap(_type, _kind, _firmware), do: nil
 
   @impl true
   def steps(%{type: type, params: params}, vehicle) do
     case special(type, params, vehicle) do
       :common -> {:ok, Commands.steps(type, params, vehicle)}
-      {:error, reason} -> {:error, reason}
+      {why_not, reason} -> {why_not, reason}
       steps -> {:ok, steps}
     end
   end
@@ -279,6 +283,8 @@ defmodule Aerie.Vehicle.Protocol.Ardupilot do
   @impl true
   def home_is_item_0?, do: true
 
+  @impl true
+  def plan_gap(_mission_type, _firmware), do: nil
   @impl true
   def item_offset, do: 0
 

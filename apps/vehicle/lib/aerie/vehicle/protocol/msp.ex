@@ -16,7 +16,9 @@ defmodule Aerie.Vehicle.Protocol.Msp do
   # What the firmware, or one of the two, could do.
   @not_yet ~w(rx_pair reset_params mission_start mission_pause mission_set_current resume camera_trigger)
   @has ~w(reboot save_params calibrate request_message set_message_interval arm disarm force_disarm set_mode rtl hold rc_override
-    manual_control motor_test goto set_home)
+    manual_control motor_test)
+  # What iNav alone has.
+  @inav ~w(goto set_home)
   @return %{betaflight: "GPS RESCUE", inav: "NAV RTH"}
   # Betaflight from 2026.6 flies its rescue as a plan of its autopilot, if it was built with that.
   @flown_as %{"GPS RESCUE" => ["GPS RESCUE", "AUTOPILOT"]}
@@ -30,13 +32,14 @@ defmodule Aerie.Vehicle.Protocol.Msp do
   @slow_ms 6_000
 
   @impl true
-  def gap(type, _kind) when type in @has, do: nil
-  def gap(type, _kind) when type in @not_yet, do: "Aerie does not do it over MSP yet"
-  def gap(_type, _kind), do: "Betaflight and iNav have no such command over MSP"
+  def gap(type, _kind, firmware) when type in @has or (type in @inav and firmware == :inav), do: nil
+  def gap(type, _kind, _firmware) when type in @inav, do: "Betaflight has no message for it in MSP"
+  def gap(type, _kind, _firmware) when type in @not_yet, do: "Aerie does not do it over MSP yet"
+  def gap(_type, _kind, _firmware), do: "Betaflight and iNav have no such command over MSP"
 
   @impl true
   def steps(%{type: "reboot", params: %{to: "bootloader"}}, _vehicle),
-    do: {:error, "a boot loader does not speak MSP: the vehicle would be gone until somebody goes to it"}
+    do: {:gap, "a boot loader does not speak MSP: the vehicle would be gone until somebody goes to it"}
 
   def steps(%{type: "calibrate", params: %{sensor: sensor}}, _vehicle) do
     case sensor do
@@ -44,7 +47,7 @@ defmodule Aerie.Vehicle.Protocol.Msp do
         {:ok, [Commands.preflight(sensor, answer_ms: @slow_ms)]}
 
       other ->
-        {:error, "MSP calibrates the accelerometer and the magnetometer, not #{other}"}
+        {:gap, "MSP calibrates the accelerometer and the magnetometer, not #{other}"}
     end
   end
 
@@ -63,7 +66,7 @@ defmodule Aerie.Vehicle.Protocol.Msp do
   def steps(%{type: "set_mode", params: %{standard_mode: name}}, vehicle) do
     case Modes.standard(vehicle) do
       %{^name => mode} -> mode(mode, vehicle)
-      _none -> {:error, "this firmware has no mode for #{name}"}
+      _none -> lacks_mode("for #{name}", vehicle)
     end
   end
 
@@ -76,14 +79,11 @@ defmodule Aerie.Vehicle.Protocol.Msp do
   def steps(%{type: type, params: params}, vehicle) when type in ["rc_override", "manual_control"],
     do: {:ok, for(step <- Commands.steps(type, params, vehicle), do: %{step | note: @unsaid})}
 
-  def steps(%{type: type}, %{autopilot: :betaflight}) when type in ["goto", "set_home"],
-    do: {:error, "Betaflight has no message for it in MSP"}
-
   def steps(%{type: "goto", params: %{altitude_reference: "terrain"}}, _vehicle),
-    do: {:error, "iNav has heights above home and above sea level"}
+    do: {:gap, "iNav has heights above home and above sea level"}
 
   def steps(%{type: "goto", params: %{speed: speed}}, _vehicle) when speed != nil,
-    do: {:error, "iNav flies there at its own speed (nav_auto_speed)"}
+    do: {:gap, "iNav flies there at its own speed (nav_auto_speed)"}
 
   def steps(%{type: "goto", params: params}, _vehicle) do
     frame = Streams.frame(params.altitude_reference)
@@ -111,9 +111,14 @@ defmodule Aerie.Vehicle.Protocol.Msp do
          ]}
 
       :error ->
-        {:error, "this firmware has no mode #{inspect(name)}"}
+        lacks_mode(inspect(name), vehicle)
     end
   end
+
+  defp lacks_mode(_which, %{mode_names: names}) when names == %{},
+    do: {:error, "the vehicle has not said which modes it has yet"}
+
+  defp lacks_mode(which, _vehicle), do: {:gap, "this firmware has no mode #{which}"}
 
   @impl true
   def param_encoding, do: :c_cast
@@ -127,6 +132,10 @@ defmodule Aerie.Vehicle.Protocol.Msp do
   def item_offset, do: -1
   @impl true
   def kept(item, mission_type, _kind), do: StoredItem.kept(item, mission_type)
+  @impl true
+  def plan_gap(_mission_type, :betaflight), do: "Betaflight has no missions, fences or rally points"
+  def plan_gap(0, :inav), do: nil
+  def plan_gap(_fence_or_rally, :inav), do: "iNav has no fences or rally points over MSP"
   # The session acknowledges a plan after it has read it.
   @impl true
   defdelegate plan_watch_us(mission_type), to: Unknown

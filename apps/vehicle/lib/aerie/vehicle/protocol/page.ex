@@ -2,9 +2,9 @@ defmodule Aerie.Vehicle.Protocol.Page do
   @moduledoc "The table of gaps in `docs/commands.md`: which commands a firmware lacks, and why."
 
   alias Aerie.Vehicle.Command.{Page, Types}
-  alias Aerie.Vehicle.Protocol
+  alias Aerie.Vehicle.{Kind, Protocol}
 
-  @firmwares [{"ArduPilot", Protocol.Ardupilot}, {"PX4", Protocol.Px4}, {"Betaflight, iNav", Protocol.Msp}]
+  @firmwares [:ardupilot, :px4, :betaflight, :inav]
   @kinds ~w(copter plane vtol rover boat sub)
 
   @doc "The section by its name."
@@ -17,13 +17,23 @@ defmodule Aerie.Vehicle.Protocol.Page do
 
   defp rows do
     for name <- Types.names(),
-        {firmware, protocol} <- @firmwares,
-        {reason, kinds} <- by_reason(protocol, name),
-        do: ["`#{name}`", firmware, if(kinds == @kinds, do: "all", else: Enum.join(kinds, ", ")), reason]
+        {reason, firmwares, kinds} <- by_reason(name),
+        do: ["`#{name}`", firmwares, if(kinds == @kinds, do: "all", else: Enum.join(kinds, ", ")), reason]
   end
 
-  defp by_reason(protocol, name) do
-    gaps = for kind <- @kinds, reason = protocol.gap(name, kind), do: {reason, kind}
+  # Firmwares that lack it on the same kinds for the same reason have one row.
+  defp by_reason(name) do
+    gaps =
+      for firmware <- @firmwares,
+          {reason, kinds} <- kinds(name, firmware),
+          do: {{reason, kinds}, Kind.firmware(firmware)}
+
+    for {reason, kinds} = gap <- gaps |> Enum.map(&elem(&1, 0)) |> Enum.uniq(),
+        do: {reason, Enum.join(for({^gap, firmware} <- gaps, do: firmware), ", "), kinds}
+  end
+
+  defp kinds(name, firmware) do
+    gaps = for kind <- @kinds, reason = Protocol.of(firmware).gap(name, kind, firmware), do: {reason, kind}
 
     for reason <- gaps |> Enum.map(&elem(&1, 0)) |> Enum.uniq(),
         do: {reason, for({^reason, kind} <- gaps, do: kind)}

@@ -37,33 +37,38 @@ defmodule Aerie.Vehicle.Protocol.Px4 do
   }
 
   @impl true
-  def gap(type, kind) when type in ["takeoff", "land"] and kind in ["rover", "boat", "sub"],
+  def gap(type, kind, _firmware) when type in ["takeoff", "land"] and kind in ["rover", "boat", "sub"],
     do: "it does not fly"
 
-  def gap(type, kind) when type in ["orbit", "set_yaw"] and kind in ["plane", "rover", "boat"],
+  def gap(type, kind, _firmware) when type in ["orbit", "set_yaw"] and kind in ["plane", "rover", "boat"],
     do: "only what can stay in one place does so"
 
-  def gap("set_altitude", kind) when kind in ["rover", "boat"], do: "it has no height to change"
-  def gap("vtol_transition", kind) when kind != "vtol", do: "it has no wings and rotors to change between"
-  def gap("land_start", kind) when kind not in @winged, do: "only what has wings lands so"
+  def gap("set_altitude", kind, _firmware) when kind in ["rover", "boat"], do: "it has no height to change"
 
-  def gap("parachute", _kind), do: "PX4 opens a parachute by flight termination only: use terminate"
-  def gap("servo", _kind), do: "PX4 has no DO_SET_SERVO: use actuator"
-  def gap("relay", _kind), do: "PX4 has no relays"
-  def gap("jump", _kind), do: "PX4 has no jump by tag: use mission_set_current"
+  def gap("vtol_transition", kind, _firmware) when kind != "vtol",
+    do: "it has no wings and rotors to change between"
 
-  def gap("set_geofence", _kind),
+  def gap("land_start", kind, _firmware) when kind not in @winged, do: "only what has wings lands so"
+
+  def gap("parachute", _kind, _firmware),
+    do: "PX4 opens a parachute by flight termination only: use terminate"
+
+  def gap("servo", _kind, _firmware), do: "PX4 has no DO_SET_SERVO: use actuator"
+  def gap("relay", _kind, _firmware), do: "PX4 has no relays"
+  def gap("jump", _kind, _firmware), do: "PX4 has no jump by tag: use mission_set_current"
+
+  def gap("set_geofence", _kind, _firmware),
     do: "PX4 has no DO_FENCE_ENABLE: its fence is on while the parameter GF_ACTION is not 0"
 
-  def gap("calibrate_position", _kind), do: "PX4 finds out itself how it lies"
-  def gap("calibrate_accept", _kind), do: "PX4 stores a calibration itself"
-  def gap(_type, _kind), do: nil
+  def gap("calibrate_position", _kind, _firmware), do: "PX4 finds out itself how it lies"
+  def gap("calibrate_accept", _kind, _firmware), do: "PX4 stores a calibration itself"
+  def gap(_type, _kind, _firmware), do: nil
 
   @impl true
   def steps(%{type: type, params: params}, vehicle) do
     case special(type, params, vehicle) do
       :common -> {:ok, type |> Commands.steps(params, vehicle) |> noted(type, vehicle)}
-      {:error, reason} -> {:error, reason}
+      {why_not, reason} -> {why_not, reason}
       steps -> {:ok, noted(steps, type, vehicle)}
     end
   end
@@ -289,6 +294,8 @@ defmodule Aerie.Vehicle.Protocol.Px4 do
   @impl true
   def home_is_item_0?, do: false
 
+  @impl true
+  def plan_gap(_mission_type, _firmware), do: nil
   @impl true
   def item_offset, do: -1
 

@@ -7,10 +7,10 @@ defmodule Aerie.Vehicle.Protocol.Unknown do
   @behaviour Aerie.Vehicle.Protocol
 
   @impl true
-  def gap(_type, _kind), do: "Aerie knows how to command ArduPilot and PX4, not this firmware"
+  def gap(_type, _kind, _firmware), do: "Aerie knows how to command ArduPilot and PX4, not this firmware"
 
   @impl true
-  def steps(command, vehicle), do: {:error, gap(command.type, vehicle.kind)}
+  def steps(command, vehicle), do: {:error, gap(command.type, vehicle.kind, vehicle.autopilot)}
 
   @impl true
   def encode(_step, _attempt, _vehicle), do: []
@@ -36,6 +36,8 @@ defmodule Aerie.Vehicle.Protocol.Unknown do
   @impl true
   def home_is_item_0?, do: false
 
+  @impl true
+  def plan_gap(_mission_type, _firmware), do: nil
   @impl true
   def item_offset, do: -1
 

@@ -21,7 +21,7 @@ defmodule Aerie.Vehicle.Protocol.Ardupilot.Calibration do
   @mag_success MagCalStatus.value(:MAG_CAL_SUCCESS)
 
   @doc "The steps of `calibrate`, `calibrate_position`, `calibrate_accept` and `calibrate_cancel`."
-  @spec steps(String.t(), map(), Vehicle.t()) :: [Step.t()] | {:error, String.t()}
+  @spec steps(String.t(), map(), Vehicle.t()) :: [Step.t()] | {:gap | :error, String.t()}
   def steps("calibrate", %{sensor: "magnetometer"}, _vehicle) do
     # All magnetometers, with a retry after a failure, and without storing the result by itself.
     [
@@ -36,7 +36,7 @@ defmodule Aerie.Vehicle.Protocol.Ardupilot.Calibration do
   end
 
   def steps("calibrate", %{sensor: "rc"}, _vehicle),
-    do: {:error, "ArduPilot's remote control is calibrated by its parameters RCn_MIN, RCn_MAX and RCn_TRIM"}
+    do: {:gap, "ArduPilot's remote control is calibrated by its parameters RCn_MIN, RCn_MAX and RCn_TRIM"}
 
   def steps("calibrate", %{sensor: "accelerometer" = sensor}, _vehicle),
     do: [Commands.preflight(sensor, confirmed_by_text(sensor) ++ [cancel: {:never, @no_cancel}])]

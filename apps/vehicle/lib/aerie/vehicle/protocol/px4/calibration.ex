@@ -14,9 +14,9 @@ defmodule Aerie.Vehicle.Protocol.Px4.Calibration do
   @accepted MavResult.value(:MAV_RESULT_ACCEPTED)
 
   @doc "The steps of `calibrate` and `calibrate_cancel`."
-  @spec steps(String.t(), map(), Vehicle.t()) :: [Step.t()] | {:error, String.t()}
+  @spec steps(String.t(), map(), Vehicle.t()) :: [Step.t()] | {:gap | :error, String.t()}
   def steps("calibrate", %{sensor: "compass_motor"}, _vehicle),
-    do: {:error, "PX4 has no calibration of compass and motors"}
+    do: {:gap, "PX4 has no calibration of compass and motors"}
 
   # PX4 sends no texts about these.
   def steps("calibrate", %{sensor: sensor}, _vehicle) when sensor in ["rc", "barometer"],

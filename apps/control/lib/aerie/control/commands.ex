@@ -9,8 +9,8 @@ defmodule Aerie.Control.Commands do
   """
 
   alias Aerie.Base.Names
-  alias Aerie.Control.{CommandExecutor, Ledger, Policy, TransferExecutor}
-  alias Aerie.Vehicle.{Command, Protocol}
+  alias Aerie.Control.{CommandExecutor, Ledger, Offers, Policy, TransferExecutor}
+  alias Aerie.Vehicle.Command
   alias Aerie.Vehicle.Command.{Error, Result}
 
   alias Aerie.Control.Commands.{
@@ -25,7 +25,6 @@ defmodule Aerie.Control.Commands do
   }
 
   alias Aerie.Control.Policy.{Audit, Context, Roles}
-  alias Aerie.Control.CommandExecutor.Observed
 
   # A caller from Elixir runs inside the gateway.
   @inside Aerie.Control.Policy.Roles.principal(:gateway, "elixir", :admin)
@@ -152,7 +151,7 @@ defmodule Aerie.Control.Commands do
          %{} = snapshot <- RemoteGateway.vehicle(gateway, command.vehicle),
          context = Context.of(gateway, snapshot, source, System.os_time(:microsecond)),
          :allow <- Policy.decide(policy, command, context),
-         {:ok, _steps} <- plan(command, snapshot),
+         {:ok, _steps} <- Offers.plan(command, snapshot),
          :ok <- setpoints(gateway, command, snapshot) do
       :allow
     else
@@ -163,12 +162,6 @@ defmodule Aerie.Control.Commands do
       denied_or_malformed -> denied_or_malformed
     end
   end
-
-  # The other gateway knows more of it.
-  defp plan(_command, %{via: via}) when via != nil, do: {:ok, []}
-
-  defp plan(command, snapshot),
-    do: Protocol.plan(Protocol.of(snapshot.autopilot), command, Observed.vehicle(snapshot, {1, 1}))
 
   defp setpoints(_gateway, _command, %{via: via}) when via != nil, do: :ok
   defp setpoints(gateway, command, snapshot), do: OffboardPrecondition.check(gateway, command, snapshot)

@@ -50,6 +50,10 @@ defmodule Aerie.Control.Missions do
   @spec kinds() :: [kind()]
   def kinds, do: [:mission, :fence, :rally]
 
+  @doc "Why the firmware of a vehicle has no plans of this kind; nil if it has, or may have."
+  @spec gap(vehicle :: map(), kind()) :: String.t() | nil
+  def gap(%{autopilot: autopilot}, kind), do: Protocol.of(autopilot).plan_gap(@kinds[kind], autopilot)
+
   @doc "Reads a kind of plan from the vehicle."
   @spec download(Names.gateway(), vehicle :: String.t(), kind(), [Transfers.option()]) ::
           {:ok, stored()} | {:error, Result.t()}
@@ -94,10 +98,15 @@ defmodule Aerie.Control.Missions do
   def read(gateway, vehicle, kind, options \\ []) do
     type = Map.fetch!(@kinds, kind)
 
-    with {:ok, snapshot} <- Transfers.vehicle(gateway, vehicle) do
+    # What a firmware with missions lacks beside them is read as empty.
+    with {:ok, snapshot} <- Transfers.vehicle(gateway, vehicle),
+         {:gap, nil} <- {:gap, gap(snapshot, :mission)} do
       transfer = Map.put(transfer(:download, type, snapshot.vehicle_type), :share, {:plan, type})
       {result, nil} = Transfers.read(gateway, snapshot, transfer, options)
       result
+    else
+      {:gap, reason} -> {:error, Result.new(Aerie.Vehicle.Command.id(), :rejected, reason)}
+      {:error, result} -> {:error, result}
     end
   end
 
@@ -292,8 +301,13 @@ defmodule Aerie.Control.Missions do
   defp review(gateway, policy, context, snapshot, items, {kind, plan, force}) do
     read = fn -> read(gateway, snapshot.id, kind) end
 
-    with :allow <- Known.review(policy, context, {gateway, snapshot}, items, @kinds[kind], read),
-         do: if(kind == :fence and not force, do: breach(plan, snapshot), else: :allow)
+    with {:gap, nil} <- {:gap, gap(snapshot, kind)},
+         :allow <- Known.review(policy, context, {gateway, snapshot}, items, @kinds[kind], read),
+         do: if(kind == :fence and not force, do: breach(plan, snapshot), else: :allow),
+         else: (
+           {:gap, reason} -> {:deny, :firmware, reason}
+           denied -> denied
+         )
   end
 
   defp breach(plan, snapshot) do

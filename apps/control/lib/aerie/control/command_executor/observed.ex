@@ -31,7 +31,7 @@ defmodule Aerie.Control.CommandExecutor.Observed do
   def vehicle(snapshot, us) do
     struct!(
       %Vehicle{system: snapshot.system_id, autopilot: snapshot.autopilot, kind: snapshot.vehicle_type},
-      Map.merge(changes(snapshot), %{component: snapshot.component || 1, us: us})
+      Map.merge(changes(snapshot), %{component: snapshot[:component] || 1, us: us})
     )
   end
 

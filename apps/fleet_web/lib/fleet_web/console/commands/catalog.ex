@@ -1,12 +1,12 @@
 defmodule FleetWeb.Console.Commands.Catalog do
   @moduledoc """
   All commands by their groups, as one user sees them for one vehicle: with the reason if the firmware lacks one, or the
-  user may not give it. Pure.
+  user may not give it (`Aerie.Control.Offers`). Pure.
   """
 
-  alias Aerie.Vehicle.Command.{Type, Types}
+  alias Aerie.Control.Offers
   alias Aerie.Control.Policy.Roles
-  alias Aerie.Vehicle.Protocol
+  alias Aerie.Vehicle.Command.{Type, Types}
 
   @titles [
     flight: "Flight",
@@ -44,16 +44,36 @@ defmodule FleetWeb.Console.Commands.Catalog do
   @doc "One command by its name, or nil."
   @spec entry(String.t() | Type.t(), vehicle :: map(), Roles.source()) :: entry() | nil
   def entry(%Type{} = type, vehicle, user) do
-    %{
-      type: type,
-      title: title(type.name),
-      gap: Protocol.of(vehicle.autopilot).gap(type.name, vehicle.vehicle_type),
-      denied: denied(type, user)
-    }
+    {gap, denied} =
+      case Offers.lacks(vehicle, type.name, user) do
+        nil -> {nil, nil}
+        {:firmware, reason} -> {reason, nil}
+        {:permission, _permission, reason} -> {nil, reason}
+      end
+
+    %{type: type, title: title(type.name), gap: gap, denied: denied}
   end
 
   def entry(name, vehicle, user) do
     with {:ok, type} <- Types.fetch(name), do: entry(type, vehicle, user), else: (:error -> nil)
+  end
+
+  @doc """
+  In words, which of these commands the user lacks a permission for on a vehicle that has them, each permission once.
+  Titles beside names are those of the buttons.
+  """
+  @spec locked([{String.t(), title :: String.t()}], vehicle :: map(), Roles.source()) :: [String.t()]
+  def locked(commands, vehicle, user) do
+    lacking =
+      for {name, title} <- commands,
+          {:permission, permission, _reason} <- [Offers.lacks(vehicle, name, user)],
+          do: {permission, title}
+
+    for permission <- lacking |> Enum.map(&elem(&1, 0)) |> Enum.uniq() do
+      titles = for {^permission, title} <- lacking, do: title
+      verb = if length(titles) == 1, do: "needs", else: "need"
+      "#{Enum.join(titles, ", ")} #{verb} the permission #{permission}. An admin gives it in Settings."
+    end
   end
 
   @doc "The title of a command for people."
@@ -69,11 +89,6 @@ defmodule FleetWeb.Console.Commands.Catalog do
   def title("clear_roi"), do: "Clear region of interest"
   def title("vtol_transition"), do: "VTOL transition"
   def title(name), do: name |> String.replace("_", " ") |> String.capitalize()
-
-  defp denied(type, user) do
-    unless Roles.allowed?(user, type.permission),
-      do: "#{user.name} (#{user.role}) needs the permission #{type.permission}"
-  end
 
   defp found?(%{name: name}, _title, []), do: name not in @stream
 

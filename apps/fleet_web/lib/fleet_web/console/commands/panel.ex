@@ -23,7 +23,9 @@ defmodule FleetWeb.Console.Commands.Panel do
       <p>{@entry.type.meaning}</p>
       <p class="hint">{nature(@entry.type)}</p>
       <p :if={@entry.gap} class="notice warn" role="note"><.icon name="info" /> <span>Not available on this vehicle: {@entry.gap}.</span></p>
-      <p :if={@entry.denied} class="notice info" role="note"><.icon name="lock" /> <span>{@entry.denied}.</span></p>
+      <p :if={@entry.denied} class="notice info" role="note">
+        <.icon name="lock" /> <span>Not allowed: {@entry.denied}.</span>
+      </p>
       <form
         :if={@entry.gap == nil and @entry.denied == nil}
         id={"command-form-#{@entry.type.name}"}

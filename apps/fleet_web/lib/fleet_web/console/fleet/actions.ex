@@ -4,6 +4,7 @@ defmodule FleetWeb.Console.Fleet.Actions do
 
   import FleetWeb.Console.Fleet.ControlForms, only: [charge: 1]
 
+  alias Aerie.Control.Offers
   alias Aerie.Control.Policy.Roles
   alias FleetWeb.Console.Commands.Catalog
   alias FleetWeb.Console.Fleet.{Batch, Plans, Selection}
@@ -20,6 +21,7 @@ defmodule FleetWeb.Console.Fleet.Actions do
     ids = Enum.map(chosen, & &1.id)
     {seen, hidden} = Selection.summary(assigns.selection, ids, Enum.map(assigns.rows, & &1.id))
     assigns = assign(assigns, chosen: chosen, value: %{ids: ids}, seen: seen, hidden: hidden)
+    assigns = assign(assigns, able: able(chosen, assigns.user), locked: locked(chosen, assigns.user))
 
     ~H"""
     <div class="fleet-dock">
@@ -31,7 +33,7 @@ defmodule FleetWeb.Console.Fleet.Actions do
         </p>
         <div :if={Roles.at_least?(@user.role, :operator)} class="row">
           <.hold_button
-            :for={{type, label, icon, key} <- types()}
+            :for={{type, label, icon, key} <- @able}
             id={"fleet-#{type}"}
             event="command"
             icon={icon}
@@ -42,6 +44,7 @@ defmodule FleetWeb.Console.Fleet.Actions do
           >{label}</.hold_button>
           <.button icon="tag" phx-click={JS.push("tag", value: @value)}>Tags</.button>
         </div>
+        <p :for={text <- @locked} class="muted locked"><.icon name="lock" /> {text}</p>
         <.button icon="plan" phx-click={JS.push("plans", value: @value)} aria-pressed={to_string(Enum.all?(@chosen, &Plans.on?(@plans, &1.id)))}>Missions</.button>
         <.button kind="quiet" icon="x" label="Select none" phx-click="none" />
         <.charge :if={@hidden == nil and Roles.at_least?(@user.role, :operator)} rows={@chosen} user={@user} />
@@ -109,6 +112,34 @@ defmodule FleetWeb.Console.Fleet.Actions do
 
   defp save([]), do: "Save"
   defp save(left), do: "Saving, #{length(left)} left"
+
+  # Those that the user may give to at least one of the selected vehicles. The results of the others say why not.
+  defp able(chosen, user) do
+    kinds = kinds(chosen)
+
+    for {type, _label, _icon, _key} = action <- types(),
+        Enum.any?(kinds, &(Offers.lacks(&1, type, user) == nil)),
+        do: action
+  end
+
+  defp locked(_chosen, %{role: :viewer}), do: []
+
+  defp locked(chosen, user) do
+    names = for {type, label, _icon, _key} <- types(), do: {type, label}
+    for kind <- kinds(chosen), text <- Catalog.locked(names, kind, user), uniq: true, do: text
+  end
+
+  # What counts is the same for all of a kind.
+  defp kinds(chosen) do
+    for row <- Enum.uniq_by(chosen, &{&1.autopilot, &1.kind}),
+        do: %{
+          id: row.id,
+          autopilot: row.autopilot,
+          vehicle_type: row.kind,
+          system_id: row.system_id,
+          groups: %{}
+        }
+  end
 
   defp types,
     do: [{"hold", "Hold", "hold", "H"}, {"rtl", "Return", "rtl", "R"}, {"land", "Land", "land", "L"}]

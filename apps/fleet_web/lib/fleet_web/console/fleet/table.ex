@@ -5,6 +5,7 @@ defmodule FleetWeb.Console.Fleet.Table do
   """
   use FleetWeb.Console, :component
 
+  alias Aerie.Vehicle.Kind
   alias FleetWeb.Console.Fleet.{Filter, Row}
 
   attr :rows, :list, required: true
@@ -85,7 +86,7 @@ defmodule FleetWeb.Console.Fleet.Table do
       <.badge :if={@row.holder} kind="info" title={"In charge: #{@row.holder}"}><.icon name="lock" />{@row.holder}</.badge>
     </div>
     <div class="fleet-line muted" title={Enum.join(@row.tags, ", ")}>
-      <span class="fleet-kind">{@row.kind} {@row.firmware}</span>
+      <span class="fleet-kind">{@row.kind} {Kind.firmware(@row.autopilot)} {@row.firmware}</span>
       <span :if={@row.via} class="fleet-via">via {@row.via}</span>
       <span :for={tag <- @row.tags} class="badge">{tag}</span>
     </div>

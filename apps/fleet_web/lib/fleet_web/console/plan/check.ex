@@ -82,7 +82,12 @@ defmodule FleetWeb.Console.Plan.Check do
     context = Context.of(gateway, snapshot, user, System.os_time(:microsecond))
     vehicle = Map.take(snapshot, [:autopilot, :vehicle_type])
 
+    lacking = for part <- parts, reason = Missions.gap(snapshot, part), do: %{bad(nil, reason) | part: part}
+
     case Policy.Store.get(gateway) do
+      _policy when lacking != [] ->
+        lacking
+
       nil ->
         [bad(nil, "the gateway has no policy, so nobody may send a plan")]
 

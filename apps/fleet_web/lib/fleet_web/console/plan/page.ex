@@ -326,7 +326,13 @@ defmodule FleetWeb.Console.Plan.Page do
     vehicles = Fleet.vehicles(gateway)
     {payload, sent} = Payload.changes(socket.private.plan.sent, Enum.flat_map(vehicles, &List.wrap(row(&1))))
     socket = put_private(socket, :plan, %{socket.private.plan | sent: sent})
-    socket = assign(socket, :vehicles, for(vehicle <- vehicles, do: Map.take(vehicle, [:id, :status])))
+
+    # A firmware without missions has no other plans either.
+    listed =
+      for vehicle <- vehicles,
+          do: %{id: vehicle.id, status: vehicle.status, gap: Missions.gap(vehicle, :mission)}
+
+    socket = assign(socket, :vehicles, listed)
 
     if payload && connected?(socket),
       do: push_event(socket, "map:vehicles", Map.put(payload, :map, @map)),
@@ -350,7 +356,15 @@ defmodule FleetWeb.Console.Plan.Page do
         <.head vehicle={@vehicle} vehicles={@vehicles} parts={@parts} draft={@draft} user={@user} transfer={@transfer} problems={@problems} />
         <.outcome :if={@transfer} transfer={@transfer} vehicle={@vehicle} user={@user} />
         <p :if={@error} class="notice bad" role="alert"><.icon name="alert" /> <span>{@error}</span></p>
-        <.tools draft={@draft} what={@what} altitude={@altitude} vehicle={@vehicle} user={@user} transfer={@transfer} />
+        <.tools
+          draft={@draft}
+          what={@what}
+          altitude={@altitude}
+          vehicle={@vehicle}
+          vehicles={@vehicles}
+          user={@user}
+          transfer={@transfer}
+        />
         <.problems problems={@problems} />
         <.items :if={@draft.part == :mission} draft={@draft} problems={@problems} />
         <.fences :if={@draft.part == :fence} draft={@draft} />

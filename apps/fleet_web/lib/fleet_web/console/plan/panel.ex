@@ -31,7 +31,9 @@ defmodule FleetWeb.Console.Plan.Panel do
         Enum.any?(assigns.problems, &(&1.kind == :bad))
       )
 
-    assigns = assign(assigns, busy?: busy?(assigns.transfer), sent: sent, why: why)
+    gap = gap(assigns.vehicles, assigns.vehicle)
+    idle? = assigns.vehicle == nil or busy?(assigns.transfer) or gap != nil
+    assigns = assign(assigns, idle?: idle?, sent: sent, gap: gap, why: gap || why)
 
     ~H"""
     <div class="plan-head">
@@ -47,8 +49,8 @@ defmodule FleetWeb.Console.Plan.Panel do
         />
       </form>
       <div class="plan-with">
-        <.button icon="download" phx-click="download" disabled={@vehicle == nil or @busy?}>Read</.button>
-        <.button icon="check" phx-click="verify" disabled={@vehicle == nil or @busy?}>Compare</.button>
+        <.button icon="download" phx-click="download" disabled={@idle?} title={@gap}>Read</.button>
+        <.button icon="check" phx-click="verify" disabled={@idle?} title={@gap}>Compare</.button>
         <.hold_button
           :if={Roles.at_least?(@user.role, :operator)}
           id="plan-upload"
@@ -70,10 +72,13 @@ defmodule FleetWeb.Console.Plan.Panel do
         <.button icon="download" phx-click="export" phx-value-format="waypoints">Save as .waypoints</.button>
         <.button icon="download" phx-click="export" phx-value-format="mission">Save as .mission</.button>
       </span>
-      <p :if={@vehicle && @sent != [] && Roles.at_least?(@user.role, :operator)} id="plan-sends" class="muted">Send sends: {Enum.join(@sent, ", ")}. What is aboard otherwise stays.</p>
+      <p :if={@gap} id="plan-gap" class="notice info" role="note"><.icon name="info" /> <span>{@gap}.</span></p>
+      <p :if={@gap == nil && @vehicle && @sent != [] && Roles.at_least?(@user.role, :operator)} id="plan-sends" class="muted">Send sends: {Enum.join(@sent, ", ")}. What is aboard otherwise stays.</p>
     </div>
     """
   end
+
+  defp gap(vehicles, id), do: Enum.find_value(vehicles, &(&1.id == id && &1.gap))
 
   defp busy?(transfer), do: transfer != nil and not Transfer.over?(transfer)
 
@@ -87,6 +92,7 @@ defmodule FleetWeb.Console.Plan.Panel do
   attr :what, :map, required: true
   attr :altitude, :float, required: true
   attr :vehicle, :string, required: true
+  attr :vehicles, :list, required: true
   attr :user, :map, required: true
   attr :transfer, :map, required: true
 
@@ -121,7 +127,7 @@ defmodule FleetWeb.Console.Plan.Panel do
         <.button :if={@draft.part == :mission} small icon="home" phx-click="home" disabled={@vehicle == nil}>Use vehicle's home</.button>
         <.button small icon="trash" phx-click="clear_part">Clear</.button>
         <.button
-          :if={@vehicle && Roles.at_least?(@user.role, :operator)}
+          :if={@vehicle && Roles.at_least?(@user.role, :operator) && gap(@vehicles, @vehicle) == nil}
           small
           phx-click="look"
           disabled={busy?(@transfer)}

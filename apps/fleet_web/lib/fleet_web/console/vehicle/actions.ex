@@ -5,10 +5,12 @@ defmodule FleetWeb.Console.Vehicle.Actions do
   """
   use FleetWeb.Console, :component
 
+  alias Aerie.Control.Offers
   alias Aerie.Vehicle.Protocol.Modes
   alias FleetWeb.Console.Commands.{Catalog, Panel}
   alias FleetWeb.Console.Vehicle.{Target, View}
 
+  @flight [{"arm", "Arm"}, {"disarm", "Disarm"}, {"takeoff", "Take off"}, {"set_mode", "Set mode"}]
   @always [
     {"hold", "Hold", "hold", "H"},
     {"rtl", "Return", "rtl", "R"},
@@ -21,9 +23,13 @@ defmodule FleetWeb.Console.Vehicle.Actions do
   @doc "The bar below every section, with the keys that are held down: H, R, L."
   def bar(assigns) do
     assigns =
-      assign(assigns, :actions, for({name, _, _, _} = action <- @always, able?(name, assigns), do: action))
+      assign(assigns,
+        actions: for({name, _, _, _} = action <- @always, able?(name, assigns), do: action),
+        locked: locked(for({name, title, _, _} <- @always, do: {name, title}), assigns)
+      )
 
     ~H"""
+    <p :for={text <- @locked} class="muted locked"><.icon name="lock" /> {text}</p>
     <div :if={@actions != []} class="vehicle-bar" role="group" aria-label="Always in reach">
       <.hold_button :for={{name, label, icon, key} <- @actions} id={"action-#{name}"} event="command" icon={icon} kind="plain" shortcut={key} phx-value-type={name}>{label}</.hold_button>
     </div>
@@ -42,13 +48,16 @@ defmodule FleetWeb.Console.Vehicle.Actions do
         armed: View.get(assigns.view, [:mode, :armed]),
         in_air: View.get(assigns.view, [:mode, :in_air]),
         first: arm_first(assigns.view),
-        able: for(name <- ~w(arm disarm takeoff set_mode), able?(name, assigns), do: name)
+        able: for({name, _title} <- @flight, able?(name, assigns), do: name),
+        modes: for(mode <- assigns.modes, able?("set_mode", assigns, %{mode: mode}), do: mode),
+        locked: locked(@flight, assigns)
       )
 
     ~H"""
     <section class="card" aria-labelledby="flight-title">
       <h2 id="flight-title">Control</h2>
-      <p :if={@able == []} class="muted"><.icon name="eye" /> {@user.name} can only watch this vehicle.</p>
+      <p :if={@able == [] and @locked == []} class="muted"><.icon name="eye" /> {watches(@user)}</p>
+      <p :for={text <- @locked} class="muted locked"><.icon name="lock" /> {text}</p>
       <div class="controls">
         <.hold_button :if={"arm" in @able and @armed != true} id="action-arm" event="command" icon="arm" phx-value-type="arm">Arm</.hold_button>
         <div :if={"arm" in @able and "set_mode" in @able and @armed == false and @first != nil} class="control">
@@ -106,8 +115,15 @@ defmodule FleetWeb.Console.Vehicle.Actions do
     end
   end
 
-  @doc "Whether the firmware has the command and the user may give it."
-  @spec able?(String.t(), map()) :: boolean()
-  def able?(name, %{view: view, user: user}),
-    do: match?(%{gap: nil, denied: nil}, Catalog.entry(name, view.vehicle, user))
+  @doc "Whether the firmware has the command, with these parameters if they are given, and the user may give it."
+  @spec able?(String.t(), map(), params :: map()) :: boolean()
+  def able?(name, %{view: view, user: user}, params \\ %{}),
+    do: Offers.lacks(view.vehicle, name, user, params) == nil
+
+  # What a viewer lacks is a role, which the note of each command would repeat.
+  defp locked(_commands, %{user: %{role: :viewer}}), do: []
+  defp locked(commands, %{view: view, user: user}), do: Catalog.locked(commands, view.vehicle, user)
+
+  defp watches(%{role: :viewer, name: name}), do: "#{name} can only watch this vehicle."
+  defp watches(_user), do: "The firmware of this vehicle has none of these commands here."
 end

@@ -1,13 +1,20 @@
 defmodule FleetWeb.Console.Vehicle.Calibration do
-  @moduledoc "The sensors that can be calibrated and the positions, from the table of commands."
+  @moduledoc "The sensors that a firmware calibrates, and the positions, from the table of commands."
 
   alias Aerie.Vehicle.Command.Types
+  alias FleetWeb.Console.Vehicle.Actions
 
   @commands ~w(calibrate calibrate_position calibrate_accept calibrate_cancel)
 
-  @doc "The sensors."
-  @spec sensors() :: [String.t()]
-  def sensors, do: values("calibrate", :sensor)
+  @doc "The sensors that the user can calibrate on the vehicle."
+  @spec sensors(map()) :: [String.t()]
+  def sensors(assigns),
+    do:
+      for(
+        sensor <- values("calibrate", :sensor),
+        Actions.able?("calibrate", assigns, %{sensor: sensor}),
+        do: sensor
+      )
 
   @doc "The positions."
   @spec positions() :: [String.t()]

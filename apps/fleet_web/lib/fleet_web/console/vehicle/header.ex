@@ -2,6 +2,7 @@ defmodule FleetWeb.Console.Vehicle.Header do
   @moduledoc "The header above every section of a vehicle's page: name, reception, present action, problems."
   use FleetWeb.Console, :component
 
+  alias Aerie.Vehicle.Kind
   alias FleetWeb.Console.UI
   alias FleetWeb.Console.Vehicle.View
 
@@ -36,10 +37,8 @@ defmodule FleetWeb.Console.Vehicle.Header do
     """
   end
 
-  defp firmware(%{autopilot: autopilot, firmware: firmware}) do
-    name = %{ardupilot: "ArduPilot", px4: "PX4", generic: "unknown firmware"}[autopilot]
-    if firmware, do: "#{name} #{firmware}", else: name
-  end
+  defp firmware(%{autopilot: autopilot, firmware: firmware}),
+    do: Enum.join([Kind.firmware(autopilot) | List.wrap(firmware)], " ")
 
   defp status(status), do: Atom.to_string(status)
 

@@ -19,7 +19,8 @@ defmodule FleetWeb.Console.Vehicle.Health do
     assigns =
       assign(assigns,
         sensors: View.get(assigns.view, [:health, :unhealthy]),
-        ekf: View.get(assigns.view, [:health, :ekf])
+        ekf: View.get(assigns.view, [:health, :ekf]),
+        calibrate: Calibration.sensors(assigns)
       )
 
     ~H"""
@@ -69,13 +70,13 @@ defmodule FleetWeb.Console.Vehicle.Health do
         </ol>
       </section>
       <.facts id="home" title="Home" view={@view} group={:home} old_us={3_600_000_000} fields={[lat: "Latitude", lon: "Longitude", alt_msl: "Altitude (MSL)"]} />
-      <section :if={Actions.able?("calibrate", assigns)} id="calibration" class="card calibration" aria-labelledby="calibration-title">
+      <section :if={@calibrate != []} id="calibration" class="card calibration" aria-labelledby="calibration-title">
         <h2 id="calibration-title">Calibration</h2>
         <p :if={@workshop == nil} class="hint">Keep the vehicle still. Its instructions appear below.</p>
         <p :if={@workshop} class="notice info" role="note"><.icon name="lock" /> <span>Not now: {@workshop}.</span></p>
         <EntryList.lives id="calibrations" lives={@calibrations} now={@now} user={@user} />
         <div :if={@workshop == nil} class="row">
-          <.hold_button :for={sensor <- Calibration.sensors()} id={"calibrate-#{sensor}"} event="command" kind="plain" hold_ms={500} phx-value-type="calibrate" phx-value-sensor={sensor}>{String.replace(sensor, "_", " ")}</.hold_button>
+          <.hold_button :for={sensor <- @calibrate} id={"calibrate-#{sensor}"} event="command" kind="plain" hold_ms={500} phx-value-type="calibrate" phx-value-sensor={sensor}>{String.replace(sensor, "_", " ")}</.hold_button>
         </div>
         <div :if={@workshop == nil and Actions.able?("calibrate_position", assigns)} class="row" role="group" aria-label="Position">
           <span class="muted">Position:</span>
@@ -83,7 +84,7 @@ defmodule FleetWeb.Console.Vehicle.Health do
         </div>
         <div class="row">
           <.hold_button :if={@workshop == nil and Actions.able?("calibrate_accept", assigns)} id="calibrate-accept" event="command" kind="plain" hold_ms={500} icon="check" phx-value-type="calibrate_accept">Save compass calibration</.hold_button>
-          <.hold_button id="calibrate-cancel" event="command" kind="plain" hold_ms={500} icon="x" phx-value-type="calibrate_cancel">Cancel calibration</.hold_button>
+          <.hold_button :if={Actions.able?("calibrate_cancel", assigns)} id="calibrate-cancel" event="command" kind="plain" hold_ms={500} icon="x" phx-value-type="calibrate_cancel">Cancel calibration</.hold_button>
         </div>
       </section>
     </div>

@@ -3,7 +3,7 @@ defmodule FleetWeb.Console.Commands.CatalogTest do
 
   alias FleetWeb.Console.Commands.Catalog
 
-  @copter %{autopilot: :px4, vehicle_type: "copter"}
+  @copter %{id: "V-1", system_id: 1, autopilot: :px4, vehicle_type: "copter", groups: %{}}
   @operator %{name: "ann", role: :operator, permissions: []}
 
   defp names(groups), do: for({_title, entries} <- groups, entry <- entries, do: entry.type.name)
@@ -12,7 +12,7 @@ defmodule FleetWeb.Console.Commands.CatalogTest do
     assert %{gap: "PX4 has no relays"} = Catalog.entry("relay", @copter, @operator)
     assert %{gap: nil, denied: nil, title: "Take off"} = Catalog.entry("takeoff", @copter, @operator)
 
-    assert %{denied: "ann (operator) needs the permission terminate"} =
+    assert %{denied: "terminate needs the permission terminate" <> _} =
              Catalog.entry("terminate", @copter, @operator)
 
     assert %{denied: denied} =
@@ -20,6 +20,18 @@ defmodule FleetWeb.Console.Commands.CatalogTest do
 
     assert is_binary(denied)
     assert nil == Catalog.entry("no_such", @copter, @operator)
+  end
+
+  test "what is locked is said once for each permission, in the words of the buttons" do
+    betaflight = %{@copter | autopilot: :betaflight}
+    buttons = [{"arm", "Arm"}, {"hold", "Hold"}, {"goto", "Click to go"}, {"force_disarm", "Force disarm"}]
+
+    assert [
+             "Arm, Hold need the permission receiver. An admin gives it in Settings.",
+             "Force disarm needs the permission force_disarm. An admin gives it in Settings."
+           ] = Catalog.locked(buttons, betaflight, @operator)
+
+    assert [] = Catalog.locked(buttons, betaflight, %{@operator | permissions: [:receiver, :force_disarm]})
   end
 
   test "a search finds name, group and meaning; groups without a hit are left out" do

@@ -60,6 +60,25 @@ defmodule FleetWeb.Console.Plan.PageTest do
       assert length(plan_of(view).items) == 3
     end
 
+    test "Betaflight has no plans to send or read, iNav has missions only", %{console: console} do
+      put_vehicle(console, "BF", [], %{autopilot: :betaflight})
+      put_vehicle(console, "IN", [], %{autopilot: :inav})
+      {:ok, view, _html} = live(conn(console), "/plan?vehicle=BF")
+      render_hook(view, "plan_add", %{"lat" => 47.4, "lon" => 8.5})
+      assert has_element?(view, "#plan-gap", "Betaflight has no missions, fences or rally points")
+      for label <- ["Read", "Compare"], do: assert(has_element?(view, ".plan-with button[disabled]", label))
+      assert has_element?(view, "#plan-upload[disabled]")
+      refute has_element?(view, "button", "Remove from vehicle")
+
+      {:ok, view, _html} = live(conn(console), "/plan?vehicle=IN")
+      refute has_element?(view, "#plan-gap")
+      assert has_element?(view, ".plan-with button:not([disabled])", "Read")
+      render_hook(view, "part", %{"part" => "rally"})
+      render_hook(view, "plan_add", %{"lat" => 47.4, "lon" => 8.5})
+      assert has_element?(view, "#plan-upload[disabled]")
+      assert render(view) =~ "iNav has no fences or rally points over MSP"
+    end
+
     test "a fence and rally points", %{console: console} do
       view = open(console)
       view |> element("button", "Fence (0)") |> render_click()

@@ -11,8 +11,10 @@ defmodule Aerie.Control.Policy.Rules.Role do
   @behaviour Aerie.Control.Policy.Rules.Rule
 
   alias Aerie.Control.Policy.FlightPath.Shaping
-  alias Aerie.Control.Policy.{Intent, Roles}
+  alias Aerie.Control.Policy
+  alias Aerie.Control.Policy.{Context, Intent, Roles}
   alias Aerie.Control.Policy.Rules.Role.Pilot
+  alias Aerie.Vehicle.Command.Type
 
   @msp [:betaflight, :inav]
   @by_channels ~w(arm set_mode rtl hold rc_override manual_control)
@@ -21,6 +23,20 @@ defmodule Aerie.Control.Policy.Rules.Role do
 
   @impl Aerie.Control.Policy.Rules.Rule
   def check(policy, facts, %{source: source} = context) do
+    case lacking(policy, facts, context) do
+      nil ->
+        if Roles.allowed?(source, :protection),
+          do: :ok,
+          else: shaping(Shaping.refused(policy, facts, context))
+
+      {_permission, reason} ->
+        {:deny, reason}
+    end
+  end
+
+  @doc "The first permission that a source lacks, and the refusal in words; nil if it has all."
+  @spec lacking(Policy.t() | map(), Intent.t(), Context.t()) :: {Type.permission(), String.t()} | nil
+  def lacking(policy, facts, %{source: source} = context) do
     needed =
       [facts.permission | facts.also] ++
         limited(policy, facts) ++ aloft(facts, context) ++ by_channels(facts, context)
@@ -28,16 +44,12 @@ defmodule Aerie.Control.Policy.Rules.Role do
     lacking = Enum.reject(needed, &Roles.allowed?(source, &1))
     opens? = lacking != [] and Pilot.opens?(policy, facts, lacking)
 
-    case if(opens? and Roles.allowed?(source, :pilot), do: [], else: lacking) do
-      [] ->
-        if Roles.allowed?(source, :protection),
-          do: :ok,
-          else: shaping(Shaping.refused(policy, facts, context))
-
-      [lacking | _more] ->
-        {:deny,
-         "#{Intent.label(facts)} needs the permission #{lacking}#{if opens?, do: " or pilot"}" <>
-           guards(facts, lacking) <> why(lacking, source) <> because(facts, lacking)}
+    with [permission | _more] <- if(opens? and Roles.allowed?(source, :pilot), do: [], else: lacking) do
+      {permission,
+       "#{Intent.label(facts)} needs the permission #{permission}#{if opens?, do: " or pilot"}" <>
+         guards(facts, permission) <> why(permission, source) <> because(facts, permission)}
+    else
+      [] -> nil
     end
   end
 

@@ -4,7 +4,7 @@ defmodule FleetWeb.Console.Commands.Outcome do
   or to a height, a mission. Pure.
 
   A command is *going* until its end shows (*there*), or something else ends it (*ended*): another command, another mode, the ground. What has
-  ended stays so: `keep/4` keeps it, whatever the vehicle does later.
+  ended stays so: `keep/4` keeps it, whatever the vehicle does later (`FleetWeb.Console.Commands.Courses`).
   """
 
   alias Aerie.Control.Commands.Recent

@@ -21,7 +21,7 @@ defmodule FleetWeb.Console.Vehicle.Page do
   alias Aerie.Vehicle.Command.Types
   alias Aerie.Vehicle.Journal
   alias Aerie.Control.Policy.Leases
-  alias FleetWeb.Console.Commands.{Entry, EntryList, Outcome, Submit}
+  alias FleetWeb.Console.Commands.{Courses, Entry, EntryList, Submit}
   alias FleetWeb.Console.Fleet.Plans
   alias FleetWeb.Console.Map.Payload
 
@@ -263,8 +263,8 @@ defmodule FleetWeb.Console.Vehicle.Page do
       |> lives()
 
   # How far commands are that have only begun, as the vehicle's state shows it now.
-  defp lives(%{assigns: %{entries: entries, courses: courses, view: view, events: events, now: now}} = socket) do
-    courses = if view, do: Outcome.keep(courses, entries, view.vehicle, {events, now}), else: courses
+  defp lives(%{assigns: %{gateway: gateway, id: id, entries: entries}} = socket) do
+    courses = Courses.of(gateway, id)
 
     socket
     |> assign(courses: courses, lives: Enum.map(entries, &Entry.of(&1, courses[&1.id])))

@@ -2,6 +2,9 @@ defmodule FleetWeb.Console.Vehicle.ControlTest do
   @moduledoc "What a vehicle's page offers by the vehicle's state, and how it tells what becomes of it. As `PageTest`, with a store that is filled by hand."
   use FleetWeb.VehiclePageCase, async: true
 
+  alias Aerie.Base.PubSub
+  alias Aerie.Control.Commands
+
   @path "/vehicles/VID-007"
 
   test "where it is sent stays on the map until it is there (F7)", %{console: console} do
@@ -19,6 +22,47 @@ defmodule FleetWeb.Console.Vehicle.ControlTest do
     put(console, position: %{lat: 47.3987})
     eventually(fn -> has_element?(view, "#commands-now-g1.good", "Arrived") end)
     assert_push_event(view, "map:target", %{place: nil}, Aerie.Patience.ms())
+  end
+
+  test "what was reached is shown so by a page that is loaded later, even if none was open", %{
+    console: console
+  } do
+    away = %{"lat" => 47.3987, "lon" => 8.5456, "altitude" => 20}
+
+    # Each with where it begins, and what shows that it was reached.
+    for {type, params, begins, there, label} <- [
+          {"takeoff", %{"altitude" => 40}, %{alt_rel: 1.0}, %{alt_rel: 40.2}, "At height"},
+          {"set_altitude", %{"altitude" => 60}, %{alt_rel: 40.2}, %{alt_rel: 59.0}, "At height"},
+          {"goto", away, %{lat: 47.3977, alt_rel: 20.0}, %{lat: 47.3987, lon: 8.5456, alt_rel: 20.0},
+           "Arrived"}
+        ] do
+      put(console, position: begins, mode: %{armed: true, in_air: type != "takeoff"})
+      complete(console, type, params)
+      :ok = PubSub.subscribe(console.gateway, {:commands, "VID-007"})
+      put(console, position: there, mode: %{armed: true, in_air: true})
+      assert_receive {:fleet, {:commands, "VID-007"}, ^type}
+      :ok = PubSub.unsubscribe(console.gateway, {:commands, "VID-007"})
+
+      # Then it is sent home, and is where it was before.
+      complete(console, "rtl", %{}, "rtl-#{type}")
+      put(console, position: begins)
+
+      for _reload <- 1..2 do
+        view = open(console, :viewer, @path <> "/commands")
+        assert {type, has_element?(view, "#history-#{type}.good", label)} == {type, true}
+        refute view |> element("#history-#{type}") |> render() =~ "Ended"
+      end
+    end
+  end
+
+  # Somebody else's command, completed by the vehicle.
+  defp complete(console, type, params, id \\ nil) do
+    id = id || type
+    envelope = %{"id" => id, "vehicle" => "VID-007", "type" => type, "params" => params}
+    admin = %{name: "ann", role: :admin, permissions: []}
+    {:pending, ^id} = Commands.submit(console.gateway, envelope, admin, via: "rest", wait_ms: 0)
+    answer(executing(%{id: id}), id, :completed)
+    eventually(fn -> match?({:ok, %{status: :completed}}, Commands.state(console.gateway, "VID-007", id)) end)
   end
 
   test "take off is offered on the ground, and is the first choice only there (F6)", %{console: console} do

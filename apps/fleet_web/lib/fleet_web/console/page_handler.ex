@@ -20,4 +20,11 @@ defmodule FleetWeb.Console.PageHandler do
         {:ok, :cowboy_req.reply(error.status, headers, error.message <> "\n", request), state}
     end
   end
+
+  @doc "Whether both the `Host` and the `Origin` of a WebSocket request are ours."
+  @spec own?(Access.policy(), :cowboy_req.req()) :: boolean()
+  def own?(policy, request) do
+    facts = Request.facts(request)
+    Access.host(policy, facts) == :ok and Access.origin(policy, facts) == :ok
+  end
 end

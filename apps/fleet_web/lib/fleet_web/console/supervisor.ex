@@ -70,7 +70,7 @@ defmodule FleetWeb.Console.Supervisor do
       root_layout: {Layout, :root},
       cookie: Access.Session.cookie(secret),
       session: &Map.put(Access.Session.extra(&1), "gateway", gateway),
-      origin?: &own?(policy, &1),
+      origin?: &PageHandler.own?(policy, &1),
       not_found: Layout.not_found(),
       too_many: Layout.too_many(),
       # Telemetry goes first.
@@ -109,12 +109,6 @@ defmodule FleetWeb.Console.Supervisor do
         {"/assets/:version/[...]", Assets.Handler, gateway},
         {"/tiles/:z/:x/:y", Console.Map.Tiles.Handler, access}
       ] ++ pages
-  end
-
-  # The `Host` of a WebSocket request has to be ours, and so does its `Origin`.
-  defp own?(policy, request) do
-    facts = API.Request.facts(request)
-    API.Access.host(policy, facts) == :ok and API.Access.origin(policy, facts) == :ok
   end
 
   defp pages(gateway), do: Names.via(gateway, :console_pages)

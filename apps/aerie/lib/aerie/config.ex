@@ -120,6 +120,11 @@ defmodule Aerie.Config do
   @spec given?(t(), String.t()) :: boolean()
   def given?(%__MODULE__{given: given}, path), do: is_map_key(given, path)
 
+  @doc "All networks, the gateway's own first."
+  @spec networks(t()) :: [String.t(), ...]
+  def networks(%__MODULE__{network: own, links: links, vehicles: vehicles}),
+    do: Enum.uniq([own | Enum.map(links ++ vehicles, & &1.network)])
+
   @doc "Errors as lines for a person."
   @spec format_errors([Error.t()]) :: String.t()
   def format_errors(errors), do: Enum.map_join(errors, "\n", &Error.format/1)

@@ -4,8 +4,10 @@ defmodule Aerie.Incident do
   state, diagnosis, and a page that plots it. `aerie incident` calls it; the README of this module's folder tells what is in it.
   """
 
+  alias Aerie.Config
   alias Aerie.Fleet.Replay
   alias Aerie.Incident.{Archive, Commands, Flight, Hide, Page, Recordings, Records, Source, Span, Timeline}
+  alias MavRouter.{Recorder, Router}
 
   @format 1
   @about %{
@@ -44,6 +46,9 @@ defmodule Aerie.Incident do
   @doc "Makes the archive. Returns its size in bytes, and what could not be had."
   @spec make(request()) :: {:ok, non_neg_integer(), notes :: [String.t()]} | {:error, String.t()}
   def make(request) do
+    source = Source.with_vehicle(request.source, request.vehicle)
+    request = %{request | source: source}
+
     Archive.with_folder(request.output, fn work ->
       with {:ok, found} <- collect(request, work),
            :ok <- anything(found, request),
@@ -55,27 +60,39 @@ defmodule Aerie.Incident do
     end)
   end
 
-  defp collect(%{vehicle: vehicle, span: span} = request, work) do
-    source = Source.with_vehicle(request.source, vehicle)
+  # Before all recordings are read.
+  defp possible(%{source: %{config: config}, vehicle: vehicle}, commands) do
+    if commands != [] or Config.Names.vehicle?(config, vehicle),
+      do: :ok,
+      else:
+        {:error,
+         "no vehicle that this gateway hears has the name #{vehicle}: #{Config.Names.vehicles(config)}"}
+  end
+
+  defp collect(%{vehicle: vehicle, span: span, source: source} = request, work) do
     config = source.config
     settings = Replay.Settings.from(config)
-    saved = Source.save(source, vehicle, span, request.now)
+    {audit, no_audit} = Records.audit(Source.folder(source, config.policy.audit.dir), vehicle, span)
+    {ledger, no_ledger} = Records.ledger(Source.folder(source, config.commands.ledger.dir), span)
+    commands = Commands.join(audit, ledger, vehicle, span)
 
     want = %{
       vehicle: vehicle,
       span: span,
       settings: settings,
-      networks: Source.networks(source),
+      networks: Config.networks(config),
+      sent?: Recorder.Settings.from(config).sent,
+      between: Router.Settings.from(config).between_vehicles,
       dir: Source.folder(source, config.recorder.dir),
       work: work,
       max_bytes: request.max_bytes,
       note: request.note
     }
 
-    with {:ok, copies, unread} <- Recordings.copy(want),
+    with :ok <- possible(request, commands),
+         saved = Source.save(source, vehicle, span, request.now),
+         {:ok, copies, unread} <- Recordings.copy(want),
          {:ok, flight} <- flight(copies, want, request.note) do
-      {audit, no_audit} = Records.audit(Source.folder(source, config.policy.audit.dir), vehicle, span)
-      {ledger, no_ledger} = Records.ledger(Source.folder(source, config.commands.ledger.dir), span)
       {events, no_events} = Source.events(source, vehicle)
       {shadow, no_shadow} = Source.shadow(source, vehicle)
       {conditions, no_conditions} = Source.conditions(source, vehicle)
@@ -85,7 +102,7 @@ defmodule Aerie.Incident do
          copies: copies,
          flight: flight,
          audit: audit,
-         commands: Commands.join(audit, ledger, vehicle, span),
+         commands: commands,
          events: Enum.filter(events, fn {event, _line} -> Span.within?(span, event.time) end),
          shadow: shadow,
          conditions: conditions,

@@ -12,6 +12,7 @@ defmodule Aerie.CLI.ReplayEvents do
   alias Aerie.Fleet.Replay
   alias Aerie.CLI.{Options, Output, Plan}
   alias MavCodec.Tlog.Damage
+  alias MavRouter.Recorder.Archive.Name
 
   @doc """
   Prints the lines to `:device` (default standard output) and a summary of the recording to `:notes` (default standard
@@ -33,11 +34,17 @@ defmodule Aerie.CLI.ReplayEvents do
   defp play(file, config, what, device) do
     with :ok <- Replay.Source.recording(file),
          {:ok, _acc, summary} <-
-           Replay.reduce(file, [settings: Replay.Settings.from(config)], :ok, &line(&1, &2, what, device)),
+           Replay.reduce(file, settings(file, config), :ok, &line(&1, &2, what, device)),
          do: {:ok, note(summary) <> "\n"}
   catch
     :closed -> {:ok, ""}
     {:error, _why} = error -> error
+  end
+
+  # The recorder names the network.
+  defp settings(file, config) do
+    network = file |> Path.basename() |> Name.network(Config.networks(config))
+    [settings: Replay.Settings.from(config), network: network]
   end
 
   defp load(plan) do

@@ -276,6 +276,8 @@ defmodule Aerie.CLI.Subcommands do
         options: [
           {:recordings, :string, "DIR",
            "the folder of the recordings, or one of them (default: recorder.dir of FILE)"},
+          {:network, :string, "NAME",
+           "the network of the recordings (default: the one that their names begin with, otherwise that of FILE)"},
           {:ledger, :string, "DIR", "the folder of a ledger: its commands with the names of their senders"},
           {:as, :string, "WHO",
            "judge senders that are known by their ids only as viewer, operator, pilot or admin, or as an id of policy.clients, " <>

@@ -44,15 +44,13 @@ defmodule Aerie.Config.Names do
     rates =
       unknown(rates(config, :sources), &(&1 in sources), "the name of a source of commands", sources, nil)
 
-    vehicles = Enum.map(config.vehicles, & &1.id)
-
     fleet =
       unknown(
         rates(config, :vehicles),
         &vehicle?(config, &1),
         "the name of a vehicle",
-        vehicles,
-        "others are VID- and three digits"
+        ids(config.vehicles),
+        others(config)
       )
 
     {problems, doubts} =
@@ -129,18 +127,32 @@ defmodule Aerie.Config.Names do
         do: {["links", index, "carry", class], name}
   end
 
-  # Matches the name that a vehicle of one of the networks has or would get.
-  defp vehicle?(config, name) do
+  @doc "Whether a vehicle of one of the networks has this name, or would get it."
+  @spec vehicle?(Config.t(), String.t()) :: boolean()
+  def vehicle?(config, name) do
     settings = Vehicle.Settings.from(config)
 
     with false <- name == config.vehicle_id or name in ids(config.vehicles),
          [digits] <- Regex.run(~r/\d{1,10}\z/, name) do
-      networks = Enum.uniq([config.network | Enum.map(config.links, & &1.network)])
-      Enum.any?(networks, &(Vehicle.Options.id(settings, {&1, String.to_integer(digits)}) == name))
+      Enum.any?(
+        Config.networks(config),
+        &(Vehicle.Options.id(settings, {&1, String.to_integer(digits)}) == name)
+      )
     else
       true -> true
       nil -> false
     end
+  end
+
+  @doc "The names of vehicles, for a name that none can have."
+  @spec vehicles(Config.t()) :: String.t()
+  def vehicles(config),
+    do: [known(ids(config.vehicles)), others(config)] |> Enum.filter(& &1) |> Enum.join("; ")
+
+  defp others(config) do
+    [_own | others] = Config.networks(config)
+    words = for prefix <- ["VID" | others], do: prefix <> "-"
+    "others are #{Enum.join(words, " or ")} and three digits"
   end
 
   @spec unknown([named()], (String.t() -> boolean()), String.t(), [String.t()], String.t() | nil) :: [

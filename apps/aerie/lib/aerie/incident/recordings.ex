@@ -11,6 +11,7 @@ defmodule Aerie.Incident.Recordings do
   alias Aerie.Vehicle.Options
   alias MavCodec.{Frame, Heartbeat, Tlog}
   alias MavRouter.Recorder.Archive.Name
+  alias MavRouter.Router.Forward.Reach
 
   @name ~r/\A(.+)-(\d{4})(\d\d)(\d\d)T(\d\d)(\d\d)(\d\d)Z(-\d{1,3})?\.tlog\z/
   # The longest ring (recorder.ring.seconds): what a saved file has from before its name's time.
@@ -20,7 +21,8 @@ defmodule Aerie.Incident.Recordings do
   @heartbeat MavCodec.Messages.Heartbeat.id()
 
   @typedoc """
-  - `vehicle`, `span`; `settings`: how vehicles are named; `networks`: all that there are
+  - `vehicle`, `span`; `settings`: how vehicles are named; `networks`: all that there are; `sent?`, `between`: whether what is sent
+    is recorded as well, and what crosses between vehicles (`recorder.sent`, `router.between_vehicles`)
   - `dir`: of the recordings; `work`: where the copies go; `max_bytes`: of all together
   - `note`: gets a line about each file that is read
   """
@@ -29,6 +31,8 @@ defmodule Aerie.Incident.Recordings do
           span: Span.t(),
           settings: Settings.t(),
           networks: [String.t()],
+          sent?: boolean(),
+          between: atom(),
           dir: Path.t(),
           work: Path.t(),
           max_bytes: pos_integer(),
@@ -69,15 +73,12 @@ defmodule Aerie.Incident.Recordings do
          true <- start - @ring_us <= span.to,
          {:ok, %{type: :regular, mtime: written}} <- File.lstat(Path.join(want.dir, name), time: :posix),
          true <- (written + 1) * 1_000_000 >= span.from do
-      network = Enum.find(networks(want), &String.starts_with?(label, Name.label(&1) <> "-"))
+      network = Name.network(label, want.networks)
       [%{name: name, network: network || hd(want.networks), kind: kind(label, network, want.vehicle)}]
     else
       _other -> []
     end
   end
-
-  # `main-2` before `main`.
-  defp networks(want), do: Enum.sort_by(want.networks, &{-byte_size(&1), &1})
 
   defp start(digits) do
     [year, month, day, hour, minute, second] = Enum.map(digits, &String.to_integer/1)
@@ -126,12 +127,13 @@ defmodule Aerie.Incident.Recordings do
     want.note.("reading #{file.name}")
 
     case part(Path.join(want.dir, file.name), part, state(file, before, copies, want)) do
-      {:ok, %{heard?: true} = state} ->
-        append(part, Path.join(want.work, target))
-        {Map.put(copies, target, merge(before, state, file.name)), notes}
-
-      {:ok, _of_others} ->
-        {copies, notes}
+      {:ok, state} ->
+        if heard?(state) do
+          append(part, Path.join(want.work, target))
+          {Map.put(copies, target, merge(before, state, file.name)), notes}
+        else
+          {copies, notes}
+        end
 
       {:error, text} ->
         {copies, [text | notes]}
@@ -152,7 +154,7 @@ defmodule Aerie.Incident.Recordings do
     used = copies |> Map.values() |> Enum.map(& &1.bytes) |> Enum.sum()
 
     %{want: want, network: file.network, heard?: false, systems: %{}, room: want.max_bytes - used, held: []}
-    |> Map.merge(%{frames: 0, secret: 0, damaged: 0, bytes: 0})
+    |> Map.merge(%{link?: file.kind != :vehicle, frames: 0, secret: 0, damaged: 0, bytes: 0})
     |> Map.merge(%{over: before.until, overlap: before.last, until: before.until, last: before.last})
   end
 
@@ -217,18 +219,36 @@ defmodule Aerie.Incident.Recordings do
       "#{div(want.max_bytes, 1_048_576)} MB: take a shorter span (--from, --to), or allow more (--max-mb)"
   end
 
+  # A recording of a link has what was sent by it as well: what crosses between vehicles (heartbeats), and anything to a line of which
+  # nothing is known yet. What is for the vehicle goes where it was heard.
   defp hear(_frame, %{heard?: true} = state), do: state
 
   defp hear(%Frame{id: @heartbeat, crc_extra: extra, system: system} = frame, state) when extra != nil do
-    if not is_map_key(state.systems, system) and Heartbeat.vehicle?(Heartbeat.read(frame)) do
-      heard? = Options.id(state.want.settings.vehicle, {state.network, system}) == state.want.vehicle
-      %{state | heard?: heard?, systems: Map.put(state.systems, system, true)}
-    else
-      state
-    end
+    if not is_map_key(state.systems, system) and Heartbeat.vehicle?(Heartbeat.read(frame)),
+      do: %{state | systems: Map.put(state.systems, system, wanted?(system, state))},
+      else: state
+  end
+
+  defp hear(%Frame{crc_extra: extra, system: system} = frame, %{link?: true} = state) when extra != nil do
+    {target, _component} = Frame.target(frame) || {nil, 0}
+    said? = state.systems[system] == true and map_size(state.systems) > 1 and not crosses?(frame, state)
+    asked? = state.systems[target] == true and not is_map_key(state.systems, system)
+    %{state | heard?: said? or asked?}
   end
 
   defp hear(_frame, state), do: state
+
+  defp wanted?(system, %{want: want, network: network}),
+    do: Options.id(want.settings.vehicle, {network, system}) == want.vehicle
+
+  defp crosses?(frame, %{want: want}), do: Reach.passes?(:vehicle, frame, want.between)
+
+  defp heard?(%{heard?: true}), do: true
+
+  defp heard?(%{systems: systems, link?: link?, want: want}) do
+    wanted? = Enum.any?(systems, fn {_system, wanted?} -> wanted? end)
+    wanted? and (not link? or not want.sent? or map_size(systems) == 1)
+  end
 
   defp append(part, target) do
     device = opened(target, [:append, :raw, :binary])

@@ -62,14 +62,6 @@ defmodule Aerie.Incident.Source do
   @spec folder(t(), Path.t()) :: Path.t()
   def folder(%__MODULE__{base: base}, dir), do: Path.expand(dir, base)
 
-  @doc "All networks of the configuration, its own first."
-  @spec networks(t()) :: [String.t()]
-  def networks(%__MODULE__{config: config}),
-    do:
-      Enum.uniq([
-        config.network | Enum.map(config.links, & &1.network) ++ Enum.map(config.vehicles, & &1.network)
-      ])
-
   @doc "Has the last minutes of a vehicle written to a file, unless it is being recorded. A note says why they could not be."
   @spec save(t(), String.t(), Aerie.Incident.Span.t(), now :: integer()) :: [String.t()]
   def save(%{call: nil}, _vehicle, _span, _now), do: []

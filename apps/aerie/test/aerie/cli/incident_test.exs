@@ -39,6 +39,20 @@ defmodule Aerie.CLI.IncidentTest do
     assert File.exists?(own)
   end
 
+  test "a name that no vehicle has is refused before the recordings are read", %{tmp_dir: dir} do
+    recording = Path.join(dir, "recordings/main-VID-001-20261128T200500Z.tlog")
+    File.mkdir_p!(Path.dirname(recording))
+    beat = MavCodec.encode(%MavCodec.Messages.Heartbeat{type: 2, autopilot: 3}, system: 1, component: 1)
+    {:ok, time, 0} = DateTime.from_iso8601("2026-11-28T20:05:00Z")
+    File.write!(recording, <<DateTime.to_unix(time, :microsecond)::64, beat::binary>>)
+    assert {{:error, text}, notes} = incident(dir, %{from: "20:00"}, "VDI-001")
+    assert text =~ "no vehicle that this gateway hears has the name VDI-001: others are VID- and three digits"
+    refute notes =~ "reading"
+    assert {{:error, text}, notes} = incident(dir, %{from: "20:00"}, "VID-002")
+    assert text =~ "nothing is known of VID-002"
+    assert notes =~ "reading main-VID-001-20261128T200500Z.tlog"
+  end
+
   test "what is wrong is named before anything is read", %{tmp_dir: dir} do
     assert {{:error, text}, _notes} = incident(dir, %{}, "a vehicle")
     assert text =~ "a vehicle's name has 1 to 64 letters"

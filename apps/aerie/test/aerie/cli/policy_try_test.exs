@@ -187,6 +187,37 @@ defmodule Aerie.CLI.PolicyTryTest do
     assert why =~ "FILE is missing"
   end
 
+  test "a recording's vehicles are those of its network", %{tmp_dir: dir} do
+    links = """
+    links:
+      - {id: a, url: "udpin:127.0.0.1:0", network: west}
+      - {id: b, url: "udpin:127.0.0.1:0", network: west-2}
+    """
+
+    flight = bytes("arducopter_flight")
+    put(dir, "west-VID-001-20261120T222158Z.tlog", flight)
+    put(dir, "west-2-b-20261120T222158Z.tlog", flight)
+    put(dir, "main-a-20261120T222158Z.tlog", flight)
+    file = config(dir, "max_altitude: 15", links)
+    assert {1, text, ""} = try_it([file], dir)
+    assert text =~ "west-VID-001-20261120T222158Z.tlog: west-001\n"
+    assert text =~ "west-2-b-20261120T222158Z.tlog: west-2-001\n"
+    assert text =~ "main-a-20261120T222158Z.tlog: VID-001\n"
+    # Copies of a frame are judged once.
+    west = try_it([file, "--recordings", "of a flight/west-2-b-20261120T222158Z.tlog"], dir)
+    assert elem(west, 1) =~ ~r/operator +west-2-001 +takeoff .* deny +altitude/
+
+    # A name that says none.
+    put(dir, "mine.tlog", flight)
+    assert {1, text, notes} = try_it([file], dir)
+    assert text =~ "mine.tlog: VID-001\n"
+    assert notes =~ "mine.tlog: its name does not begin with a network of FILE (main, west, west-2)"
+    assert {1, text, ""} = try_it([file, "--recordings", "of a flight/mine.tlog", "--network", "west"], dir)
+    assert text =~ "mine.tlog: west-001\n"
+    assert {2, "", why} = try_it([file, "--network", "east"], dir)
+    assert why =~ "--network east: FILE has the networks main, west, west-2"
+  end
+
   test "the commands of a ledger, with the names of their senders", %{tmp_dir: dir} do
     [first | _] = frames = frames("arducopter_flight")
     put(dir, "flight.tlog", Writer.records(frames))

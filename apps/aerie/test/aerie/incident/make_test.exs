@@ -132,14 +132,35 @@ defmodule Aerie.Incident.MakeTest do
   test "what a link heard of another vehicle is another incident's, and names do not decide", c do
     record(c, "main-radio", for(n <- 0..5, do: beat(n, 2)))
     record(c, "main-VID-001-x", for(n <- 0..5, do: beat(n, 3)))
-    record(c, "main-other", for(n <- 0..5, do: beat(n, 1 + rem(n, 2))))
+    attitude = frame(%M.Attitude{time_boot_ms: 1}, 6, 1)
+    record(c, "main-other", for(n <- 0..5, do: beat(n, 1 + rem(n, 2))) ++ [attitude])
     assert {files, _notes} = make(c)
     assert %{"link-main-other.tlog" => tlog} = files
-    assert length(frames(tlog)) == 6
+    assert length(frames(tlog)) == 7
     refute is_map_key(files, "flight.tlog") or is_map_key(files, "link-main-radio.tlog")
     # Events of this vehicle only.
     for line <- String.split(files["events.jsonl"], "\n", trim: true),
         do: assert(%{"vehicle" => "VID-001"} = JSON.decode!(line))
+  end
+
+  test "a line on which other vehicles are is left out, although the vehicle's heartbeats went over it", c do
+    attitude = &frame(%M.Attitude{time_boot_ms: 1}, &1, &2)
+    asks = &frame(%M.CommandLong{command: 511, target_system: &2, target_component: 1}, &1, 237)
+    both = for n <- 1..5, system <- [1, 2], do: beat(n + system / 10, system)
+    # What another one hears of the vehicle; before it has said what it is, the vehicle's telemetry as well.
+    record(c, "main-line-2", [attitude.(0, 1), asks.(0.5, 2)] ++ both ++ [attitude.(6, 2), asks.(7, 2)])
+    # A radio for both, one that the vehicle left before the other one came, and a line of its own.
+    record(c, "main-radio", both ++ [attitude.(6, 1)])
+    record(c, "main-left", [beat(0), attitude.(0.5, 1), asks.(1, 1), beat(2, 2), attitude.(3, 2)])
+    record(c, "main-line-1", [beat(0), attitude.(1, 1)])
+    links = fn files -> for "link-" <> name <- Enum.sort(Map.keys(files)), do: name end
+    assert {files, _notes} = make(c)
+    assert links.(files) == ["main-left.tlog", "main-line-1.tlog", "main-radio.tlog"]
+
+    # Where nothing that is sent is recorded, a heartbeat was heard.
+    config = %{c.config | recorder: %{c.config.recorder | sent: false}}
+    assert {files, _notes} = make(c, %{source: Source.stopped(config)})
+    assert "main-line-2.tlog" in links.(files)
   end
 
   test "no key, no password, no signature, wherever somebody has put one", c do

@@ -15,6 +15,7 @@ defmodule Aerie.CLI.Subcommand.Policy do
   alias Aerie.Fleet.Replay
   alias Aerie.Fleet.Replay.{Machine, PolicyTrial, Source}
   alias MavCodec.Frame
+  alias MavRouter.Recorder.Archive.Name
 
   @progress_ms 5_000
   # The clock is not asked with each frame.
@@ -29,8 +30,11 @@ defmodule Aerie.CLI.Subcommand.Policy do
          {:ok, keys} <- FleetWeb.API.Keys.load(config.api),
          {:ok, as} <- Principals.as(options[:as], policy, keys, System.os_time(:microsecond)),
          {:ok, ledger} <- ledger(options[:ledger], folder),
+         :ok <- network(options[:network], config),
          {:ok, recordings} <-
            Recordings.list(place(options[:recordings], folder, config)) do
+      recordings = Enum.map(recordings, &of_network(&1, options[:network], Config.networks(config)))
+
       trial =
         PolicyTrial.new(policy, Replay.Settings.from(config),
           as: as,
@@ -43,6 +47,29 @@ defmodule Aerie.CLI.Subcommand.Policy do
   catch
     :closed -> {0, ""}
     {:error, _why} = error -> error
+  end
+
+  defp network(name, config) do
+    networks = Config.networks(config)
+
+    if name in [nil | networks],
+      do: :ok,
+      else: {:error, "--network #{name}: FILE has the networks #{Enum.join(networks, ", ")}"}
+  end
+
+  # As the recorder names them; which vehicles a recording has follows from its network.
+  defp of_network(%{name: name} = recording, given, networks) do
+    network = given || Name.network(name, networks)
+
+    doubts =
+      if network == nil and tl(networks) != [],
+        do: [
+          "#{name}: its name does not begin with a network of FILE (#{Enum.join(networks, ", ")}): its vehicles are " <>
+            "judged as those of #{hd(networks)}; --network says another one"
+        ],
+        else: []
+
+    Map.merge(recording, %{network: network, doubts: doubts})
   end
 
   # The gateway's own folders are relative to where it runs.
@@ -123,7 +150,7 @@ defmodule Aerie.CLI.Subcommand.Policy do
 
   defp one(state, %{path: path, name: name, label: label} = recording, place) do
     before = PolicyTrial.summary(state.trial)
-    trial = PolicyTrial.recording(state.trial, label)
+    trial = PolicyTrial.recording(state.trial, label, recording.network)
     options = Machine.parser(trial.settings)
     acc = {trial, %Report{}, %{name: name, place: place, json?: state.json?, frames: 0, due: due()}}
 
@@ -131,7 +158,7 @@ defmodule Aerie.CLI.Subcommand.Policy do
          :ok <- Source.recording(path),
          {:ok, {trial, report, _progress}} <- Source.reduce(path, options, acc, &item/2) do
       summary = PolicyTrial.summary(trial)
-      damage = damage(name, before, summary)
+      damage = recording.doubts ++ damage(name, before, summary)
       Enum.each(damage, &note/1)
       unless state.json?, do: put([heading(name, summary), Report.table(report), "\n"])
 

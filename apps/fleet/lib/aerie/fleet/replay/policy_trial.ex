@@ -18,6 +18,7 @@ defmodule Aerie.Fleet.Replay.PolicyTrial do
   defstruct @enforce_keys ++
               [
                 :label,
+                :network,
                 :first,
                 :last,
                 ledger: [],
@@ -80,11 +81,14 @@ defmodule Aerie.Fleet.Replay.PolicyTrial do
 
   @doc """
   Another recording begins. `label` is what the recordings of one flight have in common; one that continues the last one keeps what is
-  known of its vehicles.
+  known of its vehicles, which are of `network`; nil: of the gateway's own.
   """
-  @spec recording(t(), label :: String.t()) :: t()
-  def recording(%{label: label} = trial, label), do: %{trial | first: nil}
-  def recording(trial, label), do: again(%{trial | label: label, first: nil, last: nil})
+  @spec recording(t(), label :: String.t(), network :: String.t() | nil) :: t()
+  def recording(trial, label, network \\ nil)
+  def recording(%{label: label, network: network} = trial, label, network), do: %{trial | first: nil}
+
+  def recording(trial, label, network),
+    do: again(%{trial | label: label, network: network, first: nil, last: nil})
 
   @doc "The next frame or damaged part, and what was decided, in order."
   @spec push(t(), Frame.t() | MavCodec.Tlog.Damage.t()) :: {t(), [decision()]}
@@ -103,7 +107,7 @@ defmodule Aerie.Fleet.Replay.PolicyTrial do
   end
 
   defp again(trial) do
-    machine = Machine.new(trial.settings, [])
+    machine = Machine.new(trial.settings, network: trial.network)
 
     %{
       trial

@@ -21,6 +21,14 @@ defmodule MavRouter.Recorder.Archive.Name do
     if cleaned =~ ~r/\A[A-Za-z0-9]/, do: cleaned, else: "x" <> cleaned
   end
 
+  @doc "The network of these whose recording has a name, nil for a name of somebody else. `main-2` is asked before `main`."
+  @spec network(String.t(), [String.t()]) :: String.t() | nil
+  def network(name, networks) do
+    networks
+    |> Enum.sort_by(&{-byte_size(&1), &1})
+    |> Enum.find(&String.starts_with?(name, label(&1) <> "-"))
+  end
+
   @doc "The file name at the n-th attempt to find a free one."
   @spec attempt(String.t(), pos_integer) :: String.t()
   def attempt(name, 1), do: name <> ".tlog"

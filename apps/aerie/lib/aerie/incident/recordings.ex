@@ -21,8 +21,8 @@ defmodule Aerie.Incident.Recordings do
   @heartbeat MavCodec.Messages.Heartbeat.id()
 
   @typedoc """
-  - `vehicle`, `span`; `settings`: how vehicles are named; `networks`: all that there are; `sent?`, `between`: whether what is sent
-    is recorded as well, and what crosses between vehicles (`recorder.sent`, `router.between_vehicles`)
+  - `vehicle`, `span`; `settings`: how vehicles are named; `networks`: all that there are
+  - `sent?`, `between`: `recorder.sent`, `router.between_vehicles`
   - `dir`: of the recordings; `work`: where the copies go; `max_bytes`: of all together
   - `note`: gets a line about each file that is read
   """
@@ -219,8 +219,8 @@ defmodule Aerie.Incident.Recordings do
       "#{div(want.max_bytes, 1_048_576)} MB: take a shorter span (--from, --to), or allow more (--max-mb)"
   end
 
-  # A recording of a link has what was sent by it as well: what crosses between vehicles (heartbeats), and anything to a line of which
-  # nothing is known yet. What is for the vehicle goes where it was heard.
+  # A recording of a link has what was sent by it as well: what crosses between vehicles (heartbeats), and anything to a
+  # line of which nothing is known yet. What is for the vehicle goes where it was heard.
   defp hear(_frame, %{heard?: true} = state), do: state
 
   defp hear(%Frame{id: @heartbeat, crc_extra: extra, system: system} = frame, state) when extra != nil do

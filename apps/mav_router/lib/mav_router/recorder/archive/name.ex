@@ -21,7 +21,7 @@ defmodule MavRouter.Recorder.Archive.Name do
     if cleaned =~ ~r/\A[A-Za-z0-9]/, do: cleaned, else: "x" <> cleaned
   end
 
-  @doc "The network of these whose recording has a name, nil for a name of somebody else. `main-2` is asked before `main`."
+  @doc "The one of these networks with which a name begins, nil for a name of somebody else; `main-2` before `main`."
   @spec network(String.t(), [String.t()]) :: String.t() | nil
   def network(name, networks) do
     networks

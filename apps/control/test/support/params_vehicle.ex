@@ -2,7 +2,7 @@ defmodule Aerie.ParamsVehicle do
   @moduledoc "A model of a vehicle's parameters for `Aerie.LossyLink`: list, read, set, `_HASH_CHECK`."
 
   alias Aerie.Control.Params.Param
-  alias Aerie.Vehicle.Protocol.ParamValue
+  alias MavCodec.Message.ParamValue
   alias MavCodec.Messages, as: M
 
   defstruct encoding: :c_cast, params: [], history: %{}, pace: 2_000, stuck: [], clamp: %{}, writes: 0

@@ -6,6 +6,8 @@ defmodule Msp.Listing do
   message has its name, if all firmwares have the same, and its payload.
   """
 
+  alias MavCodec.Message.ParamValue
+  alias MavCodec.Messages, as: M
   alias MavCodec.Msp.{Frame, Messages, Parser, Trace}
   alias Msp.Identity
 
@@ -113,13 +115,23 @@ defmodule Msp.Listing do
     for frame <- frames do
       case MavCodec.decode(frame) do
         {:ok, %module{} = message} ->
-          line(:gateway, :mavlink, MavCodec.Dialects.All.name(module.id()), Map.from_struct(message))
+          line(:gateway, :mavlink, MavCodec.Dialects.All.name(module.id()), values(message))
 
         {:error, _damaged} ->
           %{line(:gateway, :mavlink, to_string(frame.id)) | payload: frame.payload}
       end
     end
   end
+
+  # The number that the bytes are.
+  defp values(%M.ParamSet{param_value: wire, param_type: type} = message) do
+    case ParamValue.asked(wire, type, :bytewise) do
+      {:ok, value} -> Map.from_struct(%{message | param_value: value})
+      {:error, _why} -> Map.from_struct(message)
+    end
+  end
+
+  defp values(message), do: Map.from_struct(message)
 
   defp line(from, what, name \\ nil, values \\ nil),
     do: %{from: from, what: what, name: name, values: values, payload: nil}

@@ -50,7 +50,8 @@ defmodule Msp.Meaning do
           target_system: system,
           target_component: @component,
           param_id: ShortName.of(parameter(target, name, frame)),
-          param_value: 0.0,
+          # What the write makes of it is not read here.
+          param_value: :nan,
           param_type: 9
         }
     end

@@ -1,6 +1,7 @@
 defmodule Msp.ParamsTest do
   use ExUnit.Case, async: true
 
+  alias MavCodec.Message.Value
   alias MavCodec.Messages, as: M
   alias MavCodec.Msp.{Frame, Messages, Params, Payload, ShortName}
   alias Msp.Params.Block
@@ -37,7 +38,35 @@ defmodule Msp.ParamsTest do
       |> send_mavlink(%M.ParamSet{param_id: ShortName.of(name), param_value: value * 1.0, param_type: 9})
       |> Line.run(3 * @second)
 
-  defp values(line), do: for({_at, value} <- Line.told(line, M.ParamValue), do: value)
+  defp values(line),
+    do: for({_at, value} <- Line.told(line, M.ParamValue), do: %{value | param_value: shown(value)})
+
+  # As QGroundControl's ParameterManager reads every autopilot but ArduPilot: the union's member of the type.
+  defp shown(%{param_type: type, param_value: wire}) do
+    case {type, <<Value.bits32(wire)::32-little>>} do
+      {1, <<n, _::binary>>} -> n
+      {2, <<n::signed, _::binary>>} -> n
+      {3, <<n::16-little, _::binary>>} -> n
+      {4, <<n::16-little-signed, _::binary>>} -> n
+      {5, <<n::32-little>>} -> n
+      {6, <<n::32-little-signed>>} -> n
+      {9, <<n::32-little-float>>} -> n
+    end
+  end
+
+  # As it sets one: the union's member, in a union that is zero before.
+  defp union(1, n), do: <<n, 0::24>>
+  defp union(2, n), do: <<n::signed, 0::24>>
+  defp union(3, n), do: <<n::16-little, 0::16>>
+  defp union(4, n), do: <<n::16-little-signed, 0::16>>
+  defp union(5, n), do: <<n::32-little>>
+  defp union(6, n), do: <<n::32-little-signed>>
+  defp union(9, n), do: <<n::32-little-float>>
+
+  defp set_bytes(line, name, type, <<bits::32-little>>) do
+    message = %M.ParamSet{param_id: ShortName.of(name), param_value: Value.float32(bits), param_type: type}
+    line |> send_mavlink(message) |> Line.run(3 * @second)
+  end
 
   defp last(line, name),
     do: line |> values() |> Enum.filter(&(&1.param_id == ShortName.of(name))) |> List.last()
@@ -62,9 +91,9 @@ defmodule Msp.ParamsTest do
       named = for %{block: nil, name: name} <- Params.all(:betaflight, {1, 48}), do: name
       assert named -- names == [] and length(names) > 380 and Enum.uniq(names) == names
       assert Enum.map(values, & &1.param_index) == Enum.to_list(0..(length(values) - 1))
-      assert %{param_value: 2.0, param_type: 1} = last(line, "yaw_spin_recovery")
-      assert %{param_value: 1950.0, param_type: 3} = last(line, "yaw_spin_threshold")
-      assert %{param_value: 45.0} = last(line, "p_roll")
+      assert %{param_value: 2, param_type: 6} = last(line, "yaw_spin_recovery")
+      assert %{param_value: 1950, param_type: 6} = last(line, "yaw_spin_threshold")
+      assert %{param_value: 45} = last(line, "p_roll")
       beats = for {at, _} <- Line.told(line, M.Heartbeat), do: at
       assert beats |> Enum.chunk_every(2, 1, :discard) |> Enum.all?(fn [a, b] -> b - a < 1.4 * @second end)
     end
@@ -73,9 +102,9 @@ defmodule Msp.ParamsTest do
       {line, _change, state} = up(:betaflight, 3, @named)
       before = state.()
       line = line |> set("acc_lpf_hz", 40) |> set("yaw_spin_recovery", 1) |> set("p_pitch", 48)
-      assert %{param_value: 40.0, param_type: 3} = last(line, "acc_lpf_hz")
-      assert %{param_value: 1.0} = last(line, "yaw_spin_recovery")
-      assert %{param_value: 48.0} = last(line, "p_pitch")
+      assert %{param_value: 40, param_type: 6} = last(line, "acc_lpf_hz")
+      assert %{param_value: 1} = last(line, "yaw_spin_recovery")
+      assert %{param_value: 48} = last(line, "p_pitch")
       now = state.()
       assert %{"acc_lpf_hz" => 40, "yaw_spin_recovery" => 1} = now.settings
       assert for({id, bytes} <- now.blocks, bytes != before.blocks[id], do: id) == [112]
@@ -145,7 +174,7 @@ defmodule Msp.ParamsTest do
       end
 
       line = without |> Line.open() |> Line.run(3 * @second) |> set("p_pitch", 48) |> read("acc_lpf_hz")
-      assert %{param_value: 48.0} = last(line, "p_pitch")
+      assert %{param_value: 48} = last(line, "p_pitch")
       assert <<_::binary-size(3), 48, _::binary>> = state.().blocks[112]
       assert errors(line) == [{"acc_lpf_hz", 1}]
       line = list(%{line | told: []})
@@ -159,7 +188,7 @@ defmodule Msp.ParamsTest do
       assert state.().armed
       line = line |> set("acc_lpf_hz", 40) |> read("acc_lpf_hz")
       assert errors(line) == [{"acc_lpf_hz", 3}]
-      assert %{param_value: 25.0} = last(line, "acc_lpf_hz")
+      assert %{param_value: 25} = last(line, "acc_lpf_hz")
     end
   end
 
@@ -171,11 +200,11 @@ defmodule Msp.ParamsTest do
       assert length(values) > 180
       assert Enum.map(values, & &1.param_index) == Enum.to_list(0..(length(values) - 1))
       assert Enum.all?(values, &(&1.param_count == length(values)))
-      assert %{param_value: 45.0, param_type: 1} = last(line, "p_roll")
-      assert %{param_value: 15.0} = last(line, "failsafe_delay")
-      assert %{param_value: 330.0, param_type: 3} = last(line, "vbat_min_cell_voltage")
+      assert %{param_value: 45, param_type: 6} = last(line, "p_roll")
+      assert %{param_value: 15} = last(line, "failsafe_delay")
+      assert %{param_value: 330, param_type: 6} = last(line, "vbat_min_cell_voltage")
       # 25 %, which is 1250 on the wire.
-      assert %{param_value: 25.0} = last(line, "airmode_start_throttle_percent")
+      assert %{param_value: 25} = last(line, "airmode_start_throttle_percent")
       beats = for {at, _} <- Line.told(line, M.Heartbeat), do: at
       assert beats |> Enum.chunk_every(2, 1, :discard) |> Enum.all?(fn [a, b] -> b - a < 1.4 * @second end)
     end
@@ -184,7 +213,7 @@ defmodule Msp.ParamsTest do
       {line, _change, state} = up(:betaflight)
       before = state.().blocks
       line = set(line, "p_pitch", 48)
-      assert %{param_value: 48.0} = last(line, "p_pitch")
+      assert %{param_value: 48} = last(line, "p_pitch")
       now = state.().blocks
       assert for({id, bytes} <- now, bytes != before[id], do: id) == [112]
       <<a::binary-size(3), _old, b::binary>> = before[112]
@@ -329,10 +358,20 @@ defmodule Msp.ParamsTest do
       assert %{param_type: 9} = last(line, "pitot_scale")
     end
 
+    test "a list that was read before is told as it is read, each once: a client that waits in vain asks again" do
+      {line, _change, _state} = up(:inav, 20)
+      line = %{list(line) | told: []}
+      line = line |> send_mavlink(%M.ParamRequestList{}) |> Line.run(@second)
+      assert length(values(line)) in 10..600
+      line = line |> send_mavlink(%M.ParamRequestList{}) |> Line.run(30 * @second)
+      assert Enum.map(values(line), & &1.param_index) == Enum.to_list(0..625)
+      assert Enum.all?(values(line), &(&1.param_count == 626))
+    end
+
     test "one is set by its full name, and read again" do
       {line, _change, state} = up(:inav)
       line = set(line, "nav_rth_altitude", 5000)
-      assert %{param_value: 5000.0, param_type: 3} = last(line, "nav_rth_altitude")
+      assert %{param_value: 5000, param_type: 6} = last(line, "nav_rth_altitude")
       assert state.().settings["nav_rth_altitude"] == <<5000::16-little>>
       # The firmware takes what is below its least value.
       line = set(line, "nav_fw_launch_thr", 900)
@@ -347,11 +386,116 @@ defmodule Msp.ParamsTest do
       line = set(line, "small_angle", 90)
       line = line |> Line.handle({:mavlink, command(246, %{param1: 1.0})}) |> Line.run(6 * @second)
       assert state.().boots == 2
-      assert %{param_value: +0.0} = line |> read("small_angle") |> last("small_angle")
+      assert %{param_value: 0} = line |> read("small_angle") |> last("small_angle")
       line = set(line, "small_angle", 90)
       line = line |> Line.handle({:mavlink, command(245, %{param1: 1.0})}) |> Line.run(@second)
       line = line |> Line.handle({:mavlink, command(246, %{param1: 1.0})}) |> Line.run(6 * @second)
-      assert %{param_value: 90.0} = line |> read("small_angle") |> last("small_angle")
+      assert %{param_value: 90} = line |> read("small_angle") |> last("small_angle")
+    end
+  end
+
+  describe "as ground stations read and set them (P2)" do
+    test "every value that QGroundControl shows is the one aboard" do
+      {line, change, state} = up(:inav, 20)
+
+      odd = fn {name, bytes} ->
+        {name, odd(Enum.find(Params.all(:inav, {9, 0}), &(&1.name == name)), bytes)}
+      end
+
+      change.(fn fc -> %{fc | settings: Map.new(fc.settings, odd)} end)
+      line = list(line)
+      types = Map.new(Params.all(:inav, {9, 0}), &{&1.name, &1.type})
+      aboard = state.().settings
+      assert length(values(line)) == 626
+
+      for %{param_id: short, param_value: value, param_type: type} <- values(line) do
+        name = Params.full(:inav, short)
+        assert {name, binary_part(union(type, value), 0, byte_size(aboard[name]))} == {name, aboard[name]}
+        assert type == if(types[name] == "f32", do: 9, else: 6) or (types[name] == "u32" and type == 5)
+      end
+    end
+
+    # Its highest value, or its lowest where that is below 0.
+    defp odd(%{type: "str"}, bytes), do: bytes
+    defp odd(%{type: "f32"} = row, _bytes), do: <<row.high * 1.0::32-little-float>>
+    defp odd(row, bytes), do: <<if(row.low < 0, do: row.low, else: row.high)::size(bit_size(bytes))-little>>
+
+    test "what QGroundControl and MAVSDK send is set, of each type" do
+      {line, _change, state} = up(:inav)
+
+      for {name, type, value, bytes} <- [
+            {"small_angle", 1, 179, <<179>>},
+            {"blackbox_arm_control", 2, -1, <<-1>>},
+            {"nav_rth_altitude", 3, 65_000, <<65_000::16-little>>},
+            {"align_mag_roll", 4, -1800, <<-1800::16-little>>},
+            {"msp_override_channels", 5, 4_026_531_841, <<4_026_531_841::32-little>>},
+            {"pitot_scale", 9, 1.5, <<1.5::32-little-float>>},
+            {"small_angle", 6, 25, <<25>>},
+            {"align_mag_roll", 6, -7, <<-7::16-little>>}
+          ] do
+        line = set_bytes(line, name, type, union(type, value))
+        assert {name, state.().settings[name]} == {name, bytes}
+        assert %{param_value: ^value} = last(line, name)
+      end
+    end
+
+    test "a script's number is set as REAL32; with an integer's type it is refused, as it may be what an old QGroundControl has for 0" do
+      {line, _change, state} = up(:betaflight)
+      line = set(line, "p_roll", 47)
+      assert %{param_value: 47} = last(line, "p_roll")
+      before = state.().blocks
+      line = set_bytes(%{line | told: []}, "p_roll", 1, <<50.0::32-little-float>>)
+      assert errors(line) == [{"p_roll", 7}] and state.().blocks == before
+
+      assert Enum.join(texts(line)) =~ "p_roll not set: it has an integer's type, and its float is a number"
+
+      line = set_bytes(%{line | told: []}, "gps_rescue_return_alt", 3, <<50.0::32-little-float>>)
+      assert errors(line) == [{"gps_rescue_return_alt", 7}]
+      # Other bytes of memory behind the value.
+      line = set_bytes(line, "p_roll", 1, <<51, 0xC3, 0x47, 0x7F>>)
+      assert %{param_value: 51} = last(line, "p_roll")
+      line = set_bytes(line, "p_roll", 1, <<0, 0, 0xC0, 0x7F>>)
+      assert %{param_value: 0} = last(line, "p_roll")
+      line = set_bytes(%{line | told: []}, "p_roll", 9, <<0, 0, 0xC0, 0x7F>>)
+      assert errors(line) == [{"p_roll", 7}]
+    end
+
+    test "MAVProxy writes names in capitals" do
+      {line, _change, state} = up(:betaflight)
+
+      line =
+        line
+        |> send_mavlink(%M.ParamSet{param_id: "P_PITCH", param_value: 48.0, param_type: 9})
+        |> Line.run(3 * @second)
+
+      assert %{param_id: "p_pitch", param_value: 48} = last(line, "p_pitch")
+      assert <<_::binary-size(3), 48, _::binary>> = state.().blocks[112]
+      capitals = String.upcase(ShortName.of("vbat_warning_cell_voltage"))
+
+      line =
+        line |> send_mavlink(%M.ParamRequestRead{param_id: capitals, param_index: -1}) |> Line.run(@second)
+
+      assert %{param_value: 350} = last(line, "vbat_warning_cell_voltage")
+    end
+
+    test "a threshold whose number on the wire is below its least one is not shown as a large one" do
+      {line, change, _state} = up(:betaflight)
+      change.(fn fc -> put_in(fc.blocks[44], zero(fc.blocks[44], 14)) end)
+      line = read(line, "airmode_start_throttle_percent")
+      assert %{param_value: -100, param_type: 6} = last(line, "airmode_start_throttle_percent")
+    end
+
+    defp zero(bytes, at),
+      do: binary_part(bytes, 0, at) <> <<0, 0>> <> binary_part(bytes, at + 2, byte_size(bytes) - at - 2)
+
+    test "AUTOPILOT_VERSION says so" do
+      for firmware <- [:betaflight, :inav] do
+        {line, _change, _state} = up(firmware)
+        line = line |> Line.handle({:mavlink, command(512, %{param1: 148.0})}) |> Line.run(@second)
+        assert [{_at, %{capabilities: capabilities}} | _] = Line.told(line, M.AutopilotVersion)
+        # MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE, and not _C_CAST
+        assert Bitwise.band(capabilities, 16 + 131_072) == 16
+      end
     end
   end
 

@@ -29,7 +29,7 @@ defmodule Msp.RerunTest do
     |> Line.open(record: true)
     |> Line.run(7 * @second)
     |> mavlink(struct!(M.ParamRequestList, to), 3)
-    |> mavlink(struct!(M.ParamSet, [param_id: name, param_value: 40.0, param_type: 1] ++ to), 1)
+    |> mavlink(struct!(M.ParamSet, [param_id: name, param_value: 40.0, param_type: 9] ++ to), 1)
     |> mavlink(struct!(M.MissionRequestList, to), 1)
     |> mavlink(struct!(M.CommandLong, [command: 241, param5: 1.0] ++ to), 1)
     |> Line.handle({:client, 1, :up})

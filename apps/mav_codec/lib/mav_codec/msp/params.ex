@@ -178,15 +178,20 @@ defmodule MavCodec.Msp.Params do
   def all(:inav, _version), do: for(row <- @inav_rows, do: Map.put(row, :short, ShortName.of(row.name)))
 
   @doc """
-  The full name of a MAVLink name: the same, unless it is the short one of a known parameter.
+  The full name of a MAVLink name: the same, unless it is the short one of a known parameter. MAVProxy writes capitals.
 
       iex> MavCodec.Msp.Params.full(:betaflight, "p_roll")
       "p_roll"
       iex> MavCodec.Msp.Params.full(:betaflight, MavCodec.Msp.ShortName.of("vbat_min_cell_voltage"))
       "vbat_min_cell_voltage"
+      iex> MavCodec.Msp.Params.full(:betaflight, "P_ROLL")
+      "p_roll"
   """
   @spec full(Messages.firmware(), String.t()) :: String.t()
-  def full(firmware, short), do: @names |> Map.fetch!(firmware) |> Map.get(short, short)
+  def full(firmware, short) do
+    names = Map.fetch!(@names, firmware)
+    names[short] || names[String.downcase(short, :ascii)] || short
+  end
 
   @doc "The full names by the short ones, of all versions."
   @spec names(Messages.firmware()) :: %{String.t() => String.t()}

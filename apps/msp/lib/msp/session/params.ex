@@ -9,6 +9,7 @@ defmodule Msp.Session.Params do
   """
   @behaviour Msp.Session.Tasks
 
+  alias MavCodec.Message.ParamValue
   alias MavCodec.Messages, as: M
   alias MavCodec.Msp.Params
   alias Msp.Session
@@ -58,19 +59,23 @@ defmodule Msp.Session.Params do
     end
   end
 
-  defp handle(session, %M.ParamSet{param_id: name, param_value: value}, from) do
-    cond do
-      not is_number(value) ->
-        Answers.error(session, name, nil, :out_of_range, from)
-
-      Armed.early(session) != nil ->
-        session
-        |> Answers.error(name, nil, :denied, from)
-        |> Output.text(@notice, "#{full(session, name)} not set: #{Armed.early(session)}")
-
-      true ->
+  defp handle(session, %M.ParamSet{param_id: name, param_value: wire, param_type: type}, from) do
+    case {Armed.early(session), ParamValue.asked(wire, type, :bytewise)} do
+      {nil, {:ok, value}} ->
         begin(session, %{what: :set, name: full(session, name), value: value, from: from})
+
+      {nil, {:error, why}} ->
+        not_set(session, name, :mismatch, why, from)
+
+      {why, _asked} ->
+        not_set(session, name, :denied, why, from)
     end
+  end
+
+  defp not_set(session, name, code, why, from) do
+    session
+    |> Answers.error(name, nil, code, from)
+    |> Output.text(@notice, "#{full(session, name)} not set: #{why}")
   end
 
   defp read(session, name, from), do: begin(session, %{what: :read, name: full(session, name), from: from})

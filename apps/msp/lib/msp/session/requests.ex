@@ -7,8 +7,8 @@ defmodule Msp.Session.Requests do
   alias Msp.{Modes, Polls, Session}
 
   @custom_version 8
-  # MAV_PROTOCOL_CAPABILITY_: MAVLINK2; MISSION_INT
-  @capabilities %{betaflight: 8192, inav: 8192 + 4}
+  # MAV_PROTOCOL_CAPABILITY_: MAVLINK2 and PARAM_ENCODE_BYTEWISE; MISSION_INT
+  @capabilities %{betaflight: 8192 + 16, inav: 8192 + 16 + 4}
 
   @doc "The message that REQUEST_MESSAGE asks for, and its parameter 2; `:error` for one that is not made on request."
   @spec message(Session.t(), id :: non_neg_integer, index :: non_neg_integer) :: {:ok, [struct]} | :error

@@ -2,7 +2,7 @@ defmodule Aerie.Control.Params.Diff do
   @moduledoc "The differences between two lists of parameters, or between a file and a list."
 
   alias Aerie.Control.Params.{File, Table}
-  alias Aerie.Vehicle.Protocol.ParamValue
+  alias MavCodec.Message.ParamValue
 
   @typedoc """
   Names in their order: `changed` with both values, `only_left` and `only_right` with the value there.

@@ -13,7 +13,7 @@ defmodule Aerie.Control.Params.File do
 
   alias Aerie.Control.Params.File.CommandLine
   alias Aerie.Control.Params.{LongNames, Table}
-  alias Aerie.Vehicle.Protocol.ParamValue
+  alias MavCodec.Message.ParamValue
   alias Aerie.Base.Files.Text
   alias MavCodec.Enums.MavComponent
 

@@ -5,7 +5,7 @@ defmodule Aerie.Control.Params.LongNames do
   """
 
   alias Aerie.Control.Params.{Metadata, Param, Table}
-  alias Aerie.Vehicle.Protocol.ParamValue
+  alias MavCodec.Message.ParamValue
   alias MavCodec.Msp.{Params, ShortName}
 
   @command_line ~r/\A[a-z0-9_]{1,64}\z/

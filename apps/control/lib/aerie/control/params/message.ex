@@ -5,8 +5,9 @@ defmodule Aerie.Control.Params.Message do
   """
 
   alias Aerie.Control.Params.Param
-  alias Aerie.Vehicle.Protocol.{ExtValue, ParamValue}
+  alias Aerie.Vehicle.Protocol.ExtValue
   alias MavCodec.Enums.MavParamError
+  alias MavCodec.Message.ParamValue
   alias MavCodec.Messages, as: M
 
   @type target :: {system :: non_neg_integer(), component :: 0..255}

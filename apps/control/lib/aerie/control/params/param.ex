@@ -4,7 +4,7 @@ defmodule Aerie.Control.Params.Param do
 
   `type` is its MAV_PARAM_TYPE; for a parameter of PARAM_EXT the MAV_PARAM_EXT_TYPE, which has the same numbers and 11 for text or bytes, and
   whose values are those of `Aerie.Vehicle.Protocol.ExtValue`. `exact` is false for an integer that came as a float too large to be exact
-  (`Aerie.Vehicle.Protocol.ParamValue`). `value` is nil if it is not a number on board (NaN, infinite), which `plain/1` remarks. `default` is the firmware's default, nil if the vehicle did not say.
+  (`MavCodec.Message.ParamValue`). `value` is nil if it is not a number on board (NaN, infinite), which `plain/1` remarks. `default` is the firmware's default, nil if the vehicle did not say.
   """
 
   @enforce_keys [:name, :value, :type]

@@ -25,7 +25,7 @@ defmodule Aerie.Control.Params.Responder do
   """
 
   alias Aerie.Control.Params.{FileResponder, Param, Table}
-  alias Aerie.Vehicle.Protocol.ParamValue
+  alias MavCodec.Message.ParamValue
   alias MavCodec.Messages, as: M
 
   @fresh_us 5_000_000

@@ -25,10 +25,12 @@ defmodule Aerie.Control.Policy.Mavlink do
 
   alias Authority
   alias Aerie.Vehicle.Command.{Type, Types}
+  alias Aerie.Vehicle.Protocol
   alias Aerie.Control.Policy.Intent
   alias Aerie.Control.Policy.Mavlink.{Commands, Place, Request, Setpoints, Sticks, Wording}
   alias MavCodec.Enums.{MavCmd, MavFtpOpcode, MavMissionType, MavParamType, MavRemoteLogDataBlockCommands}
   alias MavCodec.Dialects.All
+  alias MavCodec.Message.ParamValue
   alias MavCodec.Messages, as: M
 
   @typedoc "What is known of the vehicle, as its snapshot has it: firmware, kind, its autopilot's component."
@@ -101,6 +103,19 @@ defmodule Aerie.Control.Policy.Mavlink do
 
   defp named(facts, _message), do: facts
 
+  # The number that the firmware takes; an unknown one may take that of the float or that of the bytes.
+  defp asked(%{param_type: @real32, param_value: value}, _autopilot), do: if(is_number(value), do: value)
+
+  defp asked(%{param_type: type, param_value: wire}, autopilot)
+       when autopilot in [:ardupilot, :px4, :betaflight, :inav] do
+    case ParamValue.asked(wire, type, Protocol.of(autopilot).param_encoding()) do
+      {:ok, value} -> value
+      {:error, _why} -> nil
+    end
+  end
+
+  defp asked(_integer, _unknown), do: nil
+
   # PX4 arms with it.
   defp stored?(%{type: "mission_start"}, %{autopilot: :px4}), do: false
 
@@ -119,11 +134,8 @@ defmodule Aerie.Control.Policy.Mavlink do
 
   defp read(%M.SetMode{} = m, vehicle), do: Commands.set_mode(m.base_mode, m.custom_mode, vehicle)
 
-  # PX4 sends the bits of an integer in the place of a float.
-  defp read(%M.ParamSet{param_id: name, param_type: type, param_value: value}, vehicle) do
-    value = if type == @real32 or vehicle.autopilot == :ardupilot, do: value
-    Intent.set_parameters([{name, if(is_number(value), do: value)}])
-  end
+  defp read(%M.ParamSet{param_id: name} = m, vehicle),
+    do: Intent.set_parameters([{name, asked(m, vehicle.autopilot)}])
 
   defp read(%M.ParamExtSet{param_id: name, target_component: component}, vehicle),
     do: Intent.set_extended([name], component, Map.get(vehicle, :component))

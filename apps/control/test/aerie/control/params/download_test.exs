@@ -3,7 +3,7 @@ defmodule Aerie.Control.Params.DownloadTest do
 
   alias Aerie.{Flight, LossyLink, ParamsVehicle}
   alias Aerie.Control.Params.{Download, Table}
-  alias Aerie.Vehicle.Protocol.ParamValue
+  alias MavCodec.Message.ParamValue
   alias MavCodec.Messages, as: M
 
   @deadline 300_000_000

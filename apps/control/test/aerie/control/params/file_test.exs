@@ -2,7 +2,7 @@ defmodule Aerie.Control.Params.FileTest do
   use ExUnit.Case, async: true
 
   alias Aerie.Control.Params.{Diff, File, Param, Table}
-  alias Aerie.Vehicle.Protocol.ParamValue
+  alias MavCodec.Message.ParamValue
 
   @table Table.new([
            %Param{name: "A", value: 5, type: 4},

@@ -2,7 +2,7 @@ defmodule Aerie.Control.Params.ResponderTest do
   use ExUnit.Case, async: true
 
   alias Aerie.Control.Params.{Param, Responder, Table}
-  alias Aerie.Vehicle.Protocol.ParamValue
+  alias MavCodec.Message.ParamValue
   alias MavCodec.Ftp.Packet
   alias MavCodec.Messages, as: M
 

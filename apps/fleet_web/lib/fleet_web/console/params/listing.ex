@@ -3,8 +3,8 @@ defmodule FleetWeb.Console.Params.Listing do
 
   alias Aerie.Control.Params.{File, Metadata, Param, Table}
   alias Aerie.Control.Policy.Protection
-  alias Aerie.Vehicle.Protocol.ParamValue
   alias Aerie.Vehicle.Snapshot
+  alias MavCodec.Message.ParamValue
   alias MavCodec.Enums.MavParamType
 
   @max 200

@@ -69,7 +69,7 @@ defmodule FleetWeb.Console.Params.ListingTest do
     for float <- [0.1, 1.0e-7, 123.456, -2.5],
         do:
           assert(
-            float |> Aerie.Vehicle.Protocol.ParamValue.float32() |> Listing.text() |> Listing.number() ==
+            float |> MavCodec.Message.ParamValue.float32() |> Listing.text() |> Listing.number() ==
               {:ok, float}
           )
   end

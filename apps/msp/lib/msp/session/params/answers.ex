@@ -1,20 +1,30 @@
 defmodule Msp.Session.Params.Answers do
   @moduledoc "What a client is told of a parameter: PARAM_VALUE, PARAM_ERROR, and texts."
 
+  alias MavCodec.Message.ParamValue
   alias MavCodec.Messages, as: M
   alias MavCodec.Msp.ShortName
   alias Msp.Session
   alias Msp.Session.{Output, Tasks}
 
-  # MAV_PARAM_TYPE
-  @types %{u8: 1, i8: 2, u16: 3, i16: 4, u32: 5, f32: 9}
+  # MAV_PARAM_TYPE: INT32, UINT32, REAL32
+  @types %{integer: 6, unsigned: 5, float: 9}
   # MAV_PARAM_ERROR
-  @errors %{unknown: 1, out_of_range: 2, denied: 3}
+  @errors %{unknown: 1, out_of_range: 2, denied: 3, mismatch: 7}
   @no_index 65_535
   @notice 5
 
-  @type type :: :u8 | :i8 | :u16 | :i16 | :u32 | :f32
-  @type error :: :unknown | :out_of_range | :denied
+  @type type :: :integer | :unsigned | :float
+  @type error :: :unknown | :out_of_range | :denied | :mismatch
+
+  @doc """
+  The type of a parameter, by that of the flight controller and its highest value. As with PX4 all integers have 32 bits, because MAVSDK lists no unsigned ones
+  (P2); those that may be too large for that are unsigned.
+  """
+  @spec type(:u8 | :i8 | :u16 | :i16 | :u32 | :f32, high :: number | nil) :: type
+  def type(:f32, _high), do: :float
+  def type(:u32, high) when high == nil or high > 0x7FFFFFFF, do: :unsigned
+  def type(_integer, _high), do: :integer
 
   @doc "The value of the task's parameter, which ends it."
   @spec report(Session.t(), Tasks.t(), number, type) :: Session.t()
@@ -24,16 +34,19 @@ defmodule Msp.Session.Params.Answers do
     session |> Tasks.done(task) |> Output.emit(value(task.name, value, type, index, length(params)))
   end
 
-  @doc "A parameter of a list."
+  @doc "A parameter of a list. Integers are bytes, as ground stations read them from every autopilot but ArduPilot (P2)."
   @spec value(String.t(), number, type, 0..65_535, non_neg_integer) :: M.ParamValue.t()
-  def value(name, value, type, index, count),
-    do: %M.ParamValue{
+  def value(name, value, type, index, count) do
+    {:ok, wire} = ParamValue.encode(value, @types[type], :bytewise)
+
+    %M.ParamValue{
       param_id: ShortName.of(name),
-      param_value: value * 1.0,
+      param_value: wire,
       param_type: @types[type],
       param_count: count,
       param_index: index
     }
+  end
 
   @doc "The task cannot be done."
   @spec refuse(Session.t(), Tasks.t(), error, String.t()) :: Session.t()

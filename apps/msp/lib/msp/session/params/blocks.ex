@@ -29,7 +29,7 @@ defmodule Msp.Session.Params.Blocks do
   def answer(session, %{stage: :before, param: param} = task, {:ok, values}) do
     case values[param.field] do
       nil -> Answers.refuse(session, task, :unknown, "this build does not have it")
-      number when task.what == :read -> Answers.report(session, task, value(param, number), type(param))
+      number when task.what == :read -> Answers.report(session, task, value(param, number), told(param))
       _number -> write(session, task, values)
     end
   end
@@ -43,7 +43,7 @@ defmodule Msp.Session.Params.Blocks do
         do: session,
         else: Output.text(session, @notice, "#{task.name}: its block is not as it was written")
 
-    session |> Answers.changed() |> Answers.report(task, value(param, values[param.field] || 0), type(param))
+    session |> Answers.changed() |> Answers.report(task, value(param, values[param.field] || 0), told(param))
   end
 
   def answer(session, %{stage: :before} = task, :refused),
@@ -91,9 +91,11 @@ defmodule Msp.Session.Params.Blocks do
   def value(%{base: 0, step: 1}, number), do: number
   def value(param, number), do: div(number - param.base, param.step)
 
-  @doc "The type of its field."
-  @spec type(Params.t()) :: Answers.type()
-  def type(param) do
+  @doc "The type that clients are told."
+  @spec told(Params.t()) :: Answers.type()
+  def told(param), do: Answers.type(type(param), param.high)
+
+  defp type(param) do
     {:ok, block} = Messages.fetch(:betaflight, param.block)
 
     Enum.find_value(block.reply, fn field ->

@@ -34,10 +34,10 @@ defmodule Msp.Session.Params.Lines do
   def answer(session, %{line: line} = task, {:ok, reply}) do
     case Line.value(line, task.name, reply[:line] || "") do
       {:ok, value} when task.stage == :check ->
-        session |> Answers.changed() |> Answers.report(task, value, line.type)
+        session |> Answers.changed() |> Answers.report(task, value, told(line))
 
       {:ok, value} ->
-        Answers.report(session, task, value, line.type)
+        Answers.report(session, task, value, told(line))
 
       :error ->
         Answers.refuse(session, task, :unknown, "the firmware answers with something else")
@@ -62,6 +62,10 @@ defmodule Msp.Session.Params.Lines do
       {:error, why} -> Answers.refuse(session, task, :out_of_range, why)
     end
   end
+
+  @doc "The type that clients are told."
+  @spec told(Line.t()) :: Answers.type()
+  def told(line), do: Answers.type(line.type, line.high)
 
   @doc "What the answer to `Line.info/2` says, with those before it; `{:more, changes}` of the task if its text goes on."
   @spec described(Tasks.t(), map) :: {:ok, Line.t()} | {:more, map} | :text | :error

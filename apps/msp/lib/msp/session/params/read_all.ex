@@ -1,7 +1,7 @@
 defmodule Msp.Session.Params.ReadAll do
   @moduledoc """
   All parameters of a vehicle, in the turns that no poll needs: Betaflight's blocks, each once, then what it has by name only; iNav's settings by their
-  numbers.
+  numbers. Those of a list that was read before are told one by one, as its reading takes longer than clients wait; MAVSDK ends by an abort if it asks again and gets two.
   """
 
   alias MavCodec.Msp.Params
@@ -18,13 +18,14 @@ defmodule Msp.Session.Params.ReadAll do
     {fields, named} = session |> rows() |> Enum.split_with(& &1.block)
     [first | blocks] = fields |> Enum.map(& &1.block) |> Enum.uniq()
     names = for row <- named, do: row.name
-    Map.merge(task(tell), %{ask: {first, %{}}, blocks: blocks, names: names, read: []})
+    Map.merge(task(session, tell), %{ask: {first, %{}}, blocks: blocks, names: names, read: []})
   end
 
-  def first(_inav, tell),
-    do: Map.merge(task(tell), %{ask: {"MSP2_COMMON_PG_LIST", %{}}, count: nil, at: 0})
+  def first(session, tell),
+    do: Map.merge(task(session, tell), %{ask: {"MSP2_COMMON_PG_LIST", %{}}, count: nil, at: 0})
 
-  defp task(tell), do: %{by: __MODULE__, what: :list, tell: tell, bulk: true, got: []}
+  defp task(session, tell),
+    do: %{by: __MODULE__, what: :list, tell: tell, live: tell and session.params != nil, bulk: true, got: []}
 
   defp rows(session), do: Params.all(:betaflight, session.identity.version)
 
@@ -36,7 +37,7 @@ defmodule Msp.Session.Params.ReadAll do
 
     case blocks do
       [next | rest] -> Tasks.ask_next(session, task, %{ask: {next, %{}}, blocks: rest, read: read})
-      [] -> named(session, %{task | blocks: nil, read: [], got: Enum.reverse(values(session, Map.new(read)))})
+      [] -> values(session, %{task | blocks: nil, read: []}, Map.new(read))
     end
   end
 
@@ -50,7 +51,7 @@ defmodule Msp.Session.Params.ReadAll do
 
   def answer(session, %{names: _names, line: line} = task, {:ok, reply}) do
     case Line.value(line, task.name, reply[:line] || "") do
-      {:ok, value} -> named(session, %{task | got: [{task.name, value, line.type} | task.got]})
+      {:ok, value} -> session |> got(task, {task.name, value, Lines.told(line)}) |> named()
       :error -> named(session, task)
     end
   end
@@ -66,24 +67,37 @@ defmodule Msp.Session.Params.ReadAll do
   def answer(session, %{count: nil} = task, _no_list), do: complete(session, task)
 
   def answer(session, task, answer) do
-    got =
+    {session, task} =
       with {:ok, values} <- answer, {:ok, setting} <- Setting.read(values) do
-        [{setting.name, setting.value, setting.type} | task.got]
+        got(session, task, {setting.name, setting.value, Settings.told(setting)})
       else
-        _text_or_nothing -> task.got
+        _text_or_nothing -> {session, task}
       end
 
     if task.at + 1 < task.count,
-      do: Tasks.ask_next(session, task, %{ask: Settings.info(task.at + 1), at: task.at + 1, got: got}),
-      else: complete(session, %{task | got: got})
+      do: Tasks.ask_next(session, task, %{ask: Settings.info(task.at + 1), at: task.at + 1}),
+      else: complete(session, task)
   end
 
-  defp values(session, blocks) do
-    for param <- rows(session),
-        param.block,
-        number = blocks[param.block][param.field],
-        do: {param.name, Blocks.value(param, number), Blocks.type(param)}
+  defp values(session, task, blocks) do
+    values =
+      for param <- rows(session),
+          param.block,
+          number = blocks[param.block][param.field],
+          do: {param.name, Blocks.value(param, number), Blocks.told(param)}
+
+    values
+    |> Enum.reduce({session, task}, fn value, {session, task} -> got(session, task, value) end)
+    |> named()
   end
+
+  defp got(session, task, {name, value, type} = param) do
+    index = task.live && Enum.find_index(session.params, &(&1 == name))
+    told = if index, do: [Answers.value(name, value, type, index, length(session.params))], else: []
+    {Output.emit(session, told), %{task | got: [param | task.got]}}
+  end
+
+  defp named({session, task}), do: named(session, task)
 
   defp named(session, %{names: []} = task), do: complete(session, task)
 
@@ -91,14 +105,16 @@ defmodule Msp.Session.Params.ReadAll do
     Tasks.ask_next(session, task, %{names: names, name: name, text: "", line: nil, ask: Line.info(name, 0)})
   end
 
-  defp complete(session, %{got: got, tell: tell} = task) do
+  defp complete(session, %{got: got, tell: tell, live: live} = task) do
     params = Enum.reverse(got)
-    session = Tasks.done(%{session | params: Enum.map(params, &elem(&1, 0))}, task)
+    names = Enum.map(params, &elem(&1, 0))
+    told? = live and names == session.params
+    session = Tasks.done(%{session | params: names}, task)
     count = length(params)
 
     messages =
       for {{name, value, type}, index} <- Enum.with_index(params),
-          tell,
+          tell and not told?,
           do: Answers.value(name, value, type, index, count)
 
     Output.emit(session, messages)

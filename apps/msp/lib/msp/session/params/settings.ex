@@ -14,11 +14,15 @@ defmodule Msp.Session.Params.Settings do
   @spec info(String.t() | non_neg_integer) :: {String.t(), map}
   def info(name), do: {"MSP2_COMMON_SETTING_INFO", %{name_or_index: Setting.request(name)}}
 
+  @doc "The type that clients are told."
+  @spec told(Setting.t()) :: Answers.type()
+  def told(setting), do: Answers.type(setting.type, setting.high)
+
   @doc "The answer to a request of the task."
   @spec answer(Session.t(), Tasks.t(), Tasks.answer()) :: Session.t()
   def answer(session, %{stage: :before} = task, {:ok, values}) do
     case {task.what, Setting.read(values)} do
-      {:read, {:ok, setting}} -> Answers.report(session, task, setting.value, setting.type)
+      {:read, {:ok, setting}} -> Answers.report(session, task, setting.value, told(setting))
       {:set, {:ok, setting}} -> write(session, task, setting)
       _text -> Answers.refuse(session, task, :unknown, "it is text, which MAVLink's parameters cannot be")
     end
@@ -29,7 +33,7 @@ defmodule Msp.Session.Params.Settings do
 
   def answer(session, %{stage: :check} = task, {:ok, values}) do
     case Setting.read(values) do
-      {:ok, setting} -> session |> Answers.changed() |> Answers.report(task, setting.value, setting.type)
+      {:ok, setting} -> session |> Answers.changed() |> Answers.report(task, setting.value, told(setting))
       _unreadable -> Tasks.done(session, task)
     end
   end

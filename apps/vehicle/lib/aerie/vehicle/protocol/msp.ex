@@ -121,7 +121,7 @@ defmodule Aerie.Vehicle.Protocol.Msp do
   defp lacks_mode(which, _vehicle), do: {:gap, "this firmware has no mode #{which}"}
 
   @impl true
-  def param_encoding, do: :c_cast
+  def param_encoding, do: :bytewise
 
   # There are no set-points yet.
   @impl true

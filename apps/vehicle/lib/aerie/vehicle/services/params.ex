@@ -1,11 +1,11 @@
 defmodule Aerie.Vehicle.Services.Params do
   @moduledoc """
-  Reads PARAM_VALUE. The field for the value is always a float: PX4 puts the bytes of an integer there, ArduPilot converts the
-  number (P2). The capability flags are not reliable, so the autopilot decides.
+  Reads PARAM_VALUE. The field for the value is always a float: ArduPilot converts the number of an integer, others put its bytes
+  there (P2). The capability flags are not reliable, so the autopilot decides.
   """
 
   alias Aerie.Vehicle.Protocol
-  alias Aerie.Vehicle.Protocol.ParamValue
+  alias MavCodec.Message.ParamValue
   alias MavCodec.Messages, as: M
 
   @type value :: {name :: String.t(), number(), index :: non_neg_integer() | nil}

@@ -5,6 +5,7 @@ defmodule Aerie.Control.Policy.FlightPath.ShapingTest do
   alias Aerie.Control.Policy
   alias Aerie.Control.Policy.{Context, Intent, Mavlink, Protection}
   alias Authority.Shaping
+  alias MavCodec.Message.Value
   alias MavCodec.Messages, as: M
 
   @fence """
@@ -91,8 +92,17 @@ defmodule Aerie.Control.Policy.FlightPath.ShapingTest do
     end
 
     px4 = %{autopilot: :px4, vehicle_type: "plane"}
-    bits = Mavlink.facts(%M.ParamSet{param_id: "RTL_RETURN_ALT", param_value: 1.0e-44, param_type: 6}, px4)
+    # An unknown firmware may take the number of the float, which is 0, or its bytes, which are 7.
+    asked = %M.ParamSet{param_id: "RTL_RETURN_ALT", param_value: 1.0e-44, param_type: 6}
+    bits = Mavlink.facts(asked, %{px4 | autopilot: :generic})
     assert {:deny, :role, _} = decide(policy(%{max_altitude: 60}), bits)
+    # The others take what is judged.
+    assert [{_name, 7}] = Mavlink.facts(asked, px4).sets
+    assert [{_name, 1.0e-44}] = Mavlink.facts(asked, %{px4 | autopilot: :ardupilot}).sets
+    assert [{_name, 7}] = Mavlink.facts(asked, %{px4 | autopilot: :betaflight}).sets
+    too_high = %{asked | param_value: Value.float32(61)}
+    assert {:deny, :role, _} = decide(policy(%{max_altitude: 60}), Mavlink.facts(too_high, px4))
+    assert decide(policy(%{max_altitude: 60}), Mavlink.facts(asked, px4)) == :allow
     nan = Mavlink.facts(%M.ParamSet{param_id: "RTL_RETURN_ALT", param_value: :nan, param_type: 9}, px4)
     assert {:deny, :role, _} = decide(policy(%{max_altitude: 60}), nan)
 

@@ -1,7 +1,7 @@
-defmodule Aerie.Vehicle.Protocol.ParamValueTest do
+defmodule MavCodec.Message.ParamValueTest do
   use ExUnit.Case, async: true
 
-  alias Aerie.Vehicle.Protocol.ParamValue
+  alias MavCodec.Message.ParamValue
 
   test "what is encoded is decoded, in both ways (P2)" do
     property =
@@ -36,6 +36,31 @@ defmodule Aerie.Vehicle.Protocol.ParamValueTest do
     assert ParamValue.decode(:nan, 6, :bytewise) == {:ok, 0x7FC00000, true}
     assert ParamValue.encode(-1, 6, :bytewise) == {:ok, {:nan, 0xFFFFFFFF}}
     assert ParamValue.decode(:nan, 9, :c_cast) == :error
+  end
+
+  test "what a PARAM_SET asks for is what was encoded, and a number in its bytes' place is never taken for another one" do
+    property =
+      :proper.forall(typed(), fn {type, value, encoding} ->
+        with {:ok, wire} <- ParamValue.encode(value, type, encoding) do
+          own = ParamValue.asked(wire, type, encoding)
+          # An integer of 32 bits may look like a number; none that a vehicle has is so large.
+          own == {:ok, if(encoding == :c_cast, do: value * 1.0, else: value)} or
+            (type == 6 and encoding == :bytewise and abs(value) > 0x2000_0000 and match?({:error, _}, own))
+        else
+          {:error, _too_large} -> true
+        end
+      end)
+
+    assert :proper.quickcheck(property, [:quiet, numtests: 2000]) == true, inspect(:proper.counterexample())
+
+    for {value, type} <- [{1, 1}, {-128, 2}, {1001, 3}, {-7, 4}, {47, 6}, {-16_777_216, 6}],
+        do: assert({:error, "it has an integer's type" <> _} = ParamValue.asked(value * 1.0, type, :bytewise))
+
+    assert ParamValue.asked(47.0, 9, :bytewise) == {:ok, 47.0}
+    assert ParamValue.asked(47.0, 1, :c_cast) == {:ok, 47.0}
+    assert {:error, _nan} = ParamValue.asked(:nan, 9, :bytewise)
+    # The bits of an unsigned integer may be those of any float.
+    assert ParamValue.asked(47.0, 5, :bytewise) == {:ok, 0x423C0000}
   end
 
   test "an integer above 2^24 loses bits as a float: it is not sent changed, and is marked when it is read" do

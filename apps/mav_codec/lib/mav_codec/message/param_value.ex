@@ -1,10 +1,11 @@
-defmodule Aerie.Vehicle.Protocol.ParamValue do
+defmodule MavCodec.Message.ParamValue do
   @moduledoc """
   The value of a parameter and the float that PARAM_VALUE and PARAM_SET carry (P2).
 
   PX4 puts the bytes of an integer into the float (`:bytewise`), ArduPilot converts the number (`:c_cast`); the firmware's
-  `Aerie.Vehicle.Protocol` adapter says which. A float has 24 bits for a number, so the conversion can change integers from
-  2^24 (16,777,216) on: such a value is marked as not exact when it is read, and refused when it would be changed on sending.
+  `Aerie.Vehicle.Protocol` adapter says which. Ground stations take the bytes from every autopilot but ArduPilot. A float has 24
+  bits for a number, so the conversion can change integers from 2^24 (16,777,216) on: such a value is marked as not exact when it
+  is read, and refused when it would be changed on sending.
   """
 
   alias MavCodec.Message.Value
@@ -18,6 +19,8 @@ defmodule Aerie.Vehicle.Protocol.ParamValue do
     6 => {-0x80000000, 0x7FFFFFFF}
   }
   @integers Map.keys(@ranges)
+  @bits %{1 => 8, 2 => 8, 3 => 16, 4 => 16, 5 => 32, 6 => 32}
+  @uint32 5
   @real32 9
   @exact_limit 0x1000000
 
@@ -37,6 +40,33 @@ defmodule Aerie.Vehicle.Protocol.ParamValue do
   def decode(wire, _type, _encoding) when is_float(wire), do: {:ok, wire, true}
   def decode(_wire, _type, _encoding), do: :error
 
+  @doc """
+  The number that a PARAM_SET asks for, or why that is not known. With `:c_cast` the float is the number, whatever the type says.
+
+  With `:bytewise` an integer type has bytes, and REAL32 a number, which also sets an integer. Bytes that make the float a whole number are an error, unless they
+  may be an unsigned integer of 32 bits: somebody converted the number, or, with 8 or 16 bits, the other bytes are what was in memory, as older ones of
+  QGroundControl send them.
+  """
+  @spec asked(wire(), type :: integer(), encoding()) :: {:ok, number()} | {:error, String.t()}
+  def asked(wire, type, :bytewise) when type in @integers do
+    {:ok, value, _exact?} = decode(wire, type, :bytewise)
+
+    if type != @uint32 and number?(wire, type) and wire != value,
+      do:
+        {:error, "it has an integer's type, and its float is a number: send the integer's bytes, or REAL32"},
+      else: {:ok, value}
+  end
+
+  def asked(wire, _type, _encoding) when is_float(wire), do: {:ok, wire}
+  def asked(_wire, _type, _encoding), do: {:error, "it is not a number"}
+
+  defp number?(wire, type) when is_float(wire) do
+    {low, high} = @ranges[type]
+    abs(wire) >= 1 and abs(wire) <= @exact_limit and wire == trunc(wire) and wire >= low and wire <= high
+  end
+
+  defp number?(_special, _type), do: false
+
   @doc "The float for a value, or an error that says why the value cannot be sent unchanged."
   @spec encode(number(), type :: integer(), encoding()) :: {:ok, wire()} | {:error, String.t()}
   def encode(value, type, encoding) when type in @integers do
@@ -50,7 +80,8 @@ defmodule Aerie.Vehicle.Protocol.ParamValue do
         {:error, "expected #{lowest} to #{highest}, got #{trunc(value)}"}
 
       encoding == :bytewise ->
-        <<bits::32>> = <<trunc(value)::32>>
+        size = @bits[type]
+        <<bits::32>> = <<0::size(32 - size), trunc(value)::size(size)>>
         {:ok, Value.float32(bits)}
 
       trunc(float32(value)) != trunc(value) ->

@@ -1,5 +1,5 @@
 defmodule Aerie.System.MspParamsTest do
-  @moduledoc "Parameters of simulated Betaflight and iNav in ground stations: what they show is aboard, and what they set."
+  @moduledoc "What ground stations show of the parameters of simulated Betaflight and iNav, and what they set."
   use Aerie.SystemCase, async: true
 
   import Aerie.PeerCase, only: [findings: 1, start_peer: 2]

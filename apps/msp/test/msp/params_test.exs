@@ -358,7 +358,7 @@ defmodule Msp.ParamsTest do
       assert %{param_type: 9} = last(line, "pitot_scale")
     end
 
-    test "a list that was read before is told as it is read, each once: a client that waits in vain asks again" do
+    test "a list that was read before is reported as it is read, each once: a client that waits in vain asks again" do
       {line, _change, _state} = up(:inav, 20)
       line = %{list(line) | told: []}
       line = line |> send_mavlink(%M.ParamRequestList{}) |> Line.run(@second)
@@ -439,7 +439,7 @@ defmodule Msp.ParamsTest do
       end
     end
 
-    test "a script's number is set as REAL32; with an integer's type it is refused, as it may be what an old QGroundControl has for 0" do
+    test "a script's number is set as REAL32; with an integer's type it is refused: an old QGroundControl may mean 0" do
       {line, _change, state} = up(:betaflight)
       line = set(line, "p_roll", 47)
       assert %{param_value: 47} = last(line, "p_roll")

@@ -2,10 +2,10 @@ defmodule MavCodec.Message.ParamValue do
   @moduledoc """
   The value of a parameter and the float that PARAM_VALUE and PARAM_SET carry (P2).
 
-  PX4 puts the bytes of an integer into the float (`:bytewise`), ArduPilot converts the number (`:c_cast`); the firmware's
-  `Aerie.Vehicle.Protocol` adapter says which. Ground stations take the bytes from every autopilot but ArduPilot. A float has 24
-  bits for a number, so the conversion can change integers from 2^24 (16,777,216) on: such a value is marked as not exact when it
-  is read, and refused when it would be changed on sending.
+  PX4, Betaflight and iNav put the bytes of an integer into the float (`:bytewise`), ArduPilot converts the number
+  (`:c_cast`). Ground stations take the bytes from every autopilot but ArduPilot. A float has 24 bits for a number, so
+  the conversion can change integers from 2^24 (16,777,216) on: such a value is marked as not exact when it is read,
+  and refused when it would be changed on sending.
   """
 
   alias MavCodec.Message.Value
@@ -41,11 +41,12 @@ defmodule MavCodec.Message.ParamValue do
   def decode(_wire, _type, _encoding), do: :error
 
   @doc """
-  The number that a PARAM_SET asks for, or why that is not known. With `:c_cast` the float is the number, whatever the type says.
+  The number that a PARAM_SET asks for, or why that is not known. With `:c_cast` the float is the number, whatever the
+  type says.
 
-  With `:bytewise` an integer type has bytes, and REAL32 a number, which also sets an integer. Bytes that make the float a whole number are an error, unless they
-  may be an unsigned integer of 32 bits: somebody converted the number, or, with 8 or 16 bits, the other bytes are what was in memory, as older ones of
-  QGroundControl send them.
+  With `:bytewise` an integer type has bytes, and REAL32 a number, which also sets an integer. Bytes that make the float
+  a whole number are an error, unless they may be an unsigned integer of 32 bits: somebody converted the number, or,
+  with 8 or 16 bits, the other bytes are what was in memory, as older ones of QGroundControl send them.
   """
   @spec asked(wire(), type :: integer(), encoding()) :: {:ok, number()} | {:error, String.t()}
   def asked(wire, type, :bytewise) when type in @integers do
@@ -86,7 +87,8 @@ defmodule MavCodec.Message.ParamValue do
 
       trunc(float32(value)) != trunc(value) ->
         {:error,
-         "#{trunc(value)} would become #{trunc(float32(value))}: this firmware takes integers as floats, which have 24 bits"}
+         "#{trunc(value)} would become #{trunc(float32(value))}: " <>
+           "this firmware takes integers as floats, which have 24 bits"}
 
       true ->
         {:ok, value * 1.0}
@@ -122,10 +124,6 @@ defmodule MavCodec.Message.ParamValue do
   @doc "Lowest and highest value of an integer type, nil for floats."
   @spec range(integer()) :: {integer(), integer()} | nil
   def range(type), do: @ranges[type]
-
-  @doc "Whether a name can be one (P1). PX4 has sent random memory as names."
-  @spec name?(term()) :: boolean()
-  defdelegate name?(name), to: MavCodec.PackedParams
 
   defp integer(<<_::24, value::unsigned-8>>, 1), do: value
   defp integer(<<_::24, value::signed-8>>, 2), do: value

@@ -38,7 +38,7 @@ defmodule MavCodec.Message.ParamValueTest do
     assert ParamValue.decode(:nan, 9, :c_cast) == :error
   end
 
-  test "what a PARAM_SET asks for is what was encoded, and a number in its bytes' place is never taken for another one" do
+  test "what a PARAM_SET asks for is what was encoded, and never another number" do
     property =
       :proper.forall(typed(), fn {type, value, encoding} ->
         with {:ok, wire} <- ParamValue.encode(value, type, encoding) do

@@ -5,15 +5,15 @@ defmodule Aerie.Control.Params.LongNames do
   """
 
   alias Aerie.Control.Params.{Metadata, Param, Table}
-  alias MavCodec.Message.ParamValue
   alias MavCodec.Msp.{Params, ShortName}
+  alias MavCodec.PackedParams
 
   @command_line ~r/\A[a-z0-9_]{1,64}\z/
   @msp [:betaflight, :inav]
 
   @doc "Whether this can be the name of a parameter: one of MAVLink, or a longer one of a command line, which has small letters, digits and `_`."
   @spec name?(term()) :: boolean()
-  def name?(name), do: ParamValue.name?(name) or (is_binary(name) and name =~ @command_line)
+  def name?(name), do: PackedParams.name?(name) or (is_binary(name) and name =~ @command_line)
 
   @doc "The name as MAVLink has it."
   @spec wire(String.t()) :: String.t()

@@ -9,6 +9,7 @@ defmodule Aerie.Control.Params.Message do
   alias MavCodec.Enums.MavParamError
   alias MavCodec.Message.ParamValue
   alias MavCodec.Messages, as: M
+  alias MavCodec.PackedParams
 
   @type target :: {system :: non_neg_integer(), component :: 0..255}
   @type encoding :: ParamValue.encoding() | :extended
@@ -73,7 +74,7 @@ defmodule Aerie.Control.Params.Message do
   def value(%module{} = m, encoding) do
     cond do
       module != module(:value, encoding) -> :other
-      not ParamValue.name?(m.param_id) -> :garbage
+      not PackedParams.name?(m.param_id) -> :garbage
       true -> {:ok, param(m, encoding)}
     end
   end

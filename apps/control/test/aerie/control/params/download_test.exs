@@ -3,7 +3,6 @@ defmodule Aerie.Control.Params.DownloadTest do
 
   alias Aerie.{Flight, LossyLink, ParamsVehicle}
   alias Aerie.Control.Params.{Download, Table}
-  alias MavCodec.Message.ParamValue
   alias MavCodec.Messages, as: M
 
   @deadline 300_000_000
@@ -256,7 +255,7 @@ defmodule Aerie.Control.Params.DownloadTest do
   end
 
   test "a name is 1 to 16 printable characters (P1)" do
-    assert ParamValue.name?("ABCDEFGHIJKLMNOP")
-    for bad <- ["", "ABCDEFGHIJKLMNOPQ", "A B", <<255>>, nil], do: refute(ParamValue.name?(bad))
+    assert MavCodec.PackedParams.name?("ABCDEFGHIJKLMNOP")
+    for bad <- ["", "ABCDEFGHIJKLMNOPQ", "A B", <<255>>, nil], do: refute(MavCodec.PackedParams.name?(bad))
   end
 end

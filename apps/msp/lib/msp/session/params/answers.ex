@@ -18,8 +18,8 @@ defmodule Msp.Session.Params.Answers do
   @type error :: :unknown | :out_of_range | :denied | :mismatch
 
   @doc """
-  The type of a parameter, by that of the flight controller and its highest value. As with PX4 all integers have 32 bits, because MAVSDK lists no unsigned ones
-  (P2); those that may be too large for that are unsigned.
+  The type of a parameter, by that of the flight controller and its highest value. As with PX4 all integers have 32
+  bits, because MAVSDK lists no unsigned ones (P2); those that may be too large for that are unsigned.
   """
   @spec type(:u8 | :i8 | :u16 | :i16 | :u32 | :f32, high :: number | nil) :: type
   def type(:f32, _high), do: :float
@@ -34,7 +34,7 @@ defmodule Msp.Session.Params.Answers do
     session |> Tasks.done(task) |> Output.emit(value(task.name, value, type, index, length(params)))
   end
 
-  @doc "A parameter of a list. Integers are bytes, as ground stations read them from every autopilot but ArduPilot (P2)."
+  @doc "A parameter of a list; integers are bytes (P2)."
   @spec value(String.t(), number, type, 0..65_535, non_neg_integer) :: M.ParamValue.t()
   def value(name, value, type, index, count) do
     {:ok, wire} = ParamValue.encode(value, @types[type], :bytewise)

@@ -91,7 +91,7 @@ defmodule Msp.Session.Params.Blocks do
   def value(%{base: 0, step: 1}, number), do: number
   def value(param, number), do: div(number - param.base, param.step)
 
-  @doc "The type that clients are told."
+  @doc "The type by which clients get it."
   @spec told(Params.t()) :: Answers.type()
   def told(param), do: Answers.type(type(param), param.high)
 

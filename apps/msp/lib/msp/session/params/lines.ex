@@ -63,7 +63,7 @@ defmodule Msp.Session.Params.Lines do
     end
   end
 
-  @doc "The type that clients are told."
+  @doc "The type by which clients get it."
   @spec told(Line.t()) :: Answers.type()
   def told(line), do: Answers.type(line.type, line.high)
 

@@ -1,7 +1,8 @@
 defmodule Msp.Session.Params.ReadAll do
   @moduledoc """
-  All parameters of a vehicle, in the turns that no poll needs: Betaflight's blocks, each once, then what it has by name only; iNav's settings by their
-  numbers. Those of a list that was read before are told one by one, as its reading takes longer than clients wait; MAVSDK ends by an abort if it asks again and gets two.
+  All parameters of a vehicle, in the turns that no poll needs: Betaflight's blocks, each once, then what it has by name
+  only; iNav's settings by their numbers. Those of a list that was read before are reported one by one: reading takes
+  longer than clients wait, and MAVSDK aborts if it asks again and gets two lists.
   """
 
   alias MavCodec.Msp.Params

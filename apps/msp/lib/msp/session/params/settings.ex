@@ -14,7 +14,7 @@ defmodule Msp.Session.Params.Settings do
   @spec info(String.t() | non_neg_integer) :: {String.t(), map}
   def info(name), do: {"MSP2_COMMON_SETTING_INFO", %{name_or_index: Setting.request(name)}}
 
-  @doc "The type that clients are told."
+  @doc "The type by which clients get it."
   @spec told(Setting.t()) :: Answers.type()
   def told(setting), do: Answers.type(setting.type, setting.high)
 

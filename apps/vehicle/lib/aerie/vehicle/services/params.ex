@@ -7,6 +7,7 @@ defmodule Aerie.Vehicle.Services.Params do
   alias Aerie.Vehicle.Protocol
   alias MavCodec.Message.ParamValue
   alias MavCodec.Messages, as: M
+  alias MavCodec.PackedParams
 
   @type value :: {name :: String.t(), number(), index :: non_neg_integer() | nil}
 
@@ -38,7 +39,7 @@ defmodule Aerie.Vehicle.Services.Params do
 
   defp whole(name, _autopilot), do: name
 
-  defp name?(name), do: ParamValue.name?(name) and not String.starts_with?(name, @counters)
+  defp name?(name), do: PackedParams.name?(name) and not String.starts_with?(name, @counters)
 
   defp encoding(autopilot), do: Protocol.of(autopilot).param_encoding()
 end

@@ -36,6 +36,9 @@ defmodule FleetWeb.ChangesTest do
       set_role:
         {fn -> Users.set_role(gateway, "ann", "operator", @by) end,
          %{"role" => "operator", "before" => "viewer"}},
+      set_permissions:
+        {fn -> Users.set_permissions(gateway, "ann", ["receiver"], @by) end,
+         %{"action" => "permissions", "permissions" => ["receiver"], "before" => []}},
       set_password:
         {fn -> Users.set_password(gateway, "ann", "another-password", @by) end, %{"action" => "password"}},
       remove: {fn -> Users.remove(gateway, "ann", @by) end, %{"action" => "remove", "before" => "operator"}}
@@ -47,7 +50,7 @@ defmodule FleetWeb.ChangesTest do
 
     assert names(Users) -- reads == Enum.sort(Map.keys(changes))
 
-    for {name, n} <- Enum.with_index([:add, :set_role, :set_password, :remove], 1) do
+    for {name, n} <- Enum.with_index([:add, :set_role, :set_permissions, :set_password, :remove], 1) do
       {change, said} = changes[name]
       assert :ok = change.()
       record = dir |> recorded("user", n) |> List.last()
@@ -56,7 +59,7 @@ defmodule FleetWeb.ChangesTest do
     end
 
     assert {:error, _none} = Users.remove(gateway, "ann", @by)
-    assert length(records(dir, "user")) == 4
+    assert length(records(dir, "user")) == 5
     refute text(dir) =~ "password-of-ann"
     refute text(dir) =~ "pbkdf2"
   end

@@ -25,7 +25,9 @@ defmodule Aerie.CLI.Subcommand.User do
     do: done(fn -> Users.remove(:default, name, "aerie") end, "removed #{name}")
 
   def run(%{name: "user list"}),
-    do: {0, Columns.render(~w(NAME ROLE), for(user <- Users.list(:default), do: [user.name, user.role]))}
+    do: {0, Columns.render(~w(NAME ROLE PERMISSIONS), for(user <- Users.list(:default), do: shown(user)))}
+
+  defp shown(user), do: [user.name, user.role, Enum.join(user.permissions, ", ")]
 
   defp done(fun, text) do
     with :ok <- fun.(), do: {0, text <> "\n"}

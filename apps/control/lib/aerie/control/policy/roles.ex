@@ -60,11 +60,40 @@ defmodule Aerie.Control.Policy.Roles do
   def guards(:force_disarm), do: "it may stop the motors in flight"
   def guards(:protection), do: "it changes what protects the vehicle"
   def guards(:maintain), do: "it changes how the vehicle is set up"
+  def guards(:receiver), do: "it arms and steers in the place of the pilot's transmitter"
+  def guards(:motors), do: "it turns motors on the ground"
+  def guards(:inputs), do: "it may lead a vehicle around a fence"
+  def guards(:pilot), do: "it changes heights and speeds of a flight"
   def guards(_ordinary), do: ""
 
   @doc "The permissions of a role."
   @spec permissions(role()) :: [Type.permission()]
   def permissions(role), do: Keyword.fetch!(@roles, role)
+
+  @doc "The permissions that can be given beyond a role; a viewer can be given none."
+  @spec beyond(role()) :: [Type.permission()]
+  def beyond(:viewer), do: []
+  def beyond(role), do: Type.permissions() -- permissions(role)
+
+  @doc "Permissions beyond a role by their names from outside, in their order; an error in words."
+  @spec given(role(), term()) :: {:ok, [Type.permission()]} | {:error, String.t()}
+  def given(role, names) when is_list(names) do
+    case for(name <- names, is_binary(name), do: name) -- Enum.map(beyond(role), &Atom.to_string/1) do
+      [] when names == [] ->
+        {:ok, []}
+
+      [] ->
+        {:ok, for(permission <- beyond(role), Atom.to_string(permission) in names, do: permission)}
+
+      [_ | _] when role == :viewer ->
+        {:error, "a viewer may do nothing, whatever it is given: give another role first"}
+
+      [_ | _] ->
+        {:error, "expected permissions beyond the role #{role}: #{Enum.join(beyond(role), ", ")}"}
+    end
+  end
+
+  def given(_role, _other), do: {:error, "expected a list of permissions"}
 
   @doc "Somebody with a role, and permissions beyond it."
   @spec principal(Principal.kind(), String.t(), role(), [Type.permission()]) :: Principal.t()

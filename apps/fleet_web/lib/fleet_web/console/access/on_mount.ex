@@ -2,8 +2,9 @@ defmodule FleetWeb.Console.Access.OnMount do
   @moduledoc """
   Checks before every page who is signed in and whether they may see it, and before each of its events whether they may cause it.
 
-  Without a signed-in user it redirects to the sign-in page. If the session ends, because somebody signs out, the user is removed or gets another
-  role or password, or its time is over, its pages end at once, and so does the WebSocket that carried them.
+  Without a signed-in user it redirects to the sign-in page. If the session ends, because somebody signs out, the user
+  is removed or gets another role, other permissions or another password, or its time is over, its pages end at once, and
+  so does the WebSocket that carried them.
 
   What a user's pages do is paid for from the user's events (`FleetWeb.WorkLimit.spend/3`): a page, a change of the address and what a page names as
   costly (`costly:` of `FleetWeb.Console`) cost more. When none are left, events are refused, and pages are answered with 429.

@@ -3,7 +3,7 @@ defmodule FleetWeb.Console.Access.Session do
   The signed cookie's statement of who is signed in, and who that is now. Pure, except for looking a user up.
 
   A session is open as long as its `"id"` is listed (`FleetWeb.Console.Access.Sessions`). It belongs either to a user (`"user"`, and `"stamp"`,
-  which another password or role invalidates), for a month, or to the address that `bin/run` prints (`"launch"`): an admin, for a day.
+  which another password, role or permission invalidates), for a month, or to the address that `bin/run` prints (`"launch"`): an admin, for a day.
   """
 
   alias Aerie.Base.Names
@@ -51,7 +51,7 @@ defmodule FleetWeb.Console.Access.Session do
 
   defp of(gateway, name, %{"user" => name, "stamp" => stamp}) when name != nil do
     case Users.find(gateway, name) do
-      %{role: role} = user -> if stamp(user) == stamp, do: source(name, role)
+      %{role: role} = user -> if stamp(user) == stamp, do: source(name, role, user.permissions)
       nil -> nil
     end
   end
@@ -59,11 +59,11 @@ defmodule FleetWeb.Console.Access.Session do
   defp of(_gateway, nil, %{"launch" => _signed}), do: source("local", :admin)
   defp of(_gateway, _owner, _session), do: nil
 
-  defp source(name, role), do: Roles.principal(:user, name, role)
+  defp source(name, role, permissions \\ []), do: Roles.principal(:user, name, role, permissions)
 
-  defp stamp(%{password: stored, role: role}) do
-    <<stamp::binary-9, _rest::binary>> =
-      :crypto.hash(:sha256, ["session: ", Atom.to_string(role), " ", stored])
+  defp stamp(%{password: stored, role: role, permissions: permissions}) do
+    may = Enum.map_join([role | permissions], ",", &Atom.to_string/1)
+    <<stamp::binary-9, _rest::binary>> = :crypto.hash(:sha256, ["session: ", may, " ", stored])
 
     Base.url_encode64(stamp)
   end

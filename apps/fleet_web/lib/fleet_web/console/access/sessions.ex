@@ -1,7 +1,7 @@
 defmodule FleetWeb.Console.Access.Sessions do
   @moduledoc """
   The sessions that are open: a cookie counts only as long as its session is in this table. Signing out ends the session wherever its cookie
-  is: in other tabs, in other browsers, in somebody's notes. So does a change of the user's role or password, or the user's removal.
+  is: in other tabs, in other browsers, in somebody's notes. So does a change of the user's role, permissions or password, or the user's removal.
 
   A session is listed by the digest of its random id, in a file that only its owner can read, so that a restart signs nobody out and brings no
   session back. Each user has 20 at most, and so has the printed address; the oldest ends for a new one.

@@ -1,9 +1,10 @@
 defmodule FleetWeb.Console.Access.Users do
   @moduledoc """
-  The users who may sign in, each with a role: in a table that all processes read, and in a file that only its owner can read.
+  The users who may sign in, each with a role, and permissions beyond it: in a table that all processes read, and in a
+  file that only its owner can read.
 
   ```json
-  {"users": [{"name": "ann", "role": "operator", "password": "pbkdf2-sha256$600000$…$…"}]}
+  {"users": [{"name": "ann", "role": "operator", "permissions": ["receiver"], "password": "pbkdf2-sha256$600000$…$…"}]}
   ```
 
   A change is on disk before it takes effect, and open pages of the user are notified (`{:notice, :console_users}` of `Aerie.Base.PubSub`). The file is
@@ -18,6 +19,7 @@ defmodule FleetWeb.Console.Access.Users do
   alias Aerie.Base.Names
   alias Aerie.Base.PubSub
   alias Aerie.Control.Policy.Roles
+  alias Aerie.Vehicle.Command.Type
   alias FleetWeb.Changes
   alias FleetWeb.Console.Access.Password
   alias FleetWeb.WorkLimit
@@ -26,7 +28,12 @@ defmodule FleetWeb.Console.Access.Users do
   @max_file 65_536
   @name ~r/\A[a-z0-9][a-z0-9._-]{0,31}\z/
 
-  @type user :: %{name: String.t(), role: Roles.role(), password: Password.stored()}
+  @type user :: %{
+          name: String.t(),
+          role: Roles.role(),
+          permissions: [Type.permission()],
+          password: Password.stored()
+        }
 
   @doc "Options: `:gateway`, `:file`."
   @spec start_link(keyword()) :: GenServer.on_start()
@@ -66,7 +73,7 @@ defmodule FleetWeb.Console.Access.Users do
          {:ok, role} <- role(role),
          :ok <- Password.check(password),
          {:ok, stored} <- hash(gateway, password, by) do
-      change(gateway, {:add, %{name: name, role: role, password: stored}}, by)
+      change(gateway, {:add, %{name: name, role: role, permissions: [], password: stored}}, by)
     end
   end
 
@@ -85,6 +92,15 @@ defmodule FleetWeb.Console.Access.Users do
   def set_role(gateway, name, role, by \\ "elixir") do
     with {:ok, role} <- role(role), do: change(gateway, {:update, name, %{role: role}}, by)
   end
+
+  @doc """
+  Gives a user exactly these permissions beyond the role, in the name of `by`, which ends the user's sessions: the next one
+  has them. A change of the role keeps what the new role does not include; a viewer is left without any.
+  """
+  @spec set_permissions(Names.gateway(), String.t(), names :: term(), Changes.by()) ::
+          :ok | {:error, String.t()}
+  def set_permissions(gateway, name, names, by \\ "elixir"),
+    do: change(gateway, {:update, name, %{permissions: names}}, by)
 
   @doc "Changes a user's password, in the name of `by`, which ends the user's sessions."
   @spec set_password(Names.gateway(), String.t(), term(), Changes.by()) :: :ok | {:error, String.t()}
@@ -158,9 +174,12 @@ defmodule FleetWeb.Console.Access.Users do
 
   defp each([], users), do: {:ok, Enum.reverse(users)}
 
-  defp each([{%{"name" => name, "role" => role, "password" => stored}, index} | rest], users) do
-    with :ok <- name(name), {:ok, role} <- role(role), true <- Password.stored?(stored) do
-      each(rest, [%{name: name, role: role, password: stored} | users])
+  defp each([{%{"name" => name, "role" => role, "password" => stored} = user, index} | rest], users) do
+    with :ok <- name(name),
+         {:ok, role} <- role(role),
+         {:ok, given} <- Roles.given(role, Map.get(user, "permissions", [])),
+         true <- Password.stored?(stored) do
+      each(rest, [%{name: name, role: role, permissions: given, password: stored} | users])
     else
       {:error, words} -> {:error, "users[#{index}]: #{words}"}
       false -> {:error, "users[#{index}].password: expected pbkdf2-sha256$ITERATIONS$SALT$HASH"}
@@ -240,6 +259,11 @@ defmodule FleetWeb.Console.Access.Users do
   end
 
   # The password itself is nobody's business.
+  defp said({:update, name, %{permissions: names}}, users) do
+    before = users[name].permissions
+    %{"action" => "permissions", "user" => name, "permissions" => names, "before" => before}
+  end
+
   defp said({:add, user}, _users), do: %{"action" => "add", "user" => user.name, "role" => user.role}
   defp said({:remove, name}, users), do: %{"action" => "remove", "user" => name, "before" => users[name].role}
 
@@ -256,11 +280,21 @@ defmodule FleetWeb.Console.Access.Users do
     end
   end
 
-  defp changed(users, {:update, name, fields}) when is_map_key(users, name),
-    do: {:ok, name, Map.update!(users, name, &Map.merge(&1, fields))}
+  defp changed(users, {:update, name, fields}) when is_map_key(users, name) do
+    with {:ok, fields} <- fields(users[name], fields),
+         do: {:ok, name, Map.update!(users, name, &Map.merge(&1, fields))}
+  end
 
   defp changed(users, {:remove, name}) when is_map_key(users, name), do: {:ok, name, Map.delete(users, name)}
   defp changed(_users, _change), do: {:error, "there is no such user"}
+
+  defp fields(user, %{permissions: names}),
+    do: with({:ok, given} <- Roles.given(user.role, names), do: {:ok, %{permissions: given}})
+
+  defp fields(user, %{role: role}),
+    do: {:ok, %{role: role, permissions: Enum.filter(Roles.beyond(role), &(&1 in user.permissions))}}
+
+  defp fields(_user, password), do: {:ok, password}
 
   defp write(file, users) do
     text = JSON.encode_to_iodata!(%{users: Enum.sort_by(users, & &1.name)})

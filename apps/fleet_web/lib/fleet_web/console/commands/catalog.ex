@@ -72,7 +72,8 @@ defmodule FleetWeb.Console.Commands.Catalog do
     for permission <- lacking |> Enum.map(&elem(&1, 0)) |> Enum.uniq() do
       titles = for {^permission, title} <- lacking, do: title
       verb = if length(titles) == 1, do: "needs", else: "need"
-      "#{Enum.join(titles, ", ")} #{verb} the permission #{permission}. An admin gives it in Settings."
+
+      "#{Enum.join(titles, ", ")} #{verb} the permission #{permission}. An admin gives it to a user in Settings."
     end
   end
 

@@ -7,7 +7,7 @@ defmodule FleetWeb.Console.Settings.Page do
          admin: ~w(ask cancel key-copied configuration)
        ],
        changes: [
-         change_users: ~w(add change-role change-password remove),
+         change_users: ~w(add change-role change-permissions change-password remove),
          make_key: ~w(add-key),
          revoke_key: ~w(revoke-key)
        ]}
@@ -73,8 +73,9 @@ defmodule FleetWeb.Console.Settings.Page do
     end
   end
 
-  def handle_event("ask", %{"what" => what, "name" => name}, socket) when what in ~w(remove password revoke),
-    do: {:noreply, assign(socket, asking: {what, name}, errors: %{})}
+  def handle_event("ask", %{"what" => what, "name" => name}, socket)
+      when what in ~w(remove password permissions revoke),
+      do: {:noreply, assign(socket, asking: {what, name}, errors: %{})}
 
   def handle_event("cancel", _value, socket), do: {:noreply, assign(socket, asking: nil, errors: %{})}
 
@@ -95,6 +96,17 @@ defmodule FleetWeb.Console.Settings.Page do
         {:ok, role},
         &Users.set_role(socket.assigns.gateway, name, &1, Changes.user(socket.assigns))
       )
+
+  def handle_event("change-permissions", %{"name" => name} = form, socket) do
+    given = for {"permission-" <> permission, "true"} <- form, do: permission
+
+    change(
+      socket,
+      :permissions,
+      {:ok, given},
+      &Users.set_permissions(socket.assigns.gateway, name, &1, Changes.user(socket.assigns))
+    )
+  end
 
   def handle_event("change-password", %{"name" => name, "password" => password}, socket),
     do:
@@ -152,6 +164,7 @@ defmodule FleetWeb.Console.Settings.Page do
   defp done(:remove), do: "User removed and signed out."
   defp done(:revoke), do: "Key revoked."
   defp done(:role), do: "Role changed."
+  defp done(:permissions), do: "Permissions changed. The user's next session has them."
   defp done(_password), do: "Password changed. Sign in with the new one."
 
   @impl Phoenix.LiveView
@@ -176,6 +189,16 @@ defmodule FleetWeb.Console.Settings.Page do
               <input type="hidden" name="name" value={user.name} />
               <.field id={"role-of-#{user.name}"} name="role" type="select" label={"Role of #{user.name}"} label_hidden options={roles()} value={to_string(user.role)} />
             </form>
+          </:col>
+          <:col :let={user} label="Permissions beyond it">
+            <span class="user-permissions">{Enum.join(user.permissions, ", ")}</span>
+            <.button
+              :if={Roles.beyond(user.role) != []}
+              small
+              phx-click="ask"
+              phx-value-what="permissions"
+              phx-value-name={user.name}
+            >Permissions…</.button>
           </:col>
           <:col :let={user} label="">
             <div class="row">
@@ -223,6 +246,28 @@ defmodule FleetWeb.Console.Settings.Page do
       <:action><.button phx-click="cancel">Keep</.button></:action>
       <:action><.button kind="danger" phx-click="revoke-key" phx-value-name={elem(@asking, 1)}>Revoke</.button></:action>
     </.dialog>
+    <.dialog
+      :if={match?({"permissions", _}, @asking)}
+      id="set-permissions"
+      title={"Permissions of #{elem(@asking, 1)}"}
+      cancel="cancel"
+    >
+      <form id="change-permissions" class="stack" phx-submit="change-permissions" phx-auto-recover="ignore">
+        <input type="hidden" name="name" value={elem(@asking, 1)} />
+        <.field
+          :for={{permission, given?} <- permissions(@users, elem(@asking, 1))}
+          id={"permission-#{permission}"}
+          name={"permission-#{permission}"}
+          type="checkbox"
+          label={permission}
+          value={given?}
+          hint={Roles.guards(permission)}
+        />
+        <p class="hint">What each is needed for: docs/policy.md, Roles. The user's sessions will end.</p>
+        <p :if={@errors[:permissions]} class="notice bad" role="alert">{@errors[:permissions]}</p>
+        <.button type="submit" kind="primary">Change</.button>
+      </form>
+    </.dialog>
     <.dialog :if={match?({"password", _}, @asking)} id="set-password" title={"New password of #{elem(@asking, 1)}"} cancel="cancel">
       <form id="change-password" class="stack" phx-submit="change-password" phx-auto-recover="ignore">
         <input type="hidden" name="name" value={elem(@asking, 1)} />
@@ -232,6 +277,13 @@ defmodule FleetWeb.Console.Settings.Page do
       </form>
     </.dialog>
     """
+  end
+
+  # Somebody else may have removed the user meanwhile.
+  defp permissions(users, name) do
+    for %{name: ^name} = user <- users,
+        permission <- Roles.beyond(user.role),
+        do: {permission, permission in user.permissions}
   end
 
   defp roles, do: for(role <- Roles.all(), do: to_string(role))

@@ -27,8 +27,8 @@ defmodule FleetWeb.Console.Commands.CatalogTest do
     buttons = [{"arm", "Arm"}, {"hold", "Hold"}, {"goto", "Click to go"}, {"force_disarm", "Force disarm"}]
 
     assert [
-             "Arm, Hold need the permission receiver. An admin gives it in Settings.",
-             "Force disarm needs the permission force_disarm. An admin gives it in Settings."
+             "Arm, Hold need the permission receiver. An admin gives it to a user in Settings.",
+             "Force disarm needs the permission force_disarm. An admin gives it to a user in Settings."
            ] = Catalog.locked(buttons, betaflight, @operator)
 
     assert [] = Catalog.locked(buttons, betaflight, %{@operator | permissions: [:receiver, :force_disarm]})

@@ -26,6 +26,60 @@ defmodule FleetWeb.Console.Settings.PageTest do
     assert Users.find(console.gateway, "ann") == nil
   end
 
+  test "an admin gives permissions beyond a role: at once, and only those", %{console: console} do
+    {:ok, operators, _html} = live(conn(console, :operator), "/")
+    {:ok, view, _html} = live(conn(console, :admin), "/settings")
+    view |> element("#user-operator button", "Permissions") |> render_click()
+    # What the role includes is not offered.
+    assert has_element?(view, "#permission-receiver")
+    refute has_element?(view, "#permission-arm")
+
+    assert view |> form("#change-permissions", %{"permission-receiver" => "true"}) |> render_submit() =~
+             "Permissions changed."
+
+    assert %{permissions: [:receiver]} = Users.find(console.gateway, "operator")
+    assert has_element?(view, "#user-operator .user-permissions", "receiver")
+    # An open page has the old ones, so it ends.
+    assert_redirect(operators, "/")
+
+    assert {:ok, [_admin, %{name: "operator", permissions: [:receiver]}, _viewer]} =
+             Users.read(Users.file(console.dir))
+
+    # It is exactly what was ticked.
+    view |> element("#user-operator button", "Permissions") |> render_click()
+    assert has_element?(view, "#permission-receiver[checked]")
+
+    view
+    |> form("#change-permissions", %{"permission-receiver" => "false", "permission-motors" => "true"})
+    |> render_submit()
+
+    assert %{permissions: [:motors]} = Users.find(console.gateway, "operator")
+
+    # Another role keeps what it does not include; a viewer has none, and is offered none.
+    assert :ok = Users.set_permissions(console.gateway, "operator", ~w(motors protection))
+    assert :ok = Users.set_role(console.gateway, "operator", "admin")
+    assert %{role: :admin, permissions: [:motors]} = Users.find(console.gateway, "operator")
+    assert :ok = Users.set_role(console.gateway, "operator", "viewer")
+    assert %{role: :viewer, permissions: []} = Users.find(console.gateway, "operator")
+    {:ok, view, _html} = live(conn(console, :admin), "/settings")
+    refute has_element?(view, "#user-operator button", "Permissions")
+  end
+
+  test "what no role lacks, or nobody knows, is refused as a permission", %{console: console} do
+    for {name, names, words} <- [
+          {"operator", ["arm"], "beyond the role operator"},
+          {"operator", ["everything"], "beyond the role operator"},
+          {"operator", "receiver", "a list of permissions"},
+          {"viewer", ["receiver"], "give another role first"},
+          {"nobody", ["receiver"], "no such user"}
+        ] do
+      assert {:error, text} = Users.set_permissions(console.gateway, name, names)
+      assert text =~ words
+    end
+
+    assert [[], [], []] = Enum.map(Users.list(console.gateway), & &1.permissions)
+  end
+
   test "what is wrong is said beside the form, and nothing changes", %{console: console} do
     {:ok, view, _html} = live(conn(console, :admin), "/settings")
     fields = %{"name" => "ann", "role" => "viewer", "password" => "short"}
@@ -41,6 +95,7 @@ defmodule FleetWeb.Console.Settings.PageTest do
     for {event, value} <- [
           {"add", %{"name" => "eve", "role" => "admin", "password" => "a-password-of-eve"}},
           {"change-role", %{"name" => "operator", "role" => "admin"}},
+          {"change-permissions", %{"name" => "operator", "permission-receiver" => "true"}},
           {"change-password", %{"name" => "admin", "password" => "a-password-of-eve"}},
           {"remove", %{"name" => "admin"}}
         ],

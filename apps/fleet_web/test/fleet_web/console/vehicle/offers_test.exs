@@ -4,6 +4,7 @@ defmodule FleetWeb.Console.Vehicle.OffersTest do
 
   alias Aerie.Control.{Commands, Offers}
   alias Aerie.Control.Policy.Roles
+  alias FleetWeb.Console.Access.Users
 
   @modes %{0 => "ACRO", 1 => "ANGLE", 46 => "GPS RESCUE"}
   @parked [mode: %{mode: "ACRO", armed: false, in_air: false, landed_state: "ON_GROUND"}]
@@ -40,6 +41,16 @@ defmodule FleetWeb.Console.Vehicle.OffersTest do
     assert [] = console |> open(:viewer) |> buttons()
     msp(console, :betaflight, %{}, armed: true)
     assert ["disarm"] = console |> open() |> buttons()
+  end
+
+  test "a user who was given the permission has the buttons", %{console: console} do
+    msp(console, :betaflight)
+    assert :ok = Users.set_permissions(console.gateway, "operator", ["receiver"])
+    view = open(console)
+    assert buttons(view) == ~w(arm mode rtl)
+    refute has_element?(view, ".locked")
+    give(view, "arm", "a1")
+    answer(executing(%{id: "a1", type: "arm"}), "a1", :completed)
   end
 
   test "iNav: what needs no channels is offered", %{console: console} do

@@ -18,7 +18,7 @@ defmodule FleetWeb.Endpoint do
   use Supervisor
 
   alias FleetWeb.{API, Console}
-  alias FleetWeb.HTTP.{Handler, Proxy, Utf8Check}
+  alias FleetWeb.HTTP.{Compression, Handler, Proxy, Utf8Check}
   alias FleetWeb.{Listener, Settings}
   alias FleetWeb.WebSocket
 
@@ -111,6 +111,7 @@ defmodule FleetWeb.Endpoint do
         proxies: Enum.map(http.proxies, &Settings.ip/1)
       },
       middlewares: [Utf8Check, Proxy, :cowboy_router, :cowboy_handler],
+      stream_handlers: [Compression, :cowboy_stream_h],
       protocols: [:http],
       idle_timeout: 30_000,
       # An unread body closes its connection; a slow one would hold it for ever.

@@ -8,6 +8,7 @@ defmodule FleetWeb.Console.Assets.Handler do
   @behaviour :cowboy_handler
 
   alias FleetWeb.Console.Assets
+  alias FleetWeb.HTTP.Compression
 
   @impl :cowboy_handler
   def init(request, gateway) do
@@ -43,13 +44,11 @@ defmodule FleetWeb.Console.Assets.Handler do
       :cowboy_req.header("if-none-match", request) == asset.etag ->
         :cowboy_req.reply(304, Map.delete(headers, "content-type"), "", request)
 
-      asset.gzip != nil and gzip?(:cowboy_req.header("accept-encoding", request, "")) ->
+      asset.gzip != nil and Compression.accepted?(request) ->
         :cowboy_req.reply(200, Map.put(headers, "content-encoding", "gzip"), asset.gzip, request)
 
       true ->
         :cowboy_req.reply(200, headers, asset.plain, request)
     end
   end
-
-  defp gzip?(accepted), do: accepted =~ ~r/\bgzip\b(?!\s*;\s*q=0(?:\.0*)?(?:\s|,|$))/
 end

@@ -18,6 +18,7 @@ defmodule Aerie.Fleet.Shadow.Merge do
 
   alias Aerie.Fleet.Shadow.{Document, Field}
 
+  @both "changed aboard and at the hub: the hub's counts for the fields below"
   @refused "refused aboard: the hub may not change these there (policy.sources of the gateway aboard)"
 
   @doc """
@@ -50,13 +51,17 @@ defmodule Aerie.Fleet.Shadow.Merge do
   # Newer than the hub's, so that the hub learns of it.
   def merge(base, aboard, hub, now, [_ | _] = refused) do
     merged = join(base, aboard, hub, now)
-    told = %{merged(merged.version, [], now) | reason: @refused, removed: refused}
-    %{merged | history: Document.history([told | merged.history])}
+    told = %{merged(merged.version, [], @refused, now) | removed: refused}
+    # The rest is told where something was changed on both sides.
+    history = Enum.reject(merged.history, &(&1.version == merged.version and &1.reason != @both))
+    %{merged | history: Document.history([told | history])}
   end
 
   def merge(base, aboard, hub, now, []) do
     cond do
       same?(aboard, hub) -> aboard
+      # Nothing was changed, or the same on both sides.
+      aboard.fields == hub.fields and max(aboard.version, hub.version) >= base.version -> newer(aboard, hub)
       unchanged?(hub, base) and aboard.version > hub.version -> aboard
       unchanged?(aboard, base) and hub.version > aboard.version -> hub
       true -> join(base, aboard, hub, now)
@@ -66,6 +71,8 @@ defmodule Aerie.Fleet.Shadow.Merge do
   @doc "Whether two documents desire the same, set by the same."
   @spec same?(Document.t(), Document.t()) :: boolean()
   def same?(one, other), do: one.version == other.version and one.fields == other.fields
+
+  defp newer(aboard, hub), do: if(aboard.version > hub.version, do: aboard, else: hub)
 
   defp unchanged?(document, base), do: document.version < base.version or same?(document, base)
 
@@ -81,14 +88,16 @@ defmodule Aerie.Fleet.Shadow.Merge do
           do: {path, entry}
 
     version = max(aboard.version, hub.version) + 1
+    changed? = fn one, other -> Enum.any?(paths, &(one[&1] not in [base.fields[&1], other[&1]])) end
     overruled = for path <- paths, overruled?(path, base, aboard_fields, hub_fields), do: path
+    why = why(changed?.(aboard_fields, hub_fields), changed?.(hub_fields, aboard_fields), overruled)
 
     document = %Document{
       vehicle: aboard.vehicle,
       version: version,
       updated_at: now,
       fields: fields,
-      history: Document.history([merged(version, overruled, now) | aboard.history ++ hub.history])
+      history: Document.history([merged(version, overruled, why, now) | aboard.history ++ hub.history])
     }
 
     # Together they may be more than a document holds.
@@ -105,13 +114,19 @@ defmodule Aerie.Fleet.Shadow.Merge do
   defp overruled?(path, base, aboard, hub),
     do: hub[path] != base.fields[path] and aboard[path] != base.fields[path] and aboard[path] != hub[path]
 
-  defp merged(version, overruled, now) do
+  defp why(_aboard, _hub, [_ | _]), do: @both
+  defp why(true, true, []), do: "changed aboard and at the hub, in different fields"
+  defp why(true, false, []), do: "changed aboard"
+  defp why(false, true, []), do: "changed at the hub"
+  defp why(false, false, []), do: "brought to one version: no field was changed"
+
+  defp merged(version, overruled, reason, now) do
     %{
       version: version,
       at: now,
       actor: "shadow",
       via: "leaf",
-      reason: "changed aboard and at the hub: the hub's counts for the fields below",
+      reason: reason,
       set: overruled,
       removed: []
     }

@@ -40,11 +40,46 @@ defmodule Aerie.Fleet.Shadow.MergeTest do
     merged = merge(base, aboard, hub)
     assert values(merged) == %{"mode" => "LAND", "params.A" => 1.0, "params.B" => 2.0}
     assert merged.version == hub.version + 1
-    assert [%{actor: "shadow", set: ["mode"]} | _before] = merged.history
+
+    assert [
+             %{actor: "shadow", set: ["mode"], reason: "changed aboard and at the hub: the hub's" <> _}
+             | _before
+           ] =
+             merged.history
+
     assert Enum.map(merged.history, & &1.actor) -- ["shadow", "aboard", "hub", "hub", "ops"] == []
     # Both sides have it now, so nothing more happens.
     assert merge(aboard, aboard, merged) == merged
     assert merge(merged, merged, merged) == merged
+  end
+
+  test "the history says who changed something, and nothing where nobody did", %{base: base, none: none} do
+    reason = fn base, aboard, hub ->
+      merged = merge(base, aboard, hub)
+      if merged in [aboard, hub], do: :as_it_is, else: hd(merged.history).reason
+    end
+
+    # The same wish on both sides, the second one told twice; also when the common document is lost.
+    aboard = changed(base, %{"mode" => "RTL"})
+    hub = base |> changed(%{"mode" => "LAND"}) |> changed(%{"mode" => "RTL"})
+    hub = %{hub | fields: aboard.fields}
+    for common <- [base, none], do: assert(reason.(common, aboard, hub) == :as_it_is)
+    assert merge(base, aboard, hub) == hub
+    # Only the version of one side went on.
+    assert reason.(base, base, %{base | version: 7}) == :as_it_is
+
+    # The common document is lost, and one side has more.
+    more = changed(base, %{"params" => %{"A" => 1}})
+    assert reason.(none, base, more) == "changed at the hub"
+    assert reason.(none, more, base) == "changed aboard"
+
+    assert reason.(base, changed(base, %{"params" => %{"A" => 1}}), changed(base, %{"params" => %{"B" => 1}})) ==
+             "changed aboard and at the hub, in different fields"
+
+    # What the hub may not change was not changed by anybody.
+    merged = Merge.merge(base, base, %{base | version: 9}, @now, ["mode"])
+    assert [%{reason: "refused aboard" <> _, removed: ["mode"]} | before] = merged.history
+    assert before == base.history
   end
 
   test "only what the hub may not change stays as it is aboard; to desire what is aboard already changes nothing",

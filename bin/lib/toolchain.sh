@@ -171,7 +171,7 @@ toolchain_licences() {
 }
 
 toolchain_licences_locked() {
-  local folder=$1 architecture=$2 work="$1/licences.new" apt source package missing=()
+  local folder=$1 architecture=$2 work="$1/licences.new" apt source package missing=() packages=()
   for source in $(cut -f 5 "$folder/packages/index" | grep -o '[^ ,]* (=' | cut -d ' ' -f 1 | sort -u); do
     [ -e "$folder/packages/$source.copyright" ] || missing+=("$source")
   done
@@ -179,17 +179,22 @@ toolchain_licences_locked() {
   rm -rf "$work"
   toolchain_lists "$work" "$architecture"
   step "toolchain: downloading the licences of ${missing[*]}"
-  apt-cache "${apt[@]}" dumpavail >"$work/known"
+  # The smallest of a source's packages: each has them.
+  apt-cache "${apt[@]}" dumpavail | awk -v sources="${missing[*]}" 'BEGIN { RS = ""; FS = "\n"; split(sources, list, " "); for (i in list) wanted[list[i]] }
+    { name = from = size = ""
+      for (i = 1; i <= NF; i++) { split($i, word, " ")
+        if (word[1] == "Package:") name = word[2]; else if (word[1] == "Source:") from = word[2]; else if (word[1] == "Size:") size = word[2] }
+      if (from == "") from = name
+      if (from in wanted && (!(from in best) || size + 0 < least[from])) { best[from] = name; least[from] = size + 0 } }
+    END { for (from in best) print from, best[from] }' >"$work/chosen"
   for source in "${missing[@]}"; do
-    # The smallest of its packages: each has them.
-    package=$(awk -v source="$source" 'BEGIN { RS = ""; FS = "\n" }
-      { name = from = size = ""
-        for (i = 1; i <= NF; i++) { split($i, word, " ")
-          if (word[1] == "Package:") name = word[2]; else if (word[1] == "Source:") from = word[2]; else if (word[1] == "Size:") size = word[2] }
-        if ((from == "" ? name : from) == source && (best == "" || size + 0 < least)) { best = name; least = size + 0 } }
-      END { print best }' "$work/known")
+    package=$(awk -v source="$source" '$1 == source { print $2 }' "$work/chosen")
     [ -n "$package" ] || fail "no package has the licence of $source" "it is gone from $TOOLCHAIN_SUITE" "make the toolchain again: remove $folder and run this again"
-    toolchain_fetch "$work" "$package"
+    packages+=("$package")
+  done
+  toolchain_fetch "$work" "${packages[@]}"
+  for source in "${missing[@]}"; do
+    package=${packages[0]} packages=("${packages[@]:1}")
     dpkg-deb -x "$work/debs/${package}"_*.deb "$work/$source"
     cp "$work/$source/usr/share/doc/$package/copyright" "$folder/packages/$source.copyright"
   done

@@ -52,6 +52,13 @@ defmodule Aerie.System.CommandClientsTest do
     assert {1, output} = command.("fleet.test.NOBODY.cmd.hold", "{}")
     assert output =~ ~r/no ?responders/i
 
+    # A body that is none is said to be one, without a word of the program's own language.
+    for body <- ["{", "[1]", ""] do
+      assert {1, output} = command.("fleet.test.VID-001.cmd.hold", body)
+      assert output =~ "JSON" or output =~ "json"
+      refute output =~ "Traceback"
+    end
+
     # A transfer; the same id with other content is another one.
     assert {0, output} = command.("fleet.test.VID-001.params.get", ~s({"name": "RTL_ALT"}))
     assert %{"result" => "completed", "name" => "RTL_ALT"} = result(output)

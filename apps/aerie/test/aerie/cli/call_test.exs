@@ -225,4 +225,20 @@ defmodule Aerie.CLI.CallTest do
       assert StringIO.flush(context.notes) =~ "the file ends in the middle of a record"
     end
   end
+
+  @tag :tmp_dir
+  test "a release whose folder for data is missing says so in its own words", %{tmp_dir: root} do
+    bin = Path.expand("../../../../../bin", __DIR__)
+    for dir <- ["bin/lib", "releases"], do: File.mkdir_p!(Path.join(root, dir))
+    for file <- ["aerie", "lib/attend.sh"], do: File.cp!(Path.join(bin, file), Path.join([root, "bin", file]))
+    File.write!(Path.join(root, "releases/start_erl.data"), "16.0 0.1.0")
+    gone = Path.join(root, "gone")
+    tool = Path.join(root, "bin/aerie")
+    {text, 1} = System.cmd(tool, ["status"], env: [{"AERIE_HOME", gone}], stderr_to_stdout: true)
+
+    assert text =~
+             "aerie: the folder #{gone}, where the gateway keeps its data (AERIE_HOME), is missing or closed"
+
+    refute text =~ "cd:"
+  end
 end

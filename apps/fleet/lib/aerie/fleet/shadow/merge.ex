@@ -52,7 +52,7 @@ defmodule Aerie.Fleet.Shadow.Merge do
   def merge(base, aboard, hub, now, [_ | _] = refused) do
     merged = join(base, aboard, hub, now)
     told = %{merged(merged.version, [], @refused, now) | removed: refused}
-    # The rest is told where something was changed on both sides.
+    # The merge itself has an entry only where something was changed on both sides.
     history = Enum.reject(merged.history, &(&1.version == merged.version and &1.reason != @both))
     %{merged | history: Document.history([told | history])}
   end

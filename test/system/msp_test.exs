@@ -297,6 +297,10 @@ defmodule Aerie.System.MspTest do
       # As the configurators keep them: written, changed in one value, and read again.
       {:ok, text} = Params.save(c.gateway, vehicle, :txt)
       assert text =~ "set #{name} = #{value + 1}\n"
+      assert text =~ %{betaflight: "# Betaflight 4.5: save", inav: "# iNav 9.0: save"}[firmware]
+      # The command line takes only words there.
+      assert text =~ ~r/^set failsafe_procedure = [A-Z-]+$/m
+      assert text =~ ~r/^set serialrx_provider = [A-Z0-9-]+$/m
       back = String.replace(text, "set #{name} = #{value + 1}\n", "set #{name} = #{value}\n")
       assert {:ok, %{status: :completed, details: %{"set" => 1}}} = Params.load(c.gateway, vehicle, back, by)
       assert {:ok, %{value: ^value}} = Params.get(c.gateway, vehicle, name)
@@ -304,6 +308,24 @@ defmodule Aerie.System.MspTest do
       stored = Msp.state(c.sims[firmware])
       assert stored.stored == Map.take(stored, [:blocks, :settings])
     end
+  end
+
+  test "Betaflight 4.5 has its own ranges, and a rescue without throttle is refused", %{tmp_dir: dir} do
+    c = fly(dir, [:betaflight])
+    by = [as: %{name: "crew", role: :admin, permissions: []}]
+    vehicle = name(:betaflight)
+    {:ok, described} = Params.metadata(c.gateway, vehicle)
+    assert %{min: 1000, max: 2000, default: nil} = described["gps_rescue_throttle_hover"]
+    assert "MAVLINK" not in Enum.map(described["serialrx_provider"].values, & &1.text)
+    refute is_map_key(described, "ap_hover_throttle")
+    before = Msp.state(c.sims.betaflight).blocks
+
+    for {name, value} <- [{"gps_rescue_throttle_hover", 0}, {"gps_rescue_max_angle", 70}] do
+      assert {:ok, %{status: :rejected, reason: reason}} = Params.set(c.gateway, vehicle, name, value, by)
+      assert reason =~ "OUT_OF_RANGE"
+    end
+
+    assert Msp.state(c.sims.betaflight).blocks == before
   end
 
   test "where MSP is the receiver: armed, flown by sticks, returned by its mode, disarmed, all in its ledger",

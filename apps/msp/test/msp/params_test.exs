@@ -284,6 +284,33 @@ defmodule Msp.ParamsTest do
       assert state.().blocks == before
     end
 
+    test "the range and the words are those of its version, which is 4.5" do
+      {line, _change, state} = up(:betaflight)
+      before = state.().blocks
+
+      for {name, value, why} <- [
+            {"gps_rescue_throttle_hover", 0, "it goes from 1000 to 2000"},
+            {"gps_rescue_throttle_min", 900, "it goes from 1000 to 2000"},
+            {"gps_rescue_max_angle", 70, "it goes from 30 to 60"},
+            {"failsafe_off_delay", 250, "it goes from 0 to 200"},
+            # MAVLINK is the 16th of 2026.6.
+            {"serialrx_provider", 16, "it goes from 0 to 15"},
+            {"motor_pwm_protocol", 10, "it goes from 0 to 9"},
+            {"vtx_low_power_disarm", 3, "it goes from 0 to 2"}
+          ] do
+        line = set(line, name, value)
+        assert {name, 2} in errors(line)
+        assert Enum.join(texts(line)) =~ "#{name}: #{why}"
+        assert state.().blocks == before
+      end
+
+      line = line |> set("gps_rescue_throttle_hover", 1900) |> set("serialrx_provider", 15)
+      assert %{param_value: 1900} = last(line, "gps_rescue_throttle_hover")
+      assert %{param_value: 15} = last(line, "serialrx_provider")
+      line = set(line, "ap_hover_throttle", 1300)
+      assert {"ap_hover_throttle", 1} in errors(line)
+    end
+
     test "by index, once the list is known" do
       {line, _change, _state} = up(:betaflight)
       line = line |> send_mavlink(%M.ParamRequestRead{param_index: 0, param_id: ""}) |> Line.run(@second)

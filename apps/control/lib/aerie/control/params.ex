@@ -295,7 +295,8 @@ defmodule Aerie.Control.Params do
          do: {:ok, File.format(table, format, {system, component || 1})}
   end
 
-  defp format(:txt, %{autopilot: firmware}) when firmware in [:betaflight, :inav], do: {:ok, {:txt, firmware}}
+  defp format(:txt, %{autopilot: firmware} = snapshot) when firmware in [:betaflight, :inav],
+    do: {:ok, {:txt, LongNames.release(snapshot)}}
 
   defp format(:txt, _snapshot),
     do:
@@ -328,7 +329,7 @@ defmodule Aerie.Control.Params do
           {:ok, [File.entry()], remarks :: [String.t()]} | {:error, [Error.t(), ...]}
   def read_file(text, snapshot) do
     owner = {snapshot[:system_id], snapshot[:component] || 1}
-    with {:error, errors} <- File.read(text, owner, snapshot[:autopilot]), do: wrong(errors)
+    with {:error, errors} <- File.read(text, owner, LongNames.release(snapshot)), do: wrong(errors)
   end
 
   defp wrong(errors) do

@@ -2,9 +2,10 @@ defmodule MavCodec.Msp.Params do
   @moduledoc """
   The parameters of Betaflight and iNav by the names of their command lines, from `priv/msp`.
 
-  Betaflight's are fields of configuration blocks (`block`, `field`; messages of `MavCodec.Msp.Messages`). From API 1.48 it reads and writes
-  settings by name, and those without a block are parameters, too. iNav's are all read and written by name; they are those of 9.0.0, and a
-  vehicle may have others. Ranges are those of Betaflight 2026.6.1 and iNav 9.0.0.
+  Betaflight's are fields of configuration blocks (`block`, `field`; messages of `MavCodec.Msp.Messages`). From API 1.48
+  on it reads and writes settings by name, and those without a block are parameters as well. iNav's are all read and
+  written by name; they are those of 9.0.0, and a vehicle may have others. Names, ranges and words are those of the
+  newest version; what they were before is in files of their own.
 
   MAVLink's names have 16 characters at most; `short` is what a longer one becomes there (`MavCodec.Msp.ShortName`).
   """
@@ -15,9 +16,26 @@ defmodule MavCodec.Msp.Params do
   @betaflight Path.join(@folder, "betaflight_params.txt")
   @settings Path.join(@folder, "betaflight_settings.txt")
   @inav Path.join(@folder, "inav_params.txt")
-  @external_resource @betaflight
-  @external_resource @settings
-  @external_resource @inav
+  @inav_words Path.join(@folder, "inav_words.txt")
+  @before Map.new([:betaflight, :inav], &{&1, Path.join(@folder, "#{&1}_before.txt")})
+  for file <- [@betaflight, @settings, @inav, @inav_words | Map.values(@before)], do: @external_resource(file)
+
+  # By the versions of the messages: the API's of Betaflight, the firmware's of iNav.
+  @releases %{
+    betaflight: [
+      {{3, 5}, {1, 40}, "3.5"},
+      {{4, 0}, {1, 41}, "4.0"},
+      {{4, 1}, {1, 42}, "4.1"},
+      {{4, 2}, {1, 43}, "4.2"},
+      {{4, 3}, {1, 44}, "4.3"},
+      {{4, 4}, {1, 45}, "4.4"},
+      {{4, 5}, {1, 46}, "4.5"},
+      {{25, 12}, {1, 47}, "2025.12"},
+      {{26, 6}, {1, 48}, "2026.6"},
+      {{26, 12}, {1, 49}, "2026.12"}
+    ],
+    inav: for({major, minor} = n <- [{7, 0}, {7, 1}, {8, 0}, {9, 0}, {9, 1}], do: {n, n, "#{major}.#{minor}"})
+  }
 
   @typedoc """
   - `block`, `field`: of Betaflight: the message that reads it, and the field in it, nil for what it has by name only; `type`: of all others
@@ -68,26 +86,39 @@ defmodule MavCodec.Msp.Params do
 
   attribute = fn
     "@" <> since, row ->
-      %{row | since: version.(since)}
+      Map.put(row, :since, version.(since))
+
+    "until=" <> until, row ->
+      Map.put(row, :until, version.(until))
+
+    "name=" <> name, row ->
+      Map.put(row, :name, name)
 
     "unit=" <> unit, row ->
-      %{row | unit: unit}
+      Map.put(row, :unit, unit)
 
     "default=" <> number, row ->
-      %{row | default: String.to_integer(number)}
+      Map.put(row, :default, String.to_integer(number))
 
     "range=" <> range, row ->
       [low, high] = range |> String.split("..") |> Enum.map(&String.to_integer/1)
-      %{row | low: low, high: high}
+      Map.merge(row, %{low: low, high: high, values: []})
 
     "wire=" <> wire, row ->
       [base, step] = wire |> String.split("+") |> Enum.map(&String.to_integer/1)
-      %{row | base: base, step: step}
-
-    "was=" <> was, row ->
-      [name, before] = String.split(was, "<")
-      %{row | was: {name, version.(before)}}
+      Map.merge(row, %{base: base, step: step})
   end
+
+  # What each setting was before a version, the newest first.
+  @changes Map.new(@before, fn {firmware, file} ->
+             rows =
+               for {[name, "<" <> below | attributes], values} <- read.(file) do
+                 words = if values == [], do: %{}, else: %{values: values, low: 0, high: length(values) - 1}
+                 {name, {version.(below), Enum.reduce(attributes, words, attribute)}}
+               end
+
+             {firmware, Enum.group_by(rows, &elem(&1, 0), &elem(&1, 1))}
+           end)
 
   @betaflight_rows (for {[name, block, field | attributes], values} <- read.(@betaflight) do
                       row =
@@ -98,7 +129,7 @@ defmodule MavCodec.Msp.Params do
                           values: values
                         })
 
-                      Enum.reduce(attributes, Map.merge(row, %{since: nil, was: nil}), attribute)
+                      Enum.reduce(attributes, Map.merge(row, %{since: nil, until: nil}), attribute)
                     end)
 
   @named {1, 48}
@@ -112,7 +143,7 @@ defmodule MavCodec.Msp.Params do
                            high: String.to_integer(high)
                          })
 
-                       Enum.reduce(attributes, Map.merge(row, %{since: @named, was: nil}), attribute)
+                       Enum.reduce(attributes, Map.merge(row, %{since: @named, until: nil}), attribute)
                      end)
   @betaflight_all @betaflight_rows ++ @betaflight_named
 
@@ -129,32 +160,54 @@ defmodule MavCodec.Msp.Params do
                 })
               end)
 
-  @names %{
-    betaflight:
-      for(
-        row <- @betaflight_all,
-        name <- [row.name | List.wrap(row.was && elem(row.was, 0))],
-        into: %{},
-        do: {ShortName.of(name), name}
-      ),
-    inav: Map.new(@inav_rows, &{ShortName.of(&1.name), &1.name})
+  @others %{
+    betaflight: [],
+    inav: for({[name], values} <- read.(@inav_words), do: Map.merge(@empty, %{name: name, values: values}))
   }
 
-  @words %{
-    betaflight: for(row <- @betaflight_all, row.values != [], into: %{}, do: {row.name, row.values}),
-    inav: for(row <- @inav_rows, row.values != [], into: %{}, do: {row.name, row.values})
-  }
+  @names Map.new([betaflight: @betaflight_all, inav: @inav_rows], fn {firmware, rows} ->
+           before = for {_name, changes} <- @changes[firmware], {_below, %{name: name}} <- changes, do: name
+           {firmware, Map.new(Enum.map(rows, & &1.name) ++ before, &{ShortName.of(&1), &1})}
+         end)
 
-  @doc "The words for a parameter's numbers from 0 on, empty if it has none."
-  @spec words(Messages.firmware(), name :: String.t()) :: [String.t()]
-  def words(firmware, name), do: @words |> Map.fetch!(firmware) |> Map.get(name, [])
+  @doc "The known releases, the oldest first: each with the version by which its messages are read, and as text."
+  @spec releases(Messages.firmware()) :: [{{byte, byte}, Message.version(), String.t()}]
+  def releases(firmware), do: Map.fetch!(@releases, firmware)
 
-  @doc "The number of a word of a parameter; nil if it has none of that name."
-  @spec word(Messages.firmware(), name :: String.t(), word :: String.t()) :: non_neg_integer | nil
-  def word(firmware, name, word) do
-    word = String.upcase(word)
-    Enum.find_index(words(firmware, name), &(String.upcase(&1) == word))
+  @doc """
+  The version of a release as AUTOPILOT_VERSION has it; nil for one that is not known.
+
+      iex> MavCodec.Msp.Params.version(:betaflight, "4.5.5")
+      {1, 46}
+      iex> MavCodec.Msp.Params.version(:betaflight, "26.6.1")
+      {1, 48}
+      iex> MavCodec.Msp.Params.version(:inav, "8.0.1")
+      {8, 0}
+      iex> MavCodec.Msp.Params.version(:betaflight, "4.6.0")
+      nil
+  """
+  @spec version(Messages.firmware(), String.t() | nil) :: Message.version() | nil
+  def version(firmware, text) do
+    with [major, minor | _patch] <- String.split(text || "", "."),
+         {major, ""} <- Integer.parse(major),
+         {minor, ""} <- Integer.parse(minor),
+         {_release, version, _text} <- List.keyfind(releases(firmware), {major, minor}, 0) do
+      version
+    else
+      _unknown -> nil
+    end
   end
+
+  @doc "The words for the numbers from 0 on of all parameters that have some."
+  @spec words(Messages.firmware(), Message.version()) :: %{String.t() => [String.t()]}
+  def words(firmware, version),
+    do:
+      for(
+        row <- rows(firmware, version) ++ Map.fetch!(@others, firmware),
+        %{values: [_ | _]} = row <- [at(firmware, row, version)],
+        into: %{},
+        do: {row.name, row.values}
+      )
 
   @doc "Whether a firmware reads and writes settings by name."
   @spec by_name?(Messages.firmware(), Message.version()) :: boolean
@@ -163,19 +216,35 @@ defmodule MavCodec.Msp.Params do
 
   @doc "The parameters of a version, in the order of the table."
   @spec all(Messages.firmware(), Message.version()) :: [t]
-  def all(:betaflight, version) do
-    for %{since: since, was: was} = row <- @betaflight_all, since == nil or version >= since do
-      name =
-        case was do
-          {old, before} when version < before -> old
-          _same -> row.name
-        end
+  def all(firmware, version) do
+    for row <- rows(firmware, version) do
+      row =
+        @changes
+        |> Map.fetch!(firmware)
+        |> Map.get(row.name, [])
+        |> Enum.reduce(row, &before(&1, &2, version))
 
-      row |> Map.drop([:since, :was]) |> Map.merge(%{name: name, short: ShortName.of(name)})
+      # Defaults are those of 2026.6.
+      row = if firmware == :betaflight and version < @named, do: %{row | default: nil}, else: row
+      Map.put(row, :short, ShortName.of(row.name))
     end
   end
 
-  def all(:inav, _version), do: for(row <- @inav_rows, do: Map.put(row, :short, ShortName.of(row.name)))
+  defp at(firmware, row, version),
+    do:
+      @changes |> Map.fetch!(firmware) |> Map.get(row.name, []) |> Enum.reduce(row, &before(&1, &2, version))
+
+  defp before({below, changes}, row, version) when version < below, do: Map.merge(row, changes)
+  defp before(_later, row, _version), do: row
+
+  defp rows(:inav, _version), do: @inav_rows
+
+  defp rows(:betaflight, version) do
+    for %{since: since, until: until} = row <- @betaflight_all,
+        since == nil or version >= since,
+        until == nil or version < until,
+        do: Map.drop(row, [:since, :until])
+  end
 
   @doc """
   The full name of a MAVLink name: the same, unless it is the short one of a known parameter. MAVProxy writes capitals.
@@ -197,13 +266,13 @@ defmodule MavCodec.Msp.Params do
   @spec names(Messages.firmware()) :: %{String.t() => String.t()}
   def names(firmware), do: Map.fetch!(@names, firmware)
 
-  @doc "The parameters of all versions with the keys of MAVLink's component metadata, by their newest names."
-  @spec described(Messages.firmware()) :: %{String.t() => map}
-  def described(firmware) do
+  @doc "The parameters of a version with the keys of MAVLink's component metadata."
+  @spec described(Messages.firmware(), Message.version()) :: %{String.t() => map}
+  def described(firmware, version) do
     nothing = %{short: nil, long: nil, category: nil, increment: nil, decimals: nil, bits: []}
     never = %{reboot_required: false, volatile: false}
 
-    for row <- if(firmware == :betaflight, do: @betaflight_all, else: @inav_rows), into: %{} do
+    for row <- all(firmware, version), into: %{} do
       values = for {text, value} <- Enum.with_index(row.values), do: %{value: value, text: text}
 
       known = %{

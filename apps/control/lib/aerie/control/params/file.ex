@@ -16,6 +16,7 @@ defmodule Aerie.Control.Params.File do
   alias MavCodec.Message.ParamValue
   alias Aerie.Base.Files.Text
   alias MavCodec.Enums.MavComponent
+  alias MavCodec.Msp.Message
 
   @max_bytes 1_048_576
   @max_errors 20
@@ -41,21 +42,21 @@ defmodule Aerie.Control.Params.File do
   def parse(text), do: with({:ok, entries, _remarks} <- read(text, {nil, @autopilot}), do: {:ok, entries})
 
   @doc """
-  The parameters of a file for a vehicle's autopilot, and sentences about what was left out. What words mean depends on the firmware: the vehicle's, or
-  the one that the file names.
+  The parameters of a file for a vehicle's autopilot, and sentences about what was left out. What words mean depends on the firmware and its version: the
+  vehicle's, or the one that the file names.
   """
-  @spec read(binary(), owner(), firmware :: atom()) ::
+  @spec read(binary(), owner(), {firmware :: atom(), Message.version() | nil} | nil) ::
           {:ok, [entry()], remarks :: [String.t()]} | {:error, [error(), ...]}
-  def read(text, owner, firmware \\ nil)
+  def read(text, owner, release \\ nil)
 
-  def read(text, _owner, _firmware) when byte_size(text) > @max_bytes,
+  def read(text, _owner, _release) when byte_size(text) > @max_bytes,
     do: {:error, [{nil, "the file has #{byte_size(text)} bytes, more than #{@max_bytes}"}]}
 
-  def read(text, owner, firmware) do
+  def read(text, owner, release) do
     case Text.lines(text) do
       {:ok, lines} ->
         if CommandLine.lines?(lines),
-          do: settings(lines, owner, {firmware, CommandLine.firmware(text)}),
+          do: settings(lines, owner, release, CommandLine.release(text)),
           else: lines |> Enum.map(&line/1) |> rows(owner)
 
       {:error, reason} ->
@@ -63,14 +64,14 @@ defmodule Aerie.Control.Params.File do
     end
   end
 
-  defp settings(_lines, _owner, {firmware, named})
-       when firmware != nil and named != nil and firmware != named,
-       do: {:error, [{nil, "the file is of #{title(named)}, and the vehicle has another firmware"}]}
+  defp settings(_lines, _owner, {firmware, _version}, {named, _of_file}) when firmware != named,
+    do: {:error, [{nil, "the file is of #{CommandLine.title(named)}, and the vehicle has another firmware"}]}
 
-  defp settings(lines, owner, {firmware, named}) do
-    {settings, remarks} =
-      CommandLine.settings(lines, if(firmware in [:betaflight, :inav], do: firmware, else: named))
+  defp settings(lines, owner, release, named) do
+    release =
+      if match?({firmware, _} when firmware in [:betaflight, :inav], release), do: release, else: named
 
+    {settings, remarks} = CommandLine.settings(lines, release)
     entries = for {name, value, line} <- settings, do: entry(name, value, nil, line)
     with {:ok, entries, more} <- rows(entries, owner), do: {:ok, entries, remarks ++ more}
   end
@@ -225,21 +226,23 @@ defmodule Aerie.Control.Params.File do
   end
 
   @doc """
-  A file of a list: `:param` for Mission Planner and MAVProxy, `:params` for QGroundControl, `{:txt, firmware}` for the command line of Betaflight or iNav. Ordered
+  A file of a list: `:param` for Mission Planner and MAVProxy, `:params` for QGroundControl, `{:txt, release}` for the command line of Betaflight or iNav. Ordered
   by name. A value that is not a number is a comment.
   """
   @spec format(
           Table.t(),
-          :param | :params | {:txt, :betaflight | :inav},
+          :param | :params | {:txt, CommandLine.release()},
           {system :: non_neg_integer(), component :: 0..255}
         ) :: String.t()
-  def format(table, {:txt, firmware}, _source) do
+  def format(table, {:txt, release}, _source) do
+    words = CommandLine.words(release)
+
     lines =
       Enum.map_join(Table.sorted(table), fn param ->
-        unless_unusable(param, &CommandLine.text(firmware, &1.name, text(&1.value)))
+        unless_unusable(param, &CommandLine.text(words, &1.name, text(&1.value)))
       end)
 
-    "# #{title(firmware)}: save stores them and restarts the vehicle\n#{lines}save\n"
+    "#{CommandLine.head(release)}#{lines}save\n"
   end
 
   def format(table, :param, _source),
@@ -257,9 +260,6 @@ defmodule Aerie.Control.Params.File do
         unless_unusable(param, &"#{system}\t#{component}\t#{&1.name}\t#{text(&1.value)}\t#{&1.type}\n")
       end)
   end
-
-  defp title(:inav), do: "iNav"
-  defp title(:betaflight), do: "Betaflight"
 
   defp unless_unusable(%{value: nil} = param, _line), do: "# #{param.name} is not a number on board\n"
   defp unless_unusable(param, line), do: line.(param)

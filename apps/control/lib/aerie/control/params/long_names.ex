@@ -5,7 +5,7 @@ defmodule Aerie.Control.Params.LongNames do
   """
 
   alias Aerie.Control.Params.{Metadata, Param, Table}
-  alias MavCodec.Msp.{Params, ShortName}
+  alias MavCodec.Msp.{Message, Params, ShortName}
   alias MavCodec.PackedParams
 
   @command_line ~r/\A[a-z0-9_]{1,64}\z/
@@ -29,8 +29,24 @@ defmodule Aerie.Control.Params.LongNames do
 
   def shown(params, _firmware), do: params
 
-  @doc "What is known of the parameters of a firmware that does not say it itself; nil for one that may."
+  @doc "The firmware of a snapshot, and the version of its parameters if that is known; nil without a snapshot."
+  @spec release(map() | nil) :: {Aerie.Vehicle.Kind.autopilot(), Message.version() | nil} | nil
+  def release(%{autopilot: firmware} = snapshot) when firmware in @msp,
+    do: {firmware, Params.version(firmware, snapshot[:firmware])}
+
+  def release(%{autopilot: firmware}), do: {firmware, nil}
+  def release(_none), do: nil
+
+  @doc """
+  What is known of the parameters of a firmware that does not say it itself, nothing for an unknown version; nil for one
+  that may.
+  """
   @spec metadata(map()) :: {:ok, %{String.t() => Metadata.t()}} | nil
-  def metadata(%{autopilot: firmware}) when firmware in @msp, do: {:ok, Params.described(firmware)}
-  def metadata(_snapshot), do: nil
+  def metadata(snapshot) do
+    case release(snapshot) do
+      {firmware, nil} when firmware in @msp -> {:ok, %{}}
+      {firmware, version} when firmware in @msp -> {:ok, Params.described(firmware, version)}
+      _other -> nil
+    end
+  end
 end

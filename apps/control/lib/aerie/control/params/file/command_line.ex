@@ -2,15 +2,16 @@ defmodule Aerie.Control.Params.File.CommandLine do
   @moduledoc """
   What the command lines of Betaflight and iNav print (`diff all`, `dump`), and their configurators keep as `.txt`: lines such as `set NAME = VALUE`.
 
-  A value may be a word (`set failsafe_procedure = DROP`), by the tables of `MavCodec.Msp.Params`. Settings of a profile count if it is the one that the file
-  selects at its end. What is not a number there, and lines of other commands (`feature`, `aux`, `serial` …), are left out, with remarks that say so.
+  A value may be a word (`set failsafe_procedure = DROP`), by the tables of `MavCodec.Msp.Params` for the version. Settings of a profile count if it is the one
+  that the file selects at its end. What is not a number there, words that the version does not have, and lines of other commands (`feature`, `aux`,
+  `serial` …), are left out, with remarks that say so.
   """
 
-  alias MavCodec.Msp.Params
+  alias MavCodec.Msp.{Message, Params}
 
   @set ~r/\Aset\s+(\S+)\s*=\s*(.*?)\s*\z/
   @profile ~r/\A(profile|rateprofile|control_profile|battery_profile|mixer_profile)\s+(\d{1,2})\z/
-  @header ~r/^# (Betaflight|INAV|iNav)\b/m
+  @header ~r/^# (Betaflight|INAV|iNav)\b(?:[^\n]*?\s(?:20)?(\d{1,2}\.\d{1,2})\b)?/m
   # Of the session with the command line, not of the vehicle.
   @silent ~w(diff dump defaults batch save exit version board_name manufacturer_id mcu_id signature board_info)
   @named 5
@@ -22,39 +23,60 @@ defmodule Aerie.Control.Params.File.CommandLine do
   @spec lines?([line()]) :: boolean()
   def lines?(lines), do: Enum.any?(lines, fn {line, _number} -> line =~ @set end)
 
-  @doc "The firmware that a file names in its comments; nil if it names none."
-  @spec firmware(binary()) :: :betaflight | :inav | nil
-  def firmware(text) do
+  @typedoc "A firmware, and its version if that is known."
+  @type release :: {:betaflight | :inav, Message.version() | nil}
+
+  @doc "The firmware that a file names in its comments, and its version; nil if it names none."
+  @spec release(binary()) :: release() | nil
+  def release(text) do
     case Regex.run(@header, text) do
-      [_all, "Betaflight"] -> :betaflight
-      [_all, _inav] -> :inav
+      [_all, "Betaflight" | version] -> {:betaflight, Params.version(:betaflight, List.first(version))}
+      [_all, _inav | version] -> {:inav, Params.version(:inav, List.first(version))}
       nil -> nil
     end
   end
 
-  @doc "The settings that are numbers, as text, and remarks. Words are known by their firmware."
-  @spec settings([line()], :betaflight | :inav | nil) :: {[setting()], remarks :: [String.t()]}
-  def settings(lines, firmware) do
+  @doc "The words of a release by the names of parameters; none if it is not known."
+  @spec words(release() | nil) :: %{String.t() => [String.t()]}
+  def words({firmware, version}) when version != nil, do: Params.words(firmware, version)
+  def words(_unknown), do: %{}
+
+  @doc "The settings that are numbers, as text, and remarks."
+  @spec settings([line()], release() | nil) :: {[setting()], remarks :: [String.t()]}
+  def settings(lines, release) do
     start = %{profile: nil, selected: %{}, settings: [], others: []}
     read = Enum.reduce(lines, start, &line/2)
+    words = words(release)
 
     {active, other_profiles} =
       Enum.split_with(Enum.reverse(read.settings), fn {_setting, profile} ->
         profile == nil or read.selected[elem(profile, 0)] == elem(profile, 1)
       end)
 
-    {numbers, texts} = active |> Enum.map(&number(elem(&1, 0), firmware)) |> Enum.split_with(&is_tuple/1)
+    {numbers, rest} =
+      active |> Enum.map(&number(elem(&1, 0), words)) |> Enum.split_with(&(tuple_size(&1) == 3))
 
     remarks =
-      left("they are not numbers", texts) ++
+      left("they are not numbers", for({:text, name} <- rest, do: name)) ++
+        left("this version does not have the word", for({:word, shown} <- rest, do: shown)) ++
         left(
           "they are of another profile",
           for({{name, _value, _line}, _profile} <- other_profiles, do: name)
         ) ++
         left("they are not settings", read.others |> Enum.reverse() |> Enum.uniq())
 
-    {numbers, remarks}
+    {numbers, remarks ++ unknown(release)}
   end
+
+  defp unknown({firmware, nil}),
+    do: ["the words of this version of #{title(firmware)} are not known: only numbers are read"]
+
+  defp unknown(_known_or_none), do: []
+
+  @doc "The name of a firmware."
+  @spec title(:betaflight | :inav) :: String.t()
+  def title(:inav), do: "iNav"
+  def title(:betaflight), do: "Betaflight"
 
   defp line({line, number}, read) do
     cond do
@@ -73,12 +95,15 @@ defmodule Aerie.Control.Params.File.CommandLine do
     end
   end
 
-  defp number({name, value, line}, firmware) do
+  defp number({name, value, line}, words) do
+    index = Enum.find_index(words[name] || [], &(String.upcase(&1) == String.upcase(value)))
+
     cond do
       # Some words are numbers: 115200 for the second one.
-      index = firmware && Params.word(firmware, name, value) -> {name, Integer.to_string(index), line}
+      index -> {name, Integer.to_string(index), line}
       value =~ ~r/\A[+-]?\d+(\.\d+)?\z/ -> {name, value, line}
-      true -> name
+      words[name] -> {:word, "#{name} (#{String.slice(value, 0, 40)})"}
+      true -> {:text, name}
     end
   end
 
@@ -89,14 +114,28 @@ defmodule Aerie.Control.Params.File.CommandLine do
     ["left out, because #{why}: #{names |> Enum.take(@named) |> Enum.join(", ")}#{more}"]
   end
 
-  @doc "A parameter as a line, with the word of its value if that is known."
-  @spec text(MavCodec.Msp.Messages.firmware(), String.t(), String.t()) :: String.t()
-  def text(firmware, name, value), do: "set #{name} = #{words(firmware, name, value) || value}\n"
+  @doc "A parameter as a line, with the word of its value where it has some: the command line takes no numbers there."
+  @spec text(words :: %{String.t() => [String.t()]}, String.t(), String.t()) :: String.t()
+  def text(words, name, value), do: "set #{name} = #{word(words[name], value) || value}\n"
 
-  defp words(firmware, name, value) do
+  defp word(nil, _value), do: nil
+
+  defp word(words, value) do
     case Integer.parse(value) do
-      {index, ""} when index >= 0 -> Enum.at(Params.words(firmware, name), index)
+      {index, ""} when index >= 0 -> Enum.at(words, index)
       _other -> nil
     end
+  end
+
+  @doc "The first lines of a file."
+  @spec head(release()) :: String.t()
+  def head({firmware, nil}),
+    do:
+      "# #{title(firmware)}: save stores them and restarts the vehicle\n" <>
+        "# The words of this version are not known: its command line refuses numbers in their place\n"
+
+  def head({firmware, version}) do
+    {_numbers, _version, release} = List.keyfind(Params.releases(firmware), version, 1)
+    "# #{title(firmware)} #{release}: save stores them and restarts the vehicle\n"
   end
 end

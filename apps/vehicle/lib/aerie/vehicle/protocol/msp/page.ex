@@ -4,23 +4,6 @@ defmodule Aerie.Vehicle.Protocol.Msp.Page do
   alias Aerie.Vehicle.Command.Page
   alias MavCodec.Msp.{Message, Messages, Params}
 
-  # By the version that gates messages: the API's of Betaflight, the firmware's of iNav.
-  @betaflight [
-    {{1, 40}, "3.5"},
-    {{1, 41}, "4.0"},
-    {{1, 42}, "4.1"},
-    {{1, 43}, "4.2"},
-    {{1, 44}, "4.3"},
-    {{1, 45}, "4.4"},
-    {{1, 46}, "4.5"},
-    {{1, 47}, "2025.12"},
-    {{1, 48}, "2026.6"},
-    {{1, 49}, "2026.12"}
-  ]
-  @inav for version <- [{7, 0}, {7, 1}, {8, 0}, {9, 0}, {9, 1}],
-            {major, minor} = version,
-            do: {version, "#{major}.#{minor}"}
-
   @doc "The section by its name."
   @spec sections() :: %{String.t() => String.t()}
   def sections do
@@ -35,13 +18,12 @@ defmodule Aerie.Vehicle.Protocol.Msp.Page do
     ]
 
     %{
-      "versions" =>
-        Page.table(header, rows(:betaflight, "Betaflight", @betaflight) ++ rows(:inav, "iNav", @inav))
+      "versions" => Page.table(header, rows(:betaflight, "Betaflight") ++ rows(:inav, "iNav"))
     }
   end
 
-  defp rows(firmware, name, versions) do
-    for {version, release} <- versions do
+  defp rows(firmware, name) do
+    for {_numbers, version, release} <- Params.releases(firmware) do
       known =
         for message <- Messages.all(firmware),
             Message.in?(message, version),

@@ -16,7 +16,7 @@ defmodule Aerie.Control.Policy.Protection do
   # Betaflight and iNav; the first eleven letters are also those of MAVLink's names (`MavCodec.Msp.ShortName`).
   @msp ~w(FAILSAFE_* GPS_RESCUE_* SMALL_ANGLE AUTO_DISARM* NAV_RTH_* NAV_EXTRA_* SAFEHOME_* GEOZONE_* VBAT_* MIN_CHECK MAX_CHECK
     RX_MIN_USEC RX_MAX_USEC MSP_OVERRI* PREARM_TIM* RECEIVER_T* NAV_LAND_D* NAV_EMERG_*
-    RUNAWAY_TA* CRASHFLIP_* YAW_SPIN_RE* LANDING_DIS* AP_GEOFENCE* AP_MAX_DIST* AP_RX_LOSS* ENABLE_STI* PREARM_ALL* PWR_ON_ARM* USE_VBAT_*
+    RUNAWAY_TA* CRASHFLIP_* YAW_SPIN_RE* LANDING_DIS* AP_* ENABLE_STI* PREARM_ALL* PWR_ON_ARM* USE_VBAT_*
     USE_CBAT_*)
 
   @patterns Enum.map(Enum.uniq(@ardupilot ++ @px4 ++ @msp), &:binary.split(&1, "*", [:global]))

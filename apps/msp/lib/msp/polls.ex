@@ -1,7 +1,8 @@
 defmodule Msp.Polls do
   @moduledoc """
   What a flight controller is asked by itself, and how often: a table for each firmware. The message that is overdue most, measured
-  in its own period, comes first, so that a slow line makes all of them rarer alike.
+  in its own period, comes first, so that a slow line makes all of them rarer alike. Only the sign of life comes first
+  when it is late.
 
   A request is made as often as the most wanted of the MAVLink messages that are made of its reply, and each of those is sent at its own rate.
   """
@@ -46,6 +47,7 @@ defmodule Msp.Polls do
   }
   @fastest_us 40_000
   @slowest_us 5_000_000
+  @sign_us 1_000_000
   # The sign of life, in which changes of the mode show: never rarer than usual, as the height, by which it is in the
   # air or not.
   @status ["STATUS_EX", "MSP2_INAV_STATUS"]
@@ -78,7 +80,9 @@ defmodule Msp.Polls do
   def next(%__MODULE__{polls: polls}, _now) when polls == %{}, do: :none
 
   def next(%__MODULE__{polls: polls}, now) do
-    {name, poll} = Enum.max_by(polls, fn {name, poll} -> {(now - poll.due) / poll.period, name} end)
+    {name, poll} =
+      Enum.find(polls, fn {name, poll} -> name in @status and now - poll.due > @sign_us end) ||
+        Enum.max_by(polls, fn {name, poll} -> {(now - poll.due) / poll.period, name} end)
 
     if poll.due <= now,
       do: {:ask, name, poll.arguments},

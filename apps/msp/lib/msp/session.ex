@@ -1,5 +1,6 @@
 defmodule Msp.Session do
   @listen_us 1_200_000
+  @good_us 1_000_000
 
   @moduledoc """
   One flight controller that speaks MSP, as an autopilot that speaks MAVLink: `handle(session, event, now) -> {session, actions}`. Time is in
@@ -223,6 +224,13 @@ defmodule Msp.Session do
     do: {:fail, Identifying.asked_by(frame)}
 
   defp answer(session, {:unasked, _push}, _now), do: {:ok, session}
+
+  # What somebody asked for was given up; a poll's is still good within a second.
+  defp answer(%{phase: :up} = session, {:late, {:poll, _} = tag, %{direction: :reply} = frame, sent_at}, now)
+       when now - sent_at <= @good_us,
+       do: answer(session, {:reply, tag, frame}, now)
+
+  defp answer(session, {:late, _tag, _frame, _sent_at}, now), do: {:ok, alive(session, now)}
 
   defp answer(session, {:refused, {:about, name}}, now), do: Identifying.known(session, name, %{}, now)
 

@@ -56,6 +56,78 @@ defmodule Msp.ClientsTest do
     assert beats |> Enum.chunk_every(2, 1, :discard) |> Enum.all?(fn [a, b] -> b - a < 1.4 * @second end)
   end
 
+  # A line on which each reply is lost that is to be.
+  defp losing(firmware, lost?) do
+    {answer, _change, _state} = Simulated.controller(firmware)
+    counter = :counters.new(1, [])
+
+    line =
+      Line.open(fn bytes, us ->
+        reply = answer.(bytes, us)
+        :counters.add(counter, 1, 1)
+
+        if reply == "" or (us > 7 * @second and lost?.(:counters.get(counter, 1), bytes)),
+          do: nil,
+          else: reply
+      end)
+
+    line |> Line.run(7 * @second) |> program(1)
+  end
+
+  # A program that reads without end, and asks again after a second.
+  defp reading(line, seconds) do
+    Enum.reduce(1..(seconds * 50), {line, 0, line.now}, fn _turn, {line, had, asked} ->
+      got = length(got(line, 1))
+
+      if got > had or line.now - asked > @second or asked == line.now,
+        do: {ask(line, 1, v1(Enum.random([112, 34, 94, 111, 10])), 0.02), got, line.now},
+        else: {Line.run(line, 20_000), had, asked}
+    end)
+    |> elem(0)
+  end
+
+  defp attitudes(line), do: length(Line.told(line, M.Attitude))
+
+  defp gap(line, module),
+    do:
+      line
+      |> Line.told(module)
+      |> Enum.map(&elem(&1, 0))
+      |> Enum.chunk_every(2, 1, :discard)
+      |> Enum.map(fn [a, b] -> b - a end)
+      |> Enum.max()
+
+  test "on a line that loses a tenth of all replies a program that reads costs the vehicle's state next to nothing" do
+    for firmware <- [:betaflight, :inav] do
+      :rand.seed(:exsss, {1, 2, 3})
+      lost? = fn _n, _bytes -> :rand.uniform() < 0.1 end
+      alone = losing(firmware, lost?)
+      before = attitudes(alone)
+      alone = Line.run(alone, 16 * @second)
+      line = reading(losing(firmware, lost?), 16)
+      assert attitudes(alone) - before > 60
+      assert attitudes(line) - before > 60
+      assert gap(line, M.Heartbeat) < 2 * @second
+      assert gap(line, M.Attitude) < 1.2 * @second
+      assert length(got(line, 1)) > 50
+    end
+  end
+
+  test "whatever a program asks for, and however long that may take: a lost reply does not silence the vehicle" do
+    for {id, payload} <- [{112, ""}, {250, ""}, {0x3010, "p_roll"}, {202, <<45::8, 0::112>>}] do
+      line =
+        losing(:betaflight, fn _n, bytes -> match?({[%{id: ^id}], _}, Parser.push(Parser.new(), bytes)) end)
+
+      before = attitudes(line)
+      line = ask(line, 1, %Frame{form: if(id > 254, do: :v2, else: :v1), id: id, payload: payload}, 5)
+      assert attitudes(line) - before > 20
+      assert gap(line, M.Attitude) < 600_000
+      # And the next one's turn comes, sooner if it is one that does not take long.
+      line = if id == 250, do: line, else: ask(line, 1, v1(10), 0.5)
+      assert id == 250 or Enum.any?(got(line, 1), &(&1.id == 10))
+    end
+  end
+
   test "the reply to version 2 keeps the flags of its request, by which programs number them" do
     for firmware <- [:betaflight, :inav], form <- [:v2, :v2_over_v1] do
       {line, _change, _state} = up(firmware)

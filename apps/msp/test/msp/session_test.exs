@@ -20,6 +20,10 @@ defmodule Msp.SessionTest do
 
   defp acks(line), do: for({_at, ack} <- Line.told(line, M.CommandAck), do: {ack.command, ack.result})
   defp texts(line), do: for({_at, text} <- Line.told(line, M.Statustext), do: text.text)
+
+  defp requests_at(line, id),
+    do: for({at, <<_, _, _, _, ^id, _::binary>>} <- line.written, do: at - 1_000_000_000_000)
+
   defp requests(line), do: for({_at, <<_, _, _, _, id, _::binary>>} <- Enum.reverse(line.written), do: id)
 
   describe "who is there" do
@@ -387,6 +391,37 @@ defmodule Msp.SessionTest do
 
       line = run(noisy, 4)
       assert line.counted.crc_errors > 2 and line.counted.resync_bytes > 2 * line.counted.crc_errors
+    end
+
+    test "its clock is monotonic: it may be far below zero" do
+      line = betaflight() |> Line.open(now: -576_460_752_303_423_488) |> Line.run(5 * @second)
+      refute line.failed
+      assert length(line.told) > 20
+      assert length(line.written) > 40
+    end
+
+    test "replies that take longer than a second are waited for, once that is known" do
+      for delay <- [1_300_000, 900_000, 2_000_000] do
+        line = run(betaflight(), 60, delay: delay)
+        refute line.failed
+        beats = for {at, _} <- Line.told(line, M.Heartbeat), at > 30 * @second, do: at
+        # One request after the other, each second one for the sign of life.
+        assert length(beats) >= div(30 * @second, 2 * delay + 300_000)
+        # It is not asked again and again who it is.
+        assert Enum.count(requests(line), &(&1 == 2)) <= 3
+      end
+    end
+
+    test "a line that becomes slow is learned while its replies come late" do
+      slow = fn _bytes, _answer, now ->
+        if now - 1_000_000_000_000 > 10 * @second, do: 1_300_000, else: 10_000
+      end
+
+      line = run(betaflight(), 90, delay: slow)
+      beats = for {at, _} <- Line.told(line, M.Heartbeat), at > 40 * @second, do: at
+      assert length(beats) >= 5
+      late = for at <- requests_at(line, 2), at > 40 * @second, do: at
+      assert late == []
     end
 
     test "a late reply is not taken for another's, and half a frame holds nothing up" do

@@ -8,62 +8,83 @@ defmodule Msp.Session.Asking do
   alias Msp.Session.{Identifying, Tasks}
 
   @again_us 10_000
+  # A poll is asked again soon, and its reply counts when it comes late.
+  @poll_us 100_000
+  @least_us 250_000
 
-  @doc "Asks, if nothing is under way and the line is free."
+  @doc "Asks, if the line is free."
   @spec next(Session.t(), integer) :: {Session.t(), [Session.action()]}
-  def next(%{exchange: %{asked: asked}} = session, _now) when asked != nil, do: {session, []}
-
   def next(%{phase: :identifying, todo: [name | more]} = session, now) do
     case MavCodec.Msp.request(Identifying.target(session), name) do
-      {:ok, frame} -> send_if_ready(session, {:about, name}, frame, now, 0)
+      {:ok, frame} -> send_if_ready(session, :task, {:about, name}, frame, now, @least_us)
       # This version does not have it.
       {:error, _why} -> next(%{session | todo: more}, now)
     end
   end
 
-  def next(session, now) do
-    case if(Polls.late?(session.polls, now), do: {:none, session}, else: first(session)) do
-      {:none, session} -> poll(session, now)
-      {:look, session} -> poll(session, Polls.status(session.polls), now)
-      {{:ask, task, frame, patience}, session} -> send_if_ready(session, {:task, task}, frame, now, patience)
+  def next(%{exchange: exchange} = session, now) do
+    case exchange.asked do
+      none when none == %{} -> any(session, now)
+      %{state: _, task: _} -> {session, []}
+      # What waits is overdue.
+      %{task: _} -> poll(session, now)
+      %{state: _} -> task(session, [:urgent, :program, :bulk], now)
     end
   end
 
-  defp first(session) do
-    with {:none, session} <- Tasks.next(session, :urgent), do: Tasks.next(session, :program)
+  defp any(session, now) do
+    if Polls.late?(session.polls, now),
+      do: poll(session, now),
+      else:
+        session
+        |> task([:urgent, :program], now)
+        |> or_else(&poll(&1, now))
+        |> or_else(&task(&1, [:bulk], now))
+  end
+
+  defp or_else({session, []}, ask), do: ask.(session)
+  defp or_else(written, _ask), do: written
+
+  defp task(session, kinds, now) do
+    free = Exchange.free_at(session.exchange, :task, now)
+    if free != nil and free <= now, do: task_of(session, kinds, now), else: {session, []}
+  end
+
+  defp task_of(session, [], _now), do: {session, []}
+
+  defp task_of(session, [kind | kinds], now) do
+    case Tasks.next(session, kind) do
+      {:none, session} ->
+        task_of(session, kinds, now)
+
+      {:look, looked} ->
+        # One that cannot be sent now does not count.
+        with {_looked, []} <- poll(looked, Polls.status(session.polls), now), do: {session, []}
+
+      {{:ask, task, frame, patience}, session} ->
+        send_if_ready(session, :task, {:task, task}, frame, now, max(patience, @least_us))
+    end
   end
 
   defp poll(session, now) do
     case Polls.next(session.polls, now) do
-      {:ask, name, arguments} ->
-        poll(session, {name, arguments}, now)
-
-      _nothing_due ->
-        case Tasks.next(session, :bulk) do
-          {:none, session} ->
-            {session, []}
-
-          {:look, session} ->
-            poll(session, Polls.status(session.polls), now)
-
-          {{:ask, task, frame, patience}, session} ->
-            send_if_ready(session, {:task, task}, frame, now, patience)
-        end
+      {:ask, name, arguments} -> poll(session, {name, arguments}, now)
+      _nothing_due -> {session, []}
     end
   end
 
   defp poll(session, {name, arguments}, now) do
     {:ok, frame} = MavCodec.Msp.request(Identifying.target(session), name, arguments)
-    {session, written} = send_if_ready(session, {:poll, name}, frame, now, 0)
+    {session, written} = send_if_ready(session, :state, {:poll, name}, frame, now, @poll_us)
 
     if written == [],
       do: {session, []},
       else: {%{session | polls: Polls.asked(session.polls, name, now)}, written}
   end
 
-  defp send_if_ready(session, tag, frame, now, patience) do
-    if Exchange.ready(session.exchange, frame, now) == :now do
-      {bytes, exchange} = Exchange.send(session.exchange, tag, frame, now, patience)
+  defp send_if_ready(session, lane, tag, frame, now, patience) do
+    if Exchange.ready(session.exchange, lane, frame, now) == :now do
+      {bytes, exchange} = Exchange.send(session.exchange, lane, tag, frame, now, patience)
       {%{session | exchange: exchange}, [{:write, bytes}]}
     else
       {session, []}
@@ -76,14 +97,35 @@ defmodule Msp.Session.Asking do
     do: min(max(due, now + @again_us), wake(%{session | motors: nil}, now))
 
   def wake(%{receiver: %{due: due}} = session, now), do: min(due, wake(%{session | receiver: nil}, now))
-  def wake(%{exchange: %{deadline: deadline}}, _now) when deadline != nil, do: deadline
 
-  def wake(%{phase: :up, tasks: [], upload: nil} = session, now) do
+  def wake(%{exchange: exchange} = session, now) do
+    case Exchange.deadline(exchange) do
+      nil -> wanted(session, now)
+      deadline -> min(deadline, beside(session, now) || deadline)
+    end
+  end
+
+  # What the other lane may do once the reply is overdue.
+  defp beside(%{phase: :up, exchange: exchange} = session, now) do
+    polled = Exchange.free_at(exchange, :state, now)
+    tasked = Exchange.free_at(exchange, :task, now)
+
+    cond do
+      polled != nil -> max(max(polled, now + @again_us), polled(session, now))
+      tasked != nil and session.tasks != [] -> max(tasked, now + @again_us)
+      true -> nil
+    end
+  end
+
+  defp beside(_session, _now), do: nil
+
+  defp wanted(%{phase: :up, tasks: [], upload: nil} = session, now), do: polled(session, now)
+  defp wanted(_session, now), do: now + @again_us
+
+  defp polled(session, now) do
     case Polls.next(session.polls, now) do
       {:at, at} -> at
       _due -> now + @again_us
     end
   end
-
-  def wake(_session, now), do: now + @again_us
 end

@@ -26,8 +26,10 @@ defmodule Msp.Session.Clients do
   @set_motor 214
   @reboot 68
   @notice 5
-  # Writing the EEPROM takes up to two seconds.
+  # Writing the EEPROM takes up to two seconds, which these do: EEPROM_WRITE, missions and profiles of iNav, RESET_CONF.
+  # A restart and reading the flash take their time as well.
   @slow_us 5_000_000
+  @slow [250, 18, 19, 210, 0x2018, 0x2080, 208, 68, 71, 72]
 
   @type id :: pos_integer
 
@@ -210,7 +212,8 @@ defmodule Msp.Session.Clients do
   defp ask(session, id, frame) do
     # Rebuilt: with our own flags, and in the form that its id needs.
     built = %Frame{form: if(frame.id > 254, do: :v2, else: :v1), id: frame.id, payload: frame.payload}
-    Tasks.add(session, %{kind: __MODULE__, client: id, frame: frame, ask: {built, @slow_us}})
+    patience = if frame.id in @slow, do: @slow_us, else: 0
+    Tasks.add(session, %{kind: __MODULE__, client: id, frame: frame, ask: {built, patience}})
   end
 
   @impl Tasks

@@ -9,7 +9,7 @@ defmodule Msp.Session.Identifying do
 
   alias MavCodec.Msp.{Frame, Guard}
   alias MavCodec.Sniff
-  alias Msp.{Identity, Polls, Session, Telemetry}
+  alias Msp.{Exchange, Identity, Polls, Session, Telemetry}
   alias Msp.Session.{Clients, Motors, Params, Reports}
 
   @identify ["API_VERSION", "FC_VARIANT", "FC_VERSION"]
@@ -38,6 +38,7 @@ defmodule Msp.Session.Identifying do
       Clients.interrupted(session)
       | phase: :identifying,
         identity: nil,
+        exchange: Exchange.forget(session.exchange),
         todo: @identify,
         tries: 0,
         found: %{},
@@ -139,10 +140,11 @@ defmodule Msp.Session.Identifying do
     end
   end
 
-  def timeout(%{answered_at: at} = session, {:poll, _name}, now) when now - at > @silent_us,
-    do: {:ok, start(session)}
-
-  def timeout(session, {:poll, _name}, _now), do: {:ok, session}
+  def timeout(%{answered_at: at} = session, {:poll, _name}, now) do
+    # On a line whose replies take longer, some of them.
+    patience = max(@silent_us, 3 * Exchange.timeout_us(session.exchange))
+    {:ok, if(now - at > patience, do: start(session), else: session)}
+  end
 
   defp silent(%{heard: ""}), do: "it does not answer MSP"
 

@@ -216,7 +216,10 @@ defmodule Aerie.Control.Missions do
   @doc "Describes a plan of a kind from its items: `\"4 corners\"`, `\"nothing\"`."
   @spec contents([Item.t()], kind(), module()) :: String.t()
   def contents(items, kind, protocol) do
-    %Plan{} |> Onboard.put(@kinds[kind], items, protocol) |> Plan.contents(kind) || "nothing"
+    case %Plan{} |> Onboard.put(@kinds[kind], items, protocol) |> Plan.contents(kind) do
+      nil -> "nothing"
+      text -> text
+    end
   end
 
   # The request to the gateway that hears the vehicle.

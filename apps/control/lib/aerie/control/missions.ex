@@ -190,6 +190,15 @@ defmodule Aerie.Control.Missions do
     |> Known.note(gateway, RemoteGateway.vehicle(gateway, vehicle), @kinds[kind], [])
   end
 
+  @doc "Why a plan could be sent to no vehicle (a place without a height), or nil."
+  @spec unsendable(Plan.t()) :: String.t() | nil
+  def unsendable(plan) do
+    Enum.find_value(kinds(), fn kind ->
+      what = Plan.heightless(plan, kind)
+      what && "#{kind}: expected #{what}"
+    end)
+  end
+
   defp sent(action, items), do: %{action: action, items: length(items), digest: Plan.digest(items)}
 
   defp remark(snapshot, kind, plan) do

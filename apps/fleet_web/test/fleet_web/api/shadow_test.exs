@@ -94,6 +94,9 @@ defmodule FleetWeb.API.ShadowTest do
     assert {:ok, %Aerie.Mission.Plan{}} = Aerie.Fleet.Shadow.Plans.fetch(context.gateway, hash)
     assert {422, _headers, _why} = post.("{}", "key-of-the-operator-1")
     assert {403, _headers, _why} = post.(plan, "key-of-the-wall-00001")
+    heightless = %Aerie.Mission.Plan{items: [%Aerie.Mission.Item{command: 16, frame: 0, z: nil}]}
+    assert {422, _headers, why} = post.(Aerie.Mission.File.QgcPlan.write(heightless), "key-of-the-operator-1")
+    assert inspect(why) =~ "mission: expected a height in item 1 (NAV_WAYPOINT)"
   end
 
   test "tags are shown with each vehicle, and vehicles found by them", context do

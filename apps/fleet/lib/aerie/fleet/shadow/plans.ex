@@ -39,7 +39,13 @@ defmodule Aerie.Fleet.Shadow.Plans do
   defp size(_text), do: {:error, {:invalid, "the file is larger than #{@max_bytes} bytes"}}
 
   defp read(text) do
-    with {:error, why} <- Missions.import(text, :plan), do: {:error, {:invalid, why}}
+    with {:ok, plan} <- Missions.import(text, :plan),
+         nil <- Missions.unsendable(plan) do
+      {:ok, plan}
+    else
+      {:error, why} -> {:error, {:invalid, why}}
+      why -> {:error, {:invalid, why}}
+    end
   end
 
   defp dir(gateway) do

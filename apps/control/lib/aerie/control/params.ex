@@ -15,8 +15,9 @@ defmodule Aerie.Control.Params do
   """
 
   alias Aerie.Base.Names
-  alias Aerie.Control.{Commands, Transfers}
+  alias Aerie.Control.{Commands, TransferExecutor, Transfers}
   alias Aerie.Control.Commands.RemoteGateway
+  alias Aerie.Vehicle.Command
   alias Aerie.Vehicle.Command.{Error, Result}
 
   alias Aerie.Control.Params.{
@@ -36,6 +37,7 @@ defmodule Aerie.Control.Params do
   }
 
   alias Aerie.Control.Policy.Intent
+  alias Aerie.Control.Policy.Mavlink.SystemId
   alias MavCodec.Enums.MavProtocolCapability
 
   @typedoc "`:component` - the component whose parameters are meant, 1 to 255; without it the autopilot's are"
@@ -78,7 +80,7 @@ defmodule Aerie.Control.Params do
     do:
       {:error,
        Result.new(
-         Aerie.Vehicle.Command.id(),
+         Command.id(),
          :failed,
          "the vehicle's gateway did not answer with a parameter"
        )}
@@ -209,6 +211,8 @@ defmodule Aerie.Control.Params do
       }
 
       asked = {"params", "set", of(component, %{"name" => name, "value" => value})}
+      options = Keyword.put_new_lazy(options, :id, &Command.id/0)
+      renamed = if component, do: [], else: [{name, value}]
 
       change =
         Map.put(
@@ -219,6 +223,7 @@ defmodule Aerie.Control.Params do
           :remote_request,
           asked
         )
+        |> Map.put(:before, &renaming(gateway, &1, renamed, options[:id]))
 
       Transfers.change(gateway, vehicle, change, transfer, options, fn param ->
         %{"name" => name, "value" => param.value}
@@ -242,13 +247,22 @@ defmodule Aerie.Control.Params do
   defp set_all(gateway, vehicle, values, options, remarks) do
     entries = for entry <- values, do: entry(entry)
 
+    # What is set after it would not be answered.
+    entries = Enum.sort_by(entries, fn {name, _value, _type} -> SystemId.param?(name) end)
+    options = Keyword.put_new_lazy(options, :id, &Command.id/0)
     names = for {name, _value, _type} <- entries, do: name
     wired = for {name, value, type} <- entries, do: {LongNames.wire(name), value, type}
 
     with :ok <- check_all(entries), :ok <- known(gateway, vehicle, names) do
       sets = for {name, value, _type} <- entries, do: {name, value}
       change = change(sets, %{count: length(entries), digest: digest(entries)})
-      change = Map.put(change, :before, fn _snapshot -> &Result.remark(&1, remarks) end)
+
+      before = fn snapshot ->
+        renamed = renaming(gateway, snapshot, sets, options[:id])
+        &(&1 |> renamed.() |> Result.remark(remarks))
+      end
+
+      change = Map.put(change, :before, before)
 
       transfer = %{
         lanes: [:params],
@@ -299,9 +313,7 @@ defmodule Aerie.Control.Params do
     do: {:ok, {:txt, LongNames.release(snapshot)}}
 
   defp format(:txt, _snapshot),
-    do:
-      {:error,
-       Result.new(Aerie.Vehicle.Command.id(), :rejected, "only Betaflight and iNav have a command line")}
+    do: {:error, Result.new(Command.id(), :rejected, "only Betaflight and iNav have a command line")}
 
   defp format(format, _snapshot), do: {:ok, format}
 
@@ -335,6 +347,32 @@ defmodule Aerie.Control.Params do
   defp wrong(errors) do
     {:error,
      for({line, reason} <- errors, do: Error.new(if(line, do: "line #{line}", else: "file"), reason, :rule))}
+  end
+
+  # The vehicle that has the new system id answers nothing that the old one was asked.
+  defp renaming(gateway, snapshot, sets, id) do
+    {asker, ref} = {self(), make_ref()}
+
+    SystemId.follow(gateway, snapshot, sets, fn name ->
+      send(asker, {ref, name})
+      TransferExecutor.cancel(gateway, snapshot.key, id)
+    end)
+
+    fn result ->
+      receive do
+        {^ref, name} ->
+          text = "the vehicle has the new system id, and is #{name} now"
+
+          result =
+            if result.status in [:cancelled, :timeout, :unknown],
+              do: %{result | status: :completed, reason: nil},
+              else: result
+
+          Result.remark(put_in(result.details["vehicle_now"], name), [text])
+      after
+        0 -> result
+      end
+    end
   end
 
   defp growing(context), do: [each_us: if(context.grows?, do: @each_ms * 1000, else: 0)]
@@ -396,7 +434,7 @@ defmodule Aerie.Control.Params do
   # A read gives a result, whatever is wrong.
   defp readable(checked) do
     with {:error, [error]} <- checked,
-         do: {:error, Result.new(Aerie.Vehicle.Command.id(), :rejected, Exception.message(error))}
+         do: {:error, Result.new(Command.id(), :rejected, Exception.message(error))}
   end
 
   defp present(_entries, _table, :skip), do: :ok

@@ -231,6 +231,13 @@ defmodule Aerie.Vehicle.Event.Types do
        {"to", :any, nil, "the new value"},
        {"index", :integer, nil, "index in the parameter list"}
      ], text: "{name}: {from} → {to}"},
+    {"system_id.changed", "the vehicle has another system id, and is another vehicle with it",
+     "PARAM_SET of SYSID_THISMAV, MAV_SYSID or MAV_SYS_ID, and who is heard then; at both vehicles",
+     [
+       {"from", :string, nil, "the vehicle with the old id"},
+       {"to", :string, nil, "the vehicle with the new id"},
+       {"system", :integer, nil, "the new system id"}
+     ], severity: 4, text: "system id changed: {from} is {to} now"},
     {"mission.reached", "the vehicle reaches a mission item", "MISSION_ITEM_REACHED",
      [
        {"seq", :integer, nil, "number of the item"},

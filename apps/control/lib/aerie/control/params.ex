@@ -15,9 +15,8 @@ defmodule Aerie.Control.Params do
   """
 
   alias Aerie.Base.Names
-  alias Aerie.Control.{Commands, TransferExecutor, Transfers}
+  alias Aerie.Control.{Commands, Transfers}
   alias Aerie.Control.Commands.RemoteGateway
-  alias Aerie.Vehicle.Command
   alias Aerie.Vehicle.Command.{Error, Result}
 
   alias Aerie.Control.Params.{
@@ -37,7 +36,6 @@ defmodule Aerie.Control.Params do
   }
 
   alias Aerie.Control.Policy.Intent
-  alias Aerie.Control.Policy.Mavlink.SystemId
   alias MavCodec.Enums.MavProtocolCapability
 
   @typedoc "`:component` - the component whose parameters are meant, 1 to 255; without it the autopilot's are"
@@ -80,7 +78,7 @@ defmodule Aerie.Control.Params do
     do:
       {:error,
        Result.new(
-         Command.id(),
+         Aerie.Vehicle.Command.id(),
          :failed,
          "the vehicle's gateway did not answer with a parameter"
        )}
@@ -211,8 +209,6 @@ defmodule Aerie.Control.Params do
       }
 
       asked = {"params", "set", of(component, %{"name" => name, "value" => value})}
-      options = Keyword.put_new_lazy(options, :id, &Command.id/0)
-      renamed = if component, do: [], else: [{name, value}]
 
       change =
         Map.put(
@@ -223,7 +219,7 @@ defmodule Aerie.Control.Params do
           :remote_request,
           asked
         )
-        |> Map.put(:before, &renaming(gateway, &1, renamed, options[:id]))
+        |> Map.put(:sets, if(component, do: [], else: [{name, value}]))
 
       Transfers.change(gateway, vehicle, change, transfer, options, fn param ->
         %{"name" => name, "value" => param.value}
@@ -247,22 +243,13 @@ defmodule Aerie.Control.Params do
   defp set_all(gateway, vehicle, values, options, remarks) do
     entries = for entry <- values, do: entry(entry)
 
-    # What is set after it would not be answered.
-    entries = Enum.sort_by(entries, fn {name, _value, _type} -> SystemId.param?(name) end)
-    options = Keyword.put_new_lazy(options, :id, &Command.id/0)
     names = for {name, _value, _type} <- entries, do: name
     wired = for {name, value, type} <- entries, do: {LongNames.wire(name), value, type}
 
     with :ok <- check_all(entries), :ok <- known(gateway, vehicle, names) do
       sets = for {name, value, _type} <- entries, do: {name, value}
       change = change(sets, %{count: length(entries), digest: digest(entries)})
-
-      before = fn snapshot ->
-        renamed = renaming(gateway, snapshot, sets, options[:id])
-        &(&1 |> renamed.() |> Result.remark(remarks))
-      end
-
-      change = Map.put(change, :before, before)
+      change = Map.merge(change, %{sets: sets, before: fn _snapshot -> &Result.remark(&1, remarks) end})
 
       transfer = %{
         lanes: [:params],
@@ -313,7 +300,9 @@ defmodule Aerie.Control.Params do
     do: {:ok, {:txt, LongNames.release(snapshot)}}
 
   defp format(:txt, _snapshot),
-    do: {:error, Result.new(Command.id(), :rejected, "only Betaflight and iNav have a command line")}
+    do:
+      {:error,
+       Result.new(Aerie.Vehicle.Command.id(), :rejected, "only Betaflight and iNav have a command line")}
 
   defp format(format, _snapshot), do: {:ok, format}
 
@@ -347,32 +336,6 @@ defmodule Aerie.Control.Params do
   defp wrong(errors) do
     {:error,
      for({line, reason} <- errors, do: Error.new(if(line, do: "line #{line}", else: "file"), reason, :rule))}
-  end
-
-  # The vehicle that has the new system id answers nothing that the old one was asked.
-  defp renaming(gateway, snapshot, sets, id) do
-    {asker, ref} = {self(), make_ref()}
-
-    SystemId.follow(gateway, snapshot, sets, fn name ->
-      send(asker, {ref, name})
-      TransferExecutor.cancel(gateway, snapshot.key, id)
-    end)
-
-    fn result ->
-      receive do
-        {^ref, name} ->
-          text = "the vehicle has the new system id, and is #{name} now"
-
-          result =
-            if result.status in [:cancelled, :timeout, :unknown],
-              do: %{result | status: :completed, reason: nil},
-              else: result
-
-          Result.remark(put_in(result.details["vehicle_now"], name), [text])
-      after
-        0 -> result
-      end
-    end
   end
 
   defp growing(context), do: [each_us: if(context.grows?, do: @each_ms * 1000, else: 0)]
@@ -434,7 +397,7 @@ defmodule Aerie.Control.Params do
   # A read gives a result, whatever is wrong.
   defp readable(checked) do
     with {:error, [error]} <- checked,
-         do: {:error, Result.new(Command.id(), :rejected, Exception.message(error))}
+         do: {:error, Result.new(Aerie.Vehicle.Command.id(), :rejected, Exception.message(error))}
   end
 
   defp present(_entries, _table, :skip), do: :ok

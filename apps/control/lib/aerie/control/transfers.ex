@@ -13,6 +13,7 @@ defmodule Aerie.Control.Transfers do
   alias Aerie.Vehicle.Command.{Error, Result}
   alias Aerie.Control.Commands.{Change, RemoteGateway}
   alias Aerie.Control.Policy.{Intent, Roles}
+  alias Aerie.Control.Policy.Mavlink.SystemId
   alias Aerie.Control.Transfers.{Outcome, Progress}
   alias Aerie.Control.TransferExecutor.Job
 
@@ -62,6 +63,7 @@ defmodule Aerie.Control.Transfers do
           required(:params) => %{atom() => term()},
           optional(:before) => (snapshot :: map() -> (Result.t() -> Result.t())),
           optional(:review) => term(),
+          optional(:sets) => [{String.t(), term()}],
           optional(:remote_request) => RemoteGateway.request()
         }
 
@@ -163,6 +165,7 @@ defmodule Aerie.Control.Transfers do
       timeout_ms: options[:timeout_ms],
       remote_request: change[:remote_request],
       run: fn snapshot, tell ->
+        renamed = renaming(gateway, snapshot, change[:sets] || [], command.id)
         complete = Map.get(change, :before, fn _snapshot -> & &1 end).(snapshot)
         {result, nil} = run(gateway, snapshot, command.id, transfer, options, tell, nil, fn _, acc -> acc end)
 
@@ -170,6 +173,7 @@ defmodule Aerie.Control.Transfers do
           {:ok, value} -> Result.new(command.id, :completed, nil, finish.(value))
           {status, reason, details} -> Result.new(command.id, status, reason, details)
         end
+        |> renamed.()
         |> complete.()
       end
     }
@@ -183,6 +187,28 @@ defmodule Aerie.Control.Transfers do
              source(options),
              Keyword.take(options, [:via, :progress, :wait_ms, :says])
            )
+  end
+
+  # A vehicle that has the new system id answers nothing that the old one was asked.
+  defp renaming(gateway, snapshot, sets, id) do
+    {asker, ref} = {self(), make_ref()}
+
+    SystemId.follow(gateway, snapshot, sets, fn name ->
+      send(asker, {ref, name})
+      TransferExecutor.cancel(gateway, snapshot.key, id)
+    end)
+
+    fn result ->
+      receive do
+        {^ref, name} ->
+          unanswered? = result.status in [:cancelled, :timeout, :unknown]
+          result = if unanswered?, do: %{result | status: :completed, reason: nil}, else: result
+          result = put_in(result.details["vehicle_now"], name)
+          Result.remark(result, ["the vehicle has the new system id, and is #{name} now"])
+      after
+        0 -> result
+      end
+    end
   end
 
   @doc "The source given by the options."

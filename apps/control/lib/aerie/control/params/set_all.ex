@@ -8,6 +8,7 @@ defmodule Aerie.Control.Params.SetAll do
   """
 
   alias Aerie.Control.Params.{Message, Set}
+  alias Aerie.Control.Policy.Mavlink.SystemId
 
   @shown 20
 
@@ -28,7 +29,8 @@ defmodule Aerie.Control.Params.SetAll do
       target: target,
       deadline: deadline,
       options: options,
-      left: values,
+      # What is set after it would be for a vehicle that is gone.
+      left: Enum.sort_by(values, fn {name, _value, _type} -> SystemId.param?(name) end),
       total: length(values)
     }
 

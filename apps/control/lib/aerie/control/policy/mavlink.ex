@@ -27,7 +27,7 @@ defmodule Aerie.Control.Policy.Mavlink do
   alias Aerie.Vehicle.Command.{Type, Types}
   alias Aerie.Vehicle.Protocol
   alias Aerie.Control.Policy.Intent
-  alias Aerie.Control.Policy.Mavlink.{Commands, Place, Request, Setpoints, Sticks, Wording}
+  alias Aerie.Control.Policy.Mavlink.{Commands, Place, Request, Setpoints, Sticks, SystemId, Wording}
   alias MavCodec.Enums.{MavCmd, MavFtpOpcode, MavMissionType, MavParamType, MavRemoteLogDataBlockCommands}
   alias MavCodec.Dialects.All
   alias MavCodec.Message.ParamValue
@@ -88,6 +88,10 @@ defmodule Aerie.Control.Policy.Mavlink do
   ]
   @sticks [M.RcChannelsOverrideV2, M.RadioRcChannels, M.CubepilotRawRc]
   @attitude [M.SetAttitudeTarget, M.SetActuatorControlTarget, M.ManualSetpoint]
+
+  @doc "What follows of a message that is passed on to a vehicle."
+  @spec sent(Aerie.Base.Names.gateway(), map() | nil, struct()) :: :ok
+  defdelegate sent(gateway, snapshot, message), to: SystemId
 
   @doc "The facts of a message; `:free` for one that only reads."
   @spec facts(struct(), vehicle()) :: Intent.t() | :free

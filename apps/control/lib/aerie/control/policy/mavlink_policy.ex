@@ -28,10 +28,8 @@ defmodule Aerie.Control.Policy.MavlinkPolicy do
     RecentCommands
   }
 
-  alias Aerie.Vehicle.Protocol
   alias MavCodec.Dialects.All
   alias MavCodec.Frame
-  alias MavCodec.Message.ParamValue
   alias MavCodec.Messages, as: M
 
   # Corrections, times and the like, which are not judged one by one.
@@ -236,7 +234,7 @@ defmodule Aerie.Control.Policy.MavlinkPolicy do
   defp conclude(:allow, gateway, entry, {%module{} = message, frame, key, snapshot, _source})
        when module in @recorded do
     Audit.note(gateway, Map.put(entry, "decision", "allow"))
-    followed(gateway, snapshot, message)
+    Mavlink.sent(gateway, snapshot, message)
 
     if entry["command"] in ["take_control", "release_control"] and
          get_in(groups(snapshot), [:operator, :data, :system]) == nil do
@@ -270,16 +268,6 @@ defmodule Aerie.Control.Policy.MavlinkPolicy do
     answers = if message, do: Mavlink.Refusal.messages(message, frame, current), else: []
     {:refuse, encoded(answers ++ texts, frame, snapshot, key), instead(message, frame)}
   end
-
-  defp followed(gateway, %{autopilot: autopilot} = snapshot, %M.ParamSet{} = m) do
-    encoding = Protocol.of(autopilot).param_encoding()
-
-    with true <- Mavlink.SystemId.param?(m.param_id),
-         {:ok, value, _exact?} <- ParamValue.decode(m.param_value, m.param_type, encoding),
-         do: Mavlink.SystemId.follow(gateway, snapshot, [{m.param_id, value}])
-  end
-
-  defp followed(_gateway, _snapshot, _message), do: :ok
 
   defp component(frame, snapshot) do
     case Frame.target(frame) do

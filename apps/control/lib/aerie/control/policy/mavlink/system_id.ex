@@ -1,11 +1,15 @@
 defmodule Aerie.Control.Policy.Mavlink.SystemId do
   @moduledoc """
-  A vehicle whose system id is changed by a parameter is another vehicle for the gateway: ArduPilot answers with the new id
-  already, PX4 has it after its restart. `follow/4` waits for the new one and names both, by the event `system_id.changed`.
+  A vehicle whose system id is changed by a parameter is another vehicle for the gateway: ArduPilot answers with the new
+  id already, PX4 has it after its restart. `follow/4` waits for the new one and names both, by the event
+  `system_id.changed`.
   """
 
   alias Aerie.Base.{Names, PubSub, Store}
   alias Aerie.Vehicle.Events.External
+  alias Aerie.Vehicle.Protocol
+  alias MavCodec.Message.ParamValue
+  alias MavCodec.Messages.ParamSet
 
   @names ~w(SYSID_THISMAV MAV_SYSID MAV_SYS_ID)
   # A restart may come later.
@@ -17,9 +21,23 @@ defmodule Aerie.Control.Policy.Mavlink.SystemId do
   @spec param?(String.t()) :: boolean()
   def param?(name), do: name in @names
 
+  @doc "`follow/4` for a message of a client that is passed on."
+  @spec sent(Names.gateway(), map() | nil, struct()) :: :ok
+  def sent(gateway, %{autopilot: autopilot} = snapshot, %ParamSet{param_id: name} = m) when name in @names do
+    encoding = Protocol.of(autopilot).param_encoding()
+
+    with {:ok, value, _exact?} <- ParamValue.decode(m.param_value, m.param_type, encoding),
+         do: follow(gateway, snapshot, [{name, value}])
+
+    :ok
+  end
+
+  def sent(_gateway, _snapshot, _message), do: :ok
+
   @doc """
-  Waits, in a process of its own, until the vehicle falls silent and another one is heard on its network under the id that is among
-  these parameters. `found` gets that one's name. Nothing is waited for if there is no such parameter, or a vehicle with this id.
+  Waits, in a process of its own, until the vehicle falls silent and another one is heard on its network under the id
+  that is among these parameters. `found` gets that one's name. Nothing is waited for if there is no such parameter, or
+  a vehicle with this id.
   """
   @spec follow(Names.gateway(), map() | nil, [{String.t(), term()}], (String.t() -> term())) :: :ok
   def follow(gateway, snapshot, params, found \\ fn _name -> :ok end) do

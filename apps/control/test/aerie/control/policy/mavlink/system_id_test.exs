@@ -108,20 +108,16 @@ defmodule Aerie.Control.Policy.Mavlink.SystemIdTest do
     vehicle(port, 8, "MAV_SYS_ID")
     for id <- ["VID-007", "VID-008"], do: online(gateway, id)
     :ok = PubSub.subscribe(gateway, :events)
-    test = self()
-
-    follow =
-      &SystemId.follow(gateway, Store.vehicle(gateway, "VID-007"), &1, fn name ->
-        send(test, {:found, name})
-      end)
+    follow = &SystemId.follow(gateway, Store.vehicle(gateway, "VID-007"), &1)
 
     for params <- [[{"MAV_SYS_ID", 8}], [{"MAV_SYS_ID", 7}], [{"MAV_SYS_ID", 300}], [{"OTHER", 9}]],
         do: follow.(params)
 
     assert Task.Supervisor.children(Aerie.Base.Names.whereis(gateway, :command_tasks)) == []
-    follow.([{"MAV_SYS_ID", 9}])
+    # As a client's message that was let through.
+    set = %M.ParamSet{target_system: 7, param_id: "MAV_SYS_ID", param_value: 9.0, param_type: 6}
+    :ok = SystemId.sent(gateway, Store.vehicle(gateway, "VID-007"), set)
     send(first, {:become, 9})
-    assert_receive {:found, "VID-009"}
     assert_receive {:fleet, :events, %{type: "system_id.changed", vehicle: "VID-009"}}
   end
 end

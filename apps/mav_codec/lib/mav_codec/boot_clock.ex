@@ -14,15 +14,20 @@ defmodule MavCodec.BootClock do
 
   A clock that falls more than #{div(@tolerance_ms, 1_000)} s behind means a reboot only if it stays behind: #{@readings} readings in
   a row, over at least #{div(@span_us, 1_000_000)} s. Frames that were overtaken (by a slower second link, or PX4's two sending
-  threads) show an old time between new ones, which is not a reboot. Nor is the 32-bit wrap after 49.7 days.
+  threads) show an old time between new ones, which is not a reboot. Nor is the 32-bit wrap after 49.7 days; in a silence it
+  is told by the clock, which then shows what it would after that time.
   """
 
   import Bitwise
 
   @enforce_keys [:seed]
-  defstruct [:seed, clocks: %{}, proven: false]
+  defstruct [:seed, :seed_at, clocks: %{}, proven: false]
 
+  @wrap 0x100000000
   @half 0x80000000
+  # A quartz is better than a thousandth.
+  @drift 1_000
+  @day_ms 86_400_000
   # How long a clock runs before its pace is judged, and how often in a row it has to be too fast: two vehicles with one id jump to
   # and fro.
   @pace_us 500_000
@@ -30,21 +35,39 @@ defmodule MavCodec.BootClock do
 
   @typep clock :: %{
            newest: non_neg_integer() | nil,
+           newest_at: integer() | nil,
            behind: nil | {pos_integer(), since :: integer(), boot_ms :: non_neg_integer()},
            from: {at :: integer(), boot_ms :: non_neg_integer()},
            pace: :unknown | :good | non_neg_integer()
          }
-  @typedoc "`seed`: the last value of a clock that was not read yet; `pace`: a number tells how often in a row it was too fast."
+  @typedoc """
+  `seed`: the last value of a clock that was not read yet, at `seed_at`; `pace`: a number tells how often in a row it
+  was too fast.
+  """
   @type t :: %__MODULE__{
           seed: non_neg_integer() | nil,
+          seed_at: integer() | nil,
           clocks: %{non_neg_integer() => clock()},
           proven: boolean()
         }
   @type verdict :: :ok | :behind | :reboot | :none
 
-  @doc "A clock that was last seen at `boot_ms`, or never."
-  @spec new(non_neg_integer() | nil) :: t()
-  def new(boot_ms \\ nil), do: %__MODULE__{seed: boot_ms}
+  @doc "A clock that last showed `boot_ms`, `at` a time (µs), or never."
+  @spec new(non_neg_integer() | nil, integer() | nil) :: t()
+  def new(boot_ms \\ nil, at \\ nil), do: %__MODULE__{seed: boot_ms, seed_at: at}
+
+  @doc """
+  Whether a clock that showed `last` and now shows less has wrapped, as far as that alone tells: within a day of it.
+  """
+  @spec wrapped?(non_neg_integer(), non_neg_integer()) :: boolean()
+  def wrapped?(last, boot_ms), do: boot_ms < last and boot_ms + @wrap - last <= @day_ms
+
+  @doc "How far apart two times (µs) of a boot are; between two of one boot the clock may have wrapped."
+  @spec apart(integer(), integer()) :: non_neg_integer()
+  def apart(a, b) do
+    apart = Integer.mod(a - b, @wrap * 1_000)
+    min(apart, @wrap * 1_000 - apart)
+  end
 
   @doc """
   A reading from a kind of message that came `at` (µs): `:ok`, it is the vehicle's time now; `:behind`, an overtaken frame or the
@@ -52,7 +75,10 @@ defmodule MavCodec.BootClock do
   """
   @spec read(t(), id :: non_neg_integer(), non_neg_integer(), integer()) :: {t(), verdict()}
   def read(%{clocks: clocks, seed: seed} = all, id, boot_ms, at) do
-    clock = Map.get(clocks, id) || %{newest: seed, behind: nil, from: {at, boot_ms}, pace: :unknown}
+    clock =
+      Map.get(clocks, id) ||
+        %{newest: seed, newest_at: all.seed_at, behind: nil, from: {at, boot_ms}, pace: :unknown}
+
     {clock, verdict} = clock |> pace(boot_ms, at) |> step(boot_ms, at)
 
     if verdict == :reboot and believed?(all, clock) do
@@ -96,12 +122,12 @@ defmodule MavCodec.BootClock do
     %{clock | from: {at, boot_ms}, pace: pace}
   end
 
-  defp step(%{newest: nil} = clock, boot_ms, _at), do: {%{clock | newest: boot_ms}, :ok}
+  defp step(%{newest: nil} = clock, boot_ms, at), do: {%{clock | newest: boot_ms, newest_at: at}, :ok}
 
   defp step(clock, boot_ms, at) do
     cond do
-      fast?(clock.pace) -> {%{clock | newest: boot_ms, behind: nil}, :none}
-      ahead?(boot_ms, clock.newest) -> {%{clock | newest: boot_ms, behind: nil}, :ok}
+      fast?(clock.pace) -> {%{clock | newest: boot_ms, newest_at: at, behind: nil}, :none}
+      ahead?(boot_ms, clock, at) -> {%{clock | newest: boot_ms, newest_at: at, behind: nil}, :ok}
       clock.newest - boot_ms <= @tolerance_ms -> {%{clock | behind: nil}, :ok}
       true -> behind(clock, boot_ms, at)
     end
@@ -112,7 +138,7 @@ defmodule MavCodec.BootClock do
   defp behind(%{behind: {count, since, from}} = clock, boot_ms, at) do
     if count + 1 >= @readings and at - since >= @span_us and
          (boot_ms - from) * 1000 < (at - since) * @too_fast do
-      {%{clock | newest: boot_ms, behind: nil}, :reboot}
+      {%{clock | newest: boot_ms, newest_at: at, behind: nil}, :reboot}
     else
       {%{clock | behind: {count + 1, since, from}}, :behind}
     end
@@ -120,6 +146,17 @@ defmodule MavCodec.BootClock do
 
   # After the wrap a small number is ahead of a big one. A reboot that falls half the range behind needs an uptime of more than 24
   # days.
-  defp ahead?(boot_ms, newest) when boot_ms >= newest, do: true
-  defp ahead?(boot_ms, newest), do: (boot_ms - newest &&& 0xFFFFFFFF) < @half and newest > 0xFFFFFFFF - 60_000
+  defp ahead?(boot_ms, %{newest: newest}, _at) when boot_ms >= newest, do: true
+
+  defp ahead?(boot_ms, %{newest: newest} = clock, at) do
+    gone_ms = boot_ms - newest &&& @wrap - 1
+    gone_ms < @half and (newest >= @wrap - 60_000 or kept_time?(gone_ms, clock.newest_at, at))
+  end
+
+  defp kept_time?(_gone_ms, nil, _at), do: false
+
+  defp kept_time?(gone_ms, since, at) do
+    silent_ms = div(at - since, 1_000)
+    abs(gone_ms - silent_ms) <= @tolerance_ms + div(silent_ms, @drift)
+  end
 end

@@ -37,6 +37,30 @@ defmodule MavCodec.BootClockTest do
     assert verdicts([{0xFFFFFFF0, 0}, {500, 1}, {1500, 2}]) == [:ok, :ok, :ok]
   end
 
+  test "nor is the wrap in a silence, however long: the clock shows what it would then" do
+    for silent_s <- [90, 3_600, 86_400 * 3] do
+      last = 0x100000000 - 1_000 * div(silent_s, 2)
+      again = div(silent_s, 2) * 1_000 + 700
+      readings = for n <- 0..4, do: {again + n * 1_000, silent_s + n}
+      assert verdicts([{last - 1_000, -1}, {last, 0} | readings]) |> Enum.uniq() == [:ok]
+      # After a restart of the session too.
+      assert verdicts(readings, BootClock.new(last, 0)) |> Enum.uniq() == [:ok]
+      # A reboot in the same silence shows another time.
+      rebooted = for n <- 0..4, do: {30_000 + n * 1_000, silent_s + n}
+      if again > 60_000, do: assert(:reboot in verdicts([{last, 0} | rebooted]))
+    end
+
+    assert :reboot in verdicts(for(n <- 0..4, do: {100 + n * 1_000, 90 + n}), BootClock.new(3_000_000_000, 0))
+  end
+
+  test "boots are compared past the wrap" do
+    assert BootClock.apart(5_000, 5_000 + 0x100000000 * 1_000 + 3) == 3
+    assert BootClock.apart(5_000, 4_000) == 1_000
+    assert BootClock.wrapped?(0xFFFFFFF0, 500)
+    refute BootClock.wrapped?(500, 0xFFFFFFF0)
+    refute BootClock.wrapped?(86_400_000 * 30, 500)
+  end
+
   test "a reboot that happened while nobody looked is found" do
     assert :reboot in verdicts([{100, 0}, {1100, 1}, {2100, 2}], BootClock.new(600_000))
   end

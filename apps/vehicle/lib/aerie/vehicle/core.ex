@@ -164,7 +164,7 @@ defmodule Aerie.Vehicle.Core do
         component: snapshot[:component],
         version: snapshot[:mavlink_version] || 2,
         reception: Reception.new(snapshot.links, snapshot.last_heard),
-        boot_clock: BootClock.new(Enum.max(boots, fn -> nil end)),
+        boot_clock: BootClock.new(Enum.max(boots, fn -> nil end), snapshot.last_heard),
         gcs: Gcs.new(snapshot[:gcs]),
         switches: Switches.new(snapshot[:params]),
         high_latency: HighLatency.new(snapshot[:high_latency], snapshot.last_heard),

@@ -382,6 +382,19 @@ defmodule Aerie.Vehicle.CoreTest do
     assert %{component: 1, groups: %{mode: %{data: %{mode: "GUIDED"}}}} = Core.snapshot(run.core)
   end
 
+  test "R6: the wrap of the clock after 49.7 days is no reboot, in a silence either" do
+    # Read at these seconds before and after the wrap, which comes at 7,230 s.
+    attitude = fn n ->
+      frame(%M.Attitude{time_boot_ms: Integer.mod(n * 1000, 0x100000000)}, (7_230 + n) * @second)
+    end
+
+    run =
+      start() |> beat(10) |> frames(Enum.map(-7_210..-7_200, attitude)) |> frames(Enum.map(10..20, attitude))
+
+    refute "reboot" in types(run)
+    assert Core.snapshot(run.core).time_boot_ms == 20_000
+  end
+
   test "R6: a reboot is an event, and streams are requested again" do
     attitude = fn at, boot -> frame(%M.Attitude{time_boot_ms: boot}, round(at * @second)) end
     before = for n <- 0..10, do: attitude.(10 + n, 600_000 + n * 1000)

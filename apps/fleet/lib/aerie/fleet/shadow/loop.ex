@@ -175,8 +175,11 @@ defmodule Aerie.Fleet.Shadow.Loop do
 
   # A plan that was read stays valid until somebody commands the vehicle, and may send another plan, or it restarts.
   defp still_known(plans, commanded, snapshot) do
+    boot_ms = snapshot[:time_boot_ms] || 0
+
     Map.filter(plans, fn {_path, known} ->
-      (commanded == nil or commanded.at < known.at) and (snapshot[:time_boot_ms] || 0) >= known.boot_ms
+      (commanded == nil or commanded.at < known.at) and
+        (boot_ms >= known.boot_ms or MavCodec.BootClock.wrapped?(known.boot_ms, boot_ms))
     end)
   end
 

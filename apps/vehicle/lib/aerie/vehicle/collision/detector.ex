@@ -16,6 +16,7 @@ defmodule Aerie.Vehicle.Collision.Detector do
   """
 
   alias Aerie.Vehicle.Collision.Owner
+  alias MavCodec.BootClock
 
   defstruct boot_times: %{}, position: nil, type: nil, uid: nil
 
@@ -43,7 +44,7 @@ defmodule Aerie.Vehicle.Collision.Detector do
 
   def boot_time(%{boot_times: times} = detector, id, boot_ms, at, path)
       when is_map_key(times, id) or map_size(times) < @max_clocks do
-    near? = &(abs(&1 - &2) < @same_boot_us)
+    near? = &(BootClock.apart(&1, &2) < @same_boot_us)
     {side, verdict} = side(times[id], at - boot_ms * 1000, at, path, near?, &(&2 > &1))
     detector = %{detector | boot_times: Map.put(times, id, side)}
     {detector, if(verdict == :two and delay?(side), do: :one, else: verdict)}

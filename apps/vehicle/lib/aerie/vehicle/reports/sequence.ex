@@ -14,6 +14,8 @@ defmodule Aerie.Vehicle.Reports.Sequence do
 
   import Bitwise
 
+  alias MavCodec.BootClock
+
   @again_us 1_000_000
   @tries 3
   @max_missing 64
@@ -34,8 +36,12 @@ defmodule Aerie.Vehicle.Reports.Sequence do
 
   @doc "An EVENT with this number came `at` (us). `boot_ms` is its own time."
   @spec event(t(), 0..65_535, non_neg_integer(), integer()) :: {:new | :old, t()}
-  def event(%{boot_ms: last} = sequence, number, boot_ms, at) when last != nil and boot_ms + @clock_ms < last,
-    do: event(%{new() | lost: sequence.lost}, number, boot_ms, at)
+  def event(%{boot_ms: last} = sequence, number, boot_ms, at)
+      when last != nil and boot_ms + @clock_ms < last do
+    if BootClock.wrapped?(last, boot_ms),
+      do: event(%{sequence | boot_ms: boot_ms}, number, boot_ms, at),
+      else: event(%{new() | lost: sequence.lost}, number, boot_ms, at)
+  end
 
   def event(%{latest: nil} = sequence, number, boot_ms, _at),
     do: {:new, %{sequence | latest: number, boot_ms: boot_ms}}

@@ -30,6 +30,12 @@ defmodule Aerie.Vehicle.Collision.DetectorTest do
     assert :two in boots(readings)
   end
 
+  test "two links that bring one clock are one vehicle, also while it wraps" do
+    wrap = 0x100000000
+    readings = for n <- -10..10, late <- [0, 900], do: {Integer.mod(wrap + n * 200 - late, wrap), 100 + n / 5}
+    assert Enum.uniq(boots(readings)) == [:one]
+  end
+
   test "three alternating clocks are more than one vehicle" do
     readings = for n <- 0..9, reading <- [{60_000, n}, {900_000, n + 0.3}, {5_000_000, n + 0.6}], do: reading
     assert :two in boots(readings)

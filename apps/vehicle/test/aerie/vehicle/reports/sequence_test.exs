@@ -56,6 +56,12 @@ defmodule Aerie.Vehicle.Reports.SequenceTest do
     assert Sequence.gone(sequence, 5) == sequence
   end
 
+  test "one whose clock has wrapped goes on" do
+    {:new, sequence} = Sequence.event(Sequence.new(), 7, 0xFFFFFFF0, 0)
+    {:new, sequence} = Sequence.event(sequence, 9, 500, 1_000_000)
+    assert Map.keys(sequence.missing) == [8]
+  end
+
   test "a component that was restarted begins again (R6)" do
     {_, sequence} = seen([500, 501])
     assert {:new, again} = Sequence.event(%{sequence | boot_ms: 60_000}, 3, 2000, 0)

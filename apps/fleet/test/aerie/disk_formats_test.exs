@@ -81,7 +81,7 @@ defmodule Aerie.DiskFormatsTest do
 
       test "desired states and the key that seals them", %{tmp_dir: dir, version: version} do
         shadow = Path.join(copy(version, dir), "shadow")
-        assert {:ok, %{key: key}} = LocalStore.open(shadow, nil)
+        assert {:ok, %{key: key}} = LocalStore.open(make_ref(), shadow, nil)
         assert Secret.reveal(key) == File.read!(Path.join([@fixtures, version, "shadow", "key"]))
         text = LocalStore.read(shadow, "VID-001")
 
@@ -149,7 +149,7 @@ defmodule Aerie.DiskFormatsTest do
     assert File.ls!(outbox) == files
 
     File.write!(Path.join(dir, "shadow/FORMAT"), "aerie-shadow 2\n")
-    assert {:error, text} = LocalStore.open(Path.join(dir, "shadow"), nil)
+    assert {:error, text} = LocalStore.open(make_ref(), Path.join(dir, "shadow"), nil)
     assert text =~ "newer version"
 
     ledger = Path.join(dir, "ledger")

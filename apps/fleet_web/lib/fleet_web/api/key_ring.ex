@@ -122,7 +122,7 @@ defmodule FleetWeb.API.KeyRing do
 
   # In the place of damaged keys comes one that nothing opens: no key at all would let in every program of this machine.
   defp read(gateway, file) do
-    with {:error, text} <- Keys.read(file),
+    with {:error, text} <- kept(file),
          true <- Damaged.damaged?(file) || {:error, text},
          {:ok, _kept} <-
            Damaged.set_aside(
@@ -138,6 +138,11 @@ defmodule FleetWeb.API.KeyRing do
       {:error, reason} when is_atom(reason) -> {:error, "#{file}: #{:file.format_error(reason)}"}
       {:error, text} -> {:error, text}
     end
+  end
+
+  # Every file of ours has a first line, so an empty one lost its keys.
+  defp kept(file) do
+    if match?({:ok, %{size: 0}}, File.stat(file)), do: {:error, "#{file}: it is empty"}, else: Keys.read(file)
   end
 
   defp write(file, made) do

@@ -53,11 +53,22 @@ defmodule FleetWeb.API.KeyRingTest do
     file = Path.join([dir, "console", "keys"])
     File.mkdir_p!(Path.dirname(file))
     options = [gateway: make_ref(), configured: [], file: file]
-    File.write!(file, "wall sha256:abc\n")
-    File.chmod!(file, 0o600)
     Process.flag(:trap_exit, true)
-    capture_log(fn -> assert {:ok, _pid} = KeyRing.start_link(options) end)
-    # damaged_files_test.exs has the rest.
+
+    # An empty one, as a power cut leaves it, is not one without keys: then every program of this machine could get in.
+    for text <- ["wall sha256:abc\n", ""] do
+      File.write!(file, text)
+      File.chmod!(file, 0o600)
+
+      capture_log(fn ->
+        assert {:ok, _pid} = KeyRing.start_link(Keyword.put(options, :gateway, make_ref()))
+      end)
+
+      # damaged_files_test.exs has the rest.
+      assert File.read!(file) =~ "damaged"
+    end
+
+    assert {:ok, _pid} = KeyRing.start_link(options)
     assert [%{name: "damaged"}] = KeyRing.list(options[:gateway])
     File.chmod!(file, 0o644)
     options = [gateway: make_ref(), configured: [], file: file]

@@ -29,6 +29,7 @@ defmodule Aerie.Base.Files.Damaged do
   def damaged?(path) do
     case File.stat(path) do
       {:ok, %File.Stat{type: :regular, mode: mode}} -> Bitwise.band(mode, 0o077) == 0
+      {:ok, %File.Stat{type: :directory}} -> true
       _other -> false
     end
   end

@@ -1,13 +1,15 @@
 defmodule Aerie.Base.Files.Format do
   @moduledoc """
-  The mark of a folder that outlives the version of Aerie that wrote it: a file `FORMAT` with the kind of its content and the version of
-  its format, as `aerie-outbox 1`. A newer version is refused, because files that are half understood are worse than none. A folder
-  without a mark has the first version, or is new.
+  The mark of a folder that outlives the version of Aerie that wrote it: a file `FORMAT` with the kind of its content and
+  the version of its format, as `aerie-outbox 1`. A newer version is refused, because files that are half understood are
+  worse than none. A folder without a mark has the first version, or is new. A mark that cannot be read, as a power cut
+  leaves it, is set aside and counts as none.
 
   A format changes by a new version, and the part that owns the folder goes on reading the one before.
   """
 
-  alias Aerie.Base.Files.Private
+  alias Aerie.Base.Files.{Damaged, Private}
+  alias Aerie.Base.Names
 
   @name "FORMAT"
   @max_bytes 64
@@ -18,25 +20,35 @@ defmodule Aerie.Base.Files.Format do
   @spec check(Path.t(), kind()) :: :ok | {:error, String.t()}
   def check(dir, {name, version}) do
     case read(Path.join(dir, @name)) do
-      # No folder: the code that makes it reports the reason.
-      {:error, reason} when reason in [:enoent, :enotdir] -> :ok
-      {:error, reason} -> {:error, "#{Path.join(dir, @name)}: #{:file.format_error(reason)}"}
-      {:ok, ^name, found} when found <= version -> :ok
-      {:ok, ^name, found} -> {:error, newer(dir, name, found, version)}
+      {:ok, ^name, found} when found > version -> {:error, newer(dir, name, found, version)}
+      {:ok, ^name, _found} -> :ok
       {:ok, other, _found} -> {:error, "#{dir} is a folder for #{other}, not for #{name}; name another one"}
-      :damaged -> {:error, "#{Path.join(dir, @name)} is damaged; if the folder is aerie's, remove that file"}
+      # No folder: the code that makes it reports the reason.
+      _none_or_damaged -> :ok
     end
   end
 
-  @doc "Checks a folder and marks it."
-  @spec mark(Path.t(), kind()) :: :ok | {:error, String.t() | File.posix()}
-  def mark(dir, {name, version} = kind) do
+  @doc "Checks a folder and marks it. A mark that cannot be read is set aside, and named (`Aerie.Base.Files.Damaged`)."
+  @spec mark(Names.gateway(), Path.t(), kind()) :: :ok | {:error, String.t() | File.posix()}
+  def mark(gateway, dir, {name, version} = kind) do
     path = Path.join(dir, @name)
+    text = "aerie-#{name} #{version}\n"
 
     with :ok <- check(dir, kind) do
-      if match?({:ok, _name, ^version}, read(path)),
-        do: :ok,
-        else: Private.write(path, "aerie-#{name} #{version}\n")
+      case read(path) do
+        {:ok, _name, ^version} ->
+          :ok
+
+        {:ok, _name, _older} ->
+          Private.write(path, text)
+
+        {:error, reason} when reason in [:enoent, :enotdir] ->
+          Private.write(path, text)
+
+        _damaged ->
+          words = "the folder is read as one of the first version"
+          with {:ok, _kept} <- Damaged.set_aside(gateway, path, words), do: Private.write(path, text)
+      end
     end
   end
 

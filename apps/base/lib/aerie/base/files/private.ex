@@ -16,18 +16,25 @@ defmodule Aerie.Base.Files.Private do
   @spec new_folder(Path.t()) :: :ok | {:error, File.posix()}
   def new_folder(dir), do: if(Raw.dir?(dir), do: :ok, else: folder(dir))
 
-  @doc "Writes a file. Readers find the old or the new text, never a part of it, and others can never read it."
-  @spec write(Path.t(), iodata()) :: :ok | {:error, File.posix()}
-  def write(path, text) do
+  @doc """
+  Writes a file. Readers find the old or the new text, never a part of it, and others can never read it. That holds
+  after a power cut as well, unless `sync?` is false: for what is written often, and lost without harm.
+  """
+  @spec write(Path.t(), iodata(), sync? :: boolean()) :: :ok | {:error, File.posix()}
+  def write(path, text, sync? \\ true) do
     new = path <> ".new"
     _ = Raw.rm(new)
 
-    with {:ok, result} <- File.open(new, [:write, :exclusive, :raw], &fill(&1, new, text)),
+    with {:ok, result} <- File.open(new, [:write, :exclusive, :raw], &fill(&1, new, text, sync?)),
          :ok <- result do
       Raw.rename(new, path)
     end
   end
 
   # The mode comes before the text.
-  defp fill(file, path, text), do: with(:ok <- Raw.chmod(path, 0o600), do: :file.write(file, text))
+  defp fill(file, path, text, sync?) do
+    with :ok <- Raw.chmod(path, 0o600), :ok <- :file.write(file, text) do
+      if sync?, do: :file.datasync(file), else: :ok
+    end
+  end
 end

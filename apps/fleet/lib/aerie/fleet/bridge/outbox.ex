@@ -36,7 +36,8 @@ defmodule Aerie.Fleet.Bridge.Outbox do
   def format, do: @format
 
   @doc """
-  Opens or makes an outbox. Options, both required: `:max_bytes`, `:segment_bytes`.
+  Opens or makes an outbox. Options: `:max_bytes` and `:segment_bytes`, both required, and `:gateway`, where damage is
+  named.
 
   Reading starts at the first record that is not acknowledged.
   """
@@ -45,7 +46,7 @@ defmodule Aerie.Fleet.Bridge.Outbox do
     dir = Path.expand(dir)
 
     with :ok <- Raw.mkdir_p(dir),
-         :ok <- Format.mark(dir, @format),
+         :ok <- Format.mark(opts[:gateway], dir, @format),
          {:ok, store} <- Segments.open(dir, ".log"),
          {:ok, store} <- Segments.load(store, &Record.read/1) do
       {first, next} =
@@ -285,5 +286,5 @@ defmodule Aerie.Fleet.Bridge.Outbox do
   end
 
   defp write_head(%{head: head, store: store}),
-    do: Private.write(Path.join(store.dir, "head"), <<head::64, :erlang.crc32(<<head::64>>)::32>>)
+    do: Private.write(Path.join(store.dir, "head"), <<head::64, :erlang.crc32(<<head::64>>)::32>>, false)
 end

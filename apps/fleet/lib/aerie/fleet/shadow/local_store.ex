@@ -4,20 +4,24 @@ defmodule Aerie.Fleet.Shadow.LocalStore do
   by which this gateway claims vehicles. With `nats.mode: off` the copies are the only storage.
   """
 
-  alias Aerie.Base.Files.{Format, Private}
+  alias Aerie.Base.Files.{Damaged, Format, Private}
+  alias Aerie.Base.Names
   alias Aerie.Base.Secret
 
   @max_bytes 131_072
   @format {"shadow", 1}
 
-  @doc "Opens the folder: returns the key and this gateway's name, which are created if they do not exist."
-  @spec open(Path.t(), Secret.t() | nil) ::
+  @doc """
+  Opens the folder of a gateway: returns the key and the gateway's name, which are created if they do not exist or
+  cannot be read.
+  """
+  @spec open(Names.gateway(), Path.t(), Secret.t() | nil) ::
           {:ok, %{key: Secret.t(), instance: String.t()}} | {:error, String.t()}
-  def open(dir, key) do
+  def open(gateway, dir, key) do
     with :ok <- Private.folder(Path.join(dir, "desired")),
-         :ok <- Format.mark(dir, @format),
-         {:ok, instance} <- kept(Path.join(dir, "instance")),
-         {:ok, key} <- if(key, do: {:ok, key}, else: kept_key(dir)) do
+         :ok <- Format.mark(gateway, dir, @format),
+         {:ok, instance} <- kept(gateway, Path.join(dir, "instance"), "vehicles are claimed under a new name"),
+         {:ok, key} <- if(key, do: {:ok, key}, else: kept_key(gateway, dir)) do
       {:ok, %{key: key, instance: String.slice(instance, 0, 16)}}
     else
       {:error, text} when is_binary(text) -> {:error, text}
@@ -33,20 +37,28 @@ defmodule Aerie.Fleet.Shadow.LocalStore do
   @spec without_folder(Secret.t() | nil) :: %{key: Secret.t(), instance: String.t()}
   def without_folder(key), do: %{key: key || Secret.new(random()), instance: String.slice(random(), 0, 16)}
 
-  defp kept_key(dir) do
-    with {:ok, text} <- kept(Path.join(dir, "key")), do: {:ok, Secret.new(text)}
+  defp kept_key(gateway, dir) do
+    words = "desired states that were sealed before have to be given again"
+    with {:ok, text} <- kept(gateway, Path.join(dir, "key"), words), do: {:ok, Secret.new(text)}
   end
 
-  defp kept(path) do
-    case File.read(path) do
-      {:ok, text} when byte_size(text) >= 16 ->
-        {:ok, String.trim(text)}
-
-      _none_or_damaged ->
+  defp kept(gateway, path, words) do
+    with {:ok, text} <- File.read(path), true <- text =~ ~r/\A[0-9a-f]{64}\s*\z/ do
+      {:ok, String.trim(text)}
+    else
+      damaged ->
         new = random()
-        with :ok <- Private.write(path, new), do: {:ok, new}
+
+        with :ok <- aside(damaged, gateway, path, words),
+             :ok <- Private.write(path, new),
+             do: {:ok, new}
     end
   end
+
+  defp aside({:error, :enoent}, _gateway, _path, _words), do: :ok
+
+  defp aside(_damaged, gateway, path, words),
+    do: with({:ok, _kept} <- Damaged.set_aside(gateway, path, words), do: :ok)
 
   defp random, do: Base.encode16(:crypto.strong_rand_bytes(32), case: :lower)
 

@@ -13,9 +13,8 @@ defmodule FleetWeb.Console.Access.Secret do
 
     case File.read(path) do
       {:ok, <<_::binary-size(@bytes)>> = secret} -> {:ok, secret}
-      {:ok, _damaged} -> renew(gateway, dir, path)
       {:error, :enoent} -> make(dir, path)
-      {:error, reason} -> {:error, "#{path}: #{:file.format_error(reason)}"}
+      _damaged -> renew(gateway, dir, path)
     end
   end
 

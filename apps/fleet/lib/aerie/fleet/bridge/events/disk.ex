@@ -20,8 +20,9 @@ defmodule Aerie.Fleet.Bridge.Events.Disk do
   @spec open(map()) :: map()
   def open(%{settings: settings} = state) do
     sizes = [max_bytes: settings.max_mb * 1_048_576, segment_bytes: settings.segment_kb * 1024]
+    options = [gateway: state.gateway] ++ sizes
 
-    with :ok <- FolderLock.acquire(settings.dir), {:ok, outbox} <- Outbox.open(settings.dir, sizes) do
+    with :ok <- FolderLock.acquire(settings.dir), {:ok, outbox} <- Outbox.open(settings.dir, options) do
       %{state | outbox: outbox, problem: nil}
     else
       {:error, reason} when is_binary(reason) -> problem(state, reason)

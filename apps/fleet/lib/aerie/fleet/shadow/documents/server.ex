@@ -36,7 +36,7 @@ defmodule Aerie.Fleet.Shadow.Documents.Server do
     Process.set_label({:shadow_documents, gateway})
     Logger.metadata(gateway: inspect(gateway))
     dir = Path.expand(settings.dir)
-    {folder, problem} = open(dir, settings.key)
+    {folder, problem} = open(gateway, dir, settings.key)
     keys = %Keys{common: folder.key, former: settings.former_key, own: own(settings)}
     table = :ets.new(:shadow, [:set, :protected, read_concurrency: true])
     local? = bridge.nats.mode == :off
@@ -77,8 +77,8 @@ defmodule Aerie.Fleet.Shadow.Documents.Server do
   defp own(%{vehicle_key: nil}), do: %{}
   defp own(%{vehicle_key: key, bridge: %{vehicle: %{identity: %{vehicle_id: id}}}}), do: %{id => key}
 
-  defp open(dir, key) do
-    case LocalStore.open(dir, key) do
+  defp open(gateway, dir, key) do
+    case LocalStore.open(gateway, dir, key) do
       {:ok, folder} -> {folder, nil}
       {:error, why} -> {LocalStore.without_folder(key), why}
     end

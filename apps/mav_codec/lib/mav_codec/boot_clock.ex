@@ -14,8 +14,8 @@ defmodule MavCodec.BootClock do
 
   A clock that falls more than #{div(@tolerance_ms, 1_000)} s behind means a reboot only if it stays behind: #{@readings} readings in
   a row, over at least #{div(@span_us, 1_000_000)} s. Frames that were overtaken (by a slower second link, or PX4's two sending
-  threads) show an old time between new ones, which is not a reboot. Nor is the 32-bit wrap after 49.7 days; in a silence it
-  is told by the clock, which then shows what it would after that time.
+  threads) show an old time between new ones, which is not a reboot. Nor is the 32-bit wrap after 49.7 days; in a silence the
+  clock shows what it would after that time.
   """
 
   import Bitwise

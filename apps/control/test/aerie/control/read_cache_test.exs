@@ -84,6 +84,35 @@ defmodule Aerie.Control.ReadCacheTest do
     assert asks(c, M.ParamRequestList) <= 5
   end
 
+  test "V1: a station that speaks MAVLink 1 is served in it", %{tmp_dir: dir} do
+    c = served(dir, :ardupilot, client: %{}, entry: %{role: :viewer}, mavlink: 1)
+    old = station(c, 201)
+    ask = %M.ParamRequestList{target_system: 1, target_component: 1}
+    :ok = :gen_udp.send(old.socket, MavCodec.encode(ask, system: 201, component: 190, version: 1))
+    assert versions(old, %{}) == [1]
+  end
+
+  # Those in which the whole list comes.
+  defp versions(%{socket: socket} = station, known) do
+    receive do
+      {:udp, ^socket, _ip, _port, bytes} ->
+        {frames, _parser} = Parser.push_datagram(station.parser, bytes, nil)
+
+        values =
+          for %{version: version} = frame <- frames,
+              {:ok, %M.ParamValue{} = m} <- [MavCodec.decode(frame)],
+              do: {m, version}
+
+        known = for {m, version} <- values, into: known, do: {m.param_index, version}
+
+        if Enum.any?(values, fn {m, _version} -> m.param_count == map_size(known) end),
+          do: known |> Map.values() |> Enum.uniq(),
+          else: versions(station, known)
+    after
+      Aerie.Patience.ms() -> flunk("no whole list came, only #{map_size(known)} parameters")
+    end
+  end
+
   for firmware <- [:ardupilot, :px4] do
     test "#{firmware}: twenty stations at once cost one reading; a value that changed is not given", %{
       tmp_dir: dir

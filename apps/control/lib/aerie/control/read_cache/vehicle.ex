@@ -47,6 +47,7 @@ defmodule Aerie.Control.ReadCache.Vehicle do
       plans: nil,
       frames: %{},
       endpoints: %{},
+      old: MapSet.new(),
       out: %{},
       seq: 0,
       timer: nil,
@@ -78,6 +79,7 @@ defmodule Aerie.Control.ReadCache.Vehicle do
 
   # A message that is forwarded at once is not absorbed; a request that may have to wait is kept.
   defp station(part, from, message, endpoint, frame, state) do
+    state = spoken(state, endpoint, frame.version)
     state = if part == :plans, do: met(state, from, endpoint), else: state
     {served, actions} = served(part).handle(Map.fetch!(state, part), {:station, message, from, now()})
     # Somebody writes it.
@@ -88,6 +90,14 @@ defmodule Aerie.Control.ReadCache.Vehicle do
     state = Enum.reduce(later, Map.put(state, part, served), &act(&1, &2, part))
     {:reply, if(now == [], do: :absorb, else: :forward), state}
   end
+
+  # Endpoints that speak MAVLink 1, which are answered in it.
+  defp spoken(%{old: old} = state, endpoint, 1) do
+    old = if MapSet.size(old) < @max_stations, do: old, else: MapSet.new()
+    %{state | old: MapSet.put(old, endpoint)}
+  end
+
+  defp spoken(state, endpoint, 2), do: %{state | old: MapSet.delete(state.old, endpoint)}
 
   defp waits?(%module{}), do: module in [M.ParamRequestList, M.MissionRequestList, M.FileTransferProtocol]
 
@@ -301,9 +311,12 @@ defmodule Aerie.Control.ReadCache.Vehicle do
   defp timed(state), do: state
 
   defp send_out(%{key: {_network, system}, vehicle: %{component: component}} = state, endpoint, messages) do
+    version = if system <= 255 and MapSet.member?(state.old, endpoint), do: 1, else: 2
+    options = [system: system, component: component, version: version]
+
     {frames, seq} =
       Enum.map_reduce(messages, state.seq, fn message, seq ->
-        {MavCodec.encode(message, system: system, component: component, seq: seq), rem(seq + 1, 256)}
+        {MavCodec.encode(message, [seq: seq] ++ options), rem(seq + 1, 256)}
       end)
 
     cache = Requests.answer(state.gateway, endpoint, frames, state.router_cache)

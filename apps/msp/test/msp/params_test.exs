@@ -487,6 +487,17 @@ defmodule Msp.ParamsTest do
       assert errors(line) == [{"p_roll", 7}]
     end
 
+    test "a number that a float may have changed is not set" do
+      {line, _change, state} = up(:inav)
+      line = set(line, "msp_override_channels", 0xFFFFFF)
+      assert %{param_value: 0xFFFFFF} = last(line, "msp_override_channels")
+      before = state.().settings
+      # Of 2^24 + 1.
+      line = set(line, "msp_override_channels", 0x1000000)
+      assert Enum.join(texts(line)) =~ "a float has no room for all its digits"
+      assert state.().settings == before
+    end
+
     test "MAVProxy writes names in capitals" do
       {line, _change, state} = up(:betaflight)
 

@@ -20,6 +20,8 @@ defmodule Msp.Session.Params do
 
   @messages [M.ParamRequestList.id(), M.ParamRequestRead.id(), M.ParamSet.id()]
   @notice 5
+  # From here on floats leave integers out, and no setting that is a float goes so far.
+  @inexact 0x1000000
   # After the first time.
   @tries 2
 
@@ -61,6 +63,15 @@ defmodule Msp.Session.Params do
 
   defp handle(session, %M.ParamSet{param_id: name, param_value: wire, param_type: type}, from) do
     case {Armed.early(session), ParamValue.asked(wire, type, :bytewise)} do
+      {nil, {:ok, value}} when is_float(value) and abs(value) >= @inexact ->
+        not_set(
+          session,
+          name,
+          :mismatch,
+          "a float has no room for all its digits: send the integer's bytes",
+          from
+        )
+
       {nil, {:ok, value}} ->
         begin(session, %{what: :set, name: full(session, name), value: value, from: from})
 

@@ -199,7 +199,7 @@ defmodule Msp.Telemetry do
     %M.Altitude{
       time_usec: boot_us,
       altitude_monotonic: @nan,
-      altitude_amsl: if(readings[:lat], do: readings[:alt_msl], else: @nan),
+      altitude_amsl: (readings[:lat] && readings[:alt_msl]) || @nan,
       altitude_local: height,
       altitude_relative: height,
       altitude_terrain: @nan,

@@ -213,6 +213,14 @@ defmodule Msp.SessionTest do
       assert Enum.count(heights, fn {_at, height} -> height != :nan end) >= 8
     end
 
+    test "a position that is cut short has no height" do
+      cut = Frame.encode(%Frame{id: 106, direction: :reply, payload: <<2, 14, 1::32-little, 1::32-little>>})
+      line = run(betaflight(%{"RAW_GPS" => IO.iodata_to_binary(cut)}), 4)
+      assert [_ | _] = Line.told(line, M.GpsRawInt)
+      assert Line.told(line, M.GlobalPositionInt) == []
+      assert Enum.all?(Line.told(line, M.Altitude), fn {_at, height} -> height.altitude_amsl == :nan end)
+    end
+
     test "without a barometer and without a position it does not know how high it is, whatever it says" do
       for {sensors, answers} <- [
             {0b100001, %{}},

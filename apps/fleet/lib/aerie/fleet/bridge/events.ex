@@ -46,6 +46,7 @@ defmodule Aerie.Fleet.Bridge.Events do
     Process.set_label({:bridge_events, gateway})
     Logger.metadata(gateway: inspect(gateway))
     :ok = PubSub.subscribe(gateway, :journal)
+    notice_denials(gateway)
 
     state = %{
       gateway: gateway,
@@ -60,6 +61,7 @@ defmodule Aerie.Fleet.Bridge.Events do
       outbox: nil,
       problem: nil,
       refusal: nil,
+      denied: nil,
       conn: nil,
       conn_at: nil,
       inbox: nil,
@@ -96,10 +98,28 @@ defmodule Aerie.Fleet.Bridge.Events do
      state |> look_again() |> send_overdue() |> pump() |> Disk.sync() |> stalled() |> put_info() |> report()}
   end
 
+  def handle_info({:denied, conn, text}, %{conn: conn} = state), do: {:noreply, %{state | denied: text}}
   def handle_info(_message, state), do: {:noreply, state}
+
+  # A server says only by an error of the connection that the gateway's user lacks a right, and then confirms nothing.
+  defp notice_denials(gateway) do
+    id = {__MODULE__, gateway}
+    _ = :telemetry.detach(id)
+    :ok = :telemetry.attach(id, [:gnat, :server_error], &__MODULE__.server_error/4, self())
+  end
+
+  @doc false
+  @spec server_error([atom()], map(), map(), pid()) :: :ok
+  def server_error(_event, _count, %{message: "Permissions Violation" <> _ = text}, events) do
+    send(events, {:denied, self(), text})
+    :ok
+  end
+
+  def server_error(_event, _count, _metadata, _events), do: :ok
 
   @impl GenServer
   def terminate(_reason, state) do
+    _ = :telemetry.detach({__MODULE__, state.gateway})
     state = drain(state, now() + @drain_ms)
     state = Disk.spill(state)
     if state.outbox, do: Outbox.close(state.outbox)
@@ -151,7 +171,7 @@ defmodule Aerie.Fleet.Bridge.Events do
   end
 
   # Unconfirmed events are read again from the journal or the outbox.
-  defp away(state), do: reset(%{state | conn: nil, inbox: nil, refusal: nil})
+  defp away(state), do: reset(%{state | conn: nil, inbox: nil, refusal: nil, denied: nil})
 
   defp reset(state) do
     %{
@@ -314,7 +334,7 @@ defmodule Aerie.Fleet.Bridge.Events do
     # A restart helps against silence, not against a refusal. A new connection gets its time.
     silent? =
       stall.problem? and stall.calm_since == nil and state.conn != nil and
-        now() - state.conn_at >= @silence_ms and state.refusal == nil
+        now() - state.conn_at >= @silence_ms and state.refusal == nil and state.denied == nil
 
     if silent?, do: NatsServer.stalled(state.gateway, "it answers no event")
     %{state | stall: stall, silent?: silent?}
@@ -333,6 +353,12 @@ defmodule Aerie.Fleet.Bridge.Events do
   defp report(state), do: state
 
   defp stall_text(%{stall: %{problem?: false}}), do: nil
+
+  defp stall_text(%{refusal: nil, denied: "" <> text}) do
+    "NATS does not confirm events: the gateway's user lacks a right (#{text}). Give it that right, or make the " <>
+      "account again with aerie nats-setup"
+  end
+
   defp stall_text(%{refusal: nil}), do: "NATS does not confirm events"
   defp stall_text(%{refusal: text}), do: text
 

@@ -176,11 +176,26 @@ defmodule Aerie.Fleet.Bridge.NatsServerTest do
       host: 127.0.0.1
       port: -1
       jetstream { store_dir: #{JSON.encode!(store)} }
-      authorization { users: [ { user: gw, password: "geheim" } ] }
+      authorization { users: [
+        { user: gw, password: "geheim" }
+        { user: mute, password: "geheim", permissions: { publish: { deny: ["fleet.*.*.event.>"] } } }
+      ] }
       """)
 
       port = Bridge.NatsServer.OsProcess.start(System.find_executable("nats-server"), ["-c", conf])
       %{server: port, tcp_port: listening(port)}
+    end
+
+    test "and denies events names the right that is missing, not a full disk", context do
+      %{tmp_dir: dir, tcp_port: tcp_port} = context
+      url = {"nats.url", "nats://127.0.0.1:#{tcp_port}"}
+      user = [{"nats.user", "mute"}, {"nats.password", "geheim"}]
+      gateway = start_bridge(config(Path.join(dir, "mute"), [url | user]))
+      commit(gateway, "A", 1..5)
+      await(gateway, :outbox, &is_binary(&1[:stalled]))
+      problem = Bridge.info(gateway).problem
+      assert problem =~ "the gateway's user lacks a right (Permissions Violation for Publish to"
+      refute problem =~ "disk"
     end
 
     test "gets user and password; the log of a wrong password does not contain it, and events wait on disk",

@@ -97,21 +97,31 @@ defmodule Gnat.Transport do
   defp failed({:tls_alert, _} = alert), do: {:error, Error.new({:tls, alert})}
   defp failed(reason), do: {:error, Error.new({:transport, reason})}
 
-  # A name without an IPv4 address may have an IPv6 one.
-  defp tcp(address, settings, deadline) do
+  # All addresses of a name are tried, IPv4 first, each for its share of the time; the error is that of the last one.
+  defp tcp(name, settings, deadline) when is_list(name) do
     opts = tcp_opts(settings)
+    families = if :inet6 in opts, do: [:inet6], else: [:inet, :inet6]
 
-    case :gen_tcp.connect(address, settings.port, family(address) ++ opts, left(deadline)) do
-      {:error, :nxdomain} when is_list(address) ->
-        if :inet6 in opts do
-          {:error, :nxdomain}
-        else
-          :gen_tcp.connect(address, settings.port, [:inet6 | opts], left(deadline))
-        end
+    addresses =
+      for family <- families, {:ok, found} <- [:inet.getaddrs(name, family)], address <- found, do: address
 
-      result ->
-        result
+    try_each(Enum.uniq(addresses), settings, deadline, {:error, :nxdomain})
+  end
+
+  defp tcp(address, settings, deadline), do: connect_to(address, settings, left(deadline))
+
+  defp try_each([], _settings, _deadline, last), do: last
+
+  defp try_each([address | others] = all, settings, deadline, _last) do
+    case connect_to(address, settings, div(left(deadline), length(all))) do
+      {:ok, socket} -> {:ok, socket}
+      error -> try_each(others, settings, deadline, error)
     end
+  end
+
+  defp connect_to(address, settings, timeout) do
+    opts = List.delete(tcp_opts(settings), :inet6)
+    :gen_tcp.connect(address, settings.port, family(address) ++ opts, timeout)
   end
 
   defp tcp_opts(settings) do

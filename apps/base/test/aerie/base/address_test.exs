@@ -28,6 +28,20 @@ defmodule Aerie.Base.AddressTest do
     end
   end
 
+  test "a link-local address keeps its interface, which is looked for when it is needed" do
+    assert Address.parse("[fe80::1%lo]:5", false) == {:ok, "fe80::1%lo", 5}
+    assert Address.format("fe80::1%lo", 5) == "[fe80::1%lo]:5"
+    {:ok, number} = :net.if_name2index(~c"lo")
+    assert Address.scoped("fe80::1%lo") == {:ok, {0xFE80, number, 0, 0, 0, 0, 0, 1}}
+    assert Address.scoped("fe80::1%7") == {:ok, {0xFE80, 7, 0, 0, 0, 0, 0, 1}}
+    assert Address.scope({0xFE80, 7, 0, 0, 0, 0, 0, 1}) == {{0xFE80, 0, 0, 0, 0, 0, 0, 1}, 7}
+    assert Address.format({0xFE80, number, 0, 0, 0, 0, 0, 1}, 5) == "[fe80::1%lo]:5"
+    assert {:error, "there is no interface nosuch0" <> _} = Address.scoped("fe80::1%nosuch0")
+    # Others have none.
+    assert Address.with_scope({0xFD00, 0, 0, 0, 0, 0, 0, 1}, 7) == {0xFD00, 0, 0, 0, 0, 0, 0, 1}
+    assert Address.scope({127, 0, 0, 1}) == {{127, 0, 0, 1}, 0}
+  end
+
   test "what is wrong is named" do
     for {text, words} <- [
           {"", "host and port are missing"},
@@ -39,6 +53,10 @@ defmodule Aerie.Base.AddressTest do
           {"host:0", "\"0\" is not a port (1 to 65535)"},
           {"host:70000", "\"70000\" is not a port (1 to 65535)"},
           {"[fe80]:1", "\"fe80\" is not an IPv6 address"},
+          {"[fe80::1]:1", "a link-local address needs its interface: [fe80::1%eth0]:PORT"},
+          {"[fe80::1%]:1", "\"\" is not an interface"},
+          {"[fe80::1%a b]:1", "\"a b\" is not an interface"},
+          {"[::1%lo]:1", "\"::1%lo\" is not an IPv6 address"},
           {"1.2.3:1", "\"1.2.3\" is neither an address nor a name"},
           {"300.1.1.1:1", "\"300.1.1.1\" is neither an address nor a name"},
           {"a b:1", "\"a b\" is neither an address nor a name"}

@@ -5,8 +5,8 @@ defmodule MavRouter.Link.Spec do
   The strings are pymavlink's, so that what works with MAVProxy works here. The README of this folder lists them; each
   transport reads its own (`MavRouter.Link.Transport`).
 
-  HOST is an IPv4 address, an IPv6 address in brackets (`[::1]`) or a name; a name is resolved again for every
-  connection attempt. For a server an empty HOST means all IPv4 addresses, and port 0 any free port.
+  HOST is an IPv4 address, an IPv6 address in brackets (`[::1]`, `[fe80::1%eth0]`) or a name; it is resolved again for
+  every connection attempt. For a server an empty HOST means all IPv4 addresses, and port 0 any free port.
 
   Every string takes these options behind a `?`:
 

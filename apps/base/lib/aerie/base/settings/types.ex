@@ -93,8 +93,9 @@ defmodule Aerie.Base.Settings.Types do
   @doc false
   @spec parse_ip(String.t()) :: {:ok, String.t()} | :error
   def parse_ip(text) do
+    # A server cannot be bound to the interface behind a %, which would be left out without a word.
     case :inet.parse_strict_address(String.to_charlist(text)) do
-      {:ok, _ip} -> {:ok, text}
+      {:ok, _ip} -> if text =~ "%", do: :error, else: {:ok, text}
       {:error, _} -> :error
     end
   end

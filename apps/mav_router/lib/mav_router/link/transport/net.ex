@@ -29,6 +29,12 @@ defmodule MavRouter.Link.Transport.Net do
   def resolve(address) when is_tuple(address), do: {:ok, [address]}
 
   def resolve(name) do
+    if name =~ "%",
+      do: with({:ok, address} <- Address.scoped(name), do: {:ok, [address]}),
+      else: resolve_name(name)
+  end
+
+  defp resolve_name(name) do
     name = String.to_charlist(name)
 
     case Enum.flat_map([:inet, :inet6], &addresses(name, &1)) do
@@ -56,7 +62,7 @@ defmodule MavRouter.Link.Transport.Net do
     options = [
       :binary,
       family(address),
-      ip: address,
+      bind(address, port),
       active: false,
       recbuf: @recbuf,
       buffer: @buffer,
@@ -64,6 +70,27 @@ defmodule MavRouter.Link.Transport.Net do
     ]
 
     :gen_udp.open(port, options ++ more)
+  end
+
+  @doc "The socket option for a local address."
+  @spec bind(:inet.ip_address(), :inet.port_number()) :: {:ip, :inet.ip_address()} | {:ifaddr, map}
+  def bind(address, port) do
+    case Address.scope(address) do
+      {^address, 0} -> {:ip, address}
+      _link_local -> {:ifaddr, sockaddr(address, port)}
+    end
+  end
+
+  @doc "Connects by TCP to an address of a host."
+  @spec connect(:inet.ip_address(), :inet.port_number(), keyword, timeout) ::
+          {:ok, :gen_tcp.socket()} | {:error, term}
+  def connect(address, port, options, timeout) do
+    options = [family(address) | options]
+
+    case Address.scope(address) do
+      {^address, 0} -> :gen_tcp.connect(address, port, options, timeout)
+      _link_local -> :gen_tcp.connect(sockaddr(address, port), options, timeout)
+    end
   end
 
   @doc """
@@ -124,6 +151,41 @@ defmodule MavRouter.Link.Transport.Net do
     after
       0 -> Enum.reverse(reads)
     end
+  end
+
+  @doc """
+  The same by the second handle (`sender/1`), with the interface by which each came: the driver leaves it out, and
+  nobody at a link-local address can be answered without. `look/1` begins; then a message of the handle says when there
+  is more.
+  """
+  @spec drain_scoped(:socket.socket()) :: [{{:inet.ip_address(), :inet.port_number()}, binary}]
+  def drain_scoped(handle), do: drain_scoped(handle, @batch, [])
+
+  defp drain_scoped(handle, 0, reads) do
+    look(handle)
+    Enum.reverse(reads)
+  end
+
+  defp drain_scoped(handle, room, reads) do
+    case :socket.recvfrom(handle, @buffer, [], :nowait) do
+      {:ok, {%{addr: address, port: port} = source, bytes}} ->
+        from = {Address.with_scope(address, Map.get(source, :scope_id, 0)), port}
+        drain_scoped(handle, room - 1, [{from, bytes} | reads])
+
+      # The network's answer to something sent before.
+      {:error, :econnrefused} ->
+        drain_scoped(handle, room - 1, reads)
+
+      _nothing_more ->
+        Enum.reverse(reads)
+    end
+  end
+
+  @doc "Has the calling process look for datagrams by the second handle."
+  @spec look(:socket.socket()) :: :ok
+  def look(handle) do
+    send(self(), {:"$socket", handle, :select, :look})
+    :ok
   end
 
   defp reactivate(socket, room, reads) do
@@ -197,8 +259,10 @@ defmodule MavRouter.Link.Transport.Net do
 
   @doc "An address as `:socket` wants it."
   @spec sockaddr(:inet.ip_address(), :inet.port_number()) :: map
-  def sockaddr(address, port) when tuple_size(address) == 8,
-    do: %{family: :inet6, addr: address, port: port, flowinfo: 0, scope_id: 0}
+  def sockaddr(address, port) when tuple_size(address) == 8 do
+    {address, scope} = Address.scope(address)
+    %{family: :inet6, addr: address, port: port, flowinfo: 0, scope_id: scope}
+  end
 
   def sockaddr(address, port), do: %{family: :inet, addr: address, port: port}
 
@@ -206,7 +270,7 @@ defmodule MavRouter.Link.Transport.Net do
   @spec udp_write(:gen_udp.socket(), :socket.socket() | nil, :inet.ip_address(), :inet.port_number(), iodata) ::
           :ok | :busy | {:error, term}
   def udp_write(socket, nil, address, port, bytes),
-    do: socket |> :gen_udp.send(address, port, bytes) |> written()
+    do: socket |> :gen_udp.send(sockaddr(address, port), bytes) |> written()
 
   def udp_write(_socket, sender, address, port, bytes) do
     written(:socket.sendto(sender, IO.iodata_to_binary(bytes), sockaddr(address, port), [], 0))

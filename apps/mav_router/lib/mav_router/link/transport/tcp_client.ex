@@ -21,12 +21,7 @@ defmodule MavRouter.Link.Transport.TcpClient do
   def open(spec) do
     with {:ok, addresses} <- Net.resolve(spec.host) do
       Enum.reduce_while(addresses, {:error, :nxdomain}, fn address, _last ->
-        case :gen_tcp.connect(
-               address,
-               spec.port,
-               [Net.family(address) | Net.tcp_options(spec)],
-               @connect_ms * Net.patience(spec)
-             ) do
+        case Net.connect(address, spec.port, Net.tcp_options(spec), @connect_ms * Net.patience(spec)) do
           {:ok, socket} -> {:halt, {:ok, socket}}
           {:error, reason} -> {:cont, {:error, reason}}
         end

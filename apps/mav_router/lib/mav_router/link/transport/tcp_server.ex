@@ -29,7 +29,8 @@ defmodule MavRouter.Link.Transport.TcpServer do
   @impl MavRouter.Link.Transport
   def open(spec) do
     with {:ok, [address | _]} <- Net.resolve(spec.host) do
-      options = [:binary, Net.family(address), ip: address, reuseaddr: true, active: false, backlog: @backlog]
+      bound = Net.bind(address, spec.port)
+      options = [:binary, Net.family(address), bound, reuseaddr: true, active: false, backlog: @backlog]
 
       with {:ok, listener} <- :gen_tcp.listen(spec.port, options),
            do: {:ok, %__MODULE__{listener: listener, options: Net.tcp_options(spec)}}

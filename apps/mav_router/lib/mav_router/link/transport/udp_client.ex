@@ -64,7 +64,7 @@ defmodule MavRouter.Link.Transport.UdpClient do
 
   @impl MavRouter.Link.Transport
   def handle(%{socket: socket} = conn, {:udp, socket, address, port, bytes}) do
-    datagrams = [{{address, port}, bytes} | Net.drain(socket)]
+    datagrams = Enum.map([{{address, port}, bytes} | Net.drain(socket)], &scoped(&1, conn.to))
 
     {datagrams, shed, backlog} =
       Net.take(socket, conn.backlog, datagrams, :erlang.monotonic_time(:millisecond))
@@ -76,6 +76,14 @@ defmodule MavRouter.Link.Transport.UdpClient do
   end
 
   def handle(conn, message), do: Net.udp_message(conn, message)
+
+  # The driver leaves out the interface of a link-local address; ours knows it.
+  defp scoped({{address, port}, bytes} = datagram, {to, _port}) do
+    case Address.scope(to) do
+      {^address, number} when number != 0 -> {{to, port}, bytes}
+      _other -> datagram
+    end
+  end
 
   defp hear({from, bytes}, %{to: from} = conn), do: {[{:remote, bytes}], conn}
 

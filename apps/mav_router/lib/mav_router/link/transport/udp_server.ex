@@ -9,7 +9,14 @@ defmodule MavRouter.Link.Transport.UdpServer do
   alias MavRouter.Link.Transport.{Form, Net}
 
   @enforce_keys [:socket]
-  defstruct [:socket, :sender, backlog: Backlog.new(), gathering: Gathering.new(), resting?: false]
+  defstruct [
+    :socket,
+    :sender,
+    backlog: Backlog.new(),
+    gathering: Gathering.new(),
+    resting?: false,
+    scoped?: false
+  ]
 
   @impl MavRouter.Link.Transport
   def traits, do: %{kind: :udp_server, framing: :datagram, protocol: :udp, server: true, client: :remote}
@@ -37,26 +44,45 @@ defmodule MavRouter.Link.Transport.UdpServer do
 
   @impl MavRouter.Link.Transport
   def activate(%{socket: socket} = conn) do
-    with :ok <- :inet.setopts(socket, active: Net.active()),
-         do: {:ok, %{conn | sender: Net.sender(socket)}, Net.udp_info(socket)}
+    sender = Net.sender(socket)
+
+    scoped? =
+      sender != nil and match?({:ok, {address, _port}} when tuple_size(address) == 8, :inet.sockname(socket))
+
+    conn = %{conn | sender: sender, scoped?: scoped?}
+    with :ok <- listen(conn), do: {:ok, conn, Net.udp_info(socket)}
   end
+
+  defp listen(%{scoped?: true, sender: sender}), do: Net.look(sender)
+  defp listen(%{socket: socket}), do: :inet.setopts(socket, active: Net.active())
 
   @impl MavRouter.Link.Transport
   def handle(%{socket: socket} = conn, {:udp, socket, address, port, bytes}) do
-    now = :erlang.monotonic_time(:millisecond)
-    datagrams = [{{address, port}, bytes} | Net.drain(socket)]
-    {reads, shed, backlog} = Net.take(socket, conn.backlog, datagrams, now)
-    gathering = Gathering.read(conn.gathering, datagrams, now)
-    {Net.events(reads, shed, backlog), rest(%{conn | backlog: backlog, gathering: gathering})}
+    received(conn, [{{address, port}, bytes} | Net.drain(socket)])
+  end
+
+  def handle(%{sender: sender, scoped?: true} = conn, {:"$socket", sender, :select, _ref}) do
+    with %{resting?: false} <- conn, [_ | _] = datagrams <- Net.drain_scoped(sender) do
+      received(conn, datagrams)
+    else
+      _later_or_nothing -> {[], conn}
+    end
   end
 
   def handle(%{socket: socket} = conn, {:gathered, socket}) do
-    _ = :inet.setopts(socket, active: Net.active())
+    _ = listen(conn)
     {[], %{conn | resting?: false}}
   end
 
   def handle(%{socket: socket, resting?: true} = conn, {:udp_passive, socket}), do: {[], conn}
   def handle(conn, message), do: Net.udp_message(conn, message)
+
+  defp received(%{socket: socket} = conn, datagrams) do
+    now = :erlang.monotonic_time(:millisecond)
+    {reads, shed, backlog} = Net.take(socket, conn.backlog, datagrams, now)
+    gathering = Gathering.read(conn.gathering, datagrams, now)
+    {Net.events(reads, shed, backlog), rest(%{conn | backlog: backlog, gathering: gathering})}
+  end
 
   # What comes meanwhile waits in the kernel.
   defp rest(%{resting?: true} = conn), do: conn

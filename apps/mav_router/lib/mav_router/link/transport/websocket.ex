@@ -56,16 +56,14 @@ defmodule MavRouter.Link.Transport.WebSocket do
   end
 
   defp connect_to(address, %{tls: false} = spec) do
-    options = [Net.family(address) | Net.tcp_options(spec)]
-
-    with {:ok, socket} <- :gen_tcp.connect(address, spec.port, options, connect_ms(spec)),
+    with {:ok, socket} <- Net.connect(address, spec.port, Net.tcp_options(spec), connect_ms(spec)),
          do: {:ok, %__MODULE__{by: :gen_tcp, socket: socket, early: ""}}
   end
 
   defp connect_to(address, %{tls: true} = spec) do
     with {:ok, trusted} <- trusted(spec.ca),
-         options = [Net.family(address) | Net.tcp_options(spec)] ++ trusted ++ name(spec.host) ++ checks(),
-         {:ok, socket} <- :ssl.connect(address, spec.port, options, connect_ms(spec)),
+         {:ok, plain} <- Net.connect(address, spec.port, Net.tcp_options(spec), connect_ms(spec)),
+         {:ok, socket} <- :ssl.connect(plain, trusted ++ name(spec.host) ++ checks(), connect_ms(spec)),
          do: {:ok, %__MODULE__{by: :ssl, socket: socket, early: ""}}
   end
 

@@ -119,6 +119,13 @@ defmodule FleetWeb.API.Actions do
 
   def run(:command_types, _state, request), do: {:ok, 200, %{types: Types.plain()}, request}
 
+  def run(:vehicle_commands, state, request) do
+    state.gateway
+    |> Commands.offers(id(request), state.requester)
+    |> found(unknown_vehicle())
+    |> answer(200, request)
+  end
+
   # Waits for the result for at most 20 seconds.
   def run(:command, state, request) do
     with {:ok, object, body, request} <- Request.object_and_body(request) do

@@ -6,8 +6,8 @@ defmodule FleetWeb.API.Commands do
   none is configured, may only read. A signature replaces the key (`Aerie.Control.Policy.Signature`).
   """
 
-  alias Aerie.Vehicle.Command.Result
-  alias Aerie.Control.{Commands, Policy}
+  alias Aerie.Vehicle.Command.{Result, Types}
+  alias Aerie.Control.{Commands, Offers, Policy}
   alias Aerie.Control.Commands.Record
   alias Aerie.Control.Policy.{Roles, Sources}
   alias FleetWeb.API.{Access, Error}
@@ -106,6 +106,26 @@ defmodule FleetWeb.API.Commands do
       policy -> {:ok, policy}
     end
   end
+
+  @doc """
+  Each command of the table, and why it need not be offered: `lacks` is `firmware` or `permission`, null if it may be
+  given. Whether it would be carried out now is another matter. nil: there is no such vehicle.
+  """
+  @spec offers(term(), vehicle :: String.t(), Access.requester()) :: map() | nil
+  def offers(gateway, id, requester) do
+    with %{} = vehicle <- Aerie.Fleet.vehicle(gateway, id),
+         do: %{
+           "commands" => Enum.map(Types.names(), &offer(&1, Offers.lacks(vehicle, &1, source(requester))))
+         }
+  end
+
+  defp offer(type, nil), do: %{"type" => type, "lacks" => nil, "permission" => nil, "reason" => nil}
+
+  defp offer(type, {:firmware, reason}),
+    do: %{"type" => type, "lacks" => "firmware", "permission" => nil, "reason" => reason}
+
+  defp offer(type, {:permission, permission, reason}),
+    do: %{"type" => type, "lacks" => "permission", "permission" => permission, "reason" => reason}
 
   @doc "The source of a command."
   @spec source(Access.requester()) :: Roles.source()

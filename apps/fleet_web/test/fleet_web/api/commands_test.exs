@@ -141,6 +141,26 @@ defmodule FleetWeb.API.CommandsTest do
     assert {200, %{"result" => "accepted"}} = reply(task)
   end
 
+  test "what a key may give to a vehicle, and why not the rest", context do
+    path = @path
+
+    lacks = fn key ->
+      {200, %{"commands" => commands}} = context |> ask("GET", path, nil, key) |> reply()
+      Map.new(commands, &{&1["type"], {&1["lacks"], &1["permission"]}})
+    end
+
+    assert %{"takeoff" => {nil, nil}, "force_disarm" => {nil, nil}} = lacks.("key-of-the-chief-0001")
+    assert %{"takeoff" => {nil, nil}, "force_disarm" => {"permission", "force_disarm"}} = lacks.(key())
+
+    vehicle = Aerie.Base.Store.vehicle(context.gateway, "VID-007")
+    Aerie.Base.Store.put_vehicle(context.gateway, vehicle.key, %{vehicle | autopilot: :betaflight})
+
+    assert %{"goto" => {"firmware", nil}, "arm" => {"permission", "receiver"}, "disarm" => {nil, nil}} =
+             lacks.(key())
+
+    assert {404, _unknown} = context |> ask("GET", "/api/vehicles/NOBODY/commands", nil, key()) |> reply()
+  end
+
   test "the table of commands, and the metrics", context do
     assert {200, %{"types" => types}} = context |> ask("GET", "/api/commands/types") |> reply()
 

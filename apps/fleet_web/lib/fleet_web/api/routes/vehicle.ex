@@ -34,6 +34,11 @@ defmodule FleetWeb.API.Routes.Vehicle do
         "Gives a vehicle a signing key, or takes it away.",
         body: :signing
       ),
+      get(
+        "/api/vehicles/:id/commands",
+        :vehicle_commands,
+        "Which commands this key may give to the vehicle."
+      ),
       post("/api/vehicles/:id/commands", :command, :operator, "Gives a command, and waits for its result.",
         query: [:wait],
         body: :command,

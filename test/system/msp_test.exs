@@ -494,7 +494,15 @@ defmodule Aerie.System.MspTest do
     assert_in_delta lat, 473_982_000, 10
     :ok = Msp.sticks(c.sims.inav, @low)
     c = fly(Path.join(dir, "betaflight"), [:betaflight])
-    assert {:ok, %{status: :rejected}} = Missions.upload(c.gateway, name(:betaflight), :mission, plan, by)
+    # Nothing is sent of what the firmware lacks, to be written or read.
+    assert {:ok, %{status: :rejected, reason: "Betaflight has no missions" <> _ = reason}} =
+             Missions.upload(c.gateway, name(:betaflight), :mission, plan, by)
+
+    assert {:ok, %{status: :rejected, reason: ^reason}} =
+             Missions.clear(c.gateway, name(:betaflight), :fence, Keyword.put(by, :as, @admin))
+
+    assert {:error, %{status: :rejected, reason: ^reason}} =
+             Missions.download(c.gateway, name(:betaflight), :rally)
   end
 
   test "a ground station sees it, with its modes by name",

@@ -299,7 +299,7 @@ defmodule Aerie.Control.Missions do
 
   defp send_items(gateway, vehicle, kind, op, change, options) do
     type = @kinds[kind]
-    change = Map.put(change, :facts, facts(type, change.params.items))
+    change = Map.merge(change, %{facts: facts(type, change.params.items), gap: &gap(&1, kind)})
     Transfers.change(gateway, vehicle, change, transfer(op, type, kind_of(gateway, vehicle)), options)
   end
 
@@ -313,13 +313,8 @@ defmodule Aerie.Control.Missions do
   defp review(gateway, policy, context, snapshot, items, {kind, plan, force}) do
     read = fn -> read(gateway, snapshot.id, kind) end
 
-    with {:gap, nil} <- {:gap, gap(snapshot, kind)},
-         :allow <- Known.review(policy, context, {gateway, snapshot}, items, @kinds[kind], read),
-         do: if(kind == :fence and not force, do: breach(plan, snapshot), else: :allow),
-         else: (
-           {:gap, reason} -> {:deny, :firmware, reason}
-           denied -> denied
-         )
+    with :allow <- Known.review(policy, context, {gateway, snapshot}, items, @kinds[kind], read),
+         do: if(kind == :fence and not force, do: breach(plan, snapshot), else: :allow)
   end
 
   defp breach(plan, snapshot) do

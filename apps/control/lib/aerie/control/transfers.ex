@@ -55,12 +55,13 @@ defmodule Aerie.Control.Transfers do
 
   @typedoc """
   What a transfer changes: its type for the policy, what the audit log records, `review` of
-  `t:Aerie.Control.Commands.Change.t/0`, and `before`: what is found out, when the change was allowed, before it
-  begins; gives a function that adds it to the result.
+  `t:Aerie.Control.Commands.Change.t/0`, and, when the change was allowed, `gap`: why the vehicle's firmware lacks
+  what is changed, and `before`: what is found out before it begins, as a function that adds it to the result.
   """
   @type change :: %{
           required(:facts) => Intent.t(),
           required(:params) => %{atom() => term()},
+          optional(:gap) => (snapshot :: map() -> String.t() | nil),
           optional(:before) => (snapshot :: map() -> (Result.t() -> Result.t())),
           optional(:review) => term(),
           optional(:sets) => [{String.t(), term()}],
@@ -165,16 +166,22 @@ defmodule Aerie.Control.Transfers do
       timeout_ms: options[:timeout_ms],
       remote_request: change[:remote_request],
       run: fn snapshot, tell ->
-        renamed = renaming(gateway, snapshot, change[:sets] || [], command.id)
-        complete = Map.get(change, :before, fn _snapshot -> & &1 end).(snapshot)
-        {result, nil} = run(gateway, snapshot, command.id, transfer, options, tell, nil, fn _, acc -> acc end)
+        with nil <- change[:gap] && change.gap.(snapshot) do
+          renamed = renaming(gateway, snapshot, change[:sets] || [], command.id)
+          complete = Map.get(change, :before, fn _snapshot -> & &1 end).(snapshot)
 
-        case Outcome.of(result) do
-          {:ok, value} -> Result.new(command.id, :completed, nil, finish.(value))
-          {status, reason, details} -> Result.new(command.id, status, reason, details)
+          {result, nil} =
+            run(gateway, snapshot, command.id, transfer, options, tell, nil, fn _, acc -> acc end)
+
+          case Outcome.of(result) do
+            {:ok, value} -> Result.new(command.id, :completed, nil, finish.(value))
+            {status, reason, details} -> Result.new(command.id, status, reason, details)
+          end
+          |> renamed.()
+          |> complete.()
+        else
+          lacking -> Result.new(command.id, :rejected, lacking)
         end
-        |> renamed.()
-        |> complete.()
       end
     }
 

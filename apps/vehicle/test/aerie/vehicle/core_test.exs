@@ -271,8 +271,11 @@ defmodule Aerie.Vehicle.CoreTest do
              %{"battery" => 0, "remaining" => nil, "voltage" => 11.0, "charge_state" => "CRITICAL"}
 
     # It is well again by its own word, then low by its own word. Knowing nothing is not being well.
-    assert [%{type: "battery.low", data: %{"battery" => 0, "remaining" => nil}}, %{type: "battery.low"}] =
-             after_low.([1, 2])
+    assert [
+             %{type: "battery.low", data: %{"battery" => 0, "remaining" => nil}},
+             %{type: "battery.recovered", data: %{"charge_state" => "OK", "level" => "ok"}},
+             %{type: "battery.low"}
+           ] = after_low.([1, 2])
 
     assert [%{type: "battery.low", data: %{"battery" => nil}}] = after_low.([0, 2])
   end

@@ -66,6 +66,19 @@ defmodule FleetWeb.Console.Vehicle.FlightTest do
     end
   end
 
+  for firmware <- [:ardupilot, :px4] do
+    test "#{firmware}: a battery that was nearly empty and is changed leaves no alarm behind", %{tmp_dir: dir} do
+      {console, sim} = start(dir, unquote(firmware))
+      {:ok, view, _html} = live(conn(console, :operator), "/alarms")
+      SimVehicle.failsafe(sim, :battery_critical)
+      eventually(fn -> has_element?(view, "#alarms .alarm-row.active", "Battery nearly empty") end)
+      # Changed without a restart: nothing but the charge says so.
+      SimVehicle.happen(sim, :swap_battery)
+      eventually(fn -> not has_element?(view, "#alarms .alarm-row.active", "Battery") end)
+      eventually(fn -> has_element?(view, "#alarms .alarm-row.over", "Battery nearly empty") end)
+    end
+  end
+
   @tag :chromium
   test "in a browser: arm, take off, go where the map is clicked, land by the key; a refusal has its reason",
        %{tmp_dir: dir} do

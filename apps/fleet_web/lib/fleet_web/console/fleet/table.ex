@@ -86,12 +86,14 @@ defmodule FleetWeb.Console.Fleet.Table do
       <.badge :if={@row.holder} kind="info" title={"In charge: #{@row.holder}"}><.icon name="lock" />{@row.holder}</.badge>
     </div>
     <div class="fleet-line muted" title={Enum.join(@row.tags, ", ")}>
-      <span class="fleet-kind">{@row.kind} {Kind.firmware(@row.autopilot)} {@row.firmware}</span>
+      <span class="fleet-kind" title={kind_of(@row)}>{kind_of(@row)}</span>
       <span :if={@row.via} class="fleet-via">via {@row.via}</span>
       <span :for={tag <- @row.tags} class="badge">{tag}</span>
     </div>
     """
   end
+
+  defp kind_of(row), do: "#{row.kind} #{Kind.firmware(row.autopilot)} #{row.firmware}"
 
   defp state(assigns),
     do: ~H"<.badge kind={kind(@row.state)}>{word(@row)}</.badge><.age us={@row.silent_us} />"

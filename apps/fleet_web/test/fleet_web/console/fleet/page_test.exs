@@ -71,9 +71,11 @@ defmodule FleetWeb.Console.Fleet.PageTest do
 
       groups = Map.update(groups, :mode, %{mode: mode}, &Map.put(&1, :mode, mode))
       status = Enum.at([:online, :stale, :lost], rem(n, 3))
-      put_vehicle(console, "V#{n}", Map.to_list(groups), %{key: {"main", n}, system_id: n, status: status})
+      fields = %{key: {"main", n}, system_id: n, status: status, links: ["radio"]}
+      put_vehicle(console, "V#{n}", Map.to_list(groups), fields)
     end
 
+    put_link(console, "radio", %{quality: %{score: 100.0}})
     browse(console, "table.mjs")
   end
 

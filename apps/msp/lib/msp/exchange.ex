@@ -97,7 +97,9 @@ defmodule Msp.Exchange do
   @doc "How long a reply may take: four times the usual time, but no more than a second or twice that time."
   @spec timeout_us(t) :: pos_integer
   def timeout_us(%{usual_us: nil}), do: @first_us
-  def timeout_us(%{usual_us: usual}), do: (4 * usual) |> min(max(@first_us, 2 * usual)) |> min(@most_us)
+
+  def timeout_us(%{usual_us: usual}) when is_integer(usual),
+    do: (4 * usual) |> min(max(@first_us, 2 * usual)) |> min(@most_us)
 
   @doc "Bytes from the line."
   @spec push(t, binary, integer) :: {[answer], t}

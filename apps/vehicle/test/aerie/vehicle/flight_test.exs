@@ -191,7 +191,7 @@ defmodule Aerie.Vehicle.FlightTest do
     gcs = frame(%Heartbeat{type: 6, autopilot: 8, base_mode: 0x80, custom_mode: 9}, 1_100_000, component: 190)
     text = frame(%Statustext{severity: 6, text: "from a camera"}, 1_200_000, component: 100)
     run = run([copter, gcs, gimbal, text, copter])
-    assert run.events == []
+    assert [%{type: "statustext", data: %{"component" => 100}}] = run.events
     assert %{mode: "GUIDED", armed: false} = Aerie.Vehicle.Core.snapshot(run.core).groups.mode.data
   end
 end

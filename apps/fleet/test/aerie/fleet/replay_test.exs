@@ -42,7 +42,7 @@ defmodule Aerie.Fleet.ReplayTest do
     {:ok, flight} = play(early ++ [beat(4), text(5, "Ready")])
 
     assert Enum.map(flight.events, &{&1.data["text"], &1.time}) ==
-             [{"ArduCopter V4.6", at(0)}, {"Frame: QUAD", at(2.5)}, {"Ready", at(5)}]
+             [{"ArduCopter V4.6", at(0)}, {"of a gimbal", at(1)}, {"Frame: QUAD", at(2.5)}, {"Ready", at(5)}]
   end
 
   describe "flights of real firmware" do

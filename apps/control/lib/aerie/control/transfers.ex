@@ -77,7 +77,8 @@ defmodule Aerie.Control.Transfers do
   sooner when the vehicle falls silent, so the limit is for one that answers and does not come to an end.
   """
   @spec time_ms(pieces :: non_neg_integer(), each_ms :: pos_integer()) :: pos_integer()
-  def time_ms(pieces, each_ms), do: max(300_000, 60_000 + pieces * each_ms)
+  def time_ms(pieces, each_ms) when is_integer(pieces) and is_integer(each_ms),
+    do: max(300_000, 60_000 + pieces * each_ms)
 
   @doc """
   The present snapshot of a vehicle by its name, if this gateway's links hear it: what asks for this is not

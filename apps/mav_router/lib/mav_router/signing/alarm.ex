@@ -63,7 +63,7 @@ defmodule MavRouter.Signing.Alarm do
         "that is wrong: until then one of them may refuse what the other signs"
     )
 
-    data = %{"link" => link, "component" => component, "ahead_h" => Float.round(hours, 1), "ahead" => ahead}
+    data = %{"link" => link, "component" => component, "ahead_s" => div(by_us, 1_000_000), "ahead" => ahead}
     Audit.event(gateway, {network, system}, "signing.clock", data, at || System.os_time(:microsecond))
   end
 

@@ -309,7 +309,7 @@ defmodule Aerie.Vehicle.Event.Types do
      [
        {"link", :string, nil, "the link that it came by"},
        {"component", :integer, nil, "the component that signs"},
-       {"ahead_h", :number, "h", "how far it is ahead"},
+       {"ahead_s", :number, "s", "how far it is ahead"},
        {"ahead", :string, nil, "the same in words"}
      ], severity: 4, text: "signing clock[ {ahead}] ahead of the gateway's[ on {link}]"},
     {"signing.enrolled", "the vehicle was given its signing key", "an operator's request", @signing,

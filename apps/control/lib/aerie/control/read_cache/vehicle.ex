@@ -47,7 +47,7 @@ defmodule Aerie.Control.ReadCache.Vehicle do
       plans: nil,
       frames: %{},
       endpoints: %{},
-      old: MapSet.new(),
+      old: %{},
       out: %{},
       seq: 0,
       timer: nil,
@@ -93,11 +93,11 @@ defmodule Aerie.Control.ReadCache.Vehicle do
 
   # Endpoints that speak MAVLink 1, which are answered in it.
   defp spoken(%{old: old} = state, endpoint, 1) do
-    old = if MapSet.size(old) < @max_stations, do: old, else: MapSet.new()
-    %{state | old: MapSet.put(old, endpoint)}
+    old = if map_size(old) < @max_stations, do: old, else: %{}
+    %{state | old: Map.put(old, endpoint, true)}
   end
 
-  defp spoken(state, endpoint, 2), do: %{state | old: MapSet.delete(state.old, endpoint)}
+  defp spoken(state, endpoint, 2), do: %{state | old: Map.delete(state.old, endpoint)}
 
   defp waits?(%module{}), do: module in [M.ParamRequestList, M.MissionRequestList, M.FileTransferProtocol]
 
@@ -311,7 +311,7 @@ defmodule Aerie.Control.ReadCache.Vehicle do
   defp timed(state), do: state
 
   defp send_out(%{key: {_network, system}, vehicle: %{component: component}} = state, endpoint, messages) do
-    version = if system <= 255 and MapSet.member?(state.old, endpoint), do: 1, else: 2
+    version = if system <= 255 and is_map_key(state.old, endpoint), do: 1, else: 2
     options = [system: system, component: component, version: version]
 
     {frames, seq} =

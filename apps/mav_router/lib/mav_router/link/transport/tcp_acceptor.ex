@@ -62,15 +62,19 @@ defmodule MavRouter.Link.Transport.TcpAcceptor do
 
     cond do
       Map.get(by_address, address, 0) >= @per_address ->
-        yields(held, [address], now) ||
-          {:refused,
-           "connections of #{:inet.ntoa(address)} are refused: it has #{@per_address}, which is the most for one address"}
+        with nil <- yields(held, [address], now),
+             do:
+               {:refused,
+                "connections of #{:inet.ntoa(address)} are refused: it has #{@per_address}, " <>
+                  "which is the most for one address"}
 
       map_size(held) >= @connections ->
         {_address, most} = Enum.max_by(by_address, &elem(&1, 1))
 
-        yields(held, for({address, ^most} <- by_address, do: address), now) ||
-          {:refused, "connections are refused: there are #{@connections}, which is the most for one port"}
+        with nil <- yields(held, for({address, ^most} <- by_address, do: address), now),
+             do:
+               {:refused,
+                "connections are refused: there are #{@connections}, which is the most for one port"}
 
       true ->
         :ok

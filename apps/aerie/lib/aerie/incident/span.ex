@@ -2,8 +2,8 @@ defmodule Aerie.Incident.Span do
   @moduledoc """
   The time that an incident covers, in unix microseconds. Pure.
 
-  A time is RFC 3339 (`2026-11-28T20:15:00Z`, with any offset), `HH:MM` or `HH:MM:SS` in UTC, the latest such time, or relative to now:
-  `-90s`, `-10m`, `-2h`, `-1d`, `now`.
+  A time is RFC 3339 (`2026-11-28T20:15:00Z`, with any offset), `HH:MM` or `HH:MM:SS` in UTC, the latest such time (for
+  the beginning: the latest before the end), or relative to now: `-90s`, `-10m`, `-2h`, `-1d`, `now`.
   """
 
   @enforce_keys [:from, :to]
@@ -21,8 +21,8 @@ defmodule Aerie.Incident.Span do
   @doc "The span of two texts; nil for `to` is now, nil for `from` fifteen minutes before `to`. The error says which text is wrong."
   @spec parse(String.t() | nil, String.t() | nil, now :: integer()) :: {:ok, t()} | {:error, String.t()}
   def parse(from, to, now) do
-    with {:ok, to} <- time("--to", to || "now", now),
-         {:ok, from} <- if(from, do: time("--from", from, now), else: {:ok, to - @default}) do
+    with {:ok, to} <- time("--to", to || "now", now, now),
+         {:ok, from} <- if(from, do: time("--from", from, now, min(now, to - 1)), else: {:ok, to - @default}) do
       cond do
         from >= to -> {:error, "--from #{text(from)} is not before --to #{text(to)}"}
         to - from > @longest -> {:error, "#{text(from)} to #{text(to)} is more than seven days"}
@@ -52,16 +52,16 @@ defmodule Aerie.Incident.Span do
 
   def read(_other), do: nil
 
-  defp time(_option, "now", now), do: {:ok, now}
+  defp time(_option, "now", now, _latest), do: {:ok, now}
 
-  defp time(option, text, now) do
+  defp time(option, text, now, latest) do
     cond do
       match = Regex.run(~r/\A-(\d{1,6})([smhd])\z/, text) ->
         [_all, number, unit] = match
         {:ok, now - String.to_integer(number) * @units[unit] * @second}
 
       text =~ ~r/\A\d{1,2}:\d{2}(:\d{2})?\z/ ->
-        clock(option, text, now)
+        clock(option, text, latest)
 
       at = read(text) ->
         range(option, text, at)
@@ -71,15 +71,15 @@ defmodule Aerie.Incident.Span do
     end
   end
 
-  defp clock(option, text, now) do
+  defp clock(option, text, latest) do
     padded =
       String.pad_leading(if(length(String.split(text, ":")) == 2, do: text <> ":00", else: text), 8, "0")
 
     case Time.from_iso8601(padded) do
       {:ok, time} ->
         {seconds, _us} = Time.to_seconds_after_midnight(time)
-        at = now - Integer.mod(now, @day) + seconds * @second
-        {:ok, if(at > now, do: at - @day, else: at)}
+        at = latest - Integer.mod(latest, @day) + seconds * @second
+        {:ok, if(at > latest, do: at - @day, else: at)}
 
       {:error, _reason} ->
         {:error, "#{option}: '#{text}': #{@expected}"}

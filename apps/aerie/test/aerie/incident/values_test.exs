@@ -25,6 +25,13 @@ defmodule Aerie.Incident.ValuesTest do
       assert noon - from == 60_000_000
       assert {:ok, %{from: from}} = Span.parse("12:00:01", nil, noon)
       assert from == noon + 1_000_000 - day
+      # Of the day of the end, whatever the time is now.
+      to = noon - 3 * day
+
+      for now <- [noon, noon + div(day, 3), noon - div(day, 3)] do
+        assert {:ok, %{from: from, to: ^to}} = Span.parse("11:45", Span.text(to), now)
+        assert to - from == 900_000_000
+      end
     end
 
     test "what is not a time, or not a span, is refused with what was expected" do

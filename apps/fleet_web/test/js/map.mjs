@@ -112,7 +112,7 @@ const tasks = {
     await page.click("[data-tool=rings]");
     await until("rings", () => page.evaluate(() => document.querySelector("#fleet-map").fleetMap.overlays.parts.rings.length === 6));
     await page.click("[data-tool=measure]");
-    for (const x of [200, 400]) await page.mouse.click(box.x + x, box.y + 400);
+    for (const part of [0.3, 0.6]) await page.mouse.click(box.x + part * box.width, box.y + 400);
     await until("a distance", async () => /^Distance: [\d.]+ k?m$/.test(await page.textContent(".map-status")));
     await page.focus("#fleet-map canvas");
     await page.keyboard.press("Escape");

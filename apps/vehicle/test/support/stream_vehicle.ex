@@ -71,7 +71,7 @@ defmodule Aerie.StreamVehicle do
   end
 
   defp words(%CommandLong{command: 511, param1: id, param2: us}), do: {:set, trunc(id), us}
-  defp words(%CommandLong{command: 512, param1: 244.0, param2: id}), do: {:query, trunc(id)}
+  defp words(%CommandLong{command: 510, param1: id}), do: {:query, trunc(id)}
   defp words(%CommandLong{command: 512, param1: id}), do: {:once, trunc(id)}
   defp words(%RequestDataStream{req_stream_id: id, req_message_rate: hz}), do: {:group, id, hz}
 
@@ -124,13 +124,13 @@ defmodule Aerie.StreamVehicle do
     end
   end
 
-  defp obey(vehicle, %CommandLong{command: 512, param1: 244.0, param2: id}) do
+  defp obey(vehicle, %CommandLong{command: 510, param1: id}) do
     id = trunc(id)
     hz = Map.get(vehicle.rates, id, 0)
     interval = if hz > 0, do: round(1_000_000 / hz), else: -1
 
     if vehicle.tells and not lost?(vehicle, interval) do
-      vehicle = ack(vehicle, 512, 0)
+      vehicle = ack(vehicle, 510, 0)
       %{vehicle | arbiter: Arbiter.interval(vehicle.arbiter, id, interval, vehicle.now)}
     else
       vehicle

@@ -8,11 +8,11 @@ defmodule Aerie.Vehicle.Services.Streams.Request do
 
   alias MavCodec.Dialects.All
   alias MavCodec.Enums.{MavCmd, MavDataStream}
-  alias MavCodec.Messages.{CommandInt, CommandLong, MessageInterval, RequestDataStream}
+  alias MavCodec.Messages.{CommandInt, CommandLong, RequestDataStream}
 
   @set_message_interval MavCmd.value(:MAV_CMD_SET_MESSAGE_INTERVAL)
   @request_message MavCmd.value(:MAV_CMD_REQUEST_MESSAGE)
-  @message_interval MessageInterval.id()
+  @get_message_interval MavCmd.value(:MAV_CMD_GET_MESSAGE_INTERVAL)
 
   # Group => message ids.
   @groups Map.new(
@@ -50,9 +50,12 @@ defmodule Aerie.Vehicle.Services.Streams.Request do
   def set(target, id, hz) when hz == 0, do: command(target, @set_message_interval, id, 0)
   def set(target, id, hz), do: command(target, @set_message_interval, id, trunc(1_000_000 / hz))
 
-  @doc "Requests MESSAGE_INTERVAL: the interval that is set."
+  @doc """
+  Requests MESSAGE_INTERVAL: the interval that is set. By the command that is older than REQUEST_MESSAGE, because
+  ArduPilot answers no other one.
+  """
   @spec query(target(), non_neg_integer()) :: CommandLong.t()
-  def query(target, id), do: command(target, @request_message, @message_interval, id)
+  def query(target, id), do: command(target, @get_message_interval, id, 0)
 
   @doc "Requests a message once."
   @spec once(target(), non_neg_integer()) :: CommandLong.t()

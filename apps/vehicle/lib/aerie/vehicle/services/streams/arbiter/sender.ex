@@ -10,6 +10,7 @@ defmodule Aerie.Vehicle.Services.Streams.Arbiter.Sender do
 
   @set_message_interval MavCmd.value(:MAV_CMD_SET_MESSAGE_INTERVAL)
   @request_message MavCmd.value(:MAV_CMD_REQUEST_MESSAGE)
+  @get_message_interval MavCmd.value(:MAV_CMD_GET_MESSAGE_INTERVAL)
   @ack_us 600_000
 
   @accepted MavResult.value(:MAV_RESULT_ACCEPTED)
@@ -83,7 +84,8 @@ defmodule Aerie.Vehicle.Services.Streams.Arbiter.Sender do
   def ack(arbiter, _command, _result), do: arbiter
 
   defp command(kind) when kind in [:set, :default], do: @set_message_interval
-  defp command(kind) when kind in [:query, :once], do: @request_message
+  defp command(:query), do: @get_message_interval
+  defp command(:once), do: @request_message
   defp command(kind) when kind in [:group, :restore], do: nil
 
   defp answered(arbiter, {:set, _id}, _, @accepted), do: %{arbiter | accepted: true}

@@ -131,6 +131,11 @@ defmodule Aerie.System.TransferFacesTest do
       assert {422, %{"errors" => [%{"key" => "NO_SUCH"}]}} =
                rest(c, :put, "params", "NO_SUCH,1", type: "text/plain")
 
+      for values <- [0, "x", [], nil, true] do
+        assert {422, %{"error" => %{"message" => "values: expected an object" <> _}}} =
+                 rest(c, :put, "params", %{"values" => values})
+      end
+
       assert {403, _refused} = rest(c, :put, "params/#{name}", %{"value" => 1}, key: @wall)
 
       assert {200, %{"result" => "completed", "on_board" => "new"}} =

@@ -75,8 +75,7 @@ defmodule FleetWeb.API.Transfers do
         "json" ->
           with {:ok, object} <- parsed(gateway, options, fn -> Request.decode(text) end),
                :ok <- Request.known(object, ["id", "values"]),
-               %{} = values <-
-                 object["values"] || Error.invalid("values: expected an object of names and numbers") do
+               {:ok, values} <- values(object) do
             Params.set_all(gateway, vehicle, values, with_id(options, object, parameters))
           end
 
@@ -320,6 +319,9 @@ defmodule FleetWeb.API.Transfers do
   defp refused({:error, %Result{} = result}, request), do: {:error, Error.of_result(result), request}
   defp refused({:error, [_ | _] = errors}, request), do: {:error, Error.malformed(errors), request}
   defp refused({:error, %Error{} = error}, request), do: {:error, error, request}
+
+  defp values(%{"values" => %{} = values}), do: {:ok, values}
+  defp values(_other), do: Error.invalid("values: expected an object of names and numbers")
 
   defp changed({:ok, result}, vehicle, request) do
     case Error.of_result(result) do

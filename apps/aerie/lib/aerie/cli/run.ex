@@ -8,8 +8,8 @@ defmodule Aerie.CLI.Run do
   4. `Aerie.Reload`, which puts a changed configuration in force
   5. `SimVehicle.Fleet` and `Aerie.CLI.SimMsp`, if simulated vehicles were asked for. They use a loopback link and a network of their own
      (`sim`), so that they cannot collide with a real vehicle of the same system id.
-  6. `Aerie.Systemd`, if systemd started the program
-  7. `Aerie.Node`, the way in for `bin/aerie`
+  6. `Aerie.Node`, the way in for `bin/aerie`
+  7. `Aerie.Systemd`, if systemd started the program, which then learns that all that is asked for is there
   8. `Aerie.CLI.Status`
 
   If a part fails to start, the parts before it are stopped and the error messages are returned.
@@ -175,8 +175,8 @@ defmodule Aerie.CLI.Run do
         [{:reload, {Reload, gateway: gateway, config: loaded, read: read, log?: options[:log] == true}}] ++
         sim_part(plan, sim_port) ++
         SimMsp.part(msp_ports) ++
-        systemd_part(gateway) ++
         node_part(gateway, http, config) ++
+        systemd_part(gateway) ++
         status_part(gateway, http, config, options)
 
     Enum.reduce_while(parts, {:ok, []}, fn {id, child}, {:ok, started} ->

@@ -354,19 +354,21 @@ defmodule Aerie.Control.Policy.Mavlink.WritingTest do
 
       property =
         :proper.forall(:proper_types.list(step()), fn steps ->
-          begun = {Trial.new(policy), %{upload: @idle, next: nil, aboard: []}, 0}
+          begun = {Trial.new(policy), %{upload: @idle, next: nil, aboard: [], silence: 0}, 0}
 
           {_trial, state, _at} =
             Enum.reduce(steps, begun, fn
               {:pause, seconds}, {trial, state, at} ->
-                # Given up by now.
-                state = if seconds > 8, do: %{state | upload: @idle, next: nil}, else: state
-                {trial, state, at + seconds * @second}
+                # Given up by now, in one pause or in several.
+                silence = state.silence + seconds
+                state = if silence > 8, do: %{state | upload: @idle, next: nil}, else: state
+                {trial, %{state | silence: silence}, at + seconds * @second}
 
               step, {trial, state, at} ->
                 Enum.reduce(messages(step), {trial, state, at}, fn message, {trial, state, at} ->
                   {%{decision: decision}, trial} = Trial.message(trial, message, asked(snapshot, at))
-                  {trial, if(decision == :allow, do: vehicle(state, firmware, message), else: state), at}
+                  heard = fn -> vehicle(%{state | silence: 0}, firmware, message) end
+                  {trial, if(decision == :allow, do: heard.(), else: state), at}
                 end)
             end)
 

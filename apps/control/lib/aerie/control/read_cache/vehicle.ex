@@ -257,7 +257,7 @@ defmodule Aerie.Control.ReadCache.Vehicle do
   defp act({:forward, _message, from}, state, :plans), do: forwarded(state, {:plans, from})
 
   defp act(:fetch, %{vehicle: %{id: id}, gateway: gateway} = state, :params),
-    do: task(state, :params, fn -> Params.list(gateway, id, yields: true) end)
+    do: task(state, :params, fn -> Params.list(gateway, id) end)
 
   defp act({:fetch, type}, %{vehicle: %{id: id}, gateway: gateway} = state, :plans),
     do:

@@ -231,8 +231,8 @@ defmodule Aerie.Vehicle.Event.Types do
        {"to", :any, nil, "the new value"},
        {"index", :integer, nil, "index in the parameter list"}
      ], text: "{name}: {from} → {to}"},
-    {"system_id.changed", "the vehicle has another system id, and is another vehicle with it",
-     "PARAM_SET of SYSID_THISMAV, MAV_SYSID or MAV_SYS_ID, and who is heard then; at both vehicles",
+    {"system_id.changed", "the vehicle has a new system id, so it counts as another vehicle",
+     "PARAM_SET of SYSID_THISMAV, MAV_SYSID or MAV_SYS_ID, and the vehicle that is heard next; at both vehicles",
      [
        {"from", :string, nil, "the vehicle with the old id"},
        {"to", :string, nil, "the vehicle with the new id"},

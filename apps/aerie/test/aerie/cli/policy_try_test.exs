@@ -35,13 +35,16 @@ defmodule Aerie.CLI.PolicyTryTest do
     "gateway.yaml"
   end
 
-  # The exit status, standard output and standard error.
+  # How far it is, which it writes every five seconds: a busy machine reads a flight for longer than that.
+  @progress ~r/^\d+ of \d+: \S+, \d+ frames, at \S+\n/m
+
+  # The exit status, standard output and standard error without lines of progress.
   defp try_it(words, dir) do
     {{result, notes}, text} =
       with_io(fn -> StandardError.capture(fn -> Aerie.CLI.call(["policy", "try" | words], dir) end) end)
 
     case result do
-      {status, ""} -> {status, text, notes}
+      {status, ""} -> {status, text, String.replace(notes, @progress, "")}
       {:error, why} -> {2, text, why}
     end
   end

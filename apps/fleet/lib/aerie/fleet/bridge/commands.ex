@@ -14,7 +14,7 @@ defmodule Aerie.Fleet.Bridge.Commands do
 
   | what | limit | beyond it |
   |---|---|---|
-  | messages that wait here | 1000, and 10,000 for those that claim the signature of a listed key | dropped, counted in `gateway_nats_commands_dropped_total` |
+  | messages that wait here | 1000; those that claim the signature of a listed key have the limits of `Queue` | dropped, counted in `gateway_nats_commands_dropped_total` |
   | tasks | those of `Aerie.Fleet.Bridge.Commands.Queue` | answered with rule `busy` |
   | what nobody has signed who may | a rate (`Lanes`) | dropped, counted in `gateway_nats_commands_unread_total` |
   | a message | 16 KiB, of other areas 1 MB | answered with rule `size` |
@@ -34,7 +34,6 @@ defmodule Aerie.Fleet.Bridge.Commands do
 
   @queue "aerie-commands"
   @max_waiting 1_000
-  @max_waiting_signed 10_000
 
   @spec start_link(gateway: Names.gateway(), settings: Settings.t()) :: GenServer.on_start()
   def start_link(options),
@@ -184,9 +183,6 @@ defmodule Aerie.Fleet.Bridge.Commands do
     now = System.os_time(:microsecond)
 
     case Sources.claim(Policy.Store.get(state.gateway), signature, now) do
-      _any when waiting > @max_waiting_signed ->
-        drop(state, :commands_dropped)
-
       {:listed, key} = claim ->
         cond do
           not Queue.room?(state.lanes, key) -> drop(state, :commands_dropped)

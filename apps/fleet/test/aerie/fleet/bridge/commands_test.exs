@@ -248,6 +248,19 @@ defmodule Aerie.Fleet.Bridge.CommandsTest do
     seven(context)
   end
 
+  test "nor does one that comes faster than it is dropped", context do
+    pid = Aerie.Base.Names.whereis(context.gateway, :bridge_commands)
+    :ok = :sys.suspend(pid)
+    task = ask(context, "hold", %{"id" => "h"})
+    eventually(fn -> Process.info(pid, :message_queue_len) == {:message_queue_len, 1} end)
+    unsigned = %{topic: subject("set_yaw"), body: "{}", reply_to: nil, gnat: context.conn, sid: 1}
+    for _n <- 1..20_000, do: send(pid, {:msg, unsigned})
+    :ok = :sys.resume(pid)
+    answer(executing(%{id: "h"}), "h", :completed)
+    assert %{"result" => "completed"} = reply(task)
+    eventually(fn -> unread(context.gateway) >= 19_000 end)
+  end
+
   test "no command is in a stream", context do
     task = ask(context, "land", %{"id" => "l"})
     answer(executing(%{id: "l"}), "l", :completed)

@@ -52,7 +52,7 @@ defmodule Aerie.System.CommandClientsTest do
     assert {1, output} = command.("fleet.test.NOBODY.cmd.hold", "{}")
     assert output =~ ~r/no ?responders/i
 
-    # A body that is none is said to be one, without a word of the program's own language.
+    # An invalid body gets an error about JSON, not a traceback of the program.
     for body <- ["{", "[1]", ""] do
       assert {1, output} = command.("fleet.test.VID-001.cmd.hold", body)
       assert output =~ "JSON" or output =~ "json"

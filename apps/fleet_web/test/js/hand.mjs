@@ -147,7 +147,7 @@ const tasks = {
     await page.evaluate(() => document.activeElement.blur());
     await page.keyboard.press("l");
     await shows(page, "#hint", "Land does nothing: 1 selected, not in this list: V1. Clear the filter or the selection first.");
-    // The button does the same as its key, and is told why.
+    // The button does the same as its key and shows the reason.
     await page.evaluate(() => { document.getElementById("hint").hidden = true; });
     await page.hover("#fleet-hold");
     await page.mouse.down();

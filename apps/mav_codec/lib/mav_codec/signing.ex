@@ -22,7 +22,7 @@ defmodule MavCodec.Signing do
   A time stamp that is more than ten years ahead (a program that counts from 1970 is 45 years ahead) is accepted, as a
   stream of its own, but it does not set our time, by which others are measured; with `follow_far: true`, where nobody
   else has the key, it does. One that is an hour ahead makes no first frames of others stale, if our clock is right.
-  `leads/1` says who is how far ahead.
+  `leads/1` lists how far each one is ahead.
 
   ## Safety
 

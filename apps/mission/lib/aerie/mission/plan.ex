@@ -41,7 +41,7 @@ defmodule Aerie.Mission.Plan do
     * `:home` - the planned start, with metres above mean sea level, or nil
     * `:items` - the mission
     * `:fence_return` - where to go after leaving the fence, with metres above home
-    * `:fence_others`, `:rally_others` - items of a vehicle that are none of these
+    * `:fence_others`, `:rally_others` - other items that the vehicle sent
   """
   @type t :: %__MODULE__{
           home: {position(), float()} | nil,

@@ -48,7 +48,7 @@ defmodule Aerie.Vehicle.State.Position do
   end
 
   # By MSP it has the height, which GLOBAL_POSITION_INT cannot leave out; PX4 sends it besides. Without a height above
-  # the sea there is no position: one from before is none.
+  # the sea an earlier position no longer counts.
   def read(%M.Altitude{} = m, state, _at) do
     height = %{alt_rel: Value.float(m.altitude_relative)}
 

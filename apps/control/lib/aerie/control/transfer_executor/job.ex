@@ -43,7 +43,7 @@ defmodule Aerie.Control.TransferExecutor.Job do
     * `:start` - makes the machine; an error is the end of the transfer
     * `:until` - its deadline in microseconds of `System.monotonic_time/1`; nothing is sent from then on
     * `:share` - transfers with the same term (not nil) are one: callers that come while it is under way get its result
-    * `:yields` - whoever asked for it may not change the vehicle: it ends (`{:error, :yielded}`) when anything else
+    * `:yields` - its caller may not change the vehicle, so it ends (`{:error, :yielded}`) when anything else
       wants its lane, or a ground station its turn
     * the others are the state of it: the machine, when it has to have begun, and which turns it has and waits for
   """

@@ -121,8 +121,9 @@ defmodule Aerie.Fleet.Bridge.StorageTest do
     assert server_pid(dir) != pid
   end
 
-  # Events are a problem after ten seconds without a confirmation. A connection whose server has stopped is given up after ten to
-  # twenty; one that has just begun lasts the twenty. If a busy machine loses it before, the server goes on, and it is tried again.
+  # Events are a problem after ten seconds without a confirmation. A connection whose server has stopped is given up
+  # after ten to twenty; one that has just begun lasts the twenty. If a busy machine loses it before, the server goes
+  # on, and it is tried again.
   defp stall(gateway, pid, seq) do
     former = connection(gateway)
     Process.exit(former, :kill)

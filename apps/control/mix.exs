@@ -44,7 +44,7 @@ defmodule Aerie.Control.MixProject do
         {:base, in_umbrella: true},
         {:mav_router, in_umbrella: true},
         {:vehicle, in_umbrella: true},
-        {:mission, in_umbrella: true},
+        {:protocols, in_umbrella: true},
         # Tested against what the simulated vehicles answer.
         {:sim_vehicle, in_umbrella: true, only: :test, runtime: false}
       ] ++

@@ -38,7 +38,7 @@ defmodule FleetWeb.MixProject do
         {:base, in_umbrella: true},
         {:mav_router, in_umbrella: true},
         {:vehicle, in_umbrella: true},
-        {:mission, in_umbrella: true},
+        {:protocols, in_umbrella: true},
         {:control, in_umbrella: true},
         {:fleet, in_umbrella: true}
       ] ++ Aerie.Packages.deps([:telemetry, :phoenix_live_view])

@@ -69,8 +69,8 @@ defmodule Aerie.Gate.LayersTest do
                "apps/control uses fleet, but its mix.exs does not say so"
              ]
 
-      assert Layers.problems(%{app | uses: app.uses -- [:mission]}) == [
-               "apps/control/mix.exs names mission, which it does not use"
+      assert Layers.problems(%{app | uses: app.uses -- [:protocols]}) == [
+               "apps/control/mix.exs names protocols, which it does not use"
              ]
     end
 

@@ -9,7 +9,7 @@ defmodule Aerie.System.MspTest do
 
   alias Aerie.Control.{Commands, Missions, Params}
   alias Aerie.Fleet.Shadow
-  alias Aerie.Mission.File.QgcPlan
+  alias Protocols.Mission.File.QgcPlan
   alias Aerie.HubServer
   alias SimVehicle.Msp
 

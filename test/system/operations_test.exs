@@ -256,7 +256,7 @@ defmodule Aerie.System.OperationsTest do
     for [object] <- Regex.scan(~r/(?<=`)\{"desired": .+?\}(?=`)/, @shadow),
         do: assert({200, _done} = rest(c, :patch, "vehicles/VID-002/shadow", object))
 
-    plan = Aerie.Mission.File.QgcPlan.write(%Aerie.Mission.Plan{})
+    plan = Protocols.Mission.File.QgcPlan.write(%Protocols.Mission.Plan{})
     hash = :crypto.hash(:sha256, plan) |> Base.encode16(case: :lower)
     assert @shadow =~ "http://127.0.0.1:4000/api/plans"
     assert {_status, %{"plan" => ^hash}} = rest(c, :post, "plans", plan)

@@ -8,7 +8,7 @@ defmodule Aerie.System.PageCommandsTest do
   @moduletag :capture_log
   @root Path.expand("../..", __DIR__)
   @key "key-of-the-reader-0001"
-  @plan Aerie.Mission.File.QgcPlan.write(%Aerie.Mission.Plan{})
+  @plan Protocols.Mission.File.QgcPlan.write(%Protocols.Mission.Plan{})
   @waypoints """
   QGC WPL 110
   0\t1\t0\t16\t0\t0\t0\t0\t47.397742\t8.545594\t488\t1

@@ -5,8 +5,8 @@ defmodule Aerie.System.ShadowTest do
   alias Aerie.Base.Names
   alias Aerie.Control.{Commands, Missions, Params}
   alias Aerie.Fleet.Shadow
-  alias Aerie.Mission.File.QgcPlan
-  alias Aerie.Mission.{Item, Plan}
+  alias Protocols.Mission.File.QgcPlan
+  alias Protocols.Mission.{Item, Plan}
 
   @moduletag :tmp_dir
   @moduletag :capture_log

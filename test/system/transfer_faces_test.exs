@@ -215,7 +215,7 @@ defmodule Aerie.System.TransferFacesTest do
       assert %{"rule" => "signature"} = nats(c, "params.list", %{}, key: nil)
 
       {:ok, plan} = Aerie.Control.Missions.import(@waypoints, :waypoints)
-      plan = plan |> Aerie.Mission.File.QgcPlan.write() |> JSON.decode!()
+      plan = plan |> Protocols.Mission.File.QgcPlan.write() |> JSON.decode!()
 
       assert %{"result" => "completed", "on_board" => "new"} =
                nats(c, "mission.put", %{"id" => "m1", "plan" => plan})

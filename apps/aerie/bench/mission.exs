@@ -9,7 +9,7 @@
 Code.require_file("../../mav_codec/bench/support/options.ex", __DIR__)
 Code.require_file("../../vehicle/test/support/mission_station.ex", __DIR__)
 
-alias Aerie.Mission.Item
+alias Protocols.Mission.Item
 alias Aerie.MissionStation
 
 options = MavCodec.Bench.Options.read(__ENV__.file, System.argv(), items: 200, seconds: 120)

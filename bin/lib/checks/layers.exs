@@ -17,7 +17,7 @@ defmodule Layers do
     msp: ["Msp"],
     mav_router: ["MavRouter"],
     vehicle: ["Aerie.Vehicle"],
-    mission: ["Aerie.Mission"],
+    protocols: ["Protocols"],
     control: ["Aerie.Control"],
     fleet: ["Aerie.Fleet"],
     fleet_web: ["FleetWeb"],

@@ -2,7 +2,7 @@ defmodule Aerie.FilesOfOthersTest do
   # Files as other programs write them, and files that are not understood, which must not be read as empty ones.
   use ExUnit.Case, async: true
 
-  alias Aerie.Mission.{Item, Plan}
+  alias Protocols.Mission.{Item, Plan}
   alias Aerie.Control.{Missions, Params}
 
   @files Path.expand("../fixtures/others", __DIR__)

@@ -3,7 +3,7 @@ defmodule Aerie.PlanPartsTest do
   use Aerie.TransferCase, async: true
 
   alias Aerie.Control.{Commands, Missions, Params}
-  alias Aerie.Mission.{Item, Plan}
+  alias Protocols.Mission.{Item, Plan}
 
   @moduletag :tmp_dir
   @moduletag :capture_log

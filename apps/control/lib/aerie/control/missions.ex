@@ -6,7 +6,7 @@ defmodule Aerie.Control.Missions do
       {:ok, %Aerie.Vehicle.Command.Result{status: :completed}} = Aerie.Control.Missions.upload(gateway, "VID-001", :mission, plan)
       {:ok, %{plan: plan}} = Aerie.Control.Missions.download(gateway, "VID-001", :mission)
 
-  A plan (`Aerie.Mission.Plan`) has all three; each kind is sent and read separately. The policy judges every item before the first one
+  A plan (`Protocols.Mission.Plan`) has all three; each kind is sent and read separately. The policy judges every item before the first one
   is sent (`Aerie.Control.Mission.Review`), and the plan is read back afterwards. The options are those of `t:Aerie.Control.Transfers.option/0`.
   """
 
@@ -14,13 +14,13 @@ defmodule Aerie.Control.Missions do
   alias Aerie.Base.Files.Text
   alias Aerie.Base.Names
   alias Aerie.Control.{Commands, Transfers}
-  alias Aerie.Mission
+  alias Protocols.Mission
   alias Aerie.Vehicle.Protocol
   alias Aerie.Vehicle.Command.{Error, Result}
   alias Aerie.Control.Mission.{Known, OwnFence}
-  alias Aerie.Mission.{Item, Onboard, Plan, Transfer}
-  alias Aerie.Mission.File.{Mwp, QgcPlan, Waypoints}
-  alias Aerie.Mission.Transfer.Compare
+  alias Protocols.Mission.{Item, Onboard, Plan, Transfer}
+  alias Protocols.Mission.File.{Mwp, QgcPlan, Waypoints}
+  alias Protocols.Mission.Transfer.Compare
   alias Aerie.Control.Policy.Mavlink
   alias MavCodec.Messages, as: M
 
@@ -37,7 +37,7 @@ defmodule Aerie.Control.Missions do
     * `:plan` - a plan with only the kind that was read
     * `:items` - the items as the vehicle stores them
     * `:opaque_id` - the vehicle's id for it (W7), or nil
-    * `:digest` - digest of the items (`Aerie.Mission.Plan.digest/1`)
+    * `:digest` - digest of the items (`Protocols.Mission.Plan.digest/1`)
   """
   @type stored :: %{
           plan: Plan.t(),

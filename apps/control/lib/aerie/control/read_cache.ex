@@ -1,7 +1,7 @@
 defmodule Aerie.Control.ReadCache do
   @moduledoc """
   Answers ground stations that read parameters, by messages or as ArduPilot's file, and plans from the gateway's copy, while that copy is known to be right
-  (`Aerie.Control.Params.Responder`, `Aerie.Mission.Responder`). So the vehicle is read once for any number of stations. Other requests go to the
+  (`Aerie.Control.Params.Responder`, `Protocols.Mission.Responder`). So the vehicle is read once for any number of stations. Other requests go to the
   vehicle. The client's rule `served` turns this on.
   """
 

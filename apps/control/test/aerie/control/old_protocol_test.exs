@@ -7,7 +7,7 @@ defmodule Aerie.Control.OldProtocolTest do
 
   alias Aerie.Base.Names
   alias Aerie.Control.{Missions, Params}
-  alias Aerie.Mission.{Item, Plan}
+  alias Protocols.Mission.{Item, Plan}
 
   @moduletag :tmp_dir
   @moduletag :capture_log

@@ -4,7 +4,7 @@ defmodule Aerie.Control.ReadCacheTest do
 
   alias Aerie.Control.Missions
   alias MavRouter.{Client, Link}
-  alias Aerie.Mission.{Item, Plan}
+  alias Protocols.Mission.{Item, Plan}
   alias MavCodec.Ftp.Packet
   alias MavCodec.Messages, as: M
   alias MavCodec.Parser

@@ -5,7 +5,7 @@ defmodule Aerie.Control.TransfersTest do
   alias Aerie.Base.Names
   alias Aerie.Control.{Commands, Files, Logs, Missions, Params}
   alias Aerie.CommandCase
-  alias Aerie.Mission.{Item, Plan}
+  alias Protocols.Mission.{Item, Plan}
 
   @moduletag :tmp_dir
   @moduletag :capture_log
@@ -147,7 +147,7 @@ defmodule Aerie.Control.TransfersTest do
     end
   end
 
-  @plans Path.expand("../../../../mission/test/fixtures/plans", __DIR__)
+  @plans Path.expand("../../../../protocols/test/fixtures/plans", __DIR__)
 
   test "plans as ground stations write them are completed and the same, under a policy", %{tmp_dir: dir} do
     {gateway, port} = start(dir, %{max_altitude: 100})

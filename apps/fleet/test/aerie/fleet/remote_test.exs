@@ -8,7 +8,7 @@ defmodule Aerie.Fleet.RemoteTest do
   alias Aerie.Control.{Commands, Missions, Policy}
   alias Aerie.Fleet.Remote
   alias Aerie.LinkCase
-  alias Aerie.Mission.Item
+  alias Protocols.Mission.Item
   alias Aerie.Fleet.RemoteTable, as: Table
 
   @moduletag :tmp_dir
@@ -162,7 +162,10 @@ defmodule Aerie.Fleet.RemoteTest do
   test "a transfer without a time limit has the other gateway's, by the length of what is sent", context do
     known(context)
     test = self()
-    plan = %Aerie.Mission.Plan{items: for(n <- 1..720, do: %Item{command: 16, frame: 3, x: n, y: n, z: 20.0})}
+
+    plan = %Protocols.Mission.Plan{
+      items: for(n <- 1..720, do: %Item{command: 16, frame: 3, x: n, y: n, z: 20.0})
+    }
 
     serve_plan = fn ->
       serve(

@@ -78,7 +78,7 @@ defmodule FleetWeb.API.ShadowTest do
   end
 
   test "a plan is stored by its hash", context do
-    plan = Aerie.Mission.File.QgcPlan.write(%Aerie.Mission.Plan{})
+    plan = Protocols.Mission.File.QgcPlan.write(%Protocols.Mission.Plan{})
     hash = :sha256 |> :crypto.hash(plan) |> Base.encode16(case: :lower)
 
     post =
@@ -91,11 +91,14 @@ defmodule FleetWeb.API.ShadowTest do
       )
 
     assert {201, _headers, %{"plan" => ^hash}} = post.(plan, "key-of-the-operator-1")
-    assert {:ok, %Aerie.Mission.Plan{}} = Aerie.Fleet.Shadow.Plans.fetch(context.gateway, hash)
+    assert {:ok, %Protocols.Mission.Plan{}} = Aerie.Fleet.Shadow.Plans.fetch(context.gateway, hash)
     assert {422, _headers, _why} = post.("{}", "key-of-the-operator-1")
     assert {403, _headers, _why} = post.(plan, "key-of-the-wall-00001")
-    heightless = %Aerie.Mission.Plan{items: [%Aerie.Mission.Item{command: 16, frame: 0, z: nil}]}
-    assert {422, _headers, why} = post.(Aerie.Mission.File.QgcPlan.write(heightless), "key-of-the-operator-1")
+    heightless = %Protocols.Mission.Plan{items: [%Protocols.Mission.Item{command: 16, frame: 0, z: nil}]}
+
+    assert {422, _headers, why} =
+             post.(Protocols.Mission.File.QgcPlan.write(heightless), "key-of-the-operator-1")
+
     assert inspect(why) =~ "mission: expected a height in item 1 (NAV_WAYPOINT)"
   end
 

@@ -73,7 +73,7 @@ defmodule Aerie.Vehicle.Protocol do
 
   @doc """
   What the firmware keeps of an item of a mission, fence or list of rally points (W8). The item is a map with the fields of
-  `Aerie.Mission.Item`; `kind` is that of the vehicle.
+  `Protocols.Mission.Item`; `kind` is that of the vehicle.
   """
   @callback kept(item :: map(), mission_type :: 0..2, kind :: String.t()) :: StoredItem.t()
 

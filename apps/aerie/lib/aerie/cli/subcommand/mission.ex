@@ -2,7 +2,7 @@ defmodule Aerie.CLI.Subcommand.Mission do
   @moduledoc "`aerie mission show` and `clear` (`Aerie.Control.Missions`)."
   @behaviour Aerie.CLI.Subcommand
 
-  alias Aerie.Mission.Plan
+  alias Protocols.Mission.Plan
   alias MavCodec.Enums.{MavCmd, MavFrame}
   alias Aerie.Base.Json
   alias Aerie.Control.Missions
@@ -55,7 +55,7 @@ defmodule Aerie.CLI.Subcommand.Mission do
   end
 
   @doc "Items as a table. Pure."
-  @spec rows([Aerie.Mission.Item.t()]) :: iodata()
+  @spec rows([Protocols.Mission.Item.t()]) :: iodata()
   def rows(items) do
     rows =
       for {item, seq} <- Enum.with_index(items) do

@@ -9,7 +9,7 @@ defmodule Aerie.Control.Mission.Known do
   alias Aerie.Control.Policy.{Context, Roles}
   alias Aerie.Control.Policy.Mavlink.{Review, Writing}
   alias Aerie.Control.Policy.Mavlink.Writing.Aboard
-  alias Aerie.Mission.Item
+  alias Protocols.Mission.Item
   alias Aerie.Vehicle.Command.Result
 
   @fence 1

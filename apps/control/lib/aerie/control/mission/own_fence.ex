@@ -8,7 +8,7 @@ defmodule Aerie.Control.Mission.OwnFence do
   """
 
   alias Aerie.Control.Mission.Review
-  alias Aerie.Mission.Plan
+  alias Protocols.Mission.Plan
   alias Aerie.Control.Mission.OwnFence.Area
   alias Aerie.Control.Policy.Context
 

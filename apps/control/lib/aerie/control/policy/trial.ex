@@ -33,7 +33,7 @@ defmodule Aerie.Control.Policy.Trial do
           rate: Rate.t(),
           uploads: %{term() => Mavlink.Upload.t()},
           plans: %{term() => Mavlink.Writing.RawPlan.t() | nil},
-          aboard: %{term() => [Aerie.Mission.Item.t()] | nil},
+          aboard: %{term() => [Protocols.Mission.Item.t()] | nil},
           leases: %{String.t() => Lease.t() | nil}
         }
 

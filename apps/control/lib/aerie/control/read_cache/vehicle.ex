@@ -1,6 +1,6 @@
 defmodule Aerie.Control.ReadCache.Vehicle do
   @moduledoc """
-  Answers ground stations for one vehicle: runs `Aerie.Control.Params.Responder` and `Aerie.Mission.Responder` with a clock, the vehicle's messages, and reads in
+  Answers ground stations for one vehicle: runs `Aerie.Control.Params.Responder` and `Protocols.Mission.Responder` with a clock, the vehicle's messages, and reads in
   tasks. It never blocks. A list is sent in portions that fit into a station's socket.
   """
   use GenServer, restart: :transient
@@ -8,7 +8,7 @@ defmodule Aerie.Control.ReadCache.Vehicle do
   alias Aerie.Base.{Names, Store}
   alias Aerie.Control.{Missions, Params, ReadCache}
   alias Aerie.Control.Policy.Mavlink.Writing.Aboard
-  alias Aerie.Mission
+  alias Protocols.Mission
   alias Aerie.Vehicle.Protocol
   alias MavRouter.Router.ReadCache.Requests
   alias MavCodec.Ftp.Packet

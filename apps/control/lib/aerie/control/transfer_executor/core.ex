@@ -24,7 +24,7 @@ defmodule Aerie.Control.TransferExecutor.Core do
 
     * `{:send, messages}`
     * `{:take, kind}` - asks for the turn; `{:turn, …}` or `{:held, …}` is the answer; `{:give_back, kind}`
-    * `{:progress, id, progress}` - the machine's words, as `{done, total}` or the map of `Aerie.Mission.Transfer`; or
+    * `{:progress, id, progress}` - the machine's words: `{done, total}` or the map of `Protocols.Mission.Transfer`; or
       `{:waiting, whose}`
     * `{:data, id, offset, bytes}` - a piece of a file or log
     * `{:joined, id, other}` - this transfer is the same as that one, whose end is its end too

@@ -4,7 +4,7 @@ defmodule Aerie.Control.TransferExecutor.Job do
   and what it needs for itself meanwhile.
 
   A machine is a module with `handle(machine, event) -> {machine, actions}` and `wake_at(machine)`, as `Aerie.Control.Params.Download`
-  describes them; its end is `{:done, result}`, or `{:result, result}` of `Aerie.Mission.Transfer`. One that uses
+  describes them; its end is `{:done, result}`, or `{:result, result}` of `Protocols.Mission.Transfer`. One that uses
   files also has `seq(machine)`, the number that the next one begins with.
   """
 

@@ -6,7 +6,7 @@ defmodule Aerie.Control.Transfers.Outcome do
   """
 
   alias Aerie.Vehicle.Command.Result
-  alias Aerie.Mission
+  alias Protocols.Mission
 
   @type failure :: {Result.status(), String.t() | nil, details :: map()}
 

@@ -5,7 +5,7 @@ defmodule Aerie.Control.Mission.KnownTest do
   alias Aerie.Control.Missions
   alias Aerie.Control.Policy.Mavlink.Writing.Aboard
   alias Aerie.Control.Policy.Roles
-  alias Aerie.Mission.{Item, Onboard, Plan}
+  alias Protocols.Mission.{Item, Onboard, Plan}
   alias Aerie.Vehicle.Protocol
   alias MavCodec.Messages, as: M
   alias MavRouter.{Client, Link}

@@ -2,7 +2,7 @@ defmodule Aerie.Control.Mission.OwnFenceTest do
   use ExUnit.Case, async: true
 
   alias Aerie.Control.Mission.OwnFence
-  alias Aerie.Mission.{Item, Plan}
+  alias Protocols.Mission.{Item, Plan}
 
   @copter %{autopilot: :ardupilot, vehicle_type: "copter", place: nil, flying?: false, fenced?: false}
   @px4 %{@copter | autopilot: :px4}

@@ -2,7 +2,7 @@ defmodule Aerie.Control.Mission.ReviewTest do
   use ExUnit.Case, async: true
 
   alias Aerie.Control.Mission.Review
-  alias Aerie.Mission.{Item, Onboard, Plan}
+  alias Protocols.Mission.{Item, Onboard, Plan}
   alias Aerie.Control.Policy
   alias Aerie.Vehicle.Protocol
   alias Aerie.Control.Policy.Context

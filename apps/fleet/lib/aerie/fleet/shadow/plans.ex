@@ -9,7 +9,7 @@ defmodule Aerie.Fleet.Shadow.Plans do
   alias Aerie.Base.Files.Private
   alias Aerie.Base.Names
   alias Aerie.Control.Missions
-  alias Aerie.Mission.Plan
+  alias Protocols.Mission.Plan
   alias Aerie.Fleet.Shadow.{Buckets, Documents, HubBuckets}
 
   # A NATS message has at most a megabyte by default.

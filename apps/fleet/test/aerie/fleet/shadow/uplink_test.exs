@@ -86,9 +86,9 @@ defmodule Aerie.Fleet.Shadow.UplinkTest do
     eventually(fn -> match?({:ok, %{"reported" => %{"mode" => "GUIDED"}}}, Shadow.get(hub, @id)) end)
     assert Documents.problem(leaf) == nil
 
-    plan = Aerie.Mission.File.QgcPlan.write(%Aerie.Mission.Plan{})
+    plan = Protocols.Mission.File.QgcPlan.write(%Protocols.Mission.Plan{})
     {:ok, hash} = Shadow.put_plan(hub, plan)
-    assert {:ok, %Aerie.Mission.Plan{}} = Plans.fetch(leaf, hash)
+    assert {:ok, %Protocols.Mission.Plan{}} = Plans.fetch(leaf, hash)
   end
 
   test "a cut: what was written on either side arrives afterwards; of a field that both changed the hub's counts",

@@ -7,7 +7,7 @@ defmodule FleetWeb.Console.Fleet.Plans do
   alias Aerie.Base.Names
   alias Aerie.Control.Missions
   alias Aerie.Vehicle.Command.Result
-  alias Aerie.Mission.Plan
+  alias Protocols.Mission.Plan
   alias FleetWeb.Console.Plan.MapPayload
 
   # Each waits for a transfer of its vehicle.

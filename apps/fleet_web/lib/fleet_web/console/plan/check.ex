@@ -4,7 +4,7 @@ defmodule FleetWeb.Console.Plan.Check do
   """
 
   alias Aerie.Control.Mission.{OwnFence, Review}
-  alias Aerie.Mission.{Onboard, Plan}
+  alias Protocols.Mission.{Onboard, Plan}
   alias Aerie.Base.Names
   alias Aerie.Control.{Missions, Policy}
   alias Aerie.Vehicle.Protocol

@@ -1,7 +1,7 @@
 defmodule FleetWeb.Console.Plan.Draft do
   @undo 100
   @max_items 2_000
-  @limits Aerie.Mission.File.QgcPlan.limits()
+  @limits Protocols.Mission.File.QgcPlan.limits()
 
   @moduledoc """
   A plan that is being drawn: the plan, the part that is edited, the selection, and the undo history. A pure value.
@@ -9,7 +9,7 @@ defmodule FleetWeb.Console.Plan.Draft do
   An invalid change is refused with the reason; one without an effect adds no undo step. The last #{@undo} steps can be undone.
   """
 
-  alias Aerie.Mission.{Item, Plan}
+  alias Protocols.Mission.{Item, Plan}
   alias FleetWeb.Console.Plan.Kinds
   alias MavCodec.Enums.MavCmd
 

@@ -1,7 +1,7 @@
 defmodule FleetWeb.Console.Plan.Edit do
   @moduledoc "Converts what a browser sends about a plan into arguments for `FleetWeb.Console.Plan.Draft`. Pure; no input is trusted."
 
-  alias Aerie.Mission.Item
+  alias Protocols.Mission.Item
   alias FleetWeb.Console.Plan.{Draft, Kinds}
 
   @parts %{"mission" => :mission, "fence" => :fence, "rally" => :rally}

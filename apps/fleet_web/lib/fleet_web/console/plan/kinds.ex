@@ -4,7 +4,7 @@ defmodule FleetWeb.Console.Plan.Kinds do
   by number and kept as they are.
   """
 
-  alias Aerie.Mission.Item
+  alias Protocols.Mission.Item
   alias MavCodec.Enums.MavCmd
 
   # {MAV_CMD, name, has a place, [{parameter 1..4, label, unit, default}]}

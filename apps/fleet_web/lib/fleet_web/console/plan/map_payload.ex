@@ -32,7 +32,7 @@ defmodule FleetWeb.Console.Plan.MapPayload do
   end
 
   @doc "The plan aboard a vehicle as the map draws it: a plan of `map:plans`, without its vehicle."
-  @spec aboard(Aerie.Mission.Plan.t()) :: map()
+  @spec aboard(Protocols.Mission.Plan.t()) :: map()
   def aboard(plan) do
     places =
       for {item, n} <- Enum.with_index(plan.items, 1),
@@ -44,7 +44,7 @@ defmodule FleetWeb.Console.Plan.MapPayload do
   end
 
   @doc "A zone as the map draws it."
-  @spec zone(Aerie.Mission.Plan.zone()) :: map()
+  @spec zone(Protocols.Mission.Plan.zone()) :: map()
   def zone({kind, {:polygon, corners}}), do: %{kind: kind, ring: Enum.map(corners, &pair/1)}
   def zone({kind, {:circle, centre, radius}}), do: %{kind: kind, centre: pair(centre), radius: radius}
 

@@ -19,7 +19,7 @@ defmodule FleetWeb.Console.Plan.Page do
 
   alias Aerie.Control.{Missions, Policy}
   alias Aerie.Fleet
-  alias Aerie.Mission.Plan
+  alias Protocols.Mission.Plan
   alias FleetWeb.Console.Map.{Payload, Tiles, Zones}
   alias FleetWeb.Console.Plan.{Check, Draft, Edit, MapPayload, Profile, Transfer}
   alias FleetWeb.WorkLimit

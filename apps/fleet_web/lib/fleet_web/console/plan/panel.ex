@@ -2,7 +2,7 @@ defmodule FleetWeb.Console.Plan.Panel do
   @moduledoc "The parts of the plan page beside the map."
   use FleetWeb.Console, :component
 
-  alias Aerie.Mission.{Item, Plan}
+  alias Protocols.Mission.{Item, Plan}
   alias Aerie.Control.Policy.Roles
   alias FleetWeb.Console.Plan.{Edit, Kinds, Profile, Transfer}
 

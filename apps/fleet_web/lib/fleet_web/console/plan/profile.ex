@@ -1,7 +1,7 @@
 defmodule FleetWeb.Console.Plan.Profile do
   @moduledoc "The height profile of a mission along its path, for a drawing. Pure. The ground elevation is not known."
 
-  alias Aerie.Mission.{Item, Plan}
+  alias Protocols.Mission.{Item, Plan}
   alias Aerie.Control.Policy.Fence.Earth
   alias Aerie.Control.Policy.Mavlink.Commands
 

@@ -12,7 +12,7 @@ defmodule FleetWeb.Console.Plan.Transfer do
   alias Aerie.Fleet
   alias Aerie.Vehicle.Protocol
   alias Aerie.Vehicle.Command.{Error, Result}
-  alias Aerie.Mission.Plan
+  alias Protocols.Mission.Plan
 
   @kinds Missions.kinds()
 

@@ -2,7 +2,7 @@ defmodule FleetWeb.Console.Fleet.PlansTest do
   use ExUnit.Case, async: true
 
   alias Aerie.Vehicle.Command.Result
-  alias Aerie.Mission.{Item, Plan}
+  alias Protocols.Mission.{Item, Plan}
   alias FleetWeb.Console.Fleet.Plans
 
   @waypoint 16

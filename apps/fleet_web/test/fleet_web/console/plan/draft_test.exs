@@ -1,7 +1,7 @@
 defmodule FleetWeb.Console.Plan.DraftTest do
   use ExUnit.Case, async: true
 
-  alias Aerie.Mission.Plan
+  alias Protocols.Mission.Plan
   alias FleetWeb.Console.Plan.{Draft, Edit, Kinds, Profile}
 
   @place {47.397742, 8.545594}
@@ -63,7 +63,7 @@ defmodule FleetWeb.Console.Plan.DraftTest do
     end
 
     test "a rally point keeps what its height is measured from, and a part that is cleared has nothing left" do
-      other = %Aerie.Mission.Item{command: 5005, frame: 0}
+      other = %Protocols.Mission.Item{command: 5005, frame: 0}
       place = {473_977_420, 85_455_940}
       plan = %Plan{home: {place, 488.0}, rally: [{place, {560.0, 0}}, {place, 30.0}], fence_others: [other]}
       draft = Draft.part(%Draft{plan: plan}, :rally)

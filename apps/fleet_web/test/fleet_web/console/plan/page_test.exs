@@ -3,7 +3,7 @@ defmodule FleetWeb.Console.Plan.PageTest do
 
   alias Aerie.Control.Missions
   alias Aerie.TransferCase
-  alias Aerie.Mission.{Item, Plan}
+  alias Protocols.Mission.{Item, Plan}
 
   @place %{"map" => "plan-map", "lat" => 47.397742, "lon" => 8.545594}
 

@@ -4,7 +4,7 @@ defmodule Aerie.Control.Mission.OwnFence.Area do
   crossings, the border of a circle inside. Pure.
   """
 
-  alias Aerie.Mission.Plan
+  alias Protocols.Mission.Plan
 
   @metres_per_degree 111_319.5
 

@@ -9,7 +9,7 @@ defmodule Aerie.Control.Policy.Fence.Kept do
 
   alias Aerie.Control.Policy.Fence.Polygon
   alias Aerie.Control.Policy.Fence.Earth
-  alias Aerie.Mission.{Item, Onboard, Plan}
+  alias Protocols.Mission.{Item, Onboard, Plan}
   alias Aerie.Vehicle.Protocol
 
   # Pairs of zones that are compared; of more only equal ones count.

@@ -8,7 +8,7 @@ defmodule Aerie.Control.Policy.Mavlink.Review do
   starts.
   """
 
-  alias Aerie.Mission.Item
+  alias Protocols.Mission.Item
   alias Aerie.Control.Policy
   alias Aerie.Control.Policy.{Context, FlightPath, Intent, Mavlink}
   alias MavCodec.Enums.MavCmd
@@ -25,7 +25,7 @@ defmodule Aerie.Control.Policy.Mavlink.Review do
 
   @doc """
   The first refusal, with the number of the item as the vehicle counts, or nil if the plan as a whole is refused.
-  `items` are those of the wire (`Aerie.Mission.Onboard.items/3`).
+  `items` are those of the wire (`Protocols.Mission.Onboard.items/3`).
   """
   @spec plan(Policy.t(), [Item.t()], 0..2, Mavlink.vehicle(), Context.t()) :: :allow | refusal()
   def plan(policy, items, type, vehicle, context) do

@@ -13,7 +13,7 @@ defmodule Aerie.Control.Policy.Mavlink.Writing do
   alias Aerie.Control.Policy.FlightPath.Shaping
   alias Aerie.Control.Policy.Mavlink.{Review, Upload}
   alias Aerie.Control.Policy.Mavlink.Writing.{Aboard, RawPlan}
-  alias Aerie.Mission.Item
+  alias Protocols.Mission.Item
   alias MavCodec.Messages.{MissionClearAll, MissionCount}
 
   @mission 0

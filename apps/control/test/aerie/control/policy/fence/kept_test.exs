@@ -2,7 +2,7 @@ defmodule Aerie.Control.Policy.Fence.KeptTest do
   use ExUnit.Case, async: true
 
   alias Aerie.Control.Policy.Fence.Kept
-  alias Aerie.Mission.{Item, Onboard, Plan}
+  alias Protocols.Mission.{Item, Onboard, Plan}
   alias Aerie.Vehicle.Protocol
 
   # A square of so many metres around a place, and a circle.

@@ -5,7 +5,7 @@ defmodule Aerie.Control.Policy.FlightPath.VolumeTest do
   alias Aerie.Control.Mission.Review
   alias Aerie.Control.Policy
   alias Aerie.Control.Policy.{Context, FlightPath, Intent, Mavlink}
-  alias Aerie.Mission.Item
+  alias Protocols.Mission.Item
   alias Aerie.Vehicle.Command
   alias MavCodec.Enums.MavCmd
   alias MavCodec.Messages, as: M

@@ -6,7 +6,7 @@ defmodule Aerie.Control.Policy.Mavlink.WritingTest do
   alias Aerie.Control.Policy.Fence.Kept
   alias Aerie.Control.Policy.Mavlink.Review
   alias Aerie.Control.Policy.{Context, Roles, Trial}
-  alias Aerie.Mission.Item
+  alias Protocols.Mission.Item
   alias MavCodec.Enums.MavCmd
   alias MavCodec.Messages, as: M
 

@@ -6,7 +6,7 @@ defmodule Aerie.Control.Policy.Mavlink.Writing.Aboard do
 
   alias Aerie.Base.{Names, Store}
   alias Aerie.Control.Policy.ClientHistory
-  alias Aerie.Mission.Item
+  alias Protocols.Mission.Item
 
   @fence 1
   # For good, in microseconds.

@@ -8,7 +8,7 @@ defmodule Aerie.Control.Policy.Mavlink.Writing.RawPlan do
   upload. A partial write replaces items of a plan that is known.
   """
 
-  alias Aerie.Mission.{Item, Transfer}
+  alias Protocols.Mission.{Item, Transfer}
   alias MavCodec.Messages, as: M
 
   @fence 1

@@ -356,7 +356,6 @@ defmodule Aerie.System.ToolTest do
     for call <- [
           ~s|"$0" eval 'IO.puts(1)'|,
           ~s("$0" replay "$2"),
-          ~s("$1" --replay "$2" --events),
           ~s("$1" --help)
         ] do
       {text, status} = sh.(call <> " 2>&1 >/dev/full")

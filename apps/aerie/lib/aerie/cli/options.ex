@@ -6,53 +6,34 @@ defmodule Aerie.CLI.Options do
   defstruct links: [],
             replay: nil,
             speed: 1.0,
-            print: [],
             sim: nil,
             sim_msp: 0,
             config: nil,
             http: nil,
             nats: nil,
-            check_policy: nil,
-            command: nil,
-            vehicle: nil,
-            role: :operator,
-            permissions: [],
-            check_audit: nil,
             quiet: false
 
   alias Aerie.CLI.SimMsp
-  alias Aerie.Vehicle.Command.Type
-  alias Aerie.Control.Policy.Roles
 
   @typedoc """
   * `links` - connection strings, in the order given
   * `replay` - path of a tlog file to play, or nil
   * `speed` - of a replay or of simulated vehicles, as a multiple of real time; `:max` for a replay
-  * `print` - what to print of the recording instead of playing it: `:events`, `:samples`
   * `sim` - number of simulated vehicles, or nil if the command line does not say; `sim_msp` - of those that speak MSP
   * `config` - path of a YAML configuration, or nil
   * `http` - port of the HTTP server, or nil for the configured one
   * `nats` - "embedded" or a URL, or nil for the configured server
-  * `check_policy`, `command`, `vehicle`, `role`, `permissions` - a command to be judged by a configuration's policy
-    (`Aerie.CLI.CheckPolicy`); `check_audit` - the folder of an audit log to be checked
   * `quiet` - log lines instead of the table
   """
   @type t :: %__MODULE__{
           links: [String.t()],
           replay: String.t() | nil,
           speed: float() | :max,
-          print: [:events | :samples],
           sim: non_neg_integer() | nil,
           sim_msp: non_neg_integer(),
           config: String.t() | nil,
           http: :inet.port_number() | nil,
           nats: String.t() | nil,
-          check_policy: String.t() | nil,
-          command: String.t() | nil,
-          vehicle: String.t() | nil,
-          role: Roles.role(),
-          permissions: [Type.permission()],
-          check_audit: String.t() | nil,
           quiet: boolean()
         }
 
@@ -63,8 +44,6 @@ defmodule Aerie.CLI.Options do
     {:replay, :string, "FILE", "play a recorded flight (a .tlog file) instead of connecting to vehicles"},
     {:speed, :string, "N|max",
      "with --replay: playback speed, up to 1000 times real time (default 1); with --sim: the vehicles' time, 0.1 to 100 times real time"},
-    {:events, :boolean, nil, "with --replay: print the events of the flight as JSON lines and exit"},
-    {:samples, :boolean, nil, "with --replay: print the state samples and exit; with --events, print both"},
     {:sim, :integer, "N", "number of simulated vehicles (0 to #{@max_sim}); also together with links"},
     {:sim_msp, :integer, "N",
      "number of simulated Betaflight and iNav vehicles (0 to #{SimMsp.most()}), which speak MSP"},
@@ -74,15 +53,6 @@ defmodule Aerie.CLI.Options do
     {:nats, :string, "WHERE", "embedded (the default) or a URL such as nats://hub:4222"},
     {:quiet, :boolean, nil,
      "log lines instead of the status table (the default if the output is not a terminal)"},
-    {:check_policy, :string, "FILE",
-     "with --command: print what the policy of a configuration decides about a command, and exit: status 0 allowed, 1 denied, 2 error"},
-    {:command, :string, "JSON", "with --check-policy: the command, or the name of a file that has it"},
-    {:vehicle, :string, "JSON",
-     ~s(with --check-policy: what is known about the vehicle, e.g. {"mode": {"armed": false}})},
-    {:role, :string, "ROLE", "with --check-policy: viewer, operator (the default), pilot or admin"},
-    {:permission, :keep, "NAME", "with --check-policy: a permission beyond the role's, e.g. force_disarm"},
-    {:check_audit, :string, "FOLDER",
-     "check an audit log, and exit: status 0 intact, 1 damaged or changed, 2 error"},
     {:version, :boolean, nil, "print the version"}
   ]
 
@@ -96,16 +66,11 @@ defmodule Aerie.CLI.Options do
     options = %__MODULE__{
       links: given[:link] || [],
       replay: given[:replay],
-      print: for(what <- [:events, :samples], given[what], do: what),
       sim: given[:sim],
       sim_msp: given[:sim_msp] || 0,
       config: given[:config],
       http: given[:http],
       nats: given[:nats],
-      check_policy: given[:check_policy],
-      command: given[:command],
-      vehicle: given[:vehicle],
-      check_audit: given[:check_audit],
       quiet: given[:quiet] || false
     }
 
@@ -114,13 +79,8 @@ defmodule Aerie.CLI.Options do
          :ok <- range("--sim-msp", options.sim_msp, 0, SimMsp.most()),
          :ok <- range("--http", options.http, 0, 65_535),
          :ok <- replay_alone(options, given),
-         :ok <- print_alone(options, given),
          :ok <- nats(options.nats),
-         :ok <- check_alone(given),
-         {:ok, role} <- one_of("--role", given[:role] || "operator", Roles.all()),
-         {:ok, permissions} <- permissions(given[:permission] || []) do
-      {:ok, %{options | speed: speed, role: role, permissions: permissions}}
-    end
+         do: {:ok, %{options | speed: speed}}
   end
 
   defp speed(nil), do: {:ok, 1.0}
@@ -150,53 +110,6 @@ defmodule Aerie.CLI.Options do
     do: {:error, "--replay and --link exclude each other: a recording must not mix with live vehicles"}
 
   defp replay_alone(_options, _given), do: :ok
-
-  defp print_alone(%{print: []}, _given), do: :ok
-
-  defp print_alone(%{replay: nil, print: [what | _]}, _given),
-    do: {:error, "--#{what} needs --replay FILE"}
-
-  defp print_alone(%{print: [what | _]}, given) do
-    case Enum.find([:speed, :sim, :http, :nats, :quiet], &(given[&1] != nil)) do
-      nil -> :ok
-      other -> {:error, "--#{what} only prints and starts no gateway: leave out --#{other}"}
-    end
-  end
-
-  @with_check [:check_policy, :command, :vehicle, :role, :permission]
-
-  defp check_alone(given) do
-    given = Map.keys(given)
-
-    cond do
-      :check_policy in given and :command not in given -> {:error, "--check-policy needs --command JSON"}
-      :check_policy in given -> alone("--check-policy", given -- @with_check)
-      :check_audit in given -> alone("--check-audit", given -- [:check_audit])
-      other = Enum.find(given, &(&1 in @with_check)) -> {:error, "--#{other} needs --check-policy FILE"}
-      true -> :ok
-    end
-  end
-
-  defp alone(_name, []), do: :ok
-
-  defp alone(name, [other | _rest]),
-    do: {:error, "#{name} starts no gateway: leave out --#{String.replace("#{other}", "_", "-")}"}
-
-  defp permissions(names) do
-    Enum.reduce_while(names, {:ok, []}, fn name, {:ok, known} ->
-      case one_of("--permission", name, Type.permissions()) do
-        {:ok, permission} -> {:cont, {:ok, [permission | known]}}
-        error -> {:halt, error}
-      end
-    end)
-  end
-
-  defp one_of(option, text, known) do
-    case Enum.find(known, &(Atom.to_string(&1) == text)) do
-      nil -> {:error, "#{option}: expected #{Enum.join(known, ", ")}, got: #{text}"}
-      found -> {:ok, found}
-    end
-  end
 
   defp nats(nil), do: :ok
   defp nats("embedded"), do: :ok

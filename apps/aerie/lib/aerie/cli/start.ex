@@ -8,8 +8,6 @@ defmodule Aerie.CLI.Start do
   """
 
   alias Aerie.CLI.{
-    CheckAudit,
-    CheckPolicy,
     Help,
     LogKeeper,
     ModuleLoader,
@@ -18,7 +16,6 @@ defmodule Aerie.CLI.Start do
     Parser,
     Plan,
     Run,
-    ReplayEvents,
     Subcommands
   }
 
@@ -32,21 +29,20 @@ defmodule Aerie.CLI.Start do
     case call(words, System.get_env(), log: true) do
       :ok -> :ok
       {:finish, text} -> halt(Output.stdout(), text, 0)
-      {:denied, text} -> halt(Output.stdout(), text, 1)
       {:fail, text} -> halt(Output.stderr(), text, 2)
     end
   end
 
   @doc """
   Does what `main/1` does, but does not end the program. Returns `:ok` if a gateway was started, `{:finish, text}` to
-  print and end with status 0, `{:denied, text}` (a check that was not passed) with status 1, or `{:fail, text}` with status 2.
+  print and end with status 0, or `{:fail, text}` with status 2.
 
   The environment gives `AERIE_CONFIG` (a configuration file, unless the options name one), `AERIE_CWD` (the user's current directory), `AERIE_TERMINAL` (`yes`: the output is a terminal),
   `AERIE_COLUMNS` and `AERIE_LINES` (its size). `bin/run` sets them, because this program has no standard input that it
   could ask. `options` are those of `Aerie.CLI.Run.start/2`.
   """
   @spec call([String.t()], %{String.t() => String.t()}, keyword()) ::
-          :ok | {:finish | :denied | :fail, String.t()}
+          :ok | {:finish | :fail, String.t()}
   def call(words, environment, options \\ []) do
     # A release starts it by another name.
     program = environment["AERIE_PROGRAM"] || "bin/run"
@@ -83,25 +79,6 @@ defmodule Aerie.CLI.Start do
     do: %{parsed | config: file}
 
   defp configured(parsed, _environment), do: parsed
-
-  defp start(%{print: [_ | _]} = parsed, environment, options) do
-    # No gateway runs, so there is nothing to log; a closed pipe would only log an error.
-    if options[:log], do: :ok = :logger.set_primary_config(:level, :none)
-
-    # Not by way of the application's own leader, which waits forever for a device that has ended.
-    options = Keyword.put_new(options, :device, :user)
-
-    case ReplayEvents.print(parsed, folder(environment), options) do
-      :ok -> {:finish, ""}
-      {:error, message} -> {:fail, "error: #{message}\n"}
-    end
-  end
-
-  defp start(%{check_policy: file} = parsed, environment, _options) when file != nil,
-    do: CheckPolicy.run(parsed, folder(environment))
-
-  defp start(%{check_audit: dir}, environment, _options) when dir != nil,
-    do: CheckAudit.run(dir, folder(environment))
 
   defp start(parsed, environment, options) do
     folder = folder(environment)
@@ -146,7 +123,7 @@ defmodule Aerie.CLI.Start do
     end
   end
 
-  @spec halt(atom(), String.t(), 0..2) :: no_return()
+  @spec halt(atom(), String.t(), 0 | 2) :: no_return()
   defp halt(device, text, status) do
     if text != "", do: IO.write(device, text)
     why = if status != 2, do: Output.problem(device)

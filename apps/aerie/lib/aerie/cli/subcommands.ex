@@ -67,7 +67,7 @@ defmodule Aerie.CLI.Subcommands do
             "runs, 4 something would be lost (transfers, operations, commands, somebody who steers or is in charge), and nothing was changed, 2 it " <>
             "cannot, and why. docs/operating.md describes it."
       },
-      %Subcommand{name: "version", summary: "print the version", where: :here, module: Subcommand.Version}
+      %Subcommand{name: "version", summary: "print the version", where: :here, module: Subcommand.About}
     ]
   end
 
@@ -282,10 +282,23 @@ defmodule Aerie.CLI.Subcommands do
           {:as, :string, "WHO",
            "judge senders that are known by their ids only as viewer, operator, pilot or admin, or as an id of policy.clients, " <>
              "a name of policy.sources or of a key"},
+          {:command, :string, "JSON",
+           "judge this command, or that of a file, in place of recorded ones: allow, or deny with rule and reason"},
+          {:vehicle, :string, "JSON",
+           ~s(with --command: what is known about the vehicle, e.g. {"mode": {"armed": false}}, or a file with it)},
           @json
         ],
         more:
           "Exit status: 0 nothing would be refused, 1 something would be, 2 FILE, a recording or the ledger cannot be read. docs/policy.md explains the table."
+      },
+      %Subcommand{
+        name: "audit check",
+        summary: "check that no record of an audit log was changed or is missing",
+        where: :here,
+        module: Subcommand.Audit,
+        arguments: [{"[FOLDER]", "the folder of the log (default: policy.audit.dir of the configuration)"}],
+        options: [@config],
+        more: "Exit status: 0 it is intact, 1 it is damaged or was changed, 2 it cannot be read."
       },
       %Subcommand{
         name: "nats-setup",
@@ -374,13 +387,13 @@ defmodule Aerie.CLI.Subcommands do
         name: "completion",
         summary: "print the completion for bash: . <(aerie completion)",
         where: :here,
-        module: Subcommand.Completion
+        module: Subcommand.About
       },
       %Subcommand{
         name: "man",
         summary: "print the man page: aerie man | man -l -",
         where: :here,
-        module: Subcommand.Man
+        module: Subcommand.About
       }
     ]
   end

@@ -169,63 +169,6 @@ defmodule Aerie.CLI.CallTest do
     )
   end
 
-  describe "a recording as a list of events" do
-    @flight Path.expand("../../../../vehicle/test/fixtures/px4_flight.tlog.gz", __DIR__)
-
-    setup context do
-      {:ok, notes} = StringIO.open("")
-      %{options: [device: context.device, notes: notes], notes: notes}
-    end
-
-    defp lines(device),
-      do: device |> StringIO.flush() |> String.split("\n", trim: true) |> Enum.map(&JSON.decode!/1)
-
-    test "is printed as JSON lines, the same bytes each time, and nothing is started", context do
-      config(context.tmp_dir, "vehicles: [{id: HAWK, system_id: 1}]\n")
-      words = ["--replay", @flight, "--events", "--config", "gateway.yaml"]
-      environment = %{"AERIE_CWD" => context.tmp_dir}
-      assert {:finish, ""} = Aerie.CLI.Start.call(words, environment, context.options)
-      once = StringIO.flush(context.device)
-      assert {:finish, ""} = Aerie.CLI.Start.call(words, environment, context.options)
-      assert once == StringIO.flush(context.device)
-
-      events = once |> String.split("\n", trim: true) |> Enum.map(&JSON.decode!/1)
-      assert Enum.all?(events, &(&1["vehicle"] == "HAWK"))
-
-      assert %{
-               "type" => "takeoff",
-               "time" => "2026-11-20T23:11:38.009Z",
-               "data" => %{"mode" => "AUTO_TAKEOFF"}
-             } =
-               Enum.find(events, &(&1["type"] == "takeoff"))
-
-      assert StringIO.flush(context.notes) =~ "HAWK: 5312 frames in 158 s\n"
-      assert String.starts_with?(once, ~s({"data":{"severity":6,"severity_name":"INFO","text":"[logger]))
-    end
-
-    test "or its samples, or both", context do
-      assert {:finish, ""} = Aerie.CLI.Start.call(["--replay", @flight, "--samples"], %{}, context.options)
-      samples = lines(context.device)
-      assert length(samples) > 800
-      assert Enum.all?(samples, &is_map_key(&1, "group"))
-
-      assert {:finish, ""} =
-               Aerie.CLI.Start.call(["--replay", @flight, "--samples", "--events"], %{}, context.options)
-
-      assert length(lines(context.device)) == length(samples) + 38
-    end
-
-    test "says what is wrong with a file, and which parts of it are damaged", context do
-      assert {:fail, "error: /nowhere.tlog: no such file or directory\n"} =
-               Aerie.CLI.Start.call(["--replay", "/nowhere.tlog", "--events"], %{}, context.options)
-
-      cut = Path.join(context.tmp_dir, "cut.tlog")
-      File.write!(cut, @flight |> File.read!() |> :zlib.gunzip() |> binary_part(0, 100_001))
-      assert {:finish, ""} = Aerie.CLI.Start.call(["--replay", cut, "--events"], %{}, context.options)
-      assert StringIO.flush(context.notes) =~ "the file ends in the middle of a record"
-    end
-  end
-
   @tag :tmp_dir
   test "a release whose folder for data is missing says so in its own words", %{tmp_dir: root} do
     bin = Path.expand("../../../../../bin", __DIR__)

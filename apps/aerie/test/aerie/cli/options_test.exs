@@ -13,17 +13,6 @@ defmodule Aerie.CLI.OptionsTest do
                Start.parse(["--link", "udpin:0.0.0.0:14550", "--link", "tcp:127.0.0.1:5760"])
     end
 
-    test "printing a recording excludes the options of a running gateway" do
-      assert {:ok, %{print: [:events], replay: "a.tlog"}} = Start.parse(["--replay", "a.tlog", "--events"])
-      assert {:ok, %{print: [:events, :samples]}} = Start.parse(~w(--samples --events --replay a.tlog))
-      assert {:error, "--samples needs --replay FILE"} = Start.parse(["--samples"])
-
-      for extra <- [~w(--speed 2), ~w(--sim 0), ~w(--http 1), ~w(--nats embedded), ~w(--quiet)] do
-        assert {:error, message} = Start.parse(~w(--replay a.tlog --events) ++ extra)
-        assert message =~ hd(extra)
-      end
-    end
-
     test "speed is a number or max, and needs a replay or simulated vehicles" do
       assert {:ok, %{speed: :max, replay: "a.tlog"}} = Start.parse(["--replay", "a.tlog", "--speed", "max"])
       assert {:ok, %{speed: 2.5}} = Start.parse(["--replay", "a.tlog", "--speed", "2.5"])
@@ -68,7 +57,7 @@ defmodule Aerie.CLI.OptionsTest do
       {:help, help} = Start.parse(["--help"])
 
       for name <-
-            ~w(--link --replay --speed --events --samples --sim --config --http --nats --quiet --version --help) do
+            ~w(--link --replay --speed --sim --config --http --nats --quiet --version --help) do
         assert help =~ name
       end
     end
@@ -202,30 +191,6 @@ defmodule Aerie.CLI.OptionsTest do
     test "--nats embedded over configured servers keeps the keys that are not about reaching them", context do
       assert changed(context, ~w(--nats embedded)) ==
                ~w(nats.mode nats.credentials nats.tls.enabled nats.tls.ca_file nats.tls.cert_file nats.tls.key_file nats.tls.server_name)
-    end
-  end
-
-  test "checks of a policy and of an audit log stand alone" do
-    assert {:ok, %{check_policy: "g.yaml", command: "{}", role: :operator, permissions: []}} =
-             Start.parse(~w(--check-policy g.yaml --command {}))
-
-    assert {:ok, %{role: :admin, permissions: [:terminate]}} =
-             Start.parse(~w(--check-policy g.yaml --command {} --role admin --permission terminate))
-
-    assert {:ok, %{check_audit: "var/audit"}} = Start.parse(~w(--check-audit var/audit))
-
-    for {words, text} <- [
-          {~w(--check-policy g.yaml), "--check-policy needs --command JSON"},
-          {~w(--command {}), "--command needs --check-policy FILE"},
-          {~w(--check-policy g.yaml --command {} --sim 1), "leave out --sim"},
-          {~w(--check-audit a --config b), "leave out --config"},
-          {~w(--check-policy g.yaml --command {} --role boss),
-           "--role: expected viewer, operator, pilot, admin, got: boss"},
-          {~w(--check-policy g.yaml --command {} --permission all), "--permission: expected arm"},
-          {~w(--check-polcy g.yaml), "did you mean --check-policy?"}
-        ] do
-      assert {:error, message} = Start.parse(words)
-      assert message =~ text
     end
   end
 end

@@ -11,7 +11,7 @@ defmodule Aerie.Fleet.Replay do
   exceptions.
 
   To watch a recording use the link `replay:FILE` or `bin/run --replay FILE`; for its events as JSON lines
-  `bin/run --replay FILE --events`.
+  `aerie replay FILE`.
   """
 
   alias Aerie.Fleet.Replay.{Machine, Settings, Source}

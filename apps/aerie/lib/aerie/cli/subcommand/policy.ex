@@ -1,6 +1,7 @@
 defmodule Aerie.CLI.Subcommand.Policy do
   @moduledoc """
-  `aerie policy try`: what a policy would have refused of the commands in recorded flights (`Aerie.Fleet.Replay.PolicyTrial`). No gateway runs.
+  `aerie policy try`: what a policy would have refused of the commands in recorded flights
+  (`Aerie.Fleet.Replay.PolicyTrial`), or what it decides about one command. No gateway runs.
 
   What cannot be read is remarked on, on standard error, and the rest goes on.
   """
@@ -8,7 +9,7 @@ defmodule Aerie.CLI.Subcommand.Policy do
 
   alias Aerie.Base.Printable
   alias Aerie.CLI.{Output, Subcommand}
-  alias Aerie.CLI.PolicyTrial.{Principals, Recordings, Report}
+  alias Aerie.CLI.PolicyTrial.{Principals, Recordings, Report, SingleCommand}
   alias Aerie.Config
   alias Aerie.Control.Ledger.Envelopes
   alias Aerie.Control.Policy
@@ -22,14 +23,27 @@ defmodule Aerie.CLI.Subcommand.Policy do
   @progress_frames 2_000
 
   @impl Aerie.CLI.Subcommand
-  def run(%{options: options, folder: folder} = request) do
+  def run(request) do
     {:ok, _started} = Application.ensure_all_started(:fleet)
+    now = System.os_time(:microsecond)
 
     with {:ok, config} <- config(request),
          {:ok, policy} <- policy(config),
          {:ok, keys} <- FleetWeb.API.Keys.load(config.api),
-         {:ok, as} <- Principals.as(options[:as], policy, keys, System.os_time(:microsecond)),
-         {:ok, ledger} <- ledger(options[:ledger], folder),
+         {:ok, as} <- Principals.as(request.options[:as], policy, keys, now) do
+      case request.options do
+        %{command: _json} -> SingleCommand.judge(policy, as, request, now)
+        %{vehicle: _json} -> {:error, "--vehicle needs --command JSON"}
+        _recordings -> recorded(config, policy, keys, as, request)
+      end
+    end
+  catch
+    :closed -> {0, ""}
+    {:error, _why} = error -> error
+  end
+
+  defp recorded(config, policy, keys, as, %{options: options, folder: folder}) do
+    with {:ok, ledger} <- ledger(options[:ledger], folder),
          :ok <- network(options[:network], config),
          {:ok, recordings} <-
            Recordings.list(place(options[:recordings], folder, config)) do
@@ -44,9 +58,6 @@ defmodule Aerie.CLI.Subcommand.Policy do
 
       all(recordings, trial, ledger, options[:json] || false)
     end
-  catch
-    :closed -> {0, ""}
-    {:error, _why} = error -> error
   end
 
   defp network(name, config) do

@@ -59,7 +59,7 @@ defmodule Aerie.Control.Policy.Context do
 
   @doc """
   A context of a vehicle's snapshot (`Aerie.Vehicle.Core.snapshot/1`), or of the same groups without their times, as
-  `--check-policy --vehicle` has them.
+  `aerie policy try --vehicle` has them.
   """
   @spec new(map(), Roles.source() | nil, now :: integer()) :: t()
   def new(groups, source, now) do

@@ -250,7 +250,7 @@ defmodule FleetWeb.Console.Recordings.Page do
       <ol class="timeline-list">
         <li :for={event <- @line.events} :key={event.n} id={"event-#{event.n}"}><span class="mono">{event.at} s</span><strong>{event.vehicle}</strong><span>{event.text} <span class="muted mono">{event.type}</span></span></li>
       </ol>
-      <p :if={@line.more > 0} class="muted">{@line.more} more events: <code>bin/run --replay FILE --events</code> lists all.</p>
+      <p :if={@line.more > 0} class="muted">{@line.more} more events: <code>aerie replay FILE</code> lists all.</p>
     </section>
     """
   end

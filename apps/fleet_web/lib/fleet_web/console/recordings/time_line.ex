@@ -23,7 +23,7 @@ defmodule FleetWeb.Console.Recordings.TimeLine do
   @doc "The time line of a file of this size."
   @spec read(Path.t(), non_neg_integer()) :: {:ok, t()} | {:error, String.t()}
   def read(_path, bytes) when bytes > @max_bytes,
-    do: {:error, "it is too large for this page: use bin/run --replay FILE --events"}
+    do: {:error, "it is too large for this page: use aerie replay FILE"}
 
   def read(path, _bytes) do
     with {:ok, %{events: events, summary: summary}} <- Replay.run(path), do: {:ok, of(events, summary)}

@@ -1,42 +1,41 @@
-defmodule Aerie.CLI.CheckPolicy do
+defmodule Aerie.CLI.PolicyTrial.SingleCommand do
   @moduledoc """
-  `bin/run --check-policy FILE --command JSON`: prints what the policy of a configuration decides about a command, without starting a gateway.
+  `aerie policy try --command`: what a policy decides about one command.
 
   `--vehicle` describes the vehicle as far as it is known, with the groups of `GET /api/vehicles/ID`
-  (`Aerie.Control.Policy.Context.parse/3`); `--role` is that of the source, operator if left out. Rates are not checked: they depend on what
-  was commanded before.
+  (`Aerie.Control.Policy.Context.parse/3`). Rates are not checked: they depend on what was commanded before.
   """
 
-  alias Aerie.Config
   alias Aerie.Control.Policy
+  alias Aerie.Control.Policy.Context
+  alias Aerie.Fleet.Replay.PolicyTrial
   alias Aerie.Vehicle.Command
-  alias Aerie.CLI.Options
-  alias Aerie.Control.Policy.{Context, Roles}
 
-  @doc "`{:finish, text}` for an allowed command, `{:denied, text}` with rule and reason, `{:fail, text}` for what cannot be judged."
-  @spec run(Options.t(), folder :: String.t()) :: {:finish | :denied | :fail, String.t()}
-  def run(%Options{} = options, folder) do
-    now = System.os_time(:microsecond)
-
-    with {:ok, policy} <- policy(Path.expand(options.check_policy, folder)),
+  @doc "The exit status and the decision; `as` is that of `Aerie.CLI.PolicyTrial.Principals.as/4`."
+  @spec judge(
+          Policy.t(),
+          (PolicyTrial.sender() -> Policy.Roles.source()),
+          Aerie.CLI.Subcommand.request(),
+          now :: integer()
+        ) :: {0 | 1, String.t()} | {:error, String.t()}
+  def judge(policy, as, %{options: options, folder: folder}, now) do
+    with :ok <- alone(options),
          {:ok, command} <- command(options.command, folder, now),
-         {:ok, vehicle} <- json("--vehicle", options.vehicle || "{}", folder),
-         source = Roles.principal(:user, command.source, options.role, options.permissions),
-         {:ok, context} <- context(vehicle, source, now) do
+         {:ok, vehicle} <- json("--vehicle", options[:vehicle] || "{}", folder),
+         {:ok, context} <- context(vehicle, as.({:source, command.source}), now) do
       case Policy.decide(policy, command, context) do
-        :allow -> {:finish, "allow\n"}
-        {:deny, rule, reason} -> {:denied, "deny #{rule}: #{reason}\n"}
+        :allow -> {0, "allow\n"}
+        {:deny, rule, reason} -> {1, "deny #{rule}: #{reason}\n"}
       end
     else
-      {:error, lines} -> {:fail, Enum.map_join(List.wrap(lines), &"error: #{&1}\n")}
+      {:error, lines} -> {:error, lines |> List.wrap() |> Enum.join("\n")}
     end
   end
 
-  # As a start reads it, the environment included.
-  defp policy(file) do
-    case Config.load(file) do
-      {:ok, config} -> Policy.compile(config.policy)
-      {:error, errors} -> {:error, String.split(Config.format_errors(errors), "\n", trim: true)}
+  defp alone(options) do
+    case Enum.find([:recordings, :network, :ledger, :json], &options[&1]) do
+      nil -> :ok
+      other -> {:error, "--command is judged without recordings: leave out --#{other}"}
     end
   end
 

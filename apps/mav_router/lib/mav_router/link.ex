@@ -31,7 +31,6 @@ defmodule MavRouter.Link do
 
   alias Aerie.Base.Error
   alias Aerie.Base.Store
-  alias MavRouter.Link.Clients
   alias MavRouter.Link.Configured
   alias MavRouter.Link.FirstAttempt
   alias MavRouter.Link.Spec
@@ -39,6 +38,7 @@ defmodule MavRouter.Link do
   alias MavRouter.LinkProcess
   alias Aerie.Base.Names
   alias MavRouter.Router
+  alias MavRouter.Router.Tables
 
   @snapshot_ms 1_000
 
@@ -142,7 +142,7 @@ defmodule MavRouter.Link do
     with pid when is_pid(pid) <- Names.whereis(gateway, :link, id),
          do: GenServer.call(pid, :snapshot, wait_ms)
   catch
-    :exit, {:timeout, _call} -> get(gateway, id) || Clients.link(gateway, id)
+    :exit, {:timeout, _call} -> get(gateway, id) || Tables.client(gateway, id)
     :exit, _ended -> nil
   end
 

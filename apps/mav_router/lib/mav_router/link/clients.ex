@@ -100,9 +100,7 @@ defmodule MavRouter.Link.Clients do
 
   @doc false
   @spec link(Names.gateway(), String.t()) :: map | nil
-  def link(gateway, id) do
-    with tables when is_map(tables) <- Tables.of(gateway), do: :ets.lookup_element(tables.clients, id, 2, nil)
-  end
+  defdelegate link(gateway, id), to: Tables, as: :client
 
   @doc false
   @spec put_link(Names.gateway(), String.t(), map, Store.Links.changes()) :: :ok

@@ -12,7 +12,6 @@ defmodule MavRouter.Router.Endpoints do
   alias MavRouter.Router.Owner.SavedRules
   alias MavRouter.Router.Tables
   alias MavRouter.Router.Endpoints.Monitor
-  alias MavRouter.Router.StreamRequests
 
   @max_listeners 32
   @max_unknown 8
@@ -136,7 +135,7 @@ defmodule MavRouter.Router.Endpoints do
         limits_of(tables, key)
         :ets.delete(tables.scores, {:heartbeat, key})
         Tables.changed(tables, key)
-        StreamRequests.forget(tables, endpoint)
+        forget_requests(tables, endpoint)
 
       [] ->
         :ok
@@ -144,6 +143,11 @@ defmodule MavRouter.Router.Endpoints do
 
     Routes.forget(tables, owner, peer)
   end
+
+  defp forget_requests(%{requests: nil}, _endpoint), do: :ok
+
+  defp forget_requests(%{requests: requests}, endpoint),
+    do: requests.forget(endpoint.gateway, {:endpoint, endpoint.key})
 
   @doc "Removes an owner with all its endpoints and routes."
   @spec close(Names.gateway(), Tables.t(), String.t()) :: :ok

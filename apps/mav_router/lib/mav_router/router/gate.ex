@@ -40,9 +40,9 @@ defmodule MavRouter.Router.Gate do
   alias MavRouter.Router.Endpoint.Counters
   alias MavRouter.Router.Forward
   alias MavRouter.Router.Forward.Refusal
+  alias MavRouter.Router.Output
   alias MavRouter.Router.Owner.Renumber
   alias MavRouter.Router.Routes
-  alias MavRouter.Router.StreamRequests
   alias MavRouter.Router.Tables
   alias Aerie.Base.Store
   alias MavCodec.Frame
@@ -268,7 +268,7 @@ defmodule MavRouter.Router.Gate do
   end
 
   defp answer(answers, path, network),
-    do: Enum.each(answers, &StreamRequests.answer(path, network, IO.iodata_to_binary(&1)))
+    do: Enum.each(answers, &Output.answer(path, network, IO.iodata_to_binary(&1)))
 
   defp own?(:all, _frame, %{source: source}), do: source.collided
   defp own?({system, _component}, %{system: system}, delivery), do: not elsewhere?(system, delivery)

@@ -7,6 +7,8 @@ defmodule MavRouter.Router.Output do
   alias MavRouter.Router.Output.Batch
   alias MavRouter.Router.Endpoint
   alias MavRouter.Router.Endpoint.Counters
+  alias MavRouter.Router.Owner.Renumber
+  alias MavCodec.Frame
 
   # More frames than this of one component in one read mean that we are behind, and then several share a datagram, to save system
   # calls. Otherwise each has its own, because some routers (gomavlib's, XMAVLink) read only the first frame of a datagram. A vehicle
@@ -95,6 +97,19 @@ defmodule MavRouter.Router.Output do
     do: message(path, pid, tag, class, [IO.iodata_to_binary(bytes)], n)
 
   def bytes(_nowhere, _bytes, _class, _n), do: :ok
+
+  @doc "Sends a client a frame in the name of a vehicle of a network, from the id under which it knows the vehicle."
+  @spec answer(MavRouter.Router.Forward.Table.Path.t(), network :: String.t(), binary) :: :ok
+  def answer(%{renumber: nil} = path, _network, bytes), do: bytes(path, bytes, :ack, 1)
+
+  def answer(path, network, bytes) do
+    frame = Frame.from_bytes(bytes, nil)
+
+    case Renumber.outward(path.renumber, %{path | networks: [network]}, frame, fn _system -> true end) do
+      {:ok, frame} -> bytes(path, frame.bytes, :ack, 1)
+      :refused -> :ok
+    end
+  end
 
   defp datagram(socket, to, bytes, n, counters) do
     if write(socket, to, bytes) do

@@ -6,11 +6,9 @@ defmodule MavRouter.Router.StreamRequests do
 
   alias Aerie.Base.Store
   alias MavRouter.Router.Delivery
-  alias MavRouter.Router.Endpoint
   alias MavRouter.Router.Owner.Filter
   alias MavRouter.Router.Output
   alias MavRouter.Router.Owner.Renumber
-  alias MavRouter.Router.Tables
   alias MavCodec.Frame
 
   @doc """
@@ -36,8 +34,8 @@ defmodule MavRouter.Router.StreamRequests do
          {id, _component} <- Frame.target(frame),
          {network, system} <- vehicle(gateway, path, id),
          {:ok, frame} <- Renumber.inward(frame, system),
-         {:absorb, answer} <- requests.intercept(gateway, network, client(path.key), frame) do
-      if answer, do: answer(path, network, IO.iodata_to_binary(answer))
+         {:absorb, answer} <- requests.intercept(gateway, network, {:endpoint, path.key}, frame) do
+      if answer, do: Output.answer(path, network, IO.iodata_to_binary(answer))
       true
     else
       _forwarded -> false
@@ -51,26 +49,4 @@ defmodule MavRouter.Router.StreamRequests do
       if system != nil and Store.vehicle(gateway, {network, system}), do: {network, system}
     end)
   end
-
-  @doc "Sends a client a frame in the name of a vehicle, from the id under which it knows the vehicle."
-  @spec answer(MavRouter.Router.Forward.Table.Path.t(), network :: String.t(), binary) :: term
-  def answer(%{renumber: nil} = path, _network, bytes), do: Output.bytes(path, bytes, :ack, 1)
-
-  def answer(path, network, bytes) do
-    frame = Frame.from_bytes(bytes, nil)
-
-    case Renumber.outward(path.renumber, %{path | networks: [network]}, frame, fn _system -> true end) do
-      {:ok, frame} -> Output.bytes(path, frame.bytes, :ack, 1)
-      :refused -> :ok
-    end
-  end
-
-  @doc "An endpoint is gone: its requests are forgotten."
-  @spec forget(Tables.t(), Endpoint.t()) :: :ok
-  def forget(%{requests: nil}, _endpoint), do: :ok
-
-  def forget(%{requests: requests}, %Endpoint{gateway: gateway, key: key}),
-    do: requests.forget(gateway, client(key))
-
-  defp client(key), do: {:endpoint, key}
 end

@@ -101,6 +101,12 @@ defmodule MavRouter.Router.Tables do
   @spec setting(t, term, default) :: term | default when default: term
   def setting(tables, name, default), do: :ets.lookup_element(tables.settings, name, 2, default)
 
+  @doc "The snapshot of a client endpoint, nil for an unknown one."
+  @spec client(Names.gateway(), String.t()) :: map | nil
+  def client(gateway, id) do
+    with %{clients: clients} <- of(gateway), do: :ets.lookup_element(clients, id, 2, nil)
+  end
+
   @doc """
   Has every forwarding process read again: one endpoint, or all of them and their owners' rules. Called after the change is in the
   tables.

@@ -4,7 +4,7 @@ defmodule Aerie.System.CollisionTest do
   use Aerie.SystemCase, async: true
 
   alias MavRouter.Router
-  alias MavRouter.Router.Endpoint
+  alias MavRouter.Endpoints.Endpoint
   alias MavRouter.Router.LocalEndpoint
   alias MavCodec.Messages, as: M
 

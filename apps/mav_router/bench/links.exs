@@ -18,7 +18,10 @@ defmodule Bench do
     {:ok, _} = Aerie.Base.PubSub.start_link(gateway: gateway)
 
     {:ok, _} =
-      MavRouter.Router.Supervisor.start_link(gateway: gateway, settings: MavRouter.Router.Settings.from(%{}))
+      MavRouter.Router.Supervisor.start_link(
+        gateway: gateway,
+        settings: MavRouter.Endpoints.Settings.from(%{})
+      )
 
     {:ok, _} = Link.Supervisor.start_link(gateway: gateway, settings: Link.Settings.from(%{}))
 

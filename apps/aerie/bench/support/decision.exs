@@ -7,7 +7,7 @@ defmodule DecisionBench do
   alias Aerie.Control.Policy
   alias Aerie.Control.Policy.MavlinkPolicy
   alias MavRouter.Router.{Delivery, Gate}
-  alias MavRouter.Router.Endpoint.Counters
+  alias MavRouter.Endpoints.Counters
   alias MavRouter.Router.Forward.{Source, Table}
   alias MavCodec.{Frame, Parser}
   alias MavCodec.Messages, as: M

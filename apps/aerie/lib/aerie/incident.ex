@@ -7,7 +7,7 @@ defmodule Aerie.Incident do
   alias Aerie.Config
   alias Aerie.Fleet.Replay
   alias Aerie.Incident.{Archive, Commands, Flight, Hide, Page, Recordings, Records, Source, Span, Timeline}
-  alias MavRouter.{Recorder, Router}
+  alias MavRouter.Recorder
 
   @format 1
   @about %{
@@ -82,7 +82,7 @@ defmodule Aerie.Incident do
       settings: settings,
       networks: Config.networks(config),
       sent?: Recorder.Settings.from(config).sent,
-      between: Router.Settings.from(config).between_vehicles,
+      between: MavRouter.Endpoints.Settings.from(config).between_vehicles,
       dir: Source.folder(source, config.recorder.dir),
       work: work,
       max_bytes: request.max_bytes,

@@ -3,7 +3,7 @@ defmodule FleetWeb.WebSocketTest do
 
   alias Aerie.Base.Store
   alias MavRouter.Router
-  alias MavRouter.Router.Endpoint
+  alias MavRouter.Endpoints.Endpoint
   alias MavRouter.Router.LocalEndpoint
   alias FleetWeb.WSClient
 
@@ -357,7 +357,7 @@ defmodule FleetWeb.WebSocketTest do
       c = start(websocket: %{sign: unquote(sign)})
       open(c)
       [%{owner: id}] = clients(c.gateway)
-      assert %{sign: unquote(sign)} = c.gateway |> Router.Tables.of() |> Router.Endpoints.owner(id)
+      assert %{sign: unquote(sign)} = c.gateway |> MavRouter.Tables.of() |> MavRouter.Endpoints.owner(id)
     end
   end
 end

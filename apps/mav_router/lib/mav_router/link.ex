@@ -38,7 +38,7 @@ defmodule MavRouter.Link do
   alias MavRouter.LinkProcess
   alias Aerie.Base.Names
   alias MavRouter.Router
-  alias MavRouter.Router.Tables
+  alias MavRouter.Tables
 
   @snapshot_ms 1_000
 

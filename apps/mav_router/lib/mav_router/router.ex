@@ -15,7 +15,7 @@ defmodule MavRouter.Router do
   | `[:aerie, :router, :vehicle_found]` | | `gateway`, `network`, `system` |
   | `[:aerie, :router, :vehicle_refused]` | | and `reason`: `:too_many`, `:not_running` |
   | `[:aerie, :router, :reboot]` | | `gateway`, `network`, `system`: its boot time started over (R6) |
-  | `[:aerie, :router, :collision]` | | `gateway`, `network`, `system`, `links`, by which another vehicle with that id is heard (`MavRouter.Router.Routes.Collisions`); none: it is over |
+  | `[:aerie, :router, :collision]` | | `gateway`, `network`, `system`, `links`, by which another vehicle with that id is heard (`MavRouter.Routes.Collisions`); none: it is over |
   | `[:aerie, :router, :carrier]` | `score` | `gateway`, `group`, `link`: another link of the group carries |
   | `[:aerie, :router, :denied]` | `frames` | `gateway`, `network`, `link`, `peer`, `system`, `component`, `message`: an order from an endpoint that may not command (`MavRouter.Router.Forward.Refusal`); at most one a minute for each link |
   | `[:aerie, :router, :dropped]` | `frames` | `gateway`, `network`, `system`, `reason`: `:overload`, or `:refused` for what was kept of a vehicle that could not be started |
@@ -25,12 +25,12 @@ defmodule MavRouter.Router do
   alias MavRouter.Router.Deliver
   alias MavRouter.Router.Forward.Dispatch
   alias MavRouter.Router.Echo
-  alias MavRouter.Router.Endpoint
-  alias MavRouter.Router.Endpoints
-  alias MavRouter.Router.Routes
+  alias MavRouter.Endpoints.Endpoint
+  alias MavRouter.Endpoints
+  alias MavRouter.Routes
   alias MavRouter.Router.Forward.Holders
-  alias MavRouter.Router.Rules
-  alias MavRouter.Router.Tables
+  alias MavRouter.Endpoints.Rules
+  alias MavRouter.Tables
   alias MavRouter.Router.View
   alias Aerie.Base.Store
   alias MavCodec.Frame
@@ -86,7 +86,7 @@ defmodule MavRouter.Router do
   @doc """
   Sends bytes (one or more whole frames) to a vehicle, by the endpoint that brings it (`MavRouter.Router.Forward.Holders`), or to any
   other system, by the endpoint where it was heard last; of redundant
-  links by the one that carries their class (`MavRouter.Router.Routes.LinkSelector`).
+  links by the one that carries their class (`MavRouter.Routes.LinkSelector`).
 
   `component:` prefers endpoints where that component was heard, `link:` allows that link only. `{:error, :no_route}` for a system
   that was never heard, or not for a long time. `:ok` means handed to the link, which counts what it cannot send.
@@ -139,13 +139,13 @@ defmodule MavRouter.Router do
   |---|---|
   | `:id` | `{owner, peer}`: the link or client, and which of its peers |
   | `:owner`, `:side`, `:kind`, `:peer` | the same for people: `:vehicle` or `:client`; `:link`, `:websocket` …; text |
-  | `:networks`, `:group`, `:role`, `:sniffer` | rules of its owner (`MavRouter.Router.Owner`) |
+  | `:networks`, `:group`, `:role`, `:sniffer` | rules of its owner (`MavRouter.Endpoints.Owner`) |
   | `:high_latency` | whether it gets only what links of high latency carry (X6): configured, or found out |
-  | `:id_offsets` | what is added to the system ids of a network for it (`MavRouter.Router.Owner.Renumber`) |
+  | `:id_offsets` | what is added to the system ids of a network for it (`MavRouter.Endpoints.Owner.Renumber`) |
   | `:hidden` | `[{network, system}]` that it does not get, because an earlier one of its networks has a system that it sees under that id |
   | `:since` | unix microseconds |
   | `:waiting` | frames in the mailbox of its process |
-  | `:counters` | `MavRouter.Router.Endpoint.Counters` |
+  | `:counters` | `MavRouter.Endpoints.Counters` |
   | `:rates` | of the last seconds, per second: `frames_in`, `frames_out`, `bytes_out` |
   """
   @spec endpoints(Names.gateway()) :: [map]
@@ -158,9 +158,9 @@ defmodule MavRouter.Router do
 
   @doc """
   Changes rules of a link, a client or any other owner of endpoints while it runs, by keys of the configuration
-  (`MavRouter.Router.Settings.changeable/0`); nil removes a rule, keys that are not given stay. The change holds from the next frame on,
-  for this owner only, until `reset/3`, or until the owner is removed or the gateway ends. It survives a restart of the owner's
-  process and of the router.
+  (`MavRouter.Endpoints.Settings.changeable/0`); nil removes a rule, keys that are not given stay. The change holds
+  from the next frame on, for this owner only, until `reset/3`, or until the owner is removed or the gateway ends. It
+  survives a restart of the owner's process and of the router.
   """
   @spec configure(Names.gateway(), String.t(), map | keyword) :: :ok | {:error, Aerie.Base.Error.t()}
   defdelegate configure(gateway, id, changes), to: Rules, as: :change
@@ -182,7 +182,7 @@ defmodule MavRouter.Router do
   @spec changes(Names.gateway()) :: %{String.t() => %{atom => %{now: term, configured: term}}}
   defdelegate changes(gateway), to: Rules, as: :list
 
-  @doc "Which endpoints of a link count as clients now (`MavRouter.Router.Access`)."
+  @doc "Which endpoints of a link count as clients now (`MavRouter.Endpoints.Access`)."
   @spec command_permission(Names.gateway(), String.t()) :: :auto | :allow | :deny
   def command_permission(gateway, link) do
     with tables when is_map(tables) <- Tables.of(gateway), %{gcs: gcs} <- Endpoints.owner(tables, link) do
@@ -208,7 +208,7 @@ defmodule MavRouter.Router do
   end
 
   @doc "Whether an endpoint is there."
-  @spec connected?(Names.gateway(), MavRouter.Router.Endpoint.key()) :: boolean
+  @spec connected?(Names.gateway(), MavRouter.Endpoints.Endpoint.key()) :: boolean
   def connected?(gateway, key) do
     case Tables.of(gateway) do
       nil -> false

@@ -136,7 +136,7 @@ defmodule MavRouter.LinkTest do
       assert snapshot.counters.peers_refused > 0
       assert Enum.count(MavRouter.Router.endpoints(c.gateway)) < 1_024
       # Few of the other senders receive the vehicle's frames.
-      tables = MavRouter.Router.Tables.of(c.gateway)
+      tables = MavRouter.Tables.of(c.gateway)
       assert map_size(MavRouter.Router.Forward.Table.read(tables).listeners) <= 32
     end
 

@@ -9,7 +9,7 @@ defmodule Aerie.EndpointCase do
   import Aerie.LinkCase
 
   alias MavRouter.Router
-  alias MavRouter.Router.Endpoint
+  alias MavRouter.Endpoints.Endpoint
   alias MavRouter.Router.LocalEndpoint
   alias MavCodec.Messages
   alias MavCodec.Parser
@@ -21,7 +21,7 @@ defmodule Aerie.EndpointCase do
       import Aerie.EndpointCase
 
       alias MavRouter.Router
-      alias MavRouter.Router.Endpoint
+      alias MavRouter.Endpoints.Endpoint
       alias MavRouter.Router.LocalEndpoint
       alias MavCodec.Messages
     end

@@ -11,7 +11,7 @@ defmodule Aerie.Config.Keys do
     MavRouter.Identity.Settings,
     MavRouter.Link.Settings,
     MavRouter.Link.Clients.Settings,
-    MavRouter.Router.Settings,
+    MavRouter.Endpoints.Settings,
     MavRouter.Signing.Settings,
     MavRouter.Recorder.Settings,
     Aerie.Vehicle.Settings,

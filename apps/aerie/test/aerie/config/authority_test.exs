@@ -10,12 +10,13 @@ defmodule Aerie.Config.AuthorityTest do
   alias Aerie.Control.Policy
   alias Aerie.Fleet.{Bridge, Remote, Shadow}
   alias Aerie.Vehicle.Command
-  alias MavRouter.{Identity, Router, Signing}
+  alias MavRouter.{Identity, Signing}
   alias Aerie.Config.Keys
   alias MavRouter.Link.{Clients, Configured, Egress}
   alias Aerie.Control.Policy.{Audit, Context, Intent, Lease, Rate, Signature, Sources}
-  alias MavRouter.Router.{Access, Endpoint}
-  alias MavRouter.Router.Owner.Filter
+  alias MavRouter.Endpoints.Access
+  alias MavRouter.Endpoints.Endpoint
+  alias MavRouter.Endpoints.Owner.Filter
   alias Aerie.Base.Settings.Field
   alias FleetWeb.API
   alias FleetWeb.HTTP.Proxy
@@ -140,7 +141,8 @@ defmodule Aerie.Config.AuthorityTest do
 
     [
       {"links[].secure", %{link() | "url" => "/dev/ttyUSB9"}, true, false, secure},
-      {"router.between_vehicles", %{}, "all", "none", &Router.Settings.from(&1).between_vehicles} | owners
+      {"router.between_vehicles", %{}, "all", "none", &MavRouter.Endpoints.Settings.from(&1).between_vehicles}
+      | owners
     ]
   end
 

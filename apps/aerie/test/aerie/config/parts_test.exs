@@ -55,7 +55,7 @@ defmodule Aerie.Config.PartsTest do
       end
     end
 
-    # MavRouter.Router.Owner.Filter makes these names itself.
+    # MavRouter.Endpoints.Owner.Filter makes these names itself.
     filters = ~r/^(allow|block)_(messages|systems|components|sources)$/
 
     for {name, field} <- named,

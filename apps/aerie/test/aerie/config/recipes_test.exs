@@ -3,7 +3,7 @@ defmodule Aerie.Config.RecipesTest do
   use ExUnit.Case, async: true
 
   alias Aerie.Config
-  alias MavRouter.Router.Settings
+  alias MavRouter.Endpoints.Settings
 
   @moduletag :tmp_dir
   @docs Path.expand("../../../../../docs", __DIR__)

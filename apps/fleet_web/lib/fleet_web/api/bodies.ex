@@ -10,7 +10,7 @@ defmodule FleetWeb.API.Bodies do
   alias Aerie.Fleet.Bridge.Commands.Transfers
   alias Aerie.Fleet.{Operations, Shadow}
   alias Aerie.Vehicle.Command
-  alias MavRouter.Router.RulesSchema
+  alias MavRouter.Endpoints.RulesSchema
 
   @modes ~w(always armed off)
   # How connection strings begin; what follows is in docs/hub.md and docs/clients.md.

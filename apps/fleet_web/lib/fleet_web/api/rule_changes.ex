@@ -4,12 +4,12 @@ defmodule FleetWeb.API.RuleChanges do
 
       {"rate_limits": {"ATTITUDE": 4}, "filter_out": {"block_messages": ["RAW_IMU"]}, "bytes_per_s": null}
 
-  The keys are those of the configuration (`MavRouter.Router.Settings.changeable/0`); null removes a rule. This module checks the
-  shape of a value; `MavRouter.Router.configure/3` checks its meaning.
+  The keys are those of the configuration (`MavRouter.Endpoints.Settings.changeable/0`); null removes a rule. This
+  module checks the shape of a value; `MavRouter.Router.configure/3` checks its meaning.
   """
 
-  alias MavRouter.Router.Owner.Filter
-  alias MavRouter.Router.Settings
+  alias MavRouter.Endpoints.Owner.Filter
+  alias MavRouter.Endpoints.Settings
   alias FleetWeb.API.{Error, Request}
 
   @keys Map.new(Settings.changeable(), &{Atom.to_string(&1), &1})

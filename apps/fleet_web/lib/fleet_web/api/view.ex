@@ -11,7 +11,7 @@ defmodule FleetWeb.API.View do
   alias Aerie.Control.Policy
   alias Aerie.Fleet
   alias Aerie.Fleet.Shadow
-  alias MavRouter.Router.Endpoint.Counters
+  alias MavRouter.Endpoints.Counters
   alias Aerie.Vehicle.Fields
   alias FleetWeb.API.{VehicleDetails, EventsQuery, Recordings}
 

@@ -4,7 +4,7 @@ defmodule FleetWeb.Metrics.Clients do
   they are summed by kind; their ids are not labels.
   """
 
-  alias MavRouter.Router.Endpoint.Counters
+  alias MavRouter.Endpoints.Counters
   alias FleetWeb.Metrics.Text
 
   @doc """

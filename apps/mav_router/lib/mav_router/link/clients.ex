@@ -24,8 +24,8 @@ defmodule MavRouter.Link.Clients do
   alias MavRouter.Link.Spec
   alias MavRouter.Link.Tree
   alias Aerie.Base.Names
-  alias MavRouter.Router.Endpoints
-  alias MavRouter.Router.Tables
+  alias MavRouter.Endpoints
+  alias MavRouter.Tables
 
   @doc "Starts a client and remembers it, so that a restart of the router brings it back."
   @spec start(Names.gateway(), Spec.t(), keyword) :: :ok | {:error, Error.t()}

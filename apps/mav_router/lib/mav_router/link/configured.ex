@@ -2,7 +2,7 @@ defmodule MavRouter.Link.Configured do
   @moduledoc "From a link as the configuration has it (`MavRouter.Link.Settings`, `links`) to its `MavRouter.Link.Spec`. Pure."
 
   alias MavRouter.Link.Spec
-  alias MavRouter.Router.Settings
+  alias MavRouter.Endpoints.Settings
 
   @doc "The spec; `url` is required, the other keys may be left out. The error is a text."
   @spec spec(map()) :: {:ok, Spec.t()} | {:error, String.t()}

@@ -14,8 +14,9 @@ defmodule MavRouter.Link.Counters do
     `refused` (the limit of vehicles is reached), `looped` (our own frames came back), `dropped_out` (link down, peer gone,
     buffer full)
   - `denied`: commands to vehicles from peers that may not command; `withheld`: heartbeats and measurements that were not
-    forwarded to vehicles (`MavRouter.Router.Access`)
-  - `routes_refused`: how often a component of its peers got no route, because the peer has too many (`MavRouter.Router.Routes`)
+    forwarded to vehicles (`MavRouter.Endpoints.Access`)
+  - `routes_refused`: how often a component of its peers got no route, because the peer has too many
+    (`MavRouter.Routes`)
   - datagrams that came faster than the link could read: `kernel_dropped` (the kernel had no room; known on Linux only), `shed`
     (too many waited, `MavRouter.Link.Backlog`), `shed_new` (the same, of senders that were not heard before the overload)
   - `messages`: frames by message id; ids beyond the first #{@max_ids} different ones are counted under `:other`

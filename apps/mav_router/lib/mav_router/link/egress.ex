@@ -4,21 +4,21 @@ defmodule MavRouter.Link.Egress do
 
   Senders write to a UDP peer without a budget themselves, past this process. Everything else comes here as
   `{:forward, peer, frames, class}`. It is written at once if possible, otherwise it waits in the peer's
-  `MavRouter.Router.Queue.SendQueue`: a peer that does not read does not slow other peers down.
+  `MavRouter.Endpoints.Queue.SendQueue`: a peer that does not read does not slow other peers down.
   """
 
   alias MavRouter.Link.Spec
   alias MavRouter.Link.Stall
   alias Aerie.Base.Names
-  alias MavRouter.Router.Output.Batch
-  alias MavRouter.Router.Queue.Budget
-  alias MavRouter.Router.Endpoint
-  alias MavRouter.Router.Endpoints
-  alias MavRouter.Router.Queue.SendQueue
-  alias MavRouter.Router.Owner
-  alias MavRouter.Router.Owner.SavedRules
-  alias MavRouter.Router.Tables
-  alias MavRouter.Router.Endpoint.Counters
+  alias MavRouter.Endpoints.Output.Batch
+  alias MavRouter.Endpoints.Queue.Budget
+  alias MavRouter.Endpoints.Endpoint
+  alias MavRouter.Endpoints
+  alias MavRouter.Endpoints.Queue.SendQueue
+  alias MavRouter.Endpoints.Owner
+  alias MavRouter.Endpoints.Owner.SavedRules
+  alias MavRouter.Tables
+  alias MavRouter.Endpoints.Counters
 
   require Logger
 
@@ -240,7 +240,7 @@ defmodule MavRouter.Link.Egress do
   end
 
   @doc "Sends frames to a peer, or queues them."
-  @spec forward(t, term, MavRouter.Router.Queue.TrafficClass.class(), [binary], integer, write, state) ::
+  @spec forward(t, term, MavRouter.Endpoints.Queue.TrafficClass.class(), [binary], integer, write, state) ::
           {t, state}
         when state: term
   def forward(egress, id, class, frames, now, write, state) do
@@ -333,7 +333,7 @@ defmodule MavRouter.Link.Egress do
 
   defp wait(peer, _ms, _id, state), do: {peer, state}
 
-  @doc "Notes the requests among frames that a peer sent: the answers have a buffer of their own (`MavRouter.Router.Queue.RequestedData`)."
+  @doc "Notes the requests among frames that a peer sent: the answers have a buffer of their own (`MavRouter.Endpoints.Queue.RequestedData`)."
   @spec note_requests(t, term, [MavCodec.Frame.t()], integer) :: t
   def note_requests(egress, id, frames, now) do
     with %{^id => peer} <- egress.peers,

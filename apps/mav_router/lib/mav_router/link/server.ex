@@ -25,7 +25,7 @@ defmodule MavRouter.Link.Server do
   alias MavRouter.Link.Writer
   alias Aerie.Base.Names
   alias MavRouter.Router
-  alias MavRouter.Router.Meter
+  alias MavRouter.Endpoints.Meter
   alias MavRouter.Router.SessionBackpressure
 
   @drops [:unclaimed, :refused, :overload, :looped]

@@ -9,7 +9,7 @@ defmodule MavRouter.Link.Settings do
 
   alias MavRouter.Link.{Spec, Transport}
   alias Aerie.Base.Names
-  alias MavRouter.Router.Owner.RuleKeys
+  alias MavRouter.Endpoints.Owner.RuleKeys
   alias Aerie.Base.Settings.Types
 
   @dialects %{
@@ -215,7 +215,7 @@ defmodule MavRouter.Link.Settings do
         _fine -> []
       end
 
-    rules = MavRouter.Router.Settings.wrong(link)
+    rules = MavRouter.Endpoints.Settings.wrong(link)
     exposed ++ if(rules, do: [problem(["links", index], "rules that make sense", rules)], else: [])
   end
 

@@ -15,7 +15,7 @@ defmodule MavRouter.Link.Spec do
   | `network=NAME` | the network whose system ids the link shares, default `main` |
   | `id=NAME` | the identity of the link, default the string without its options |
   | `secure=true` | only the two ends can hear or reach the link (USB, a cable of its own, loopback): a vehicle may be given its signing key there, and is believed unsigned. Refused for a broadcast, a recording, and a server on all addresses |
-  | `gcs=allow`, `gcs=deny` | everybody who reaches the link may command vehicles, or nobody, not even this machine (`MavRouter.Router.Access`) |
+  | `gcs=allow`, `gcs=deny` | everybody who reaches the link may command vehicles, or nobody, not even this machine (`MavRouter.Endpoints.Access`) |
   """
 
   alias Aerie.Base.Address

@@ -1,13 +1,14 @@
 defmodule MavRouter.Link.Stall do
   @moduledoc """
   What is done about the peer of a link that takes nothing. For a second its frames wait in its queue and are tried often; after
-  that senders drop its frames themselves (`MavRouter.Router.Endpoint.limit/2`), so it costs the link's process nothing, and a
-  quarter of a second passes between two attempts. After ten seconds its connection is ended. Pure but for that limit.
+  that senders drop its frames themselves (`MavRouter.Endpoints.Endpoint.limit/2`), so it costs the link's process
+  nothing, and a quarter of a second passes between two attempts. After ten seconds its connection is ended. Pure but
+  for that limit.
 
   The value is when the peer took something last, nil while it takes everything.
   """
 
-  alias MavRouter.Router.Endpoint
+  alias MavRouter.Endpoints.Endpoint
 
   @retry_ms 10
   @stalled_ms 1_000

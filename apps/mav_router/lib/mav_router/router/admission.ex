@@ -22,7 +22,7 @@ defmodule MavRouter.Router.Admission do
   alias MavRouter.Router.AutoSystemId
   alias MavRouter.Router.Delivery
   alias MavRouter.Router.Admission.EarlyFrames
-  alias MavRouter.Router.Tables
+  alias MavRouter.Tables
   alias MavRouter.Router.Admission.VehicleStarter
   alias Aerie.Base.TokenBucket
   alias MavCodec.Frame

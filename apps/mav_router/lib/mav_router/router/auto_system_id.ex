@@ -15,7 +15,7 @@ defmodule MavRouter.Router.AutoSystemId do
   alias Aerie.Base.Store
   alias MavRouter.Identity
   alias Aerie.Base.Names
-  alias MavRouter.Router.Tables
+  alias MavRouter.Tables
   alias MavRouter.Signing
 
   require Logger

@@ -8,14 +8,15 @@ defmodule MavRouter.Router.ClientConnection do
       receive do: ({:forward, frames, class} -> pipe = ClientConnection.queue(pipe, frames, class))
       {frames, pipe} = ClientConnection.take(pipe)
 
-  Data that the client requested has room of its own (`MavRouter.Router.Queue.RequestedData`). When the client does not read, the oldest other
-  frames of the least important class are dropped (`MavRouter.Router.Queue.ClassQueue`). Each connection is a pipe of its own, so no frame of an
-  earlier one waits for it.
+  Data that the client requested has room of its own (`MavRouter.Endpoints.Queue.RequestedData`). When the client does
+  not read, the oldest other frames of the least important class are dropped (`MavRouter.Endpoints.Queue.ClassQueue`).
+  Each connection is a pipe of its own, so no frame of an earlier one waits for it.
   """
 
   alias Aerie.Base.Names
-  alias MavRouter.Router.{Endpoint, LocalEndpoint}
-  alias MavRouter.Router.Queue.ClassQueue
+  alias MavRouter.Endpoints.Endpoint
+  alias MavRouter.Router.LocalEndpoint
+  alias MavRouter.Endpoints.Queue.ClassQueue
   alias MavCodec.Parser
 
   # Bytes of frames that are written at a time.
@@ -53,7 +54,7 @@ defmodule MavRouter.Router.ClientConnection do
   end
 
   @doc "Frames for the client; call it for every `{:forward, frames, class}` message."
-  @spec queue(t(), [binary()], MavRouter.Router.Queue.TrafficClass.class()) :: t()
+  @spec queue(t(), [binary()], MavRouter.Endpoints.Queue.TrafficClass.class()) :: t()
   def queue(pipe, frames, class) do
     Endpoint.taken(pipe.endpoint, length(frames))
     {queue, dropped} = ClassQueue.push(pipe.queue, class, frames, now())

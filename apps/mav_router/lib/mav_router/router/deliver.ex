@@ -8,7 +8,7 @@ defmodule MavRouter.Router.Deliver do
   alias MavRouter.Router.Admission
   alias MavRouter.Router.Delivery
   alias MavRouter.Router.Echo
-  alias MavRouter.Router.Endpoint.Counters
+  alias MavRouter.Endpoints.Counters
   alias MavRouter.Router.Forward
   alias MavRouter.Router.Forward.Cache
   alias MavRouter.Router.Forward.Table
@@ -18,7 +18,7 @@ defmodule MavRouter.Router.Deliver do
   alias MavRouter.Router.ReadCache.Requests
   alias MavRouter.Router.Forward.Source
   alias MavRouter.Router.StreamRequests
-  alias MavRouter.Router.Tables
+  alias MavRouter.Tables
   alias MavRouter.Router.TransferLock
   alias MavRouter.Signing
   alias MavCodec.Frame

@@ -17,7 +17,7 @@ defmodule MavRouter.Router.Delivery do
 
   alias MavRouter.Router.Forward.Table
   alias MavRouter.Router.Forward.Source
-  alias MavRouter.Router.Tables
+  alias MavRouter.Tables
 
   @enforce_keys [:gateway, :tables, :forwarding, :path, :now]
   defstruct [:gateway, :tables, :forwarding, :path, :source, :now, :sender] ++
@@ -30,7 +30,7 @@ defmodule MavRouter.Router.Delivery do
           path: Table.Path.t(),
           source: Source.t() | nil,
           now: integer,
-          sender: String.t() | MavRouter.Router.Endpoint.key() | nil,
+          sender: String.t() | MavRouter.Endpoints.Endpoint.key() | nil,
           secure: boolean,
           vehicle: boolean,
           scope: :cleared | :clients | :related

@@ -10,7 +10,7 @@ defmodule MavRouter.Router.Echo do
   alias MavCodec.MessageName
   alias Aerie.Base.Names
   alias MavRouter.Router.Delivery
-  alias MavRouter.Router.Tables
+  alias MavRouter.Tables
   alias MavCodec.Frame
 
   require Logger

@@ -19,19 +19,19 @@ defmodule MavRouter.Router.Forward do
 
   alias MavCodec.HighLatency
   alias MavCodec.MessageName
-  alias MavRouter.Router.Output.Batch
-  alias MavRouter.Router.Routes.LinkSelector
-  alias MavRouter.Router.Queue.TrafficClass
+  alias MavRouter.Endpoints.Output.Batch
+  alias MavRouter.Routes.LinkSelector
+  alias MavRouter.Endpoints.Queue.TrafficClass
   alias MavRouter.Router.Forward.Dedupe
   alias MavRouter.Router.Delivery
-  alias MavRouter.Router.Endpoint.Counters
-  alias MavRouter.Router.Owner.Filter
-  alias MavRouter.Router.Output
-  alias MavRouter.Router.Owner.RateLimit
+  alias MavRouter.Endpoints.Counters
+  alias MavRouter.Endpoints.Owner.Filter
+  alias MavRouter.Endpoints.Output
+  alias MavRouter.Endpoints.Owner.RateLimit
   alias MavRouter.Router.Forward.Reach
   alias MavRouter.Router.Forward.Refusal
-  alias MavRouter.Router.Owner.Renumber
-  alias MavRouter.Router.Routes
+  alias MavRouter.Endpoints.Owner.Renumber
+  alias MavRouter.Routes
   alias MavRouter.Router.Forward.Holders
   alias Aerie.Base.{Names, TokenBucket}
   alias MavCodec.{Frame, Redact}

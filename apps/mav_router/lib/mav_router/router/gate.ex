@@ -37,13 +37,13 @@ defmodule MavRouter.Router.Gate do
   alias MavCodec.Enums.MavComponent
   alias MavRouter.Router.Gate.Questions
   alias MavRouter.Router.Delivery
-  alias MavRouter.Router.Endpoint.Counters
+  alias MavRouter.Endpoints.Counters
   alias MavRouter.Router.Forward
   alias MavRouter.Router.Forward.Refusal
-  alias MavRouter.Router.Output
-  alias MavRouter.Router.Owner.Renumber
-  alias MavRouter.Router.Routes
-  alias MavRouter.Router.Tables
+  alias MavRouter.Endpoints.Output
+  alias MavRouter.Endpoints.Owner.Renumber
+  alias MavRouter.Routes
+  alias MavRouter.Tables
   alias Aerie.Base.Store
   alias MavCodec.Frame
 

@@ -17,7 +17,7 @@ defmodule MavRouter.Router.GroundStations do
   alias Aerie.Base.HostClock
   alias Aerie.Base.Store
   alias Aerie.Base.Names
-  alias MavRouter.Router.Tables
+  alias MavRouter.Tables
 
   # A frame that came by a live link has a time close to now.
   @live_us 10_000_000

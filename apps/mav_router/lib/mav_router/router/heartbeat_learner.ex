@@ -8,11 +8,11 @@ defmodule MavRouter.Router.HeartbeatLearner do
   alias MavCodec.HighLatency
   alias MavCodec.MessageName
   alias MavRouter.Router.Delivery
-  alias MavRouter.Router.Endpoints
-  alias MavRouter.Router.Routes
+  alias MavRouter.Endpoints
+  alias MavRouter.Routes
   alias MavRouter.Router.Forward.Holders
   alias MavRouter.Router.Systems
-  alias MavRouter.Router.Tables
+  alias MavRouter.Tables
   alias MavCodec.Frame
 
   @heartbeat MessageName.id!("HEARTBEAT")

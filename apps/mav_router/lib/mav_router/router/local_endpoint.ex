@@ -1,16 +1,21 @@
 defmodule MavRouter.Router.LocalEndpoint do
-  @moduledoc "Makes a process of this machine an endpoint (`MavRouter.Router.Endpoint`): a socket's client, a page, a script."
+  @moduledoc "Makes a process of this machine an endpoint (`MavRouter.Endpoints.Endpoint`): a socket's client, a page,
+  a script."
 
   alias Aerie.Base.Names
   alias MavRouter.Router
-  alias MavRouter.Router.{Endpoint, Endpoints, Owner, Tables}
-  alias MavRouter.Router.Owner.SavedRules
+  alias MavRouter.Endpoints.Endpoint
+  alias MavRouter.Endpoints
+  alias MavRouter.Endpoints.Owner
+  alias MavRouter.Tables
+  alias MavRouter.Endpoints.Owner.SavedRules
 
   @doc """
   Makes the calling process an endpoint.
 
   Options: `:id` (of its owner; required, unique among links and clients), `:text` (who is at the other end, for people),
-  `:kind` (an atom, for people: `:websocket`), `:principal` (who proved to be at the other end) and those of `MavRouter.Router.Owner`, of which `:side` is `:client` by default.
+  `:kind` (an atom, for people: `:websocket`), `:principal` (who proved to be at the other end) and those of
+  `MavRouter.Endpoints.Owner`, of which `:side` is `:client` by default.
   """
   @spec attach(Names.gateway(), keyword) :: {:ok, Endpoint.t()} | {:error, String.t() | :not_running}
   def attach(gateway, options) do

@@ -13,20 +13,20 @@ defmodule MavRouter.Router.Policy do
 
   @typedoc "Who sends: the endpoint, its client or link, its address in words, and who that is."
   @type sender :: %{
-          endpoint: MavRouter.Router.Endpoint.key(),
+          endpoint: MavRouter.Endpoints.Endpoint.key(),
           owner: String.t(),
           peer: String.t() | nil,
           principal: Principal.t()
         }
 
-  @doc "The principal of an endpoint, whether it counts as a client (`MavRouter.Router.Access`) or not."
+  @doc "The principal of an endpoint, whether it counts as a client (`MavRouter.Endpoints.Access`) or not."
   @callback principal(Names.gateway(), Path.t()) :: Principal.t()
 
   @doc """
   A frame on its way to a vehicle. Its target is the one that the sender uses, which may be 0 for all, or another number for the
-  vehicle (`MavRouter.Router.Owner.Renumber`). `{:refuse, answers, instead}`: it goes no further; `answers` are frames to the sender in
-  the vehicle's name, and `instead` goes to the vehicle in its place, with the same target, or is nil. `{:answer, answers}`: it
-  was carried out here, and goes no further.
+  vehicle (`MavRouter.Endpoints.Owner.Renumber`). `{:refuse, answers, instead}`: it goes no further; `answers` are
+  frames to the sender in the vehicle's name, and `instead` goes to the vehicle in its place, with the same target, or
+  is nil. `{:answer, answers}`: it was carried out here, and goes no further.
   """
   @callback decide(Names.gateway(), sender, MavRouter.Router.vehicle_key(), Frame.t()) ::
               :forward

@@ -5,7 +5,7 @@ defmodule MavRouter.Router.ReadCache do
   """
 
   alias Aerie.Base.Names
-  alias MavRouter.Router.Endpoint
+  alias MavRouter.Endpoints.Endpoint
   alias MavCodec.Frame
 
   @doc "Whether a frame may be such a request, or changes what they read. Must be cheap: it is asked of every frame of a client."

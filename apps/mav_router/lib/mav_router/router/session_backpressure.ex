@@ -8,7 +8,7 @@ defmodule MavRouter.Router.SessionBackpressure do
   at every #{@every_ms} ms for each vehicle, not for each read.
   """
 
-  alias MavRouter.Router.Tables
+  alias MavRouter.Tables
 
   @doc "Whether frames for a vehicle's session have to be dropped at `now` (monotonic ms)."
   @spec over?(Tables.t(), term, pid, integer) :: boolean

@@ -6,9 +6,9 @@ defmodule MavRouter.Router.StreamRequests do
 
   alias Aerie.Base.Store
   alias MavRouter.Router.Delivery
-  alias MavRouter.Router.Owner.Filter
-  alias MavRouter.Router.Output
-  alias MavRouter.Router.Owner.Renumber
+  alias MavRouter.Endpoints.Owner.Filter
+  alias MavRouter.Endpoints.Output
+  alias MavRouter.Endpoints.Owner.Renumber
   alias MavCodec.Frame
 
   @doc """
@@ -42,7 +42,7 @@ defmodule MavRouter.Router.StreamRequests do
     end
   end
 
-  # The client may see other ids (`MavRouter.Router.Owner.Renumber`).
+  # The client may see other ids (`MavRouter.Endpoints.Owner.Renumber`).
   defp vehicle(gateway, path, id) do
     Enum.find_value(path.networks, fn network ->
       system = Renumber.meant(path.renumber, network, id)

@@ -1,6 +1,6 @@
 defmodule MavRouter.Router.Supervisor do
   @moduledoc """
-  Owns the router's tables (`MavRouter.Router.Tables`) and supervises what works on them; client endpoints join it.
+  Owns the router's tables (`MavRouter.Tables`) and supervises what works on them; client endpoints join it.
 
   The tables live as long as this supervisor. Its restart costs the learned routes, which the next frame of each component teaches
   again.
@@ -8,13 +8,15 @@ defmodule MavRouter.Router.Supervisor do
   use Supervisor
 
   alias Aerie.Base.Names
-  alias MavRouter.Router.{AutoSystemId, Settings, Tables}
+  alias MavRouter.Router.AutoSystemId
+  alias MavRouter.Endpoints.Settings
+  alias MavRouter.Tables
 
   @doc """
-  Options: `:gateway`, `:settings` (`MavRouter.Router.Settings`); `:vehicles` (`MavRouter.Router.Vehicles`), `:requests`
-  (`MavRouter.Router.Requests`), `:policy` (`MavRouter.Router.Policy`) and `:readings` (`MavRouter.Router.ReadCache`), modules, none by default;
-  `:turns_clock`, see `MavRouter.Router.TransferLock`; `:children`, child specifications of what is supervised beside the router's own
-  processes.
+  Options: `:gateway`, `:settings` (`MavRouter.Endpoints.Settings`); `:vehicles` (`MavRouter.Router.Vehicles`),
+  `:requests` (`MavRouter.Router.Requests`), `:policy` (`MavRouter.Router.Policy`) and `:readings`
+  (`MavRouter.Router.ReadCache`), modules, none by default; `:turns_clock`, see `MavRouter.Router.TransferLock`;
+  `:children`, child specifications of what is supervised beside the router's own processes.
   """
   @spec start_link(keyword) :: Supervisor.on_start()
   def start_link(options) do
@@ -35,10 +37,10 @@ defmodule MavRouter.Router.Supervisor do
       )
 
     children = [
-      {MavRouter.Router.Endpoints.Monitor, gateway: gateway},
+      {MavRouter.Endpoints.Monitor, gateway: gateway},
       {MavRouter.Router.Admission.VehicleStarter, gateway: gateway},
       {MavRouter.Router.Sweeper, gateway: gateway},
-      {MavRouter.Router.Meter, gateway: gateway},
+      {MavRouter.Endpoints.Meter, gateway: gateway},
       {MavRouter.Router.TransferLock, gateway: gateway, clock: Keyword.get(options, :turns_clock)}
     ]
 

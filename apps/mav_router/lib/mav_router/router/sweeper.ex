@@ -9,9 +9,9 @@ defmodule MavRouter.Router.Sweeper do
 
   alias Aerie.Base.Names
   alias MavRouter.Router.GroundStations
-  alias MavRouter.Router.Routes
+  alias MavRouter.Routes
   alias MavRouter.Router.Forward.Holders
-  alias MavRouter.Router.Tables
+  alias MavRouter.Tables
 
   @load_ttl_ms 60_000
   @limit_ttl_us 60_000_000

@@ -19,15 +19,15 @@ defmodule MavRouter.Router.TransferLock do
 
   alias Aerie.Base.Names
   alias MavRouter.Router.Delivery
-  alias MavRouter.Router.Endpoints
-  alias MavRouter.Router.Owner.Filter
+  alias MavRouter.Endpoints
+  alias MavRouter.Endpoints.Owner.Filter
   alias MavRouter.Router.Forward
   alias MavRouter.Router.Forward.Cache
-  alias MavRouter.Router.Owner.Renumber
-  alias MavRouter.Router.Routes
-  alias MavRouter.Router.Tables
+  alias MavRouter.Endpoints.Owner.Renumber
+  alias MavRouter.Routes
+  alias MavRouter.Tables
   alias MavRouter.Router.Forward.Source
-  alias MavRouter.Router.Endpoint.Counters
+  alias MavRouter.Endpoints.Counters
   alias MavRouter.Router.TransferLock.Transfer
   alias MavRouter.Router.TransferLock.Turn
   alias MavCodec.Frame

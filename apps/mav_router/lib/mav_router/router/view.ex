@@ -1,12 +1,12 @@
 defmodule MavRouter.Router.View do
   @moduledoc "The endpoints as plain maps, for people and programs (`MavRouter.Router.endpoints/1`)."
 
-  alias MavRouter.Router.Endpoints
+  alias MavRouter.Endpoints
   alias MavRouter.Router.Forward.Table
-  alias MavRouter.Router.Owner.Renumber
-  alias MavRouter.Router.Routes
-  alias MavRouter.Router.Tables
-  alias MavRouter.Router.Endpoint.Counters
+  alias MavRouter.Endpoints.Owner.Renumber
+  alias MavRouter.Routes
+  alias MavRouter.Tables
+  alias MavRouter.Endpoints.Counters
 
   @doc "All endpoints, in the order of their ids."
   @spec endpoints(Tables.t()) :: [map]

@@ -2,7 +2,7 @@ defmodule MavRouter.Link.StallTest do
   use ExUnit.Case, async: true
 
   alias MavRouter.Link.{Core, Spec, Stall}
-  alias MavRouter.Router.Endpoint
+  alias MavRouter.Endpoints.Endpoint
 
   setup do: %{endpoint: Endpoint.new(make_ref(), {"link", 1}, out: {:pid, self(), 1})}
 

@@ -6,7 +6,9 @@ defmodule MavRouter.Router.AutoSystemIdTest do
   alias Aerie.FakeVehicles
   alias Aerie.Base.Names
   alias MavRouter.Identity
-  alias MavRouter.Router.{Admission, Delivery, Tables}
+  alias MavRouter.Router.Admission
+  alias MavRouter.Router.Delivery
+  alias MavRouter.Tables
   alias MavRouter.Router.AutoSystemId
 
   @config %{network: "main", mavlink: %{system_id: :auto, component_id: 191}}

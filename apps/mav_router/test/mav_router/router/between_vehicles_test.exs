@@ -109,19 +109,19 @@ defmodule MavRouter.Router.BetweenVehiclesTest do
   describe "senders on a link to vehicles that are none" do
     # Peers of one link, all written to by one process.
     defp peers(gateway, names, since \\ 0) do
-      tables = Router.Tables.of(gateway)
-      {:ok, owner} = Router.Owner.new("port", side: :vehicle, networks: ["main"])
-      Router.Endpoints.put_owner(tables, owner)
+      tables = MavRouter.Tables.of(gateway)
+      {:ok, owner} = MavRouter.Endpoints.Owner.new("port", side: :vehicle, networks: ["main"])
+      MavRouter.Endpoints.put_owner(tables, owner)
 
       for name <- names do
         fields = [
           since: since,
           out: {:pid, self(), name},
           kind: :link,
-          listens: Router.Endpoints.listens?(tables, owner, :unknown)
+          listens: MavRouter.Endpoints.listens?(tables, owner, :unknown)
         ]
 
-        Router.Endpoints.put(gateway, tables, Endpoint.new(gateway, {"port", name}, fields))
+        MavRouter.Endpoints.put(gateway, tables, Endpoint.new(gateway, {"port", name}, fields))
       end
     end
 
@@ -156,8 +156,8 @@ defmodule MavRouter.Router.BetweenVehiclesTest do
       work = fn count ->
         gateway = start_parts()
         peers(gateway, 1..count)
-        tables = Router.Tables.of(gateway)
-        for n <- 1..count, do: Router.Endpoints.note(tables, {"port", n}, heard_vehicle: true)
+        tables = MavRouter.Tables.of(gateway)
+        for n <- 1..count, do: MavRouter.Endpoints.note(tables, {"port", n}, heard_vehicle: true)
 
         frames =
           for n <- 1..50, bytes <- [attitude(1, n), heartbeat(1, type: 2, autopilot: 3)], do: parse(bytes)

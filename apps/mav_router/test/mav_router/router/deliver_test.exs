@@ -6,7 +6,7 @@ defmodule MavRouter.Router.DeliverTest do
   alias Aerie.FakeVehicles
   alias Aerie.Base.Names
   alias MavRouter.Router
-  alias MavRouter.Router.Tables
+  alias MavRouter.Tables
   alias MavCodec.Frame
 
   @origin %{id: "a", network: "main", peer: :remote}

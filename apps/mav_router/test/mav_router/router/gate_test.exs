@@ -5,7 +5,7 @@ defmodule MavRouter.Router.GateTest do
   import ExUnit.CaptureLog
 
   alias MavRouter.Router
-  alias MavRouter.Router.Access
+  alias MavRouter.Endpoints.Access
   alias MavCodec.Messages
 
   @patience Aerie.Patience.ms()
@@ -440,10 +440,13 @@ defmodule MavRouter.Router.GateTest do
     say(stranger, disarm(9))
     until(vehicle, disarm(9))
 
-    {:ok, owner} = Router.Owner.new("radio", [])
+    {:ok, owner} = MavRouter.Endpoints.Owner.new("radio", [])
 
     from = fn text ->
-      Access.commands?(Router.Endpoint.new(c.gateway, {"radio", 1}, kind: :link, text: text), owner)
+      Access.commands?(
+        MavRouter.Endpoints.Endpoint.new(c.gateway, {"radio", 1}, kind: :link, text: text),
+        owner
+      )
     end
 
     assert from.("127.0.0.1:40000")

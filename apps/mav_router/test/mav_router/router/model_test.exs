@@ -6,7 +6,10 @@ defmodule MavRouter.Router.ModelTest do
   use Aerie.LinkCase, async: true
 
   alias MavRouter.Router
-  alias MavRouter.Router.{Endpoint, Endpoints, Owner, Tables}
+  alias MavRouter.Endpoints.Endpoint
+  alias MavRouter.Endpoints
+  alias MavRouter.Endpoints.Owner
+  alias MavRouter.Tables
   alias MavCodec.Messages, as: M
 
   @moduletag capture_log: true
@@ -170,7 +173,7 @@ defmodule MavRouter.Router.ModelTest do
   end
 
   defp step({:reboot, network, system}, {gateway, routes, n, :ok}) do
-    :ok = gateway |> Router.Tables.of() |> Router.Routes.forget_system({network, system}, :_, :_)
+    :ok = gateway |> MavRouter.Tables.of() |> MavRouter.Routes.forget_system({network, system}, :_, :_)
     {gateway, Map.reject(routes, &match?({{^network, ^system, _component}, _names}, &1)), n, :ok}
   end
 

@@ -4,23 +4,25 @@ defmodule MavRouter.Router.PureTest do
 
   import :proper_types, only: [list: 1, elements: 1, range: 2, oneof: 1, non_empty: 1, binary: 1]
 
-  alias MavRouter.Router.Output.Batch
-  alias MavRouter.Router.Queue.Budget
-  alias MavRouter.Router.Queue.TrafficClass
+  alias MavRouter.Endpoints.Output.Batch
+  alias MavRouter.Endpoints.Queue.Budget
+  alias MavRouter.Endpoints.Queue.TrafficClass
   alias MavRouter.Router.Forward.Dedupe
-  alias MavRouter.Router.Owner.Filter
-  alias MavRouter.Router.Queue.SendQueue
-  alias MavRouter.Router.Owner
-  alias MavRouter.Router.Queue.ClassQueue
-  alias MavRouter.Router.Owner.RateLimit
-  alias MavRouter.Router.Routes.Score
-  alias MavRouter.Router.Tables
+  alias MavRouter.Endpoints.Owner.Filter
+  alias MavRouter.Endpoints.Queue.SendQueue
+  alias MavRouter.Endpoints.Owner
+  alias MavRouter.Endpoints.Queue.ClassQueue
+  alias MavRouter.Endpoints.Owner.RateLimit
+  alias MavRouter.Routes.Score
+  alias MavRouter.Tables
   alias MavCodec.Frame
 
   defp check(property, n \\ 200), do: assert(:proper.quickcheck(property, [:quiet, numtests: n]) == true)
 
   describe "ForwardingTable" do
-    alias MavRouter.Router.{Endpoint, Endpoints, Routes}
+    alias MavRouter.Endpoints.Endpoint
+    alias MavRouter.Endpoints
+    alias MavRouter.Routes
     alias MavRouter.Router.Forward.Table
 
     defp tables do

@@ -10,7 +10,7 @@ defmodule MavRouter.Router.RedundantLinksTest do
       g = client(c.gateway, "g", 255)
 
       # What was seen is remembered for half a second to a second; a busy machine takes longer from one endpoint to the next.
-      tables = Router.Tables.of(c.gateway)
+      tables = MavRouter.Tables.of(c.gateway)
       {turn, until} = :ets.lookup_element(tables.settings, :seen_turn, 2)
       :ets.insert(tables.settings, {:seen_turn, {turn, until + 3_600_000}})
       got([v, x, y, g])
@@ -80,7 +80,7 @@ defmodule MavRouter.Router.RedundantLinksTest do
       order = message(command(1), 255, 190)
       say(c.g, order)
       assert %{"a" => [^order], "b" => []} = got(c.all)
-      tables = Router.Tables.of(c.gateway)
+      tables = MavRouter.Tables.of(c.gateway)
       :ets.insert(tables.scores, {{:carrier, "mast"}, "b"})
       say(c.g, order)
       assert %{"a" => [], "b" => [^order]} = got(c.all)
@@ -126,8 +126,8 @@ defmodule MavRouter.Router.RedundantLinksTest do
 
       on_exit(fn -> :telemetry.detach(ref) end)
       :ok = :sys.suspend(Aerie.Base.Names.whereis(gateway, :router_meter), Aerie.Patience.ms())
-      tables = Router.Tables.of(gateway)
-      state = Router.Meter.new(gateway)
+      tables = MavRouter.Tables.of(gateway)
+      state = MavRouter.Endpoints.Meter.new(gateway)
 
       put = fn id, received, lost ->
         sources = %{{1, 1} => %{received: received, lost: lost}}
@@ -141,15 +141,15 @@ defmodule MavRouter.Router.RedundantLinksTest do
       end
 
       for id <- ["a", "b"], do: put.(id, 100, 0)
-      state = Router.Meter.measure(state, tables, 0)
+      state = MavRouter.Endpoints.Meter.measure(state, tables, 0)
       assert_received {:carrier, "a"}
       put.("a", 150, 50)
       put.("b", 200, 0)
-      state = Router.Meter.measure(state, tables, 1_000)
+      state = MavRouter.Endpoints.Meter.measure(state, tables, 1_000)
       assert_received {:carrier, "b"}
-      :ok = Router.Meter.note_rtt(gateway, "a", 20)
+      :ok = MavRouter.Endpoints.Meter.note_rtt(gateway, "a", 20)
       put.("a", 250, 50)
-      Router.Meter.measure(state, tables, 2_000)
+      MavRouter.Endpoints.Meter.measure(state, tables, 2_000)
       refute_received {:carrier, _}
       assert Router.route(gateway, {"main", 1}) != nil
     end

@@ -162,8 +162,8 @@ defmodule MavRouter.Router.TransferLockTest do
       {_id, port} = add_link(gateway, "udpin:127.0.0.1:0", id: "radio")
       vehicle = udp(port)
       say(vehicle, heartbeat(1))
-      tables = Router.Tables.of(gateway)
-      eventually(fn -> Enum.any?(Router.Endpoints.list(tables), & &1.heard_vehicle) end)
+      tables = MavRouter.Tables.of(gateway)
+      eventually(fn -> Enum.any?(MavRouter.Endpoints.list(tables), & &1.heard_vehicle) end)
       {:ok, "gcs"} = MavRouter.Client.add(gateway, %{url: "udpin:127.0.0.1:0", id: "gcs"})
       client = snapshot(gateway, "gcs").port
       {:ok, gateway: gateway, vehicle: vehicle, a: udp(client), b: udp(client)}

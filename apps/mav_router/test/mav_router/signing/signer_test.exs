@@ -166,8 +166,8 @@ defmodule MavRouter.Signing.SignerTest do
   end
 
   test "only a client can be signed for" do
-    assert {:error, "sign: only a client" <> _} = Router.Owner.new("radio", sign: true)
-    assert {:ok, %{sign: true}} = Router.Owner.new("gcs", side: :client, sign: true)
-    assert {:error, "sign: " <> _} = Router.Owner.new("gcs", side: :client, sign: "yes")
+    assert {:error, "sign: only a client" <> _} = MavRouter.Endpoints.Owner.new("radio", sign: true)
+    assert {:ok, %{sign: true}} = MavRouter.Endpoints.Owner.new("gcs", side: :client, sign: true)
+    assert {:error, "sign: " <> _} = MavRouter.Endpoints.Owner.new("gcs", side: :client, sign: "yes")
   end
 end

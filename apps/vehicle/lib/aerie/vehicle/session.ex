@@ -61,7 +61,7 @@ defmodule Aerie.Vehicle.Session do
     }
 
     # A collision that the last session knew of has to be detected again.
-    MavRouter.Router.Routes.Collisions.put(gateway, options.key, [])
+    MavRouter.Routes.Collisions.put(gateway, options.key, [])
     # Newer frames may be in the mailbox already.
     {:ok, state, {:continue, {:first, MavRouter.Router.first_frames(gateway, options.key)}}}
   end
@@ -361,7 +361,7 @@ defmodule Aerie.Vehicle.Session do
   end
 
   defp act({:round_trip, link, us}, state) do
-    MavRouter.Router.Meter.note_rtt(state.gateway, link, us / 1000)
+    MavRouter.Endpoints.Meter.note_rtt(state.gateway, link, us / 1000)
     state
   end
 
@@ -375,7 +375,7 @@ defmodule Aerie.Vehicle.Session do
   end
 
   defp act({:other_vehicle, paths}, state) do
-    MavRouter.Router.Routes.Collisions.put(state.gateway, state.options.key, paths)
+    MavRouter.Routes.Collisions.put(state.gateway, state.options.key, paths)
     state
   end
 

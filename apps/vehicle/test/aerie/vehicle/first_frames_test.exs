@@ -4,7 +4,7 @@ defmodule Aerie.Vehicle.FirstFramesTest do
   use Aerie.VehicleCase
 
   alias Aerie.Base.Names
-  alias MavRouter.Router.Tables
+  alias MavRouter.Tables
 
   @origin %{id: "a", network: "main", peer: :remote}
 

@@ -6,7 +6,7 @@ defmodule Aerie.CLI.Status.Access do
 
   alias MavRouter.Link.Spec
   alias Aerie.Control.Policy
-  alias MavRouter.Router.Access
+  alias MavRouter.Endpoints.Access
 
   # Clients that no entry of `policy.clients` names: on this machine, and on a link with `gcs: allow`.
   @unlisted %{role: :operator, permissions: []}

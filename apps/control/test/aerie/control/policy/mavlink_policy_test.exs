@@ -469,7 +469,7 @@ defmodule Aerie.Control.Policy.MavlinkPolicyTest do
     assert [] = reached(one, c)
 
     {"operator", peer} = Leases.of(c.gateway, {"main", 1}).endpoint
-    Router.Endpoints.remove(Router.Tables.of(c.gateway), {"operator", peer})
+    MavRouter.Endpoints.remove(MavRouter.Tables.of(c.gateway), {"operator", peer})
     say(other, take)
 
     assert eventually(fn ->

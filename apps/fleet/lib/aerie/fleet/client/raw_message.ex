@@ -12,8 +12,9 @@ defmodule Aerie.Fleet.Client.RawMessage do
   alias Authority.Principal
   alias Aerie.Control.Policy.Roles
   alias MavRouter.Router
-  alias MavRouter.Router.{Endpoint, LocalEndpoint}
-  alias MavRouter.Router.Endpoint.Counters
+  alias MavRouter.Endpoints.Endpoint
+  alias MavRouter.Router.LocalEndpoint
+  alias MavRouter.Endpoints.Counters
   alias MavCodec.{EncodeError, Frame, Parser}
 
   @wait_ms 1_500

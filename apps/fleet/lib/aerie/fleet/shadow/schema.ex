@@ -9,7 +9,7 @@ defmodule Aerie.Fleet.Shadow.Schema do
   alias Aerie.Fleet.Shadow.{Field, Update}
   alias Aerie.Vehicle.Command
   alias Aerie.Vehicle.Command.Param
-  alias MavRouter.Router.RulesSchema
+  alias MavRouter.Endpoints.RulesSchema
 
   @type t :: Aerie.Base.JsonSchema.t()
 

@@ -9,7 +9,7 @@ defmodule Aerie.Fleet.Client.MavlinkSocketTest do
   alias Aerie.Base.Store
   alias Aerie.Base.Names
   alias MavRouter.Router
-  alias MavRouter.Router.Endpoint
+  alias MavRouter.Endpoints.Endpoint
   alias MavRouter.Router.LocalEndpoint
 
   # The test process in the place of a link to vehicles.

@@ -1,7 +1,7 @@
 defmodule FleetWeb.Console.Links.View do
   @moduledoc "Links, endpoints, routes and rules for the page, from the read model; and a link's history. Pure."
 
-  alias MavRouter.Router.Endpoint.Counters
+  alias MavRouter.Endpoints.Counters
 
   @max_rows 200
   @samples 120

@@ -1,8 +1,8 @@
 defmodule MavRouter.Link.Clients.Settings do
   @moduledoc """
   From the keys of the configuration (`clients`, see `config/gateway.example.yaml`) to a client's connection and the rules of
-  its endpoints (`MavRouter.Router.Settings`). Everything is checked here: the file, `MavRouter.Client.add/3` and HTTP give the same
-  errors.
+  its endpoints (`MavRouter.Endpoints.Settings`). Everything is checked here: the file, `MavRouter.Client.add/3` and
+  HTTP give the same errors.
   """
   use Aerie.Base.Settings
 
@@ -12,9 +12,10 @@ defmodule MavRouter.Link.Clients.Settings do
   alias MavRouter.Identity
   alias MavRouter.Link
   alias MavRouter.Link.{Spec, Transport}
-  alias MavRouter.Router.{Owner, Settings}
-  alias MavRouter.Router.Owner.RuleKeys
-  alias MavRouter.Router.Queue.ClassQueue
+  alias MavRouter.Endpoints.Owner
+  alias MavRouter.Endpoints.Settings
+  alias MavRouter.Endpoints.Owner.RuleKeys
+  alias MavRouter.Endpoints.Queue.ClassQueue
   alias Aerie.Base.Settings.Types
 
   part :link, MavRouter.Link.Settings
@@ -124,7 +125,7 @@ defmodule MavRouter.Link.Clients.Settings do
   - `:networks` - names of networks that it sees, the preferred one first; default all, also those that are added later
   - `:network` - the gateway's own network
   - `:from` - `:remote` if somebody on another machine asks, who must not name devices and files of this one; `:local`
-  - `:label` and the rules (`MavRouter.Router.Settings.owner_options/1`)
+  - `:label` and the rules (`MavRouter.Endpoints.Settings.owner_options/1`)
   """
   @spec client(map) :: {:ok, Spec.t()} | {:error, String.t()}
   def client(%{url: url} = map) do

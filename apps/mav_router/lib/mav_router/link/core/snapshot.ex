@@ -23,7 +23,7 @@ defmodule MavRouter.Link.Core.Snapshot do
   | `:peers` | `[%{peer, text, silent_ms, frames_in, bytes_in}]`, at most 1,024 of them |
   | `:sources` | `%{{system, component} => %{received, lost, ratio, …}}`, loss by sequence numbers (R7, R9) |
   | `:signing` | `MavRouter.Signing.link/2`, nil without a key |
-  | `:quality` | score, loss, round-trip time and age, and whether it carries its group (`t:MavRouter.Router.Meter.quality/0`), or nil |
+  | `:quality` | score, loss, round-trip time and age, and whether it carries its group (`t:MavRouter.Endpoints.Meter.quality/0`), or nil |
   | `:recording` | `t:MavRouter.Recorder.Status.t/0` without its names, nil if it was never recorded |
   | `:restarts` | monotonic ms of the last restarts of the link's process |
   | `:label` | the label of the configuration, or nil |

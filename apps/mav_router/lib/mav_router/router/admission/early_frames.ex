@@ -15,7 +15,7 @@ defmodule MavRouter.Router.Admission.EarlyFrames do
   those of #{@max_kept} reads together: 64 MiB if all are as long as can be.
   """
 
-  alias MavRouter.Router.Tables
+  alias MavRouter.Tables
   alias MavCodec.Frame
 
   @type key :: {network :: String.t(), system :: non_neg_integer}

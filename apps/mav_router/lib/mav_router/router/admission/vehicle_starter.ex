@@ -15,7 +15,7 @@ defmodule MavRouter.Router.Admission.VehicleStarter do
   alias Aerie.Base.Names
   alias MavRouter.Router.Admission
   alias MavRouter.Router.Admission.StartQueue
-  alias MavRouter.Router.Tables
+  alias MavRouter.Tables
 
   @spec start_link(gateway: Names.gateway()) :: GenServer.on_start()
   def start_link(options) do

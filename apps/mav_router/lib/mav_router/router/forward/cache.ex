@@ -8,10 +8,10 @@ defmodule MavRouter.Router.Forward.Cache do
 
   alias MavRouter.Router.Admission.EarlyTexts
   alias MavRouter.Router.Delivery
-  alias MavRouter.Router.Endpoint
+  alias MavRouter.Endpoints.Endpoint
   alias MavRouter.Router.Forward.Table
   alias MavRouter.Router.Forward.Source
-  alias MavRouter.Router.Tables
+  alias MavRouter.Tables
   alias Aerie.Base.Names
   alias MavCodec.Frame
 

@@ -20,7 +20,7 @@ defmodule MavRouter.Router.Forward.Dedupe do
   what vehicles sent as well, because another router may bring their frames back.
   """
 
-  alias MavRouter.Router.Tables
+  alias MavRouter.Tables
 
   @typedoc "What a frame may reach: see `MavRouter.Router.Gate`."
   @type scope :: :cleared | :clients | :related

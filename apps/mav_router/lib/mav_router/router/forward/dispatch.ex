@@ -5,13 +5,13 @@ defmodule MavRouter.Router.Forward.Dispatch do
 
   alias MavRouter.LinkProcess
   alias Aerie.Base.Names
-  alias MavRouter.Router.Routes.LinkSelector
-  alias MavRouter.Router.Queue.TrafficClass
-  alias MavRouter.Router.Endpoints
-  alias MavRouter.Router.Output
+  alias MavRouter.Routes.LinkSelector
+  alias MavRouter.Endpoints.Queue.TrafficClass
+  alias MavRouter.Endpoints
+  alias MavRouter.Endpoints.Output
   alias MavRouter.Router.Forward.Table
   alias MavRouter.Router.Forward.Holders
-  alias MavRouter.Router.Tables
+  alias MavRouter.Tables
 
   @doc "See `MavRouter.Router.send/4`."
   @spec send(Names.gateway(), MavRouter.Router.vehicle_key(), iodata, keyword) ::

@@ -27,12 +27,12 @@ defmodule MavRouter.Router.Forward.Holders do
 
   alias Aerie.Base.Names
   alias Aerie.Base.Store
-  alias MavRouter.Router.Access
-  alias MavRouter.Router.Endpoint
-  alias MavRouter.Router.Endpoints
+  alias MavRouter.Endpoints.Access
+  alias MavRouter.Endpoints.Endpoint
+  alias MavRouter.Endpoints
   alias MavRouter.Router.Forward.Table.Path
-  alias MavRouter.Router.Routes
-  alias MavRouter.Router.Tables
+  alias MavRouter.Routes
+  alias MavRouter.Tables
 
   # The component id of nearly every autopilot.
   @autopilot 1

@@ -19,9 +19,9 @@ defmodule MavRouter.Router.Forward.Reach do
   alias MavCodec.Heartbeat
   alias MavCodec.MessageName
   alias MavRouter.Router.Forward.Table.Path
-  alias MavRouter.Router.Routes
+  alias MavRouter.Routes
   alias MavRouter.Router.Forward.Source
-  alias MavRouter.Router.Tables
+  alias MavRouter.Tables
   alias MavCodec.Frame
 
   @command_ack MessageName.id!("COMMAND_ACK")

@@ -11,8 +11,8 @@ defmodule MavRouter.Router.Forward.Refusal do
   alias Authority.Messages
   alias MavCodec.CommandNumber
   alias MavRouter.Router.Delivery
-  alias MavRouter.Router.Endpoint.Counters
-  alias MavRouter.Router.Output
+  alias MavRouter.Endpoints.Counters
+  alias MavRouter.Endpoints.Output
   alias MavRouter.Router.Forward.Reach
   alias MavCodec.Enums.MavResult
   alias MavCodec.Frame

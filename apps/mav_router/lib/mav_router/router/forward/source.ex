@@ -12,7 +12,7 @@ defmodule MavRouter.Router.Forward.Source do
   | `vehicle` | it is part of a vehicle whose autopilot is heard by the same endpoint |
   | `obeyed_by` | vehicles that take its system for their ground station (`MavRouter.Router.GroundStations`) |
   | `redundant` | other endpoints bring it too, so its frames are checked for duplicates |
-  | `collided` | it is another vehicle with an id that was taken (`MavRouter.Router.Routes.Collisions`), or a claim |
+  | `collided` | it is another vehicle with an id that was taken (`MavRouter.Routes.Collisions`), or a claim |
   | `standing` | what its endpoint is to the vehicle with its id (`MavRouter.Router.Forward.Holders`) |
   | `clock` | its boot time, which tells reboots (R6) |
   | `session` | `{vehicle key, pid}` of its vehicle; a number in the place of the pid (`Aerie.Base.Names.epoch/0`) says that there was none |
@@ -20,17 +20,17 @@ defmodule MavRouter.Router.Forward.Source do
   | `marks` | what the receivers were worked out from: they are worked out again when it changes |
   """
 
-  alias MavRouter.Router.Routes.Collisions
+  alias MavRouter.Routes.Collisions
   alias MavRouter.Router.Delivery
-  alias MavRouter.Router.Endpoint.Counters
+  alias MavRouter.Endpoints.Counters
   alias MavRouter.Router.Forward.Table
   alias MavRouter.Router.Forward.Table.Path
   alias MavRouter.Router.Forward.Reach
   alias MavRouter.Router.GroundStations
-  alias MavRouter.Router.Owner.Renumber
-  alias MavRouter.Router.Routes
+  alias MavRouter.Endpoints.Owner.Renumber
+  alias MavRouter.Routes
   alias MavRouter.Router.Forward.Holders
-  alias MavRouter.Router.Tables
+  alias MavRouter.Tables
 
   # How long it may take until what another process learned is seen here. A change of rules is seen at once.
   @fresh_ms 1_000

@@ -5,11 +5,11 @@ defmodule MavRouter.Router.Forward.Table do
   the cost of one does not grow with the number of the others.
   """
 
-  alias MavRouter.Router.Endpoint
-  alias MavRouter.Router.Endpoints
+  alias MavRouter.Endpoints.Endpoint
+  alias MavRouter.Endpoints
   alias MavRouter.Router.Forward.Table.Path
-  alias MavRouter.Router.Owner
-  alias MavRouter.Router.Tables
+  alias MavRouter.Endpoints.Owner
+  alias MavRouter.Tables
 
   @enforce_keys [:generation, :own, :between, :networks]
   defstruct [:generation, :own, :between, :networks, audience: 0, paths: %{}, listeners: %{}, vehicles: %{}]
@@ -18,7 +18,7 @@ defmodule MavRouter.Router.Forward.Table do
   @crowd 32
 
   @typedoc """
-  - `generation`: of the tables that it was read from (`MavRouter.Router.Tables.generation/1`)
+  - `generation`: of the tables that it was read from (`MavRouter.Tables.generation/1`)
   - `own`: the gateway's own ids; `networks`: all that there are
   - `between`: what vehicles hear of each other (`router.between_vehicles`)
   - `paths`: all of them; `vehicles`: those of vehicles, by network; `listeners`: those of clients, sniffers and vehicles' other

@@ -15,9 +15,9 @@ defmodule MavRouter.Router.Gate.Questions do
   alias MavCodec.CommandNumber
   alias MavRouter.Router.Delivery
   alias MavRouter.Router.Forward.Dispatch
-  alias MavRouter.Router.Output
-  alias MavRouter.Router.Owner.Renumber
-  alias MavRouter.Router.Tables
+  alias MavRouter.Endpoints.Output
+  alias MavRouter.Endpoints.Owner.Renumber
+  alias MavRouter.Tables
   alias Aerie.Base.Store
   alias Aerie.Base.TokenBucket
   alias MavCodec.Enums.{MavCmd, MavResult}

@@ -5,16 +5,16 @@ defmodule MavRouter.Router.ReadCache.Requests do
   """
 
   alias Aerie.Base.Names
-  alias MavRouter.Router.Queue.TrafficClass
+  alias MavRouter.Endpoints.Queue.TrafficClass
   alias MavRouter.Router.Delivery
-  alias MavRouter.Router.Endpoint
-  alias MavRouter.Router.Owner.Filter
+  alias MavRouter.Endpoints.Endpoint
+  alias MavRouter.Endpoints.Owner.Filter
   alias MavRouter.Router.Forward
   alias MavRouter.Router.Forward.Cache
   alias MavRouter.Router.Gate
-  alias MavRouter.Router.Output
+  alias MavRouter.Endpoints.Output
   alias MavRouter.Router.Forward.Source
-  alias MavRouter.Router.Tables
+  alias MavRouter.Tables
   alias MavRouter.Router.TransferLock
   alias Aerie.Base.Store
   alias MavCodec.Frame

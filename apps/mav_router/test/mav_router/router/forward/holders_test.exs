@@ -2,9 +2,9 @@ defmodule MavRouter.Router.Forward.HoldersTest do
   @moduledoc "Who is believed to be a vehicle: the endpoints that bring it, and nobody who only says so."
   use Aerie.EndpointCase, async: true
 
-  alias MavRouter.Router.Routes
+  alias MavRouter.Routes
   alias MavRouter.Router.Forward.Holders
-  alias MavRouter.Router.Tables
+  alias MavRouter.Tables
 
   @vehicle {"main", 1}
 

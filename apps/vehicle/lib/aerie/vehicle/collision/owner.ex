@@ -10,7 +10,7 @@ defmodule Aerie.Vehicle.Collision.Owner do
   one. Time in which neither is heard does not count, because then it may be this machine that stood still.
   """
 
-  alias MavRouter.Router.Routes.Collisions
+  alias MavRouter.Routes.Collisions
 
   @hold_us 60_000_000
   @silent_us 5_000_000

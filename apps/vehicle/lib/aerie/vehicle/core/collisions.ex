@@ -138,7 +138,7 @@ defmodule Aerie.Vehicle.Core.Collisions do
   defp report_claims(%{other_vehicle: other_vehicle} = core, actions, at) do
     claimants = for {path, {since, _last}} <- other_vehicle.claims, at - since >= @claim_us, do: path
     kept = Enum.map(Reception.links(core.reception), &to_string/1)
-    others = claimants |> Enum.map(&MavRouter.Router.Routes.Collisions.text/1) |> Enum.uniq() |> Enum.sort()
+    others = claimants |> Enum.map(&MavRouter.Routes.Collisions.text/1) |> Enum.uniq() |> Enum.sort()
     collision = %{at: max(at, core.now), sign: "claim", links: [kept, others]}
 
     observation =

@@ -85,10 +85,10 @@ defmodule Aerie.Vehicle.Collision.OwnerTest do
     assert Owner.describe(["udp", one], [other]) == [["udp (10.0.0.1:5)"], ["udp (10.0.0.1:6)"]]
     assert Owner.describe(["udp", one], [{"b", :remote}]) == [["udp"], ["b"]]
     assert Owner.describe([], []) == [[], []]
-    assert MavRouter.Router.Routes.Collisions.text("a") == "a"
-    assert MavRouter.Router.Routes.Collisions.text({"a", :remote}) == "a"
-    assert MavRouter.Router.Routes.Collisions.text({"a", {{10, 0, 0, 1}, 5}}) == "a (10.0.0.1:5)"
-    assert MavRouter.Router.Routes.Collisions.text({"a", {{0, 0, 0, 0, 0, 0, 0, 1}, 5}}) == "a ([::1]:5)"
+    assert MavRouter.Routes.Collisions.text("a") == "a"
+    assert MavRouter.Routes.Collisions.text({"a", :remote}) == "a"
+    assert MavRouter.Routes.Collisions.text({"a", {{10, 0, 0, 1}, 5}}) == "a (10.0.0.1:5)"
+    assert MavRouter.Routes.Collisions.text({"a", {{0, 0, 0, 0, 0, 0, 0, 1}, 5}}) == "a ([::1]:5)"
   end
 
   test "setting the clock neither ends the minute nor begins one" do

@@ -6,7 +6,7 @@ defmodule Aerie.Fleet.Diagnosis.Rules.Traffic do
   import Aerie.Fleet.Diagnosis.Rules, only: [grown: 3]
 
   alias Aerie.Fleet.Diagnosis.Condition
-  alias MavRouter.Router.Endpoint.Counters
+  alias MavRouter.Endpoints.Counters
 
   @impl true
   def names do

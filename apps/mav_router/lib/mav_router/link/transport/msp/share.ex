@@ -11,7 +11,8 @@ defmodule MavRouter.Link.Transport.Msp.Share do
   alias Aerie.Base.WebSocket.{Frames, Handshake}
   alias MavRouter.Link.Spec
   alias MavRouter.Link.Transport.TcpServer
-  alias MavRouter.Router.{Access, Tables}
+  alias MavRouter.Endpoints.Access
+  alias MavRouter.Tables
   alias MavRouter.Router.Forward.Table.Path
 
   @http ~r/\A[A-Z]{1,8}( |\z)/

@@ -13,17 +13,17 @@ defmodule MavRouter.Router.Forward.Table.Path do
   | `recorded` | the gateway, for a path to vehicles whose frames go past its link's process, which would record them |
   | `pid` | the process of the link or client |
 
-  The others are as in `MavRouter.Router.Endpoint` and `MavRouter.Router.Owner`, of which `filter` is `out`.
+  The others are as in `MavRouter.Endpoints.Endpoint` and `MavRouter.Endpoints.Owner`, of which `filter` is `out`.
   """
 
   alias Authority.Principal
-  alias MavRouter.Router.Access
-  alias MavRouter.Router.Endpoint
-  alias MavRouter.Router.Endpoint.Counters
-  alias MavRouter.Router.Owner.Filter
-  alias MavRouter.Router.Owner
-  alias MavRouter.Router.Owner.RateLimit
-  alias MavRouter.Router.Owner.Renumber
+  alias MavRouter.Endpoints.Access
+  alias MavRouter.Endpoints.Endpoint
+  alias MavRouter.Endpoints.Counters
+  alias MavRouter.Endpoints.Owner.Filter
+  alias MavRouter.Endpoints.Owner
+  alias MavRouter.Endpoints.Owner.RateLimit
+  alias MavRouter.Endpoints.Owner.Renumber
 
   @enforce_keys [:key, :owner, :side, :networks]
   defstruct [:key, :owner, :side, :networks, :out, :counters, :waiting, :group, :in, :filter, :limits] ++

@@ -12,11 +12,15 @@ defmodule Msp.MixProject do
       elixir: "~> 1.20",
       elixirc_paths: elixirc_paths(Mix.env()),
       test_coverage: [summary: [threshold: 85]],
-      deps: [{:mav_codec, in_umbrella: true}, {:sim_vehicle, in_umbrella: true, only: :test}]
+      deps: [
+        {:mav_codec, in_umbrella: true},
+        {:protocols, in_umbrella: true},
+        {:sim_vehicle, in_umbrella: true, only: :test}
+      ]
     ]
   end
 
-  def application, do: [extra_applications: test_applications(Mix.env())]
+  def application, do: [extra_applications: [:xmerl] ++ test_applications(Mix.env())]
 
   # PropEr is Debian's, not a dependency that Mix knows; naming it keeps it on the code path of the tests.
   defp test_applications(:test), do: [:proper]

@@ -10,37 +10,10 @@ defmodule Protocols.MixProject do
       deps_path: "../../deps",
       lockfile: "../../mix.lock",
       elixir: "~> 1.20",
-      elixirc_paths: elixirc_paths(Mix.env()),
-      # What the tests are made of is not what they test.
-      test_coverage: [
-        summary: [threshold: 85],
-        ignore_modules: [~r/^Aerie\.(?!Vehicle|Control|Fleet|Base)\w+$/]
-      ],
-      test_ignore_filters: [~r"/support/", ~r"/fixtures/"],
-      deps: deps()
+      test_coverage: [summary: [threshold: 85]],
+      deps: [{:mav_codec, in_umbrella: true}, {:base, in_umbrella: true}]
     ]
   end
 
-  def application do
-    [
-      extra_applications: [:logger, :crypto, :xmerl] ++ test_applications(Mix.env())
-    ]
-  end
-
-  # PropEr is Debian's, not a dependency that Mix knows; naming it keeps it on the code path of the tests.
-  defp test_applications(:test), do: [:proper]
-  defp test_applications(_env), do: []
-
-  defp elixirc_paths(:test), do: ["lib", "test/support"]
-  defp elixirc_paths(_env), do: ["lib"]
-
-  defp deps,
-    do: [
-      {:mav_codec, in_umbrella: true},
-      {:base, in_umbrella: true},
-      {:msp, in_umbrella: true},
-      {:vehicle, in_umbrella: true},
-      # Tested against what the simulated vehicles answer.
-      {:sim_vehicle, in_umbrella: true, only: :test, runtime: false}
-    ]
+  def application, do: [extra_applications: [:crypto]]
 end

@@ -19,7 +19,8 @@ defmodule Aerie.Control.Missions do
   alias Aerie.Vehicle.Command.{Error, Result}
   alias Aerie.Control.Mission.{Known, OwnFence}
   alias Protocols.Mission.{Item, Onboard, Plan, Transfer}
-  alias Protocols.Mission.File.{Mwp, QgcPlan, Waypoints}
+  alias Msp.Mission.Mwp
+  alias Protocols.Mission.File.{QgcPlan, Waypoints}
   alias Protocols.Mission.Transfer.Compare
   alias Aerie.Control.Policy.Mavlink
   alias MavCodec.Messages, as: M

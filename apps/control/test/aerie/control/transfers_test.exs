@@ -147,7 +147,7 @@ defmodule Aerie.Control.TransfersTest do
     end
   end
 
-  @plans Path.expand("../../../../protocols/test/fixtures/plans", __DIR__)
+  @plans Path.expand("../../../../vehicle/test/fixtures/plans", __DIR__)
 
   test "plans as ground stations write them are completed and the same, under a policy", %{tmp_dir: dir} do
     {gateway, port} = start(dir, %{max_altitude: 100})

@@ -116,6 +116,13 @@ defmodule Protocols.Mission.Item do
   @spec fits?(number()) :: boolean()
   def fits?(number), do: abs(number) <= 3.4028234e38
 
+  @doc "The frame without _INT in its name that means the same: in an item with integers both are equal (W5)."
+  @spec plain_frame(integer()) :: integer()
+  def plain_frame(5), do: 0
+  def plain_frame(6), do: 3
+  def plain_frame(11), do: 10
+  def plain_frame(frame), do: frame
+
   defp float(nil), do: :nan
   defp float(number), do: number
 

@@ -5,7 +5,6 @@ defmodule Protocols.Mission.Onboard do
   """
 
   alias Protocols.Mission.{Item, Plan}
-  alias Aerie.Vehicle.Protocol.Mavlink
   alias MavCodec.Enums.{MavCmd, MavFrame}
 
   @waypoint MavCmd.value(:MAV_CMD_NAV_WAYPOINT)
@@ -53,7 +52,7 @@ defmodule Protocols.Mission.Onboard do
   @doc "The rally point of an item; nil if it is not a place with a height above home, the sea or the ground."
   @spec rally_point(Item.t()) :: Plan.rally_point() | nil
   def rally_point(%{command: @rally, x: x, y: y, z: z} = item) when x != nil and y != nil and z != nil do
-    case Mavlink.plain_frame(item.frame) do
+    case Item.plain_frame(item.frame) do
       @relative -> {{x, y}, z}
       frame when frame in [@global, @terrain] -> {{x, y}, {z, frame}}
       _no_height -> nil

@@ -7,7 +7,6 @@ defmodule Protocols.Mission.Plan do
   """
 
   alias Protocols.Mission.Item
-  alias Aerie.Vehicle.Protocol.Mavlink
   alias MavCodec.Enums.{MavCmd, MavFrame}
 
   defstruct home: nil, items: [], fence: [], fence_return: nil, fence_others: [], rally: [], rally_others: []
@@ -152,7 +151,7 @@ defmodule Protocols.Mission.Plan do
     places = for value <- [item.x, item.y], do: <<value || 0x7FFFFFFF::signed-32>>
 
     [
-      <<item.command::16, Mavlink.plain_frame(item.frame)::8, item.autocontinue::8>>,
+      <<item.command::16, Item.plain_frame(item.frame)::8, item.autocontinue::8>>,
       floats,
       places
     ]

@@ -1,14 +1,16 @@
 defmodule Protocols.Mission.Result do
   @moduledoc """
-  The outcome of a transfer in the terms of `Aerie.Vehicle.Command.Result`, and the plan that the vehicle then has.
+  The outcome of a transfer, and the plan that the vehicle then has.
   """
 
-  alias Aerie.Vehicle.Command
   alias Protocols.Mission.Item
 
   @enforce_keys [:status]
   defstruct [:status, :reason, :items, :opaque_id, :mismatch, :read_at] ++
               [on_board: :unknown, remarks: [], sent: 0, ms: 0]
+
+  @typedoc "How it ended, as a command does."
+  @type status :: :completed | :accepted | :rejected | :failed | :cancelled | :timeout | :unknown
 
   @typedoc """
   The plan on board, if it was read back:
@@ -32,7 +34,7 @@ defmodule Protocols.Mission.Result do
     * `:sent` - how many messages were sent; `:ms` - how long it took
   """
   @type t :: %__MODULE__{
-          status: Command.Result.status(),
+          status: status(),
           reason: String.t() | nil,
           items: [Item.t()] | nil,
           opaque_id: pos_integer() | nil,

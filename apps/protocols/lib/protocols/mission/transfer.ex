@@ -24,7 +24,7 @@ defmodule Protocols.Mission.Transfer do
 
   alias Protocols.Mission.{Item, Result}
   alias Protocols.Mission.Transfer.{Compare, Outcome, Read, Retry, Write}
-  alias Aerie.Vehicle.Reports.StatusText
+  alias Protocols.StatusText
   alias MavCodec.Messages, as: M
 
   # The firmwares store fewer items than this: PX4 2000, ArduPilot 724 to about 3000 with a file.
@@ -86,7 +86,7 @@ defmodule Protocols.Mission.Transfer do
   @doc """
   A transfer of `type` 0 (mission), 1 (fence) or 2 (rally points). Items are those of the wire (`Protocols.Mission.Onboard`).
 
-    * `:protocol` - the firmware's adapter; `:kind` - the kind of vehicle, as `t:Aerie.Vehicle.Protocol.Vehicle.t/0` has it
+    * `:protocol` - the firmware (`Protocols.Mission.Firmware`); `:kind` - the kind of vehicle: `copter`, `plane` and so on
     * `:target` - system and component of the vehicle; `:us` - ours
     * `:until` - the deadline, by the clock of the events
     * `:rtt` - the measured round trip in microseconds, or nil

@@ -2,7 +2,8 @@ defmodule Aerie.Vehicle.Protocol do
   @moduledoc """
   The behaviour of an adapter to a firmware. It turns a command into steps, steps into messages, and messages into answers;
   everything that depends on the firmware is in its adapter. `Aerie.Vehicle.Protocol.Ardupilot` and `Aerie.Vehicle.Protocol.Px4`
-  share `Aerie.Vehicle.Protocol.Mavlink`; the behaviour itself does not depend on MAVLink, so another protocol fits.
+  share `Aerie.Vehicle.Protocol.Mavlink`; the behaviour itself does not depend on MAVLink, so another protocol fits. What
+  transfers of plans need is in `Protocols.Mission.Firmware`, which each adapter implements as well.
 
   An adapter declares what its firmware lacks, with the reason (`c:gap/3`). Such a command is refused at
   once, and nothing is sent to the vehicle.
@@ -10,7 +11,7 @@ defmodule Aerie.Vehicle.Protocol do
 
   alias Aerie.Vehicle.Command
   alias Aerie.Vehicle.Command.Type
-  alias Aerie.Vehicle.Protocol.{Step, StoredItem, Vehicle}
+  alias Aerie.Vehicle.Protocol.{Step, Vehicle}
 
   @type plan :: [Step.t(), ...]
   @type message :: term()
@@ -68,38 +69,11 @@ defmodule Aerie.Vehicle.Protocol do
   @doc "How integer parameters are encoded in PARAM_SET's float (P2)."
   @callback param_encoding() :: :c_cast | :bytewise
 
-  @doc "Whether item 0 of a mission is home, and the first real one 1 (W8)."
-  @callback home_is_item_0?() :: boolean()
-
-  @doc """
-  What the firmware keeps of an item of a mission, fence or list of rally points (W8). The item is a map with the fields of
-  `Protocols.Mission.Item`; `kind` is that of the vehicle.
-  """
-  @callback kept(item :: map(), mission_type :: 0..2, kind :: String.t()) :: StoredItem.t()
-
   @doc "Why a firmware has no plans of this kind; nil if it has them, or may have them."
   @callback plan_gap(mission_type :: 0..2, Aerie.Vehicle.Kind.autopilot()) :: String.t() | nil
 
-  @doc "The offset from an item's number, counted from 1, to the firmware's number."
-  @callback item_offset() :: 0 | -1
-
-  @doc """
-  For how long after an upload the vehicle may still reject the plan that it acknowledged, in microseconds; 0 if it never does.
-  """
-  @callback plan_watch_us(mission_type :: 0..2) :: non_neg_integer()
-
   @doc "Whether set-points must come before the vehicle does this (X7)."
   @callback setpoints_first?(Command.t(), Vehicle.t()) :: boolean()
-
-  @doc """
-  What a message says about the plan that was just uploaded; `opaque_id` is the vehicle's id for it (W7), or nil:
-
-    * `:valid` - it can be flown
-    * `{:invalid, reason}` - the vehicle rejected it later
-    * `{:doubtful, reason}` - it cannot be flown at the moment; if that does not change, the vehicle rejected it
-  """
-  @callback plan_verdict(message(), mission_type :: 0..2, opaque_id :: non_neg_integer() | nil) ::
-              :ignore | :valid | {:invalid | :doubtful, reason :: String.t()}
 
   @doc "The adapter of a firmware."
   @spec of(Aerie.Vehicle.Kind.autopilot()) :: module()

@@ -126,7 +126,7 @@ defmodule Aerie.Vehicle.Reports do
     end
   end
 
-  @doc "A complete STATUSTEXT (`Aerie.Vehicle.Reports.StatusText`)."
+  @doc "A complete STATUSTEXT (`Protocols.StatusText`)."
   @spec text(t(), map()) :: t()
   # A component without events has no texts that double them.
   def text(%{components: components} = reports, %{doubled: true, source: source} = text)

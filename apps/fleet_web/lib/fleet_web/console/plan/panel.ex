@@ -332,7 +332,7 @@ defmodule FleetWeb.Console.Plan.Panel do
     do: Item.place?(item.command, item.frame) and is_integer(x) and is_integer(y)
 
   # The frames with 1e-7 degrees mean the same as those with floats.
-  defp plain(frame), do: Integer.to_string(Aerie.Vehicle.Protocol.Mavlink.plain_frame(frame))
+  defp plain(frame), do: Integer.to_string(Protocols.Mission.Item.plain_frame(frame))
 
   defp frames(item) do
     if Enum.any?(Edit.frames(), fn {_label, frame} -> frame == plain(item.frame) end),

@@ -1,12 +1,11 @@
 defmodule Protocols.Mission.Transfer.Compare do
   @moduledoc """
-  Compares the plan that was read back with the one that was sent (W8), by what the firmware keeps of it (`c:Aerie.Vehicle.Protocol.kept/3`), without
+  Compares the plan that was read back with the one that was sent (W8), by what the firmware keeps of it (`c:Protocols.Mission.Firmware.kept/3`), without
   `current`. What the firmware does not keep is a remark if it was sent; everything else that differs is a difference. What comes back as it
   was sent is right whatever is known of the firmware: a later version may keep more.
   """
 
-  alias Protocols.Mission.Item
-  alias Aerie.Vehicle.Protocol.{Mavlink, StoredItem}
+  alias Protocols.Mission.{Item, StoredItem}
 
   @mission 0
   @max_remarks 20
@@ -16,8 +15,8 @@ defmodule Protocols.Mission.Transfer.Compare do
   @type t :: {:same, [remark()]} | {:differs, non_neg_integer(), String.t()}
 
   @doc """
-  `{:same, remarks}`, or the number of the first item that differs, and how. `kind` is that of the vehicle
-  (`t:Aerie.Vehicle.Protocol.Vehicle.t/0`).
+  `{:same, remarks}`, or the number of the first item that differs, and how. `kind` is that of the
+  vehicle.
   """
   @spec plans([Item.t()], [Item.t()], 0..2, module(), kind :: String.t()) :: t()
   def plans(sent, read, type, protocol, kind) do
@@ -86,7 +85,7 @@ defmodule Protocols.Mission.Transfer.Compare do
 
     [
       command: item.command,
-      frame: Mavlink.plain_frame(item.frame),
+      frame: Item.plain_frame(item.frame),
       x: item.x,
       y: item.y,
       z: item.z,

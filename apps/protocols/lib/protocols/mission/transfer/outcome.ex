@@ -4,7 +4,6 @@ defmodule Protocols.Mission.Transfer.Outcome do
   what the firmware reported about the plan afterwards. Pure.
   """
 
-  alias Aerie.Vehicle.Command
   alias Protocols.Mission.Result
   alias Protocols.Mission.Transfer.Compare
   alias MavCodec.Enums.MavMissionResult
@@ -19,10 +18,10 @@ defmodule Protocols.Mission.Transfer.Outcome do
   """
   @type cause :: :acked | {:doubt | :refused, non_neg_integer()} | :cancelled | :silent | :rebooted
 
-  @typedoc "The last verdict of `c:Aerie.Vehicle.Protocol.plan_verdict/3`, or nil."
+  @typedoc "The last verdict of `c:Protocols.Mission.Firmware.plan_verdict/3`, or nil."
   @type verdict :: :valid | {:invalid | :doubtful, String.t()} | nil
 
-  @type t :: {Command.Result.status(), reason :: String.t() | nil, Result.on_board()}
+  @type t :: {Result.status(), reason :: String.t() | nil, Result.on_board()}
 
   @doc "The verdict after another report of the firmware. A rejection stands, because it is reported only once."
   @spec verdict(verdict(), verdict() | :ignore) :: verdict()

@@ -6,7 +6,7 @@ defmodule Aerie.Vehicle.Core.Reporting do
   alias Aerie.Vehicle.{Core, Detector, Reports, State}
   alias Aerie.Vehicle.Core.{Collisions, Effects, Services}
   alias Aerie.Vehicle.Detector.{Observation, Px4Reports, StatusTexts}
-  alias Aerie.Vehicle.Reports.StatusText
+  alias Protocols.StatusText
 
   @fresh_ms 10_000
   # The vehicle's clock is known to about a second; a report that seems hours old is one of another clock.

@@ -4,7 +4,7 @@ defmodule Aerie.Vehicle.Core.Texts do
   A pure value.
   """
 
-  alias Aerie.Vehicle.Reports.StatusText
+  alias Protocols.StatusText
   alias MavCodec.Frame
 
   # How long after the first link's copy of a text a second link's copy may come.

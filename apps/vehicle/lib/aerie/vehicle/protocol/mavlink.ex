@@ -87,13 +87,6 @@ defmodule Aerie.Vehicle.Protocol.Mavlink do
     Enum.map(indices, &(Map.get(given, &1) || declared[&1] || 0.0))
   end
 
-  @doc "The frame without _INT in its name that means the same: in an item with integers both are equal (W5)."
-  @spec plain_frame(integer()) :: integer()
-  def plain_frame(5), do: 0
-  def plain_frame(6), do: 3
-  def plain_frame(11), do: 10
-  def plain_frame(frame), do: frame
-
   @doc "The message of a step."
   @spec encode(Step.t(), non_neg_integer(), Vehicle.t()) :: [struct()]
   def encode(%Step{forms: [form | _others]} = step, attempt, vehicle),

@@ -5,6 +5,7 @@ defmodule Aerie.Vehicle.Protocol.Unknown do
   """
 
   @behaviour Aerie.Vehicle.Protocol
+  @behaviour Protocols.Mission.Firmware
 
   @impl true
   def gap(_type, _kind, _firmware), do: "Aerie knows how to command ArduPilot and PX4, not this firmware"

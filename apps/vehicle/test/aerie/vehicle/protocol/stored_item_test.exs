@@ -2,7 +2,8 @@ defmodule Aerie.Vehicle.Protocol.StoredItemTest do
   @moduledoc "What comes back when an item of a plan is read again (W9): the same, or what the firmware is known to make of it."
   use ExUnit.Case, async: true
 
-  alias Aerie.Vehicle.Protocol.{Ardupilot, Px4, StoredItem}
+  alias Aerie.Vehicle.Protocol.{Ardupilot, Px4}
+  alias Protocols.Mission.StoredItem
   alias MavCodec.Enums.MavCmd
 
   defp item(name, params, more \\ %{}) do

@@ -8,7 +8,7 @@ defmodule Aerie.Vehicle.Protocol.Ardupilot.StoredItem do
   to 4.0 (AC_PolyFence_loader.cpp). autocontinue is never kept.
   """
 
-  alias Aerie.Vehicle.Protocol.{Mavlink, StoredItem}
+  alias Protocols.Mission.{Item, StoredItem}
   alias MavCodec.Enums.MavCmd
 
   @mission 0
@@ -131,7 +131,7 @@ defmodule Aerie.Vehicle.Protocol.Ardupilot.StoredItem do
     i16: -0x8000..0x7FFF
   }
 
-  @doc "`c:Aerie.Vehicle.Protocol.kept/3`."
+  @doc "`c:Protocols.Mission.Firmware.kept/3`."
   @spec item(map(), 0..2, kind :: String.t()) :: StoredItem.t()
   def item(item, @mission, kind), do: mission(item, kind)
 
@@ -169,7 +169,7 @@ defmodule Aerie.Vehicle.Protocol.Ardupilot.StoredItem do
   defp plane, do: [param2: :byte, param3: :byte]
 
   defp place(item) do
-    frame = if item.frame == @frame_mission, do: @global, else: Mavlink.plain_frame(item.frame)
+    frame = if item.frame == @frame_mission, do: @global, else: Item.plain_frame(item.frame)
     %{frame: [frame], x: [item.x || 0], y: [item.y || 0], z: StoredItem.cut(item.z || 0.0, 100)}
   end
 

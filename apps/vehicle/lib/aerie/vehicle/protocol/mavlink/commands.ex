@@ -37,6 +37,7 @@ defmodule Aerie.Vehicle.Protocol.Mavlink.Commands do
   defmacro __using__(calibration: calibration, long_frames: frames) do
     quote do
       @behaviour Aerie.Vehicle.Protocol
+      @behaviour Protocols.Mission.Firmware
       @impl true
       defdelegate encode(step, attempt, vehicle), to: Mavlink
       @impl true

@@ -4,7 +4,7 @@ defmodule Aerie.Vehicle.Protocol.Msp.StoredItem do
   heights of the ground in whole units, no radii.
   """
 
-  alias Aerie.Vehicle.Protocol.StoredItem
+  alias Protocols.Mission.StoredItem
   alias MavCodec.Enums.{MavCmd, MavFrame}
 
   @none MavFrame.value(:MAV_FRAME_MISSION)
@@ -30,7 +30,7 @@ defmodule Aerie.Vehicle.Protocol.Msp.StoredItem do
   @loiter MavCmd.value(:MAV_CMD_NAV_LOITER_TIME)
   @roi MavCmd.value(:MAV_CMD_DO_SET_ROI_LOCATION)
 
-  @doc "See `c:Aerie.Vehicle.Protocol.kept/3`."
+  @doc "See `c:Protocols.Mission.Firmware.kept/3`."
   @spec kept(map(), 0..2) :: StoredItem.t()
   def kept(item, 0), do: fields(Map.get(@command, item.command), item)
   def kept(_item, _other_kind), do: %{}

@@ -53,7 +53,7 @@ defmodule Aerie.Vehicle.Protocol.Px4.Plans do
   @spec watch_us(0..2) :: non_neg_integer()
   def watch_us(mission_type), do: Map.fetch!(@watch_us, mission_type)
 
-  @doc "`c:Aerie.Vehicle.Protocol.plan_verdict/3`."
+  @doc "`c:Protocols.Mission.Firmware.plan_verdict/3`."
   @spec verdict(struct(), 0..2, non_neg_integer() | nil) ::
           :ignore | :valid | {:invalid | :doubtful, String.t()}
   def verdict(%M.Event{id: id, log_levels: levels}, @mission, _opaque)

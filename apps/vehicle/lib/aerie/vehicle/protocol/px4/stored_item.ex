@@ -4,7 +4,7 @@ defmodule Aerie.Vehicle.Protocol.Px4.StoredItem do
   `mission_item_s`). An item with a place has a few fields of its own, with the yaw in radians; one without keeps all parameters.
   """
 
-  alias Aerie.Vehicle.Protocol.StoredItem
+  alias Protocols.Mission.StoredItem
   alias MavCodec.Enums.{MavCmd, MavFrame}
 
   @mission 0
@@ -37,7 +37,7 @@ defmodule Aerie.Vehicle.Protocol.Px4.StoredItem do
 
   @no_params %{param1: :any, param2: :any, param3: :any, param4: :any}
 
-  @doc "`c:Aerie.Vehicle.Protocol.kept/3`."
+  @doc "`c:Protocols.Mission.Firmware.kept/3`."
   @spec item(map(), 0..2, kind :: String.t()) :: StoredItem.t()
   def item(%{frame: @frame_mission} = item, @mission, _kind), do: unset(item) |> Map.merge(command(item))
 

@@ -1,4 +1,4 @@
-defmodule Protocols.Mission.File.Mwp do
+defmodule Msp.Mission.Mwp do
   @moduledoc """
   Mission files of mwp and of iNav's configurator: XML with a `missionitem` for each waypoint of iNav, with 1e-7 degrees as decimals, heights in
   metres, and the waypoint's own parameters. They hold a mission only, and no home.

@@ -1,6 +1,6 @@
-defmodule Aerie.Vehicle.Protocol.StoredItem do
+defmodule Protocols.Mission.StoredItem do
   @moduledoc """
-  What a firmware keeps of an item of a plan, and returns when it is read back (`c:Aerie.Vehicle.Protocol.kept/3`): what each field may be then.
+  What a firmware keeps of an item of a plan, and returns when it is read back (`c:Protocols.Mission.Firmware.kept/3`): what each field may be then.
   """
 
   @type field ::
@@ -27,7 +27,7 @@ defmodule Aerie.Vehicle.Protocol.StoredItem do
           | {:near, [float(), ...], tolerance :: float()}
           | {:angle, float(), tolerance :: float()}
 
-  @typedoc "A field that is missing is kept as it was sent. Frames are those of `Aerie.Vehicle.Protocol.Mavlink.plain_frame/1`."
+  @typedoc "A field that is missing is kept as it was sent. Frames are those of `Protocols.Mission.Item.plain_frame/1`."
   @type t :: %{optional(field()) => expected()}
 
   # A 32-bit float has 24 bits; two operations on it may each cost half of the last one.

@@ -1,7 +1,7 @@
-defmodule Aerie.Vehicle.Reports.StatusTextTest do
+defmodule Protocols.StatusTextTest do
   use ExUnit.Case, async: true
 
-  alias Aerie.Vehicle.Reports.StatusText
+  alias Protocols.StatusText
   alias MavCodec.Messages.Statustext
 
   @long String.duplicate("a", 50)

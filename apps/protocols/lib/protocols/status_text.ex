@@ -1,4 +1,4 @@
-defmodule Aerie.Vehicle.Reports.StatusText do
+defmodule Protocols.StatusText do
   @max_open 16
   @max_chunks 16
 

@@ -7,6 +7,7 @@ defmodule Aerie.Incident do
   alias Aerie.Config
   alias Aerie.Fleet.Replay
   alias Aerie.Incident.{Archive, Commands, Flight, Hide, Page, Recordings, Records, Source, Span, Timeline}
+  alias FleetWeb.Console.Assets
   alias MavRouter.Recorder
 
   @format 1
@@ -215,7 +216,8 @@ defmodule Aerie.Incident do
         conditions: conditions,
         shadow: shadow,
         notes: Enum.map(found.notes, &Hide.text(&1, found.secrets)),
-        files: for({name, bytes} <- sizes, do: {name, bytes, about(name)})
+        files: for({name, bytes} <- sizes, do: {name, bytes, about(name)}),
+        plotter: plotter()
       })
 
     files = files ++ [{"index.html", page}]
@@ -225,6 +227,13 @@ defmodule Aerie.Incident do
          manifest = manifest(found, request, recordings, names, work),
          :ok <- write(work, [{"manifest.json", [json(hide.(manifest)), ?\n]}]),
          do: {:ok, ["index.html", "manifest.json" | names -- ["index.html"]]}
+  end
+
+  defp plotter do
+    with {:ok, script} <- Assets.read("npm/uplot/uPlot.iife.min.js"),
+         {:ok, style} <- Assets.read("npm/uplot/uPlot.min.css"),
+         do: {script, style},
+         else: (_not_installed -> nil)
   end
 
   defp about(name), do: @about[name] || "what went over a link that heard the vehicle"

@@ -1,18 +1,20 @@
 defmodule Aerie.Incident.Page do
   @moduledoc """
-  The page of an incident: one file without anything from a network, drawn here, so that it can be read without a script and printed. Its one
-  script moves a cursor. A policy in the page lets no other script run. Pure.
+  The page of an incident: one file without anything from a network. Its texts and tables are there without a script; its plots are drawn by
+  uPlot, which stands in the page with the recorded values. A policy in the page lets no other script run. Pure.
   """
 
   import Aerie.Incident.Html
 
-  alias Aerie.Incident.{Flight, Plot, Span, Timeline, Track}
+  alias Aerie.Base.Json
+  alias Aerie.Incident.{Flight, Span, Timeline}
 
   @external_resource Path.join(__DIR__, "page.css")
   @external_resource Path.join(__DIR__, "page.js")
   @css File.read!(Path.join(__DIR__, "page.css"))
   @js File.read!(Path.join(__DIR__, "page.js"))
-  @js_hash Base.encode64(:crypto.hash(:sha256, @js))
+  # State that does not change is published every 30 s; a longer gap is a gap.
+  @gap_s 35
   @colours 6
   @kinds [
     event: "event",
@@ -26,6 +28,7 @@ defmodule Aerie.Incident.Page do
   - `flight`: `Aerie.Incident.Flight`; `rows` and `more` of `Aerie.Incident.Timeline`
   - `conditions`: of the diagnosis, with text keys; `shadow`: as in `shadow.json`, nil if it is not known
   - `notes`: what could not be had; `files`: `{name, bytes, what it is}`
+  - `plotter`: uPlot's script and style, nil if it is not installed
   """
   @type content :: %{
           vehicle: String.t(),
@@ -37,35 +40,42 @@ defmodule Aerie.Incident.Page do
           conditions: [map()] | nil,
           shadow: map() | nil,
           notes: [String.t()],
-          files: [{String.t(), non_neg_integer(), String.t()}]
+          files: [{String.t(), non_neg_integer(), String.t()}],
+          plotter: {script :: String.t(), style :: String.t()} | nil
         }
 
   @doc "The page as HTML."
   @spec render(content()) :: iodata()
   def render(content) do
     %{vehicle: vehicle, span: span} = content
-    {width, left, inner} = Plot.measures()
+    {scripts, style} = scripts(content.plotter)
+    hashes = for script <- scripts, do: " 'sha256-#{Base.encode64(:crypto.hash(:sha256, script))}'"
+    drawings = drawings(content)
 
     [
       ~s(<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">\n),
-      ~s(<meta http-equiv="Content-Security-Policy" content="default-src 'none'; style-src 'unsafe-inline'; script-src 'sha256-#{@js_hash}'">\n),
+      ~s(<meta http-equiv="Content-Security-Policy" content="default-src 'none'; style-src 'unsafe-inline'; ),
+      ["script-src", if(hashes == [], do: " 'none'", else: hashes), ~s(">\n)],
       ~s(<meta name="viewport" content="width=device-width"><title>#{text(vehicle)}, #{Span.text(span.from)}</title>\n),
-      ["<style>\n", @css, "</style></head>\n"],
-      ~s(<body data-from="#{div(span.from, 1000)}" data-to="#{div(span.to, 1000)}" data-width="#{width}" data-left="#{left}" data-inner="#{inner}">\n),
-      "<h1>#{text(vehicle)}</h1>\n<p>#{Span.text(span.from)} to #{Span.text(span.to)}, #{length_of(span)}. All times are UTC.</p>\n",
+      ["<style>\n", style, @css, "</style></head>\n<body>\n"],
+      "<h1>#{text(vehicle)}</h1>\n",
+      "<p>#{Span.text(span.from)} to #{Span.text(span.to)}, #{length_of(span)}. All times are UTC.</p>\n",
       notes(content.notes),
       "<h2>Flight</h2>\n",
-      plots(content),
+      plots(content.plotter, drawings),
       "<h2>What happened</h2>\n",
       table(content),
       conditions(content.conditions),
       shadow(content.shadow),
       files(content),
-      ~s(<div id="at"></div>\n<script>),
-      @js,
-      "</script>\n</body></html>\n"
+      data(span, drawings),
+      for(script <- scripts, do: ["<script>", script, "</script>\n"]),
+      "</body></html>\n"
     ]
   end
+
+  defp scripts(nil), do: {[], ""}
+  defp scripts({script, style}), do: {[script, @js], style}
 
   defp length_of(span) do
     seconds = div(span.to - span.from, 1_000_000)
@@ -79,47 +89,68 @@ defmodule Aerie.Incident.Page do
   defp notes(notes),
     do: ["<h2>Not in this archive</h2>\n<ul>", for(note <- notes, do: "<li>#{text(note)}</li>"), "</ul>\n"]
 
-  defp plots(%{flight: flight, span: span, rows: rows}) do
-    last = flight.last || span.from
+  # What is drawn, in order: kind, title, and points of its kind (`page.js`).
+  defp drawings(%{flight: flight, span: span, rows: rows}) do
+    last = max(flight.last || span.from, span.from)
 
-    drawn = [
-      band(flight.changes.mode, "Mode", span, last, modes(flight.changes.mode)),
-      band(flight.changes.armed, "Armed", span, last, &armed/1),
-      for(
-        {name, title, unit} <- Flight.plots(),
-        do: curve(flight.series[name], name, "#{title}, #{unit}", span, rows)
-      )
-    ]
+    curves =
+      for {name, title, unit} <- Flight.plots(),
+          points = for({at, value} <- flight.series[name] || [], do: [seconds(at), round_to(value, 3)]),
+          # It only stands in for the height above home.
+          not (name == :altitude_msl and points == []),
+          do: {"curve", "#{title}, #{unit}", points}
 
     [
-      [
-        "<p class=\"quiet\">Marks:",
-        for({kind, name} <- @kinds, do: ~s(<span class="key #{kind}"></span>#{name})),
-        "</p>\n"
-      ],
-      Plot.lane(rows, "What happened", span),
-      drawn,
-      track(flight.track)
+      {"marks", "Marks", for(row <- rows, do: [row.n, seconds(row.at), row.kind, mark(row)])},
+      {"band", "Mode", bands(flight.changes.mode, last, modes(flight.changes.mode))},
+      {"band", "Armed", bands(flight.changes.armed, last, &armed/1)}
+    ] ++
+      curves ++
+      [{"track", "Ground track", for({lat, lon} <- flight.track, do: [round_to(lat, 7), round_to(lon, 7)])}]
+  end
+
+  defp mark(row), do: line("#{tenths(row.at)} #{row.what} #{row.decision} #{row.result}")
+
+  # Each value holds until the next one; the last one until it was heard last.
+  defp bands(changes, last, show) do
+    ends = changes |> Enum.drop(1) |> Enum.map(&elem(&1, 0)) |> Enum.concat([last])
+
+    for {{from, value}, to} <- Enum.zip(changes, ends), {text, class} = show.(value) do
+      [seconds(from), seconds(to), line(text), class]
+    end
+  end
+
+  defp plots(nil, _drawings) do
+    ~s(<p class="quiet">There are no plots: uPlot is not installed here \(bin/setup --tests installs it\). ) <>
+      "The recordings are in the archive.</p>\n"
+  end
+
+  defp plots(_plotter, drawings) do
+    [
+      ~s(<p class="quiet">Marks:),
+      for({kind, name} <- @kinds, do: ~s(<span class="key #{kind}"></span>#{name})),
+      "</p>\n<noscript><p>The plots need a browser that runs scripts.</p></noscript>\n",
+      for {{kind, title, points}, n} <- Enum.with_index(drawings) do
+        if points == [],
+          do: ~s(<h3>#{text(title)}</h3><p class="quiet">Nothing was recorded of it.</p>\n),
+          else: ~s(<h3>#{text(title)}</h3><div id="d#{n}" class="#{kind}"></div>\n)
+      end
     ]
   end
 
-  defp band([], title, _span, _last, _show), do: missing(title)
+  # Inside a script element no `<` may begin a tag.
+  defp data(span, drawings) do
+    drawings =
+      for {kind, title, points} <- drawings, do: %{"kind" => kind, "title" => title, "points" => points}
 
-  defp band(changes, title, span, last, show),
-    do: [heading(title), Plot.bands(changes, title, span, last, show), "\n"]
+    gap = max(@gap_s, div(span.to - span.from, 150_000_000))
+    data = %{"from" => seconds(span.from), "to" => seconds(span.to), "gap" => gap, "drawings" => drawings}
+    json = data |> Json.encode!() |> String.replace("<", "\\u003c")
+    [~s(<script type="application/json" id="data">), json, "</script>\n"]
+  end
 
-  # It only stands in for the height above home.
-  defp curve(points, :altitude_msl, _title, _span, _rows) when points in [nil, []], do: []
-  defp curve(points, _name, title, _span, _rows) when points in [nil, []], do: missing(title)
-
-  defp curve(points, _name, title, span, rows),
-    do: [heading(title), Plot.curve(points, title, span, rows), "\n"]
-
-  defp track([]), do: missing("Ground track")
-  defp track(places), do: [heading("Ground track"), Track.svg(places), "\n"]
-
-  defp heading(title), do: "<h3>#{text(title)}</h3>\n"
-  defp missing(title), do: ~s(<h3>#{text(title)}</h3><p class="quiet">Nothing was recorded of it.</p>\n)
+  defp seconds(us), do: us / 1_000_000
+  defp round_to(value, decimals), do: Float.round(value / 1, decimals)
 
   defp modes(changes) do
     colours = changes |> Enum.map(&elem(&1, 1)) |> Enum.uniq() |> Enum.with_index() |> Map.new()

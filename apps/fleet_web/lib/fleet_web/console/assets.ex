@@ -19,7 +19,7 @@ defmodule FleetWeb.Console.Assets do
     {"maplibre-gl", "dist", ~w(maplibre-gl.mjs maplibre-gl-worker.mjs)},
     {"world-atlas", "", ~w(countries-50m.json countries-10m.json)},
     {"topojson-client", "src", ~w(feature.js mesh.js stitch.js reverse.js transform.js identity.js)},
-    {"uplot", "dist", ~w(uPlot.esm.js uPlot.min.css)}
+    {"uplot", "dist", ~w(uPlot.esm.js uPlot.iife.min.js uPlot.min.css)}
   ]
   @types %{
     ".js" => "text/javascript; charset=utf-8",
@@ -79,6 +79,13 @@ defmodule FleetWeb.Console.Assets do
   defp smaller(plain) do
     gzip = :zlib.gzip(plain)
     if byte_size(gzip) < byte_size(plain) * 9 / 10, do: gzip
+  end
+
+  @doc "The content of an asset by its name, also where no gateway runs."
+  @spec read(String.t()) :: {:ok, binary()} | {:error, :enoent | File.posix()}
+  def read(name) do
+    {found, _missing} = files()
+    with {^name, path} <- List.keyfind(found, name, 0, {:error, :enoent}), do: File.read(path)
   end
 
   @doc "Copies all of them to where a release has them. Returns the npm packages that are not installed."

@@ -16,7 +16,7 @@ defmodule Phoenix.Component do
   `:let` are special attributes. See `Phoenix.LiveView.Template.Tokenizer` for the syntax.
   """
 
-  alias Phoenix.LiveView.{Engine, LiveStream, Socket}
+  alias Phoenix.LiveView.{Engine, Socket}
   alias Phoenix.LiveView.Template.{Compiler, Parser}
 
   @doc false
@@ -162,11 +162,4 @@ defmodule Phoenix.Component do
 
   defp put(%{__changed__: changed} = assigns, key, value),
     do: assigns |> Map.put(key, value) |> Map.put(:__changed__, Map.put(changed, key, true))
-
-  @doc false
-  @spec prune_streams(map()) :: map()
-  def prune_streams(%{streams: streams} = assigns),
-    do: %{assigns | streams: Map.new(streams, fn {name, stream} -> {name, LiveStream.prune(stream)} end)}
-
-  def prune_streams(assigns), do: assigns
 end

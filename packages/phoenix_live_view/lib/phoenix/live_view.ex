@@ -22,7 +22,7 @@ defmodule Phoenix.LiveView do
   twice, and subscribe only if it is connected.
   """
 
-  alias Phoenix.LiveView.{Lifecycle, LiveStream, Navigation, Socket}
+  alias Phoenix.LiveView.{Lifecycle, Navigation, Socket}
 
   @type unsigned_params :: map()
 
@@ -131,64 +131,6 @@ defmodule Phoenix.LiveView do
       socket
       | assigns: %{assigns | flash: flash, __changed__: Map.put(assigns.__changed__, :flash, true)}
     }
-
-  @doc """
-  Starts a stream, or adds to it: rows that the client keeps and the server forgets. Options: `:at`, `:limit`, `:reset`; set `:dom_id` with
-  `stream_configure/3`. In the template: `:for={{dom_id, item} <- @streams.name}` inside an element with `phx-update="stream"`.
-  """
-  @spec stream(Socket.t(), atom(), Enumerable.t(), keyword()) :: Socket.t()
-  def stream(%Socket{} = socket, name, items, options \\ []) do
-    {reset?, options} = Keyword.pop(options, :reset, false)
-
-    streams(socket, name, fn stream ->
-      stream = if reset?, do: LiveStream.reset(stream), else: stream
-      Enum.reduce(items, stream, &LiveStream.insert(&2, &1, options))
-    end)
-  end
-
-  @doc "Sets the DOM ids of a stream's rows before it starts: `dom_id: fn item -> id end`."
-  @spec stream_configure(Socket.t(), atom(), keyword()) :: Socket.t()
-  def stream_configure(%Socket{} = socket, name, options) do
-    if get_in(socket.assigns, [:streams, name]),
-      do: raise(ArgumentError, "the stream #{inspect(name)} is there already"),
-      else:
-        put_private(socket, :stream_options, Map.put(socket.private[:stream_options] || %{}, name, options))
-  end
-
-  @doc "Inserts a row or changes it. Options: `:at`, `:limit`, `:update_only`."
-  @spec stream_insert(Socket.t(), atom(), term(), keyword()) :: Socket.t()
-  def stream_insert(%Socket{} = socket, name, item, options \\ []),
-    do: streams(socket, name, &LiveStream.insert(&1, item, options))
-
-  @doc "Deletes the row of an item."
-  @spec stream_delete(Socket.t(), atom(), term()) :: Socket.t()
-  def stream_delete(%Socket{} = socket, name, item),
-    do: streams(socket, name, &LiveStream.delete(&1, &1.dom_id.(item)))
-
-  @doc "Deletes a row by its DOM id."
-  @spec stream_delete_by_dom_id(Socket.t(), atom(), String.t()) :: Socket.t()
-  def stream_delete_by_dom_id(%Socket{} = socket, name, id),
-    do: streams(socket, name, &LiveStream.delete(&1, id))
-
-  defp streams(%{assigns: assigns} = socket, name, fun) do
-    streams = Map.get(assigns, :streams, %{})
-
-    stream =
-      Map.get_lazy(streams, name, fn ->
-        LiveStream.new(
-          name,
-          Integer.to_string(map_size(streams)),
-          get_in(socket.private, [:stream_options, name]) || []
-        )
-      end)
-
-    changed = Map.put(assigns.__changed__, :streams, true)
-
-    assigns =
-      assigns |> Map.put(:streams, Map.put(streams, name, fun.(stream))) |> Map.put(:__changed__, changed)
-
-    %{socket | assigns: assigns}
-  end
 
   @doc """
   Runs a function before the view's own callback at a stage: `:handle_params`, `:handle_event`, `:handle_info`, `:after_render`. It

@@ -47,7 +47,7 @@ defmodule Phoenix.LiveViewTest.Site do
           rows: [1, 2, 3]
         )
 
-      {:ok, socket |> stream(:log, []) |> push_event("mounted", %{connected: connected?(socket)})}
+      {:ok, push_event(socket, "mounted", %{connected: connected?(socket)})}
     end
 
     def handle_params(params, _uri, socket), do: {:noreply, assign(socket, :q, params["q"])}
@@ -55,10 +55,7 @@ defmodule Phoenix.LiveViewTest.Site do
     def handle_event("up", value, socket) do
       n = socket.assigns.n + String.to_integer(value["by"] || "1")
 
-      {:noreply,
-       socket
-       |> assign(n: n, page_title: "#{n}", rows: Enum.reverse(socket.assigns.rows))
-       |> stream_insert(:log, %{id: n}, at: 0)}
+      {:noreply, assign(socket, n: n, page_title: "#{n}", rows: Enum.reverse(socket.assigns.rows))}
     end
 
     def handle_event("change", params, socket) do
@@ -119,7 +116,6 @@ defmodule Phoenix.LiveViewTest.Site do
       <.form for={@form} id="user" phx-change="change" phx-submit="save"><input id="name" name={@form[:name].name} value={@form[:name].value} /><i :if={used_input?(@form[:name])} id="used">used</i><input id="age" name={@form[:age].name} value={@form[:age].value} /><i :if={used_input?(@form[:age])} id="old">used</i><button id="save">save</button></.form>
       <div id="hook" phx-hook="Echo" phx-update="ignore">mine</div>
       <ul id="rows"><li :for={row <- @rows} :key={row} id={"row-#{row}"}>{row}</li></ul>
-      <ul id="log" phx-update="stream"><li :for={{id, row} <- @streams.log} id={id}>{row.id}</li></ul>
       """
     end
   end

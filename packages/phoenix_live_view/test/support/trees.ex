@@ -46,7 +46,7 @@ defmodule Phoenix.LiveViewTest.Trees do
 
     map(:proper_types.list(row), fn rows ->
       entries = rows |> Enum.uniq_by(&elem(&1, 1)) |> Enum.map(fn {dynamic, key} -> {key, dynamic} end)
-      Comprehension.new(["<em>", "</em>"], entries, nil)
+      Comprehension.new(["<em>", "</em>"], entries)
     end)
   end
 end

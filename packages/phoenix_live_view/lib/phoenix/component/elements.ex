@@ -149,5 +149,5 @@ defmodule Phoenix.Component.Elements do
     """
   end
 
-  defp nodes(nodes), do: Phoenix.LiveView.Comprehension.new(["", ""], Enum.map(nodes, &{:index, [&1]}), nil)
+  defp nodes(nodes), do: Phoenix.LiveView.Comprehension.new(["", ""], Enum.map(nodes, &{:index, [&1]}))
 end

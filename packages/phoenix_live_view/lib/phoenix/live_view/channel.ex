@@ -8,7 +8,7 @@ defmodule Phoenix.LiveView.Channel do
 
   An event is answered at once. Changes by other messages are rendered together, at most once in the server's `:render_ms`. While
   #{@max_unwritten} messages have not been written to the browser yet, only answers are rendered: a slow browser gets the newest state
-  later, not all states. Only events for hooks and rows of streams are queued for it; beyond #{@max_kept} of them, the
+  later, not all states. Only events for hooks are queued for it; beyond #{@max_kept} of them, the
   view ends and the client joins again as after a crash.
   """
   use GenServer, restart: :temporary

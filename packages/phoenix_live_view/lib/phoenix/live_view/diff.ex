@@ -21,9 +21,9 @@ defmodule Phoenix.LiveView.Diff do
     if root, do: Map.put(wire, :r, 1), else: wire
   end
 
-  def full(%Comprehension{static: static, entries: entries, stream: stream}) do
+  def full(%Comprehension{static: static, entries: entries}) do
     rows = entries |> Enum.with_index() |> Map.new(fn {{_key, dynamic}, index} -> {index, entry(dynamic)} end)
-    marked(%{s: static, k: Map.put(rows, :kc, length(entries))}, stream)
+    %{s: static, k: Map.put(rows, :kc, length(entries))}
   end
 
   @doc "The diff for the root of a page: like `full/1`, without the flag for a single root element, which has another meaning there."
@@ -38,16 +38,6 @@ defmodule Phoenix.LiveView.Diff do
       {:changed, wire} -> wire
     end
   end
-
-  @doc "The part of a tree that is remembered after sending: the client keeps the rows of streams itself."
-  @spec sent(Rendered.tree()) :: Rendered.tree()
-  def sent(text) when is_binary(text), do: text
-  def sent(%Rendered{dynamic: dynamic} = rendered), do: %{rendered | dynamic: Enum.map(dynamic, &sent/1)}
-
-  def sent(%Comprehension{stream: nil, entries: entries} = rows),
-    do: %{rows | entries: Enum.map(entries, fn {key, dynamic} -> {key, Enum.map(dynamic, &sent/1)} end)}
-
-  def sent(%Comprehension{} = stream), do: %{stream | entries: []}
 
   @doc "The HTML of a tree."
   @spec to_iodata(Rendered.tree()) :: iodata()
@@ -71,23 +61,10 @@ defmodule Phoenix.LiveView.Diff do
     if :erts_debug.same(previous, next), do: :same, else: positions(previous.dynamic, next.dynamic)
   end
 
-  defp change(
-         %Comprehension{static: static, stream: nil} = previous,
-         %Comprehension{static: static, stream: nil} = next
-       ),
-       do: rows(previous.entries, next.entries)
-
-  defp change(
-         %Comprehension{static: static, stream: [ref | _]},
-         %Comprehension{static: static, stream: [ref | _]} = next
-       ),
-       do: stream(next)
+  defp change(%Comprehension{static: static} = previous, %Comprehension{static: static} = next),
+    do: rows(previous.entries, next.entries)
 
   defp change(_previous, next), do: {:changed, full(next)}
-
-  # The client has the rows; it gets the new ones and instructions for the existing ones.
-  defp stream(%Comprehension{entries: [], stream: [_ref, [], []]}), do: :same
-  defp stream(next), do: {:changed, next |> full() |> Map.delete(:s)}
 
   defp positions(previous, next), do: positions(previous, next, 0, %{})
 
@@ -153,7 +130,4 @@ defmodule Phoenix.LiveView.Diff do
         {:here, entry(dynamic)}
     end
   end
-
-  defp marked(wire, nil), do: wire
-  defp marked(wire, stream), do: Map.put(wire, :stream, stream)
 end

@@ -3,7 +3,7 @@ defmodule Phoenix.LiveView.Engine do
   # Functions that compiled templates call: each value becomes a node of the tree, so that no number, nil or boolean reaches the wire.
 
   alias Phoenix.HTML.Safe
-  alias Phoenix.LiveView.{Comprehension, LiveStream, Rendered}
+  alias Phoenix.LiveView.{Comprehension, Rendered}
 
   @spec node(term()) :: Rendered.tree()
   def node(text) when is_binary(text), do: text |> Phoenix.HTML.Escape.text() |> IO.iodata_to_binary()
@@ -34,18 +34,12 @@ defmodule Phoenix.LiveView.Engine do
   def component(other, name),
     do: raise(ArgumentError, "expected the component <#{name}> to return ~H, got: #{inspect(other)}")
 
-  @spec rows([String.t()], Enumerable.t(), [{term(), [Rendered.tree()]}]) :: Comprehension.t()
-  def rows(static, %LiveStream{} = stream, entries),
-    do: Comprehension.new(static, entries, LiveStream.wire(stream))
-
-  def rows(static, _enumerable, entries), do: Comprehension.new(static, entries, nil)
-
   @spec slot(term(), term()) :: Rendered.tree()
   def slot(entries, argument) do
     case List.wrap(entries) do
       [] -> ""
       [entry] -> inner(entry, argument)
-      entries -> Comprehension.new(["", ""], Enum.map(entries, &{:index, [inner(&1, argument)]}), nil)
+      entries -> Comprehension.new(["", ""], Enum.map(entries, &{:index, [inner(&1, argument)]}))
     end
   end
 

@@ -16,28 +16,26 @@ end
 defmodule Phoenix.LiveView.Comprehension do
   @moduledoc """
   The rows of a `:for`: one `static` for all, and for each row its key and its dynamic nodes.
-
-  `stream` has the client's instructions for the rows of a stream; it is `nil` for an ordinary list.
   """
 
   alias Phoenix.LiveView.Rendered
 
-  defstruct static: [""], entries: [], stream: nil
+  defstruct static: [""], entries: []
 
   @type entry :: {key :: term(), [Rendered.tree()]}
-  @type t :: %__MODULE__{static: [String.t()], entries: [entry()], stream: list() | nil}
+  @type t :: %__MODULE__{static: [String.t()], entries: [entry()]}
 
   @doc """
   Rows with their keys; `:index` in place of a key means the row's position. Raises `ArgumentError` when two rows have the
   same key: the client could not tell them apart.
   """
-  @spec new([String.t()], [{term() | :index, [Rendered.tree()]}], list() | nil) :: t()
-  def new(static, [{:index, _} | _] = entries, stream) do
+  @spec new([String.t()], [{term() | :index, [Rendered.tree()]}]) :: t()
+  def new(static, [{:index, _} | _] = entries) do
     entries = entries |> Enum.with_index() |> Enum.map(fn {{:index, dynamic}, index} -> {index, dynamic} end)
-    %__MODULE__{static: static, entries: entries, stream: stream}
+    %__MODULE__{static: static, entries: entries}
   end
 
-  def new(static, entries, stream) do
+  def new(static, entries) do
     _ =
       Enum.reduce(entries, %{}, fn {key, _dynamic}, seen ->
         if is_map_key(seen, key),
@@ -45,7 +43,7 @@ defmodule Phoenix.LiveView.Comprehension do
           else: Map.put(seen, key, true)
       end)
 
-    %__MODULE__{static: static, entries: entries, stream: stream}
+    %__MODULE__{static: static, entries: entries}
   end
 end
 

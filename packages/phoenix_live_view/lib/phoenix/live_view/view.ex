@@ -11,13 +11,11 @@ defmodule Phoenix.LiveView.View do
     * `:stop`: the view ends; the client navigates elsewhere
   """
 
-  alias Phoenix.Component
   alias Phoenix.LiveView
 
   alias Phoenix.LiveView.{
     Diff,
     Lifecycle,
-    LiveStream,
     Query,
     Rendered,
     Router,
@@ -216,15 +214,9 @@ defmodule Phoenix.LiveView.View do
     end
   end
 
-  @doc "The number of queued changes that no later rendering replaces: events for hooks, rows of streams."
+  @doc "The number of queued events for hooks, which no later rendering replaces."
   @spec kept(t()) :: non_neg_integer()
-  def kept(%{socket: %{assigns: assigns, private: private}}) do
-    events = length(private[:push_events] || [])
-
-    for {_name, stream} <- Map.get(assigns, :streams, %{}),
-        reduce: events,
-        do: (n -> n + LiveStream.size(stream))
-  end
+  def kept(%{socket: %{private: private}}), do: length(private[:push_events] || [])
 
   @doc "Takes the new socket of another callback."
   @spec socket(t(), Socket.t()) :: t()
@@ -320,7 +312,7 @@ defmodule Phoenix.LiveView.View do
 
   # Sent changes are cleared.
   defp settle(%{socket: socket} = view, rendered) do
-    assigns = socket.assigns |> Component.prune_streams() |> Map.merge(Map.new(view.temporary))
+    assigns = socket.assigns |> Map.merge(Map.new(view.temporary))
 
     socket = %{
       socket
@@ -329,12 +321,8 @@ defmodule Phoenix.LiveView.View do
     }
 
     socket = if rendered, do: Lifecycle.after_render(socket), else: socket
-    %{view | socket: socket, sent: if(rendered, do: sent(rendered, assigns), else: view.sent)}
+    %{view | socket: socket, sent: rendered || view.sent}
   end
-
-  # Without streams the whole tree is remembered as it is.
-  defp sent(rendered, %{streams: _streams}), do: Diff.sent(rendered)
-  defp sent(rendered, _assigns), do: rendered
 
   defp away(view, how, {kind, target}) do
     {event, payload} = elsewhere(view.server, kind, target, view.socket.assigns.flash)

@@ -10,9 +10,6 @@ defmodule Phoenix.LiveViewTest.Tree do
   def merge(_tree, %{"s" => _} = whole), do: settle(whole)
   def merge(tree, diff) when is_map(tree) and is_map(diff), do: change(tree, diff)
 
-  # A stream: its entries are inserts; the rows are those of the page.
-  defp settle(%{"stream" => _} = stream), do: streamed(Map.put(stream, "rows", []), stream)
-
   # A replacement node still has to be converted to the client's form.
   defp settle(%{"k" => %{"kc" => count} = rows} = comprehension) do
     entries = for index <- indexes(count), do: rows |> Map.fetch!(Integer.to_string(index)) |> settle_entry()
@@ -27,7 +24,6 @@ defmodule Phoenix.LiveViewTest.Tree do
 
   defp settled({"s", static}) when is_list(static), do: {"s", static}
   defp settled({"r", 1}), do: {"r", 1}
-  defp settled({"stream", stream}), do: {"stream", stream}
   defp settled({index, node}), do: {index, settle(node)}
 
   defp settle_entry(entry) when is_map(entry),
@@ -47,9 +43,7 @@ defmodule Phoenix.LiveViewTest.Tree do
   defp change(old, new),
     do: raise("a partial node over #{inspect(old)}, which has no statics: #{inspect(new)}")
 
-  defp rows(%{"rows" => _} = old, %{"stream" => _} = new), do: streamed(old, new)
-
-  defp rows(%{"k" => before} = old, %{"k" => %{"kc" => count} = rows} = new) do
+  defp rows(%{"k" => before} = old, %{"k" => %{"kc" => count} = rows}) do
     moves? = Enum.any?(rows, fn {key, row} -> key not in ["kc", "km"] and not is_map(row) end)
 
     if moves? != Map.get(rows, "km", false),
@@ -68,36 +62,10 @@ defmodule Phoenix.LiveViewTest.Tree do
         end
       end
 
-    old |> Map.merge(Map.take(new, ["stream"])) |> Map.put("k", entries)
+    Map.put(old, "k", entries)
   end
 
   defp rows(_old, new), do: raise("rows without kc, or over what has none: #{inspect(new)}")
-
-  defp streamed(
-         %{"rows" => rows} = old,
-         %{"k" => entries, "stream" => [_ref, inserts, deletes | reset]} = new
-       ) do
-    rows = if reset == [true], do: [], else: Enum.reject(rows, fn {id, _entry} -> id in deletes end)
-
-    rows =
-      inserts
-      |> Enum.with_index()
-      |> Enum.reduce(rows, fn {[id, at, limit, update_only], index}, rows ->
-        entry = entries |> Map.fetch!(Integer.to_string(index)) |> settle_entry()
-        here = Enum.find_index(rows, fn {other, _entry} -> other == id end)
-
-        cond do
-          here -> List.replace_at(rows, here, {id, entry})
-          update_only -> rows
-          true -> rows |> List.insert_at(at, {id, entry}) |> limited(limit)
-        end
-      end)
-
-    old |> Map.merge(Map.take(new, ["s", "stream"])) |> Map.put("rows", rows)
-  end
-
-  defp limited(rows, nil), do: rows
-  defp limited(rows, limit), do: Enum.take(rows, limit)
 
   defp entry(old, diff), do: Map.merge(old, diff, fn _index, before, now -> change(before, now) end)
 
@@ -107,9 +75,6 @@ defmodule Phoenix.LiveViewTest.Tree do
   @doc "The HTML of a tree."
   @spec html(t() | String.t()) :: iodata()
   def html(text) when is_binary(text), do: text
-
-  def html(%{"s" => static, "rows" => rows}),
-    do: Enum.map(rows, fn {_id, entry} -> weave(static, entry, 0) end)
 
   def html(%{"s" => static, "k" => entries}), do: Enum.map(entries, &weave(static, &1, 0))
   def html(%{"s" => static} = rendered), do: weave(static, rendered, 0)

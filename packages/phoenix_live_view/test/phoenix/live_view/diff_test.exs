@@ -27,7 +27,7 @@ defmodule Phoenix.LiveView.DiffTest do
   end
 
   defp list(rows),
-    do: %Rendered{static: ["<ul>", "</ul>"], dynamic: [Comprehension.new(["<li>", "</li>"], rows, nil)]}
+    do: %Rendered{static: ["<ul>", "</ul>"], dynamic: [Comprehension.new(["<li>", "</li>"], rows)]}
 
   defp rows(keys), do: for(key <- keys, do: {key, ["#{key}"]})
 
@@ -58,27 +58,6 @@ defmodule Phoenix.LiveView.DiffTest do
     assert %{0 => %{r: 1}} = whole = Diff.root(page)
     refute is_map_key(whole, :r)
     refute is_map_key(Diff.diff(page, %{page | static: ["<i>", "</i>"]}), :r)
-  end
-
-  test "a stream is told its inserts once, and its rows are not kept" do
-    stream = fn entries, what ->
-      %Rendered{static: ["", ""], dynamic: [Comprehension.new(["<p>", "</p>"], entries, what)]}
-    end
-
-    first = stream.([{:index, ["1"]}], ["0", [["a-1", -1, nil, nil]], []])
-
-    assert %{0 => %{s: _, k: %{0 => %{0 => "1"}, :kc => 1}, stream: ["0", [["a-1", -1, nil, nil]], []]}} =
-             Diff.root(first)
-
-    sent = Diff.sent(first)
-    assert Diff.diff(sent, stream.([], ["0", [], []])) == %{}
-
-    assert Diff.diff(sent, stream.([], ["0", [], ["a-1"]])) == %{
-             0 => %{k: %{kc: 0}, stream: ["0", [], ["a-1"]]}
-           }
-
-    assert %{0 => diff} = Diff.diff(sent, stream.([{:index, ["2"]}], ["0", [["a-2", 0, nil, nil]], []]))
-    assert diff == %{k: %{0 => %{0 => "2"}, :kc => 1}, stream: ["0", [["a-2", 0, nil, nil]], []]}
   end
 
   # Mistakes that a diff could have, made on purpose: the tests above would notice each of them.

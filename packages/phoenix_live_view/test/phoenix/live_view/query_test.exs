@@ -1,7 +1,7 @@
 defmodule Phoenix.LiveView.QueryTest do
   use ExUnit.Case, async: true
 
-  alias Phoenix.LiveView.{LiveStream, Query, Token}
+  alias Phoenix.LiveView.{Query, Token}
 
   for {query, params} <- [
         {"", %{}},
@@ -43,21 +43,5 @@ defmodule Phoenix.LiveView.QueryTest do
 
     for wrong <- [nil, "", "a.b", token <> "x", "x" <> token, 1],
         do: assert(Token.verify(key, "a", wrong, 60, 1_000) == {:error, :invalid})
-  end
-
-  test "rows of a stream have names" do
-    stream =
-      LiveStream.new(:log, "0") |> LiveStream.insert(%{id: 1}, at: 0, limit: 5) |> LiveStream.delete("log-2")
-
-    assert LiveStream.wire(stream) == ["0", [["log-1", 0, 5, nil]], ["log-2"]]
-    assert LiveStream.size(stream) == 2
-    assert Enum.count(stream) == 1 and Enum.to_list(stream) == [{"log-1", %{id: 1}}]
-    assert LiveStream.wire(LiveStream.reset(stream)) == ["0", [], [], true]
-    assert_raise ArgumentError, ~r/dom_id/, fn -> LiveStream.insert(stream, :none, []) end
-
-    assert [{"x", :none}] =
-             LiveStream.new(:log, "0", dom_id: fn :none -> "x" end)
-             |> LiveStream.insert(:none, [])
-             |> Enum.to_list()
   end
 end

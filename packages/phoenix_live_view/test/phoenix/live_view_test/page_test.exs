@@ -15,17 +15,13 @@ defmodule Phoenix.LiveViewTest.PageTest do
     use Phoenix.LiveView
 
     def mount(_params, session, socket),
-      do:
-        {:ok,
-         socket
-         |> assign(n: 0, name: "", session: session["_csrf_token"], page_title: "0")
-         |> stream(:log, [])}
+      do: {:ok, assign(socket, n: 0, name: "", session: session["_csrf_token"], page_title: "0")}
 
     def handle_params(params, _uri, socket), do: {:noreply, assign(socket, :q, params["q"])}
 
     def handle_event("up", value, socket) do
       n = socket.assigns.n + String.to_integer(value["by"] || "1")
-      {:noreply, socket |> assign(n: n, page_title: "#{n}") |> stream_insert(:log, %{id: n}, at: 0)}
+      {:noreply, socket |> assign(n: n, page_title: "#{n}")}
     end
 
     def handle_event("name", %{"user" => %{"name" => name}}, socket),
@@ -55,7 +51,6 @@ defmodule Phoenix.LiveViewTest.PageTest do
       <.link navigate="/v/1">one</.link>
       <.link patch="/?q=linked">linked</.link>
       <form phx-change="name" phx-submit="name"><input name="user[name]" value={@name} /></form>
-      <ul id="log" phx-update="stream"><li :for={{id, row} <- @streams.log} id={id}>{row.id}</li></ul>
       """
     end
   end
@@ -108,13 +103,6 @@ defmodule Phoenix.LiveViewTest.PageTest do
     {:ok, view, _html} = live(conn, "/")
     for n <- 1..50, do: send(view.pid, {:set, n})
     assert view |> element("#n") |> render() == ~s(<p id="n">50</p>)
-  end
-
-  test "rows of a stream come as inserts and are not sent twice", %{conn: conn} do
-    {:ok, view, _html} = live(conn, "/")
-    assert view |> element("button", "up") |> render_click() =~ ~s(<li id="log-1">1</li>)
-    assert view |> element("button", "up") |> render_click() =~ ~s(<li id="log-2">2</li><li id="log-1">1</li>)
-    assert render_hook(view, "echo", %{a: 1}) =~ ~s(<li id="log-2">2</li><li id="log-1">1</li>)
   end
 
   test "forms send what is in them, filled in or not", %{conn: conn} do

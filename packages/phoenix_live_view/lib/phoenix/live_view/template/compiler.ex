@@ -7,7 +7,7 @@ defmodule Phoenix.LiveView.Template.Compiler do
   functions that the component calls.
   """
 
-  alias Phoenix.LiveView.{Engine, Rendered}
+  alias Phoenix.LiveView.{Comprehension, Engine, Rendered}
   alias Phoenix.LiveView.Template.{Error, Parser}
 
   # Attributes for the parser, which the browser does not get.
@@ -76,20 +76,13 @@ defmodule Phoenix.LiveView.Template.Compiler do
     {pattern, enumerable} = generator(generator, file)
     {static, dynamic} = inner |> element(file) |> split()
     key = if special[:key], do: assigns(elem(special.key, 0)), else: :index
-    rows = quote(do: rows)
 
-    body =
+    rows =
       {:for, [],
-       [quote(do: unquote(pattern) <- unquote(rows))] ++
+       [quote(do: unquote(pattern) <- unquote(enumerable))] ++
          condition(special) ++ [[do: quote(do: {unquote(key), unquote(dynamic)})]]}
 
-    [
-      {:dynamic,
-       quote do
-         unquote(rows) = unquote(enumerable)
-         Engine.rows(unquote(static), unquote(rows), unquote(body))
-       end}
-    ]
+    [{:dynamic, quote(do: Comprehension.new(unquote(static), unquote(rows)))}]
   end
 
   defp control(%{if: {condition, _meta}}, inner, file) do

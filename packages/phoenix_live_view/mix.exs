@@ -1,5 +1,3 @@
-Code.require_file("../packages.exs", __DIR__)
-
 defmodule PhoenixLiveView.MixProject do
   use Mix.Project
 
@@ -9,8 +7,7 @@ defmodule PhoenixLiveView.MixProject do
       version: "1.2.12",
       elixir: "~> 1.20",
       elixirc_paths: elixirc_paths(Mix.env()),
-      test_coverage: [summary: [threshold: 85]],
-      deps: Aerie.Packages.deps([:telemetry])
+      test_coverage: [summary: [threshold: 85]]
     ]
   end
 

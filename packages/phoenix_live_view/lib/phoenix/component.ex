@@ -79,84 +79,15 @@ defmodule Phoenix.Component do
     do:
       raise(ArgumentError, "assign/3 takes a socket or the assigns of a component, got: #{inspect(assigns)}")
 
-  @doc "Adds several values, or those that a function of the assigns returns."
-  @spec assign(Socket.t() | map(), keyword() | map() | (map() -> keyword() | map())) :: Socket.t() | map()
-  def assign(%Socket{assigns: assigns} = socket, fun) when is_function(fun, 1),
-    do: assign(socket, fun.(assigns))
-
-  def assign(assigns, fun) when is_function(fun, 1), do: assign(assigns, fun.(assigns))
-
+  @doc "Adds several values."
+  @spec assign(Socket.t() | map(), keyword() | map()) :: Socket.t() | map()
   def assign(target, values) when is_list(values) or is_map(values),
     do: Enum.reduce(values, target, fn {key, value}, target -> assign(target, key, value) end)
 
-  @doc "Adds the value of a function unless the assign exists; the function may take the assigns."
-  @spec assign_new(Socket.t() | map(), atom(), (-> term()) | (map() -> term())) :: Socket.t() | map()
-  def assign_new(%Socket{assigns: assigns} = socket, key, fun),
-    do: %{socket | assigns: assign_new(assigns, key, fun)}
-
-  def assign_new(assigns, key, _fun) when is_map_key(assigns, key), do: assigns
-  def assign_new(assigns, key, fun) when is_function(fun, 0), do: put(assigns, key, fun.())
-  def assign_new(assigns, key, fun) when is_function(fun, 1), do: put(assigns, key, fun.(assigns))
-
   @doc "Updates an assign by a function of its value."
-  @spec update(Socket.t() | map(), atom(), (term() -> term()) | (term(), map() -> term())) ::
-          Socket.t() | map()
+  @spec update(Socket.t() | map(), atom(), (term() -> term())) :: Socket.t() | map()
   def update(%Socket{assigns: assigns} = socket, key, fun), do: %{socket | assigns: update(assigns, key, fun)}
-
-  def update(assigns, key, fun) when is_function(fun, 2),
-    do: assign(assigns, key, fun.(Engine.assign!(assigns, key), assigns))
-
   def update(assigns, key, fun), do: assign(assigns, key, fun.(Engine.assign!(assigns, key)))
-
-  @doc "Whether an assign has changed since the last rendering."
-  @spec changed?(Socket.t() | map(), atom()) :: boolean()
-  def changed?(%Socket{assigns: assigns}, key), do: changed?(assigns, key)
-  def changed?(%{__changed__: nil}, _key), do: true
-  def changed?(%{__changed__: changed}, key), do: is_map_key(changed, key)
-
-  @doc "The assigns without some keys and without those that templates add, for `{…}` in an element."
-  @spec assigns_to_attributes(map(), [atom()]) :: keyword()
-  def assigns_to_attributes(assigns, exclude \\ []) do
-    excluded = [:__changed__, :__slot__, :inner_block, :myself, :flash, :socket | exclude]
-    for {key, value} <- assigns, key not in excluded, do: {key, value}
-  end
-
-  @doc "A form from params with text keys. Options as in `Phoenix.HTML.Form.new/2`."
-  @spec to_form(map() | Phoenix.HTML.Form.t(), keyword()) :: Phoenix.HTML.Form.t()
-  def to_form(params, options \\ [])
-
-  def to_form(%Phoenix.HTML.Form{} = form, options),
-    do: struct!(form, Keyword.take(options, [:id, :name, :errors, :action]))
-
-  def to_form(params, options), do: Phoenix.HTML.Form.new(params, options)
-
-  @doc """
-  Whether the user has touched a field, so that errors may be shown: the client sends `_unused_` for untouched fields.
-
-      iex> form = Phoenix.Component.to_form(%{"name" => "", "_unused_name" => "", "age" => "x"})
-      iex> {Phoenix.Component.used_input?(form[:name]), Phoenix.Component.used_input?(form[:age])}
-      {false, true}
-  """
-  @spec used_input?(Phoenix.HTML.FormField.t()) :: boolean()
-  def used_input?(%Phoenix.HTML.FormField{field: field, form: form}), do: used?(form.params, to_string(field))
-
-  # A nested field is used if one of its fields is.
-  defp used?(_params, "_unused_" <> _name), do: false
-
-  defp used?(params, name) do
-    unused = "_unused_" <> name
-
-    case params do
-      %{^name => _value, ^unused => _mark} -> false
-      %{^name => %{} = inner} when not is_struct(inner) -> Enum.any?(Map.keys(inner), &used?(inner, &1))
-      %{^name => _value} -> true
-      _without -> false
-    end
-  end
-
-  @doc "A message for the user, by its kind."
-  @spec live_flash(map(), atom() | String.t()) :: term()
-  def live_flash(flash, kind), do: flash[to_string(kind)]
 
   defp put(%{__changed__: nil} = assigns, key, value), do: Map.put(assigns, key, value)
 

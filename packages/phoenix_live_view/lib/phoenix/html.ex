@@ -3,19 +3,13 @@ defmodule Phoenix.HTML do
   Safe HTML: text is escaped unless it is marked as safe.
 
   A value is either unsafe (any term that implements `Phoenix.HTML.Safe`) or `{:safe, iodata}`, which is emitted as it is.
-  Templates escape every value, so only `raw/1` can put unescaped markup into a page.
+  Templates escape every value that is not marked.
   """
 
   alias Phoenix.HTML.Safe
 
   @type safe :: {:safe, iodata()}
   @type unsafe :: Safe.t()
-
-  @doc "Marks text as safe: it is emitted without escaping. Never use it for text from outside."
-  @spec raw(iodata() | safe() | nil) :: safe()
-  def raw({:safe, value}), do: {:safe, value}
-  def raw(nil), do: {:safe, ""}
-  def raw(value) when is_binary(value) or is_list(value), do: {:safe, value}
 
   @doc "Escapes a value for HTML text and quoted attributes."
   @spec html_escape(unsafe()) :: safe()
@@ -30,7 +24,7 @@ defmodule Phoenix.HTML do
   Attributes as HTML, each with a space before it: `[class: "a", hidden: true, title: nil]` gives ` class="a" hidden`.
 
   `nil` and `false` leave an attribute out, `true` writes its name alone. Lists of `class` and `style` are flattened, with
-  `nil` and `false` left out. `data`, `aria` and `phx` take a keyword list or map: `data: [id: 1]` gives `data-id="1"`.
+  `nil` and `false` left out.
   """
   @spec attributes_escape(Enumerable.t()) :: safe()
   def attributes_escape(attributes), do: {:safe, Enum.map(attributes, &attribute/1)}
@@ -43,9 +37,6 @@ defmodule Phoenix.HTML do
 
   def attribute({name, value}) when name in [:class, "class", :style, "style"],
     do: [?\s, name(name), ?=, ?", class_value(value), ?"]
-
-  def attribute({name, value}) when name in [:data, :aria, :phx] and (is_list(value) or is_map(value)),
-    do: for({key, value} <- value, do: attribute({"#{name}-#{name(key)}", value}))
 
   def attribute({name, value}), do: [?\s, name(name), ?=, ?", Safe.to_iodata(value), ?"]
 

@@ -29,13 +29,13 @@ defmodule Phoenix.LiveViewTest do
     @type t :: %__MODULE__{}
   end
 
-  @type conn :: %{server: Server.t(), session: map(), flash: map()}
+  @type conn :: %{server: Server.t(), session: map()}
 
   @doc "A server and the session of the request."
   @spec conn(Server.t(), map()) :: conn()
-  def conn(%Server{} = server, session \\ %{}), do: %{server: server, session: session, flash: %{}}
+  def conn(%Server{} = server, session \\ %{}), do: %{server: server, session: session}
 
-  @doc "Fetches a page and joins it. `{:error, {:redirect | :live_redirect, %{to, flash}}}` if it redirects."
+  @doc "Fetches a page and joins it. `{:error, {:redirect, %{to, flash}}}` if it redirects."
   @spec live(conn(), String.t()) :: {:ok, View.t(), String.t()} | {:error, term()}
   def live(%{server: server} = conn, path) do
     uri = URI.merge("http://localhost", path)
@@ -76,7 +76,7 @@ defmodule Phoenix.LiveViewTest do
     end
   end
 
-  defp info(conn), do: %{session: conn.session, flash: conn.flash, csrf_token: "test"}
+  defp info(conn), do: %{session: conn.session, csrf_token: "test"}
 
   defp refused(conn, response) do
     case Map.to_list(response) do
@@ -85,21 +85,13 @@ defmodule Phoenix.LiveViewTest do
     end
   end
 
-  defp away(conn, {kind, %{"to" => to} = target}) do
-    kind = if kind == "redirect", do: :redirect, else: :live_redirect
-    {kind, %{to: to, flash: flash(conn, target["flash"])}}
-  end
+  defp away(conn, {"redirect", %{"to" => to} = target}),
+    do: {:redirect, %{to: to, flash: flash(conn, target["flash"])}}
 
   defp away(_conn, {kind, details}), do: {kind, details}
 
   defp flash(_conn, nil), do: %{}
   defp flash(conn, token), do: elem(Phoenix.LiveView.Token.verify(conn.server.secret, "flash", token, 60), 1)
-
-  @doc "Follows a view's redirect."
-  @spec follow_redirect({:error, {atom(), map()}}, conn()) :: {:ok, View.t(), String.t()} | {:error, term()}
-  def follow_redirect({:error, {kind, %{to: to, flash: flash}}}, conn)
-      when kind in [:redirect, :live_redirect],
-      do: live(%{conn | flash: flash}, to)
 
   @doc "The page, or one element, as HTML."
   @spec render(View.t() | Element.t()) :: String.t() | {:error, term()}
@@ -141,7 +133,7 @@ defmodule Phoenix.LiveViewTest do
     node = find!(element)
 
     case {DOM.attribute(node, "phx-click"), DOM.attribute(node, "data-phx-link")} do
-      {nil, "patch"} -> render_patch(element.view, DOM.attribute(node, "href"))
+      {nil, "patch"} -> patch(element.view, DOM.attribute(node, "href"))
       {nil, "redirect"} -> {:error, {:live_redirect, %{to: DOM.attribute(node, "href"), flash: %{}}}}
       {nil, nil} -> raise ArgumentError, "no phx-click at #{DOM.html(node)}"
       {click, _link} -> click(element.view, click, node, value)
@@ -152,6 +144,11 @@ defmodule Phoenix.LiveViewTest do
 
   @doc "Sends a click's event to a view."
   def render_click(%View{} = view, event, value), do: event(view, "click", event, value)
+
+  defp patch(view, path) do
+    url = view.client |> Client.get(:url) |> URI.merge(path) |> URI.to_string()
+    rendered(view, push(view, "live_patch", %{url: url}))
+  end
 
   # A click may run JS commands, of which only pushes reach the view.
   defp click(view, "[" <> _ = commands, node, value) do
@@ -173,21 +170,6 @@ defmodule Phoenix.LiveViewTest do
     end
   end
 
-  for {function, type, attribute} <- [
-        {:render_keydown, "keydown", "phx-keydown"},
-        {:render_keyup, "keyup", "phx-keyup"},
-        {:render_blur, "blur", "phx-blur"},
-        {:render_focus, "focus", "phx-focus"}
-      ] do
-    @doc "Sends the #{type} event of an element."
-    def unquote(function)(%Element{} = element, value \\ %{}) do
-      node = find!(element)
-      name = DOM.attribute(node, unquote(attribute)) || DOM.attribute(node, "phx-window-" <> unquote(type))
-      if name == nil, do: raise(ArgumentError, "no #{unquote(attribute)} at #{DOM.html(node)}")
-      event(element.view, unquote(type), name, Map.merge(values(node), string_keys(value)))
-    end
-  end
-
   @doc "Changes a form (`phx-change`) with the values of `form/3` and more."
   def render_change(%Element{} = element, value \\ %{}), do: submit(element, "phx-change", value)
 
@@ -197,7 +179,7 @@ defmodule Phoenix.LiveViewTest do
   defp submit(%Element{form: data} = element, attribute, value) do
     node = find!(element)
     name = DOM.attribute(node, attribute) || raise ArgumentError, "no #{attribute} at #{DOM.html(node)}"
-    given = data |> Kernel.||(%{}) |> pairs() |> Kernel.++(pairs(value))
+    given = pairs(data || %{}) ++ pairs(value)
     known = fields(node)
 
     for {field, _value} <- pairs(data || %{}), not List.keymember?(known, field, 0) do
@@ -238,28 +220,15 @@ defmodule Phoenix.LiveViewTest do
       else: DOM.attribute(node, "value") || ""
   end
 
-  defp pairs(data), do: pairs(data, nil)
+  defp pairs(data), do: Enum.flat_map(data, fn {key, value} -> pairs(to_string(key), value) end)
 
-  defp pairs(data, above) do
-    Enum.flat_map(data, fn {key, value} ->
-      name = if above, do: "#{above}[#{key}]", else: to_string(key)
+  defp pairs(name, %{} = fields),
+    do: Enum.flat_map(fields, fn {key, value} -> pairs("#{name}[#{key}]", value) end)
 
-      cond do
-        is_map(value) or (Keyword.keyword?(value) and value != []) -> pairs(value, name)
-        is_list(value) -> Enum.map(value, &{name <> "[]", to_string(&1)})
-        true -> [{name, to_string(value)}]
-      end
-    end)
-  end
+  defp pairs(name, value), do: [{name, to_string(value)}]
 
   @doc "What a hook sends with `pushEvent`."
   def render_hook(%View{} = view, event, value \\ %{}), do: event(view, "hook", event, value)
-
-  @doc "Navigates to another URL of the view, like a live link or the browser's back button."
-  def render_patch(%View{} = view, path) do
-    url = view.client |> Client.get(:url) |> URI.merge(path) |> URI.to_string()
-    rendered(view, push(view, "live_patch", %{url: url}))
-  end
 
   @doc "Waits until the view patches itself to this path."
   defmacro assert_patch(view, to, timeout \\ Application.fetch_env!(:ex_unit, :assert_receive_timeout)) do
@@ -297,11 +266,6 @@ defmodule Phoenix.LiveViewTest do
     end
   end
 
-  @doc "A function component as HTML."
-  @spec render_component((map() -> term()), keyword() | map()) :: String.t()
-  def render_component(component, assigns \\ []) when is_function(component, 1),
-    do: assigns |> Map.new() |> Map.put(:__changed__, nil) |> component.() |> rendered_to_string()
-
   @doc "The value of `~H` as HTML."
   @spec rendered_to_string(term()) :: String.t()
   def rendered_to_string(rendered), do: rendered |> Safe.to_iodata() |> IO.iodata_to_binary()
@@ -313,7 +277,7 @@ defmodule Phoenix.LiveViewTest do
 
   defp push(view, event, payload), do: Client.push(view.client, event, payload)
 
-  defp rendered(view, {:ok, _reply}), do: render(view)
+  defp rendered(view, :ok), do: render(view)
 
   defp rendered(view, {:away, {"crash", %{reason: reason}}}),
     do: exit({reason, {__MODULE__, :view, [view.id]}})

@@ -8,7 +8,7 @@ defmodule Phoenix.Router do
   defmacro __using__(_options) do
     quote do
       Module.register_attribute(__MODULE__, :live_routes, accumulate: true)
-      @live_session %{name: :default, on_mount: [], session: %{}, root_layout: nil, layout: nil}
+      @live_session %{name: :default, on_mount: [], layout: nil}
       @before_compile Phoenix.Router
     end
   end

@@ -21,7 +21,7 @@ defmodule Phoenix.ComponentTest do
   end
 
   test "text is escaped, numbers, nil and true are text" do
-    assigns = %{a: "<&\"'>", n: 1, f: 1.5, nothing: nil, yes: true, safe: Phoenix.HTML.raw("<i>")}
+    assigns = %{a: "<&\"'>", n: 1, f: 1.5, nothing: nil, yes: true, safe: {:safe, "<i>"}}
 
     assert html(~H"<p title={@a}>{@a}|{@n}|{@f}|{@nothing}|{@yes}|{@safe}</p>") ==
              ~s(<p title="&lt;&amp;&quot;&#39;&gt;">&lt;&amp;&quot;&#39;&gt;|1|1.5||true|<i></p>)
@@ -35,7 +35,7 @@ defmodule Phoenix.ComponentTest do
   end
 
   test "attributes: nil and false are left out, true is the name alone, lists of classes are flat" do
-    assigns = %{on: true, off: false, none: nil, list: ["a", [nil, "b"], false], rest: [id: 1, data: [x: 2]]}
+    assigns = %{on: true, off: false, none: nil, list: ["a", [nil, "b"], false], rest: [id: 1, data_x: 2]}
 
     assert html(~H"<input disabled={@on} checked={@off} title={@none} class={@list} {@rest} required>") ==
              ~s(<input disabled class="a b" id="1" data-x="2" required>)

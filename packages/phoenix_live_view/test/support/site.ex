@@ -43,7 +43,7 @@ defmodule Phoenix.LiveViewTest.Site do
           last: "",
           name: "",
           page_title: "0",
-          form: to_form(%{}, as: "user"),
+          typed: "",
           rows: [1, 2, 3]
         )
 
@@ -59,10 +59,8 @@ defmodule Phoenix.LiveViewTest.Site do
     end
 
     def handle_event("change", params, socket) do
-      form = to_form(params["user"], as: "user")
-
-      {:noreply,
-       assign(socket, form: form, last: "change #{inspect(params["_target"])} #{params["user"]["name"]}")}
+      name = params["user"]["name"]
+      {:noreply, assign(socket, typed: name, last: "change #{inspect(params["_target"])} #{name}")}
     end
 
     def handle_event("save", params, socket),
@@ -70,17 +68,17 @@ defmodule Phoenix.LiveViewTest.Site do
 
     def handle_event("key", %{"key" => key}, socket), do: {:noreply, assign(socket, :last, "key #{key}")}
     def handle_event("seen", value, socket), do: {:noreply, assign(socket, :name, "seen #{value["id"]}")}
-    def handle_event("echo", value, socket), do: {:reply, %{heard: value}, push_event(socket, "told", value)}
+    def handle_event("echo", value, socket), do: {:noreply, push_event(socket, "told", value)}
     def handle_event("patch", _value, socket), do: {:noreply, push_patch(socket, to: "/?q=pushed")}
 
     def handle_event("go", _value, socket),
-      do: {:noreply, socket |> put_flash(:info, "hello") |> push_navigate(to: "/other/7")}
+      do: {:noreply, socket |> put_flash(:info, "hello") |> redirect(to: "/other/7")}
 
     def handle_event("away", _value, socket), do: {:noreply, redirect(socket, to: "/login")}
     def handle_event("crash", _value, _socket), do: raise("crash of a test")
 
     def handle_event("cut", _value, socket) do
-      Process.exit(transport_pid(socket), :kill)
+      Process.exit(socket.transport_pid, :kill)
       {:noreply, socket}
     end
 
@@ -94,26 +92,18 @@ defmodule Phoenix.LiveViewTest.Site do
 
     def handle_info({:n, n}, socket), do: {:noreply, assign(socket, :n, n)}
 
-    def handle_info({:report, to}, socket) do
-      Process.flag(:trap_exit, true)
-      {:noreply, put_private(socket, :report, to)}
-    end
-
-    def terminate(reason, socket), do: if(to = socket.private[:report], do: send(to, {:terminated, reason}))
-
     def render(assigns) do
       ~H"""
       <p id="n">{@n}</p><p id="q">{@q}</p><p id="last">{@last}</p><p id="seen">{@name}</p>
       <button id="up" phx-click="up">up</button>
-      <button id="two" phx-click={JS.push("up", value: %{by: "2"}) |> JS.show(to: "#hidden")}>two</button>
-      <b id="hidden" hidden>hidden</b>
+      <button id="two" phx-click={JS.push("up", value: %{by: "2"})}>two</button>
       <button id="patch" phx-click="patch">patch</button><button id="go" phx-click="go">go</button>
       <button id="away" phx-click="away">away</button><button id="crash" phx-click="crash">crash</button>
       <button id="cut" phx-click="cut">cut</button>
       <.link id="link" patch="/?q=linked">linked</.link><.link id="other" navigate="/other/1">other</.link>
       <div id="keys" tabindex="0" phx-keydown="key" phx-key="a"></div>
       <div id="m" phx-mounted={JS.push("seen", value: %{id: "m"})}></div>
-      <.form for={@form} id="user" phx-change="change" phx-submit="save"><input id="name" name={@form[:name].name} value={@form[:name].value} /><i :if={used_input?(@form[:name])} id="used">used</i><input id="age" name={@form[:age].name} value={@form[:age].value} /><i :if={used_input?(@form[:age])} id="old">used</i><button id="save">save</button></.form>
+      <form id="user" phx-change="change" phx-submit="save"><input id="name" name="user[name]" value={@typed} /><button id="save">save</button></form>
       <div id="hook" phx-hook="Echo" phx-update="ignore">mine</div>
       <ul id="rows"><li :for={row <- @rows} :key={row} id={"row-#{row}"}>{row}</li></ul>
       """

@@ -8,7 +8,7 @@ defmodule Phoenix.Component.Declarative do
     spellcheck translate itemid itemprop itemref itemscope itemtype popover nonce part slot enterkeyhint inputmode is exportparts)
   @prefixes ~w(aria- data- on phx- hx- x-)
 
-  @types ~w(any string atom boolean integer float list map fun global)a
+  @types ~w(any string atom boolean integer float list map global)a
 
   defmacro __using__(_options) do
     quote do
@@ -26,7 +26,7 @@ defmodule Phoenix.Component.Declarative do
 
   @doc """
   Declares an attribute of the component that follows. Types: #{Enum.map_join(@types, ", ", &"`:#{&1}`")}, or a struct's
-  module. Options: `:required`, `:default`, `:values`, `:examples`, `:doc`; for `:global` also `:include`.
+  module. Options: `:required`, `:default`, `:values`, `:doc`; for `:global` also `:include`.
   """
   defmacro attr(name, type, options \\ []) do
     quote bind_quoted: [name: name, type: type, options: options] do
@@ -34,7 +34,7 @@ defmodule Phoenix.Component.Declarative do
     end
   end
 
-  @doc "Declares a slot of the component that follows. Options: `:required`, `:doc`, `:validate_attrs`; a `do` block may hold `attr`s."
+  @doc "Declares a slot of the component that follows. Options: `:required`, `:doc`; a `do` block may hold `attr`s."
   defmacro slot(name, options \\ [], block \\ []) do
     {block, options} = if Keyword.keyword?(options), do: pop_block(options, block), else: {block, options}
 
@@ -71,10 +71,10 @@ defmodule Phoenix.Component.Declarative do
 
     known =
       cond do
-        type == :slot -> ~w(required doc validate_attrs attrs)a
+        type == :slot -> ~w(required doc attrs)a
         # The attributes of a slot have no defaults: they are a map.
-        in_slot? -> ~w(required values examples doc)a
-        true -> ~w(required default values examples doc include)a
+        in_slot? -> ~w(required values doc)a
+        true -> ~w(required default values doc include)a
       end
 
     with :ok <- name(name),
@@ -99,7 +99,6 @@ defmodule Phoenix.Component.Declarative do
 
   defp type(:slot), do: :ok
   defp type(type) when type in @types, do: :ok
-  defp type({:fun, arity}) when is_integer(arity), do: :ok
 
   defp type(type) when is_atom(type) do
     if match?("Elixir." <> _, Atom.to_string(type)),

@@ -4,7 +4,6 @@ defmodule Phoenix.Component.Verify do
   # Attributes that are known only at run time, such as `{@rest}`, are not checked. The texts are the namesake's.
 
   alias Phoenix.Component.Declarative
-  alias Phoenix.LiveView.Template.Compiler
 
   @typep argument :: {atom(), tuple() | :unknown, line :: pos_integer()}
   @typep call :: %{
@@ -86,7 +85,7 @@ defmodule Phoenix.Component.Verify do
 
     attrs =
       for {name, value, meta} <- named,
-          not String.starts_with?(name, ":") and name not in Compiler.private(),
+          not String.starts_with?(name, ":"),
           do: {String.to_atom(name), known(value), meta.line}
 
     %{attrs: attrs, whole?: spread == []}
@@ -106,20 +105,7 @@ defmodule Phoenix.Component.Verify do
   defp type({:%{}, _meta, [{:|, _, _}]}), do: :unknown
   defp type({:%{}, _meta, _fields} = map), do: {:map, map}
   defp type({:%, _meta, [module, _fields]} = struct), do: {:struct, module, struct}
-  defp type({:fn, _meta, [{:->, _, [arguments, _body]} | _]}), do: {:fun, length(arguments)}
-  defp type({:&, _meta, [{:/, _, [_name, arity]}]}) when is_integer(arity), do: {:fun, arity}
-  defp type({:&, _meta, [body]}), do: {:fun, places(body)}
   defp type(_expression), do: :unknown
-
-  defp places(body) do
-    {_body, most} =
-      Macro.prewalk(body, 0, fn
-        {:&, _meta, [place]} = node, most when is_integer(place) -> {node, max(place, most)}
-        node, most -> {node, most}
-      end)
-
-    most
-  end
 
   @doc false
   @spec __after_verify__(module()) :: :ok
@@ -186,16 +172,7 @@ defmodule Phoenix.Component.Verify do
       Enum.flat_map(given, fn slot ->
         case List.keyfind(declared, slot.name, 0) do
           {name, :slot, options} ->
-            # A slot without declared attributes may accept any.
-            any? = options[:attrs] == [] and options[:validate_attrs] == false
-
-            attributes(
-              slot,
-              options[:attrs],
-              fn name -> any? or name == :inner_block end,
-              " in slot \"#{name}\"",
-              of
-            )
+            attributes(slot, options[:attrs], &(&1 == :inner_block), " in slot \"#{name}\"", of)
 
           # Every component with slots may also have an inner block.
           nil when slot.name == :inner_block and declared != [] ->
@@ -212,13 +189,6 @@ defmodule Phoenix.Component.Verify do
   defp value(:unknown, _type, _values), do: []
   defp value({:boolean, _value}, :atom, nil), do: []
   defp value(_value, :any, nil), do: []
-  defp value({:fun, _arity}, :fun, _values), do: []
-  defp value({:fun, arity}, {:fun, arity}, _values), do: []
-
-  defp value({:fun, arity}, _type, values) when values != nil,
-    do: ["one of #{inspect(values)}, got: #{article({:fun, arity})}"]
-
-  defp value({:fun, arity}, type, _values), do: ["#{article(type)}, got: #{article({:fun, arity})}"]
 
   defp value({:struct, module, value}, type, _values) do
     same? =
@@ -237,8 +207,6 @@ defmodule Phoenix.Component.Verify do
     end
   end
 
-  defp article(:fun), do: "a function"
-  defp article({:fun, arity}), do: "a function of arity #{arity}"
   defp article(type) when type in [:atom, :integer], do: "an #{inspect(type)}"
 
   defp article(type) do

@@ -13,7 +13,7 @@ defmodule Phoenix.LiveView.Channel do
   """
   use GenServer, restart: :temporary
 
-  alias Phoenix.LiveView.{Frame, Telemetry, View}
+  alias Phoenix.LiveView.{Frame, View}
 
   require Logger
 
@@ -51,13 +51,6 @@ defmodule Phoenix.LiveView.Channel do
   @spec leave(pid()) :: :ok
   def leave(channel) do
     send(channel, {__MODULE__, :leave})
-    :ok
-  end
-
-  @doc "The server is about to restart: asks the WebSocket to close."
-  @spec drain(pid()) :: :ok
-  def drain(channel) do
-    send(channel, {__MODULE__, :drain})
     :ok
   end
 
@@ -109,37 +102,7 @@ defmodule Phoenix.LiveView.Channel do
   def handle_info({__MODULE__, :render}, state), do: render(%{state | timer: nil})
   def handle_info({__MODULE__, :leave}, state), do: {:stop, {:shutdown, :left}, state}
 
-  def handle_info({__MODULE__, :drain}, state) do
-    send(state.transport, {__MODULE__, :drain})
-    {:noreply, state}
-  end
-
   def handle_info(message, state), do: changed(state, View.message(state.view, message))
-
-  @impl GenServer
-  def handle_call(message, from, %{view: %{route: route} = view} = state) do
-    case route.view.handle_call(message, from, view.socket) do
-      {:reply, answer, socket} ->
-        GenServer.reply(from, answer)
-        changed(state, View.socket(view, socket))
-
-      {:noreply, socket} ->
-        changed(state, View.socket(view, socket))
-    end
-  end
-
-  @impl GenServer
-  def handle_cast(message, %{view: %{route: route} = view} = state) do
-    {:noreply, socket} = route.view.handle_cast(message, view.socket)
-    changed(state, View.socket(view, socket))
-  end
-
-  @impl GenServer
-  def terminate(reason, %{view: %{route: route, socket: socket}}) do
-    if function_exported?(route.view, :terminate, 2), do: route.view.terminate(reason, socket), else: :ok
-  end
-
-  def terminate(_reason, _not_mounted), do: :ok
 
   # A page may have sent a password, and a view's state fills screens: crash reports contain neither.
   @impl GenServer
@@ -162,7 +125,6 @@ defmodule Phoenix.LiveView.Channel do
     if View.kept(view) <= @max_kept do
       {:noreply, state}
     else
-      Telemetry.slow(view.route.view)
       {:stop, {:shutdown, :slow}, state}
     end
   end
@@ -187,7 +149,6 @@ defmodule Phoenix.LiveView.Channel do
     do: act(rest, ref, write(state, nil, event, payload))
 
   defp act([{:refused, words} | rest], ref, state) do
-    Telemetry.refused(:event, words)
     Logger.warning("#{inspect(state.view.route.view)} ignored what its page sent: #{words}")
     act(rest, ref, state)
   end

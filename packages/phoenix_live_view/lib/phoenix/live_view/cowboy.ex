@@ -8,7 +8,7 @@ defmodule Phoenix.LiveView.Cowboy do
   The last route matches every path, so an application's own routes come first.
   """
 
-  alias Phoenix.LiveView.{Channel, Cowboy, Server}
+  alias Phoenix.LiveView.{Cowboy, Server}
 
   @doc "The routes of a server: the WebSocket and, for every other path, the pages."
   @spec routes(Server.t()) :: [tuple()]
@@ -17,38 +17,6 @@ defmodule Phoenix.LiveView.Cowboy do
       {"/live/websocket", Cowboy.Socket, server},
       {:_, Cowboy.Page, server}
     ]
-  end
-
-  @doc """
-  Tells every WebSocket with a view that the server restarts (close code 1012): clients connect again within seconds, without
-  loading their page. Suspend the listener before (`:ranch.suspend_listener/1`). Returns when the views have ended, or after
-  `timeout` milliseconds, with the number of views that have not ended.
-  """
-  @spec drain(Server.t(), timeout()) :: non_neg_integer()
-  def drain(%Server{supervisor: supervisor}, timeout \\ 5_000) do
-    views =
-      for {_id, pid, _type, _modules} when is_pid(pid) <- DynamicSupervisor.which_children(supervisor),
-          do: pid
-
-    monitors = Map.new(views, &{Process.monitor(&1), &1})
-    Enum.each(views, &Channel.drain/1)
-    timer = Process.send_after(self(), {__MODULE__, :late, monitors}, timeout)
-    left = ended(monitors, monitors)
-    _ = Process.cancel_timer(timer)
-    for {monitor, _view} <- left, do: Process.demonitor(monitor, [:flush])
-    map_size(left)
-  end
-
-  defp ended(left, _all) when left == %{}, do: left
-
-  defp ended(left, all) do
-    receive do
-      {:DOWN, monitor, :process, _view, _reason} when is_map_key(left, monitor) ->
-        left |> Map.delete(monitor) |> ended(all)
-
-      {__MODULE__, :late, ^all} ->
-        left
-    end
   end
 
   @doc false

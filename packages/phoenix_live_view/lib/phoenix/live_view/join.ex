@@ -11,7 +11,6 @@ defmodule Phoenix.LiveView.Join do
   alias Phoenix.LiveView.{Router, Server, Socket, Token, View}
 
   @session_age_s 12 * 3600
-  @flash_age_s 60
 
   @doc "`info`: what the transport knows about the connection (`:session`, `:peer_data` …)."
   @spec join(Server.t(), String.t(), map(), map(), pid()) :: {:ok, map(), View.t()} | {:error, map()}
@@ -56,16 +55,10 @@ defmodule Phoenix.LiveView.Join do
   defp mount(server, token, route, uri, payload, info, transport) do
     params = if is_map(payload["params"]), do: payload["params"], else: %{}
 
-    socket = %Socket{
-      id: token.id,
-      view: route.view,
-      router: server.router,
-      host_uri: %{uri | path: nil, query: nil, fragment: nil},
-      transport_pid: transport,
-      private: %{connect_params: params, connect_info: info}
-    }
-
-    socket = Phoenix.LiveView.Flash.restore(socket, flash(server, token, params, payload))
+    # The first join gets the flash that the page was loaded with.
+    flash = if params["_mounts"] == 0 and payload["redirect"] == nil, do: token.flash, else: %{}
+    private = %{connect_info: info}
+    socket = Socket.new(server, route, uri, flash, id: token.id, transport_pid: transport, private: private)
 
     case View.mount(%View{server: server, route: route, socket: socket}, uri, info[:session] || %{}) do
       {:ok, view} ->
@@ -75,10 +68,10 @@ defmodule Phoenix.LiveView.Join do
         response = if patched, do: Map.put(response, :live_patch, patched), else: response
         {:ok, response, %{view | patched: nil}}
 
-      {:away, {kind, target}, view} ->
-        {event, target} = View.elsewhere(server, kind, target, view.socket.assigns.flash)
+      {:away, target, view} ->
+        target = View.elsewhere(server, target, view.socket.assigns.flash)
         events = Enum.reverse(view.socket.private[:push_events] || [])
-        {:error, if(events == [], do: %{event => target}, else: %{event => target, events: events})}
+        {:error, if(events == [], do: %{redirect: target}, else: %{redirect: target, events: events})}
     end
   rescue
     error -> refused(server, error, __STACKTRACE__)
@@ -89,14 +82,6 @@ defmodule Phoenix.LiveView.Join do
     do: {:error, %{reason: "reload", status: status, token: Token.sign(server.secret, "reload", status)}}
 
   defp refused(_server, error, trace), do: reraise(error, trace)
-
-  # The first join gets the flash that the page was loaded with; later joins get the one that the client carried from another view.
-  defp flash(server, token, params, payload) do
-    case Token.verify(server.secret, "flash", payload["flash"], @flash_age_s) do
-      {:ok, flash} when is_map(flash) -> flash
-      _none -> if params["_mounts"] == 0 and payload["redirect"] == nil, do: token.flash, else: %{}
-    end
-  end
 
   @version Mix.Project.config()[:version]
   @doc "The client version that this package serves."

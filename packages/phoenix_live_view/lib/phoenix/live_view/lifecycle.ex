@@ -3,8 +3,8 @@ defmodule Phoenix.LiveView.Lifecycle do
 
   alias Phoenix.LiveView.Socket
 
-  @stages [:handle_params, :handle_event, :handle_info, :after_render]
-  @type stage :: :handle_params | :handle_event | :handle_info | :after_render
+  @stages [:handle_params, :handle_event, :handle_info]
+  @type stage :: :handle_params | :handle_event | :handle_info
 
   @doc "The argument of `on_mount` as module and argument."
   @spec on_mount(module() | {module(), term()}) :: {module(), term()}
@@ -16,13 +16,12 @@ defmodule Phoenix.LiveView.Lifecycle do
     hooks = hooks(socket, stage)
 
     if List.keymember?(hooks, name, 0),
-      do: raise(ArgumentError, "there is a hook #{inspect(name)} at #{inspect(stage)} already"),
-      else: put(socket, stage, hooks ++ [{name, fun}])
-  end
+      do: raise(ArgumentError, "there is a hook #{inspect(name)} at #{inspect(stage)} already")
 
-  @spec detach(Socket.t(), term(), stage()) :: Socket.t()
-  def detach(socket, name, stage) when stage in @stages,
-    do: put(socket, stage, List.keydelete(hooks(socket, stage), name, 0))
+    %{private: private} = socket
+    stages = Map.put(private[:hooks] || %{}, stage, hooks ++ [{name, fun}])
+    %{socket | private: Map.put(private, :hooks, stages)}
+  end
 
   @doc "Runs the hooks of a mount."
   @spec mount([{module(), term()}], map(), map(), Socket.t()) :: {:cont | :halt, Socket.t()}
@@ -30,9 +29,6 @@ defmodule Phoenix.LiveView.Lifecycle do
     Enum.reduce_while(hooks, {:cont, socket}, fn {module, argument}, {:cont, socket} ->
       case module.on_mount(argument, params, session, socket) do
         {:cont, %Socket{} = socket} ->
-          {:cont, {:cont, socket}}
-
-        {:cont, %Socket{} = socket, _options} ->
           {:cont, {:cont, socket}}
 
         {:halt, %Socket{redirected: nil}} ->
@@ -45,24 +41,15 @@ defmodule Phoenix.LiveView.Lifecycle do
   end
 
   @doc "Runs the hooks of a stage with its arguments: `{:cont, socket}` when the view's callback follows."
-  @spec run(Socket.t(), stage(), [term()]) ::
-          {:cont, Socket.t()} | {:halt, Socket.t()} | {:halt, map(), Socket.t()}
+  @spec run(Socket.t(), stage(), [term()]) :: {:cont | :halt, Socket.t()}
   def run(socket, stage, arguments) do
     Enum.reduce_while(hooks(socket, stage), {:cont, socket}, fn {_name, fun}, {:cont, socket} ->
       case apply(fun, arguments ++ [socket]) do
         {:cont, %Socket{} = socket} -> {:cont, {:cont, socket}}
         {:halt, %Socket{} = socket} -> {:halt, {:halt, socket}}
-        {:halt, reply, %Socket{} = socket} when is_map(reply) -> {:halt, {:halt, reply, socket}}
       end
     end)
   end
 
-  @spec after_render(Socket.t()) :: Socket.t()
-  def after_render(socket),
-    do: Enum.reduce(hooks(socket, :after_render), socket, fn {_name, fun}, socket -> fun.(socket) end)
-
   defp hooks(socket, stage), do: get_in(socket.private, [:hooks, stage]) || []
-
-  defp put(%{private: private} = socket, stage, hooks),
-    do: %{socket | private: Map.put(private, :hooks, Map.put(private[:hooks] || %{}, stage, hooks))}
 end

@@ -3,17 +3,15 @@ defmodule Phoenix.LiveView.Navigation do
 
   alias Phoenix.LiveView.Socket
 
-  @type t :: {:patch | :navigate, %{to: String.t(), kind: :push | :replace}} | {:redirect, %{to: String.t()}}
+  @type t :: {:patch, %{to: String.t(), kind: :push | :replace}} | {:redirect, %{to: String.t()}}
 
-  @spec ask(Socket.t(), :patch | :navigate | :redirect, keyword()) :: Socket.t()
-  def ask(%Socket{redirected: nil} = socket, :redirect, options) do
-    to = if options[:external], do: external!(options[:external]), else: local!(options[:to])
-    %{socket | redirected: {:redirect, %{to: to}}}
-  end
+  @spec ask(Socket.t(), :patch | :redirect, keyword()) :: Socket.t()
+  def ask(%Socket{redirected: nil} = socket, :redirect, options),
+    do: %{socket | redirected: {:redirect, %{to: local!(options[:to])}}}
 
-  def ask(%Socket{redirected: nil} = socket, how, options) do
+  def ask(%Socket{redirected: nil} = socket, :patch, options) do
     kind = if options[:replace], do: :replace, else: :push
-    %{socket | redirected: {how, %{to: local!(options[:to]), kind: kind}}}
+    %{socket | redirected: {:patch, %{to: local!(options[:to]), kind: kind}}}
   end
 
   def ask(%Socket{redirected: redirected}, _how, _options),
@@ -42,13 +40,6 @@ defmodule Phoenix.LiveView.Navigation do
   end
 
   defp local!(other), do: raise(ArgumentError, "expected a path in to:, got: #{inspect(other)}")
-
-  defp external!(url) when is_binary(url) do
-    case URI.new(url) do
-      {:ok, %URI{scheme: scheme}} when scheme in ["http", "https"] -> url
-      _other -> raise ArgumentError, "expected an http or https URL in external:, got: #{inspect(url)}"
-    end
-  end
 
   defp control?(path), do: for(<<byte <- path>>, byte < 0x20 or byte == 0x7F, do: byte) != []
 end

@@ -8,7 +8,7 @@ defmodule Phoenix.LiveView.Router do
 
         live_session :operators, on_mount: [Guard] do
           live "/", FleetLive
-          live "/vehicles/:id", VehicleLive, :show
+          live "/vehicles/:id", VehicleLive
         end
       end
 
@@ -17,28 +17,21 @@ defmodule Phoenix.LiveView.Router do
   """
 
   defmodule Route do
-    @moduledoc "A route: its view and action, the `live_session` that it belongs to, and the parameters of the path."
+    @moduledoc "A route: its view, the `live_session` that it belongs to, and the parameters of the path."
     @enforce_keys [:view, :segments]
-    defstruct [
-      :view,
-      :action,
-      :segments,
-      session: %{name: :default, on_mount: [], session: %{}, root_layout: nil, layout: nil},
-      params: %{}
-    ]
+    defstruct [:view, :segments, session: %{name: :default, on_mount: [], layout: nil}, params: %{}]
 
     @type t :: %__MODULE__{}
   end
 
-  @doc "A view at a path, with an action that is assigned to `@live_action`."
-  defmacro live(path, view, action \\ nil) do
+  @doc "A view at a path."
+  defmacro live(path, view) do
     # Expanded as if in a function, so that the router is not recompiled whenever the view is.
     view = Macro.expand_literals(view, %{__CALLER__ | function: {:__live_routes__, 0}})
 
-    quote bind_quoted: [path: path, view: view, action: action] do
+    quote bind_quoted: [path: path, view: view] do
       @live_routes %Phoenix.LiveView.Router.Route{
         view: view,
-        action: action,
         segments: Phoenix.LiveView.Router.segments(path),
         session: @live_session
       }
@@ -46,19 +39,19 @@ defmodule Phoenix.LiveView.Router do
   end
 
   @doc """
-  Routes that share hooks and layouts. Options: `:on_mount`, `:session` (a map that mount gets), `:root_layout`, `:layout`, both `{module, name}`.
+  Routes that share hooks and a layout. Options: `:on_mount`, modules; `:layout`, `{module, name}` of the component around each page.
   """
   defmacro live_session(name, options \\ [], do: block) do
     quote do
       @live_session Phoenix.LiveView.Router.session(unquote(name), unquote(Keyword.delete(options, :do)))
       unquote(block)
-      @live_session %{name: :default, on_mount: [], session: %{}, root_layout: nil, layout: nil}
+      @live_session %{name: :default, on_mount: [], layout: nil}
     end
   end
 
   @doc false
   def session(name, options) do
-    case Keyword.keys(options) -- [:on_mount, :session, :root_layout, :layout] do
+    case Keyword.keys(options) -- [:on_mount, :layout] do
       [] -> :ok
       unknown -> raise ArgumentError, "unknown options of live_session: #{inspect(unknown)}"
     end
@@ -70,8 +63,6 @@ defmodule Phoenix.LiveView.Router do
         |> Keyword.get(:on_mount, [])
         |> List.wrap()
         |> Enum.map(&Phoenix.LiveView.Lifecycle.on_mount/1),
-      session: options |> Keyword.get(:session, %{}) |> Map.new(),
-      root_layout: options[:root_layout],
       layout: options[:layout]
     }
   end

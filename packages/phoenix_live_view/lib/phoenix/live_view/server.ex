@@ -8,8 +8,6 @@ defmodule Phoenix.LiveView.Server do
     * `:root_layout`: `{module, name}` of the component around every page, with `@inner_content`, `@page_title` and `@csrf_token`
     * `:session`: a function of the Cowboy request that returns the session (who is signed in), a string-keyed map
     * `:origin?`: a function of the Cowboy request: whether a WebSocket from its `Origin` may be opened
-    * `:hosts`: the host names that requests may use, or `:any`. A list prevents pages of another site whose
-      name points to this server's address from using it
     * `:supervisor`: the `DynamicSupervisor` of the views' processes
     * `:cookie`: the name of the session cookie; `:not_found`: the HTML of the answer 404, `:too_many` that of 429
     * `:opened`: a function of the session, called in the process of each WebSocket when it opens, to subscribe to what ends a session;
@@ -29,7 +27,6 @@ defmodule Phoenix.LiveView.Server do
     :root_layout,
     :not_found,
     :too_many,
-    hosts: :any,
     cookie: "_live_view",
     session: &__MODULE__.no_session/1,
     opened: &__MODULE__.no_session/1,
@@ -52,22 +49,10 @@ defmodule Phoenix.LiveView.Server do
   def new(options) do
     server = struct!(__MODULE__, options)
 
-    cond do
-      byte_size(server.secret) < 32 ->
-        raise ArgumentError, "secret: expected at least 32 bytes, got #{byte_size(server.secret)}"
-
-      server.hosts != :any and not (is_list(server.hosts) and Enum.all?(server.hosts, &is_binary/1)) ->
-        raise ArgumentError, "hosts: expected :any or a list of host names, got #{inspect(server.hosts)}"
-
-      true ->
-        server
-    end
+    if byte_size(server.secret) < 32,
+      do: raise(ArgumentError, "secret: expected at least 32 bytes, got #{byte_size(server.secret)}"),
+      else: server
   end
-
-  @doc "Whether a request's host is one of the server's own names."
-  @spec host?(t(), :cowboy_req.req()) :: boolean()
-  def host?(%__MODULE__{hosts: :any}, _request), do: true
-  def host?(%__MODULE__{hosts: hosts}, request), do: :cowboy_req.host(request) in hosts
 
   @doc false
   def no_session(_request), do: %{}

@@ -6,17 +6,30 @@ defmodule Phoenix.LiveView.Socket do
   library.
   """
 
+  alias Phoenix.LiveView.{Router, Server}
+
   defstruct id: nil,
-            endpoint: nil,
             view: nil,
             router: nil,
             host_uri: nil,
-            parent_pid: nil,
-            root_pid: nil,
             transport_pid: nil,
-            assigns: %{__changed__: %{}, flash: %{}, live_action: nil},
+            assigns: %{__changed__: %{}, flash: %{}},
             redirected: nil,
             private: %{}
 
   @type t :: %__MODULE__{}
+
+  @doc false
+  @spec new(Server.t(), Router.Route.t(), URI.t(), flash :: map(), keyword()) :: t()
+  def new(server, route, uri, flash, fields) do
+    struct!(
+      %__MODULE__{
+        view: route.view,
+        router: server.router,
+        host_uri: %{uri | path: nil, query: nil, fragment: nil},
+        assigns: %{__changed__: %{}, flash: flash}
+      },
+      fields
+    )
+  end
 end

@@ -3,8 +3,7 @@ defmodule Phoenix.LiveView.Static do
   The page that answers a GET: the root layout around a container element with the view's tokens and its first rendering.
   """
 
-  alias Phoenix.HTML.Escape
-  alias Phoenix.LiveView.{Diff, Engine, Flash, Router, Server, Socket, Token, View}
+  alias Phoenix.LiveView.{Diff, Router, Server, Socket, Token, View}
 
   @typedoc """
   `:ok` with HTML, a redirect with the flash to carry, not found, or refused with the status (400 to 499) that the field
@@ -17,21 +16,11 @@ defmodule Phoenix.LiveView.Static do
   def render(%Server{} = server, uri, info) do
     with {:ok, route} <- Router.match(server.router, uri.path || "/") do
       id = "phx-" <> Base.url_encode64(:crypto.strong_rand_bytes(9), padding: false)
-      flash = info[:flash] || %{}
-
-      socket = %Socket{
-        id: id,
-        view: route.view,
-        router: server.router,
-        host_uri: %{uri | path: nil, query: nil, fragment: nil},
-        private: %{connect_info: info}
-      }
-
-      socket = Flash.restore(socket, flash)
+      socket = Socket.new(server, route, uri, info[:flash] || %{}, id: id, private: %{connect_info: info})
 
       case View.mount(%View{server: server, route: route, socket: socket}, uri, info[:session] || %{}) do
         {:ok, view} -> {:ok, page(server, view, info)}
-        {:away, {_kind, %{to: to}}, view} -> {:redirect, to, view.socket.assigns.flash}
+        {:away, %{to: to}, view} -> {:redirect, to, view.socket.assigns.flash}
       end
     else
       :error -> :not_found
@@ -44,10 +33,9 @@ defmodule Phoenix.LiveView.Static do
   defp refused(error, trace), do: reraise(error, trace)
 
   defp page(server, %{socket: socket, route: route} = view, info) do
-    {rendered, _view} = View.render(view)
-    content = {:safe, container(server, socket, route, rendered)}
+    content = {:safe, container(server, socket, route, View.render(view))}
 
-    case route.session.root_layout || server.root_layout do
+    case server.root_layout do
       nil ->
         elem(content, 1)
 
@@ -57,8 +45,7 @@ defmodule Phoenix.LiveView.Static do
           inner_content: content,
           page_title: socket.assigns[:page_title],
           csrf_token: info[:csrf_token],
-          flash: socket.assigns.flash,
-          live_action: socket.assigns.live_action
+          flash: socket.assigns.flash
         }
 
         ["<!DOCTYPE html>\n", module |> apply(name, [Map.merge(socket.assigns, assigns)]) |> Diff.to_iodata()]
@@ -66,8 +53,6 @@ defmodule Phoenix.LiveView.Static do
   end
 
   defp container(server, socket, route, rendered) do
-    {tag, attributes} = route.view.__live__().container
-
     token =
       Token.sign(server.secret, "session", %{
         id: socket.id,
@@ -77,16 +62,8 @@ defmodule Phoenix.LiveView.Static do
       })
 
     [
-      [
-        "<",
-        to_string(tag),
-        Engine.attributes(attributes),
-        " id=\"",
-        Escape.text(socket.id),
-        "\" data-phx-main"
-      ],
-      [" data-phx-session=\"", token, "\" data-phx-static=\"\">"],
-      [Diff.to_iodata(rendered), "</", to_string(tag), ">"]
+      ["<div id=\"", socket.id, "\" data-phx-main data-phx-session=\"", token, "\" data-phx-static=\"\">"],
+      [Diff.to_iodata(rendered), "</div>"]
     ]
   end
 end

@@ -21,14 +21,13 @@ defmodule Phoenix.LiveView.View do
     Router,
     Server,
     Socket,
-    Telemetry,
     Token
   }
 
   require Logger
 
   @enforce_keys [:socket, :server, :route]
-  defstruct [:socket, :server, :route, :uri, :sent, :patched, temporary: []]
+  defstruct [:socket, :server, :route, :uri, :sent, :patched]
 
   @type t :: %__MODULE__{}
   @type action :: {:reply, map()} | {:push, String.t(), map()} | {:refused, String.t()} | :stop
@@ -38,36 +37,24 @@ defmodule Phoenix.LiveView.View do
   @doc """
   Runs `on_mount`, `mount` and `handle_params`. `{:away, navigation, view}` if the view navigates elsewhere at once.
   """
-  @spec mount(t(), URI.t(), map()) :: {:ok, t()} | {:away, Phoenix.LiveView.Navigation.t(), t()}
+  @spec mount(t(), URI.t(), map()) :: {:ok, t()} | {:away, %{to: String.t()}, t()}
   def mount(%__MODULE__{route: route, socket: socket} = view, uri, session) do
-    module = route.view
+    {:module, module} = Code.ensure_loaded(route.view)
     params = params(route, uri)
-    session = Map.merge(route.session.session, session)
-    socket = LiveView.put_action(socket, route.action)
-    hooks = route.session.on_mount ++ module.__live__().on_mount
 
-    with {:cont, socket} <- Lifecycle.mount(hooks, params, session, socket),
-         {%Socket{redirected: nil} = socket, options} <- user_mount(module, params, session, socket) do
-      temporary = Keyword.get(options, :temporary_assigns, [])
-      layout = Keyword.get(options, :layout, socket.private[:layout])
-      socket = if layout != nil, do: LiveView.put_private(socket, :layout, layout), else: socket
-      arrive(%{view | socket: socket, temporary: temporary}, uri, params)
+    with {:cont, socket} <- Lifecycle.mount(route.session.on_mount, params, session, socket),
+         {:ok, %Socket{redirected: nil} = socket} <- user_mount(module, params, session, socket) do
+      arrive(%{view | socket: socket}, uri, params)
     else
-      {:halt, socket} -> {:away, socket.redirected, %{view | socket: socket}}
-      {socket, _options} -> {:away, socket.redirected, %{view | socket: socket}}
+      {_halt_or_ok, %Socket{} = socket} -> away(%{view | socket: socket})
     end
   end
 
   defp user_mount(module, params, session, socket) do
-    if function_exported?(module, :mount, 3) do
-      case Telemetry.span(:mount, socket, %{params: params}, fn -> module.mount(params, session, socket) end) do
-        {:ok, %Socket{} = socket} -> {socket, []}
-        {:ok, %Socket{} = socket, options} -> {socket, options}
-      end
-    else
-      {socket, []}
-    end
+    if function_exported?(module, :mount, 3), do: module.mount(params, session, socket), else: {:ok, socket}
   end
+
+  defp away(%{socket: %{redirected: {_kind, target}}} = view), do: {:away, Map.take(target, [:to]), view}
 
   # The first handle_params, and those of the patches that it requests.
   defp arrive(view, uri, params) do
@@ -75,35 +62,27 @@ defmodule Phoenix.LiveView.View do
 
     case patches(view, []) do
       {%{socket: %{redirected: nil}} = view, patches} -> {:ok, %{view | patched: List.first(patches)}}
-      {view, _patches} -> {:away, view.socket.redirected, view}
+      {view, _patches} -> away(view)
     end
   end
 
   @doc "The page for a client that joins."
   @spec joined(t()) :: {map(), t()}
   def joined(view) do
-    {rendered, view} = render(view)
+    rendered = render(view)
     tree = rendered |> Diff.root() |> extras(view)
     {tree, settle(view, rendered)}
   end
 
   @doc "The rendered page, for a dead rendering."
-  @spec render(t()) :: {Rendered.t(), t()}
-  def render(%__MODULE__{socket: socket, route: route} = view) do
+  @spec render(t()) :: Rendered.t()
+  def render(%__MODULE__{socket: socket, route: route}) do
     assigns = Map.put(socket.assigns, :socket, socket)
+    rendered = route.view.render(assigns)
 
-    rendered =
-      Telemetry.span(:render, socket, %{}, fn -> layout(view, assigns, route.view.render(assigns)) end)
-
-    {rendered, view}
-  end
-
-  defp layout(%{socket: socket, route: route}, assigns, rendered) do
-    own = route.view.__live__().layout
-
-    case Enum.find([socket.private[:layout], own, route.session.layout], &(&1 != nil)) do
+    case route.session.layout do
       {module, name} -> apply(module, name, [Map.put(assigns, :inner_content, rendered)])
-      _none -> rendered
+      nil -> rendered
     end
   end
 
@@ -116,7 +95,7 @@ defmodule Phoenix.LiveView.View do
         _all -> LiveView.clear_flash(view.socket)
       end
 
-    finish(%{view | socket: socket}, :reply, nil)
+    finish(%{view | socket: socket}, :reply)
   end
 
   def event(view, %{"event" => event} = payload) when is_binary(event) do
@@ -136,22 +115,15 @@ defmodule Phoenix.LiveView.View do
 
   @doc "An answer with only the pending changes."
   @spec flush(t()) :: {[action()], t()}
-  def flush(view), do: finish(view, :reply, nil)
+  def flush(view), do: finish(view, :reply)
 
   defp handle_event(%{socket: socket, route: route} = view, event, value) do
-    outcome =
+    {outcome, %Socket{} = socket} =
       with {:cont, socket} <- Lifecycle.run(socket, :handle_event, [event, value]),
-           do:
-             Telemetry.span(:handle_event, socket, %{event: event, params: value}, fn ->
-               route.view.handle_event(event, value, socket)
-             end)
+           do: route.view.handle_event(event, value, socket)
 
-    case outcome do
-      {:noreply, %Socket{} = socket} -> finish(%{view | socket: socket}, :reply, nil)
-      {:halt, %Socket{} = socket} -> finish(%{view | socket: socket}, :reply, nil)
-      {:reply, %{} = reply, %Socket{} = socket} -> finish(%{view | socket: socket}, :reply, reply)
-      {:halt, reply, %Socket{} = socket} -> finish(%{view | socket: socket}, :reply, reply)
-    end
+    true = outcome in [:noreply, :halt]
+    finish(%{view | socket: socket}, :reply)
   end
 
   defp value(%{"type" => "form", "value" => text} = payload) when is_binary(text) do
@@ -178,9 +150,8 @@ defmodule Phoenix.LiveView.View do
     with {:ok, uri} <- URI.new(url),
          {:ok, next} <- Router.match(server.router, uri.path || "/"),
          true <- next.view == route.view and next.session.name == route.session.name do
-      socket = view.socket |> LiveView.clear_flash() |> LiveView.put_action(next.action)
-      view = %{view | socket: socket, route: next, uri: uri}
-      finish(handle_params(view, params(next, uri)), :reply, nil)
+      view = %{view | socket: LiveView.clear_flash(view.socket), route: next, uri: uri}
+      finish(handle_params(view, params(next, uri)), :reply)
     else
       # The client navigates to another page by itself.
       _other -> {[{:reply, %{link_redirect: true}}], view}
@@ -218,21 +189,14 @@ defmodule Phoenix.LiveView.View do
   @spec kept(t()) :: non_neg_integer()
   def kept(%{socket: %{private: private}}), do: length(private[:push_events] || [])
 
-  @doc "Takes the new socket of another callback."
-  @spec socket(t(), Socket.t()) :: t()
-  def socket(view, %Socket{} = socket), do: %{view | socket: socket}
-
   @doc "Renders, and returns the changes for the client."
   @spec refresh(t()) :: {[action()], t()}
-  def refresh(view), do: finish(view, :push, nil)
+  def refresh(view), do: finish(view, :push)
 
   defp handle_params(%{socket: socket, route: route, uri: uri} = view, params) do
     with {:cont, socket} <- Lifecycle.run(socket, :handle_params, [params, URI.to_string(uri)]),
          true <- function_exported?(route.view, :handle_params, 3) || {:none, socket},
-         {:noreply, %Socket{} = socket} <-
-           Telemetry.span(:handle_params, socket, %{params: params, uri: URI.to_string(uri)}, fn ->
-             route.view.handle_params(params, URI.to_string(uri), socket)
-           end) do
+         {:noreply, %Socket{} = socket} <- route.view.handle_params(params, URI.to_string(uri), socket) do
       %{view | socket: socket}
     else
       {:halt, socket} -> %{view | socket: socket}
@@ -249,31 +213,30 @@ defmodule Phoenix.LiveView.View do
 
     case Router.match(view.server.router, uri.path || "/") do
       {:ok, %{view: module} = route} when module == view.route.view ->
-        socket = LiveView.put_action(%{socket | redirected: nil}, route.action)
-        view = handle_params(%{view | socket: socket, route: route, uri: uri}, params(route, uri))
+        view = %{view | socket: %{socket | redirected: nil}, route: route, uri: uri}
+        view = handle_params(view, params(route, uri))
         patches(view, [%{kind: kind, to: to} | done])
 
       _other ->
         raise ArgumentError,
-              "push_patch to #{to}, which is not a path of #{inspect(view.route.view)}: use push_navigate"
+              "push_patch to #{to}, which is not a path of #{inspect(view.route.view)}: use redirect"
     end
   end
 
   defp patches(view, done), do: {view, done}
 
-  defp finish(view, how, reply) do
+  defp finish(view, how) do
     {view, patches} = patches(view, [])
     pushed = patches |> Enum.reverse() |> Enum.map(&{:push, "live_patch", &1})
 
     case view.socket.redirected do
-      nil -> rendered(view, how, reply, pushed)
-      away -> {pushed ++ away(view, how, away), view}
+      nil -> rendered(view, how, pushed)
+      {:redirect, target} -> {pushed ++ leave(view, how, target), view}
     end
   end
 
-  defp rendered(view, how, reply, pushed) do
+  defp rendered(view, how, pushed) do
     {diff, view} = diff(view)
-    diff = if reply, do: Map.put(diff, :r, reply), else: diff
 
     actions =
       case {how, diff} do
@@ -291,7 +254,7 @@ defmodule Phoenix.LiveView.View do
     if socket.assigns.__changed__ == %{} do
       {extras(%{}, view), settle(view, nil)}
     else
-      {rendered, view} = render(view)
+      rendered = render(view)
       {view.sent |> Diff.diff(rendered) |> extras(view), settle(view, rendered)}
     end
   end
@@ -312,37 +275,30 @@ defmodule Phoenix.LiveView.View do
 
   # Sent changes are cleared.
   defp settle(%{socket: socket} = view, rendered) do
-    assigns = socket.assigns |> Map.merge(Map.new(view.temporary))
-
     socket = %{
       socket
-      | assigns: %{assigns | __changed__: %{}},
+      | assigns: %{socket.assigns | __changed__: %{}},
         private: Map.delete(socket.private, :push_events)
     }
 
-    socket = if rendered, do: Lifecycle.after_render(socket), else: socket
     %{view | socket: socket, sent: rendered || view.sent}
   end
 
-  defp away(view, how, {kind, target}) do
-    {event, payload} = elsewhere(view.server, kind, target, view.socket.assigns.flash)
+  defp leave(view, how, target) do
+    payload = elsewhere(view.server, target, view.socket.assigns.flash)
     events = view.socket.private[:push_events]
     before = if events in [nil, []], do: [], else: [{:push, "diff", %{e: Enum.reverse(events)}}]
 
     case how do
-      :reply -> before ++ [{:reply, %{event => payload}}, :stop]
-      :push -> before ++ [{:push, event, payload}, :stop]
+      :reply -> before ++ [{:reply, %{redirect: payload}}, :stop]
+      :push -> before ++ [{:push, "redirect", payload}, :stop]
     end
   end
 
-  @doc "A navigation as the client gets it: the event and its payload."
-  @spec elsewhere(Server.t(), :patch | :navigate | :redirect, map(), map()) :: {String.t(), map()}
-  def elsewhere(server, kind, target, flash) do
-    payload =
-      if flash == %{}, do: target, else: Map.put(target, :flash, Token.sign(server.secret, "flash", flash))
-
-    {if(kind == :redirect, do: "redirect", else: "live_redirect"), payload}
-  end
+  @doc "Where a view redirects to, as the client gets it, with the flash to carry."
+  @spec elsewhere(Server.t(), %{to: String.t()}, map()) :: map()
+  def elsewhere(_server, target, flash) when flash == %{}, do: target
+  def elsewhere(server, target, flash), do: Map.put(target, :flash, Token.sign(server.secret, "flash", flash))
 
   defp params(route, uri) do
     case Query.decode(uri.query || "") do

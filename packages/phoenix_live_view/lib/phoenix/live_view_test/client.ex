@@ -15,17 +15,17 @@ defmodule Phoenix.LiveViewTest.Client do
     with :ok <- GenServer.call(client, :joined, @timeout_ms), do: {:ok, client}
   end
 
-  @doc "Sends an event and waits for its answer: the reply map, or where the view went."
-  @spec push(pid(), String.t(), map()) :: {:ok, map()} | {:away, {String.t(), map()}}
+  @doc "Sends an event and waits for its answer, or for where the view went."
+  @spec push(pid(), String.t(), map()) :: :ok | {:away, {String.t(), map()}}
   def push(client, event, payload), do: GenServer.call(client, {:push, event, payload}, @timeout_ms)
 
   @doc "The page as HTML, after the view has handled all earlier messages."
   @spec html(pid()) :: {:ok, String.t()} | {:away, {String.t(), map()}}
   def html(client) do
-    with {:ok, _reply} <- push(client, "sync", %{}), do: {:ok, GenServer.call(client, :html, @timeout_ms)}
+    with :ok <- push(client, "sync", %{}), do: {:ok, GenServer.call(client, :html, @timeout_ms)}
   end
 
-  @doc "A value that the client keeps: `:title`, `:channel`, `:patches`, `:away`, `:url`."
+  @doc "A value that the client keeps: `:title`, `:channel`, `:away`, `:url`."
   @spec get(pid(), atom()) :: term()
   def get(client, key), do: GenServer.call(client, {:get, key}, @timeout_ms)
 
@@ -48,8 +48,7 @@ defmodule Phoenix.LiveViewTest.Client do
       waiting: %{},
       tree: nil,
       title: nil,
-      url: options[:payload]["url"] || options[:payload]["redirect"],
-      patches: [],
+      url: options[:payload]["url"],
       away: nil
     }
 
@@ -114,29 +113,20 @@ defmodule Phoenix.LiveViewTest.Client do
   defp heard("phx_reply", ref, %{"response" => response}, state) do
     state = merged(response["diff"] || %{}, state)
 
-    case Map.take(response, ["redirect", "live_redirect"]) |> Map.to_list() do
-      [{kind, target}] ->
-        answer(told(%{state | away: {kind, target}}), ref, {:away, {kind, target}})
-
-      [] ->
-        answer(
-          state,
-          ref,
-          {:ok, Map.delete(response, "diff") |> Map.merge(get_in(response, ["diff", "r"]) || %{})}
-        )
+    case response do
+      %{"redirect" => target} -> answer(told(target, state), ref, {:away, {"redirect", target}})
+      _diff -> answer(state, ref, :ok)
     end
   end
 
   defp heard("diff", _ref, diff, state), do: merged(diff, state)
   defp heard("live_patch", _ref, patch, state), do: patched(patch, state)
 
-  defp heard(kind, _ref, target, state) when kind in ["redirect", "live_redirect"],
-    do: told(%{state | away: {kind, target}})
-
+  defp heard("redirect", _ref, target, state), do: told(target, state)
   defp heard(_other, _ref, _payload, state), do: state
 
   defp merged(diff, state) do
-    {extras, tree} = Map.split(diff, ["e", "t", "r"])
+    {extras, tree} = Map.split(diff, ["e", "t"])
     tree = if tree == %{}, do: state.tree, else: Tree.merge(state.tree || %{}, tree)
     %{state | tree: tree, title: extras["t"] || state.title}
   end
@@ -152,14 +142,15 @@ defmodule Phoenix.LiveViewTest.Client do
 
   defp patched(nil, state), do: state
 
-  defp patched(%{"to" => to} = patch, state) do
+  defp patched(%{"to" => to}, state) do
     send(state.owner, {__MODULE__, self(), :patch, to})
-    %{state | url: state.url |> URI.merge(to) |> URI.to_string(), patches: [patch | state.patches]}
+    %{state | url: state.url |> URI.merge(to) |> URI.to_string()}
   end
 
-  defp told(%{away: away} = state) do
+  defp told(target, state) do
+    away = {"redirect", target}
     send(state.owner, {__MODULE__, self(), :away, away})
-    state
+    %{state | away: away}
   end
 
   defp answer(state, ref, answer) do

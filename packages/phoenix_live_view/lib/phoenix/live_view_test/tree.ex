@@ -5,7 +5,7 @@ defmodule Phoenix.LiveViewTest.Tree do
 
   @type t :: map()
 
-  @doc "The tree after a diff. Keys of the root that are not of the tree (`e`, `t`, `r`) are the caller's to take away."
+  @doc "The tree after a diff. Keys of the root that are not of the tree (`e`, `t`) are the caller's to take away."
   @spec merge(t(), map()) :: t() | String.t()
   def merge(_tree, %{"s" => _} = whole), do: settle(whole)
   def merge(tree, diff) when is_map(tree) and is_map(diff), do: change(tree, diff)

@@ -14,12 +14,9 @@ defmodule Phoenix.LiveView.LifecycleTest do
         |> attach_hook(:params, :handle_params, fn _params, _uri, socket -> {:cont, seen(socket, :params)} end)
         |> attach_hook(:event, :handle_event, fn
           "stop", _value, socket -> {:halt, seen(socket, :stop)}
-          "reply", value, socket -> {:halt, value, seen(socket, :reply)}
-          "detach", _value, socket -> {:halt, detach_hook(socket, :info, :handle_info)}
           _event, _value, socket -> {:cont, seen(socket, :event)}
         end)
         |> attach_hook(:info, :handle_info, fn _message, socket -> {:halt, seen(socket, :info)} end)
-        |> attach_hook(:render, :after_render, &put_private(&1, :rendered, true))
 
       if params["again"],
         do: {:cont, attach_hook(socket, :info, :handle_info, fn _, socket -> {:cont, socket} end)},
@@ -36,29 +33,19 @@ defmodule Phoenix.LiveView.LifecycleTest do
   end
 
   defmodule Page do
-    use Phoenix.LiveView, layout: {Layout, :live}
-    on_mount {Hooks, :attach}
-
-    def mount(_params, _session, socket),
-      do: {:ok, assign(socket, :once, "once"), temporary_assigns: [once: ""]}
+    use Phoenix.LiveView
 
     def handle_params(_params, _uri, socket), do: {:noreply, socket}
 
     def handle_event(_event, _value, socket),
       do: {:noreply, clear_flash(put_flash(socket, :info, "x"), :error)}
 
-    def handle_call(:n, _from, socket),
-      do: {:reply, length(socket.assigns.seen), assign(socket, :seen, [:call])}
-
-    def handle_cast(:c, socket), do: {:noreply, assign(socket, :seen, [:cast])}
-
     def render(assigns),
-      do: ~H|<p>{inspect(@seen)}{@once}{@flash["info"]}{@live_action}{@socket.id != nil}</p>|
+      do: ~H|<p>{inspect(@seen)}{@flash["info"]}{@socket.id != nil}</p>|
   end
 
   defmodule Forgetful do
     use Phoenix.LiveView
-    on_mount {Hooks, :forgetful}
     def render(assigns), do: ~H""
   end
 
@@ -70,8 +57,15 @@ defmodule Phoenix.LiveView.LifecycleTest do
   defmodule Routes do
     use Phoenix.Router
     import Phoenix.LiveView.Router
-    live "/", Page, :index
-    live "/forgetful", Forgetful
+
+    live_session :attach, on_mount: [{Hooks, :attach}], layout: {Layout, :live} do
+      live "/", Page
+    end
+
+    live_session :forgetful, on_mount: [{Hooks, :forgetful}] do
+      live "/forgetful", Forgetful
+    end
+
     live "/silent", Silent
   end
 
@@ -94,22 +88,12 @@ defmodule Phoenix.LiveView.LifecycleTest do
 
   test "hooks see what the view's callbacks would, and may keep it from them", %{conn: conn} do
     {:ok, view, html} = live(conn, "/")
-    assert html == "<main><p>[:params]onceindextrue</p></main>"
-    assert render_click(view, "any") =~ "[:event, :params]xindex"
+    assert html == "<main><p>[:params]true</p></main>"
+    assert render_click(view, "any") =~ "[:event, :params]xtrue"
     assert render_click(view, "stop") =~ "[:stop, :event, :params]x"
-    render_click(view, "reply", %{a: 1})
     send(view.pid, :message)
-    assert render(view) =~ "[:info, :reply,"
-    render_click(view, "detach")
-    assert render_click(view, "lv:clear-flash", %{key: "info"}) =~ "]index"
-  end
-
-  test "a view answers calls and casts", %{conn: conn} do
-    {:ok, view, _html} = live(conn, "/")
-    assert GenServer.call(view.pid, :n) == 1
-    assert render(view) =~ "[:call]"
-    GenServer.cast(view.pid, :c)
-    assert render(view) =~ "[:cast]"
+    assert render(view) =~ "[:info, :stop,"
+    assert render_click(view, "lv:clear-flash", %{key: "info"}) =~ "]true"
   end
 
   test "mistakes with hooks are told", %{conn: conn} do
@@ -121,26 +105,5 @@ defmodule Phoenix.LiveView.LifecycleTest do
     {:ok, view, _html} = live(conn, "/silent")
     send(view.pid, :hello)
     assert render(view) == "<p>silent</p>"
-  end
-
-  test "callbacks are spans, with names that do not change", %{conn: conn} do
-    test = self()
-    handler = inspect(make_ref())
-
-    :telemetry.attach_many(
-      handler,
-      Phoenix.LiveView.Telemetry.events(),
-      fn event, _, meta, _ -> send(test, {event, meta}) end,
-      nil
-    )
-
-    {:ok, view, _html} = live(conn, "/")
-    render_click(view, "any")
-    :telemetry.detach(handler)
-
-    for callback <- [:mount, :handle_params, :render, :handle_event], point <- [:start, :stop] do
-      event = [:phoenix, :live_view, callback, point]
-      assert_receive {^event, %{socket: %{view: Page}}}
-    end
   end
 end

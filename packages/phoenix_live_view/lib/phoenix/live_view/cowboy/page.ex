@@ -3,7 +3,7 @@ defmodule Phoenix.LiveView.Cowboy.Page do
   # Answers GET of a page. The page contains tokens, so it must not be cached.
   @behaviour :cowboy_handler
 
-  alias Phoenix.LiveView.{Cookie, Cowboy, Server, Static, Token}
+  alias Phoenix.LiveView.{Cookie, Cowboy, Static, Token}
 
   # The client writes both.
   @flash_cookie "__phoenix_flash__"
@@ -11,16 +11,9 @@ defmodule Phoenix.LiveView.Cowboy.Page do
 
   @impl :cowboy_handler
   def init(request, server) do
-    cond do
-      not Server.host?(server, request) ->
-        {:ok, :cowboy_req.reply(421, %{}, "this is not a name of the server\n", request), server}
-
-      :cowboy_req.method(request) in ["GET", "HEAD"] ->
-        page(request, server)
-
-      true ->
-        {:ok, :cowboy_req.reply(405, %{"allow" => "GET, HEAD"}, "method not allowed\n", request), server}
-    end
+    if :cowboy_req.method(request) in ["GET", "HEAD"],
+      do: page(request, server),
+      else: {:ok, :cowboy_req.reply(405, %{"allow" => "GET, HEAD"}, "method not allowed\n", request), server}
   end
 
   defp page(request, server) do

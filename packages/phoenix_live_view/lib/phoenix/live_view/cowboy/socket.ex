@@ -8,13 +8,12 @@ defmodule Phoenix.LiveView.Cowboy.Socket do
   """
   @behaviour :cowboy_websocket
 
-  alias Phoenix.LiveView.{Channel, Cookie, Frame, Join, Server, Telemetry}
+  alias Phoenix.LiveView.{Channel, Cookie, Frame, Join}
   alias Phoenix.LiveView.Cowboy.Page
 
   @going_away 1001
   @unsupported 1003
   @refused 1008
-  @restart 1012
 
   # How long a view that is being left may take to finish.
   @leave_ms 5_000
@@ -25,9 +24,6 @@ defmodule Phoenix.LiveView.Cowboy.Socket do
     query = request |> :cowboy_req.parse_qs() |> Map.new()
 
     cond do
-      not Server.host?(server, request) ->
-        refuse(request, server, "this is not a name of the server")
-
       not server.origin?.(request) ->
         refuse(request, server, "this page's origin may not use the server")
 
@@ -43,15 +39,13 @@ defmodule Phoenix.LiveView.Cowboy.Socket do
   end
 
   defp refuse(request, server, words) do
-    Telemetry.refused(:socket, words)
     {:ok, :cowboy_req.reply(403, %{"content-type" => "text/plain"}, words <> "\n", request), server}
   end
 
   defp upgrade(request, server, session) do
     info = %{
       session: Map.merge(session, server.session.(request)),
-      peer_data: Page.peer(request),
-      user_agent: :cowboy_req.header("user-agent", request, nil)
+      peer_data: Page.peer(request)
     }
 
     options = %{compress: true, max_frame_size: server.max_frame, idle_timeout: server.idle_ms + 30_000}
@@ -82,7 +76,6 @@ defmodule Phoenix.LiveView.Cowboy.Socket do
   def websocket_handle(_ping, state), do: {[], state}
 
   defp close(code, words, state) do
-    Telemetry.refused(:frame, words)
     {[{:close, code, words}], state}
   end
 
@@ -180,8 +173,6 @@ defmodule Phoenix.LiveView.Cowboy.Socket do
         {[], state}
     end
   end
-
-  def websocket_info({Channel, :drain}, state), do: {[{:close, @restart, "the server restarts"}], state}
 
   def websocket_info(:watch, %{server: server, heard: heard} = state) do
     if now() - heard > server.idle_ms do

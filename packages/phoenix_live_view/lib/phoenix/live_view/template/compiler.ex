@@ -10,11 +10,6 @@ defmodule Phoenix.LiveView.Template.Compiler do
   alias Phoenix.LiveView.{Comprehension, Engine, Rendered}
   alias Phoenix.LiveView.Template.{Error, Parser}
 
-  # Attributes for the parser, which the browser does not get.
-  @private ~w(phx-no-curly-interpolation phx-no-format)
-  @doc false
-  def private, do: @private
-
   @doc "The code of a source. Options as `Phoenix.LiveView.Template.Tokenizer.tokenize/2`. Raises `Template.Error`."
   @spec compile(String.t(), keyword()) :: Macro.t()
   def compile(source, options) do
@@ -192,9 +187,6 @@ defmodule Phoenix.LiveView.Template.Compiler do
       {:root, {:expr, quoted}, _meta}, map ->
         quote(do: Map.merge(unquote(map), Map.new(unquote(assigns(quoted)))))
 
-      {name, _value, _meta}, map when name in @private ->
-        map
-
       {name, value, _meta}, map ->
         merged(map, [{String.to_atom(name), value(value)}])
     end)
@@ -210,7 +202,6 @@ defmodule Phoenix.LiveView.Template.Compiler do
   defp attribute({:root, {:expr, quoted}, _meta}, _file),
     do: [{:dynamic, quote(do: Engine.attributes(unquote(assigns(quoted))))}]
 
-  defp attribute({name, _value, _meta}, _file) when name in @private, do: []
   defp attribute({name, true, _meta}, _file), do: [" ", name]
 
   defp attribute({name, {:text, text}, _meta}, _file),

@@ -13,7 +13,7 @@ defmodule Phoenix.LiveView.Template.Tokenizer do
   the value `true`, `{:text, text}` or `{:expr, quoted}`; the name `:root` stands for `{@rest}`.
 
   An expression ends at the first `}` that makes it valid Elixir, so it may contain braces. The contents of `<script>` and
-  `<style>`, and of elements with `phx-no-curly-interpolation`, are text.
+  `<style>` are text.
   """
 
   alias Phoenix.LiveView.Template.Error
@@ -44,8 +44,6 @@ defmodule Phoenix.LiveView.Template.Tokenizer do
       line: Keyword.get(options, :line, 1),
       column: Keyword.get(options, :column, 1),
       indentation: Keyword.get(options, :indentation, 0),
-      # Names of open elements in which braces are text.
-      plain: [],
       tokens: []
     }
 
@@ -81,7 +79,7 @@ defmodule Phoenix.LiveView.Template.Tokenizer do
         token = {:close, kind, name, meta(state)}
         state = walk(%{state | tokens: [token | state.tokens]}, consumed("</" <> after_name, after_name))
         state = walk(state, consumed(after_name, after_space) <> ">")
-        text(rest, [], leave(state, name))
+        text(rest, [], state)
 
       _other ->
         error(state, "expected the end of a closing tag: </name>")
@@ -94,7 +92,7 @@ defmodule Phoenix.LiveView.Template.Tokenizer do
     open(rest, flush(state, buffer))
   end
 
-  defp text("{" <> rest, buffer, %{plain: []} = state) do
+  defp text("{" <> rest, buffer, state) do
     state = flush(state, buffer)
     {quoted, code, rest} = expression(rest, state)
 
@@ -104,7 +102,7 @@ defmodule Phoenix.LiveView.Template.Tokenizer do
     text(rest, [], walk(%{state | tokens: tokens}, "{" <> code <> "}"))
   end
 
-  defp text("}" <> _rest, _buffer, %{plain: []} = state) do
+  defp text("}" <> _rest, _buffer, state) do
     error(state, "} without {: write &rbrace; or {\"}\"} for a brace")
   end
 
@@ -126,8 +124,6 @@ defmodule Phoenix.LiveView.Template.Tokenizer do
     cond do
       close != :none -> text(rest, [], state)
       kind == :tag and label in @raw -> raw(rest, label, state)
-      List.keymember?(attributes, "phx-no-curly-interpolation", 0) -> text(rest, [], enter(state, label))
-      state.plain != [] and hd(state.plain) == label -> text(rest, [], enter(state, label))
       true -> text(rest, [], state)
     end
   end
@@ -246,10 +242,6 @@ defmodule Phoenix.LiveView.Template.Tokenizer do
       {:ok, _quoted} -> ""
     end
   end
-
-  defp enter(state, name), do: %{state | plain: [name | state.plain]}
-  defp leave(%{plain: [name | plain]} = state, name), do: %{state | plain: plain}
-  defp leave(state, _name), do: state
 
   defp kind("." <> _ = name), do: {:component, name}
   defp kind(":" <> name), do: {:slot, name}

@@ -1,8 +1,8 @@
 /*
  * The port program: one serial port, served for the BEAM over stdin and stdout (wire.h).
  *
- * One loop around poll; nothing else waits, so a port that accepts no bytes, or a read that gets none, never delays a close
- * or hides a hang-up. At most one read and one write or drain are pending: the BEAM's side queues the rest. The end of
+ * One loop around poll; nothing else waits, so a port that accepts no bytes, or a read that gets none, never delays another
+ * request or hides a hang-up. At most one read and one write or drain are pending: the BEAM's side queues the rest. The end of
  * stdin ends the program.
  */
 #include "tty.h"
@@ -17,7 +17,7 @@
 #include <time.h>
 #include <unistd.h>
 
-#define SETTINGS_SIZE 19
+#define SETTINGS_SIZE 5
 #define READ_SIZE 8192
 #define PATH_SIZE 4096
 /* The BEAM's side returns a credit for each packet of bytes that it has handled. */
@@ -41,13 +41,8 @@ static struct {
     uint8_t bytes[WIRE_MAX];
     size_t sent, length;
 
-    /* A port that was closed with unsent bytes: they get a little time. */
-    int closing_fd;
-    uint32_t close_id;
-    int64_t close_deadline;
-
     uint32_t credit;
-} port = {.fd = -1, .closing_fd = -1, .credit = FIRST_CREDIT};
+} port = {.fd = -1, .credit = FIRST_CREDIT};
 
 static int64_t now_ms(void)
 {
@@ -89,33 +84,8 @@ static void gone(int error)
 static void close_now(int fd)
 {
     if (tty_unsent(fd) > 0)
-        tty_flush(fd, QUEUE_TRANSMIT);
+        tty_flush_unsent(fd);
     tty_close(fd);
-}
-
-static void finish_closing(void)
-{
-    if (port.closing_fd < 0)
-        return;
-    close_now(port.closing_fd);
-    port.closing_fd = -1;
-    wire_ok(port.close_id, NULL, 0);
-}
-
-static void do_close(uint32_t id, uint32_t linger_ms)
-{
-    finish_closing();
-    fail_pending(ECANCELED);
-    if (port.fd < 0) {
-        wire_ok(id, NULL, 0);
-        return;
-    }
-    port.closing_fd = port.fd;
-    port.close_id = id;
-    port.close_deadline = now_ms() + linger_ms;
-    port.fd = -1;
-    if (tty_unsent(port.closing_fd) == 0)
-        finish_closing();
 }
 
 static bool wants_bytes(void)
@@ -192,8 +162,6 @@ static void expire(void)
         port.sending = IDLE;
         wire_error(port.send_id, EAGAIN);
     }
-    if (port.closing_fd >= 0 && (now >= port.close_deadline || tty_unsent(port.closing_fd) == 0))
-        finish_closing();
 }
 
 static int next_timeout(void)
@@ -203,7 +171,7 @@ static int next_timeout(void)
         at = port.read_deadline;
     if (port.sending != IDLE && port.send_deadline < at)
         at = port.send_deadline;
-    if ((port.sending == DRAINING || port.closing_fd >= 0) && now + DRAIN_TICK_MS < at)
+    if (port.sending == DRAINING && now + DRAIN_TICK_MS < at)
         at = now + DRAIN_TICK_MS;
     if (at == INT64_MAX)
         return -1;
@@ -212,25 +180,14 @@ static int next_timeout(void)
     return at - now > INT32_MAX ? INT32_MAX : (int)(at - now);
 }
 
-static struct settings settings_of(const uint8_t *b)
-{
-    struct settings s = {
-        .speed = get_u32(b), .data_bits = b[4], .stop_bits = b[5], .parity = b[6], .flow = b[7],
-        .rs485_given = b[9], .rs485_values = b[10],
-        .rs485_delay_before = get_u32(b + 11), .rs485_delay_after = get_u32(b + 15),
-    };
-    return s;
-}
-
 static void do_open(uint32_t id, const uint8_t *args, size_t length)
 {
     char path[PATH_SIZE];
     size_t path_length = length - SETTINGS_SIZE;
 
-    finish_closing();
     fail_pending(ECANCELED);
     if (port.fd >= 0)
-        tty_close(port.fd);
+        close_now(port.fd);
     port.fd = -1;
 
     if (path_length == 0 || path_length >= sizeof(path) || memchr(args + SETTINGS_SIZE, 0, path_length)) {
@@ -240,26 +197,24 @@ static void do_open(uint32_t id, const uint8_t *args, size_t length)
     memcpy(path, args + SETTINGS_SIZE, path_length);
     path[path_length] = 0;
 
-    struct settings settings = settings_of(args);
-    int rc = tty_open(path, &settings);
+    int rc = tty_open(path, get_u32(args));
     if (rc < 0) {
         wire_error(id, -rc);
         return;
     }
     port.fd = rc;
-    port.active = args[8];
+    port.active = args[4];
     wire_ok(id, NULL, 0);
 }
 
 static void do_configure(uint32_t id, const uint8_t *args)
 {
-    struct settings settings = settings_of(args);
-    int rc = tty_configure(port.fd, &settings);
+    int rc = tty_configure(port.fd, get_u32(args));
     if (rc < 0) {
         wire_error(id, -rc);
         return;
     }
-    port.active = args[8];
+    port.active = args[4];
     if (port.active && port.reading) {
         port.reading = false;
         wire_error(port.read_id, ECANCELED);
@@ -273,19 +228,6 @@ static void reply(uint32_t id, int rc)
         wire_error(id, -rc);
     else
         wire_ok(id, NULL, 0);
-}
-
-static void do_signals(uint32_t id)
-{
-    uint8_t result[4];
-    uint32_t bits;
-    int rc = tty_signals(port.fd, &bits);
-    if (rc < 0) {
-        wire_error(id, -rc);
-        return;
-    }
-    put_u32(result, bits);
-    wire_ok(id, result, sizeof(result));
 }
 
 static void begin_read(uint32_t id, uint32_t timeout_ms)
@@ -326,10 +268,6 @@ static void dispatch(const struct packet *p)
     case CMD_OPEN:
         expect(length >= SETTINGS_SIZE);
         do_open(id, args, length);
-        return;
-    case CMD_CLOSE:
-        expect(length == 4);
-        do_close(id, get_u32(args));
         return;
     case CMD_CANCEL:
         expect(length == 0);
@@ -372,19 +310,9 @@ static void dispatch(const struct packet *p)
         }
         break;
     case CMD_FLUSH:
-        expect(length == 1 && args[0] >= QUEUE_RECEIVE && args[0] <= QUEUE_BOTH);
-        if (!closed)
-            reply(id, tty_flush(port.fd, args[0]));
-        break;
-    case CMD_SIGNALS:
         expect(length == 0);
         if (!closed)
-            do_signals(id);
-        break;
-    case CMD_SET:
-        expect(length == 2 && args[0] >= LINE_DTR && args[0] <= LINE_BREAK);
-        if (!closed)
-            reply(id, tty_set(port.fd, args[0], args[1] != 0));
+            reply(id, tty_flush_received(port.fd));
         break;
     default:
         die("unknown command");
@@ -410,8 +338,6 @@ static void serve_port(short events)
 /* However the program ends: nobody waits for unsent bytes any more. */
 static void release(void)
 {
-    if (port.closing_fd >= 0)
-        close_now(port.closing_fd);
     if (port.fd >= 0)
         close_now(port.fd);
 }

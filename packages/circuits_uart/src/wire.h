@@ -19,17 +19,14 @@
 #define WIRE_MAX 65535
 
 enum command {
-    CMD_OPEN = 1,      /* <<settings:19 bytes, path>> */
-    CMD_CLOSE = 2,     /* <<linger in ms:32>> */
-    CMD_CONFIGURE = 3, /* <<settings:19 bytes>> */
-    CMD_WRITE = 4,     /* <<time-out in ms:32, bytes>> */
-    CMD_READ = 5,      /* <<time-out in ms:32>> */
-    CMD_CANCEL = 6,    /* answers the pending read, if any, without bytes */
-    CMD_DRAIN = 7,     /* <<time-out in ms:32>> */
-    CMD_FLUSH = 8,     /* <<queues: 1 receive, 2 transmit, 3 both>> */
-    CMD_SIGNALS = 9,
-    CMD_SET = 10,      /* <<signal: 1 DTR, 2 RTS, 3 break; value: 0 or 1>> */
-    CMD_CREDIT = 11    /* <<count:16>> more packets of received bytes may be sent */
+    CMD_OPEN = 1,      /* <<settings, path>>; settings are <<speed:32, active: 0 or 1>> */
+    CMD_CONFIGURE = 2, /* <<settings>> */
+    CMD_WRITE = 3,     /* <<time-out in ms:32, bytes>> */
+    CMD_READ = 4,      /* <<time-out in ms:32>> */
+    CMD_CANCEL = 5,    /* answers the pending read, if any, without bytes */
+    CMD_DRAIN = 6,     /* <<time-out in ms:32>> */
+    CMD_FLUSH = 7,     /* drops received bytes that were not read */
+    CMD_CREDIT = 8     /* <<count:16>> more packets of received bytes may be sent */
 };
 
 struct packet {
@@ -50,6 +47,5 @@ void wire_gone(bool told, int error);
 
 uint32_t get_u32(const uint8_t *bytes);
 uint16_t get_u16(const uint8_t *bytes);
-void put_u32(uint8_t *bytes, uint32_t value);
 
 #endif

@@ -9,7 +9,7 @@ defmodule Circuits.UART.Test.FakeProgram do
   @doc "A packet from the BEAM's side."
   def packet(fake, iodata), do: iodata |> IO.iodata_to_binary() |> request(fake)
 
-  defp request(<<1, id::32, _::64, active, _::80, path::binary>>, fake) do
+  defp request(<<1, id::32, _speed::32, active, path::binary>>, fake) do
     fake = cancel(fake, "ecanceled")
 
     if path == "/dev/bad",
@@ -17,13 +17,12 @@ defmodule Circuits.UART.Test.FakeProgram do
       else: ok(%{fake | open: true, active: active == 1, kernel: ""}, id)
   end
 
-  defp request(<<2, id::32, _linger::32>>, fake), do: ok(%{cancel(fake, "ecanceled") | open: false}, id)
-  defp request(<<6, 0::32>>, %{reading: nil} = fake), do: fake
-  defp request(<<6, 0::32>>, fake), do: ok(%{fake | reading: nil}, fake.reading)
-  defp request(<<11, count::16>>, fake), do: push(%{fake | credit: fake.credit + count})
+  defp request(<<5, 0::32>>, %{reading: nil} = fake), do: fake
+  defp request(<<5, 0::32>>, fake), do: ok(%{fake | reading: nil}, fake.reading)
+  defp request(<<8, count::16>>, fake), do: push(%{fake | credit: fake.credit + count})
   defp request(<<_type, id::32, _::binary>>, %{open: false} = fake), do: error(fake, id, "ebadf")
 
-  defp request(<<3, id::32, _::64, active, _::80>>, fake) do
+  defp request(<<2, id::32, _speed::32, active>>, fake) do
     fake = %{fake | active: active == 1}
 
     fake =
@@ -34,16 +33,13 @@ defmodule Circuits.UART.Test.FakeProgram do
     fake |> ok(id) |> push()
   end
 
-  defp request(<<type, id::32, _::binary>>, %{sending: nil} = fake) when type in [4, 7],
+  defp request(<<type, id::32, _::binary>>, %{sending: nil} = fake) when type in [3, 6],
     do: %{fake | sending: id}
 
-  defp request(<<5, id::32, _::32>>, %{active: true} = fake), do: error(fake, id, "einval")
-  defp request(<<5, id::32, 0::32>>, %{reading: nil, kernel: ""} = fake), do: ok(fake, id)
-  defp request(<<5, id::32, _::32>>, %{reading: nil} = fake), do: push(%{fake | reading: id})
-  defp request(<<8, id::32, 2>>, fake), do: ok(fake, id)
-  defp request(<<8, id::32, _direction>>, fake), do: ok(%{fake | kernel: ""}, id)
-  defp request(<<9, id::32>>, fake), do: ok(fake, id, <<0::32>>)
-  defp request(<<10, id::32, _line, _value>>, fake), do: ok(fake, id)
+  defp request(<<4, id::32, _::32>>, %{active: true} = fake), do: error(fake, id, "einval")
+  defp request(<<4, id::32, 0::32>>, %{reading: nil, kernel: ""} = fake), do: ok(fake, id)
+  defp request(<<4, id::32, _::32>>, %{reading: nil} = fake), do: push(%{fake | reading: id})
+  defp request(<<7, id::32>>, fake), do: ok(%{fake | kernel: ""}, id)
 
   @doc "What happens on the line."
   def line(%{open: false} = fake, _event), do: fake

@@ -4,8 +4,6 @@ defmodule Circuits.UART.Test.Pty do
   it goes to and comes from the process that opened it.
   """
 
-  import Bitwise
-
   defstruct [:port, :path]
 
   # For what is only slow on a busy machine.
@@ -77,16 +75,12 @@ defmodule Circuits.UART.Test.Pty do
   @doc "What the slave side has set."
   def settings(pty) do
     command(pty, "t")
-    <<cflag::32, iflag::32, lflag::32, ispeed::32, ospeed::32, exclusive>> = await(pty.port, ?t)
+    <<_cflag::32, _iflag::32, lflag::32, ispeed::32, ospeed::32, exclusive>> = await(pty.port, ?t)
 
     %{
       ispeed: ispeed,
       ospeed: ospeed,
       exclusive: exclusive == 1,
-      hardware_flow: (cflag &&& 0x80000000) != 0,
-      software_flow: (iflag &&& 0o6000) == 0o2000 or (iflag &&& 0o12000) == 0o12000,
-      stop_bits: if((cflag &&& 0o100) != 0, do: 2, else: 1),
-      odd: (cflag &&& 0o1000) != 0,
       raw: lflag == 0
     }
   end

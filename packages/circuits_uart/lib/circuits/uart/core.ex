@@ -3,14 +3,12 @@ defmodule Circuits.UART.Core do
   # The decisions of the serving process, without the process: `handle(state, event, now)` returns the next state and the
   # actions. This module opens, closes, configures and handles faults; Core.Receive and Core.Transmit are the two directions.
   #
-  #     phase: closed ──open──▶ opening ──ok──▶ open ──close──▶ closing ──ok──▶ closed
-  #              ▲                 └──error──▶ closed             │
-  #              └───────────── gone, program down ◀──────────────┘ (from everywhere)
+  #     phase: closed ──open──▶ opening ──ok──▶ open
+  #              ▲                 └──error──▶ closed
+  #              └───────────── gone, program down (from everywhere)
 
   alias Circuits.UART.{Core, Options, State, Wire}
 
-  # How long unsent bytes get when the port is closed (ms), as when a terminal is closed.
-  @linger 2_000
   @open_limit 10_000
   @limit 5_000
 
@@ -29,41 +27,34 @@ defmodule Circuits.UART.Core do
 
   ## Calls
 
-  defp step({:call, from, {:open, name, path, given}}, state) do
-    with {:ok, options} <- Options.merge(%{state.options | active: true, id: :name}, given),
-         {:ok, framing} <- framing(options, given) do
-      state = abandon(state, :ecanceled)
-      what = {:open, from, name, options, framing}
-      {id, state} = State.request(state, what, @open_limit, &Wire.open(&1, path, options))
-      %{state | phase: :opening, transition: id, name: :closed}
-    else
-      {:error, reason} -> State.reply(state, from, {:error, reason})
+  defp step({:call, from, {:open, path, given}}, state) do
+    case Options.merge(%{state.options | active: true, id: :name}, given) do
+      {:ok, options} ->
+        what = {:open, from, path, options}
+
+        {id, state} =
+          state |> abandon(:ecanceled) |> State.request(what, @open_limit, &Wire.open(&1, path, options))
+
+        %{state | phase: :opening, transition: id, name: :closed}
+
+      {:error, reason} ->
+        State.reply(state, from, {:error, reason})
     end
   end
 
-  defp step({:call, from, :close}, %{phase: :closed} = state) do
-    state |> abandon(:ecanceled) |> State.reply(from, :ok)
-  end
-
-  defp step({:call, from, :close}, state) do
-    state = abandon(state, :ecanceled)
-    {id, state} = State.request(state, {:close, from}, @limit, &Wire.close(&1, @linger))
-    %{state | phase: :closing, transition: id, name: :closed}
-  end
-
-  defp step({:call, from, {:configure, given}}, state) do
-    with {:ok, options} <- Options.merge(state.options, given),
-         {:ok, framing} <- framing(options, given) do
-      if state.phase == :open do
+  defp step({:call, from, {:configure, given}}, %{phase: phase} = state) do
+    case Options.merge(state.options, given) do
+      {:ok, options} when phase == :open ->
         {_id, state} =
-          State.request(state, {:configure, from, options, framing}, @limit, &Wire.configure(&1, options))
+          State.request(state, {:configure, from, options}, @limit, &Wire.configure(&1, options))
 
         state
-      else
-        state |> put_options(options, framing) |> State.reply(from, :ok)
-      end
-    else
-      {:error, reason} -> State.reply(state, from, {:error, reason})
+
+      {:ok, options} ->
+        state |> put_options(options) |> State.reply(from, :ok)
+
+      {:error, reason} ->
+        State.reply(state, from, {:error, reason})
     end
   end
 
@@ -76,11 +67,6 @@ defmodule Circuits.UART.Core do
   end
 
   defp step({:call, from, {:read, timeout}}, state), do: Core.Receive.read(state, from, timeout)
-
-  defp step({:call, from, {:flush, direction, _limit}}, state)
-       when direction not in [:receive, :transmit, :both] do
-    State.reply(state, from, {:error, :einval})
-  end
 
   # Everything below needs an open port.
   defp step({:call, from, {:write, _data, _timeout}}, %{phase: phase, fault: fault} = state)
@@ -97,25 +83,13 @@ defmodule Circuits.UART.Core do
 
   defp step({:call, from, {:drain, limit}}, state), do: Core.Transmit.drain(state, from, limit)
 
-  defp step({:call, from, {:flush, :receive, limit}}, state),
-    do: Core.Receive.flush(state, from, :receive, limit)
-
-  defp step({:call, from, {:flush, direction, limit}}, state),
-    do: Core.Transmit.flush(state, from, direction, limit)
-
-  defp step({:call, from, :signals}, state) do
-    {_id, state} = State.request(state, {:signals, from}, @limit, &Wire.signals/1)
-    state
-  end
-
-  defp step({:call, from, {:set, line, value}}, state), do: set(state, {:simple, from}, line, value)
-  defp step({:call, from, {:send_break, ms}}, state), do: set(state, {:break, from, ms}, :break, true)
+  defp step({:call, from, {:flush, limit}}, state), do: Core.Receive.flush(state, from, limit)
 
   ## The port program
 
   defp step({:program, {:data, bytes}}, state), do: Core.Receive.data(state, bytes)
 
-  # The port was closed or reopened meanwhile, or is about to be: its end means nothing.
+  # The port is being reopened: the end of the one before means nothing.
   defp step({:program, {:gone, _told, _reason}}, %{phase: phase} = state) when phase != :open, do: state
   defp step({:program, {:gone, told, reason}}, state), do: gone(state, reason, told)
 
@@ -130,13 +104,8 @@ defmodule Circuits.UART.Core do
 
   ## Timers
 
-  defp step({:timer, :frame}, state), do: Core.Receive.frame_timeout(state)
-
   defp step({:timer, {:waiting, key}}, state),
     do: state |> Core.Receive.expire(key) |> Core.Transmit.expire(key)
-
-  defp step({:timer, {:break, from}}, %{phase: :open} = state), do: set(state, {:simple, from}, :break, false)
-  defp step({:timer, {:break, from}}, state), do: State.reply(state, from, {:error, :ebadf})
 
   # The program hangs in the kernel or is stopped. A late answer could be mistaken for a later one, so it is given up.
   defp step({:timer, {:request, id}}, state) when is_map_key(state.pending, id) do
@@ -147,66 +116,32 @@ defmodule Circuits.UART.Core do
 
   ## Answers
 
-  defp answered({:open, from, name, options, framing}, id, {:ok, _}, %{transition: id} = state) do
+  defp answered({:open, from, name, options}, id, {:ok, _}, %{transition: id} = state) do
     {pid, _tag} = from
 
     %{state | phase: :open, name: name, controlling_process: pid}
-    |> put_options(options, framing)
+    |> put_options(options)
     |> State.reply(from, :ok)
   end
 
-  defp answered({:open, from, _name, _options, _framing}, id, {kind, result}, state) do
+  defp answered({:open, from, _name, _options}, id, {kind, result}, state) do
     state = if state.transition == id, do: %{state | phase: :closed}, else: state
     State.reply(state, from, if(kind == :ok, do: {:error, :ecanceled}, else: {:error, result}))
   end
 
-  defp answered({:close, from}, id, _result, state) do
-    state = if state.transition == id, do: %{state | phase: :closed}, else: state
-    State.reply(state, from, :ok)
-  end
-
-  defp answered({:configure, from, options, framing}, _id, {:ok, _}, state) do
-    state |> put_options(options, framing) |> State.reply(from, :ok)
-  end
-
-  defp answered({:signals, from}, _id, {:ok, bits}, state) do
-    State.reply(state, from, Wire.decode_signals(bits))
-  end
-
-  defp answered({:break, from, ms}, _id, {:ok, _}, state) do
-    State.act(state, {:start_timer, {:break, from}, ms})
+  defp answered({:configure, from, options}, _id, {:ok, _}, state) do
+    state |> put_options(options) |> State.reply(from, :ok)
   end
 
   defp answered({:read}, _id, result, state), do: Core.Receive.answered(state, result)
 
-  defp answered({:flush, from, direction}, _id, result, state),
-    do: Core.Receive.flushed(state, from, direction, result)
-
+  defp answered({:flush, from}, _id, result, state), do: Core.Receive.flushed(state, from, result)
   defp answered({:send}, _id, result, state), do: Core.Transmit.answered(state, result)
-  defp answered(what, _id, {:ok, _}, state), do: State.reply(state, elem(what, 1), :ok)
   defp answered(what, _id, {:error, reason}, state), do: State.reply(state, elem(what, 1), {:error, reason})
 
   ## Parts
 
-  defp set(state, what, line, value) do
-    {_id, state} = State.request(state, what, @limit, &Wire.set(&1, line, value))
-    state
-  end
-
-  # A fresh state if a framing was given; otherwise a part of a frame is kept.
-  defp framing(%Options{framing: {module, args}}, given) do
-    if Keyword.has_key?(given, :framing), do: module.init(args), else: {:ok, :keep}
-  end
-
-  defp put_options(state, options, :keep), do: Core.Receive.reconfigured(%{state | options: options})
-
-  defp put_options(state, options, framing_state) do
-    {module, _args} = options.framing
-
-    %{state | options: options, framing: module, framing_state: framing_state}
-    |> State.act({:cancel_timer, :frame})
-    |> Core.Receive.reconfigured()
-  end
+  defp put_options(state, options), do: Core.Receive.reconfigured(%{state | options: options})
 
   # Ends all waiting calls, and drops what was received.
   defp abandon(state, reason) do
@@ -226,16 +161,14 @@ defmodule Circuits.UART.Core do
 
   defp program_down(state, reason) do
     was_open = state.phase == :open
-    told = Enum.any?(state.pending, fn {_id, what} -> not match?({:close, _from}, what) end)
+    told = state.pending != %{}
     state = if was_open, do: gone(state, reason, told), else: abandon(state, reason)
 
     state = %{state | phase: :closed, name: :closed, discarding: 0, unacknowledged: 0}
 
     Enum.reduce(Map.keys(state.pending), state, fn id, state ->
-      case State.settle(state, id) do
-        {{:close, from}, state} -> State.reply(state, from, :ok)
-        {what, state} -> State.reply(state, elem(what, 1), {:error, reason})
-      end
+      {what, state} = State.settle(state, id)
+      State.reply(state, elem(what, 1), {:error, reason})
     end)
   end
 end

@@ -8,7 +8,7 @@ defmodule Circuits.UART.Server do
 
   use GenServer, restart: :permanent
 
-  alias Circuits.UART.{Core, Device, PortProgram, State, Wire}
+  alias Circuits.UART.{Core, PortProgram, State, Wire}
 
   require Logger
 
@@ -38,9 +38,9 @@ defmodule Circuits.UART.Server do
   end
 
   @impl GenServer
-  def handle_call({:open, name, opts}, from, server) do
+  def handle_call({:open, _path, _opts} = request, from, server) do
     case ensure_program(server) do
-      {:ok, server} -> {:noreply, handle(server, {:call, from, {:open, name, Device.path(name), opts}})}
+      {:ok, server} -> {:noreply, handle(server, {:call, from, request})}
       {:error, reason, server} -> {:reply, {:error, reason}, server}
     end
   end

@@ -4,14 +4,13 @@ defmodule Circuits.UART.State do
   # `Circuits.UART.Core` and its two halves work on it; `Circuits.UART.Server` performs the actions.
 
   alias Circuits.UART.{Options, Wire}
-  alias Circuits.UART.Framing.None
 
   # How much longer than its limit the port program may take to answer before it is given up. A busy machine may let
   # a healthy one stand still for seconds.
   @slack 10_000
 
   defstruct phase: :closed,
-            # The open or close whose answer decides the phase: the latest one.
+            # The open whose answer decides the phase: the latest one.
             transition: nil,
             name: :closed,
             options: %Options{},
@@ -22,8 +21,6 @@ defmodule Circuits.UART.State do
             pending: %{},
             last_id: 0,
             # Receiving (Core.Receive)
-            framing: None,
-            framing_state: nil,
             messages: :queue.new(),
             reading: nil,
             readers: :queue.new(),
@@ -36,7 +33,7 @@ defmodule Circuits.UART.State do
             actions: []
 
   @type t :: %__MODULE__{}
-  @type timer :: {:request, Wire.id()} | {:waiting, reference()} | {:break, GenServer.from()} | :frame
+  @type timer :: {:request, Wire.id()} | {:waiting, reference()}
   @type action ::
           {:reply, GenServer.from(), term()}
           | {:command, iodata()}

@@ -3,17 +3,12 @@ defmodule Circuits.UART.Wire do
   # The packets to and from the port program, described in src/wire.h. Decoding is total: any binary becomes an event or
   # `:malformed`, and error names become atoms only by a table.
 
-  import Bitwise
-
   alias Circuits.UART.Options
 
   @errors ~w(eperm enoent eintr eio enxio ebadf eagain enomem eacces ebusy enodev enotdir eisdir einval enfile emfile
              enotty erofs eloop ecanceled eopnotsupp enametoolong etimedout)a
           |> Map.new(&{Atom.to_string(&1), &1})
 
-  @signals [dtr: 1, rts: 2, st: 4, sr: 8, cts: 16, cd: 32, rng: 64, dsr: 128]
-  @directions %{receive: 1, transmit: 2, both: 3}
-  @lines %{dtr: 1, rts: 2, break: 3}
   @longest_wait 0x7FFFFFFF
 
   @type id :: 0..0xFFFFFFFF
@@ -27,35 +22,26 @@ defmodule Circuits.UART.Wire do
   @spec open(id(), Path.t(), Options.t()) :: iodata()
   def open(id, path, options), do: [<<1, id::32>>, Options.encode(options), path]
 
-  @spec close(id(), non_neg_integer()) :: iodata()
-  def close(id, linger), do: <<2, id::32, wait(linger)::32>>
-
   @spec configure(id(), Options.t()) :: iodata()
-  def configure(id, options), do: [<<3, id::32>>, Options.encode(options)]
+  def configure(id, options), do: [<<2, id::32>>, Options.encode(options)]
 
   @spec write(id(), non_neg_integer(), binary()) :: iodata()
-  def write(id, timeout, bytes), do: [<<4, id::32, wait(timeout)::32>>, bytes]
+  def write(id, timeout, bytes), do: [<<3, id::32, wait(timeout)::32>>, bytes]
 
   @spec read(id(), non_neg_integer()) :: iodata()
-  def read(id, timeout), do: <<5, id::32, wait(timeout)::32>>
+  def read(id, timeout), do: <<4, id::32, wait(timeout)::32>>
 
   @spec cancel() :: iodata()
-  def cancel, do: <<6, 0::32>>
+  def cancel, do: <<5, 0::32>>
 
   @spec drain(id(), non_neg_integer()) :: iodata()
-  def drain(id, timeout), do: <<7, id::32, wait(timeout)::32>>
+  def drain(id, timeout), do: <<6, id::32, wait(timeout)::32>>
 
-  @spec flush(id(), :receive | :transmit | :both) :: iodata()
-  def flush(id, direction), do: <<8, id::32, Map.fetch!(@directions, direction)>>
-
-  @spec signals(id()) :: iodata()
-  def signals(id), do: <<9, id::32>>
-
-  @spec set(id(), :dtr | :rts | :break, boolean()) :: iodata()
-  def set(id, line, value), do: <<10, id::32, Map.fetch!(@lines, line), if(value, do: 1, else: 0)>>
+  @spec flush(id()) :: iodata()
+  def flush(id), do: <<7, id::32>>
 
   @spec credit(1..0xFFFF) :: iodata()
-  def credit(count), do: <<11, count::16>>
+  def credit(count), do: <<8, count::16>>
 
   @spec decode(binary()) :: event()
   def decode(<<?o, id::32, result::binary>>), do: {:ok, id, result}
@@ -63,13 +49,6 @@ defmodule Circuits.UART.Wire do
   def decode(<<?d, bytes::binary>>) when bytes != "", do: {:data, bytes}
   def decode(<<?g, told, name::binary>>) when told in 0..1, do: {:gone, told == 1, error(name)}
   def decode(_other), do: :malformed
-
-  @spec decode_signals(binary()) :: {:ok, %{atom() => boolean()}} | {:error, :einval}
-  def decode_signals(<<bits::32>>) do
-    {:ok, Map.new(@signals, fn {name, bit} -> {name, (bits &&& bit) != 0} end)}
-  end
-
-  def decode_signals(_other), do: {:error, :einval}
 
   defp error(name), do: Map.get(@errors, name, :einval)
   defp wait(ms), do: ms |> max(0) |> min(@longest_wait)

@@ -44,31 +44,14 @@ defmodule Circuits.UART.WireTest do
     end
   end
 
-  test "signals are bits" do
-    assert {:ok, signals} = Wire.decode_signals(<<0b10010001::32>>)
-
-    assert %{dtr: true, rts: false, st: false, sr: false, cts: true, cd: false, rng: false, dsr: true} ==
-             signals
-
-    assert Wire.decode_signals("") == {:error, :einval}
-  end
-
   test "waits are bounded" do
-    assert <<5, 1::32, 0x7FFFFFFF::32>> = Wire.read(1, 0xFFFFFFFFFF)
-    assert <<7, 1::32, 0::32>> = Wire.drain(1, -5)
+    assert <<4, 1::32, 0x7FFFFFFF::32>> = Wire.read(1, 0xFFFFFFFFFF)
+    assert <<6, 1::32, 0::32>> = Wire.drain(1, -5)
   end
 
-  test "settings are 19 bytes, RS-485 told apart from not asked for" do
-    assert {:ok, options} =
-             Options.merge(%Options{},
-               speed: 420_000,
-               parity: :mark,
-               rs485_enabled: false,
-               rs485_delay_rts_after_send: 3
-             )
-
-    assert <<420_000::32, 8, 1, 4, 0, 1, 0b1000001, 0, 0::32, 3::32>> = Options.encode(options)
-    assert Options.to_list(options)[:rs485_enabled] == false
-    assert <<_::72, 0, 0, 0::64>> = Options.encode(%Options{})
+  test "settings are the speed and the mode" do
+    assert {:ok, options} = Options.merge(%Options{}, speed: 420_000, active: false)
+    assert Options.encode(options) == <<420_000::32, 0>>
+    assert Options.encode(%Options{}) == <<9_600::32, 1>>
   end
 end

@@ -1,6 +1,6 @@
 defmodule Circuits.UART.Core.Receive do
   @moduledoc false
-  # The receiving half: framing, messages of active mode, readers of passive mode.
+  # The receiving half: messages of active mode, readers of passive mode.
   #
   # In active mode the port program sends received bytes unasked. Each packet costs a credit, which is returned when the packet
   # was handled: a flood stays in the kernel, not in this process's mailbox. In passive mode it sends the bytes of one read
@@ -42,14 +42,14 @@ defmodule Circuits.UART.Core.Receive do
   @spec data(State.t(), binary()) :: State.t()
   def data(state, bytes) do
     state = credit(state)
-    if state.phase == :open and state.discarding == 0, do: state |> take(bytes) |> serve(), else: state
+    if state.phase == :open and state.discarding == 0, do: state |> deliver([bytes]) |> serve(), else: state
   end
 
   @doc "The answer to the pending read; without bytes if it timed out."
   @spec answered(State.t(), {:ok, binary()} | {:error, atom()}) :: State.t()
   def answered(state, {:ok, bytes}) do
     state = %{state | reading: nil}
-    state = if bytes == "" or state.discarding > 0, do: state, else: take(state, bytes)
+    state = if bytes == "" or state.discarding > 0, do: state, else: deliver(state, [bytes])
     state |> serve() |> expire_head() |> pump()
   end
 
@@ -77,30 +77,17 @@ defmodule Circuits.UART.Core.Receive do
     end
   end
 
-  @doc "The rest of a frame did not come in time."
-  @spec frame_timeout(State.t()) :: State.t()
-  def frame_timeout(state) do
-    {:ok, messages, framing_state} = state.framing.frame_timeout(state.framing_state)
-    %{state | framing_state: framing_state} |> deliver(messages) |> serve()
-  end
-
   @doc "Bytes that come before the answer to the flush were received before it, and are dropped, too."
-  @spec flush(State.t(), GenServer.from(), :receive | :transmit | :both, non_neg_integer()) :: State.t()
-  def flush(state, from, direction, limit) do
-    {_id, state} = State.request(state, {:flush, from, direction}, limit, &Wire.flush(&1, direction))
-    if direction == :transmit, do: state, else: %{state | discarding: state.discarding + 1}
+  @spec flush(State.t(), GenServer.from(), non_neg_integer()) :: State.t()
+  def flush(state, from, limit) do
+    {_id, state} = State.request(state, {:flush, from}, limit, &Wire.flush/1)
+    %{state | discarding: state.discarding + 1}
   end
 
-  @spec flushed(State.t(), GenServer.from(), :receive | :transmit | :both, term()) :: State.t()
-  def flushed(state, from, direction, result) do
-    state = %{state | framing_state: state.framing.flush(direction, state.framing_state)}
-    state = if direction == :transmit, do: state, else: discarded(state)
-    State.reply(state, from, simple(result))
-  end
-
-  defp discarded(state) do
-    state = %{state | discarding: state.discarding - 1, messages: :queue.new()}
-    State.act(state, {:cancel_timer, :frame})
+  @spec flushed(State.t(), GenServer.from(), {:ok, binary()} | {:error, atom()}) :: State.t()
+  def flushed(state, from, result) do
+    result = with {:ok, _nothing} <- result, do: :ok
+    State.reply(%{state | discarding: state.discarding - 1, messages: :queue.new()}, from, result)
   end
 
   @doc "The mode may have changed: active mode has no readers, and sends messages that were not read."
@@ -115,8 +102,6 @@ defmodule Circuits.UART.Core.Receive do
   @doc "Ends all reading with an error."
   @spec abandon(State.t(), atom()) :: State.t()
   def abandon(state, reason) do
-    state = State.act(state, {:cancel_timer, :frame})
-    state = %{state | framing_state: state.framing.flush(:both, state.framing_state)}
     {_what, state} = State.settle(state, state.reading)
     cancel_readers(%{state | reading: nil}, {:error, reason})
   end
@@ -124,24 +109,12 @@ defmodule Circuits.UART.Core.Receive do
   @spec waiting?(State.t()) :: boolean()
   def waiting?(state), do: not :queue.is_empty(state.readers)
 
-  defp take(state, bytes) do
-    {status, messages, framing_state} = state.framing.remove_framing(bytes, state.framing_state)
-    %{state | framing_state: framing_state} |> frame_timer(status) |> deliver(messages)
-  end
-
-  defp frame_timer(state, :ok), do: State.act(state, {:cancel_timer, :frame})
-
-  defp frame_timer(%{options: %{rx_framing_timeout: ms}} = state, :in_frame) when ms > 0,
-    do: State.act(state, {:start_timer, :frame, ms})
-
-  defp frame_timer(state, :in_frame), do: state
-
   defp deliver(%{options: %{active: true}} = state, messages),
     do: Enum.reduce(messages, state, &State.notify(&2, &1))
 
   defp deliver(state, messages), do: %{state | messages: Enum.reduce(messages, state.messages, &:queue.in/2)}
 
-  # Messages to readers, in order. If that answers the reader of the pending read, the read is cancelled; bytes that it
+  # Received bytes to readers, in order. If that answers the reader of the pending read, the read is cancelled; bytes that it
   # still brings are kept.
   defp serve(state) do
     case {:queue.out(state.messages), :queue.out(state.readers)} do
@@ -192,7 +165,4 @@ defmodule Circuits.UART.Core.Receive do
     do: %{state | unacknowledged: count + 1}
 
   defp credit(state), do: State.act(%{state | unacknowledged: 0}, {:command, Wire.credit(@credit_batch)})
-
-  defp simple({:ok, _}), do: :ok
-  defp simple({:error, reason}), do: {:error, reason}
 end

@@ -1,30 +1,19 @@
 defmodule Circuits.UART.Core.Transmit do
   @moduledoc false
-  # The sending half: writes, drains and flushes of the transmit direction, one at a time, in the order of the calls. A
+  # The sending half: writes and drains, one at a time, in the order of the calls. A
   # write goes to the port program in pieces: no request is larger than a packet, and a long write never delays what is not
-  # in this queue (reads, signals, close).
+  # in this queue (reads, changes of options).
 
-  alias Circuits.UART.{Core, State, Wire}
+  alias Circuits.UART.{State, Wire}
 
   @piece 8_192
   @max_senders 256
 
   @spec write(State.t(), GenServer.from(), binary(), non_neg_integer()) :: State.t()
-  def write(state, from, data, timeout) do
-    case state.framing.add_framing(data, state.framing_state) do
-      {:ok, framed, framing_state} ->
-        enqueue(%{state | framing_state: framing_state}, from, {:write, IO.iodata_to_binary(framed)}, timeout)
-
-      {:error, reason, framing_state} ->
-        State.reply(%{state | framing_state: framing_state}, from, {:error, reason})
-    end
-  end
+  def write(state, from, data, timeout), do: enqueue(state, from, {:write, data}, timeout)
 
   @spec drain(State.t(), GenServer.from(), non_neg_integer()) :: State.t()
   def drain(state, from, limit), do: enqueue(state, from, :drain, limit)
-
-  @spec flush(State.t(), GenServer.from(), :transmit | :both, non_neg_integer()) :: State.t()
-  def flush(state, from, direction, limit), do: enqueue(state, from, {:flush, direction}, limit)
 
   defp enqueue(state, from, what, timeout) do
     if :queue.len(state.senders) >= @max_senders do
@@ -91,20 +80,13 @@ defmodule Circuits.UART.Core.Transmit do
   def waiting?(state), do: not :queue.is_empty(state.senders)
 
   defp pump(%{sending: nil, phase: :open} = state) do
-    case :queue.out(state.senders) do
-      {{:value, %{what: {:flush, direction}} = sender}, rest} ->
-        # No need to wait: the port program does it at once, before anything else.
-        %{state | senders: rest}
-        |> State.act({:cancel_timer, {:waiting, sender.key}})
-        |> Core.Receive.flush(sender.from, direction, max(sender.deadline - state.now, 0))
-        |> pump()
-
-      {{:value, sender}, _rest} ->
+    case :queue.peek(state.senders) do
+      {:value, sender} ->
         timeout = max(sender.deadline - state.now, 0)
         {id, state} = State.request(state, {:send}, timeout, &command(&1, timeout, sender.what))
         %{state | sending: id}
 
-      {:empty, _senders} ->
+      :empty ->
         state
     end
   end

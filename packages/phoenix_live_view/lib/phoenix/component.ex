@@ -16,8 +16,8 @@ defmodule Phoenix.Component do
   `:let` are special attributes. See `Phoenix.LiveView.Template.Tokenizer` for the syntax.
   """
 
-  alias Phoenix.LiveView.{Engine, Socket}
-  alias Phoenix.LiveView.Template.{Compiler, Parser}
+  alias Phoenix.LiveView.Socket
+  alias Phoenix.LiveView.Template.{Compiler, Engine, Parser}
 
   @doc false
   defmacro __using__(_options) do
@@ -51,7 +51,7 @@ defmodule Phoenix.Component do
 
   @doc "The contents of a slot, with an argument for its `:let`."
   defmacro render_slot(slot, argument \\ nil) do
-    quote do: Phoenix.LiveView.Engine.slot(unquote(slot), unquote(argument))
+    quote do: Phoenix.LiveView.Template.Engine.slot(unquote(slot), unquote(argument))
   end
 
   @doc """

@@ -22,7 +22,8 @@ defmodule Phoenix.LiveView do
   twice, and subscribe only if it is connected.
   """
 
-  alias Phoenix.LiveView.{Lifecycle, Navigation, Socket}
+  alias Phoenix.LiveView.Socket
+  alias Phoenix.LiveView.View.{Lifecycle, Navigation}
 
   @type unsigned_params :: map()
 

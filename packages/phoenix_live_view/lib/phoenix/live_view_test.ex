@@ -12,7 +12,8 @@ defmodule Phoenix.LiveViewTest do
   """
 
   alias Phoenix.HTML.Safe
-  alias Phoenix.LiveView.{Server, Static}
+  alias Phoenix.LiveView.Server
+  alias Phoenix.LiveView.View.Static
   alias Phoenix.LiveViewTest.{Client, DOM, Element, View}
 
   defmodule View do

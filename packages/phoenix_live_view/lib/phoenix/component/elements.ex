@@ -5,7 +5,7 @@ defmodule Phoenix.Component.Elements do
   import Phoenix.Component
   use Phoenix.Component.Declarative
 
-  alias Phoenix.LiveView.Navigation
+  alias Phoenix.LiveView.View.Navigation
 
   attr :navigate, :string, default: nil
   attr :patch, :string, default: nil

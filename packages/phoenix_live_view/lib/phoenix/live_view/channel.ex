@@ -13,13 +13,13 @@ defmodule Phoenix.LiveView.Channel do
   """
   use GenServer, restart: :temporary
 
-  alias Phoenix.LiveView.{Frame, View}
+  alias Phoenix.LiveView.View
 
   require Logger
 
   @typedoc """
   `:transport` and `:topic`, `:join_ref`; `:join`, a function that gives the outcome of the join; `:encode`, what the transport gets of a
-  message, the text of a frame unless it is given; `:priority` of the process.
+  message; `:priority` of the process.
   """
   @type option ::
           {:transport, pid()}
@@ -62,7 +62,7 @@ defmodule Phoenix.LiveView.Channel do
 
     state =
       Map.merge(
-        %{encode: &Frame.encode/5, view: nil, dirty?: false, timer: nil, rendered: nil, unwritten: 0},
+        %{view: nil, dirty?: false, timer: nil, rendered: nil, unwritten: 0},
         Map.new(options)
       )
 

@@ -62,7 +62,7 @@ defmodule Phoenix.LiveView.Router do
         options
         |> Keyword.get(:on_mount, [])
         |> List.wrap()
-        |> Enum.map(&Phoenix.LiveView.Lifecycle.on_mount/1),
+        |> Enum.map(&Phoenix.LiveView.View.Lifecycle.on_mount/1),
       layout: options[:layout]
     }
   end

@@ -12,17 +12,8 @@ defmodule Phoenix.LiveView.View do
   """
 
   alias Phoenix.LiveView
-
-  alias Phoenix.LiveView.{
-    Diff,
-    Lifecycle,
-    Query,
-    Rendered,
-    Router,
-    Server,
-    Socket,
-    Token
-  }
+  alias Phoenix.LiveView.{Diff, Query, Rendered, Router, Server, Socket, Token}
+  alias Phoenix.LiveView.View.Lifecycle
 
   require Logger
 

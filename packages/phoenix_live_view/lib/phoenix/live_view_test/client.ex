@@ -4,7 +4,9 @@ defmodule Phoenix.LiveViewTest.Client do
   # WebSocket's process, so everything passes through the wire encoding. Only the events for hooks reach the test as they were pushed.
   use GenServer
 
-  alias Phoenix.LiveView.{Channel, Frame, Join}
+  alias Phoenix.LiveView.Channel
+  alias Phoenix.LiveView.Cowboy.Frame
+  alias Phoenix.LiveView.View.Join
   alias Phoenix.LiveViewTest.Tree
 
   @timeout_ms 60_000

@@ -2,10 +2,10 @@ defmodule Circuits.UART.Core.Receive do
   @moduledoc false
   # The receiving half: messages of active mode, readers of passive mode.
   #
-  # In active mode the port program sends received bytes unasked. Each packet costs a credit, which is returned when the packet
-  # was handled: a flood stays in the kernel, not in this process's mailbox. In passive mode it sends the bytes of one read
-  # on request. At most one such request is pending; its answer serves the readers in order, and readers without data
-  # get another request.
+  # In active mode the port program sends received bytes unasked. Each packet costs a credit, which is returned when
+  # the packet was handled: a flood stays in the kernel, not in this process's mailbox. In passive mode it sends the
+  # bytes of one read on request. At most one such request is pending; its answer serves the readers in order, and
+  # readers without data get another request.
 
   alias Circuits.UART.{State, Wire}
 
@@ -114,8 +114,8 @@ defmodule Circuits.UART.Core.Receive do
 
   defp deliver(state, messages), do: %{state | messages: Enum.reduce(messages, state.messages, &:queue.in/2)}
 
-  # Received bytes to readers, in order. If that answers the reader of the pending read, the read is cancelled; bytes that it
-  # still brings are kept.
+  # Received bytes to readers, in order. If that answers the reader of the pending read, the read is cancelled; bytes
+  # that it still brings are kept.
   defp serve(state) do
     case {:queue.out(state.messages), :queue.out(state.readers)} do
       {{{:value, message}, messages}, {{:value, reader}, readers}} ->

@@ -3,7 +3,8 @@ defmodule Phoenix.LiveView.Cowboy.Page do
   # Answers GET of a page. The page contains tokens, so it must not be cached.
   @behaviour :cowboy_handler
 
-  alias Phoenix.LiveView.{Cookie, Cowboy, Static, Token}
+  alias Phoenix.LiveView.{Cookie, Cowboy, Token}
+  alias Phoenix.LiveView.View.Static
 
   # The client writes both.
   @flash_cookie "__phoenix_flash__"

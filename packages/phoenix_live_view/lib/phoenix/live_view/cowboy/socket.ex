@@ -8,8 +8,9 @@ defmodule Phoenix.LiveView.Cowboy.Socket do
   """
   @behaviour :cowboy_websocket
 
-  alias Phoenix.LiveView.{Channel, Cookie, Frame, Join}
-  alias Phoenix.LiveView.Cowboy.Page
+  alias Phoenix.LiveView.{Channel, Cookie}
+  alias Phoenix.LiveView.Cowboy.{Frame, Page}
+  alias Phoenix.LiveView.View.Join
 
   @going_away 1001
   @unsupported 1003
@@ -118,7 +119,15 @@ defmodule Phoenix.LiveView.Cowboy.Socket do
 
   defp join(join_ref, topic, payload, %{server: server, info: info} = state) do
     join = fn transport -> Join.join(server, topic, payload, info, transport) end
-    options = [transport: self(), topic: topic, join_ref: join_ref, join: join, priority: server.priority]
+
+    options = [
+      transport: self(),
+      topic: topic,
+      join_ref: join_ref,
+      join: join,
+      encode: &Frame.encode/5,
+      priority: server.priority
+    ]
 
     case DynamicSupervisor.start_child(server.supervisor, {Channel, options}) do
       {:ok, pid} ->

@@ -7,8 +7,8 @@ defmodule Phoenix.LiveView.Template.Compiler do
   functions that the component calls.
   """
 
-  alias Phoenix.LiveView.{Comprehension, Engine, Rendered}
-  alias Phoenix.LiveView.Template.{Error, Parser}
+  alias Phoenix.LiveView.{Comprehension, Rendered}
+  alias Phoenix.LiveView.Template.{Engine, Error, Parser}
 
   @doc "The code of a source. Options as `Phoenix.LiveView.Template.Tokenizer.tokenize/2`. Raises `Template.Error`."
   @spec compile(String.t(), keyword()) :: Macro.t()

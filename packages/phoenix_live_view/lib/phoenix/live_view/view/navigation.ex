@@ -1,4 +1,4 @@
-defmodule Phoenix.LiveView.Navigation do
+defmodule Phoenix.LiveView.View.Navigation do
   @moduledoc "A view's request to navigate, as a value in its socket."
 
   alias Phoenix.LiveView.Socket

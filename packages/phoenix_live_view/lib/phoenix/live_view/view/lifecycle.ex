@@ -1,4 +1,4 @@
-defmodule Phoenix.LiveView.Lifecycle do
+defmodule Phoenix.LiveView.View.Lifecycle do
   @moduledoc "Hooks of a view: functions that run before its callbacks, in the order of their attachment."
 
   alias Phoenix.LiveView.Socket

@@ -1,4 +1,4 @@
-defmodule Phoenix.LiveView.LifecycleTest do
+defmodule Phoenix.LiveView.View.LifecycleTest do
   use ExUnit.Case, async: true
 
   @moduletag :capture_log
@@ -96,7 +96,7 @@ defmodule Phoenix.LiveView.LifecycleTest do
     assert render_click(view, "lv:clear-flash", %{key: "info"}) =~ "]true"
   end
 
-  test "mistakes with hooks are told", %{conn: conn} do
+  test "mistakes with hooks raise", %{conn: conn} do
     assert_raise ArgumentError, ~r/hook :info at :handle_info already/, fn -> live(conn, "/?again=1") end
     assert_raise ArgumentError, ~r/on_mount halted without a redirect/, fn -> live(conn, "/forgetful") end
   end

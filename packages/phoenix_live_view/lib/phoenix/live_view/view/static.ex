@@ -1,6 +1,6 @@
-defmodule Phoenix.LiveView.Static do
+defmodule Phoenix.LiveView.View.Static do
   @moduledoc """
-  The page that answers a GET: the root layout around a container element with the view's tokens and its first rendering.
+  The page that answers a GET: the root layout around an element with the view's token and its first rendering.
   """
 
   alias Phoenix.LiveView.{Diff, Router, Server, Socket, Token, View}

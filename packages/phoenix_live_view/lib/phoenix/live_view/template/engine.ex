@@ -1,6 +1,7 @@
-defmodule Phoenix.LiveView.Engine do
+defmodule Phoenix.LiveView.Template.Engine do
   @moduledoc false
-  # Functions that compiled templates call: each value becomes a node of the tree, so that no number, nil or boolean reaches the wire.
+  # Functions that compiled templates call: each value becomes a node of the tree, so that no number, nil or boolean
+  # reaches the wire.
 
   alias Phoenix.HTML.Safe
   alias Phoenix.LiveView.{Comprehension, Rendered}

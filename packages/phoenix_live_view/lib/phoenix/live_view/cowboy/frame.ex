@@ -1,4 +1,4 @@
-defmodule Phoenix.LiveView.Frame do
+defmodule Phoenix.LiveView.Cowboy.Frame do
   @moduledoc "Messages of the WebSocket: JSON arrays `[join_ref, ref, topic, event, payload]`."
 
   @type t ::

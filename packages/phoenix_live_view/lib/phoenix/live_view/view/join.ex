@@ -1,11 +1,11 @@
-defmodule Phoenix.LiveView.Join do
+defmodule Phoenix.LiveView.View.Join do
   @moduledoc """
   Handles `phx_join` of a page's WebSocket: returns a mounted view with its first tree, or the reason of the refusal,
   in the client's form.
 
-  A page that was loaded joins with its `url`, which must still lead to the view of its token: after a change of the program it is
-  told to reload. A page to which the client navigated joins with `redirect`, and gets the view of that URL if it
-  belongs to the same `live_session`.
+  A page that was loaded joins with its `url`, which must still lead to the view of its token: after a change of the
+  program the page has to load again. A page to which the client navigated joins with `redirect`, and gets the view of
+  that URL if it belongs to the same `live_session`.
   """
 
   alias Phoenix.LiveView.{Router, Server, Socket, Token, View}

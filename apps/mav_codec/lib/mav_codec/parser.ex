@@ -154,6 +154,15 @@ defmodule MavCodec.Parser do
     end
   end
 
+  @doc "Counts frames that arrived `at` as frames, as if their bytes had been read, and gives them that time."
+  @spec take(t(), [Frame.t()], integer() | nil) :: {[Frame.t()], t()}
+  def take(%__MODULE__{} = parser, frames, at) do
+    frames = for frame <- frames, do: %{frame | at: at}
+    bytes = for %{bytes: bytes} <- frames, reduce: parser.bytes, do: (sum -> sum + byte_size(bytes))
+    sources = Sources.observe(parser.sources, frames)
+    {frames, %{parser | sources: sources, bytes: bytes, frames: parser.frames + length(frames)}}
+  end
+
   @doc """
   Ends the waiting, because no bytes follow for now: returns waiting frames of unknown ids and gives up the rest. They have
   the time of the push that brought them.

@@ -248,6 +248,13 @@ defmodule MavCodec.ParserTest do
     [chunk | chunks(rest, size)]
   end
 
+  test "frames that are taken as they are count as if their bytes had been read (R7)" do
+    made = for seq <- [3, 4, 7], do: Frame.from_bytes(heartbeat(system: 3, seq: seq), 50)
+    {taken, parser} = Parser.take(Parser.new(), made, 12)
+    assert {^taken, read} = Parser.push(Parser.new(), IO.iodata_to_binary(bytes(made)), 12)
+    assert stats(parser) == stats(read)
+  end
+
   describe "unknown ids" do
     test "are kept as raw frames, when the byte behind them is a magic" do
       data = unknown(seq: 4)

@@ -74,7 +74,7 @@ defmodule Msp.Rerun do
 
   defp step(rerun, {now, event}) do
     {session, actions} = Session.handle(rerun.session, event, now)
-    told = for {:mavlink, bytes} <- actions, into: rerun.told, do: bytes
+    told = for {:frames, frames} <- actions, %{bytes: bytes} <- frames, into: rerun.told, do: bytes
     written = for {:write, bytes} <- actions, into: rerun.written, do: bytes
     count(%{rerun | session: session, told: told, written: written}, :entries)
   end

@@ -19,7 +19,7 @@ defmodule Msp.Session do
   | action | |
   |---|---|
   | `{:write, bytes}` | to the flight controller |
-  | `{:mavlink, bytes}` | frames of the vehicle |
+  | `{:frames, frames}` | MAVLink frames of the vehicle |
   | `{:client, id, bytes}`, `{:client, id, :full}` | to a program; there is no room for it |
   | `{:judge, id, message}` | whether a program may do what this MAVLink message would ask for |
   | `{:wake, at}` | a `:tick` then; the latest one counts |
@@ -115,7 +115,7 @@ defmodule Msp.Session do
           | :closing
   @type action ::
           {:write, binary}
-          | {:mavlink, binary}
+          | {:frames, [MavCodec.Frame.t(), ...]}
           | {:client, pos_integer, binary | :full}
           | {:judge, pos_integer, struct}
           | {:wake, integer}

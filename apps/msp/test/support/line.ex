@@ -62,13 +62,11 @@ defmodule Msp.Test.Line do
   def told(line, module), do: for({at, %^module{} = message} <- told(line), do: {at, message})
 
   def told(line) do
-    for {at, bytes} <- Enum.reverse(line.told), frame <- frames(bytes) do
+    for {at, frames} <- Enum.reverse(line.told), frame <- frames do
       {:ok, message} = MavCodec.decode(frame)
       {at - 1_000_000_000_000, message}
     end
   end
-
-  defp frames(bytes), do: elem(MavCodec.Parser.push(MavCodec.Parser.new(), bytes, 0), 0)
 
   defp until(%{failed: nil, counted: %{}} = line, target) do
     case Enum.min(Enum.map(line.coming, &elem(&1, 0)) ++ List.wrap(line.wake), fn -> nil end) do
@@ -103,8 +101,8 @@ defmodule Msp.Test.Line do
     end
   end
 
-  defp act({:mavlink, bytes}, line),
-    do: record(%{line | told: [{line.now, bytes} | line.told]}, if(line.record, do: frames(bytes), else: []))
+  defp act({:frames, frames}, line),
+    do: record(%{line | told: [{line.now, frames} | line.told]}, frames)
 
   defp act({:count, name, n}, line), do: %{line | counted: Map.update(line.counted, name, n, &(&1 + n))}
   defp act({:client, id, :full}, line), do: %{line | full: [id | line.full]}

@@ -7,7 +7,7 @@ defmodule MavRouter.Link.Peer do
   one. So the garbage of one peer never damages the frames of another.
   """
 
-  alias MavCodec.Parser
+  alias MavCodec.{Frame, Parser}
 
   @enforce_keys [:id, :text, :parser, :since, :heard]
   defstruct [:id, :text, :parser, :since, :heard, :framed, :stats, :counted, flushed: true, known: false]
@@ -37,13 +37,14 @@ defmodule MavRouter.Link.Peer do
   @spec new(term, String.t(), Parser.t(), integer) :: t
   def new(id, text, parser, now), do: %__MODULE__{id: id, text: text, parser: parser, since: now, heard: now}
 
-  @doc "Parses what came at `now` (monotonic ms) and `at` (unix microseconds)."
-  @spec push(t, :stream | :datagram, binary, integer, integer) :: {[MavCodec.Frame.t()], t}
-  def push(%__MODULE__{} = peer, framing, bytes, now, at) do
+  @doc "Parses bytes that came at `now` (monotonic ms) and `at` (unix microseconds); frames are taken as they are."
+  @spec push(t, :stream | :datagram, binary | [Frame.t()], integer, integer) :: {[Frame.t()], t}
+  def push(%__MODULE__{} = peer, framing, read, now, at) do
     {frames, parser} =
-      case framing do
-        :stream -> Parser.push(peer.parser, bytes, at)
-        :datagram -> Parser.push_datagram(peer.parser, bytes, at)
+      cond do
+        is_list(read) -> Parser.take(peer.parser, read, at)
+        framing == :stream -> Parser.push(peer.parser, read, at)
+        true -> Parser.push_datagram(peer.parser, read, at)
       end
 
     framed = if frames == [], do: peer.framed, else: now
@@ -64,7 +65,7 @@ defmodule MavRouter.Link.Peer do
   def measure(peer), do: peer
 
   @doc "Nothing more came for a while, or the connection ended: the parser decides about the bytes that it holds."
-  @spec flush(t) :: {[MavCodec.Frame.t()], t}
+  @spec flush(t) :: {[Frame.t()], t}
   def flush(%__MODULE__{flushed: true} = peer), do: {[], peer}
 
   def flush(%__MODULE__{} = peer) do

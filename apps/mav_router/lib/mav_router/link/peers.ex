@@ -97,8 +97,8 @@ defmodule MavRouter.Link.Peers do
     }
   end
 
-  @doc "Parses bytes of a peer; returns its frames, and the peers that came or went with them."
-  @spec push(t, term, binary, integer, integer) :: {[MavCodec.Frame.t()], [change], t}
+  @doc "Parses what a peer sent; returns its frames, and the peers that came or went with them."
+  @spec push(t, term, binary | [MavCodec.Frame.t()], integer, integer) :: {[MavCodec.Frame.t()], [change], t}
   def push(%__MODULE__{map: map} = peers, id, bytes, now, at) do
     case map do
       %{^id => %{known: true} = peer} ->

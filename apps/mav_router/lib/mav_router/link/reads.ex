@@ -10,7 +10,8 @@ defmodule MavRouter.Link.Reads do
   Parses reads that came at `mono` (monotonic ms) and `at` (unix microseconds). Reads of the same peer become one delivery;
   deliveries are in the order in which the peers spoke.
   """
-  @spec push(Peers.t(), [{term, binary}], integer, integer) :: {[delivery], [Peers.change()], Peers.t()}
+  @spec push(Peers.t(), [{term, binary | [MavCodec.Frame.t()]}], integer, integer) ::
+          {[delivery], [Peers.change()], Peers.t()}
   # Nearly always one datagram.
   def push(peers, [{id, bytes}], mono, at) do
     case Peers.push(peers, id, bytes, mono, at) do

@@ -85,7 +85,7 @@ defmodule MavRouter.Link.Transport do
         }
 
   @typedoc """
-  - `{:read, [{peer, bytes}]}`: received, in order
+  - `{:read, [{peer, read}]}`: received, in order: bytes, or a list of frames if the transport makes them
   - `{:records, [{at, bytes}]}`: replayed, with their recorded times (unix microseconds)
   - `{:peer_up, peer, text}`, `{:peer_down, peer, reason}`: connections of a server
   - `{:refused, n, text}`: connections of a server that were beyond its limits
@@ -100,7 +100,7 @@ defmodule MavRouter.Link.Transport do
   - `{:written, result}`: the late result of a write, `{:ok, bytes} | {:error, reason}`
   """
   @type event ::
-          {:read, [{peer, binary}]}
+          {:read, [{peer, binary | [MavCodec.Frame.t()]}]}
           | {:records, [{integer, binary}]}
           | {:peer_up, peer, String.t()}
           | {:peer_down, peer, term}

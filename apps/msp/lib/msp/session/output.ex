@@ -1,7 +1,7 @@
 defmodule Msp.Session.Output do
   @moduledoc "What a session tells in MAVLink: messages of the vehicle's autopilot, in the order of their sending."
 
-  alias MavCodec.Encoder
+  alias MavCodec.{Dialects, Encoder, Frame}
   alias MavCodec.Enums.MavResult
   alias MavCodec.Messages, as: M
   alias Msp.Session
@@ -19,7 +19,8 @@ defmodule Msp.Session.Output do
 
   def emit(session, message) do
     {bytes, encoder} = Encoder.encode(session.encoder, message)
-    %{session | encoder: encoder, outbox: [bytes | session.outbox]}
+    frame = Frame.from_bytes(bytes, Dialects.All.crc_extra(message.__struct__.id()))
+    %{session | encoder: encoder, outbox: [frame | session.outbox]}
   end
 
   @doc "Sends a text, in several chunks if it is long."
@@ -51,11 +52,10 @@ defmodule Msp.Session.Output do
   end
 
   @doc "What was sent since the last call, as one action."
-  @spec take(Session.t()) :: {[{:mavlink, binary}], Session.t()}
+  @spec take(Session.t()) :: {[{:frames, [Frame.t(), ...]}], Session.t()}
   def take(%{outbox: []} = session), do: {[], session}
 
-  def take(session),
-    do: {[{:mavlink, session.outbox |> Enum.reverse() |> IO.iodata_to_binary()}], %{session | outbox: []}}
+  def take(session), do: {[{:frames, Enum.reverse(session.outbox)}], %{session | outbox: []}}
 
   @doc "The vehicle's clock in milliseconds since its start, as far as that is known. It begins again after 2^32 ms, as MAVLink's does."
   @spec boot_ms(Session.t(), integer) :: 0..0xFFFFFFFF

@@ -5,7 +5,6 @@ defmodule Aerie.Vehicle.MspFlightTest do
   import Aerie.Flight, only: [run: 2, step: 2]
 
   alias Aerie.Vehicle.State
-  alias MavCodec.Parser
   alias Msp.Session
   alias SimVehicle.Msp.Firmware
 
@@ -54,8 +53,8 @@ defmodule Aerie.Vehicle.MspFlightTest do
     %{flight | fc: fc, said: flight.said ++ said}
   end
 
-  defp act({:mavlink, bytes}, flight) do
-    {frames, _parser} = Parser.push(Parser.new(), bytes, flight.now)
+  defp act({:frames, frames}, flight) do
+    frames = for frame <- frames, do: %{frame | at: flight.now}
     %{flight | frames: Enum.reverse(frames) ++ flight.frames}
   end
 

@@ -198,7 +198,7 @@ defmodule MavRouter.Link.Transport.Msp do
     {events ++ [{:traced, make}], %{msp | traced: seq + Trace.count(what)}}
   end
 
-  defp act({:mavlink, bytes}, {events, msp}), do: {events ++ [{:read, [{:remote, bytes}]}], msp}
+  defp act({:frames, frames}, {events, msp}), do: {events ++ [{:read, [{:remote, frames}]}], msp}
   defp act({:count, _name, _n} = count, {events, msp}), do: {events ++ [count], msp}
   defp act({:fail, text}, {events, msp}), do: {events ++ [{:closed, text}], msp}
 

@@ -9,7 +9,7 @@ defmodule Aerie.System.AuthorityAttacksTest do
   alias Aerie.Base.Store
   alias Aerie.Control.Policy.Leases
   alias MavCodec.Enums.MavCmd
-  alias MavRouter.Router.GroundStations
+  alias MavRouter.Forward.GroundStations
   alias MavRouter.Tables
   alias MavCodec.Messages, as: M
 

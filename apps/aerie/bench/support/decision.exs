@@ -1,14 +1,16 @@
 defmodule DecisionBench do
   @moduledoc """
-  What it costs to decide whether a frame may reach vehicles (`MavRouter.Router.Gate`), in nanoseconds a frame: reads of 16 frames, the
-  median of 15 rounds, in this process alone.
+  What it costs to decide whether a frame may reach vehicles (`MavRouter.Forward.Gate`), in nanoseconds a frame: reads
+  of 16 frames, the median of 15 rounds, in this process alone.
   """
 
   alias Aerie.Control.Policy
   alias Aerie.Control.Policy.MavlinkPolicy
-  alias MavRouter.Router.{Delivery, Gate}
+  alias MavRouter.Forward.Delivery
+  alias MavRouter.Forward.Gate
   alias MavRouter.Endpoints.Counters
-  alias MavRouter.Router.Forward.{Source, Table}
+  alias MavRouter.Forward.Source
+  alias MavRouter.Forward.Table
   alias MavCodec.{Frame, Parser}
   alias MavCodec.Messages, as: M
 

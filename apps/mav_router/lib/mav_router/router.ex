@@ -17,18 +17,18 @@ defmodule MavRouter.Router do
   | `[:aerie, :router, :reboot]` | | `gateway`, `network`, `system`: its boot time started over (R6) |
   | `[:aerie, :router, :collision]` | | `gateway`, `network`, `system`, `links`, by which another vehicle with that id is heard (`MavRouter.Routes.Collisions`); none: it is over |
   | `[:aerie, :router, :carrier]` | `score` | `gateway`, `group`, `link`: another link of the group carries |
-  | `[:aerie, :router, :denied]` | `frames` | `gateway`, `network`, `link`, `peer`, `system`, `component`, `message`: an order from an endpoint that may not command (`MavRouter.Router.Forward.Refusal`); at most one a minute for each link |
+  | `[:aerie, :router, :denied]` | `frames` | `gateway`, `network`, `link`, `peer`, `system`, `component`, `message`: an order from an endpoint that may not command (`MavRouter.Forward.Refusal`); at most one a minute for each link |
   | `[:aerie, :router, :dropped]` | `frames` | `gateway`, `network`, `system`, `reason`: `:overload`, or `:refused` for what was kept of a vehicle that could not be started |
   """
 
   alias Aerie.Base.Names
   alias MavRouter.Router.Deliver
-  alias MavRouter.Router.Forward.Dispatch
+  alias MavRouter.Forward.Dispatch
   alias MavRouter.Router.Echo
   alias MavRouter.Endpoints.Endpoint
   alias MavRouter.Endpoints
   alias MavRouter.Routes
-  alias MavRouter.Router.Forward.Holders
+  alias MavRouter.Forward.Holders
   alias MavRouter.Endpoints.Rules
   alias MavRouter.Tables
   alias MavRouter.Router.View
@@ -47,8 +47,8 @@ defmodule MavRouter.Router do
           optional(:high_latency) => boolean
         }
 
-  @typedoc "What a process that delivers frames keeps between two reads (`MavRouter.Router.Forward.Cache`)."
-  @type cache :: MavRouter.Router.Forward.Cache.t()
+  @typedoc "What a process that delivers frames keeps between two reads (`MavRouter.Forward.Cache`)."
+  @type cache :: MavRouter.Forward.Cache.t()
 
   @type vehicle_key :: {network :: String.t(), system :: non_neg_integer}
 
@@ -84,8 +84,8 @@ defmodule MavRouter.Router do
   defdelegate first_frames(gateway, key), to: MavRouter.Router.Admission
 
   @doc """
-  Sends bytes (one or more whole frames) to a vehicle, by the endpoint that brings it (`MavRouter.Router.Forward.Holders`), or to any
-  other system, by the endpoint where it was heard last; of redundant
+  Sends bytes (one or more whole frames) to a vehicle, by the endpoint that brings it (`MavRouter.Forward.Holders`), or
+  to any other system, by the endpoint where it was heard last; of redundant
   links by the one that carries their class (`MavRouter.Routes.LinkSelector`).
 
   `component:` prefers endpoints where that component was heard, `link:` allows that link only. `{:error, :no_route}` for a system
@@ -216,7 +216,7 @@ defmodule MavRouter.Router do
     end
   end
 
-  @doc "All systems that sent a heartbeat, vehicles or not (`MavRouter.Router.Systems`)."
+  @doc "All systems that sent a heartbeat, vehicles or not (`MavRouter.Forward.HeartbeatLearner.Systems`)."
   @spec systems(Names.gateway()) :: %{vehicle_key => map}
   def systems(gateway), do: Store.systems(gateway)
 

@@ -17,7 +17,7 @@ defmodule MavRouter.Tables do
   - `:settings` `{name, value}`, `{{:network, name}, order in which it came}`, `{{:admission, owner}, token bucket}`
   - `:changes` `{generation, endpoint's key | :all}`: what moved the generation, the last #{@max_changes} times
   - `:heard_by` `{{owner, peer, network, system, component}}`: the routes, by endpoint
-  - `:holders` `{vehicle_key, members, kind, claimed_ms}` of `MavRouter.Router.Forward.Holders`
+  - `:holders` `{vehicle_key, members, kind, claimed_ms}` of `MavRouter.Forward.Holders`
 
   `generation` counts two things: changes of endpoints and owners, and changes of routes that concern others. Forwarding processes
   keep what they worked out from these tables for as long as it stands still. `id` tells the tables from those before a restart.

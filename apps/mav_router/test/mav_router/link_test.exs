@@ -137,7 +137,7 @@ defmodule MavRouter.LinkTest do
       assert Enum.count(MavRouter.Router.endpoints(c.gateway)) < 1_024
       # Few of the other senders receive the vehicle's frames.
       tables = MavRouter.Tables.of(c.gateway)
-      assert map_size(MavRouter.Router.Forward.Table.read(tables).listeners) <= 32
+      assert map_size(MavRouter.Forward.Table.read(tables).listeners) <= 32
     end
 
     # What the session gets besides are the forged heartbeats with its vehicle's id.

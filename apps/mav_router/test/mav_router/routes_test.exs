@@ -6,7 +6,7 @@ defmodule MavRouter.RoutesTest do
 
   alias MavRouter.Router
   alias MavRouter.Endpoints
-  alias MavRouter.Router.Forward.Holders
+  alias MavRouter.Forward.Holders
   alias MavRouter.Endpoints.Owner
   alias MavRouter.Routes
   alias MavRouter.Router.Sweeper

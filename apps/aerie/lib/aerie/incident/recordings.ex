@@ -11,7 +11,7 @@ defmodule Aerie.Incident.Recordings do
   alias Aerie.Vehicle.Options
   alias MavCodec.{Frame, Heartbeat, Tlog}
   alias MavRouter.Recorder.Archive.Name
-  alias MavRouter.Router.Forward.Reach
+  alias MavRouter.Forward.Reach
 
   @name ~r/\A(.+)-(\d{4})(\d\d)(\d\d)T(\d\d)(\d\d)(\d\d)Z(-\d{1,3})?\.tlog\z/
   # The longest ring (recorder.ring.seconds): what a saved file has from before its name's time.

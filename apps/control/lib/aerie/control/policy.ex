@@ -104,7 +104,7 @@ defmodule Aerie.Control.Policy do
   @spec in_charge?(t(), Intent.t(), Context.t()) :: boolean()
   def in_charge?(policy, facts, context), do: Rules.check([:lease], policy, facts, context) == :allow
 
-  @typedoc "What the policy must know of where a frame came from: a `MavRouter.Router.Forward.Table.Path`."
+  @typedoc "What the policy must know of where a frame came from: a `MavRouter.Forward.Table.Path`."
   @type origin :: %{
           :owner => String.t(),
           :text => String.t() | nil,

@@ -31,7 +31,7 @@ defmodule Aerie.Fleet.Replay do
   @typedoc """
   - `from`, `to`: times of the first frame (with a time after 2000, if there is one) and the last (unix microseconds)
   - `duration_us`: how long it is, without steps of its clock and gaps of more than a day
-  - `vehicles`: their names; `stations`: what else sent heartbeats (`t:MavRouter.Router.GroundStations.station/0`)
+  - `vehicles`: their names; `stations`: what else sent heartbeats (`t:MavRouter.Forward.GroundStations.station/0`)
   - `frames`, `bytes`: read from the recording
   - `own`: frames with our own ids; `copies`: texts that came by two links; `unclaimed`: frames of systems without a vehicle;
     `refused`: heartbeats of vehicles beyond `limits.max_vehicles`
@@ -44,7 +44,7 @@ defmodule Aerie.Fleet.Replay do
           to: integer,
           duration_us: non_neg_integer,
           vehicles: [String.t()],
-          stations: [MavRouter.Router.GroundStations.station()],
+          stations: [MavRouter.Forward.GroundStations.station()],
           frames: pos_integer,
           bytes: pos_integer,
           own: non_neg_integer,

@@ -1,6 +1,6 @@
 defmodule MavRouter.Endpoints.Access do
   @moduledoc """
-  Which endpoints count as clients, so that what they send is judged by who they are (`MavRouter.Router.Gate`).
+  Which endpoints count as clients, so that what they send is judged by who they are (`MavRouter.Forward.Gate`).
 
   The peers of `clients`, WebSockets and unix sockets do. For the endpoints of a **link** its `gcs` decides:
 

@@ -10,7 +10,7 @@ defmodule MavRouter.Endpoints.Counters do
   | `duplicates` | from it, after they had come from another endpoint |
   | `collided` | from it, by another vehicle with the id of one that was there before (`MavRouter.Routes.Collisions`) |
   | `read_only` | from it, and it may only read |
-  | `denied` | from it, orders to vehicles that it may not give (`MavRouter.Router.Gate`) |
+  | `denied` | from it, orders to vehicles that it may not give (`MavRouter.Forward.Gate`) |
   | `withheld` | from it, kept from vehicles: heartbeats, questions, telemetry, input of estimators, messages without a row in `Authority.Messages` |
   | `routes_refused` | components heard from it that got no route, four times a second each while they speak (`MavRouter.Routes`) |
   | `held` | from it, kept until another's transfer with the vehicle was over (`MavRouter.Router.TransferLock`) |

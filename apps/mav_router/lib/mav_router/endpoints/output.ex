@@ -15,7 +15,7 @@ defmodule MavRouter.Endpoints.Output do
   # that packs datagrams itself (PX4) puts fewer into one.
   @many 64
 
-  @typedoc "What is needed of an endpoint: an `MavRouter.Router.Forward.Table.Path`, or an `Endpoint`."
+  @typedoc "What is needed of an endpoint: an `MavRouter.Forward.Table.Path`, or an `Endpoint`."
   @type path :: %{
           :out => Endpoint.out(),
           :counters => Counters.t(),
@@ -99,7 +99,7 @@ defmodule MavRouter.Endpoints.Output do
   def bytes(_nowhere, _bytes, _class, _n), do: :ok
 
   @doc "Sends a client a frame in the name of a vehicle of a network, from the id under which it knows the vehicle."
-  @spec answer(MavRouter.Router.Forward.Table.Path.t(), network :: String.t(), binary) :: :ok
+  @spec answer(MavRouter.Forward.Table.Path.t(), network :: String.t(), binary) :: :ok
   def answer(%{renumber: nil} = path, _network, bytes), do: bytes(path, bytes, :ack, 1)
 
   def answer(path, network, bytes) do

@@ -18,7 +18,7 @@ defmodule MavRouter.Endpoints.Owner do
   | `:coalesce` | frames may share a datagram when many wait (`MavRouter.Endpoints.Output`); default true |
   | `:sign` | of a client, true: its unsigned frames are trusted, and signed for vehicles that require it (`MavRouter.Signing`) |
   | `:gcs` | of a link: which of its endpoints count as clients, `:auto`, `:allow` or `:deny` (`MavRouter.Endpoints.Access`) |
-  | `:parts` | of a link, true: cameras, gimbals and companions of its vehicles are on it, and tell their autopilots what they have to tell (`MavRouter.Router.Forward.Reach`) |
+  | `:parts` | of a link, true: cameras, gimbals and companions of its vehicles are on it, and tell their autopilots what they have to tell (`MavRouter.Forward.Reach`) |
   | `:broadcasts` | false: it gets only frames with its ids as target; default true |
   | `:id_offsets` | for a client, what is added to the system ids of a network: `%{network => n}` (`MavRouter.Endpoints.Owner.Renumber`) |
   | `:high_latency` | true: it gets only what a link of high latency carries (X6), unless `:out` lists the messages |

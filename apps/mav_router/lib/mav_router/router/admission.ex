@@ -20,7 +20,7 @@ defmodule MavRouter.Router.Admission do
 
   alias Aerie.Base.Names
   alias MavRouter.Router.AutoSystemId
-  alias MavRouter.Router.Delivery
+  alias MavRouter.Forward.Delivery
   alias MavRouter.Router.Admission.EarlyFrames
   alias MavRouter.Tables
   alias MavRouter.Router.Admission.VehicleStarter

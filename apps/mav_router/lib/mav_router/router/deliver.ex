@@ -1,22 +1,23 @@
 defmodule MavRouter.Router.Deliver do
   @moduledoc """
-  What becomes of the frames of one read, in the process that read them: they teach routes (`MavRouter.Router.Forward.Source`,
-  `MavRouter.Router.HeartbeatLearner`), go to other endpoints (`MavRouter.Router.Forward`) and to the sessions of their vehicles.
+  What becomes of the frames of one read, in the process that read them: they teach routes (`MavRouter.Forward.Source`,
+  `MavRouter.Forward.HeartbeatLearner`), go to other endpoints (`MavRouter.Forward`) and to the sessions of their
+  vehicles.
   """
 
   alias Aerie.Base.Names
   alias MavRouter.Router.Admission
-  alias MavRouter.Router.Delivery
+  alias MavRouter.Forward.Delivery
   alias MavRouter.Router.Echo
   alias MavRouter.Endpoints.Counters
-  alias MavRouter.Router.Forward
-  alias MavRouter.Router.Forward.Cache
-  alias MavRouter.Router.Forward.Table
-  alias MavRouter.Router.Gate
-  alias MavRouter.Router.HeartbeatLearner
+  alias MavRouter.Forward
+  alias MavRouter.Forward.Cache
+  alias MavRouter.Forward.Table
+  alias MavRouter.Forward.Gate
+  alias MavRouter.Forward.HeartbeatLearner
   alias MavRouter.Router.SessionBackpressure
   alias MavRouter.Router.ReadCache.Requests
-  alias MavRouter.Router.Forward.Source
+  alias MavRouter.Forward.Source
   alias MavRouter.Router.StreamRequests
   alias MavRouter.Tables
   alias MavRouter.Router.TransferLock

@@ -9,7 +9,7 @@ defmodule MavRouter.Router.Echo do
   alias MavCodec.Heartbeat
   alias MavCodec.MessageName
   alias Aerie.Base.Names
-  alias MavRouter.Router.Delivery
+  alias MavRouter.Forward.Delivery
   alias MavRouter.Tables
   alias MavCodec.Frame
 

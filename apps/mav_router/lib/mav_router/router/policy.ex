@@ -8,7 +8,7 @@ defmodule MavRouter.Router.Policy do
 
   alias Authority.Principal
   alias Aerie.Base.Names
-  alias MavRouter.Router.Forward.Table.Path
+  alias MavRouter.Forward.Table.Path
   alias MavCodec.Frame
 
   @typedoc "Who sends: the endpoint, its client or link, its address in words, and who that is."

@@ -5,7 +5,7 @@ defmodule MavRouter.Router.StreamRequests do
   """
 
   alias Aerie.Base.Store
-  alias MavRouter.Router.Delivery
+  alias MavRouter.Forward.Delivery
   alias MavRouter.Endpoints.Owner.Filter
   alias MavRouter.Endpoints.Output
   alias MavRouter.Endpoints.Owner.Renumber

@@ -8,9 +8,9 @@ defmodule MavRouter.Router.Sweeper do
   use GenServer
 
   alias Aerie.Base.Names
-  alias MavRouter.Router.GroundStations
+  alias MavRouter.Forward.GroundStations
   alias MavRouter.Routes
-  alias MavRouter.Router.Forward.Holders
+  alias MavRouter.Forward.Holders
   alias MavRouter.Tables
 
   @load_ttl_ms 60_000

@@ -11,22 +11,22 @@ defmodule MavRouter.Router.TransferLock do
   give it back by `give_back/3`. It is in the router, because the frames of clients are held and forwarded here, and because it
   outlives the processes of a vehicle.
 
-  A client that may not ask vehicles (`MavRouter.Router.Gate`) gets no turn, so that it keeps nobody waiting.
+  A client that may not ask vehicles (`MavRouter.Forward.Gate`) gets no turn, so that it keeps nobody waiting.
   """
   use GenServer
 
   import MavRouter.Router.TransferLock.Transfer, only: [is_part: 1]
 
   alias Aerie.Base.Names
-  alias MavRouter.Router.Delivery
+  alias MavRouter.Forward.Delivery
   alias MavRouter.Endpoints
   alias MavRouter.Endpoints.Owner.Filter
-  alias MavRouter.Router.Forward
-  alias MavRouter.Router.Forward.Cache
+  alias MavRouter.Forward
+  alias MavRouter.Forward.Cache
   alias MavRouter.Endpoints.Owner.Renumber
   alias MavRouter.Routes
   alias MavRouter.Tables
-  alias MavRouter.Router.Forward.Source
+  alias MavRouter.Forward.Source
   alias MavRouter.Endpoints.Counters
   alias MavRouter.Router.TransferLock.Transfer
   alias MavRouter.Router.TransferLock.Turn

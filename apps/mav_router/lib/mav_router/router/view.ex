@@ -2,7 +2,7 @@ defmodule MavRouter.Router.View do
   @moduledoc "The endpoints as plain maps, for people and programs (`MavRouter.Router.endpoints/1`)."
 
   alias MavRouter.Endpoints
-  alias MavRouter.Router.Forward.Table
+  alias MavRouter.Forward.Table
   alias MavRouter.Endpoints.Owner.Renumber
   alias MavRouter.Routes
   alias MavRouter.Tables

@@ -7,7 +7,7 @@ defmodule MavRouter.Router.AutoSystemIdTest do
   alias Aerie.Base.Names
   alias MavRouter.Identity
   alias MavRouter.Router.Admission
-  alias MavRouter.Router.Delivery
+  alias MavRouter.Forward.Delivery
   alias MavRouter.Tables
   alias MavRouter.Router.AutoSystemId
 

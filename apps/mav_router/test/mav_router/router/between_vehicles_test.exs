@@ -2,7 +2,7 @@ defmodule MavRouter.Router.BetweenVehiclesTest do
   @moduledoc "What vehicles hear of each other, and how many other listeners a link to vehicles has."
   use Aerie.EndpointCase, async: true
 
-  alias MavRouter.Router.GroundStations
+  alias MavRouter.Forward.GroundStations
 
   describe "between vehicles" do
     test "vehicles of a network hear each other's heartbeats and nothing else", c do

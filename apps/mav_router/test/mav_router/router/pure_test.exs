@@ -7,7 +7,7 @@ defmodule MavRouter.Router.PureTest do
   alias MavRouter.Endpoints.Output.Batch
   alias MavRouter.Endpoints.Queue.Budget
   alias MavRouter.Endpoints.Queue.TrafficClass
-  alias MavRouter.Router.Forward.Dedupe
+  alias MavRouter.Forward.Dedupe
   alias MavRouter.Endpoints.Owner.Filter
   alias MavRouter.Endpoints.Queue.SendQueue
   alias MavRouter.Endpoints.Owner
@@ -23,7 +23,7 @@ defmodule MavRouter.Router.PureTest do
     alias MavRouter.Endpoints.Endpoint
     alias MavRouter.Endpoints
     alias MavRouter.Routes
-    alias MavRouter.Router.Forward.Table
+    alias MavRouter.Forward.Table
 
     defp tables do
       # Where endpoints tell that they are there is not needed here.

@@ -14,7 +14,7 @@ defmodule Aerie.Vehicle.Core do
     * `{:shift, step}` - the clock was set by `step` (microseconds): everything was heard as long ago as before
     * `{:link, link, %{high_latency: boolean, msp: boolean}}` - what is configured for a link; `msp`: it says itself
       what its vehicle is
-    * `{:stations, stations}` - what else sends heartbeats on the vehicle's network (`MavRouter.Router.GroundStations`)
+    * `{:stations, stations}` - what else sends heartbeats on the vehicle's network (`MavRouter.Forward.GroundStations`)
     * `{:vehicles, n}` - how many vehicles the gateway has: the more, the less often each is shown
     * `{:asked, request, at}` - a TIMESYNC request of ours that is in a recording, to recognise its answers
     * `{:hold_requests, hold?}` - no message or rate is to be requested until further notice
@@ -115,7 +115,7 @@ defmodule Aerie.Vehicle.Core do
           | {:rebase, integer()}
           | {:shift, integer()}
           | {:link, link :: term(), %{:high_latency => boolean(), optional(:msp) => boolean()}}
-          | {:stations, [MavRouter.Router.GroundStations.station()]}
+          | {:stations, [MavRouter.Forward.GroundStations.station()]}
           | {:vehicles, non_neg_integer()}
           | {:demand, Aerie.Vehicle.Services.StreamDemand.merged(), non_neg_integer() | nil}
           | {:asked, struct(), integer()}

@@ -19,7 +19,7 @@ defmodule Aerie.Vehicle.Session do
   alias Aerie.Vehicle.Services.StreamDemand
   alias MavRouter.Identity
   alias Aerie.Vehicle.ArmAuthorization
-  alias MavRouter.Router.GroundStations
+  alias MavRouter.Forward.GroundStations
   alias Aerie.Vehicle.Session.Clock
 
   @tick_ms 100

@@ -2,10 +2,10 @@ defmodule Aerie.Fleet.Replay.Commands do
   @moduledoc """
   The commands in a recording, each with the vehicle as it was at that moment: a pure value over `Aerie.Fleet.Replay.Machine`.
 
-  A command is what the router's gate would ask the policy about (`MavRouter.Router.Gate`): an order, or a pilot's stick, of somebody who is
-  not a vehicle. A recording tells the ids of its sender and not the endpoint, and has only what was sent to the vehicle: what a gateway
-  refused then is missing. A frame that two links sent, or that two recordings have, counts once. What cannot be judged is counted by its
-  reason (`t:skipped/0`).
+  A command is what the router's gate would ask the policy about (`MavRouter.Forward.Gate`): an order, or a pilot's
+  stick, of somebody who is not a vehicle. A recording tells the ids of its sender and not the endpoint, and has only
+  what was sent to the vehicle: what a gateway refused then is missing. A frame that two links sent, or that two
+  recordings have, counts once. What cannot be judged is counted by its reason (`t:skipped/0`).
   """
 
   alias Aerie.Fleet.Replay.Machine

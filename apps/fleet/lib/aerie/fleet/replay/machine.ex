@@ -17,7 +17,7 @@ defmodule Aerie.Fleet.Replay.Machine do
 
   alias Aerie.Fleet.Replay.{Clock, Settings, Stations, Vehicle}
   alias MavCodec.Heartbeat
-  alias MavRouter.Router.Admission.EarlyTexts
+  alias MavRouter.Forward.Cache.EarlyTexts
   alias Aerie.Vehicle.{Core, Options}
   alias Aerie.Vehicle.Services.Timesync
   alias MavCodec.{Frame, Parser, Tlog}

@@ -1,9 +1,9 @@
 defmodule Aerie.Fleet.Replay.Stations do
   @moduledoc """
-  The other senders of heartbeats in a recording: `MavRouter.Router.GroundStations` as a value, with the same limits.
+  The other senders of heartbeats in a recording: `MavRouter.Forward.GroundStations` as a value, with the same limits.
   """
 
-  alias MavRouter.Router.GroundStations
+  alias MavRouter.Forward.GroundStations
   alias MavCodec.Heartbeat
   alias MavCodec.Frame
 

@@ -22,7 +22,7 @@ defmodule MavRouter.Endpoints.Owner.Renumber do
   import Bitwise
 
   alias Aerie.Base.Json
-  alias MavRouter.Router.Forward.Table.Path
+  alias MavRouter.Forward.Table.Path
   alias MavCodec.CRC
   alias MavCodec.Dialects.All
   alias MavCodec.Frame

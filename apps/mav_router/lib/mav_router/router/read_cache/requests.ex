@@ -6,14 +6,14 @@ defmodule MavRouter.Router.ReadCache.Requests do
 
   alias Aerie.Base.Names
   alias MavRouter.Endpoints.Queue.TrafficClass
-  alias MavRouter.Router.Delivery
+  alias MavRouter.Forward.Delivery
   alias MavRouter.Endpoints.Endpoint
   alias MavRouter.Endpoints.Owner.Filter
-  alias MavRouter.Router.Forward
-  alias MavRouter.Router.Forward.Cache
-  alias MavRouter.Router.Gate
+  alias MavRouter.Forward
+  alias MavRouter.Forward.Cache
+  alias MavRouter.Forward.Gate
   alias MavRouter.Endpoints.Output
-  alias MavRouter.Router.Forward.Source
+  alias MavRouter.Forward.Source
   alias MavRouter.Tables
   alias MavRouter.Router.TransferLock
   alias Aerie.Base.Store

@@ -1,7 +1,7 @@
 defmodule MavRouter.Endpoints.Owner.RenumberTest do
   use ExUnit.Case, async: true
 
-  alias MavRouter.Router.Forward.Table.Path
+  alias MavRouter.Forward.Table.Path
   alias MavRouter.Endpoints.Owner.Renumber
   alias MavCodec.Messages, as: M
   alias MavCodec.Parser

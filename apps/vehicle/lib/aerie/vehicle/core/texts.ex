@@ -11,7 +11,7 @@ defmodule Aerie.Vehicle.Core.Texts do
   @copy_us 5_000_000
   # Within this time, the same text by the same link with the same sequence number is a duplicate.
   @duplicate_us 1_000_000
-  # Texts from before the first heartbeat (`MavRouter.Router.Admission.EarlyTexts` holds as many).
+  # Texts from before the first heartbeat (`MavRouter.Forward.Cache.EarlyTexts` holds as many).
   @max_early 16
 
   defstruct open: StatusText.new(), early: [], recent: %{}

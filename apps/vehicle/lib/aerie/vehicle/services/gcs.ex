@@ -11,7 +11,7 @@ defmodule Aerie.Vehicle.Services.Gcs do
   used, too. Unknown values are nil.
   """
 
-  alias MavRouter.Router.GroundStations
+  alias MavRouter.Forward.GroundStations
   alias MavCodec.Enums.MavType
   alias MavCodec.Messages.ParamRequestRead
 
@@ -82,8 +82,8 @@ defmodule Aerie.Vehicle.Services.Gcs do
   end
 
   @doc """
-  The stations heard on the vehicle's network (`MavRouter.Router.GroundStations`), without ourselves; another component with our system
-  id is another station.
+  The stations heard on the vehicle's network (`MavRouter.Forward.GroundStations`), without ourselves; another
+  component with our system id is another station.
   """
   @spec stations(t(), [GroundStations.station()], own :: {system :: integer(), component :: integer()}) :: t()
   def stations(gcs, stations, own) do

@@ -13,7 +13,7 @@ defmodule MavRouter.Link.Transport.Msp.Share do
   alias MavRouter.Link.Transport.TcpServer
   alias MavRouter.Endpoints.Access
   alias MavRouter.Tables
-  alias MavRouter.Router.Forward.Table.Path
+  alias MavRouter.Forward.Table.Path
 
   @http ~r/\A[A-Z]{1,8}( |\z)/
   @station {255, 190}

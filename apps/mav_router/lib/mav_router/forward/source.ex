@@ -1,4 +1,4 @@
-defmodule MavRouter.Router.Forward.Source do
+defmodule MavRouter.Forward.Source do
   @moduledoc """
   A component that sends frames by an endpoint, and the endpoints that its broadcasts go to. Worked out once and kept by the
   process that hears the component, for a second at most, so that a frame of telemetry costs no look-up at all.
@@ -6,14 +6,14 @@ defmodule MavRouter.Router.Forward.Source do
   | field | |
   |---|---|
   | `receivers` | paths of clients and sniffers, which get its broadcasts (R1) |
-  | `vehicles` | paths on the side of vehicles, with the sender's relation to each (`MavRouter.Router.Forward.Reach`) |
+  | `vehicles` | paths on the side of vehicles, with the sender's relation to each (`MavRouter.Forward.Reach`) |
   | `groups` | the same for groups of redundant links, of which one carries |
   | `heartbeat_receivers` | paths of other vehicles, which get a vehicle's heartbeats and nothing else |
   | `vehicle` | it is part of a vehicle whose autopilot is heard by the same endpoint |
-  | `obeyed_by` | vehicles that take its system for their ground station (`MavRouter.Router.GroundStations`) |
+  | `obeyed_by` | vehicles that take its system for their ground station (`MavRouter.Forward.GroundStations`) |
   | `redundant` | other endpoints bring it too, so its frames are checked for duplicates |
   | `collided` | it is another vehicle with an id that was taken (`MavRouter.Routes.Collisions`), or a claim |
-  | `standing` | what its endpoint is to the vehicle with its id (`MavRouter.Router.Forward.Holders`) |
+  | `standing` | what its endpoint is to the vehicle with its id (`MavRouter.Forward.Holders`) |
   | `clock` | its boot time, which tells reboots (R6) |
   | `session` | `{vehicle key, pid}` of its vehicle; a number in the place of the pid (`Aerie.Base.Names.epoch/0`) says that there was none |
   | `learned`, `looked` | monotonic ms of the last time that its route was noted, and its receivers were worked out |
@@ -21,15 +21,15 @@ defmodule MavRouter.Router.Forward.Source do
   """
 
   alias MavRouter.Routes.Collisions
-  alias MavRouter.Router.Delivery
+  alias MavRouter.Forward.Delivery
   alias MavRouter.Endpoints.Counters
-  alias MavRouter.Router.Forward.Table
-  alias MavRouter.Router.Forward.Table.Path
-  alias MavRouter.Router.Forward.Reach
-  alias MavRouter.Router.GroundStations
+  alias MavRouter.Forward.Table
+  alias MavRouter.Forward.Table.Path
+  alias MavRouter.Forward.Reach
+  alias MavRouter.Forward.GroundStations
   alias MavRouter.Endpoints.Owner.Renumber
   alias MavRouter.Routes
-  alias MavRouter.Router.Forward.Holders
+  alias MavRouter.Forward.Holders
   alias MavRouter.Tables
 
   # How long it may take until what another process learned is seen here. A change of rules is seen at once.

@@ -1,4 +1,4 @@
-defmodule MavRouter.Router.Gate.Questions do
+defmodule MavRouter.Forward.Gate.Questions do
   @moduledoc """
   Questions of those who may not ask a vehicle themselves (viewers, strangers): the gateway asks in its own name, within a budget that
   all of them share for each vehicle, if the answer is a message to everybody. A command that asks is acknowledged in the vehicle's name,
@@ -13,8 +13,8 @@ defmodule MavRouter.Router.Gate.Questions do
   alias Authority.Commands
   alias Authority.Commands.Numbers
   alias MavCodec.CommandNumber
-  alias MavRouter.Router.Delivery
-  alias MavRouter.Router.Forward.Dispatch
+  alias MavRouter.Forward.Delivery
+  alias MavRouter.Forward.Dispatch
   alias MavRouter.Endpoints.Output
   alias MavRouter.Endpoints.Owner.Renumber
   alias MavRouter.Tables

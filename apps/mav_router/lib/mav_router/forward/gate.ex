@@ -1,4 +1,4 @@
-defmodule MavRouter.Router.Gate do
+defmodule MavRouter.Forward.Gate do
   @moduledoc """
   Decides for each frame whether it may reach vehicles: the table (`Authority.Messages`) says what it needs, the sender's
   principal (`Authority.Principal`) what he has.
@@ -7,14 +7,14 @@ defmodule MavRouter.Router.Gate do
   |---|---|
   | `:cleared` | every receiver |
   | `:clients` | clients only |
-  | `:related` | clients, and those vehicles and parts that the sender's relation to them allows (`MavRouter.Router.Forward.Reach`) |
+  | `:related` | clients, and those vehicles and parts that the sender's relation to them allows (`MavRouter.Forward.Reach`) |
 
   - Frames of vehicles, their parts and strangers are `:related`. By a link with `parts: true` a part asks its own
     system what it likes, and a companion commands its own system as an operator does, unless the same endpoint brings
     parts of several vehicles.
   - Telemetry, heartbeats, questions, input and answers of a client are `:cleared` if the client has the row's permission, and
     nobody else is in charge of the vehicle. Otherwise they go to clients only. A question of a client that may not ask is
-    answered from the gateway's copies, or asked by the gateway (`MavRouter.Router.Gate.Questions`).
+    answered from the gateway's copies, or asked by the gateway (`MavRouter.Forward.Gate.Questions`).
   - Everything else of a client is judged by `MavRouter.Router.Policy`, and so is input by which a vehicle may be led around a
     fence (`limited` in the table). A refused command goes nowhere, and is counted as `denied`.
   - A message without a row reaches no vehicle, unless the policy opens it.
@@ -35,11 +35,11 @@ defmodule MavRouter.Router.Gate do
   alias Authority.Principal
   alias MavCodec.CommandNumber
   alias MavCodec.Enums.MavComponent
-  alias MavRouter.Router.Gate.Questions
-  alias MavRouter.Router.Delivery
+  alias MavRouter.Forward.Gate.Questions
+  alias MavRouter.Forward.Delivery
   alias MavRouter.Endpoints.Counters
-  alias MavRouter.Router.Forward
-  alias MavRouter.Router.Forward.Refusal
+  alias MavRouter.Forward
+  alias MavRouter.Forward.Refusal
   alias MavRouter.Endpoints.Output
   alias MavRouter.Endpoints.Owner.Renumber
   alias MavRouter.Routes
@@ -166,7 +166,7 @@ defmodule MavRouter.Router.Gate do
               do: [{:cleared, frame}],
               else: asked(frame, row, delivery)
 
-          # Nobody commands from here, or nobody may send it: `MavRouter.Router.Forward` keeps it from vehicles, and says so.
+          # Nobody commands from here, or nobody may send it: `MavRouter.Forward` keeps it from vehicles, and says so.
           not path.commands or permission == nil ->
             [{:clients, frame}]
 

@@ -1,4 +1,4 @@
-defmodule MavRouter.Router.HeartbeatLearner do
+defmodule MavRouter.Forward.HeartbeatLearner do
   @moduledoc """
   The few messages that the router itself reads: heartbeats tell what their sender is, SYSTEM_TIME tells reboots (R6).
   """
@@ -7,11 +7,11 @@ defmodule MavRouter.Router.HeartbeatLearner do
   alias MavCodec.Heartbeat
   alias MavCodec.HighLatency
   alias MavCodec.MessageName
-  alias MavRouter.Router.Delivery
+  alias MavRouter.Forward.Delivery
   alias MavRouter.Endpoints
   alias MavRouter.Routes
-  alias MavRouter.Router.Forward.Holders
-  alias MavRouter.Router.Systems
+  alias MavRouter.Forward.Holders
+  alias MavRouter.Forward.HeartbeatLearner.Systems
   alias MavRouter.Tables
   alias MavCodec.Frame
 

@@ -1,4 +1,4 @@
-defmodule MavRouter.Router.Forward.Refusal do
+defmodule MavRouter.Forward.Refusal do
   @moduledoc """
   What is done about frames that did not reach a vehicle because their sender may not send them there.
 
@@ -10,10 +10,10 @@ defmodule MavRouter.Router.Forward.Refusal do
 
   alias Authority.Messages
   alias MavCodec.CommandNumber
-  alias MavRouter.Router.Delivery
+  alias MavRouter.Forward.Delivery
   alias MavRouter.Endpoints.Counters
   alias MavRouter.Endpoints.Output
-  alias MavRouter.Router.Forward.Reach
+  alias MavRouter.Forward.Reach
   alias MavCodec.Enums.MavResult
   alias MavCodec.Frame
   alias MavCodec.Messages.CommandAck

@@ -1,4 +1,4 @@
-defmodule MavRouter.Router.Forward.Dedupe do
+defmodule MavRouter.Forward.Dedupe do
   @max 8_192
   @window_ms 500
   # How often the same bytes from the same endpoint may pass.
@@ -15,14 +15,14 @@ defmodule MavRouter.Router.Forward.Dedupe do
   is a duplicate. One that comes again from the same endpoint is not, up to #{@repeats} times less than #{@slow_ms} ms apart: more often
   than that it goes round in a loop that began before anybody looked for duplicates.
 
-  Frames are compared only with those that had the same scope (`MavRouter.Router.Gate`): what somebody sends who may not command
-  cannot suppress a command, and what a client sends cannot suppress a vehicle's telemetry. What is for clients only is compared with
-  what vehicles sent as well, because another router may bring their frames back.
+  Frames are compared only with those that had the same scope (`MavRouter.Forward.Gate`): what somebody sends who may
+  not command cannot suppress a command, and what a client sends cannot suppress a vehicle's telemetry. What is for
+  clients only is compared with what vehicles sent as well, because another router may bring their frames back.
   """
 
   alias MavRouter.Tables
 
-  @typedoc "What a frame may reach: see `MavRouter.Router.Gate`."
+  @typedoc "What a frame may reach: see `MavRouter.Forward.Gate`."
   @type scope :: :cleared | :clients | :related
 
   @doc "Notes a frame's bytes from an endpoint (monotonic ms); whether it is a duplicate."

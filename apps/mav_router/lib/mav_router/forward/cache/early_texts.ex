@@ -1,4 +1,4 @@
-defmodule MavRouter.Router.Admission.EarlyTexts do
+defmodule MavRouter.Forward.Cache.EarlyTexts do
   @max_texts 16
   @max_systems 32
   @patience_us 30_000_000

@@ -1,4 +1,4 @@
-defmodule MavRouter.Router.Forward.Holders do
+defmodule MavRouter.Forward.Holders do
   @reach_ms 2_500
   @silent_ms 5_000
   @slow_silent_ms 180_000
@@ -30,7 +30,7 @@ defmodule MavRouter.Router.Forward.Holders do
   alias MavRouter.Endpoints.Access
   alias MavRouter.Endpoints.Endpoint
   alias MavRouter.Endpoints
-  alias MavRouter.Router.Forward.Table.Path
+  alias MavRouter.Forward.Table.Path
   alias MavRouter.Routes
   alias MavRouter.Tables
 

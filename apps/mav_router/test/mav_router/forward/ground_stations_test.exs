@@ -1,7 +1,7 @@
-defmodule MavRouter.Router.GroundStationsTest do
+defmodule MavRouter.Forward.GroundStationsTest do
   use ExUnit.Case, async: true
 
-  alias MavRouter.Router.GroundStations
+  alias MavRouter.Forward.GroundStations
   alias Aerie.Base.Store
 
   @hour 3_600_000_000

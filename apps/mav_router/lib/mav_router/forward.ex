@@ -1,4 +1,4 @@
-defmodule MavRouter.Router.Forward do
+defmodule MavRouter.Forward do
   @moduledoc """
   From one endpoint to the others: where each frame of a delivery goes.
 
@@ -22,17 +22,17 @@ defmodule MavRouter.Router.Forward do
   alias MavRouter.Endpoints.Output.Batch
   alias MavRouter.Routes.LinkSelector
   alias MavRouter.Endpoints.Queue.TrafficClass
-  alias MavRouter.Router.Forward.Dedupe
-  alias MavRouter.Router.Delivery
+  alias MavRouter.Forward.Dedupe
+  alias MavRouter.Forward.Delivery
   alias MavRouter.Endpoints.Counters
   alias MavRouter.Endpoints.Owner.Filter
   alias MavRouter.Endpoints.Output
   alias MavRouter.Endpoints.Owner.RateLimit
-  alias MavRouter.Router.Forward.Reach
-  alias MavRouter.Router.Forward.Refusal
+  alias MavRouter.Forward.Reach
+  alias MavRouter.Forward.Refusal
   alias MavRouter.Endpoints.Owner.Renumber
   alias MavRouter.Routes
-  alias MavRouter.Router.Forward.Holders
+  alias MavRouter.Forward.Holders
   alias Aerie.Base.{Names, TokenBucket}
   alias MavCodec.{Frame, Redact}
 

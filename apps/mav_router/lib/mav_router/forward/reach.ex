@@ -1,7 +1,8 @@
-defmodule MavRouter.Router.Forward.Reach do
+defmodule MavRouter.Forward.Reach do
   @moduledoc """
   What vehicles, their parts and strangers reach on the side of vehicles: everything is refused that the table
-  (`Authority.Messages`) does not list. Frames of clients are judged by `MavRouter.Router.Gate` instead; clients hear everything.
+  (`Authority.Messages`) does not list. Frames of clients are judged by `MavRouter.Forward.Gate` instead; clients hear
+  everything.
 
   | relation of the sender to the receiver | gets through |
   |---|---|
@@ -18,9 +19,9 @@ defmodule MavRouter.Router.Forward.Reach do
   alias Authority.Messages
   alias MavCodec.Heartbeat
   alias MavCodec.MessageName
-  alias MavRouter.Router.Forward.Table.Path
+  alias MavRouter.Forward.Table.Path
   alias MavRouter.Routes
-  alias MavRouter.Router.Forward.Source
+  alias MavRouter.Forward.Source
   alias MavRouter.Tables
   alias MavCodec.Frame
 

@@ -1,4 +1,4 @@
-defmodule MavRouter.Router.GateTest do
+defmodule MavRouter.Forward.GateTest do
   use ExUnit.Case, async: true
   use Aerie.LinkCase
 

@@ -1,4 +1,4 @@
-defmodule MavRouter.Router.GatePolicyTest do
+defmodule MavRouter.Forward.GatePolicyTest do
   use ExUnit.Case, async: true
   use Aerie.LinkCase
 

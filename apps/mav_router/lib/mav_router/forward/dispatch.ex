@@ -1,6 +1,6 @@
-defmodule MavRouter.Router.Forward.Dispatch do
+defmodule MavRouter.Forward.Dispatch do
   @moduledoc """
-  The gateway's own frames: finds the endpoint by which they go out. Frames of others go through `MavRouter.Router.Forward`.
+  The gateway's own frames: finds the endpoint by which they go out. Frames of others go through `MavRouter.Forward`.
   """
 
   alias MavRouter.LinkProcess
@@ -9,8 +9,8 @@ defmodule MavRouter.Router.Forward.Dispatch do
   alias MavRouter.Endpoints.Queue.TrafficClass
   alias MavRouter.Endpoints
   alias MavRouter.Endpoints.Output
-  alias MavRouter.Router.Forward.Table
-  alias MavRouter.Router.Forward.Holders
+  alias MavRouter.Forward.Table
+  alias MavRouter.Forward.Holders
   alias MavRouter.Tables
 
   @doc "See `MavRouter.Router.send/4`."

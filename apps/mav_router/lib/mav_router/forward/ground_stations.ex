@@ -1,4 +1,4 @@
-defmodule MavRouter.Router.GroundStations do
+defmodule MavRouter.Forward.GroundStations do
   @max_stations 1_024
   @forget_us 600_000_000
 

@@ -1,13 +1,13 @@
-defmodule MavRouter.Router.Forward.Table.Path do
+defmodule MavRouter.Forward.Table.Path do
   @moduledoc """
   One endpoint with the rules of its owner: all that forwarding needs to know of where frames come from or go to.
 
   | field | |
   |---|---|
   | `plain` | it has no rules of what goes out: every frame passes |
-  | `commands` | who sends by it counts as a client, whose principal decides (`MavRouter.Router.Gate`) |
+  | `commands` | who sends by it counts as a client, whose principal decides (`MavRouter.Forward.Gate`) |
   | `local` | only this machine can send by it |
-  | `parts` | cameras, gimbals and companions of its vehicles are on it (`MavRouter.Router.Forward.Reach`) |
+  | `parts` | cameras, gimbals and companions of its vehicles are on it (`MavRouter.Forward.Reach`) |
   | `principal` | who it is, as it proved by a key or by signing in; nil: the policy knows its owner |
   | `auto` | it was found out that it is not of its owner's side: a ground station on a link to vehicles |
   | `recorded` | the gateway, for a path to vehicles whose frames go past its link's process, which would record them |

@@ -1,4 +1,4 @@
-defmodule MavRouter.Router.ForwardTest do
+defmodule MavRouter.ForwardTest do
   @moduledoc "The rules of MAVLink routing, by name."
   use Aerie.EndpointCase, async: true
 

@@ -1,7 +1,7 @@
-defmodule MavRouter.Router.Admission.EarlyTextsTest do
+defmodule MavRouter.Forward.Cache.EarlyTextsTest do
   use ExUnit.Case, async: true
 
-  alias MavRouter.Router.Admission.EarlyTexts
+  alias MavRouter.Forward.Cache.EarlyTexts
   alias MavCodec.Messages, as: M
   alias MavCodec.Parser
 

@@ -1,4 +1,4 @@
-defmodule MavRouter.Router.Systems do
+defmodule MavRouter.Forward.HeartbeatLearner.Systems do
   @moduledoc """
   Everything that sends heartbeats: vehicles, ground stations, radios, gimbals; kept in `Aerie.Base.Store.systems/1` under
   `{network, system}` as
@@ -8,7 +8,7 @@ defmodule MavRouter.Router.Systems do
   Two links that hear one system at the same moment may overwrite each other's note of a component; the next heartbeat corrects that.
   """
 
-  alias MavRouter.Router.GroundStations
+  alias MavRouter.Forward.GroundStations
   alias Aerie.Base.Store
   alias Aerie.Base.Names
   alias MavCodec.Heartbeat

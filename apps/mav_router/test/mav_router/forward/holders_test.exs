@@ -1,9 +1,9 @@
-defmodule MavRouter.Router.Forward.HoldersTest do
+defmodule MavRouter.Forward.HoldersTest do
   @moduledoc "Who is believed to be a vehicle: the endpoints that bring it, and nobody who only says so."
   use Aerie.EndpointCase, async: true
 
   alias MavRouter.Routes
-  alias MavRouter.Router.Forward.Holders
+  alias MavRouter.Forward.Holders
   alias MavRouter.Tables
 
   @vehicle {"main", 1}
@@ -162,7 +162,7 @@ defmodule MavRouter.Router.Forward.HoldersTest do
   describe "seniority" do
     defp path(owner, fields \\ []) do
       struct!(
-        %Router.Forward.Table.Path{key: {owner, :self}, owner: owner, side: :vehicle, networks: ["main"]},
+        %MavRouter.Forward.Table.Path{key: {owner, :self}, owner: owner, side: :vehicle, networks: ["main"]},
         fields
       )
     end

@@ -1,20 +1,20 @@
-defmodule MavRouter.Router.Forward.Table do
+defmodule MavRouter.Forward.Table do
   @moduledoc """
-  All endpoints with the rules of their owners (`MavRouter.Router.Forward.Table.Path`), as one value that each forwarding process
-  keeps for itself, so that forwarding looks no endpoint up. When endpoints change, only those are read again (`refresh/2`):
-  the cost of one does not grow with the number of the others.
+  All endpoints with the rules of their owners (`MavRouter.Forward.Table.Path`), as one value that each forwarding
+  process keeps for itself, so that forwarding looks no endpoint up. When endpoints change, only those are read again
+  (`refresh/2`): the cost of one does not grow with the number of the others.
   """
 
   alias MavRouter.Endpoints.Endpoint
   alias MavRouter.Endpoints
-  alias MavRouter.Router.Forward.Table.Path
+  alias MavRouter.Forward.Table.Path
   alias MavRouter.Endpoints.Owner
   alias MavRouter.Tables
 
   @enforce_keys [:generation, :own, :between, :networks]
   defstruct [:generation, :own, :between, :networks, audience: 0, paths: %{}, listeners: %{}, vehicles: %{}]
 
-  # The vehicles of a larger network hear nothing of each other (`MavRouter.Router.Forward.Source`).
+  # The vehicles of a larger network hear nothing of each other (`MavRouter.Forward.Source`).
   @crowd 32
 
   @typedoc """

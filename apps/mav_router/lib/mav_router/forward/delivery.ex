@@ -1,4 +1,4 @@
-defmodule MavRouter.Router.Delivery do
+defmodule MavRouter.Forward.Delivery do
   @moduledoc """
   The frames of one component in one read, on their way through the router: who sent them, and by which path they came.
 
@@ -12,11 +12,11 @@ defmodule MavRouter.Router.Delivery do
   | `sender` | what the vehicle's session is told of their origin: the id of the link, or the endpoint's key while several endpoints bring the system |
   | `vehicle` | whether one of the frames was the heartbeat of a vehicle's autopilot |
   | `secure` | whether the link is a cable that the operator vouches for (`secure: true`) |
-  | `scope` | whom the frames may reach (`MavRouter.Router.Gate`): clients only, unless the gate says more |
+  | `scope` | whom the frames may reach (`MavRouter.Forward.Gate`): clients only, unless the gate says more |
   """
 
-  alias MavRouter.Router.Forward.Table
-  alias MavRouter.Router.Forward.Source
+  alias MavRouter.Forward.Table
+  alias MavRouter.Forward.Source
   alias MavRouter.Tables
 
   @enforce_keys [:gateway, :tables, :forwarding, :path, :now]

@@ -1,4 +1,4 @@
-defmodule MavRouter.Router.Forward.Cache do
+defmodule MavRouter.Forward.Cache do
   @moduledoc """
   What one forwarding process keeps between two reads: the forwarding table, the sources that it hears, and texts of systems
   that are not vehicles yet. A value, which the process gives to `MavRouter.Router.deliver/4` and gets back; nil before the first read.
@@ -6,11 +6,11 @@ defmodule MavRouter.Router.Forward.Cache do
   All of it but the texts comes from the router's tables, and all of it goes with them.
   """
 
-  alias MavRouter.Router.Admission.EarlyTexts
-  alias MavRouter.Router.Delivery
+  alias MavRouter.Forward.Cache.EarlyTexts
+  alias MavRouter.Forward.Delivery
   alias MavRouter.Endpoints.Endpoint
-  alias MavRouter.Router.Forward.Table
-  alias MavRouter.Router.Forward.Source
+  alias MavRouter.Forward.Table
+  alias MavRouter.Forward.Source
   alias MavRouter.Tables
   alias Aerie.Base.Names
   alias MavCodec.Frame

@@ -52,8 +52,8 @@ defmodule MavRouter.Tables do
 
   @doc """
   Makes the tables, owned by the calling process, whose name is `{gateway, :router, nil}`. `:vehicles`, `:requests`,
-  `:policy` and `:readings` are the modules of `MavRouter.Router.Vehicles`, `MavRouter.Router.Requests`, `MavRouter.Router.Policy` and
-  `MavRouter.Router.ReadCache`.
+  `:policy` and `:readings` are the modules of `MavRouter.Router.Vehicles`, `MavRouter.Sharing.Requests`,
+  `MavRouter.Router.Policy` and `MavRouter.Sharing.ReadCache`.
   """
   @spec create(Names.gateway(), keyword, keyword) :: t
   def create(gateway, settings, modules \\ []) do

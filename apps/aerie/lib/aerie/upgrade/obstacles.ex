@@ -8,7 +8,7 @@ defmodule Aerie.Upgrade.Obstacles do
   alias Aerie.Control.Commands.Recent
   alias Aerie.Control.Policy.{Leases, RecentCommands}
   alias Aerie.Fleet.Operations
-  alias MavRouter.Router.TransferLock
+  alias MavRouter.Sharing.TransferLock
 
   @sticks ~w(rc_override manual_control)
   # Sticks come at 5 Hz or more.

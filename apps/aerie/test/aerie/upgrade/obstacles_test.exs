@@ -6,7 +6,7 @@ defmodule Aerie.Upgrade.ObstaclesTest do
   alias Aerie.Control.Policy.{Intent, Leases, RecentCommands, Roles}
   alias Aerie.Upgrade
   alias Aerie.Vehicle.Command
-  alias MavRouter.Router.TransferLock
+  alias MavRouter.Sharing.TransferLock
 
   @moduletag :tmp_dir
 

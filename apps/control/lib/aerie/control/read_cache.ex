@@ -5,7 +5,7 @@ defmodule Aerie.Control.ReadCache do
   vehicle. The client's rule `served` turns this on.
   """
 
-  @behaviour MavRouter.Router.ReadCache
+  @behaviour MavRouter.Sharing.ReadCache
 
   alias Aerie.Base.Names
   alias MavCodec.Messages, as: M
@@ -23,10 +23,10 @@ defmodule Aerie.Control.ReadCache do
   def about(%module{}) when module in @files, do: :files
   def about(_message), do: :plans
 
-  @impl MavRouter.Router.ReadCache
+  @impl MavRouter.Sharing.ReadCache
   def reading?(%{id: id}), do: id in @ids
 
-  @impl MavRouter.Router.ReadCache
+  @impl MavRouter.Sharing.ReadCache
   def take(gateway, vehicle, endpoint, frame) do
     with pid when pid != nil <- Names.whereis(gateway, :serving, vehicle),
          {:ok, message} <- MavCodec.decode(frame) do

@@ -1,7 +1,7 @@
 defmodule Aerie.Control.TransferExecutor do
   @moduledoc """
   The process that carries out the transfers of one vehicle: `Aerie.Control.TransferExecutor.Core` with a clock, a path to the vehicle, and
-  the turn among ground stations (`MavRouter.Router.TransferLock`).
+  the turn among ground stations (`MavRouter.Sharing.TransferLock`).
 
   As the executor of commands does, it sends through the vehicle's session, and is handed frames only while a transfer is under way.
   It has a supervisor of its own in the vehicle's tree, so that its death ends the transfers and nothing else.
@@ -14,7 +14,7 @@ defmodule Aerie.Control.TransferExecutor do
 
   alias Aerie.Base.{Names, Store}
   alias Aerie.Vehicle.Protocol
-  alias MavRouter.Router.TransferLock
+  alias MavRouter.Sharing.TransferLock
   alias Aerie.Vehicle.CoreProcess
   alias Aerie.Control.TransferExecutor.{Core, Job}
 

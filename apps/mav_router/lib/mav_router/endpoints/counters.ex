@@ -13,7 +13,7 @@ defmodule MavRouter.Endpoints.Counters do
   | `denied` | from it, orders to vehicles that it may not give (`MavRouter.Forward.Gate`) |
   | `withheld` | from it, kept from vehicles: heartbeats, questions, telemetry, input of estimators, messages without a row in `Authority.Messages` |
   | `routes_refused` | components heard from it that got no route, four times a second each while they speak (`MavRouter.Routes`) |
-  | `held` | from it, kept until another's transfer with the vehicle was over (`MavRouter.Router.TransferLock`) |
+  | `held` | from it, kept until another's transfer with the vehicle was over (`MavRouter.Sharing.TransferLock`) |
   | `out_of_turn` | from it, steps of a transfer while another had the turn, and beginnings that waited in vain |
   | `secret` | from it, SETUP_SIGNING (S8), and passwords for a client (S9) |
   | `filtered_in`, `filtered_out`, `limited` | stopped by a filter or a rate limit |

@@ -10,7 +10,7 @@ defmodule MavRouter.Endpoints.Owner do
   | `:carry` | which link of the group carries a class: `%{class => link id | :all}`; default the best one |
   | `:role` | `:full` or `:read_only`: its frames go to nobody |
   | `:sniffer` | true: it gets every frame of its networks, whatever the target |
-  | `:served` | of a client, true: what it reads of parameters and plans may be answered by the gateway (`MavRouter.Router.ReadCache`) |
+  | `:served` | of a client, true: what it reads of parameters and plans may be answered by the gateway (`MavRouter.Sharing.ReadCache`) |
   | `:in`, `:out` | filters (`MavRouter.Endpoints.Owner.Filter`) |
   | `:rate_limits` | `%{message => Hz}` (`MavRouter.Endpoints.Owner.RateLimit`) |
   | `:bytes_per_s` | budget of what goes out to each of its peers; default none, for a serial line its rate |

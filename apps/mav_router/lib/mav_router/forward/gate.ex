@@ -196,7 +196,7 @@ defmodule MavRouter.Forward.Gate do
     end
   end
 
-  # `MavRouter.Router.ReadCache.Requests` answers what it can.
+  # `MavRouter.Sharing.ReadCache.Requests` answers what it can.
   defp asked(frame, row, %{tables: %{readings: readings}, path: path} = delivery) do
     if path.side == :client and readings != nil and readings.reading?(frame) do
       [{:clients, frame}]

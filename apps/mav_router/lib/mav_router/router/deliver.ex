@@ -16,11 +16,11 @@ defmodule MavRouter.Router.Deliver do
   alias MavRouter.Forward.Gate
   alias MavRouter.Forward.HeartbeatLearner
   alias MavRouter.Router.SessionBackpressure
-  alias MavRouter.Router.ReadCache.Requests
+  alias MavRouter.Sharing.ReadCache.Requests
   alias MavRouter.Forward.Source
-  alias MavRouter.Router.StreamRequests
+  alias MavRouter.Sharing.StreamRequests
   alias MavRouter.Tables
-  alias MavRouter.Router.TransferLock
+  alias MavRouter.Sharing.TransferLock
   alias MavRouter.Signing
   alias MavCodec.Frame
 

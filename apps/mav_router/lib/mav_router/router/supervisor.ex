@@ -14,8 +14,8 @@ defmodule MavRouter.Router.Supervisor do
 
   @doc """
   Options: `:gateway`, `:settings` (`MavRouter.Endpoints.Settings`); `:vehicles` (`MavRouter.Router.Vehicles`),
-  `:requests` (`MavRouter.Router.Requests`), `:policy` (`MavRouter.Router.Policy`) and `:readings`
-  (`MavRouter.Router.ReadCache`), modules, none by default; `:turns_clock`, see `MavRouter.Router.TransferLock`;
+  `:requests` (`MavRouter.Sharing.Requests`), `:policy` (`MavRouter.Router.Policy`) and `:readings`
+  (`MavRouter.Sharing.ReadCache`), modules, none by default; `:turns_clock`, see `MavRouter.Sharing.TransferLock`;
   `:children`, child specifications of what is supervised beside the router's own processes.
   """
   @spec start_link(keyword) :: Supervisor.on_start()
@@ -41,7 +41,7 @@ defmodule MavRouter.Router.Supervisor do
       {MavRouter.Router.Admission.VehicleStarter, gateway: gateway},
       {MavRouter.Router.Sweeper, gateway: gateway},
       {MavRouter.Endpoints.Meter, gateway: gateway},
-      {MavRouter.Router.TransferLock, gateway: gateway, clock: Keyword.get(options, :turns_clock)}
+      {MavRouter.Sharing.TransferLock, gateway: gateway, clock: Keyword.get(options, :turns_clock)}
     ]
 
     further = Keyword.get(options, :children, [])

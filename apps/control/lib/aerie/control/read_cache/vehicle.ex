@@ -10,7 +10,7 @@ defmodule Aerie.Control.ReadCache.Vehicle do
   alias Aerie.Control.Policy.Mavlink.Writing.Aboard
   alias Protocols.Mission
   alias Aerie.Vehicle.Protocol
-  alias MavRouter.Router.ReadCache.Requests
+  alias MavRouter.Sharing.ReadCache.Requests
   alias MavCodec.Ftp.Packet
   alias MavCodec.Messages, as: M
 

@@ -32,7 +32,7 @@ defmodule Aerie.Control.TransferExecutor.Core do
       one that did not begin, `{:error, :yielded}`
   """
 
-  alias MavRouter.Router.TransferLock
+  alias MavRouter.Sharing.TransferLock
   alias Aerie.Control.TransferExecutor.Job
   alias Aerie.Vehicle.Protocol.Mavlink.Version
   alias MavCodec.Messages, as: M

@@ -8,7 +8,7 @@ defmodule Aerie.Control.TransferExecutor.Job do
   files also has `seq(machine)`, the number that the next one begins with.
   """
 
-  alias MavRouter.Router.TransferLock
+  alias MavRouter.Sharing.TransferLock
 
   @enforce_keys [:id, :lanes, :start, :until]
   defstruct [:id, :lanes, :start, :until, :share, :machine, :start_by] ++
@@ -61,7 +61,7 @@ defmodule Aerie.Control.TransferExecutor.Job do
           asked: [TransferLock.kind()]
         }
 
-  @doc "The turns that it needs among the transfers of ground stations (`MavRouter.Router.TransferLock`)."
+  @doc "The turns that it needs among the transfers of ground stations (`MavRouter.Sharing.TransferLock`)."
   @spec kinds(t()) :: [TransferLock.kind()]
   def kinds(job), do: for(lane <- job.lanes, lane in TransferLock.kinds(), do: lane)
 end

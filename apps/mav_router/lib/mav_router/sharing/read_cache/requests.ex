@@ -1,7 +1,8 @@
-defmodule MavRouter.Router.ReadCache.Requests do
+defmodule MavRouter.Sharing.ReadCache.Requests do
   @moduledoc """
-  Requests of clients for parameters and plans, which `MavRouter.Router.ReadCache` may answer in the vehicle's name, so that a vehicle is read
-  once and not once per screen. The rule `served` of a client turns it on; for clients that may not ask the vehicle it is always on.
+  Requests of clients for parameters and plans, which `MavRouter.Sharing.ReadCache` may answer in the vehicle's name,
+  so that a vehicle is read once and not once per screen. The rule `served` of a client turns it on; for clients that
+  may not ask the vehicle it is always on.
   """
 
   alias Aerie.Base.Names
@@ -15,7 +16,7 @@ defmodule MavRouter.Router.ReadCache.Requests do
   alias MavRouter.Endpoints.Output
   alias MavRouter.Forward.Source
   alias MavRouter.Tables
-  alias MavRouter.Router.TransferLock
+  alias MavRouter.Sharing.TransferLock
   alias Aerie.Base.Store
   alias MavCodec.Frame
 

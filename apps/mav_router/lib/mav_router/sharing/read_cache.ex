@@ -1,4 +1,4 @@
-defmodule MavRouter.Router.ReadCache do
+defmodule MavRouter.Sharing.ReadCache do
   @moduledoc """
   The module that answers ground stations which read parameters and plans, given to `MavRouter.Router.Supervisor` (`:readings`). Without one all
   such requests go to the vehicle.

@@ -1,7 +1,8 @@
-defmodule MavRouter.Router.StreamRequests do
+defmodule MavRouter.Sharing.StreamRequests do
   @moduledoc """
-  Requests of clients for message rates (SET_MESSAGE_INTERVAL, REQUEST_DATA_STREAM): `MavRouter.Router.Requests` notes them, and they
-  are forwarded only if they take nothing from another client. The others are answered here, in the vehicle's name.
+  Requests of clients for message rates (SET_MESSAGE_INTERVAL, REQUEST_DATA_STREAM): `MavRouter.Sharing.Requests` notes
+  them, and they are forwarded only if they take nothing from another client. The others are answered here, in the
+  vehicle's name.
   """
 
   alias Aerie.Base.Store

@@ -1,4 +1,4 @@
-defmodule MavRouter.Router.TransferLock.Turn do
+defmodule MavRouter.Sharing.TransferLock.Turn do
   @silent_ms 5_000
   # PX4 and ArduPilot give up after 5 and 8 s without an item; QGroundControl repeats after 1.5 s, MAVSDK after 0.5 s.
   @once_ms 10_000

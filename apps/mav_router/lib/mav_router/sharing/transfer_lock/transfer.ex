@@ -1,4 +1,4 @@
-defmodule MavRouter.Router.TransferLock.Transfer do
+defmodule MavRouter.Sharing.TransferLock.Transfer do
   @moduledoc """
   Which step of a transfer a frame is. A vehicle has one partner at a time for missions, fences and rally points (one transfer,
   whatever their `mission_type`, as in PX4), one for sessions of files, and one for logs: a vehicle sends one log, to everybody, and a

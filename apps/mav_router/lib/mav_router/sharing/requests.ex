@@ -1,4 +1,4 @@
-defmodule MavRouter.Router.Requests do
+defmodule MavRouter.Sharing.Requests do
   @moduledoc """
   The module that arbitrates between clients' requests for message rates, given to `MavRouter.Router.Supervisor` (`:requests`). Without
   one all requests are forwarded.

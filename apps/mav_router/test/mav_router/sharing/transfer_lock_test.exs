@@ -1,10 +1,10 @@
-defmodule MavRouter.Router.TransferLockTest do
+defmodule MavRouter.Sharing.TransferLockTest do
   use ExUnit.Case, async: true
   use Aerie.LinkCase
 
   alias MavRouter.Router
-  alias MavRouter.Router.TransferLock.Transfer
-  alias MavRouter.Router.TransferLock.Turn
+  alias MavRouter.Sharing.TransferLock.Transfer
+  alias MavRouter.Sharing.TransferLock.Turn
   alias MavCodec.Messages, as: M
 
   @patience Aerie.Patience.ms()
@@ -212,7 +212,7 @@ defmodule MavRouter.Router.TransferLockTest do
       turns = Aerie.Base.Names.whereis(c.gateway, :transfer_turns)
       :ok = :sys.suspend(turns, @patience)
       say(c.b, count(254, 5))
-      own = Task.async(fn -> Router.TransferLock.take(c.gateway, {"main", 1}, :mission) end)
+      own = Task.async(fn -> MavRouter.Sharing.TransferLock.take(c.gateway, {"main", 1}, :mission) end)
       # As a busy machine lets it stand still.
       Process.sleep(1_500)
       :ok = :sys.resume(turns, @patience)
@@ -291,22 +291,22 @@ defmodule MavRouter.Router.TransferLockTest do
       stop = by(%M.LogRequestEnd{target_system: 1, target_component: 1}, 254)
       say(c.b, data)
       until(c.vehicle, data)
-      assert {:hold, {254, 190}} = Router.TransferLock.take(c.gateway, {"main", 1}, :log)
-      Router.TransferLock.give_back(c.gateway, {"main", 1}, :log)
+      assert {:hold, {254, 190}} = MavRouter.Sharing.TransferLock.take(c.gateway, {"main", 1}, :log)
+      MavRouter.Sharing.TransferLock.give_back(c.gateway, {"main", 1}, :log)
       say(c.b, stop)
       until(c.vehicle, stop)
       assert :go = eventually(fn -> taken(c.gateway) end)
       say(c.b, data)
       say(c.b, mark(254, 4))
       refute data in until(c.vehicle, mark(254, 4))
-      Router.TransferLock.give_back(c.gateway, {"main", 1}, :log)
+      MavRouter.Sharing.TransferLock.give_back(c.gateway, {"main", 1}, :log)
       until(c.vehicle, data)
     end
 
     # The end of another's turn may be under way.
     defp taken(gateway) do
-      with {:hold, _whose} <- Router.TransferLock.take(gateway, {"main", 1}, :log) do
-        Router.TransferLock.give_back(gateway, {"main", 1}, :log)
+      with {:hold, _whose} <- MavRouter.Sharing.TransferLock.take(gateway, {"main", 1}, :log) do
+        MavRouter.Sharing.TransferLock.give_back(gateway, {"main", 1}, :log)
         nil
       end
     end
@@ -314,13 +314,13 @@ defmodule MavRouter.Router.TransferLockTest do
     test "a transfer of the gateway has its turn among those of clients, and gives it back when its process ends",
          c do
       vehicle = {"main", 1}
-      assert :go = Router.TransferLock.take(c.gateway, vehicle, :mission)
+      assert :go = MavRouter.Sharing.TransferLock.take(c.gateway, vehicle, :mission)
       say(c.a, count(255, 3))
       say(c.a, mark(255, 1))
       refute count(255, 3) in until(c.vehicle, mark(255, 1))
       # It may give way.
       assert_receive {:transfer_wanted, ^vehicle, :mission}, @patience
-      Router.TransferLock.give_back(c.gateway, vehicle, :mission)
+      MavRouter.Sharing.TransferLock.give_back(c.gateway, vehicle, :mission)
       until(c.vehicle, count(255, 3))
 
       # The other way round, and told whose turn it is.
@@ -328,7 +328,7 @@ defmodule MavRouter.Router.TransferLockTest do
 
       {waiting, monitor} =
         spawn_monitor(fn ->
-          send(test, Router.TransferLock.take(c.gateway, vehicle, :mission))
+          send(test, MavRouter.Sharing.TransferLock.take(c.gateway, vehicle, :mission))
           assert_receive {:transfer_turn, ^vehicle, :mission}, @patience
           send(test, :turn)
           receive do: (:end -> :ok)

@@ -1,8 +1,8 @@
-defmodule MavRouter.Router.TransferLock do
+defmodule MavRouter.Sharing.TransferLock do
   @moduledoc """
-  One partner at a time for a vehicle's transfers: whose turn it is (`MavRouter.Router.TransferLock.Turn`) for missions, for files and
-  for logs (`MavRouter.Router.TransferLock.Transfer`) of each vehicle. Without it two ground stations that upload at the same time disturb
-  each other's transfer.
+  One partner at a time for a vehicle's transfers: whose turn it is (`MavRouter.Sharing.TransferLock.Turn`) for
+  missions, for files and for logs (`MavRouter.Sharing.TransferLock.Transfer`) of each vehicle. Without it two ground
+  stations that upload at the same time disturb each other's transfer.
 
   Every forwarding process asks here, for frames of these messages only (`pass/2`); a frame that was held is forwarded by this
   process when its turn comes. Without this process everything passes: order among transfers is worth less than a mission.
@@ -15,7 +15,7 @@ defmodule MavRouter.Router.TransferLock do
   """
   use GenServer
 
-  import MavRouter.Router.TransferLock.Transfer, only: [is_part: 1]
+  import MavRouter.Sharing.TransferLock.Transfer, only: [is_part: 1]
 
   alias Aerie.Base.Names
   alias MavRouter.Forward.Delivery
@@ -28,8 +28,8 @@ defmodule MavRouter.Router.TransferLock do
   alias MavRouter.Tables
   alias MavRouter.Forward.Source
   alias MavRouter.Endpoints.Counters
-  alias MavRouter.Router.TransferLock.Transfer
-  alias MavRouter.Router.TransferLock.Turn
+  alias MavRouter.Sharing.TransferLock.Transfer
+  alias MavRouter.Sharing.TransferLock.Turn
   alias MavCodec.Frame
 
   @tick_ms 100

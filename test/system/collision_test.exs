@@ -5,7 +5,7 @@ defmodule Aerie.System.CollisionTest do
 
   alias MavRouter.Router
   alias MavRouter.Endpoints.Endpoint
-  alias MavRouter.Router.LocalEndpoint
+  alias MavRouter.Client.LocalEndpoint
   alias MavCodec.Messages, as: M
 
   @moduletag :tmp_dir

@@ -42,7 +42,7 @@ defmodule Aerie.Gateway do
   alias Aerie.Vehicle.Services.StreamDemand
   alias MavRouter.{Link, Recorder, Router, Signing}
 
-  alias MavRouter.Link.Clients
+  alias MavRouter.Client
 
   @typedoc """
   * `:name` - any term, `:default` when absent
@@ -109,7 +109,7 @@ defmodule Aerie.Gateway do
     bridge = %{Bridge.Settings.from(config) | port_given: Config.given?(config, "nats.port")}
 
     clients =
-      Successor.child_spec({Clients.Supervisor, gateway: name, settings: Clients.Settings.from(config)})
+      Successor.child_spec({Client.Supervisor, gateway: name, settings: Client.Settings.from(config)})
 
     [
       {Aerie.Base.Store,

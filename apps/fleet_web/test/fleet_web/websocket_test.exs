@@ -4,7 +4,7 @@ defmodule FleetWeb.WebSocketTest do
   alias Aerie.Base.Store
   alias MavRouter.Router
   alias MavRouter.Endpoints.Endpoint
-  alias MavRouter.Router.LocalEndpoint
+  alias MavRouter.Client.LocalEndpoint
   alias FleetWeb.WSClient
 
   @settings %{

@@ -8,14 +8,14 @@ defmodule MavRouter.Client do
       MavRouter.Client.list(:default)
       :ok = MavRouter.Client.remove(:default, "field")
 
-  Endpoints over UDP, TCP and serial lines can be added (`MavRouter.Link.Clients`). Unix sockets (`Aerie.Base.UnixSocket`) and
-  WebSockets (`FleetWeb.WebSocket`) are configured; each of their connections is a client that can be listed and removed.
-  All of them are endpoints of `MavRouter.Router`, with its rules.
+  Endpoints over UDP, TCP and serial lines can be added (`MavRouter.Client.Clients`). Unix sockets
+  (`Aerie.Base.UnixSocket`) and WebSockets (`FleetWeb.WebSocket`) are configured; each of their connections is a client
+  that can be listed and removed. All of them are endpoints of `MavRouter.Router`, with its rules.
   """
 
   alias Aerie.Base.Error
-  alias MavRouter.Link.Clients
-  alias MavRouter.Link.Clients.Settings
+  alias MavRouter.Client.Clients
+  alias MavRouter.Client.Settings
   alias MavRouter.Link.FirstAttempt
   alias Aerie.Base.Names
   alias MavRouter.Router
@@ -26,7 +26,7 @@ defmodule MavRouter.Client do
   @doc """
   Adds an endpoint for clients and starts it; gives its id. It lives until `remove/2` or the end of the gateway.
 
-  The options are the keys of the configuration's `clients` (`MavRouter.Link.Clients.Settings.client/1`), such as `:id`,
+  The options are the keys of the configuration's `clients` (`MavRouter.Client.Settings.client/1`), such as `:id`,
   `:networks` and `:role`; a map of them with the `:url` does as well. A server that cannot listen is not added: the error
   says who has its port.
   """

@@ -5,7 +5,7 @@ defmodule MavRouter.ClientTest do
 
   alias Aerie.Base.Error
   alias MavRouter.Client
-  alias MavRouter.Router.LocalEndpoint
+  alias MavRouter.Client.LocalEndpoint
 
   test "an endpoint for clients is a link of the clients' side, with its networks and access" do
     gateway = start_parts()

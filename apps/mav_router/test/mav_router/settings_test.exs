@@ -4,10 +4,11 @@ defmodule MavRouter.SettingsTest do
 
   alias Aerie.Base.Settings
   alias MavRouter.{Identity, Link, Recorder, Signing}
-  alias MavRouter.Link.{Clients, Spec}
+  alias MavRouter.Client
+  alias MavRouter.Link.Spec
   alias Aerie.Base.Settings.{Field, Schema, Types}
 
-  @parts [Identity.Settings, Link.Settings, Clients.Settings, Signing.Settings, Recorder.Settings]
+  @parts [Identity.Settings, Link.Settings, Client.Settings, Signing.Settings, Recorder.Settings]
 
   # A configuration as a part's rules see it: checked, with defaults and specs.
   defp config(raw) do
@@ -69,22 +70,22 @@ defmodule MavRouter.SettingsTest do
     client = &Map.merge(%{id: "c", url: "tcpin:0.0.0.0:5760"}, &1)
 
     assert ["clients: ids that differ" <> _, "clients: at most limits.max_clients (1)"] =
-             problems(Clients.Settings, %{clients: [client.(%{}), client.(%{})], limits: %{max_clients: 1}})
+             problems(Client.Settings, %{clients: [client.(%{}), client.(%{})], limits: %{max_clients: 1}})
 
     assert ["clients.0: rules that make sense"] =
-             problems(Clients.Settings, %{clients: [client.(%{url: "replay:a.tlog"})]})
+             problems(Client.Settings, %{clients: [client.(%{url: "replay:a.tlog"})]})
 
     shown = %{
       clients: [client.(%{id_offsets: %{"main" => 10}})],
       signing: %{keys: [%{network: "main", key_env: "K"}]}
     }
 
-    assert ["clients.0.id_offsets: networks without signing keys"] = problems(Clients.Settings, shown)
+    assert ["clients.0.id_offsets: networks without signing keys"] = problems(Client.Settings, shown)
 
     open = config(%{clients: [client.(%{sign: true})]})
-    assert ["clients c: sign: true for a server" <> _] = Clients.Settings.warnings(open)
+    assert ["clients c: sign: true for a server" <> _] = Client.Settings.warnings(open)
     own = config(%{clients: [client.(%{sign: true, url: "tcpin:127.0.0.1:5760"})]})
-    assert Clients.Settings.warnings(own) == []
+    assert Client.Settings.warnings(own) == []
   end
 
   test "signing: one source for each key, one key for each vehicle, weak policies are warned about" do

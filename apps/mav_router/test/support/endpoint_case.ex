@@ -10,7 +10,7 @@ defmodule Aerie.EndpointCase do
 
   alias MavRouter.Router
   alias MavRouter.Endpoints.Endpoint
-  alias MavRouter.Router.LocalEndpoint
+  alias MavRouter.Client.LocalEndpoint
   alias MavCodec.Messages
   alias MavCodec.Parser
 
@@ -22,7 +22,7 @@ defmodule Aerie.EndpointCase do
 
       alias MavRouter.Router
       alias MavRouter.Endpoints.Endpoint
-      alias MavRouter.Router.LocalEndpoint
+      alias MavRouter.Client.LocalEndpoint
       alias MavCodec.Messages
     end
   end
@@ -31,7 +31,7 @@ defmodule Aerie.EndpointCase do
     {:ok, gateway: start_parts(%{mavlink: %{system_id: 245, component_id: 191}})}
   end
 
-  @doc "A process that is an endpoint; the options are those of `MavRouter.Router.LocalEndpoint.attach/2`."
+  @doc "A process that is an endpoint; the options are those of `MavRouter.Client.LocalEndpoint.attach/2`."
   @spec endpoint(term, String.t(), keyword) :: map
   def endpoint(gateway, name, options) do
     test = self()

@@ -65,7 +65,7 @@ defmodule Aerie.LinkCase do
   def clients(gateway, config),
     do:
       Aerie.Base.Successor.child_spec(
-        {Link.Clients.Supervisor, options(Link.Clients.Supervisor, gateway, config)}
+        {MavRouter.Client.Supervisor, options(MavRouter.Client.Supervisor, gateway, config)}
       )
 
   # Recordings are saved on events only where a test asks for it.

@@ -10,7 +10,7 @@ defmodule Aerie.Config.Keys do
   @parts [
     MavRouter.Identity.Settings,
     MavRouter.Link.Settings,
-    MavRouter.Link.Clients.Settings,
+    MavRouter.Client.Settings,
     MavRouter.Endpoints.Settings,
     MavRouter.Signing.Settings,
     MavRouter.Recorder.Settings,

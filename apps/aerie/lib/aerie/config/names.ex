@@ -71,7 +71,7 @@ defmodule Aerie.Config.Names do
   # The senders of incoming frames, by the ids that the policy and filters see.
   defp ends(config) do
     clients =
-      if config.clients == :default, do: [MavRouter.Link.Clients.Boot.default_id()], else: ids(config.clients)
+      if config.clients == :default, do: [MavRouter.Client.Boot.default_id()], else: ids(config.clients)
 
     shares = for %{id: id, spec: %{share: share}} <- config.links, share != nil, do: Share.client(id)
     Enum.uniq(ids(config.links) ++ shares ++ clients)
@@ -111,7 +111,7 @@ defmodule Aerie.Config.Names do
   defp filters(config) do
     for {section, list} <- [
           {"links", config.links},
-          {"clients", MavRouter.Link.Clients.Settings.listed(config)}
+          {"clients", MavRouter.Client.Settings.listed(config)}
         ],
         {%{filter_out: filter}, index} <- Enum.with_index(list),
         key <- [:allow_sources, :block_sources],

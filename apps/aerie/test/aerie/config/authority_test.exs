@@ -12,7 +12,9 @@ defmodule Aerie.Config.AuthorityTest do
   alias Aerie.Vehicle.Command
   alias MavRouter.{Identity, Signing}
   alias Aerie.Config.Keys
-  alias MavRouter.Link.{Clients, Configured, Egress}
+  alias MavRouter.Client
+  alias MavRouter.Link.Configured
+  alias MavRouter.Link.Egress
   alias Aerie.Control.Policy.{Audit, Context, Intent, Lease, Rate, Signature, Sources}
   alias MavRouter.Endpoints.Access
   alias MavRouter.Endpoints.Endpoint
@@ -399,7 +401,7 @@ defmodule Aerie.Config.AuthorityTest do
 
   # The rules of the last link or client as its process makes them.
   defp owner(%{clients: [_ | _] = clients}) do
-    {:ok, spec} = Clients.Settings.client(List.last(clients))
+    {:ok, spec} = Client.Settings.client(List.last(clients))
     Egress.open(__MODULE__, spec).owner
   end
 

@@ -34,7 +34,7 @@ defmodule Aerie.Config.RecipesTest do
       assert {:ok, config} = Config.load(path, [], env: %{})
       for %{} = link <- config.links, do: assert({:ok, _options} = Settings.owner_options(link))
       clients = if config.clients == :default, do: [], else: config.clients
-      for client <- clients, do: assert({:ok, _spec} = MavRouter.Link.Clients.Settings.client(client))
+      for client <- clients, do: assert({:ok, _spec} = MavRouter.Client.Settings.client(client))
     end
   end
 

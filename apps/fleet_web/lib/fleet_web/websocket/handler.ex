@@ -11,14 +11,14 @@ defmodule FleetWeb.WebSocket.Handler do
   forwarded, as for a key with the role viewer).
 
   A client that does not answer a ping for a minute, or whose connection takes nothing for ten seconds, is disconnected. Until
-  then the oldest frames of the least important class are dropped (`MavRouter.Router.ClientConnection`).
+  then the oldest frames of the least important class are dropped (`MavRouter.Client.Connection`).
   """
 
   @behaviour :cowboy_websocket
 
   alias Authority.Principal
   alias MavRouter.Router
-  alias MavRouter.Router.ClientConnection
+  alias MavRouter.Client.Connection
   alias Aerie.Base.{Address, Names, PubSub, Store}
   alias FleetWeb.API.{Access, Error, KeyRing, Request, Tickets}
   alias FleetWeb.WebSocket.Capacity
@@ -154,7 +154,7 @@ defmodule FleetWeb.WebSocket.Handler do
     :ok = Names.register(state.gateway, :websocket_client, id)
     :ok = PubSub.subscribe(state.gateway, {:notice, :api_keys})
 
-    case ClientConnection.open(state.gateway, [id: id] ++ state.options) do
+    case Connection.open(state.gateway, [id: id] ++ state.options) do
       {:ok, pipe} ->
         ping()
         {[], %{state | pipe: pipe}}
@@ -172,7 +172,7 @@ defmodule FleetWeb.WebSocket.Handler do
 
   @impl :cowboy_websocket
   def websocket_handle({:binary, bytes}, state),
-    do: {[], %{state | pipe: ClientConnection.read(state.pipe, bytes)}}
+    do: {[], %{state | pipe: Connection.read(state.pipe, bytes)}}
 
   def websocket_handle({:text, _text}, state) do
     Store.count_if_running(state.gateway, {:clients, :websocket, :text})
@@ -184,7 +184,7 @@ defmodule FleetWeb.WebSocket.Handler do
   @impl :cowboy_websocket
   def websocket_info({:forward, frames, class}, state) do
     # Messages queue here while a write waits; all of them are sorted by importance before the next write.
-    state.pipe |> ClientConnection.queue(frames, class) |> gather() |> write(state)
+    state.pipe |> Connection.queue(frames, class) |> gather() |> write(state)
   end
 
   def websocket_info(:write, state), do: write(state.pipe, state)
@@ -202,15 +202,15 @@ defmodule FleetWeb.WebSocket.Handler do
 
   defp gather(pipe) do
     receive do
-      {:forward, frames, class} -> pipe |> ClientConnection.queue(frames, class) |> gather()
+      {:forward, frames, class} -> pipe |> Connection.queue(frames, class) |> gather()
     after
       0 -> pipe
     end
   end
 
   defp write(pipe, state) do
-    {frames, pipe} = ClientConnection.take(pipe)
-    if ClientConnection.waiting?(pipe), do: send(self(), :write)
+    {frames, pipe} = Connection.take(pipe)
+    if Connection.waiting?(pipe), do: send(self(), :write)
     {Enum.map(frames, &{:binary, &1}), %{state | pipe: pipe}}
   end
 

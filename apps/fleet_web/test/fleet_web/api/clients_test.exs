@@ -2,7 +2,7 @@ defmodule FleetWeb.API.ClientsTest do
   use FleetWeb.APICase, async: true
 
   alias Aerie.Base.Store
-  alias MavRouter.Router.LocalEndpoint
+  alias MavRouter.Client.LocalEndpoint
 
   @json {"content-type", "application/json"}
 

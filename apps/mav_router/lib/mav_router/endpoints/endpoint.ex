@@ -10,10 +10,11 @@ defmodule MavRouter.Endpoints.Endpoint do
 
   ## An endpoint of your own
 
-      {:ok, endpoint} = MavRouter.Router.LocalEndpoint.attach(gateway, id: "ws-7", text: "10.0.0.9:51234", side: :client)
+      {:ok, endpoint} = MavRouter.Client.LocalEndpoint.attach(gateway, id: "ws-7", text: "10.0.0.9:51234", side:
+      :client)
 
       # frames from the other end
-      MavRouter.Router.LocalEndpoint.ingress(endpoint, frames)
+      MavRouter.Client.LocalEndpoint.ingress(endpoint, frames)
 
       # frames to it
       receive do
@@ -27,7 +28,7 @@ defmodule MavRouter.Endpoints.Endpoint do
   them further ones are dropped and counted. A process that cannot write at once keeps them in an
   `MavRouter.Endpoints.Queue.SendQueue`, which drops the oldest frames of the least important class. A new connection
   is a new endpoint, so that nothing old waits for it. The endpoint ends with its process or with
-  `MavRouter.Router.LocalEndpoint.detach/1`.
+  `MavRouter.Client.LocalEndpoint.detach/1`.
   """
 
   alias Aerie.Base.Names

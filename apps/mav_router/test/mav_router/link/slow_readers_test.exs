@@ -3,7 +3,7 @@ defmodule MavRouter.Link.SlowReadersTest do
   use ExUnit.Case, async: true
   use Aerie.LinkCase
 
-  alias MavRouter.Link.Clients
+  alias MavRouter.Client.Clients
   alias MavRouter.Link.Spec
   alias Aerie.Base.Names
   alias Aerie.Patience

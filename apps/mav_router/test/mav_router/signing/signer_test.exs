@@ -4,7 +4,7 @@ defmodule MavRouter.Signing.SignerTest do
   use Aerie.SigningCase
 
   alias Aerie.Base.Store
-  alias MavRouter.Router.LocalEndpoint
+  alias MavRouter.Client.LocalEndpoint
   alias MavRouter.{Router, Signing}
   alias MavCodec.{Frame, Parser}
   alias MavCodec.Messages, as: M

@@ -8,7 +8,7 @@ defmodule Aerie.Fleet.Client.MavlinkSocket do
   """
   use GenServer, restart: :temporary
 
-  alias MavRouter.Router.ClientConnection
+  alias MavRouter.Client.Connection
   alias Aerie.Base.Store
   alias Aerie.Base.UnixSocket.LengthPrefix
   alias MavRouter.Link.Transport.Net
@@ -38,7 +38,7 @@ defmodule Aerie.Fleet.Client.MavlinkSocket do
 
     with :ok <- Names.register(state.gateway, :unix_client, id),
          {:ok, pipe} <-
-           ClientConnection.open(state.gateway, id: id, kind: :unix, text: "mavlink.sock", sign: state.sign),
+           Connection.open(state.gateway, id: id, kind: :unix, text: "mavlink.sock", sign: state.sign),
          :ok <- :inet.setopts(socket, options ++ [send_timeout_close: true]) do
       {:noreply, %{state | socket: socket, pipe: pipe, wrote: now()}}
     else
@@ -49,7 +49,7 @@ defmodule Aerie.Fleet.Client.MavlinkSocket do
   def handle_info({:tcp, socket, bytes}, %{socket: socket} = state) do
     case LengthPrefix.split(state.rest <> bytes) do
       {:ok, frames, rest} ->
-        pipe = Enum.reduce(frames, state.pipe, &ClientConnection.read(&2, &1))
+        pipe = Enum.reduce(frames, state.pipe, &Connection.read(&2, &1))
         # A kept part must not keep the whole read in memory.
         {:noreply, %{state | pipe: pipe, rest: :binary.copy(rest)}}
 
@@ -64,7 +64,7 @@ defmodule Aerie.Fleet.Client.MavlinkSocket do
   end
 
   def handle_info({:forward, frames, class}, state),
-    do: write(%{state | pipe: ClientConnection.queue(state.pipe, frames, class)})
+    do: write(%{state | pipe: Connection.queue(state.pipe, frames, class)})
 
   def handle_info(:again, state), do: write(%{state | timer: nil})
   def handle_info(:disconnect, state), do: {:stop, :normal, state}
@@ -81,7 +81,7 @@ defmodule Aerie.Fleet.Client.MavlinkSocket do
   defp write(%{timer: timer} = state) when timer != nil, do: {:noreply, state}
 
   defp write(state) do
-    case ClientConnection.take(state.pipe) do
+    case Connection.take(state.pipe) do
       {[], _pipe} ->
         {:noreply, %{state | wrote: now()}}
 

@@ -13,7 +13,7 @@ defmodule Aerie.Fleet.Client.RawMessage do
   alias Aerie.Control.Policy.Roles
   alias MavRouter.Router
   alias MavRouter.Endpoints.Endpoint
-  alias MavRouter.Router.LocalEndpoint
+  alias MavRouter.Client.LocalEndpoint
   alias MavRouter.Endpoints.Counters
   alias MavCodec.{EncodeError, Frame, Parser}
 

@@ -10,7 +10,7 @@ defmodule Aerie.Fleet.Client.MavlinkSocketTest do
   alias Aerie.Base.Names
   alias MavRouter.Router
   alias MavRouter.Endpoints.Endpoint
-  alias MavRouter.Router.LocalEndpoint
+  alias MavRouter.Client.LocalEndpoint
 
   # The test process in the place of a link to vehicles.
   defp start do

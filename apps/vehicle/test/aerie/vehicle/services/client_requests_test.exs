@@ -4,7 +4,7 @@ defmodule Aerie.Vehicle.Services.ClientRequestsTest do
 
   alias Aerie.Vehicle.Services.StreamDemand
   alias Aerie.Base.Store
-  alias MavRouter.Router.LocalEndpoint
+  alias MavRouter.Client.LocalEndpoint
   alias MavCodec.{Frame, Parser}
   alias MavCodec.Messages, as: M
 

@@ -1,4 +1,4 @@
-defmodule MavRouter.Link.Clients do
+defmodule MavRouter.Client.Clients do
   @moduledoc """
   Client endpoints over UDP and TCP: ground stations and other programs that see vehicles through this gateway.
 

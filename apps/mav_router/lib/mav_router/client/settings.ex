@@ -1,4 +1,4 @@
-defmodule MavRouter.Link.Clients.Settings do
+defmodule MavRouter.Client.Settings do
   @moduledoc """
   From the keys of the configuration (`clients`, see `config/gateway.example.yaml`) to a client's connection and the rules of
   its endpoints (`MavRouter.Endpoints.Settings`). Everything is checked here: the file, `MavRouter.Client.add/3` and

@@ -1,4 +1,4 @@
-defmodule MavRouter.Link.Clients.Boot do
+defmodule MavRouter.Client.Boot do
   @ports 5790..5799
 
   @moduledoc """
@@ -12,8 +12,8 @@ defmodule MavRouter.Link.Clients.Boot do
   use GenServer, restart: :transient
 
   alias Aerie.Base.Store
-  alias MavRouter.Link.Clients
-  alias MavRouter.Link.Clients.Settings
+  alias MavRouter.Client.Clients
+  alias MavRouter.Client.Settings
 
   require Logger
 
@@ -24,7 +24,7 @@ defmodule MavRouter.Link.Clients.Boot do
   @spec default_id() :: String.t()
   def default_id, do: @default
 
-  @doc "Options: `:gateway`, `:settings` (`MavRouter.Link.Clients.Settings`)."
+  @doc "Options: `:gateway`, `:settings` (`MavRouter.Client.Settings`)."
   @spec start_link(keyword) :: GenServer.on_start()
   def start_link(options), do: GenServer.start_link(__MODULE__, options)
 

@@ -1,4 +1,4 @@
-defmodule MavRouter.Router.LocalEndpoint do
+defmodule MavRouter.Client.LocalEndpoint do
   @moduledoc "Makes a process of this machine an endpoint (`MavRouter.Endpoints.Endpoint`): a socket's client, a page,
   a script."
 

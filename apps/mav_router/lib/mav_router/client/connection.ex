@@ -1,12 +1,12 @@
-defmodule MavRouter.Router.ClientConnection do
+defmodule MavRouter.Client.Connection do
   @moduledoc """
   One client's connection to the router: its bytes are delivered as frames, and frames for it wait here until they can be written. A
   value, for the process that has the client's socket and is the endpoint.
 
-      {:ok, pipe} = ClientConnection.open(gateway, id: "ws-1", kind: :websocket, text: "10.0.0.9:51234")
-      pipe = ClientConnection.read(pipe, bytes)
-      receive do: ({:forward, frames, class} -> pipe = ClientConnection.queue(pipe, frames, class))
-      {frames, pipe} = ClientConnection.take(pipe)
+      {:ok, pipe} = Connection.open(gateway, id: "ws-1", kind: :websocket, text: "10.0.0.9:51234")
+      pipe = Connection.read(pipe, bytes)
+      receive do: ({:forward, frames, class} -> pipe = Connection.queue(pipe, frames, class))
+      {frames, pipe} = Connection.take(pipe)
 
   Data that the client requested has room of its own (`MavRouter.Endpoints.Queue.RequestedData`). When the client does
   not read, the oldest other frames of the least important class are dropped (`MavRouter.Endpoints.Queue.ClassQueue`).
@@ -15,7 +15,7 @@ defmodule MavRouter.Router.ClientConnection do
 
   alias Aerie.Base.Names
   alias MavRouter.Endpoints.Endpoint
-  alias MavRouter.Router.LocalEndpoint
+  alias MavRouter.Client.LocalEndpoint
   alias MavRouter.Endpoints.Queue.ClassQueue
   alias MavCodec.Parser
 
@@ -33,8 +33,8 @@ defmodule MavRouter.Router.ClientConnection do
         }
 
   @doc """
-  Makes the calling process a client endpoint. Options are those of `MavRouter.Router.LocalEndpoint.attach/2`; without `:networks`
-  it sees all, the gateway's own first.
+  Makes the calling process a client endpoint. Options are those of `MavRouter.Client.LocalEndpoint.attach/2`; without
+  `:networks` it sees all, the gateway's own first.
   """
   @spec open(Names.gateway(), keyword()) :: {:ok, t()} | {:error, String.t() | :not_running}
   def open(gateway, options) do

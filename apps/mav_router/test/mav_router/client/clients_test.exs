@@ -1,4 +1,4 @@
-defmodule MavRouter.Link.ClientsTest do
+defmodule MavRouter.Client.ClientsTest do
   use ExUnit.Case, async: true
   use Aerie.LinkCase
 
@@ -292,7 +292,7 @@ defmodule MavRouter.Link.ClientsTest do
 
   defp clients_supervisor(router) do
     Enum.find_value(Supervisor.which_children(router), fn {id, pid, _type, _modules} ->
-      id == MavRouter.Link.Clients.Supervisor and is_pid(pid) and pid
+      id == MavRouter.Client.Supervisor and is_pid(pid) and pid
     end)
   end
 end

@@ -1,11 +1,12 @@
-defmodule MavRouter.Link.Clients.Supervisor do
+defmodule MavRouter.Client.Supervisor do
   @moduledoc "The client endpoints of a gateway: their trees, and the process that starts them."
   use Supervisor
 
   alias Aerie.Base.Names
-  alias MavRouter.Link.Clients.{Boot, Settings}
+  alias MavRouter.Client.Boot
+  alias MavRouter.Client.Settings
 
-  @doc "Options: `:gateway`, `:settings` (`MavRouter.Link.Clients.Settings`)."
+  @doc "Options: `:gateway`, `:settings` (`MavRouter.Client.Settings`)."
   @spec start_link(keyword) :: Supervisor.on_start()
   def start_link(options), do: Supervisor.start_link(__MODULE__, options)
 

@@ -84,7 +84,7 @@ defmodule FleetWeb.EndpointTest do
     Store.put_link(context.gateway, "slow", %{link | id: "slow", behind: %{since: since, frames: 8}})
     counters = %{link.counters | kernel_dropped: 5, shed: 7}
     client = %{link | id: "gcs", overload: %{since: since, datagrams: 12}, counters: counters}
-    MavRouter.Client.Clients.put_link(context.gateway, "gcs", client, [])
+    MavRouter.Client.put_link(context.gateway, "gcs", client, [])
 
     # Its own loops, late on a busy machine, would be further problems.
     %{"problems" => problems, "links" => links} =

@@ -12,7 +12,7 @@ defmodule MavRouter.Client.Boot do
   use GenServer, restart: :transient
 
   alias Aerie.Base.Store
-  alias MavRouter.Client.Clients
+  alias MavRouter.Client
   alias MavRouter.Client.Settings
 
   require Logger
@@ -34,7 +34,7 @@ defmodule MavRouter.Client.Boot do
     Process.set_label({:client_boot, gateway})
 
     for spec <- specs(gateway, Keyword.fetch!(options, :settings)) do
-      with {:error, error} <- Clients.start(gateway, spec),
+      with {:error, error} <- Client.start(gateway, spec),
            do: Logger.error("client #{spec.id}: #{Exception.message(error)}")
     end
 

@@ -3,7 +3,7 @@ defmodule MavRouter.Link.SlowReadersTest do
   use ExUnit.Case, async: true
   use Aerie.LinkCase
 
-  alias MavRouter.Client.Clients
+  alias MavRouter.Client
   alias MavRouter.Link.Spec
   alias Aerie.Base.Names
   alias Aerie.Patience
@@ -18,12 +18,12 @@ defmodule MavRouter.Link.SlowReadersTest do
     be_session(gateway, 1)
 
     :ok =
-      Clients.start(gateway, Spec.parse!("tcpin:127.0.0.1:0", id: "gcs", options: %{router: [side: :client]}))
+      Client.start(gateway, Spec.parse!("tcpin:127.0.0.1:0", id: "gcs", options: %{router: [side: :client]}))
 
     port =
       eventually(fn ->
         with(
-          [%{port: port, status: status}] when status != :connecting <- Clients.list(gateway),
+          [%{port: port, status: status}] when status != :connecting <- Client.endpoints(gateway),
           do: port,
           else: (_ -> nil)
         )
@@ -60,7 +60,7 @@ defmodule MavRouter.Link.SlowReadersTest do
     assert snapshot(gateway, id).counters.frames_in == @frames
     # They took nothing for ten seconds.
     eventually(fn -> peers(gateway) == 1 end)
-    assert %{peers_refused: 40, dropped_out: dropped} = hd(Clients.list(gateway)).counters
+    assert %{peers_refused: 40, dropped_out: dropped} = hd(Client.endpoints(gateway)).counters
     assert dropped > 0
     send(reading, :end)
     for socket <- stuck, do: :gen_tcp.close(socket)

@@ -18,7 +18,8 @@ defmodule Aerie.Program do
 
   # Frames over UDP that were not read after that are lost: a link that does not keep up discards datagrams.
   @lost_ms 10_000
-  # Fewer at once than a link that does not keep up takes for a backlog (`MavRouter.Link.Backlog`): nothing of them is discarded.
+  # Fewer at once than a link that does not keep up takes for a backlog (`MavRouter.Link.Transport.Net.Backlog`):
+  # nothing of them is discarded.
   @batch 50
 
   @doc "Connects."

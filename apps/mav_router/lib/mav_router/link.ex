@@ -31,7 +31,7 @@ defmodule MavRouter.Link do
 
   alias Aerie.Base.Error
   alias Aerie.Base.Store
-  alias MavRouter.Link.Configured
+  alias MavRouter.Link.Spec.Configured
   alias MavRouter.Link.FirstAttempt
   alias MavRouter.Link.Spec
   alias MavRouter.Link.Supervisor, as: Links

@@ -37,7 +37,8 @@ defmodule MavRouter.LinkTest do
       {id, port} = add_link(c.gateway, "udpin:127.0.0.1:0")
       [a, b, noise] = [socket(), socket(), socket()]
 
-      # No burst is a backlog (`MavRouter.Link.Backlog`), however long a busy machine lets the link stand still.
+      # No burst is a backlog (`MavRouter.Link.Transport.Net.Backlog`), however long a busy machine lets the link stand
+      # still.
       frames =
         Enum.flat_map(Enum.chunk_every(1..300, 15), fn chunk ->
           for n <- chunk do
@@ -399,7 +400,8 @@ defmodule MavRouter.LinkTest do
 
           Process.exit(pid, :kill)
 
-          # Many at once would be a backlog (`MavRouter.Link.Backlog`) of a link that a busy machine lets stand still.
+          # Many at once would be a backlog (`MavRouter.Link.Transport.Net.Backlog`) of a link that a busy machine lets
+          # stand still.
           got ++ collect(%{2 => 20, 3 => 20})
         end)
 

@@ -12,7 +12,8 @@ defmodule Aerie.Config.Resolve do
   alias Aerie.Fleet.Bridge
   alias MavRouter.Identity
   alias Aerie.Config.{Keys, Names}
-  alias MavRouter.Link.{Configured, Spec}
+  alias MavRouter.Link.Spec.Configured
+  alias MavRouter.Link.Spec
   alias Aerie.Base.Settings.Schema
 
   @doc "Fills in the derived values; returns the remaining problems."

@@ -13,8 +13,8 @@ defmodule Aerie.Config.AuthorityTest do
   alias MavRouter.{Identity, Signing}
   alias Aerie.Config.Keys
   alias MavRouter.Client
-  alias MavRouter.Link.Configured
-  alias MavRouter.Link.Egress
+  alias MavRouter.Link.Spec.Configured
+  alias MavRouter.Link.Server.Egress
   alias Aerie.Control.Policy.{Audit, Context, Intent, Lease, Rate, Signature, Sources}
   alias MavRouter.Endpoints.Access
   alias MavRouter.Endpoints.Endpoint

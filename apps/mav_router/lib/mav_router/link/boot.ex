@@ -8,7 +8,7 @@ defmodule MavRouter.Link.Boot do
   use GenServer, restart: :transient
 
   alias Aerie.Base.Store
-  alias MavRouter.Link.Configured
+  alias MavRouter.Link.Spec.Configured
 
   require Logger
 

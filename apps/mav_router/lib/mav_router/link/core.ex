@@ -24,7 +24,7 @@ defmodule MavRouter.Link.Core do
   | `{:warning, text}` | for the log |
   | `:retry` | the back-off is over, or what was missing may have come |
   | `{:sniffed, place, baud, sniffed}` | what bytes without frames are: the result of `:sniff` |
-  | `{:count, name, n}` | something to count (`MavRouter.Link.Counters`) |
+  | `{:count, name, n}` | something to count (`MavRouter.Link.Core.Counters`) |
   | `:tick` | every `tick_ms/0` |
 
   | action | meaning |
@@ -47,19 +47,19 @@ defmodule MavRouter.Link.Core do
 
   alias Aerie.Base.HostClock
   alias Aerie.Base.Backoff
-  alias MavRouter.Link.Counters
-  alias MavRouter.Link.DamageLog
-  alias MavRouter.Link.Reception
-  alias MavRouter.Link.Overload
+  alias MavRouter.Link.Core.Counters
+  alias MavRouter.Link.Core.DamageLog
+  alias MavRouter.Link.Core.Reception
+  alias MavRouter.Link.Core.Overload
   alias MavRouter.Link.Peers
-  alias MavRouter.Link.Rates
-  alias MavRouter.Link.Reads
+  alias MavRouter.Link.Core.Rates
+  alias MavRouter.Link.Core.Reads
   alias MavRouter.Link.Reason
   alias MavRouter.Link.Serial.Finding
   alias MavRouter.Link.Settings
   alias MavRouter.Link.Core.Snapshot
   alias MavRouter.Link.Spec
-  alias MavRouter.Link.Stall
+  alias MavRouter.Link.Core.Stall
 
   @tick_ms 250
   # After a connection that lasted this long the link connects again at once.

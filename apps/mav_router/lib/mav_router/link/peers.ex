@@ -10,16 +10,17 @@ defmodule MavRouter.Link.Peers do
   many addresses. Only #{div(1000, @newcomer_ms)} unknown senders per second, in bursts of up to #{@newcomers}, are parsed; the datagrams of the others cost two
   look-ups, are counted (`peers_refused`) and discarded. So forged senders take nothing away from real peers. Datagrams that do
   not begin like a frame get at most half of that allowance. What may be the beginning of a frame is kept for a few seconds
-  (`MavRouter.Link.Fragments`): some senders cut their frames over several datagrams.
+  (`MavRouter.Link.Peers.Fragments`): some senders cut their frames over several datagrams.
 
   When the limit of peers is reached, a newcomer replaces the earliest peer that has not become known in 5 s
-  (`MavRouter.Link.Peer`); if there is none, the newcomer is refused. Known peers are never replaced. A datagram peer is forgotten
-  after 60 s of silence, unless a vehicle is reached by it. The peers of a stream come and go with their connections.
+  (`MavRouter.Link.Peers.Peer`); if there is none, the newcomer is refused. Known peers are never replaced. A datagram
+  peer is forgotten after 60 s of silence, unless a vehicle is reached by it. The peers of a stream come and go with
+  their connections.
   """
 
   alias Aerie.Base.TokenBucket
-  alias MavRouter.Link.Fragments
-  alias MavRouter.Link.Peer
+  alias MavRouter.Link.Peers.Fragments
+  alias MavRouter.Link.Peers.Peer
   alias Aerie.Base.Address
   alias MavCodec.Parser
 
@@ -235,7 +236,7 @@ defmodule MavRouter.Link.Peers do
     end)
   end
 
-  @doc "The counts of all parsers, those of former peers included, by the names of `MavRouter.Link.Counters`."
+  @doc "The counts of all parsers, those of former peers included, by the names of `MavRouter.Link.Core.Counters`."
   @spec totals(t) :: %{atom => non_neg_integer}
   def totals(peers),
     do: peers |> retire(Map.values(peers.fragments.peers)) |> Map.fetch!(:retired) |> sum(measure(peers).sum)

@@ -11,18 +11,18 @@ defmodule MavRouter.Link.Server do
   require Logger
 
   alias Aerie.Base.Store
-  alias MavRouter.Link.Reconnected
+  alias MavRouter.Link.Server.Reconnected
   alias MavRouter.Link.Core
-  alias MavRouter.Link.Counters
+  alias MavRouter.Link.Core.Counters
   alias MavRouter.Link.Settings
-  alias MavRouter.Link.Egress
-  alias MavRouter.Link.Connector
-  alias MavRouter.Link.Restarts
-  alias MavRouter.Link.PublishedPeers
+  alias MavRouter.Link.Server.Egress
+  alias MavRouter.Link.Server.Connector
+  alias MavRouter.Link.Server.Restarts
+  alias MavRouter.Link.Peers.PublishedPeers
   alias MavRouter.Link.Core.Snapshot
-  alias MavRouter.Link.Search
+  alias MavRouter.Link.Server.Search
   alias MavRouter.Link.Spec
-  alias MavRouter.Link.Writer
+  alias MavRouter.Link.Server.Writer
   alias Aerie.Base.Names
   alias MavRouter.Router
   alias MavRouter.Endpoints.Meter

@@ -20,9 +20,9 @@ defmodule MavRouter.Link.Transport do
   ## Back-pressure
 
   Sockets deliver a limited number of messages (`{:active, n}`), then wait to be asked again; a link that does not keep up
-  leaves the rest in the kernel. If too many wait there, some are discarded and counted (`MavRouter.Link.Backlog`), as
-  are those for which the kernel had no room. A write never blocks: what does not fit into a bounded buffer is refused with
-  `:busy`.
+  leaves the rest in the kernel. If too many wait there, some are discarded and counted
+  (`MavRouter.Link.Transport.Net.Backlog`), as are those for which the kernel had no room. A write never blocks: what
+  does not fit into a bounded buffer is refused with `:busy`.
   """
 
   alias MavRouter.Link.Spec
@@ -95,7 +95,7 @@ defmodule MavRouter.Link.Transport do
   - `{:ended, text}`: nothing more will ever come
   - `{:warning, text}`: for the log
   - `{:sniffed, place, baud, sniffed}`: what bytes without frames are (`MavCodec.Sniff`)
-  - `{:count, name, n}`: something to count (`MavRouter.Link.Counters`)
+  - `{:count, name, n}`: something to count (`MavRouter.Link.Core.Counters`)
   - `{:traced, make}`: what went over the line besides, for the link's recording; `make` gives it as frames
   - `{:written, result}`: the late result of a write, `{:ok, bytes} | {:error, reason}`
   """

@@ -3,7 +3,7 @@ defmodule MavRouter.Link.Tree do
   The processes of one link: its recording, separate so that a full disk never stops a link, and the link itself.
 
   It restarts its link up to 100 times a second, which only deliberate killing reaches: a link that keeps crashing waits
-  before it connects (`MavRouter.Link.Restarts`).
+  before it connects (`MavRouter.Link.Server.Restarts`).
   """
   use Supervisor
 

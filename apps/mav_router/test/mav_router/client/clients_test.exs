@@ -142,7 +142,7 @@ defmodule MavRouter.Client.ClientsTest do
     n = 10_000
 
     # Long frames, so that the buffers of the kernel are full early; in bursts that are no backlog, however long they wait
-    # (`MavRouter.Link.Backlog`).
+    # (`MavRouter.Link.Transport.Net.Backlog`).
     texts =
       for i <- 1..n,
           do: {i, encode(%Messages.LogData{id: 1, ofs: i, count: 90, data: :binary.copy(<<i::16>>, 45)}, 1)}

@@ -477,7 +477,7 @@ defmodule MavRouter.Link.CoreTest do
         map_size(next.peers.map) <= 3 and
         (before.phase != :ended or next.phase == :ended) and
         Enum.all?(
-          %MavRouter.Link.Counters{} |> Map.from_struct() |> Map.delete(:messages) |> Map.keys(),
+          %MavRouter.Link.Core.Counters{} |> Map.from_struct() |> Map.delete(:messages) |> Map.keys(),
           &(Map.get(Core.counters(next), &1) >= Map.get(Core.counters(before), &1))
         ) and
         is_binary(snapshot.text) and

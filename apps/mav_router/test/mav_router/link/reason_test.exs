@@ -3,7 +3,7 @@ defmodule MavRouter.Link.ReasonTest do
 
   alias Aerie.Base.PortOwner
   alias MavRouter.Link.Reason
-  alias MavRouter.Link.Restarts
+  alias MavRouter.Link.Server.Restarts
   alias MavRouter.Link.Spec
 
   defp words(reason, text), do: Reason.format(reason, Spec.parse!(text))

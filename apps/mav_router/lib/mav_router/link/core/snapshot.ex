@@ -1,7 +1,7 @@
 defmodule MavRouter.Link.Core.Snapshot do
   @moduledoc """
   What everybody may know about a link. The link's process publishes it in `Aerie.Base.Store`: `brief/2` as a whole, of `:peers`
-  and `:sources` only what changed (`MavRouter.Link.PublishedPeers`). `Aerie.Base.Store.Links` puts them together.
+  and `:sources` only what changed (`MavRouter.Link.Peers.PublishedPeers`). `Aerie.Base.Store.Links` puts them together.
 
   | key | value |
   |---|---|
@@ -16,7 +16,7 @@ defmodule MavRouter.Link.Core.Snapshot do
   | `:finding` | how an open serial port was found, if it was searched for (`MavRouter.Link.Serial.Finding`) |
   | `:diagnosis` | why serial ports do not work: findings with evidence and advice, otherwise empty |
   | `:last_heard` | unix microseconds of the arrival of the last good frame |
-  | `:counters` | `MavRouter.Link.Counters` |
+  | `:counters` | `MavRouter.Link.Core.Counters` |
   | `:rates` | per second: `bytes_in`, `frames_in`, `bytes_out`, `writes_out`, `crc_errors` |
   | `:overload` | `%{since: unix us, datagrams: n}` while datagrams come faster than they are read and for 10 s after, otherwise nil; `datagrams` were dropped |
   | `:behind` | `%{since: unix us, frames: n}` while a session does not keep up with the frames of its vehicle and for 10 s after, otherwise nil; `frames` were dropped |
@@ -31,9 +31,9 @@ defmodule MavRouter.Link.Core.Snapshot do
   """
 
   alias MavRouter.Link.Core
-  alias MavRouter.Link.Peer
+  alias MavRouter.Link.Peers.Peer
   alias MavRouter.Link.Peers
-  alias MavRouter.Link.Rates
+  alias MavRouter.Link.Core.Rates
   alias MavRouter.Link.Reason
   alias MavRouter.Link.Serial.Finding
   alias MavRouter.Link.Spec

@@ -1,7 +1,7 @@
 defmodule MavRouter.Link.Transport.Net do
   @moduledoc "What the UDP and TCP transports share: names, address families, batches of datagrams, bounded writes."
 
-  alias MavRouter.Link.Backlog
+  alias MavRouter.Link.Transport.Net.Backlog
   alias Aerie.Base.Address
 
   # Messages between two renewals of `active`: enough that a busy socket rarely waits, few enough to bound the mailbox.
@@ -194,8 +194,8 @@ defmodule MavRouter.Link.Transport.Net do
   end
 
   @doc """
-  The datagrams without those that are too many (`MavRouter.Link.Backlog`), and how many those were. They were all that
-  waited in the mailbox at `now` (monotonic ms).
+  The datagrams without those that are too many (`MavRouter.Link.Transport.Net.Backlog`), and how many those were. They
+  were all that waited in the mailbox at `now` (monotonic ms).
   """
   @spec take(:gen_udp.socket(), Backlog.t(), [datagram], integer) ::
           {[datagram], Backlog.discarded(), Backlog.t()}

@@ -12,7 +12,7 @@ defmodule MavRouter.Link.Transport.UdpClient do
   @behaviour MavRouter.Link.Transport
 
   alias MavRouter.Link.Transport.Form
-  alias MavRouter.Link.Backlog
+  alias MavRouter.Link.Transport.Net.Backlog
   alias Aerie.Base.Address
   alias MavRouter.Link.Transport.Net
 

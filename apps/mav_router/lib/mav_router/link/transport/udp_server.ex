@@ -5,7 +5,8 @@ defmodule MavRouter.Link.Transport.UdpServer do
   """
   @behaviour MavRouter.Link.Transport
 
-  alias MavRouter.Link.{Backlog, Gathering}
+  alias MavRouter.Link.Transport.Net.Backlog
+  alias MavRouter.Link.Transport.Net.Gathering
   alias MavRouter.Link.Transport.{Form, Net}
 
   @enforce_keys [:socket]

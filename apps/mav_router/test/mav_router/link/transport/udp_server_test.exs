@@ -1,7 +1,7 @@
 defmodule MavRouter.Link.Transport.UdpServerTest do
   use ExUnit.Case, async: true
 
-  alias MavRouter.Link.Gathering
+  alias MavRouter.Link.Transport.Net.Gathering
   alias MavRouter.Link.Transport.{Net, UdpServer}
 
   @loopback {127, 0, 0, 1}

@@ -1,0 +1,35 @@
+defmodule MavRouter.Link.Core.Rates do
+  @moduledoc """
+  Rates per second from counters: the samples of the last second, as a value.
+  """
+
+  alias MavRouter.Link.Core.Counters
+
+  @names [:bytes_in, :frames_in, :bytes_out, :writes_out, :crc_errors]
+  @window_ms 1000
+
+  defstruct samples: []
+
+  @opaque t :: %__MODULE__{samples: [{integer, map}]}
+
+  @doc "No samples yet: all rates are 0."
+  @spec new() :: t
+  def new, do: %__MODULE__{}
+
+  @doc "Adds the counters at a monotonic time in ms. The sample at or just before the window's start is kept."
+  @spec sample(t, Counters.t(), integer) :: t
+  def sample(%__MODULE__{samples: samples}, counters, now) do
+    {inside, before} = Enum.split_while(samples, fn {time, _} -> now - time < @window_ms end)
+    %__MODULE__{samples: [{now, Map.take(counters, @names)} | inside ++ Enum.take(before, 1)]}
+  end
+
+  @doc "Rates per second over about the last second: #{Enum.map_join(@names, ", ", &"`#{&1}`")}."
+  @spec per_second(t) :: %{atom => float}
+  def per_second(%__MODULE__{samples: [{now, newest} | _] = samples}) do
+    {then, oldest} = List.last(samples)
+    seconds = max(now - then, 1) / 1000
+    Map.new(@names, &{&1, Float.round((newest[&1] - oldest[&1]) / seconds, 1)})
+  end
+
+  def per_second(%__MODULE__{samples: []}), do: Map.new(@names, &{&1, 0.0})
+end

@@ -43,7 +43,7 @@ defmodule MavRouter.Router do
           required(:id) => String.t(),
           required(:network) => String.t() | nil,
           required(:peer) => term,
-          optional(:trust) => MavRouter.Signing.Verifier.trust(),
+          optional(:trust) => MavRouter.Signing.Verifiers.Verifier.trust(),
           optional(:high_latency) => boolean
         }
 

@@ -431,7 +431,7 @@ defmodule Aerie.Config.AuthorityTest do
 
   defp unsigned(config, dir) do
     {verdict, _signing} =
-      Signing.Verifier.check(scope(config, dir), nil, %{heartbeat() | component: 2}, :radio)
+      Signing.Verifiers.Verifier.check(scope(config, dir), nil, %{heartbeat() | component: 2}, :radio)
 
     verdict
   end

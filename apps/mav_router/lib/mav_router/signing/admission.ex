@@ -2,8 +2,9 @@ defmodule MavRouter.Signing.Admission do
   @moduledoc """
   Verifies what a link receives, in the link's process.
 
-  Each frame of a read gets a verdict (`MavRouter.Signing.Verifier`); then the read is counted once: verified, unsigned and refused
-  frames, and whether the refused ones are an alarm. For the sender of a refused frame nothing is kept but a bounded count.
+  Each frame of a read gets a verdict (`MavRouter.Signing.Verifiers.Verifier`); then the read is counted once:
+  verified, unsigned and refused frames, and whether the refused ones are an alarm. For the sender of a refused frame
+  nothing is kept but a bounded count.
 
   Two verdicts need more than the link's own memory. A frame of a stream that another link of the network heard at least ten
   seconds ago is a replay, however new it is here (S3). The ten seconds allow for the slower one of redundant radios; a link of high
@@ -13,7 +14,13 @@ defmodule MavRouter.Signing.Admission do
 
   alias Aerie.Base.Store
   alias Aerie.Base.Names
-  alias MavRouter.Signing.{Alarm, ClockRecovery, KeyStore, Signer, Tables, Verifier, Verifiers}
+  alias MavRouter.Signing.Alarm
+  alias MavRouter.Signing.Admission.ClockRecovery
+  alias MavRouter.Signing.KeyStore
+  alias MavRouter.Signing.Signer
+  alias MavRouter.Signing.Tables
+  alias MavRouter.Signing.Verifiers.Verifier
+  alias MavRouter.Signing.Verifiers
   alias MavCodec.{Frame, Signing}
 
   @max_sources 4096

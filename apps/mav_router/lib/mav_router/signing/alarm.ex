@@ -1,12 +1,14 @@
 defmodule MavRouter.Signing.Alarm do
   @moduledoc """
-  Reports bursts of refused frames (`MavRouter.Signing.Burst`): telemetry, a counter, a line in the log, and an event
-  `signing.rejected` of the vehicle that they claim to come from, if it is known. It also reports clocks of senders
-  that are far ahead: a line in the log, and the event `signing.clock`.
+  Reports bursts of refused frames (`MavRouter.Signing.Alarm.Burst`): telemetry, a counter, a line in the log, and an
+  event `signing.rejected` of the vehicle that they claim to come from, if it is known. It also reports clocks of
+  senders that are far ahead: a line in the log, and the event `signing.clock`.
   """
 
   alias Aerie.Base.{Names, Store}
-  alias MavRouter.Signing.{Audit, Burst, Tables}
+  alias MavRouter.Signing.Audit
+  alias MavRouter.Signing.Alarm.Burst
+  alias MavRouter.Signing.Tables
 
   require Logger
 

@@ -2,14 +2,15 @@ defmodule MavRouter.Signing.KeyStore do
   @every_ms 25_000
 
   @moduledoc """
-  Reads the keys when the gateway starts, keeps the keys that vehicles were given (`MavRouter.Signing.KeyFiles`), and stores the time
-  stamps in a file: every #{div(@every_ms, 1_000)} s, and whenever a link reaches what it had reserved. So no time stamp is used twice
-  after a restart or `kill -9`, with or without a clock (S6).
+  Reads the keys when the gateway starts, keeps the keys that vehicles were given
+  (`MavRouter.Signing.KeyStore.KeyFiles`), and stores the time stamps in a file: every #{div(@every_ms, 1_000)} s, and
+  whenever a link reaches what it had reserved. So no time stamp is used twice after a restart or `kill -9`, with or
+  without a clock (S6).
 
   Nothing that was received is accepted again (S3). After an orderly end the file is exact. After `kill -9` it may lack the last half
   minute: then the time stamps of a stream have to be above the highest that it can have reached by now
   (`MavCodec.Signing.resumed/3`). A vehicle whose clock stood still meanwhile is refused until it hears us
-  (`MavRouter.Signing.ClockRecovery`).
+  (`MavRouter.Signing.Admission.ClockRecovery`).
 
   The file (`signing.dir/timestamps.json`, mode 0600) has link ids, time stamps and streams, and no keys. Nothing waits for the disk:
   links reserve half a minute ahead. A file that cannot be written is reported (`MavRouter.Signing.list/1`, telemetry
@@ -21,7 +22,12 @@ defmodule MavRouter.Signing.KeyStore do
   alias Aerie.Base.Error
   alias Aerie.Base.Secret
   alias Aerie.Base.Names
-  alias MavRouter.Signing.{Key, KeyFiles, Scope, Settings, State, Tables}
+  alias MavRouter.Signing.Key
+  alias MavRouter.Signing.KeyStore.KeyFiles
+  alias MavRouter.Signing.Scope
+  alias MavRouter.Signing.Settings
+  alias MavRouter.Signing.KeyStore.State
+  alias MavRouter.Signing.Tables
 
   require Logger
 

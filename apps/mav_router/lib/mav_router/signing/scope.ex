@@ -11,7 +11,8 @@ defmodule MavRouter.Signing.Scope do
 
   alias MavCodec.MessageName
   alias Aerie.Base.Secret
-  alias MavRouter.Signing.{Key, KeyFiles}
+  alias MavRouter.Signing.Key
+  alias MavRouter.Signing.KeyStore.KeyFiles
 
   @radio_status MessageName.id!("RADIO_STATUS")
 
@@ -39,8 +40,9 @@ defmodule MavRouter.Signing.Scope do
         }
 
   @doc """
-  The scopes of a configuration with their keys; those of keys that vehicles were given (`MavRouter.Signing.KeyFiles` in `dir`), which
-  take precedence, since the vehicle has that key whatever the configuration says; and those of keys that vehicles may have.
+  The scopes of a configuration with their keys; those of keys that vehicles were given
+  (`MavRouter.Signing.KeyStore.KeyFiles` in `dir`), which take precedence, since the vehicle has that key whatever the
+  configuration says; and those of keys that vehicles may have.
   """
   @spec all(MavRouter.Signing.Settings.t(), Path.t() | nil) ::
           {configured :: [t], given :: [t], candidates :: [t]}

@@ -11,7 +11,10 @@ defmodule MavRouter.Signing.Signer do
 
   alias Aerie.Base.Store
   alias Aerie.Base.Names
-  alias MavRouter.Signing.{Scope, Tables, Verifier, Verifiers}
+  alias MavRouter.Signing.Scope
+  alias MavRouter.Signing.Tables
+  alias MavRouter.Signing.Verifiers.Verifier
+  alias MavRouter.Signing.Verifiers
   alias MavCodec.FrameSplitter
   alias MavCodec.Frame
 

@@ -4,7 +4,8 @@ defmodule MavRouter.Signing.RotationTest do
   use Aerie.SigningCase
 
   alias MavRouter.Signing
-  alias MavRouter.Signing.{KeyFiles, KeyStore}
+  alias MavRouter.Signing.KeyStore.KeyFiles
+  alias MavRouter.Signing.KeyStore
 
   @moduletag :tmp_dir
   @moduletag :capture_log

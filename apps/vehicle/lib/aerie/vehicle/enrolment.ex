@@ -8,7 +8,8 @@ defmodule Aerie.Vehicle.Enrolment do
 
   So that nobody is locked out, a new key goes through two phases:
 
-  1. **staged**: the key is on the disk (`MavRouter.Signing.KeyFiles`) before it is sent. The key in force stays in use in both
+  1. **staged**: the key is on the disk (`MavRouter.Signing.KeyStore.KeyFiles`) before it is sent. The key in force
+  stays in use in both
      directions. A signature that does not match it is tried with the staged key.
   2. **proven**: the first frame that is signed with the staged key puts it in force, whether or not a caller still waits,
      even an hour later or after a restart.

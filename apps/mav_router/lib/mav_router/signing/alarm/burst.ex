@@ -1,4 +1,4 @@
-defmodule MavRouter.Signing.Burst do
+defmodule MavRouter.Signing.Alarm.Burst do
   @many 20
   @window_ms 10_000
   @quiet_ms 60_000

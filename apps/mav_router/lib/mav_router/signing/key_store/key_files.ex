@@ -1,4 +1,4 @@
-defmodule MavRouter.Signing.KeyFiles do
+defmodule MavRouter.Signing.KeyStore.KeyFiles do
   @moduledoc """
   The keys that vehicles were given, in `signing.dir/keys`, one file each, for its owner only:
 
@@ -13,7 +13,8 @@ defmodule MavRouter.Signing.KeyFiles do
   """
 
   alias Aerie.Base.Secret
-  alias MavRouter.Signing.{Key, State}
+  alias MavRouter.Signing.Key
+  alias MavRouter.Signing.KeyStore.State
 
   @max_files 4096
   @name ~r/\A([A-Za-z0-9_-]{1,64})-([0-9]{1,10})\.key(\.next)?\z/

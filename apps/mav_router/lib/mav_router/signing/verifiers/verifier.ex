@@ -1,4 +1,4 @@
-defmodule MavRouter.Signing.Verifier do
+defmodule MavRouter.Signing.Verifiers.Verifier do
   @moduledoc """
   The verdict on a frame by a scope's policy: pure, around `MavCodec.Signing`.
 

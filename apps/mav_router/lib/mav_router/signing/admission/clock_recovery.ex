@@ -1,4 +1,4 @@
-defmodule MavRouter.Signing.ClockRecovery do
+defmodule MavRouter.Signing.Admission.ClockRecovery do
   @moduledoc """
   Moves the clock of a vehicle that has the key but whose frames are refused as replayed or stale: its time stamps are behind those
   that were heard of it before. ArduPilot's clock nearly stands still while it hears nothing, and after a reboot starts from what it

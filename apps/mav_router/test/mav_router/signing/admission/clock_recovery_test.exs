@@ -1,4 +1,4 @@
-defmodule MavRouter.Signing.ClockRecoveryTest do
+defmodule MavRouter.Signing.Admission.ClockRecoveryTest do
   @moduledoc """
   An ArduPilot that signs, whose clock is behind what was heard of it: after a kill of the gateway, after its own. It is heard
   again as soon as it has heard us, and what was recorded of it is not (S3, S5).

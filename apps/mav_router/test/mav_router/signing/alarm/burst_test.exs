@@ -1,7 +1,7 @@
-defmodule MavRouter.Signing.BurstTest do
+defmodule MavRouter.Signing.Alarm.BurstTest do
   use ExUnit.Case, async: true
 
-  alias MavRouter.Signing.Burst
+  alias MavRouter.Signing.Alarm.Burst
 
   defp feed(burst, times), do: Enum.map_reduce(times, burst, &swap(Burst.add(&2, :wrong_signature, 1, &1)))
   defp swap({burst, verdict}), do: {verdict, burst}

@@ -1,4 +1,4 @@
-defmodule MavRouter.Signing.State do
+defmodule MavRouter.Signing.KeyStore.State do
   @moduledoc """
   The file of time stamps: from the tables to JSON and back, written so that a power cut leaves the old or the new file.
 

@@ -20,7 +20,7 @@ defmodule Bench do
     {:ok, _} =
       MavRouter.Router.Supervisor.start_link(
         gateway: gateway,
-        settings: MavRouter.Endpoints.Settings.from(%{})
+        settings: MavRouter.Router.Settings.from(%{})
       )
 
     {:ok, _} = Link.Supervisor.start_link(gateway: gateway, settings: Link.Settings.from(%{}))

@@ -15,7 +15,7 @@ defmodule Aerie.Config do
     * `links` has `id`, `url`, `network`, `label`, `enabled`, `secure` for each, the one of `mavlink.local_addr` included; `spec` is
       the parsed `MavRouter.Link.Spec`, `given` says whether somebody asked for it (a taken port is then an error)
     * `clients` is `:default` if they are not configured, otherwise a list of maps with `id`, `url`, `networks` and
-      their rules (`MavRouter.Endpoints.Settings`)
+      their rules (`MavRouter.Endpoints.Owner.RuleKeys`)
     * `vehicles` has `id`, `network`, `system_id` for each, the one of `vehicle_id` included
     * `sampling.groups` has `position_hz`, `attitude_hz` and `battery_change_threshold` worked in
     * `warnings` are settings that are allowed but probably not intended; `given` has the keys that were set, and where;

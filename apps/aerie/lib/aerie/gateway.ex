@@ -129,7 +129,7 @@ defmodule Aerie.Gateway do
       {Recorder.Supervisor, settings: Recorder.Settings.from(config)},
       {Policy.Supervisor, settings: Policy.Settings.from(config), read: fn -> policy(read.()) end},
       {Router.Supervisor,
-       settings: MavRouter.Endpoints.Settings.from(config),
+       settings: MavRouter.Router.Settings.from(config),
        vehicles: Vehicle.Supervisor,
        requests: Vehicle.Services.Streams,
        policy: Policy.MavlinkPolicy,

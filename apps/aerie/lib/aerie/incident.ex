@@ -83,7 +83,7 @@ defmodule Aerie.Incident do
       settings: settings,
       networks: Config.networks(config),
       sent?: Recorder.Settings.from(config).sent,
-      between: MavRouter.Endpoints.Settings.from(config).between_vehicles,
+      between: MavRouter.Router.Settings.from(config).between_vehicles,
       dir: Source.folder(source, config.recorder.dir),
       work: work,
       max_bytes: request.max_bytes,

@@ -158,9 +158,9 @@ defmodule MavRouter.Router do
 
   @doc """
   Changes rules of a link, a client or any other owner of endpoints while it runs, by keys of the configuration
-  (`MavRouter.Endpoints.Settings.changeable/0`); nil removes a rule, keys that are not given stay. The change holds
-  from the next frame on, for this owner only, until `reset/3`, or until the owner is removed or the gateway ends. It
-  survives a restart of the owner's process and of the router.
+  (`MavRouter.Endpoints.Owner.RuleKeys.changeable/0`); nil removes a rule, keys that are not given stay. The change
+  holds from the next frame on, for this owner only, until `reset/3`, or until the owner is removed or the gateway
+  ends. It survives a restart of the owner's process and of the router.
   """
   @spec configure(Names.gateway(), String.t(), map | keyword) :: :ok | {:error, Aerie.Base.Error.t()}
   defdelegate configure(gateway, id, changes), to: Rules, as: :change

@@ -11,7 +11,7 @@ defmodule Aerie.Config.Keys do
     MavRouter.Identity.Settings,
     MavRouter.Link.Settings,
     MavRouter.Client.Settings,
-    MavRouter.Endpoints.Settings,
+    MavRouter.Router.Settings,
     MavRouter.Signing.Settings,
     MavRouter.Recorder.Settings,
     Aerie.Vehicle.Settings,

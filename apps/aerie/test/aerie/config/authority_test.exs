@@ -143,7 +143,7 @@ defmodule Aerie.Config.AuthorityTest do
 
     [
       {"links[].secure", %{link() | "url" => "/dev/ttyUSB9"}, true, false, secure},
-      {"router.between_vehicles", %{}, "all", "none", &MavRouter.Endpoints.Settings.from(&1).between_vehicles}
+      {"router.between_vehicles", %{}, "all", "none", &MavRouter.Router.Settings.from(&1).between_vehicles}
       | owners
     ]
   end

@@ -3,7 +3,7 @@ defmodule Aerie.Config.RecipesTest do
   use ExUnit.Case, async: true
 
   alias Aerie.Config
-  alias MavRouter.Endpoints.Settings
+  alias MavRouter.Endpoints.Owner.RuleKeys
 
   @moduletag :tmp_dir
   @docs Path.expand("../../../../../docs", __DIR__)
@@ -32,7 +32,7 @@ defmodule Aerie.Config.RecipesTest do
       path = Path.join(dir, "gateway.yaml")
       File.write!(path, unquote(recipe))
       assert {:ok, config} = Config.load(path, [], env: %{})
-      for %{} = link <- config.links, do: assert({:ok, _options} = Settings.owner_options(link))
+      for %{} = link <- config.links, do: assert({:ok, _options} = RuleKeys.owner_options(link))
       clients = if config.clients == :default, do: [], else: config.clients
       for client <- clients, do: assert({:ok, _spec} = MavRouter.Client.Settings.client(client))
     end

@@ -4,15 +4,15 @@ defmodule FleetWeb.API.RuleChanges do
 
       {"rate_limits": {"ATTITUDE": 4}, "filter_out": {"block_messages": ["RAW_IMU"]}, "bytes_per_s": null}
 
-  The keys are those of the configuration (`MavRouter.Endpoints.Settings.changeable/0`); null removes a rule. This
+  The keys are those of the configuration (`MavRouter.Endpoints.Owner.RuleKeys.changeable/0`); null removes a rule. This
   module checks the shape of a value; `MavRouter.Router.configure/3` checks its meaning.
   """
 
   alias MavRouter.Endpoints.Owner.Filter
-  alias MavRouter.Endpoints.Settings
+  alias MavRouter.Endpoints.Owner.RuleKeys
   alias FleetWeb.API.{Error, Request}
 
-  @keys Map.new(Settings.changeable(), &{Atom.to_string(&1), &1})
+  @keys Map.new(RuleKeys.changeable(), &{Atom.to_string(&1), &1})
   @filter_keys Map.new(Filter.keys(), &{Atom.to_string(&1), &1})
   @roles %{"full" => :full, "read_only" => :read_only}
   @most 256

@@ -1,8 +1,8 @@
 defmodule MavRouter.Client.Settings do
   @moduledoc """
-  From the keys of the configuration (`clients`, see `config/gateway.example.yaml`) to a client's connection and the rules of
-  its endpoints (`MavRouter.Endpoints.Settings`). Everything is checked here: the file, `MavRouter.Client.add/3` and
-  HTTP give the same errors.
+  From the keys of the configuration (`clients`, see `config/gateway.example.yaml`) to a client's connection and the
+  rules of its endpoints (`MavRouter.Endpoints.Owner.RuleKeys`). Everything is checked here: the file,
+  `MavRouter.Client.add/3` and HTTP give the same errors.
   """
   use Aerie.Base.Settings
 
@@ -13,7 +13,6 @@ defmodule MavRouter.Client.Settings do
   alias MavRouter.Link
   alias MavRouter.Link.{Spec, Transport}
   alias MavRouter.Endpoints.Owner
-  alias MavRouter.Endpoints.Settings
   alias MavRouter.Endpoints.Owner.RuleKeys
   alias MavRouter.Endpoints.Queue.ClassQueue
   alias Aerie.Base.Settings.Types
@@ -25,12 +24,13 @@ defmodule MavRouter.Client.Settings do
   setting :clients,
           {:list, {:section, client_fields()}},
           """
-          Endpoints for ground stations and other programs: udpin, udpout, udpbcast:ADDRESS:PORT, tcpin, tcp, or a DEVICE.
-          Default: TCP on 127.0.0.1, port 5790 or the next free one; [] for none. A ground station that calls a link (UDP
-          14550) becomes a client automatically, as long as no autopilot is heard from there.
+          Endpoints for ground stations and other programs: udpin, udpout, udpbcast:ADDRESS:PORT, tcpin, tcp, or a
+          DEVICE. Default: TCP on 127.0.0.1, port 5790 or the next free one; [] for none. A ground station that calls a
+          link (UDP 14550) becomes a client automatically, as long as no autopilot is heard from there.
           """,
           example:
-            ~S([{id: field-laptop, url: "udpout:192.168.1.20:14550", rate_limits: {ATTITUDE: 4}, filter_out: {block_messages: [RAW_IMU]}}])
+            ~S([{id: field-laptop, url: "udpout:192.168.1.20:14550", rate_limits: {ATTITUDE: 4}, filter_out:
+            {block_messages: [RAW_IMU]}}])
 
   section "limits"
 
@@ -43,7 +43,8 @@ defmodule MavRouter.Client.Settings do
       field(
         :networks,
         {:one_or_list, Types.token()},
-        "Networks that it sees, all if left out. If two have the same system id, it sees that of the network named first.",
+        "Networks that it sees, all if left out. If two have the same system id, it sees that of the network named
+        first.",
         default: [],
         filled: true
       ),
@@ -51,8 +52,8 @@ defmodule MavRouter.Client.Settings do
         :id_offsets,
         {:map, {:integer, 0, 238}},
         """
-        Offsets that are added to the system ids of a network for this client, so that it sees vehicles with the same id on
-        several networks. This changes frames; not possible for networks with signing keys.
+        Offsets that are added to the system ids of a network for this client, so that it sees vehicles with the same
+        id on several networks. This changes frames; not possible for networks with signing keys.
         """,
         default: %{},
         example: "{north: 10, south: 20}"
@@ -66,7 +67,8 @@ defmodule MavRouter.Client.Settings do
       field(
         :served,
         :boolean,
-        "The gateway gives it parameters and plans while they are known to be the vehicle's, instead of having the vehicle read once for each client.",
+        "The gateway gives it parameters and plans while they are known to be the vehicle's, instead of having the
+        vehicle read once for each client.",
         default: struct(Owner).served
       ),
       field(
@@ -106,7 +108,7 @@ defmodule MavRouter.Client.Settings do
   @doc "Whether a map has only keys that a client can have."
   @spec known(map) :: :ok | {:error, Error.t()}
   def known(client) do
-    known = [:url, :id, :label, :networks, :from] ++ Settings.changeable()
+    known = [:url, :id, :label, :networks, :from] ++ RuleKeys.changeable()
 
     case Map.keys(client) -- known do
       [] ->
@@ -125,7 +127,7 @@ defmodule MavRouter.Client.Settings do
   - `:networks` - names of networks that it sees, the preferred one first; default all, also those that are added later
   - `:network` - the gateway's own network
   - `:from` - `:remote` if somebody on another machine asks, who must not name devices and files of this one; `:local`
-  - `:label` and the rules (`MavRouter.Endpoints.Settings.owner_options/1`)
+  - `:label` and the rules (`MavRouter.Endpoints.Owner.RuleKeys.owner_options/1`)
   """
   @spec client(map) :: {:ok, Spec.t()} | {:error, String.t()}
   def client(%{url: url} = map) do
@@ -135,7 +137,7 @@ defmodule MavRouter.Client.Settings do
          :ok <- gcs_problem(Spec.said(url), map),
          :ok <- networks(networks),
          {:ok, options} <-
-           Settings.owner_options(map |> Map.put(:networks, networks) |> Map.put(:side, :client)),
+           RuleKeys.owner_options(map |> Map.put(:networks, networks) |> Map.put(:side, :client)),
          {:ok, spec} <-
            spec(
              url,

@@ -13,7 +13,7 @@ defmodule MavRouter.Endpoints.Rules do
   alias MavRouter.Endpoints
   alias MavRouter.Endpoints.Owner
   alias MavRouter.Endpoints.Owner.SavedRules
-  alias MavRouter.Endpoints.Settings
+  alias MavRouter.Endpoints.Owner.RuleKeys
   alias MavRouter.Tables
 
   @typedoc "What holds now, by key of the configuration; nil for no rule."
@@ -59,13 +59,13 @@ defmodule MavRouter.Endpoints.Rules do
   defp differing(owner, changes) do
     changes
     |> Map.new(fn {key, value} ->
-      {key, %{now: if(Settings.empty?(value), do: nil, else: value), configured: configured(owner, key)}}
+      {key, %{now: if(RuleKeys.empty?(value), do: nil, else: value), configured: configured(owner, key)}}
     end)
     |> Map.reject(fn {_key, %{now: now, configured: configured}} -> now == configured end)
   end
 
   # Owners keep options; the configuration has another form.
-  defp configured(owner, key), do: Settings.key(key, owner.configured)
+  defp configured(owner, key), do: RuleKeys.key(key, owner.configured)
 
   defp put(gateway, tables, owner, changes) do
     with {:ok, owner} <- SavedRules.apply_to(owner, changes) do
@@ -80,7 +80,7 @@ defmodule MavRouter.Endpoints.Rules do
   end
 
   defp known(changes) do
-    case Map.keys(changes) -- Settings.changeable() do
+    case Map.keys(changes) -- RuleKeys.changeable() do
       [] -> {:ok, changes}
       [key | _] -> Error.new({:invalid, "#{inspect(key)} is not a rule that can be changed at run time"})
     end

@@ -215,7 +215,7 @@ defmodule MavRouter.Link.Settings do
         _fine -> []
       end
 
-    rules = MavRouter.Endpoints.Settings.wrong(link)
+    rules = MavRouter.Endpoints.Owner.RuleKeys.wrong(link)
     exposed ++ if(rules, do: [problem(["links", index], "rules that make sense", rules)], else: [])
   end
 

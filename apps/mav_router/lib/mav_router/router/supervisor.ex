@@ -9,11 +9,11 @@ defmodule MavRouter.Router.Supervisor do
 
   alias Aerie.Base.Names
   alias MavRouter.Router.AutoSystemId
-  alias MavRouter.Endpoints.Settings
+  alias MavRouter.Router.Settings
   alias MavRouter.Tables
 
   @doc """
-  Options: `:gateway`, `:settings` (`MavRouter.Endpoints.Settings`); `:vehicles` (`MavRouter.Router.Vehicles`),
+  Options: `:gateway`, `:settings` (`MavRouter.Router.Settings`); `:vehicles` (`MavRouter.Router.Vehicles`),
   `:requests` (`MavRouter.Sharing.Requests`), `:policy` (`MavRouter.Router.Policy`) and `:readings`
   (`MavRouter.Sharing.ReadCache`), modules, none by default; `:turns_clock`, see `MavRouter.Sharing.TransferLock`;
   `:children`, child specifications of what is supervised beside the router's own processes.

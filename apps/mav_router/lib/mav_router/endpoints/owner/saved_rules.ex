@@ -4,7 +4,7 @@ defmodule MavRouter.Endpoints.Owner.SavedRules do
 
   alias Aerie.Base.{Error, Names, Store}
   alias MavRouter.Endpoints.Owner
-  alias MavRouter.Endpoints.Settings
+  alias MavRouter.Endpoints.Owner.RuleKeys
 
   @doc "An owner as configured, with its remembered changes."
   @spec restore(Names.gateway(), Owner.t()) :: Owner.t()
@@ -30,9 +30,9 @@ defmodule MavRouter.Endpoints.Owner.SavedRules do
   @doc "An owner as configured, with these changes."
   @spec apply_to(Owner.t(), %{atom => term}) :: {:ok, Owner.t()} | {:error, Error.t()}
   def apply_to(owner, changes) do
-    gone = for {key, value} <- changes, Settings.empty?(value), do: Settings.option(key)
+    gone = for {key, value} <- changes, RuleKeys.empty?(value), do: RuleKeys.option(key)
 
-    with {:ok, options} <- Settings.owner_options(changes),
+    with {:ok, options} <- RuleKeys.owner_options(changes),
          options = owner.configured |> Keyword.drop(gone) |> Keyword.merge(options, &merged/3),
          {:ok, changed} <- Owner.new(owner.id, options) do
       {:ok, %{changed | configured: owner.configured}}

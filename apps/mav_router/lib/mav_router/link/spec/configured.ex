@@ -2,13 +2,13 @@ defmodule MavRouter.Link.Spec.Configured do
   @moduledoc "From a link as the configuration has it (`MavRouter.Link.Settings`, `links`) to its `MavRouter.Link.Spec`. Pure."
 
   alias MavRouter.Link.Spec
-  alias MavRouter.Endpoints.Settings
+  alias MavRouter.Endpoints.Owner.RuleKeys
 
   @doc "The spec; `url` is required, the other keys may be left out. The error is a text."
   @spec spec(map()) :: {:ok, Spec.t()} | {:error, String.t()}
   def spec(%{url: url} = link) do
     with [] <- contradictions(link),
-         {:ok, router} <- Settings.owner_options(Map.new(link)),
+         {:ok, router} <- RuleKeys.owner_options(Map.new(link)),
          {:ok, spec} <-
            Spec.parse(url, id: link[:id], network: link[:network], options: options(link, router)) do
       {:ok, spec}

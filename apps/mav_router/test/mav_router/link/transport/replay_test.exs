@@ -7,7 +7,7 @@ defmodule MavRouter.Link.Transport.ReplayTest do
   alias MavRouter.Link
 
   @moduletag :tmp_dir
-  @fixture Path.expand("../../../../mav_codec/test/fixtures/captures/px4_flight_start.tlog.gz", __DIR__)
+  @fixture Path.expand("../../../../../mav_codec/test/fixtures/captures/px4_flight_start.tlog.gz", __DIR__)
 
   setup c do
     path = Path.join(c.tmp_dir, "flight.tlog")
@@ -65,7 +65,7 @@ defmodule MavRouter.Link.Transport.ReplayTest do
   end
 
   describe "times that are none" do
-    @times Path.expand("../../../../mav_codec/test/fixtures/recordings", __DIR__)
+    @times Path.expand("../../../../../mav_codec/test/fixtures/recordings", __DIR__)
 
     for name <- ["clock-set.tlog", "first-zero.tlog"] do
       test "#{name}: what was recorded before the clock was set is played, and then at once what came after",

@@ -20,7 +20,7 @@ defmodule FleetWeb.Changes do
   @elsewhere [
     :command,
     :cancel_command,
-    :transfer,
+    :operation,
     :update_shadow,
     :delete_shadow,
     :begin_operation,

@@ -9,7 +9,8 @@ defmodule Aerie.Control.Commands do
   """
 
   alias Aerie.Base.Names
-  alias Aerie.Control.{CommandExecutor, Ledger, Offers, Policy, TransferExecutor}
+  alias Aerie.Control.{CommandExecutor, Ledger, Policy, TransferExecutor}
+  alias Aerie.Control.CommandExecutor.Offers
   alias Aerie.Vehicle.Command
   alias Aerie.Vehicle.Command.{Error, Result}
 

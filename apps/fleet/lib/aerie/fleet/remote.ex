@@ -1,12 +1,12 @@
 defmodule Aerie.Fleet.Remote do
   @moduledoc """
-  Vehicles of other gateways: their state comes by `Aerie.Fleet.Remote.Listener`, commands go to them by this module, as NATS requests on
-  `fleet.{environment}.{vehicle}.cmd.{type}`.
+  Vehicles of other gateways: their state comes by `Aerie.Fleet.Remote.Listener`, commands go to them by this module,
+  as NATS requests on `fleet.{environment}.{vehicle}.cmd.{type}`.
 
-  The other gateway identifies this one by the signature (`remote.nkey_seed_file`) and decides by its own policy. The id stays, so
-  its ledger keeps the command from being done twice. Nothing is queued: if nobody listens, or the vehicle is lost, the answer is
-  `failed` with the rule `unreachable` at once, and nothing was sent. Parameters and plans go the same way, on the subjects that
-  `Aerie.Fleet.Bridge.Commands.Transfers` answers.
+  The other gateway identifies this one by the signature (`remote.nkey_seed_file`) and decides by its own policy. The
+  id stays, so its ledger keeps the command from being done twice. Nothing is queued: if nobody listens, or the
+  vehicle is lost, the answer is `failed` with the rule `unreachable` at once, and nothing was sent. Parameters and
+  plans go the same way, on the subjects that `Aerie.Fleet.Bridge.Commands.Operation` answers.
   """
   @behaviour Aerie.Control.Commands.RemoteGateway
 
@@ -14,7 +14,7 @@ defmodule Aerie.Fleet.Remote do
   alias Aerie.Fleet
   alias Aerie.Fleet.{Bridge, Nats}
   alias Aerie.Vehicle.Command
-  alias Aerie.Fleet.Bridge.Commands.Transfers
+  alias Aerie.Fleet.Bridge.Commands.Operation
   alias Aerie.Vehicle.Command.Result
   alias Aerie.Control.Policy.Signature
 
@@ -49,7 +49,7 @@ defmodule Aerie.Fleet.Remote do
     limit = if timeout_ms, do: %{"timeout" => timeout_ms / 1000}, else: %{}
     text = body |> Map.merge(%{"id" => id, "source" => who}) |> Map.merge(limit) |> JSON.encode!()
 
-    if byte_size(text) > Transfers.max_bytes() do
+    if byte_size(text) > Operation.max_bytes() do
       {:error,
        Result.new(id, :failed, "it is larger than what NATS carries: ask its gateway", %{"rule" => "size"})}
     else

@@ -2,7 +2,7 @@ defmodule Aerie.Fleet.AsyncAPITest do
   use ExUnit.Case, async: true
 
   alias Aerie.Fleet.AsyncAPI
-  alias Aerie.Fleet.Bridge.Commands.Transfers
+  alias Aerie.Control.Operations
   alias Aerie.Fleet.Bridge.Hub.Accounts
   alias Aerie.Fleet.Shadow.Buckets
   alias Aerie.Vehicle.Command
@@ -45,7 +45,7 @@ defmodule Aerie.Fleet.AsyncAPITest do
         do: assert(operation["channel"]["$ref"] == "#/channels/#{id}")
   end
 
-  test "the subjects are those that a vehicle's account at the hub may use, and those of commands, shadow and operations",
+  test "has the subjects of a vehicle's account at the hub, of commands, the shadow and operations",
        %{
          document: document
        } do
@@ -83,10 +83,10 @@ defmodule Aerie.Fleet.AsyncAPITest do
         for name <- Command.Types.names(), do: "fleet.prod.VID-001.cmd.#{name}.progress.a1"
 
       [area, "*"] ->
-        for {^area, one} <- Transfers.all(), do: "fleet.prod.VID-001.#{area}.#{one}"
+        for name <- Operations.names(area), do: "fleet.prod.VID-001.#{name}"
 
       [area, "*" | _progress] ->
-        for {^area, one} <- Transfers.all(), do: "fleet.prod.VID-001.#{area}.#{one}.progress.a1"
+        for name <- Operations.names(area), do: "fleet.prod.VID-001.#{name}.progress.a1"
     end
   end
 

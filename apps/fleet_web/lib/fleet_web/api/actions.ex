@@ -7,8 +7,19 @@ defmodule FleetWeb.API.Actions do
   alias Aerie.Vehicle.Command.Types
 
   alias FleetWeb.API.{Commands, Error, EventsQuery, FleetOperations, ClientRequest, LinkRequest, LogLevels}
-  alias FleetWeb.API.{OpenAPI, Recordings, Request, Routes, RuleChanges, Shadow, SigningCapability}
-  alias FleetWeb.API.{SigningRequest, Tickets, Transfers, View}
+
+  alias FleetWeb.API.{
+    OpenAPI,
+    Operations,
+    Recordings,
+    Request,
+    Routes,
+    RuleChanges,
+    Shadow,
+    SigningCapability
+  }
+
+  alias FleetWeb.API.{SigningRequest, Tickets, View}
 
   @signing_results %{enrol: "enrolled", revoke: "revoked", discard: "discarded"}
 
@@ -146,7 +157,7 @@ defmodule FleetWeb.API.Actions do
     state.gateway |> Commands.cancel(id(request), command(request), state.requester) |> answer(202, request)
   end
 
-  def run({:transfer, action}, state, request), do: Transfers.run(action, state, request)
+  def run({:operation, choices}, state, request), do: Operations.run(choices, state, request)
 
   def run(:shadow, state, request), do: state.gateway |> Shadow.get(id(request)) |> answer(200, request)
 

@@ -1,13 +1,12 @@
 defmodule FleetWeb.API.Bodies do
   @moduledoc """
-  The schemas of the bodies of `/api` by the names that routes have: as strict as what reads them, but for the content of connection strings,
-  plans and files of parameters. Pure.
+  The schemas of the bodies of `/api` by the names that routes have: as strict as what reads them, but for the content
+  of connection strings, plans and files of parameters. Pure.
   """
 
   import Aerie.Base.JsonSchema
 
   alias Aerie.Base.Log
-  alias Aerie.Fleet.Bridge.Commands.Transfers
   alias Aerie.Fleet.{Operations, Shadow}
   alias Aerie.Vehicle.Command
   alias MavRouter.Endpoints.RulesSchema
@@ -33,14 +32,18 @@ defmodule FleetWeb.API.Bodies do
       command: %{oneOf: for(type <- Command.Types.all(), do: Command.Schema.envelope(type, type?: true))},
       shadow: Shadow.Schema.update(false),
       operation: Operations.Schema.request(false),
-      param: object(%{id: nullable(token()), value: Transfers.Schema.value()}, [:value]),
-      params: object(%{id: nullable(token()), values: Transfers.Schema.values()}, [:values]),
-      plan: Transfers.Schema.plan(),
-      upload: object(%{id: nullable(token()), plan: ref(:plan), force: %{type: [:boolean, :null]}}, [:plan])
+      result: Command.Schema.result(),
+      under_way:
+        object(%{id: token(), vehicle: token(), state: %{const: "under_way"}}, [:id, :vehicle, :state])
     }
 
     shared = Map.delete(Shadow.Schema.shared(), "actual_fields")
-    own |> Map.merge(Command.Schema.shared()) |> Map.merge(Operations.Schema.shared()) |> Map.merge(shared)
+
+    own
+    |> Map.merge(FleetWeb.API.Operations.schemas())
+    |> Map.merge(Command.Schema.shared())
+    |> Map.merge(Operations.Schema.shared())
+    |> Map.merge(shared)
   end
 
   defp url(pattern), do: %{type: :string, maxLength: 512, pattern: pattern, examples: ["udpin:0.0.0.0:14550"]}

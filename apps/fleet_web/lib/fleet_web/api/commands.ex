@@ -7,7 +7,8 @@ defmodule FleetWeb.API.Commands do
   """
 
   alias Aerie.Vehicle.Command.{Result, Types}
-  alias Aerie.Control.{Commands, Offers, Policy}
+  alias Aerie.Control.{Commands, Policy}
+  alias Aerie.Control.CommandExecutor.Offers
   alias Aerie.Control.Commands.Record
   alias Aerie.Control.Policy.{Roles, Sources}
   alias FleetWeb.API.{Access, Error}

@@ -20,8 +20,8 @@ defmodule FleetWeb.API.OpenAPI do
         title: "Aerie",
         version: version(),
         description:
-          "The REST interface of an Aerie gateway; docs/clients.md, docs/commands.md and docs/transfers.md explain it. The " <>
-            "fields of vehicles, events and links are in docs/telemetry.md."
+          "The REST interface of an Aerie gateway; docs/clients.md, docs/commands.md and docs/transfers.md explain " <>
+            "it. The fields of vehicles, events and links are in docs/telemetry.md."
       },
       servers: [%{url: "http://127.0.0.1:4000"}],
       security: [%{key: []}, %{bearer: []}, %{}],
@@ -76,7 +76,9 @@ defmodule FleetWeb.API.OpenAPI do
 
   defp in_query(name) do
     {name, schema, meaning} = Parameters.in_query(name)
-    %{name: name, in: :query, required: false, description: meaning, schema: schema}
+    parameter = %{name: name, in: :query, required: false, description: meaning, schema: schema}
+    # A list is separated by commas.
+    if schema[:type] == :array, do: Map.put(parameter, :explode, false), else: parameter
   end
 
   defp with_body(operation, nil), do: operation
@@ -103,7 +105,7 @@ defmodule FleetWeb.API.OpenAPI do
       if String.starts_with?(route.path, "/api/vehicles/:id/"), do: @errors ++ @command_errors, else: @errors
 
     done = %{"#{route.status}" => answer(route.answer)}
-    later = if route.later, do: %{"202" => answer(:object)}, else: %{}
+    later = if route.later, do: %{"202" => answer(:under_way)}, else: %{}
 
     errors
     |> Map.new(&{"#{&1}", %{"$ref": "#/components/responses/error#{&1}"}})
@@ -113,12 +115,13 @@ defmodule FleetWeb.API.OpenAPI do
 
   defp answer(nil), do: %{description: "Done."}
 
-  defp answer({:bytes, types}),
-    do: %{description: "Done.", content: content(Enum.uniq(["application/json" | types]), :object)}
+  defp answer({:bytes, types, name}), do: %{description: "Done.", content: content(types, name)}
 
   defp answer(schema),
     do: %{description: "Done.", content: %{"application/json" => %{schema: schema(schema)}}}
 
+  defp schema([name]), do: schema(name)
+  defp schema(names) when is_list(names), do: %{anyOf: Enum.map(names, &schema/1)}
   defp schema(name), do: %{"$ref": "#/components/schemas/#{name}"}
 
   defp response(status),

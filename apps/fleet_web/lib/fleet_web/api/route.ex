@@ -1,6 +1,7 @@
 defmodule FleetWeb.API.Route do
   @moduledoc """
-  One method of one path of `/api`: a row of `FleetWeb.API.Routes`. Dispatch, the access check and `docs/openapi.json` all read it here.
+  One method of one path of `/api`: a row of `FleetWeb.API.Routes`. Dispatch, the access check and `docs/openapi.json`
+  all read it here.
 
   | field | meaning |
   |---|---|
@@ -8,10 +9,10 @@ defmodule FleetWeb.API.Route do
   | `action` | the clause of `FleetWeb.API.Actions.run/3` that answers |
   | `role` | the least role that may; a viewer may read everything |
   | `summary` | one line, for the description |
-  | `body` | the request's body: a name of `FleetWeb.API.Bodies`, or `{:bytes, media types, name of the one as JSON}`; nil for none |
-  | `query` | names of parameters (`FleetWeb.API.Parameters`) |
+  | `body` | the name of a schema (`FleetWeb.API.Bodies`), `{:bytes, media types, name of the one as JSON}`, or nil for none |
+  | `query` | names of parameters (`FleetWeb.API.Parameters`), or `{name, schema, meaning}` |
   | `status` | of the answer; with `later: true` also 202: the command goes on |
-  | `answer` | `:object`, nil for none, or `{:bytes, media types}` beside JSON |
+  | `answer` | names of schemas, nil for none, or `{:bytes, media types, names of those as JSON}` |
   """
 
   alias Aerie.Control.Policy.Roles
@@ -31,7 +32,8 @@ defmodule FleetWeb.API.Route do
   ]
 
   @type action :: atom() | tuple()
-  @type body :: atom() | {:bytes, [String.t()], atom()} | nil
+  @type body :: schema() | {:bytes, [String.t()], schema()} | nil
+  @type schema :: atom() | String.t()
   @type t :: %__MODULE__{
           method: String.t(),
           path: String.t(),
@@ -39,10 +41,10 @@ defmodule FleetWeb.API.Route do
           role: Roles.role(),
           summary: String.t(),
           body: body(),
-          query: [atom() | {:format, [String.t()]}],
+          query: [atom() | {:format, [String.t()]} | {atom() | String.t(), map(), String.t()}],
           status: 200..299,
           later: boolean(),
-          answer: :object | nil | {:bytes, [String.t()]}
+          answer: schema() | [schema()] | {:bytes, [String.t()], schema() | [schema()] | nil} | nil
         }
 
   @doc "A route that reads: open to every admitted requester."

@@ -1,17 +1,18 @@
 defmodule FleetWeb.API.Routes do
   @moduledoc """
   Every method of every path below `/api`: one table of `FleetWeb.API.Route`, from which dispatch, the access check (`FleetWeb.Rights`)
-  and `docs/openapi.json` (`FleetWeb.API.OpenAPI`) come. A new one is a row of `FleetWeb.API.Routes.Gateway` or
-  `FleetWeb.API.Routes.Vehicle` and a clause of `FleetWeb.API.Actions.run/3`.
+  and `docs/openapi.json` (`FleetWeb.API.OpenAPI`) come. A new one is an operation of
+  `Aerie.Control.Operations`, or a row of `FleetWeb.API.Routes.Gateway` or `FleetWeb.API.Routes.Vehicle` and a clause of
+  `FleetWeb.API.Actions.run/3`.
   """
 
-  alias FleetWeb.API.{Error, Route}
+  alias FleetWeb.API.{Error, Operations, Route}
   alias FleetWeb.API.Routes.{Gateway, Vehicle}
 
   @typedoc "The path of a resource as it is in the table; `:missing` for one that is not there."
   @type resource :: String.t() | :missing
 
-  @routes Gateway.rows() ++ Vehicle.rows()
+  @routes Gateway.rows() ++ Vehicle.rows() ++ Operations.routes()
   @grouped for path <- Enum.uniq(Enum.map(@routes, & &1.path)),
                do: {path, Enum.sort(for(%{path: ^path, method: method} <- @routes, do: method))}
 

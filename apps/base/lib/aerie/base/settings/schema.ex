@@ -1,15 +1,16 @@
 defmodule Aerie.Base.Settings.Schema do
   @moduledoc """
-  Checks a tree of plain values against a list of `Aerie.Base.Settings.Field`s and gives the typed tree, or every problem at once.
+  Checks a tree of plain values against a list of `Aerie.Base.Settings.Field`s and gives the typed tree, or every
+  problem at once.
 
-  Pure. Input values are what YAML gives (maps with string keys, lists, scalars). A value may also be `{:text, string}` or
-  `{:text, string, decode}`: a value from the environment or the command line, which is read as the type of its key.
-  `decode` reads a text that stands for a list or a map, as `{:ok, value}` or `{:error, %{expected: words, got: words}}`.
+  Pure. Input values are what YAML gives (maps with string keys, lists, scalars). A value may also be
+  `{:text, string}` or `{:text, string, decode}`: a value from the environment or the command line, which is read as
+  the type of its key. `decode` reads a text that stands for a list or a map, as `{:ok, value}` or
+  `{:error, %{expected: words, got: words}}`.
   """
 
-  alias Aerie.Base.Address
-  alias Aerie.Base.Secret
-  alias Aerie.Base.Settings.Field
+  alias Aerie.Base.{Address, Json, Secret}
+  alias Aerie.Base.Settings.{Field, Types}
 
   @type path :: [String.t() | non_neg_integer()]
   @typedoc "A problem without its file: the caller knows which source a path came from."
@@ -40,8 +41,8 @@ defmodule Aerie.Base.Settings.Schema do
   defp completed(_field, value), do: value
 
   @doc """
-  What callers in Elixir write, as the schema reads it: names of keys and values of enumerations are strings there, and a key
-  that is nil is left out.
+  What callers in Elixir write, as the schema reads it: names of keys and values of enumerations are strings there,
+  and a key that is nil is left out.
   """
   @spec plain(term()) :: term()
   def plain(map) when is_map(map) and not is_struct(map),
@@ -216,7 +217,10 @@ defmodule Aerie.Base.Settings.Schema do
   defp scalar(:boolean, bool) when is_boolean(bool), do: {:ok, bool}
   defp scalar(:boolean, {:text, text}) when text in ~w(true 1 yes on), do: {:ok, true}
   defp scalar(:boolean, {:text, text}) when text in ~w(false 0 no off), do: {:ok, false}
-  defp scalar({:integer, min, max}, n) when is_integer(n) and n >= min and n <= max, do: {:ok, n}
+
+  # JSON writers turn 3 into 3.0 at will; the range goes first, because trunc/1 of a huge float is a huge integer.
+  defp scalar({:integer, min, max}, n) when is_number(n) and n >= min and n <= max and trunc(n) == n,
+    do: {:ok, trunc(n)}
 
   defp scalar({:integer, _, _} = type, {:text, text}) do
     with {n, ""} <- Integer.parse(text), do: scalar(type, n), else: (_ -> :error)
@@ -238,6 +242,15 @@ defmodule Aerie.Base.Settings.Schema do
   defp scalar({:parse, fun, _}, text) when is_binary(text), do: fun.(text)
   defp scalar({:parse, fun, _}, number) when is_integer(number), do: fun.(Integer.to_string(number))
   defp scalar({:parse, _, _} = type, {:text, text}), do: scalar(type, text)
+  defp scalar({:term, fun, _}, {:text, text}), do: fun.(text)
+  defp scalar({:term, fun, _}, value), do: fun.(value)
+
+  defp scalar(type, {:text, text}) when type == :token or elem(type, 0) in [:text, :bytes],
+    do: scalar(type, text)
+
+  defp scalar(:token, text) when is_binary(text), do: Types.parse_token(text)
+  defp scalar({:text, min, max}, text), do: if(Json.text?(text, min, max), do: {:ok, text}, else: :error)
+  defp scalar({:bytes, max}, text) when is_binary(text) and byte_size(text) in 1..max//1, do: {:ok, text}
   defp scalar(_type, _raw), do: :error
 
   defp blank?(text), do: String.trim(text) == ""

@@ -1,20 +1,21 @@
 defmodule Aerie.Fleet.AsyncAPI.Channels do
   @moduledoc """
-  The subjects of NATS that are described: one row each, with its messages. The subjects `hub.…` of a leaf node carry the same messages
-  (docs/fleet.md) and are not repeated. Pure.
+  The subjects of NATS that are described: one row each, with its messages. The subjects `hub.…` of a leaf node carry
+  the same messages (docs/fleet.md) and are not repeated. Pure.
   """
 
   import Aerie.Base.JsonSchema
 
   alias Aerie.Fleet.AsyncAPI.Schemas
-  alias Aerie.Fleet.Bridge.Commands.Transfers
+  alias Aerie.Control.Operations
   alias Aerie.Fleet.Bridge.Message
   alias Aerie.Vehicle.Command
 
   @vehicle "fleet.{environment}.{vehicle}"
 
   @typedoc """
-    * `:action` - what the gateway does: `:send`, `:receive`, or nil for a bucket that it reads and writes, and for the inbox
+    * `:action` - what the gateway does: `:send`, `:receive`, or nil for a bucket that it reads and writes, and for
+      the inbox
     * `:replies` - the messages of the answer
   """
   @type t :: %{
@@ -58,7 +59,8 @@ defmodule Aerie.Fleet.AsyncAPI.Channels do
         "event",
         Message.event_subject("{environment}", %{vehicle: "{publisher}", type: "{type}"}),
         :send,
-        "What happened, at least once: the id says whether it is a copy. The stream FLEET_EVENTS keeps them, or one for each vehicle.",
+        "What happened, at least once: the id says whether it is a copy. The stream FLEET_EVENTS keeps them, or one " <>
+          "for each vehicle.",
         types
       ),
       row("cmd.progress", "#{@vehicle}.cmd.{command}.progress.{id}", :send, "The progress of a command.", [
@@ -99,14 +101,11 @@ defmodule Aerie.Fleet.AsyncAPI.Channels do
   defp signed, do: [headers: "headers.request"]
 
   defp transfers do
-    for {area, operation} = what <- Transfers.all(), name = "#{area}.#{operation}" do
-      meaning = Schemas.transfer(what)
-
+    for %{name: name, meaning: meaning} = operation <- Operations.all() do
       replies =
-        if Transfers.changes?(what), do: ["result", "refusal"], else: ["answer.#{name}", "result", "refusal"]
+        if operation.changes?, do: ["result", "refusal"], else: ["answer.#{name}", "result", "refusal"]
 
-      request = message(name, meaning, signed())
-      row(name, "#{@vehicle}.#{name}", :receive, meaning, [request], replies)
+      row(name, "#{@vehicle}.#{name}", :receive, meaning, [message(name, meaning, signed())], replies)
     end
   end
 
@@ -188,7 +187,7 @@ defmodule Aerie.Fleet.AsyncAPI.Channels do
   @doc "The parts of the subjects that are in braces."
   @spec parameters() :: map()
   def parameters do
-    areas = Transfers.all()
+    areas = for %{name: name} <- Operations.all(), do: String.split(name, ".")
     one_of = fn list -> %{enum: Enum.uniq(list)} end
 
     %{
@@ -207,8 +206,8 @@ defmodule Aerie.Fleet.AsyncAPI.Channels do
           "The type of the event. One with a dot is two tokens of the subject."
         ),
       command: described(one_of.(Command.Types.names()), "The type of the command."),
-      area: described(one_of.(Enum.map(areas, &elem(&1, 0))), "The area of the request."),
-      operation: described(one_of.(Enum.map(areas, &elem(&1, 1))), "The operation of the request."),
+      area: described(one_of.(Enum.map(areas, &hd/1)), "The area of the request."),
+      operation: described(one_of.(Enum.map(areas, &List.last/1)), "The operation of the request."),
       id: described(%{}, "The id of the request: 1 to 64 letters, digits, - and _."),
       instance: described(%{}, "A start of a gateway."),
       key: described(%{}, "The command's id in base64 for URLs, without padding."),

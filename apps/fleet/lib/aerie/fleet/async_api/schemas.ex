@@ -3,35 +3,13 @@ defmodule Aerie.Fleet.AsyncAPI.Schemas do
 
   import Aerie.Base.JsonSchema
 
-  alias Aerie.Fleet.Bridge.Commands.Transfers
+  alias Aerie.Fleet.Bridge.Commands.Operation
   alias Aerie.Fleet.Bridge.Events.Gaps
   alias Aerie.Fleet.{Operations, Shadow}
   alias Aerie.Vehicle.{Command, Event, Fields, Kind}
   alias Aerie.Vehicle.State.Groups
 
   @type t :: Aerie.Base.JsonSchema.t()
-
-  @transfers %{
-    {"params", "list"} => "Lists all parameters.",
-    {"params", "get"} => "Reads one parameter.",
-    {"params", "set"} => "Sets one parameter.",
-    {"params", "load"} => "Sets several parameters, or those of a file.",
-    {"params", "metadata"} => "What the vehicle says of its parameters.",
-    {"mission", "get"} => "Reads the mission, the fence or the rally points.",
-    {"mission", "put"} => "Writes the mission, the fence or the rally points.",
-    {"mission", "clear"} => "Clears the mission, the fence or the rally points.",
-    {"files", "list"} => "Lists a folder on board.",
-    {"files", "read"} => "Reads a file on board.",
-    {"files", "write"} => "Writes a file on board.",
-    {"files", "remove"} => "Removes a file on board.",
-    {"files", "crc"} => "The checksum of a file on board.",
-    {"logs", "list"} => "Lists the logs on board.",
-    {"logs", "read"} => "Reads a piece of a log on board."
-  }
-
-  @doc "What an operation of an area does."
-  @spec transfer({area :: String.t(), operation :: String.t()}) :: String.t()
-  def transfer(what), do: Map.fetch!(@transfers, what)
 
   @doc "The actions of the shadow."
   @spec shadow_actions() :: [{atom(), String.t()}]
@@ -177,10 +155,10 @@ defmodule Aerie.Fleet.AsyncAPI.Schemas do
 
   defp transfers do
     requests =
-      for {area, operation} = what <- Transfers.all(),
-          do: {"#{area}.#{operation}", Transfers.Schema.request(what)}
+      for operation <- Aerie.Control.Operations.all(),
+          do: {operation.name, Operation.request_schema(operation)}
 
-    [{"plan", Transfers.Schema.plan()} | requests]
+    Map.to_list(Aerie.Control.Operations.shared()) ++ requests
   end
 
   defp shadow do
@@ -291,15 +269,36 @@ defmodule Aerie.Fleet.AsyncAPI.Schemas do
 
     [
       {"result", Command.Schema.result()},
-      {"refusal", Transfers.Schema.refusal()},
+      {"refusal", refusal()},
       {"refused", refused},
       {"answer.operation", ok.(Operations.Schema.operation(true))},
       {"answer.operation.list",
        object(%{result: %{const: "ok"}, operations: operations}, [:result, :operations], open: true)}
     ] ++
       for({action, schema} <- Shadow.Schema.answers(), do: {"answer.shadow.#{action}", schema}) ++
-      for {area, operation} = what <- Transfers.all(),
-          not Transfers.changes?(what),
-          do: {"answer.#{area}.#{operation}", Transfers.Schema.reply(what)}
+      for %{changes?: false, name: name} = operation <- Aerie.Control.Operations.all(),
+          do: {"answer.#{name}", Operation.reply_schema(operation)}
+  end
+
+  # A request that was not understood, or refused for its size.
+  defp refusal do
+    wrong =
+      object(
+        %{key: %{type: :string}, expected: %{type: :string}, got: %{type: [:string, :null]}},
+        [:key, :expected],
+        open: true
+      )
+
+    object(
+      %{
+        id: %{type: [:string, :null]},
+        result: %{enum: ~w(rejected denied failed)},
+        rule: described(%{type: :string}, "malformed, size, signature, policy, busy, …"),
+        reason: %{type: :string},
+        errors: %{type: :array, items: wrong}
+      },
+      [:id, :result, :rule, :reason],
+      open: true
+    )
   end
 end

@@ -3,14 +3,16 @@ defmodule Aerie.Fleet.Bridge.Commands do
   Commands over NATS: request and reply on `fleet.{environment}.{vehicle}.cmd.{type}`, in no stream.
 
   The gateway listens for the vehicles that it has heard, so a request for any other one is answered by the server (no
-  responders). Of several gateways that hear the same vehicle the one that holds it listens (`Aerie.Fleet.Shadow.Ownership`); the others leave it.
+  responders). Of several gateways that hear the same vehicle the one that holds it listens
+  (`Aerie.Fleet.Shadow.Ownership`); the others leave it.
 
-  So are requests for parameters, plans, files and logs (`Aerie.Fleet.Bridge.Commands.Transfers`), on subjects with their own area in the place of
-  `cmd`.
+  So are requests for parameters, plans, files and logs (`Aerie.Fleet.Bridge.Commands.Operation`), on subjects with
+  their own area in the place of `cmd`.
 
-  Each message is handled in a task, once `Aerie.Fleet.Bridge.Commands.Queue` has a place for it; `Aerie.Fleet.Bridge.Commands.Request` says who commands
-  what, `Aerie.Control.Commands` does the rest. The type `cancel` with the id of a command, or of a reading, cancels that one. Progress is published
-  on `….cmd.{type}.progress.{id}`.
+  Each message is handled in a task, once `Aerie.Fleet.Bridge.Commands.Queue` has a place for it;
+  `Aerie.Fleet.Bridge.Commands.Request` says who commands what, `Aerie.Control.Commands` does the rest. The type
+  `cancel` with the id of a command, or of a reading, cancels that one. Progress is published on
+  `….cmd.{type}.progress.{id}`.
 
   | what | limit | beyond it |
   |---|---|---|
@@ -21,7 +23,7 @@ defmodule Aerie.Fleet.Bridge.Commands do
   """
   use GenServer
 
-  alias Aerie.Fleet.Bridge.Commands.{Queue, Request, Transfers}
+  alias Aerie.Fleet.Bridge.Commands.{Operation, Queue, Request}
   alias Aerie.Fleet.Bridge.{Connection, Settings, Tables}
   alias Aerie.Base.{Json, Names, Store}
   alias Aerie.Control.{Commands, Policy}
@@ -44,8 +46,8 @@ defmodule Aerie.Fleet.Bridge.Commands do
   def vehicles(gateway), do: GenServer.call(Names.via(gateway, :bridge_commands), :vehicles, :infinity)
 
   @doc """
-  Leaves vehicles to other gateways, by their ids, until the same reason is given again: `:heard`, others hear them, so they are left while
-  this one's links have lost them; `:holder`, this one does not hold them.
+  Leaves vehicles to other gateways, by their ids, until the same reason is given again: `:heard`, others hear them,
+  so they are left while this one's links have lost them; `:holder`, this one does not hold them.
   """
   @spec leave(Names.gateway(), :heard | :holder, MapSet.t(String.t())) :: :ok
   def leave(gateway, why, ids),
@@ -153,14 +155,16 @@ defmodule Aerie.Fleet.Bridge.Commands do
         %{state | subscribed: Map.delete(state.subscribed, id)}
 
       {%{}, subscribed} when not is_map_key(subscribed, id) ->
+        areas = ["cmd" | Operation.areas()]
+
         sids =
-          for area <- ["cmd" | Transfers.areas()],
+          for area <- areas,
               subject = "fleet.#{state.environment}.#{id}.#{area}.*",
               # Otherwise the connection is lost; the next one subscribes.
               {:ok, sid} <- [Aerie.Fleet.Nats.sub(state.conn, self(), subject, queue_group: @queue)],
               do: sid
 
-        if length(sids) > length(Transfers.areas()),
+        if length(sids) == length(areas),
           do: %{state | subscribed: Map.put(subscribed, id, sids)},
           else: state
 
@@ -238,8 +242,8 @@ defmodule Aerie.Fleet.Bridge.Commands do
 
   defp label(type) do
     case String.split(type, ".") do
-      [area, operation] ->
-        if Transfers.known?(area, operation), do: type, else: area <> ".unknown"
+      [area, _action] ->
+        if Operation.known?(type), do: type, else: area <> ".unknown"
 
       [type] ->
         "cmd." <> if(match?({:ok, _type}, Command.Types.fetch(type)), do: type, else: "unknown")
@@ -303,13 +307,10 @@ defmodule Aerie.Fleet.Bridge.Commands do
   end
 
   defp obey(gateway, server, topic, %{type: type} = request) do
-    case String.split(type, ".") do
-      [area, operation] ->
-        Transfers.answer(gateway, {area, operation}, request.envelope, request.source, {server, topic})
-
-      [_command] ->
-        command(gateway, server, topic, request)
-    end
+    # No command has a dot in its name.
+    if String.contains?(type, "."),
+      do: Operation.answer(gateway, type, request.envelope, request.source, {server, topic}),
+      else: command(gateway, server, topic, request)
   end
 
   # A read is not a command: everyone who may read may cancel it.

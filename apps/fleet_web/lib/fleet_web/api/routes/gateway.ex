@@ -1,9 +1,12 @@
 defmodule FleetWeb.API.Routes.Gateway do
-  @moduledoc "The routes of the gateway: links, clients, rules, recordings, policy, configuration, operations (`FleetWeb.API.Routes`)."
+  @moduledoc """
+  The routes of the gateway: links, clients, rules, recordings, policy, configuration, operations
+  (`FleetWeb.API.Routes`).
+  """
 
   import FleetWeb.API.Route
 
-  @bytes {:bytes, ["application/octet-stream"]}
+  @bytes {:bytes, ["application/json", "application/octet-stream"], :object}
   @plan {:bytes, ["application/json", "text/plain", "application/octet-stream"], :plan}
 
   @doc "The rows."

@@ -1,15 +1,10 @@
 defmodule FleetWeb.API.Routes.Vehicle do
-  @moduledoc "The routes of one vehicle: commands, desired state, parameters, plans, files, logs (`FleetWeb.API.Routes`)."
+  @moduledoc """
+  The routes of one vehicle: commands, desired state, recordings, signing (`FleetWeb.API.Routes`); its
+  operations have their own.
+  """
 
   import FleetWeb.API.Route
-
-  alias FleetWeb.API.Transfers
-
-  @bytes {:bytes, ["application/octet-stream"]}
-  @params_text {:bytes, ["application/json", "text/plain"]}
-  @plan {:bytes, ["application/json", "text/plain", "application/octet-stream"]}
-  @params_format {:format, ~w(json param params txt)}
-  @plans [mission: "mission", fence: "fence", rally: "rally points"]
 
   @doc "The rows."
   @spec rows() :: [FleetWeb.API.Route.t()]
@@ -63,80 +58,7 @@ defmodule FleetWeb.API.Routes.Vehicle do
       delete("/api/vehicles/:id/shadow", :delete_shadow, :operator, "Clears the desired state.",
         query: [:version]
       ),
-      get("/api/vehicles/:id/shadow/delta", :shadow_delta, "What is desired but not yet so."),
-      get("/api/vehicles/:id/params", {:transfer, :list_params}, "All parameters of a vehicle.",
-        query: [@params_format, :component, :timeout],
-        answer: @params_text
-      ),
-      put(
-        "/api/vehicles/:id/params",
-        {:transfer, :load_params},
-        :operator,
-        "Sets several parameters of a vehicle.",
-        query: [@params_format, :timeout, :wait, :id, :unknown],
-        body: {:bytes, ["application/json", "text/plain"], :params},
-        later: true
-      ),
-      get("/api/vehicles/:id/params/:name", {:transfer, :get_param}, "One parameter.",
-        query: [:component, :timeout]
-      ),
-      put("/api/vehicles/:id/params/:name", {:transfer, :set_param}, :operator, "Sets a parameter.",
-        query: [:component, :timeout, :wait, :id],
-        body: :param,
-        later: true
-      ),
-      get(
-        "/api/vehicles/:id/metadata/params",
-        {:transfer, :param_metadata},
-        "What the vehicle itself says of its parameters.",
-        query: [:timeout]
-      ),
-      get(
-        "/api/vehicles/:id/files/[...]",
-        {:transfer, :read_file},
-        "A file on board; with list, a folder; with crc, its checksum.",
-        query: [:timeout, :list, :crc],
-        answer: @bytes
-      ),
-      put("/api/vehicles/:id/files/[...]", {:transfer, :write_file}, :operator, "Writes a file on board.",
-        query: [:timeout, :wait, :id],
-        body: {:bytes, ["application/octet-stream"], :object},
-        later: true
-      ),
-      delete(
-        "/api/vehicles/:id/files/[...]",
-        {:transfer, :remove_file},
-        :operator,
-        "Removes a file on board.",
-        query: [:timeout, :wait, :id],
-        later: true
-      ),
-      get("/api/vehicles/:id/logs", {:transfer, :list_logs}, "The logs on board.", query: [:timeout]),
-      get("/api/vehicles/:id/logs/:log", {:transfer, :download_log}, "A log on board.",
-        query: [:timeout],
-        answer: @bytes
-      )
-    ] ++ Enum.flat_map(@plans, &plan/1)
-  end
-
-  defp plan({kind, name}) do
-    path = "/api/vehicles/:id/#{kind}"
-    format = {:format, Transfers.formats(kind)}
-
-    [
-      get(path, {:transfer, {:get_plan, kind}}, "Reads the #{name} of a vehicle.",
-        query: [format, :timeout],
-        answer: @plan
-      ),
-      put(path, {:transfer, {:put_plan, kind}}, :operator, "Writes the #{name} of a vehicle.",
-        query: [format, :timeout, :wait, :id, :force],
-        body: {:bytes, ["application/json", "text/plain", "application/octet-stream"], :upload},
-        later: true
-      ),
-      delete(path, {:transfer, {:clear_plan, kind}}, :operator, "Clears the #{name} of a vehicle.",
-        query: [:timeout, :wait, :id],
-        later: true
-      )
+      get("/api/vehicles/:id/shadow/delta", :shadow_delta, "What is desired but not yet so.")
     ]
   end
 end

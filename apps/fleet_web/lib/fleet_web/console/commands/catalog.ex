@@ -1,10 +1,10 @@
 defmodule FleetWeb.Console.Commands.Catalog do
   @moduledoc """
   All commands by their groups, as one user sees them for one vehicle: with the reason if the firmware lacks one, or the
-  user may not give it (`Aerie.Control.Offers`). Pure.
+  user may not give it (`Aerie.Control.CommandExecutor.Offers`). Pure.
   """
 
-  alias Aerie.Control.Offers
+  alias Aerie.Control.CommandExecutor.Offers
   alias Aerie.Control.Policy.Roles
   alias Aerie.Vehicle.Command.{Type, Types}
 

@@ -4,7 +4,7 @@ defmodule FleetWeb.Console.Fleet.Actions do
 
   import FleetWeb.Console.Fleet.ControlForms, only: [charge: 1]
 
-  alias Aerie.Control.Offers
+  alias Aerie.Control.CommandExecutor.Offers
   alias Aerie.Control.Policy.Roles
   alias FleetWeb.Console.Commands.Catalog
   alias FleetWeb.Console.Fleet.{Batch, Plans, Selection}

@@ -5,7 +5,7 @@ defmodule FleetWeb.Console.Vehicle.Actions do
   """
   use FleetWeb.Console, :component
 
-  alias Aerie.Control.Offers
+  alias Aerie.Control.CommandExecutor.Offers
   alias Aerie.Vehicle.Protocol.Modes
   alias FleetWeb.Console.Commands.{Catalog, Panel}
   alias FleetWeb.Console.Vehicle.{Target, View}

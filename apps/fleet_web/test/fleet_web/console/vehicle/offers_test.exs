@@ -2,7 +2,8 @@ defmodule FleetWeb.Console.Vehicle.OffersTest do
   @moduledoc "What a vehicle's page offers is what the policy and the firmware allow this user."
   use FleetWeb.VehiclePageCase, async: true
 
-  alias Aerie.Control.{Commands, Offers}
+  alias Aerie.Control.CommandExecutor.Offers
+  alias Aerie.Control.Commands
   alias Aerie.Control.Policy.Roles
   alias FleetWeb.Console.Access.Users
 

@@ -1,7 +1,7 @@
 defmodule Aerie.Fleet.Bridge.Commands.Request do
   @moduledoc """
-  A message on `fleet.{environment}.{vehicle}.cmd.{type}` as a command: who commands, and the envelope. Pure. A message of another
-  area (`Aerie.Fleet.Bridge.Commands.Transfers`) is read alike; its type is `{area}.{operation}`.
+  A message on `fleet.{environment}.{vehicle}.cmd.{type}` as a command: who commands, and the envelope. Pure. A
+  message of another area (`Aerie.Fleet.Bridge.Commands.Operation`) is read alike; its type is `{area}.{operation}`.
 
   Body and headers:
 
@@ -13,7 +13,7 @@ defmodule Aerie.Fleet.Bridge.Commands.Request do
   Headers are not signed, so those of a signed command are ignored: its deadline is in its body.
   """
 
-  alias Aerie.Fleet.Bridge.Commands.Transfers
+  alias Aerie.Fleet.Bridge.Commands.Operation
   alias Aerie.Control.Policy
   alias Aerie.Control.Policy.{Roles, Sources}
 
@@ -76,7 +76,7 @@ defmodule Aerie.Fleet.Bridge.Commands.Request do
   defp id(_long), do: %{}
 
   # No command has a dot in its name.
-  defp max_bytes(type), do: if(String.contains?(type, "."), do: Transfers.max_bytes(), else: @max_bytes)
+  defp max_bytes(type), do: if(String.contains?(type, "."), do: Operation.max_bytes(), else: @max_bytes)
 
   defp short(body, max) when byte_size(body) > max,
     do: {:wrong, :size, "the body has more than #{max} bytes"}

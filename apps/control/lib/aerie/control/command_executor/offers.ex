@@ -1,4 +1,4 @@
-defmodule Aerie.Control.Offers do
+defmodule Aerie.Control.CommandExecutor.Offers do
   @moduledoc """
   What may be offered to somebody for a vehicle: buttons, keys and lists ask here before they show a command. Pure.
   """

@@ -1,0 +1,51 @@
+defmodule Aerie.Control.Operations do
+  @moduledoc """
+  All operations of a vehicle that are not commands: parameters, plans, files, logs
+  (`Aerie.Control.Operations.Operation`). A new one is a file in `operations/` and a line here.
+  """
+
+  alias Aerie.Control.Operations.Operation
+  alias Aerie.Control.Operations.{Files, Logs, Mission, Params}
+
+  @modules [
+    Params.List,
+    Params.Get,
+    Params.Set,
+    Params.Load,
+    Params.Metadata,
+    Mission.Get,
+    Mission.Put,
+    Mission.Clear,
+    Files.Read,
+    Files.List,
+    Files.Crc,
+    Files.Write,
+    Files.Remove,
+    Logs.List,
+    Logs.Read
+  ]
+
+  @doc "All of them."
+  @spec all() :: [Operation.t(), ...]
+  def all, do: for(module <- @modules, do: %{module.operation() | module: module})
+
+  @doc "The one of a name."
+  @spec fetch(String.t()) :: {:ok, Operation.t()} | :error
+  def fetch(name) do
+    with nil <- Enum.find(all(), &(&1.name == name)), do: :error, else: (operation -> {:ok, operation})
+  end
+
+  @doc "The first words of their names: what is subscribed to beside commands."
+  @spec areas() :: [String.t()]
+  def areas, do: all() |> Enum.map(&area/1) |> Enum.uniq()
+
+  @doc "The names in an area."
+  @spec names(area :: String.t()) :: [String.t()]
+  def names(area), do: for(operation <- all(), area(operation) == area, do: operation.name)
+
+  defp area(%{name: name}), do: name |> String.split(".") |> hd()
+
+  @doc "The schemas that those of requests and answers refer to, by their names."
+  @spec shared() :: %{String.t() => Aerie.Base.JsonSchema.t()}
+  def shared, do: %{"plan" => Mission.Forms.schema()}
+end

@@ -28,7 +28,8 @@ defmodule Aerie.Application do
       {Output, fd: 1, name: Output.stdout(), lost: &count_lost/1},
       {Output, fd: 2, name: Output.stderr(), lost: &count_lost/1},
       LogKeeper,
-      Ports
+      Ports,
+      {Aerie.Processes, gateway: :default}
     ]
 
     with {:ok, run} <-

@@ -25,10 +25,10 @@ defmodule Aerie.Shell do
   alias Aerie.Fleet.{Inspector, Shadow}
   alias MavRouter.Link
   alias Aerie.Fleet.Age
+  alias Aerie.Processes
   alias Aerie.Shell.Text
   alias Aerie.CLI.{Ask, Columns, Subcommand}
   alias Aerie.CLI.Status.{Table, View}
-  alias FleetWeb.Console.System.Sampler
 
   @gateway :default
   @sim_link "sim-shell"
@@ -144,23 +144,13 @@ defmodule Aerie.Shell do
     end
   end
 
-  @doc "The busiest processes, measured by the console's system page at most two seconds ago."
+  @doc "The busiest processes, of one second."
   @spec top() :: :ok
-  def top do
-    with_sample(fn
-      %{top: %{reductions: [%{reductions: nil} | _]}} ->
-        # The first measurement of all: work is known by the second.
-        Process.sleep(2_100)
-        with_sample(&IO.write(Text.top(&1.top)))
-
-      sample ->
-        IO.write(Text.top(sample.top))
-    end)
-  end
+  def top, do: 1_000 |> Processes.busiest() |> Text.top() |> IO.write()
 
   @doc "The supervision tree with its restarts."
   @spec sup() :: :ok
-  def sup, do: with_sample(&IO.write(Text.tree(&1.tree)))
+  def sup, do: @gateway |> Processes.tree() |> Text.tree() |> IO.write()
 
   @doc "Ends a link, and forgets it with its counters. Asks first."
   @spec drop(String.t()) :: :ok
@@ -221,13 +211,6 @@ defmodule Aerie.Shell do
       %{via: via} when via != nil -> IO.puts(Subcommand.Tail.elsewhere(id, via))
       vehicle -> fun.(vehicle)
     end)
-  end
-
-  defp with_sample(fun) do
-    case Sampler.sample(@gateway) do
-      nil -> IO.puts("the console is off (console.enabled), and measures nothing")
-      sample -> fun.(sample)
-    end
   end
 
   defp inspecting(fun) do

@@ -3,7 +3,7 @@ import { contains, equal, live, main, open } from "../../../../test/browser/chro
 import { signIn } from "./sign_in.mjs";
 
 const base = process.argv[2];
-const pages = ["/links", "/inspector", "/recordings", "/diagnosis", "/system", "/system?part=tree", "/audit"];
+const pages = ["/links", "/inspector", "/recordings", "/diagnosis", "/system", "/audit"];
 
 main(async (browser) => {
   for (const width of [390, 1440]) {
@@ -32,18 +32,6 @@ main(async (browser) => {
     await page.waitForSelector("#compose-target_system-errors");
     await page.keyboard.press("Escape");
     await page.waitForSelector("#compose-form", { state: "detached" });
-
-    // What was opened in the tree stays open while the page follows.
-    await page.goto(base + "/system?part=tree");
-    await live(page);
-    await page.waitForSelector(".tree details[open] > summary");
-    await page.click(".tree details[open] > summary");
-    // The page has been drawn anew twice.
-    await page.evaluate(() => new Promise((drawn) => {
-      let times = 0;
-      window.addEventListener("phx:update", () => { if (++times === 2) drawn(); });
-    }));
-    equal("a part that was closed stays closed", await page.locator(".tree > li > details").first().evaluate((d) => d.open), false);
     await page.close();
   }
 });

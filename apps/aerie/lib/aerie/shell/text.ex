@@ -4,6 +4,7 @@ defmodule Aerie.Shell.Text do
   alias Aerie.CLI.Status.Format
   alias Aerie.Fleet.Inspector.Fields
   alias Aerie.CLI.Columns
+  alias Aerie.Processes.{Busiest, Restarts, Tree}
   alias MavCodec.Frame
 
   @doc "One vehicle: a line for each value that is known, with the age of its group."
@@ -41,31 +42,25 @@ defmodule Aerie.Shell.Text do
     Columns.render(~w(WAY FROM MESSAGE PER-SECOND COUNT), lines)
   end
 
-  @doc "The busiest processes, of `FleetWeb.Console.System.BusiestProcesses`; the first measurement knows no work yet."
-  @spec top(FleetWeb.Console.System.BusiestProcesses.t()) :: iodata()
-  def top(%{reductions: rows}) do
-    rows =
-      for row <- rows,
-          do: [row.name, inspect(row.pid), row.reductions && round(row.reductions), row.memory, row.queue]
-
+  @doc "The busiest processes."
+  @spec top([Busiest.row()]) :: iodata()
+  def top(rows) do
+    rows = for row <- rows, do: [row.name, inspect(row.pid), round(row.reductions), row.memory, row.queue]
     Columns.render(~w(PROCESS PID REDUCTIONS/s MEMORY QUEUE), rows)
   end
 
-  @doc "A supervision tree (`FleetWeb.Console.System.Tree`) with its restarts."
-  @spec tree(map() | nil) :: iodata()
-  def tree(nil), do: "no tree: the gateway is starting\n"
-  def tree(tree), do: Columns.render(~w(PROCESS PID MEMORY QUEUE RESTARTS), branch(tree, 0))
+  @doc "A supervision tree with its restarts."
+  @spec tree([{Tree.tree_node(), Restarts.count() | nil}]) :: iodata()
+  def tree([]), do: "no tree: the gateway is starting\n"
 
-  defp branch(node, depth) do
-    row = [
-      String.duplicate("  ", depth) <> node.name,
-      node.pid && inspect(node.pid),
-      node.memory,
-      node.queue,
-      restarts(node.restarts)
-    ]
+  def tree(nodes) do
+    rows =
+      for {node, restarts} <- nodes do
+        name = String.duplicate("  ", length(node.path)) <> node.name
+        [name, node.pid && inspect(node.pid), node.memory, node.queue, restarts(restarts)]
+      end
 
-    [row | Enum.flat_map(node.children, &branch(&1, depth + 1))]
+    Columns.render(~w(PROCESS PID MEMORY QUEUE RESTARTS), rows)
   end
 
   defp restarts(nil), do: nil

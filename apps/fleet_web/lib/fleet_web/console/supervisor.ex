@@ -14,7 +14,6 @@ defmodule FleetWeb.Console.Supervisor do
   ├─ Aerie.Fleet.Inspector            the messages on the links, while somebody looks
   ├─ Fleet.Board.Server         the rows of the fleet's table, for all who look
   ├─ Commands.Courses           how far each vehicle's commands are
-  ├─ System.Sampler             what the system page shows, for all who look
   └─ a DynamicSupervisor        one process for each open page
   ```
   """
@@ -51,7 +50,6 @@ defmodule FleetWeb.Console.Supervisor do
         {Aerie.Fleet.Inspector, gateway: gateway},
         {Console.Fleet.Board.Server, gateway: gateway},
         {Console.Commands.Courses, gateway: gateway},
-        {Console.System.Sampler, gateway: gateway},
         {DynamicSupervisor, name: pages(gateway), max_children: max_pages}
       ],
       strategy: :one_for_one,

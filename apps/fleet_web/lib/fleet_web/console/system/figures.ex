@@ -1,50 +1,50 @@
 defmodule FleetWeb.Console.System.Figures do
-  @moduledoc "The virtual machine and the gateway's own figures: memory, run queues, limits, versions, NATS."
+  @moduledoc "Memory, processor time, the nearest limit of its virtual machine, NATS, versions."
 
   alias Aerie.Fleet.Bridge
   alias MavRouter.Identity
 
   @type t :: %{atom() => term()}
 
-  @doc "The present facts; `before` are the previous ones, to measure from."
+  @doc "The present figures; `before` are the previous ones, to measure from."
   @spec of(Aerie.Base.Names.gateway(), t() | nil) :: t()
   def of(gateway, before) do
     {uptime_ms, _since} = :erlang.statistics(:wall_clock)
     {busy_ms, _since} = :erlang.statistics(:runtime)
-    {{:input, input}, {:output, output}} = :erlang.statistics(:io)
 
     %{
-      memory: Map.new(:erlang.memory()),
+      memory: :erlang.memory(:total),
       uptime_ms: uptime_ms,
       busy_ms: busy_ms,
-      # Per cent of one core; 200 is two busy cores.
-      cpu:
-        before && uptime_ms > before.uptime_ms &&
-          (busy_ms - before.busy_ms) * 100 / (uptime_ms - before.uptime_ms),
-      io: %{input: input, output: output},
-      run_queues: :erlang.statistics(:run_queue_lengths_all),
+      cpu: cpu(before, uptime_ms, busy_ms),
       schedulers: :erlang.system_info(:schedulers_online),
-      limits:
-        for {name, used, most} <- [
-              {"processes", :process_count, :process_limit},
-              {"ports", :port_count, :port_limit},
-              {"atoms", :atom_count, :atom_limit},
-              {"ETS tables", :ets_count, :ets_limit}
-            ] do
-          %{name: name, used: :erlang.system_info(used), most: :erlang.system_info(most)}
-        end,
+      limit: Enum.max_by(limits(), fn {_name, used, most} -> used / most end),
       versions: [
         {"Aerie", version(:fleet_web)},
         {"Elixir", System.version()},
         {"OTP", System.otp_release()},
-        {"ERTS", to_string(:erlang.system_info(:version))},
-        {"Cowboy", version(:cowboy)}
+        {"System", os()}
       ],
-      os: os(),
       nats: Bridge.info(gateway),
       nats_off?: Bridge.off?(gateway),
       identity: Identity.status(gateway)
     }
+  end
+
+  # Per cent of one core; 200 is two busy cores.
+  defp cpu(%{uptime_ms: then} = before, now, busy) when now > then,
+    do: (busy - before.busy_ms) * 100 / (now - then)
+
+  defp cpu(_first, _now, _busy), do: nil
+
+  defp limits do
+    for {name, used, most} <- [
+          {"processes", :process_count, :process_limit},
+          {"ports", :port_count, :port_limit},
+          {"atoms", :atom_count, :atom_limit},
+          {"ETS tables", :ets_count, :ets_limit}
+        ],
+        do: {name, :erlang.system_info(used), :erlang.system_info(most)}
   end
 
   defp version(app) do
@@ -55,7 +55,7 @@ defmodule FleetWeb.Console.System.Figures do
   end
 
   defp os do
-    {family, name} = :os.type()
+    {_family, name} = :os.type()
 
     version =
       case :os.version() do
@@ -63,6 +63,6 @@ defmodule FleetWeb.Console.System.Figures do
         text -> to_string(text)
       end
 
-    "#{name} #{version} (#{family}), #{:erlang.system_info(:system_architecture)}"
+    "#{name} #{version}, #{:erlang.system_info(:system_architecture)}"
   end
 end

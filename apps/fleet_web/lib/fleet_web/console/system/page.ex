@@ -1,36 +1,20 @@
 defmodule FleetWeb.Console.System.Page do
-  @moduledoc "The page of the gateway as a program: its supervision tree with restarts, the busiest processes, memory, run queues, NATS, versions."
-  use FleetWeb.Console, {:page, events: [viewer: ~w(sort)], costly: ~w(sort)}
+  @moduledoc "Load, memory, heartbeat, NATS, versions. `top()` and `sup()` of the shell show more."
+  use FleetWeb.Console, :page
 
-  import FleetWeb.Console.System.Parts
-
-  alias FleetWeb.Console.System.Sampler
+  alias FleetWeb.Console.System.Figures
   alias FleetWeb.Console.UI.Age
 
-  @sorts %{"memory" => :memory, "reductions" => :reductions, "queue" => :queue}
-  @parts [{"overview", "Overview"}, {"tree", "Supervision"}, {"processes", "Processes"}]
-  # The sampler does not measure more often.
+  # Each second is too often to measure.
   @every 2
 
   @impl Phoenix.LiveView
   def mount(_params, _session, socket) do
-    {:ok,
-     socket
-     |> assign(page_title: "System", sort: :memory, part: "overview", turn: 0, sample: nil)
-     |> subscribe([])}
+    {:ok, socket |> assign(page_title: "System", turn: 0, figures: nil) |> subscribe([]) |> load()}
   end
 
   @impl Phoenix.LiveView
-  def handle_params(params, _uri, socket) do
-    part = if List.keymember?(@parts, params["part"], 0), do: params["part"], else: "overview"
-    {:noreply, socket |> assign(:part, part) |> load()}
-  end
-
-  @impl Phoenix.LiveView
-  def handle_event("sort", %{"by" => by}, socket) when is_map_key(@sorts, by),
-    do: {:noreply, assign(socket, :sort, @sorts[by])}
-
-  def handle_event("sort", _other, socket), do: {:noreply, socket}
+  def handle_params(_params, _uri, socket), do: {:noreply, socket}
 
   @impl Phoenix.LiveView
   def handle_info(:refresh, %{assigns: %{turn: turn}} = socket) do
@@ -38,62 +22,108 @@ defmodule FleetWeb.Console.System.Page do
     {:noreply, if(turn == 0, do: load(socket), else: socket)}
   end
 
-  defp load(%{assigns: %{gateway: gateway, sample: last}} = socket) do
-    sample = if connected?(socket), do: Sampler.sample(gateway)
-
-    assign(socket,
-      sample: sample || last,
-      failed?: connected?(socket) and sample == nil,
-      now: System.os_time(:microsecond)
-    )
-  end
+  defp load(%{assigns: %{gateway: gateway, figures: before}} = socket),
+    do: if(connected?(socket), do: assign(socket, :figures, Figures.of(gateway, before)), else: socket)
 
   @impl Phoenix.LiveView
   def render(assigns) do
     ~H"""
     <h1 class="page-title">System</h1>
-    <.tabs label="Parts of the system">
-      <:tab :for={{id, label} <- parts()} patch={"/system?part=#{id}"} current={@part == id}>{label}</:tab>
-    </.tabs>
-    <.loading :if={@sample == nil && !@failed?} />
-    <.error :if={@sample == nil && @failed?} title="No measurement">Next try in two seconds.</.error>
-    <.stale :if={@sample && @failed?}>Measured {Age.text(@now - @sample.at)} ago; the gateway is too busy to measure again.</.stale>
-    <div :if={@sample && @part == "overview"} id="system-overview" class="cards">
-      <.machine facts={@sample.facts} />
-      <.memory facts={@sample.facts} />
-      <.limits facts={@sample.facts} />
-      <.nats facts={@sample.facts} />
-      <.versions facts={@sample.facts} />
+    <.loading :if={@figures == nil} />
+    <div :if={@figures} id="system-overview" class="cards">
+      <.gateway figures={@figures} />
+      <.nats nats={@figures.nats} off?={@figures.nats_off?} />
+      <section class="card">
+        <h2>Versions</h2>
+        <dl class="facts">
+          <div :for={{name, version} <- @figures.versions}>
+            <dt>{name}</dt>
+            <dd>{version}</dd>
+          </div>
+        </dl>
+      </section>
     </div>
-    <section :if={@sample && @part == "tree"} id="system-tree" aria-label="Supervision tree">
-      <p class="muted">Restarts since the console started. At most fifty children are shown.</p>
-      <.empty :if={@sample.tree == nil} icon="system" title="The gateway is not running" />
-      <ul :if={@sample.tree} class="tree" role="tree"><.tree_node :for={node <- @sample.tree.children} node={node} now={@now} depth={1} /></ul>
-    </section>
-    <section :if={@sample && @part == "processes"} id="system-processes">
-      <p class="muted">The busiest of {@sample.top.looked_at} processes.</p>
-      <.data_table id="processes" label="Processes" rows={Map.fetch!(@sample.top, @sort)} row_id={&row_id/1} sort={{to_string(@sort), :desc}}>
-        <:col :let={row} label="Process" class="grow"><span class="mono">{row.name}</span></:col>
-        <:col :let={row} label="Memory" sort="memory" number>{bytes(row.memory)}</:col>
-        <:col :let={row} label="Reductions/s" sort="reductions" number>{reductions(row.reductions)}</:col>
-        <:col :let={row} label="Queue" sort="queue" number>{row.queue}</:col>
-      </.data_table>
-      <.empty :if={Map.fetch!(@sample.top, @sort) == []} icon="check" title="None">No process has messages waiting.</.empty>
+    <p class="muted">Processes and restarts: <code>top()</code> and <code>sup()</code> in <code>aerie remote</code>.</p>
+    """
+  end
+
+  defp gateway(assigns) do
+    ~H"""
+    <section class="card">
+      <h2>Gateway</h2>
+      <dl class="facts">
+        <dt>Up</dt>
+        <dd>{Age.text(@figures.uptime_ms * 1000)}</dd>
+        <dt>Heartbeat</dt>
+        <dd>{heartbeat(@figures.identity)}</dd>
+        <dt>Processor time</dt>
+        <dd>{cpu(@figures)}</dd>
+        <dt>Memory</dt>
+        <dd>{bytes(@figures.memory)}</dd>
+        <dt>Nearest limit</dt>
+        <dd>{limit(@figures.limit)}</dd>
+      </dl>
     </section>
     """
   end
 
-  defp parts, do: @parts
+  defp nats(%{nats: nil} = assigns) do
+    ~H"""
+    <section class="card">
+      <h2>NATS</h2>
+      <p :if={@off?} class="muted">Off in the configuration (nats.mode: off).</p>
+      <p :if={!@off?} class="muted">The bridge is not running.</p>
+    </section>
+    """
+  end
 
-  defp row_id(%{pid: pid}),
-    do:
-      "process-" <>
-        (pid
-         |> :erlang.pid_to_list()
-         |> to_string()
-         |> String.replace(~r/[<>]/, "")
-         |> String.replace(".", "-"))
+  defp nats(assigns) do
+    ~H"""
+    <section class="card">
+      <h2>
+        NATS <.badge :if={@nats.problem} kind="bad">problem</.badge>
+        <.badge :if={!@nats.problem} kind="ok">stores events</.badge>
+      </h2>
+      <dl class="facts">
+        <dt :if={@nats.problem}>Problem</dt>
+        <dd :if={@nats.problem}>{@nats.problem}</dd>
+        <dt>Server</dt>
+        <dd>{@nats.url || "–"} ({@nats.mode})</dd>
+        <dt :if={@nats.server}>Restarts</dt>
+        <dd :if={@nats.server}>{@nats.server[:restarts] || 0}</dd>
+        <dt>Outbox</dt>
+        <dd>{outbox(@nats.outbox)}</dd>
+        <dt>In flight</dt>
+        <dd>{@nats.outbox[:in_flight] || 0}</dd>
+        <dt>Streams</dt>
+        <dd>{streams(@nats.streams)}</dd>
+      </dl>
+    </section>
+    """
+  end
 
-  defp reductions(nil), do: "–"
-  defp reductions(n), do: "#{round(n)}"
+  defp outbox(outbox),
+    do: "#{outbox[:events] || 0} events, #{bytes(outbox[:bytes] || 0)}, #{outbox[:dropped] || 0} dropped"
+
+  defp cpu(%{cpu: cpu, schedulers: n}) when is_number(cpu), do: "#{round(cpu)} % of one core (there are #{n})"
+  defp cpu(_first), do: "measuring…"
+
+  defp limit({name, used, most}), do: "#{name}, #{used} of #{most}"
+
+  defp heartbeat(%{alive: true}), do: "OK"
+  defp heartbeat(%{silent: []}), do: "not checked"
+
+  defp heartbeat(%{silent: silent}),
+    do: "no answer from #{Enum.map_join(silent, ", ", fn {role, _id} -> role end)}"
+
+  defp streams(streams) when streams == %{}, do: "–"
+  defp streams(streams), do: Enum.map_join(streams, ", ", fn {name, state} -> "#{name}: #{stream(state)}" end)
+
+  defp stream(state) when is_atom(state) or is_binary(state), do: "#{state}"
+  defp stream(other), do: inspect(other, limit: 5, printable_limit: 80)
+
+  defp bytes(n) when n < 10_240, do: "#{n} B"
+  defp bytes(n) when n < 10_485_760, do: "#{div(n, 1024)} KiB"
+  defp bytes(n) when n < 10_737_418_240, do: "#{div(n, 1_048_576)} MiB"
+  defp bytes(n), do: "#{div(n, 1_073_741_824)} GiB"
 end

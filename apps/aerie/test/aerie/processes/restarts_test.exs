@@ -1,7 +1,7 @@
-defmodule FleetWeb.Console.System.RestartsTest do
+defmodule Aerie.Processes.RestartsTest do
   use ExUnit.Case, async: true
 
-  alias FleetWeb.Console.System.Restarts
+  alias Aerie.Processes.Restarts
 
   defp process, do: spawn(fn -> receive(do: (:never -> :ok)) end)
 
@@ -31,7 +31,7 @@ defmodule FleetWeb.Console.System.RestartsTest do
     assert Restarts.seen(restarts, [{[:a], process()}], 20) |> Restarts.of([:a]) == nil
   end
 
-  test "one that is replaced before its end was told counts, too, once" do
+  test "one that is replaced before its end was told also counts, once" do
     [first, second] = [process(), process()]
     restarts = Restarts.new() |> Restarts.seen([{[:a], first}], 1) |> Restarts.seen([{[:a], second}], 9)
     assert %{count: 1, at: 9} = Restarts.of(restarts, [:a])

@@ -1,6 +1,7 @@
-defmodule FleetWeb.Console.System.Restarts do
+defmodule Aerie.Processes.Restarts do
   @moduledoc """
-  Which processes of the supervision tree died and were started again. A value, except for the monitors of the known processes.
+  Which processes of the supervision tree died and were started again. A value, except for the monitors of the known
+  processes.
 
   If a process died and another one has its place in the tree, it was restarted; if the place is empty, it was ended.
   """

@@ -5,7 +5,7 @@
     "packages/packages.exs",
     "{apps,packages}/*/{lib,test,bench}/**/*.{ex,exs}",
     "{apps,packages}/*/mix.exs",
-    "test/**/*.{ex,exs}",
+    "{test,test_kit}/**/*.{ex,exs}",
     "bin/lib/checks/**/*.exs",
     "bin/lib/test_times.exs"
   ],

@@ -3,7 +3,7 @@
 defmodule Growth do
   @root Path.expand("../../..", __DIR__)
   @files ["{apps,packages}/*/{lib,test,bench,priv}/**/*.{ex,exs,md}", "{apps,packages}/*/*.md"] ++
-           ["{docs,test,bin,rel}/**/*.{ex,exs,md}", "*.md"]
+           ["{docs,test,test_kit,bin,rel}/**/*.{ex,exs,md}", "*.md"]
   @kinds [:lib, :tests, :bench, :docs]
   @most_added 500
   # Older commits were checked when they landed.
@@ -75,6 +75,7 @@ defmodule Growth do
     case {Path.split(file), Path.extname(file)} do
       {[top, part | _], ".md"} when top in ["apps", "packages"] -> {part, :docs}
       {[top, part, folder | _], extension} when top in ["apps", "packages"] -> kind(part, folder, extension)
+      {["test_kit", "bench" | _], extension} -> kind("test_kit", "bench", extension)
       {_path, ".md"} -> {"(others)", :docs}
       {[folder | _], extension} -> kind("(others)", folder, extension)
     end

@@ -1,10 +1,14 @@
 # Names in READMEs, docs and module documentation that do not exist (modules, functions, tests, linked files), and
 # test modules that are not named as their files. bin/test calls References.main(), which prints file, line and name.
 defmodule References do
-  @sources ["{apps,packages}/*/{lib,test,bench}/**/*.{ex,exs}", "packages/*.exs", "{test,bin}/**/*.{ex,exs}"]
+  @sources [
+    "{apps,packages}/*/{lib,test,bench}/**/*.{ex,exs}",
+    "packages/*.exs",
+    "{test,test_kit,bin}/**/*.{ex,exs}"
+  ]
   @pages [
     "*.md",
-    "{docs,bin,rel,test}/**/*.md",
+    "{docs,bin,rel,test,test_kit}/**/*.md",
     "packages/*.md",
     "{apps,packages}/*/*.md",
     "{apps,packages}/*/{lib,priv,test,bench}/**/*.md"

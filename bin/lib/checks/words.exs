@@ -11,7 +11,7 @@ defmodule Words do
     test: "{apps,packages}/*/test/**/*_test.exs",
     test: "test/**/*_test.exs",
     page: "*.md",
-    page: "{docs,bin,rel,test}/**/*.md",
+    page: "{docs,bin,rel,test,test_kit}/**/*.md",
     page: "packages/*.md",
     page: "{apps,packages}/*/*.md",
     page: "{apps,packages}/*/{lib,priv,test,bench}/**/*.md",

@@ -13,7 +13,8 @@ defmodule Layers.Limits do
     files = files("{apps,packages}/*/lib/**/*.ex")
 
     code =
-      files("{apps,packages}/*/{lib,test,bench}/**/*.{ex,exs}") ++ files("test/**/*.{ex,exs}") ++ scripts()
+      files("{apps,packages}/*/{lib,test,bench}/**/*.{ex,exs}") ++
+        files("{test,test_kit}/**/*.{ex,exs}") ++ scripts()
 
     texts = Map.new(code, &{&1, File.read!(Path.join(@root, &1))})
     [files_in_folder(files), named(apps), arrows(apps), folder_cycles(apps), long_lines(texts)]

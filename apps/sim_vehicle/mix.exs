@@ -27,5 +27,5 @@ defmodule SimVehicle.MixProject do
   defp elixirc_paths(:test), do: ["lib", "test/support"]
   defp elixirc_paths(_env), do: ["lib"]
 
-  defp deps, do: [{:mav_codec, in_umbrella: true}]
+  defp deps, do: [{:mav_codec, in_umbrella: true}, {:protocols, in_umbrella: true}]
 end

@@ -2,8 +2,7 @@ defmodule SimVehicle.Plans do
   @moduledoc """
   Mission, fence and rally points on board, and the vehicle's side of the mission protocol (rules W1-W7).
 
-  A plan is replaced only when an upload is complete. In a stalled upload, items are requested again until it is given up.
-  Each item is stored as the firmware does it (`SimVehicle.Plans.Storage`). `style` is what the two firmwares do differently besides:
+  A plan is replaced only when an upload is complete (`Protocols.Mission.Upload`). Each item is stored as the firmware does it (`SimVehicle.Plans.Storage`). `style` is what the two firmwares do differently besides:
 
   - `:ardupilot`: requests with MISSION_REQUEST; item 0 of the mission is the home position; refuses an item out of sequence and a
     position beyond the globe
@@ -13,21 +12,13 @@ defmodule SimVehicle.Plans do
   import Bitwise
   import MavCodec.CommandId
 
-  alias MavCodec.Enums.MavMissionResult
   alias MavCodec.Messages, as: M
+  alias Protocols.Mission.{Reply, Upload}
   alias SimVehicle.Plans.Storage
   alias SimVehicle.Real32
 
-  @accepted MavMissionResult.value(:MAV_MISSION_ACCEPTED)
-  @error MavMissionResult.value(:MAV_MISSION_ERROR)
-  @unsupported_frame MavMissionResult.value(:MAV_MISSION_UNSUPPORTED_FRAME)
-  @unsupported MavMissionResult.value(:MAV_MISSION_UNSUPPORTED)
-  @no_space MavMissionResult.value(:MAV_MISSION_NO_SPACE)
-  @invalid_param1 MavMissionResult.value(:MAV_MISSION_INVALID_PARAM1)
-  @invalid_x MavMissionResult.value(:MAV_MISSION_INVALID_PARAM5_X)
-  @invalid_sequence MavMissionResult.value(:MAV_MISSION_INVALID_SEQUENCE)
-  @denied MavMissionResult.value(:MAV_MISSION_DENIED)
-  @cancelled MavMissionResult.value(:MAV_MISSION_OPERATION_CANCELLED)
+  # Before the number of the parameter.
+  @invalid_param Reply.result(:INVALID_PARAM1)
 
   @frames %{0 => [0, 2, 3, 5, 6, 10, 11], 1 => [0, 3, 5, 6], 2 => [0, 3, 5, 6, 10, 11]}
   @px4_frames %{0 => [0, 2, 3, 5, 6], 1 => [0, 2, 3, 5, 6], 2 => [0, 3, 5, 6]}
@@ -57,12 +48,14 @@ defmodule SimVehicle.Plans do
   # Their x and y are not degrees in MISSION_ITEM, either (AP_Mission.cpp: `convert_MISSION_ITEM_to_MISSION_ITEM_INT`).
   @plain_xy cmds(~w(DO_DIGICAM_CONFIGURE DO_DIGICAM_CONTROL DO_GIMBAL_MANAGER_PITCHYAW NAV_ATTITUDE_TIME)a)
 
-  @retry_us %{ardupilot: 1_000_000, px4: 250_000}
-  @give_up_us %{ardupilot: 8_000_000, px4: 5_000_000}
+  @rules %{
+    ardupilot: %{request: M.MissionRequest, again_us: 1_000_000, patience_us: 8_000_000, out_of_turn: :refuse},
+    px4: %{again_us: 250_000, patience_us: 5_000_000, out_of_turn: :ask_unless_repeated}
+  }
+  @capacity %{ardupilot: %{0 => 724, 1 => 70, 2 => 70}, px4: %{0 => 2000, 1 => 128, 2 => 64}}
 
   defstruct style: :ardupilot,
-            speed: 1.0,
-            capacity: %{0 => 724, 1 => 70, 2 => 70},
+            rules: @rules.ardupilot,
             items: %{0 => [], 1 => [], 2 => []},
             opaque: %{0 => 0, 1 => 0, 2 => 0},
             upload: nil
@@ -87,8 +80,8 @@ defmodule SimVehicle.Plans do
   @doc "No plans. `speed`: of the vehicle's time against that in which the ground station answers."
   @spec new(:ardupilot | :px4, speed :: number) :: t
   def new(style, speed \\ 1.0) do
-    capacity = if style == :px4, do: %{0 => 2000, 1 => 128, 2 => 64}, else: %__MODULE__{}.capacity
-    %__MODULE__{style: style, capacity: capacity, speed: max(speed, 1.0)}
+    rules = Map.update!(@rules[style], :patience_us, &(&1 * max(speed, 1.0)))
+    %__MODULE__{style: style, rules: rules}
   end
 
   @doc "The items of a plan by `mission_type`: 0 mission, 1 fence, 2 rally."
@@ -112,7 +105,7 @@ defmodule SimVehicle.Plans do
   def handle(plans, %M.MissionRequestList{} = m, from, home, _now) do
     case valid_type(plans, m.mission_type) do
       true -> {plans, [count_message(plans, m.mission_type, from, home)]}
-      false -> {plans, [ack(plans, from, @unsupported, m.mission_type)]}
+      false -> {plans, [ack(plans, from, :UNSUPPORTED, m.mission_type)]}
     end
   end
 
@@ -120,51 +113,39 @@ defmodule SimVehicle.Plans do
   def handle(plans, %M.MissionRequest{} = m, from, home, _now), do: read(plans, m, from, home, :float)
   def handle(plans, %M.MissionCount{} = m, from, _home, now), do: begin(plans, m, from, now)
 
-  def handle(plans, %M.MissionItemInt{} = m, from, _home, now),
-    do: take(plans, item(m, 1), m.mission_type, from, now)
+  def handle(plans, %M.MissionItemInt{} = m, from, _home, now), do: take(plans, m, from, now)
 
-  def handle(plans, %M.MissionItem{} = m, from, _home, now),
-    do: take(plans, item(m, if(degrees?(m), do: 1.0e7, else: 1.0)), m.mission_type, from, now)
+  def handle(plans, %M.MissionItem{} = m, from, _home, now) do
+    scale = if degrees?(m), do: 1.0e7, else: 1.0
+    fields = m |> Map.from_struct() |> Map.merge(%{x: coordinate(m.x, scale), y: coordinate(m.y, scale)})
+    take(plans, struct!(M.MissionItemInt, fields), from, now)
+  end
 
   def handle(plans, %M.MissionClearAll{} = m, from, _home, _now) do
     types = if m.mission_type == 255, do: [0, 1, 2], else: [m.mission_type]
 
     cond do
       not Enum.all?(types, &valid_type(plans, &1)) ->
-        {plans, [ack(plans, from, @unsupported, m.mission_type)]}
+        {plans, [ack(plans, from, :UNSUPPORTED, m.mission_type)]}
 
       plans.upload != nil ->
-        {plans, [ack(plans, from, @denied, m.mission_type)]}
+        {plans, [ack(plans, from, :DENIED, m.mission_type)]}
 
       true ->
         cleared = Enum.reduce(types, plans, &put(&2, &1, []))
-        {cleared, [ack(cleared, from, @accepted, m.mission_type) | Enum.map(types, &{:cleared, &1})]}
+        {cleared, [ack(cleared, from, :ACCEPTED, m.mission_type) | Enum.map(types, &{:cleared, &1})]}
     end
   end
 
-  # The other side reports that it is done, or gives up (W6).
-  def handle(%{upload: %{from: from}} = plans, %M.MissionAck{type: type}, from, _home, _now) when type != 0,
-    do: {%{plans | upload: nil}, []}
+  def handle(plans, %M.MissionAck{type: type}, from, _home, now) when type != 0,
+    do: upload(plans, {:cancelled, from}, now)
 
   def handle(plans, %M.MissionAck{}, _from, _home, _now), do: {plans, []}
   def handle(_plans, _message, _from, _home, _now), do: nil
 
   @doc "Requests a missing item again, and gives up after a while (W1)."
   @spec tick(t, integer) :: {t, [reply]}
-  def tick(%{upload: nil} = plans, _now), do: {plans, []}
-
-  def tick(%{upload: upload} = plans, now) do
-    cond do
-      now - upload.progress_at > @give_up_us[plans.style] * plans.speed ->
-        {%{plans | upload: nil}, [ack(plans, upload.from, @cancelled, upload.type)]}
-
-      now - upload.asked_at > @retry_us[plans.style] ->
-        {%{plans | upload: %{upload | asked_at: now}}, [request(plans, upload)]}
-
-      true ->
-        {plans, []}
-    end
-  end
+  def tick(plans, now), do: upload(plans, :tick, now)
 
   # --- upload ---
 
@@ -173,77 +154,64 @@ defmodule SimVehicle.Plans do
 
     cond do
       not valid_type(plans, type) ->
-        {plans, [ack(plans, from, @unsupported, type)]}
+        {plans, [ack(plans, from, :UNSUPPORTED, type)]}
 
-      m.count > plans.capacity[type] ->
-        {plans, [ack(plans, from, @no_space, type)]}
+      m.count > @capacity[plans.style][type] ->
+        {plans, [ack(plans, from, :NO_SPACE, type)]}
 
       plans.upload != nil and plans.upload.from != from ->
-        {plans, [ack(plans, from, @denied, type)]}
+        {plans, [ack(plans, from, :DENIED, type)]}
 
       m.count == 0 ->
         cleared = put(plans, type, [])
-        {cleared, [ack(cleared, from, @accepted, type), {:cleared, type}]}
+        {cleared, [ack(cleared, from, :ACCEPTED, type), {:cleared, type}]}
 
       true ->
-        upload = %{
-          type: type,
-          count: m.count,
-          next: 0,
-          items: [],
-          from: from,
-          progress_at: now,
-          asked_at: now
-        }
-
-        {%{plans | upload: upload}, [request(plans, upload)]}
+        upload(plans, {:count, m, from}, now)
     end
   end
 
-  defp take(%{upload: %{from: from} = upload} = plans, item, type, from, now) when type == upload.type do
-    cond do
-      item.seq != upload.next -> out_of_sequence(plans, upload, item)
-      (refusal = refusal(plans, type, item)) != nil -> refuse(plans, upload, refusal)
-      item.seq + 1 == upload.count -> store(plans, upload, item)
-      true -> ask_next(plans, upload, item, now)
-    end
+  defp take(plans, m, from, now) do
+    type = m.mission_type
+    refusal = if Upload.expects?(plans.upload, m, from), do: refusal(plans, type, item(m))
+
+    if refusal,
+      do: {%{plans | upload: nil}, [ack(plans, from, refusal, type) | refusal_text(plans.style)]},
+      else: upload(plans, {:item, m, from}, now)
   end
 
-  defp take(%{style: :ardupilot} = plans, _item, type, from, _now),
-    do: {plans, [ack(plans, from, @error, type)]}
+  defp refusal_text(:px4), do: [{:text, 2, "IGN MISSION_ITEM: Invalid item\t"}]
+  defp refusal_text(:ardupilot), do: []
 
-  defp take(plans, _item, _type, _from, _now), do: {plans, []}
+  defp upload(plans, event, now) do
+    {upload, actions} = Upload.handle(plans.upload, event, plans.rules, now)
 
-  defp ask_next(plans, upload, item, now) do
-    upload = %{upload | items: [item | upload.items], next: upload.next + 1, progress_at: now, asked_at: now}
-    {%{plans | upload: upload}, [request(plans, upload)]}
+    Enum.reduce(actions, {%{plans | upload: upload}, []}, fn action, {plans, replies} ->
+      {plans, more} = act(plans, action, event)
+      {plans, replies ++ more}
+    end)
   end
 
-  defp store(plans, upload, item) do
-    stored = %{put(plans, upload.type, Enum.reverse([item | upload.items])) | upload: nil}
-    {stored, [ack(stored, upload.from, @accepted, upload.type), {:stored, upload.type}]}
+  defp act(plans, {:send, message}, _event), do: {plans, [message]}
+
+  defp act(%{upload: %{type: type, from: from}} = plans, {:store, items}, _event) do
+    stored = %{put(plans, type, Enum.map(items, &item/1)) | upload: nil}
+    {stored, [ack(stored, from, :ACCEPTED, type), {:stored, type}]}
   end
 
-  defp out_of_sequence(%{style: :ardupilot} = plans, upload, _item),
-    do: {plans, [ack(plans, upload.from, @invalid_sequence, upload.type)]}
+  defp act(%{style: :ardupilot} = plans, :stray, {:item, m, from}),
+    do: {plans, [ack(plans, from, :ERROR, m.mission_type)]}
 
-  # The previous item came twice: no answer.
-  defp out_of_sequence(plans, upload, item) when item.seq == upload.next - 1, do: {plans, []}
-  defp out_of_sequence(plans, upload, _item), do: {plans, [request(plans, upload)]}
-
-  defp refuse(plans, upload, result) do
-    text = if plans.style == :px4, do: [{:text, 2, "IGN MISSION_ITEM: Invalid item\t"}], else: []
-    {%{plans | upload: nil}, [ack(plans, upload.from, result, upload.type) | text]}
-  end
+  defp act(plans, :stray, _event), do: {plans, []}
 
   defp refusal(plans, type, item) do
     frames = if plans.style == :px4, do: @px4_frames, else: @frames
 
     cond do
-      item.command not in @commands[type] -> @unsupported
-      item.frame not in frames[type] -> @unsupported_frame
-      (unset = unset_param(plans, type, item)) != nil -> @invalid_param1 + unset
-      plans.style == :ardupilot and place?(type, item) and beyond_globe?(item) -> @invalid_x
+      item.command not in @commands[type] -> :UNSUPPORTED
+      item.frame not in frames[type] -> :UNSUPPORTED_FRAME
+      (unset = unset_param(plans, type, item)) != nil -> @invalid_param + unset
+      plans.style == :ardupilot and place?(type, item) and beyond_globe?(item) -> :INVALID_PARAM5_X
       true -> nil
     end
   end
@@ -272,45 +240,16 @@ defmodule SimVehicle.Plans do
 
   defp beyond_globe?(item), do: abs(item.x) > 900_000_000 or abs(item.y) > 1_800_000_000
 
-  defp request(%{style: :px4}, upload) do
-    {system, component} = upload.from
-
-    %M.MissionRequestInt{
-      target_system: system,
-      target_component: component,
-      seq: upload.next,
-      mission_type: upload.type
-    }
-  end
-
-  defp request(_ardupilot, upload) do
-    {system, component} = upload.from
-
-    %M.MissionRequest{
-      target_system: system,
-      target_component: component,
-      seq: upload.next,
-      mission_type: upload.type
-    }
-  end
-
   # --- download ---
 
-  defp count_message(plans, type, {system, component}, home) do
-    %M.MissionCount{
-      target_system: system,
-      target_component: component,
-      count: length(read_back(plans, type, home)),
-      mission_type: type,
-      opaque_id: if(plans.style == :px4, do: Map.get(plans.opaque, type, 0), else: 0)
-    }
-  end
+  defp count_message(plans, type, from, home),
+    do: Reply.count(type, length(read_back(plans, type, home)), from, opaque(plans, type))
 
   defp read(plans, m, from, home, coding) do
     shown = if valid_type(plans, m.mission_type), do: read_back(plans, m.mission_type, home), else: []
 
     case Enum.at(shown, m.seq) do
-      nil when plans.style == :ardupilot -> {plans, [ack(plans, from, @invalid_sequence, m.mission_type)]}
+      nil when plans.style == :ardupilot -> {plans, [ack(plans, from, :INVALID_SEQUENCE, m.mission_type)]}
       nil -> {plans, []}
       item -> {plans, [item_message(item, m.seq, m.mission_type, from, coding)]}
     end
@@ -355,7 +294,7 @@ defmodule SimVehicle.Plans do
     struct!(M.MissionItem, fields)
   end
 
-  defp item(m, scale) do
+  defp item(m) do
     %{
       seq: m.seq,
       frame: m.frame,
@@ -363,29 +302,21 @@ defmodule SimVehicle.Plans do
       current: 0,
       autocontinue: m.autocontinue,
       params: {m.param1, m.param2, m.param3, m.param4},
-      x: coordinate(m.x, scale),
-      y: coordinate(m.y, scale),
+      x: m.x,
+      y: m.y,
       z: Real32.number(m.z) || 0.0
     }
   end
 
   defp degrees?(item), do: item.command not in @plain_xy and item.frame != 2
 
-  defp coordinate(value, 1), do: value
   defp coordinate(value, scale) when is_number(value) and abs(value) < 200, do: round(value * scale)
   defp coordinate(_value, _scale), do: 2_147_483_647
 
-  defp ack(plans, {system, component}, result, type) do
-    opaque = if plans.style == :px4 and result == @accepted, do: Map.get(plans.opaque, type, 0), else: 0
+  defp ack(plans, from, result, type),
+    do: Reply.ack(type, result, from, if(result == :ACCEPTED, do: opaque(plans, type), else: 0))
 
-    %M.MissionAck{
-      target_system: system,
-      target_component: component,
-      type: result,
-      mission_type: type,
-      opaque_id: opaque
-    }
-  end
+  defp opaque(plans, type), do: if(plans.style == :px4, do: Map.get(plans.opaque, type, 0), else: 0)
 
   # PX4 identifies a plan by a checksum of it; the value has no meaning, only that it changes (W7).
   defp fresh_opaque(plans, type) do

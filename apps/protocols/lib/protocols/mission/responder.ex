@@ -26,15 +26,12 @@ defmodule Protocols.Mission.Responder do
     * `{:fetch, type}` - read the plan; `:read` or `:unread` follows
   """
 
-  alias Protocols.Mission.{Item, Result}
-  alias MavCodec.Enums.MavMissionResult
+  alias Protocols.Mission.{Item, Reply, Result}
   alias MavCodec.Messages, as: M
 
   @types 0..2
   @mission 0
   @all 255
-  @invalid_sequence MavMissionResult.value(:MAV_MISSION_INVALID_SEQUENCE)
-  @cancelled MavMissionResult.value(:MAV_MISSION_OPERATION_CANCELLED)
   # For each type; beyond that, the station that was silent longest is forgotten.
   @max_stations 64
   # A station that requests nothing for this long has gone.
@@ -103,7 +100,8 @@ defmodule Protocols.Mission.Responder do
         {reading(served, type, from, version, now), [{:reply, item(plan, seq, type, from)}]}
 
       %{readers: %{^key => _old_plan}} ->
-        {%{served | readers: Map.delete(served.readers, key)}, [{:reply, ack(@cancelled, type, from)}]}
+        {%{served | readers: Map.delete(served.readers, key)},
+         [{:reply, Reply.ack(type, :OPERATION_CANCELLED, from)}]}
 
       _not_ours ->
         {served, [{:forward, m, from}]}
@@ -262,21 +260,10 @@ defmodule Protocols.Mission.Responder do
 
   # --- Answers
 
-  defp count(plan, type, {system, component}) do
-    %M.MissionCount{
-      target_system: system,
-      target_component: component,
-      count: tuple_size(plan.items),
-      mission_type: type,
-      opaque_id: plan.opaque_id || 0
-    }
-  end
+  defp count(plan, type, from), do: Reply.count(type, tuple_size(plan.items), from, plan.opaque_id || 0)
 
   defp item(plan, seq, type, from) when seq < tuple_size(plan.items),
     do: Item.message(elem(plan.items, seq), seq, type, from)
 
-  defp item(_plan, _seq, type, from), do: ack(@invalid_sequence, type, from)
-
-  defp ack(result, type, {system, component}),
-    do: %M.MissionAck{target_system: system, target_component: component, type: result, mission_type: type}
+  defp item(_plan, _seq, type, from), do: Reply.ack(type, :INVALID_SEQUENCE, from)
 end

@@ -30,79 +30,61 @@ defmodule Msp.Session do
   polls a vehicle's state (`Msp.Polls`).
   """
 
-  alias MavCodec.{Encoder, Sniff}
+  alias MavCodec.Sniff
   alias Msp.{Exchange, Polls}
-  alias Msp.Session.{Asking, Clients, Commands, Identifying, Missions, Motors, Output, Reports, Sticks, Tasks}
 
-  @enforce_keys [:system, :encoder, :parser]
+  alias Msp.Session.{
+    Asking,
+    Clients,
+    Commands,
+    Identifying,
+    Missions,
+    Motors,
+    Output,
+    Params,
+    Reports,
+    Sticks,
+    Tasks
+  }
+
+  @enforce_keys [:system, :parser]
   defstruct [
     :system,
-    :encoder,
     :parser,
-    :until,
     :identity,
+    :uid,
     :type,
     :polls,
     :boot,
-    :heartbeat,
-    :complaint,
     :answered_at,
-    :params,
-    :uid,
-    :mission,
-    :upload,
-    :uploaded,
-    :receiver,
-    :motors,
-    :one_way,
-    :ignored_at,
-    :asked_at,
     :up_at,
-    :introduced_at,
-    :height,
-    :unsure_until,
     now: 0,
     phase: :closed,
+    restarted: false,
     exchange: Exchange.new(),
-    todo: [],
-    tries: 0,
-    found: %{},
-    heard: "",
     ids: [],
     readings: %{},
-    tasks: [],
-    still: 1000,
-    texts: 0,
-    serial: 0,
-    unsaved: false,
-    restarted: false,
-    clients: %{},
-    told: [],
-    judgements: [],
-    outbox: []
+    identifying: %Identifying{},
+    tasks: %Tasks{},
+    reports: %Reports{},
+    params: %Params{},
+    missions: %Missions{},
+    sticks: %Sticks{},
+    motors: %Motors{},
+    clients: %Clients{},
+    output: nil
   ]
 
   @typedoc """
+  Only its own module changes what a part of the session has: `identifying`, `tasks`, `reports`, `params`, `missions`, `sticks`,
+  `motors`, `clients` (programs that speak MSP), `output`. Besides:
+
   - `system`: the MAVLink id that the vehicle has
-  - `height`: the last one of an armed vehicle, and when it was read, until it says that it is still armed
-  - `unsure_until`: until then that it misses no receiver does not show that somebody else sends channels
-  - `now`: when its last event was; `introduced_at`: when it last said which firmware it is
-  - `phase`: `:closed`, `:listening` until `until`, `:identifying`, `:up` since `up_at`
-  - `todo`: messages still to be asked; `found`: their answers; `heard`: the last bytes before it was known who is there
-  - `boot`: when the vehicle's clock began; `heartbeat`: the last one, and when it was sent
-  - `complaint`: the names of the last text about what keeps it from being armed
-  - `uid`: of the vehicle, which its identity has only while that is known
+  - `now`: when its last event was
+  - `phase`: `:closed`, `:listening`, `:identifying`, `:up` since `up_at`
+  - `boot`: when the vehicle's clock began; `answered_at`: when it last answered
+  - `uid`: of the vehicle, which its identity has only while that is known; `ids`: its BOXIDS
   - `restarted`: whether it was told to restart, so that it is asked who it is from then on
-  - `params`: the names of its parameters in their order, nil until they were read; `unsaved`: some were set and not stored
-  - `mission`: the waypoints and items of the mission aboard, nil until they were read; `upload`: the one that a client writes; `uploaded`: who
-    wrote the last one, and what came of it
-  - `receiver`: the channels that are sent in place of a transmitter's, nil for none
-  - `motors`: when those of a test are stopped, and how often they were told to; nil while none turns
-  - `one_way`: whether its motors turn one way only, so that `still` in µs stops them; nil until it has said so
-  - `ignored_at`: when a text last said that sticks were ignored; `asked_at`: when the vehicle was last asked whether
-    they may take it over
-  - `clients`: programs that speak MSP themselves; `told`, `judgements`: what is to be said to them, and asked of the policy
-  - `tasks`: what clients asked for that needs the flight controller
   """
   @type t :: %__MODULE__{}
   @type event ::
@@ -125,21 +107,18 @@ defmodule Msp.Session do
   @doc "The session of a line that is not open yet; the vehicle has this MAVLink id."
   @spec new(system :: 1..254) :: t
   def new(system) do
-    %__MODULE__{
-      system: system,
-      encoder: Encoder.new(system: system, component: 1),
-      parser: MavCodec.Parser.new()
-    }
+    %__MODULE__{system: system, parser: MavCodec.Parser.new(), output: Output.new(system)}
   end
 
   @doc "One step."
   @spec handle(t, event, integer) :: {t, [action]}
   def handle(session, event, now), do: event(%{session | now: now}, event, now)
 
-  defp event(%{system: system, clients: clients}, :opened, now),
-    do:
-      {%{new(system) | now: now, phase: :listening, until: now + @listen_us, clients: clients},
-       [{:wake, now + @listen_us}]}
+  defp event(%{system: system, clients: clients}, :opened, now) do
+    listening = %Identifying{until: now + @listen_us}
+    session = %{new(system) | now: now, phase: :listening, identifying: listening, clients: clients}
+    {session, [{:wake, listening.until}]}
+  end
 
   defp event(session, {:client, id, :up}, now),
     do:
@@ -162,19 +141,20 @@ defmodule Msp.Session do
   defp event(%{phase: :listening} = session, {:bytes, bytes}, _now) do
     session = Identifying.hear(session, bytes)
 
-    case Sniff.classify(session.heard) do
+    case Sniff.classify(session.identifying.heard) do
       %{protocol: protocol} when protocol in [:mavlink1, :mavlink2] ->
         fail(session, "it speaks MAVLink: configure it without msp:")
 
       _other ->
-        {session, [{:wake, session.until}]}
+        {session, [{:wake, session.identifying.until}]}
     end
   end
 
-  defp event(%{phase: :listening, until: until} = session, :tick, now) when now >= until,
+  defp event(%{phase: :listening, identifying: %{until: until}} = session, :tick, now) when now >= until,
     do: session |> Identifying.start() |> proceed(now)
 
-  defp event(%{phase: :listening} = session, _event, _now), do: {session, [{:wake, session.until}]}
+  defp event(%{phase: :listening} = session, _event, _now),
+    do: {session, [{:wake, session.identifying.until}]}
 
   defp event(session, {:bytes, bytes}, now) do
     session = if session.identity, do: session, else: Identifying.hear(session, bytes)
@@ -263,7 +243,10 @@ defmodule Msp.Session do
 
   defp alive(session, now), do: %{session | answered_at: now}
 
-  defp fail(session, text), do: {%{session | phase: :closed, outbox: []}, [{:fail, text}]}
+  defp fail(session, text) do
+    {_unsent, session} = Output.take(session)
+    {%{session | phase: :closed}, [{:fail, text}]}
+  end
 
   # Nothing is asked before it is known who is there.
   defp advance(%{phase: phase} = session, now) when phase in [:identifying, :up], do: proceed(session, now)

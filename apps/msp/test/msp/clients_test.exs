@@ -404,7 +404,7 @@ defmodule Msp.ClientsTest do
     assert line.now - 1_000_000_000_000 - List.last(last) < 1.5 * @second
     # No more than there is room for.
     line = Enum.reduce(3..12, line, &program(&2, &1))
-    assert map_size(line.session.clients) == 8
+    assert map_size(line.session.clients.map) == 8
     assert line.full == [12, 11, 10, 9]
   end
 

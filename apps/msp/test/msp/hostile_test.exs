@@ -103,7 +103,7 @@ defmodule Msp.HostileTest do
         %{
           state
           | asked: frame,
-            ok: state.ok and match?({:ok, _}, Guard.check(frame, target)) and session.outbox == []
+            ok: state.ok and match?({:ok, _}, Guard.check(frame, target)) and session.output.frames == []
         }
 
       _several ->
@@ -140,7 +140,7 @@ defmodule Msp.HostileTest do
     beats = for {at, _} <- Line.told(line, M.Heartbeat), do: at
     assert length(beats) > 20
     assert beats |> Enum.chunk_every(2, 1, :discard) |> Enum.all?(fn [a, b] -> b - a < 1.5 * @second end)
-    assert length(line.session.tasks) <= 16
+    assert length(line.session.tasks.list) <= 16
   end
 
   test "text of a flight controller is shown as far as it can be" do

@@ -266,7 +266,7 @@ defmodule Msp.SticksTest do
     test "#{firmware}: its own channels, which just ended, are not another program's" do
       {line, _change, state} = up(unquote(firmware), rx_msp: true)
       line = line |> command(@arm, [1, 0]) |> Line.run(4 * @second) |> command(@arm, [0, 0])
-      line = Enum.find(Stream.iterate(line, &Line.run(&1, 20_000)), &(&1.session.receiver == nil))
+      line = Enum.find(Stream.iterate(line, &Line.run(&1, 20_000)), &(&1.session.sticks.receiver == nil))
       refute state.().armed
       line = line |> command(@arm, [1, 0]) |> Line.run(4 * @second)
       assert List.last(acks(line, @arm)) == @accepted

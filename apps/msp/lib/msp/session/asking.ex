@@ -5,7 +5,7 @@ defmodule Msp.Session.Asking do
   """
 
   alias Msp.{Exchange, Polls, Session}
-  alias Msp.Session.{Identifying, Tasks}
+  alias Msp.Session.{Identifying, Missions, Motors, Sticks, Tasks}
 
   @again_us 10_000
   # A poll is asked again soon, and its reply counts when it comes late.
@@ -14,11 +14,11 @@ defmodule Msp.Session.Asking do
 
   @doc "Asks, if the line is free."
   @spec next(Session.t(), integer) :: {Session.t(), [Session.action()]}
-  def next(%{phase: :identifying, todo: [name | more]} = session, now) do
+  def next(%{phase: :identifying, identifying: %{todo: [name | more]}} = session, now) do
     case MavCodec.Msp.request(Identifying.target(session), name) do
       {:ok, frame} -> send_if_ready(session, :task, {:about, name}, frame, now, @least_us)
       # This version does not have it.
-      {:error, _why} -> next(%{session | todo: more}, now)
+      {:error, _why} -> next(put_in(session.identifying.todo, more), now)
     end
   end
 
@@ -93,12 +93,12 @@ defmodule Msp.Session.Asking do
 
   @doc "When to look again."
   @spec wake(Session.t(), integer) :: integer
-  def wake(%{motors: %{due: due}} = session, now),
-    do: min(max(due, now + @again_us), wake(%{session | motors: nil}, now))
+  def wake(session, now) do
+    stops = with at when at != nil <- Motors.due_at(session), do: max(at, now + @again_us)
+    Enum.min(for at <- [stops, Sticks.due_at(session), line(session, now)], at != nil, do: at)
+  end
 
-  def wake(%{receiver: %{due: due}} = session, now), do: min(due, wake(%{session | receiver: nil}, now))
-
-  def wake(%{exchange: exchange} = session, now) do
+  defp line(%{exchange: exchange} = session, now) do
     case Exchange.deadline(exchange) do
       nil -> wanted(session, now)
       deadline -> min(deadline, beside(session, now) || deadline)
@@ -112,15 +112,18 @@ defmodule Msp.Session.Asking do
 
     cond do
       polled != nil -> max(max(polled, now + @again_us), polled(session, now))
-      tasked != nil and session.tasks != [] -> max(tasked, now + @again_us)
+      tasked != nil and Tasks.any?(session) -> max(tasked, now + @again_us)
       true -> nil
     end
   end
 
   defp beside(_session, _now), do: nil
 
-  defp wanted(%{phase: :up, tasks: [], upload: nil} = session, now), do: polled(session, now)
-  defp wanted(_session, now), do: now + @again_us
+  defp wanted(session, now) do
+    if session.phase != :up or Tasks.any?(session) or Missions.uploading?(session),
+      do: now + @again_us,
+      else: polled(session, now)
+  end
 
   defp polled(session, now) do
     case Polls.next(session.polls, now) do

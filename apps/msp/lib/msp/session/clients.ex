@@ -31,31 +31,35 @@ defmodule Msp.Session.Clients do
   @slow_us 5_000_000
   @slow [250, 18, 19, 210, 0x2018, 0x2080, 208, 68, 71, 72]
 
+  defstruct map: %{}, told: [], judgements: []
+
   @type id :: pos_integer
+  @typedoc "The programs; `told`, `judgements`: what is to be said to them, and asked of the policy."
+  @type t :: %__MODULE__{map: %{id => map}, told: [tuple], judgements: [tuple]}
 
   @doc "A program is there; one that was there by this number is gone."
   @spec up(Session.t(), id, integer) :: Session.t()
-  def up(%{clients: clients} = session, id, now) when is_map_key(clients, id),
+  def up(%{clients: %{map: map}} = session, id, now) when is_map_key(map, id),
     do: session |> down(id, now) |> up(id, now)
 
-  def up(%{clients: clients} = session, id, _now) do
+  def up(session, id, _now) do
     client = %{parser: Parser.new(), waiting: [], judged: nil, busy: false, disables: false, motors: false}
-    %{session | clients: Map.put(clients, id, client)}
+    put_in(session.clients.map[id], client)
   end
 
   @doc "Whether there is room for one more."
   @spec room?(Session.t()) :: boolean
-  def room?(%{clients: clients}), do: map_size(clients) < @most_clients
+  def room?(%{clients: %{map: map}}), do: map_size(map) < @most_clients
 
   @doc "A program is gone: what it left behind is undone."
   @spec down(Session.t(), id, integer) :: Session.t()
-  def down(%{clients: clients} = session, id, now) do
-    case Map.pop(clients, id) do
-      {nil, _clients} ->
+  def down(session, id, now) do
+    case pop_in(session.clients.map[id]) do
+      {nil, session} ->
         session
 
-      {client, clients} ->
-        session = %{session | clients: clients, tasks: Enum.reject(session.tasks, &(&1[:client] == id))}
+      {client, session} ->
+        session = Tasks.drop(session, &(&1[:client] == id))
         session = if client.motors, do: Motors.until(session, now), else: session
 
         if client.disables and not wants_disarmed?(session),
@@ -100,8 +104,8 @@ defmodule Msp.Session.Clients do
 
   @doc "Bytes of a program."
   @spec bytes(Session.t(), id, binary, integer) :: Session.t()
-  def bytes(%{clients: clients} = session, id, bytes, now) when is_map_key(clients, id) do
-    {frames, parser} = Parser.push(clients[id].parser, bytes)
+  def bytes(%{clients: %{map: map}} = session, id, bytes, now) when is_map_key(map, id) do
+    {frames, parser} = Parser.push(map[id].parser, bytes)
     session = update(session, id, &%{&1 | parser: parser})
     requests = for %{direction: :request} = frame <- frames, do: frame
     requests |> Enum.reduce(session, &wait(&2, id, &1)) |> next(id, now)
@@ -110,14 +114,14 @@ defmodule Msp.Session.Clients do
   def bytes(session, _id, _bytes, _now), do: session
 
   defp wait(session, id, frame) do
-    if length(session.clients[id].waiting) >= @most_waiting,
+    if length(session.clients.map[id].waiting) >= @most_waiting,
       do: refuse(session, id, frame),
       else: update(session, id, &%{&1 | waiting: &1.waiting ++ [frame]})
   end
 
   # One request of each is under way.
   defp next(session, id, now) do
-    case session.clients do
+    case session.clients.map do
       %{^id => %{busy: false, waiting: [frame | rest]}} ->
         session |> update(id, &%{&1 | waiting: rest, busy: true}) |> begin(id, frame, now)
 
@@ -147,7 +151,7 @@ defmodule Msp.Session.Clients do
     do: {:error, "#{name} is not for programs: arm and manual_control send channels, with a dead-man"}
 
   # What stops a motor that turns both ways is another value, so it could not be stopped for a program that is gone.
-  defp allowed(%{one_way: one_way}, _message, %{id: @set_motor}) when one_way != true,
+  defp allowed(%{motors: %{one_way: one_way}}, _message, %{id: @set_motor}) when one_way != true,
     do: {:error, "SET_MOTOR refused: its motors turn both ways, or it has not said yet that they do not"}
 
   # Betaflight's last byte links it to another mode.
@@ -165,7 +169,7 @@ defmodule Msp.Session.Clients do
   defp arms?(_range, nil), do: true
   defp arms?(<<first, last, _::binary>>, us), do: us >= 900 + 25 * first and us < 900 + 25 * last
 
-  defp wants_disarmed?(session), do: Enum.any?(session.clients, fn {_id, client} -> client.disables end)
+  defp wants_disarmed?(session), do: Enum.any?(session.clients.map, fn {_id, client} -> client.disables end)
 
   defp disarmed(session, message, frame) do
     if Armed.only_disarmed?(message, frame) and Armed.early(session) != nil,
@@ -176,13 +180,13 @@ defmodule Msp.Session.Clients do
   # The caller asks the policy and answers with `judged/4`.
   defp judge(session, id, frame, meaning) do
     session = update(session, id, &%{&1 | judged: frame})
-    %{session | judgements: session.judgements ++ [{:judge, id, meaning}]}
+    update_in(session.clients.judgements, &(&1 ++ [{:judge, id, meaning}]))
   end
 
   @doc "What the policy says of the request that was to be judged."
   @spec judged(Session.t(), id, boolean, integer) :: Session.t()
   def judged(session, id, allowed?, now) do
-    case session.clients do
+    case session.clients.map do
       %{^id => %{judged: frame}} when frame != nil ->
         session = update(session, id, &%{&1 | judged: nil})
         if allowed?, do: write(session, id, frame, now), else: over(session, id, frame, :refused, now)
@@ -256,7 +260,7 @@ defmodule Msp.Session.Clients do
         :silent -> session
       end
 
-    if is_map_key(session.clients, id),
+    if is_map_key(session.clients.map, id),
       do: session |> update(id, &%{&1 | busy: false}) |> next(id, now),
       else: session
   end
@@ -268,26 +272,22 @@ defmodule Msp.Session.Clients do
   defp tell(%{identity: %{firmware: :inav}} = session, _id, %{flags: flags}) when rem(flags, 2) == 1,
     do: session
 
-  defp tell(session, id, frame), do: %{session | told: [{:client, id, Frame.encode(frame)} | session.told]}
+  defp tell(session, id, frame),
+    do: update_in(session.clients.told, &[{:client, id, Frame.encode(frame)} | &1])
 
-  defp update(%{clients: clients} = session, id, fun),
-    do: %{session | clients: Map.replace_lazy(clients, id, fun)}
+  defp update(session, id, fun), do: update_in(session.clients.map, &Map.replace_lazy(&1, id, fun))
 
   @doc "What is told to programs, and what is to be judged, since the last call."
   @spec take(Session.t()) :: {[Session.action()], Session.t()}
-  def take(%{told: [], judgements: []} = session), do: {[], session}
+  def take(%{clients: %{told: [], judgements: []}} = session), do: {[], session}
 
-  def take(session),
-    do: {Enum.reverse(session.told) ++ session.judgements, %{session | told: [], judgements: []}}
+  def take(%{clients: %{told: told, judgements: judgements} = clients} = session),
+    do: {Enum.reverse(told) ++ judgements, %{session | clients: %{clients | told: [], judgements: []}}}
 
   @doc "The vehicle is asked again who it is: what was under way has no answer."
   @spec interrupted(Session.t()) :: Session.t()
   def interrupted(session) do
-    clients =
-      Map.new(session.clients, fn {id, client} ->
-        {id, %{client | busy: false, judged: nil, waiting: [], disables: false}}
-      end)
-
-    %{session | clients: clients}
+    idle = %{busy: false, judged: nil, waiting: [], disables: false}
+    update_in(session.clients.map, &Map.new(&1, fn {id, client} -> {id, Map.merge(client, idle)} end))
   end
 end

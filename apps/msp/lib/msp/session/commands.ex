@@ -142,11 +142,11 @@ defmodule Msp.Session.Commands do
   defp message(_firmware, _name, _command), do: nil
 
   # What is repeated while it is being done is not done twice.
-  defp queue(%{tasks: tasks} = session, name, command, from) do
+  defp queue(session, name, command, from) do
     {:ok, message} = Messages.fetch(session.identity.firmware, name)
 
     cond do
-      Enum.any?(tasks, &(&1[:command] == command and match?({^name, _, _}, &1.ask))) ->
+      Tasks.any?(session, &(&1[:command] == command and match?({^name, _, _}, &1.ask))) ->
         Output.acknowledge(session, command, from, :IN_PROGRESS)
 
       not Tasks.room?(session) ->
@@ -191,7 +191,7 @@ defmodule Msp.Session.Commands do
 
   # Its clock begins again, and its boxes may be others.
   defp done(session, "REBOOT", _now), do: %{session | restarted: true}
-  defp done(session, "EEPROM_WRITE", _now), do: %{session | unsaved: false}
+  defp done(session, "EEPROM_WRITE", _now), do: Params.stored(session)
   defp done(session, _name, _now), do: session
 
   # A number that MAVLink puts into a float.

@@ -10,7 +10,16 @@ defmodule Msp.Session.Identifying do
   alias MavCodec.Msp.{Frame, Guard}
   alias MavCodec.Sniff
   alias Msp.{Exchange, Identity, Polls, Session, Telemetry}
-  alias Msp.Session.{Clients, Motors, Params, Reports}
+  alias Msp.Session.{Clients, Missions, Motors, Params, Reports, Sticks, Tasks}
+
+  defstruct [:until, todo: [], tries: 0, found: %{}, heard: ""]
+
+  @typedoc """
+  - `until`: when the line was listened to for long enough
+  - `todo`: messages still to be asked; `tries`: how often the first one was; `found`: their answers
+  - `heard`: the last bytes before it was known who is there
+  """
+  @type t :: %__MODULE__{}
 
   @identify ["API_VERSION", "FC_VARIANT", "FC_VERSION"]
   # A vehicle may refuse any of it.
@@ -27,31 +36,27 @@ defmodule Msp.Session.Identifying do
   @doc "Keeps what came before it is known who is there."
   @spec hear(Session.t(), binary) :: Session.t()
   def hear(session, bytes) do
-    heard = session.heard <> bytes
-    %{session | heard: binary_slice(heard, max(byte_size(heard) - @max_heard, 0)..-1//1)}
+    heard = session.identifying.heard <> bytes
+    put_in(session.identifying.heard, binary_slice(heard, max(byte_size(heard) - @max_heard, 0)..-1//1))
   end
 
   @doc "Begins to ask."
   @spec start(Session.t()) :: Session.t()
-  def start(session),
-    do: %{
-      Clients.interrupted(session)
+  def start(session) do
+    session = session |> Clients.interrupted() |> Missions.interrupted() |> Sticks.stop() |> Tasks.drop()
+
+    %{
+      session
       | phase: :identifying,
         identity: nil,
         exchange: Exchange.forget(session.exchange),
-        todo: @identify,
-        tries: 0,
-        found: %{},
-        heard: "",
-        tasks: [],
-        mission: nil,
-        upload: nil,
-        receiver: nil
+        identifying: %__MODULE__{todo: @identify}
     }
+  end
 
   @doc "Begins to ask a vehicle that was told to restart."
   @spec restarted(Session.t(), integer) :: Session.t()
-  def restarted(session, now), do: %{start(session) | boot: now, unsaved: false, restarted: false}
+  def restarted(session, now), do: %{start(Params.stored(session)) | boot: now, restarted: false}
 
   @doc "By which firmware and version messages are read now."
   @spec target(Session.t()) :: Guard.target()
@@ -67,33 +72,36 @@ defmodule Msp.Session.Identifying do
   @doc "An answer to one of the questions; without values if it was refused."
   @spec known(Session.t(), String.t(), map, integer) :: outcome
   def known(session, name, values, now) do
-    session = %{
-      session
-      | todo: List.delete(session.todo, name),
+    %{todo: todo, found: found} = session.identifying
+
+    asked = %{
+      session.identifying
+      | todo: List.delete(todo, name),
         tries: 0,
-        found: Map.put(session.found, name, values),
-        answered_at: now
+        found: Map.put(found, name, values)
     }
 
+    session = %{session | identifying: asked, answered_at: now}
+
     cond do
-      session.todo != [] -> {:ok, session}
+      asked.todo != [] -> {:ok, session}
       session.identity -> {:ok, session |> up(now) |> Motors.found() |> Params.ahead()}
       true -> recognise(session)
     end
   end
 
-  defp recognise(%{found: found} = session) do
+  defp recognise(%{identifying: %{found: found}} = session) do
     with %{"API_VERSION" => %{api_major: major, api_minor: minor}, "FC_VARIANT" => %{variant: variant}} <-
            found,
          {:ok, identity} <- Identity.of({major, minor}, variant, found["FC_VERSION"]) do
-      {:ok, %{session | identity: identity, todo: @about[identity.firmware]}}
+      {:ok, put_in(%{session | identity: identity}.identifying.todo, @about[identity.firmware])}
     else
       {:error, text} -> {:fail, text}
       _answers_missing -> {:fail, "it answers, but does not say which firmware it is"}
     end
   end
 
-  defp up(%{found: found} = session, now) do
+  defp up(%{identifying: %{found: found}} = session, now) do
     identity = %{
       session.identity
       | uid: uid(found["UID"]),
@@ -102,26 +110,22 @@ defmodule Msp.Session.Identifying do
 
     mixer = found["MIXER_CONFIG"][:mixer] || found["MSP2_INAV_MIXER"][:platform_type]
 
+    session = if session.uid == identity.uid, do: session, else: Params.forget(session)
+
     %{
-      session
+      Motors.forget(session)
       | phase: :up,
         up_at: now,
-        introduced_at: nil,
-        one_way: nil,
         identity: identity,
         uid: identity.uid,
-        # Of another vehicle they are others.
-        params: if(session.uid == identity.uid, do: session.params),
         type: Telemetry.type(identity.firmware, mixer),
         ids: Reports.ids(found["BOXIDS"]),
         polls: Polls.new(identity.firmware, now),
         boot: session.boot || now,
         # Whether it was restarted shows in what it says now and said then.
         readings: Map.take(session.readings, [:arming]),
-        heartbeat: nil,
-        height: nil,
-        complaint: nil,
-        heard: ""
+        reports: %Reports{},
+        identifying: %__MODULE__{}
     }
   end
 
@@ -130,12 +134,12 @@ defmodule Msp.Session.Identifying do
 
   @doc "A question without an answer, or a poll."
   @spec timeout(Session.t(), {:about | :poll, String.t()}, integer) :: outcome
-  def timeout(%{tries: tries} = session, {:about, name}, now) do
+  def timeout(%{identifying: %{tries: tries}} = session, {:about, name}, now) do
     cond do
-      tries + 1 < @tries -> {:ok, %{session | tries: tries + 1}}
+      tries + 1 < @tries -> {:ok, put_in(session.identifying.tries, tries + 1)}
       name not in @identify -> known(session, name, %{}, now)
       # It was there: it is restarting, or its line is interrupted.
-      session.answered_at -> {:ok, %{session | tries: 0}}
+      session.answered_at -> {:ok, put_in(session.identifying.tries, 0)}
       true -> {:fail, silent(session)}
     end
   end
@@ -146,9 +150,9 @@ defmodule Msp.Session.Identifying do
     {:ok, if(now - at > patience, do: start(session), else: session)}
   end
 
-  defp silent(%{heard: ""}), do: "it does not answer MSP"
+  defp silent(%{identifying: %{heard: ""}}), do: "it does not answer MSP"
 
-  defp silent(%{heard: heard}) do
+  defp silent(%{identifying: %{heard: heard}}) do
     if String.contains?(heard, "$M<"),
       do:
         "its command line is open, as each request comes back as $M<: close it with exit or restart the vehicle, which cannot be armed until then",

@@ -14,11 +14,19 @@ defmodule Msp.Session.Missions do
   """
   @behaviour Msp.Session.Tasks
 
-  alias MavCodec.Enums.MavMissionResult
   alias MavCodec.Messages, as: M
   alias Msp.{Mission, Session}
   alias Msp.Session.{Output, Tasks}
   alias Msp.Session.Tasks.Armed
+  alias Protocols.Mission.{Reply, Upload}
+
+  defstruct [:aboard, :upload, :last]
+
+  @typedoc """
+  - `aboard`: the waypoints and items of the vehicle's mission, nil until they were read
+  - `upload`: the one that a client writes; `last`: who wrote the last one, and what came of it
+  """
+  @type t :: %__MODULE__{}
 
   @handled [
     M.MissionRequestList,
@@ -30,16 +38,14 @@ defmodule Msp.Session.Missions do
     M.MissionAck
   ]
   @ids Enum.map(@handled, & &1.id())
-  @results Map.new(
-             ~w(ACCEPTED ERROR UNSUPPORTED UNSUPPORTED_FRAME NO_SPACE INVALID INVALID_SEQUENCE DENIED OPERATION_CANCELLED)a,
-             &{&1, MavMissionResult.value(:"MAV_MISSION_#{&1}")}
-           )
   @mission 0
+  @cancelled Reply.result(:OPERATION_CANCELLED)
   @notice 5
   # After the first time. A waypoint that is written again is ignored, as its number is not the next one.
   @tries 2
   # Speeds and user actions are items of their own.
   @most_items 3 * Mission.most()
+  @rules %{again_us: @again_us, patience_us: @patience_us, out_of_turn: :ask}
 
   @doc "Whether this is a message of the mission protocol."
   @spec mine?(non_neg_integer) :: boolean
@@ -55,10 +61,20 @@ defmodule Msp.Session.Missions do
       )
       when component in [0, 1] do
     cond do
-      is_struct(message, M.MissionAck) -> cancelled(session, message, from)
-      session.identity.firmware != :inav -> acknowledge(session, message, from, :UNSUPPORTED)
-      message.mission_type != @mission -> other(session, message, from)
-      true -> handle(session, message, from, now)
+      is_struct(message, M.MissionAck) and message.type == @cancelled ->
+        upload(session, {:cancelled, from}, now)
+
+      is_struct(message, M.MissionAck) ->
+        session
+
+      session.identity.firmware != :inav ->
+        acknowledge(session, message, from, :UNSUPPORTED)
+
+      message.mission_type != @mission ->
+        other(session, message, from)
+
+      true ->
+        handle(session, message, from, now)
     end
   end
 
@@ -72,7 +88,7 @@ defmodule Msp.Session.Missions do
 
   defp handle(session, %M.MissionRequestList{}, from, _now) do
     cond do
-      Enum.any?(session.tasks, &match?(%{kind: __MODULE__, what: :read, from: ^from}, &1)) -> session
+      Tasks.any?(session, &match?(%{kind: __MODULE__, what: :read, from: ^from}, &1)) -> session
       not Tasks.room?(session) -> session
       true -> Tasks.add(session, reading(:read, from))
     end
@@ -82,17 +98,18 @@ defmodule Msp.Session.Missions do
        when module in [M.MissionRequestInt, M.MissionRequest] do
     {system, component} = from
 
-    case session.mission && Enum.at(session.mission.items, seq) do
-      nil -> acknowledge(session, message, from, if(session.mission, do: :INVALID_SEQUENCE, else: :ERROR))
+    aboard = session.missions.aboard
+
+    case aboard && Enum.at(aboard.items, seq) do
+      nil -> acknowledge(session, message, from, if(aboard, do: :INVALID_SEQUENCE, else: :ERROR))
       item -> Output.emit(session, %{item | target_system: system, target_component: component})
     end
   end
 
   defp handle(session, %M.MissionCount{count: count} = message, from, now) do
     cond do
-      refusal = refusal(session, from, now) ->
-        {result, why} = refusal
-        session |> Output.text(@notice, "Mission not written: #{why}") |> acknowledge(message, from, result)
+      why = refusal(session, from, now) ->
+        session |> Output.text(@notice, "Mission not written: #{why}") |> acknowledge(message, from, :DENIED)
 
       count == 0 ->
         handle(session, %M.MissionClearAll{mission_type: @mission}, from, now)
@@ -101,38 +118,20 @@ defmodule Msp.Session.Missions do
         acknowledge(session, message, from, :NO_SPACE)
 
       true ->
-        request(%{session | upload: %{from: from, count: count, items: [], at: now, told: now}}, 0)
-    end
-  end
-
-  defp handle(
-         %{upload: %{from: from, items: items, count: count} = upload} = session,
-         %M.MissionItemInt{seq: seq} = item,
-         from,
-         now
-       )
-       when is_list(items) do
-    cond do
-      seq != length(items) ->
-        request(session, length(items))
-
-      seq + 1 == count ->
-        complete(%{session | upload: %{upload | items: :writing}}, Enum.reverse([item | items]), now)
-
-      true ->
-        request(%{session | upload: %{upload | items: [item | items], at: now}}, seq + 1)
+        upload(session, {:count, message, from}, now)
     end
   end
 
   # The client repeats the last item, as it did not see what came of it.
-  defp handle(%{uploaded: {from, result}, upload: nil} = session, %M.MissionItemInt{} = item, from, _now),
-    do: acknowledge(session, item, from, result)
+  defp handle(
+         %{missions: %{upload: nil, last: {from, result}}} = session,
+         %M.MissionItemInt{} = item,
+         from,
+         _
+       ),
+       do: acknowledge(session, item, from, result)
 
-  defp handle(session, %M.MissionItemInt{} = item, from, _now) do
-    if session.upload && session.upload.from == from,
-      do: session,
-      else: acknowledge(session, item, from, :INVALID_SEQUENCE)
-  end
+  defp handle(session, %M.MissionItemInt{} = item, from, now), do: upload(session, {:item, item, from}, now)
 
   defp handle(session, %M.MissionClearAll{} = message, from, _now) do
     session
@@ -140,33 +139,33 @@ defmodule Msp.Session.Missions do
     |> acknowledge(message, from, :UNSUPPORTED)
   end
 
-  defp refusal(session, from, now) do
+  defp refusal(%{missions: %{upload: upload}} = session, from, now) do
+    busy = Upload.busy(upload, from, @rules, now)
+
     cond do
-      Armed.early(session) != nil -> {:DENIED, Armed.early(session)}
-      session.upload == nil -> if(not Tasks.room?(session), do: {:DENIED, "it is busy"})
-      session.upload.items == :writing -> {:DENIED, "another one is being written"}
-      # One that its client has given up.
-      session.upload.from == from or now - session.upload.at > @patience_us -> nil
-      true -> {:DENIED, "another client writes one"}
+      Armed.early(session) != nil -> Armed.early(session)
+      busy == :storing -> "another one is being written"
+      busy == :other -> "another client writes one"
+      upload == nil and not Tasks.room?(session) -> "it is busy"
+      true -> nil
     end
   end
 
-  defp cancelled(%{upload: %{from: from, items: items}} = session, %{type: type}, from) when is_list(items) do
-    if type == @results[:OPERATION_CANCELLED], do: %{session | upload: nil}, else: session
+  defp upload(session, event, now) do
+    {upload, actions} = Upload.handle(session.missions.upload, event, @rules, now)
+    Enum.reduce(actions, put_in(session.missions.upload, upload), &act(&2, &1, event))
   end
 
-  defp cancelled(session, _ack, _from), do: session
+  defp act(session, {:send, message}, _event), do: Output.emit(session, message)
+  defp act(session, {:store, items}, _event), do: complete(session, items)
+  defp act(session, :stray, {:item, item, from}), do: acknowledge(session, item, from, :INVALID_SEQUENCE)
 
-  defp complete(%{upload: %{from: from}} = session, items, now) do
+  defp complete(%{missions: %{upload: %{from: from}}} = session, items) do
     # It may have been armed since.
     with {:armed, nil} <- {:armed, Armed.early(session)},
          {:ok, [first | rest] = waypoints} <- Mission.waypoints(items) do
       task = %{kind: __MODULE__, what: :write, from: from, tries: 0, waypoints: waypoints, rest: rest, at: 1}
-
-      Tasks.add(
-        %{session | mission: nil, upload: %{session.upload | at: now, told: now}},
-        Map.put(task, :ask, {"SET_WP", first})
-      )
+      session |> forget() |> Tasks.add(Map.put(task, :ask, {"SET_WP", first}))
     else
       {:armed, why} -> ended(session, from, :DENIED, why)
       {:error, {:unsupported, why}} -> ended(session, from, :UNSUPPORTED, why)
@@ -180,17 +179,26 @@ defmodule Msp.Session.Missions do
 
   @doc "What is due: requests that are repeated, and the end of an upload whose client fell silent."
   @spec due(Session.t(), integer) :: Session.t()
-  def due(%{upload: %{told: told, at: at} = upload} = session, now) when now - told > @again_us do
-    session = %{session | upload: %{upload | told: now}}
+  def due(session, now), do: upload(session, :tick, now)
 
-    case upload.items do
-      :writing -> request(session, upload.count - 1)
-      items when now - at <= @patience_us -> request(session, length(items))
-      _silent -> acknowledge(%{session | upload: nil}, @mission, upload.from, :OPERATION_CANCELLED)
-    end
-  end
+  @doc "Whether a client writes one."
+  @spec uploading?(Session.t()) :: boolean
+  def uploading?(%{missions: %{upload: upload}}), do: upload != nil
 
-  def due(session, _now), do: session
+  @doc "The mission aboard is not known any more."
+  @spec forget(Session.t()) :: Session.t()
+  def forget(session), do: put_in(session.missions.aboard, nil)
+
+  @doc "How many waypoints the vehicle has: with another number another program, or the pilot, has changed its mission."
+  @spec counted(Session.t(), non_neg_integer) :: Session.t()
+  def counted(%{missions: %{aboard: %{waypoints: known}}} = session, count) when length(known) != count,
+    do: forget(session)
+
+  def counted(session, _count), do: session
+
+  @doc "The vehicle is asked again who it is. What came of the last upload stays."
+  @spec interrupted(Session.t()) :: Session.t()
+  def interrupted(session), do: %{session | missions: %__MODULE__{last: session.missions.last}}
 
   @impl Tasks
   def answer(session, %{tries: tries} = task, :timeout, _now) when tries < @tries,
@@ -258,7 +266,8 @@ defmodule Msp.Session.Missions do
       nil ->
         {:ok, items} = Mission.items(task.waypoints)
 
-        %{session | mission: %{waypoints: task.waypoints, items: items}}
+        session
+        |> aboard(task.waypoints, items)
         |> Tasks.done(task)
         |> ended(task.from, :ACCEPTED, nil)
         |> Output.text(
@@ -276,7 +285,7 @@ defmodule Msp.Session.Missions do
 
     case Mission.items(waypoints) do
       {:ok, items} ->
-        count(%{session | mission: %{waypoints: waypoints, items: items}}, length(items), @mission, task.from)
+        session |> aboard(waypoints, items) |> count(length(items), @mission, task.from)
 
       {:error, why} ->
         session
@@ -284,6 +293,9 @@ defmodule Msp.Session.Missions do
         |> Output.text(@notice, "Mission not read: #{why}")
     end
   end
+
+  defp aboard(session, waypoints, items),
+    do: put_in(session.missions.aboard, %{waypoints: waypoints, items: items})
 
   defp why(:timeout), do: "was not answered"
   defp why(:refused), do: "was refused"
@@ -295,37 +307,12 @@ defmodule Msp.Session.Missions do
 
   defp ended(session, from, result, why) do
     session = if why, do: Output.text(session, @notice, "Mission not written: #{why}"), else: session
-    acknowledge(%{session | upload: nil, uploaded: {from, result}}, @mission, from, result)
+    missions = %{session.missions | upload: nil, last: {from, result}}
+    acknowledge(%{session | missions: missions}, @mission, from, result)
   end
 
-  # --- messages ---
-
-  defp request(%{upload: %{from: {system, component}}} = session, seq) do
-    Output.emit(session, %M.MissionRequestInt{
-      target_system: system,
-      target_component: component,
-      seq: seq,
-      mission_type: @mission
-    })
-  end
-
-  defp count(session, count, type, {system, component}) do
-    Output.emit(session, %M.MissionCount{
-      target_system: system,
-      target_component: component,
-      count: count,
-      mission_type: type
-    })
-  end
+  defp count(session, count, type, from), do: Output.emit(session, Reply.count(type, count, from))
 
   defp acknowledge(session, %{mission_type: type}, from, result), do: acknowledge(session, type, from, result)
-
-  defp acknowledge(session, type, {system, component}, result) do
-    Output.emit(session, %M.MissionAck{
-      target_system: system,
-      target_component: component,
-      type: Map.fetch!(@results, result),
-      mission_type: type
-    })
-  end
+  defp acknowledge(session, type, from, result), do: Output.emit(session, Reply.ack(type, result, from))
 end

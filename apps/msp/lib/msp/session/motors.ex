@@ -19,10 +19,22 @@ defmodule Msp.Session.Motors do
 
   alias MavCodec.Msp.Frame
   alias Msp.{Identity, Session}
-  alias Msp.Session.{Output, Tasks}
+  alias Msp.Session.{Output, Sticks, Tasks}
   alias Msp.Session.Tasks.Armed
 
   @stop 1000
+  defstruct [:turning, :one_way, still: @stop]
+
+  @typedoc """
+  - `turning`: when those that turn are stopped, and how often they were told to; nil while none turns
+  - `one_way`: whether they turn one way only, so that `still` in µs stops them; nil until the vehicle has said so
+  """
+  @type t :: %__MODULE__{
+          turning: %{due: integer, stops: non_neg_integer} | nil,
+          one_way: boolean | nil,
+          still: non_neg_integer
+        }
+
   @motors 8
   @both_ways 12
   @percent 0
@@ -44,13 +56,13 @@ defmodule Msp.Session.Motors do
           percent > 100 ->
         Output.acknowledge(session, command, from, :DENIED)
 
-      Armed.early(session) != nil or session.receiver != nil ->
+      Armed.early(session) != nil or Sticks.steered?(session) ->
         refuse(session, command, from, "it is armed, or about to be")
 
       us > @longest_us ->
         refuse(session, command, from, "a motor runs for #{div(@longest_us, 1_000_000)} s at most")
 
-      session.motors != nil or Enum.any?(session.tasks, &(&1.kind == __MODULE__)) ->
+      session.motors.turning != nil or Tasks.any?(session, &(&1.kind == __MODULE__)) ->
         Output.acknowledge(session, command, from, :TEMPORARILY_REJECTED)
 
       true ->
@@ -86,27 +98,27 @@ defmodule Msp.Session.Motors do
     do: session |> Tasks.done(task) |> Output.acknowledge(task.command, task.from, :ACCEPTED)
 
   def answer(session, %{ask: {_feature, _}} = task, {:ok, %{features: features}}, _now) do
-    session = %{session | one_way: Bitwise.band(features, Bitwise.bsl(1, @both_ways)) == 0}
+    session = put_in(session.motors.one_way, Bitwise.band(features, Bitwise.bsl(1, @both_ways)) == 0)
 
     cond do
-      not session.one_way ->
+      not session.motors.one_way ->
         ended(session, task, "its motors turn both ways")
 
       session.identity.firmware == :inav ->
         Tasks.ask_next(session, task, %{tries: 0, ask: {"MSP2_INAV_MISC", %{}}})
 
       true ->
-        motors(%{session | still: @stop}, task)
+        motors(put_in(session.motors.still, @stop), task)
     end
   end
 
   def answer(session, %{ask: {"MSP2_INAV_MISC", _}} = task, answer, _now) do
     still = with {:ok, %{min_command: us}} <- answer, do: us, else: (_unknown -> @stop)
-    motors(%{session | still: still}, task)
+    motors(put_in(session.motors.still, still), task)
   end
 
   def answer(session, %{what: :run} = task, {:denied, why}, _now),
-    do: %{session | motors: nil} |> Tasks.done(task) |> refuse(task.command, task.from, why)
+    do: put_in(session.motors.turning, nil) |> Tasks.done(task) |> refuse(task.command, task.from, why)
 
   def answer(session, %{what: :run} = task, _none, _now),
     do: session |> ended(task, "whether the motor turned is not known") |> stop()
@@ -140,9 +152,10 @@ defmodule Msp.Session.Motors do
         ended(session, task, "it has no motor #{task.motor}")
 
       true ->
-        entries = for n <- 1..@motors, do: %{motor: if(n == task.motor, do: task.value, else: session.still)}
+        entries =
+          for n <- 1..@motors, do: %{motor: if(n == task.motor, do: task.value, else: session.motors.still)}
 
-        Tasks.ask_next(%{session | motors: %{due: now + task.us, stops: 0}}, task, %{
+        Tasks.ask_next(until(session, now + task.us), task, %{
           what: :run,
           ask: {"SET_MOTOR", %{entries: entries}, @run_us}
         })
@@ -159,48 +172,56 @@ defmodule Msp.Session.Motors do
 
   defp turning(session, %{what: :stopping} = task, values, _now) do
     session = Tasks.done(session, task)
-    if turn?(session, values), do: session, else: %{session | motors: nil}
+    if turn?(session, values), do: session, else: put_in(session.motors.turning, nil)
   end
 
   @doc "Whether one of these motors turns, by its value. 0 is a motor that is not there."
   @spec turn?(Session.t(), [non_neg_integer]) :: boolean
-  def turn?(%{still: still}, values), do: Enum.any?(values, &(&1 not in [0, still]))
+  def turn?(%{motors: %{still: still}}, values), do: Enum.any?(values, &(&1 not in [0, still]))
 
   defp left_on(session, now),
     do:
       Output.text(
-        %{session | motors: %{due: now, stops: 0}},
+        until(session, now),
         @critical,
         "Motors turned although it was not armed: somebody left them on, and they are stopped"
       )
 
   @doc "Stops them at once, before anything else."
   @spec stop(Session.t()) :: Session.t()
-  def stop(%{motors: nil} = session), do: session
-  def stop(%{motors: motors} = session), do: %{session | motors: %{motors | due: 0}}
+  def stop(%{motors: %{turning: nil}} = session), do: session
+  def stop(session), do: put_in(session.motors.turning.due, 0)
 
   @doc "They turn, and are stopped then unless this is said again."
   @spec until(Session.t(), integer) :: Session.t()
-  def until(session, at), do: %{session | motors: %{due: at, stops: 0}}
+  def until(session, at), do: put_in(session.motors.turning, %{due: at, stops: 0})
+
+  @doc "When they are stopped, nil while none turns."
+  @spec due_at(Session.t()) :: integer | nil
+  def due_at(%{motors: %{turning: turning}}), do: turning && turning.due
+
+  @doc "Another vehicle may be at the line, whose motors turn both ways."
+  @spec forget(Session.t()) :: Session.t()
+  def forget(session), do: put_in(session.motors.one_way, nil)
 
   @doc "Stops them when their time is over, until they stand still."
   @spec due(Session.t(), integer) :: {Session.t(), [{:write, binary}]}
-  def due(%{motors: %{due: due, stops: stops}, phase: :up} = session, now) when now >= due do
+  def due(%{motors: %{turning: %{due: due, stops: stops}}, phase: :up} = session, now) when now >= due do
     cond do
       # Its motors are its own now. Those that were set turn again once it is disarmed.
       Armed.state(session) == :armed ->
-        {%{session | motors: %{due: now + @again_us, stops: 0}}, []}
+        {until(session, now + @again_us), []}
 
       stops >= @most_stops ->
         {Output.text(
-           %{session | motors: nil},
+           put_in(session.motors.turning, nil),
            @critical,
            "Motors may still turn: the vehicle does not say that they stand still"
          ), []}
 
       true ->
-        session = %{session | motors: %{due: now + @again_us, stops: stops + 1}}
-        asked? = Enum.any?(session.tasks, &match?(%{kind: __MODULE__, what: :stopping}, &1))
+        session = put_in(session.motors.turning, %{due: now + @again_us, stops: stops + 1})
+        asked? = Tasks.any?(session, &match?(%{kind: __MODULE__, what: :stopping}, &1))
 
         session =
           if asked?,
@@ -223,11 +244,11 @@ defmodule Msp.Session.Motors do
 
   @doc "What is written before the line is closed."
   @spec closing(Session.t()) :: [{:write, binary}]
-  def closing(%{motors: motors, phase: :up} = session) when motors != nil, do: [{:write, stop_frame(session)}]
+  def closing(%{motors: %{turning: %{}}, phase: :up} = session), do: [{:write, stop_frame(session)}]
   def closing(_session), do: []
 
   defp stop_frame(session) do
-    entries = List.duplicate(%{motor: session.still}, @motors)
+    entries = List.duplicate(%{motor: session.motors.still}, @motors)
     {:ok, frame} = MavCodec.Msp.request(Identity.target(session.identity), "SET_MOTOR", %{entries: entries})
     IO.iodata_to_binary(Frame.encode(frame))
   end

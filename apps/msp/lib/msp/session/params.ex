@@ -18,6 +18,11 @@ defmodule Msp.Session.Params do
   alias Msp.Session.Tasks.Armed
   alias Msp.Session.Params.{Answers, Blocks, Lines, ReadAll, Settings}
 
+  defstruct names: nil, unsaved: false
+
+  @typedoc "`names`: in their order, nil until they were read; `unsaved`: some were set and not stored."
+  @type t :: %__MODULE__{names: [String.t()] | nil, unsaved: boolean}
+
   @messages [M.ParamRequestList.id(), M.ParamRequestRead.id(), M.ParamSet.id()]
   @notice 5
   # From here on floats leave integers out, and no setting that is a float goes so far.
@@ -43,11 +48,10 @@ defmodule Msp.Session.Params do
   def message(session, _for_another, _from, _now), do: session
 
   defp handle(session, %M.ParamRequestList{}, _from) do
-    if Enum.any?(session.tasks, &match?(%{what: :list}, &1)),
-      do: %{
-        session
-        | tasks: Enum.map(session.tasks, &if(&1[:what] == :list, do: %{&1 | tell: true}, else: &1))
-      },
+    list? = &match?(%{what: :list}, &1)
+
+    if Tasks.any?(session, list?),
+      do: Tasks.change(session, list?, &%{&1 | tell: true}),
       else: list(session, true)
   end
 
@@ -55,7 +59,7 @@ defmodule Msp.Session.Params do
     do: read(session, name, from)
 
   defp handle(session, %M.ParamRequestRead{param_index: index}, from) do
-    case Enum.at(session.params || [], index) do
+    case Enum.at(session.params.names || [], index) do
       nil -> Answers.error(session, "", index, :unknown, from)
       name -> read(session, name, from)
     end
@@ -97,7 +101,7 @@ defmodule Msp.Session.Params do
     repeated? = &(&1[:name] == name and &1[:what] == task.what and &1[:value] == task[:value])
 
     cond do
-      Enum.any?(session.tasks, repeated?) -> session
+      Tasks.any?(session, repeated?) -> session
       not Tasks.room?(session) -> session
       first = first(session.identity, name) -> add(session, Map.merge(task, first))
       true -> Answers.error(session, name, nil, :unknown, task.from)
@@ -141,8 +145,16 @@ defmodule Msp.Session.Params do
   def answer(session, task, {:unfit, why}, _now), do: Answers.refuse(session, task, :denied, why)
   def answer(session, task, answer, _now), do: task.by.answer(session, %{task | tries: 0}, answer)
 
+  @doc "They were stored, or the vehicle restarted without them."
+  @spec stored(Session.t()) :: Session.t()
+  def stored(session), do: put_in(session.params.unsaved, false)
+
+  @doc "Another vehicle is at the line: its parameters are others."
+  @spec forget(Session.t()) :: Session.t()
+  def forget(session), do: put_in(session.params.names, nil)
+
   @doc "The settings of a vehicle that was just found are read ahead, once: that takes iNav ten seconds."
   @spec ahead(Session.t()) :: Session.t()
-  def ahead(%{params: nil, identity: %{firmware: :inav}} = session), do: list(session, false)
+  def ahead(%{params: %{names: nil}, identity: %{firmware: :inav}} = session), do: list(session, false)
   def ahead(session), do: session
 end

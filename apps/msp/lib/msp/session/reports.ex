@@ -5,7 +5,16 @@ defmodule Msp.Session.Reports do
   """
 
   alias Msp.{Arming, Identity, Modes, Polls, Readings, Session, Telemetry}
-  alias Msp.Session.{Clients, Output, Requests}
+  alias Msp.Session.{Clients, Missions, Output, Requests, Sticks}
+
+  defstruct [:heartbeat, :introduced_at, :complaint, :height]
+
+  @typedoc """
+  - `heartbeat`: the last one, and when it was sent; `introduced_at`: when it was last said which firmware it is
+  - `complaint`: the names of the last text about what keeps it from being armed
+  - `height`: the last one of an armed vehicle, and when it was read, until it says that it is still armed
+  """
+  @type t :: %__MODULE__{}
 
   @heartbeat_us 1_000_000
   @introduce_us 10_000_000
@@ -39,11 +48,12 @@ defmodule Msp.Session.Reports do
       not armed?(session) ->
         session |> read_all(%{height | alt_rel: nil}) |> show("ALTITUDE", now)
 
-      session.receiver ->
-        %{session | height: {height, now}, polls: Polls.soon(session.polls, Polls.status_names(), now)}
+      Sticks.steered?(session) ->
+        session = put_in(session.reports.height, {height, now})
+        %{session | polls: Polls.soon(session.polls, Polls.status_names(), now)}
 
       true ->
-        %{session | height: {height, now}}
+        put_in(session.reports.height, {height, now})
     end
   end
 
@@ -61,7 +71,7 @@ defmodule Msp.Session.Reports do
     |> clock(readings, now)
     |> read_all(readings)
     |> origin(readings, now)
-    |> mission(name)
+    |> mission(readings)
     |> show(name, now)
     |> failsafe(before)
     |> navigation(before)
@@ -100,9 +110,9 @@ defmodule Msp.Session.Reports do
   end
 
   defp confirm(session, %{boxes: _known}, was_armed?, now) do
-    last = %{session | height: nil}
+    last = put_in(session.reports.height, nil)
 
-    case {session.height, armed?(session)} do
+    case {session.reports.height, armed?(session)} do
       {_any, false} ->
         read_all(last, %{alt_rel: nil, alt_last: nil})
 
@@ -138,12 +148,8 @@ defmodule Msp.Session.Reports do
   defp dated(%{boxes: _known} = readings, now), do: Map.put(readings, :boxes_at, now)
   defp dated(readings, _now), do: readings
 
-  # Another program, or the pilot, may have changed it.
-  defp mission(%{mission: %{waypoints: known}, readings: %{waypoints: count}} = session, "WP_GETINFO")
-       when length(known) != count,
-       do: %{session | mission: nil}
-
-  defp mission(session, _name), do: session
+  defp mission(session, %{waypoints: count}), do: Missions.counted(session, count)
+  defp mission(session, _readings), do: session
 
   @doc "The ids of BOXIDS."
   @spec ids(map | nil) :: [byte]
@@ -170,14 +176,14 @@ defmodule Msp.Session.Reports do
   # It looks for its receiver only when it may be armed.
   defp grace(session, flags, now) do
     if Arming.booting?(Identity.target(session.identity), flags),
-      do: %{session | unsure_until: max(session.unsure_until || now, now + @grace_us)},
+      do: Sticks.unsure(session, now + @grace_us),
       else: session
   end
 
   defp show(session, name, now) when name in ["STATUS_EX", "MSP2_INAV_STATUS"] do
     heartbeat = Telemetry.heartbeat(session.identity, session.type, session.readings)
 
-    case session.heartbeat do
+    case session.reports.heartbeat do
       {^heartbeat, at} when now - at < @heartbeat_us -> session
       nil -> session |> Output.emit(heartbeat) |> identify(now) |> introduce() |> status(heartbeat, now)
       _changed_or_due -> session |> Output.emit(heartbeat) |> identify(now) |> status(heartbeat, now)
@@ -201,7 +207,7 @@ defmodule Msp.Session.Reports do
     do: tell(session, Telemetry.rc(session.readings, Output.boot_ms(session, now)), now)
 
   defp show(session, "NAV_STATUS", _now),
-    do: Output.emit(session, Telemetry.mission(session.readings, session.mission))
+    do: Output.emit(session, Telemetry.mission(session.readings, session.missions.aboard))
 
   defp show(session, "WP", _now), do: Output.emit(session, Telemetry.home(session.readings))
   defp show(session, _name, _now), do: session
@@ -229,16 +235,15 @@ defmodule Msp.Session.Reports do
   end
 
   # Again now and then, for those who were not there: a heartbeat cannot say which firmware it is.
-  defp identify(%{introduced_at: at} = session, now) when at != nil and now - at < @introduce_us, do: session
+  defp identify(%{reports: %{introduced_at: at}} = session, now) when at != nil and now - at < @introduce_us,
+    do: session
 
   defp identify(session, now),
-    do: Output.emit(%{session | introduced_at: now}, Requests.identity(session))
+    do: put_in(session.reports.introduced_at, now) |> Output.emit(Requests.identity(session))
 
   defp status(session, heartbeat, now) do
-    Output.emit(
-      %{session | heartbeat: {heartbeat, now}},
-      Telemetry.sys_status(session.identity, session.readings)
-    )
+    put_in(session.reports.heartbeat, {heartbeat, now})
+    |> Output.emit(Telemetry.sys_status(session.identity, session.readings))
   end
 
   # A heartbeat shows that there is one, a text why and what the vehicle does.
@@ -272,17 +277,17 @@ defmodule Msp.Session.Reports do
   # Once for each change, while it is disarmed.
   defp complain(%{readings: %{arming: flags, boxes: boxes}} = session) when is_integer(flags) do
     names = if Modes.armed?(boxes), do: [], else: Arming.names(Identity.target(session.identity), flags)
-    before = session.complaint
+    before = session.reports.complaint
 
     cond do
       names == before ->
         session
 
       names == [] ->
-        %{session | complaint: []}
+        put_in(session.reports.complaint, [])
 
       true ->
-        %{session | complaint: names}
+        put_in(session.reports.complaint, names)
         |> Output.text(@warning, "Arming disabled: " <> Enum.join(names, ", "))
         |> Clients.disabled("MSP" in (names -- (before || [])))
     end

@@ -13,6 +13,16 @@ defmodule Msp.Session.Sticks do
   alias Msp.Session.{Output, Tasks}
   alias Msp.Session.Tasks.Armed
 
+  defstruct [:receiver, :ignored_at, :asked_at, :unsure_until]
+
+  @typedoc """
+  - `receiver`: the channels that are sent in place of a transmitter's, nil for none
+  - `ignored_at`: when a text last said that sticks were ignored; `asked_at`: when the vehicle was last asked whether
+    they may take it over
+  - `unsure_until`: until then that it misses no receiver does not show that somebody else sends channels
+  """
+  @type t :: %__MODULE__{}
+
   @manual M.ManualControl.id()
   @override M.RcChannelsOverride.id()
   @force 21_196.0
@@ -47,16 +57,16 @@ defmodule Msp.Session.Sticks do
           integer
         ) ::
           Session.t()
-  def command(%{receiver: nil} = session, want, command, from, _now) do
+  def command(%{sticks: %{receiver: nil}} = session, want, command, from, _now) do
     cond do
       # There is nothing to do.
       want in [:disarm, {:disarm, :force}] and Armed.state(session) == :disarmed ->
         Output.acknowledge(session, command, from, :ACCEPTED)
 
-      Enum.any?(session.tasks, &match?(%{kind: __MODULE__, command: ^command, from: ^from}, &1)) ->
+      Tasks.any?(session, &match?(%{kind: __MODULE__, command: ^command, from: ^from}, &1)) ->
         Output.acknowledge(session, command, from, :IN_PROGRESS)
 
-      Enum.any?(session.tasks, &(&1.kind == __MODULE__)) ->
+      Tasks.any?(session, &(&1.kind == __MODULE__)) ->
         refuse(session, command, from, "another client begins to steer it")
 
       not Tasks.room?(session) ->
@@ -68,7 +78,7 @@ defmodule Msp.Session.Sticks do
   end
 
   def command(
-        %{receiver: %{from: from, pending: {{command, from}, _until}}} = session,
+        %{sticks: %{receiver: %{from: from, pending: {{command, from}, _until}}}} = session,
         :arm,
         command,
         from,
@@ -77,7 +87,7 @@ defmodule Msp.Session.Sticks do
       do: Output.acknowledge(session, command, from, :IN_PROGRESS)
 
   # It may be disarmed by others than who steers it: the policy says by whom.
-  def command(%{receiver: %{from: steers} = receiver} = session, want, command, from, now) do
+  def command(%{sticks: %{receiver: %{from: steers} = receiver}} = session, want, command, from, now) do
     mine? = steers == from
 
     changed =
@@ -94,12 +104,14 @@ defmodule Msp.Session.Sticks do
         refuse(session, command, from, why)
 
       {:ok, receiver} when is_tuple(want) and elem(want, 0) == :mode ->
-        Output.acknowledge(%{session | receiver: receiver}, command, from, :ACCEPTED)
+        session |> put(receiver) |> Output.acknowledge(command, from, :ACCEPTED)
 
       {:ok, receiver} ->
-        Output.acknowledge(%{session | receiver: receiver}, command, from, :IN_PROGRESS)
+        session |> put(receiver) |> Output.acknowledge(command, from, :IN_PROGRESS)
     end
   end
+
+  defp put(session, receiver), do: put_in(session.sticks.receiver, receiver)
 
   defp look(session, want, command, from) do
     [first | asks] = asks(session.identity.firmware)
@@ -122,13 +134,13 @@ defmodule Msp.Session.Sticks do
   ignored, and a text says so now and then.
   """
   @spec message(Session.t(), struct, {byte, byte}, integer) :: Session.t()
-  def message(%{receiver: %{from: from} = receiver, system: system} = session, message, from, now) do
+  def message(%{sticks: %{receiver: %{from: from} = receiver}, system: system} = session, message, from, now) do
     cond do
       not ours?(message, system) ->
         session
 
       receiver.paused == nil ->
-        %{session | receiver: steer(receiver, message, now)}
+        put(session, steer(receiver, message, now))
 
       not leads?(message) ->
         session
@@ -138,23 +150,23 @@ defmodule Msp.Session.Sticks do
     end
   end
 
-  def message(%{receiver: %{paused: at} = receiver} = session, message, from, now) when at != nil,
-    do: message(%{session | receiver: %{receiver | from: from}}, message, from, now)
+  def message(%{sticks: %{receiver: %{paused: at} = receiver}} = session, message, from, now) when at != nil,
+    do: session |> put(%{receiver | from: from}) |> message(message, from, now)
 
   def message(session, message, from, now) do
     cond do
       not ours?(message, session.system) -> session
-      session.receiver != nil -> ignored(session, "another client steers it", now)
+      steered?(session) -> ignored(session, "another client steers it", now)
       Armed.state(session) != :armed -> ignored(session, @unarmed, now)
       not leads?(message) or asked?(session, now) or not Tasks.room?(session) -> session
-      true -> look(%{session | asked_at: now}, {:steer, message}, nil, from)
+      true -> put_in(session.sticks.asked_at, now) |> look({:steer, message}, nil, from)
     end
   end
 
   defp ours?(message, system), do: system in [Map.get(message, :target), Map.get(message, :target_system)]
 
-  defp asked?(%{asked_at: at} = session, now),
-    do: (at != nil and now - at < @ask_us) or Enum.any?(session.tasks, &(&1.kind == __MODULE__))
+  defp asked?(%{sticks: %{asked_at: at}} = session, now),
+    do: (at != nil and now - at < @ask_us) or Tasks.any?(session, &(&1.kind == __MODULE__))
 
   # A message that leaves all channels alone, or gives them back, steers nothing.
   defp leads?(%M.ManualControl{}), do: true
@@ -171,17 +183,15 @@ defmodule Msp.Session.Sticks do
 
   defp resumed(session, {:ok, receiver}, message, now),
     do:
-      Output.text(
-        %{session | receiver: steer(receiver, message, now)},
-        @notice,
-        "Sticks are back: channels resume"
-      )
+      session
+      |> put(steer(receiver, message, now))
+      |> Output.text(@notice, "Sticks are back: channels resume")
 
   defp resumed(session, {:error, why}, _message, now), do: ignored(session, why, now)
 
-  defp ignored(%{ignored_at: at} = session, why, now) do
+  defp ignored(%{sticks: %{ignored_at: at}} = session, why, now) do
     if at == nil or now - at > @say_us,
-      do: Output.text(%{session | ignored_at: now}, @notice, "Sticks ignored: #{why}"),
+      do: put_in(session.sticks.ignored_at, now) |> Output.text(@notice, "Sticks ignored: #{why}"),
       else: session
   end
 
@@ -208,21 +218,37 @@ defmodule Msp.Session.Sticks do
 
   @doc "The channels that are due, and what follows from what the vehicle says."
   @spec due(Session.t(), integer) :: {Session.t(), [{:write, binary}]}
-  def due(%{receiver: %{due: at} = receiver} = session, now) when now >= at do
+  def due(%{sticks: %{receiver: %{due: at} = receiver}} = session, now) when now >= at do
     {receiver, effects} = Receiver.step(receiver, facts(session), now)
-    session = Enum.reduce(effects, %{session | receiver: receiver}, &effect(&2, &1))
-    if session.receiver == nil or session.receiver.paused, do: {session, []}, else: write(session, now)
+    session = Enum.reduce(effects, put(session, receiver), &effect(&2, &1))
+    receiver = session.sticks.receiver
+    if receiver == nil or receiver.paused, do: {session, []}, else: write(session, now)
   end
 
   def due(session, _now), do: {session, []}
 
-  defp write(%{receiver: receiver} = session, now) do
-    {channels, receiver} = Receiver.frame(receiver, now)
+  @doc "Whether channels are sent in place of a transmitter's."
+  @spec steered?(Session.t()) :: boolean
+  def steered?(%{sticks: %{receiver: receiver}}), do: receiver != nil
+
+  @doc "When channels are due, nil for none."
+  @spec due_at(Session.t()) :: integer | nil
+  def due_at(%{sticks: %{receiver: receiver}}), do: receiver && receiver.due
+
+  @doc "No channels are sent any more."
+  @spec stop(Session.t()) :: Session.t()
+  def stop(session), do: put(session, nil)
+
+  @doc "Until then that the vehicle misses no receiver does not show that somebody else sends channels."
+  @spec unsure(Session.t(), until :: integer) :: Session.t()
+  def unsure(session, until), do: update_in(session.sticks.unsure_until, &max(&1 || until, until))
+
+  defp write(session, now) do
+    {channels, receiver} = Receiver.frame(session.sticks.receiver, now)
     entries = for us <- channels, do: %{channel: us}
     {:ok, frame} = MavCodec.Msp.request(Identity.target(session.identity), "SET_RAW_RC", %{entries: entries})
     # They are the gateway's own that it does not miss.
-    session = %{session | receiver: receiver, unsure_until: max(session.unsure_until || now, now + @own_us)}
-    {session, [{:write, IO.iodata_to_binary(Frame.encode(frame))}]}
+    {session |> put(receiver) |> unsure(now + @own_us), [{:write, IO.iodata_to_binary(Frame.encode(frame))}]}
   end
 
   defp effect(session, {:done, {command, from}, _why}),
@@ -232,7 +258,7 @@ defmodule Msp.Session.Sticks do
     do: session |> Output.text(@warning, why) |> Output.acknowledge(command, from, :FAILED)
 
   defp effect(session, {:say, text}), do: Output.text(session, @warning, text)
-  defp effect(session, :stop), do: %{session | receiver: nil}
+  defp effect(session, :stop), do: stop(session)
 
   defp facts(%{readings: readings} = session) do
     %{
@@ -267,7 +293,7 @@ defmodule Msp.Session.Sticks do
     end
   end
 
-  defp sure(false, %{unsure_until: until, now: now}) when until != nil and now < until, do: nil
+  defp sure(false, %{sticks: %{unsure_until: until}, now: now}) when until != nil and now < until, do: nil
   defp sure(lost?, _session), do: lost?
 
   defp boxes(session), do: session.readings[:boxes] || MapSet.new()
@@ -331,7 +357,7 @@ defmodule Msp.Session.Sticks do
          {:ok, receiver} <-
            Receiver.new(firmware, kind, task.got, task.from, modes(task.want, firmware, boxes), now),
          {:ok, receiver} <- wanted(receiver, task, facts, now) do
-      session = session |> Output.text(@notice, begun(kind)) |> Map.put(:receiver, receiver)
+      session = session |> Output.text(@notice, begun(kind)) |> put(receiver)
 
       if match?({:mode, _mode}, task.want),
         do: Output.acknowledge(session, task.command, task.from, :ACCEPTED),

@@ -17,7 +17,11 @@ defmodule Msp.Session.Tasks do
   # How often a vehicle is asked whether it is armed before a task is refused.
   @most_looks 3
 
-  @type t :: %{
+  defstruct list: [], serial: 0
+
+  @typedoc "What waits, in its order; `serial`: the number of the last one."
+  @type t :: %__MODULE__{list: [task], serial: non_neg_integer}
+  @type task :: %{
           :kind => module,
           :ask => {String.t(), map} | {String.t(), map, non_neg_integer} | {Frame.t(), non_neg_integer},
           optional(atom) => term
@@ -27,39 +31,50 @@ defmodule Msp.Session.Tasks do
           {:ok, map} | {:frame, Frame.t()} | :refused | :timeout | {:unfit | :denied, why :: String.t()}
 
   @doc "The answer to its request: the session with the task's next request (`ask_next/3`), or with what comes of it (`done/2`)."
-  @callback answer(Session.t(), t, answer, now :: integer) :: Session.t()
+  @callback answer(Session.t(), task, answer, now :: integer) :: Session.t()
 
   @doc "Whether there is room for another one of a client."
   @spec room?(Session.t()) :: boolean
-  def room?(%{tasks: tasks}), do: Enum.count(tasks, &(class(&1) != :program)) < @most
+  def room?(%{tasks: tasks}), do: Enum.count(tasks.list, &(class(&1) != :program)) < @most
+
+  @doc "Whether there is one like this."
+  @spec any?(Session.t(), (task -> boolean)) :: boolean
+  def any?(%{tasks: tasks}, like? \\ fn _any -> true end), do: Enum.any?(tasks.list, like?)
 
   @doc "Adds a task at the end."
-  @spec add(Session.t(), t) :: Session.t()
-  def add(session, task) do
-    serial = session.serial + 1
-    %{session | serial: serial, tasks: session.tasks ++ [Map.put(task, :serial, serial)]}
-  end
+  @spec add(Session.t(), task) :: Session.t()
+  def add(%{tasks: %{list: list, serial: last}} = session, task),
+    do: %{session | tasks: %__MODULE__{list: list ++ [Map.put(task, :serial, last + 1)], serial: last + 1}}
+
+  @doc "Changes those like this."
+  @spec change(Session.t(), (task -> boolean), (task -> task)) :: Session.t()
+  def change(%{tasks: tasks} = session, like?, fun),
+    do: %{session | tasks: %{tasks | list: Enum.map(tasks.list, &if(like?.(&1), do: fun.(&1), else: &1))}}
+
+  @doc "Gives up those like this."
+  @spec drop(Session.t(), (task -> boolean)) :: Session.t()
+  def drop(%{tasks: tasks} = session, like? \\ fn _any -> true end),
+    do: %{session | tasks: %{tasks | list: Enum.reject(tasks.list, like?)}}
 
   @doc "Its next request, and changes of it."
-  @spec ask_next(Session.t(), t, map) :: Session.t()
+  @spec ask_next(Session.t(), task, map) :: Session.t()
   def ask_next(session, %{serial: serial} = task, changes) do
     task = task |> Map.delete(:looks) |> Map.merge(changes)
-    %{session | tasks: Enum.map(session.tasks, &if(&1.serial == serial, do: task, else: &1))}
+    change(session, &(&1.serial == serial), fn _former -> task end)
   end
 
   @doc "It is over."
-  @spec done(Session.t(), t) :: Session.t()
-  def done(session, %{serial: serial}),
-    do: %{session | tasks: Enum.reject(session.tasks, &(&1.serial == serial))}
+  @spec done(Session.t(), task) :: Session.t()
+  def done(session, %{serial: serial}), do: drop(session, &(&1.serial == serial))
 
   @doc """
   The next request of a task: of the first command of a client (`:urgent`), of the first request of a program (`:program`), or of what takes long
   (`:bulk`); `:none`; `:look` if the vehicle is to be asked first whether it is armed. One that cannot be sent is over.
   """
   @spec next(Session.t(), :urgent | :program | :bulk) ::
-          {{:ask, t, Frame.t(), non_neg_integer} | :look | :none, Session.t()}
+          {{:ask, task, Frame.t(), non_neg_integer} | :look | :none, Session.t()}
   def next(session, kind) do
-    case Enum.find(session.tasks, &(class(&1) == kind)) do
+    case Enum.find(session.tasks.list, &(class(&1) == kind)) do
       nil ->
         {:none, session}
 
@@ -112,9 +127,9 @@ defmodule Msp.Session.Tasks do
     do: with({:ok, frame} <- MavCodec.Msp.request(target, name, values), do: {:ok, frame, patience})
 
   @doc "The answer to a task's request. One that was given up meanwhile gets none."
-  @spec reply(Session.t(), t, answer, integer) :: Session.t()
+  @spec reply(Session.t(), task, answer, integer) :: Session.t()
   def reply(session, %{serial: serial}, answer, now) do
-    case Enum.find(session.tasks, &(&1.serial == serial)) do
+    case Enum.find(session.tasks.list, &(&1.serial == serial)) do
       nil -> session
       task -> task.kind.answer(session, task, answer, now)
     end

@@ -27,9 +27,9 @@ defmodule Msp.Session.Params.Answers do
   def type(_integer, _high), do: :integer
 
   @doc "The value of the task's parameter, which ends it."
-  @spec report(Session.t(), Tasks.t(), number, type) :: Session.t()
+  @spec report(Session.t(), Tasks.task(), number, type) :: Session.t()
   def report(session, task, value, type) do
-    params = session.params || []
+    params = session.params.names || []
     index = Enum.find_index(params, &(&1 == task.name)) || @no_index
     session |> Tasks.done(task) |> Output.emit(value(task.name, value, type, index, length(params)))
   end
@@ -49,7 +49,7 @@ defmodule Msp.Session.Params.Answers do
   end
 
   @doc "The task cannot be done."
-  @spec refuse(Session.t(), Tasks.t(), error, String.t()) :: Session.t()
+  @spec refuse(Session.t(), Tasks.task(), error, String.t()) :: Session.t()
   def refuse(session, task, code, why) do
     session
     |> Tasks.done(task)
@@ -71,13 +71,10 @@ defmodule Msp.Session.Params.Answers do
 
   @doc "A parameter was changed: said once until the next restart or the next storing."
   @spec changed(Session.t()) :: Session.t()
-  def changed(%{unsaved: true} = session), do: session
+  def changed(%{params: %{unsaved: true}} = session), do: session
 
-  def changed(session),
-    do:
-      Output.text(
-        %{session | unsaved: true},
-        @notice,
-        "Settings changed, not stored yet: the next restart forgets them"
-      )
+  def changed(session) do
+    text = "Settings changed, not stored yet: the next restart forgets them"
+    put_in(session.params.unsaved, true) |> Output.text(@notice, text)
+  end
 end

@@ -25,7 +25,7 @@ defmodule Msp.Session.Params.Blocks do
   def first(param), do: %{by: __MODULE__, param: param, ask: {param.block, %{}}, stage: :before}
 
   @doc "The answer to a request of the task."
-  @spec answer(Session.t(), Tasks.t(), Tasks.answer()) :: Session.t()
+  @spec answer(Session.t(), Tasks.task(), Tasks.answer()) :: Session.t()
   def answer(session, %{stage: :before, param: param} = task, {:ok, values}) do
     case values[param.field] do
       nil -> Answers.refuse(session, task, :unknown, "this build does not have it")

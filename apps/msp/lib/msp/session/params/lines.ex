@@ -17,7 +17,7 @@ defmodule Msp.Session.Params.Lines do
     do: %{by: __MODULE__, param: param, ask: Line.info(name, 0), stage: :before, text: ""}
 
   @doc "The answer to a request of the task."
-  @spec answer(Session.t(), Tasks.t(), Tasks.answer()) :: Session.t()
+  @spec answer(Session.t(), Tasks.task(), Tasks.answer()) :: Session.t()
   def answer(session, %{stage: :before} = task, {:ok, reply}) do
     case described(task, reply) do
       {:more, changes} -> Tasks.ask_next(session, task, changes)
@@ -68,7 +68,7 @@ defmodule Msp.Session.Params.Lines do
   def told(line), do: Answers.type(line.type, line.high)
 
   @doc "What the answer to `Line.info/2` says, with those before it; `{:more, changes}` of the task if its text goes on."
-  @spec described(Tasks.t(), map) :: {:ok, Line.t()} | {:more, map} | :text | :error
+  @spec described(Tasks.task(), map) :: {:ok, Line.t()} | {:more, map} | :text | :error
   def described(%{text: before, name: name}, reply) do
     part = reply[:text] || ""
     text = before <> part

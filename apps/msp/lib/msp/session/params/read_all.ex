@@ -26,12 +26,19 @@ defmodule Msp.Session.Params.ReadAll do
     do: Map.merge(task(session, tell), %{ask: {"MSP2_COMMON_PG_LIST", %{}}, count: nil, at: 0})
 
   defp task(session, tell),
-    do: %{by: __MODULE__, what: :list, tell: tell, live: tell and session.params != nil, bulk: true, got: []}
+    do: %{
+      by: __MODULE__,
+      what: :list,
+      tell: tell,
+      live: tell and session.params.names != nil,
+      bulk: true,
+      got: []
+    }
 
   defp rows(session), do: Params.all(:betaflight, session.identity.version)
 
   @doc "The answer to a request of the list."
-  @spec answer(Session.t(), Tasks.t(), Tasks.answer()) :: Session.t()
+  @spec answer(Session.t(), Tasks.task(), Tasks.answer()) :: Session.t()
   def answer(session, %{blocks: blocks, ask: {block, _}} = task, answer) when blocks != nil do
     # A build without the part that a block is about refuses it.
     read = if match?({:ok, _}, answer), do: [{block, elem(answer, 1)} | task.read], else: task.read
@@ -93,8 +100,8 @@ defmodule Msp.Session.Params.ReadAll do
   end
 
   defp got(session, task, {name, value, type} = param) do
-    index = task.live && Enum.find_index(session.params, &(&1 == name))
-    told = if index, do: [Answers.value(name, value, type, index, length(session.params))], else: []
+    index = task.live && Enum.find_index(session.params.names, &(&1 == name))
+    told = if index, do: [Answers.value(name, value, type, index, length(session.params.names))], else: []
     {Output.emit(session, told), %{task | got: [param | task.got]}}
   end
 
@@ -109,8 +116,8 @@ defmodule Msp.Session.Params.ReadAll do
   defp complete(session, %{got: got, tell: tell, live: live} = task) do
     params = Enum.reverse(got)
     names = Enum.map(params, &elem(&1, 0))
-    told? = live and names == session.params
-    session = Tasks.done(%{session | params: names}, task)
+    told? = live and names == session.params.names
+    session = put_in(session.params.names, names) |> Tasks.done(task)
     count = length(params)
 
     messages =

@@ -19,7 +19,7 @@ defmodule Msp.Session.Params.Settings do
   def told(setting), do: Answers.type(setting.type, setting.high)
 
   @doc "The answer to a request of the task."
-  @spec answer(Session.t(), Tasks.t(), Tasks.answer()) :: Session.t()
+  @spec answer(Session.t(), Tasks.task(), Tasks.answer()) :: Session.t()
   def answer(session, %{stage: :before} = task, {:ok, values}) do
     case {task.what, Setting.read(values)} do
       {:read, {:ok, setting}} -> Answers.report(session, task, setting.value, told(setting))

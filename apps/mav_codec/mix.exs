@@ -17,7 +17,7 @@ defmodule MavCodec.MixProject do
   end
 
   def application do
-    [extra_applications: [:crypto] ++ test_applications(Mix.env())]
+    [extra_applications: [:crypto, :xmerl] ++ test_applications(Mix.env())]
   end
 
   # PropEr is Debian's, not a dependency that Mix knows; naming it keeps it on the code path of the tests.

@@ -68,7 +68,7 @@ defmodule MavCodec.Definition.Catalog do
   @doc "Reads one facts file."
   @spec read!(Path.t()) :: {String.t(), Document.t()}
   def read!(path) do
-    case path |> File.read!() |> Facts.read(path) do
+    case path |> File.read!() |> Facts.facts() |> Facts.document(path) do
       {:ok, document} -> {document.file, document}
       {:error, error} -> raise error
     end

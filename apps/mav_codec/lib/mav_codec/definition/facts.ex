@@ -1,7 +1,7 @@
 defmodule MavCodec.Definition.Facts do
   @moduledoc """
-  The text form of a definition file's facts in `priv/definitions`: one fact a line, in the order of the XML. The same
-  facts always give the same bytes.
+  The facts of a definition file, one a line, in the order of the XML. The text in `priv/definitions` is made of them,
+  and so is a `MavCodec.Definition.Document`. Its checks are here: all that do not depend on includes.
 
       file tiny.xml
       include minimal.xml
@@ -14,7 +14,7 @@ defmodule MavCodec.Definition.Facts do
         extensions
         char[8] text
 
-  A value's spaces and backslashes are written `\\s` and `\\\\`.
+  In the text, spaces and backslashes of a word are written `\\s` and `\\\\`. The same facts always give the same bytes.
   """
 
   alias MavCodec.Definition.{Document, Error, Layout}
@@ -22,261 +22,252 @@ defmodule MavCodec.Definition.Facts do
 
   @header "# Facts of a MAVLink definition, made by `mix mav.import`. Do not edit.\n"
 
-  @field_facts [
-    enum: "enum",
-    units: "units",
-    invalid: "invalid",
-    multiplier: "multiplier",
-    min: "min",
-    max: "max",
-    increment: "increment",
-    default: "default",
-    format: "format"
-  ]
+  @max_id 0xFFFFFF
+  @max_fields 64
+  @max_payload 255
+  @max_value 0xFFFF_FFFF_FFFF_FFFF
 
   @scalars Map.new(
              ~w(char int8 uint8 int16 uint16 int32 uint32 int64 uint64 float double)a,
              &{Layout.type_name(&1), &1}
            )
 
-  ## Writing
+  @typedoc "The line that it comes from, how deep it is indented, and its words, such as `enum=MAV_STATE`."
+  @type fact :: {line :: pos_integer(), depth :: 0..2, [String.t()]}
 
-  @doc "The facts of a document as text."
-  @spec write(Document.t()) :: iodata()
-  def write(%Document{} = document) do
-    [
-      @header,
-      line(["file", escape(document.file)]),
-      if(document.version, do: line(["version", "#{document.version}"]), else: []),
-      if(document.dialect, do: line(["dialect", "#{document.dialect}"]), else: []),
-      for({include, _line} <- document.includes, do: line(["include", escape(include)])),
-      Enum.map(document.enums, &write_enum/1),
-      Enum.map(document.messages, &write_message/1)
-    ]
+  @doc "Facts as text."
+  @spec text([fact()]) :: iodata()
+  def text(facts), do: [@header | Enum.map(facts, &line/1)]
+
+  defp line({_line, depth, [kind | _] = words}) do
+    space = if depth == 0 and kind in ["enum", "message"], do: "\n", else: ""
+    [space, List.duplicate("  ", depth), Enum.map_intersperse(words, " ", &escape/1), "\n"]
   end
 
-  defp write_enum(%Enumeration{} = enum) do
-    [
-      "\n",
-      line(["enum", enum.name] ++ flag(enum.bitmask, "bitmask") ++ status(enum)),
-      Enum.map(enum.entries, &write_entry/1)
-    ]
-  end
+  defp escape(word), do: word |> String.replace("\\", "\\\\") |> String.replace(" ", "\\s")
 
-  defp write_entry(%Entry{} = entry) do
-    [
-      line(["  " <> entry.name, "#{entry.value}"] ++ pairs(entry.facts) ++ status(entry)),
-      for({index, facts} <- entry.params, do: line(["    param", "#{index}"] ++ pairs(facts)))
-    ]
-  end
-
-  defp write_message(%Message{} = message) do
-    {base, extensions} = Enum.split_while(message.fields, &(not &1.extension))
-
-    [
-      "\n",
-      line(["message", "#{message.id}", message.name] ++ status(message)),
-      Enum.map(base, &write_field/1),
-      if(extensions == [], do: [], else: [line(["  extensions"]), Enum.map(extensions, &write_field/1)])
-    ]
-  end
-
-  defp write_field(%Field{} = field) do
-    type = Layout.type_name(field) <> if(field.length, do: "[#{field.length}]", else: "")
-    facts = for {key, name} <- @field_facts, value = Map.fetch!(field, key), do: {name, value}
-    facts = if field.constant, do: facts ++ [{"constant", "#{field.constant}"}], else: facts
-
-    line(
-      ["  " <> type, field.name] ++
-        pairs(facts) ++
-        flag(field.instance, "instance") ++ flag(field.bitmask, "bitmask") ++ flag(field.bytes, "bytes")
-    )
-  end
-
-  defp status(%{deprecated: deprecated, wip: wip}) do
-    case deprecated do
-      nil -> flag(wip, "wip")
-      {since, replaced_by} -> pairs([{"deprecated", since}, {"replaced_by", replaced_by}]) ++ flag(wip, "wip")
+  @doc "The facts in a text."
+  @spec facts(String.t()) :: [fact()]
+  def facts(text) do
+    for {line, number} <- text |> String.split("\n") |> Enum.with_index(1),
+        line != "" and not String.starts_with?(line, "#") do
+      {depth, words} = indented(line, 0)
+      {number, depth, words |> String.split(" ") |> Enum.map(&unescape/1)}
     end
   end
 
-  defp flag(true, name), do: [name]
-  defp flag(false, _name), do: []
+  defp indented("  " <> line, depth), do: indented(line, depth + 1)
+  defp indented(line, depth), do: {depth, line}
 
-  defp pairs(pairs), do: for({key, value} <- pairs, do: key <> "=" <> escape(value))
-  defp line(words), do: [Enum.intersperse(words, " "), "\n"]
-
-  defp escape(text) do
-    text
-    |> String.trim()
-    |> String.replace(~r/\s+/, " ")
-    |> String.replace("\\", "\\\\")
-    |> String.replace(" ", "\\s")
+  defp unescape(word) do
+    if String.contains?(word, "\\"),
+      do: Regex.replace(~r/\\(.)/, word, fn _, escaped -> if escaped == "s", do: " ", else: escaped end),
+      else: word
   end
 
-  defp unescape(text) do
-    if String.contains?(text, "\\") do
-      Regex.replace(~r/\\(.)/, text, fn
-        _, "s" -> " "
-        _, other -> other
-      end)
-    else
-      text
-    end
-  end
-
-  ## Reading
-
-  @doc "Reads what `write/1` wrote; `path` is for error messages."
-  @spec read(binary(), String.t()) :: {:ok, Document.t()} | {:error, Error.t()}
-  def read(text, path) do
-    lines = text |> String.split("\n") |> Enum.with_index(1)
-    {:ok, sections(lines, %Document{file: path})}
+  @doc "The document that facts describe; `file` is for error messages."
+  @spec document([fact()], String.t()) :: {:ok, Document.t()} | {:error, Error.t()}
+  def document(facts, file) do
+    document = sections(facts, %Document{file: file})
+    unique(document.messages, & &1.id, &"message id #{&1}")
+    unique(document.messages, & &1.name, &"message name #{&1}")
+    {:ok, document}
   catch
-    {:facts, number} -> {:error, %Error{file: path, line: number, reason: "not a line of facts"}}
+    {:definition, line, reason} -> {:error, %Error{file: file, line: line, reason: reason}}
   end
 
-  defp sections([], document),
-    do: %{
+  defp sections([{line, 0, words} | facts], document) do
+    {inside, facts} = Enum.split_while(facts, fn {_line, depth, _words} -> depth > 0 end)
+    sections(facts, section(words, line, inside, document))
+  end
+
+  defp sections([], document) do
+    %{
       document
       | includes: Enum.reverse(document.includes),
         enums: Enum.reverse(document.enums),
         messages: Enum.reverse(document.messages)
     }
-
-  defp sections([{"", _} | lines], document), do: sections(lines, document)
-  defp sections([{"#" <> _, _} | lines], document), do: sections(lines, document)
-
-  defp sections([{line, number} | lines], document) do
-    case String.split(line, " ") do
-      ["file", name] ->
-        sections(lines, %{document | file: unescape(name)})
-
-      ["version", version] ->
-        sections(lines, %{document | version: integer(version, number)})
-
-      ["dialect", dialect] ->
-        sections(lines, %{document | dialect: integer(dialect, number)})
-
-      ["include", name] ->
-        sections(lines, %{document | includes: [{unescape(name), number} | document.includes]})
-
-      ["enum", name | words] ->
-        {entries, lines} = entries(lines, [])
-        enum = struct!(%Enumeration{name: name, line: number, entries: entries}, status(words, number))
-        sections(lines, %{document | enums: [enum | document.enums]})
-
-      ["message", id, name | words] ->
-        {fields, lines} = fields(lines, false, [])
-
-        message = %Message{
-          id: integer(id, number),
-          name: name,
-          line: number,
-          file: document.file,
-          fields: fields
-        }
-
-        sections(lines, %{document | messages: [struct!(message, status(words, number)) | document.messages]})
-
-      _other ->
-        throw({:facts, number})
-    end
   end
 
-  defp entries([{"  " <> line, number} | lines], acc) do
-    case String.split(line, " ") do
-      [name, value | words] when name != "" ->
-        {params, lines} = params(lines, [])
-        {facts, words} = Enum.split_with(words, &fact?/1)
-        facts = Enum.map(facts, &pair(&1, number))
-        {status, facts} = Enum.split_with(facts, fn {key, _value} -> key in ["deprecated", "replaced_by"] end)
-        entry = %Entry{name: name, value: integer(value, number), line: number, params: params, facts: facts}
-        entries(lines, [struct!(entry, status_of(status, words, number)) | acc])
+  defp sections([{line, _depth, _words} | _facts], _document), do: no_fact(line)
 
-      _other ->
-        throw({:facts, number})
-    end
+  defp section(["file", name], _line, [], document), do: %{document | file: name}
+
+  defp section(["version", text], line, [], document),
+    do: %{document | version: integer(text, 255, line, "version")}
+
+  defp section(["dialect", text], line, [], document),
+    do: %{document | dialect: integer(text, 255, line, "dialect")}
+
+  defp section(["include", name], line, [], document),
+    do: %{document | includes: [{name, line} | document.includes]}
+
+  defp section(["enum", name | words], line, inside, document) do
+    entries = entries(inside, [])
+    unique(entries, & &1.name, &"entry #{&1} of enum #{name}")
+    unique(entries, & &1.value, &"value #{&1} of enum #{name}")
+    enum = %Enumeration{name: name(name, "enum", line), line: line, entries: entries}
+    %{document | enums: [status(enum, words, line) | document.enums]}
   end
 
-  defp entries(lines, acc), do: {Enum.reverse(acc), lines}
+  defp section(["message", id, name | words], line, inside, document) do
+    message = %Message{
+      id: integer(id, @max_id, line, "id of #{name}"),
+      name: name(name, "message", line),
+      line: line,
+      file: document.file,
+      fields: fields(inside, false, [])
+    }
 
-  defp params([{"    param " <> line, number} | lines], acc) do
-    [index | words] = String.split(line, " ")
-    params(lines, [{integer(index, number), Enum.map(words, &pair(&1, number))} | acc])
+    check(message)
+    %{document | messages: [status(message, words, line) | document.messages]}
   end
 
-  defp params(lines, acc), do: {Enum.reverse(acc), lines}
+  defp section(_words, line, _inside, _document), do: no_fact(line)
 
-  defp fields([{"  extensions", _} | lines], false, acc), do: fields(lines, true, acc)
+  ## Enums
 
-  defp fields([{"  " <> line, number} | lines], extension?, acc) do
-    case String.split(line, " ") do
-      [type, name | words] ->
-        {type, length} = type(type, number)
-        field = %Field{name: name, type: type, length: length, line: number, extension: extension?}
-        fields(lines, extension?, [Enum.reduce(words, field, &field_fact(&1, &2, number)) | acc])
+  defp entries([{line, 1, [name, value | words]} | facts], entries) do
+    {params, facts} = Enum.split_while(facts, &match?({_line, 2, _words}, &1))
+    params = Enum.map(params, &param/1)
+    unique(params, &elem(&1, 0), &"parameter #{&1} of #{name}", fn _param -> line end)
+    {status, own} = Enum.split_with(words, &String.starts_with?(&1, ["wip", "deprecated=", "replaced_by="]))
 
-      _other ->
-        throw({:facts, number})
-    end
+    entry = %Entry{
+      name: name(name, "entry", line),
+      value: integer(value, @max_value, line, "value of #{name}"),
+      line: line,
+      params: params,
+      facts: Enum.map(own, &pair(&1, line))
+    }
+
+    entries(facts, [status(entry, status, line) | entries])
   end
 
-  defp fields(lines, _extension?, acc), do: {Enum.reverse(acc), lines}
+  defp entries([], entries), do: Enum.reverse(entries)
+  defp entries([{line, _depth, _words} | _facts], _entries), do: no_fact(line)
 
-  defp type(text, number) do
+  defp param({line, 2, ["param", index | words]}) do
+    index = integer(index, 7, line, "index")
+    if index == 0, do: fail(line, "index is 0, expected 1 to 7")
+    {index, Enum.map(words, &pair(&1, line))}
+  end
+
+  defp param({line, _depth, _words}), do: no_fact(line)
+
+  ## Messages
+
+  defp fields([{_line, 1, ["extensions"]} | facts], _extension?, fields), do: fields(facts, true, fields)
+
+  defp fields([{line, 1, [type, name | words]} | facts], extension?, fields) do
+    {type, length} = type(type, name, line)
+    name = name(name, "field", line)
+    field = %Field{name: name, type: type, length: length, line: line, extension: extension?}
+    fields(facts, extension?, [Enum.reduce(words, field, &field_fact(&1, &2, line)) | fields])
+  end
+
+  defp fields([], _extension?, fields), do: Enum.reverse(fields)
+  defp fields([{line, _depth, _words} | _facts], _extension?, _fields), do: no_fact(line)
+
+  defp type(text, name, line) do
     case String.split(text, ["[", "]"]) do
       [base] when is_map_key(@scalars, base) -> {@scalars[base], nil}
-      [base, length, ""] when is_map_key(@scalars, base) -> {@scalars[base], integer(length, number)}
-      _other -> throw({:facts, number})
+      [base, length, ""] when is_map_key(@scalars, base) -> {@scalars[base], array(length, text, name, line)}
+      _other -> no_type(text, name, line)
     end
   end
 
-  defp field_fact("instance", field, _number), do: %{field | instance: true}
-  defp field_fact("bitmask", field, _number), do: %{field | bitmask: true}
-  defp field_fact("bytes", %{type: :char} = field, _number), do: %{field | type: :uint8, bytes: true}
-
-  for {key, name} <- @field_facts do
-    defp field_fact(unquote(name) <> "=" <> value, field, _number),
-      do: %{field | unquote(key) => unescape(value)}
+  defp array(text, type, name, line) do
+    case Integer.parse(text) do
+      {length, ""} when length in 1..255 -> length
+      {length, ""} -> fail(line, "field #{name} is an array of #{length}, expected 1 to 255")
+      _other -> no_type(type, name, line)
+    end
   end
 
-  defp field_fact("constant=" <> value, field, number), do: %{field | constant: integer(value, number)}
-  defp field_fact(_other, _field, number), do: throw({:facts, number})
+  defp no_type(text, name, line), do: fail(line, "field #{name} has the unknown type #{inspect(text)}")
 
-  defp status(words, number) do
-    {facts, flags} = Enum.split_with(words, &fact?/1)
-    facts |> Enum.map(&pair(&1, number)) |> status_of(flags, number)
+  defp field_fact("instance", field, _line), do: %{field | instance: true}
+  defp field_fact("bitmask", field, _line), do: %{field | bitmask: true}
+  defp field_fact("bytes", %{type: :char} = field, _line), do: %{field | type: :uint8, bytes: true}
+
+  defp field_fact("constant=" <> text, field, line),
+    do: %{field | constant: integer(text, 255, line, "constant of #{field.name}")}
+
+  for key <- ~w(enum units invalid multiplier min max increment default format)a do
+    defp field_fact(unquote("#{key}=") <> value, field, _line), do: %{field | unquote(key) => value}
   end
 
-  defp status_of(facts, flags, number) do
-    deprecated =
-      case facts do
-        [] -> []
-        [{"deprecated", since}, {"replaced_by", replaced_by}] -> [deprecated: {since, replaced_by}]
-        _other -> throw({:facts, number})
-      end
+  defp field_fact(_other, _field, line), do: no_fact(line)
 
-    Enum.reduce(flags, deprecated, fn
-      "bitmask", acc -> [{:bitmask, true} | acc]
-      "wip", acc -> [{:wip, true} | acc]
-      _other, _acc -> throw({:facts, number})
+  defp check(%Message{name: name, fields: fields, line: line}) do
+    # Field names become lower-case keys, so two of them must not differ only in case.
+    unique(fields, &String.downcase(&1.name), &"field #{&1} of #{name}")
+    if fields == [], do: fail(line, "#{name} has no fields")
+
+    if length(fields) > @max_fields,
+      do: fail(line, "#{name} has #{length(fields)} fields, more than #{@max_fields}")
+
+    size = Enum.sum_by(fields, &Layout.bytes/1)
+
+    if size > @max_payload,
+      do: fail(line, "#{name} has a payload of #{size} bytes, more than #{@max_payload}")
+  end
+
+  ## Shared
+
+  defp status(thing, words, line) do
+    Enum.reduce(words, thing, fn
+      "wip", thing -> %{thing | wip: true}
+      "bitmask", %{bitmask: false} = thing -> %{thing | bitmask: true}
+      "deprecated=" <> since, thing -> %{thing | deprecated: {since, ""}}
+      "replaced_by=" <> by, %{deprecated: {since, ""}} = thing -> %{thing | deprecated: {since, by}}
+      _other, _thing -> no_fact(line)
     end)
   end
 
-  defp fact?(word), do: String.contains?(word, "=")
-
-  defp pair(word, number) do
+  defp pair(word, line) do
     case :binary.split(word, "=") do
-      [key, value] -> {key, unescape(value)}
-      _other -> throw({:facts, number})
+      [key, value] -> {key, value}
+      _other -> no_fact(line)
     end
   end
 
-  defp integer(text, number) do
+  defp name(name, what, line) do
+    if name?(name),
+      do: name,
+      else: fail(line, "#{what} name #{inspect(name)}: expected letters, digits and _, at most 64")
+  end
+
+  defp name?(<<first, rest::binary>>) when first in ?A..?Z or first in ?a..?z,
+    do: byte_size(rest) < 64 and word?(rest)
+
+  defp name?(_other), do: false
+
+  defp word?(<<c, rest::binary>>) when c in ?A..?Z or c in ?a..?z or c in ?0..?9 or c == ?_, do: word?(rest)
+  defp word?(rest), do: rest == ""
+
+  defp integer(text, max, line, what) do
     case Integer.parse(text) do
-      {integer, ""} when integer >= 0 -> integer
-      _other -> throw({:facts, number})
+      {integer, ""} when integer in 0..max//1 -> integer
+      _other -> fail(line, "#{what} is #{inspect(text)}, expected an integer from 0 to #{max}")
     end
   end
+
+  defp unique(items, key, describe, line \\ & &1.line) do
+    Enum.reduce(items, %{}, fn item, seen ->
+      key = key.(item)
+
+      if is_map_key(seen, key),
+        do: fail(line.(item), "#{describe.(key)} is defined twice (first in line #{seen[key]})"),
+        else: Map.put(seen, key, line.(item))
+    end)
+  end
+
+  @spec no_fact(pos_integer()) :: no_return()
+  defp no_fact(line), do: fail(line, "not a line of facts")
+
+  @spec fail(pos_integer(), String.t()) :: no_return()
+  defp fail(line, reason), do: throw({:definition, line, reason})
 end

@@ -15,9 +15,11 @@ defmodule MavCodec.Definition.Importer do
   """
   @spec import([Path.t()], Path.t() | nil) :: {:ok, [{String.t(), iodata()}]} | {:error, Error.t()}
   def import(paths, base \\ nil) do
-    with {:ok, documents, _paths} <- load(paths, base),
+    with {:ok, read} <- read(paths, base),
+         documents = Map.new(read, fn {name, {_path, _facts, document}} -> {name, document} end),
          :ok <- check(Enum.map(paths, &document_name/1), documents) do
-      {:ok, for({name, document} <- Enum.sort(documents), do: {facts_name(name), Facts.write(document)})}
+      {:ok,
+       for({name, {_path, facts, _document}} <- Enum.sort(read), do: {facts_name(name), Facts.text(facts)})}
     end
   end
 
@@ -30,10 +32,15 @@ defmodule MavCodec.Definition.Importer do
   @spec load([Path.t()], Path.t() | nil) ::
           {:ok, %{String.t() => Document.t()}, [Path.t()]} | {:error, Error.t()}
   def load(paths, base) do
-    read = paths |> Enum.map(&Path.expand/1) |> Enum.reduce(%{}, &load(&1, &2, base))
+    with {:ok, read} <- read(paths, base) do
+      {:ok, Map.new(read, fn {name, {_path, _facts, document}} -> {name, document} end),
+       read |> Enum.map(fn {_name, {path, _facts, _document}} -> path end) |> Enum.sort()}
+    end
+  end
 
-    {:ok, Map.new(read, fn {name, {_path, document}} -> {name, document} end),
-     read |> Enum.map(fn {_name, {path, _document}} -> path end) |> Enum.sort()}
+  # What was read, by file name: the path, its facts and its document.
+  defp read(paths, base) do
+    {:ok, paths |> Enum.map(&Path.expand/1) |> Enum.reduce(%{}, &load(&1, &2, base))}
   catch
     {:import, error} -> {:error, error}
   end
@@ -58,18 +65,19 @@ defmodule MavCodec.Definition.Importer do
     name = document_name(path)
 
     case read do
-      %{^name => {^path, _document}} ->
+      %{^name => {^path, _facts, _document}} ->
         read
 
-      %{^name => {other, _document}} ->
+      %{^name => {other, _facts, _document}} ->
         fail(path, nil, "another file of this name is needed too: #{other}")
 
       _new when map_size(read) >= @max_files ->
         fail(path, nil, "more than #{@max_files} files")
 
       _new ->
-        document = document(path)
-        Enum.reduce(document.includes, Map.put(read, name, {path, document}), &include(&1, path, &2, base))
+        {facts, document} = facts_of(path)
+        read = Map.put(read, name, {path, facts, document})
+        Enum.reduce(document.includes, read, &include(&1, path, &2, base))
     end
   end
 
@@ -87,20 +95,17 @@ defmodule MavCodec.Definition.Importer do
     end
   end
 
-  defp document(path) do
+  defp facts_of(path) do
+    facts? = Path.extname(path) == ".facts"
+    name = if facts?, do: path, else: document_name(path)
+
     with {:ok, bytes} <- File.read(path),
-         {:ok, document} <- parse(path, bytes) do
-      document
+         {:ok, facts} <- if(facts?, do: {:ok, Facts.facts(bytes)}, else: Parser.facts(bytes, name)),
+         {:ok, document} <- Facts.document(facts, name) do
+      {facts, document}
     else
       {:error, %Error{} = error} -> throw({:import, error})
       {:error, reason} -> fail(path, nil, "cannot be read: #{:file.format_error(reason)}")
-    end
-  end
-
-  defp parse(path, bytes) do
-    case Path.extname(path) do
-      ".facts" -> Facts.read(bytes, path)
-      _xml -> Parser.parse(bytes, document_name(path))
     end
   end
 

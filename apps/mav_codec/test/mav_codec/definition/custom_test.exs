@@ -99,8 +99,8 @@ defmodule MavCodec.Definition.CustomTest do
     @snapshots Path.expand("../../fixtures/definition", __DIR__)
 
     test "facts of the tiny dialect" do
-      {:ok, document} = @snapshots |> Path.join("tiny.xml") |> File.read!() |> Parser.parse("tiny.xml")
-      assert_snapshot("tiny.facts", document |> Facts.write() |> IO.iodata_to_binary())
+      {:ok, facts} = @snapshots |> Path.join("tiny.xml") |> File.read!() |> Parser.facts("tiny.xml")
+      assert_snapshot("tiny.facts", facts |> Facts.text() |> IO.iodata_to_binary())
     end
 
     test "message, enum and dialect modules of the tiny dialect" do

@@ -159,10 +159,12 @@ defmodule MavCodec.Definition.ParserTest do
 
   for {feature, {xml, facts}} <- @features do
     test feature do
-      assert {:ok, document} = Parser.parse("<mavlink>#{unquote(xml)}</mavlink>", "tiny.xml")
-      text = document |> Facts.write() |> IO.iodata_to_binary()
+      xml = "<mavlink>#{unquote(xml)}</mavlink>"
+      assert {:ok, facts} = Parser.facts(xml, "tiny.xml")
+      text = facts |> Facts.text() |> IO.iodata_to_binary()
       assert String.split(text, "\n", parts: 3) |> Enum.at(2) == unquote(facts)
-      assert text |> Facts.read("tiny.facts") |> without_lines() == without_lines({:ok, document})
+      read = text |> Facts.facts() |> Facts.document("tiny.facts")
+      assert without_lines(read) == xml |> Parser.parse("tiny.xml") |> without_lines()
     end
   end
 
@@ -186,7 +188,7 @@ defmodule MavCodec.Definition.ParserTest do
   enum = fn entries -> "<enums>\n<enum name='E'>\n#{entries}</enum></enums>" end
 
   @mistakes [
-    {"XML that is none", "<a>", 1, "</mavlink> closes <a> of line 1"},
+    {"XML that is none", "<a>", 1, "expected </a>"},
     {"an unknown element", "\n<massages/>", 2,
      "<massages> inside of mavlink, expected one of include, version, dialect, enums, messages"},
     {"a misspelt field", message.("<feild type='char' name='a'/>"), 3,
@@ -253,17 +255,18 @@ defmodule MavCodec.Definition.ParserTest do
   end
 
   test "facts that are damaged are an error with their line" do
-    for text <- [
-          "nonsense",
-          "message x M\n",
-          "message 1 M\n  uint24_t a\n",
-          "enum E\n  A\n",
-          "message 1 M oops\n"
+    for {text, line, reason} <- [
+          {"nonsense", 1, "not a line of facts"},
+          {"message x M\n", 1, "id of M is \"x\", expected an integer from 0 to 16777215"},
+          {"message 1 M\n  uint24_t a\n", 2, "field a has the unknown type \"uint24_t\""},
+          {"message 1 M\n  char a\n    char b\n", 3, "not a line of facts"},
+          {"enum E\n  A\n", 2, "not a line of facts"},
+          {"enum E\n  A 1\n    what 1\n", 3, "not a line of facts"},
+          {"  A 1\n", 1, "not a line of facts"},
+          {"message 1 M oops\n  char a\n", 1, "not a line of facts"}
         ] do
-      assert {:error, %Error{file: "x.facts", line: line, reason: "not a line of facts"}} =
-               Facts.read(text, "x.facts")
-
-      assert line in 1..2
+      assert text |> Facts.facts() |> Facts.document("x.facts") ==
+               {:error, %Error{file: "x.facts", line: line, reason: reason}}
     end
   end
 end

@@ -26,8 +26,8 @@ defmodule Aerie.MixProject do
           Aerie.Node.Directory,
           Aerie.CLI.Subcommand.MissionFile,
           Aerie.CLI.Subcommand.ParamsFile,
-          Aerie.CLI.Subcommand.Remote,
-          Aerie.CLI.Subcommand.Stop
+          Aerie.CLI.Subcommand.Running.Remote,
+          Aerie.CLI.Subcommand.Running.Stop
         ]
       ],
       # The system tests of the whole gateway stand at the top of the repository; this app depends on all they need.

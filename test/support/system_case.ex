@@ -6,7 +6,7 @@ defmodule Aerie.SystemCase do
 
   use ExUnit.CaseTemplate
 
-  alias Aerie.CLI.Run
+  alias Aerie.CLI.Start.Run
 
   using do
     quote do
@@ -29,7 +29,7 @@ defmodule Aerie.SystemCase do
 
   @doc """
   Starts a gateway. `options`: `links` (their URLs), `overrides` (configuration), `config_file`, `gateway` (its name), `without` (keys that
-  the file is to say). Returns what `Aerie.CLI.Run.start/2`
+  the file is to say). Returns what `Aerie.CLI.Start.Run.start/2`
   does, with `link` ports by id.
   """
   def start_gateway(folder, options \\ []) do

@@ -208,7 +208,7 @@ defmodule Aerie.System.CommandFacesTest do
     {:ok, _} = Application.ensure_all_started(:aerie)
     {:ok, top} = DynamicTop.start_link([])
     plan = %{config_file: #{inspect(config)}, overrides: %{}, sim: 0}
-    {:ok, _run} = Aerie.CLI.Run.start(plan, gateway: :g, supervisor: top, status: false)
+    {:ok, _run} = Aerie.CLI.Start.Run.start(plan, gateway: :g, supervisor: top, status: false)
     IO.puts("running " <> System.pid())
     Process.sleep(:infinity)
     """

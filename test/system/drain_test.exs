@@ -45,7 +45,7 @@ defmodule Aerie.System.DrainTest do
     script = """
     {:ok, _} = Application.ensure_all_started(:aerie)
     plan = %{config_file: #{inspect(context.config)}, overrides: %{}, sim: 0}
-    {:ok, _run} = Aerie.CLI.Run.start(plan, status: false)
+    {:ok, _run} = Aerie.CLI.Start.Run.start(plan, status: false)
     IO.puts("running " <> System.pid())
     Process.sleep(:infinity)
     """

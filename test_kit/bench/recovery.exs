@@ -73,7 +73,7 @@ defmodule RecoveryBench do
     }
 
     options = [gateway: @gateway, supervisor: supervisor, status: false]
-    {:ok, _run} = Aerie.CLI.Run.start(%{config_file: nil, overrides: overrides, sim: 0}, options)
+    {:ok, _run} = Aerie.CLI.Start.Run.start(%{config_file: nil, overrides: overrides, sim: 0}, options)
 
     for {n, port} <- ports,
         do: Gateway.sim(port, system: n, ready_s: 1.0, script: SimVehicle.Pilot.pattern(n))

@@ -7,7 +7,9 @@ defmodule Aerie.Application do
   alias Aerie.Base.{Store, Successor}
   alias Aerie.CLI
   alias Aerie.Control.Commands
-  alias Aerie.CLI.{LogKeeper, Output, Ports}
+  alias Aerie.CLI.Output
+  alias Aerie.CLI.Output.LogKeeper
+  alias Aerie.CLI.Start.Ports
 
   # The application ends with its top process, and the VM with the application. So that one does nothing but restart the supervisor below
   # which everything runs.
@@ -17,7 +19,7 @@ defmodule Aerie.Application do
     Supervisor.start_link([child], strategy: :one_for_one)
   end
 
-  # `Aerie.CLI.Run` starts the parts of a run below this supervisor, so that an orderly stop of the VM (SIGTERM) ends them
+  # `Aerie.CLI.Start.Run` starts the parts of a run below this supervisor, so that an orderly stop of the VM (SIGTERM) ends them
   # in reverse order, the devices last.
   @doc false
   @spec start_run() :: Supervisor.on_start()

@@ -27,7 +27,8 @@ defmodule Aerie.Shell do
   alias Aerie.Fleet.Age
   alias Aerie.Processes
   alias Aerie.Shell.Text
-  alias Aerie.CLI.{Ask, Columns, Subcommand}
+  alias Aerie.CLI.{Ask, Subcommand}
+  alias Aerie.CLI.Output.Columns
   alias Aerie.CLI.Status.{Table, View}
 
   @gateway :default
@@ -47,14 +48,16 @@ defmodule Aerie.Shell do
   @doc "Leaves the shell; the gateway goes on."
   @spec exit() :: :ok
   def exit do
-    Aerie.CLI.Subcommand.Remote.leave(node(Process.group_leader()))
+    Aerie.CLI.Subcommand.Running.Remote.leave(node(Process.group_leader()))
     :ok
   end
 
   @doc "Whether the gateway is ready, and what is wrong."
   @spec health() :: :ok
   def health do
-    {_status, text} = Subcommand.Status.run(%{name: "status", arguments: %{}, options: %{}, folder: "."})
+    {_status, text} =
+      Subcommand.Running.Status.run(%{name: "status", arguments: %{}, options: %{}, folder: "."})
+
     IO.write(text)
   end
 
@@ -200,7 +203,7 @@ defmodule Aerie.Shell do
 
   defp with_vehicle(id, fun) do
     case Fleet.vehicle(@gateway, id) do
-      nil -> IO.puts(Subcommand.Tail.unknown(id))
+      nil -> IO.puts(Subcommand.Running.Tail.unknown(id))
       vehicle -> fun.(vehicle)
     end
   end
@@ -208,7 +211,7 @@ defmodule Aerie.Shell do
   # Seen only on the links.
   defp with_vehicle_here(id, fun) do
     with_vehicle(id, fn
-      %{via: via} when via != nil -> IO.puts(Subcommand.Tail.elsewhere(id, via))
+      %{via: via} when via != nil -> IO.puts(Subcommand.Running.Tail.elsewhere(id, via))
       vehicle -> fun.(vehicle)
     end)
   end

@@ -2,22 +2,15 @@ defmodule Aerie.CLI.Start do
   @moduledoc """
   `aerie start`, which is `bin/run`: a gateway in this VM.
 
-  `main/1` parses the words (`Aerie.CLI.Parser`, `Aerie.CLI.Options`), plans the run (`Aerie.CLI.Plan`), checks the whole configuration,
-  and starts everything below `Aerie.CLI.Supervisor` (`Aerie.CLI.Run`). Nothing is left half started: an error ends the
-  program with status 2 and a message that says where the error is and how to correct it.
+  `main/1` parses the words (`Aerie.CLI.Parser`, `Aerie.CLI.Start.Options`), plans the run (`Aerie.CLI.Start.Plan`),
+  checks the whole configuration, and starts everything below `Aerie.CLI.Supervisor` (`Aerie.CLI.Start.Run`). Nothing is
+  left half started: an error ends the program with status 2 and a message that says where the error is and how to
+  correct it.
   """
 
-  alias Aerie.CLI.{
-    Help,
-    LogKeeper,
-    ModuleLoader,
-    Options,
-    Output,
-    Parser,
-    Plan,
-    Run,
-    Subcommands
-  }
+  alias Aerie.CLI.{Help, Output, Parser, Subcommands}
+  alias Aerie.CLI.Output.LogKeeper
+  alias Aerie.CLI.Start.{ModuleLoader, Options, Plan, Run}
 
   alias Aerie.Upgrade.Standby
 
@@ -39,7 +32,7 @@ defmodule Aerie.CLI.Start do
 
   The environment gives `AERIE_CONFIG` (a configuration file, unless the options name one), `AERIE_CWD` (the user's current directory), `AERIE_TERMINAL` (`yes`: the output is a terminal),
   `AERIE_COLUMNS` and `AERIE_LINES` (its size). `bin/run` sets them, because this program has no standard input that it
-  could ask. `options` are those of `Aerie.CLI.Run.start/2`.
+  could ask. `options` are those of `Aerie.CLI.Start.Run.start/2`.
   """
   @spec call([String.t()], %{String.t() => String.t()}, keyword()) ::
           :ok | {:finish | :fail, String.t()}

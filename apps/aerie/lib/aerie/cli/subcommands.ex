@@ -1,7 +1,9 @@
 defmodule Aerie.CLI.Subcommands do
   @moduledoc "The subcommands of `bin/aerie`, in the order of its help."
 
-  alias Aerie.CLI.{Options, Subcommand}
+  alias Aerie.CLI.Help.About
+  alias Aerie.CLI.Subcommand
+  alias Aerie.CLI.Start.Options
 
   @vehicle {"VEHICLE", "its name in the fleet, as aerie status shows it"}
   @json {:json, :boolean, nil, "print JSON"}
@@ -47,14 +49,14 @@ defmodule Aerie.CLI.Subcommands do
         name: "stop",
         summary: "shut the gateway down, and wait until it has ended",
         where: :here,
-        module: Subcommand.Stop,
+        module: Subcommand.Running.Stop,
         options: Subcommand.common(%{where: :gateway})
       },
       %Subcommand{
         name: "upgrade",
         summary: "put another version in the place of the installed gateway, while vehicles fly",
         where: :here,
-        module: Subcommand.Upgrade,
+        module: Subcommand.Running.Upgrade,
         arguments: [{"[FILE]", "a release's tarball; left out: the version that a package has installed"}],
         options:
           [
@@ -67,7 +69,7 @@ defmodule Aerie.CLI.Subcommands do
             "runs, 4 something would be lost (transfers, operations, commands, somebody who steers or is in charge), and nothing was changed, 2 it " <>
             "cannot, and why. docs/operating.md describes it."
       },
-      %Subcommand{name: "version", summary: "print the version", where: :here, module: Subcommand.About}
+      %Subcommand{name: "version", summary: "print the version", where: :here, module: About}
     ]
   end
 
@@ -77,7 +79,7 @@ defmodule Aerie.CLI.Subcommands do
         name: "status",
         summary: "show vehicles, links, NATS and problems",
         where: :gateway,
-        module: Subcommand.Status,
+        module: Subcommand.Running.Status,
         options: [@json],
         more:
           "Exit status: 0 it is ready, every link is up, and aboard a vehicle (vehicle_id) that one is heard; 1 something is wrong, and is said; 3 no gateway is running."
@@ -86,7 +88,7 @@ defmodule Aerie.CLI.Subcommands do
         name: "tail",
         summary: "print a vehicle's events and changes of state as they come, until Ctrl-C",
         where: :gateway,
-        module: Subcommand.Tail,
+        module: Subcommand.Running.Tail,
         arguments: [@vehicle],
         options: [
           {:events, :boolean, nil, "events only"},
@@ -99,7 +101,7 @@ defmodule Aerie.CLI.Subcommands do
         summary:
           "find out what is connected to a serial port or an address: protocol, rate, ids, versions, messages",
         where: :here,
-        module: Subcommand.Probe,
+        module: Subcommand.Machine.Probe,
         arguments: [
           {"PORT|URL", "a device such as /dev/ttyACM0, or a connection string such as udpin:0.0.0.0:14550"}
         ],
@@ -111,7 +113,7 @@ defmodule Aerie.CLI.Subcommands do
         name: "doctor",
         summary: "check whether this machine has what a gateway needs, and say how to fix what is wrong",
         where: :here,
-        module: Subcommand.Doctor,
+        module: Subcommand.Machine.Doctor,
         options: [@config, @json],
         more: "Exit status: 0 everything works, perhaps with warnings; 1 something will not work."
       },
@@ -119,7 +121,7 @@ defmodule Aerie.CLI.Subcommands do
         name: "replay",
         summary: "print the events of a recorded flight as JSON lines",
         where: :here,
-        module: Subcommand.Replay,
+        module: Subcommand.Recordings.Replay,
         arguments: [{"FILE", "a .tlog file"}],
         options: [{:samples, :boolean, nil, "print the state samples, too"}, @config],
         more: "aerie start --replay FILE plays it to clients and the console."
@@ -128,7 +130,7 @@ defmodule Aerie.CLI.Subcommands do
         name: "incident",
         summary: "pack what is known of a vehicle and a time into one archive, with a page that plots it",
         where: :here,
-        module: Subcommand.Incident,
+        module: Subcommand.Recordings.Incident,
         arguments: [@vehicle],
         options:
           [
@@ -147,7 +149,7 @@ defmodule Aerie.CLI.Subcommands do
         name: "msp",
         summary: "print what went over a line with MSP, from the recording of its link",
         where: :here,
-        module: Subcommand.Msp,
+        module: Subcommand.Recordings.Msp,
         arguments: [{"FILE", "a .tlog file of a link (recorder.links), not of a vehicle"}],
         options: [@json],
         more:
@@ -254,7 +256,7 @@ defmodule Aerie.CLI.Subcommands do
         name: "config check",
         summary: "check a configuration completely, without starting anything",
         where: :here,
-        module: Subcommand.Config,
+        module: Subcommand.Machine.Config,
         arguments: [{"[FILE]", "default: AERIE_CONFIG, else the default values and the environment"}],
         more:
           "Exit status: 0 a gateway can start with it, 1 it cannot. Every error names its file, its key and what was expected."
@@ -263,7 +265,7 @@ defmodule Aerie.CLI.Subcommands do
         name: "config show",
         summary: "print the keys that are set, their values, and where they were set",
         where: :here,
-        module: Subcommand.Config,
+        module: Subcommand.Machine.Config,
         arguments: [{"[FILE]", "as for config check"}],
         options: [{:all, :boolean, nil, "print the keys with default values, too"}]
       },
@@ -305,7 +307,7 @@ defmodule Aerie.CLI.Subcommands do
         summary:
           "write what a hub's nats-server and the leaf nodes of its vehicles need: accounts, keys, certificates, configuration",
         where: :here,
-        module: Subcommand.NatsSetup,
+        module: Subcommand.Nats.Setup,
         arguments: [{"FOLDER", "where the files are; run it again to add or remove vehicles and hubs"}],
         options: [
           {:host, :keep, "NAME",
@@ -327,7 +329,7 @@ defmodule Aerie.CLI.Subcommands do
         summary:
           "make a key by which a program signs commands over NATS, and print the section of the configuration that lists it",
         where: :here,
-        module: Subcommand.NatsKey,
+        module: Subcommand.Nats.Key,
         arguments: [{"FILE", "the file for the seed; a key that is there is kept, and its section printed"}],
         options: [
           {:name, :string, "NAME",
@@ -366,34 +368,34 @@ defmodule Aerie.CLI.Subcommands do
         name: "remote",
         summary: "open an Elixir shell in the gateway (Aerie.Shell)",
         where: :here,
-        module: Subcommand.Remote,
+        module: Subcommand.Running.Remote,
         options: Subcommand.common(%{where: :gateway})
       },
       %Subcommand{
         name: "rpc",
         summary: "evaluate Elixir in the gateway, and print the value",
         where: :gateway,
-        module: Subcommand.Evaluate,
+        module: Subcommand.Running.Evaluate,
         arguments: [{"EXPRESSION", "Aerie.Shell's functions are imported"}]
       },
       %Subcommand{
         name: "eval",
         summary: "evaluate Elixir without a gateway",
         where: :here,
-        module: Subcommand.Evaluate,
+        module: Subcommand.Running.Evaluate,
         arguments: [{"EXPRESSION", "such as 'Application.spec(:aerie, :vsn)'"}]
       },
       %Subcommand{
         name: "completion",
         summary: "print the completion for bash: . <(aerie completion)",
         where: :here,
-        module: Subcommand.About
+        module: About
       },
       %Subcommand{
         name: "man",
         summary: "print the man page: aerie man | man -l -",
         where: :here,
-        module: Subcommand.About
+        module: About
       }
     ]
   end

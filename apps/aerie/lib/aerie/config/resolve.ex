@@ -139,7 +139,7 @@ defmodule Aerie.Config.Resolve do
 
   # TLS and logins other than a token are for the servers at nats.url. In one file with mode embedded they are a contradiction, which
   # is an error. But `--nats embedded` with the configuration of a real gateway means the embedded server without them, and a replay
-  # (`Aerie.CLI.Plan`) one without the hub.
+  # (`Aerie.CLI.Start.Plan`) one without the hub.
   defp nats(config) do
     %{nats: nats} = Bridge.Settings.from(config)
     told? = nats.mode != :embedded or config.given["nats.mode"] != "command line"

@@ -3,7 +3,7 @@ defmodule Aerie.Shell.Text do
 
   alias Aerie.CLI.Status.Format
   alias Aerie.Fleet.Inspector.Fields
-  alias Aerie.CLI.Columns
+  alias Aerie.CLI.Output.Columns
   alias Aerie.Processes.{Busiest, Restarts, Tree}
   alias MavCodec.Frame
 

@@ -61,7 +61,7 @@ defmodule Aerie.CLI.CallTest do
        context do
     path = config(context.tmp_dir, @quiet_config)
     assert :ok = Aerie.CLI.Start.call(["--config", path], %{}, context.options)
-    all = Aerie.CLI.ModuleLoader.all()
+    all = Aerie.CLI.Start.ModuleLoader.all()
 
     for known <- [
           Aerie.Fleet.Bridge,

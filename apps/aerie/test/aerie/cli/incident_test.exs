@@ -3,7 +3,7 @@ defmodule Aerie.CLI.IncidentTest do
 
   use ExUnit.Case, async: true
 
-  alias Aerie.CLI.Subcommand.Incident
+  alias Aerie.CLI.Subcommand.Recordings.Incident
   alias Aerie.StandardError
 
   @moduletag :tmp_dir

@@ -1,7 +1,8 @@
 defmodule Aerie.CLI.OptionsTest do
   use ExUnit.Case, async: true
 
-  alias Aerie.CLI.{Options, Plan, Start}
+  alias Aerie.CLI.Start
+  alias Aerie.CLI.Start.{Options, Plan}
 
   describe "what was given" do
     test "no argument starts a demo with defaults" do

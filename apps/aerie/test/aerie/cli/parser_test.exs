@@ -1,7 +1,8 @@
 defmodule Aerie.CLI.ParserTest do
   use ExUnit.Case, async: true
 
-  alias Aerie.CLI.{Completion, Help, Man, Parser, Subcommand, Subcommands}
+  alias Aerie.CLI.{Help, Parser, Subcommand, Subcommands}
+  alias Aerie.CLI.Help.{Completion, Man}
 
   test "every row of the table has a module that does it, help, completion and a place in the man page" do
     man = Man.page(Subcommands.all(), "1.2.3")

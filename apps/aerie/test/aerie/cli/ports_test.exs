@@ -2,7 +2,7 @@ defmodule Aerie.CLI.PortsTest do
   @moduledoc "Default ports, looked for by several starts at once."
   use ExUnit.Case, async: true
 
-  alias Aerie.CLI.Ports
+  alias Aerie.CLI.Start.Ports
 
   @loopback {127, 0, 0, 1}
 

@@ -2,7 +2,7 @@ defmodule Aerie.CLI.RemoteTest do
   use ExUnit.Case, async: true
 
   alias Aerie.Patience
-  alias Aerie.CLI.Subcommand.Remote
+  alias Aerie.CLI.Subcommand.Running.Remote
 
   test "without a terminal it says what to use" do
     assert Remote.terminal(true) == :ok

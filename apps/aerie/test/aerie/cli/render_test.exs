@@ -3,7 +3,8 @@ defmodule Aerie.CLI.RenderTest do
   use ExUnit.Case, async: true
 
   alias Aerie.Shell.Text
-  alias Aerie.CLI.{Columns, Subcommand}
+  alias Aerie.CLI.Subcommand
+  alias Aerie.CLI.Output.Columns
   alias Aerie.CLI.Status.{Table, View}
 
   test "columns are as wide as their widest text; what is not known is a gap, and nothing steers the terminal" do
@@ -75,7 +76,7 @@ defmodule Aerie.CLI.RenderTest do
   }
 
   test "the status says what is there, what is wrong, and the mend" do
-    text = IO.iodata_to_binary(Subcommand.Status.render(@status, @view))
+    text = IO.iodata_to_binary(Subcommand.Running.Status.render(@status, @view))
 
     assert text =~
              "not ready: 1 vehicle, 1 link\nNATS not connected, 7 events wait\nproblem: connection refused\n"
@@ -87,29 +88,29 @@ defmodule Aerie.CLI.RenderTest do
     # What a vehicle has not told is a gap.
     silent = %{hd(@view.vehicles) | id: "x", status: :stale, autopilot: nil, vehicle_type: nil, groups: %{}}
 
-    assert IO.iodata_to_binary(Subcommand.Status.render(@status, %{@view | vehicles: [silent]})) =~
+    assert IO.iodata_to_binary(Subcommand.Running.Status.render(@status, %{@view | vehicles: [silent]})) =~
              ~r/x +stale +- - +- +- +- +- +- +- +- - +- +0.0 s\n/
 
-    none = IO.iodata_to_binary(Subcommand.Status.render(@status, %{@view | vehicles: [], links: []}))
+    none = IO.iodata_to_binary(Subcommand.Running.Status.render(@status, %{@view | vehicles: [], links: []}))
     assert none =~ "no vehicle was heard" and none =~ "there is no link"
   end
 
   test "a link that is not up, and the own vehicle that is not heard, are missing" do
     radio = %{id: "radio", status: :down, text: "no such file"}
     online = %{id: "VID-001", status: :online}
-    assert Subcommand.Status.missing([radio], [], nil) == ["link radio: no such file"]
+    assert Subcommand.Running.Status.missing([radio], [], nil) == ["link radio: no such file"]
 
-    assert Subcommand.Status.missing([%{radio | status: :connecting}], [], nil) == [
+    assert Subcommand.Running.Status.missing([%{radio | status: :connecting}], [], nil) == [
              "link radio: no such file"
            ]
 
     for status <- [:up, :idle, :ended],
-        do: assert(Subcommand.Status.missing([%{radio | status: status}], [], nil) == [])
+        do: assert(Subcommand.Running.Status.missing([%{radio | status: status}], [], nil) == [])
 
-    assert Subcommand.Status.missing([], [online], "VID-001") == []
+    assert Subcommand.Running.Status.missing([], [online], "VID-001") == []
 
     for vehicles <- [[], [%{online | status: :lost}], [%{online | id: "VID-002"}]] do
-      assert Subcommand.Status.missing([], vehicles, "VID-001") ==
+      assert Subcommand.Running.Status.missing([], vehicles, "VID-001") ==
                ["VID-001, aboard which this gateway runs (vehicle_id), is not heard"]
     end
   end
@@ -126,7 +127,7 @@ defmodule Aerie.CLI.RenderTest do
                mend: "plug it in" <> _
              }
            ] =
-             Subcommand.Doctor.devices([
+             Subcommand.Machine.Doctor.devices([
                gone,
                link.("there", "/dev/null,57600"),
                link.("net", "udpin::14550"),
@@ -134,9 +135,9 @@ defmodule Aerie.CLI.RenderTest do
              ])
 
     assert [%{text: "/dev/ttyNONE8: " <> _}] =
-             Subcommand.Doctor.devices([link.("msp", "msp:ttyNONE8,115200")])
+             Subcommand.Machine.Doctor.devices([link.("msp", "msp:ttyNONE8,115200")])
 
-    assert Subcommand.Doctor.devices([link.("any", "serial:auto")]) == []
+    assert Subcommand.Machine.Doctor.devices([link.("any", "serial:auto")]) == []
   end
 
   test "parameters of a command are JSON where they can be" do
@@ -153,25 +154,27 @@ defmodule Aerie.CLI.RenderTest do
     on_exit(fn -> File.rm_rf!(folder) end)
 
     File.write!(Path.join(folder, "17/comm"), "bash\n")
-    assert [%{level: :ok}] = Subcommand.Doctor.modem_manager(folder)
+    assert [%{level: :ok}] = Subcommand.Machine.Doctor.modem_manager(folder)
     File.write!(Path.join(folder, "17/comm"), "ModemManager\n")
-    assert [%{level: :warning, mend: "sudo systemctl mask" <> _}] = Subcommand.Doctor.modem_manager(folder)
+
+    assert [%{level: :warning, mend: "sudo systemctl mask" <> _}] =
+             Subcommand.Machine.Doctor.modem_manager(folder)
 
     now = System.os_time(:second)
     mark = Path.join(folder, "timesync/synchronized")
-    assert [%{level: :ok}] = Subcommand.Doctor.clock(mark, now)
+    assert [%{level: :ok}] = Subcommand.Machine.Doctor.clock(mark, now)
     File.mkdir_p!(Path.dirname(mark))
-    assert [%{level: :warning}] = Subcommand.Doctor.clock(mark, now)
+    assert [%{level: :warning}] = Subcommand.Machine.Doctor.clock(mark, now)
     File.write!(mark, "")
-    assert [%{level: :ok}] = Subcommand.Doctor.clock(mark, now)
-    assert [%{level: :error, text: "1970-01-01" <> _}] = Subcommand.Doctor.clock(mark, 0)
+    assert [%{level: :ok}] = Subcommand.Machine.Doctor.clock(mark, now)
+    assert [%{level: :error, text: "1970-01-01" <> _}] = Subcommand.Machine.Doctor.clock(mark, 0)
 
     findings = [
       %{what: "disk", level: :ok, text: "much", mend: nil},
       %{what: "clock", level: :error, text: "wrong", mend: "set it"}
     ]
 
-    assert IO.iodata_to_binary(Subcommand.Doctor.render(findings)) ==
+    assert IO.iodata_to_binary(Subcommand.Machine.Doctor.render(findings)) ==
              "error    clock: wrong\n         to mend it: set it\nok       disk: much\n"
   end
 
@@ -189,7 +192,7 @@ defmodule Aerie.CLI.RenderTest do
       messages: [%{system: 1, component: 1, name: "ATTITUDE", hz: 10.0, count: 50}]
     }
 
-    text = IO.iodata_to_binary(Subcommand.Probe.render(report))
+    text = IO.iodata_to_binary(Subcommand.Machine.Probe.render(report))
     assert text =~ "MAVLink: 120 frames, 1 with a wrong checksum"
     assert text =~ ~r/1 +1 +px4 +copter +1.16.0/
     assert text =~ ~r/1 +1 +ATTITUDE +10.0 +50/
@@ -204,24 +207,15 @@ defmodule Aerie.CLI.RenderTest do
         found: ["/dev/ttyUSB0: a GPS receiver (NMEA)"]
     }
 
-    text = IO.iodata_to_binary(Subcommand.Probe.render(silent))
+    text = IO.iodata_to_binary(Subcommand.Machine.Probe.render(silent))
     assert text =~ "baud rate 57600" and text =~ "no MAVLink was heard" and text =~ "a GPS receiver"
   end
 
   test "the shell's tree shows restarts" do
-    leaf = %{
-      path: [:a],
-      name: "Link radio",
-      pid: self(),
-      type: :worker,
-      memory: 10,
-      queue: 0,
-      restarts: %{count: 2, at: 0, reason: "killed"},
-      children: []
-    }
-
-    root = %{leaf | name: "gateway", pid: nil, restarts: nil, children: [leaf]}
-    text = IO.iodata_to_binary(Text.tree(root))
+    leaf = %{path: [:gateway, :a], name: "Link radio", pid: self(), memory: 10, queue: 0}
+    top = %{leaf | path: [:gateway], name: "gateway", pid: nil}
+    tree = [{top, nil}, {leaf, %{count: 2, at: 0, reason: "killed"}}]
+    text = IO.iodata_to_binary(Text.tree(tree))
     assert text =~ ~r/  Link radio +#PID<.*> +10 +0 +2, the last: killed/
     assert IO.iodata_to_binary(Table.vehicles(%View{now: 0})) =~ "no vehicle"
   end

@@ -5,7 +5,7 @@ defmodule Aerie.CLI.UpgradeTest do
 
   import ExUnit.CaptureIO
 
-  alias Aerie.CLI.Subcommand.Upgrade
+  alias Aerie.CLI.Subcommand.Running.Upgrade
 
   @moduletag :tmp_dir
 

@@ -70,7 +70,7 @@ defmodule Aerie.Upgrade.ObstaclesTest do
 
   test "a checkout is not installed" do
     assert {:error, text} =
-             Subcommand.Upgrade.run(%{name: "upgrade", arguments: %{}, options: %{}, folder: "/"})
+             Subcommand.Running.Upgrade.run(%{name: "upgrade", arguments: %{}, options: %{}, folder: "/"})
 
     assert text =~ "is not installed"
   end

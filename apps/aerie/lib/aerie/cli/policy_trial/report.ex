@@ -2,7 +2,7 @@ defmodule Aerie.CLI.PolicyTrial.Report do
   @moduledoc "What `aerie policy try` prints (pure): decisions as rows or as JSON, and the summary."
 
   alias Aerie.Base.Json
-  alias Aerie.CLI.Columns
+  alias Aerie.CLI.Output.Columns
 
   # Set-points, sticks and items of a mission come in rows of the same decision.
   @run_us 5_000_000

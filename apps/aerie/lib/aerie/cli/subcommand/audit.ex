@@ -19,7 +19,7 @@ defmodule Aerie.CLI.Subcommand.Audit do
 
   # The gateway's own folders are relative to where it runs.
   defp folder(request) do
-    case Subcommand.Config.load(request) do
+    case Subcommand.Machine.Config.load(request) do
       {:ok, config} -> {:ok, Path.expand(config.policy.audit.dir)}
       {:error, errors} -> {:error, Config.format_errors(errors)}
     end

@@ -6,7 +6,8 @@ defmodule Aerie.CLI.Subcommand.Command do
   alias Aerie.Control.Commands
   alias Aerie.Fleet
   alias Aerie.Base.Json
-  alias Aerie.CLI.{Ask, Columns, Subcommand}
+  alias Aerie.CLI.{Ask, Subcommand}
+  alias Aerie.CLI.Output.Columns
 
   @impl Aerie.CLI.Subcommand
   def run(%{arguments: %{"VEHICLE" => vehicle, "TYPE" => type, "NAME=VALUE" => pairs}, options: options}) do
@@ -22,7 +23,7 @@ defmodule Aerie.CLI.Subcommand.Command do
       envelope = %{"vehicle" => vehicle, "type" => type, "params" => params}
       answer(Commands.submit(:default, envelope, source(), via: "bin/aerie"), options)
     else
-      {:known, nil} -> {:error, Subcommand.Tail.unknown(vehicle)}
+      {:known, nil} -> {:error, Subcommand.Running.Tail.unknown(vehicle)}
       {:type, :error} -> {:error, "there is no command #{type}#{hint(type)}; docs/commands.md lists them"}
       {:error, text} -> {:error, text}
     end

@@ -6,7 +6,8 @@ defmodule Aerie.CLI.Subcommand.Mission do
   alias MavCodec.Enums.{MavCmd, MavFrame}
   alias Aerie.Base.Json
   alias Aerie.Control.Missions
-  alias Aerie.CLI.{Ask, Columns, Subcommand}
+  alias Aerie.CLI.{Ask, Subcommand}
+  alias Aerie.CLI.Output.Columns
 
   @impl Aerie.CLI.Subcommand
   def run(%{name: "mission show", arguments: %{"VEHICLE" => vehicle}, options: options} = request) do

@@ -5,7 +5,8 @@ defmodule Aerie.CLI.Subcommand.Params do
   alias Aerie.Base.Json
   alias Aerie.Control.Params
   alias Aerie.Control.Params.Table
-  alias Aerie.CLI.{Ask, Columns, Subcommand}
+  alias Aerie.CLI.{Ask, Subcommand}
+  alias Aerie.CLI.Output.Columns
   alias MavCodec.Enums.MavParamType
 
   @impl Aerie.CLI.Subcommand

@@ -88,7 +88,8 @@ defmodule Aerie.CLI.Subcommand.Policy do
   defp place(given, folder, _config), do: Path.expand(given, folder)
 
   defp config(request) do
-    with {:error, errors} <- Subcommand.Config.load(request), do: {:error, Config.format_errors(errors)}
+    with {:error, errors} <- Subcommand.Machine.Config.load(request),
+         do: {:error, Config.format_errors(errors)}
   end
 
   defp policy(config) do

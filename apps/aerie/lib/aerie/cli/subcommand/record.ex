@@ -4,7 +4,7 @@ defmodule Aerie.CLI.Subcommand.Record do
 
   alias Aerie.Base.Json
   alias MavRouter.Recorder
-  alias Aerie.CLI.Columns
+  alias Aerie.CLI.Output.Columns
 
   @impl Aerie.CLI.Subcommand
   def run(%{arguments: %{"ACTION" => "list"}, options: options}) do

@@ -2,7 +2,7 @@ defmodule Aerie.CLI.Subcommand.User do
   @moduledoc "`aerie user add`, `list` and `remove`: the users of a running gateway's console."
   @behaviour Aerie.CLI.Subcommand
 
-  alias Aerie.CLI.Columns
+  alias Aerie.CLI.Output.Columns
   alias FleetWeb.Console.Access.Users
 
   @impl Aerie.CLI.Subcommand

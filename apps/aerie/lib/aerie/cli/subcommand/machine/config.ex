@@ -1,4 +1,4 @@
-defmodule Aerie.CLI.Subcommand.Config do
+defmodule Aerie.CLI.Subcommand.Machine.Config do
   @moduledoc "`aerie config check` and `aerie config show`."
   @behaviour Aerie.CLI.Subcommand
 
@@ -7,7 +7,7 @@ defmodule Aerie.CLI.Subcommand.Config do
   alias Aerie.Control.Policy
   alias Aerie.Config.{Keys, Preflight}
   alias Aerie.Base.Settings.Schema
-  alias Aerie.CLI.Columns
+  alias Aerie.CLI.Output.Columns
 
   @impl Aerie.CLI.Subcommand
   def run(%{name: "config check"} = request) do

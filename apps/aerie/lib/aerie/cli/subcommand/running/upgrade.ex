@@ -1,4 +1,4 @@
-defmodule Aerie.CLI.Subcommand.Upgrade do
+defmodule Aerie.CLI.Subcommand.Running.Upgrade do
   @moduledoc """
   `aerie upgrade`: puts another version in the place of the running gateway (`Aerie.Upgrade`).
 

@@ -1,4 +1,4 @@
-defmodule Aerie.CLI.Subcommand.Probe do
+defmodule Aerie.CLI.Subcommand.Machine.Probe do
   @moduledoc """
   `aerie probe`: finds out what is connected to a serial port or an address. A temporary gateway without NATS, HTTP and stored data
   listens there for a few seconds; then its read model is printed. It asks a vehicle for its version, and sends no commands.
@@ -11,7 +11,7 @@ defmodule Aerie.CLI.Subcommand.Probe do
   alias MavRouter.Link
   alias MavRouter.Link.Spec
   alias Aerie.Base.PubSub
-  alias Aerie.CLI.Columns
+  alias Aerie.CLI.Output.Columns
 
   @default_s 5.0
   @longest_s 3600

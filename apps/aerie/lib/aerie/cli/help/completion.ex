@@ -1,4 +1,4 @@
-defmodule Aerie.CLI.Completion do
+defmodule Aerie.CLI.Help.Completion do
   @moduledoc "The completion of `aerie` for bash, made from the rows of its subcommands. Pure."
 
   alias Aerie.CLI.Subcommand

@@ -1,8 +1,8 @@
-defmodule Aerie.CLI.Subcommand.About do
+defmodule Aerie.CLI.Help.About do
   @moduledoc "`aerie version`, `aerie man` and `aerie completion`: what the program says about itself."
   @behaviour Aerie.CLI.Subcommand
 
-  alias Aerie.CLI.{Completion, Man}
+  alias Aerie.CLI.Help.{Completion, Man}
 
   @impl Aerie.CLI.Subcommand
   def run(%{name: "version"}),

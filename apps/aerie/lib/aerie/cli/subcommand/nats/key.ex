@@ -1,4 +1,4 @@
-defmodule Aerie.CLI.Subcommand.NatsKey do
+defmodule Aerie.CLI.Subcommand.Nats.Key do
   @moduledoc """
   `aerie nats-key`: a key by which a program signs commands over NATS (`Aerie.Control.Policy.Signature`). The seed is in the file; what is
   printed is the section of a configuration that lists the public half.

@@ -1,7 +1,7 @@
-defmodule Aerie.CLI.SimMsp do
+defmodule Aerie.CLI.Start.SimMsp do
   @moduledoc "The simulated Betaflight and iNav vehicles of `--sim-msp`: a link for each, and the process that simulates it. They alternate."
 
-  alias Aerie.CLI.Ports
+  alias Aerie.CLI.Start.Ports
   alias MavRouter.Link.Spec
 
   @loopback {127, 0, 0, 1}

@@ -1,4 +1,4 @@
-defmodule Aerie.CLI.Subcommand.Remote do
+defmodule Aerie.CLI.Subcommand.Running.Remote do
   @moduledoc """
   `aerie remote`: IEx in the gateway, with `Aerie.Shell`.
 

@@ -1,4 +1,4 @@
-defmodule Aerie.CLI.Subcommand.Replay do
+defmodule Aerie.CLI.Subcommand.Recordings.Replay do
   @moduledoc """
   `aerie replay`: prints the events of a recording as JSON lines, and a summary of it on standard error. No gateway
   runs.
@@ -21,7 +21,7 @@ defmodule Aerie.CLI.Subcommand.Replay do
     {:ok, _started} = Application.ensure_all_started(:fleet)
 
     # FILE is the recording here, not the configuration.
-    case Subcommand.Config.load(%{request | arguments: %{}}) do
+    case Subcommand.Machine.Config.load(%{request | arguments: %{}}) do
       {:ok, config} -> play(Path.expand(file, folder), config, options[:samples] || false)
       {:error, errors} -> {:error, Config.format_errors(errors)}
     end

@@ -1,4 +1,4 @@
-defmodule Aerie.CLI.Options do
+defmodule Aerie.CLI.Start.Options do
   @moduledoc """
   The options of `aerie start` (`bin/run`): their rows for `Aerie.CLI.Subcommands`, and the check of what was given. Pure.
   """
@@ -13,7 +13,7 @@ defmodule Aerie.CLI.Options do
             nats: nil,
             quiet: false
 
-  alias Aerie.CLI.SimMsp
+  alias Aerie.CLI.Start.SimMsp
 
   @typedoc """
   * `links` - connection strings, in the order given

@@ -1,4 +1,4 @@
-defmodule Aerie.CLI.Subcommand.Evaluate do
+defmodule Aerie.CLI.Subcommand.Running.Evaluate do
   @moduledoc "`aerie rpc` and `aerie eval`: Elixir from the command line."
   @behaviour Aerie.CLI.Subcommand
 

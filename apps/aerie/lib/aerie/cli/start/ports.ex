@@ -1,4 +1,4 @@
-defmodule Aerie.CLI.Ports do
+defmodule Aerie.CLI.Start.Ports do
   @moduledoc """
   Finds free ports for parts that use their default port, so that a demo starts beside other programs. A configured
   port that is taken is an error, which `Aerie.Config.Preflight` reports.

@@ -1,4 +1,4 @@
-defmodule Aerie.CLI.Subcommand.NatsSetup do
+defmodule Aerie.CLI.Subcommand.Nats.Setup do
   @moduledoc "`aerie nats-setup`: keys, certificates and accounts of a fleet (`Aerie.Fleet.Bridge.Hub.Setup`)."
   @behaviour Aerie.CLI.Subcommand
 

@@ -1,4 +1,4 @@
-defmodule Aerie.CLI.Subcommand.Doctor do
+defmodule Aerie.CLI.Subcommand.Machine.Doctor do
   @moduledoc """
   `aerie doctor`: checks whether this machine has what a gateway with this configuration needs. Each finding is ok, a warning or an error,
   and says how to fix it. If a gateway is running, the findings of its own diagnosis (`Aerie.Fleet.Diagnosis`) are included.
@@ -9,7 +9,8 @@ defmodule Aerie.CLI.Subcommand.Doctor do
   alias Aerie.Config
   alias Aerie.Config.Preflight
   alias Aerie.Base.SerialPorts
-  alias Aerie.CLI.{Columns, Gateway, Subcommand}
+  alias Aerie.CLI.{Gateway, Subcommand}
+  alias Aerie.CLI.Output.Columns
 
   @type finding :: %{
           what: String.t(),
@@ -26,7 +27,7 @@ defmodule Aerie.CLI.Subcommand.Doctor do
     running = running(request)
 
     findings =
-      case Subcommand.Config.load(request) do
+      case Subcommand.Machine.Config.load(request) do
         {:ok, config} ->
           configuration(config, running) ++ machine(config) ++ nats(config.nats) ++ gateway(running)
 

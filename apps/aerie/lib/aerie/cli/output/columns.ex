@@ -1,4 +1,4 @@
-defmodule Aerie.CLI.Columns do
+defmodule Aerie.CLI.Output.Columns do
   @moduledoc "Rows as a table for a terminal. Pure."
 
   @doc "Lines with a heading: `rows` are lists of values, nil shown as a gap. Columns are as wide as their widest text."

@@ -1,4 +1,4 @@
-defmodule Aerie.CLI.Subcommand.Tail do
+defmodule Aerie.CLI.Subcommand.Running.Tail do
   @moduledoc "`aerie tail`: a vehicle's events, and changes of its state, as they come."
   @behaviour Aerie.CLI.Subcommand
 
@@ -8,7 +8,7 @@ defmodule Aerie.CLI.Subcommand.Tail do
   alias Aerie.Fleet
   alias Aerie.Vehicle.Journal
   alias Aerie.Base.PubSub
-  alias Aerie.CLI.Columns
+  alias Aerie.CLI.Output.Columns
 
   @impl Aerie.CLI.Subcommand
   def run(%{arguments: %{"VEHICLE" => id}, options: options}) do

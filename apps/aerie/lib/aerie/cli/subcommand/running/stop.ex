@@ -1,4 +1,4 @@
-defmodule Aerie.CLI.Subcommand.Stop do
+defmodule Aerie.CLI.Subcommand.Running.Stop do
   @moduledoc "`aerie stop`: shuts a gateway down, and waits until its process has ended."
   @behaviour Aerie.CLI.Subcommand
 

@@ -1,4 +1,4 @@
-defmodule Aerie.CLI.Subcommand.Status do
+defmodule Aerie.CLI.Subcommand.Running.Status do
   @moduledoc """
   `aerie status`: vehicles, links, NATS and problems, from the read model.
 
@@ -6,7 +6,8 @@ defmodule Aerie.CLI.Subcommand.Status do
   """
   @behaviour Aerie.CLI.Subcommand
 
-  alias Aerie.CLI.{Columns, Status}
+  alias Aerie.CLI.Status
+  alias Aerie.CLI.Output.Columns
   alias FleetWeb.API.View
   alias Aerie.Base.{Json, Store}
   alias Aerie.Fleet.Health

@@ -1,8 +1,9 @@
-defmodule Aerie.CLI.Subcommand.Incident do
+defmodule Aerie.CLI.Subcommand.Recordings.Incident do
   @moduledoc "`aerie incident`: one archive of what is known of a vehicle and a time (`Aerie.Incident`)."
   @behaviour Aerie.CLI.Subcommand
 
-  alias Aerie.CLI.{Columns, Gateway, Subcommand}
+  alias Aerie.CLI.{Gateway, Subcommand}
+  alias Aerie.CLI.Output.Columns
   alias Aerie.Config
   alias Aerie.Incident
   alias Aerie.Incident.{Source, Span}
@@ -28,7 +29,7 @@ defmodule Aerie.CLI.Subcommand.Incident do
           vehicle: vehicle,
           span: span,
           output: output,
-          machine: for(finding <- Subcommand.Doctor.machine(source.config), do: text_keys(finding)),
+          machine: for(finding <- Subcommand.Machine.Doctor.machine(source.config), do: text_keys(finding)),
           max_bytes: max_mb * 1_048_576,
           now: now,
           note: &note/1
@@ -52,7 +53,7 @@ defmodule Aerie.CLI.Subcommand.Incident do
 
   # A configuration means the folders of a gateway, whether it runs or not.
   defp source(%{options: %{config: _file}} = request) do
-    case Subcommand.Config.load(request |> Map.put(:arguments, %{})) do
+    case Subcommand.Machine.Config.load(request |> Map.put(:arguments, %{})) do
       {:ok, config} -> {:ok, Source.stopped(config)}
       {:error, errors} -> {:error, Config.format_errors(errors)}
     end

@@ -1,12 +1,12 @@
-defmodule Aerie.CLI.Run do
+defmodule Aerie.CLI.Start.Run do
   @moduledoc """
   Starts the parts of a plan below `Aerie.CLI.Supervisor`, each after the ones that it depends on:
 
   1. `Aerie.Gateway` with the checked configuration
-  2. `Aerie.CLI.ModuleLoader`, whose end the readiness waits for
+  2. `Aerie.CLI.Start.ModuleLoader`, whose end the readiness waits for
   3. `FleetWeb.Endpoint`
   4. `Aerie.Reload`, which puts a changed configuration in force
-  5. `SimVehicle.Fleet` and `Aerie.CLI.SimMsp`, if simulated vehicles were asked for. They use a loopback link and a network of their own
+  5. `SimVehicle.Fleet` and `Aerie.CLI.Start.SimMsp`, if simulated vehicles were asked for. They use a loopback link and a network of their own
      (`sim`), so that they cannot collide with a real vehicle of the same system id.
   6. `Aerie.Node`, the way in for `bin/aerie`
   7. `Aerie.Systemd`, if systemd started the program, which then learns that all that is asked for is there
@@ -18,7 +18,8 @@ defmodule Aerie.CLI.Run do
   alias Aerie.{Config, EventLog, Reload, Systemd}
   alias Aerie.Base.Log
   alias MavRouter.Link.Spec
-  alias Aerie.CLI.{ModuleLoader, Plan, Ports, SimMsp, Status}
+  alias Aerie.CLI.Status
+  alias Aerie.CLI.Start.{ModuleLoader, Plan, Ports, SimMsp}
 
   @loopback {127, 0, 0, 1}
   @sim_port 14_650

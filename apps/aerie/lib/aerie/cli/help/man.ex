@@ -1,4 +1,4 @@
-defmodule Aerie.CLI.Man do
+defmodule Aerie.CLI.Help.Man do
   @moduledoc "The man page of `aerie`, made from the rows of its subcommands. Pure."
 
   alias Aerie.CLI.{Help, Subcommand}

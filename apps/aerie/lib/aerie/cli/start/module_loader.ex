@@ -1,4 +1,4 @@
-defmodule Aerie.CLI.ModuleLoader do
+defmodule Aerie.CLI.Start.ModuleLoader do
   @moduledoc """
   Loads all modules of the gateway and its dependencies after the start. The BEAM otherwise reads a module's file at the
   first call, which fails when file descriptors have run out or the files are gone.

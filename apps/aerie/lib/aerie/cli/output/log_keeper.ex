@@ -1,4 +1,4 @@
-defmodule Aerie.CLI.LogKeeper do
+defmodule Aerie.CLI.Output.LogKeeper do
   @moduledoc """
   Sends the log to a device, and keeps it going: Erlang's logger removes a handler whose process has died, and nothing would be
   logged any more. Looks once a second, and adds the handler as it was last.

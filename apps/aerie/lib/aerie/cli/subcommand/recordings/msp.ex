@@ -1,4 +1,4 @@
-defmodule Aerie.CLI.Subcommand.Msp do
+defmodule Aerie.CLI.Subcommand.Recordings.Msp do
   @moduledoc """
   `aerie msp`: what went over a line with MSP, from the recording of its link, and whether the session does the same again with it
   (`Msp.Rerun`).

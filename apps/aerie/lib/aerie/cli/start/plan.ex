@@ -1,4 +1,4 @@
-defmodule Aerie.CLI.Plan do
+defmodule Aerie.CLI.Start.Plan do
   @moduledoc """
   Decides from the options what `bin/run` starts. Pure.
 
@@ -8,7 +8,7 @@ defmodule Aerie.CLI.Plan do
   With `--nats URL` it publishes there, in the environment `replay`.
   """
 
-  alias Aerie.CLI.Options
+  alias Aerie.CLI.Start.Options
 
   @demo_vehicles 3
   @apart %{

@@ -53,15 +53,12 @@ defmodule Aerie.LinkCase do
   @spec options(module, term, map) :: keyword
   def options(part, gateway, config) do
     config = without_saving(config)
-    settings = settings(part)
+    settings = part |> Module.split() |> List.replace_at(-1, "Settings") |> Module.concat()
 
     if Code.ensure_loaded?(settings) and function_exported?(settings, :from, 1),
       do: [gateway: gateway, settings: settings.from(config)],
       else: [gateway: gateway]
   end
-
-  defp settings(MavRouter.Router.Supervisor), do: MavRouter.Endpoints.Settings
-  defp settings(part), do: part |> Module.split() |> List.replace_at(-1, "Settings") |> Module.concat()
 
   @doc "The specification of the client endpoints, as a gateway gives it to its router."
   @spec clients(term, map) :: Supervisor.child_spec()

@@ -1,50 +1,18 @@
 defmodule Msp.Polls do
   @moduledoc """
-  What a flight controller is asked by itself, and how often: a table for each firmware. The message that is overdue most, measured
+  How often a flight controller is asked for what (`Msp.Readings`). The message that is overdue most, measured
   in its own period, comes first, so that a slow line makes all of them rarer alike. Only the sign of life comes first
   when it is late.
 
   A request is made as often as the most wanted of the MAVLink messages that are made of its reply, and each of those is sent at its own rate.
   """
 
-  alias MavCodec.Messages, as: M
+  alias Msp.Readings
 
-  # {message, arguments, period in ms}
-  @table %{
-    betaflight: [
-      {"STATUS_EX", %{}, 200},
-      {"ATTITUDE", %{}, 200},
-      {"RAW_GPS", %{}, 500},
-      {"ALTITUDE", %{}, 500},
-      {"BATTERY_STATE", %{}, 1000},
-      {"ANALOG", %{}, 2000},
-      {"RC", %{}, 1000},
-      {"BOXIDS", %{}, 10_000}
-    ],
-    inav: [
-      {"MSP2_INAV_STATUS", %{}, 200},
-      {"ATTITUDE", %{}, 200},
-      {"RAW_GPS", %{}, 500},
-      {"ALTITUDE", %{}, 500},
-      {"MSP2_INAV_ANALOG", %{}, 1000},
-      {"RC", %{}, 1000},
-      {"NAV_STATUS", %{}, 500},
-      {"WP_GETINFO", %{}, 5000},
-      {"MSP2_INAV_MISC2", %{}, 1000},
-      {"SENSOR_STATUS", %{}, 2000},
-      {"WP", %{number: 0}, 2500},
-      {"BOXIDS", %{}, 10_000}
-    ]
-  }
-  @made_of %{
-    M.Heartbeat.id() => ["STATUS_EX", "MSP2_INAV_STATUS"],
-    M.SysStatus.id() => ["STATUS_EX", "MSP2_INAV_STATUS"],
-    M.Attitude.id() => ["ATTITUDE"],
-    M.GpsRawInt.id() => ["RAW_GPS"],
-    M.GlobalPositionInt.id() => ["RAW_GPS", "ALTITUDE"],
-    M.BatteryStatus.id() => ["BATTERY_STATE", "MSP2_INAV_ANALOG"],
-    M.RcChannels.id() => ["RC"]
-  }
+  # By the MAVLink messages whose rate clients set: what they are made of.
+  @made_of (for {name, _arguments, _every, rated} <- Readings.polls(), module <- rated, reduce: %{} do
+              made_of -> Map.update(made_of, module.id(), [name], &[name | &1])
+            end)
   @fastest_us 40_000
   @slowest_us 5_000_000
   @sign_us 1_000_000
@@ -68,9 +36,10 @@ defmodule Msp.Polls do
   @spec new(Msp.Modes.firmware(), integer) :: t
   def new(firmware, now) do
     polls =
-      for {name, arguments, ms} <- @table[firmware], into: %{} do
-        {name, %{arguments: arguments, period: ms * 1000, usual: ms * 1000, due: now}}
-      end
+      for {name, arguments, every, _rated} <- Readings.polls(),
+          us = every[firmware] && every[firmware] * 1000,
+          into: %{},
+          do: {name, %{arguments: arguments, period: us, usual: us, due: now}}
 
     %__MODULE__{polls: polls}
   end

@@ -9,7 +9,8 @@ defmodule Msp.Session.Identifying do
 
   alias MavCodec.Msp.{Frame, Guard}
   alias MavCodec.Sniff
-  alias Msp.{Exchange, Identity, Polls, Session, Telemetry}
+  alias Msp.{Exchange, Identity, Polls, Session}
+  alias Msp.Readings.Status
   alias Msp.Session.{Clients, Missions, Motors, Params, Reports, Sticks, Tasks}
 
   defstruct [:until, todo: [], tries: 0, found: %{}, heard: ""]
@@ -118,7 +119,7 @@ defmodule Msp.Session.Identifying do
         up_at: now,
         identity: identity,
         uid: identity.uid,
-        type: Telemetry.type(identity.firmware, mixer),
+        type: Status.type(identity.firmware, mixer),
         ids: Reports.ids(found["BOXIDS"]),
         polls: Polls.new(identity.firmware, now),
         boot: session.boot || now,

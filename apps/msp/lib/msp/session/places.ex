@@ -15,7 +15,8 @@ defmodule Msp.Session.Places do
 
   alias MavCodec.Enums.{MavCmd, MavFrame}
   alias MavCodec.Messages, as: M
-  alias Msp.{Session, Telemetry}
+  alias Msp.Readings.Navigation
+  alias Msp.Session
   alias Msp.Session.{Output, Tasks}
   alias Msp.Session.Tasks.Armed
 
@@ -200,7 +201,7 @@ defmodule Msp.Session.Places do
 
   defp moved(session, %{number: 0} = home, read) do
     readings = Map.put(session.readings, :home, {home.lat / 1.0e7, home.lon / 1.0e7, read.altitude / 100})
-    Output.emit(%{session | readings: readings}, Telemetry.home(readings))
+    Output.emit(%{session | readings: readings}, Navigation.home(readings))
   end
 
   defp moved(session, _desired, _read), do: session

@@ -4,7 +4,8 @@ defmodule Msp.Session.Reports do
   vehicle from being armed.
   """
 
-  alias Msp.{Arming, Identity, Modes, Polls, Readings, Session, Telemetry}
+  alias Msp.{Arming, Identity, Modes, Polls, Readings, Session}
+  alias Msp.Readings.Status
   alias Msp.Session.{Clients, Missions, Output, Requests, Sticks}
 
   defstruct [:heartbeat, :introduced_at, :complaint, :height]
@@ -181,7 +182,7 @@ defmodule Msp.Session.Reports do
   end
 
   defp show(session, name, now) when name in ["STATUS_EX", "MSP2_INAV_STATUS"] do
-    heartbeat = Telemetry.heartbeat(session.identity, session.type, session.readings)
+    heartbeat = Status.heartbeat(session.identity, session.type, session.readings)
 
     case session.reports.heartbeat do
       {^heartbeat, at} when now - at < @heartbeat_us -> session
@@ -191,40 +192,21 @@ defmodule Msp.Session.Reports do
     |> complain()
   end
 
-  defp show(%{readings: readings} = session, "ATTITUDE", now),
-    do: tell(session, Telemetry.attitude(readings, Output.boot_ms(session, now)), now)
+  defp show(session, name, now) do
+    context = %{
+      boot_us: now - session.boot,
+      boot_ms: Output.boot_ms(session, now),
+      aboard: session.missions.aboard
+    }
 
-  defp show(session, "RAW_GPS", now),
-    do: session |> tell(Telemetry.gps_raw(session.readings, now - session.boot), now) |> position(now)
-
-  defp show(session, "ALTITUDE", now),
-    do: tell(session, Telemetry.height(session.readings, now - session.boot), now)
-
-  defp show(session, name, now) when name in ["BATTERY_STATE", "MSP2_INAV_ANALOG"],
-    do: tell(session, Telemetry.battery(session.readings), now)
-
-  defp show(session, "RC", now),
-    do: tell(session, Telemetry.rc(session.readings, Output.boot_ms(session, now)), now)
-
-  defp show(session, "NAV_STATUS", _now),
-    do: Output.emit(session, Telemetry.mission(session.readings, session.missions.aboard))
-
-  defp show(session, "WP", _now), do: Output.emit(session, Telemetry.home(session.readings))
-  defp show(session, _name, _now), do: session
-
-  defp position(session, now),
-    do: tell(session, Telemetry.position(session.readings, Output.boot_ms(session, now)), now)
+    name |> Readings.messages(session.readings, context) |> Enum.reduce(session, &tell(&2, &1, now))
+  end
 
   # At the rate that clients want: others may be made of the same reply.
-  defp tell(session, messages, now) do
-    messages
-    |> List.wrap()
-    |> Enum.reduce(session, fn %module{} = message, session ->
-      case Polls.tell(session.polls, module.id(), now) do
-        {true, polls} -> Output.emit(%{session | polls: polls}, message)
-        {false, polls} -> %{session | polls: polls}
-      end
-    end)
+  defp tell(session, %module{} = message, now) do
+    {due?, polls} = Polls.tell(session.polls, module.id(), now)
+    session = %{session | polls: polls}
+    if due?, do: Output.emit(session, message), else: session
   end
 
   # After the first heartbeat: who it is, and what its modes are called.
@@ -243,7 +225,7 @@ defmodule Msp.Session.Reports do
 
   defp status(session, heartbeat, now) do
     put_in(session.reports.heartbeat, {heartbeat, now})
-    |> Output.emit(Telemetry.sys_status(session.identity, session.readings))
+    |> Output.emit(Status.sys_status(session.identity, session.readings))
   end
 
   # A heartbeat shows that there is one, a text why and what the vehicle does.

@@ -13,7 +13,8 @@ defmodule Msp.Session.Commands do
   alias MavCodec.Messages, as: M
   alias MavCodec.Msp.Messages
   alias Msp.{Polls, Session}
-  alias Msp.Session.{Missions, Motors, Output, Params, Places, Requests, Sticks, Tasks}
+  alias Msp.Session.Commands.Places
+  alias Msp.Session.{Missions, Motors, Output, Params, Requests, Sticks, Tasks}
   alias Msp.Session.Tasks.Armed
 
   @command_long M.CommandLong.id()

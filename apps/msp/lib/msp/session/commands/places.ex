@@ -1,9 +1,9 @@
-defmodule Msp.Session.Places do
+defmodule Msp.Session.Commands.Places do
   @moduledoc """
   Where iNav is to fly, and where its home is: DO_REPOSITION and DO_SET_HOME, as waypoints 255 and 0.
 
-  iNav takes them only while it is armed and its pilot has switched GCS NAV on; to fly somewhere it holds its position as well (NAV POSHOLD). It acknowledges them
-  otherwise, too, and does nothing. So both are looked at first, and afterwards place and height are read back: what it
+  iNav takes them only while it is armed and its pilot has switched GCS NAV on; to fly somewhere it also holds its position (NAV POSHOLD). Otherwise it acknowledges
+  them as well, and does nothing. So both are looked at first, and afterwards place and height are read back: what it
   wants to reach (waypoint 254), or its home.
 
   The heights of both are above iNav's origin, whatever their third parameter says, while those that are read are above

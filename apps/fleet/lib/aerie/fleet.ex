@@ -52,4 +52,11 @@ defmodule Aerie.Fleet do
   end
 
   defp now, do: System.os_time(:microsecond)
+
+  @doc "What can be asked for besides commands: of vehicles, their desired state, and operations on many of them."
+  @spec operations() :: [Aerie.Control.Operations.Operation.t()]
+  def operations,
+    do:
+      Aerie.Control.Operations.all() ++
+        Aerie.Fleet.Shadow.Operations.all() ++ Aerie.Fleet.Operations.Requests.all()
 end

@@ -21,10 +21,6 @@ defmodule FleetWeb.Changes do
     :command,
     :cancel_command,
     :operation,
-    :update_shadow,
-    :delete_shadow,
-    :begin_operation,
-    :stop_operation,
     :reload_policy,
     :reload_config,
     :issue_ticket

@@ -4,10 +4,9 @@ defmodule Aerie.Control.Operations do
   (`Aerie.Control.Operations.Operation`). A new one is a file in `operations/` and a line here.
   """
 
-  alias Aerie.Control.Operations.Operation
   alias Aerie.Control.Operations.{Files, Logs, Mission, Params}
 
-  @modules [
+  use Aerie.Control.Operations.Table, [
     Params.List,
     Params.Get,
     Params.Set,
@@ -24,16 +23,6 @@ defmodule Aerie.Control.Operations do
     Logs.List,
     Logs.Read
   ]
-
-  @doc "All of them."
-  @spec all() :: [Operation.t(), ...]
-  def all, do: for(module <- @modules, do: %{module.operation() | module: module})
-
-  @doc "The one of a name."
-  @spec fetch(String.t()) :: {:ok, Operation.t()} | :error
-  def fetch(name) do
-    with nil <- Enum.find(all(), &(&1.name == name)), do: :error, else: (operation -> {:ok, operation})
-  end
 
   @doc "The first words of their names: what is subscribed to beside commands."
   @spec areas() :: [String.t()]

@@ -2,24 +2,34 @@ defmodule FleetWeb.API.Actions do
   @moduledoc "What the methods of `FleetWeb.API.Routes` do: each reads its request, calls Aerie's public functions and answers."
 
   alias Aerie.Control.Policy
+  alias Aerie.Fleet.Shadow
   alias Aerie.Vehicle.Enrolment
   alias MavRouter.{Client, Link, Router}
   alias Aerie.Vehicle.Command.Types
 
-  alias FleetWeb.API.{Commands, Error, EventsQuery, FleetOperations, ClientRequest, LinkRequest, LogLevels}
+  alias FleetWeb.API.{
+    ClientRequest,
+    Commands,
+    Error,
+    EventsQuery,
+    LinkRequest,
+    LogLevels,
+    OpenAPI,
+    Operations
+  }
 
   alias FleetWeb.API.{
-    OpenAPI,
-    Operations,
     Recordings,
     Request,
     Routes,
     RuleChanges,
-    Shadow,
-    SigningCapability
+    SigningCapability,
+    SigningRequest,
+    Tickets,
+    View
   }
 
-  alias FleetWeb.API.{SigningRequest, Tickets, View}
+  alias FleetWeb.WorkLimit
 
   @signing_results %{enrol: "enrolled", revoke: "revoked", discard: "discarded"}
 
@@ -159,21 +169,6 @@ defmodule FleetWeb.API.Actions do
 
   def run({:operation, choices}, state, request), do: Operations.run(choices, state, request)
 
-  def run(:shadow, state, request), do: state.gateway |> Shadow.get(id(request)) |> answer(200, request)
-
-  def run(:shadow_delta, state, request),
-    do: state.gateway |> Shadow.delta(id(request)) |> answer(200, request)
-
-  def run(:update_shadow, state, request) do
-    with {:ok, object, request} <- Request.object(request),
-         do: state.gateway |> Shadow.update(id(request), object, state.requester) |> answer(200, request)
-  end
-
-  def run(:delete_shadow, state, request) do
-    version = Request.parameters(request)["version"]
-    state.gateway |> Shadow.delete(id(request), version, state.requester) |> answer(200, request)
-  end
-
   def run(:policy, state, request),
     do:
       state.gateway
@@ -240,21 +235,8 @@ defmodule FleetWeb.API.Actions do
 
   def run(:store_plan, state, request) do
     with {:ok, text, request} <- Request.bytes(request, Shadow.max_plan_bytes()),
-         do: state.gateway |> Shadow.store_plan(text, state.requester) |> answer(201, request)
+         do: state |> store_plan(text) |> answer(201, request)
   end
-
-  def run(:operations, state, request), do: {:ok, 200, FleetOperations.list(state.gateway), request}
-
-  def run(:operation, state, request),
-    do: state.gateway |> FleetOperations.get(id(request)) |> answer(200, request)
-
-  def run(:begin_operation, state, request) do
-    with {:ok, object, request} <- Request.object(request),
-         do: state.gateway |> FleetOperations.begin(object, state.requester) |> answer(202, request)
-  end
-
-  def run(:stop_operation, state, request),
-    do: state.gateway |> FleetOperations.stop(id(request), state.requester) |> answer(200, request)
 
   def run(:rules, state, request), do: {:ok, 200, View.rules(state.gateway), request}
 
@@ -295,6 +277,16 @@ defmodule FleetWeb.API.Actions do
       {:ok, %{link: link}} -> {:ok, %{result: @signing_results[action], link: link}}
       :ok -> {:ok, %{result: @signing_results[action]}}
       {:error, error} -> {:error, error}
+    end
+  end
+
+  defp store_plan(%{gateway: gateway, requester: requester}, text) do
+    work = fn -> Shadow.put_plan(gateway, text, Commands.source(requester)) end
+
+    case WorkLimit.run(gateway, :parse, {:name, requester.name}, work) do
+      {:ok, {:ok, hash}} -> {:ok, %{"plan" => hash}}
+      {:ok, {:error, refusal}} -> {:error, Operations.refusal(refusal)}
+      {:busy, seconds} -> {:error, Error.busy(seconds)}
     end
   end
 

@@ -30,20 +30,17 @@ defmodule FleetWeb.API.Bodies do
       log: log(),
       signing: signing(),
       command: %{oneOf: for(type <- Command.Types.all(), do: Command.Schema.envelope(type, type?: true))},
-      shadow: Shadow.Schema.update(false),
-      operation: Operations.Schema.request(false),
       result: Command.Schema.result(),
       under_way:
         object(%{id: token(), vehicle: token(), state: %{const: "under_way"}}, [:id, :vehicle, :state])
     }
 
-    shared = Map.delete(Shadow.Schema.shared(), "actual_fields")
-
     own
     |> Map.merge(FleetWeb.API.Operations.schemas())
     |> Map.merge(Command.Schema.shared())
     |> Map.merge(Operations.Schema.shared())
-    |> Map.merge(shared)
+    |> Map.merge(Shadow.Schema.shared())
+    |> Map.put("reported", Shadow.Schema.reported())
   end
 
   defp url(pattern), do: %{type: :string, maxLength: 512, pattern: pattern, examples: ["udpin:0.0.0.0:14550"]}

@@ -1,6 +1,6 @@
 defmodule FleetWeb.API.Operations do
   @moduledoc """
-  The operations of a vehicle (`Aerie.Control.Operations`) over REST, in the name of a key: their rows of the table of
+  Operations (`Aerie.Control.Operations.Operation`) over REST, in the name of a key: their rows of the table of
   routes, the schemas of their bodies and answers, and what answers them. `docs/transfers.md` describes them.
 
   A field stands in the path, in the body, or in the query. A read takes up to `?timeout=` (seconds), and ends when
@@ -10,13 +10,29 @@ defmodule FleetWeb.API.Operations do
   alias Aerie.Base.JsonSchema
   alias Aerie.Base.Settings.Field
   alias Aerie.Control.Operations
-  alias Aerie.Control.Operations.Operation
+  alias Aerie.Control.Operations.{Operation, Table}
+  alias Aerie.Fleet
+  alias Aerie.Vehicle.Command
   alias Aerie.Vehicle.Command.Result
+  import Aerie.Control.Operations.Route, only: [body?: 1]
+
   alias FleetWeb.API.{Commands, Error, Format, LogDownload, Request, Route}
   alias FleetWeb.WorkLimit
 
   # A transfer ends by itself.
   @longest_ms 86_400_000
+
+  # Why something was not done, as `Aerie.Fleet.Shadow` and `Aerie.Fleet.Operations` say it.
+  @reasons %{
+    busy: :too_many,
+    conflict: :conflict,
+    invalid: :invalid,
+    limit: :too_large,
+    rate: :too_many,
+    role: :forbidden,
+    unavailable: :unavailable,
+    unknown: :not_found
+  }
 
   @typedoc "An operation's name, and which of its routes is meant. A compiled table cannot have its functions."
   @type choice :: {name :: String.t(), route :: non_neg_integer()}
@@ -25,7 +41,7 @@ defmodule FleetWeb.API.Operations do
   @spec routes() :: [Route.t()]
   def routes do
     rows =
-      for operation <- Operations.all(),
+      for operation <- Fleet.operations(),
           {route, index} <- Enum.with_index(operation.routes),
           do: {operation, route, index}
 
@@ -43,13 +59,19 @@ defmodule FleetWeb.API.Operations do
       role: if(operation.changes?, do: :operator, else: :viewer),
       summary: route.summary,
       query:
-        formats(route) ++ Enum.map(query(operation, route), &parameter/1) ++ Enum.map(others, &selected/1),
+        formats(route) ++
+          Enum.map(query(operation, route), &parameter/1) ++
+          undeclared(operation, route) ++ Enum.map(others, &selected/1),
       body: if(body?(route), do: with_media(if(bytes?(route), do: [], else: operation.name), route)),
-      later: operation.changes?,
+      status: route.status,
+      later: result?(operation),
       answer:
-        if(operation.changes?, do: :result, else: choices |> Enum.flat_map(&answers/1) |> with_media(route))
+        if(result?(operation), do: :result, else: choices |> Enum.flat_map(&answers/1) |> with_media(route))
     }
   end
+
+  # What is changed aboard is carried out like a command.
+  defp result?(operation), do: operation.transfer? and operation.changes?
 
   defp with_media(name, %{media: []}), do: name
   defp with_media([], %{media: media}), do: {:bytes, media, nil}
@@ -78,23 +100,27 @@ defmodule FleetWeb.API.Operations do
     own ++ common(operation)
   end
 
-  # Nobody sees the progress of a read.
-  defp common(%{changes?: true}), do: Operation.common() ++ [Operation.wait()]
-  defp common(_reads), do: Enum.reject(Operation.common(), &(&1.key == :id))
+  # `FleetWeb.API.Parameters` describes those of a request that its reader checks.
+  defp undeclared(operation, route), do: route.query -- Enum.map(operation.fields, & &1.key)
 
-  defp body?(route), do: route.method == "PUT"
+  # Nobody sees the progress of a read.
+  defp common(%{changes?: true} = operation), do: Operation.common(operation) ++ more(operation)
+  defp common(operation), do: Enum.reject(Operation.common(operation), &(&1.key == :id))
 
   defp in_path?(field, route) do
     name = Field.name(field)
     is_map_key(route.given, name) or name in named(route) or (name == "path" and route.path =~ "[...]")
   end
 
-  defp named(route), do: for([":" <> name] <- Regex.scan(~r{:[a-z]+}, route.path), name != "id", do: name)
+  # The id of a vehicle is not a field.
+  defp named(%{path: "/api/vehicles/:id" <> path}), do: named(path)
+  defp named(%{path: path}), do: named(path)
+  defp named(path), do: for([":" <> name] <- Regex.scan(~r{:[a-z]+}, path), do: name)
 
   @doc "The schemas of bodies and answers, by the names that the rows have."
   @spec schemas() :: %{String.t() => JsonSchema.t()}
   def schemas do
-    for operation <- Operations.all(), route <- operation.routes, reduce: Operations.shared() do
+    for operation <- Fleet.operations(), route <- operation.routes, reduce: Operations.shared() do
       schemas ->
         schemas
         |> Map.merge(if(described?(route), do: body_schema(operation, route), else: %{}))
@@ -113,7 +139,7 @@ defmodule FleetWeb.API.Operations do
   defp described?(route), do: body?(route) and not bytes?(route)
 
   defp answer_schema(operation, route) do
-    if operation.changes? or bytes?(route),
+    if result?(operation) or bytes?(route),
       do: %{},
       else: %{("answer." <> operation.name) => Operation.answer_schema(operation)}
   end
@@ -127,12 +153,12 @@ defmodule FleetWeb.API.Operations do
   def run(choices, state, request) do
     parameters = Request.parameters(request)
     {operation, route} = choose(choices, parameters)
-    request = Request.patient(request, @longest_ms)
+    request = if operation.transfer?, do: Request.patient(request, @longest_ms), else: request
 
     with {:ok, format} <- format(route, parameters, request),
-         {:ok, body, request} <- body(route, request),
+         {:ok, body, request} <- body(operation, route, request),
          {:ok, input} <- input(operation, route, format, body, state, request) do
-      request = if input.timeout, do: Request.patient(request, ceil(input.timeout * 1000)), else: request
+      request = if input[:timeout], do: Request.patient(request, ceil(input.timeout * 1000)), else: request
       act(operation, route, input, context(state, format, input, request), request)
     else
       {:error, %Error{} = error, request} -> {:error, error, request}
@@ -141,8 +167,12 @@ defmodule FleetWeb.API.Operations do
   end
 
   defp choose(choices, parameters) do
+    operations = Fleet.operations()
+
     [first | others] =
-      for {name, index} <- choices, {:ok, one} = Operations.fetch(name), do: {one, Enum.at(one.routes, index)}
+      for {name, index} <- choices,
+          {:ok, one} = Table.fetch(operations, name),
+          do: {one, Enum.at(one.routes, index)}
 
     Enum.find(others, first, fn {_operation, route} -> is_map_key(parameters, route.select) end)
   end
@@ -154,8 +184,14 @@ defmodule FleetWeb.API.Operations do
     Format.choose(parameters["format"], Request.header(request, header), route.formats)
   end
 
-  defp body(route, request),
-    do: if(body?(route), do: Request.bytes(request, route.max_bytes), else: {:ok, "", request})
+  defp body(operation, route, request) do
+    cond do
+      not body?(route) -> {:ok, "", request}
+      # Any web page may send a form.
+      not operation.transfer? -> Request.json(request, route.max_bytes)
+      true -> Request.bytes(request, route.max_bytes)
+    end
+  end
 
   # Files that are parsed cost more than a request.
   defp input(operation, %{method: "PUT", formats: [_ | _]} = route, format, body, state, request) do
@@ -170,24 +206,26 @@ defmodule FleetWeb.API.Operations do
   defp input(operation, route, format, body, _state, request),
     do: read(operation, route, format, body, request)
 
-  defp read(operation, %{stream?: true}, _format, _body, request),
-    do: Operation.parse(%{operation | fields: []}, texts(operation, request))
+  defp read(operation, %{stream?: true} = route, _format, _body, request),
+    do: Operation.parse(%{operation | fields: []}, texts(operation, route, request))
 
   defp read(operation, route, format, body, request) do
     file? = route.file != nil and (format != "json" or route.formats == [])
     file = if file?, do: [file: {route.file, body}, format: format], else: []
 
     with {:ok, object} <- if(file? or not body?(route), do: {:ok, %{}}, else: Request.decode(body)) do
-      given = operation |> texts(request) |> Map.merge(object) |> Map.merge(route.given)
+      given = operation |> texts(route, request) |> Map.merge(object) |> Map.merge(route.given)
       Operation.parse(operation, Map.merge(given, path(route, request)), [more: more(operation)] ++ file)
     end
   end
 
-  defp more(operation), do: if(operation.changes?, do: [Operation.wait()], else: [])
+  defp more(operation), do: if(result?(operation), do: [Operation.wait()], else: [])
 
   # The parameters of the query that the operation has; others are left alone.
-  defp texts(operation, request) do
-    names = for field <- operation.fields ++ Operation.common() ++ more(operation), do: Field.name(field)
+  defp texts(operation, route, request) do
+    names =
+      Enum.map(route.query, &Atom.to_string/1) ++
+        for field <- operation.fields ++ Operation.common(operation) ++ more(operation), do: Field.name(field)
 
     for {name, <<text::binary>>} <- Request.parameters(request),
         name in names,
@@ -207,10 +245,14 @@ defmodule FleetWeb.API.Operations do
   end
 
   defp context(state, format, input, request) do
+    source = Commands.source(state.requester)
+
     %{
       gateway: state.gateway,
       vehicle: :cowboy_req.binding(:id, request),
-      options: [as: Commands.source(state.requester), via: "rest"] ++ Operation.options(input),
+      source: source,
+      via: "rest",
+      options: [as: source, via: "rest"] ++ Operation.options(input),
       format: format,
       max_bytes: nil
     }
@@ -223,32 +265,41 @@ defmodule FleetWeb.API.Operations do
     end
   end
 
-  defp act(operation, _route, input, context, request),
-    do: input |> operation.module.run(context) |> answered(context, request)
+  defp act(operation, route, input, context, request),
+    do: input |> operation.module.run(context) |> answered(route.status, context, request)
 
-  defp answered({:ok, %Result{} = result}, context, request) do
+  defp answered({:ok, %Result{} = result}, _status, context, request) do
     case Error.of_result(result) do
       nil -> {:ok, 200, Result.plain(result), located(request, context.vehicle, result.id)}
       error -> {:error, error, request}
     end
   end
 
-  defp answered({:pending, id}, %{vehicle: vehicle}, request),
+  defp answered({:pending, id}, _status, %{vehicle: vehicle}, request),
     do: {:ok, 202, %{"id" => id, "vehicle" => vehicle, "state" => "under_way"}, located(request, vehicle, id)}
 
-  defp answered({:ok, {:bytes, bytes, path}}, _context, request),
+  defp answered({:ok, {:bytes, bytes, path}}, _status, _context, request),
     do: {:ok, 200, {:text, Format.bytes(), bytes, Path.basename(path)}, request}
 
-  defp answered({:ok, {:file, name, text}}, %{format: format}, request),
+  defp answered({:ok, {:file, name, text}}, _status, %{format: format}, request),
     do: {:ok, 200, {:text, Format.type(format), text, name}, request}
 
-  defp answered({:ok, object}, _context, request), do: {:ok, 200, object, request}
-  defp answered({:error, error}, _context, request), do: {:error, refusal(error), request}
+  defp answered({:ok, object}, status, _context, request), do: {:ok, status, object, request}
+  defp answered({:error, error}, _status, _context, request), do: {:error, refusal(error), request}
 
-  defp refusal(%Error{} = error), do: error
-  defp refusal(%Result{} = result), do: Error.of_result(result)
-  defp refusal([_ | _] = errors), do: Error.malformed(errors)
-  defp refusal({:invalid, reason}), do: Error.new(:invalid, reason)
+  @doc "The answer for what was refused."
+  @spec refusal(
+          Error.t()
+          | Result.t()
+          | [Command.Error.t(), ...]
+          | {atom(), String.t() | [Command.Error.t(), ...]}
+        ) ::
+          Error.t()
+  def refusal(%Error{} = error), do: error
+  def refusal(%Result{} = result), do: Error.of_result(result)
+  def refusal([_ | _] = errors), do: Error.malformed(errors)
+  def refusal({:malformed, errors}), do: Error.malformed(errors)
+  def refusal({reason, text}), do: Error.new(Map.fetch!(@reasons, reason), text)
 
   # `GET` and `DELETE` work there as for commands.
   defp located(request, vehicle, id),

@@ -57,6 +57,16 @@ defmodule FleetWeb.API.Request do
     end
   end
 
+  @doc "The bytes of a body that says that it is JSON, up to a number of them."
+  @spec json(:cowboy_req.req(), pos_integer()) ::
+          {:ok, binary(), :cowboy_req.req()} | {:error, Error.t(), :cowboy_req.req()}
+  def json(request, max) do
+    case json?(request) do
+      :ok -> bytes(request, max)
+      {:error, error} -> {:error, error, request}
+    end
+  end
+
   @doc "The raw body, up to a number of bytes."
   @spec bytes(:cowboy_req.req(), pos_integer()) ::
           {:ok, binary(), :cowboy_req.req()} | {:error, Error.t(), :cowboy_req.req()}

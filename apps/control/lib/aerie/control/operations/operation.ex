@@ -23,9 +23,14 @@ defmodule Aerie.Control.Operations.Operation do
 
     * `:module` - the file's module, filled in by `Aerie.Control.Operations`
     * `:name` - area and action, as in the subject of NATS
+    * `:transfer?` - it reads or changes what a vehicle has stored, which takes time: it has the fields of `common/1`,
+      the answer of a change is a result, and unknown keys are refused
     * `:changes?` - it changes the vehicle: it is carried out like a command, so it may have an id, and its answer is
       a result
-    * `:fields` - its own; every operation has those of `common/0` as well
+    * `:fields` - its own
+    * `:request` - in place of fields, the JSON Schema of the whole request, which `c:run/2` gets as `object` and checks
+    * `:once` - `{field, when, reason}`: the field without which a copy of a message would be another request; `:signed`
+      or `:always`, and what is said if it is missing. Over NATS only
     * `:rules` - further keywords of the request's JSON Schema, for what fields cannot say; `c:run/2` checks them
     * `:answer` - the properties of what `c:run/2` reads
     * `:routes` - how it is asked for over REST
@@ -35,16 +40,32 @@ defmodule Aerie.Control.Operations.Operation do
   alias Aerie.Base.Settings.{Field, Schema}
   alias Aerie.Control.Operations.Route
   alias Aerie.Control.Transfers
+  alias Aerie.Control.Policy.Roles
   alias Aerie.Vehicle.Command.{Error, Result}
 
   @enforce_keys [:name, :meaning]
-  defstruct [:module, :name, :meaning, changes?: false, fields: [], rules: [], answer: %{}, routes: []]
+  defstruct [
+    :module,
+    :name,
+    :meaning,
+    :request,
+    :once,
+    changes?: false,
+    transfer?: true,
+    fields: [],
+    rules: [],
+    answer: %{},
+    routes: []
+  ]
 
   @type t :: %__MODULE__{
           module: module() | nil,
           name: String.t(),
           meaning: String.t(),
+          request: JsonSchema.t() | nil,
+          once: {field :: String.t(), :signed | :always, reason :: String.t()} | nil,
           changes?: boolean(),
+          transfer?: boolean(),
           fields: [Field.t()],
           rules: keyword(),
           answer: %{atom() => JsonSchema.t()},
@@ -55,6 +76,8 @@ defmodule Aerie.Control.Operations.Operation do
   @type input :: %{atom() => term()}
 
   @typedoc """
+    * `:vehicle` - nil for what concerns the gateway
+    * `:source` - who asks; nil if that does not matter
     * `:options` - `t:Aerie.Control.Transfers.option/0`
     * `:format` - the form of a file that is read or sent (`Aerie.Control.Operations.Route`); `"json"` unless REST
       chose another
@@ -62,7 +85,9 @@ defmodule Aerie.Control.Operations.Operation do
   """
   @type context :: %{
           gateway: Names.gateway(),
-          vehicle: String.t(),
+          vehicle: String.t() | nil,
+          source: Roles.source() | nil,
+          via: String.t(),
           options: [Transfers.option()],
           format: String.t(),
           max_bytes: pos_integer() | nil
@@ -73,7 +98,7 @@ defmodule Aerie.Control.Operations.Operation do
           {:ok,
            map() | {:file, name :: String.t(), iodata()} | {:bytes, iodata(), name :: String.t()} | Result.t()}
           | {:pending, id :: String.t()}
-          | {:error, Result.t() | [Error.t(), ...] | {:invalid, String.t()}}
+          | {:error, Result.t() | [Error.t(), ...] | {reason :: atom(), String.t() | [Error.t(), ...]}}
 
   @callback operation() :: t()
   @doc """
@@ -91,7 +116,9 @@ defmodule Aerie.Control.Operations.Operation do
 
       import Aerie.Base.JsonSchema
       import Aerie.Control.Operations.Fields
-      import Aerie.Control.Operations.Route, only: [get: 2, get: 3, put: 3, delete: 2, delete: 3]
+
+      import Aerie.Control.Operations.Route,
+        only: [get: 2, get: 3, post: 3, put: 3, patch: 2, delete: 2, delete: 3]
 
       alias Aerie.Control.Operations.Operation
     end
@@ -109,18 +136,25 @@ defmodule Aerie.Control.Operations.Operation do
     * `:file` - `{field, bytes}`, a field that came as a file in the `:format`
   """
   @spec parse(t(), map(), keyword()) :: {:ok, input()} | {:error, [Error.t(), ...] | {:invalid, String.t()}}
-  def parse(%__MODULE__{} = operation, given, options \\ []) do
+  def parse(operation, given, options \\ [])
+
+  def parse(%__MODULE__{request: %{}}, given, _options),
+    do: {:ok, %{object: Map.new(given, fn {key, value} -> {key, plain(value)} end)}}
+
+  def parse(%__MODULE__{} = operation, given, options) do
     format = Keyword.get(options, :format, "json")
     {file, bytes} = Keyword.get(options, :file, {nil, nil})
     required = Keyword.get(options, :required, [])
 
     fields =
-      for field <- common() ++ operation.fields ++ Keyword.get(options, :more, []), field.key != file do
+      for field <- common(operation) ++ operation.fields ++ Keyword.get(options, :more, []),
+          field.key != file do
         %{field | required: field.required or field.key in required}
       end
 
     known = Enum.map(fields, &Field.name/1)
     {given, unknown} = given |> Map.reject(fn {_key, value} -> value == nil end) |> Map.split(known)
+    unknown = if operation.transfer?, do: unknown, else: %{}
 
     case Schema.validate(fields, given) do
       {input, []} when unknown == %{} ->
@@ -130,6 +164,12 @@ defmodule Aerie.Control.Operations.Operation do
         {:error, Enum.take(Enum.map(problems, &error/1) ++ unknown(unknown, known), @max_errors)}
     end
   end
+
+  # A text of a query may be a number.
+  defp plain({:text, text}),
+    do: with({:error, _no_json} <- JSON.decode(text), do: text, else: ({:ok, value} -> value))
+
+  defp plain(value), do: value
 
   defp prepare(module, input, format) do
     if Code.ensure_loaded?(module) and function_exported?(module, :prepare, 2),
@@ -148,9 +188,11 @@ defmodule Aerie.Control.Operations.Operation do
     %Error{key: key, expected: problem.expected, got: problem.got}
   end
 
-  @doc "The fields that every operation has."
-  @spec common() :: [Field.t()]
-  def common do
+  @doc "The fields that every transfer has."
+  @spec common(t()) :: [Field.t()]
+  def common(%__MODULE__{transfer?: false}), do: []
+
+  def common(_transfer) do
     [
       Field.field(:id, :token, "the same id is the same request; progress is published with it"),
       Field.field(:timeout, {:number, 0.001, Transfers.max_timeout_s()}, "how long it may take", unit: "s")
@@ -169,8 +211,8 @@ defmodule Aerie.Control.Operations.Operation do
   def options(input) do
     for {key, value} <- [
           component: input[:component],
-          id: input.id,
-          timeout_ms: input.timeout && ceil(input.timeout * 1000),
+          id: input[:id],
+          timeout_ms: input[:timeout] && ceil(input.timeout * 1000),
           wait_ms: input[:wait] && input.wait * 1000
         ],
         value != nil,
@@ -179,11 +221,14 @@ defmodule Aerie.Control.Operations.Operation do
 
   @doc "The JSON Schema of a request with its own fields (without `except`) and `more` properties."
   @spec schema(t(), more :: map(), required :: [atom()], except :: [atom()]) :: JsonSchema.t()
-  def schema(%__MODULE__{} = operation, more, required, except \\ []) do
+  def schema(operation, more, required, except \\ [])
+  def schema(%__MODULE__{request: %{} = schema}, _more, _required, _except), do: schema
+
+  def schema(%__MODULE__{} = operation, more, required, except) do
     own = for field <- operation.fields, field.key not in except, field.schema != false, do: field
     properties = for field <- own, into: more, do: {field.key, Field.schema(field)}
     required = required ++ for %{required: true, key: key} <- own, do: key
-    JsonSchema.object(properties, required, operation.rules)
+    JsonSchema.object(properties, required, [open: not operation.transfer?] ++ operation.rules)
   end
 
   @doc "The JSON Schema of what it reads, with further properties."

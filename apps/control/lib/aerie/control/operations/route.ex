@@ -9,7 +9,7 @@ defmodule Aerie.Control.Operations.Route do
     * `:file` - the field that a body is as a whole, when it is no JSON; fields that it may replace are in `:replaces`
     * `:formats` - the forms of a file that `?format=`, `Accept` or `Content-Type` choose, JSON first
     * `:media` - the media types of a body or an answer besides JSON
-    * `:max_bytes` - the largest body
+    * `:max_bytes` - the largest body; `:status` - that of the answer
     * `:stream?` - the answer is sent while it comes from the vehicle, by a module of the interface
   """
 
@@ -26,6 +26,7 @@ defmodule Aerie.Control.Operations.Route do
     formats: [],
     media: [],
     max_bytes: 16_384,
+    status: 200,
     stream?: false
   ]
 
@@ -41,10 +42,11 @@ defmodule Aerie.Control.Operations.Route do
           formats: [String.t()],
           media: [String.t()],
           max_bytes: pos_integer(),
+          status: 200..299,
           stream?: boolean()
         }
 
-  for method <- ~w(get put delete)a do
+  for method <- ~w(get post put patch delete)a do
     @doc "A route of #{method |> Atom.to_string() |> String.upcase()}."
     @spec unquote(method)(String.t(), String.t(), keyword()) :: t()
     def unquote(method)(path, summary, options \\ []),
@@ -61,5 +63,5 @@ defmodule Aerie.Control.Operations.Route do
 
   @doc "Whether the request has a body."
   @spec body?(t()) :: boolean()
-  def body?(%__MODULE__{method: method}), do: method == "PUT"
+  def body?(%__MODULE__{method: method}), do: method in ["POST", "PUT", "PATCH"]
 end

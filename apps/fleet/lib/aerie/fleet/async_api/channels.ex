@@ -6,7 +6,7 @@ defmodule Aerie.Fleet.AsyncAPI.Channels do
 
   import Aerie.Base.JsonSchema
 
-  alias Aerie.Fleet.AsyncAPI.Schemas
+  alias Aerie.Fleet.AsyncAPI.Requests
   alias Aerie.Control.Operations
   alias Aerie.Fleet.Bridge.Message
   alias Aerie.Vehicle.Command
@@ -30,7 +30,7 @@ defmodule Aerie.Fleet.AsyncAPI.Channels do
   @doc "All of them."
   @spec all() :: [t()]
   def all do
-    published() ++ commands() ++ transfers() ++ shadow() ++ operations() ++ buckets() ++ [inbox()]
+    published() ++ commands() ++ operations() ++ buckets() ++ [inbox()]
   end
 
   defp row(id, address, action, meaning, messages, replies \\ []),
@@ -100,34 +100,17 @@ defmodule Aerie.Fleet.AsyncAPI.Channels do
 
   defp signed, do: [headers: "headers.request"]
 
-  defp transfers do
-    for %{name: name, meaning: meaning} = operation <- Operations.all() do
-      replies =
-        if operation.changes?, do: ["result", "refusal"], else: ["answer.#{name}", "result", "refusal"]
-
-      row(name, "#{@vehicle}.#{name}", :receive, meaning, [message(name, meaning, signed())], replies)
-    end
-  end
-
-  defp shadow do
-    for {action, meaning} <- Schemas.shadow_actions() do
-      name = "shadow.#{action}"
-
-      row(name, "#{@vehicle}.#{name}", :receive, meaning, [message(name, meaning, signed())], [
-        "answer.#{name}",
-        "refused"
-      ])
-    end
-  end
-
   defp operations do
-    for {action, meaning} <- Schemas.operation_actions() do
-      name = "operation.#{action}"
-      subject = "fleet.{environment}.{gateway}.#{name}"
-      answer = if action == :list, do: "answer.operation.list", else: "answer.operation"
-      row(name, subject, :receive, meaning, [message(name, meaning, signed())], [answer, "refused"])
+    for %{name: name, meaning: meaning} = operation <- Aerie.Fleet.operations() do
+      target = if String.starts_with?(name, "operation."), do: "fleet.{environment}.{gateway}", else: @vehicle
+      request = message(name, meaning, signed())
+      row(name, "#{target}.#{name}", :receive, meaning, [request], replies(operation))
     end
   end
+
+  defp replies(%{transfer?: false, name: name}), do: ["answer.#{name}", "refused"]
+  defp replies(%{changes?: true}), do: ["result", "refusal"]
+  defp replies(%{name: name}), do: ["answer.#{name}", "result", "refusal"]
 
   defp buckets do
     text = [content_type: "text/plain"]
@@ -146,7 +129,7 @@ defmodule Aerie.Fleet.AsyncAPI.Channels do
   end
 
   defp inbox do
-    answers = for {name, _schema} <- Schemas.answers(), do: message(name, "An answer.")
+    answers = for {name, _schema} <- Requests.answers(), do: message(name, "An answer.")
     row("inbox", nil, nil, "The subject that a request names for its answer.", answers)
   end
 

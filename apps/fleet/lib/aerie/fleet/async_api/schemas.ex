@@ -3,40 +3,18 @@ defmodule Aerie.Fleet.AsyncAPI.Schemas do
 
   import Aerie.Base.JsonSchema
 
-  alias Aerie.Fleet.Bridge.Commands.Operation
+  alias Aerie.Fleet.AsyncAPI.Requests
   alias Aerie.Fleet.Bridge.Events.Gaps
-  alias Aerie.Fleet.{Operations, Shadow}
+  alias Aerie.Fleet.Shadow
   alias Aerie.Vehicle.{Command, Event, Fields, Kind}
   alias Aerie.Vehicle.State.Groups
 
   @type t :: Aerie.Base.JsonSchema.t()
 
-  @doc "The actions of the shadow."
-  @spec shadow_actions() :: [{atom(), String.t()}]
-  def shadow_actions do
-    [
-      get: "What is desired of a vehicle, and what is reported.",
-      delta: "What is desired but not yet so.",
-      update: "Changes the desired state.",
-      delete: "Clears the desired state."
-    ]
-  end
-
-  @doc "The actions of operations on many vehicles."
-  @spec operation_actions() :: [{atom(), String.t()}]
-  def operation_actions do
-    [
-      begin: "Begins an operation on many vehicles.",
-      stop: "Stops an operation: no further vehicle is begun.",
-      get: "An operation, and what became of each vehicle.",
-      list: "All operations, without their vehicles."
-    ]
-  end
-
   @doc "All schemas."
   @spec all() :: %{String.t() => t()}
   def all do
-    [states(), events(), commands(), transfers(), shadow(), operations(), buckets(), headers(), answers()]
+    [states(), events(), commands(), Requests.schemas(), buckets(), headers(), Requests.answers()]
     |> Enum.concat()
     |> Map.new()
   end
@@ -153,38 +131,6 @@ defmodule Aerie.Fleet.AsyncAPI.Schemas do
     )
   end
 
-  defp transfers do
-    requests =
-      for operation <- Aerie.Control.Operations.all(),
-          do: {operation.name, Operation.request_schema(operation)}
-
-    Map.to_list(Aerie.Control.Operations.shared()) ++ requests
-  end
-
-  defp shadow do
-    anything = %{type: :object}
-
-    Map.to_list(Shadow.Schema.shared()) ++
-      [
-        {"shadow.get", anything},
-        {"shadow.delta", anything},
-        {"shadow.update", Shadow.Schema.update(true)},
-        {"shadow.delete", Shadow.Schema.delete(true)}
-      ]
-  end
-
-  defp operations do
-    named = Operations.Schema.named()
-
-    Map.to_list(Operations.Schema.shared()) ++
-      [
-        {"operation.begin", Operations.Schema.request(true)},
-        {"operation.stop", named},
-        {"operation.get", named},
-        {"operation.list", %{type: :object}}
-      ]
-  end
-
   defp buckets do
     [
       {"desired", Shadow.Schema.document()},
@@ -240,65 +186,5 @@ defmodule Aerie.Fleet.AsyncAPI.Schemas do
          open: true
        )}
     ]
-  end
-
-  @doc "The schemas of answers by their names."
-  @spec answers() :: [{String.t(), t()}]
-  def answers do
-    ok = fn schema ->
-      %{
-        schema
-        | properties: Map.put(schema.properties, :result, %{const: "ok"}),
-          required: [:result | schema.required]
-      }
-    end
-
-    operations = %{type: :array, items: Operations.Schema.operation(false)}
-
-    refused =
-      object(
-        %{
-          result: %{const: "refused"},
-          rule: described(%{type: :string}, "malformed, role, conflict, limit, rate, signature, …"),
-          reason: %{type: :string},
-          token: %{type: [:string, :null]}
-        },
-        [:result, :rule, :reason],
-        open: true
-      )
-
-    [
-      {"result", Command.Schema.result()},
-      {"refusal", refusal()},
-      {"refused", refused},
-      {"answer.operation", ok.(Operations.Schema.operation(true))},
-      {"answer.operation.list",
-       object(%{result: %{const: "ok"}, operations: operations}, [:result, :operations], open: true)}
-    ] ++
-      for({action, schema} <- Shadow.Schema.answers(), do: {"answer.shadow.#{action}", schema}) ++
-      for %{changes?: false, name: name} = operation <- Aerie.Control.Operations.all(),
-          do: {"answer.#{name}", Operation.reply_schema(operation)}
-  end
-
-  # A request that was not understood, or refused for its size.
-  defp refusal do
-    wrong =
-      object(
-        %{key: %{type: :string}, expected: %{type: :string}, got: %{type: [:string, :null]}},
-        [:key, :expected],
-        open: true
-      )
-
-    object(
-      %{
-        id: %{type: [:string, :null]},
-        result: %{enum: ~w(rejected denied failed)},
-        rule: described(%{type: :string}, "malformed, size, signature, policy, busy, …"),
-        reason: %{type: :string},
-        errors: %{type: :array, items: wrong}
-      },
-      [:id, :result, :rule, :reason],
-      open: true
-    )
   end
 end

@@ -23,7 +23,7 @@ defmodule Aerie.Fleet.Bridge.Commands do
   """
   use GenServer
 
-  alias Aerie.Fleet.Bridge.Commands.{Operation, Queue, Request}
+  alias Aerie.Fleet.Bridge.Commands.{Operation, Request, Workers}
   alias Aerie.Fleet.Bridge.{Connection, Settings, Tables}
   alias Aerie.Base.{Json, Names, Store}
   alias Aerie.Control.{Commands, Policy}
@@ -31,11 +31,10 @@ defmodule Aerie.Fleet.Bridge.Commands do
   alias Aerie.Vehicle.Command
   alias Aerie.Vehicle.Command.{Error, Result}
   alias Aerie.Control.Commands.Record
-  alias Aerie.Control.Policy.{Intent, Sources}
+  alias Aerie.Control.Policy.Intent
   alias Aerie.Base.PubSub
 
   @queue "aerie-commands"
-  @max_waiting 1_000
 
   @spec start_link(gateway: Names.gateway(), settings: Settings.t()) :: GenServer.on_start()
   def start_link(options),
@@ -59,16 +58,13 @@ defmodule Aerie.Fleet.Bridge.Commands do
     Process.set_label({:bridge_commands, gateway})
     :ok = PubSub.subscribe(gateway, :roster)
     tables = Tables.get(gateway)
-    {:ok, tasks} = Task.Supervisor.start_link()
+    server = self()
 
     state = %{
       gateway: gateway,
       environment: options[:settings].environment,
       tables: tables,
-      tasks: tasks,
-      lanes: Queue.new(now()),
-      running: %{},
-      tasks_of: %{},
+      workers: Workers.new(gateway, &work(gateway, tables, server, &1, &2, &3)),
       conn: nil,
       subscribed: %{},
       left: %{}
@@ -85,19 +81,8 @@ defmodule Aerie.Fleet.Bridge.Commands do
 
   # From a task whose message had a valid signature: whether it may continue.
   def handle_call({:verified, type, signature}, {pid, _tag}, state) do
-    task = Map.fetch!(state.tasks_of, pid)
-
-    case Map.fetch!(state.running, task) do
-      %{phase: {:checking, key}} = entry ->
-        {phase, next, lanes} = Queue.verified(state.lanes, key, signature, type in Intent.ending(), now())
-        state = put_in(%{state | lanes: lanes}.running[task], %{entry | phase: phase})
-        answer = if phase, do: :ok, else: {:busy, map_size(state.running)}
-        {:reply, answer, turn(state, next, {:checking, key})}
-
-      # Its time or the policy changed since it was classified: it stays in its lane.
-      _another_lane ->
-        {:reply, :ok, state}
-    end
+    {answer, workers} = Workers.verified(state.workers, pid, signature, type in Intent.ending())
+    {:reply, answer, %{state | workers: workers}}
   end
 
   @impl GenServer
@@ -108,8 +93,17 @@ defmodule Aerie.Fleet.Bridge.Commands do
 
   @impl GenServer
   def handle_info({:msg, message}, state) do
-    {:message_queue_len, waiting} = Process.info(self(), :message_queue_len)
-    {:noreply, arrived(state, message, waiting)}
+    {_vehicle, type} = Request.subject(message.topic)
+
+    case Workers.arrive(state.workers, message, :source, type in Intent.ending()) do
+      {:ok, workers} ->
+        Tables.count(state.tables, :received, subject: label(type))
+        {:noreply, %{state | workers: workers}}
+
+      {:drop, what} ->
+        Tables.count(state.tables, :"commands_#{what}")
+        {:noreply, state}
+    end
   end
 
   def handle_info({:command_progress, topic, id, progress}, state) do
@@ -119,17 +113,16 @@ defmodule Aerie.Fleet.Bridge.Commands do
     {:noreply, state}
   end
 
-  def handle_info({task, _done}, state) when is_map_key(state.running, task) do
-    Process.demonitor(task, [:flush])
-    {%{phase: phase}, state} = ended(state, task)
-    {:noreply, left(state, phase)}
+  def handle_info({task, _done}, state) when is_reference(task) do
+    {_message, workers} = Workers.ended(state.workers, task)
+    {:noreply, %{state | workers: workers}}
   end
 
-  def handle_info({:DOWN, task, :process, _pid, _crash}, state) when is_map_key(state.running, task) do
-    {%{message: message, phase: phase}, state} = ended(state, task)
+  def handle_info({:DOWN, task, :process, _pid, _crash}, state) do
+    {message, workers} = Workers.ended(state.workers, task)
     reason = "a fault of the gateway ended its work on the message; the command may have been sent"
-    reply(state.tables, message, %{"id" => nil, "result" => "unknown", "reason" => reason})
-    {:noreply, left(state, phase)}
+    if message, do: reply(state.tables, message, %{"id" => nil, "result" => "unknown", "reason" => reason})
+    {:noreply, %{state | workers: workers}}
   end
 
   # Told again after each look at the streams.
@@ -181,62 +174,6 @@ defmodule Aerie.Fleet.Bridge.Commands do
 
   defp left?(left, why, id), do: id in Map.get(left, why, MapSet.new())
 
-  # The cheapest look first: a flood must cost this process less than it costs the connection.
-  defp arrived(state, message, waiting) do
-    signature = Request.signature(message)
-    now = System.os_time(:microsecond)
-
-    case Sources.claim(Policy.Store.get(state.gateway), signature, now) do
-      {:listed, key} = claim ->
-        cond do
-          not Queue.room?(state.lanes, key) -> drop(state, :commands_dropped)
-          Sources.fresh?(signature, now) -> arrived(state, message, waiting, claim)
-          true -> arrived(state, message, waiting, :refused)
-        end
-
-      claim ->
-        arrived(state, message, waiting, claim)
-    end
-  end
-
-  defp arrived(state, _message, waiting, claim) when waiting > @max_waiting and not is_tuple(claim),
-    do: drop(state, if(claim == :refused, do: :commands_unread, else: :commands_dropped))
-
-  defp arrived(state, message, _waiting, claim) do
-    {_vehicle, type} = Request.subject(message.topic)
-
-    case Queue.arrive(state.lanes, claim, message, type in Intent.ending(), now()) do
-      :drop -> drop(state, if(claim == :refused, do: :commands_unread, else: :commands_dropped))
-      {:run, phase, lanes} -> %{state | lanes: lanes} |> received(type) |> run(message, phase)
-      {:wait, lanes} -> received(%{state | lanes: lanes}, type)
-    end
-  end
-
-  defp received(state, type) do
-    Tables.count(state.tables, :received, subject: label(type))
-    state
-  end
-
-  defp drop(state, counter) do
-    Tables.count(state.tables, counter)
-    state
-  end
-
-  defp ended(state, task) do
-    {entry, running} = Map.pop!(state.running, task)
-    {entry, %{state | running: running, tasks_of: Map.delete(state.tasks_of, entry.pid)}}
-  end
-
-  defp left(state, nil), do: state
-
-  defp left(state, phase) do
-    {next, lanes} = Queue.left(state.lanes, phase)
-    turn(%{state | lanes: lanes}, next, phase)
-  end
-
-  defp turn(state, {:ok, message}, phase), do: run(state, message, phase)
-  defp turn(state, :none, _phase), do: state
-
   # Messages counted by subject.
   defp label("cancel"), do: "cmd.cancel"
 
@@ -250,34 +187,9 @@ defmodule Aerie.Fleet.Bridge.Commands do
     end
   end
 
-  defp run(state, message, phase) do
-    %{gateway: gateway, tables: tables} = state
-    server = self()
-    under_way = map_size(state.running)
+  defp work(_gateway, tables, _server, message, :busy, under_way), do: reply(tables, message, busy(under_way))
 
-    # This process never waits for the connection, which may be busy with a flood.
-    task =
-      Task.Supervisor.async_nolink(state.tasks, fn ->
-        if phase == :busy,
-          do: reply(tables, message, busy(under_way)),
-          else: answer(gateway, tables, server, message)
-      end)
-
-    entry = %{message: message, phase: phase, pid: task.pid}
-
-    %{
-      state
-      | running: Map.put(state.running, task.ref, entry),
-        tasks_of: Map.put(state.tasks_of, task.pid, task.ref)
-    }
-  end
-
-  defp busy(number) do
-    reason = "#{number} commands over NATS are under way, which is the limit; try again"
-    refusal(%{}, :busy, reason)
-  end
-
-  defp answer(gateway, tables, server, message) do
+  defp work(gateway, tables, server, message, _phase, _under_way) do
     body =
       with {:ok, request} <- Request.read(message, Policy.Store.get(gateway), System.os_time(:microsecond)),
            :ok <- admitted(server, request, Request.signature(message)) do
@@ -288,6 +200,11 @@ defmodule Aerie.Fleet.Bridge.Commands do
       end
 
     reply(tables, message, body)
+  end
+
+  defp busy(number) do
+    reason = "#{number} commands over NATS are under way, which is the limit; try again"
+    refusal(%{}, :busy, reason)
   end
 
   # An unsigned one has its place already.
@@ -359,6 +276,4 @@ defmodule Aerie.Fleet.Bridge.Commands do
 
     :ok
   end
-
-  defp now, do: System.monotonic_time(:microsecond)
 end

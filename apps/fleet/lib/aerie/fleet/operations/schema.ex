@@ -3,17 +3,20 @@ defmodule Aerie.Fleet.Operations.Schema do
 
   import Aerie.Base.JsonSchema
 
+  alias Aerie.Base.Settings.Field
   alias Aerie.Fleet.Operations.Request
   alias Aerie.Fleet.Shadow
   alias Aerie.Vehicle.Command
 
   @type t :: Aerie.Base.JsonSchema.t()
 
-  @doc "The request that begins one. `id?`: it must have an id, as over NATS."
-  @spec request(id? :: boolean()) :: t()
-  def request(id?) do
+  @id "^[A-Za-z0-9_-]{1,32}$"
+
+  @doc "The request that begins one."
+  @spec request() :: t()
+  def request do
     common = %{
-      id: described(id(), "the same id is the same operation"),
+      id: described(id_schema(), "the same id is the same operation"),
       step: Map.put(integer(1, 100), :default, 20),
       pause_s: Map.put(number(0, 3_600), :default, 0),
       halt_ratio: Map.put(number(0, 1), :default, 1)
@@ -28,11 +31,9 @@ defmodule Aerie.Fleet.Operations.Schema do
       shadow: %{shadow: ref("change_of_operation"), await: await, timeout_s: number(1, 3_600)}
     ]
 
-    required = if id?, do: [:id], else: []
-
     kinds =
       for {kind, properties} <- what, {target, schema} <- [vehicles: vehicles, tag: tag] do
-        common |> Map.merge(properties) |> Map.put(target, schema) |> object([kind, target | required])
+        common |> Map.merge(properties) |> Map.put(target, schema) |> object([kind, target])
       end
 
     %{oneOf: kinds}
@@ -47,7 +48,7 @@ defmodule Aerie.Fleet.Operations.Schema do
         %{schema | properties: Map.take(schema.properties, [:type, :params])}
       end
 
-    change = Shadow.Schema.update(false)
+    change = Shadow.Schema.update()
 
     %{
       "command_of_operation" => %{oneOf: commands},
@@ -55,14 +56,18 @@ defmodule Aerie.Fleet.Operations.Schema do
     }
   end
 
-  @doc "The request that names one."
-  @spec named() :: t()
-  def named, do: object(%{id: id()}, [:id], open: true)
+  @doc "The field that names one."
+  @spec id() :: Field.t()
+  def id do
+    check = &if(is_binary(&1) and byte_size(&1) <= 32 and Command.token?(&1), do: {:ok, &1}, else: :error)
+    words = "1 to 32 letters, digits, - and _"
+    Field.field(:id, {:term, check, words}, "its id", required: true, schema: id_schema())
+  end
 
-  defp id, do: %{type: :string, pattern: "^[A-Za-z0-9_-]{1,32}$"}
+  defp id_schema, do: %{type: :string, pattern: @id}
 
-  @doc "An operation as answers have it. `vehicles?`: with what became of each vehicle."
-  @spec operation(vehicles? :: boolean()) :: t()
+  @doc "The properties of an operation in answers. `vehicles?`: with what became of each vehicle."
+  @spec operation(vehicles? :: boolean()) :: %{atom() => t()}
   def operation(vehicles?) do
     count = %{type: :integer, minimum: 0}
 
@@ -74,7 +79,7 @@ defmodule Aerie.Fleet.Operations.Schema do
       )
 
     properties = %{
-      id: id(),
+      id: id_schema(),
       state: %{enum: ~w(running done halted stopped interrupted)},
       source: described(%{type: :string}, "who began it"),
       begun_at: %{type: :string, format: :"date-time"},
@@ -84,8 +89,7 @@ defmodule Aerie.Fleet.Operations.Schema do
       counts: object(Map.new(~w(waiting under_way ok failed)a, &{&1, count}), [], open: true)
     }
 
-    required = Map.keys(properties)
     vehicles = if vehicles?, do: %{vehicles: %{type: :object, additionalProperties: vehicle}}, else: %{}
-    object(Map.merge(properties, vehicles), required ++ Map.keys(vehicles), open: true)
+    Map.merge(properties, vehicles)
   end
 end

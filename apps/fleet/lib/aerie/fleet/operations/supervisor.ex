@@ -3,7 +3,11 @@ defmodule Aerie.Fleet.Operations.Supervisor do
   use Supervisor
 
   alias Aerie.Base.Names
-  alias Aerie.Fleet.Operations.{Nats, Server}
+  alias Aerie.Fleet.Bridge
+  alias Aerie.Fleet.Bridge.Commands.Service
+  alias Aerie.Fleet.Operations.{Requests, Server}
+
+  @max_bytes 131_072
 
   @spec start_link(gateway: Names.gateway()) :: Supervisor.on_start()
   def start_link(options),
@@ -12,6 +16,16 @@ defmodule Aerie.Fleet.Operations.Supervisor do
   @impl Supervisor
   def init(gateway: gateway) do
     Process.set_label({:operations, gateway})
-    Supervisor.init([{Server, gateway: gateway}, {Nats, gateway: gateway}], strategy: :rest_for_one)
+    Supervisor.init([{Server, gateway: gateway}, {Service, service(gateway)}], strategy: :rest_for_one)
+  end
+
+  defp service(gateway) do
+    [
+      gateway: gateway,
+      name: :operations_nats,
+      operations: Requests.all(),
+      subject: "fleet.#{Bridge.environment(gateway)}.#{Bridge.name(gateway)}.operation.*",
+      max_bytes: @max_bytes
+    ]
   end
 end

@@ -62,32 +62,36 @@ defmodule Aerie.Fleet.Shadow.Schema do
   defp leaf(%{check: %Param{} = param} = row),
     do: %{param | meaning: row.meaning} |> Command.Schema.param()
 
-  @doc "A change. `version?`: it must name the version that it is meant for, as a signed one must."
-  @spec update(version? :: boolean()) :: t()
-  def update(version?) do
-    change(%{desired: %{allOf: [ref("desired_fields"), %{minProperties: 1}]}}, [:desired], version?)
-  end
+  @doc "A change."
+  @spec update() :: t()
+  def update, do: change(%{desired: %{allOf: [ref("desired_fields"), %{minProperties: 1}]}}, [:desired])
 
   @doc "The request to remove all fields."
-  @spec delete(version? :: boolean()) :: t()
-  def delete(version?), do: change(%{}, [], version?)
+  @spec delete() :: t()
+  def delete, do: change(%{}, [])
 
-  defp change(properties, required, version?) do
+  defp change(properties, required) do
     version = described(%{type: :integer, minimum: 0}, "the document's version that this is based on")
     {most, text} = Update.limits()
 
     object(
       Map.merge(properties, %{
-        version: if(version?, do: version, else: nullable(version)),
+        version: nullable(version),
         reason: described(nullable(text(text.reason, 0)), "a text for people"),
         token: described(nullable(text(text.token, 0)), "is returned in the answer"),
         expires_at: described(nullable(time()), "when the fields are removed; in the coming year"),
         expires_in_s: described(nullable(number(1, most)), "the same, counted from now", "s")
       }),
-      required ++ if(version?, do: [:version], else: []),
+      required,
       anyOf: for(key <- [:expires_at, :expires_in_s], do: %{properties: %{key => %{type: :null}}})
     )
   end
+
+  @doc "What a signed change over NATS must have, so that a copy of it changes nothing."
+  @spec version_of_signed() :: {String.t(), :signed, String.t()}
+  def version_of_signed,
+    do:
+      {"version", :signed, "version: a signed change names the version that it is meant for, as get gives it"}
 
   @doc "The desired document in its bucket. `seal` protects it: a gateway refuses what others wrote."
   @spec document() :: t()
@@ -191,14 +195,13 @@ defmodule Aerie.Fleet.Shadow.Schema do
         open: true
       )
 
-  @doc "The answers by action, without that of a refusal."
-  @spec answers() :: %{atom() => t()}
+  @doc "The properties of answers by action, without those of a refusal."
+  @spec answers() :: %{atom() => %{atom() => t()}}
   def answers do
     entry =
       object(Map.merge(author(), %{expires_at: nullable(stamp())}), [:version, :at, :actor, :via], open: true)
 
     desired = %{
-      result: %{const: :ok},
       vehicle: token(),
       version: version(),
       updated_at: nullable(stamp()),
@@ -207,31 +210,25 @@ defmodule Aerie.Fleet.Shadow.Schema do
     }
 
     token = described(%{type: [:string, :null]}, "that of the request")
-    changed = answer(Map.put(desired, :token, token))
+    changed = Map.put(desired, :token, token)
 
     %{
       get:
-        answer(
-          Map.merge(desired, %{
-            history: %{type: :array, items: entry_of_history()},
-            reported: %{anyOf: [ref("reported"), %{type: :null}]},
-            problem: described(%{type: [:string, :null]}, "why documents cannot be stored at the moment")
-          })
-        ),
+        Map.merge(desired, %{
+          history: %{type: :array, items: entry_of_history()},
+          reported: %{anyOf: [ref("reported"), %{type: :null}]},
+          problem: described(%{type: [:string, :null]}, "why documents cannot be stored at the moment")
+        }),
       update: changed,
       delete: changed,
-      delta:
-        answer(%{
-          result: %{const: :ok},
-          vehicle: token(),
-          version: version(),
-          delta: described(%{type: :object}, "the desired values that differ, nested as in a change"),
-          fields: fields()
-        })
+      delta: %{
+        vehicle: token(),
+        version: version(),
+        delta: described(%{type: :object}, "the desired values that differ, nested as in a change"),
+        fields: fields()
+      }
     }
   end
-
-  defp answer(properties), do: object(properties, Map.keys(properties), open: true)
 
   defp version, do: %{type: :integer, minimum: 0}
   defp stamp, do: %{type: :string, format: :"date-time"}

@@ -6,7 +6,7 @@ defmodule Aerie.Fleet.Shadow.Supervisor do
   |---|---|
   | `Documents` | the lease, for a moment; documents come back from disk and NATS |
   | the tasks' supervisor | attempts under way: they count as refused, and are in the ledger |
-  | `Nats` | requests over NATS under way |
+  | `Service` | requests over NATS under way |
   | `Uplink`, on a leaf node with a `vehicle_id` | nothing: it compares with the hub again |
 
   The loops themselves are in the vehicles' trees (`Aerie.Fleet.Shadow.Loop`).
@@ -14,7 +14,8 @@ defmodule Aerie.Fleet.Shadow.Supervisor do
   use Supervisor
 
   alias Aerie.Base.Names
-  alias Aerie.Fleet.Shadow.{Documents, Nats, Settings, Uplink}
+  alias Aerie.Fleet.Bridge.Commands.Service
+  alias Aerie.Fleet.Shadow.{Document, Documents, Metrics, Operations, Settings, Uplink}
 
   @spec start_link(gateway: Names.gateway(), settings: Settings.t()) :: Supervisor.on_start()
   def start_link(options),
@@ -32,11 +33,25 @@ defmodule Aerie.Fleet.Shadow.Supervisor do
       [
         {Task.Supervisor, name: Names.via(gateway, :shadow_tasks)},
         {Documents.Server, options},
-        {Nats, options}
+        {Service, service(gateway, settings.bridge.environment)}
       ] ++ if(Uplink.vehicle(settings), do: [{Uplink, options}], else: []),
       strategy: :rest_for_one,
       max_restarts: 10,
       max_seconds: 30
     )
+  end
+
+  # Gateways with one NATS share the subjects: each answers for any vehicle, heard or not, because the documents are in
+  # NATS.
+  defp service(gateway, environment) do
+    [
+      gateway: gateway,
+      name: :shadow_nats,
+      operations: Operations.all(),
+      subject: "fleet.#{environment}.*.shadow.*",
+      queue_group: "aerie-shadow",
+      max_bytes: Document.max_bytes(),
+      dropped: fn -> Metrics.count(gateway, :dropped) end
+    ]
   end
 end

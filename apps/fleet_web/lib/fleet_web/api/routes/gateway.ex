@@ -58,22 +58,6 @@ defmodule FleetWeb.API.Routes.Gateway do
       ),
       get("/api/log", :log, "The levels of the log."),
       patch("/api/log", :change_log, :admin, "Changes the levels of the log.", body: :log),
-      get("/api/operations", :operations, "Operations on many vehicles, without their vehicles."),
-      post(
-        "/api/operations",
-        :begin_operation,
-        :operator,
-        "Begins an operation on many vehicles, which goes on by itself.",
-        body: :operation,
-        status: 202
-      ),
-      get("/api/operations/:id", :operation, "An operation, and what became of each vehicle."),
-      delete(
-        "/api/operations/:id",
-        :stop_operation,
-        :operator,
-        "Stops an operation: no further vehicle is begun."
-      ),
       get("/api/policy", :policy, "The policy in force."),
       post("/api/policy/reload", :reload_policy, :admin, "Reads the policy and its fences again.",
         body: :nothing

@@ -46,19 +46,7 @@ defmodule FleetWeb.API.Routes.Vehicle do
       ),
       delete("/api/vehicles/:id/commands/:command", :cancel_command, :operator, "Cancels a command.",
         status: 202
-      ),
-      get(
-        "/api/vehicles/:id/shadow",
-        :shadow,
-        "What is desired of a vehicle, what is reported, and how they differ."
-      ),
-      patch("/api/vehicles/:id/shadow", :update_shadow, :operator, "Changes the desired state.",
-        body: :shadow
-      ),
-      delete("/api/vehicles/:id/shadow", :delete_shadow, :operator, "Clears the desired state.",
-        query: [:version]
-      ),
-      get("/api/vehicles/:id/shadow/delta", :shadow_delta, "What is desired but not yet so.")
+      )
     ]
   end
 end

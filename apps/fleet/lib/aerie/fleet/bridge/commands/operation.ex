@@ -105,20 +105,37 @@ defmodule Aerie.Fleet.Bridge.Commands.Operation do
 
   @doc "The JSON Schema of a request."
   @spec request_schema(Operation.t()) :: JsonSchema.t()
-  def request_schema(%{name: name, changes?: changes?} = operation) do
+  def request_schema(%{request: nil, transfer?: true, name: name, changes?: changes?} = operation) do
     envelope = %{
       vehicle: JsonSchema.described(JsonSchema.token(), "if given, that of the subject"),
       type: %{const: name},
       source: JsonSchema.described(%{type: :string}, "a remark")
     }
 
-    common = for field <- Operation.common(), do: %{field | required: changes? and field.key == :id}
+    common = for field <- Operation.common(operation), do: %{field | required: changes? and field.key == :id}
     properties = for field <- common, into: envelope, do: {field.key, Field.schema(field)}
     Operation.schema(operation, properties, if(changes?, do: [:id], else: []))
   end
 
-  @doc "The JSON Schema of the reply to one that reads."
+  def request_schema(%{once: {key, _when, _reason}} = operation),
+    do: operation |> Operation.schema(%{}, []) |> demanding(String.to_existing_atom(key))
+
+  def request_schema(operation), do: Operation.schema(operation, %{}, [])
+
+  # The same with a key that must be there.
+  defp demanding(%{oneOf: kinds} = schema, key), do: %{schema | oneOf: Enum.map(kinds, &demanding(&1, key))}
+
+  defp demanding(%{properties: properties} = schema, key) do
+    property = Map.update!(properties[key], :type, &(&1 |> List.wrap() |> List.delete(:null) |> hd()))
+    required = Enum.sort_by([key | Map.get(schema, :required, [])], &to_string/1)
+    Map.merge(schema, %{properties: %{properties | key => property}, required: required})
+  end
+
+  @doc "The JSON Schema of the reply to one that reads, or that has an answer of its own."
   @spec reply_schema(Operation.t()) :: JsonSchema.t()
+  def reply_schema(%{transfer?: false} = operation),
+    do: Operation.answer_schema(operation, %{result: %{const: "ok"}})
+
   def reply_schema(operation) do
     read = %{
       id: JsonSchema.nullable(JsonSchema.token()),

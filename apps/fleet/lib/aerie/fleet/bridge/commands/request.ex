@@ -53,49 +53,55 @@ defmodule Aerie.Fleet.Bridge.Commands.Request do
     named = %{"vehicle" => vehicle, "type" => type}
 
     # The signature first: a forged body is not even parsed, but for its id.
-    with :ok <- short(body, max_bytes(type)),
-         {:ok, source} <- identify(policy, signature(message), topic, body, now),
-         {:ok, given} <- decode(body),
+    with {:size, :ok} <- {:size, short(body, max_bytes(type))},
+         {:who, {:ok, source}} <- {:who, identify(policy, signature(message), topic, body, now)},
+         {:object, {:ok, given}} <- {:object, decode(body, max_bytes(type))},
          named = Map.merge(given, named),
          {:ok, envelope} <- envelope(given, named, headers) do
       {:ok, %{vehicle: vehicle, type: type, envelope: envelope, source: source}}
     else
-      {:wrong, rule, reason} -> {:refused, named, {rule, reason}}
-      {:nobody, rule, reason} -> {:refused, Map.merge(id(body), named), {rule, reason}}
+      {:who, {:refused, rule, reason}} -> {:refused, Map.merge(id(body), named), {rule, reason}}
+      {_unread, {:refused, rule, reason}} -> {:refused, named, {rule, reason}}
       refused -> refused
     end
   end
 
-  defp id(body) when byte_size(body) <= @max_bytes do
-    case decode(body) do
+  defp id(body) do
+    case decode(body, @max_bytes) do
       {:ok, given} -> Map.take(given, ["id"])
       _unreadable -> %{}
     end
   end
 
-  defp id(_long), do: %{}
-
   # No command has a dot in its name.
   defp max_bytes(type), do: if(String.contains?(type, "."), do: Operation.max_bytes(), else: @max_bytes)
 
   defp short(body, max) when byte_size(body) > max,
-    do: {:wrong, :size, "the body has more than #{max} bytes"}
+    do: {:refused, :size, "the body has more than #{max} bytes"}
 
   defp short(_body, _max), do: :ok
 
-  defp decode(body) do
-    case JSON.decode(body) do
-      {:ok, %{} = object} -> {:ok, object}
-      _other -> {:wrong, :malformed, "the body is not a JSON object"}
+  @doc "The object that a body of at most `max` bytes is."
+  @spec decode(binary(), max :: pos_integer()) :: {:ok, map()} | {:refused, :size | :malformed, String.t()}
+  def decode(body, max) do
+    with :ok <- short(body, max),
+         {:ok, %{} = object} <- JSON.decode(body) do
+      {:ok, object}
+    else
+      {:refused, _size, _reason} = refused -> refused
+      _other -> {:refused, :malformed, "the body is not a JSON object"}
     end
   end
 
-  defp identify(nil, _header, _topic, _body, _now),
-    do: {:nobody, :policy, "the gateway has no policy, so nobody may command anything"}
+  @doc "Who signed a message, or who may do without a signature."
+  @spec identify(Policy.t() | nil, String.t() | nil, subject :: String.t(), binary(), now :: integer()) ::
+          {:ok, Roles.source()} | {:refused, :policy | :signature, String.t()}
+  def identify(nil, _header, _topic, _body, _now),
+    do: {:refused, :policy, "the gateway has no policy, so nobody may command anything"}
 
-  defp identify(policy, header, topic, body, now) do
+  def identify(policy, header, topic, body, now) do
     with {:error, reason} <- Sources.identify(policy, header, topic, body, now),
-         do: {:nobody, :signature, reason}
+         do: {:refused, :signature, reason}
   end
 
   defp envelope(given, named, headers) do

@@ -1,4 +1,4 @@
-defmodule Aerie.Fleet.Shadow.NatsTest do
+defmodule Aerie.Fleet.Shadow.OperationsTest do
   @moduledoc "The shadow by requests to a real nats-server."
   use Aerie.ShadowCase, async: true
 

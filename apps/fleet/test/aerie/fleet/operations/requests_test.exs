@@ -1,4 +1,4 @@
-defmodule Aerie.Fleet.Operations.NatsTest do
+defmodule Aerie.Fleet.Operations.RequestsTest do
   @moduledoc "Operations by a real nats-server: who may begin one, and what is wrong with a request."
   use Aerie.BridgeCase, async: true
 
@@ -75,7 +75,10 @@ defmodule Aerie.Fleet.Operations.NatsTest do
              ask(c, "begin", Map.delete(@operation, "id"), true)
 
     assert %{"rule" => "malformed", "reason" => "the body is not a JSON object"} = ask(c, "list", "[1]")
-    assert %{"rule" => "malformed", "reason" => "id: the id of an operation"} = ask(c, "get", %{"id" => 7})
+
+    assert %{"rule" => "malformed", "reason" => "id: expected 1 to 32 letters" <> _} =
+             ask(c, "get", %{"id" => 7})
+
     assert %{"rule" => "malformed", "reason" => "the last word" <> _} = ask(c, "destroy", "{}")
     assert %{"rule" => "size"} = ask(c, "list", String.duplicate(" ", 131_073))
   end

@@ -2,12 +2,13 @@ defmodule FleetWeb.Console.Fleet.Actions do
   @moduledoc "The actions for the selected vehicles, with the result for each. Their events say for which vehicles the operator saw them."
   use FleetWeb.Console, :component
 
-  import FleetWeb.Console.Fleet.ControlForms, only: [charge: 1]
+  import FleetWeb.Console.Fleet.Actions.ControlForms, only: [charge: 1]
 
   alias Aerie.Control.CommandExecutor.Offers
   alias Aerie.Control.Policy.Roles
   alias FleetWeb.Console.Commands.Catalog
-  alias FleetWeb.Console.Fleet.{Batch, Plans, Selection}
+  alias FleetWeb.Console.Fleet.{Plans, Selection}
+  alias FleetWeb.Console.Fleet.Actions.Batch
 
   attr :selection, :map, required: true
   attr :all, :list, required: true

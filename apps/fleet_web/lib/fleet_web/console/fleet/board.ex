@@ -6,7 +6,7 @@ defmodule FleetWeb.Console.Fleet.Board do
   which rows have changed since it last asked.
   """
 
-  alias FleetWeb.Console.Fleet.Row
+  alias FleetWeb.Console.Fleet.Board.Row
 
   @enforce_keys [:id]
   defstruct [:id, version: 0, ids: [], rows: %{}, words: []]

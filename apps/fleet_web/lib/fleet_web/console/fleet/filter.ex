@@ -3,7 +3,7 @@ defmodule FleetWeb.Console.Fleet.Filter do
   Chooses which vehicles the page shows. Pure. The filter is part of the page's address, so that it survives a reload and can be shared.
   """
 
-  alias FleetWeb.Console.Fleet.Row
+  alias FleetWeb.Console.Fleet.Board.Row
 
   @flags ~w(armed air stale problem)a
   @max 64

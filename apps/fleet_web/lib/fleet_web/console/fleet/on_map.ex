@@ -3,7 +3,7 @@ defmodule FleetWeb.Console.Fleet.OnMap do
 
   import Phoenix.LiveView
 
-  alias FleetWeb.Console.Fleet.Row
+  alias FleetWeb.Console.Fleet.Board.Row
   alias FleetWeb.Console.Map.Payload
   alias Phoenix.LiveView.Socket
 

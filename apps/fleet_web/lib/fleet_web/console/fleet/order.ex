@@ -1,7 +1,7 @@
 defmodule FleetWeb.Console.Fleet.Order do
   @moduledoc "The order of the table. Pure. Unknown values come last in either direction; the id decides between equal ones."
 
-  alias FleetWeb.Console.Fleet.Row
+  alias FleetWeb.Console.Fleet.Board.Row
 
   @columns ~w(id state mode battery gps height speed link age problems)
   @states %{lost: 0, failsafe: 1, stale: 2, armed: 3, disarmed: 4}

@@ -20,8 +20,10 @@ defmodule FleetWeb.Console.Fleet.Page do
   alias Aerie.Fleet.Shadow
   alias Aerie.Base.PubSub
 
-  alias FleetWeb.Console.Fleet.{Address, Batch, Board, ControlForms, Filter, OnMap, Order, Plans, Selection}
-  alias FleetWeb.Console.Fleet.{Sequence, Tagging}
+  alias FleetWeb.Console.Fleet.{Address, Board, Filter, OnMap, Order, Plans, Selection}
+  alias FleetWeb.Console.Fleet.Actions.{Batch, ControlForms}
+  alias FleetWeb.Console.Fleet.Sequence
+  alias FleetWeb.Console.Fleet.Actions.Tagging
 
   alias FleetWeb.Console.Map.{Tiles, Zones}
 

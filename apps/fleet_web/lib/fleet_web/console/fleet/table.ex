@@ -6,7 +6,8 @@ defmodule FleetWeb.Console.Fleet.Table do
   use FleetWeb.Console, :component
 
   alias Aerie.Vehicle.Kind
-  alias FleetWeb.Console.Fleet.{Filter, Row}
+  alias FleetWeb.Console.Fleet.Filter
+  alias FleetWeb.Console.Fleet.Board.Row
 
   attr :rows, :list, required: true
   attr :order, :any, required: true

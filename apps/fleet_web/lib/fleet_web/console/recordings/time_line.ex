@@ -3,7 +3,7 @@ defmodule FleetWeb.Console.Recordings.TimeLine do
 
   alias Aerie.Fleet.Replay
   alias FleetWeb.Console.Clock
-  alias FleetWeb.Console.Vehicle.Timeline
+  alias FleetWeb.Console.Vehicle.Events.Timeline
 
   @max_events 500
   # Ten megabytes of a file take about a second and a few megabytes of memory.

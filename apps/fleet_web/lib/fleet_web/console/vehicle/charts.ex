@@ -2,10 +2,10 @@ defmodule FleetWeb.Console.Vehicle.Charts do
   @moduledoc "Charts of chosen fields. The page's address contains the choice, so that a reload or a link shows the same."
   use FleetWeb.Console, :component
 
-  alias FleetWeb.Console.Vehicle.{MessageSeries, Series}
+  alias FleetWeb.Console.Vehicle.Charts.{MessageSeries, Series}
 
   attr :vehicle, :string, required: true
-  attr :series, :list, required: true, doc: "`t:FleetWeb.Console.Vehicle.Series.t/0`"
+  attr :series, :list, required: true, doc: "`t:FleetWeb.Console.Vehicle.Charts.Series.t/0`"
   attr :heard, :list, required: true, doc: "names of messages"
 
   attr :message, :string,

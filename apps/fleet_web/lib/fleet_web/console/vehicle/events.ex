@@ -3,7 +3,7 @@ defmodule FleetWeb.Console.Vehicle.Events do
   use FleetWeb.Console, :component
 
   alias FleetWeb.Console.Clock
-  alias FleetWeb.Console.Vehicle.Timeline
+  alias FleetWeb.Console.Vehicle.Events.Timeline
 
   attr :lines, :list, required: true
   attr :level, :string, required: true
@@ -37,7 +37,7 @@ defmodule FleetWeb.Console.Vehicle.Events do
   defp nothing(_total, _via), do: "No match"
 
   attr :id, :string, required: true
-  attr :lines, :list, required: true, doc: "`t:FleetWeb.Console.Vehicle.Timeline.line/0`"
+  attr :lines, :list, required: true, doc: "`t:FleetWeb.Console.Vehicle.Events.Timeline.line/0`"
 
   @doc "Lines."
   def lines(assigns) do

@@ -5,7 +5,9 @@ defmodule FleetWeb.Console.Vehicle.Fly do
   import FleetWeb.Console.Vehicle.GroupCard
 
   alias FleetWeb.Console.Map, as: ConsoleMap
-  alias FleetWeb.Console.Vehicle.{Actions, Events, Route, View}
+  alias FleetWeb.Console.Vehicle.{Events, View}
+  alias FleetWeb.Console.Vehicle.Control.Actions
+  alias FleetWeb.Console.Vehicle.Fly.Route
 
   attr :view, View, required: true
   attr :user, :map, required: true

@@ -5,11 +5,13 @@ defmodule FleetWeb.Console.Vehicle.Health do
   import FleetWeb.Console.Vehicle.GroupCard
 
   alias FleetWeb.Console.Commands.EntryList
-  alias FleetWeb.Console.Vehicle.{Actions, Arming, Calibration, View}
+  alias FleetWeb.Console.Vehicle.View
+  alias FleetWeb.Console.Vehicle.Control.Actions
+  alias FleetWeb.Console.Vehicle.Health.{Arming, Calibration}
 
   attr :view, View, required: true
   attr :user, :map, required: true
-  attr :arming, :map, required: true, doc: "`t:FleetWeb.Console.Vehicle.Arming.t/0`"
+  attr :arming, :map, required: true, doc: "`t:FleetWeb.Console.Vehicle.Health.Arming.t/0`"
   attr :calibrations, :list, required: true, doc: "lives of calibrations"
   attr :workshop, :string, required: true, doc: "why the vehicle may not be calibrated now, nil if it may"
   attr :now, :integer, required: true

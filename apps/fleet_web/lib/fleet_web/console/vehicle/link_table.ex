@@ -7,7 +7,7 @@ defmodule FleetWeb.Console.Vehicle.LinkTable do
   alias FleetWeb.Console.Vehicle.View
 
   attr :view, View, required: true
-  attr :rows, :list, required: true, doc: "`t:FleetWeb.Console.Vehicle.Links.row/0`"
+  attr :rows, :list, required: true, doc: "`t:FleetWeb.Console.Vehicle.LinkTable.Links.row/0`"
 
   @doc "The links section."
   def links(assigns) do

@@ -25,9 +25,18 @@ defmodule FleetWeb.Console.Vehicle.Page do
   alias FleetWeb.Console.Fleet.Plans
   alias FleetWeb.Console.Map.Payload
 
-  alias FleetWeb.Console.Vehicle.{Actions, Arming, CommandCheck, ControlBanner, Header, Instruments, Links}
-  alias FleetWeb.Console.Vehicle.{MessageSeries, Obstacles, Route, Section, Sections, Series, Target}
-  alias FleetWeb.Console.Vehicle.{Timeline, View}
+  alias FleetWeb.Console.Vehicle.Header
+  alias FleetWeb.Console.Vehicle.Control.{Actions, CommandCheck, ControlBanner}
+  alias FleetWeb.Console.Vehicle.Health.Arming
+  alias FleetWeb.Console.Vehicle.Fly.Instruments
+  alias FleetWeb.Console.Vehicle.LinkTable.Links
+  alias FleetWeb.Console.Vehicle.{Section, Sections}
+  alias FleetWeb.Console.Vehicle.Charts.{MessageSeries, Series}
+  alias FleetWeb.Console.Vehicle.Health.Obstacles
+  alias FleetWeb.Console.Vehicle.Fly.Route
+  alias FleetWeb.Console.Vehicle.Control.Target
+  alias FleetWeb.Console.Vehicle.View
+  alias FleetWeb.Console.Vehicle.Events.Timeline
 
   # How long an ended command stays in sight in all sections.
   @shown_us 20_000_000

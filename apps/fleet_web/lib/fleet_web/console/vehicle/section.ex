@@ -6,9 +6,11 @@ defmodule FleetWeb.Console.Vehicle.Section do
   alias FleetWeb.Console.Commands.{Catalog, EntryList, Form, Panel}
   alias FleetWeb.Console.Map.Tiles
 
-  alias FleetWeb.Console.Vehicle.{Arming, Calibration, Charts, CommandCheck, Events, Fly, Health, LinkTable}
+  alias FleetWeb.Console.Vehicle.{Charts, Events, Fly, Health, LinkTable}
+  alias FleetWeb.Console.Vehicle.Health.{Arming, Calibration}
+  alias FleetWeb.Console.Vehicle.Control.CommandCheck
   alias FleetWeb.Console.Vehicle.Sections
-  alias FleetWeb.Console.Vehicle.Timeline
+  alias FleetWeb.Console.Vehicle.Events.Timeline
 
   @doc "Draws the section `:section`."
   @spec section(map()) :: Phoenix.LiveView.Rendered.t()

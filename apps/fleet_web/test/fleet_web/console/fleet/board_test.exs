@@ -2,7 +2,8 @@ defmodule FleetWeb.Console.Fleet.BoardTest do
   use FleetWeb.ConsoleCase, async: true
 
   alias Aerie.Base.{Names, Store}
-  alias FleetWeb.Console.Fleet.{Board, Row, Table}
+  alias FleetWeb.Console.Fleet.{Board, Table}
+  alias FleetWeb.Console.Fleet.Board.Row
 
   defp row(id, fields \\ []) do
     fields = Keyword.merge([id: id, network: "main", system_id: 1, kind: "copter", autopilot: :px4], fields)

@@ -3,7 +3,9 @@ defmodule FleetWeb.Console.Fleet.HandTest do
   use FleetWeb.ConsoleCase, async: true
 
   alias Aerie.Control.Commands
-  alias FleetWeb.Console.Fleet.{Batch, Order, Row, Selection, Sequence}
+  alias FleetWeb.Console.Fleet.{Order, Selection, Sequence}
+  alias FleetWeb.Console.Fleet.Actions.Batch
+  alias FleetWeb.Console.Fleet.Board.Row
 
   @changed "The selection changed; nothing was sent."
 

@@ -1,7 +1,9 @@
 defmodule FleetWeb.Console.Fleet.RowsTest do
   use ExUnit.Case, async: true
 
-  alias FleetWeb.Console.Fleet.{Batch, Filter, Order, Problems, Row, Selection}
+  alias FleetWeb.Console.Fleet.{Filter, Order, Selection}
+  alias FleetWeb.Console.Fleet.Actions.Batch
+  alias FleetWeb.Console.Fleet.Board.{Problems, Row}
   alias FleetWeb.Console.Map.Payload
 
   @now 1_795_000_000_000_000

@@ -3,7 +3,12 @@ defmodule FleetWeb.Console.Vehicle.PartsTest do
   use ExUnit.Case, async: true
 
   alias Aerie.Vehicle.Event
-  alias FleetWeb.Console.Vehicle.{Arming, Instruments, Links, Series, Timeline, View}
+  alias FleetWeb.Console.Vehicle.View
+  alias FleetWeb.Console.Vehicle.Health.Arming
+  alias FleetWeb.Console.Vehicle.Fly.Instruments
+  alias FleetWeb.Console.Vehicle.LinkTable.Links
+  alias FleetWeb.Console.Vehicle.Charts.Series
+  alias FleetWeb.Console.Vehicle.Events.Timeline
 
   @now 1_800_000_000_000_000
   defp vehicle(groups, more \\ %{}),

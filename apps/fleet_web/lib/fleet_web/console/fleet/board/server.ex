@@ -10,7 +10,8 @@ defmodule FleetWeb.Console.Fleet.Board.Server do
   alias Aerie.Fleet
   alias Aerie.Fleet.Shadow
   alias Aerie.Fleet.Shadow.Tags
-  alias FleetWeb.Console.Fleet.{Board, Row, Table}
+  alias FleetWeb.Console.Fleet.{Board, Table}
+  alias FleetWeb.Console.Fleet.Board.Row
 
   # Pages that heard the same notice ask within this time.
   @fresh_ms 100

@@ -1,4 +1,4 @@
-defmodule FleetWeb.Console.Vehicle.Actions do
+defmodule FleetWeb.Console.Vehicle.Control.Actions do
   @moduledoc """
   The commands that are always in reach (hold, return, land), and those of every flight: arm, take off, modes. Commands that the firmware lacks,
   or the user may not give, are left out.
@@ -8,7 +8,8 @@ defmodule FleetWeb.Console.Vehicle.Actions do
   alias Aerie.Control.CommandExecutor.Offers
   alias Aerie.Vehicle.Protocol.Modes
   alias FleetWeb.Console.Commands.{Catalog, Panel}
-  alias FleetWeb.Console.Vehicle.{Target, View}
+  alias FleetWeb.Console.Vehicle.View
+  alias FleetWeb.Console.Vehicle.Control.Target
 
   @flight [{"arm", "Arm"}, {"disarm", "Disarm"}, {"takeoff", "Take off"}, {"set_mode", "Set mode"}]
   @always [

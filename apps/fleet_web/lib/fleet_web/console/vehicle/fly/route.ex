@@ -1,4 +1,4 @@
-defmodule FleetWeb.Console.Vehicle.Route do
+defmodule FleetWeb.Console.Vehicle.Fly.Route do
   @moduledoc """
   The vehicle's mission on its own page: the route on the map, the current item, and start, pause, resume. The route is read from the vehicle
   when it flies a mission, or when somebody asks for it (`FleetWeb.Console.Fleet.Plans`).
@@ -7,7 +7,8 @@ defmodule FleetWeb.Console.Vehicle.Route do
 
   alias Aerie.Base.Names
   alias FleetWeb.Console.Fleet.Plans
-  alias FleetWeb.Console.Vehicle.{Actions, View}
+  alias FleetWeb.Console.Vehicle.View
+  alias FleetWeb.Console.Vehicle.Control.Actions
 
   @commands [
     {"mission_start", "Start mission", "play"},

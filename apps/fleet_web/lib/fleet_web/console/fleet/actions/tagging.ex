@@ -1,8 +1,8 @@
-defmodule FleetWeb.Console.Fleet.Tagging do
+defmodule FleetWeb.Console.Fleet.Actions.Tagging do
   @moduledoc "The dialog for tags: of the vehicles that were selected when it was opened, whatever is selected later. Pure."
 
   alias Aerie.Fleet.Shadow.Tags
-  alias FleetWeb.Console.Fleet.Row
+  alias FleetWeb.Console.Fleet.Board.Row
 
   @enforce_keys [:ids, :common, :text]
   defstruct @enforce_keys ++ [error: nil, left: []]

@@ -1,8 +1,8 @@
-defmodule FleetWeb.Console.Vehicle.Calibration do
+defmodule FleetWeb.Console.Vehicle.Health.Calibration do
   @moduledoc "The sensors that a firmware calibrates, and the positions, from the table of commands."
 
   alias Aerie.Vehicle.Command.Types
-  alias FleetWeb.Console.Vehicle.Actions
+  alias FleetWeb.Console.Vehicle.Control.Actions
 
   @commands ~w(calibrate calibrate_position calibrate_accept calibrate_cancel)
 

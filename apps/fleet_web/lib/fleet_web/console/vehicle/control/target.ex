@@ -1,4 +1,4 @@
-defmodule FleetWeb.Console.Vehicle.Target do
+defmodule FleetWeb.Console.Vehicle.Control.Target do
   @moduledoc "A position on the map to which a vehicle may be sent: the command for it, and the distance. Pure."
 
   alias Aerie.Control.Policy.Fence.Earth

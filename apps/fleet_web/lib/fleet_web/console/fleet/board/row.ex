@@ -1,4 +1,4 @@
-defmodule FleetWeb.Console.Fleet.Row do
+defmodule FleetWeb.Console.Fleet.Board.Row do
   @moduledoc """
   A vehicle as a row of the table. Pure. Numbers are rounded as they are shown, so that changes that are not visible are not sent.
   """
@@ -6,7 +6,7 @@ defmodule FleetWeb.Console.Fleet.Row do
   alias Aerie.Control.Policy.Lease
   alias Aerie.Base.Store
   alias Aerie.Fleet.Age
-  alias FleetWeb.Console.Fleet.Problems
+  alias FleetWeb.Console.Fleet.Board.Problems
   alias FleetWeb.Console.Map.Payload
   alias Aerie.Vehicle.{Protocol, Snapshot}
 

@@ -1,4 +1,4 @@
-defmodule FleetWeb.Console.Vehicle.Timeline do
+defmodule FleetWeb.Console.Vehicle.Events.Timeline do
   @moduledoc "A vehicle's events and texts as lines that can be filtered by severity. Pure."
 
   alias Aerie.Vehicle.Event

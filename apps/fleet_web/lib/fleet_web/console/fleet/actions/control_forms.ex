@@ -1,8 +1,8 @@
-defmodule FleetWeb.Console.Fleet.ControlForms do
+defmodule FleetWeb.Console.Fleet.Actions.ControlForms do
   @moduledoc "Who is in charge of the selected vehicles (`Aerie.Control.Policy.Lease`), and the forms to take, take over and release the charge of all of them."
   use FleetWeb.Console, :component
 
-  alias FleetWeb.Console.Fleet.Row
+  alias FleetWeb.Console.Fleet.Board.Row
 
   attr :rows, :list, required: true, doc: "of the selected vehicles"
   attr :user, :map, required: true

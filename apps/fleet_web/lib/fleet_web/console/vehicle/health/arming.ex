@@ -1,4 +1,4 @@
-defmodule FleetWeb.Console.Vehicle.Arming do
+defmodule FleetWeb.Console.Vehicle.Health.Arming do
   @moduledoc """
   What prevents a vehicle from arming: PX4's failing checks, ArduPilot's pre-arm texts, unhealthy sensors. Pure.
   """

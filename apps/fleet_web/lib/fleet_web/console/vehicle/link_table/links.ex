@@ -1,4 +1,4 @@
-defmodule FleetWeb.Console.Vehicle.Links do
+defmodule FleetWeb.Console.Vehicle.LinkTable.Links do
   @moduledoc "The links that hear one vehicle, with the quality of each. Pure."
 
   @typedoc """

@@ -1,4 +1,4 @@
-defmodule FleetWeb.Console.Vehicle.Obstacles do
+defmodule FleetWeb.Console.Vehicle.Health.Obstacles do
   @moduledoc """
   What a vehicle's state says against a command that the policy allows: the policy does not know whether the vehicle can do it. Pure.
   """
@@ -7,7 +7,8 @@ defmodule FleetWeb.Console.Vehicle.Obstacles do
   alias Aerie.Vehicle.Protocol.Modes
   alias Aerie.Vehicle.Kind
   alias FleetWeb.Console.UI.Age
-  alias FleetWeb.Console.Vehicle.{Arming, View}
+  alias FleetWeb.Console.Vehicle.View
+  alias FleetWeb.Console.Vehicle.Health.Arming
 
   @in_flight ~w(goto orbit set_altitude set_yaw hold land rtl)
   @missions ~w(mission_start resume)

@@ -1,4 +1,4 @@
-defmodule FleetWeb.Console.Fleet.Problems do
+defmodule FleetWeb.Console.Fleet.Board.Problems do
   @moduledoc "The problems of a vehicle, in a few words each, the worst first. Pure."
 
   alias Aerie.Vehicle.Snapshot

@@ -1,4 +1,4 @@
-defmodule FleetWeb.Console.Vehicle.MessageSeries do
+defmodule FleetWeb.Console.Vehicle.Charts.MessageSeries do
   @moduledoc """
   Message fields for charts: numbers in the messages that `Aerie.Fleet.Inspector` records while somebody watches. A
   key consists of the message's and the field's name: `ATTITUDE.roll`, `RC_CHANNELS.chan3_raw`, `BATTERY_STATUS.voltages.0`.
@@ -7,7 +7,7 @@ defmodule FleetWeb.Console.Vehicle.MessageSeries do
   alias Aerie.Base.Names
   alias Aerie.Fleet.Inspector
   alias Aerie.Fleet.Inspector.Compose
-  alias FleetWeb.Console.Vehicle.Series
+  alias FleetWeb.Console.Vehicle.Charts.Series
   alias MavCodec.Dialects.All
 
   @max_elements 16

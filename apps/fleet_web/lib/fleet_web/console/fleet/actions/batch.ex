@@ -1,4 +1,4 @@
-defmodule FleetWeb.Console.Fleet.Batch do
+defmodule FleetWeb.Console.Fleet.Actions.Batch do
   @moduledoc """
   One button press for several vehicles: a command for each, and its result. Pure.
 

@@ -1,4 +1,4 @@
-defmodule FleetWeb.Console.Vehicle.Instruments do
+defmodule FleetWeb.Console.Vehicle.Fly.Instruments do
   @moduledoc "The values for a vehicle's flight display: the newest ones, and null for those that are too old. Pure."
 
   # Instruments show present values or nothing. HIGH_LATENCY2 has no attitude, so its slow rate does not matter here.

@@ -1,4 +1,4 @@
-defmodule FleetWeb.Console.Vehicle.Series do
+defmodule FleetWeb.Console.Vehicle.Charts.Series do
   @moduledoc "The fields of a vehicle's state that can be charted, and a sample of chosen ones. Pure."
 
   alias Aerie.Vehicle.Fields

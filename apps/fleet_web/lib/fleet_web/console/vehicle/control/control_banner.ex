@@ -1,9 +1,10 @@
-defmodule FleetWeb.Console.Vehicle.ControlBanner do
+defmodule FleetWeb.Console.Vehicle.Control.ControlBanner do
   @moduledoc "Shows who is in charge of a vehicle (`Aerie.Control.Policy.Lease`), with forms to take, take over, hand over and release it."
   use FleetWeb.Console, :component
 
   alias FleetWeb.Console.Clock
-  alias FleetWeb.Console.Vehicle.{Actions, View}
+  alias FleetWeb.Console.Vehicle.View
+  alias FleetWeb.Console.Vehicle.Control.Actions
 
   attr :view, View, required: true
   attr :user, :map, required: true

@@ -1,10 +1,11 @@
-defmodule FleetWeb.Console.Vehicle.CommandCheck do
+defmodule FleetWeb.Console.Vehicle.Control.CommandCheck do
   @moduledoc "The policy's and the firmware's answer to the command that is being prepared on a vehicle's page, before it is sent."
 
   alias Aerie.Vehicle.Command.Types
   alias Aerie.Control.Commands
   alias FleetWeb.Console.Commands.Form
-  alias FleetWeb.Console.Vehicle.{Target, View}
+  alias FleetWeb.Console.Vehicle.View
+  alias FleetWeb.Console.Vehicle.Control.Target
 
   @doc "The answer for the page's assigns: `:allow`, or why not; nil while the command is not complete."
   @spec of(map()) ::

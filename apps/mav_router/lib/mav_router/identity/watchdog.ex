@@ -41,12 +41,15 @@ defmodule MavRouter.Identity.Watchdog do
   end
 
   @doc """
-  The processes that a vehicle's heartbeat needs and that have not answered in time; `[{:watchdog, nil}]` when nobody asks them.
+  The processes that have not answered in time of those that every heartbeat needs and, for a heartbeat to a vehicle
+  (its key), of its own; `[{:watchdog, nil}]` when nobody asks them.
   """
-  @spec silent(Names.gateway(), term()) :: [tag()]
+  @spec silent(Names.gateway(), term() | nil) :: [tag()]
   def silent(gateway, key) do
+    own = if key, do: [{:events, key}], else: []
+
     Names.read(gateway, :watchdog, [{:watchdog, nil}], fn {table, deadman_ms} ->
-      late([{:watchdog, nil}, {:events, key} | @needed], table, now() - deadman_ms)
+      late([{:watchdog, nil}] ++ own ++ @needed, table, now() - deadman_ms)
     end)
   end
 

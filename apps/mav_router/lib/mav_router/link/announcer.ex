@@ -7,25 +7,20 @@ defmodule MavRouter.Link.Announcer do
   On a link of high latency silence means nothing, and each byte costs (X6): it gets one heartbeat when it opens, and
   others after 30 s, a minute, two … an hour, until something is heard.
 
-  The heartbeat is that of an on-board computer with the gateway's own ids, never that of a ground station (H5). Like all of
-  our heartbeats it stops while the gateway's loops do not answer (H3, `MavRouter.Identity`), which is counted as
-  `{:identity, :held}`.
+  The heartbeat (`MavRouter.Identity.Heartbeat`) has the gateway's own ids and is never that of a ground station (H5).
   """
   use GenServer
 
   alias Aerie.Base.Store
   alias Aerie.Base.Names
   alias MavRouter.Identity
+  alias MavRouter.Identity.Heartbeat
   alias MavCodec.Encoder
-  alias MavCodec.Enums
-  alias MavCodec.Messages.{Heartbeat, Timesync}
+  alias MavCodec.Messages.Timesync
 
-  @every_ms 1_000
   @silence_us 3_000_000
   @seldom_us 30_000_000
   @most_seldom_us 3_600_000_000
-  @active Enums.MavState.value(:MAV_STATE_ACTIVE)
-  @critical Enums.MavState.value(:MAV_STATE_CRITICAL)
 
   @doc "Options: `:gateway`, `:settings` (`MavRouter.Identity.Settings`)."
   @spec start_link(keyword) :: GenServer.on_start()
@@ -40,7 +35,7 @@ defmodule MavRouter.Link.Announcer do
     gateway = Keyword.fetch!(options, :gateway)
     Process.set_label({:link_announcer, gateway})
     %Identity.Settings{heartbeat: heartbeat} = settings = Keyword.fetch!(options, :settings)
-    _timer = if heartbeat, do: :timer.send_interval(@every_ms, :announce)
+    _timer = if heartbeat, do: :timer.send_interval(Heartbeat.every_ms(), :announce)
     {:ok, %{gateway: gateway, settings: settings, heartbeat: heartbeat, encoder: nil, seldom: %{}}}
   end
 
@@ -60,12 +55,13 @@ defmodule MavRouter.Link.Announcer do
       Encoder.encode(encoder, %Timesync{tc1: 0, ts1: System.monotonic_time(:nanosecond)})
 
     {bytes, encoder} =
-      with true <- state.heartbeat,
-           %{alive: true, silent: silent} <- Identity.status(state.gateway) do
-        {beat, encoder} = Encoder.encode(encoder, heartbeat(if silent == [], do: @active, else: @critical))
-        {beat <> request, encoder}
-      else
-        _no_heartbeat -> {request, encoder}
+      case state.heartbeat && message(state) do
+        %_{} = heartbeat ->
+          {beat, encoder} = Encoder.encode(encoder, heartbeat)
+          {beat <> request, encoder}
+
+        _off_or_held ->
+          {request, encoder}
       end
 
     _ = MavRouter.Link.send_bytes(state.gateway, link, {:sign, scope, bytes}, {:peer, peer})
@@ -94,7 +90,7 @@ defmodule MavRouter.Link.Announcer do
 
     case links ++ first do
       [] -> {:noreply, %{state | seldom: seldom}}
-      links -> {:noreply, announce(%{state | seldom: seldom}, links, Identity.status(state.gateway))}
+      links -> {:noreply, announce(%{state | seldom: seldom}, links, message(state))}
     end
   end
 
@@ -107,13 +103,12 @@ defmodule MavRouter.Link.Announcer do
 
   defp known(state), do: state
 
-  defp announce(state, _links, %{alive: false}) do
-    Store.count(state.gateway, {:identity, :held})
-    state
-  end
+  defp message(state), do: Heartbeat.message(state.gateway, nil, :onboard_controller)
 
-  defp announce(state, links, %{silent: silent}) do
-    {bytes, encoder} = Encoder.encode(state.encoder, heartbeat(if silent == [], do: @active, else: @critical))
+  defp announce(state, _links, :held), do: state
+
+  defp announce(state, links, heartbeat) do
+    {bytes, encoder} = Encoder.encode(state.encoder, heartbeat)
 
     for link <- links do
       marked = MavRouter.Signing.mark(state.gateway, {link.network, nil}, bytes)
@@ -121,7 +116,7 @@ defmodule MavRouter.Link.Announcer do
       # A link that was removed meanwhile needs none.
       _ =
         with :ok <- MavRouter.Link.send_bytes(state.gateway, link.id, marked, :all),
-             do: Store.count(state.gateway, {:sent, Heartbeat.id()})
+             do: Store.count(state.gateway, {:sent, heartbeat.__struct__.id()})
     end
 
     %{state | encoder: encoder}
@@ -154,13 +149,4 @@ defmodule MavRouter.Link.Announcer do
   end
 
   def silent?(_other, _now), do: false
-
-  defp heartbeat(status) do
-    %Heartbeat{
-      type: Enums.MavType.value(:MAV_TYPE_ONBOARD_CONTROLLER),
-      autopilot: Enums.MavAutopilot.value(:MAV_AUTOPILOT_INVALID),
-      system_status: status,
-      mavlink_version: 3
-    }
-  end
 end

@@ -7,14 +7,15 @@ defmodule Aerie.Vehicle.Core.Services do
   alias Aerie.Vehicle.ArmAuthorization
   alias Aerie.Vehicle.Protocol.Modes
   alias Aerie.Vehicle.{Core, Reports, State}
-  alias Aerie.Vehicle.Services.{Gcs, Identity, Params, Switches, Timesync}
+  alias Aerie.Vehicle.Services.{Gcs, Params, Switches, Timesync}
   alias Aerie.Vehicle.Core.{Collisions, Effects, SnapshotSchedule}
   alias Aerie.Vehicle.Services.Links.{HighLatency, Reception}
   alias Aerie.Vehicle.Services.Streams.Arbiter
   alias MavCodec.Messages, as: M
+  alias MavRouter.Identity.Heartbeat
 
   @available_modes M.AvailableModes.id()
-  @heartbeat_us 1_000_000
+  @heartbeat_us Heartbeat.every_ms() * 1_000
 
   @type acc :: {Core.t(), [Core.action()]}
 
@@ -317,7 +318,7 @@ defmodule Aerie.Vehicle.Core.Services do
   @doc "Whether our heartbeat keeps, or would keep, the vehicle's failsafe quiet."
   @spec ours?(Core.t()) :: boolean()
   def ours?(%{options: options, gcs: gcs}) do
-    Gcs.keeps_quiet?(gcs, %{system: options.own_system, type: Identity.type(options)})
+    Gcs.keeps_quiet?(gcs, %{system: options.own_system, type: Heartbeat.type(options.heartbeat_type)})
   end
 
   @doc "The data of these services for a snapshot."

@@ -2,19 +2,14 @@ defmodule Aerie.Vehicle.Session.Output do
   @moduledoc """
   What a session sends: messages to its vehicle through the router, samples to the fleet through the bridge.
 
-  Our heartbeat (`Aerie.Vehicle.Services.Identity`) is sent once a second per path (link and peer), however many vehicles are on it:
-  the first session that is due claims the second. It is held back while a loop that it vouches for does not answer, and
-  counted as `{:identity, :held}`.
+  Our heartbeat (`MavRouter.Identity.Heartbeat`) is sent by the first session that is due on a path, however many
+  vehicles are on it.
   """
 
   alias Aerie.Base.{Names, Store}
   alias Aerie.Vehicle
-  alias MavRouter.Identity.Watchdog
-  alias Aerie.Vehicle.Services.Identity
+  alias MavRouter.Identity.Heartbeat
   alias MavCodec.{Encoder, Message}
-
-  @heartbeat_ms 900
-  @withheld_ms 3_000
 
   @enforce_keys [:gateway, :options, :encoder]
   defstruct [:gateway, :options, :encoder]
@@ -57,40 +52,24 @@ defmodule Aerie.Vehicle.Session.Output do
   defp by(nil), do: []
   defp by(link), do: [link: link]
 
-  @doc """
-  Sends our heartbeat on the vehicle's path, unless another session has done so within this second, or a loop that it
-  vouches for does not answer (H3).
-  """
+  @doc "Sends our heartbeat on the vehicle's path, unless another session has just done so or it is held back (H3)."
   @spec heartbeat(t(), 1 | 2, link :: term()) :: t()
   def heartbeat(%{gateway: gateway, options: options} = output, version, link \\ nil) do
-    with {:alive, []} <- {:alive, Watchdog.silent(gateway, options.key)},
+    with %{} = heartbeat <- Heartbeat.message(gateway, options.key, options.heartbeat_type),
          path when path != nil <- MavRouter.Router.route(gateway, options.key, by(link)),
-         false <- Store.claimed?(gateway, {:withheld, path}, @withheld_ms),
-         true <- Store.claim(gateway, {:heartbeat, path}, @heartbeat_ms) do
-      state = if Watchdog.any_silent?(gateway), do: :critical, else: :active
-      send(output, Identity.heartbeat(options, state), version, link)
+         true <- Heartbeat.claim(gateway, path) do
+      send(output, heartbeat, version, link)
     else
-      {:alive, _silent} ->
-        Store.count(gateway, {:identity, :held})
-        output
-
-      _no_route_or_sent ->
-        output
+      _held_no_route_or_sent -> output
     end
   end
 
-  @doc """
-  Keeps our heartbeat off the vehicle's path for the next seconds, because the vehicle would take it for its operator's.
-  Other vehicles on that path do not get it either, since everything on a path is heard by all of them.
-  """
+  @doc "Keeps our heartbeat off the vehicle's path for a while, because the vehicle would take it for its operator's."
   @spec withhold(t()) :: :ok
-  def withhold(%{gateway: gateway} = output) do
-    with path when path != nil <- MavRouter.Router.route(gateway, output.options.key) do
-      Store.claim(gateway, {:withheld, path}, 1)
-      Store.count(gateway, {:identity, :withheld})
-      :ok
-    else
+  def withhold(%{gateway: gateway, options: options}) do
+    case MavRouter.Router.route(gateway, options.key) do
       nil -> :ok
+      path -> Heartbeat.withhold(gateway, path)
     end
   end
 

@@ -5,7 +5,6 @@ defmodule Aerie.Vehicle.Services.IdentityTest do
   alias Aerie.Base.{Names, Store}
   alias Aerie.Vehicle
   alias Aerie.Vehicle.{Options, Settings}
-  alias Aerie.Vehicle.Services.Identity
   alias MavCodec.{Frame, Parser}
 
   @loopback {127, 0, 0, 1}
@@ -233,9 +232,8 @@ defmodule Aerie.Vehicle.Services.IdentityTest do
     end
 
     test "H5: only who is meant to be the ground station says so" do
-      gcs = Options.new(Settings.from(%{mavlink: %{i_am_the_gcs: true}}), {"main", 1})
-      assert %{type: 6, autopilot: 8} = Identity.heartbeat(gcs)
-      assert %{type: 18} = Identity.heartbeat(Options.new(Settings.from(%{}), {"main", 1}))
+      {_gateway, _port, socket} = flying(%{i_am_the_gcs: true})
+      assert {:ok, %{type: 6, autopilot: 8}} = MavCodec.decode(heard(socket))
     end
   end
 end

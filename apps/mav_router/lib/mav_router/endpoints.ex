@@ -36,7 +36,7 @@ defmodule MavRouter.Endpoints do
   end
 
   defp delete_owner(tables, id) do
-    :ets.delete(tables.settings, {:admission, id})
+    :ets.delete(tables.settings, {:starts, id})
 
     case :ets.take(tables.owners, id) do
       [{^id, %Owner{networks: names}}] when is_list(names) ->

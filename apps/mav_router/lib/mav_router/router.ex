@@ -81,7 +81,7 @@ defmodule MavRouter.Router do
   session asks for it when it starts, before it reads its mailbox, where newer frames may be already.
   """
   @spec first_frames(Names.gateway(), vehicle_key) :: {:frames, term, [Frame.t()]} | nil
-  defdelegate first_frames(gateway, key), to: MavRouter.Router.Admission
+  defdelegate first_frames(gateway, key), to: MavRouter.Router.Starter
 
   @doc """
   Sends bytes (one or more whole frames) to a vehicle, by the endpoint that brings it (`MavRouter.Forward.Holders`), or

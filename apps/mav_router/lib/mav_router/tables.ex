@@ -12,9 +12,9 @@ defmodule MavRouter.Tables do
   - `:clients` `{id, snapshot}` of client endpoints; `:scores` what `Meter` measured
   - `:load` `{vehicle_key, checked_ms, overloaded?}`
   - `:refused` `{vehicle_key, until_ms}`: vehicles for which there was no room
-  - `:waiting` `{vehicle_key, sender}`: vehicles that are being started; `:early` `{{vehicle_key, number}, frames}`: what
+  - `:waiting` `{vehicle_key, sender, number}`: vehicles that are being started (`MavRouter.Router.Starter`); `:early` `{{vehicle_key, number}, frames}`: what
     came of them so far, in order
-  - `:settings` `{name, value}`, `{{:network, name}, order in which it came}`, `{{:admission, owner}, token bucket}`
+  - `:settings` `{name, value}`, `{{:network, name}, order in which it came}`, `{{:starts, owner}, token bucket}`
   - `:changes` `{generation, endpoint's key | :all}`: what moved the generation, the last #{@max_changes} times
   - `:heard_by` `{{owner, peer, network, system, component}}`: the routes, by endpoint
   - `:holders` `{vehicle_key, members, kind, claimed_ms}` of `MavRouter.Forward.Holders`

@@ -83,7 +83,7 @@ defmodule Aerie.LinkCase do
 
   @doc """
   Gives `deliver` the heartbeats of 300 vehicles on two networks, each followed by a frame of the calling process's own session, of
-  which none may be lost. A few vehicles are started at once, the others by `MavRouter.Router.Admission.VehicleStarter`. Gives their keys.
+  which none may be lost. A few vehicles are started at once, the others by `MavRouter.Router.Starter`. Gives their keys.
   """
   @spec many_vehicles(term, (binary, network :: String.t() -> map)) :: [{String.t(), pos_integer}]
   def many_vehicles(gateway, deliver) do

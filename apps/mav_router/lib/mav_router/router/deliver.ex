@@ -6,7 +6,6 @@ defmodule MavRouter.Router.Deliver do
   """
 
   alias Aerie.Base.Names
-  alias MavRouter.Router.Admission
   alias MavRouter.Forward.Delivery
   alias MavRouter.Router.Echo
   alias MavRouter.Endpoints.Counters
@@ -16,6 +15,7 @@ defmodule MavRouter.Router.Deliver do
   alias MavRouter.Forward.Gate
   alias MavRouter.Forward.HeartbeatLearner
   alias MavRouter.Router.SessionBackpressure
+  alias MavRouter.Router.Starter
   alias MavRouter.Sharing.ReadCache.Requests
   alias MavRouter.Forward.Source
   alias MavRouter.Sharing.StreamRequests
@@ -201,15 +201,13 @@ defmodule MavRouter.Router.Deliver do
 
   # It may be a vehicle that is being started.
   defp keep(frames, key, cache, delivery) do
-    case Admission.keep(key, frames, delivery) do
-      :kept -> {%{@nothing | delivered: length(frames)}, cache}
-      {:ok, session} -> {pass(frames, key, session, delivery), cache}
-      :none -> hold_or_pass(frames, key, cache, delivery)
-    end
+    if Starter.keep?(key, frames, delivery),
+      do: {%{@nothing | delivered: length(frames)}, cache},
+      else: pass_or_hold(frames, key, cache, delivery)
   end
 
   # Its session may have taken its name and its first frames since it was looked for.
-  defp hold_or_pass(frames, key, cache, delivery) do
+  defp pass_or_hold(frames, key, cache, delivery) do
     case session(key, cache, delivery) do
       # No session, so no vehicle yet: its texts are kept for the time when it is one.
       {nil, cache} -> {unclaimed(frames), Cache.hold(cache, key, frames)}
@@ -243,7 +241,7 @@ defmodule MavRouter.Router.Deliver do
   defp admit(frames, key, cache, delivery) do
     {texts, without} = Cache.take_held(cache, key, hd(frames))
 
-    case Admission.session(key, texts ++ frames, delivery) do
+    case Starter.session(key, texts ++ frames, delivery) do
       # It gets them when it is there.
       :coming -> {%{@nothing | delivered: length(frames)}, without}
       {:ok, session} -> {pass(texts ++ frames, key, session, delivery), without}

@@ -38,7 +38,7 @@ defmodule MavRouter.Router.Supervisor do
 
     children = [
       {MavRouter.Endpoints.Monitor, gateway: gateway},
-      {MavRouter.Router.Admission.VehicleStarter, gateway: gateway},
+      {MavRouter.Router.Starter, gateway: gateway},
       {MavRouter.Router.Sweeper, gateway: gateway},
       {MavRouter.Endpoints.Meter, gateway: gateway},
       {MavRouter.Sharing.TransferLock, gateway: gateway, clock: Keyword.get(options, :turns_clock)}

@@ -6,7 +6,7 @@ defmodule MavRouter.Router.AutoSystemIdTest do
   alias Aerie.FakeVehicles
   alias Aerie.Base.Names
   alias MavRouter.Identity
-  alias MavRouter.Router.Admission
+  alias MavRouter.Router.Starter
   alias MavRouter.Forward.Delivery
   alias MavRouter.Tables
   alias MavRouter.Router.AutoSystemId
@@ -39,7 +39,7 @@ defmodule MavRouter.Router.AutoSystemIdTest do
       sender: "a"
     }
 
-    match?({:ok, _pid}, Admission.session({network, system}, fn -> [] end, delivery))
+    match?({:ok, _pid}, Starter.session({network, system}, [], delivery))
   end
 
   defp own(c), do: Tables.setting(Tables.of(c.gateway), :own, nil)

@@ -48,11 +48,11 @@ defmodule MavRouter.Forward do
             )
 
   @doc "Forwards the frames of one source, in order."
-  @spec frames([Frame.t()], Delivery.t()) :: :ok
-  def frames(frames, %{path: %{role: :read_only} = path}),
+  @spec frames(Delivery.t()) :: :ok
+  def frames(%{frames: frames, path: %{role: :read_only} = path}),
     do: Counters.add(path.counters, :read_only, length(frames))
 
-  def frames(frames, %{path: path, source: source} = delivery) do
+  def frames(%{frames: frames, path: path, source: source} = delivery) do
     if source.collided, do: Counters.add(path.counters, :collided, length(frames))
 
     case admitted(frames, delivery) do

@@ -7,6 +7,8 @@ defmodule MavRouter.Forward.Delivery do
   | `gateway`, `tables` | whose router it is, and its tables |
   | `forwarding` | all paths, as the forwarding process knows them |
   | `path` | the endpoint that the frames came from, with the rules of its owner |
+  | `frames` | its frames, as far as no station has kept or answered them |
+  | `trusted` | those of the read whose signature was right, or that need none: only from them anything is learned |
   | `source` | the component that sent them; nil when the read has frames of several |
   | `now` | monotonic ms |
   | `sender` | what the vehicle's session is told of their origin: the id of the link, or the endpoint's key while several endpoints bring the system |
@@ -21,13 +23,15 @@ defmodule MavRouter.Forward.Delivery do
 
   @enforce_keys [:gateway, :tables, :forwarding, :path, :now]
   defstruct [:gateway, :tables, :forwarding, :path, :source, :now, :sender] ++
-              [secure: false, vehicle: false, scope: :clients]
+              [frames: [], trusted: [], secure: false, vehicle: false, scope: :clients]
 
   @type t :: %__MODULE__{
           gateway: Aerie.Base.Names.gateway(),
           tables: Tables.t(),
           forwarding: Table.t(),
           path: Table.Path.t(),
+          frames: [MavCodec.Frame.t()],
+          trusted: [MavCodec.Frame.t()],
           source: Source.t() | nil,
           now: integer,
           sender: String.t() | MavRouter.Endpoints.Endpoint.key() | nil,

@@ -45,19 +45,21 @@ defmodule MavRouter.Forward.Gate do
   alias MavRouter.Routes
   alias MavRouter.Tables
   alias Aerie.Base.Store
-  alias MavCodec.Frame
 
   # Companions of a vehicle, by their component ids.
   @companions Enum.map(["" | ~w(2 3 4)], &MavComponent.value(:"MAV_COMP_ID_ONBOARD_COMPUTER#{&1}"))
 
   @type scope :: :cleared | :clients | :related
 
-  @doc "The frames that go on, in their order, in runs of one scope."
-  @spec sort([Frame.t()], Delivery.t()) :: [{scope, [Frame.t()]}]
-  def sort(frames, %{path: %{role: :read_only}}), do: [{:clients, frames}]
-  def sort(frames, %{source: %{standing: :claim}}), do: [{:clients, frames}]
+  @doc "The frames that go on, in their order: a delivery for each run of frames of one scope."
+  @spec sort(Delivery.t()) :: [Delivery.t()]
+  def sort(%{frames: frames} = delivery),
+    do: for({scope, frames} <- sort(frames, delivery), do: %{delivery | scope: scope, frames: frames})
 
-  def sort(frames, %{path: %{side: :vehicle, commands: false} = path, source: source} = delivery) do
+  defp sort(frames, %{path: %{role: :read_only}}), do: [{:clients, frames}]
+  defp sort(frames, %{source: %{standing: :claim}}), do: [{:clients, frames}]
+
+  defp sort(frames, %{path: %{side: :vehicle, commands: false} = path, source: source} = delivery) do
     cond do
       path.parts and not source.vehicle and not source.collided -> of_part(frames, delivery)
       path.heard_vehicle == true or source.collided -> [{:related, frames}]
@@ -65,13 +67,13 @@ defmodule MavRouter.Forward.Gate do
     end
   end
 
-  def sort(frames, %{path: %{side: :vehicle}, source: %{vehicle: true}} = delivery) do
+  defp sort(frames, %{path: %{side: :vehicle}, source: %{vehicle: true}} = delivery) do
     if Enum.any?(frames, &Messages.order?(&1.id)),
       do: frames |> Enum.flat_map(&of_vehicle(&1, delivery)) |> runs(),
       else: [{:related, frames}]
   end
 
-  def sort(frames, delivery), do: of_client(frames, delivery)
+  defp sort(frames, delivery), do: of_client(frames, delivery)
 
   @doc "The principal of an endpoint."
   @spec principal(Delivery.t()) :: Principal.t()

@@ -12,6 +12,7 @@ defmodule MavRouter.Forward.HeartbeatLearner do
   alias MavRouter.Routes
   alias MavRouter.Forward.Holders
   alias MavRouter.Forward.HeartbeatLearner.Systems
+  alias MavRouter.Forward.Source
   alias MavRouter.Tables
   alias MavCodec.Frame
 
@@ -28,18 +29,26 @@ defmodule MavRouter.Forward.HeartbeatLearner do
   Reads frames of one source: the delivery with what is known of the source and of its path afterwards, and with whether one of
   the frames was the heartbeat of a vehicle's autopilot (H2, H4).
   """
-  @spec read([Frame.t()], Delivery.t()) :: Delivery.t()
-  def read([], delivery), do: delivery
+  @spec read(Delivery.t()) :: Delivery.t()
+  def read(%{trusted: trusted, source: before} = delivery) do
+    case {before.standing, read(trusted, delivery)} do
+      # By this very heartbeat it became the vehicle's endpoint.
+      {:claim, %{source: %{standing: :holder}} = delivery} -> Source.refresh(delivery)
+      {_standing, delivery} -> delivery
+    end
+  end
 
-  def read([%Frame{id: id, crc_extra: extra} = frame | rest], delivery)
-      when id in [@heartbeat, @high_latency2] and extra != nil,
-      do: read(rest, heartbeat(frame, delivery))
+  defp read([], delivery), do: delivery
 
-  def read([%Frame{id: @system_time, crc_extra: extra, at: at} = frame | rest], delivery)
-      when extra != nil and is_integer(at),
-      do: read(rest, system_time(frame, delivery))
+  defp read([%Frame{id: id, crc_extra: extra} = frame | rest], delivery)
+       when id in [@heartbeat, @high_latency2] and extra != nil,
+       do: read(rest, heartbeat(frame, delivery))
 
-  def read([_other | rest], delivery), do: read(rest, delivery)
+  defp read([%Frame{id: @system_time, crc_extra: extra, at: at} = frame | rest], delivery)
+       when extra != nil and is_integer(at),
+       do: read(rest, system_time(frame, delivery))
+
+  defp read([_other | rest], delivery), do: read(rest, delivery)
 
   defp heartbeat(frame, delivery) do
     heartbeat = Heartbeat.read(frame)

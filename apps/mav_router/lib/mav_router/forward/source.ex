@@ -66,11 +66,11 @@ defmodule MavRouter.Forward.Source do
   def new(system, component), do: %__MODULE__{system: system, component: component}
 
   @doc """
-  Brings a source up to the time of the delivery: notes the route by which it is heard if `known?` (one of its frames passed
-  its check, R4), and works its receivers out again when they are old or something changed.
+  Brings the source of a delivery up to its time: notes the route by which it is heard if one of the trusted frames passed
+  its check (R4), and works its receivers out again when they are old or something changed.
   """
-  @spec refresh(t, Delivery.t(), known? :: boolean) :: t
-  def refresh(source, %{tables: tables, forwarding: forwarding, path: path, now: now} = delivery, known?) do
+  @spec refresh(Delivery.t()) :: Delivery.t()
+  def refresh(%{tables: tables, forwarding: forwarding, path: path, now: now, source: before} = delivery) do
     # The endpoints' counters tell an endpoint from a new one with its key. One more vehicle among many changes nothing for a
     # vehicle.
     generation =
@@ -81,18 +81,26 @@ defmodule MavRouter.Forward.Source do
     source =
       cond do
         # The route may be forgotten, or be wanted in another network as well.
-        source.marks != marks ->
-          find_receivers(%{source | marks: marks, looked: now, learned: nil}, delivery)
+        before.marks != marks ->
+          find_receivers(%{before | marks: marks, looked: now, learned: nil}, delivery)
 
-        now - source.looked >= @fresh_ms ->
-          find_receivers(%{source | looked: now}, delivery)
+        now - before.looked >= @fresh_ms ->
+          find_receivers(%{before | looked: now}, delivery)
 
         true ->
-          source
+          before
       end
 
-    if known? and not source.collided, do: learn(source, tables, path, now), else: source
+    source =
+      if not source.collided and known?(delivery.trusted), do: learn(source, tables, path, now), else: source
+
+    if source === before, do: delivery, else: %{delivery | source: source}
   end
+
+  # An unknown message teaches no route (R4).
+  defp known?([]), do: false
+  defp known?([%{crc_extra: nil} | rest]), do: known?(rest)
+  defp known?([_checked | _rest]), do: true
 
   defp learn(%{learned: learned} = source, _tables, _path, now)
        when is_integer(learned) and now - learned < @learn_ms,

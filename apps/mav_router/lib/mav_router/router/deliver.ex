@@ -16,11 +16,9 @@ defmodule MavRouter.Router.Deliver do
   alias MavRouter.Forward.HeartbeatLearner
   alias MavRouter.Router.SessionBackpressure
   alias MavRouter.Router.Starter
-  alias MavRouter.Sharing.ReadCache.Requests
   alias MavRouter.Forward.Source
-  alias MavRouter.Sharing.StreamRequests
   alias MavRouter.Tables
-  alias MavRouter.Sharing.TransferLock
+  alias MavRouter.Sharing
   alias MavRouter.Signing
   alias MavCodec.Frame
 
@@ -51,7 +49,9 @@ defmodule MavRouter.Router.Deliver do
         # A frame without the required signature is forwarded, but not processed (S10).
         trusted = Signing.admit(gateway, trusted_origin(%{origin | network: hd(path.networks)}, path), frames)
 
-        by_source(frames, trusted, cache, %Delivery{
+        by_source(cache, %Delivery{
+          frames: frames,
+          trusted: trusted,
           gateway: gateway,
           tables: tables,
           forwarding: forwarding,
@@ -78,11 +78,11 @@ defmodule MavRouter.Router.Deliver do
   end
 
   # Nearly every read is of one component.
-  defp by_source([%Frame{system: system, component: component} | rest] = frames, trusted, cache, delivery) do
+  defp by_source(cache, %{frames: [%Frame{system: system, component: component} | rest]} = delivery) do
     cond do
-      not same?(rest, system, component) -> several(frames, trusted, cache, delivery)
-      {system, component} == delivery.forwarding.own -> {echo(frames, trusted, delivery), cache}
-      true -> one(frames, trusted, {system, component}, cache, delivery)
+      not same?(rest, system, component) -> several(cache, delivery)
+      {system, component} == delivery.forwarding.own -> {echo(delivery), cache}
+      true -> one({system, component}, cache, delivery)
     end
   end
 
@@ -91,13 +91,13 @@ defmodule MavRouter.Router.Deliver do
   defp same?(_rest, _system, _component), do: false
 
   # Unsigned echoes on a link with keys raise no alarm: anyone can forge them.
-  defp echo(frames, trusted, delivery) do
+  defp echo(%{frames: frames, trusted: trusted} = delivery) do
     Echo.check(delivery, trusted)
     %{@nothing | looped: length(frames)}
   end
 
-  defp one(frames, trusted, {system, _component} = ids, cache, delivery) do
-    {delivery, cache} = route(frames, trusted, ids, cache, delivery)
+  defp one({system, _component} = ids, cache, %{trusted: trusted} = delivery) do
+    {delivery, cache} = route(delivery, ids, cache)
 
     cond do
       trusted == [] -> {@nothing, cache}
@@ -106,7 +106,7 @@ defmodule MavRouter.Router.Deliver do
     end
   end
 
-  defp several(frames, trusted, cache, %{tables: tables, forwarding: %{own: own}} = delivery) do
+  defp several(cache, %{frames: frames, trusted: trusted, tables: tables, forwarding: %{own: own}} = delivery) do
     {looped, others} = Enum.split_with(frames, &({&1.system, &1.component} == own))
 
     {delivery, cache, {vehicles, claims}} =
@@ -117,7 +117,8 @@ defmodule MavRouter.Router.Deliver do
         # The source before it may have changed the path or a route.
         cache = Cache.refresh(cache, tables)
         own_trusted = if trusted == frames, do: frames, else: of_source(trusted, ids)
-        {delivery, cache} = route(frames, own_trusted, ids, cache, %{delivery | forwarding: cache.forwarding})
+        delivery = %{delivery | forwarding: cache.forwarding, frames: frames, trusted: own_trusted}
+        {delivery, cache} = route(delivery, ids, cache)
         vehicles = if delivery.vehicle, do: [system | vehicles], else: vehicles
         claims = if delivery.source.standing == :claim, do: [ids | claims], else: claims
         {%{sender(delivery) | source: nil, vehicle: false}, cache, {vehicles, claims}}
@@ -150,40 +151,22 @@ defmodule MavRouter.Router.Deliver do
   defp add(:sessions, sessions, more), do: more ++ sessions
   defp add(_count, sum, more), do: sum + more
 
-  # Learns from the frames of one component and forwards them. Frames with an unknown message id are forwarded too, but never
-  # teach a route (R4).
-  defp route(frames, trusted, {system, component}, cache, %{path: path} = delivery) do
-    before = Cache.source(cache, path.key, system, component)
-    source = Source.refresh(before, delivery, known?(trusted))
-    delivery = trusted |> HeartbeatLearner.read(%{delivery | source: source}) |> joined(source)
+  # The stations that the frames of one component pass, in this order; each gives the delivery to the next.
+  defp route(%{path: %{key: key}} = delivery, {system, component}, cache) do
+    before = Cache.source(cache, key, system, component)
 
-    for {scope, frames} <- Gate.sort(frames, delivery),
-        do: forward(frames, trusted, %{delivery | scope: scope})
+    delivery =
+      %{delivery | source: before}
+      |> Source.refresh()
+      |> HeartbeatLearner.read()
+
+    # The gate parts them by whom they may reach.
+    for run <- Gate.sort(delivery), do: run |> Sharing.pass() |> Forward.frames()
 
     if delivery.source === before,
       do: {delivery, cache},
-      else: {delivery, Cache.put_source(cache, path.key, delivery.source)}
+      else: {delivery, Cache.put_source(cache, key, delivery.source)}
   end
-
-  # By this very heartbeat it became the vehicle's endpoint.
-  defp joined(%{source: %{standing: :holder} = source} = delivery, %{standing: :claim}),
-    do: %{delivery | source: Source.refresh(source, delivery, true)}
-
-  defp joined(delivery, _before), do: delivery
-
-  defp forward(frames, _trusted, %{source: %{standing: :claim}} = delivery),
-    do: Forward.frames(frames, delivery)
-
-  defp forward(frames, trusted, delivery) do
-    frames = StreamRequests.pass(frames, trusted, delivery)
-    frames = Requests.pass(frames, trusted, delivery)
-    frames = TransferLock.pass(frames, delivery)
-    Forward.frames(frames, delivery)
-  end
-
-  defp known?([]), do: false
-  defp known?([%Frame{crc_extra: nil} | rest]), do: known?(rest)
-  defp known?([_checked | _rest]), do: true
 
   # While several endpoints bring a system, its session gets the endpoint with the frames.
   defp sender(%{source: %{redundant: false, collided: false}} = delivery), do: delivery

@@ -12,26 +12,27 @@ defmodule MavRouter.Sharing.StreamRequests do
   alias MavRouter.Endpoints.Owner.Renumber
   alias MavCodec.Frame
 
-  @doc """
-  The frames that are forwarded. `trusted` are those whose signature was right, or that need none: only they are noted.
-  """
-  @spec pass([Frame.t()], trusted :: [Frame.t()], Delivery.t()) :: [Frame.t()]
+  @doc "The delivery without the frames that are not forwarded; only trusted ones are noted."
+  @spec pass(Delivery.t()) :: Delivery.t()
   def pass(
-        frames,
-        trusted,
-        %{tables: %{requests: requests}, path: %{side: :client, role: :full, commands: true}} = delivery
+        %{
+          frames: frames,
+          tables: %{requests: requests},
+          path: %{side: :client, role: :full, commands: true}
+        } = delivery
       )
       when requests != nil do
     # Nearly always there is none.
     if Enum.any?(frames, &requests.request?/1),
-      do: Enum.reject(frames, &(requests.request?(&1) and &1 in trusted and absorbed?(&1, delivery))),
-      else: frames
+      do: %{delivery | frames: Enum.reject(frames, &absorbed?(&1, delivery))},
+      else: delivery
   end
 
-  def pass(frames, _trusted, _delivery), do: frames
+  def pass(delivery), do: delivery
 
-  defp absorbed?(frame, %{gateway: gateway, tables: %{requests: requests}, path: path}) do
-    with true <- path.in == nil or Filter.pass?(path.in, frame, path.owner),
+  defp absorbed?(frame, %{gateway: gateway, tables: %{requests: requests}, path: path, trusted: trusted}) do
+    with true <- requests.request?(frame) and frame in trusted,
+         true <- path.in == nil or Filter.pass?(path.in, frame, path.owner),
          {id, _component} <- Frame.target(frame),
          {network, system} <- vehicle(gateway, path, id),
          {:ok, frame} <- Renumber.inward(frame, system),

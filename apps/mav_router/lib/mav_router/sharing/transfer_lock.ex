@@ -4,7 +4,7 @@ defmodule MavRouter.Sharing.TransferLock do
   missions, for files and for logs (`MavRouter.Sharing.TransferLock.Transfer`) of each vehicle. Without it two ground
   stations that upload at the same time disturb each other's transfer.
 
-  Every forwarding process asks here, for frames of these messages only (`pass/2`); a frame that was held is forwarded by this
+  Every forwarding process asks here, for frames of these messages only (`pass/1`); a frame that was held is forwarded by this
   process when its turn comes. Without this process everything passes: order among transfers is worth less than a mission.
 
   This is the one place where transfers of ground stations and those of the gateway meet: the gateway's own take a turn by `take/3` and
@@ -56,11 +56,13 @@ defmodule MavRouter.Sharing.TransferLock do
 
   defp server(gateway), do: Names.via(gateway, :transfer_turns)
 
-  @doc "The frames that are forwarded now. Those that have to wait are kept, and forwarded when it is their turn."
-  @spec pass([Frame.t()], Delivery.t()) :: [Frame.t()]
-  def pass(frames, delivery) do
+  @doc "The delivery without the frames that have to wait: they are kept, and forwarded when it is their turn."
+  @spec pass(Delivery.t()) :: Delivery.t()
+  def pass(%{frames: frames} = delivery) do
     # Nearly always there is none.
-    if part?(frames), do: Enum.filter(frames, &passes?(&1, delivery)), else: frames
+    if part?(frames),
+      do: %{delivery | frames: Enum.filter(frames, &passes?(&1, delivery))},
+      else: delivery
   end
 
   @doc """
@@ -271,8 +273,8 @@ defmodule MavRouter.Sharing.TransferLock do
     with tables when tables != nil <- Tables.of(gateway),
          cache = Cache.refresh(state.cache, tables),
          %Delivery{} = delivery <- Cache.delivery(cache, gateway, tables, key) do
-      source = cache |> Cache.source(key, frame.system, frame.component) |> Source.refresh(delivery, false)
-      Forward.frames([frame], %{delivery | source: source, scope: :cleared})
+      source = Cache.source(cache, key, frame.system, frame.component)
+      %{delivery | source: source, frames: [frame], scope: :cleared} |> Source.refresh() |> Forward.frames()
       %{state | cache: cache}
     else
       _gone -> state

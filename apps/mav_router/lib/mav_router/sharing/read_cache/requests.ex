@@ -20,27 +20,27 @@ defmodule MavRouter.Sharing.ReadCache.Requests do
   alias Aerie.Base.Store
   alias MavCodec.Frame
 
-  @doc "The frames that go on. `trusted` are those whose signature was right, or that need none: only they are answered."
-  @spec pass([Frame.t()], trusted :: [Frame.t()], Delivery.t()) :: [Frame.t()]
+  @doc "The delivery without the frames that do not go on; only trusted ones are answered."
+  @spec pass(Delivery.t()) :: Delivery.t()
   def pass(
-        frames,
-        trusted,
-        %{tables: %{readings: readings}, path: %{side: :client, role: :full} = path} = delivery
+        %{frames: frames, tables: %{readings: readings}, path: %{side: :client, role: :full} = path} =
+          delivery
       )
       when readings != nil and (path.served or delivery.scope == :clients) do
     # Nearly always there is none.
     if Enum.any?(frames, &readings.reading?/1),
-      do: Enum.reject(frames, &(readings.reading?(&1) and &1 in trusted and absorbed?(&1, delivery))),
-      else: frames
+      do: %{delivery | frames: Enum.reject(frames, &absorbed?(&1, delivery))},
+      else: delivery
   end
 
-  def pass(frames, _trusted, _delivery), do: frames
+  def pass(delivery), do: delivery
 
   # A client that uses other ids for vehicles reads them itself.
   defp absorbed?(_frame, %{path: %{renumber: offsets}}) when offsets != nil, do: false
 
-  defp absorbed?(frame, %{gateway: gateway, tables: %{readings: readings}, path: path}) do
-    with true <- path.in == nil or Filter.pass?(path.in, frame, path.owner),
+  defp absorbed?(frame, %{gateway: gateway, tables: %{readings: readings}, path: path, trusted: trusted}) do
+    with true <- readings.reading?(frame) and frame in trusted,
+         true <- path.in == nil or Filter.pass?(path.in, frame, path.owner),
          {id, component} <- Frame.target(frame),
          {_network, _system} = vehicle <- vehicle(gateway, path, id, component) do
       readings.take(gateway, vehicle, path.key, frame) == :absorb
@@ -86,13 +86,10 @@ defmodule MavRouter.Sharing.ReadCache.Requests do
     with tables when tables != nil <- Tables.of(gateway),
          cache = Cache.refresh(nil, tables),
          %Delivery{} = delivery <- Cache.delivery(cache, gateway, tables, key) do
-      source = frame.system |> Source.new(frame.component) |> Source.refresh(delivery, false)
-      delivery = %{delivery | source: source}
-
-      Enum.each(Gate.sort([frame], delivery), fn {scope, frames} ->
-        delivery = %{delivery | scope: scope}
-        frames |> TransferLock.pass(delivery) |> Forward.frames(delivery)
-      end)
+      %{delivery | source: Source.new(frame.system, frame.component), frames: [frame]}
+      |> Source.refresh()
+      |> Gate.sort()
+      |> Enum.each(&(&1 |> TransferLock.pass() |> Forward.frames()))
     else
       _gone -> :ok
     end

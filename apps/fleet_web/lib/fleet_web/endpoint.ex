@@ -17,7 +17,7 @@ defmodule FleetWeb.Endpoint do
 
   use Supervisor
 
-  alias FleetWeb.{API, Console}
+  alias FleetWeb.{Access, API, Console}
   alias FleetWeb.HTTP.{Compression, Handler, Proxy, Utf8Check}
   alias FleetWeb.{Listener, Settings}
   alias FleetWeb.WebSocket
@@ -46,15 +46,15 @@ defmodule FleetWeb.Endpoint do
     gateway = Keyword.fetch!(options, :gateway)
     %Settings{} = settings = Keyword.fetch!(options, :settings)
 
-    with {:ok, keys} <- API.Keys.load(settings.api),
+    with {:ok, keys} <- Access.Keys.load(settings.api),
          policy = policy(settings),
          {:ok, console, pages} <- console(gateway, settings, policy, options[:configuration]) do
       routes = routes(gateway, policy, options[:reload], pages)
 
       children =
         [
-          {API.KeyRing, key_ring(gateway, settings, keys)},
-          {API.Tickets, gateway: gateway},
+          {Access.KeyRing, key_ring(gateway, settings, keys)},
+          {Access.Tickets, gateway: gateway},
           {FleetWeb.WorkLimit, gateway: gateway},
           {Aerie.Fleet.Diagnosis.Server, gateway: gateway}
         ] ++
@@ -75,7 +75,7 @@ defmodule FleetWeb.Endpoint do
   defp console(_gateway, %Settings{console: %{enabled: false}}, _policy, _configuration), do: {:ok, [], []}
 
   defp console(gateway, %Settings{console: console}, policy, configuration) do
-    with {:ok, secret} <- Console.Access.Secret.load(gateway, console.dir) do
+    with {:ok, secret} <- Access.Secret.load(gateway, console.dir) do
       {:ok, [{Console.Supervisor, gateway: gateway, settings: console, configuration: configuration}],
        Console.Supervisor.routes(gateway, policy, secret)}
     end
@@ -85,7 +85,7 @@ defmodule FleetWeb.Endpoint do
   defp warnings(_gateway, %Settings{console: %{enabled: false}}), do: []
 
   defp warnings(gateway, %Settings{http: http}) do
-    tell = fn -> Console.Access.Launch.write(gateway, Settings.ip(http.address)) end
+    tell = fn -> Access.Launch.write(gateway, Settings.ip(http.address)) end
     [%{id: :console_address, start: {__MODULE__, :run_once, [tell]}, restart: :transient}]
   end
 
@@ -124,7 +124,7 @@ defmodule FleetWeb.Endpoint do
 
   # A request is decided by the keys of that moment.
   defp policy(%Settings{api: api, http: http}),
-    do: %{keys: API.KeyRing.nobody(), origins: api.origins, ports: [], hosts: http.hosts}
+    do: %{keys: Access.KeyRing.nobody(), origins: api.origins, ports: [], hosts: http.hosts}
 
   defp key_ring(gateway, %Settings{console: %{dir: dir}}, keys),
     do: [gateway: gateway, configured: keys, file: Path.join(dir, "keys")]

@@ -6,8 +6,8 @@ defmodule FleetWeb.Settings do
 
   alias Aerie.Base.Secret
   alias Aerie.Base.Settings.Types
-  alias FleetWeb.API.Keys
-  alias FleetWeb.Console.Access.Users
+  alias FleetWeb.Access.Keys
+  alias FleetWeb.Access.Users
 
   section ""
 

@@ -6,7 +6,7 @@ defmodule FleetWeb.WorkLimit do
 
   | kind | at once | of one user or key |
   |---|---|---|
-  | `:password`, looking at one or making one | a core of two, half of the cores of more | 5, and one in 12 s; signing in: `FleetWeb.Console.Access.Limiter` |
+  | `:password`, looking at one or making one | a core of two, half of the cores of more | 5, and one in 12 s; signing in: `FleetWeb.Access.Limiter` |
   | `:users`, passwords that an admin gives | with `:password` | 20, and one in 3 s |
   | `:parse`, plans and parameter files | half of the cores | 20, and two a second |
   | `:read`, recordings, the audit log | one | 5, and one in 2 s |

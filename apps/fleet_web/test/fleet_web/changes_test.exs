@@ -5,9 +5,10 @@ defmodule FleetWeb.ChangesTest do
   import FleetWeb.HTTPClient
 
   alias Aerie.Control.Policy.Audit
-  alias FleetWeb.API.{KeyRing, Routes}
+  alias FleetWeb.API.Routes
+  alias FleetWeb.Access.KeyRing
   alias FleetWeb.Changes
-  alias FleetWeb.Console.Access.{Sessions, Users}
+  alias FleetWeb.Access.{Sessions, Users}
 
   @moduletag :tmp_dir
   @lib Path.expand("../../lib/fleet_web", __DIR__)

@@ -4,7 +4,7 @@ defmodule FleetWeb.WorkLimitTest do
 
   import FleetWeb.HTTPClient
 
-  alias FleetWeb.Console.Access.Users
+  alias FleetWeb.Access.Users
   alias FleetWeb.WorkLimit
   alias FleetWeb.WorkLimit.Places
 

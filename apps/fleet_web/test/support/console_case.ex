@@ -15,7 +15,7 @@ defmodule FleetWeb.ConsoleCase do
 
   alias Aerie.Base.Store
   alias FleetWeb.Console
-  alias FleetWeb.Console.Access.{Password, Session, Users}
+  alias FleetWeb.Access.{Password, Session, Users}
   alias FleetWeb.ConsoleCase
 
   @scripts Path.expand("../js", __DIR__)
@@ -65,7 +65,7 @@ defmodule FleetWeb.ConsoleCase do
     )
 
     port = FleetWeb.Endpoint.port(gateway)
-    {:ok, secret} = Console.Access.Secret.load(make_ref(), dir)
+    {:ok, secret} = FleetWeb.Access.Secret.load(make_ref(), dir)
     policy = %{keys: [], origins: [], ports: [], hosts: []}
 
     [

@@ -9,7 +9,7 @@ defmodule Aerie.CLI.Status do
   alias Aerie.Base.Log
   alias Aerie.Base.Log.Formatter
   alias Aerie.Base.PubSub
-  alias FleetWeb.Console.Access.Launch
+  alias FleetWeb.Access.Launch
   alias Aerie.CLI.Status.{Access, Format, Lines, Table, View}
 
   @table_period 500

@@ -456,7 +456,7 @@ defmodule Aerie.Config.AuthorityTest do
   end
 
   defp access(config) do
-    {:ok, keys} = FleetWeb.API.Keys.load(config.api)
+    {:ok, keys} = FleetWeb.Access.Keys.load(config.api)
     %{keys: keys, origins: config.api.origins, ports: [], hosts: config.http.hosts}
   end
 

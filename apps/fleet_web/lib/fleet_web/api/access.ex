@@ -14,7 +14,7 @@ defmodule FleetWeb.API.Access do
   alias Aerie.Base.Address
   alias Aerie.Vehicle.Command.Type
   alias Aerie.Control.Policy.Roles
-  alias FleetWeb.API.Keys
+  alias FleetWeb.Access.Keys
   alias FleetWeb.API.Error
 
   @typedoc """
@@ -68,7 +68,7 @@ defmodule FleetWeb.API.Access do
       else: {:error, Error.new(:forbidden, refusal(requester, least))}
   end
 
-  # No key has this name (`FleetWeb.API.KeyRing`), and no program is called so while there are keys.
+  # No key has this name (`FleetWeb.Access.KeyRing`), and no program is called so while there are keys.
   defp refusal(%{name: "local"}, least),
     do:
       "this needs the role #{least}, and while no key is configured programs of this machine are operators at most. Make a key in the " <>

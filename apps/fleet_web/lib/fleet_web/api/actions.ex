@@ -18,16 +18,8 @@ defmodule FleetWeb.API.Actions do
     Operations
   }
 
-  alias FleetWeb.API.{
-    Recordings,
-    Request,
-    Routes,
-    RuleChanges,
-    SigningCapability,
-    SigningRequest,
-    Tickets,
-    View
-  }
+  alias FleetWeb.API.{Recordings, Request, Routes, RuleChanges, SigningCapability, SigningRequest, View}
+  alias FleetWeb.Access.Tickets
 
   alias FleetWeb.WorkLimit
 

@@ -10,7 +10,8 @@ defmodule FleetWeb.API.Handler do
 
   alias Aerie.Base.{Json, Store}
   alias FleetWeb.Changes
-  alias FleetWeb.API.{Access, Actions, Error, KeyRing, Misdirected, Request, Routes}
+  alias FleetWeb.API.{Access, Actions, Error, Misdirected, Request, Routes}
+  alias FleetWeb.Access.KeyRing
 
   @json "application/json; charset=utf-8"
   @binary "application/octet-stream"

@@ -11,7 +11,7 @@ defmodule FleetWeb.Console.DownloadHandler do
   alias FleetWeb.API
   alias FleetWeb.API.{Recordings, Request}
   alias Aerie.Control.Policy.Roles
-  alias FleetWeb.Console.Access.Session
+  alias FleetWeb.Access.Session
   alias Phoenix.LiveView.Cookie
 
   @least %{recording: :viewer, audit: :admin}

@@ -3,10 +3,10 @@ defmodule FleetWeb.Console.Router do
   use Phoenix.Router, helpers: false
   import Phoenix.LiveView.Router
 
-  alias FleetWeb.Console.{Access, Frame, Layout, Pages}
-  alias FleetWeb.Console.Alarms.OnMount
+  alias FleetWeb.Console.{Alarms, Frame, Layout, Pages}
+  alias FleetWeb.Console.SignIn.OnMount
 
-  live_session :console, on_mount: [Access.OnMount, Frame, OnMount], layout: {Layout, :app} do
+  live_session :console, on_mount: [OnMount, Frame, Alarms.OnMount], layout: {Layout, :app} do
     for %{path: path, page: page} <- Pages.all(), do: live(path, page)
   end
 end

@@ -20,9 +20,9 @@ defmodule FleetWeb.Console.Supervisor do
   use Supervisor
 
   alias Aerie.Base.Names
-  alias FleetWeb.{API, Console}
+  alias FleetWeb.{Access, API, Console}
   alias Aerie.Fleet.Alarms
-  alias FleetWeb.Console.{Access, Assets, Layout, PageHandler, Router}
+  alias FleetWeb.Console.{Assets, Layout, PageHandler, Router}
   alias FleetWeb.Console.Settings.Configuration
   alias Phoenix.LiveView.Server
 
@@ -73,8 +73,8 @@ defmodule FleetWeb.Console.Supervisor do
       too_many: Layout.too_many(),
       # Telemetry goes first.
       priority: :low,
-      opened: fn _session -> Access.OnMount.watch(gateway) end,
-      over?: &Access.OnMount.over?(gateway, &1, &2)
+      opened: fn _session -> Console.SignIn.OnMount.watch(gateway) end,
+      over?: &Console.SignIn.OnMount.over?(gateway, &1, &2)
     )
   end
 
@@ -87,7 +87,7 @@ defmodule FleetWeb.Console.Supervisor do
 
     entrance =
       for {path, what} <- [{"/sign-in", :sign_in}, {"/sign-out", :sign_out}, {"/launch", :launch}],
-          do: {path, Access.Handler, Map.put(access, :what, what)}
+          do: {path, Console.SignIn.Handler, Map.put(access, :what, what)}
 
     pages =
       for route <- Phoenix.LiveView.Cowboy.routes(server) do

@@ -6,7 +6,8 @@ defmodule FleetWeb.HTTP.Handler do
 
   @behaviour :cowboy_handler
 
-  alias FleetWeb.API.{Access, KeyRing, Request}
+  alias FleetWeb.API.{Access, Request}
+  alias FleetWeb.Access.KeyRing
   alias Aerie.Fleet.Health
   alias FleetWeb.Metrics
 

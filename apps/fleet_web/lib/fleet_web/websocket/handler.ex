@@ -20,7 +20,8 @@ defmodule FleetWeb.WebSocket.Handler do
   alias MavRouter.Router
   alias MavRouter.Client.Connection
   alias Aerie.Base.{Address, Names, PubSub, Store}
-  alias FleetWeb.API.{Access, Error, KeyRing, Request, Tickets}
+  alias FleetWeb.API.{Access, Error, Request}
+  alias FleetWeb.Access.{KeyRing, Tickets}
   alias FleetWeb.WebSocket.Capacity
 
   @ping_ms 20_000

@@ -1,7 +1,7 @@
 defmodule FleetWeb.API.AccessTest do
   use ExUnit.Case, async: true
 
-  alias FleetWeb.API.Keys
+  alias FleetWeb.Access.Keys
   alias Aerie.Base.Secret
   alias FleetWeb.API.Access
 

@@ -3,7 +3,7 @@ defmodule FleetWeb.Console.AccessTest do
 
   import FleetWeb.HTTPClient
 
-  alias FleetWeb.Console.Access.{Launch, Users}
+  alias FleetWeb.Access.{Launch, Users}
 
   setup do: {:ok, start_console()}
 

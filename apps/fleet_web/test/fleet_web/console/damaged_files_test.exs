@@ -4,8 +4,8 @@ defmodule FleetWeb.Console.DamagedFilesTest do
 
   import ExUnit.CaptureLog
 
-  alias FleetWeb.API.{KeyRing, Keys}
-  alias FleetWeb.Console.Access.{Secret, Users}
+  alias FleetWeb.Access.{KeyRing, Keys}
+  alias FleetWeb.Access.{Secret, Users}
 
   @moduletag :tmp_dir
   @garbage [<<0, 255, 1>>, "", "{", String.duplicate("x", 70_000)]

@@ -21,10 +21,10 @@ defmodule FleetWeb.Console.RefreshTest.Routes do
   use Phoenix.Router, helpers: false
   import Phoenix.LiveView.Router
 
-  alias FleetWeb.Console.Access
-  alias FleetWeb.Console.Alarms.OnMount
+  alias FleetWeb.Console.Alarms
+  alias FleetWeb.Console.SignIn.OnMount
 
-  live_session :test, on_mount: [Access.OnMount, OnMount] do
+  live_session :test, on_mount: [OnMount, Alarms.OnMount] do
     live "/", FleetWeb.Console.RefreshTest.Page
   end
 end

@@ -4,7 +4,7 @@ defmodule FleetWeb.Console.UsersTest do
   import Bitwise
 
   alias Aerie.Control.Policy.Roles
-  alias FleetWeb.Console.Access.{Password, Users}
+  alias FleetWeb.Access.{Password, Users}
 
   @moduletag :tmp_dir
 

@@ -49,7 +49,7 @@ defmodule FleetWeb.Console.Alarms.OnMount do
     assign(socket, clock: Clock.minute(now), alarm_age: first && Age.text(now - first.since))
   end
 
-  # `Access.OnMount` has already refused anybody below an operator.
+  # `FleetWeb.Console.SignIn.OnMount` has already refused anybody below an operator.
   defp asked("alarm-acknowledge", value, %{assigns: %{user: user, gateway: gateway}} = socket) do
     case value do
       # Those that the page showed: one that came since nobody has seen.

@@ -15,10 +15,10 @@ defmodule FleetWeb.Console.Settings.Page do
   import FleetWeb.Console.Settings.Configuration, only: [configuration: 1]
   import FleetWeb.Console.Settings.ProgramKeys
 
-  alias FleetWeb.API.KeyRing
+  alias FleetWeb.Access.KeyRing
   alias Aerie.Control.Policy.Roles
   alias FleetWeb.Changes
-  alias FleetWeb.Console.Access.{Password, Users}
+  alias FleetWeb.Access.{Password, Users}
   alias FleetWeb.Console.Settings.Configuration
 
   @impl Phoenix.LiveView

@@ -4,7 +4,7 @@ defmodule FleetWeb.Console.Settings.ProgramKeys do
 
   alias Aerie.Control.Policy.Roles
 
-  attr :keys, :list, required: true, doc: "`t:FleetWeb.API.KeyRing.shown/0`"
+  attr :keys, :list, required: true, doc: "`t:FleetWeb.Access.KeyRing.shown/0`"
   attr :made, :any, required: true, doc: "name and text of the key that was just made, nil for none"
   attr :error, :string, required: true
 

@@ -97,9 +97,9 @@ defmodule FleetWeb.Console.Map.TilesTest do
 
   defp signed_in(console) do
     session =
-      FleetWeb.Console.Access.Session.of_user(
+      FleetWeb.Access.Session.of_user(
         console.gateway,
-        FleetWeb.Console.Access.Users.find(console.gateway, "viewer")
+        FleetWeb.Access.Users.find(console.gateway, "viewer")
       )
 
     %{secret: secret, cookie: name} = console.server

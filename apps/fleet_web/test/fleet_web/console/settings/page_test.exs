@@ -2,7 +2,7 @@ defmodule FleetWeb.Console.Settings.PageTest do
   use FleetWeb.ConsoleCase, async: true
 
   alias Aerie.Base.Secret
-  alias FleetWeb.Console.Access.Users
+  alias FleetWeb.Access.Users
 
   setup do: {:ok, start_console()}
 

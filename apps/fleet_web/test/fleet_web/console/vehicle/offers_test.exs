@@ -5,7 +5,7 @@ defmodule FleetWeb.Console.Vehicle.OffersTest do
   alias Aerie.Control.CommandExecutor.Offers
   alias Aerie.Control.Commands
   alias Aerie.Control.Policy.Roles
-  alias FleetWeb.Console.Access.Users
+  alias FleetWeb.Access.Users
 
   @modes %{0 => "ACRO", 1 => "ANGLE", 46 => "GPS RESCUE"}
   @parked [mode: %{mode: "ACRO", armed: false, in_air: false, landed_state: "ON_GROUND"}]

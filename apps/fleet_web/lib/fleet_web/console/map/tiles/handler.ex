@@ -4,7 +4,7 @@ defmodule FleetWeb.Console.Map.Tiles.Handler do
   @behaviour :cowboy_handler
 
   alias FleetWeb.API
-  alias FleetWeb.Console.Access.Session
+  alias FleetWeb.Access.Session
   alias FleetWeb.Console.Map.Tiles
   alias Phoenix.LiveView.Cookie
 

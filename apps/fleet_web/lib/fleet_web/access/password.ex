@@ -1,4 +1,4 @@
-defmodule FleetWeb.Console.Access.Password do
+defmodule FleetWeb.Access.Password do
   @moduledoc """
   Passwords as PBKDF2-HMAC-SHA-256, each with its own salt: `pbkdf2-sha256$ITERATIONS$SALT$HASH`, salt and hash in Base64. Hashing takes
   tenths of a second on purpose.

@@ -1,4 +1,4 @@
-defmodule FleetWeb.Console.Access.Attempts do
+defmodule FleetWeb.Access.Attempts do
   @moduledoc """
   Attempts to sign in, and which is to be refused or delayed. Pure; all within a minute.
 

@@ -1,12 +1,12 @@
-defmodule FleetWeb.Console.Access.Limiter do
+defmodule FleetWeb.Access.Limiter do
   @moduledoc """
-  Limits attempts to sign in, by `FleetWeb.Console.Access.Attempts`. An attempt is counted before its password is looked at, so that
+  Limits attempts to sign in, by `FleetWeb.Access.Attempts`. An attempt is counted before its password is looked at, so that
   refusing it is cheap. One that is to be delayed waits here; of each account 32 may.
   """
   use GenServer
 
   alias Aerie.Base.Names
-  alias FleetWeb.Console.Access.Attempts
+  alias FleetWeb.Access.Attempts
 
   @most_delayed 32
 

@@ -1,4 +1,4 @@
-defmodule FleetWeb.API.KeyRing do
+defmodule FleetWeb.Access.KeyRing do
   @moduledoc """
   The keys that open `/api` and the WebSocket at this moment: those of the configuration, and those that an admin made in the console. Of the
   latter a file of the console's folder has the digests, in the form of `api.keys_file`; the key itself is shown once and kept nowhere.
@@ -13,7 +13,8 @@ defmodule FleetWeb.API.KeyRing do
   alias Aerie.Base.Files.{Damaged, Private}
   alias Aerie.Base.Names
   alias Aerie.Base.PubSub
-  alias FleetWeb.API.{Access, Keys}
+  alias FleetWeb.API.Access
+  alias FleetWeb.Access.Keys
   alias FleetWeb.Changes
 
   @most 100

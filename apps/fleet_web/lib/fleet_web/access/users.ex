@@ -1,4 +1,4 @@
-defmodule FleetWeb.Console.Access.Users do
+defmodule FleetWeb.Access.Users do
   @moduledoc """
   The users who may sign in, each with a role, and permissions beyond it: in a table that all processes read, and in a
   file that only its owner can read.
@@ -21,7 +21,7 @@ defmodule FleetWeb.Console.Access.Users do
   alias Aerie.Control.Policy.Roles
   alias Aerie.Vehicle.Command.Type
   alias FleetWeb.Changes
-  alias FleetWeb.Console.Access.Password
+  alias FleetWeb.Access.Password
   alias FleetWeb.WorkLimit
 
   @most 100

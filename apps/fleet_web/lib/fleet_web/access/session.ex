@@ -1,14 +1,14 @@
-defmodule FleetWeb.Console.Access.Session do
+defmodule FleetWeb.Access.Session do
   @moduledoc """
   The signed cookie's statement of who is signed in, and who that is now. Pure, except for looking a user up.
 
-  A session is open as long as its `"id"` is listed (`FleetWeb.Console.Access.Sessions`). It belongs either to a user (`"user"`, and `"stamp"`,
+  A session is open as long as its `"id"` is listed (`FleetWeb.Access.Sessions`). It belongs either to a user (`"user"`, and `"stamp"`,
   which another password, role or permission invalidates), for a month, or to the address that `bin/run` prints (`"launch"`): an admin, for a day.
   """
 
   alias Aerie.Base.Names
   alias Aerie.Control.Policy.Roles
-  alias FleetWeb.Console.Access.{Sessions, Users}
+  alias FleetWeb.Access.{Sessions, Users}
   alias Phoenix.LiveView.Cookie
 
   @launch_s 24 * 3600

@@ -1,10 +1,10 @@
-defmodule FleetWeb.Console.Access.AttemptsTest do
+defmodule FleetWeb.Access.AttemptsTest do
   @moduledoc "Wrong passwords lock whoever tries them, and nobody else."
   use FleetWeb.ConsoleCase, async: true
 
   import FleetWeb.HTTPClient
 
-  alias FleetWeb.Console.Access.{Attempts, Launch, Limiter}
+  alias FleetWeb.Access.{Attempts, Launch, Limiter}
 
   @minute 60_000
 

@@ -1,4 +1,4 @@
-defmodule FleetWeb.Console.Access.SignIn do
+defmodule FleetWeb.Console.SignIn.Page do
   @moduledoc "The sign-in page. It is not a live page, so unknown visitors get no process."
   use FleetWeb.Console, :component
 

@@ -1,4 +1,4 @@
-defmodule FleetWeb.API.Keys do
+defmodule FleetWeb.Access.Keys do
   @moduledoc """
   The API keys of clients. Only their digests stay in memory, and checking one takes the same time
   however close it is to a valid one.

@@ -1,4 +1,4 @@
-defmodule FleetWeb.Console.Access.Handler do
+defmodule FleetWeb.Console.SignIn.Handler do
   @moduledoc """
   Signing in and out: `/sign-in`, `/sign-out`, and `/launch`, the target of the address that `bin/run` prints. These are plain requests without a
   live page, because only they can set the session's cookie.
@@ -10,7 +10,8 @@ defmodule FleetWeb.Console.Access.Handler do
   alias FleetWeb.API
   alias FleetWeb.Changes
   alias FleetWeb.API.Request
-  alias FleetWeb.Console.Access.{Attempts, Launch, Limiter, Session, Sessions, SignIn, Users}
+  alias FleetWeb.Access.{Attempts, Launch, Limiter, Session, Sessions, Users}
+  alias FleetWeb.Console.SignIn.Page
   alias Phoenix.LiveView.{Cookie, Query}
 
   @max_body 4_096
@@ -129,7 +130,7 @@ defmodule FleetWeb.Console.Access.Handler do
     request = if kept == session, do: request, else: Cookie.write(request, server.secret, server.cookie, kept)
 
     html =
-      SignIn.html(%{
+      Page.html(%{
         gateway: gateway,
         csrf_token: kept["_csrf_token"],
         theme: Session.extra(request)["theme"],

@@ -1,7 +1,7 @@
-defmodule FleetWeb.API.KeysTest do
+defmodule FleetWeb.Access.KeysTest do
   use ExUnit.Case, async: true
 
-  alias FleetWeb.API.Keys
+  alias FleetWeb.Access.Keys
   alias Aerie.Base.Secret
 
   @moduletag :tmp_dir
@@ -85,7 +85,7 @@ defmodule FleetWeb.API.KeysTest do
     end
   end
 
-  test "a wrong line is told by its number and never shown", %{tmp_dir: dir} do
+  test "an error names the number of a wrong line, and never shows the line", %{tmp_dir: dir} do
     for line <- ["short-key", "a b c0123456789abcdef", String.duplicate("k", 600)] do
       assert {:error, text} = Keys.load(%{key: nil, keys_file: file(dir, "# x\n#{line}\n")})
       assert text =~ "line 2"

@@ -1,10 +1,10 @@
-defmodule FleetWeb.Console.Access.SessionsTest do
-  @moduledoc "A session ends everywhere at once: for copies of its cookie, for open pages, and for the WebSocket that carries them."
+defmodule FleetWeb.Access.SessionsTest do
+  @moduledoc "A session ends everywhere at once: for copies of its cookie, for open pages, and for their WebSocket."
   use FleetWeb.ConsoleCase, async: true
 
   import FleetWeb.HTTPClient
 
-  alias FleetWeb.Console.Access.{Launch, Session, Sessions, Users}
+  alias FleetWeb.Access.{Launch, Session, Sessions, Users}
   alias FleetWeb.WSClient
   alias Phoenix.LiveView.Cookie
 
@@ -87,7 +87,7 @@ defmodule FleetWeb.Console.Access.SessionsTest do
     Cookie.read(request, server.secret, server.cookie)
   end
 
-  test "a session of the printed address can be ended, too, and one that is over in time is none", %{
+  test "a session of the printed address can be ended, and does not count after its time", %{
     console: console
   } do
     "http://" <> _rest = url = Launch.url(console.gateway, console.url)

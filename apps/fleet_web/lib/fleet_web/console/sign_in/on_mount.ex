@@ -1,4 +1,4 @@
-defmodule FleetWeb.Console.Access.OnMount do
+defmodule FleetWeb.Console.SignIn.OnMount do
   @moduledoc """
   Checks before every page who is signed in and whether they may see it, and before each of its events whether they may cause it.
 
@@ -16,7 +16,7 @@ defmodule FleetWeb.Console.Access.OnMount do
   alias Aerie.Base.Names
   alias Aerie.Base.PubSub
   alias Aerie.Control.Policy.Roles
-  alias FleetWeb.Console.Access.Session
+  alias FleetWeb.Access.Session
   alias FleetWeb.WorkLimit
 
   @page_cost 4

@@ -1,7 +1,7 @@
-defmodule FleetWeb.API.TicketsTest do
+defmodule FleetWeb.Access.TicketsTest do
   use FleetWeb.APICase, async: true
 
-  alias FleetWeb.API.Tickets
+  alias FleetWeb.Access.Tickets
 
   defp start_tickets do
     gateway = make_ref()

@@ -1,4 +1,4 @@
-defmodule FleetWeb.Console.Access.Launch do
+defmodule FleetWeb.Access.Launch do
   @moduledoc """
   The token in the address that `bin/run` prints, which signs in somebody on this machine with one click. It is made at start and
   stored only in the file `url` of the console's folder, which only its owner can read and which is removed with the gateway.

@@ -1,4 +1,4 @@
-defmodule FleetWeb.Console.Access.Sessions do
+defmodule FleetWeb.Access.Sessions do
   @moduledoc """
   The sessions that are open: a cookie counts only as long as its session is in this table. Signing out ends the session wherever its cookie
   is: in other tabs, in other browsers, in somebody's notes. So does a change of the user's role, permissions or password, or the user's removal.

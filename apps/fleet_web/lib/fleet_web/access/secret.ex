@@ -1,4 +1,4 @@
-defmodule FleetWeb.Console.Access.Secret do
+defmodule FleetWeb.Access.Secret do
   @moduledoc "The secret that signs sessions: 32 random bytes in a file that only its owner can read, so that a restart signs nobody out."
 
   alias Aerie.Base.Files.{Damaged, Private}

@@ -1,9 +1,9 @@
-defmodule FleetWeb.API.KeyRingTest do
+defmodule FleetWeb.Access.KeyRingTest do
   use FleetWeb.ConsoleCase, async: true
 
   import ExUnit.CaptureLog
 
-  alias FleetWeb.API.{KeyRing, Keys}
+  alias FleetWeb.Access.{KeyRing, Keys}
   alias FleetWeb.WSClient
 
   @moduletag :tmp_dir

@@ -1,4 +1,4 @@
-defmodule FleetWeb.API.Tickets do
+defmodule FleetWeb.Access.Tickets do
   @moduledoc """
   Tickets, each of which opens one WebSocket within half a minute.
 

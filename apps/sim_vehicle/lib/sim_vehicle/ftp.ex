@@ -9,12 +9,14 @@ defmodule SimVehicle.Ftp do
 
   alias MavCodec.{CRC, PackedParams}
   alias MavCodec.Ftp.Packet
+  alias Protocols.Files.Content
   alias SimVehicle.Params
 
   @max_data Packet.max_data()
-  @burst_packets 60
   @burst_us 1_000
   @sessions %{px4: 1, ardupilot: 5}
+  # How a burst ends.
+  @ending %{px4: :eof, ardupilot: :short}
   @max_file 4_000_000
   @max_files 100
 
@@ -47,10 +49,7 @@ defmodule SimVehicle.Ftp do
       {:ok, %{size: size} = request} when size <= @max_data ->
         {ftp, answers} = on(ftp, Packet.operation(request), request, params)
 
-        payloads =
-          for {answer, n} <- Enum.with_index(answers, 1),
-              do: Packet.encode(%{answer | seq: Bitwise.band(request.seq + n, 0xFFFF)})
-
+        payloads = Enum.map(answers, &Packet.encode/1)
         last = if match?([_only], payloads) and not burst?(request), do: {source, payload, hd(payloads)}
         {%{ftp | last: last}, Enum.with_index(payloads, &{&2 * @burst_us, &1})}
 
@@ -87,11 +86,8 @@ defmodule SimVehicle.Ftp do
 
   defp on(ftp, :open, r, params) do
     case content(ftp, r.data, params) do
-      nil ->
-        refused(ftp, r, :file_not_found)
-
-      bytes ->
-        open(ftp, r, %{path: r.data, bytes: bytes, write?: false, piece: nil}, told_size(r.data, bytes))
+      nil -> refused(ftp, r, :file_not_found)
+      content -> open(ftp, r, %{path: r.data, content: content, write?: false}, Content.size(content))
     end
   end
 
@@ -113,11 +109,10 @@ defmodule SimVehicle.Ftp do
 
   # --- contents ---
 
-  defp on(ftp, :read, r, _params) do
+  defp on(ftp, operation, r, _params) when operation in [:read, :burst] do
     with_session(ftp, r, fn ftp, file ->
-      case piece(ftp, file, r) do
-        {:ok, ftp, ""} -> refused(ftp, r, :eof)
-        {:ok, ftp, bytes} -> {ftp, [Packet.ack(r, bytes)]}
+      case Content.answers(file.content, r, @ending[ftp.style]) do
+        {:ok, answers, content} -> {put_session(ftp, r.session, %{file | content: content}), answers}
         :error -> refused(ftp, r, @einval)
       end
     end)
@@ -143,48 +138,13 @@ defmodule SimVehicle.Ftp do
   defp on(ftp, :crc, r, params) do
     case content(ftp, r.data, params) do
       nil -> refused(ftp, r, :file_not_found)
-      bytes -> {ftp, [Packet.ack(r, <<CRC.crc32(bytes)::little-32>>)]}
+      content -> {ftp, [Packet.ack(r, <<CRC.crc32(Content.bytes(content))::little-32>>)]}
     end
   end
 
-  defp on(ftp, :burst, r, _params), do: with_session(ftp, r, &burst(&1, &2, r, 0, []))
   defp on(ftp, nil, r, _params), do: refused(ftp, r, :unknown_command)
 
   defp refused(ftp, r, error), do: {ftp, [Packet.nak(r, error)]}
-
-  defp burst(ftp, _file, _r, @burst_packets, [last | before]),
-    do: {ftp, Enum.reverse([%{last | complete: true} | before])}
-
-  # ArduPilot ends with a short packet, PX4 with EOF.
-  defp burst(ftp, file, r, n, answers) do
-    case piece(ftp, file, r) do
-      {:ok, ftp, ""} ->
-        {ftp, Enum.reverse([Packet.nak(r, :eof) | answers])}
-
-      {:ok, %{style: :ardupilot} = ftp, bytes} when byte_size(bytes) < r.size ->
-        {ftp, Enum.reverse([%{Packet.ack(r, bytes) | complete: true} | answers])}
-
-      {:ok, ftp, bytes} ->
-        burst(ftp, file, %{r | offset: r.offset + byte_size(bytes)}, n + 1, [Packet.ack(r, bytes) | answers])
-
-      :error ->
-        refused(ftp, r, @einval)
-    end
-  end
-
-  # The generated file: pieces of one size, at multiples of it.
-  defp piece(ftp, %{path: "@" <> _generated} = file, r) do
-    size = file.piece || r.size
-
-    if r.size == size and rem(r.offset, size) == 0,
-      do: {:ok, put_session(ftp, r.session, %{file | piece: size}), slice(file.bytes, r)},
-      else: :error
-  end
-
-  defp piece(ftp, file, r), do: {:ok, ftp, slice(file.bytes, r)}
-
-  defp slice(bytes, r) when r.offset >= byte_size(bytes), do: ""
-  defp slice(bytes, r), do: binary_part(bytes, r.offset, min(r.size, byte_size(bytes) - r.offset))
 
   defp splice(old, offset, data) do
     gap = max(offset - byte_size(old), 0)
@@ -208,7 +168,7 @@ defmodule SimVehicle.Ftp do
   end
 
   defp open_to_write(ftp, r, bytes) do
-    file = %{path: r.data, bytes: "", write?: true, piece: nil}
+    file = %{path: r.data, content: Content.stored(""), write?: true}
 
     case open(ftp, r, file, byte_size(bytes)) do
       {^ftp, refused} -> {ftp, refused}
@@ -225,14 +185,13 @@ defmodule SimVehicle.Ftp do
     end
   end
 
-  # As ArduPilot does: nobody can know the size of what is made while it is read.
-  defp told_size("@" <> _generated, _bytes), do: 16_704
-  defp told_size(_path, bytes), do: byte_size(bytes)
+  # Its pieces are those of the largest size, however it is read.
+  defp content(%{style: :ardupilot}, path, params) when is_map_key(@packed, path) do
+    packed = Params.packed(params)
+    Content.made(fn _size -> PackedParams.encode(packed, @packed[path], @max_data) end)
+  end
 
-  defp content(%{style: :ardupilot}, path, params) when is_map_key(@packed, path),
-    do: params |> Params.packed() |> PackedParams.encode(@packed[path], @max_data)
-
-  defp content(ftp, path, _params), do: ftp.files[path]
+  defp content(ftp, path, _params), do: if(bytes = ftp.files[path], do: Content.stored(bytes))
 
   defp paths(ftp),
     do:

@@ -10,16 +10,14 @@ defmodule Aerie.Control.Params.FileResponder do
   alias Aerie.Control.Params.{Param, Table}
   alias MavCodec.Ftp.Packet
   alias MavCodec.PackedParams
+  alias Protocols.Files.Content
 
   @max_sessions 64
-  @burst_packets 60
   @files %{PackedParams.path(false) => false, PackedParams.path(true) => true}
-  # ArduPilot says so of every file that it makes while it is read.
-  @told 16_704
 
   defstruct sessions: %{}
 
-  @typedoc "By station: number, list, whether with defaults, the size of its reads with the file made for it, and the last answer"
+  @typedoc "By station: number, file (nil once its list may be wrong), and the last answer"
   @type t :: %__MODULE__{sessions: %{term() => map()}}
 
   @doc "Classifies a station's request: open the file, a request of an open session, or neither."
@@ -41,16 +39,10 @@ defmodule Aerie.Control.Params.FileResponder do
       do: :full
 
   def open(served, station, packet, table) do
-    answer = %{Packet.ack(packet, <<@told::little-32>>) | offset: 0}
-
-    session = %{
-      number: packet.session,
-      table: table,
-      defaults?: Map.fetch!(@files, packet.data),
-      size: nil,
-      bytes: nil,
-      last: {packet, [answer]}
-    }
+    params = for name <- table.order, do: Param.pack(table.params[name])
+    content = Content.made(&PackedParams.encode(params, Map.fetch!(@files, packet.data), &1))
+    answer = %{Packet.ack(packet, <<Content.size(content)::little-32>>) | offset: 0}
+    session = %{number: packet.session, content: content, last: {packet, [answer]}}
 
     {[answer], put_in(served.sessions[station], session)}
   end
@@ -84,7 +76,7 @@ defmodule Aerie.Control.Params.FileResponder do
   def stale(served),
     do: %{
       served
-      | sessions: Map.new(served.sessions, fn {station, s} -> {station, %{s | table: nil, last: nil}} end)
+      | sessions: Map.new(served.sessions, fn {station, s} -> {station, %{s | content: nil, last: nil}} end)
     }
 
   defp put(sessions, station, nil), do: Map.delete(sessions, station)
@@ -92,43 +84,12 @@ defmodule Aerie.Control.Params.FileResponder do
 
   defp act(_session, :terminate, packet), do: {[Packet.ack(packet, "")], nil}
   # Not the vehicle: the number may be that of another session there.
-  defp act(%{table: nil} = session, _read, packet), do: {[Packet.nak(packet, :failed)], session}
+  defp act(%{content: nil} = session, _read, packet), do: {[Packet.nak(packet, :failed)], session}
 
-  # Read in pieces of one size at its multiples, as from the vehicle, because no value lies in two pieces.
-  defp act(%{size: nil} = session, read, %{size: size} = packet) when size in 32..239 do
-    params = for name <- session.table.order, do: Param.pack(session.table.params[name])
-    bytes = PackedParams.encode(params, session.defaults?, size)
-    act(%{session | size: size, bytes: bytes}, read, packet)
-  end
-
-  # The last piece may be a short one: where it ends is not a multiple.
-  defp act(%{bytes: bytes} = session, _read, %{offset: offset} = packet)
-       when bytes != nil and offset >= byte_size(bytes),
-       do: {[Packet.nak(packet, :eof)], session}
-
-  defp act(%{size: size} = session, read, %{size: size, offset: offset} = packet)
-       when rem(offset, size) == 0 do
-    pieces =
-      if read == :burst, do: burst(session, packet, 0), else: [Packet.ack(packet, part(session, offset))]
-
-    {pieces, session}
-  end
-
-  defp act(session, _read, packet), do: {[Packet.nak(packet, :failed)], session}
-
-  defp burst(session, packet, n) do
-    at = packet.offset + n * session.size
-    bytes = part(session, at)
-    last? = byte_size(bytes) < session.size or n == @burst_packets - 1
-    seq = Bitwise.band(packet.seq + 1 + n, 0xFFFF)
-
-    cond do
-      bytes == "" -> [%{Packet.nak(packet, :eof) | seq: seq, offset: at}]
-      last? -> [%{Packet.ack(packet, bytes) | seq: seq, offset: at, complete: true}]
-      true -> [%{Packet.ack(packet, bytes) | seq: seq, offset: at} | burst(session, packet, n + 1)]
+  defp act(session, _read, packet) do
+    case Content.answers(session.content, packet, :short) do
+      {:ok, answers, content} -> {answers, %{session | content: content}}
+      :error -> {[Packet.nak(packet, :failed)], session}
     end
   end
-
-  defp part(%{bytes: bytes}, at) when at >= byte_size(bytes), do: ""
-  defp part(%{bytes: bytes, size: size}, at), do: binary_part(bytes, at, min(size, byte_size(bytes) - at))
 end

@@ -7,11 +7,10 @@ defmodule SimVehicle.Params do
   """
 
   alias MavCodec.CRC
+  alias Protocols.Params.Listing
   alias SimVehicle.Real32
 
   @real32 9
-  @uint32 5
-  @no_index 65_535
 
   @integer_ranges %{
     1 => {0, 255},
@@ -22,9 +21,9 @@ defmodule SimVehicle.Params do
     6 => {-2_147_483_648, 2_147_483_647}
   }
 
-  defstruct encoding: :c_cast, values: %{}, index: %{}, names: {}, announced: 0
+  defstruct [:listing, values: %{}]
 
-  @typedoc "`values`: name => {value, MAV_PARAM_TYPE}; `names`: the names by index."
+  @typedoc "`values`: name => {value, MAV_PARAM_TYPE}; `listing`: the names by index."
   @type t :: %__MODULE__{}
   @type definition :: {String.t(), number, 1..9}
 
@@ -34,11 +33,8 @@ defmodule SimVehicle.Params do
     names = Enum.map(definitions, &elem(&1, 0))
 
     %__MODULE__{
-      encoding: encoding,
-      values: Map.new(definitions, fn {name, value, type} -> {name, {store(value, type), type}} end),
-      index: names |> Enum.with_index() |> Map.new(),
-      names: List.to_tuple(names),
-      announced: length(names)
+      listing: Listing.new(names, encoding),
+      values: Map.new(definitions, fn {name, value, type} -> {name, {store(value, type), type}} end)
     }
   end
 
@@ -47,10 +43,8 @@ defmodule SimVehicle.Params do
   def append(params, []), do: params
 
   def append(params, definitions) do
-    old =
-      for name <- Tuple.to_list(params.names), {value, type} = params.values[name], do: {name, value, type}
-
-    new(old ++ definitions, params.encoding)
+    old = for name <- names(params), {value, type} = params.values[name], do: {name, value, type}
+    new(old ++ definitions, params.listing.encoding)
   end
 
   @doc "The value of a parameter that is known to exist."
@@ -61,20 +55,15 @@ defmodule SimVehicle.Params do
   @spec member?(t, String.t()) :: boolean
   def member?(params, name), do: is_map_key(params.values, name)
 
-  @doc "Number of parameters in the list."
-  @spec count(t) :: non_neg_integer
-  def count(params), do: tuple_size(params.names)
+  @doc "PARAM_VALUE of a parameter; for PX4 also of `_HASH_CHECK`."
+  @spec message(t, String.t()) :: struct
+  def message(%{listing: %{encoding: :bytewise} = listing} = params, "_HASH_CHECK"),
+    do: Listing.hash(listing, hash(params))
 
-  @doc "Name at an index, nil when there is none."
-  @spec name_at(t, integer) :: String.t() | nil
-  def name_at(params, index) when index >= 0 and index < tuple_size(params.names),
-    do: elem(params.names, index)
-
-  def name_at(_params, _index), do: nil
-
-  @doc "Index of a name; 65535 when it is not in the list."
-  @spec index_of(t, String.t()) :: 0..65_535
-  def index_of(params, name), do: Map.get(params.index, name, @no_index)
+  def message(params, name) do
+    {value, type} = Map.fetch!(params.values, name)
+    Listing.value(params.listing, name, value, type)
+  end
 
   @doc "Stores a plain number, cut to the range of the parameter's type; used by tests and options."
   @spec put(t, String.t(), number) :: {:ok, t} | {:error, :unknown}
@@ -97,20 +86,11 @@ defmodule SimVehicle.Params do
     end
   end
 
-  @doc "Value and type as PARAM_VALUE carries them."
-  @spec wire(t, String.t()) :: {Real32.value(), 1..9}
-  def wire(%{encoding: :bytewise} = params, "_HASH_CHECK"), do: {Real32.from_bits(hash(params)), @uint32}
-
-  def wire(params, name) do
-    {value, type} = Map.fetch!(params.values, name)
-    {encode(params.encoding, value, type), type}
-  end
-
   @doc "PX4's `_HASH_CHECK`: MAVLink's CRC-32 over all names and values in the order of the list (rule P6)."
   @spec hash(t) :: non_neg_integer
   def hash(params) do
     data =
-      for name <- Tuple.to_list(params.names) do
+      for name <- names(params) do
         {value, type} = Map.fetch!(params.values, name)
         [name, if(type == @real32, do: <<value::float-little-32>>, else: <<value::little-signed-32>>)]
       end
@@ -121,16 +101,17 @@ defmodule SimVehicle.Params do
   @doc "The table for ArduPilot's parameter file. Every value is its own default but odd ones, which have one of 0."
   @spec packed(t) :: [MavCodec.PackedParams.param()]
   def packed(params) do
-    for name <- Tuple.to_list(params.names) do
+    for name <- names(params) do
       {value, type} = Map.fetch!(params.values, name)
       {name, type, value, if(is_integer(value) and rem(value, 2) == 1, do: 0)}
     end
   end
 
-  defp accept(%{encoding: :bytewise}, _name, _wire, wire_type, type) when wire_type != type,
+  defp accept(%{listing: %{encoding: :bytewise}}, _name, _wire, wire_type, type) when wire_type != type,
     do: {:error, :type}
 
-  defp accept(%{encoding: :bytewise} = params, name, wire, _wire_type, type) when type != @real32 do
+  defp accept(%{listing: %{encoding: :bytewise}} = params, name, wire, _wire_type, type)
+       when type != @real32 do
     <<value::signed-32>> = <<Real32.to_bits(wire)::32>>
     {:ok, write(params, name, value, type)}
   end
@@ -142,12 +123,7 @@ defmodule SimVehicle.Params do
 
   defp write(params, name, value, type), do: %{params | values: Map.put(params.values, name, {value, type})}
 
-  defp encode(:bytewise, value, type) when type != @real32 do
-    <<bits::32>> = <<value::signed-32>>
-    Real32.from_bits(bits)
-  end
-
-  defp encode(_encoding, value, _type), do: value * 1.0
+  defp names(params), do: Tuple.to_list(params.listing.names)
 
   defp store(value, @real32), do: Real32.round32(value * 1.0)
 

@@ -6,6 +6,7 @@ defmodule SimVehicle.Requests do
 
   alias MavCodec.Enums.MavResult
   alias MavCodec.Messages, as: M
+  alias Protocols.Params.Listing
   alias SimVehicle.{Command, Params, Streams, Vehicle}
 
   @failed MavResult.value(:MAV_RESULT_FAILED)
@@ -55,21 +56,18 @@ defmodule SimVehicle.Requests do
   @doc "PARAM_VALUE of a name; `index` as the firmware gives it in this answer."
   @spec param_value(Vehicle.t(), String.t(), 0..65_535 | nil) :: struct
   def param_value(v, name, index \\ nil) do
-    {value, type} = Params.wire(v.params, name)
-
-    %M.ParamValue{
-      param_id: name,
-      param_value: value,
-      param_type: type,
-      param_count: Params.count(v.params),
-      param_index: index || Params.index_of(v.params, name)
-    }
+    message = Params.message(v.params, name)
+    if index, do: %{message | param_index: index}, else: message
   end
+
+  @doc "The name that a PARAM_REQUEST_READ asks for, or nil if there is none."
+  @spec wanted_param(Vehicle.t(), struct) :: String.t() | nil
+  def wanted_param(v, request), do: Listing.wanted(v.params.listing, request)
 
   @doc "PARAM_REQUEST_LIST: the list is sent from now on, `first` before it, `per_s` parameters a second (P4)."
   @spec list_params(Vehicle.t(), [String.t()], pos_integer) :: Vehicle.t()
   def list_params(v, first, per_s) do
-    v = Enum.reduce(first, v, &Vehicle.emit(&2, param_value(&2, &1)))
+    v = Enum.reduce(first, v, &Vehicle.emit(&2, Params.message(&2.params, &1)))
     Vehicle.put_own(v, :param_list, {0, v.now, per_s})
   end
 
@@ -81,26 +79,14 @@ defmodule SimVehicle.Requests do
         v
 
       {next, since, per_s} ->
-        send_params(
-          v,
-          next,
-          min(div((v.now - since) * per_s, 1_000_000), Params.count(v.params)),
-          {since, per_s}
-        )
+        listing = v.params.listing
+        count = Listing.count(listing)
+        due = min(div((v.now - since) * per_s, 1_000_000), count)
+        names = for n <- next..(due - 1)//1, do: Listing.at(listing, n)
+        v = Enum.reduce(names, v, &Vehicle.emit(&2, Params.message(&2.params, &1)))
+        Vehicle.put_own(v, :param_list, if(due < count, do: {due, since, per_s}))
     end
   end
-
-  defp send_params(v, next, due, {since, per_s}) do
-    v = Enum.reduce(next..(due - 1)//1, v, &Vehicle.emit(&2, param_value(&2, Params.name_at(&2.params, &1))))
-    Vehicle.put_own(v, :param_list, if(due < Params.count(v.params), do: {due, since, per_s}))
-  end
-
-  @doc "The name that a PARAM_REQUEST_READ asks for, or nil if there is none."
-  @spec wanted_param(Vehicle.t(), struct) :: String.t() | nil
-  def wanted_param(v, %M.ParamRequestRead{param_index: -1, param_id: name}),
-    do: if(Params.member?(v.params, name), do: name)
-
-  def wanted_param(v, %M.ParamRequestRead{param_index: index}), do: Params.name_at(v.params, index)
 
   @doc "Stores the value of a PARAM_SET and applies it."
   @spec set_param(Vehicle.t(), struct) :: {:ok, Vehicle.t()} | {:error, atom}

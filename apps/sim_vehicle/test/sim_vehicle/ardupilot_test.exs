@@ -4,7 +4,7 @@ defmodule SimVehicle.ArdupilotTest do
   import SimVehicle.TestFlight
 
   alias MavCodec.Messages, as: M
-  alias SimVehicle.Params
+  alias Protocols.Params.Listing
 
   describe "boot" do
     test "bytes outside any frame come first, then the banner; the mode is STABILIZE" do
@@ -147,7 +147,7 @@ defmodule SimVehicle.ArdupilotTest do
         :ardupilot |> ready() |> hear(%M.ParamRequestList{target_system: 1, target_component: 1}) |> run(0.5)
 
       values = sent(flight, M.ParamValue)
-      count = Params.count(vehicle(flight).params)
+      count = Listing.count(vehicle(flight).params.listing)
       assert Enum.map(values, & &1.param_index) == Enum.to_list(0..(count - 1))
       assert Enum.all?(values, &(&1.param_count == count))
       assert %{param_value: 1500.0, param_type: 6} = Enum.find(values, &(&1.param_id == "RTL_ALT"))

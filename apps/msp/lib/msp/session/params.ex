@@ -17,11 +17,12 @@ defmodule Msp.Session.Params do
   alias Msp.Session.{Output, Tasks}
   alias Msp.Session.Tasks.Armed
   alias Msp.Session.Params.{Answers, Blocks, Lines, ReadAll, Settings}
+  alias Protocols.Params.Listing
 
-  defstruct names: nil, unsaved: false
+  defstruct [:listing, unsaved: false]
 
-  @typedoc "`names`: in their order, nil until they were read; `unsaved`: some were set and not stored."
-  @type t :: %__MODULE__{names: [String.t()] | nil, unsaved: boolean}
+  @typedoc "`listing`: nil until they were read; `unsaved`: some were set and not stored."
+  @type t :: %__MODULE__{listing: Listing.t() | nil, unsaved: boolean}
 
   @messages [M.ParamRequestList.id(), M.ParamRequestRead.id(), M.ParamSet.id()]
   @notice 5
@@ -59,7 +60,7 @@ defmodule Msp.Session.Params do
     do: read(session, name, from)
 
   defp handle(session, %M.ParamRequestRead{param_index: index}, from) do
-    case Enum.at(session.params.names || [], index) do
+    case session.params.listing && Listing.at(session.params.listing, index) do
       nil -> Answers.error(session, "", index, :unknown, from)
       name -> read(session, name, from)
     end
@@ -151,10 +152,10 @@ defmodule Msp.Session.Params do
 
   @doc "Another vehicle is at the line: its parameters are others."
   @spec forget(Session.t()) :: Session.t()
-  def forget(session), do: put_in(session.params.names, nil)
+  def forget(session), do: put_in(session.params.listing, nil)
 
   @doc "The settings of a vehicle that was just found are read ahead, once: that takes iNav ten seconds."
   @spec ahead(Session.t()) :: Session.t()
-  def ahead(%{params: %{names: nil}, identity: %{firmware: :inav}} = session), do: list(session, false)
+  def ahead(%{params: %{listing: nil}, identity: %{firmware: :inav}} = session), do: list(session, false)
   def ahead(session), do: session
 end

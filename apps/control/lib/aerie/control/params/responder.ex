@@ -27,17 +27,23 @@ defmodule Aerie.Control.Params.Responder do
   alias Aerie.Control.Params.{FileResponder, Param, Table}
   alias MavCodec.Message.ParamValue
   alias MavCodec.Messages, as: M
+  alias Protocols.Params.Listing
 
   @fresh_us 5_000_000
   @max_waiting 64
-  @no_index 65_535
-  @hash "_HASH_CHECK"
-  # MAV_PARAM_TYPE_UINT32
-  @uint32 5
+  @hash Listing.hash()
 
-  @enforce_keys [:encoding]
-  defstruct [:encoding, :table, :until, :seen, names: {}, indices: %{}, waiting: [], again?: false] ++
-              [files: %FileResponder{}, opening: %{}]
+  @enforce_keys [:listing]
+  defstruct [
+    :listing,
+    :table,
+    :until,
+    :seen,
+    waiting: [],
+    again?: false,
+    files: %FileResponder{},
+    opening: %{}
+  ]
 
   @typedoc "`seen`: values that the vehicle reported while the list is being read, otherwise nil"
   @type t :: %__MODULE__{}
@@ -50,7 +56,7 @@ defmodule Aerie.Control.Params.Responder do
 
   @doc "The state before anything is known about the vehicle's parameters."
   @spec new(ParamValue.encoding()) :: t()
-  def new(encoding), do: %__MODULE__{encoding: encoding}
+  def new(encoding), do: %__MODULE__{listing: Listing.new([], encoding)}
 
   @doc "Whether the list is known to be right."
   @spec fresh?(t(), integer()) :: boolean()
@@ -113,7 +119,7 @@ defmodule Aerie.Control.Params.Responder do
   def handle(served, {:rebooted, _now}), do: {stale(served), []}
 
   def handle(served, {:vehicle, %M.ParamValue{param_id: name} = m, now}) do
-    case ParamValue.decode(m.param_value, m.param_type, served.encoding) do
+    case ParamValue.decode(m.param_value, m.param_type, served.listing.encoding) do
       {:ok, value, _exact?} -> {note_value(served, name, value, now), []}
       :error -> {served, []}
     end
@@ -189,16 +195,13 @@ defmodule Aerie.Control.Params.Responder do
   defp wait(served, from), do: {%{served | waiting: served.waiting ++ [from]}, []}
 
   defp known(served, table, now) do
-    names = List.to_tuple(table.order)
-    indices = table.order |> Enum.with_index() |> Map.new()
     {waiting, opening} = {served.waiting, served.opening}
 
     served = %{
       served
       | table: table,
         until: now + @fresh_us,
-        names: names,
-        indices: indices,
+        listing: Listing.new(table.order, served.listing.encoding),
         waiting: [],
         opening: %{},
         seen: nil,
@@ -222,50 +225,18 @@ defmodule Aerie.Control.Params.Responder do
 
   # PX4 sends its hash first.
   defp all(served) do
-    hash = if served.table.hash, do: [hash(served)], else: []
-    hash ++ for({name, index} <- Enum.with_index(served.table.order), do: message(served, name, index))
+    hash = if served.table.hash, do: [Listing.hash(served.listing, served.table.hash)], else: []
+    hash ++ Enum.map(served.table.order, &message(served, &1))
   end
 
   defp one(%{table: %{hash: hash}} = served, %{param_index: -1, param_id: @hash}) when hash != nil,
-    do: hash(served)
+    do: Listing.hash(served.listing, hash)
 
-  defp one(served, %{param_index: -1, param_id: name}),
-    do: if(is_map_key(served.indices, name), do: message(served, name, served.indices[name]))
+  defp one(served, request),
+    do: with(name when name != nil <- Listing.wanted(served.listing, request), do: message(served, name))
 
-  defp one(%{names: names} = served, %{param_index: index}) when index >= 0 and index < tuple_size(names),
-    do: message(served, elem(names, index), index)
-
-  defp one(_served, _unknown), do: nil
-
-  defp message(served, name, index) do
+  defp message(served, name) do
     %Param{value: value, type: type} = Map.fetch!(served.table.params, name)
-
-    %M.ParamValue{
-      param_id: name,
-      param_value: wire(value, type, served.encoding),
-      param_type: type,
-      param_count: tuple_size(served.names),
-      param_index: index
-    }
-  end
-
-  # A value that loses bits in a float loses them when the vehicle sends it, too.
-  defp wire(value, type, encoding) do
-    case ParamValue.encode(value, type, encoding) do
-      {:ok, wire} -> wire
-      {:error, _inexact} -> ParamValue.float32(value)
-    end
-  end
-
-  defp hash(served) do
-    {:ok, wire} = ParamValue.encode(served.table.hash, @uint32, served.encoding)
-
-    %M.ParamValue{
-      param_id: @hash,
-      param_value: wire,
-      param_type: @uint32,
-      param_count: tuple_size(served.names),
-      param_index: @no_index
-    }
+    Listing.value(served.listing, name, value, type)
   end
 end

@@ -1,17 +1,16 @@
 defmodule Msp.Session.Params.Answers do
   @moduledoc "What a client is told of a parameter: PARAM_VALUE, PARAM_ERROR, and texts."
 
-  alias MavCodec.Message.ParamValue
   alias MavCodec.Messages, as: M
   alias MavCodec.Msp.ShortName
   alias Msp.Session
   alias Msp.Session.{Output, Tasks}
+  alias Protocols.Params.Listing
 
   # MAV_PARAM_TYPE: INT32, UINT32, REAL32
   @types %{integer: 6, unsigned: 5, float: 9}
   # MAV_PARAM_ERROR
   @errors %{unknown: 1, out_of_range: 2, denied: 3, mismatch: 7}
-  @no_index 65_535
   @notice 5
 
   @type type :: :integer | :unsigned | :float
@@ -29,24 +28,14 @@ defmodule Msp.Session.Params.Answers do
   @doc "The value of the task's parameter, which ends it."
   @spec report(Session.t(), Tasks.task(), number, type) :: Session.t()
   def report(session, task, value, type) do
-    params = session.params.names || []
-    index = Enum.find_index(params, &(&1 == task.name)) || @no_index
-    session |> Tasks.done(task) |> Output.emit(value(task.name, value, type, index, length(params)))
+    listing = session.params.listing || Listing.new([], :bytewise)
+    session |> Tasks.done(task) |> Output.emit(value(listing, task.name, value, type))
   end
 
-  @doc "A parameter of a list; integers are bytes (P2)."
-  @spec value(String.t(), number, type, 0..65_535, non_neg_integer) :: M.ParamValue.t()
-  def value(name, value, type, index, count) do
-    {:ok, wire} = ParamValue.encode(value, @types[type], :bytewise)
-
-    %M.ParamValue{
-      param_id: ShortName.of(name),
-      param_value: wire,
-      param_type: @types[type],
-      param_count: count,
-      param_index: index
-    }
-  end
+  @doc "A parameter of a list."
+  @spec value(Listing.t(), String.t(), number, type) :: struct
+  def value(listing, name, value, type),
+    do: %{Listing.value(listing, name, value, @types[type]) | param_id: ShortName.of(name)}
 
   @doc "The task cannot be done."
   @spec refuse(Session.t(), Tasks.task(), error, String.t()) :: Session.t()

@@ -10,6 +10,7 @@ defmodule Msp.Session.Params.ReadAll do
   alias Msp.Session
   alias Msp.Session.{Output, Tasks}
   alias Msp.Session.Params.{Answers, Blocks, Lines, Settings}
+  alias Protocols.Params.Listing
 
   @most_settings 2_000
 
@@ -30,7 +31,7 @@ defmodule Msp.Session.Params.ReadAll do
       by: __MODULE__,
       what: :list,
       tell: tell,
-      live: tell and session.params.names != nil,
+      live: tell and session.params.listing != nil,
       bulk: true,
       got: []
     }
@@ -100,8 +101,9 @@ defmodule Msp.Session.Params.ReadAll do
   end
 
   defp got(session, task, {name, value, type} = param) do
-    index = task.live && Enum.find_index(session.params.names, &(&1 == name))
-    told = if index, do: [Answers.value(name, value, type, index, length(session.params.names))], else: []
+    listing = session.params.listing
+    known? = task.live and is_map_key(listing.indices, name)
+    told = if known?, do: [Answers.value(listing, name, value, type)], else: []
     {Output.emit(session, told), %{task | got: [param | task.got]}}
   end
 
@@ -115,15 +117,14 @@ defmodule Msp.Session.Params.ReadAll do
 
   defp complete(session, %{got: got, tell: tell, live: live} = task) do
     params = Enum.reverse(got)
-    names = Enum.map(params, &elem(&1, 0))
-    told? = live and names == session.params.names
-    session = put_in(session.params.names, names) |> Tasks.done(task)
-    count = length(params)
+    listing = params |> Enum.map(&elem(&1, 0)) |> Listing.new(:bytewise)
+    told? = live and listing == session.params.listing
+    session = put_in(session.params.listing, listing) |> Tasks.done(task)
 
     messages =
-      for {{name, value, type}, index} <- Enum.with_index(params),
+      for {name, value, type} <- params,
           tell and not told?,
-          do: Answers.value(name, value, type, index, count)
+          do: Answers.value(listing, name, value, type)
 
     Output.emit(session, messages)
   end

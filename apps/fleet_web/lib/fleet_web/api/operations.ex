@@ -292,12 +292,13 @@ defmodule FleetWeb.API.Operations do
           Error.t()
           | Result.t()
           | [Command.Error.t(), ...]
-          | {atom(), String.t() | [Command.Error.t(), ...]}
+          | {atom(), String.t() | Command.Error.t() | [Command.Error.t(), ...]}
         ) ::
           Error.t()
   def refusal(%Error{} = error), do: error
   def refusal(%Result{} = result), do: Error.of_result(result)
   def refusal([_ | _] = errors), do: Error.malformed(errors)
+  def refusal({:invalid, %Command.Error{expected: reason}}), do: Error.new(:invalid, reason)
   def refusal({:malformed, errors}), do: Error.malformed(errors)
   def refusal({reason, text}), do: Error.new(Map.fetch!(@reasons, reason), text)
 

@@ -98,15 +98,16 @@ defmodule Aerie.Control.Operations.Operation do
           {:ok,
            map() | {:file, name :: String.t(), iodata()} | {:bytes, iodata(), name :: String.t()} | Result.t()}
           | {:pending, id :: String.t()}
-          | {:error, Result.t() | [Error.t(), ...] | {reason :: atom(), String.t() | [Error.t(), ...]}}
+          | {:error,
+             Result.t() | [Error.t(), ...] | {reason :: atom(), String.t() | Error.t() | [Error.t(), ...]}}
 
   @callback operation() :: t()
   @doc """
   Reads what costs more than a message, such as a plan, in the format in which it came. Pure, so that an interface can
-  do it within its limits. `{:invalid, reason}` concerns the file as a whole.
+  do it within its limits. `{:invalid, error}` concerns the file as a whole: its text is what is wrong.
   """
   @callback prepare(input(), format :: String.t()) ::
-              {:ok, input()} | {:error, [Error.t(), ...] | {:invalid, String.t()}}
+              {:ok, input()} | {:error, [Error.t(), ...] | {:invalid, Error.t()}}
   @optional_callbacks prepare: 2
   @callback run(input(), context()) :: answer()
 
@@ -135,7 +136,7 @@ defmodule Aerie.Control.Operations.Operation do
     * `:more` - fields of the interface; `:required` - names of fields that must be there as well
     * `:file` - `{field, bytes}`, a field that came as a file in the `:format`
   """
-  @spec parse(t(), map(), keyword()) :: {:ok, input()} | {:error, [Error.t(), ...] | {:invalid, String.t()}}
+  @spec parse(t(), map(), keyword()) :: {:ok, input()} | {:error, [Error.t(), ...] | {:invalid, Error.t()}}
   def parse(operation, given, options \\ [])
 
   def parse(%__MODULE__{request: %{}}, given, _options),
@@ -185,7 +186,8 @@ defmodule Aerie.Control.Operations.Operation do
   defp error(problem) do
     [first | rest] = problem.path
     key = for step <- rest, into: first, do: if(is_integer(step), do: "[#{step}]", else: ".#{step}")
-    %Error{key: key, expected: problem.expected, got: problem.got}
+    got = if problem.got == "nothing (it is required)", do: "nothing", else: problem.got
+    %Error{key: key, expected: problem.expected, got: got}
   end
 
   @doc "The fields that every transfer has."

@@ -37,17 +37,12 @@ defmodule Aerie.Control.Operations.Mission.Put do
   end
 
   @impl true
-  def prepare(input, "json") do
-    case Forms.read("plan", JSON.encode!(input.plan)) do
-      {:ok, plan} -> {:ok, %{input | plan: plan}}
-      {:error, reason} -> {:error, [Error.new("plan", reason, :rule)]}
-    end
-  end
+  def prepare(%{plan: given} = input, format) do
+    read = if format == "json", do: Forms.read("plan", JSON.encode!(given)), else: Forms.read(format, given)
 
-  def prepare(input, format) do
-    case Forms.read(format, input.plan) do
+    case read do
       {:ok, plan} -> {:ok, %{input | plan: plan}}
-      {:error, reason} -> {:error, {:invalid, reason}}
+      {:error, reason} -> {:error, {:invalid, Error.new("plan", reason, :rule)}}
     end
   end
 

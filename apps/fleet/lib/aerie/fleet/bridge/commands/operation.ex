@@ -74,6 +74,8 @@ defmodule Aerie.Fleet.Bridge.Commands.Operation do
   defp plain({:ok, value}, id), do: Map.merge(%{"id" => id, "result" => "completed", "reason" => nil}, value)
   defp plain({:pending, id}, _id), do: %{"id" => id, "result" => nil, "reason" => "it is under way"}
 
+  defp plain({:error, {:invalid, error}}, id), do: plain({:error, [error]}, id)
+
   defp plain({:error, errors}, id) do
     shown = for error <- errors, do: error |> Map.from_struct() |> Map.take([:key, :expected, :got])
 

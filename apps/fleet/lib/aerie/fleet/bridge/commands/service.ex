@@ -122,7 +122,7 @@ defmodule Aerie.Fleet.Bridge.Commands.Service do
          {:ok, source} <- source(operation, state.gateway, signature, message),
          :ok <- admitted(server, source, signature),
          :ok <- once(operation.once, signature, object) do
-      operation |> run(state.gateway, message, object, source) |> body(object)
+      operation |> run(state.gateway, message, object, source) |> body(operation, object)
     else
       {:refused, rule, reason} ->
         refusal(rule, reason)
@@ -169,18 +169,18 @@ defmodule Aerie.Fleet.Bridge.Commands.Service do
     end
   end
 
-  defp body({:ok, answer}, _object), do: Map.put(answer, "result", "ok")
-  defp body({:error, {rule, what}}, object), do: refusal(rule, text(what), object)
-  defp body({:error, errors}, object), do: refusal(:malformed, text(errors), object)
-
-  defp text([_ | _] = errors), do: Error.text(errors)
-  defp text(text), do: text
+  defp body({:ok, answer}, _operation, _object), do: Map.put(answer, "result", "ok")
 
   # The token of a change is in its answer.
-  defp refusal(rule, reason, object \\ %{}) do
-    refusal = %{"result" => "refused", "rule" => Atom.to_string(rule), "reason" => reason}
-    if is_map_key(object, "token"), do: Map.put(refusal, "token", object["token"]), else: refusal
-  end
+  defp body({:error, refused}, %{answer: %{token: _token}}, object),
+    do: refused |> refusal() |> Map.put("token", object["token"])
+
+  defp body({:error, refused}, _operation, _object), do: refusal(refused)
+
+  defp refusal({rule, [_ | _] = errors}), do: refusal(rule, Error.text(errors))
+  defp refusal({rule, reason}), do: refusal(rule, reason)
+  defp refusal(errors), do: refusal(:malformed, Error.text(errors))
+  defp refusal(rule, reason), do: %{"result" => "refused", "rule" => Atom.to_string(rule), "reason" => reason}
 
   # A message without a reply subject is ignored; a client without an answer asks again.
   defp reply(%{reply_to: nil}, _body), do: :ok

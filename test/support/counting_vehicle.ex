@@ -6,7 +6,7 @@ defmodule Aerie.CountingVehicle do
 
   use GenServer
 
-  alias MavCodec.CommandNumber
+  alias MavCodec.Command
   alias MavCodec.{Frame, Parser, Signing}
   alias MavCodec.Messages, as: M
 
@@ -71,7 +71,7 @@ defmodule Aerie.CountingVehicle do
 
     counts =
       Enum.reduce(frames, state.counts, fn %Frame{} = frame, counts ->
-        Map.update(counts, {frame.id, frame.system, CommandNumber.of(frame), frame.seq}, 1, &(&1 + 1))
+        Map.update(counts, {frame.id, frame.system, Command.of(frame), frame.seq}, 1, &(&1 + 1))
       end)
 
     values = for frame <- frames, value <- value(frame, state.params), do: value

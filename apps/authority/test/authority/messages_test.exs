@@ -3,7 +3,7 @@ defmodule Authority.MessagesTest do
 
   alias Authority.{Messages, Principal}
   alias Authority.Messages.Rows
-  alias MavCodec.MessageName
+  alias MavCodec.MessageId
   alias MavCodec.Dialects.All
 
   @permissions [:arm, :fly, :mission, :manual, :payload, :telemetry, :sensors, :maintain]
@@ -11,7 +11,7 @@ defmodule Authority.MessagesTest do
   # Names of writes.
   @writes ~r/^(SET_|PARAM_.*SET$|MISSION_(COUNT|ITEM|ITEM_INT|CLEAR_ALL|WRITE_PARTIAL_LIST|SET_CURRENT)$|.*_OVERRIDE|COMMAND_(LONG|INT)$|MANUAL_(CONTROL|SETPOINT)|LOG_ERASE)/
 
-  defp row(name), do: name |> MessageName.id!() |> Messages.row()
+  defp row(name), do: name |> MessageId.of!() |> Messages.row()
   defp rows, do: for(id <- All.ids(), do: {All.name(id), Messages.row(id)})
   defp names(rows), do: for({name, _row} <- rows, do: name)
 
@@ -32,7 +32,7 @@ defmodule Authority.MessagesTest do
   test "whether a message is an order follows from its class, and from nothing else" do
     for {name, row} <- rows() do
       assert row.order? == row.class in @orders, name
-      assert Messages.order?(MessageName.id!(name)) == row.order?, name
+      assert Messages.order?(MessageId.of!(name)) == row.order?, name
     end
   end
 

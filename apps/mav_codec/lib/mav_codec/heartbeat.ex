@@ -7,12 +7,12 @@ defmodule MavCodec.Heartbeat do
   only the component of an autopilot is one.
   """
 
-  alias MavCodec.MessageName
+  alias MavCodec.MessageId
   alias MavCodec.Enums.{MavAutopilot, MavComponent, MavType}
   alias MavCodec.Frame
 
-  @id MessageName.id!("HEARTBEAT")
-  @high_latency2 MessageName.id!("HIGH_LATENCY2")
+  @id MessageId.of!("HEARTBEAT")
+  @high_latency2 MessageId.of!("HIGH_LATENCY2")
   @gcs MavType.value(:MAV_TYPE_GCS)
   @autopilot_invalid MavAutopilot.value(:MAV_AUTOPILOT_INVALID)
 

@@ -4,16 +4,16 @@ defmodule MavCodec.HighLatency do
   answers go over them; heartbeats, streams, parameters, missions and clock measurements do not.
   """
 
-  alias MavCodec.MessageName
+  alias MavCodec.MessageId
   alias MavCodec.Enums.MavCmd
   alias MavCodec.Frame
 
   @silent_us 10_000_000
-  @commands Enum.map(~w(COMMAND_INT COMMAND_LONG), &MessageName.id!/1)
+  @commands Enum.map(~w(COMMAND_INT COMMAND_LONG), &MessageId.of!/1)
   @carried @commands ++
              Enum.map(
                ~w(SET_MODE MISSION_SET_CURRENT COMMAND_ACK COMMAND_CANCEL HIGH_LATENCY HIGH_LATENCY2),
-               &MessageName.id!/1
+               &MessageId.of!/1
              )
   # Commands that only ask for more to be sent.
   @asking Enum.map(

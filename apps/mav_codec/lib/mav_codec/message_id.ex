@@ -1,6 +1,6 @@
 defmodule MavCodec.MessageId do
   @moduledoc """
-  Message ids by the name of the message, as constants: for patterns, guards, maps and attributes.
+  Ids of messages by their names, as constants: for patterns, guards, maps and attributes.
 
       import MavCodec.MessageId
 
@@ -10,4 +10,16 @@ defmodule MavCodec.MessageId do
 
   @doc "The id of the message `MavCodec.Messages.NAME`."
   defmacro id({:__aliases__, _meta, name}), do: Module.concat([MavCodec.Messages | name]).id()
+
+  @doc """
+  The id of a message by its name in the definitions, such as `"HEARTBEAT"`, for attributes and function heads. A name
+  that is not in the definitions raises, which stops the compilation.
+  """
+  @spec of!(String.t()) :: non_neg_integer
+  def of!(name) do
+    case MavCodec.Dialects.All.message_id(name) do
+      nil -> raise ArgumentError, "no message #{name} in the definitions"
+      id -> id
+    end
+  end
 end

@@ -2,7 +2,7 @@ defmodule MavCodec.HighLatencyTest do
   use ExUnit.Case, async: true
 
   alias MavCodec.HighLatency
-  alias MavCodec.MessageName
+  alias MavCodec.MessageId
   alias MavCodec.Frame
   alias MavCodec.Messages
 
@@ -20,7 +20,7 @@ defmodule MavCodec.HighLatencyTest do
   end
 
   test "a message that is not in the definitions has no id" do
-    assert MessageName.id!("HEARTBEAT") == 0
-    assert_raise ArgumentError, ~r/no message HEART/, fn -> MessageName.id!("HEART") end
+    assert MessageId.of!("HEARTBEAT") == 0
+    assert_raise ArgumentError, ~r/no message HEART/, fn -> MessageId.of!("HEART") end
   end
 end

@@ -18,7 +18,7 @@ defmodule MavRouter.Forward do
   """
 
   alias MavCodec.HighLatency
-  alias MavCodec.MessageName
+  alias MavCodec.MessageId
   alias MavRouter.Endpoints.Output.Batch
   alias MavRouter.Routes.LinkSelector
   alias MavRouter.Endpoints.Queue.TrafficClass
@@ -36,15 +36,15 @@ defmodule MavRouter.Forward do
   alias Aerie.Base.{Names, TokenBucket}
   alias MavCodec.{Frame, Redact}
 
-  @heartbeat MessageName.id!("HEARTBEAT")
-  @setup_signing MessageName.id!("SETUP_SIGNING")
+  @heartbeat MessageId.of!("HEARTBEAT")
+  @setup_signing MessageId.of!("SETUP_SIGNING")
   # Other vehicles hear two heartbeats a second of one component, and up to four at once.
   @heartbeat_us 500_000
   @heartbeats 4
   # Commands that an autopilot sends to 1/0 or 0/0 are for itself: PX4 says its internal ones so.
   @commands Enum.map(
               ~w(COMMAND_INT COMMAND_LONG COMMAND_INT_STAMPED COMMAND_LONG_STAMPED),
-              &MessageName.id!/1
+              &MessageId.of!/1
             )
 
   @doc "Forwards the frames of one source, in order."

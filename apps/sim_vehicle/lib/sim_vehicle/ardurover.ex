@@ -7,7 +7,7 @@ defmodule SimVehicle.Ardurover do
 
   @behaviour SimVehicle.Personality
 
-  import MavCodec.CommandId
+  import MavCodec.Command
   import MavCodec.MessageId
 
   alias MavCodec.Enums.MavResult

@@ -12,7 +12,7 @@ defmodule SimVehicle.Pilot do
   the ground and disarmed for five minutes: nobody who looks around after a landing is to be surprised by a take-off. It also stops during any failsafe.
   """
 
-  import MavCodec.CommandId
+  import MavCodec.Command
 
   alias MavCodec.Messages, as: M
   alias SimVehicle.{Command, Geo, Vehicle}

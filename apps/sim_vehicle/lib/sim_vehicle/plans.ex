@@ -10,7 +10,7 @@ defmodule SimVehicle.Plans do
   """
 
   import Bitwise
-  import MavCodec.CommandId
+  import MavCodec.Command
 
   alias MavCodec.Messages, as: M
   alias Protocols.Mission.{Reply, Upload}

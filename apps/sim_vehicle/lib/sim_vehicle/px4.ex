@@ -9,7 +9,7 @@ defmodule SimVehicle.Px4 do
 
   @behaviour SimVehicle.Personality
 
-  import MavCodec.CommandId
+  import MavCodec.Command
   import MavCodec.MessageId
 
   alias MavCodec.Messages, as: M

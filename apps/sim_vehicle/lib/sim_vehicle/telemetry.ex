@@ -4,7 +4,7 @@ defmodule SimVehicle.Telemetry do
   personality; the rest, the same for both, from the modules below this one.
   """
 
-  import MavCodec.CommandId
+  import MavCodec.Command
   import MavCodec.MessageId
 
   alias MavCodec.Messages, as: M

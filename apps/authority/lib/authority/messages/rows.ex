@@ -1,7 +1,7 @@
 defmodule Authority.Messages.Rows do
   @moduledoc "The rows of `Authority.Messages`, by the names of the messages: class, permission, what else, names."
 
-  alias MavCodec.MessageName
+  alias MavCodec.MessageId
 
   @rows [
     # Heartbeats of other vehicles may be heard; a ground station's, or what poses as one, is an operator's.
@@ -144,7 +144,7 @@ defmodule Authority.Messages.Rows do
     rows =
       for {class, permission, more, names} <- @rows,
           name <- names,
-          do: {MessageName.id!(name), [class: class, permission: permission] ++ more}
+          do: {MessageId.of!(name), [class: class, permission: permission] ++ more}
 
     case Enum.map(rows, &elem(&1, 0)) -- Enum.uniq(Enum.map(rows, &elem(&1, 0))) do
       [] -> Enum.sort(rows)

@@ -33,7 +33,7 @@ defmodule MavRouter.Forward.Gate do
   alias Authority.Commands
   alias Authority.Messages
   alias Authority.Principal
-  alias MavCodec.CommandNumber
+  alias MavCodec.Command
   alias MavCodec.Enums.MavComponent
   alias MavRouter.Forward.Gate.Questions
   alias MavRouter.Forward.Delivery
@@ -130,7 +130,7 @@ defmodule MavRouter.Forward.Gate do
   end
 
   defp least(frame, row) do
-    case CommandNumber.of(frame) do
+    case Command.of(frame) do
       nil -> row.permission
       number -> Commands.permission(number)
     end
@@ -192,7 +192,7 @@ defmodule MavRouter.Forward.Gate do
   end
 
   defp question?(frame) do
-    case CommandNumber.of(frame) do
+    case Command.of(frame) do
       nil -> false
       number -> Commands.question?(number)
     end

@@ -6,7 +6,7 @@ defmodule MavRouter.Forward.HeartbeatLearner do
   alias MavCodec.BootClock
   alias MavCodec.Heartbeat
   alias MavCodec.HighLatency
-  alias MavCodec.MessageName
+  alias MavCodec.MessageId
   alias MavRouter.Forward.Delivery
   alias MavRouter.Endpoints
   alias MavRouter.Routes
@@ -16,10 +16,10 @@ defmodule MavRouter.Forward.HeartbeatLearner do
   alias MavRouter.Tables
   alias MavCodec.Frame
 
-  @heartbeat MessageName.id!("HEARTBEAT")
+  @heartbeat MessageId.of!("HEARTBEAT")
   # Takes the place of the heartbeat on a link of high latency (X6).
-  @high_latency2 MessageName.id!("HIGH_LATENCY2")
-  @system_time MessageName.id!("SYSTEM_TIME")
+  @high_latency2 MessageId.of!("HIGH_LATENCY2")
+  @system_time MessageId.of!("SYSTEM_TIME")
   # The component id of nearly every autopilot.
   @autopilot1 1
   # An endpoint that sends a heartbeat after being there for so long has sent one before.

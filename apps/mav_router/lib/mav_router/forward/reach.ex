@@ -18,14 +18,14 @@ defmodule MavRouter.Forward.Reach do
 
   alias Authority.Messages
   alias MavCodec.Heartbeat
-  alias MavCodec.MessageName
+  alias MavCodec.MessageId
   alias MavRouter.Forward.Table.Path
   alias MavRouter.Routes
   alias MavRouter.Forward.Source
   alias MavRouter.Tables
   alias MavCodec.Frame
 
-  @command_ack MessageName.id!("COMMAND_ACK")
+  @command_ack MessageId.of!("COMMAND_ACK")
   @heartbeat Heartbeat.id()
   @authorization MavCodec.Enums.MavCmd.value(:MAV_CMD_ARM_AUTHORIZATION_REQUEST)
   @heard [:telemetry, :presence, :question, :answer]

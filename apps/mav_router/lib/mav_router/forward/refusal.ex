@@ -9,7 +9,7 @@ defmodule MavRouter.Forward.Refusal do
   """
 
   alias Authority.Messages
-  alias MavCodec.CommandNumber
+  alias MavCodec.Command
   alias MavRouter.Forward.Delivery
   alias MavRouter.Endpoints.Counters
   alias MavRouter.Endpoints.Output
@@ -74,7 +74,7 @@ defmodule MavRouter.Forward.Refusal do
   end
 
   defp answer(frame, {system, component}, %{path: path, tables: tables}) when system != 0 do
-    command = CommandNumber.of(frame)
+    command = Command.of(frame)
 
     if command != nil and path.out != nil and due?(tables, {:answered, path.owner}, @answered_ms) do
       ack = %CommandAck{

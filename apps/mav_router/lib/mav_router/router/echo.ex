@@ -7,7 +7,7 @@ defmodule MavRouter.Router.Echo do
   """
 
   alias MavCodec.Heartbeat
-  alias MavCodec.MessageName
+  alias MavCodec.MessageId
   alias Aerie.Base.Names
   alias MavRouter.Forward.Delivery
   alias MavRouter.Tables
@@ -15,7 +15,7 @@ defmodule MavRouter.Router.Echo do
 
   require Logger
 
-  @heartbeat MessageName.id!("HEARTBEAT")
+  @heartbeat MessageId.of!("HEARTBEAT")
   @silent_ms 10_000
 
   @doc "Looks at frames with our own ids that are trusted (`MavRouter.Signing.admit/3`)."

@@ -9,12 +9,12 @@ defmodule MavRouter.Signing.Scope do
   A scope whose key cannot be read fails closed: it refuses everything for which its policy requires a signature.
   """
 
-  alias MavCodec.MessageName
+  alias MavCodec.MessageId
   alias Aerie.Base.Secret
   alias MavRouter.Signing.Key
   alias MavRouter.Signing.KeyStore.KeyFiles
 
-  @radio_status MessageName.id!("RADIO_STATUS")
+  @radio_status MessageId.of!("RADIO_STATUS")
 
   @enforce_keys [:id]
   defstruct [:id, :secret, :error, :source, policy: :required, allow: [@radio_status], generation: 0]

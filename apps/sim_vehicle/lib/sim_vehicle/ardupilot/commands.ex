@@ -4,7 +4,7 @@ defmodule SimVehicle.Ardupilot.Commands do
   with UNSUPPORTED.
   """
 
-  import MavCodec.CommandId
+  import MavCodec.Command
   import MavCodec.MessageId
 
   alias MavCodec.Enums.MavResult

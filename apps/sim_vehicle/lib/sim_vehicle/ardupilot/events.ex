@@ -3,7 +3,7 @@ defmodule SimVehicle.Ardupilot.Events do
   ArduCopter's texts and actions on events in flight.
   """
 
-  import MavCodec.CommandId
+  import MavCodec.Command
 
   alias MavCodec.Messages, as: M
   alias SimVehicle.Vehicle

@@ -3,7 +3,7 @@ defmodule SimVehicle.Ardupilot.Failsafes do
   ArduCopter's failsafes: on demand, and by themselves for the battery and a lost ground station.
   """
 
-  import MavCodec.CommandId
+  import MavCodec.Command
 
   alias SimVehicle.{Battery, Geo, Params, Plans, Vehicle}
   alias SimVehicle.Ardupilot.{Arming, Modes}

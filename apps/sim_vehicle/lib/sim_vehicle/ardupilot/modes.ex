@@ -3,7 +3,7 @@ defmodule SimVehicle.Ardupilot.Modes do
   ArduCopter's flight modes: numbers, when they can be entered, and what the vehicle then does.
   """
 
-  import MavCodec.CommandId
+  import MavCodec.Command
   import MavCodec.MessageId
   import Bitwise
 

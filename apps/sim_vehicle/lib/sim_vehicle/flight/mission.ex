@@ -5,7 +5,7 @@ defmodule SimVehicle.Flight.Mission do
   States are those of MISSION_CURRENT: `:none`, `:not_started`, `:active`, `:paused`, `:complete`.
   """
 
-  import MavCodec.CommandId
+  import MavCodec.Command
 
   alias SimVehicle.{Geo, Plans, Real32, Vehicle}
   alias SimVehicle.Flight.Goal

@@ -11,7 +11,7 @@ defmodule SimVehicle.Plans.Storage do
   """
 
   import Bitwise
-  import MavCodec.CommandId
+  import MavCodec.Command
 
   alias SimVehicle.Real32
 

@@ -3,7 +3,7 @@ defmodule SimVehicle.Px4.Arming do
   PX4's arming and disarming, with its events.
   """
 
-  import MavCodec.CommandId
+  import MavCodec.Command
 
   alias MavCodec.Enums.MavResult
   alias SimVehicle.{Command, Flight, Params, Vehicle}

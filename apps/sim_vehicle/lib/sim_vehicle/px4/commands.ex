@@ -3,7 +3,7 @@ defmodule SimVehicle.Px4.Commands do
   COMMAND_LONG and COMMAND_INT as PX4 1.17.0 answers them: mode changes twice, some commands never, refusals with an event.
   """
 
-  import MavCodec.CommandId
+  import MavCodec.Command
   import MavCodec.MessageId
 
   alias MavCodec.Enums.MavResult

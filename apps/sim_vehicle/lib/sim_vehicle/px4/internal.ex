@@ -4,7 +4,7 @@ defmodule SimVehicle.Px4.Internal do
   confirmation. A router that sends them back to the vehicle makes a loop.
   """
 
-  import MavCodec.CommandId
+  import MavCodec.Command
 
   alias MavCodec.Messages, as: M
   alias SimVehicle.Vehicle

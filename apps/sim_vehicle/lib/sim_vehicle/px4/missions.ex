@@ -4,7 +4,7 @@ defmodule SimVehicle.Px4.Missions do
   mission.
   """
 
-  import MavCodec.CommandId
+  import MavCodec.Command
 
   alias MavCodec.Messages, as: M
   alias SimVehicle.{Geo, Params, Plans, Vehicle}

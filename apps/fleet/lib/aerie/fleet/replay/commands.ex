@@ -10,7 +10,7 @@ defmodule Aerie.Fleet.Replay.Commands do
 
   alias Aerie.Fleet.Replay.Machine
   alias Authority.Messages
-  alias MavCodec.{CommandNumber, Frame, FrameSplitter}
+  alias MavCodec.{Command, Frame, FrameSplitter}
   alias MavCodec.Dialects.All
 
   @enforce_keys [:machine]
@@ -89,7 +89,7 @@ defmodule Aerie.Fleet.Replay.Commands do
   defp kind(_row, _frame, _machine), do: :nothing
 
   defp question?(frame) do
-    number = CommandNumber.of(frame)
+    number = Command.of(frame)
     number != nil and Authority.Commands.question?(number)
   end
 
@@ -145,7 +145,7 @@ defmodule Aerie.Fleet.Replay.Commands do
 
   # What people search for: the command of a COMMAND_LONG.
   defp name(message, frame) do
-    case CommandNumber.of(frame) do
+    case Command.of(frame) do
       nil ->
         if is_map_key(message, :param_id),
           do: "#{All.name(frame.id)} #{message.param_id}",

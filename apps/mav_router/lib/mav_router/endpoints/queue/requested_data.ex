@@ -16,7 +16,7 @@ defmodule MavRouter.Endpoints.Queue.RequestedData do
   A request lasts until #{@lasts_ms} ms after its last repetition or answer.
   """
 
-  alias MavCodec.MessageName
+  alias MavCodec.MessageId
   alias MavCodec.Frame
 
   @kinds [
@@ -60,13 +60,13 @@ defmodule MavRouter.Endpoints.Queue.RequestedData do
   end
 
   for {kind, {requests, _answers}} <- @kinds, name <- requests do
-    defp request(unquote(MessageName.id!(name))), do: unquote(kind)
+    defp request(unquote(MessageId.of!(name))), do: unquote(kind)
   end
 
   defp request(_other), do: nil
 
   for {kind, {_requests, answers}} <- @kinds, name <- answers do
-    defp answer(unquote(MessageName.id!(name))), do: unquote(kind)
+    defp answer(unquote(MessageId.of!(name))), do: unquote(kind)
   end
 
   defp answer(_other), do: nil

@@ -11,7 +11,7 @@ defmodule MavRouter.Endpoints.Queue.TrafficClass do
   | `:bulk` | last | files, logs, tunnels, images, debug vectors |
   """
 
-  alias MavCodec.MessageName
+  alias MavCodec.MessageId
 
   @type class :: :control | :ack | :state | :transfer | :bulk
 
@@ -52,7 +52,7 @@ defmodule MavRouter.Endpoints.Queue.TrafficClass do
   @doc "The class of a message id."
   @spec of(non_neg_integer) :: class
   for {class, names} <- @names, name <- names do
-    def of(unquote(MessageName.id!(name))), do: unquote(class)
+    def of(unquote(MessageId.of!(name))), do: unquote(class)
   end
 
   def of(_other), do: :state

@@ -10,10 +10,10 @@ defmodule MavRouter.Forward.Cache.EarlyTexts do
   At most #{@max_texts} texts of each of #{@max_systems} systems are held, for #{div(@patience_us, 1_000_000)} s; further ones are not.
   """
 
-  alias MavCodec.MessageName
+  alias MavCodec.MessageId
   alias MavCodec.Frame
 
-  @statustext MessageName.id!("STATUSTEXT")
+  @statustext MessageId.of!("STATUSTEXT")
 
   @typedoc "Frames by system (any term), the newest first."
   @type t :: %{term() => [Frame.t()]}

@@ -12,7 +12,7 @@ defmodule MavRouter.Forward.Gate.Questions do
 
   alias Authority.Commands
   alias Authority.Commands.Numbers
-  alias MavCodec.CommandNumber
+  alias MavCodec.Command
   alias MavRouter.Forward.Delivery
   alias MavRouter.Forward.Dispatch
   alias MavRouter.Endpoints.Output
@@ -40,7 +40,7 @@ defmodule MavRouter.Forward.Gate.Questions do
   """
   @spec ask(Frame.t(), Authority.Messages.row(), Delivery.t()) :: :asked | :too_often | :denied | :not_askable
   def ask(%Frame{} = frame, row, delivery) do
-    command = CommandNumber.of(frame)
+    command = Command.of(frame)
     per_minute = if command, do: @commands_per_minute, else: row.per_minute
 
     with true <- per_minute > 0,

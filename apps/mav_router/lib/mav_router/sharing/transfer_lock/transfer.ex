@@ -14,7 +14,7 @@ defmodule MavRouter.Sharing.TransferLock.Transfer do
   | | vehicle | | LOG_DATA, LOG_ENTRY | LOG_ENTRY of the last log |
   """
 
-  alias MavCodec.MessageName
+  alias MavCodec.MessageId
   alias MavCodec.Enums.MavFtpOpcode
   alias MavCodec.Frame
   alias MavCodec.Messages, as: M
@@ -34,7 +34,7 @@ defmodule MavRouter.Sharing.TransferLock.Transfer do
          ~w(MISSION_REQUEST_PARTIAL_LIST MISSION_WRITE_PARTIAL_LIST MISSION_ITEM MISSION_REQUEST MISSION_REQUEST_LIST
          MISSION_COUNT MISSION_CLEAR_ALL MISSION_ACK MISSION_REQUEST_INT MISSION_ITEM_INT FILE_TRANSFER_PROTOCOL LOG_REQUEST_LIST LOG_ENTRY
          LOG_REQUEST_DATA LOG_DATA LOG_ERASE LOG_REQUEST_END),
-         &MessageName.id!/1
+         &MessageId.of!/1
        )
 
   opcode = &(MavFtpOpcode.value(:"MAV_FTP_OPCODE_#{&1}") || raise("no opcode #{&1}"))

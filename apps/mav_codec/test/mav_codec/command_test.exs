@@ -1,7 +1,7 @@
-defmodule MavCodec.CommandIdTest do
+defmodule MavCodec.CommandTest do
   use ExUnit.Case, async: true
 
-  import MavCodec.CommandId
+  import MavCodec.Command
 
   test "a number by the name of its command, in patterns too" do
     assert cmd(:COMPONENT_ARM_DISARM) == 400
@@ -10,6 +10,6 @@ defmodule MavCodec.CommandIdTest do
   end
 
   test "an unknown name does not compile" do
-    assert_raise KeyError, fn -> Code.eval_string("import MavCodec.CommandId; cmd(:NO_SUCH_COMMAND)") end
+    assert_raise KeyError, fn -> Code.eval_string("import MavCodec.Command; cmd(:NO_SUCH_COMMAND)") end
   end
 end

@@ -138,7 +138,7 @@ defmodule Aerie.Vehicle.StateUnknownTest do
 
     for file <- ~w(common development standard),
         path = Path.join(@definitions, file <> ".facts"),
-        {:ok, document} = Facts.read(File.read!(path), path),
+        {:ok, document} = path |> File.read!() |> Facts.facts() |> Facts.document(path),
         message <- document.messages,
         module = names[Macro.camelize(String.downcase(message.name))],
         field <- message.fields,
@@ -162,7 +162,7 @@ defmodule Aerie.Vehicle.StateUnknownTest do
 
     for file <- ~w(common development standard),
         path = Path.join(@definitions, file <> ".facts"),
-        {:ok, document} = Facts.read(File.read!(path), path),
+        {:ok, document} = path |> File.read!() |> Facts.facts() |> Facts.document(path),
         message <- document.messages,
         Enum.any?(message.fields, & &1.invalid),
         State.wants?(%State{}, message.id, 0) do

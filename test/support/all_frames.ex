@@ -46,7 +46,7 @@ defmodule Aerie.AllFrames do
   def invented(system) do
     for id <- @invented_ids,
         payload <- [<<1, 1>>, :binary.copy(<<0xFF>>, 200)],
-        do: MavCodec.Raw.frame(id, payload, 0, system: system, component: 190)
+        do: MavCodec.Frame.Raw.frame(id, payload, 0, system: system, component: 190)
   end
 
   @doc "Frames of all commands from a system, by COMMAND_LONG and COMMAND_INT. Options as those of `messages/2`."
@@ -69,7 +69,7 @@ defmodule Aerie.AllFrames do
     do: send_as(id, payload(id, target, fill, version), fill, version, system, options)
 
   defp send_as(id, payload, fill, version, system, options) do
-    MavCodec.Raw.frame(id, payload, All.crc_extra(id),
+    MavCodec.Frame.Raw.frame(id, payload, All.crc_extra(id),
       system: system,
       component: options[:component] || 190,
       seq: Enum.find_index(@fills, &(&1 == fill)),

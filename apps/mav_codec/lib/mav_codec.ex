@@ -8,15 +8,17 @@ defmodule MavCodec do
 
       MavCodec.encode(%MavCodec.Messages.Heartbeat{type: 6}, system: 237, component: 191, seq: 7)
 
-  `MavCodec.Parser` reads, `MavCodec.Encoder` writes and counts, `MavCodec.Signing` signs and verifies,
+  `MavCodec.Parser` reads, `MavCodec.Frame.Encoder` writes and counts, `MavCodec.Signing` signs and verifies,
   `MavCodec.Tlog.Reader` and `MavCodec.Tlog.Writer` read and write recordings.
   """
 
-  alias MavCodec.{DecodeError, Dialects, Message, Raw}
+  alias MavCodec.{Dialects, Message}
+  alias MavCodec.Frame.Raw
+  alias MavCodec.Message.DecodeError
 
   @typedoc """
     * `:dialect` - the dialect with the message's layout; default `MavCodec.Dialects.All`
-    * the options of `t:MavCodec.Raw.option/0`: `:system` (required), `:component`, `:seq`, `:version`, ...
+    * the options of `t:MavCodec.Frame.Raw.option/0`: `:system` (required), `:component`, `:seq`, `:version`, ...
   """
   @type encode_option :: {:dialect, module()} | Raw.option()
 
@@ -49,8 +51,8 @@ defmodule MavCodec do
 
   With `sysid32: true` a target system above 255 is put into the header, and 255 into the payload (N1).
 
-  Raises `MavCodec.EncodeError` for a value that does not fit its field, a message that is not in the dialect or not in
-  version 1, or an id out of range.
+  Raises `MavCodec.Message.EncodeError` for a value that does not fit its field, a message that is not in the dialect or
+  not in version 1, or an id out of range.
 
       iex> MavCodec.encode(%MavCodec.Messages.Ping{seq: 1}, system: 1, seq: 9) |> Base.encode16()
       "FD0900000901010400000000000000000000011B74"

@@ -26,7 +26,7 @@ defmodule MavCodec.Dialect do
 
   @doc "The struct of a payload. Only an id that is not in the dialect is an error."
   @callback decode(id :: non_neg_integer(), payload :: binary()) ::
-              {:ok, struct()} | {:error, MavCodec.DecodeError.t()}
+              {:ok, struct()} | {:error, MavCodec.Message.DecodeError.t()}
 
   @doc "The struct module of a message id."
   @callback module_for(id :: non_neg_integer()) :: module() | nil

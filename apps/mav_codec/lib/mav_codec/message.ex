@@ -7,7 +7,7 @@ defmodule MavCodec.Message do
   struct is all zeros, so only the fields that matter need to be set.
   """
 
-  alias MavCodec.EncodeError
+  alias MavCodec.Message.EncodeError
   alias MavCodec.Message.{Field, Value}
 
   @type t :: struct()

@@ -32,7 +32,8 @@ defmodule MavCodec.Signing do
 
   import Bitwise
 
-  alias MavCodec.{CRC, EncodeError, Frame}
+  alias MavCodec.{CRC, Frame}
+  alias MavCodec.Message.EncodeError
 
   @signed 0x01
   @signature_size 13
@@ -229,7 +230,7 @@ defmodule MavCodec.Signing do
 
   @doc """
   Signs an unsigned v2 frame. The header gets the flag, and the CRC covers the header, so `crc_extra` is needed. Raises
-  `MavCodec.EncodeError` for a v1 frame: version 1 has no signatures.
+  `MavCodec.Message.EncodeError` for a v1 frame: version 1 has no signatures.
   """
   @spec sign(t(), binary(), 0..255) :: {binary(), t()}
   def sign(signing, frame, crc_extra) do

@@ -93,8 +93,8 @@ defmodule MavCodec.FuzzTest do
     for _ <- 1..500 do
       text = damage_once(xml)
 
-      assert match?({:ok, _}, Definition.Parser.parse(text, "tiny.xml")) or
-               match?({:error, %Definition.Error{}}, Definition.Parser.parse(text, "tiny.xml"))
+      assert match?({:ok, _}, Definition.Importer.Parser.parse(text, "tiny.xml")) or
+               match?({:error, %Definition.Error{}}, Definition.Importer.Parser.parse(text, "tiny.xml"))
     end
   end
 end

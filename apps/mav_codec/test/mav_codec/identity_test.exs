@@ -4,7 +4,8 @@ defmodule MavCodec.IdentityTest do
 
   import Bitwise
 
-  alias MavCodec.{Encoder, Message, Parser, Signing}
+  alias MavCodec.{Message, Parser, Signing}
+  alias MavCodec.Frame.Encoder
   alias MavCodec.Dialects.All
   alias MavCodec.Message.Value
 
@@ -130,17 +131,17 @@ defmodule MavCodec.IdentityTest do
           {[system: 1, component: 256], ~r/component to be .* got: 256/},
           {[system: 1, version: 3], ~r/version to be 1 or 2, got: 3/}
         ] do
-      assert_raise MavCodec.EncodeError, text, fn -> MavCodec.encode(heartbeat, options) end
+      assert_raise MavCodec.Message.EncodeError, text, fn -> MavCodec.encode(heartbeat, options) end
     end
 
     assert_raise KeyError, ~r/:system/, fn -> MavCodec.encode(heartbeat, []) end
 
-    assert_raise MavCodec.EncodeError, ~r/type/, fn ->
+    assert_raise MavCodec.Message.EncodeError, ~r/type/, fn ->
       MavCodec.encode(%{heartbeat | type: 256}, system: 1)
     end
 
-    assert_raise MavCodec.EncodeError, ~r/payload/, fn ->
-      MavCodec.Raw.frame(0, <<0::size(256)-unit(8), 1>>, 50, system: 1)
+    assert_raise MavCodec.Message.EncodeError, ~r/payload/, fn ->
+      MavCodec.Frame.Raw.frame(0, <<0::size(256)-unit(8), 1>>, 50, system: 1)
     end
   end
 

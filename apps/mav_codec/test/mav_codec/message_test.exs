@@ -1,7 +1,8 @@
 defmodule MavCodec.MessageTest do
   use ExUnit.Case, async: true
 
-  alias MavCodec.{DecodeError, Dialects, EncodeError, Message}
+  alias MavCodec.{Dialects, Message}
+  alias MavCodec.Message.{DecodeError, EncodeError}
   alias MavCodec.Messages.{Attitude, Heartbeat, MissionAck, ParamExtSet, ParamValue, Simstate164, SimState}
 
   defp encode_payload(message, version \\ 2, dialect \\ Dialects.All),
@@ -32,7 +33,7 @@ defmodule MavCodec.MessageTest do
     assert {:ok, %{c: "A"}} = MavCodec.decode(frame, MavCodec.Dialects.Test)
 
     for wrong <- ["AB", <<0>>, 65] do
-      assert_raise MavCodec.EncodeError, ~r/\bc\b/, fn ->
+      assert_raise MavCodec.Message.EncodeError, ~r/\bc\b/, fn ->
         MavCodec.encode(%{message | c: wrong}, system: 1, dialect: MavCodec.Dialects.Test)
       end
     end

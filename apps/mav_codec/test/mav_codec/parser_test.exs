@@ -4,7 +4,8 @@ defmodule MavCodec.ParserTest do
   import Bitwise
   import MavCodec.Test.Wire
 
-  alias MavCodec.{CRC, Frame, Messages, Parser, Raw}
+  alias MavCodec.{CRC, Frame, Messages, Parser}
+  alias MavCodec.Frame.Raw
   alias MavCodec.Test.TinyDialect
 
   doctest MavCodec
@@ -263,7 +264,7 @@ defmodule MavCodec.ParserTest do
       assert bytes(frames) == [data, heartbeat(seq: 5)]
       assert %Frame{id: 54_321, crc_extra: nil, payload: <<1, 2, 3, 4, 5>>} = hd(frames)
       refute Frame.known?(hd(frames))
-      assert {:error, %MavCodec.DecodeError{id: 54_321}} = MavCodec.decode(hd(frames))
+      assert {:error, %MavCodec.Message.DecodeError{id: 54_321}} = MavCodec.decode(hd(frames))
       assert %{unknown_ids: 1, frames: 2, crc_errors: 0, resync_bytes: 0} = stats(parser)
     end
 
@@ -394,7 +395,7 @@ defmodule MavCodec.ParserTest do
     end
 
     test "without the switch they are not encoded" do
-      assert_raise MavCodec.EncodeError, ~r/system/, fn -> heartbeat(system: 256) end
+      assert_raise MavCodec.Message.EncodeError, ~r/system/, fn -> heartbeat(system: 256) end
     end
   end
 

@@ -126,9 +126,11 @@ defmodule MavCodec.SigningTest do
     end
 
     test "version 1 has no signatures" do
-      assert_raise MavCodec.EncodeError, ~r/version/, fn -> Signing.sign(new(), heartbeat(version: 1), 50) end
+      assert_raise MavCodec.Message.EncodeError, ~r/version/, fn ->
+        Signing.sign(new(), heartbeat(version: 1), 50)
+      end
 
-      assert_raise MavCodec.EncodeError, fn ->
+      assert_raise MavCodec.Message.EncodeError, fn ->
         Signing.encode(new(), %Messages.Heartbeat{}, system: 1, version: 1)
       end
     end

@@ -5,7 +5,7 @@ defmodule MavCodec.SniffTest do
   alias MavCodec.Sniff
 
   doctest Sniff
-  doctest MavCodec.Crc8
+  doctest MavCodec.CRC.DvbS2
   doctest Sniff.Words
 
   @fixtures Path.expand("../../../mav_router/test/fixtures/serial", __DIR__)
@@ -71,7 +71,7 @@ defmodule MavCodec.SniffTest do
 
     test "CRSF of a radio receiver; a single frame may be chance" do
       statistics = <<0x14, 16, 19, 99, 151, 1, 2, 3, 8, 88, 148>>
-      frame = <<0xC8, 12, statistics::binary, MavCodec.Crc8.of(statistics)>>
+      frame = <<0xC8, 12, statistics::binary, MavCodec.CRC.DvbS2.of(statistics)>>
 
       assert %{protocol: :crsf, evidence: "3 frames (link statistics)"} =
                Sniff.classify(:binary.copy(frame, 3))

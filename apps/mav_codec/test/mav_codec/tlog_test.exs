@@ -3,7 +3,8 @@ defmodule MavCodec.TlogTest do
 
   import MavCodec.Test.Wire
 
-  alias MavCodec.{Frame, Messages, Parser, Redact, Signing, Tlog}
+  alias MavCodec.{Frame, Messages, Parser, Signing, Tlog}
+  alias MavCodec.Signing.Redact
   alias MavCodec.Test.Captures
 
   @at 1_795_216_285_745_000

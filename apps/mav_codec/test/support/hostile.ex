@@ -3,7 +3,8 @@ defmodule MavCodec.Test.Hostile do
   Bytes made to cost a parser as much as they can: for the property that they do not, and for the benchmark that shows it.
   """
 
-  alias MavCodec.{Messages, Raw}
+  alias MavCodec.Messages
+  alias MavCodec.Frame.Raw
 
   # FILE_TRANSFER_PROTOCOL and DEBUG: the longest payload of a version 1 message, and the id that equals its magic.
   @ftp 110

@@ -1,7 +1,8 @@
 defmodule MavCodec.Test.Wire do
   @moduledoc "Bytes for tests of the parser, and the brute-force scan that it is compared with."
 
-  alias MavCodec.{CRC, Frame, Messages, Parser, Raw}
+  alias MavCodec.{CRC, Frame, Messages, Parser}
+  alias MavCodec.Frame.Raw
 
   @doc "A v2 frame of a known message, about 30 bytes."
   def attitude(options \\ []) do

@@ -11,13 +11,13 @@ defmodule MavRouter.Forward do
   | R6 | a boot time that starts over clears the routes that the same endpoint taught of the system |
   | R9 | a component that never spoke is reached where its system is |
   | S8 | SETUP_SIGNING goes nowhere |
-  | S9 | other passwords and keys (`MavCodec.Redact`) go to vehicles; clients get what vehicles say without them |
+  | S9 | other secrets (`MavCodec.Signing.Redact`) go to vehicles; clients get what vehicles say without them |
   | F10 | a target that was cut off is 0, which is everyone |
 
   Runs in the process that received the frames. Each receiver gets its frames in their order.
   """
 
-  alias MavCodec.HighLatency
+  alias MavCodec.Meaning.HighLatency
   alias MavCodec.MessageId
   alias MavRouter.Endpoints.Output.Batch
   alias MavRouter.Routes.LinkSelector
@@ -34,7 +34,8 @@ defmodule MavRouter.Forward do
   alias MavRouter.Routes
   alias MavRouter.Forward.Holders
   alias Aerie.Base.{Names, TokenBucket}
-  alias MavCodec.{Frame, Redact}
+  alias MavCodec.Frame
+  alias MavCodec.Signing.Redact
 
   @heartbeat MessageId.of!("HEARTBEAT")
   @setup_signing MessageId.of!("SETUP_SIGNING")

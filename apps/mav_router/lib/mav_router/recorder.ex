@@ -25,7 +25,7 @@ defmodule MavRouter.Recorder do
   alias Aerie.Base.Store
   alias Aerie.Base.Names
   alias MavRouter.Recorder.{Archive, Recording, Ring, Status, Tables, Tap}
-  alias MavCodec.FrameSplitter
+  alias MavCodec.Frame.Splitter
   alias MavCodec.Frame
 
   @save_ms 10_000
@@ -78,7 +78,7 @@ defmodule MavRouter.Recorder do
   def sent(gateway, link, network, bytes) do
     _ =
       with tables when is_map(tables) <- Tables.of(gateway) do
-        {frames, _rest} = bytes |> IO.iodata_to_binary() |> FrameSplitter.frames(System.os_time(:microsecond))
+        {frames, _rest} = bytes |> IO.iodata_to_binary() |> Splitter.frames(System.os_time(:microsecond))
         sent_by(tables, link, network, frames)
       end
 
@@ -96,13 +96,13 @@ defmodule MavRouter.Recorder do
   defp sent_by(tables, link, network, frames) do
     if Tables.settings(tables).sent do
       if Tap.open?(tables, {:link, link}),
-        do: Tap.offer(tables, {:link, link}, Enum.map(frames, &FrameSplitter.checked/1), :sent)
+        do: Tap.offer(tables, {:link, link}, Enum.map(frames, &Splitter.checked/1), :sent)
 
       for frame <- frames,
           {system, _component} when system > 0 <- [Frame.target(frame)],
           key = {network, system},
           Ring.known?(tables, key) or Tap.open?(tables, {:vehicle, key}),
-          do: keep(tables, key, [FrameSplitter.checked(frame)])
+          do: keep(tables, key, [Splitter.checked(frame)])
     end
   end
 

@@ -103,8 +103,8 @@ defmodule MavRouter.Signing do
   @doc "The part of sent bytes that may be recorded: nothing of a key (S9)."
   @spec without_key(iodata | marked, iodata) :: iodata
   def without_key({:secret, _key, _secret}, bytes) do
-    {frames, _rest} = bytes |> IO.iodata_to_binary() |> MavCodec.FrameSplitter.frames()
-    Enum.map(frames, &MavCodec.Redact.frame(MavCodec.FrameSplitter.checked(&1)).bytes)
+    {frames, _rest} = bytes |> IO.iodata_to_binary() |> MavCodec.Frame.Splitter.frames()
+    Enum.map(frames, &MavCodec.Signing.Redact.frame(MavCodec.Frame.Splitter.checked(&1)).bytes)
   end
 
   def without_key(_given, bytes), do: bytes

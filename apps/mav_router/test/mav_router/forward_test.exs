@@ -149,7 +149,7 @@ defmodule MavRouter.ForwardTest do
     end
 
     defp kept?(message),
-      do: message |> message(1, 1) |> MavCodec.Frame.from_bytes(nil) |> MavCodec.Redact.kept?()
+      do: message |> message(1, 1) |> MavCodec.Frame.from_bytes(nil) |> MavCodec.Signing.Redact.kept?()
 
     test "S10: a signed frame is forwarded unchanged, rightly signed or not", c do
       signing = MavCodec.Signing.new(:binary.copy(<<7>>, 32), link_id: 3)

@@ -7,7 +7,8 @@ defmodule SimVehicle.Ftp do
   (T2). Sessions do not survive a reboot; files do.
   """
 
-  alias MavCodec.{CRC, PackedParams}
+  alias MavCodec.CRC
+  alias MavCodec.Ftp.PackedParams
   alias MavCodec.Ftp.Packet
   alias Protocols.Files.Content
   alias SimVehicle.Params

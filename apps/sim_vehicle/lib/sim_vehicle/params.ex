@@ -99,7 +99,7 @@ defmodule SimVehicle.Params do
   end
 
   @doc "The table for ArduPilot's parameter file. Every value is its own default but odd ones, which have one of 0."
-  @spec packed(t) :: [MavCodec.PackedParams.param()]
+  @spec packed(t) :: [MavCodec.Ftp.PackedParams.param()]
   def packed(params) do
     for name <- names(params) do
       {value, type} = Map.fetch!(params.values, name)

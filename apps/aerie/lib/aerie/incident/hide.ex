@@ -7,7 +7,8 @@ defmodule Aerie.Incident.Hide do
   """
 
   alias Aerie.Base.Secret
-  alias MavCodec.{Frame, Redact}
+  alias MavCodec.Frame
+  alias MavCodec.Signing.Redact
 
   @hidden "(hidden)"
   # A shorter one would be found in ordinary words.

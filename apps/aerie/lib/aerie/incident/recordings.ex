@@ -9,7 +9,8 @@ defmodule Aerie.Incident.Recordings do
   alias Aerie.Fleet.Replay.{Settings, Source}
   alias Aerie.Incident.{Hide, Span}
   alias Aerie.Vehicle.Options
-  alias MavCodec.{Frame, Heartbeat, Tlog}
+  alias MavCodec.{Frame, Tlog}
+  alias MavCodec.Meaning.Heartbeat
   alias MavRouter.Recorder.Archive.Name
   alias MavRouter.Forward.Reach
 

@@ -5,7 +5,8 @@ defmodule Aerie.Incident.MakeTest do
   alias Aerie.{Config, Incident}
   alias Aerie.Control.Ledger.Journal
   alias Aerie.Incident.{Source, Span}
-  alias MavCodec.{Frame, Parser, Raw, Tlog}
+  alias MavCodec.{Frame, Parser, Tlog}
+  alias MavCodec.Frame.Raw
   alias MavCodec.Messages, as: M
   alias MavRouter.Recorder.Archive.Name
 

@@ -230,7 +230,7 @@ defmodule Aerie.Control.ReadCacheTest do
     assert %{opcode: 128, session: 7} = ack
     {bytes, n} = pieces(station, n + 1, 0, "")
     ftp(station, :terminate, n + 1, [])
-    {:ok, params} = MavCodec.PackedParams.decode(bytes, 5_000)
+    {:ok, params} = MavCodec.Ftp.PackedParams.decode(bytes, 5_000)
     Map.new(params, fn {name, _type, value, _default} -> {name, value} end)
   end
 

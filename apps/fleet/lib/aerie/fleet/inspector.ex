@@ -11,7 +11,7 @@ defmodule Aerie.Fleet.Inspector do
   but what somebody asks for, in the process of the caller (`Aerie.Fleet.Inspector.Fields`).
 
   What a link sends is seen as far as the recorder sees it (`recorder.sent`); without a recorder there is
-  nothing to see. Passwords and keys (`MavCodec.Redact`) are never shown (S9).
+  nothing to see. Passwords and keys (`MavCodec.Signing.Redact`) are never shown (S9).
   """
   use GenServer
 

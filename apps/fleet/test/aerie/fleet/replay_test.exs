@@ -193,7 +193,7 @@ defmodule Aerie.Fleet.ReplayTest do
     defp made({id, payload, system, component}, at) do
       [extra | _] = id |> MavCodec.Dialects.All.crc_extra() |> List.wrap()
       payload = payload |> Enum.take(255) |> :erlang.list_to_binary()
-      bytes = MavCodec.Raw.frame(id, payload, extra, system: system, component: component)
+      bytes = MavCodec.Frame.Raw.frame(id, payload, extra, system: system, component: component)
       MavCodec.Frame.from_bytes(bytes, extra, at)
     end
 

@@ -4,7 +4,8 @@ defmodule MavCodec.Definition.Importer do
   After an error nothing is written.
   """
 
-  alias MavCodec.Definition.{Document, Error, Facts, Parser, Resolver}
+  alias MavCodec.Definition.{Document, Error, Facts, Resolver}
+  alias MavCodec.Definition.Importer.Parser
 
   @max_files 200
 

@@ -57,7 +57,7 @@ defmodule MavCodec.Msp.Frame do
   defp header(%{flags: flags, id: id, payload: payload}) when id in 0..0xFFFF,
     do: <<flags, id::16-little, byte_size(payload)::16-little>>
 
-  defp crc(body), do: MavCodec.Crc8.of(IO.iodata_to_binary(body))
+  defp crc(body), do: MavCodec.CRC.DvbS2.of(IO.iodata_to_binary(body))
 
   defp xor(body) do
     for <<byte <- IO.iodata_to_binary(body)>>, reduce: 0, do: (sum -> Bitwise.bxor(sum, byte))

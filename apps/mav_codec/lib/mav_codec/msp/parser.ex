@@ -14,7 +14,7 @@ defmodule MavCodec.Msp.Parser do
   what waits: a flight controller's command line echoes a request as `$M<` or `$X<` and no more.
   """
 
-  alias MavCodec.Crc8
+  alias MavCodec.CRC.DvbS2
   alias MavCodec.Msp.{Frame, Sums}
 
   defstruct buffer: "",
@@ -152,7 +152,7 @@ defmodule MavCodec.Msp.Parser do
   defp checks({:v2_over_v1, _, _, _}, sums, start, skip, size) do
     payload = start + skip
     header = Sums.crc(sums, start + 5, start + 10)
-    crc = Bitwise.bxor(Crc8.zeros(header, size), Sums.crc(sums, payload, payload + size))
+    crc = Bitwise.bxor(DvbS2.zeros(header, size), Sums.crc(sums, payload, payload + size))
     <<crc, Bitwise.bxor(Sums.xor(sums, start + 3, payload + size), crc)>>
   end
 

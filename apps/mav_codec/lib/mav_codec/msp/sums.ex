@@ -6,7 +6,7 @@ defmodule MavCodec.Msp.Sums do
 
   import Bitwise
 
-  alias MavCodec.Crc8
+  alias MavCodec.CRC.DvbS2
 
   defstruct sums: <<0, 0>>, xor: 0, crc: 0
 
@@ -19,7 +19,7 @@ defmodule MavCodec.Msp.Sums do
 
   defp append(<<byte, rest::binary>>, sums, xor, crc) do
     xor = bxor(xor, byte)
-    crc = Crc8.next(crc, byte)
+    crc = DvbS2.next(crc, byte)
     append(rest, <<sums::binary, xor, crc>>, xor, crc)
   end
 
@@ -40,6 +40,6 @@ defmodule MavCodec.Msp.Sums do
   @spec crc(t, non_neg_integer, non_neg_integer) :: byte
   def crc(%__MODULE__{sums: sums}, from, to) do
     before = :binary.at(sums, 2 * from + 1)
-    bxor(:binary.at(sums, 2 * to + 1), Crc8.zeros(before, to - from))
+    bxor(:binary.at(sums, 2 * to + 1), DvbS2.zeros(before, to - from))
   end
 end

@@ -15,7 +15,9 @@ defmodule MavCodec.Msp.Trace do
   `push/2` puts them together again. An entry of which a frame is missing is left out.
   """
 
-  alias MavCodec.{Frame, FrameSplitter, Redact}
+  alias MavCodec.Frame
+  alias MavCodec.Frame.Splitter
+  alias MavCodec.Signing.Redact
   alias MavCodec.Messages.Tunnel
 
   @tunnel Tunnel.id()
@@ -69,7 +71,7 @@ defmodule MavCodec.Msp.Trace do
       tunnel
       |> MavCodec.encode(system: options[:system], component: @component, seq: options[:seq] + n)
       |> Frame.from_bytes(nil, options[:at])
-      |> FrameSplitter.checked()
+      |> Splitter.checked()
     end
   end
 
@@ -125,10 +127,10 @@ defmodule MavCodec.Msp.Trace do
   defp data(_no_bytes), do: ""
 
   defp public(bytes) do
-    {frames, rest} = FrameSplitter.frames(bytes)
+    {frames, rest} = Splitter.frames(bytes)
 
     IO.iodata_to_binary([
-      for(frame <- frames, do: Redact.frame(FrameSplitter.checked(frame), signatures: false).bytes),
+      for(frame <- frames, do: Redact.frame(Splitter.checked(frame), signatures: false).bytes),
       rest
     ])
   end

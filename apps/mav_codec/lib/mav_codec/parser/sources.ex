@@ -2,13 +2,14 @@ defmodule MavCodec.Parser.Sources do
   @moduledoc """
   Sequence loss per source {system, component} of one parser.
 
-  The frames of a source come in order, so a run of them is counted and passed to `MavCodec.SequenceLoss` at once. At most
+  The frames of a source come in order, so a run of them is counted and passed to `MavCodec.Frame.SequenceLoss` at once. At most
   `limit/0` sources are kept: with forged source ids, only later sources lack statistics.
   """
 
   import Bitwise
 
-  alias MavCodec.{Frame, SequenceLoss}
+  alias MavCodec.Frame
+  alias MavCodec.Frame.SequenceLoss
 
   @limit 512
   @heartbeat 0
@@ -69,7 +70,7 @@ defmodule MavCodec.Parser.Sources do
   defp hand_over(loss, first, count), do: SequenceLoss.observe_run(loss, first, count)
 
   @doc """
-  The loss of each source, see `t:MavCodec.SequenceLoss.stats/0`.
+  The loss of each source, see `t:MavCodec.Frame.SequenceLoss.stats/0`.
 
   `ratio` is `nil` for a source that sent nothing but heartbeats: these may be forwarded ones, picked out of a stream
   whose other numbers never came this way.

@@ -5,7 +5,7 @@ defmodule MavCodec.Sniff.Crsf do
   """
 
   alias MavCodec.Sniff
-  alias MavCodec.Crc8
+  alias MavCodec.CRC.DvbS2
 
   # Flight controller, transmitter module, receiver, radio handset.
   @addresses [0xC8, 0xEE, 0xEC, 0xEA]
@@ -44,7 +44,7 @@ defmodule MavCodec.Sniff.Crsf do
 
   defp frames(<<address, length, body::binary-size(length), rest::binary>> = bytes, found)
        when address in @addresses and length in 2..62 do
-    if Crc8.of(body) == 0,
+    if DvbS2.of(body) == 0,
       do: frames(rest, [{:binary.first(body), length + 2} | found]),
       else: frames(binary_part(bytes, 1, byte_size(bytes) - 1), found)
   end

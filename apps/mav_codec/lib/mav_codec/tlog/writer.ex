@@ -6,11 +6,12 @@ defmodule MavCodec.Tlog.Writer do
       :ok = MavCodec.Tlog.Writer.write(writer, frames)
       :ok = MavCodec.Tlog.Writer.close(writer)
 
-  Keys of signed links never get into the file (S9, `MavCodec.Redact`). The file belongs to the process that opened it and
+  Keys of signed links never get into the file (S9, `MavCodec.Signing.Redact`). The file belongs to the process that opened it and
   is closed with it. `records/2` is the pure part.
   """
 
-  alias MavCodec.{Frame, Redact}
+  alias MavCodec.Frame
+  alias MavCodec.Signing.Redact
 
   @enforce_keys [:file, :signatures]
   defstruct @enforce_keys

@@ -2,7 +2,8 @@ defmodule MavCodec.Definition.CatalogTest do
   @moduledoc "Sources put together: what two definitions of one message or one name become."
   use ExUnit.Case, async: true
 
-  alias MavCodec.Definition.{Catalog, Error, Naming, Parser}
+  alias MavCodec.Definition.{Catalog, Error, Naming}
+  alias MavCodec.Definition.Importer.Parser
 
   defp document(file, body) do
     {:ok, document} = Parser.parse("<mavlink>#{body}</mavlink>", file)

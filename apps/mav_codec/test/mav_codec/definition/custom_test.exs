@@ -1,7 +1,8 @@
 defmodule MavCodec.Definition.CustomTest do
   use ExUnit.Case, async: true
 
-  alias MavCodec.Definition.{Catalog, Custom, Error, Facts, Generator, Parser, Shard}
+  alias MavCodec.Definition.{Catalog, Custom, Error, Facts, Generator, Shard}
+  alias MavCodec.Definition.Importer.Parser
   alias MavCodec.Messages.Heartbeat
   alias MavCodec.Test.Tiny
   alias MavCodec.Test.Tiny.Messages.TinyStatus

@@ -90,7 +90,12 @@ defmodule MavCodec.Message.PropertiesTest do
             assert same?(Map.fetch!(decoded, key), term), "#{inspect(module)} #{key}: #{inspect(term)}"
 
           {:error, error} ->
-            assert %MavCodec.EncodeError{message: ^module, field: ^key, got: ^term, expected: expected} =
+            assert %MavCodec.Message.EncodeError{
+                     message: ^module,
+                     field: ^key,
+                     got: ^term,
+                     expected: expected
+                   } =
                      error
 
             assert is_binary(expected) and is_binary(Exception.message(error))

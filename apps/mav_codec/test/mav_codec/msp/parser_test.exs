@@ -6,7 +6,7 @@ defmodule MavCodec.Msp.ParserTest do
   alias MavCodec.Msp.{Frame, Parser, Sums}
   alias MavCodec.Test.MspTranscript
 
-  doctest MavCodec.Crc8
+  doctest MavCodec.CRC.DvbS2
 
   defp holds(property, tests \\ 300),
     do: assert(:proper.quickcheck(property, [:quiet, {:numtests, tests}]) == true)
@@ -188,7 +188,7 @@ defmodule MavCodec.Msp.ParserTest do
         dropped = Sums.drop(sums, byte_size(a))
         from = byte_size(a)
         to = from + byte_size(b)
-        crc = MavCodec.Crc8.of(b)
+        crc = MavCodec.CRC.DvbS2.of(b)
         xor = b |> :binary.bin_to_list() |> Enum.reduce(0, &Bitwise.bxor/2)
 
         {Sums.crc(sums, from, to), Sums.xor(sums, from, to)} == {crc, xor} and

@@ -28,7 +28,7 @@ defmodule MavRouter.Forward.Gate do
   endpoint has an autopilot of that id.
   """
 
-  import MavCodec.Heartbeat, only: [is_station: 1]
+  import MavCodec.Meaning.Heartbeat, only: [is_station: 1]
 
   alias Authority.Commands
   alias Authority.Messages

@@ -3,9 +3,9 @@ defmodule MavRouter.Forward.HeartbeatLearner do
   The few messages that the router itself reads: heartbeats tell what their sender is, SYSTEM_TIME tells reboots (R6).
   """
 
-  alias MavCodec.BootClock
-  alias MavCodec.Heartbeat
-  alias MavCodec.HighLatency
+  alias MavCodec.Message.BootClock
+  alias MavCodec.Meaning.Heartbeat
+  alias MavCodec.Meaning.HighLatency
   alias MavCodec.MessageId
   alias MavRouter.Forward.Delivery
   alias MavRouter.Endpoints

@@ -14,10 +14,10 @@ defmodule MavRouter.Forward.Reach do
   | `:stranger`: anybody else | nothing |
   """
 
-  import MavCodec.Heartbeat, only: [is_station: 1]
+  import MavCodec.Meaning.Heartbeat, only: [is_station: 1]
 
   alias Authority.Messages
-  alias MavCodec.Heartbeat
+  alias MavCodec.Meaning.Heartbeat
   alias MavCodec.MessageId
   alias MavRouter.Forward.Table.Path
   alias MavRouter.Routes

@@ -15,7 +15,7 @@ defmodule MavRouter.Link.Announcer do
   alias Aerie.Base.Names
   alias MavRouter.Identity
   alias MavRouter.Identity.Heartbeat
-  alias MavCodec.Encoder
+  alias MavCodec.Frame.Encoder
   alias MavCodec.Messages.Timesync
 
   @silence_us 3_000_000

@@ -6,7 +6,7 @@ defmodule MavRouter.Recorder.Core do
   after all are disarmed. `{:until, at}` records up to a time. Times are those of the frames.
   """
 
-  alias MavCodec.Heartbeat
+  alias MavCodec.Meaning.Heartbeat
   alias MavCodec.Frame
 
   @heartbeat Heartbeat.id()

@@ -7,7 +7,8 @@ defmodule MavRouter.Recorder.Tap do
   """
 
   alias MavRouter.Recorder.Tables
-  alias MavCodec.{Frame, Redact}
+  alias MavCodec.Frame
+  alias MavCodec.Signing.Redact
 
   @waiting 1
   @dropped 2

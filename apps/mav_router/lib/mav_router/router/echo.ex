@@ -6,7 +6,7 @@ defmodule MavRouter.Router.Echo do
   one says so, because a sender without a key could otherwise keep the gateway from being ready.
   """
 
-  alias MavCodec.Heartbeat
+  alias MavCodec.Meaning.Heartbeat
   alias MavCodec.MessageId
   alias Aerie.Base.Names
   alias MavRouter.Forward.Delivery

@@ -15,7 +15,7 @@ defmodule MavRouter.Signing.Signer do
   alias MavRouter.Signing.Tables
   alias MavRouter.Signing.Verifiers.Verifier
   alias MavRouter.Signing.Verifiers
-  alias MavCodec.FrameSplitter
+  alias MavCodec.Frame.Splitter
   alias MavCodec.Frame
 
   # The size of link id, time stamp and signature.
@@ -62,7 +62,7 @@ defmodule MavRouter.Signing.Signer do
 
   defp filled(<<0::size(@room)-unit(8), bytes::binary>>, gateway, link, network, peer) do
     with tables when is_map(tables) <- Tables.active(gateway),
-         {[frame], ""} <- FrameSplitter.frames(bytes),
+         {[frame], ""} <- Splitter.frames(bytes),
          [_ | _] = scopes <- scopes(tables, link, peer, {network, target(frame)}) do
       Enum.map(scopes, &sign(gateway, tables, link, &1, bytes, :any))
     else

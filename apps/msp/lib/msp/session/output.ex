@@ -1,7 +1,8 @@
 defmodule Msp.Session.Output do
   @moduledoc "What a session tells in MAVLink: messages of the vehicle's autopilot, in the order of their sending."
 
-  alias MavCodec.{Dialects, Encoder, Frame}
+  alias MavCodec.{Dialects, Frame}
+  alias MavCodec.Frame.Encoder
   alias MavCodec.Enums.MavResult
   alias MavCodec.Messages, as: M
   alias Msp.Session

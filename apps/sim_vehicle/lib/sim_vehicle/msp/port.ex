@@ -7,7 +7,7 @@ defmodule SimVehicle.Msp.Port do
   `#` outside frames opens the command line, which echoes what can be printed.
   """
 
-  alias MavCodec.Crc8
+  alias MavCodec.CRC.DvbS2
   alias MavCodec.Msp.Frame
 
   defstruct buffer: "", queue: [], cli: false, disabled: false, stale: <<0::size(192 * 8)>>
@@ -52,7 +52,7 @@ defmodule SimVehicle.Msp.Port do
          <<"$X<", flags, id::16-little, n::16-little, payload::binary-size(n), crc, rest::binary>>,
          events
        ) do
-    good? = Crc8.of(<<flags, id::16-little, n::16-little, payload::binary>>) == crc
+    good? = DvbS2.of(<<flags, id::16-little, n::16-little, payload::binary>>) == crc
     taken(port, good?, %Frame{form: :v2, flags: flags, id: id, payload: payload}, rest, events)
   end
 
@@ -64,7 +64,7 @@ defmodule SimVehicle.Msp.Port do
        )
        when outer == n + 6 and n <= @max_payload do
     body = <<outer, 255, flags, id::16-little, n::16-little, payload::binary, crc>>
-    good? = Crc8.of(<<flags, id::16-little, n::16-little, payload::binary>>) == crc and xor(body) == sum
+    good? = DvbS2.of(<<flags, id::16-little, n::16-little, payload::binary>>) == crc and xor(body) == sum
     taken(port, good?, %Frame{form: :v2_over_v1, flags: flags, id: id, payload: payload}, rest, events)
   end
 

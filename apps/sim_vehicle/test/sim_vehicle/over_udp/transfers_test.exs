@@ -6,7 +6,8 @@ defmodule SimVehicle.OverUdp.TransfersTest do
 
   alias MavCodec.Ftp.Packet
   alias MavCodec.Message.Value
-  alias MavCodec.{CRC, PackedParams}
+  alias MavCodec.CRC
+  alias MavCodec.Ftp.PackedParams
   alias MavCodec.Messages, as: M
   alias SimVehicle.Peer
 

@@ -48,7 +48,7 @@ defmodule Aerie.Vehicle.Core do
   as heard on the link, and their texts and reports become events; they change nothing else.
   """
 
-  alias MavCodec.BootClock
+  alias MavCodec.Message.BootClock
   alias Aerie.Vehicle.{Collision, Options, Reports, Sampling, State}
   alias Aerie.Vehicle.Services.{Gcs, Switches, Timesync}
   alias Aerie.Vehicle.Core.{Collisions, Effects, Frames, Reporting, Services, SnapshotSchedule, Texts, Timers}

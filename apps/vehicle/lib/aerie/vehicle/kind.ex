@@ -4,7 +4,7 @@ defmodule Aerie.Vehicle.Kind do
   ArduPlane with rotors says FIXED_WING there by default: `Aerie.Vehicle.State.Mode` tells it from its other signs.
   """
 
-  alias MavCodec.Heartbeat
+  alias MavCodec.Meaning.Heartbeat
   alias MavCodec.Enums.{MavAutopilot, MavType}
 
   @kinds %{
@@ -75,7 +75,7 @@ defmodule Aerie.Vehicle.Kind do
   def autopilot(@px4), do: :px4
   def autopilot(_other), do: :generic
 
-  @doc "Whether a heartbeat with this MAV_TYPE and MAV_AUTOPILOT is that of a vehicle's autopilot (H2, `MavCodec.Heartbeat.vehicle?/1`)."
+  @doc "Whether a heartbeat with this MAV_TYPE and MAV_AUTOPILOT is that of a vehicle's autopilot (H2, `MavCodec.Meaning.Heartbeat.vehicle?/1`)."
   @spec vehicle?(integer(), integer(), component :: 0..255) :: boolean()
   def vehicle?(type, autopilot, component \\ 0),
     do: Heartbeat.vehicle?(%Heartbeat{type: type, autopilot: autopilot, component: component})

@@ -16,7 +16,7 @@ defmodule Aerie.Control.Params.Fetch do
 
   alias Aerie.Control.Ftp.{Client, RoundTrip}
   alias Aerie.Control.Params.{Cache, Download, Param, Set, Table}
-  alias MavCodec.PackedParams
+  alias MavCodec.Ftp.PackedParams
 
   @silent_us RoundTrip.silence()
   @max_file_bytes 262_144

@@ -1,7 +1,7 @@
 defmodule Aerie.Control.Params.FileResponder do
   @moduledoc """
   ArduPilot's parameter file, served to ground stations by MAVLink FTP from a list that is known to be the vehicle's, as the vehicle serves it
-  (`MavCodec.PackedParams`). Pure.
+  (`MavCodec.Ftp.PackedParams`). Pure.
 
   A station's session lasts until it ends it or opens another file, or until the list may be wrong: then its next read is refused, and it
   begins again. Sessions have the number of the request, and only that station's requests with this number are answered.
@@ -9,7 +9,7 @@ defmodule Aerie.Control.Params.FileResponder do
 
   alias Aerie.Control.Params.{Param, Table}
   alias MavCodec.Ftp.Packet
-  alias MavCodec.PackedParams
+  alias MavCodec.Ftp.PackedParams
   alias Protocols.Files.Content
 
   @max_sessions 64

@@ -6,7 +6,7 @@ defmodule Aerie.Control.Params.LongNames do
 
   alias Aerie.Control.Params.{Metadata, Param, Table}
   alias MavCodec.Msp.{Message, Params, ShortName}
-  alias MavCodec.PackedParams
+  alias MavCodec.Ftp.PackedParams
 
   @command_line ~r/\A[a-z0-9_]{1,64}\z/
   @msp [:betaflight, :inav]

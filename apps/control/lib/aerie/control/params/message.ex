@@ -9,7 +9,7 @@ defmodule Aerie.Control.Params.Message do
   alias MavCodec.Enums.MavParamError
   alias MavCodec.Message.ParamValue
   alias MavCodec.Messages, as: M
-  alias MavCodec.PackedParams
+  alias MavCodec.Ftp.PackedParams
 
   @type target :: {system :: non_neg_integer(), component :: 0..255}
   @type encoding :: ParamValue.encoding() | :extended

@@ -32,12 +32,12 @@ defmodule Aerie.Control.Params.Param do
   def parse(_other), do: :error
 
   @doc "A parameter of ArduPilot's parameter file."
-  @spec unpack(MavCodec.PackedParams.param()) :: t()
+  @spec unpack(MavCodec.Ftp.PackedParams.param()) :: t()
   def unpack({name, type, value, default}),
     do: %__MODULE__{name: name, value: value, type: type, default: default}
 
   @doc "A parameter for ArduPilot's parameter file."
-  @spec pack(t()) :: MavCodec.PackedParams.param()
+  @spec pack(t()) :: MavCodec.Ftp.PackedParams.param()
   def pack(param), do: {param.name, param.type, param.value, param.default}
 
   @doc "The parameter as NATS and REST show it."

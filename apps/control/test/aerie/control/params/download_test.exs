@@ -255,7 +255,9 @@ defmodule Aerie.Control.Params.DownloadTest do
   end
 
   test "a name is 1 to 16 printable characters (P1)" do
-    assert MavCodec.PackedParams.name?("ABCDEFGHIJKLMNOP")
-    for bad <- ["", "ABCDEFGHIJKLMNOPQ", "A B", <<255>>, nil], do: refute(MavCodec.PackedParams.name?(bad))
+    assert MavCodec.Ftp.PackedParams.name?("ABCDEFGHIJKLMNOP")
+
+    for bad <- ["", "ABCDEFGHIJKLMNOPQ", "A B", <<255>>, nil],
+        do: refute(MavCodec.Ftp.PackedParams.name?(bad))
   end
 end

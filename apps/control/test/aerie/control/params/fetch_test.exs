@@ -5,7 +5,7 @@ defmodule Aerie.Control.Params.FetchTest do
   alias Aerie.Control.Params.{Cache, Fetch, Param, Table}
   alias MavCodec.Ftp.Packet
   alias MavCodec.Messages.FileTransferProtocol
-  alias MavCodec.PackedParams
+  alias MavCodec.Ftp.PackedParams
 
   @deadline 300_000_000
 

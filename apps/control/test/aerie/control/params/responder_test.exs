@@ -87,7 +87,7 @@ defmodule Aerie.Control.Params.ResponderTest do
       for {path, defaults?} <- [{@path, false}, {@path <> "?withdefaults=1", true}], size <- [239, 110, 80] do
         {served, [{:reply, :a, [%{opcode: 128, request: 4, session: 3, seq: 2}]}]} = open(served(@made), path)
         file = all(served, :a, size)
-        assert {:ok, packed} = MavCodec.PackedParams.decode(file, 5_000)
+        assert {:ok, packed} = MavCodec.Ftp.PackedParams.decode(file, 5_000)
         params = Enum.map(packed, &Param.unpack/1)
 
         for {param, known} <- Enum.zip(params, Enum.map(@made.order, &@made.params[&1])) do

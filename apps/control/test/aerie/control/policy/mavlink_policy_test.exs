@@ -812,7 +812,7 @@ defmodule Aerie.Control.Policy.MavlinkPolicyTest do
       for name <- ~w(px4_refusals_tx arducopter_flight_tx),
           frame <- Aerie.Flight.parse(File.read!(Path.join(@flights, name <> ".tlog"))),
           Authority.Messages.order?(frame.id),
-          do: MavCodec.FrameSplitter.checked(frame)
+          do: MavCodec.Frame.Splitter.checked(frame)
 
     for {role, n} <- Enum.with_index(~w(viewer operator admin)a), permissions <- [[], [:force_disarm]] do
       source = Policy.Roles.principal(:client, "#{role}-#{length(permissions)}", role, permissions)

@@ -15,7 +15,8 @@ defmodule Aerie.Fleet.Client.RawMessage do
   alias MavRouter.Endpoints.Endpoint
   alias MavRouter.Client.LocalEndpoint
   alias MavRouter.Endpoints.Counters
-  alias MavCodec.{EncodeError, Frame, Parser}
+  alias MavCodec.{Frame, Parser}
+  alias MavCodec.Message.EncodeError
 
   @wait_ms 1_500
   @max_answers 16

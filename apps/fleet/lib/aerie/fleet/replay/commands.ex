@@ -10,7 +10,8 @@ defmodule Aerie.Fleet.Replay.Commands do
 
   alias Aerie.Fleet.Replay.Machine
   alias Authority.Messages
-  alias MavCodec.{Command, Frame, FrameSplitter}
+  alias MavCodec.{Command, Frame}
+  alias MavCodec.Frame.Splitter
   alias MavCodec.Dialects.All
 
   @enforce_keys [:machine]
@@ -54,7 +55,7 @@ defmodule Aerie.Fleet.Replay.Commands do
   @doc "The next frame or damaged part of a recording, and the commands that it is: one for each vehicle that it is for."
   @spec push(t(), Frame.t() | MavCodec.Tlog.Damage.t()) :: {t(), [found()]}
   def push(commands, %Frame{} = frame) do
-    {commands, found} = commands |> told(FrameSplitter.checked(frame), frame)
+    {commands, found} = commands |> told(Splitter.checked(frame), frame)
     {machine, _outputs} = Machine.push(commands.machine, frame)
     {%{commands | machine: machine}, found}
   end

@@ -16,7 +16,7 @@ defmodule Aerie.Fleet.Replay.Machine do
   """
 
   alias Aerie.Fleet.Replay.{Clock, Settings, Stations, Vehicle}
-  alias MavCodec.Heartbeat
+  alias MavCodec.Meaning.Heartbeat
   alias MavRouter.Forward.Cache.EarlyTexts
   alias Aerie.Vehicle.{Core, Options}
   alias Aerie.Vehicle.Services.Timesync

@@ -4,7 +4,7 @@ defmodule Aerie.Fleet.Replay.Stations do
   """
 
   alias MavRouter.Forward.GroundStations
-  alias MavCodec.Heartbeat
+  alias MavCodec.Meaning.Heartbeat
   alias MavCodec.Frame
 
   @type t :: %{{non_neg_integer, 0..255} => GroundStations.station()}

@@ -103,7 +103,7 @@ defmodule Aerie.Fleet.Shadow.Core do
   defp rebooted(core, %{time_boot_ms: boot_ms}) when is_integer(boot_ms) do
     restarted? =
       core.boot_ms != nil and boot_ms + @restart_ms < core.boot_ms and
-        not MavCodec.BootClock.wrapped?(core.boot_ms, boot_ms)
+        not MavCodec.Message.BootClock.wrapped?(core.boot_ms, boot_ms)
 
     attempts = if restarted?, do: Attempts.rebooted(core.attempts), else: core.attempts
     %{core | boot_ms: boot_ms, attempts: attempts}

@@ -179,7 +179,7 @@ defmodule Aerie.Fleet.Shadow.Loop do
 
     Map.filter(plans, fn {_path, known} ->
       (commanded == nil or commanded.at < known.at) and
-        (boot_ms >= known.boot_ms or MavCodec.BootClock.wrapped?(known.boot_ms, boot_ms))
+        (boot_ms >= known.boot_ms or MavCodec.Message.BootClock.wrapped?(known.boot_ms, boot_ms))
     end)
   end
 

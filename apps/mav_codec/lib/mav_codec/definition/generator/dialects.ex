@@ -24,7 +24,7 @@ defmodule MavCodec.Definition.Generator.Dialects do
             fn type, index, _layout ->
               quote(do: {:ok, unquote(type.module).unquote(Messages.decoder(index))(payload)})
             end,
-            quote(do: {:error, %MavCodec.DecodeError{id: id, dialect: __MODULE__}})
+            quote(do: {:error, %MavCodec.Message.DecodeError{id: id, dialect: __MODULE__}})
           )
         )
       end

@@ -11,7 +11,7 @@ defmodule MavRouter.Forward.HeartbeatLearner.Systems do
   alias MavRouter.Forward.GroundStations
   alias Aerie.Base.Store
   alias Aerie.Base.Names
-  alias MavCodec.Heartbeat
+  alias MavCodec.Meaning.Heartbeat
   alias MavCodec.Frame
 
   @max_components 64

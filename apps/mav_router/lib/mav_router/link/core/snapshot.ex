@@ -27,7 +27,7 @@ defmodule MavRouter.Link.Core.Snapshot do
   | `:recording` | `t:MavRouter.Recorder.Status.t/0` without its names, nil if it was never recorded |
   | `:restarts` | monotonic ms of the last restarts of the link's process |
   | `:label` | the label of the configuration, or nil |
-  | `:high_latency` | whether it is configured as a high-latency link (`MavCodec.HighLatency`) |
+  | `:high_latency` | whether it is configured as a high-latency link (`MavCodec.Meaning.HighLatency`) |
   """
 
   alias MavRouter.Link.Core

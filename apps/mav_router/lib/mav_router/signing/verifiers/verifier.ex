@@ -15,7 +15,7 @@ defmodule MavRouter.Signing.Verifiers.Verifier do
   """
 
   alias MavRouter.Signing.Scope
-  alias MavCodec.FrameSplitter
+  alias MavCodec.Frame.Splitter
   alias MavCodec.Frame
   alias MavCodec.Signing
 
@@ -65,11 +65,11 @@ defmodule MavRouter.Signing.Verifiers.Verifier do
   @spec sign(Signing.t(), binary, {non_neg_integer, 0..255} | :any) ::
           {iodata, signed :: non_neg_integer, unsigned :: non_neg_integer, Signing.t()}
   def sign(signing, bytes, own) do
-    {frames, rest} = FrameSplitter.frames(bytes)
+    {frames, rest} = Splitter.frames(bytes)
 
     {out, {signed, unsigned, signing}} =
       Enum.map_reduce(frames, {0, 0, signing}, fn frame, {signed, unsigned, signing} ->
-        case one(FrameSplitter.checked(frame), own, signing) do
+        case one(Splitter.checked(frame), own, signing) do
           {:signed, bytes, signing} -> {bytes, {signed + 1, unsigned, signing}}
           :unsigned -> {frame.bytes, {signed, unsigned + 1, signing}}
           :foreign -> {frame.bytes, {signed, unsigned, signing}}

@@ -6,7 +6,7 @@ defmodule MavRouter.Link.Serial.DetectorTest do
 
   alias MavRouter.Link.Serial.Detector
   alias MavRouter.Link.Serial.Finding
-  alias MavCodec.Crc8
+  alias MavCodec.CRC.DvbS2
 
   defp port(n, origin \\ :usb), do: %{path: "/dev/p#{n}", key: n, origin: origin}
 
@@ -252,7 +252,7 @@ defmodule MavRouter.Link.Serial.DetectorTest do
 
   test "every condition is named, with evidence and advice" do
     statistics = <<0x14, 16, 19, 99, 151, 1, 2, 3, 8, 88, 148>>
-    crsf = <<0xC8, 12, statistics::binary, Crc8.of(statistics)>>
+    crsf = <<0xC8, 12, statistics::binary, DvbS2.of(statistics)>>
 
     world = %{
       1 => silent(),

@@ -9,14 +9,14 @@ defmodule Aerie.Vehicle.Collision.Detector do
   Each reading comes with its path (`t:Aerie.Vehicle.Collision.Owner.path/0`). `paths/2` says which paths brought which
   value: it tells an operator where to look, and the router that these paths do not carry the same vehicle.
 
-  Boot times are compared within one kind of message (`MavCodec.BootClock` says why), and only jumps to and fro count:
-  a clock that does not count milliseconds drifts in one direction. A second link with a delay of up to half a minute
-  shows the same boot time earlier, and on its own paths. So boot times that are close and come by separate paths are taken
-  for a delay, unless the positions are too far apart for one vehicle (`Aerie.Vehicle.Core.Frames`).
+  Boot times are compared within one kind of message (`MavCodec.Message.BootClock` says why), and only jumps to and fro
+  count: a clock that does not count milliseconds drifts in one direction. A second link with a delay of up to half a
+  minute shows the same boot time earlier, and on its own paths. So boot times that are close and come by separate paths
+  are taken for a delay, unless the positions are too far apart for one vehicle (`Aerie.Vehicle.Core.Frames`).
   """
 
   alias Aerie.Vehicle.Collision.Owner
-  alias MavCodec.BootClock
+  alias MavCodec.Message.BootClock
 
   defstruct boot_times: %{}, position: nil, type: nil, uid: nil
 

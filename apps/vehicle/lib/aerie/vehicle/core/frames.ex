@@ -4,7 +4,7 @@ defmodule Aerie.Vehicle.Core.Frames do
   handles it. Actions are newest first.
   """
 
-  alias MavCodec.BootClock
+  alias MavCodec.Message.BootClock
   alias Aerie.Vehicle.{Collision, Core, Kind, State}
   alias Aerie.Vehicle.Services.Params
   alias Aerie.Vehicle.Core.{Collisions, Effects, Reporting, Services, Texts}

@@ -14,7 +14,7 @@ defmodule Aerie.Vehicle.Reports.Sequence do
 
   import Bitwise
 
-  alias MavCodec.BootClock
+  alias MavCodec.Message.BootClock
 
   @again_us 1_000_000
   @tries 3

@@ -7,7 +7,7 @@ defmodule Aerie.Vehicle.Services.Params do
   alias Aerie.Vehicle.Protocol
   alias MavCodec.Message.ParamValue
   alias MavCodec.Messages, as: M
-  alias MavCodec.PackedParams
+  alias MavCodec.Ftp.PackedParams
 
   @type value :: {name :: String.t(), number(), index :: non_neg_integer() | nil}
 

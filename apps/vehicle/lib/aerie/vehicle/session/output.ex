@@ -9,7 +9,8 @@ defmodule Aerie.Vehicle.Session.Output do
   alias Aerie.Base.{Names, Store}
   alias Aerie.Vehicle
   alias MavRouter.Identity.Heartbeat
-  alias MavCodec.{Encoder, Message}
+  alias MavCodec.Message
+  alias MavCodec.Frame.Encoder
 
   @enforce_keys [:gateway, :options, :encoder]
   defstruct [:gateway, :options, :encoder]

@@ -5,11 +5,11 @@ defmodule Aerie.Vehicle.Services.Links.HighLatency do
 
   A link is one if the configuration says so (`links[].high_latency`), or if HIGH_LATENCY2 comes by it and no heartbeat does.
   It carries commands and their answers, but no heartbeats, streams, parameters, missions or clock measurements
-  (`MavCodec.HighLatency`). A vehicle that is heard only by such links is sent no requests, and is lost after
+  (`MavCodec.Meaning.HighLatency`). A vehicle that is heard only by such links is sent no requests, and is lost after
   `timeouts.vehicle_lost_high_latency_s` instead of a few seconds.
   """
 
-  alias MavCodec.HighLatency, as: Rules
+  alias MavCodec.Meaning.HighLatency, as: Rules
   alias Aerie.Base.Names
   alias MavCodec.Enums.MavCmd
   alias MavCodec.Messages.CommandLong

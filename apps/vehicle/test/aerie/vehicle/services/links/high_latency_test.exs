@@ -135,10 +135,10 @@ defmodule Aerie.Vehicle.Services.Links.HighLatencyTest do
     ]
 
     for message <- carried,
-        do: assert(MavCodec.HighLatency.carries?(frame(message, 1)), inspect(message))
+        do: assert(MavCodec.Meaning.HighLatency.carries?(frame(message, 1)), inspect(message))
 
     for message <- not_carried,
-        do: refute(MavCodec.HighLatency.carries?(frame(message, 1)), inspect(message))
+        do: refute(MavCodec.Meaning.HighLatency.carries?(frame(message, 1)), inspect(message))
   end
 
   test "MAV_CMD_CONTROL_HIGH_LATENCY" do

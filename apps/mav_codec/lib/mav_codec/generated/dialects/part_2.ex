@@ -1,0 +1,3 @@
+defmodule MavCodec.Generated.Dialects.Part2 do
+  use MavCodec.Definition.Shard, dialects: {2, 4}
+end

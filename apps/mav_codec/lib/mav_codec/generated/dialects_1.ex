@@ -1,3 +1,0 @@
-defmodule MavCodec.Generated.Dialects1 do
-  use MavCodec.Definition.Shard, dialects: {1, 4}
-end

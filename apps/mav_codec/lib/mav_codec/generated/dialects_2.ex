@@ -1,3 +1,0 @@
-defmodule MavCodec.Generated.Dialects2 do
-  use MavCodec.Definition.Shard, dialects: {2, 4}
-end

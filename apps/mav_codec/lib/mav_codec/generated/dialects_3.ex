@@ -1,3 +1,0 @@
-defmodule MavCodec.Generated.Dialects3 do
-  use MavCodec.Definition.Shard, dialects: {3, 4}
-end

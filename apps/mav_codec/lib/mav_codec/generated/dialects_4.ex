@@ -1,3 +1,0 @@
-defmodule MavCodec.Generated.Dialects4 do
-  use MavCodec.Definition.Shard, dialects: {4, 4}
-end

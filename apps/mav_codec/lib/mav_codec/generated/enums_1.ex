@@ -1,3 +1,0 @@
-defmodule MavCodec.Generated.Enums1 do
-  use MavCodec.Definition.Shard, enums: {1, 4}
-end

@@ -1,3 +1,0 @@
-defmodule MavCodec.Generated.Enums2 do
-  use MavCodec.Definition.Shard, enums: {2, 4}
-end

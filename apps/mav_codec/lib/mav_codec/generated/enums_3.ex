@@ -1,3 +1,0 @@
-defmodule MavCodec.Generated.Enums3 do
-  use MavCodec.Definition.Shard, enums: {3, 4}
-end

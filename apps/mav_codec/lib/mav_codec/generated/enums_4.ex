@@ -1,3 +1,0 @@
-defmodule MavCodec.Generated.Enums4 do
-  use MavCodec.Definition.Shard, enums: {4, 4}
-end

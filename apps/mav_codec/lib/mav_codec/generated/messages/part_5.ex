@@ -1,0 +1,3 @@
+defmodule MavCodec.Generated.Messages.Part5 do
+  use MavCodec.Definition.Shard, messages: {5, 8}
+end

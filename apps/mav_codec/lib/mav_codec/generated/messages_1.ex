@@ -1,3 +1,0 @@
-defmodule MavCodec.Generated.Messages1 do
-  use MavCodec.Definition.Shard, messages: {1, 8}
-end

@@ -1,3 +1,0 @@
-defmodule MavCodec.Generated.Messages4 do
-  use MavCodec.Definition.Shard, messages: {4, 8}
-end

@@ -1,3 +1,0 @@
-defmodule MavCodec.Generated.Messages5 do
-  use MavCodec.Definition.Shard, messages: {5, 8}
-end

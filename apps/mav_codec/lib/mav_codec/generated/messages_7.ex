@@ -1,3 +1,0 @@
-defmodule MavCodec.Generated.Messages7 do
-  use MavCodec.Definition.Shard, messages: {7, 8}
-end

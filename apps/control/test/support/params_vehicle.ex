@@ -4,6 +4,7 @@ defmodule Aerie.ParamsVehicle do
   alias Aerie.Control.Params.Param
   alias MavCodec.Message.ParamValue
   alias MavCodec.Messages, as: M
+  alias Protocols.Params.Listing
 
   defstruct encoding: :c_cast, params: [], history: %{}, pace: 2_000, stuck: [], clamp: %{}, writes: 0
 
@@ -73,38 +74,18 @@ defmodule Aerie.ParamsVehicle do
 
   defp index(v, name), do: Enum.find_index(v.params, &(elem(&1, 0) == name))
 
+  # A value that is not a number has no encoding.
   defp value(v, index) do
-    {name, value, type} = Enum.at(v.params, index)
-    wire = wire(value, type, v.encoding)
-
-    %M.ParamValue{
-      param_id: name,
-      param_value: wire,
-      param_type: type,
-      param_count: length(v.params),
-      param_index: index
-    }
-  end
-
-  defp wire(value, _type, _encoding) when value in [:nan, :infinity, :neg_infinity], do: value
-
-  defp wire(value, type, encoding) do
-    {:ok, wire} = ParamValue.encode(value, type, encoding)
-    wire
+    case Enum.at(v.params, index) do
+      {name, value, type} when is_number(value) -> Listing.value(listing(v), name, value, type)
+      {name, special, type} -> %{Listing.value(listing(v), name, 0, type) | param_value: special}
+    end
   end
 
   @doc "`_HASH_CHECK` as a message."
-  def hash(v) do
-    {:ok, wire} = ParamValue.encode(:erlang.phash2(v.params), 5, :bytewise)
+  def hash(v), do: Listing.hash(%{listing(v) | encoding: :bytewise}, :erlang.phash2(v.params))
 
-    %M.ParamValue{
-      param_id: "_HASH_CHECK",
-      param_value: wire,
-      param_type: 5,
-      param_count: length(v.params),
-      param_index: 65_535
-    }
-  end
+  defp listing(v), do: Listing.new(Enum.map(v.params, &elem(&1, 0)), v.encoding)
 
   defp remember(v) do
     history =

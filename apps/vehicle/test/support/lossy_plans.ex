@@ -5,17 +5,18 @@ defmodule Aerie.LossyPlans do
   writes down each plan that it ever had.
   """
 
-  alias Protocols.Mission.{Item, Transfer}
   alias Aerie.Vehicle.Protocol
+  alias Protocols.Mission.{Item, Reply, Transfer, Upload}
   alias MavCodec.Messages, as: M
 
   @ms 1_000
   @us {237, 191}
   @vehicle {1, 1}
-  @accepted 0
-  @error 1
-  @invalid_sequence 13
-  @cancelled 15
+  # PX4 asks again sooner.
+  @rules %{
+    ardupilot: %{request: M.MissionRequest, again_us: 900_000, patience_us: 8_000_000, out_of_turn: :refuse},
+    px4: %{again_us: 200_000, patience_us: 8_000_000, out_of_turn: :ask_unless_repeated}
+  }
 
   defstruct [:style, :transfer, :seed, :result] ++
               [
@@ -125,12 +126,12 @@ defmodule Aerie.LossyPlans do
   # --- The vehicle
 
   defp hear(world, %M.MissionRequestList{mission_type: type}) do
-    say(world, %M.MissionCount{mission_type: type, count: length(world.plan), opaque_id: world.opaque})
+    say(world, Reply.count(type, length(world.plan), @us, world.opaque))
   end
 
   defp hear(world, %M.MissionRequestInt{seq: seq, mission_type: type}) do
     case Enum.at(world.plan, seq) do
-      nil -> if(world.style == :ardupilot, do: ack(world, @invalid_sequence, type), else: world)
+      nil -> if(world.style == :ardupilot, do: ack(world, :INVALID_SEQUENCE, type), else: world)
       item -> say(world, Item.message(item, seq, type, @us))
     end
   end
@@ -138,40 +139,33 @@ defmodule Aerie.LossyPlans do
   defp hear(%{refuse: {:count, result}} = world, %M.MissionCount{mission_type: type}),
     do: ack(world, result, type)
 
-  defp hear(world, %M.MissionCount{count: count, mission_type: type}) do
-    request(%{world | upload: %{count: count, items: [], type: type, at: world.now, asked: world.now}})
+  defp hear(world, %M.MissionCount{} = m), do: upload(world, {:count, m, @us})
+
+  defp hear(world, %M.MissionItemInt{mission_type: type} = m) do
+    if world.refuse == {:item, m.seq} and Upload.expects?(world.upload, m, @us),
+      do: ack(%{world | upload: nil}, 5, type),
+      else: upload(world, {:item, m, @us})
   end
-
-  defp hear(%{upload: %{} = upload} = world, %M.MissionItemInt{} = m) do
-    next = length(upload.items)
-
-    cond do
-      m.seq != next and world.style == :ardupilot -> ack(world, @invalid_sequence, m.mission_type)
-      m.seq == next - 1 -> world
-      m.seq != next -> request(world)
-      world.refuse == {:item, next} -> ack(%{world | upload: nil}, 5, m.mission_type)
-      true -> take(world, upload, Item.read(m))
-    end
-  end
-
-  defp hear(%{style: :ardupilot} = world, %M.MissionItemInt{} = m), do: ack(world, @error, m.mission_type)
 
   defp hear(world, %M.MissionClearAll{mission_type: type}) do
-    if world.upload, do: ack(world, 14, type), else: world |> store([]) |> ack(@accepted, type)
+    if world.upload, do: ack(world, :DENIED, type), else: world |> store([]) |> ack(:ACCEPTED, type)
   end
 
-  defp hear(world, %M.MissionAck{type: type}) when type != @accepted, do: %{world | upload: nil}
+  defp hear(world, %M.MissionAck{type: type}) when type != 0, do: upload(world, {:cancelled, @us})
   defp hear(world, _other), do: world
 
-  defp take(world, upload, item) do
-    upload = %{upload | items: upload.items ++ [item], at: world.now, asked: world.now}
+  defp upload(world, event) do
+    {upload, actions} = Upload.handle(world.upload, event, @rules[world.style], world.now)
+    Enum.reduce(actions, %{world | upload: upload}, &uploaded/2)
+  end
 
-    if length(upload.items) == upload.count do
-      world = %{world | upload: nil} |> store(upload.items) |> ack(@accepted, upload.type)
-      if world.reject_after, do: say(world, %M.Event{id: 22_271_714, log_levels: 0x63}), else: world
-    else
-      request(%{world | upload: upload})
-    end
+  defp uploaded({:send, message}, world), do: say(world, message)
+  defp uploaded(:stray, %{style: :ardupilot} = world), do: ack(world, :ERROR, 0)
+  defp uploaded(:stray, world), do: world
+
+  defp uploaded({:store, items}, %{upload: %{type: type}} = world) do
+    world = %{world | upload: nil} |> store(Enum.map(items, &Item.read/1)) |> ack(:ACCEPTED, type)
+    if world.reject_after, do: say(world, %M.Event{id: 22_271_714, log_levels: 0x63}), else: world
   end
 
   defp store(world, items) do
@@ -189,44 +183,13 @@ defmodule Aerie.LossyPlans do
         do: say(world, %M.MissionCurrent{mission_id: world.opaque, mission_state: state}),
         else: world
 
-    # PX4 asks again sooner.
-    patience = if world.style == :px4, do: 200_000, else: 900_000
-
-    case world.upload do
-      nil ->
-        world
-
-      upload when world.now - upload.at > 8_000_000 ->
-        ack(%{world | upload: nil}, @cancelled, upload.type)
-
-      upload when world.now - upload.asked > patience ->
-        request(put_in(world.upload.asked, world.now))
-
-      _upload ->
-        world
-    end
+    upload(world, :tick)
   end
 
-  defp request(%{upload: upload, style: style} = world) do
-    message = if style == :px4, do: %M.MissionRequestInt{}, else: %M.MissionRequest{}
-    say(world, %{message | seq: length(upload.items), mission_type: upload.type})
-  end
+  defp ack(world, result, type),
+    do: say(world, Reply.ack(type, result, @us, if(result == :ACCEPTED, do: world.opaque, else: 0)))
 
-  defp ack(world, result, type) do
-    opaque = if result == @accepted, do: world.opaque, else: 0
-    say(world, %M.MissionAck{type: result, mission_type: type, opaque_id: opaque})
-  end
-
-  defp say(world, message) do
-    {system, component} = @us
-
-    message =
-      if is_map_key(message, :target_system),
-        do: %{message | target_system: system, target_component: component},
-        else: message
-
-    post(world, {:to_us, message})
-  end
+  defp say(world, message), do: post(world, {:to_us, message})
 
   # --- The link
 

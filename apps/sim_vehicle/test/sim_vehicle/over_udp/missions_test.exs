@@ -51,19 +51,6 @@ defmodule SimVehicle.OverUdp.MissionsTest do
       assert length(items) == length(mission(unquote(firmware)))
     end
 
-    test "#{firmware}: a station that falls silent is asked again, then told that it is over; the old plan stays (W1, W2)" do
-      {sim, peer} = start(unquote(firmware), speed: 1)
-      {0, peer} = upload(peer, mission(unquote(firmware)))
-      asks = asks(unquote(firmware))
-      {%{seq: 0}, peer} = ask(peer, %M.MissionCount{count: 3}, asks)
-      {%{seq: 0}, peer} = Peer.await(peer, asks)
-      {%{seq: 0}, peer} = Peer.await(peer, asks)
-      {%{type: 15}, peer} = Peer.await(peer, M.MissionAck)
-      {items, _peer} = download(peer)
-      assert length(items) == length(mission(unquote(firmware)))
-      assert SimVehicle.state(sim).mission.items == length(items)
-    end
-
     test "#{firmware}: a mission with a command that it does not know is refused, and the old one stays" do
       {_sim, peer} = start(unquote(firmware))
       {0, peer} = upload(peer, mission(unquote(firmware)))

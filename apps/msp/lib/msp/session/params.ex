@@ -31,6 +31,19 @@ defmodule Msp.Session.Params do
   # After the first time.
   @tries 2
 
+  @doc "The request by which a written parameter is read again."
+  @callback again(Tasks.task()) :: {String.t(), map}
+
+  @doc """
+  What the reply to a request says: what has to be known to write it, the value and its type; or changes of the task, if
+  there is more to be asked.
+  """
+  @callback read(Tasks.task(), values :: map) ::
+              {:ok, known :: term, number | nil, Answers.type()} | {:more, map} | {:error, String.t()}
+
+  @doc "The request that sets it to the task's value, and what is known of it then, nil for nothing."
+  @callback write(Tasks.task(), known :: term) :: {:ok, {String.t(), map}, term} | {:error, String.t()}
+
   @doc "Whether this is a message of the parameter protocol."
   @spec mine?(non_neg_integer) :: boolean
   def mine?(id), do: id in @messages
@@ -144,7 +157,52 @@ defmodule Msp.Session.Params do
     do: Answers.refuse(session, task, :denied, "not set: " <> why)
 
   def answer(session, task, {:unfit, why}, _now), do: Answers.refuse(session, task, :denied, why)
-  def answer(session, task, answer, _now), do: task.by.answer(session, %{task | tries: 0}, answer)
+  def answer(session, task, answer, _now), do: one(session, %{task | tries: 0}, answer)
+
+  # One parameter is read; to set it, it is written and read again.
+  defp one(session, %{stage: :written} = task, {:ok, _acknowledged}),
+    do: Tasks.ask_next(session, task, %{stage: :check, ask: task.by.again(task)})
+
+  defp one(session, %{stage: stage} = task, {:ok, values}) do
+    case task.by.read(task, values) do
+      {:more, changes} -> Tasks.ask_next(session, task, changes)
+      {:ok, known, value, type} when stage == :check -> checked(session, task, known, value, type)
+      {:ok, _known, value, type} when task.what == :read -> Answers.report(session, task, value, type)
+      {:ok, known, _value, _type} -> write(session, task, known)
+      {:error, why} -> Answers.refuse(session, task, :unknown, why)
+    end
+  end
+
+  # A build without a command line has blocks.
+  defp one(session, %{stage: :before, by: Lines, param: %{block: block} = param} = task, :refused)
+       when block != nil,
+       do: Tasks.ask_next(session, task, Blocks.first(param))
+
+  defp one(session, %{stage: stage} = task, :refused) when stage in [:before, :value],
+    do: Answers.refuse(session, task, :unknown, "this firmware does not have it")
+
+  defp one(session, task, :refused),
+    do: Answers.refuse(session, task, :denied, "the flight controller refused it")
+
+  defp write(session, task, known) do
+    case task.by.write(task, known) do
+      {:ok, ask, wanted} ->
+        Tasks.ask_next(session, task, %{stage: :written, known: known, wanted: wanted, ask: ask})
+
+      {:error, why} ->
+        Answers.refuse(session, task, :out_of_range, why)
+    end
+  end
+
+  # What is then there is reported.
+  defp checked(session, %{wanted: wanted} = task, known, value, type) do
+    session =
+      if wanted in [nil, known],
+        do: session,
+        else: Output.text(session, @notice, "#{task.name}: its block is not as it was written")
+
+    session |> Answers.changed() |> Answers.report(task, value, type)
+  end
 
   @doc "They were stored, or the vehicle restarted without them."
   @spec stored(Session.t()) :: Session.t()

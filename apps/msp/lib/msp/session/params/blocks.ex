@@ -1,14 +1,12 @@
 defmodule Msp.Session.Params.Blocks do
   @moduledoc """
   One parameter of Betaflight that is a field of a block: its block is read; to set it, that is written with the field changed, and read again.
-  What is then there is reported.
   """
+  @behaviour Msp.Session.Params
 
   alias MavCodec.Msp.{Messages, Params}
   alias Msp.Params.Block
-  alias Msp.Session
   alias Msp.Session.Params.Answers
-  alias Msp.Session.{Output, Tasks}
 
   # What fits into a field.
   @ranges %{
@@ -18,49 +16,27 @@ defmodule Msp.Session.Params.Blocks do
     i16: -0x8000..0x7FFF,
     u32: 0..0xFFFFFFFF
   }
-  @notice 5
 
   @doc "The first request, for a parameter of the table."
   @spec first(Params.t()) :: map
   def first(param), do: %{by: __MODULE__, param: param, ask: {param.block, %{}}, stage: :before}
 
-  @doc "The answer to a request of the task."
-  @spec answer(Session.t(), Tasks.task(), Tasks.answer()) :: Session.t()
-  def answer(session, %{stage: :before, param: param} = task, {:ok, values}) do
+  @impl Msp.Session.Params
+  def again(%{param: param}), do: {param.block, %{}}
+
+  @impl Msp.Session.Params
+  def read(%{param: param}, values) do
     case values[param.field] do
-      nil -> Answers.refuse(session, task, :unknown, "this build does not have it")
-      number when task.what == :read -> Answers.report(session, task, value(param, number), told(param))
-      _number -> write(session, task, values)
+      nil -> {:error, "this build does not have it"}
+      number -> {:ok, values, value(param, number), told(param)}
     end
   end
 
-  def answer(session, %{stage: :written} = task, {:ok, _acknowledged}),
-    do: Tasks.ask_next(session, task, %{stage: :check, ask: {task.param.block, %{}}})
-
-  def answer(session, %{stage: :check, param: param, wanted: wanted} = task, {:ok, values}) do
-    session =
-      if values == wanted,
-        do: session,
-        else: Output.text(session, @notice, "#{task.name}: its block is not as it was written")
-
-    session |> Answers.changed() |> Answers.report(task, value(param, values[param.field] || 0), told(param))
-  end
-
-  def answer(session, %{stage: :before} = task, :refused),
-    do: Answers.refuse(session, task, :unknown, "this firmware does not have it")
-
-  def answer(session, task, :refused),
-    do: Answers.refuse(session, task, :denied, "the flight controller refused it")
-
-  defp write(session, %{param: param} = task, values) do
-    case number(param, task.value) do
-      {:ok, number} ->
-        wanted = Block.put(values, param.field, number)
-        ask = {Block.write_name(param.block), Block.writing(param.block, wanted)}
-        Tasks.ask_next(session, task, %{stage: :written, wanted: wanted, ask: ask})
-
-      {:error, why} ->
-        Answers.refuse(session, task, :out_of_range, why)
+  @impl Msp.Session.Params
+  def write(%{param: param, value: value}, values) do
+    with {:ok, number} <- number(param, value) do
+      wanted = Block.put(values, param.field, number)
+      {:ok, {Block.write_name(param.block), Block.writing(param.block, wanted)}, wanted}
     end
   end
 

@@ -3,10 +3,10 @@ defmodule Msp.Session.Params.Lines do
   One parameter of Betaflight from API 1.48 on, by name: what it is, then its value. To set it, a line is written that the firmware checks, and its value is
   read again. A build without a command line refuses the first question: then its block is used.
   """
+  @behaviour Msp.Session.Params
 
   alias Msp.Params.Line
-  alias Msp.Session
-  alias Msp.Session.Params.{Answers, Blocks}
+  alias Msp.Session.Params.Answers
   alias Msp.Session.Tasks
 
   @most_text 8_192
@@ -16,51 +16,30 @@ defmodule Msp.Session.Params.Lines do
   def first(name, param),
     do: %{by: __MODULE__, param: param, ask: Line.info(name, 0), stage: :before, text: ""}
 
-  @doc "The answer to a request of the task."
-  @spec answer(Session.t(), Tasks.task(), Tasks.answer()) :: Session.t()
-  def answer(session, %{stage: :before} = task, {:ok, reply}) do
+  @impl Msp.Session.Params
+  def again(task), do: Line.get(task.name)
+
+  @impl Msp.Session.Params
+  def read(%{stage: :before} = task, reply) do
     case described(task, reply) do
-      {:more, changes} -> Tasks.ask_next(session, task, changes)
-      {:ok, line} when task.what == :read -> ask_value(session, task, %{stage: :value, line: line})
-      {:ok, line} -> write(session, task, line)
-      :text -> Answers.refuse(session, task, :unknown, "it is text, which MAVLink's parameters cannot be")
-      :error -> Answers.refuse(session, task, :unknown, "what the firmware says of it cannot be read")
+      {:more, changes} -> {:more, changes}
+      {:ok, line} when task.what == :read -> {:more, %{stage: :value, known: line, ask: Line.get(task.name)}}
+      {:ok, line} -> {:ok, line, nil, told(line)}
+      :text -> {:error, "it is text, which MAVLink's parameters cannot be"}
+      :error -> {:error, "what the firmware says of it cannot be read"}
     end
   end
 
-  def answer(session, %{stage: :written} = task, {:ok, _line}),
-    do: ask_value(session, task, %{stage: :check})
-
-  def answer(session, %{line: line} = task, {:ok, reply}) do
+  def read(%{known: line} = task, reply) do
     case Line.value(line, task.name, reply[:line] || "") do
-      {:ok, value} when task.stage == :check ->
-        session |> Answers.changed() |> Answers.report(task, value, told(line))
-
-      {:ok, value} ->
-        Answers.report(session, task, value, told(line))
-
-      :error ->
-        Answers.refuse(session, task, :unknown, "the firmware answers with something else")
+      {:ok, value} -> {:ok, line, value, told(line)}
+      :error -> {:error, "the firmware answers with something else"}
     end
   end
 
-  def answer(session, %{stage: :before, param: %{block: block} = param} = task, :refused) when block != nil,
-    do: Tasks.ask_next(session, task, Blocks.first(param))
-
-  def answer(session, %{stage: :written} = task, :refused),
-    do: Answers.refuse(session, task, :denied, "the flight controller refused it")
-
-  def answer(session, task, :refused),
-    do: Answers.refuse(session, task, :unknown, "this firmware does not have it")
-
-  defp ask_value(session, task, changes),
-    do: Tasks.ask_next(session, task, Map.put(changes, :ask, Line.get(task.name)))
-
-  defp write(session, task, line) do
-    case Line.set(line, task.name, task.value) do
-      {:ok, request} -> Tasks.ask_next(session, task, %{stage: :written, line: line, ask: request})
-      {:error, why} -> Answers.refuse(session, task, :out_of_range, why)
-    end
+  @impl Msp.Session.Params
+  def write(task, line) do
+    with {:ok, request} <- Line.set(line, task.name, task.value), do: {:ok, request, nil}
   end
 
   @doc "The type by which clients get it."

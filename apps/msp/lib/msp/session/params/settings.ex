@@ -1,10 +1,10 @@
 defmodule Msp.Session.Params.Settings do
   @moduledoc "One setting of iNav, by name: what it is comes with its value. To set it, the value is written, and read again."
+  @behaviour Msp.Session.Params
 
   alias Msp.Params.Setting
-  alias Msp.Session
+  alias Msp.Session.Params
   alias Msp.Session.Params.Answers
-  alias Msp.Session.Tasks
 
   @doc "The first request."
   @spec first(String.t()) :: map
@@ -18,42 +18,20 @@ defmodule Msp.Session.Params.Settings do
   @spec told(Setting.t()) :: Answers.type()
   def told(setting), do: Answers.type(setting.type, setting.high)
 
-  @doc "The answer to a request of the task."
-  @spec answer(Session.t(), Tasks.task(), Tasks.answer()) :: Session.t()
-  def answer(session, %{stage: :before} = task, {:ok, values}) do
-    case {task.what, Setting.read(values)} do
-      {:read, {:ok, setting}} -> Answers.report(session, task, setting.value, told(setting))
-      {:set, {:ok, setting}} -> write(session, task, setting)
-      _text -> Answers.refuse(session, task, :unknown, "it is text, which MAVLink's parameters cannot be")
-    end
-  end
+  @impl Params
+  def again(task), do: info(task.name)
 
-  def answer(session, %{stage: :written} = task, {:ok, _acknowledged}),
-    do: Tasks.ask_next(session, task, %{stage: :check, ask: info(task.name)})
-
-  def answer(session, %{stage: :check} = task, {:ok, values}) do
+  @impl Params
+  def read(_task, values) do
     case Setting.read(values) do
-      {:ok, setting} -> session |> Answers.changed() |> Answers.report(task, setting.value, told(setting))
-      _unreadable -> Tasks.done(session, task)
+      {:ok, setting} -> {:ok, setting, setting.value, told(setting)}
+      _text -> {:error, "it is text, which MAVLink's parameters cannot be"}
     end
   end
 
-  def answer(session, %{stage: :before} = task, :refused),
-    do: Answers.refuse(session, task, :unknown, "this firmware does not have it")
-
-  def answer(session, task, :refused),
-    do: Answers.refuse(session, task, :denied, "the flight controller refused it")
-
-  defp write(session, task, setting) do
-    case Setting.write(setting, task.value) do
-      {:ok, payload} ->
-        Tasks.ask_next(session, task, %{
-          stage: :written,
-          ask: {"MSP2_COMMON_SET_SETTING", %{setting: payload}}
-        })
-
-      {:error, why} ->
-        Answers.refuse(session, task, :out_of_range, why)
-    end
+  @impl Params
+  def write(task, setting) do
+    with {:ok, payload} <- Setting.write(setting, task.value),
+         do: {:ok, {"MSP2_COMMON_SET_SETTING", %{setting: payload}}, nil}
   end
 end

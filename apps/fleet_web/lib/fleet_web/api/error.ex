@@ -131,7 +131,7 @@ defmodule FleetWeb.API.Error do
   def from(%Aerie.Base.Error{reason: reason} = error),
     do: new(Map.fetch!(@codes, elem(reason, 0)), Exception.message(error))
 
-  # A command's results; `denied` and `rejected` by their rules, too.
+  # A command's results; `Aerie.Vehicle.Command.Refusal` has the statuses of rules.
   @results %{
     rejected: :invalid,
     denied: :forbidden,
@@ -141,20 +141,14 @@ defmodule FleetWeb.API.Error do
     unknown: :outcome_unknown,
     expired: :expired
   }
-  @rules %{
-    "id" => :conflict,
-    "vehicle" => :not_found,
-    "rate" => :too_many,
-    "busy" => :too_many,
-    "elsewhere" => :misdirected,
-    "file" => :not_found,
-    "log" => :not_found,
-    "ledger" => :unavailable,
-    "audit" => :unavailable,
-    "policy" => :unavailable,
-    "holder" => :unavailable,
-    "claim" => :unavailable,
-    "unavailable" => :unavailable
+  @by_status %{
+    403 => :forbidden,
+    404 => :not_found,
+    409 => :conflict,
+    421 => :misdirected,
+    422 => :invalid,
+    429 => :too_many,
+    503 => :unavailable
   }
 
   @doc "The answer for a command that was not done, with its result as details; nil for one that was."
@@ -162,7 +156,8 @@ defmodule FleetWeb.API.Error do
   def of_result(%Result{status: status}) when status in [:completed, :accepted], do: nil
 
   def of_result(result) do
-    code = Map.get(@rules, result.details["rule"], Map.fetch!(@results, result.status))
+    status = Command.Refusal.http(result.details["rule"])
+    code = if status, do: Map.fetch!(@by_status, status), else: Map.fetch!(@results, result.status)
     %{new(code, result.reason || Atom.to_string(result.status)) | details: Result.plain(result)}
   end
 

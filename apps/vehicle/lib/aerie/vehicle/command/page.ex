@@ -1,10 +1,10 @@
 defmodule Aerie.Vehicle.Command.Page do
   @moduledoc """
-  The tables of `docs/commands.md`, made from `Aerie.Vehicle.Command.Types` and `Aerie.Vehicle.Command.Result`. They are between
+  The tables of `docs/commands.md`, made from `Aerie.Vehicle.Command.Types`, `Result` and `Refusal`. They are between
   `<!-- NAME -->` and `<!-- /NAME -->`; the prose around them is written by hand.
   """
 
-  alias Aerie.Vehicle.Command.{Param, Result, Type, Types}
+  alias Aerie.Vehicle.Command.{Param, Refusal, Result, Type, Types}
 
   @groups [
     flight: "Flight",
@@ -19,7 +19,7 @@ defmodule Aerie.Vehicle.Command.Page do
 
   @doc "The sections by their names."
   @spec sections() :: %{String.t() => String.t()}
-  def sections, do: %{"commands" => commands(), "results" => results()}
+  def sections, do: %{"commands" => commands(), "results" => results(), "refusals" => refusals()}
 
   @doc "A page with its sections renewed; the others stay as they are."
   @spec renew(String.t(), %{String.t() => String.t()}) :: String.t()
@@ -78,6 +78,15 @@ defmodule Aerie.Vehicle.Command.Page do
       ["result", "means", "may the vehicle have done it?"],
       for {status, meaning, maybe?} <- Result.table() do
         ["`#{status}`", meaning, if(maybe?, do: "yes", else: "no")]
+      end
+    )
+  end
+
+  defp refusals do
+    table(
+      ["rule", "said by", "HTTP", "means", "what to do"],
+      for {rule, by, http, means, fix} <- Refusal.table() do
+        ["`#{rule}`", by, if(http, do: "#{http}", else: "of the result"), means, fix]
       end
     )
   end

@@ -1,0 +1,45 @@
+defmodule Aerie.Gate.RefusalsTest do
+  @moduledoc "Every rule by which something is refused has a row in the table of refusals, and every row is used."
+  use ExUnit.Case, async: true
+
+  alias Aerie.Control.Policy
+  alias Aerie.Vehicle.Command.Refusal
+
+  @apps Path.expand("../../apps", __DIR__)
+  @forms [
+    ~r/\{:deny, :([a-z_]+)/,
+    ~r/\{:stop, :[a-z]+, :([a-z_]+)/,
+    ~r/\{:refuse, :([a-z_]+)/,
+    ~r/\{:refused, :((?!rejected|failed)[a-z_]+)/,
+    ~r/"rule" => "([a-z_]+)"/,
+    ~r/unrecorded\(ctx, :([a-z_]+)/,
+    ~r/refusal\((?:%\{\}, )?:([a-z_]+), /,
+    ~r/refuse\(request, :([a-z_]+), /
+  ]
+  # The console's own: a form that is not complete, and what a firmware lacks, before a command is given.
+  @console ~w(form firmware)
+
+  defp used do
+    for file <- Path.wildcard(@apps <> "/{control,fleet,fleet_web,vehicle}/lib/**/*.ex"),
+        text = File.read!(file),
+        form <- @forms,
+        [_all, rule] <- Regex.scan(form, text),
+        uniq: true,
+        do: rule
+  end
+
+  test "rules and rows" do
+    rows = for {rule, _by, _http, _means, _fix} <- Refusal.table(), do: Atom.to_string(rule)
+    assert rows == Enum.uniq(rows)
+    used = Enum.uniq(used() ++ Enum.map(Policy.rules(), &Atom.to_string/1)) -- @console
+    assert Enum.sort(used -- rows) == []
+    assert Enum.sort(rows -- used) == []
+  end
+
+  test "each row says what it means and what to do" do
+    for {rule, by, http, means, fix} <- Refusal.table() do
+      assert by != "" and http in [nil | Enum.to_list(400..599)]
+      assert {rule, true} == {rule, means =~ ~r/\A\p{L}.*[^.]\z/u and fix =~ ~r/\A\p{Ll}.*[^.]\z/u}
+    end
+  end
+end

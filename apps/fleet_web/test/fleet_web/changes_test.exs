@@ -46,7 +46,7 @@ defmodule FleetWeb.ChangesTest do
     }
 
     reads =
-      [:start_link, :list, :find, :check, :busy, :same, :file, :read, :any?, :child_spec, :init] ++
+      [:start_link, :list, :find, :check, :busy, :same, :name, :file, :read, :any?, :child_spec, :init] ++
         [:handle_call, :format_status, :code_change, :handle_cast, :handle_info, :terminate]
 
     assert names(Users) -- reads == Enum.sort(Map.keys(changes))

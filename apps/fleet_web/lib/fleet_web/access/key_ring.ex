@@ -10,15 +10,13 @@ defmodule FleetWeb.Access.KeyRing do
 
   require Logger
 
-  alias Aerie.Base.Files.{Damaged, Private}
   alias Aerie.Base.Names
   alias Aerie.Base.PubSub
   alias FleetWeb.API.Access
-  alias FleetWeb.Access.Keys
+  alias FleetWeb.Access.{Keys, PrivateFile, Users}
   alias FleetWeb.Changes
 
   @most 100
-  @name ~r/\A[a-z0-9][a-z0-9._-]{0,31}\z/
   # The name of programs of this machine.
   @taken ["local"]
   @head "# Keys that were made in the console; of each its digest. A line goes with its key there: \"Revoke\".\n"
@@ -76,15 +74,8 @@ defmodule FleetWeb.Access.KeyRing do
          do: {:ok, text}
   end
 
-  defp name(name) when is_binary(name) do
-    cond do
-      name in @taken -> {:error, "#{name} is what programs of this machine are called"}
-      name =~ @name -> :ok
-      true -> {:error, "a name has 1 to 32 characters out of a-z, 0-9, dot, underscore and hyphen"}
-    end
-  end
-
-  defp name(_missing), do: {:error, "the name is missing"}
+  defp name(name) when name in @taken, do: {:error, "#{name} is what programs of this machine are called"}
+  defp name(name), do: Users.name(name)
 
   # They become part of a line.
   defp parse_words(words) do
@@ -112,7 +103,7 @@ defmodule FleetWeb.Access.KeyRing do
     Process.set_label(:api_keys)
     file = options[:file]
 
-    case if(File.exists?(file), do: read(options[:gateway], file), else: {:ok, []}) do
+    case if(File.exists?(file), do: open(options[:gateway], file), else: {:ok, []}) do
       {:ok, made} ->
         {:ok, share(%{gateway: options[:gateway], file: file, configured: options[:configured], made: made})}
 
@@ -122,23 +113,13 @@ defmodule FleetWeb.Access.KeyRing do
   end
 
   # In the place of damaged keys comes one that nothing opens: no key at all would let in every program of this machine.
-  defp read(gateway, file) do
-    with {:error, text} <- kept(file),
-         true <- Damaged.damaged?(file) || {:error, text},
-         {:ok, _kept} <-
-           Damaged.set_aside(
-             gateway,
-             file,
-             "the keys that were made in the console open nothing any more; make new ones"
-           ),
-         made = [%{hd(@nobody) | name: "damaged"}],
-         :ok <- write(file, made) do
-      {:ok, made}
-    else
-      {:ok, made} -> {:ok, made}
-      {:error, reason} when is_atom(reason) -> {:error, "#{file}: #{:file.format_error(reason)}"}
-      {:error, text} -> {:error, text}
-    end
+  defp open(gateway, file) do
+    damaged = [%{hd(@nobody) | name: "damaged"}]
+    words = "the keys that were made in the console open nothing any more; make new ones"
+
+    with {:ok, ^damaged} <- PrivateFile.open(gateway, file, &kept/1, words, damaged),
+         :ok <- write(file, damaged),
+         do: {:ok, damaged}
   end
 
   # Every file of ours has a first line, so an empty one lost its keys.
@@ -146,10 +127,7 @@ defmodule FleetWeb.Access.KeyRing do
     if match?({:ok, %{size: 0}}, File.stat(file)), do: {:error, "#{file}: it is empty"}, else: Keys.read(file)
   end
 
-  defp write(file, made) do
-    with :ok <- Private.new_folder(Path.dirname(file)),
-         do: Private.write(file, [@head | Enum.map(made, &[Keys.line(&1), ?\n])])
-  end
+  defp write(file, made), do: PrivateFile.write(file, [@head | Enum.map(made, &[Keys.line(&1), ?\n])])
 
   defp share(state) do
     Names.put_value(state.gateway, :api_keys, Map.take(state, [:configured, :made]))
@@ -192,8 +170,8 @@ defmodule FleetWeb.Access.KeyRing do
         Changes.note(new.gateway, by, "key", said)
         {:reply, :ok, share(new)}
 
-      {:error, reason} ->
-        {:reply, {:error, "#{new.file}: #{:file.format_error(reason)}"}, old}
+      {:error, text} ->
+        {:reply, {:error, text}, old}
     end
   end
 end

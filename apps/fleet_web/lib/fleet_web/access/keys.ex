@@ -23,15 +23,13 @@ defmodule FleetWeb.Access.Keys do
   A key is valid until the end of the day (UTC) on which it expires.
   """
 
-  import Bitwise
-
   alias Aerie.Vehicle.Command.Type
   alias Aerie.Control.Policy.Roles
   alias Aerie.Base.Secret
+  alias FleetWeb.Access.PrivateFile
 
   @shortest 16
   @longest 512
-  @max_file 65_536
 
   @typedoc "A key by its digest. `until`: unix microseconds, nil for ever; `role`: nil if none is given."
   @type key :: %{
@@ -67,14 +65,12 @@ defmodule FleetWeb.Access.Keys do
   def read(nil), do: {:ok, []}
 
   def read(path) do
-    with {:ok, stat} <- File.stat(path),
-         :ok <- private(path, stat),
-         {:ok, text} <- File.read(path),
+    with {:ok, text} <- PrivateFile.read(path),
          true <- String.valid?(text) || {:error, "#{path}: expected text, got other bytes"} do
       lines(path, text)
     else
-      {:error, text} when is_binary(text) -> {:error, text}
-      {:error, reason} -> {:error, "#{path}: #{:file.format_error(reason)}"}
+      {:error, :enoent} -> {:error, "#{path}: #{:file.format_error(:enoent)}"}
+      {:error, text} -> {:error, text}
     end
   end
 
@@ -132,22 +128,6 @@ defmodule FleetWeb.Access.Keys do
   defp day(until), do: DateTime.from_unix!(until - 1, :microsecond) |> DateTime.to_date()
 
   defp digest(key), do: :crypto.hash(:sha256, key)
-
-  defp private(path, %File.Stat{type: :regular, mode: mode, size: size}) do
-    cond do
-      (mode &&& 0o077) != 0 ->
-        {:error,
-         "#{path} can be read by others (mode #{Integer.to_string(mode &&& 0o777, 8)}): chmod 600 #{path}"}
-
-      size > @max_file ->
-        {:error, "#{path} is larger than #{@max_file} bytes"}
-
-      true ->
-        :ok
-    end
-  end
-
-  defp private(path, _stat), do: {:error, "#{path} is not a file"}
 
   # No message may quote a line, because it may be a misspelt key.
   defp lines(path, text) do

@@ -1,8 +1,8 @@
 defmodule FleetWeb.Access.Secret do
   @moduledoc "The secret that signs sessions: 32 random bytes in a file that only its owner can read, so that a restart signs nobody out."
 
-  alias Aerie.Base.Files.{Damaged, Private}
   alias Aerie.Base.Names
+  alias FleetWeb.Access.PrivateFile
 
   @bytes 32
 
@@ -13,24 +13,18 @@ defmodule FleetWeb.Access.Secret do
 
     case File.read(path) do
       {:ok, <<_::binary-size(@bytes)>> = secret} -> {:ok, secret}
-      {:error, :enoent} -> make(dir, path)
-      _damaged -> renew(gateway, dir, path)
+      {:error, :enoent} -> make(path)
+      _damaged -> renew(gateway, path)
     end
   end
 
-  defp renew(gateway, dir, path) do
-    with {:ok, _kept} <- Damaged.set_aside(gateway, path, "everybody has to sign in again"),
-         do: make(dir, path),
-         else: ({:error, reason} -> {:error, "#{path}: #{:file.format_error(reason)}"})
+  defp renew(gateway, path) do
+    with {:ok, nil} <- PrivateFile.set_aside(gateway, path, "everybody has to sign in again", nil),
+         do: make(path)
   end
 
-  defp make(dir, path) do
+  defp make(path) do
     secret = :crypto.strong_rand_bytes(@bytes)
-
-    with :ok <- Private.new_folder(dir), :ok <- Private.write(path, secret) do
-      {:ok, secret}
-    else
-      {:error, reason} -> {:error, "#{path}: #{:file.format_error(reason)}"}
-    end
+    with :ok <- PrivateFile.write(path, secret), do: {:ok, secret}
   end
 end

@@ -13,19 +13,16 @@ defmodule FleetWeb.Access.Users do
   """
   use GenServer
 
-  import Bitwise
-
-  alias Aerie.Base.Files.{Damaged, Private}
+  alias Aerie.Base.Files.Damaged
   alias Aerie.Base.Names
   alias Aerie.Base.PubSub
   alias Aerie.Control.Policy.Roles
   alias Aerie.Vehicle.Command.Type
   alias FleetWeb.Changes
-  alias FleetWeb.Access.Password
+  alias FleetWeb.Access.{Password, PrivateFile}
   alias FleetWeb.WorkLimit
 
   @most 100
-  @max_file 65_536
   @name ~r/\A[a-z0-9][a-z0-9._-]{0,31}\z/
 
   @type user :: %{
@@ -132,43 +129,24 @@ defmodule FleetWeb.Access.Users do
   @doc "The users of a file; none if there is no file."
   @spec read(Path.t()) :: {:ok, [user()]} | {:error, String.t()}
   def read(path) do
-    with {:ok, stat} <- File.stat(path),
-         :ok <- private(stat),
-         {:ok, text} <- File.read(path),
-         {:ok, users} <- parse(text) do
+    with {:ok, text} <- PrivateFile.read(path), {:ok, users} <- parse(path, text) do
       {:ok, users}
     else
       {:error, :enoent} -> {:ok, []}
-      {:error, reason} when is_atom(reason) -> {:error, "#{path}: #{:file.format_error(reason)}"}
-      {:error, text} -> {:error, "#{path}: #{text}"}
+      {:error, text} -> {:error, text}
     end
   end
-
-  defp private(%File.Stat{type: :regular, mode: mode, size: size}) do
-    cond do
-      (mode &&& 0o077) != 0 ->
-        {:error, "others can read it (mode #{Integer.to_string(mode &&& 0o777, 8)}): chmod 600"}
-
-      size > @max_file ->
-        {:error, "it is larger than #{@max_file} bytes"}
-
-      true ->
-        :ok
-    end
-  end
-
-  defp private(_stat), do: {:error, "it is not a file"}
 
   # No message quotes the text, because it contains password hashes.
-  defp parse(text) do
+  defp parse(path, text) do
     with {:ok, %{"users" => users}} when is_list(users) and length(users) <= @most <- JSON.decode(text),
          {:ok, users} <- users |> Enum.with_index() |> each([]) do
       if users |> Enum.uniq_by(& &1.name) |> length() == length(users),
         do: {:ok, users},
-        else: {:error, "two users have the same name"}
+        else: {:error, "#{path}: two users have the same name"}
     else
-      {:error, words} when is_binary(words) -> {:error, words}
-      _other -> {:error, ~s(expected JSON with {"users": […]}, #{@most} at most)}
+      {:error, words} when is_binary(words) -> {:error, "#{path}: #{words}"}
+      _other -> {:error, ~s(#{path}: expected JSON with {"users": […]}, #{@most} at most)}
     end
   end
 
@@ -189,13 +167,15 @@ defmodule FleetWeb.Access.Users do
   defp each([{_other, index} | _rest], _users),
     do: {:error, "users[#{index}]: expected name, role and password"}
 
-  defp name(name) when is_binary(name) do
+  @doc "Whether this may be the name of a user or of a key that is made in the console."
+  @spec name(term()) :: :ok | {:error, String.t()}
+  def name(name) when is_binary(name) do
     if name =~ @name,
       do: :ok,
       else: {:error, "a name has 1 to 32 characters out of a-z, 0-9, dot, underscore and hyphen"}
   end
 
-  defp name(_other), do: {:error, "the name is missing"}
+  def name(_other), do: {:error, "the name is missing"}
 
   defp role(role) do
     with :error <- Roles.parse(to_string(role)),
@@ -206,7 +186,9 @@ defmodule FleetWeb.Access.Users do
   def init(options) do
     Process.set_label(:console_users)
 
-    case open(options[:gateway], options[:file]) do
+    words = "nobody can sign in by name until users are added again"
+
+    case PrivateFile.open(options[:gateway], options[:file], &read/1, words, []) do
       {:ok, users} ->
         table = :ets.new(:console_users, [:ordered_set, :protected, read_concurrency: true])
         true = :ets.insert(table, Enum.map(users, &{&1.name, &1}))
@@ -215,18 +197,6 @@ defmodule FleetWeb.Access.Users do
 
       {:error, text} ->
         {:stop, text}
-    end
-  end
-
-  defp open(gateway, file) do
-    with {:error, text} <- read(file),
-         true <- Damaged.damaged?(file) || {:error, text},
-         {:ok, _kept} <-
-           Damaged.set_aside(gateway, file, "nobody can sign in by name until users are added again") do
-      {:ok, []}
-    else
-      {:ok, users} -> {:ok, users}
-      {:error, text} -> {:error, text}
     end
   end
 
@@ -298,12 +268,7 @@ defmodule FleetWeb.Access.Users do
 
   defp write(file, users) do
     text = JSON.encode_to_iodata!(%{users: Enum.sort_by(users, & &1.name)})
-
-    with :ok <- Private.new_folder(Path.dirname(file)), :ok <- Private.write(file, [text, ?\n]) do
-      :ok
-    else
-      {:error, reason} -> {:error, "#{file}: #{:file.format_error(reason)}"}
-    end
+    PrivateFile.write(file, [text, ?\n])
   end
 
   # The state and messages contain password hashes.

@@ -248,7 +248,7 @@ defmodule CommandsBench.Stations do
     known? = &match?(%{capabilities: bits, clock: %{rtt_us: us}} when is_integer(bits) and is_integer(us), &1)
     Sample.until(fn -> known?.(Store.vehicle(gateway, {"main", 1})) end)
     to = Gateway.client(gateway, %{url: "udpin:127.0.0.1:0", id: "gcs", served: served?})
-    Sample.until(fn -> Names.whereis(gateway, :serving, {"main", 1}) end)
+    Sample.until(fn -> Names.whereis(gateway, :read_cache, {"main", 1}) end)
     before = count(wire)
     options = [max_concurrency: if(order == :at_once, do: n, else: 1), timeout: :infinity]
     ms = Sample.ms(fn -> 1..n |> Task.async_stream(&station(to, 200 + &1), options) |> Stream.run() end)

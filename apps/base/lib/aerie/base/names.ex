@@ -19,14 +19,14 @@ defmodule Aerie.Base.Names do
   | `:events`        | `{network, system_id}` | `Aerie.Vehicle.Events`               |
   | `:watchdog`         | nil                    | `MavRouter.Identity.Watchdog`       |
   | `:audit`         | nil                    | `Aerie.Control.Policy.Audit`                 |
-  | `:policies`      | nil                    | `Aerie.Control.Policy.Supervisor`            |
+  | `:policy_supervisor` | nil                 | `Aerie.Control.Policy.Supervisor`            |
   | `:policy`        | nil                    | `Aerie.Control.Policy.Store`                 |
   | `:ledger`        | nil                    | `Aerie.Control.Ledger`                       |
   | `:command_supervisor`, `:command_server`, `:command_tasks`, `:command_recovery` | nil | of `Aerie.Control.Commands.Supervisor` |
   | `:remote_supervisor`, `:remote_listener`, `:remote_announcer` | nil | of `Aerie.Fleet.Remote.Supervisor` |
   | `:transfers`     | `{network, system_id}` | `Aerie.Control.TransferExecutor`            |
   | `:params_cache` | nil                    | `Aerie.Control.Params.CacheWriter`                |
-  | `:serving`       | `{network, system_id}` | `Aerie.Control.ReadCache.Vehicle`; `:serving_supervisor`, `:serving_vehicles`, `:serving_starter` without a vehicle |
+  | `:read_cache`    | `{network, system_id}` | `Aerie.Control.ReadCache.Vehicle`; `:read_cache_supervisor`, `:read_cache_vehicles`, `:read_cache_starter` without a vehicle |
   | `:clients`       | nil                    | `Aerie.Fleet.Client.Supervisor`            |
   | `:inspector`     | nil                    | `Aerie.Fleet.Inspector`                    |
   | `:diagnosis`     | nil                    | `Aerie.Fleet.Diagnosis.Server`             |

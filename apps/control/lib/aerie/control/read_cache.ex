@@ -28,7 +28,7 @@ defmodule Aerie.Control.ReadCache do
 
   @impl MavRouter.Sharing.ReadCache
   def take(gateway, vehicle, endpoint, frame) do
-    with pid when pid != nil <- Names.whereis(gateway, :serving, vehicle),
+    with pid when pid != nil <- Names.whereis(gateway, :read_cache, vehicle),
          {:ok, message} <- MavCodec.decode(frame) do
       # A waiting frame must not keep the whole read in memory.
       frame = %{frame | bytes: :binary.copy(frame.bytes), payload: :binary.copy(frame.payload)}

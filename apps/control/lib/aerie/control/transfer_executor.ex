@@ -255,7 +255,7 @@ defmodule Aerie.Control.TransferExecutor do
   end
 
   defp watch_turns(%{turns: nil} = state) do
-    case Names.whereis(state.gateway, :transfer_turns) do
+    case Names.whereis(state.gateway, :transfer_lock) do
       nil -> state
       pid -> %{state | turns: Process.monitor(pid)}
     end

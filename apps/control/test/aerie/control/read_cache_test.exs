@@ -19,7 +19,7 @@ defmodule Aerie.Control.ReadCacheTest do
     {client, options} = Keyword.pop(options, :client, %{served: true})
     sim = fly(gateway, port, [firmware: firmware] ++ options)
     {:ok, "gcs"} = Client.add(gateway, Map.merge(%{url: "udpin:127.0.0.1:0", id: "gcs"}, client))
-    eventually(fn -> Aerie.Base.Names.whereis(gateway, :serving, {"main", 1}) end)
+    eventually(fn -> Aerie.Base.Names.whereis(gateway, :read_cache, {"main", 1}) end)
     %{gateway: gateway, sim: sim, port: Link.snapshot(gateway, "gcs").port}
   end
 

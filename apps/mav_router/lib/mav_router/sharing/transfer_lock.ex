@@ -54,7 +54,7 @@ defmodule MavRouter.Sharing.TransferLock do
     GenServer.start_link(__MODULE__, {gateway, clock}, name: server(gateway))
   end
 
-  defp server(gateway), do: Names.via(gateway, :transfer_turns)
+  defp server(gateway), do: Names.via(gateway, :transfer_lock)
 
   @doc "The delivery without the frames that have to wait: they are kept, and forwarded when it is their turn."
   @spec pass(Delivery.t()) :: Delivery.t()
@@ -157,7 +157,7 @@ defmodule MavRouter.Sharing.TransferLock do
 
   @impl GenServer
   def init({gateway, clock}) do
-    Process.set_label({:transfer_turns, gateway})
+    Process.set_label({:transfer_lock, gateway})
     tables = Tables.of(gateway)
     if tables, do: :ets.match_delete(tables.settings, {{:transfer, :_}, :_})
     {:ok, %{gateway: gateway, clock: clock, turns: %{}, own: %{}, timer: nil, cache: nil}}

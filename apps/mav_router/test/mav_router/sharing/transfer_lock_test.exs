@@ -209,7 +209,7 @@ defmodule MavRouter.Sharing.TransferLockTest do
     test "who asks while nobody decides waits until somebody does, and passes once", c do
       say(c.a, count(255, 3))
       until(c.vehicle, count(255, 3))
-      turns = Aerie.Base.Names.whereis(c.gateway, :transfer_turns)
+      turns = Aerie.Base.Names.whereis(c.gateway, :transfer_lock)
       :ok = :sys.suspend(turns, @patience)
       say(c.b, count(254, 5))
       own = Task.async(fn -> MavRouter.Sharing.TransferLock.take(c.gateway, {"main", 1}, :mission) end)
@@ -348,9 +348,9 @@ defmodule MavRouter.Sharing.TransferLockTest do
     test "without its process everything passes, and its successor knows nothing of the turns before", c do
       say(c.a, count(255, 3))
       until(c.vehicle, count(255, 3))
-      old = Aerie.Base.Names.whereis(c.gateway, :transfer_turns)
+      old = Aerie.Base.Names.whereis(c.gateway, :transfer_lock)
       Process.exit(old, :kill)
-      eventually(fn -> Aerie.Base.Names.whereis(c.gateway, :transfer_turns) not in [nil, old] end)
+      eventually(fn -> Aerie.Base.Names.whereis(c.gateway, :transfer_lock) not in [nil, old] end)
       say(c.b, count(254, 5))
       until(c.vehicle, count(254, 5))
     end

@@ -15,14 +15,16 @@ defmodule Aerie.Control.Policy.Supervisor do
       {:error, {:policy, lines}}
     else
       {:ok, policy} ->
-        Supervisor.start_link(__MODULE__, {options, policy}, name: Names.via(options[:gateway], :policies))
+        Supervisor.start_link(__MODULE__, {options, policy},
+          name: Names.via(options[:gateway], :policy_supervisor)
+        )
     end
   end
 
   @impl Supervisor
   def init({options, policy}) do
     gateway = Keyword.fetch!(options, :gateway)
-    Process.set_label({:policies, gateway})
+    Process.set_label({:policy_supervisor, gateway})
     %Settings{audit: audit} = Keyword.fetch!(options, :settings)
 
     children = [

@@ -12,12 +12,12 @@ defmodule Aerie.Control.ReadCache.Starter do
   def start_link(options),
     do:
       GenServer.start_link(__MODULE__, options[:gateway],
-        name: Names.via(options[:gateway], :serving_starter)
+        name: Names.via(options[:gateway], :read_cache_starter)
       )
 
   @impl GenServer
   def init(gateway) do
-    Process.set_label({:serving_starter, gateway})
+    Process.set_label({:read_cache_starter, gateway})
     :ok = PubSub.subscribe(gateway, :roster)
     {:ok, Enum.reduce(Store.vehicles(gateway), %{gateway: gateway, keys: %{}}, &start_if_needed(&2, &1.id))}
   end
@@ -39,7 +39,7 @@ defmodule Aerie.Control.ReadCache.Starter do
 
       {nil, %{^id => key}} ->
         _ =
-          with pid when pid != nil <- Names.whereis(state.gateway, :serving, key),
+          with pid when pid != nil <- Names.whereis(state.gateway, :read_cache, key),
                do: DynamicSupervisor.terminate_child(supervisor(state), pid)
 
         %{state | keys: Map.delete(state.keys, id)}
@@ -54,5 +54,5 @@ defmodule Aerie.Control.ReadCache.Starter do
     state
   end
 
-  defp supervisor(state), do: Names.via(state.gateway, :serving_vehicles)
+  defp supervisor(state), do: Names.via(state.gateway, :read_cache_vehicles)
 end

@@ -7,16 +7,17 @@ defmodule Aerie.Control.ReadCache.Supervisor do
 
   @spec start_link(keyword()) :: Supervisor.on_start()
   def start_link(options),
-    do: Supervisor.start_link(__MODULE__, options, name: Names.via(options[:gateway], :serving_supervisor))
+    do: Supervisor.start_link(__MODULE__, options, name: Names.via(options[:gateway], :read_cache_supervisor))
 
   @impl Supervisor
   def init(options) do
     gateway = Keyword.fetch!(options, :gateway)
-    Process.set_label({:serving_supervisor, gateway})
+    Process.set_label({:read_cache_supervisor, gateway})
 
     Supervisor.init(
       [
-        {DynamicSupervisor, name: Names.via(gateway, :serving_vehicles), max_restarts: 20, max_seconds: 10},
+        {DynamicSupervisor,
+         name: Names.via(gateway, :read_cache_vehicles), max_restarts: 20, max_seconds: 10},
         {Starter, gateway: gateway}
       ],
       strategy: :one_for_all,

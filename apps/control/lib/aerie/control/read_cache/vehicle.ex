@@ -28,11 +28,14 @@ defmodule Aerie.Control.ReadCache.Vehicle do
 
   @spec start_link(gateway: Names.gateway(), key: Store.vehicle_key()) :: GenServer.on_start()
   def start_link(options),
-    do: GenServer.start_link(__MODULE__, options, name: Names.via(options[:gateway], :serving, options[:key]))
+    do:
+      GenServer.start_link(__MODULE__, options,
+        name: Names.via(options[:gateway], :read_cache, options[:key])
+      )
 
   @impl GenServer
   def init(gateway: gateway, key: key) do
-    Process.set_label({:serving, key})
+    Process.set_label({:read_cache, key})
     {:ok, tasks} = Task.Supervisor.start_link()
     for type <- Map.keys(@kinds), do: Aboard.put(gateway, key, type, :read, nil)
 

@@ -29,7 +29,7 @@ defmodule Aerie.Control.Policy.Mavlink.Writing.Aboard do
     with nil <- known(gateway, key, type, :read),
          # A fence that a vehicle did not take would be a weaker measure.
          nil <- if(type != @fence, do: known(gateway, key, type, :sent)) do
-      pid = Names.whereis(gateway, :serving, key)
+      pid = Names.whereis(gateway, :read_cache, key)
       _asked = if pid, do: GenServer.cast(pid, {:learn, type})
 
       :unknown

@@ -19,7 +19,7 @@ defmodule MavRouter.Sharing do
   def pass(delivery) do
     delivery
     |> StreamRequests.pass()
-    |> ReadCache.Requests.pass()
+    |> ReadCache.pass()
     |> TransferLock.pass()
   end
 end

@@ -52,7 +52,7 @@ defmodule MavRouter.Tables do
 
   @doc """
   Makes the tables, owned by the calling process, whose name is `{gateway, :router, nil}`. `:vehicles`, `:requests`,
-  `:policy` and `:readings` are the modules of `MavRouter.Router.Vehicles`, `MavRouter.Sharing.Requests`,
+  `:policy` and `:readings` are the modules of `MavRouter.Router.Vehicles`, `MavRouter.Sharing.StreamRequests`,
   `MavRouter.Router.Policy` and `MavRouter.Sharing.ReadCache`.
   """
   @spec create(Names.gateway(), keyword, keyword) :: t

@@ -198,7 +198,7 @@ defmodule MavRouter.Forward.Gate do
     end
   end
 
-  # `MavRouter.Sharing.ReadCache.Requests` answers what it can.
+  # `MavRouter.Sharing.ReadCache` answers what it can.
   defp asked(frame, row, %{tables: %{readings: readings}, path: path} = delivery) do
     if path.side == :client and readings != nil and readings.reading?(frame) do
       [{:clients, frame}]

@@ -14,7 +14,7 @@ defmodule MavRouter.Router.Supervisor do
 
   @doc """
   Options: `:gateway`, `:settings` (`MavRouter.Router.Settings`); `:vehicles` (`MavRouter.Router.Vehicles`),
-  `:requests` (`MavRouter.Sharing.Requests`), `:policy` (`MavRouter.Router.Policy`) and `:readings`
+  `:requests` (`MavRouter.Sharing.StreamRequests`), `:policy` (`MavRouter.Router.Policy`) and `:readings`
   (`MavRouter.Sharing.ReadCache`), modules, none by default; `:turns_clock`, see `MavRouter.Sharing.TransferLock`;
   `:children`, child specifications of what is supervised beside the router's own processes.
   """

@@ -1,16 +1,30 @@
 defmodule MavRouter.Sharing.StreamRequests do
   @moduledoc """
-  Requests of clients for message rates (SET_MESSAGE_INTERVAL, REQUEST_DATA_STREAM): `MavRouter.Sharing.Requests` notes
-  them, and they are forwarded only if they take nothing from another client. The others are answered here, in the
-  vehicle's name.
+  Requests of clients for message rates (SET_MESSAGE_INTERVAL, REQUEST_DATA_STREAM). A module with these callbacks,
+  given to `MavRouter.Router.Supervisor` (`:requests`), arbitrates between them: it notes them, and they are forwarded
+  only if they take nothing from another client. The others are answered here, in the vehicle's name. Without such a
+  module all are forwarded.
   """
 
-  alias Aerie.Base.Store
+  alias Aerie.Base.{Names, Store}
   alias MavRouter.Forward.Delivery
   alias MavRouter.Endpoints.Owner.Filter
   alias MavRouter.Endpoints.Output
   alias MavRouter.Endpoints.Owner.Renumber
   alias MavCodec.Frame
+
+  @doc "Whether a frame is such a request. Must be cheap: it is asked of every frame of a client."
+  @callback request?(Frame.t()) :: boolean
+
+  @doc """
+  A client's request to a vehicle of a network: `:forward` it, or `{:absorb, answer}`, where `answer` is a frame to the
+  client in the vehicle's name, or nil.
+  """
+  @callback intercept(Names.gateway(), network :: String.t(), client :: term, Frame.t()) ::
+              :forward | {:absorb, binary | nil}
+
+  @doc "A client is gone: its requests are forgotten."
+  @callback forget(Names.gateway(), client :: term) :: :ok
 
   @doc "The delivery without the frames that are not forwarded; only trusted ones are noted."
   @spec pass(Delivery.t()) :: Delivery.t()

@@ -10,7 +10,6 @@ defmodule Aerie.Control.ReadCache.Vehicle do
   alias Aerie.Control.Policy.Mavlink.Writing.Aboard
   alias Protocols.Mission
   alias Aerie.Vehicle.Protocol
-  alias MavRouter.Sharing.ReadCache.Requests
   alias MavCodec.Ftp.Packet
   alias MavCodec.Messages, as: M
 
@@ -282,7 +281,7 @@ defmodule Aerie.Control.ReadCache.Vehicle do
         # Not in this process, because the frame may be routed back to it.
         {:ok, _pid} =
           Task.Supervisor.start_child(state.tasks, fn ->
-            Requests.forward(state.gateway, endpoint, frame)
+            MavRouter.Sharing.ReadCache.forward(state.gateway, endpoint, frame)
           end)
 
         %{state | frames: frames}
@@ -322,7 +321,7 @@ defmodule Aerie.Control.ReadCache.Vehicle do
         {MavCodec.encode(message, [seq: seq] ++ options), rem(seq + 1, 256)}
       end)
 
-    cache = Requests.answer(state.gateway, endpoint, frames, state.router_cache)
+    cache = MavRouter.Sharing.ReadCache.answer(state.gateway, endpoint, frames, state.router_cache)
     Store.count(state.gateway, :served_messages, length(frames))
     %{state | seq: seq, router_cache: cache}
   end

@@ -10,7 +10,7 @@ defmodule Aerie.Vehicle.Services.Streams do
   (`Aerie.Vehicle.Services.StreamDemand`) and outlives the session.
   """
 
-  @behaviour MavRouter.Sharing.Requests
+  @behaviour MavRouter.Sharing.StreamRequests
 
   alias Aerie.Vehicle.Services.StreamDemand
   alias Aerie.Base.Store
@@ -37,7 +37,7 @@ defmodule Aerie.Vehicle.Services.Streams do
   end
 
   @doc "Withdraws all demands of a client."
-  @impl MavRouter.Sharing.Requests
+  @impl MavRouter.Sharing.StreamRequests
   @spec forget(Names.gateway(), StreamDemand.client()) :: :ok
   def forget(gateway, client),
     do: gateway |> StreamDemand.forget(client) |> Enum.each(&notify(gateway, &1, nil))
@@ -50,7 +50,7 @@ defmodule Aerie.Vehicle.Services.Streams do
   recorded. While only high-latency links reach the vehicle, the answer is MAV_RESULT_TEMPORARILY_REJECTED. With
   `mavlink.request_streams` off, everything is forwarded.
   """
-  @impl MavRouter.Sharing.Requests
+  @impl MavRouter.Sharing.StreamRequests
   @spec intercept(Names.gateway(), network :: String.t(), StreamDemand.client(), Frame.t()) ::
           :forward | {:absorb, binary() | nil}
   def intercept(gateway, network, client, frame) do
@@ -87,7 +87,7 @@ defmodule Aerie.Vehicle.Services.Streams do
   end
 
   @doc "Whether a frame requests a rate. Cheap, because it is called for every frame to a vehicle."
-  @impl MavRouter.Sharing.Requests
+  @impl MavRouter.Sharing.StreamRequests
   @spec request?(Frame.t()) :: boolean()
   defdelegate request?(frame), to: Intercept
 

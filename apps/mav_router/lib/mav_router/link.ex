@@ -31,7 +31,6 @@ defmodule MavRouter.Link do
 
   alias Aerie.Base.Error
   alias Aerie.Base.Store
-  alias MavRouter.Link.Spec.Configured
   alias MavRouter.Link.FirstAttempt
   alias MavRouter.Link.Spec
   alias MavRouter.Link.Supervisor, as: Links
@@ -65,7 +64,7 @@ defmodule MavRouter.Link do
   end
 
   def start(gateway, link, _options) when is_map(link) and not is_struct(link) do
-    case Configured.spec(link) do
+    case Spec.configured(link) do
       {:ok, spec} -> start(gateway, spec, [])
       {:error, words} -> Error.new({:invalid, words})
     end

@@ -216,7 +216,7 @@ defmodule MavRouter.Router do
     end
   end
 
-  @doc "All systems that sent a heartbeat, vehicles or not (`MavRouter.Forward.HeartbeatLearner.Systems`)."
+  @doc "All systems that sent a heartbeat, vehicles or not (`MavRouter.Forward.HeartbeatLearner`)."
   @spec systems(Names.gateway()) :: %{vehicle_key => map}
   def systems(gateway), do: Store.systems(gateway)
 

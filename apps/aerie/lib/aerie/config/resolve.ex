@@ -12,7 +12,6 @@ defmodule Aerie.Config.Resolve do
   alias Aerie.Fleet.Bridge
   alias MavRouter.Identity
   alias Aerie.Config.{Keys, Names}
-  alias MavRouter.Link.Spec.Configured
   alias MavRouter.Link.Spec
   alias Aerie.Base.Settings.Schema
 
@@ -88,7 +87,7 @@ defmodule Aerie.Config.Resolve do
   end
 
   defp contradictions(links) do
-    for {link, index} <- Enum.with_index(links), {key, words} <- Configured.contradictions(link) do
+    for {link, index} <- Enum.with_index(links), {key, words} <- Spec.contradictions(link) do
       problem(
         ["links", index, Atom.to_string(key)],
         "the same in the key and in the url, or one of them",

@@ -13,7 +13,7 @@ defmodule Aerie.Config.AuthorityTest do
   alias MavRouter.{Identity, Signing}
   alias Aerie.Config.Keys
   alias MavRouter.Client
-  alias MavRouter.Link.Spec.Configured
+  alias MavRouter.Link.Spec
   alias MavRouter.Link.Server.Egress
   alias Aerie.Control.Policy.{Audit, Context, Intent, Lease, Rate, Signature, Sources}
   alias MavRouter.Endpoints.Access
@@ -139,7 +139,7 @@ defmodule Aerie.Config.AuthorityTest do
 
     owners = for {key, beside, a, b, probe} <- own ++ filters, do: {key, beside, a, b, &probe.(owner(&1))}
 
-    secure = fn config -> config.links |> List.last() |> Configured.spec() |> elem(1) |> Signing.trust() end
+    secure = fn config -> config.links |> List.last() |> Spec.configured() |> elem(1) |> Signing.trust() end
 
     [
       {"links[].secure", %{link() | "url" => "/dev/ttyUSB9"}, true, false, secure},
@@ -406,7 +406,7 @@ defmodule Aerie.Config.AuthorityTest do
   end
 
   defp owner(%{links: links}) do
-    {:ok, spec} = Configured.spec(List.last(links))
+    {:ok, spec} = Spec.configured(List.last(links))
     Egress.open(__MODULE__, spec).owner
   end
 

@@ -1,8 +1,14 @@
 defmodule MavRouter.Forward.HeartbeatLearner do
   @moduledoc """
   The few messages that the router itself reads: heartbeats tell what their sender is, SYSTEM_TIME tells reboots (R6).
+
+  Everything that sends heartbeats (vehicles, ground stations, radios, gimbals) is kept in `Aerie.Base.Store.systems/1`
+  under `{network, system}` as
+
+      %{last_heard: us, vehicle: boolean, components: %{component => %{role, type, autopilot, link, last_heard}}}
   """
 
+  alias Aerie.Base.Store
   alias MavCodec.Message.BootClock
   alias MavCodec.Meaning.Heartbeat
   alias MavCodec.Meaning.HighLatency
@@ -11,7 +17,7 @@ defmodule MavRouter.Forward.HeartbeatLearner do
   alias MavRouter.Endpoints
   alias MavRouter.Routes
   alias MavRouter.Forward.Holders
-  alias MavRouter.Forward.HeartbeatLearner.Systems
+  alias MavRouter.Forward.GroundStations
   alias MavRouter.Forward.Source
   alias MavRouter.Tables
   alias MavCodec.Frame
@@ -24,6 +30,7 @@ defmodule MavRouter.Forward.HeartbeatLearner do
   @autopilot1 1
   # An endpoint that sends a heartbeat after being there for so long has sent one before.
   @repeated_us 500_000
+  @max_components 64
 
   @doc """
   Reads frames of one source: the delivery with what is known of the source and of its path afterwards, and with whether one of
@@ -93,7 +100,7 @@ defmodule MavRouter.Forward.HeartbeatLearner do
   defp heartbeat(frame, heartbeat, vehicle?, %{tables: tables, path: path, source: source} = delivery) do
     # Beyond the limit of systems, frames are still forwarded.
     for network <- path.networks,
-        do: _ = Systems.note(delivery.gateway, network, path.owner, frame, heartbeat)
+        do: _ = note_system(delivery.gateway, network, path.owner, frame, heartbeat)
 
     path =
       if vehicle?, do: latency(vehicle(path, tables), tables, frame), else: other(path, tables, heartbeat)
@@ -105,6 +112,39 @@ defmodule MavRouter.Forward.HeartbeatLearner do
         vehicle: delivery.vehicle or vehicle?
     }
   end
+
+  # Two links that hear one system at the same moment may overwrite each other's note of a component; the next heartbeat
+  # corrects that.
+  defp note_system(gateway, network, link, frame, heartbeat) do
+    key = {network, frame.system}
+    before = Store.system(gateway, key) || %{components: %{}, vehicle: false}
+
+    component = %{
+      role: Heartbeat.role(heartbeat),
+      type: heartbeat.type,
+      autopilot: heartbeat.autopilot,
+      link: link,
+      last_heard: frame.at
+    }
+
+    if not Heartbeat.vehicle?(heartbeat) do
+      station = %{system: frame.system, component: frame.component, type: heartbeat.type}
+      GroundStations.hear(gateway, network, Map.merge(station, %{via: link, last_heard: frame.at}))
+    end
+
+    Store.see_system(gateway, key, %{
+      last_heard: frame.at,
+      vehicle: before.vehicle or Heartbeat.vehicle?(heartbeat),
+      components: put_component(before.components, frame.component, component)
+    })
+  end
+
+  defp put_component(components, id, component)
+       when is_map_key(components, id) or map_size(components) < @max_components do
+    Map.put(components, id, component)
+  end
+
+  defp put_component(components, _id, _component), do: components
 
   # The first heartbeat of an autopilot changes what its frames reach.
   defp source(%{autopilot: vehicle?} = source, vehicle?, _path), do: source

@@ -8,7 +8,7 @@ defmodule MavRouter.Link.Boot do
   use GenServer, restart: :transient
 
   alias Aerie.Base.Store
-  alias MavRouter.Link.Spec.Configured
+  alias MavRouter.Link.Spec
 
   require Logger
 
@@ -44,7 +44,7 @@ defmodule MavRouter.Link.Boot do
         []
 
       link ->
-        case Configured.spec(link) do
+        case Spec.configured(link) do
           {:ok, spec} ->
             [spec]
 

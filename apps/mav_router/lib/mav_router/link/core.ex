@@ -53,7 +53,6 @@ defmodule MavRouter.Link.Core do
   alias MavRouter.Link.Core.Overload
   alias MavRouter.Link.Peers
   alias MavRouter.Link.Core.Rates
-  alias MavRouter.Link.Core.Reads
   alias MavRouter.Link.Reason
   alias MavRouter.Link.Serial.Finding
   alias MavRouter.Link.Settings
@@ -316,7 +315,7 @@ defmodule MavRouter.Link.Core do
 
   # Every received byte comes through here.
   defp read(core, reads, {mono, at}) do
-    {deliveries, changes, peers} = Reads.push(core.peers, reads, mono, at)
+    {deliveries, changes, peers} = Peers.read(core.peers, reads, mono, at)
     core = note_senders(%{core | peers: peers}, deliveries, mono, at)
 
     if changes == [] do
@@ -328,7 +327,7 @@ defmodule MavRouter.Link.Core do
   end
 
   defp replay(core, records, {mono, at}) do
-    {deliveries, peers} = Reads.replay(core.peers, records, mono)
+    {deliveries, peers} = Peers.replay(core.peers, records, mono)
     {note_senders(%{core | peers: peers}, deliveries, mono, at), deliver(deliveries)}
   end
 

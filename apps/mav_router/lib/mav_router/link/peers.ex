@@ -53,6 +53,9 @@ defmodule MavRouter.Link.Peers do
 
   @type change :: {:up, Peer.t()} | {:down, Peer.t()}
 
+  @typedoc "Frames of one peer, in order."
+  @type delivery :: {peer :: term, [MavCodec.Frame.t()]}
+
   @doc "No peers yet. The parser options are those of `MavCodec.Parser.new/1`."
   @spec new(:stream | :datagram, max :: pos_integer, keyword) :: t
   def new(framing, max, parser_options \\ []) do
@@ -96,6 +99,54 @@ defmodule MavRouter.Link.Peers do
         sources: keep(peers.sources, peer),
         unknown: :gb_sets.del_element({peer.since, peer.id}, peers.unknown)
     }
+  end
+
+  @doc """
+  Parses reads that came at `mono` (monotonic ms) and `at` (unix microseconds). Reads of the same peer become one
+  delivery; deliveries are in the order in which the peers spoke.
+  """
+  @spec read(t, [{term, binary | [MavCodec.Frame.t()]}], integer, integer) ::
+          {[delivery], [change()], t}
+  # Nearly always one datagram.
+  def read(peers, [{id, bytes}], mono, at) do
+    case push(peers, id, bytes, mono, at) do
+      {[], changes, peers} -> {[], changes, peers}
+      {frames, changes, peers} -> {[{id, frames}], changes, peers}
+    end
+  end
+
+  def read(peers, reads, mono, at) do
+    {peers, spoken, frames, changes} =
+      Enum.reduce(reads, {peers, [], %{}, []}, fn {peer, bytes}, {peers, spoken, frames, changes} ->
+        {new, change, peers} = push(peers, peer, bytes, mono, at)
+
+        case frames do
+          _any when new == [] -> {peers, spoken, frames, change ++ changes}
+          %{^peer => before} -> {peers, spoken, %{frames | peer => [new | before]}, change ++ changes}
+          _first -> {peers, [peer | spoken], Map.put(frames, peer, [new]), change ++ changes}
+        end
+      end)
+
+    deliveries = for peer <- Enum.reverse(spoken), do: {peer, join(frames[peer])}
+    {deliveries, Enum.reverse(changes), peers}
+  end
+
+  defp join([frames]), do: frames
+  defp join(lists), do: lists |> Enum.reverse() |> Enum.concat()
+
+  @doc """
+  Parses the records of a recording, each with its own time (unix microseconds). A record is like a datagram: damage in
+  one says nothing about the next.
+  """
+  @spec replay(t, [{integer, binary}], integer) :: {[delivery], t}
+  def replay(peers, records, mono) do
+    {frames, peers} =
+      Enum.flat_map_reduce(records, peers, fn {recorded, bytes}, peers ->
+        {frames, _changes, peers} = push(peers, :remote, bytes, mono, recorded)
+        {frames, peers}
+      end)
+
+    {if(frames == [], do: [], else: [{:remote, frames}]), peers}
   end
 
   @doc "Parses what a peer sent; returns its frames, and the peers that came or went with them."

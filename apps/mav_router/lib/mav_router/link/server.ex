@@ -11,7 +11,6 @@ defmodule MavRouter.Link.Server do
   require Logger
 
   alias Aerie.Base.Store
-  alias MavRouter.Link.Server.Reconnected
   alias MavRouter.Link.Core
   alias MavRouter.Link.Core.Counters
   alias MavRouter.Link.Settings
@@ -20,7 +19,6 @@ defmodule MavRouter.Link.Server do
   alias MavRouter.Link.Server.Restarts
   alias MavRouter.Link.Peers.PublishedPeers
   alias MavRouter.Link.Core.Snapshot
-  alias MavRouter.Link.Server.Search
   alias MavRouter.Link.Spec
   alias MavRouter.Link.Server.Writer
   alias Aerie.Base.Names
@@ -194,7 +192,7 @@ defmodule MavRouter.Link.Server do
     if function_exported?(state.transport, :watch, 1), do: state.transport.watch(prepared(state)), else: nil
   end
 
-  defp prepared(state), do: Search.prepare(state.spec, state.gateway, state.core.found)
+  defp prepared(state), do: Connector.prepare(state.spec, state.gateway, state.core.found)
 
   # Late messages of closed connections, exits of processes that are done.
   defp ignore(state, _message), do: state
@@ -258,8 +256,14 @@ defmodule MavRouter.Link.Server do
   defp act(:sniff, %{conn: nil} = state), do: state
   defp act(:sniff, state), do: %{state | conn: state.transport.sniff(state.conn)}
 
-  defp act(:reconnected, state) do
-    Reconnected.notify(state.gateway, state.spec)
+  # Their sessions request their streams: a vehicle may have been restarted, or be on another of its ports, which has
+  # other rates.
+  defp act(:reconnected, %{gateway: gateway, spec: %{id: id, network: network}} = state) do
+    for %{network: ^network, links: links, key: key} <- Store.vehicles(gateway), id in links do
+      with session when is_pid(session) <- Names.whereis(gateway, :session, key),
+           do: send(session, {:link_reconnected, id})
+    end
+
     state
   end
 

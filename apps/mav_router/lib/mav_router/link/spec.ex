@@ -19,6 +19,7 @@ defmodule MavRouter.Link.Spec do
   """
 
   alias Aerie.Base.Address
+  alias MavRouter.Endpoints.Owner.RuleKeys
   alias MavRouter.Link.Spec.Error
   alias MavRouter.Link.Transport.Query
   alias MavRouter.Link.Transport
@@ -163,6 +164,41 @@ defmodule MavRouter.Link.Spec do
     else
       _none -> %{}
     end
+  end
+
+  @doc """
+  The specification of a link as the configuration has it (`MavRouter.Link.Settings`, `links`): `url` is required, the
+  other keys may be left out. The error is a text.
+  """
+  @spec configured(map()) :: {:ok, t} | {:error, String.t()}
+  def configured(%{url: url} = link) do
+    with [] <- contradictions(link),
+         {:ok, router} <- RuleKeys.owner_options(Map.new(link)),
+         {:ok, spec} <-
+           parse(url, id: link[:id], network: link[:network], options: configured_options(link, router)) do
+      {:ok, spec}
+    else
+      {:error, error} when is_exception(error) -> {:error, Exception.message(error)}
+      {:error, words} -> {:error, words}
+      [{key, words} | _] -> {:error, "#{key}: #{words}"}
+    end
+  end
+
+  @doc "The keys of which the connection string says something else, with words for that."
+  @spec contradictions(map()) :: [{:id | :network | :secure | :gcs, String.t()}]
+  def contradictions(%{url: url} = link) do
+    for {key, said} <- Enum.sort(said(url)), link[key] != nil, link[key] != said do
+      {key, "#{link[key]} contradicts #{key}=#{said} in the url"}
+    end
+  end
+
+  defp configured_options(link, router) do
+    [
+      label: link[:label],
+      high_latency: link[:high_latency] || false,
+      secure: link[:secure] || false,
+      router: router
+    ]
   end
 
   @doc "Whether a link with the option `:secure` can be secure; the error is words."

@@ -90,7 +90,7 @@ defmodule Aerie.Vehicle.Session do
 
   def handle_info({:claimed, path, at}, state), do: {:noreply, step(state, {:claimed, path, at})}
 
-  # A link on which the vehicle was heard is connected again (`MavRouter.Link.Server.Reconnected`).
+  # A link on which the vehicle was heard is connected again.
   def handle_info({:link_reconnected, link}, state), do: {:noreply, step(state, {:link_reconnected, link})}
 
   def handle_info({:timeout, _timer, {:tick, due}}, state) do

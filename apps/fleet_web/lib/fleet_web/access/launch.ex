@@ -5,8 +5,8 @@ defmodule FleetWeb.Access.Launch do
   """
   use GenServer
 
-  alias Aerie.Base.Files.Private
   alias Aerie.Base.Names
+  alias FleetWeb.Access.PrivateFile
   alias FleetWeb.Listener
 
   require Logger
@@ -51,12 +51,7 @@ defmodule FleetWeb.Access.Launch do
   def handle_cast({:write, address}, %{gateway: gateway, file: file} = state) do
     url = url(gateway, "http://#{host(address)}:#{Listener.port(gateway)}")
 
-    with :ok <- Private.new_folder(Path.dirname(file)), :ok <- Private.write(file, [url, ?\n]) do
-      :ok
-    else
-      {:error, reason} -> Logger.warning("#{file}: #{:file.format_error(reason)}")
-    end
-
+    with {:error, text} <- PrivateFile.write(file, [url, ?\n]), do: Logger.warning(text)
     {:noreply, state}
   end
 

@@ -1,7 +1,7 @@
 defmodule FleetWeb.Access.PrivateFile do
   @moduledoc """
-  The files of users, keys and the secret. Only their owner can read them; one that others can read is refused, because
-  its owner has to decide what that means, and a damaged one is set aside (`Aerie.Base.Files.Damaged`).
+  The files of users, keys, sessions and the secret. Only their owner can read them; one that others can read is
+  refused, because its owner has to decide what that means, and a damaged one is set aside (`Aerie.Base.Files.Damaged`).
   """
 
   import Bitwise

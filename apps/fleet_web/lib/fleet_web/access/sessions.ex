@@ -10,9 +10,9 @@ defmodule FleetWeb.Access.Sessions do
   """
   use GenServer
 
-  alias Aerie.Base.Files.Private
   alias Aerie.Base.Names
   alias Aerie.Base.PubSub
+  alias FleetWeb.Access.PrivateFile
 
   require Logger
 
@@ -122,14 +122,10 @@ defmodule FleetWeb.Access.Sessions do
       for {digest, owner, until} <- :ets.tab2list(table),
           do: %{id: Base.encode64(digest), user: owner, until: until}
 
-    with :ok <- Private.new_folder(Path.dirname(file)),
-         :ok <- Private.write(file, [JSON.encode_to_iodata!(%{sessions: sessions}), ?\n]) do
-      :ok
-    else
-      {:error, reason} ->
-        Logger.error(
-          "#{file}: #{:file.format_error(reason)}. Sessions that end now would be open again after a restart; remove the file before one"
-        )
+    with {:error, text} <- PrivateFile.write(file, [JSON.encode_to_iodata!(%{sessions: sessions}), ?\n]) do
+      Logger.error(
+        "#{text}. Sessions that end now would be open again after a restart; remove the file before one"
+      )
     end
   end
 

@@ -45,6 +45,27 @@ defmodule Aerie.SigningCase do
     frames ++ last
   end
 
+  @doc "Everything that Elixir and Erlang write of a term."
+  @spec shown(term) :: String.t()
+  def shown(term) do
+    inspect(term, limit: :infinity, printable_limit: :infinity, structs: false) <>
+      inspect(term, limit: :infinity) <> IO.iodata_to_binary(:io_lib.format(~c"~p ~w", [term, term]))
+  end
+
+  @doc "Fails if a text has a key, in any of the forms in which Elixir and Erlang write bytes."
+  @spec refute_key(String.t(), binary) :: :ok
+  def refute_key(text, key) do
+    bytes = :binary.bin_to_list(key)
+    hex = for letters <- [:upper, :lower], do: Base.encode16(key, case: letters)
+    lists = for comma <- [", ", ","], do: bytes |> Enum.take(6) |> Enum.join(comma)
+
+    for form <- [key, Base.encode64(key)] ++ hex ++ lists,
+        text =~ form,
+        do: ExUnit.Assertions.flunk("a key is shown as #{form}")
+
+    :ok
+  end
+
   @doc "The folder of a running gateway's keys and time stamps as a kill leaves it; a file that is being written is none."
   @spec copy_dir(Path.t(), Path.t()) :: :ok
   def copy_dir(from, to) do

@@ -36,14 +36,7 @@ defmodule Aerie.AuthorityCase do
       [%{"id" => "marker", "role" => "operator"}] ++
         for {role, way} <- ways, do: %{"id" => "#{role}-#{way}", "role" => "#{role}"}
 
-    policy =
-      Map.merge(
-        %{
-          "clients" => listed ++ (options[:clients] || []),
-          "audit" => %{"dir" => Path.join(folder, "audit")}
-        },
-        options[:policy] || %{}
-      )
+    policy = Map.merge(%{"clients" => listed ++ (options[:clients] || [])}, options[:policy] || %{})
 
     overrides =
       Map.merge(

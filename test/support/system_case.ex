@@ -37,7 +37,7 @@ defmodule Aerie.SystemCase do
     gateway = options[:gateway] || make_ref()
 
     overrides =
-      Map.merge(
+      merge(
         %{
           "environment" => "test",
           "mavlink" => %{"local_addr" => "off"},
@@ -69,6 +69,14 @@ defmodule Aerie.SystemCase do
     {:ok, run} = Run.start(plan, gateway: gateway, supervisor: supervisor, status: false)
     eventually(fn -> match?(%{connected: true}, Aerie.Fleet.Bridge.info(gateway)) end, "NATS is connected")
     Map.put(run, :top, supervisor)
+  end
+
+  # A test says what it wants of the policy, and the folders stay.
+  defp merge(defaults, overrides) do
+    Map.merge(defaults, overrides, fn
+      "policy", policy, own -> Map.merge(policy, own)
+      _section, _default, own -> own
+    end)
   end
 
   defp stations(nil), do: []
@@ -185,6 +193,50 @@ defmodule Aerie.SystemCase do
       {:error, :socket_closed_remotely} -> http(method, request, options)
       answer -> answer
     end
+  end
+
+  @doc """
+  A request to the REST interface of a gateway, or at a port, with a `:key` if there is one: the status, and the body, decoded if it is
+  JSON. `path` begins with a slash, or below `/api/`. A body that is not text is sent as JSON.
+  """
+  def rest(gateway, method, path, body \\ nil, options \\ []) do
+    port = if is_integer(gateway), do: gateway, else: FleetWeb.Endpoint.port(gateway)
+    path = if String.starts_with?(path, "/"), do: path, else: "/api/" <> path
+    url = ~c"http://127.0.0.1:#{port}#{path}"
+    headers = [{"connection", "close"} | for(key <- List.wrap(options[:key]), do: {"x-aerie-key", key})]
+    headers = for {name, value} <- headers, do: {to_charlist(name), to_charlist(value)}
+
+    {:ok, {{_version, status, _reason}, headers, reply}} =
+      http(method, asked(method, url, headers, body, options))
+
+    json? = Enum.any?(headers, &match?({~c"content-type", ~c"application/json" ++ _}, &1))
+    {status, if(json? and reply != "", do: JSON.decode!(reply), else: reply)}
+  end
+
+  defp asked(method, url, headers, nil, _options) when method in [:get, :delete], do: {url, headers}
+  defp asked(_method, url, headers, nil, _options), do: {url, headers, ~c"", ""}
+
+  defp asked(_method, url, headers, body, options) do
+    type = to_charlist(options[:type] || "application/json")
+    {url, headers, type, if(is_binary(body), do: body, else: JSON.encode!(body))}
+  end
+
+  @doc "A request over NATS, signed if there is a key: the answer, decoded."
+  def nats_request(conn, subject, body, nkey \\ nil) do
+    body = if is_binary(body), do: body, else: JSON.encode!(body)
+    sign = &Aerie.Control.Policy.Signature.sign(&1, subject, body, DateTime.utc_now())
+    headers = for key <- List.wrap(nkey), do: {"Aerie-Signature", sign.(key)}
+    options = [headers: headers, receive_timeout: Aerie.Patience.ms()]
+    {:ok, %{body: reply}} = Gnat.request(conn, subject, body, options)
+    JSON.decode!(reply)
+  end
+
+  @doc "Writes a file that only its owner may read, as those of keys must be; gives its path."
+  def private_file(folder, name, text) do
+    path = Path.join(folder, name)
+    File.write!(path, text)
+    File.chmod!(path, 0o600)
+    path
   end
 
   @doc "The section `timeouts` of a gateway whose vehicles nobody is to lose: a busy machine may be silent for five seconds."

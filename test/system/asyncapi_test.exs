@@ -22,7 +22,6 @@ defmodule Aerie.System.AsyncAPITest do
 
     overrides = %{
       "policy" => %{
-        "audit" => %{"dir" => Path.join(folder, "audit")},
         "sources" => [%{"name" => "chief", "nkey" => nkey.public, "role" => "admin"}]
       },
       "timeouts" => patient(),

@@ -130,8 +130,7 @@ defmodule Aerie.System.AuthorityAttacksTest do
     policy = %{
       "geofence_file" => fence,
       "max_altitude" => 60,
-      "clients" => clients,
-      "audit" => %{"dir" => Path.join(folder, "audit")}
+      "clients" => clients
     }
 
     c = start_authority(folder, [:operator, :admin], policy: policy)

@@ -60,9 +60,7 @@ defmodule Aerie.System.AuthorityTest do
   end
 
   test "strangers and viewers reach no vehicle that signs, whether they sign or not", %{tmp_dir: folder} do
-    file = Path.join(folder, "network.key")
-    File.write!(file, "a-passphrase-of-the-system-tests")
-    File.chmod!(file, 0o600)
+    file = private_file(folder, "network.key", "a-passphrase-of-the-system-tests")
     signing = %{"dir" => Path.join(folder, "signing"), "keys" => [%{"key_file" => file}]}
 
     c =

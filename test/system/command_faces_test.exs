@@ -8,8 +8,6 @@ defmodule Aerie.System.CommandFacesTest do
 
   import Aerie.BridgeCase, only: [await_listening: 2, kill9: 1, other_vm: 2]
 
-  alias Aerie.Control.Policy.Signature
-
   @moduletag :tmp_dir
   @moduletag :capture_log
   @rest_key "key-of-the-operator-1"
@@ -17,15 +15,12 @@ defmodule Aerie.System.CommandFacesTest do
 
   defp start(context, policy \\ %{}) do
     folder = context.tmp_dir
-    keys = Path.join(folder, "keys")
-    File.write!(keys, "ops #{@rest_key} role=operator\n")
-    File.chmod!(keys, 0o600)
+    keys = private_file(folder, "keys", "ops #{@rest_key} role=operator\n")
     nkey = Nkey.generate(:user)
 
     policy =
       Map.merge(
         %{
-          "audit" => %{"dir" => Path.join(folder, "audit")},
           "max_altitude" => 100,
           "sources" => [%{"name" => "ops", "nkey" => nkey.public, "role" => "operator"}]
         },
@@ -57,45 +52,22 @@ defmodule Aerie.System.CommandFacesTest do
   # The two faces: type and parameters in, the result out.
   defp nats(%{conn: conn, nkey: nkey}, id \\ nil) do
     fn type, params ->
-      subject = "fleet.test.VID-001.cmd.#{type}"
-
-      body =
-        JSON.encode!(%{
-          "id" => id || Aerie.Vehicle.Command.id(),
-          "params" => params,
-          "deadline" => deadline()
-        })
-
-      headers = [{"Aerie-Signature", Signature.sign(nkey, subject, body, DateTime.utc_now())}]
-
-      {:ok, %{body: reply}} =
-        Gnat.request(conn, subject, body, headers: headers, receive_timeout: Aerie.Patience.ms())
-
-      JSON.decode!(reply)
+      body = %{"id" => id || Aerie.Vehicle.Command.id(), "params" => params, "deadline" => deadline()}
+      nats_request(conn, "fleet.test.VID-001.cmd.#{type}", body, nkey)
     end
   end
 
-  defp rest(%{gateway: gateway}) do
-    url = "http://127.0.0.1:#{FleetWeb.Endpoint.port(gateway)}/api/vehicles/VID-001/commands"
-
+  defp rest(c) do
     fn type, params ->
-      url |> post(%{"type" => type, "params" => params, "deadline" => deadline()}) |> elem(1)
+      c.gateway |> post(%{"type" => type, "params" => params, "deadline" => deadline()}) |> elem(1)
     end
   end
 
   # A busy machine needs longer than the ten seconds that a command has by itself.
   defp deadline, do: System.os_time(:second) + 120
 
-  defp post(url, body, key \\ @rest_key) do
-    request =
-      {to_charlist(url), [{~c"x-aerie-key", to_charlist(key)}, {~c"connection", ~c"close"}],
-       ~c"application/json", JSON.encode!(body)}
-
-    {:ok, {{_version, status, _reason}, _headers, reply}} =
-      http(:post, request)
-
-    {status, JSON.decode!(reply)}
-  end
+  defp post(gateway, body, query \\ ""),
+    do: rest(gateway, :post, "vehicles/VID-001/commands" <> query, body, key: @rest_key)
 
   defp fly(%{gateway: gateway, sim: sim}, command, modes) do
     assert %{"result" => "completed"} = command.("set_mode", %{"mode" => modes.first})
@@ -149,8 +121,7 @@ defmodule Aerie.System.CommandFacesTest do
 
     stands_armed(flight)
     [_all, body, path] = Regex.run(~r/-d '(.+)' http:\/\/localhost:4000(\S+)/, @page)
-    url = "http://127.0.0.1:#{FleetWeb.Endpoint.port(gateway)}#{path}"
-    assert {200, result} = post(url, JSON.decode!(body))
+    assert {200, result} = rest(gateway, :post, path, body, key: @rest_key)
     assert_shown(result)
     # Every command needs an id of its own.
     assert %{"rule" => "id"} = nats(flight, "t1").("takeoff", %{"altitude" => 30})
@@ -218,13 +189,13 @@ defmodule Aerie.System.CommandFacesTest do
     {_port, pid} = other_vm(script, "running ")
     done = %{"type" => "set_mode", "id" => "done", "params" => %{"mode" => "GUIDED"}}
     # Until it is heard, there is no such vehicle.
-    eventually(fn -> match?({200, _result}, post(url, done)) end, "it obeys")
+    eventually(fn -> match?({200, _result}, post(http, done)) end, "it obeys")
 
     # It is done and the answer lost; the gateway cannot know. Killed at once: a command ends some seconds after it was sent, and the
     # disk may take longer for another one.
     :ok = SimVehicle.fault(sim, :silence, true)
     mode = %{"type" => "set_mode", "id" => "mode", "params" => %{"mode" => "LOITER"}}
-    assert {202, _state} = post(url <> "?wait=0", mode)
+    assert {202, _state} = post(http, mode, "?wait=0")
     SimVehicle.await(sim, &(&1.mode == "LOITER"))
     kill9(pid)
     ledger = Path.join(folder, "ledger/ledger")
@@ -244,7 +215,7 @@ defmodule Aerie.System.CommandFacesTest do
 
     # This one does not arrive. The ledger knows that it may have been sent.
     :ok = SimVehicle.fault(sim, :half_open, true)
-    assert {202, _state} = post(url <> "?wait=0", %{"type" => "arm", "id" => "arm"})
+    assert {202, _state} = post(http, %{"type" => "arm", "id" => "arm"}, "?wait=0")
     eventually(fn -> File.read!(ledger) =~ ~s(["sent","arm") end, "it is sent")
     kill9(pid)
     refute File.read!(ledger) =~ ~s(["done","arm"), "it ended before the gateway was killed"
@@ -257,7 +228,7 @@ defmodule Aerie.System.CommandFacesTest do
     )
 
     assert {200, %{"result" => "completed", "interrupted" => true}} = look(url, "mode")
-    assert {504, %{"result" => "unknown", "reason" => reason}} = post(url, %{"type" => "arm", "id" => "arm"})
+    assert {504, %{"result" => "unknown", "reason" => reason}} = post(http, %{"type" => "arm", "id" => "arm"})
     assert reason =~ "it is not sent again"
     refute SimVehicle.state(sim).armed
   end

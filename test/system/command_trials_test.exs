@@ -45,7 +45,6 @@ defmodule Aerie.System.CommandTrialsTest do
 
   defp start(context, firmware, speed \\ 5.0) do
     policy = %{
-      "audit" => %{"dir" => Path.join(context.tmp_dir, "audit")},
       "clients" => [
         %{"id" => "crew", "role" => "admin", "permissions" => ["force_disarm", "terminate"]},
         %{"id" => "guest", "role" => "viewer"}

@@ -16,16 +16,12 @@ defmodule Aerie.System.ComponentParamsTest do
   @page File.read!(Path.expand("../../docs/transfers.md", __DIR__))
 
   setup %{tmp_dir: folder} = context do
-    keys = Path.join(folder, "keys")
-    File.write!(keys, "chief #{@chief} role=admin\nwall #{@wall} role=viewer\n")
-    File.chmod!(keys, 0o600)
-    clients = [%{"role" => "operator", "permissions" => ["maintain"]}]
-    audit = %{"dir" => Path.join(folder, "audit")}
-    policy = Map.merge(%{"audit" => audit, "clients" => clients}, context[:policy] || %{})
+    keys = private_file(folder, "keys", "chief #{@chief} role=admin\nwall #{@wall} role=viewer\n")
+    policy = context[:policy] || %{}
     overrides = %{"policy" => policy, "api" => %{"keys_file" => keys}, "timeouts" => patient()}
 
     %{gateway: gateway} =
-      start_gateway(folder, links: ["udpin:127.0.0.1:0"], overrides: overrides)
+      start_gateway(folder, links: ["udpin:127.0.0.1:0"], stations: ["maintain"], overrides: overrides)
 
     link = "udpout:127.0.0.1:#{link_port(gateway, "link-1")}"
     start_supervised!({SimVehicle, firmware: :px4, camera: 100, ready_s: 1.0, link: link})
@@ -33,49 +29,34 @@ defmodule Aerie.System.ComponentParamsTest do
     %{gateway: gateway, conn: nats_client(gateway)}
   end
 
-  defp rest(%{gateway: gateway}, method, path, body \\ nil, key \\ @chief) do
-    url = ~c"http://127.0.0.1:#{FleetWeb.Endpoint.port(gateway)}/api/vehicles/VID-001/#{path}"
-    headers = [{~c"x-aerie-key", to_charlist(key)}, {~c"connection", ~c"close"}]
-    request = if body, do: {url, headers, ~c"application/json", JSON.encode!(body)}, else: {url, headers}
+  defp vehicle(c, method, path, body \\ nil, key \\ @chief),
+    do: rest(c.gateway, method, "vehicles/VID-001/#{path}", body, key: key)
 
-    {:ok, {{_version, status, _reason}, _headers, reply}} =
-      http(method, request, timeout: :infinity)
-
-    {status, JSON.decode!(reply)}
-  end
-
-  defp nats(%{conn: conn}, operation, body) do
-    subject = "fleet.test.VID-001.#{operation}"
-
-    {:ok, %{body: reply}} =
-      Gnat.request(conn, subject, JSON.encode!(body), receive_timeout: Aerie.Patience.ms())
-
-    JSON.decode!(reply)
-  end
+  defp nats(c, operation, body), do: nats_request(c.conn, "fleet.test.VID-001.#{operation}", body)
 
   @tag policy: %{"unsigned" => "admin"}
   test "over REST and NATS", c do
-    assert {200, %{"count" => 12, "params" => params}} = rest(c, :get, "params?component=100", nil, @wall)
+    assert {200, %{"count" => 12, "params" => params}} = vehicle(c, :get, "params?component=100", nil, @wall)
     assert %{"value" => 0xFFFF_FFFF_FFFF_FFFF, "type" => 7} = Enum.find(params, &(&1["name"] == "CAM_FREE"))
     assert %{"result" => "completed", "count" => 12} = nats(c, "params.list", %{"component" => 100})
     get = %{"component" => 100, "name" => "CAM_SERIAL"}
     assert %{"value" => "base64:AAEC/w==", "type" => 11} = nats(c, "params.get", get)
 
     assert {200, %{"result" => "completed", "value" => "Rear"}} =
-             rest(c, :put, "params/CAM_NAME?component=100", %{"value" => "Rear", "id" => "c1"})
+             vehicle(c, :put, "params/CAM_NAME?component=100", %{"value" => "Rear", "id" => "c1"})
 
     set = %{"id" => "c2", "component" => 100, "name" => "CAM_MODE", "value" => 7}
     assert %{"result" => "rejected", "value" => 1} = nats(c, "params.set", set)
 
     assert {422, %{"result" => "rejected"}} =
-             rest(c, :put, "params/CAM_MODE?component=100", %{"value" => "x"})
+             vehicle(c, :put, "params/CAM_MODE?component=100", %{"value" => "x"})
 
-    assert {403, _refused} = rest(c, :put, "params/CAM_NAME?component=100", %{"value" => "x"}, @wall)
+    assert {403, _refused} = vehicle(c, :put, "params/CAM_NAME?component=100", %{"value" => "x"}, @wall)
 
     for wrong <- ["params?component=0", "params/A?component=x", "params?component=100&format=param"],
-        do: assert({422, %{"error" => %{"message" => "component: " <> _}}} = rest(c, :get, wrong))
+        do: assert({422, %{"error" => %{"message" => "component: " <> _}}} = vehicle(c, :get, wrong))
 
-    assert {422, _error} = rest(c, :put, "params?component=100", %{"values" => %{"CAM_MODE" => 1}})
+    assert {422, _error} = vehicle(c, :put, "params?component=100", %{"values" => %{"CAM_MODE" => 1}})
     assert %{"errors" => [%{"key" => "component"}]} = nats(c, "params.set", %{set | "component" => "camera"})
 
     assert %{"errors" => [%{"key" => "component"}]} =
@@ -104,7 +85,7 @@ defmodule Aerie.System.ComponentParamsTest do
     [_all, section] = Regex.run(~r/## Parameters of cameras.*?\n(.*?)\n## /s, @page)
     [got, set] = for [line] <- Regex.scan(~r/^\{.*\}$/m, section), do: JSON.decode!(line)
     [_all, path] = Regex.run(~r/"http:\/\/localhost:4000\/api\/vehicles\/VID-001\/(\S+)"/, section)
-    assert rest(c, :get, path) == {200, got}
+    assert vehicle(c, :get, path) == {200, got}
     [_all, body] = Regex.run(~r/VID-001\.params\.set '(.+)' --timeout/, section)
     assert nats(c, "params.set", JSON.decode!(body)) == set
   end

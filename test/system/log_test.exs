@@ -50,9 +50,7 @@ defmodule Aerie.System.LogTest do
     tmp_dir: folder
   } do
     LogLines.collect()
-    keys = Path.join(folder, "keys")
-    File.write!(keys, "boss #{@sentinel}-file role=admin\n")
-    File.chmod!(keys, 0o600)
+    keys = private_file(folder, "keys", "boss #{@sentinel}-file role=admin\n")
 
     %{gateway: gateway} =
       start_gateway(folder,

@@ -46,8 +46,7 @@ defmodule Aerie.System.MspFirmwareTest do
       "recorder" => %{"dir" => Path.join(dir, "recordings"), "links" => "always", "min_free_mb" => 0},
       "links" => [%{"id" => "fc", "url" => "msp:tcp:127.0.0.1:#{port}?sysid=7&share=#{share}"}],
       "policy" => %{
-        "clients" => [%{"id" => "fc-share", "role" => "admin"}],
-        "audit" => %{"dir" => Path.join(dir, "audit")}
+        "clients" => [%{"id" => "fc-share", "role" => "admin"}]
       }
     }
 

@@ -35,8 +35,7 @@ defmodule Aerie.System.MspParamsTest do
           "timeouts" => patient(),
           "clients" => [%{"id" => "gcs", "url" => "tcpin:127.0.0.1:0"}],
           "policy" => %{
-            "clients" => [%{"id" => "gcs", "role" => "admin"}],
-            "audit" => %{"dir" => Path.join(dir, "audit")}
+            "clients" => [%{"id" => "gcs", "role" => "admin"}]
           }
         }
       )

@@ -778,8 +778,7 @@ defmodule Aerie.System.MspTest do
             %{"url" => "msp:tcp:127.0.0.1:#{Msp.port(sim)}?sysid=8&share=#{admins}", "id" => "hangar"}
           ],
           "policy" => %{
-            "clients" => [%{"id" => "hangar-share", "role" => "admin"}],
-            "audit" => %{"dir" => Path.join(dir, "audit")}
+            "clients" => [%{"id" => "hangar-share", "role" => "admin"}]
           }
         }
       )

@@ -28,9 +28,7 @@ defmodule Aerie.System.OpenAPIRequestsTest do
   @samples 12
 
   setup %{tmp_dir: folder} do
-    file = Path.join(folder, "keys")
-    File.write!(file, for(n <- 1..100, do: "key-#{n} #{key(n)} role=admin\n"))
-    File.chmod!(file, 0o600)
+    file = private_file(folder, "keys", for(n <- 1..100, do: "key-#{n} #{key(n)} role=admin\n"))
     start_gateway(folder, links: ["udpin:127.0.0.1:0"], overrides: %{"api" => %{"keys_file" => file}})
   end
 

@@ -19,12 +19,10 @@ defmodule Aerie.System.OperationsTest do
   @shadow File.read!(Path.join(@docs, "shadow.md"))
 
   setup %{tmp_dir: folder} do
-    keys = Path.join(folder, "keys")
-    File.write!(keys, "chief #{@chief} role=admin\nwall #{@wall} role=viewer\n")
-    File.chmod!(keys, 0o600)
+    keys = private_file(folder, "keys", "chief #{@chief} role=admin\nwall #{@wall} role=viewer\n")
 
     overrides = %{
-      "policy" => %{"audit" => %{"dir" => Path.join(folder, "audit")}, "unsigned" => "admin"},
+      "policy" => %{"unsigned" => "admin"},
       "api" => %{"keys_file" => keys},
       "timeouts" => patient(),
       "shadow" => %{"dir" => Path.join(folder, "shadow"), "hold_s" => 1, "lease_s" => 2}
@@ -45,32 +43,16 @@ defmodule Aerie.System.OperationsTest do
     %{gateway: gateway, sims: sims, conn: nats_client(gateway)}
   end
 
-  defp rest(c, method, path, body \\ nil, key \\ @chief) do
-    url = ~c"http://127.0.0.1:#{FleetWeb.Endpoint.port(c.gateway)}/api/#{path}"
-    headers = [{~c"x-aerie-key", to_charlist(key)}, {~c"connection", ~c"close"}]
-    request = if body, do: {url, headers, ~c"application/json", body(body)}, else: {url, headers}
-
-    {:ok, {{_version, status, _reason}, _headers, reply}} =
-      http(method, request, timeout: :infinity)
-
-    case JSON.decode!(reply) do
+  defp ask(c, method, path, body \\ nil, key \\ @chief) do
+    case rest(c.gateway, method, path, body, key: key) do
       # A machine that stands still for seconds.
-      %{"error" => %{"code" => "unavailable"}} when status == 503 -> rest(c, method, path, body, key)
-      answer -> {status, answer}
+      {503, %{"error" => %{"code" => "unavailable"}}} -> ask(c, method, path, body, key)
+      answer -> answer
     end
   end
 
-  defp body(text) when is_binary(text), do: text
-  defp body(object), do: JSON.encode!(object)
-
-  defp nats(%{conn: conn, gateway: gateway}, action, body) do
-    subject = "fleet.test.#{Bridge.name(gateway)}.operation.#{action}"
-
-    {:ok, %{body: reply}} =
-      Gnat.request(conn, subject, JSON.encode!(body), receive_timeout: Aerie.Patience.ms())
-
-    JSON.decode!(reply)
-  end
+  defp nats(c, action, body),
+    do: nats_request(c.conn, "fleet.test.#{Bridge.name(c.gateway)}.operation.#{action}", body)
 
   defp over(look) do
     eventually(
@@ -105,9 +87,9 @@ defmodule Aerie.System.OperationsTest do
 
   # A busy machine may take longer than the answer to the request waits.
   defp result(c, path, command) do
-    case rest(c, :post, path, command) do
+    case ask(c, :post, path, command) do
       {202, %{"id" => id}} ->
-        look = fn -> c |> rest(:get, "#{path}/#{id}") |> elem(1) end
+        look = fn -> c |> ask(:get, "#{path}/#{id}") |> elem(1) end
 
         eventually(
           fn ->
@@ -144,10 +126,10 @@ defmodule Aerie.System.OperationsTest do
       "shadow" => change.(%{"NO_SUCH_PARAM" => 1})
     }
 
-    assert {403, _refused} = rest(c, :post, "operations", begin, @wall)
-    assert {status, %{"id" => "odd", "state" => "running"}} = rest(c, :post, "operations", begin)
+    assert {403, _refused} = ask(c, :post, "operations", begin, @wall)
+    assert {status, %{"id" => "odd", "state" => "running"}} = ask(c, :post, "operations", begin)
     assert status in [200, 202]
-    halted = over(fn -> c |> rest(:get, "operations/odd") |> elem(1) end)
+    halted = over(fn -> c |> ask(:get, "operations/odd") |> elem(1) end)
     assert %{"state" => "halted", "counts" => %{"failed" => 1, "waiting" => 2, "ok" => 0}} = halted
     assert %{"VID-001" => %{"state" => "failed", "reason" => reason}} = halted["vehicles"]
     assert is_binary(reason)
@@ -155,8 +137,8 @@ defmodule Aerie.System.OperationsTest do
     assert untouched == %{}
 
     # The same operation again begins nothing; what was wished is taken back.
-    assert {_status, %{"state" => "halted"}} = rest(c, :post, "operations", begin)
-    assert {200, _done} = rest(c, :patch, "vehicles/VID-001/shadow", %{"desired" => %{"params" => nil}})
+    assert {_status, %{"state" => "halted"}} = ask(c, :post, "operations", begin)
+    assert {200, _done} = ask(c, :patch, "vehicles/VID-001/shadow", %{"desired" => %{"params" => nil}})
 
     begin = %{begin | "id" => "even", "timeout_s" => 300, "shadow" => change.(%{"FENCE_ALT_MAX" => 70})}
     assert %{"result" => "ok", "state" => "running"} = nats(c, "begin", begin)
@@ -189,61 +171,61 @@ defmodule Aerie.System.OperationsTest do
       "command" => %{"type" => "rtl"}
     }
 
-    assert {_status, %{"state" => "running"}} = rest(c, :post, "operations", begin)
+    assert {_status, %{"state" => "running"}} = ask(c, :post, "operations", begin)
     SimVehicle.await(hd(c.sims), &(&1.mode in ["RTL", "LAND"]))
-    look = fn -> c |> rest(:get, "operations/home") |> elem(1) end
+    look = fn -> c |> ask(:get, "operations/home") |> elem(1) end
     eventually(fn -> look.()["counts"]["ok"] == 1 end, "the first one has succeeded")
-    assert {403, _refused} = rest(c, :delete, "operations/home", nil, @wall)
-    assert {200, _stopped} = rest(c, :delete, "operations/home")
+    assert {403, _refused} = ask(c, :delete, "operations/home", nil, @wall)
+    assert {200, _stopped} = ask(c, :delete, "operations/home")
     assert %{"state" => "stopped", "counts" => %{"waiting" => 2}} = over(look)
     for sim <- tl(c.sims), do: assert(%{mode: "GUIDED"} = SimVehicle.state(sim))
   end
 
   test "the examples of docs/fleet.md do what it says", c do
     [_all, body] = Regex.run(~r/-d '(\{"id": "home-1".+?\})' \\/s, @fleet)
-    assert {_status, %{"id" => "home-1"}} = rest(c, :post, "operations", here(body))
+    assert {_status, %{"id" => "home-1"}} = ask(c, :post, "operations", here(body))
 
     [look, stop] =
       for [_all, path] <- Regex.scan(~r{127\.0\.0\.1:4000/api/(operations/\S+)}, @fleet), do: path
 
-    home = over(fn -> c |> rest(:get, look) |> elem(1) end)
+    home = over(fn -> c |> ask(:get, look) |> elem(1) end)
     assert Map.keys(home["vehicles"]) == ["VID-001", "VID-002"]
-    assert {200, _stopped} = rest(c, :delete, stop)
+    assert {200, _stopped} = ask(c, :delete, stop)
 
     for id <- @ids,
         do:
           assert(
-            {200, _done} = rest(c, :patch, "vehicles/#{id}/shadow", %{"desired" => %{"tags" => ["survey"]}})
+            {200, _done} = ask(c, :patch, "vehicles/#{id}/shadow", %{"desired" => %{"tags" => ["survey"]}})
           )
 
     # As it is written it gives each vehicle a minute, which a busy machine may need more than.
     [_all, recipe] = Regex.run(~r/```json\n(.+?)```/s, @fleet)
     %{"id" => id} = recipe = JSON.decode!(recipe)
     recipe = Map.put(recipe, "timeout_s", 300)
-    assert {_status, %{"id" => ^id, "state" => "running"}} = rest(c, :post, "operations", recipe)
+    assert {_status, %{"id" => ^id, "state" => "running"}} = ask(c, :post, "operations", recipe)
 
     assert %{"state" => "done", "counts" => %{"ok" => 3}} =
-             over(fn -> c |> rest(:get, "operations/#{id}") |> elem(1) end)
+             over(fn -> c |> ask(:get, "operations/#{id}") |> elem(1) end)
 
     for id <- @ids, do: assert(altitude(c.gateway, id) == 80.0)
 
     [_all, all] = Regex.run(~r/at once: `(\{.+?\})`\./, @fleet)
-    assert {_status, %{"id" => id, "vehicles" => vehicles}} = rest(c, :post, "operations", all)
+    assert {_status, %{"id" => id, "vehicles" => vehicles}} = ask(c, :post, "operations", all)
     assert map_size(vehicles) == 3
-    over(fn -> c |> rest(:get, "operations/#{id}") |> elem(1) end)
+    over(fn -> c |> ask(:get, "operations/#{id}") |> elem(1) end)
   end
 
   test "the examples of docs/shadow.md do what it says", c do
     [_all, body, path] = Regex.run(~r{-d '(.+?)' \\\n +http://127\.0\.0\.1:4000/api/(\S+)}s, @shadow)
     # One that was told to try again may have been taken all the same.
-    assert {200, %{"version" => version}} = rest(c, :patch, here(path), body)
+    assert {200, %{"version" => version}} = ask(c, :patch, here(path), body)
     assert version in 1..9
     [_all, path] = Regex.run(~r{127\.0\.0\.1:4000/api/(vehicles/\S+/delta)}, @shadow)
-    assert {200, %{"fields" => _fields}} = rest(c, :get, here(path))
+    assert {200, %{"fields" => _fields}} = ask(c, :get, here(path))
 
     eventually(
       fn ->
-        {200, %{"reported" => %{"fields" => fields}}} = rest(c, :get, "vehicles/VID-001/shadow")
+        {200, %{"reported" => %{"fields" => fields}}} = ask(c, :get, "vehicles/VID-001/shadow")
         for {_path, %{"state" => state}} <- fields, uniq: true, do: state
       end
       |> then(fn states -> fn -> states.() == ["converged"] end end),
@@ -254,33 +236,21 @@ defmodule Aerie.System.OperationsTest do
 
     # What the text says in passing.
     for [object] <- Regex.scan(~r/(?<=`)\{"desired": .+?\}(?=`)/, @shadow),
-        do: assert({200, _done} = rest(c, :patch, "vehicles/VID-002/shadow", object))
+        do: assert({200, _done} = ask(c, :patch, "vehicles/VID-002/shadow", object))
 
     plan = Protocols.Mission.File.QgcPlan.write(%Protocols.Mission.Plan{})
     hash = :crypto.hash(:sha256, plan) |> Base.encode16(case: :lower)
     assert @shadow =~ "http://127.0.0.1:4000/api/plans"
-    assert {_status, %{"plan" => ^hash}} = rest(c, :post, "plans", plan)
+    assert {_status, %{"plan" => ^hash}} = ask(c, :post, "plans", plan)
     [_all, both] = Regex.run(~r/Then set `(\{.+?\})`;/, @shadow)
     desired = String.replace(both, "HASH", hash)
-    assert {200, _done} = rest(c, :patch, "vehicles/VID-003/shadow", ~s({"desired": #{desired}}))
+    assert {200, _done} = ask(c, :patch, "vehicles/VID-003/shadow", ~s({"desired": #{desired}}))
 
     for operation <- ["get", "delta"] do
-      subject = "fleet.test.VID-001.shadow.#{operation}"
-      {:ok, %{body: reply}} = Gnat.request(c.conn, subject, "", receive_timeout: Aerie.Patience.ms())
-      assert %{"result" => "ok"} = JSON.decode!(reply)
+      assert %{"result" => "ok"} = nats_request(c.conn, "fleet.test.VID-001.shadow.#{operation}", "")
     end
 
-    {200, metrics} = metrics(c.gateway)
+    {200, metrics} = rest(c.gateway, :get, "/metrics", nil, key: @chief)
     for [name] <- Regex.scan(~r/gateway_shadow_\w+/, @shadow), do: assert(metrics =~ name)
-  end
-
-  defp metrics(gateway) do
-    url = ~c"http://127.0.0.1:#{FleetWeb.Endpoint.port(gateway)}/metrics"
-    headers = [{~c"x-aerie-key", to_charlist(@chief)}, {~c"connection", ~c"close"}]
-
-    {:ok, {{_version, status, _reason}, _headers, body}} =
-      http(:get, {url, headers})
-
-    {status, body}
   end
 end

@@ -77,16 +77,13 @@ defmodule Aerie.System.PageCommandsTest do
 
   # With the names that the pages use.
   defp gateway(folder) do
-    keys = Path.join(folder, "keys")
-    File.write!(keys, "reader #{@key} role=admin\n")
-    File.chmod!(keys, 0o600)
+    keys = private_file(folder, "keys", "reader #{@key} role=admin\n")
     config = Path.join(folder, "gateway.yaml")
     File.write!(config, "policy: {unsigned: admin}\n")
     File.write!(Path.join(folder, "survey.plan"), @plan)
     File.write!(Path.join(folder, "survey.waypoints"), @waypoints)
 
     overrides = %{
-      "policy" => %{"audit" => %{"dir" => Path.join(folder, "audit")}},
       "api" => %{"keys_file" => keys},
       "timeouts" => patient(),
       "clients" => [%{"id" => "tablet", "url" => "udpout:127.0.0.1:#{free_udp_port()}"}],

@@ -131,13 +131,8 @@ defmodule Aerie.System.PeersTest do
   end
 
   defp ticket(gateway) do
-    url = ~c"http://127.0.0.1:#{FleetWeb.Endpoint.port(gateway)}/api/tickets"
-    request = {url, [{~c"x-aerie-key", String.to_charlist(@key)}], ~c"application/json", "{}"}
-
-    {:ok, {{_version, 201, _reason}, _headers, body}} =
-      http(:post, request)
-
-    JSON.decode!(body)["ticket"]
+    {201, %{"ticket" => ticket}} = rest(gateway, :post, "tickets", %{}, key: @key)
+    ticket
   end
 
   test "a script reads state.sock: both vehicles, ten times a second", c do

@@ -15,14 +15,11 @@ defmodule Aerie.System.PilotTest do
   @keys %{pilot: "key-of-the-pilot-00001", operator: "key-of-the-operator-01"}
 
   setup %{tmp_dir: folder} do
-    keys = Path.join(folder, "keys")
-    File.write!(keys, for({role, key} <- @keys, do: "#{role} #{key} role=#{role}\n"))
-    File.chmod!(keys, 0o600)
+    keys = private_file(folder, "keys", for({role, key} <- @keys, do: "#{role} #{key} role=#{role}\n"))
     listed = for role <- ["pilot", "operator"], do: %{"id" => role, "role" => role}
 
     overrides = %{
       "policy" => %{
-        "audit" => %{"dir" => Path.join(folder, "audit")},
         "clients" => listed,
         "unsigned" => "pilot"
       },
@@ -45,14 +42,8 @@ defmodule Aerie.System.PilotTest do
 
   test "REST: a pilot's key sets a height and a speed, and nothing beyond", c do
     put = fn role, name, value ->
-      url = ~c"http://127.0.0.1:#{FleetWeb.Endpoint.port(c.gateway)}/api/vehicles/VID-001/params/#{name}"
-      headers = [{~c"x-aerie-key", to_charlist(@keys[role])}, {~c"connection", ~c"close"}]
-      body = JSON.encode!(%{"value" => value})
-
-      {:ok, {{_, status, _}, _, _}} =
-        http(:put, {url, headers, ~c"application/json", body}, timeout: :infinity)
-
-      status
+      path = "vehicles/VID-001/params/#{name}"
+      c.gateway |> rest(:put, path, %{"value" => value}, key: @keys[role]) |> elem(0)
     end
 
     assert put.(:pilot, "RTL_ALT", 2_500) == 200

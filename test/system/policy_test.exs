@@ -17,47 +17,40 @@ defmodule Aerie.System.PolicyTest do
     tmp_dir: folder
   } do
     fence = Path.join(folder, "fence.geojson")
-    file = Path.join(folder, "keys")
-    File.write!(file, "chief key-of-the-chief-0001 role=admin\nops key-of-the-operator-1 role=operator\n")
-    File.chmod!(file, 0o600)
+
+    file =
+      private_file(
+        folder,
+        "keys",
+        "chief key-of-the-chief-0001 role=admin\nops key-of-the-operator-1 role=operator\n"
+      )
+
     square = &~s({"type": "Polygon", "coordinates": [[[8, #{&1}], [9, #{&1}], [9, 48], [8, 48]]]})
     File.write!(fence, square.(46))
-    policy = %{"geofence_file" => fence, "audit" => %{"dir" => Path.join(folder, "audit")}}
-    overrides = %{"policy" => policy, "api" => %{"keys_file" => file}}
+    overrides = %{"policy" => %{"geofence_file" => fence}, "api" => %{"keys_file" => file}}
     %{gateway: gateway} = start_gateway(folder, overrides: overrides)
     first = Aerie.Control.Policy.Store.get(gateway)
     chief = "key-of-the-chief-0001"
-    assert {200, %{"problem" => nil}} = rest(gateway, :get, "/api/policy", chief)
-    assert {403, _error} = rest(gateway, :post, "/api/policy/reload", "key-of-the-operator-1")
+    assert {200, %{"problem" => nil}} = rest(gateway, :get, "/api/policy", nil, key: chief)
+    assert {403, _error} = rest(gateway, :post, "/api/policy/reload", nil, key: "key-of-the-operator-1")
     File.write!(fence, square.(47))
-    assert {200, %{"problem" => nil}} = rest(gateway, :post, "/api/policy/reload", chief)
+    assert {200, %{"problem" => nil}} = rest(gateway, :post, "/api/policy/reload", nil, key: chief)
     second = Aerie.Control.Policy.Store.get(gateway)
     assert second != first
     File.write!(fence, "{}")
 
     assert {422, %{"errors" => ["policy.geofence_file: " <> _]}} =
-             rest(gateway, :post, "/api/policy/reload", chief)
+             rest(gateway, :post, "/api/policy/reload", nil, key: chief)
 
     assert Aerie.Control.Policy.Store.get(gateway) == second
-    assert {200, %{"problem" => %{"errors" => [line]}}} = rest(gateway, :get, "/api/policy", chief)
+    assert {200, %{"problem" => %{"errors" => [line]}}} = rest(gateway, :get, "/api/policy", nil, key: chief)
 
     # Ready once all code is loaded, which the work of other tests may delay.
     ready = fn ->
-      with({200, body} <- rest(gateway, :get, "/readyz", chief), do: body, else: (_not_yet -> nil))
+      with({200, body} <- rest(gateway, :get, "/readyz", nil, key: chief), do: body, else: (_not_yet -> nil))
     end
 
     assert %{"policy" => %{"problem" => ^line}} = eventually(ready, "the gateway is ready")
-  end
-
-  defp rest(gateway, method, path, key) do
-    url = to_charlist("http://127.0.0.1:#{FleetWeb.Endpoint.port(gateway)}#{path}")
-    headers = [{~c"x-aerie-key", to_charlist(key)}, {~c"connection", ~c"close"}]
-    request = if method == :get, do: {url, headers}, else: {url, headers, ~c"", ""}
-
-    {:ok, {{_version, status, _reason}, _headers, body}} =
-      http(method, request)
-
-    {status, JSON.decode!(body)}
   end
 
   test "limits hold for what a ground station commands, the vehicle does the rest, and all of it is on record",

@@ -41,9 +41,7 @@ defmodule Aerie.System.RemoteTest do
 
   setup %{tmp_dir: folder} = context do
     nkey = Nkey.generate(:user)
-    seed = Path.join(folder, "hub.nk")
-    File.write!(seed, Nkey.seed(nkey))
-    File.chmod!(seed, 0o600)
+    seed = private_file(folder, "hub.nk", Nkey.seed(nkey))
 
     server =
       if context[:leaf],
@@ -63,7 +61,6 @@ defmodule Aerie.System.RemoteTest do
           "remote" => %{"announce_s" => 0.5},
           "timeouts" => patient(),
           "policy" => %{
-            "audit" => %{"dir" => Path.join(dir, "audit")},
             "sources" => [%{"name" => "hub", "nkey" => nkey.public, "role" => "operator"}]
           }
         }
@@ -153,14 +150,7 @@ defmodule Aerie.System.RemoteTest do
     object
   end
 
-  defp answer(hub, path) do
-    url = ~c"http://127.0.0.1:#{FleetWeb.Endpoint.port(hub)}/api/#{path}"
-
-    {:ok, {{_version, status, _reason}, _headers, body}} =
-      http(:get, {url, [{~c"connection", ~c"close"}]})
-
-    {status, JSON.decode!(body)}
-  end
+  defp answer(hub, path), do: rest(hub, :get, path)
 
   test "it is shown with its way and its ages, commanded, and unreachable at once when it is cut off",
        %{hub: hub, companion: companion, sim: sim} do
@@ -503,14 +493,7 @@ defmodule Aerie.System.RemoteTest do
     eventually(fn -> over.(hub) and over.(companion.gateway) end, "and the diagnosis")
   end
 
-  defp ready(gateway) do
-    url = ~c"http://127.0.0.1:#{FleetWeb.Endpoint.port(gateway)}/readyz"
-
-    {:ok, {{_version, status, _reason}, _headers, body}} =
-      http(:get, {url, [{~c"connection", ~c"close"}]})
-
-    {status, JSON.decode!(body)}
-  end
+  defp ready(gateway), do: rest(gateway, :get, "/readyz")
 
   # The hub has what there is.
   defp stores?(gateway) do

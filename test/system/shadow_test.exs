@@ -32,9 +32,7 @@ defmodule Aerie.System.ShadowTest do
   defp keys(_folder, nil), do: []
 
   defp keys(folder, passphrase) do
-    file = Path.join(folder, "network.key")
-    File.write!(file, passphrase)
-    File.chmod!(file, 0o600)
+    file = private_file(folder, "network.key", passphrase)
     [%{"key_file" => file}]
   end
 

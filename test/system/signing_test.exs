@@ -22,9 +22,7 @@ defmodule Aerie.System.SigningTest do
   @vehicle {"main", 1}
 
   setup %{tmp_dir: folder} = context do
-    file = Path.join(folder, "network.key")
-    File.write!(file, @passphrase)
-    File.chmod!(file, 0o600)
+    file = private_file(folder, "network.key", @passphrase)
 
     keys = if context[:keys] == [], do: [], else: [%{"key_file" => file}]
     sockets = short_dir()
@@ -221,16 +219,7 @@ defmodule Aerie.System.SigningTest do
     end
   end
 
-  defp post(gateway, body) do
-    url = ~c"http://127.0.0.1:#{FleetWeb.Endpoint.port(gateway)}/api/vehicles/VID-001/signing"
-    headers = [{~c"connection", ~c"close"}, {~c"x-aerie-key", String.to_charlist(@api_key)}]
-    request = {url, headers, ~c"application/json", JSON.encode!(body)}
-
-    {:ok, {{_version, status, _reason}, _headers, body}} =
-      http(:post, request)
-
-    {status, JSON.decode!(body)}
-  end
+  defp post(gateway, body), do: rest(gateway, :post, "vehicles/VID-001/signing", body, key: @api_key)
 
   test "S8: nothing is sent over a link that is not secure, and the error says what to do", c do
     assert {:error, %Aerie.Base.Error{} = error} = Aerie.Vehicle.Enrolment.enrol(c.gateway, {"main", 1})

@@ -32,8 +32,7 @@ defmodule Aerie.System.SteeringTest do
       "policy" =>
         Map.merge(policy, %{
           "geofence_file" => fence,
-          "clients" => [%{"id" => "laptop", "role" => "operator"}],
-          "audit" => %{"dir" => Path.join(folder, "audit")}
+          "clients" => [%{"id" => "laptop", "role" => "operator"}]
         }),
       "timeouts" => patient()
     }

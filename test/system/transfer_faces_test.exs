@@ -6,8 +6,6 @@ defmodule Aerie.System.TransferFacesTest do
 
   use Aerie.SystemCase, async: true
 
-  alias Aerie.Control.Policy.Signature
-
   @moduletag :tmp_dir
   @moduletag :capture_log
   @key {"main", 1}
@@ -24,16 +22,13 @@ defmodule Aerie.System.TransferFacesTest do
 
   defp start(context, policy \\ %{}) do
     folder = context.tmp_dir
-    keys = Path.join(folder, "keys")
-    File.write!(keys, "chief #{@chief} role=admin\nwall #{@wall} role=viewer\n")
-    File.chmod!(keys, 0o600)
+    keys = private_file(folder, "keys", "chief #{@chief} role=admin\nwall #{@wall} role=viewer\n")
     nkey = Nkey.generate(:user)
     wall = Nkey.generate(:user)
 
     policy =
       Map.merge(
         %{
-          "audit" => %{"dir" => Path.join(folder, "audit")},
           "max_altitude" => 100,
           "sources" => [
             %{"name" => "chief", "nkey" => nkey.public, "role" => "admin"},
@@ -76,33 +71,11 @@ defmodule Aerie.System.TransferFacesTest do
 
   defp await_listening(gateway), do: Aerie.BridgeCase.await_listening(gateway, ["VID-001"])
 
-  defp rest(%{gateway: gateway}, method, path, body \\ nil, options \\ []) do
-    url = to_charlist("http://127.0.0.1:#{FleetWeb.Endpoint.port(gateway)}/api/vehicles/VID-001/#{path}")
-    headers = [{~c"x-aerie-key", to_charlist(options[:key] || @chief)}, {~c"connection", ~c"close"}]
-    type = to_charlist(options[:type] || "application/json")
-    body = if is_map(body), do: JSON.encode!(body), else: body
-    request = if body, do: {url, headers, type, body}, else: {url, headers}
+  defp vehicle(c, method, path, body \\ nil, options \\ []),
+    do: rest(c.gateway, method, "vehicles/VID-001/#{path}", body, Keyword.put_new(options, :key, @chief))
 
-    {:ok, {{_version, status, _reason}, headers, reply}} =
-      http(method, request, timeout: :infinity)
-
-    json? = Enum.any?(headers, &match?({~c"content-type", ~c"application/json" ++ _}, &1))
-    {status, if(json? and reply != "", do: JSON.decode!(reply), else: reply)}
-  end
-
-  defp nats(%{conn: conn, nkey: nkey}, operation, body, options \\ []) do
-    subject = "fleet.test.VID-001.#{operation}"
-    body = JSON.encode!(body)
-    key = Keyword.get(options, :key, nkey)
-
-    headers =
-      if key, do: [{"Aerie-Signature", Signature.sign(key, subject, body, DateTime.utc_now())}], else: []
-
-    {:ok, %{body: reply}} =
-      Gnat.request(conn, subject, body, headers: headers, receive_timeout: Aerie.Patience.ms())
-
-    JSON.decode!(reply)
-  end
+  defp nats(c, operation, body, options \\ []),
+    do: nats_request(c.conn, "fleet.test.VID-001.#{operation}", body, Keyword.get(options, :key, c.nkey))
 
   for firmware <- [:ardupilot, :px4] do
     @tag firmware: firmware
@@ -111,48 +84,51 @@ defmodule Aerie.System.TransferFacesTest do
       name = if unquote(firmware) == :px4, do: "MIS_TAKEOFF_ALT", else: "WPNAV_SPEED"
 
       assert {200, %{"count" => count, "params" => [%{"name" => _, "value" => _} | _]}} =
-               rest(c, :get, "params")
+               vehicle(c, :get, "params")
 
       assert count > 150
-      assert {200, file} = rest(c, :get, "params?format=param")
+      assert {200, file} = vehicle(c, :get, "params?format=param")
       assert file =~ ~r/^#{name},/m
-      assert {200, %{"value" => old}} = rest(c, :get, "params/#{name}")
+      assert {200, %{"value" => old}} = vehicle(c, :get, "params/#{name}")
 
       assert {200, %{"result" => "completed", "id" => "s1"}} =
-               rest(c, :put, "params/#{name}", %{"value" => old + 1, "id" => "s1"})
+               vehicle(c, :put, "params/#{name}", %{"value" => old + 1, "id" => "s1"})
 
-      assert {200, %{"result" => "completed", "state" => "done"}} = rest(c, :get, "commands/s1")
-      assert {200, %{"result" => "completed", "set" => 1}} = rest(c, :put, "params", file, type: "text/plain")
-      assert {200, %{"value" => ^old}} = rest(c, :get, "params/#{name}")
+      assert {200, %{"result" => "completed", "state" => "done"}} = vehicle(c, :get, "commands/s1")
+
+      assert {200, %{"result" => "completed", "set" => 1}} =
+               vehicle(c, :put, "params", file, type: "text/plain")
+
+      assert {200, %{"value" => ^old}} = vehicle(c, :get, "params/#{name}")
 
       assert {422, %{"errors" => [%{"key" => "line 1"}]}} =
-               rest(c, :put, "params", "one two three", type: "text/plain")
+               vehicle(c, :put, "params", "one two three", type: "text/plain")
 
       assert {422, %{"errors" => [%{"key" => "NO_SUCH"}]}} =
-               rest(c, :put, "params", "NO_SUCH,1", type: "text/plain")
+               vehicle(c, :put, "params", "NO_SUCH,1", type: "text/plain")
 
       for values <- [0, "x", [], nil, true] do
         assert {422, %{"error" => %{"message" => "values: expected an object" <> _}}} =
-                 rest(c, :put, "params", %{"values" => values})
+                 vehicle(c, :put, "params", %{"values" => values})
       end
 
-      assert {403, _refused} = rest(c, :put, "params/#{name}", %{"value" => 1}, key: @wall)
+      assert {403, _refused} = vehicle(c, :put, "params/#{name}", %{"value" => 1}, key: @wall)
 
       assert {200, %{"result" => "completed", "on_board" => "new"}} =
-               rest(c, :put, "mission", @waypoints, type: "text/plain")
+               vehicle(c, :put, "mission", @waypoints, type: "text/plain")
 
       assert {200, %{"kind" => "mission", "items" => _n, "plan" => %{"fileType" => "Plan"} = plan}} =
-               rest(c, :get, "mission", nil, key: @wall)
+               vehicle(c, :get, "mission", nil, key: @wall)
 
-      assert {200, "QGC WPL 110" <> _lines} = rest(c, :get, "mission?format=waypoints")
-      assert {200, %{"result" => "completed"}} = rest(c, :put, "mission", %{"plan" => plan, "id" => "m2"})
+      assert {200, "QGC WPL 110" <> _lines} = vehicle(c, :get, "mission?format=waypoints")
+      assert {200, %{"result" => "completed"}} = vehicle(c, :put, "mission", %{"plan" => plan, "id" => "m2"})
       high = String.replace(@waypoints, "\t20\t1\n3", "\t150\t1\n3")
 
       assert {403, %{"rule" => "altitude", "result" => "denied"}} =
-               rest(c, :put, "mission", high, type: "text/plain")
+               vehicle(c, :put, "mission", high, type: "text/plain")
 
-      assert {422, _refused} = rest(c, :put, "mission?format=plan", "{}")
-      assert {422, _refused} = rest(c, :get, "fence?format=waypoints")
+      assert {422, _refused} = vehicle(c, :put, "mission?format=plan", "{}")
+      assert {422, _refused} = vehicle(c, :get, "fence?format=waypoints")
 
       # What is not understood, or has nothing of the kind, leaves what is aboard.
       for {kind, name} <- [
@@ -166,28 +142,28 @@ defmodule Aerie.System.TransferFacesTest do
         text = File.read!(Path.expand("../../apps/control/test/fixtures/others/#{name}", __DIR__))
 
         assert {422, %{"error" => %{"code" => _code}}} =
-                 rest(c, :put, kind, text, type: "application/octet-stream")
+                 vehicle(c, :put, kind, text, type: "application/octet-stream")
       end
 
-      assert {422, _refused} = rest(c, :put, "mission?force=perhaps", @waypoints, type: "text/plain")
-      assert {200, %{"plan" => %{"mission" => %{"items" => [_, _, _]}}}} = rest(c, :get, "mission")
-      assert {200, %{"result" => "completed", "removed" => "3 items"}} = rest(c, :delete, "mission")
-      assert {200, %{"plan" => %{"mission" => %{"items" => []}}}} = rest(c, :get, "mission")
-      assert {405, _refused} = rest(c, :delete, "params")
+      assert {422, _refused} = vehicle(c, :put, "mission?force=perhaps", @waypoints, type: "text/plain")
+      assert {200, %{"plan" => %{"mission" => %{"items" => [_, _, _]}}}} = vehicle(c, :get, "mission")
+      assert {200, %{"result" => "completed", "removed" => "3 items"}} = vehicle(c, :delete, "mission")
+      assert {200, %{"plan" => %{"mission" => %{"items" => []}}}} = vehicle(c, :get, "mission")
+      assert {405, _refused} = vehicle(c, :delete, "params")
 
-      assert {200, "as found"} = rest(c, :get, "files/notes.txt")
-      assert {200, %{"entries" => entries}} = rest(c, :get, "files/?list")
+      assert {200, "as found"} = vehicle(c, :get, "files/notes.txt")
+      assert {200, %{"entries" => entries}} = vehicle(c, :get, "files/?list")
       assert "caf\\xE9" in Enum.map(entries, & &1["name"])
-      assert {200, "latin"} = rest(c, :get, "files/caf%5CxE9")
+      assert {200, "latin"} = vehicle(c, :get, "files/caf%5CxE9")
       assert %{"kind" => "file", "size" => 8} = Enum.find(entries, &(&1["name"] == "notes.txt"))
 
       assert {200, %{"result" => "completed"}} =
-               rest(c, :put, "files/new.bin", <<0, 255>>, type: "application/octet-stream")
+               vehicle(c, :put, "files/new.bin", <<0, 255>>, type: "application/octet-stream")
 
-      assert {200, <<0, 255>>} = rest(c, :get, "files/new.bin")
-      assert {200, %{"result" => "completed"}} = rest(c, :delete, "files/new.bin")
-      assert {404, %{"error" => %{"code" => "not_found"}}} = rest(c, :get, "files/new.bin")
-      assert {200, %{"logs" => []}} = rest(c, :get, "logs")
+      assert {200, <<0, 255>>} = vehicle(c, :get, "files/new.bin")
+      assert {200, %{"result" => "completed"}} = vehicle(c, :delete, "files/new.bin")
+      assert {404, %{"error" => %{"code" => "not_found"}}} = vehicle(c, :get, "files/new.bin")
+      assert {200, %{"logs" => []}} = vehicle(c, :get, "logs")
     end
 
     @tag firmware: firmware
@@ -252,7 +228,7 @@ defmodule Aerie.System.TransferFacesTest do
     @tag firmware: firmware, logs: ["short", @log]
     test "#{firmware}: a log over REST, whole, in parts, and none that is not there", context do
       c = start(context)
-      assert {200, %{"logs" => [%{"size" => 5}, %{"id" => id, "time" => time}]}} = rest(c, :get, "logs")
+      assert {200, %{"logs" => [%{"size" => 5}, %{"id" => id, "time" => time}]}} = vehicle(c, :get, "logs")
       assert {200, headers, @log} = download(c, id)
       assert headers["content-length"] == "60001"
       assert {200, _headers, ""} = download(c, id, [], :head)
@@ -265,8 +241,8 @@ defmodule Aerie.System.TransferFacesTest do
       # Of another log nothing is continued.
       assert {200, _headers, @log} = download(c, id, [{"range", "bytes=50000-"}, {"if-range", ~s("1-at-2")}])
       assert {416, _headers, _text} = download(c, id, [{"range", "bytes=60001-"}])
-      assert {404, %{"rule" => "log"}} = rest(c, :get, "logs/#{id + 1}")
-      assert {404, _error} = rest(c, :get, "logs/first")
+      assert {404, %{"rule" => "log"}} = vehicle(c, :get, "logs/#{id + 1}")
+      assert {404, _error} = vehicle(c, :get, "logs/first")
       assert {200, _headers, "short"} = download(c, id - 1, [{"range", "bytes=nonsense"}])
 
       # By NATS, in pieces.
@@ -292,7 +268,7 @@ defmodule Aerie.System.TransferFacesTest do
     c = start(put_in(context.files["etc/extras/component_general.json.xz"], general))
 
     assert {200, %{"params" => [%{"name" => "MIS_TAKEOFF_ALT", "unit" => "m", "reboot_required" => false}]}} =
-             rest(c, :get, "metadata/params", nil, key: @wall)
+             vehicle(c, :get, "metadata/params", nil, key: @wall)
 
     assert %{"params" => [%{"short" => "Take-off altitude"}]} =
              nats(c, "params.metadata", %{"names" => ["MIS_TAKEOFF_ALT", "NO_SUCH"]})
@@ -315,7 +291,7 @@ defmodule Aerie.System.TransferFacesTest do
     socket = begun(c)
     :ok = :gen_tcp.close(socket)
     # Another one has its turn before four million bytes could have come.
-    assert {200, _logs} = rest(c, :get, "logs")
+    assert {200, _logs} = vehicle(c, :get, "logs")
 
     assert [] =
              :sys.get_state(Aerie.Base.Names.whereis(c.gateway, :transfers, @key), Aerie.Patience.ms()).core.order
@@ -393,19 +369,19 @@ defmodule Aerie.System.TransferFacesTest do
     [_all, path] =
       Regex.run(~r/"X-Aerie-Key: \$KEY" http:\/\/localhost:4000\/api\/vehicles\/VID-001\/(\S+)/, @page)
 
-    assert {200, answer} = rest(c, :get, path)
+    assert {200, answer} = vehicle(c, :get, path)
     assert_shown(answer, Enum.at(shown, 0))
 
     [_all, body, path] =
       Regex.run(~r/-d '(.+)' http:\/\/localhost:4000\/api\/vehicles\/VID-001\/(\S+)/, @page)
 
-    assert {200, answer} = rest(c, :put, path, body)
+    assert {200, answer} = vehicle(c, :put, path, body)
     assert_shown(answer, Enum.at(shown, 1))
 
     [_all, path] =
       Regex.run(~r/@survey.waypoints http:\/\/localhost:4000\/api\/vehicles\/VID-001\/(\S+)/, @page)
 
-    assert {200, answer} = rest(c, :put, path, @waypoints, type: "text/plain")
+    assert {200, answer} = vehicle(c, :put, path, @waypoints, type: "text/plain")
     assert_shown(answer, Enum.at(shown, 2))
 
     [_all, operation, body] = Regex.run(~r/nats request fleet\.dev\.VID-001\.(\S+) '(.+)' --timeout/, @page)

@@ -18,9 +18,7 @@ defmodule Aerie.System.TwoGatewaysTest do
 
   setup %{tmp_dir: folder} = context do
     nkey = Nkey.generate(:user)
-    seed = Path.join(folder, "gateways.nk")
-    File.write!(seed, Nkey.seed(nkey))
-    File.chmod!(seed, 0o600)
+    seed = private_file(folder, "gateways.nk", Nkey.seed(nkey))
     server = HubServer.start(folder, [])
     record_s = context[:record_s] || 60.0
     [a, b] = for name <- ["a", "b"], do: gateway(Path.join(folder, name), record_s, server, seed, nkey.public)
@@ -56,7 +54,6 @@ defmodule Aerie.System.TwoGatewaysTest do
           "key" => "the key of both gateways"
         },
         "policy" => %{
-          "audit" => %{"dir" => Path.join(dir, "audit")},
           "sources" => [%{"name" => "gateways", "nkey" => public, "role" => "admin"}]
         }
       }

@@ -36,34 +36,14 @@ defmodule Aerie.SystemCase do
     supervisor = ExUnit.Callbacks.start_supervised!({DynamicTop, []}, id: make_ref())
     gateway = options[:gateway] || make_ref()
 
-    overrides =
-      merge(
-        %{
-          "environment" => "test",
-          "mavlink" => %{"local_addr" => "off"},
-          "links" =>
-            for(
-              {url, n} <- Enum.with_index(options[:links] || [], 1),
-              do: %{"id" => "link-#{n}", "url" => url}
-            ),
-          "http" => %{"port" => 0},
-          "console" => %{"dir" => Path.join(folder, "console")},
-          "websocket" => %{"port" => 0},
-          "sockets" => %{"dir" => short_dir()},
-          "nats" => %{"port" => 0, "store_dir" => Path.join(folder, "nats")},
-          "outbox" => %{"dir" => Path.join(folder, "outbox")},
-          "recorder" => %{"dir" => Path.join(folder, "recordings")},
-          "policy" => %{
-            "audit" => %{"dir" => Path.join(folder, "audit")},
-            "clients" => stations(options[:stations])
-          },
-          "commands" => %{"ledger" => %{"dir" => Path.join(folder, "ledger")}, "record_s" => 60.0},
-          "params" => %{"dir" => Path.join(folder, "params")},
-          "shadow" => %{"dir" => Path.join(folder, "shadow")}
-        },
-        options[:overrides] || %{}
-      )
+    links =
+      for {url, n} <- Enum.with_index(options[:links] || [], 1), do: %{"id" => "link-#{n}", "url" => url}
 
+    policy = Map.put(own(folder)["policy"], "clients", stations(options[:stations]))
+    overrides = options[:overrides] || %{}
+    # A test says what it wants of the policy, and the audit log keeps its folder.
+    overrides = Map.replace_lazy(overrides, "policy", &Map.merge(policy, &1))
+    overrides = folder |> own() |> Map.merge(%{"links" => links, "policy" => policy}) |> Map.merge(overrides)
     overrides = Map.drop(overrides, options[:without] || [])
     plan = %{config_file: options[:config_file], overrides: overrides, sim: 0}
     {:ok, run} = Run.start(plan, gateway: gateway, supervisor: supervisor, status: false)
@@ -71,13 +51,45 @@ defmodule Aerie.SystemCase do
     Map.put(run, :top, supervisor)
   end
 
-  # A test says what it wants of the policy, and the folders stay.
-  defp merge(defaults, overrides) do
-    Map.merge(defaults, overrides, fn
-      "policy", policy, own -> Map.merge(policy, own)
-      _section, _default, own -> own
-    end)
+  # What every gateway of a test has: its files below one folder, and no port that another one could want.
+  defp own(folder) do
+    dir = &%{"dir" => Path.join(folder, &1)}
+
+    %{
+      "environment" => "test",
+      "mavlink" => %{"local_addr" => "off"},
+      "http" => %{"port" => 0},
+      "websocket" => %{"port" => 0},
+      "sockets" => %{"dir" => short_dir()},
+      "nats" => %{"port" => 0, "store_dir" => Path.join(folder, "nats")},
+      "policy" => %{"audit" => dir.("audit")},
+      "commands" => %{"ledger" => dir.("ledger"), "record_s" => 60.0},
+      "recorder" => dir.("recordings"),
+      "outbox" => dir.("outbox"),
+      "console" => dir.("console"),
+      "params" => dir.("params"),
+      "shadow" => dir.("shadow")
+    }
   end
+
+  @doc """
+  Writes the configuration of a gateway that runs in an OS process of its own, and gives the file: what `start_gateway/2` gives one, with
+  the keys that a test has for some sections. Only its owner may read it, as one with keys must be.
+  """
+  def config_file(folder, sections) do
+    dirs = for name <- ~w(signing shell), into: own(folder), do: {name, %{"dir" => Path.join(folder, name)}}
+    sections = sections |> Map.new() |> JSON.encode!() |> JSON.decode!()
+    sections = Map.merge(dirs, sections, fn _name, own, keys -> merge(own, keys) end)
+    # JSON is YAML as well.
+    private_file(
+      folder,
+      "gateway.yaml",
+      for({name, keys} <- sections, do: [name, ": ", JSON.encode!(keys), "\n"])
+    )
+  end
+
+  defp merge(%{} = own, %{} = keys), do: Map.merge(own, keys, fn _key, own, keys -> merge(own, keys) end)
+  defp merge(_own, keys), do: keys
 
   defp stations(nil), do: []
   defp stations(permissions), do: [%{"role" => "operator", "permissions" => permissions}]

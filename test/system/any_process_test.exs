@@ -65,23 +65,7 @@ defmodule Aerie.System.AnyProcessTest do
   defp victims(vm), do: :peer.call(vm.peer, Victims, :processes, [])
 
   defp start_vm(folder) do
-    config = Path.join(folder, "gateway.yaml")
-
-    File.write!(config, """
-    mavlink: {local_addr: "off"}
-    nats: {port: 0, store_dir: #{folder}/nats}
-    http: {port: 0}
-    websocket: {port: 0}
-    sockets: {dir: #{short_dir()}}
-    console: {dir: #{folder}/console}
-    outbox: {dir: #{folder}/outbox}
-    recorder: {dir: #{folder}/recordings}
-    policy: {audit: {dir: #{folder}/audit}}
-    commands: {ledger: {dir: #{folder}/ledger}}
-    params: {dir: #{folder}/params}
-    shadow: {dir: #{folder}/shadow}
-    clients: []
-    """)
+    config = config_file(folder, clients: [])
 
     paths = for path <- :code.get_path(), path != ~c".", do: [~c"-pa", path]
 

@@ -133,15 +133,13 @@ defmodule Aerie.System.AuthorityTest do
   end
 
   defp roles(folder, sample) do
-    keys = Path.join(folder, "keys")
+    keys =
+      private_file(folder, "keys", """
+      vera #{@viewer_key} role=viewer
+      olga #{@operator_key} role=operator
+      anna #{@admin_key} role=admin
+      """)
 
-    File.write!(keys, """
-    vera #{@viewer_key} role=viewer
-    olga #{@operator_key} role=operator
-    anna #{@admin_key} role=admin
-    """)
-
-    File.chmod!(keys, 0o600)
     c = start_authority(folder, [:operator, :admin], overrides: %{"api" => %{"keys_file" => keys}})
 
     programs = [

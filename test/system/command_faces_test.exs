@@ -155,25 +155,17 @@ defmodule Aerie.System.CommandFacesTest do
   test "kill -9 of the gateway: nothing under way is sent again, and the state shows what it can", context do
     folder = context.tmp_dir
     [http, udp] = [free_tcp_port(), free_udp_port()]
-    config = Path.join(folder, "gateway.yaml")
 
-    File.write!(config, """
-    environment: test
-    mavlink: {local_addr: off}
-    links: [{id: radio, url: "udpin:127.0.0.1:#{udp}"}]
-    http: {port: #{http}}
-    api: {key: #{@rest_key}}
-    websocket: {enabled: false}
-    sockets: {enabled: false}
-    nats: {mode: off}
-    outbox: {dir: "#{folder}/outbox"}
-    recorder: {dir: "#{folder}/recordings"}
-    policy: {audit: {dir: "#{folder}/audit"}}
-    commands: {ledger: {dir: "#{folder}/ledger"}, record_s: 60}
-    timeouts: {vehicle_stale_s: 60, vehicle_lost_s: 120}
-    """)
-
-    File.chmod!(config, 0o600)
+    config =
+      config_file(folder,
+        links: [%{id: "radio", url: "udpin:127.0.0.1:#{udp}"}],
+        http: %{port: http},
+        api: %{key: @rest_key},
+        websocket: %{enabled: false},
+        sockets: %{enabled: false},
+        nats: %{mode: :off},
+        timeouts: patient()
+      )
 
     script = """
     {:ok, _} = Application.ensure_all_started(:aerie)

@@ -12,22 +12,8 @@ defmodule Aerie.System.ConsoleTest do
   @scripts Path.expand("../browser", __DIR__)
 
   setup %{tmp_dir: folder} do
-    config = Path.join(folder, "gateway.yaml")
-
-    File.write!(config, """
-    nats: {port: 0, store_dir: "#{folder}/nats"}
-    outbox: {dir: "#{folder}/outbox"}
-    console: {dir: "#{folder}/console"}
-    http: {port: #{free_tcp_port()}}
-    websocket: {port: 0}
-    sockets: {enabled: false}
-    recorder: {dir: "#{folder}/recordings"}
-    policy: {audit: {dir: "#{folder}/audit"}}
-    commands: {ledger: {dir: "#{folder}/ledger"}}
-    params: {dir: "#{folder}/params"}
-    shadow: {dir: "#{folder}/shadow"}
-    mavlink: {local_addr: "127.0.0.1:#{free_udp_port()}"}
-    """)
+    mavlink = %{local_addr: "127.0.0.1:#{free_udp_port()}"}
+    config = config_file(folder, http: %{port: free_tcp_port()}, sockets: %{enabled: false}, mavlink: mavlink)
 
     %{config: config, audit: Path.join(folder, "audit"), url: Path.join(folder, "console/url")}
   end

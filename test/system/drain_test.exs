@@ -9,42 +9,32 @@ defmodule Aerie.System.DrainTest do
   @moduletag :capture_log
   @key "a-key-for-the-drain-test"
 
-  setup %{tmp_dir: folder} do
+  setup do
     [http, udp] = [free_tcp_port(), free_udp_port()]
-    config = Path.join(folder, "gateway.yaml")
 
-    File.write!(config, """
-    environment: test
-    mavlink: {local_addr: off}
-    links: [{id: radio, url: "udpin:127.0.0.1:#{udp}"}]
-    http: {port: #{http}}
-    api: {key: #{@key}}
-    console: {enabled: false}
-    websocket: {enabled: false}
-    sockets: {enabled: false}
-    clients: []
-    nats: {mode: off}
-    outbox: {dir: "#{folder}/outbox"}
-    recorder: {dir: "#{folder}/recordings"}
-    policy: {audit: {dir: "#{folder}/audit"}}
-    params: {dir: "#{folder}/params"}
-    shadow: {dir: "#{folder}/shadow"}
-    commands: {ledger: {dir: "#{folder}/ledger"}, record_s: 60, grace_s: GRACE}
-    timeouts: {vehicle_stale_s: 60, vehicle_lost_s: 120}
-    """)
+    sections = [
+      links: [%{id: "radio", url: "udpin:127.0.0.1:#{udp}"}],
+      http: %{port: http},
+      api: %{key: @key},
+      console: %{enabled: false},
+      websocket: %{enabled: false},
+      sockets: %{enabled: false},
+      clients: [],
+      nats: %{mode: :off},
+      timeouts: patient()
+    ]
 
-    File.chmod!(config, 0o600)
     sim = start_supervised!({SimVehicle, firmware: :ardupilot, ready_s: 1.0, link: "udpout:127.0.0.1:#{udp}"})
-    %{config: config, url: "http://127.0.0.1:#{http}/api/vehicles/VID-001/commands", sim: sim}
+    %{sections: sections, url: "http://127.0.0.1:#{http}/api/vehicles/VID-001/commands", sim: sim}
   end
 
   # A gateway as the program runs it, in a VM that ends by SIGTERM; with a command that the vehicle does not answer.
   defp commanded(context, grace_s) do
-    File.write!(context.config, String.replace(File.read!(context.config), "GRACE", "#{grace_s}"))
+    config = config_file(context.tmp_dir, [commands: %{grace_s: grace_s}] ++ context.sections)
 
     script = """
     {:ok, _} = Application.ensure_all_started(:aerie)
-    plan = %{config_file: #{inspect(context.config)}, overrides: %{}, sim: 0}
+    plan = %{config_file: #{inspect(config)}, overrides: %{}, sim: 0}
     {:ok, _run} = Aerie.CLI.Start.Run.start(plan, status: false)
     IO.puts("running " <> System.pid())
     Process.sleep(:infinity)

@@ -10,27 +10,19 @@ defmodule Aerie.System.IncidentTest do
 
   setup %{tmp_dir: folder} do
     [link, http] = [free_udp_port(), free_tcp_port()]
-    config = Path.join(folder, "gateway.yaml")
 
-    File.write!(config, """
-    nats: {mode: off}
-    outbox: {dir: "#{folder}/outbox"}
-    sockets: {enabled: false}
-    websocket: {enabled: false}
-    http: {port: #{http}}
-    mavlink: {local_addr: off}
-    clients: []
-    links: [{id: radio, url: "udpin:127.0.0.1:#{link}"}]
-    vehicles: [{id: eagle, system_id: 78}]
-    recorder: {dir: "#{folder}/recordings", vehicles: always, links: always, min_free_mb: 0}
-    commands: {ledger: {dir: "#{folder}/ledger"}, record_s: 60}
-    policy: {max_altitude: 120, audit: {dir: "#{folder}/audit"}}
-    shadow: {dir: "#{folder}/shadow", key: "#{@secret}"}
-    console: {dir: "#{folder}/console"}
-    signing: {dir: "#{folder}/signing"}
-    params: {dir: "#{folder}/params"}
-    shell: {dir: "#{folder}/shell"}
-    """)
+    config =
+      config_file(folder,
+        nats: %{mode: :off},
+        sockets: %{enabled: false},
+        websocket: %{enabled: false},
+        http: %{port: http},
+        links: [%{id: "radio", url: "udpin:127.0.0.1:#{link}"}],
+        vehicles: [%{id: "eagle", system_id: 78}],
+        recorder: %{vehicles: "always", links: "always", min_free_mb: 0},
+        policy: %{max_altitude: 120},
+        shadow: %{key: @secret}
+      )
 
     %{config: config, folder: folder, link: link, http: http}
   end

@@ -62,20 +62,14 @@ defmodule Aerie.System.RecorderTest do
       {link, http} = {free_udp_port(), free_tcp_port()}
 
       configure = fn more ->
-        path = Path.join(folder, "gateway.yaml")
-
-        File.write!(path, """
-        nats: {mode: off}
-        outbox: {dir: "#{folder}/outbox"}
-        sockets: {enabled: false}
-        websocket: {enabled: false}
-        http: {port: #{http}}
-        mavlink: {local_addr: off}
-        links: [{id: radio, url: "udpin:127.0.0.1:#{link}"}]
-        recorder: {dir: "#{recordings}", links: always, #{more}}
-        """)
-
-        path
+        config_file(folder,
+          nats: %{mode: :off},
+          sockets: %{enabled: false},
+          websocket: %{enabled: false},
+          http: %{port: http},
+          links: [%{id: "radio", url: "udpin:127.0.0.1:#{link}"}],
+          recorder: Map.put(more, :links, "always")
+        )
       end
 
       fly = fn ->
@@ -94,7 +88,7 @@ defmodule Aerie.System.RecorderTest do
 
     test "killed with -9: its recordings are readable but for the last buffer, and the next start keeps them",
          c do
-      config = c.configure.("min_free_mb: 0")
+      config = c.configure.(%{min_free_mb: 0})
       port = open(["--config", config, "--quiet"])
       eventually(fn -> api(c.http, "/api/recorder") end, "it answers", started_by())
       sim = c.fly.()
@@ -141,7 +135,7 @@ defmodule Aerie.System.RecorderTest do
 
     @tag skip: @no_namespaces
     test "a really full disk costs records but no frame, and is reported", c do
-      config = c.configure.("min_free_mb: 0")
+      config = c.configure.(%{min_free_mb: 0})
       port = open(["--config", config, "--quiet"], on_disk_of(c.recordings, "64k"))
       eventually(fn -> api(c.http, "/api/recorder") end, "it answers", started_by())
       sim = c.fly.()
@@ -172,7 +166,7 @@ defmodule Aerie.System.RecorderTest do
 
     @tag skip: @no_namespaces
     test "the oldest recordings are removed to keep a small disk free", c do
-      config = c.configure.("min_free_mb: 0.02, max_file_mb: 0.01")
+      config = c.configure.(%{min_free_mb: 0.02, max_file_mb: 0.01})
       port = open(["--config", config, "--quiet"], on_disk_of(c.recordings, "64k"))
       eventually(fn -> api(c.http, "/api/recorder") end, "it answers", started_by())
       c.fly.()

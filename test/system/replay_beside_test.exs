@@ -11,19 +11,7 @@ defmodule Aerie.System.ReplayBesideTest do
   @vehicle "VID-001"
 
   test "it has NATS and folders of its own", %{tmp_dir: folder} do
-    config = Path.join(folder, "gateway.yaml")
-
-    File.write!(config, """
-    nats: {port: 0, store_dir: "#{folder}/nats"}
-    outbox: {dir: "#{folder}/outbox"}
-    commands: {ledger: {dir: "#{folder}/ledger"}}
-    policy: {audit: {dir: "#{folder}/audit"}}
-    shadow: {dir: "#{folder}/shadow"}
-    console: {dir: "#{folder}/console"}
-    http: {port: 0}
-    websocket: {port: 0}
-    mavlink: {local_addr: "127.0.0.1:#{free_udp_port()}"}
-    """)
+    config = config_file(folder, mavlink: %{local_addr: "127.0.0.1:#{free_udp_port()}"})
 
     gateway = open(["--config", config, "--quiet"])
     await_output(gateway, "", ["connected to NATS at"])

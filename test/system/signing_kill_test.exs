@@ -6,8 +6,7 @@ defmodule Aerie.System.SigningKillTest do
 
   use Aerie.RunCase, async: true
 
-  import Aerie.SystemCase,
-    only: [eventually: 2, eventually: 3, free_tcp_port: 0, free_udp_port: 0, short_dir: 0]
+  import Aerie.SystemCase
 
   @moduletag :tmp_dir
 
@@ -17,23 +16,16 @@ defmodule Aerie.System.SigningKillTest do
   @few 1_500
 
   setup %{tmp_dir: folder} do
-    File.write!(Path.join(folder, "main.key"), @passphrase)
-    File.chmod!(Path.join(folder, "main.key"), 0o600)
-    [http, websocket, udp] = [free_tcp_port(), free_tcp_port(), free_udp_port()]
-    config = Path.join(folder, "gateway.yaml")
+    key_file = private_file(folder, "main.key", @passphrase)
+    [http, udp] = [free_tcp_port(), free_udp_port()]
 
-    File.write!(config, """
-    environment: test
-    mavlink: {local_addr: off}
-    links: [{id: radio, url: "udpin:127.0.0.1:#{udp}"}]
-    signing: {dir: "#{folder}/signing", keys: [{key_file: "#{folder}/main.key"}]}
-    http: {port: #{http}}
-    websocket: {port: #{websocket}}
-    sockets: {dir: "#{short_dir()}"}
-    nats: {mode: off}
-    outbox: {dir: "#{folder}/outbox"}
-    recorder: {dir: "#{folder}/recordings"}
-    """)
+    config =
+      config_file(folder,
+        links: [%{id: "radio", url: "udpin:127.0.0.1:#{udp}"}],
+        signing: %{keys: [%{key_file: key_file}]},
+        http: %{port: http},
+        nats: %{mode: :off}
+      )
 
     %{config: config, http: http, link: "udpout:127.0.0.1:#{udp}"}
   end

@@ -10,29 +10,17 @@ defmodule Aerie.System.ToolTest do
   @root Path.expand("../..", __DIR__)
 
   setup %{tmp_dir: folder} do
-    config = Path.join(folder, "gateway.yaml")
-
     radio = free_udp_port()
 
-    dirs =
-      for name <- ~w(console signing recorder params shadow), do: "#{name}: {dir: \"#{folder}/#{name}\"}\n"
-
-    File.write!(config, """
-    remote: {enabled: true}
-    nats: {port: 0, store_dir: "#{folder}/nats"}
-    outbox: {dir: "#{folder}/outbox"}
-    http: {port: 0}
-    websocket: {port: 0}
-    clients: []
-    links: [{id: radio, url: "udpin:127.0.0.1:#{radio}"}]
-    sockets: {enabled: false}
-    commands: {ledger: {dir: "#{folder}/ledger"}, record_s: 60}
-    timeouts: {vehicle_stale_s: 60, vehicle_lost_s: 120}
-    policy: {audit: {dir: "#{folder}/audit"}}
-    mavlink: {local_addr: "127.0.0.1:#{free_udp_port()}"}
-    shell: {dir: "#{folder}/shell"}
-    #{Enum.reject(dirs, &(&1 =~ "http"))}
-    """)
+    config =
+      config_file(folder,
+        remote: %{enabled: true},
+        links: [%{id: "radio", url: "udpin:127.0.0.1:#{radio}"}],
+        clients: [],
+        sockets: %{enabled: false},
+        timeouts: patient(),
+        mavlink: %{local_addr: "127.0.0.1:#{free_udp_port()}"}
+      )
 
     %{config: config, folder: folder, radio: radio}
   end
@@ -221,7 +209,7 @@ defmodule Aerie.System.ToolTest do
 
     # The last minutes, as a file that `aerie replay` reads.
     assert {saved, 0} = aerie(context, ["record", "save", "sim-001"])
-    [path] = Path.wildcard(Path.join(context.folder, "recorder/**/#{Path.basename(String.trim(saved))}"))
+    [path] = Path.wildcard(Path.join(context.folder, "recordings/**/#{Path.basename(String.trim(saved))}"))
     assert {text, 0} = aerie(context, ["replay", path])
     # A recording does not know the names that a gateway gave.
     assert text =~ ~s("vehicle":"VID-001")

@@ -26,6 +26,9 @@ defmodule Aerie.Gate.GrowthTest do
       write(root, "apps/a/test/a_test.exs", 5)
       write(root, "packages/p/bench/b.exs", 1)
       write(root, "docs/x.md", 4)
+      # In no release: the simulator, and what benchmarks are made of.
+      write(root, "apps/sim_vehicle/lib/sim.ex", 7)
+      write(root, "test_kit/bench/support/s.ex", 6)
       commit(root, "Second")
 
       assert rows(root) == [
@@ -33,7 +36,9 @@ defmodule Aerie.Gate.GrowthTest do
                ~w[(others) 0 0 0 4 +4],
                ~w[a 1,200 +1,190 5 +5 0 3],
                ~w[p 0 0 1 -1 0],
-               ~w[all 1,200 +1,190 5 +5 1 -1 7 +4]
+               ~w[sim_vehicle 0 7 +7 0 0],
+               ~w[test_kit 0 0 6 +6 0],
+               ~w[all 1,200 +1,190 12 +12 7 +5 7 +4]
              ]
     end
 

@@ -73,6 +73,8 @@ defmodule Growth do
   # What a file counts for: the part it belongs to, and the kind.
   defp key(file) do
     case {Path.split(file), Path.extname(file)} do
+      # The simulator is in no release.
+      {["apps", "sim_vehicle", "lib" | _], ".ex"} -> {"sim_vehicle", :tests}
       {[top, part | _], ".md"} when top in ["apps", "packages"] -> {part, :docs}
       {[top, part, folder | _], extension} when top in ["apps", "packages"] -> kind(part, folder, extension)
       {["test_kit", "bench" | _], extension} -> kind("test_kit", "bench", extension)

@@ -73,8 +73,8 @@ defmodule Aerie.SystemCase do
   end
 
   @doc """
-  Writes the configuration of a gateway that runs in an OS process of its own, and gives the file: what `start_gateway/2` gives one, with
-  the keys that a test has for some sections. Only its owner may read it, as one with keys must be.
+  Writes the configuration of a gateway that runs in an OS process of its own, and gives the file: what
+  `start_gateway/2` gives one, with the keys that a test has for some sections. Only its owner may read it.
   """
   def config_file(folder, sections) do
     dirs = for name <- ~w(signing shell), into: own(folder), do: {name, %{"dir" => Path.join(folder, name)}}
@@ -208,8 +208,8 @@ defmodule Aerie.SystemCase do
   end
 
   @doc """
-  A request to the REST interface of a gateway, or at a port, with a `:key` if there is one: the status, and the body, decoded if it is
-  JSON. `path` begins with a slash, or below `/api/`. A body that is not text is sent as JSON.
+  A request to the REST interface of a gateway, or at a port, with a `:key` if there is one: the status, and the body,
+  decoded if it is JSON. `path` begins with a slash, or below `/api/`. A body that is not text is sent as JSON.
   """
   def rest(gateway, method, path, body \\ nil, options \\ []) do
     port = if is_integer(gateway), do: gateway, else: FleetWeb.Endpoint.port(gateway)

@@ -39,13 +39,15 @@ defmodule Docs do
 
   # {file, its name, its group}, in the order of the sidebar.
   defp pages do
-    for pattern <- ["{README,CHANGELOG,CONTRIBUTING}.md", "docs/guides/*.md", "docs/*.md", "{bin,packages,test}/README.md", "test/guides/README.md", "rel/overlays/*/README.md", "{apps,packages}/*/README.md", "{apps,packages}/*/{lib,priv}/**/README.md"],
+    for pattern <- ["{README,CHANGELOG,CONTRIBUTING,SECURITY}.md", "docs/guides/*.md", "docs/*.md", "{bin,packages,test}/README.md", "test/guides/README.md", "rel/overlays/*/README.md", "{apps,packages}/*/README.md", "{apps,packages}/*/{lib,priv}/**/README.md"],
         path <- Enum.sort(Path.wildcard(pattern)),
         do: page(path, Path.split(path))
   end
 
   defp page(path, ["docs", file]), do: {path, file, if(Path.rootname(file) in @references, do: "Reference", else: "Guides")}
   defp page(path, ["docs", "guides", file]), do: {path, file, "Guides"}
+  # docs/security.md has its name.
+  defp page("SECURITY.md" = path, _split), do: {path, "reporting.md", nil}
   defp page(path, [file]), do: {path, String.downcase(file), nil}
   defp page(path, ["packages", _file]), do: {path, "packages-readme.md", "Beside the code"}
   defp page(path, folders), do: {path, Enum.join(Enum.drop(folders, -1) -- ~w(apps packages lib), "-") <> "-readme.md", "Beside the code"}

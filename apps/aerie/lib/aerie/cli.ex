@@ -1,7 +1,8 @@
 defmodule Aerie.CLI do
   @moduledoc """
-  `bin/aerie`: watches, commands and debugs gateways from a terminal. `Aerie.CLI.Subcommands` lists what it can do, `Aerie.CLI.Parser` reads
-  the words, and the modules in `subcommand/` do it: in this VM, or in a running gateway (`Aerie.CLI.Gateway`).
+  `bin/aerie`: watches, commands and debugs gateways from a terminal. `Aerie.CLI.Subcommands` lists what it can do,
+  `Aerie.CLI.Parser` reads the words, and the modules in `subcommand/` do it: in this VM, or in a running gateway
+  (`Aerie.CLI.Gateway`).
   """
 
   alias Aerie.CLI.Output
@@ -15,7 +16,7 @@ defmodule Aerie.CLI do
     :init.get_plain_arguments() |> Enum.map(&List.to_string/1) |> main()
   end
 
-  @doc "Does what the words say, and ends the VM."
+  @doc "Runs the command line, and ends the VM."
   @spec main([String.t()]) :: no_return()
   def main(words) do
     # Log output of libraries must not mix with the answer.
@@ -30,7 +31,7 @@ defmodule Aerie.CLI do
     end
   end
 
-  @doc "Does what the words say: the exit status and what is left to print, or what was wrong."
+  @doc "Runs the command line. Returns the exit status and remaining output, or an error."
   @spec call([String.t()], Path.t()) :: {0..255, iodata()} | {:error, String.t()}
   def call(words, folder) do
     case Parser.command_line(words) do

@@ -1,7 +1,7 @@
 defmodule Authority.Commands do
   @moduledoc """
-  The table of all MAV_CMDs of the definitions: what each of them needs, as a command and as an item of a mission. A command without a row is
-  refused (`policy.unknown`); a test compares the table with the definitions.
+  The table of all MAV_CMDs of the definitions: what each of them needs, as a command and as an item of a mission. A
+  command without a row is refused (`policy.unknown`); a test compares the table with the definitions.
 
   The rows are in `Authority.Commands.Flight`, `Payload` and `Upkeep`, by what they are about.
   """
@@ -54,8 +54,8 @@ defmodule Authority.Commands do
   def place?(id), do: match?(%{^id => %{as_item: :flown}}, @by_id)
 
   @doc """
-  Whether the parameters, by their number, are as a firmware can read them in one way only: the first that is not, in words.
-  An infinite number is none in any place.
+  Whether the parameters, by their number, are as a firmware can read them in one way only: the first that is not, in
+  words. An infinite number is refused in any place.
   """
   @spec check(Row.t(), %{(1..7) => term()}) :: :ok | {:error, String.t()}
   def check(row, params) do

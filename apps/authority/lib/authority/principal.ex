@@ -11,9 +11,9 @@ defmodule Authority.Principal do
   | `:gateway` | the gateway itself |
   | `:stranger` | a peer of a link to vehicles that is none of these |
 
-  `permissions` are those beyond the role's; `may` is all that it may do, worked out once (`:all` for a router without a policy).
-  `program` tells the programs of one client apart (the address of each), and `endpoint` is where they are connected; both are nil for
-  a sender with a name of its own.
+  `permissions` are those beyond the role's; `may` is all that it may do, worked out once (`:all` for a router without a
+  policy). `program` tells the programs of one client apart (the address of each), and `endpoint` is where they are
+  connected; both are nil for a sender with a name of its own.
   """
 
   @enforce_keys [:kind, :name]
@@ -31,7 +31,7 @@ defmodule Authority.Principal do
           may: :all | [atom()]
         }
 
-  @doc "Whether it has a permission. What needs none that anybody could have (nil) is for nobody."
+  @doc "Whether it has a permission. `nil` marks an operation that no permission grants."
   @spec may?(t(), atom() | nil) :: boolean()
   def may?(_principal, nil), do: false
   def may?(%__MODULE__{may: :all}, _permission), do: true

@@ -62,7 +62,7 @@ defmodule Authority.MessagesTest do
     assert [:telemetry] = Enum.uniq(for {_name, %{crosses: :team, class: class}} <- rows(), do: class)
   end
 
-  test "what nobody may send to a vehicle is told, or stays among firmwares; the rest has somebody who may" do
+  test "what nobody may send to a vehicle is telemetry or stays among firmwares; the rest has a permission" do
     for {name, %{permission: nil} = row} <- rows() do
       assert row.class in [:telemetry, :answer, :internal], name
       refute Principal.may?(%Principal{kind: :client, name: "all", may: :all}, row.permission)

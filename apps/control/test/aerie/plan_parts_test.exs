@@ -104,7 +104,7 @@ defmodule Aerie.PlanPartsTest do
   end
 
   @tag timeout: 300_000
-  test "a parameter file's rows of another component and its duplicates are told", %{tmp_dir: dir} do
+  test "names a parameter file's rows of another component and its duplicates", %{tmp_dir: dir} do
     {gateway, port} = start(dir)
     fly(gateway, port, firmware: :ardupilot)
     rows = "1\t1\tWPNAV_SPEED\t400\t9\n1\t154\tMNT_X\t2\t6\n1\t1\tWPNAV_SPEED\t450\t9\n"

@@ -2,11 +2,11 @@ defmodule Aerie.Base.Json do
   @moduledoc """
   Converts values of the read model to values that JSON can represent, and encodes what people and programs read. Pure.
 
-  NaN and infinity become null. A vehicle's text may have any bytes, and becomes valid UTF-8. Anything else without a JSON form
-  becomes its Elixir representation.
+  NaN and infinity become null. A vehicle's text may have any bytes, and becomes valid UTF-8. Anything else without a
+  JSON form becomes its Elixir representation.
   """
 
-  # Of a list or an object.
+  # Items of a list or an object.
   @max_shown 5
 
   @doc "A value that `JSON.encode!/1` takes."
@@ -88,8 +88,8 @@ defmodule Aerie.Base.Json do
   def text(text), do: if(String.valid?(text), do: text, else: String.replace_invalid(text))
 
   @doc """
-  Whether a value from outside is a printable text of `min` to `max` characters. They are counted as JSON Schema counts them, as code
-  points: of bytes a schema cannot say how many there may be.
+  Whether a value from outside is a printable text of `min` to `max` characters. They are counted as JSON Schema counts
+  them, as code points: of bytes a schema cannot say how many there may be.
   """
   @spec text?(term(), non_neg_integer(), pos_integer()) :: boolean()
   def text?(text, min, max) when is_binary(text) and byte_size(text) <= 4 * max,

@@ -1,7 +1,7 @@
 defmodule Aerie.Base.JsonSchema do
   @moduledoc """
-  Pieces of the JSON Schemas in `docs/asyncapi.json` and `docs/openapi.json`, as maps. Only keywords that draft-07 (AsyncAPI) and 2020-12
-  (OpenAPI 3.1) read alike are used. Pure.
+  Pieces of the JSON Schemas in `docs/asyncapi.json` and `docs/openapi.json`, as maps. Only keywords that draft-07
+  (AsyncAPI) and 2020-12 (OpenAPI 3.1) read alike are used. Pure.
   """
 
   @type t :: %{atom() => term()}
@@ -32,7 +32,8 @@ defmodule Aerie.Base.JsonSchema do
   def text(max, min \\ 1), do: %{type: :string, minLength: min, maxLength: max, pattern: @printable}
 
   @doc """
-  A text of 1 to `max` bytes, without NUL. Of bytes a schema can only say: so many characters of ASCII, or a quarter as many of any kind.
+  A text of 1 to `max` bytes, without NUL. A schema cannot count bytes, so it allows that many
+  characters of ASCII, or a quarter as many of any kind.
   """
   @spec bytes(pos_integer()) :: t()
   def bytes(max) do
@@ -74,8 +75,8 @@ defmodule Aerie.Base.JsonSchema do
   def described(schema, meaning, unit), do: Map.put(schema, :description, "#{meaning} (#{unit})")
 
   @doc """
-  The text of a document: the same bytes each time, keys in their order, what fits on a line on one. `depth`: what is nested deeper stays
-  on its line.
+  The text of a document: the same bytes each time, keys in their order, what fits on a line on one. `depth`: what is
+  nested deeper stays on its line.
   """
   @spec pretty(map(), pos_integer()) :: String.t()
   def pretty(document, depth \\ 4), do: IO.iodata_to_binary([lines(document, 0, depth), "\n"])

@@ -2,9 +2,9 @@ defmodule Aerie.Base.Names do
   @moduledoc """
   Finds the processes of a gateway.
 
-  One node can have several gateways (tests start one each), so no process has a global name. Each is registered in `Aerie.Base.Names.Book`
-  under `{gateway, role, id}`: the gateway's name (any term), an atom for what the process does, and what tells processes of one role
-  apart (`nil` when there is only one).
+  One node can have several gateways (tests start one each), so no process has a global name. Each is registered in
+  `Aerie.Base.Names.Book` under `{gateway, role, id}`: the gateway's name (any term), an atom for what the process does,
+  and what tells processes of one role apart (`nil` when there is only one).
 
   | role             | id                     | process                              |
   |------------------|------------------------|--------------------------------------|
@@ -49,7 +49,7 @@ defmodule Aerie.Base.Names do
   def whereis(gateway, role, id \\ nil),
     do: with({pid, _value} <- Book.lookup({gateway, role, id}), do: pid)
 
-  @doc "Registers the calling process, for one that somebody else started (Cowboy, say)."
+  @doc "Registers the calling process, for processes that we do not start ourselves (Cowboy's, for example)."
   @spec register(gateway(), role(), term()) :: :ok | {:error, :taken}
   def register(gateway, role, id) do
     case Book.register({gateway, role, id}, nil) do
@@ -99,8 +99,8 @@ defmodule Aerie.Base.Names do
   end
 
   @doc """
-  Applies `fun` to the value that a process attached to its name, usually its table. Returns `absent` if there is none, or if the
-  process ended with its table before `fun` read it; so `fun` must only read.
+  Applies `fun` to the value that a process attached to its name, usually its table. Returns `absent` if there is none,
+  or if the process ended with its table before `fun` read it; so `fun` must only read.
   """
   @spec read(gateway(), role(), absent, (term() -> result)) :: absent | result
         when absent: term(), result: term()
@@ -119,8 +119,8 @@ defmodule Aerie.Base.Names do
   end
 
   @doc """
-  The same as `put_value/3`, for a value that processes read with every frame, by `held/2`, and that its owner attaches once: a map of
-  tables, say. Replacing it costs every process that has read it a garbage collection.
+  The same as `put_value/3`, for a value that processes read with every frame, by `held/2`, and that its owner attaches
+  once: a map of tables, say. Replacing it costs every process that has read it a garbage collection.
   """
   @spec put_held(gateway(), role(), term()) :: :ok
   def put_held(gateway, role, value) do

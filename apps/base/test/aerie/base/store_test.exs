@@ -38,7 +38,7 @@ defmodule Aerie.Base.StoreTest do
     assert Store.vehicles(other) == []
   end
 
-  test "watchers are told once per tick, with the state that holds then" do
+  test "notifies watchers once per tick, with the state that holds then" do
     gateway = start_gateway()
     PubSub.subscribe(gateway, :vehicles)
     PubSub.subscribe(gateway, {:vehicle, "A"})
@@ -54,7 +54,7 @@ defmodule Aerie.Base.StoreTest do
     assert Store.vehicle(gateway, "A") == nil
   end
 
-  test "who asks for the roster is told at once of each vehicle that appears or is forgotten, and of nothing else" do
+  test "notifies subscribers of the roster at once of vehicles that appear or are forgotten, and of nothing else" do
     gateway = start_gateway()
     PubSub.subscribe(gateway, :roster)
     for n <- 1..500, do: Store.put_vehicle(gateway, {"main", 1}, vehicle("A", %{n: n}))

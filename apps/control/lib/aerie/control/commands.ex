@@ -2,10 +2,12 @@ defmodule Aerie.Control.Commands do
   @moduledoc """
   The only way to command a vehicle. NATS, REST and Elixir command only by it:
 
-      {:ok, result} = Aerie.Control.Commands.submit(gateway, vehicle: "VID-001", type: "takeoff", params: %{altitude: 20})
+      {:ok, result} = Aerie.Control.Commands.submit(gateway, vehicle: "VID-001", type: "takeoff", params: %{altitude:
+      20})
 
-  A command passes the ledger (no id is done twice), the rates, the policy, the audit log and the executor of its vehicle, in this
-  order, and has exactly one result. `docs/commands.md` describes it for users, the README in `commands/` the processes.
+  A command passes the ledger (no id is done twice), the rates, the policy, the audit log and the executor of its
+  vehicle, in this order, and has exactly one result. `docs/commands.md` describes it for users, the README in
+  `commands/` the processes.
   """
 
   alias Aerie.Base.Names
@@ -32,18 +34,18 @@ defmodule Aerie.Control.Commands do
 
   @typedoc """
     * `:via` - the way that it came, for the audit log; `"elixir"` unless given
-    * `:progress` - a process, or one with a term: it gets `{:command_progress, term, id, %{"progress" => share | nil, "text" => text |
-      nil}}`, the share being 0..1 and the term nil for a process alone
+    * `:progress` - a process, or one with a term: it gets `{:command_progress, term, id, %{"progress" => share | nil,
+      "text" => text | nil}}`, the share being 0..1 and the term nil for a process alone
     * `:wait_ms` - how long to wait for the result, `:infinity` unless given; 0: not at all. The command goes on
   """
   @type option :: {:via, String.t()} | {:progress, pid() | {pid(), term()}} | {:wait_ms, timeout()}
 
-  @typedoc "`:pending`: the command with this id is under way; an error: the command is none, for these reasons."
+  @typedoc "`:pending`: the command with this id is under way; an error: the command is invalid, for these reasons."
   @type answer :: {:ok, Result.t()} | {:pending, String.t()} | {:error, [Error.t(), ...]}
 
   @doc """
-  Carries out a command given by the fields of `Aerie.Vehicle.Command.new/2` and by options, `:as` among them: who commands
-  (`t:Aerie.Control.Policy.Roles.source/0`), an admin called `elixir` unless given.
+  Carries out a command given by the fields of `Aerie.Vehicle.Command.new/2` and by options, `:as` among them: who
+  commands (`t:Aerie.Control.Policy.Roles.source/0`), an admin called `elixir` unless given.
   """
   @spec submit(Names.gateway(), keyword()) :: answer()
   def submit(gateway, fields) do
@@ -54,8 +56,9 @@ defmodule Aerie.Control.Commands do
   end
 
   @doc """
-  Carries out a command that came from outside, as a map with text keys (`Aerie.Vehicle.Command.parse/2`). `source` is who commands, as
-  authentication found out; a `source` in the envelope is a remark that the audit log keeps. Without an id it gets one.
+  Carries out a command that came from outside, as a map with text keys (`Aerie.Vehicle.Command.parse/2`). `source` is
+  who commands, as authentication found out; a `source` in the envelope is a remark that the audit log keeps. Without an
+  id it gets one.
   """
   @spec submit(Names.gateway(), map(), Roles.source(), [option()]) :: answer()
   def submit(gateway, envelope, source, options) do
@@ -69,8 +72,9 @@ defmodule Aerie.Control.Commands do
   end
 
   @doc """
-  For a gateway that shuts down: no more commands are taken, and those under way are waited for, `commands.grace_s` at most, while
-  links and vehicles still run. Callers of those that are left get `unknown`, which the ledger keeps; returns their ids.
+  For a gateway that shuts down: no more commands are taken, and those under way are waited for, `commands.grace_s` at
+  most, while links and vehicles still run. Callers of those that are left get `unknown`, which the ledger keeps;
+  returns their ids.
   """
   @spec drain(Names.gateway()) :: [String.t()]
   def drain(gateway) do
@@ -91,8 +95,9 @@ defmodule Aerie.Control.Commands do
   end
 
   @doc """
-  Carries out something that is not a command of the table (`Aerie.Control.Commands.Change`) with the authority of a source, as a command of the type
-  that its facts name: what it changes is in `params`, short enough for the audit log. The caller has checked its id and deadline.
+  Carries out something that is not a command of the table (`Aerie.Control.Commands.Change`) with the authority of a
+  source, as a command of the type that its facts name: what it changes is in `params`, short enough for the audit log.
+  The caller has checked its id and deadline.
   """
   @spec carry_out(Names.gateway(), Command.t(), Change.t(), Roles.source(), [option()]) :: answer()
   def carry_out(gateway, command, %Change{} = change, source, options) do
@@ -132,15 +137,16 @@ defmodule Aerie.Control.Commands do
   defp progress(other), do: other
 
   @doc """
-  What would become of a command if it were given now, without giving it; for forms and buttons. Fields as for `submit/2`, `:as`
-  among them.
+  What would become of a command if it were given now, without giving it; for forms and buttons. Fields as for
+  `submit/2`, `:as` among them.
 
     * `:allow`
-    * `{:deny, rule, reason}` - a rule of the policy, or `:policy` (there is none), `:vehicle` (there is no such vehicle),
-      `:firmware` (this firmware lacks the command, or cannot do it in the present state)
+    * `{:deny, rule, reason}` - a rule of the policy, or `:policy` (there is none), `:vehicle` (there is no such
+      vehicle), `:firmware` (this firmware lacks the command, or cannot do it in the present state)
     * `{:error, errors}` - the fields are not a valid command
 
-  It changes nothing: no rate is used up and nothing is recorded. Rates, ledger and audit log may still refuse the command.
+  It changes nothing: no rate is used up and nothing is recorded. Rates, ledger and audit log may still refuse the
+  command.
   """
   @spec check(Names.gateway(), keyword()) ::
           :allow | {:deny, rule :: atom(), reason :: String.t()} | {:error, [Error.t(), ...]}
@@ -230,7 +236,9 @@ defmodule Aerie.Control.Commands do
     end
   end
 
-  @doc "The commands of a vehicle for those who look on, the latest first: those under way, then at most `limit` done ones."
+  @doc """
+  The commands of a vehicle for those who look on, the latest first: those under way, then at most `limit` done ones.
+  """
   @spec recent(Names.gateway(), vehicle :: String.t(), limit :: non_neg_integer()) :: [Recent.entry()]
   defdelegate recent(gateway, vehicle, limit \\ 20), to: Recent, as: :of
 

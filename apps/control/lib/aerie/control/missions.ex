@@ -2,12 +2,13 @@ defmodule Aerie.Control.Missions do
   @moduledoc """
   The missions, fences and rally points of a vehicle, for programs in Elixir:
 
-      {:ok, plan} = Aerie.Control.Missions.import(File.read!("survey.plan"), :plan)
-      {:ok, %Aerie.Vehicle.Command.Result{status: :completed}} = Aerie.Control.Missions.upload(gateway, "VID-001", :mission, plan)
-      {:ok, %{plan: plan}} = Aerie.Control.Missions.download(gateway, "VID-001", :mission)
+      {:ok, plan} = Aerie.Control.Missions.import(File.read!("survey.plan"), :plan) {:ok,
+      %Aerie.Vehicle.Command.Result{status: :completed}} = Aerie.Control.Missions.upload(gateway, "VID-001", :mission,
+      plan) {:ok, %{plan: plan}} = Aerie.Control.Missions.download(gateway, "VID-001", :mission)
 
-  A plan (`Protocols.Mission.Plan`) has all three; each kind is sent and read separately. The policy judges every item before the first one
-  is sent (`Aerie.Control.Mission.Review`), and the plan is read back afterwards. The options are those of `t:Aerie.Control.Transfers.option/0`.
+  A plan (`Protocols.Mission.Plan`) has all three; each kind is sent and read separately. The policy judges every item
+  before the first one is sent (`Aerie.Control.Mission.Review`), and the plan is read back afterwards. The options are
+  those of `t:Aerie.Control.Transfers.option/0`.
   """
 
   alias Aerie.Control.Commands.RemoteGateway
@@ -70,7 +71,7 @@ defmodule Aerie.Control.Missions do
        %{plan: plan, items: result.items, opaque_id: result.opaque_id, digest: Plan.digest(result.items)}}
     else
       {:ok, %{"plan" => plan} = answer} -> outcome(plan, answer, type, protocol(gateway, vehicle))
-      {:ok, _other} -> no_plan("its gateway told none")
+      {:ok, _other} -> no_plan("its gateway reported no mission")
       error -> error
     end
   end
@@ -123,14 +124,15 @@ defmodule Aerie.Control.Missions do
   end
 
   @doc """
-  Replaces a kind of plan on board, and reads it back. `:completed`: the vehicle has it, and did not report that it cannot fly it
-  where its firmware checks that; `:accepted`: the firmware's check reported nothing; `:rejected`: the vehicle refused it, possibly after acknowledging it. Needs the
-  permission `mission`. The details have `"on_board"`: `"new"`, `"old"`, `"other"` or `"unknown"`, and `"remarks"`: what the firmware does
-  not keep of it, and what is wrong with the plan by its own fence (`Aerie.Control.Mission.OwnFence`).
+  Replaces a kind of plan on board, and reads it back. `:completed`: the vehicle has it, and did not report that it
+  cannot fly it where its firmware checks that; `:accepted`: the firmware's check reported nothing; `:rejected`: the
+  vehicle refused it, possibly after acknowledging it. Needs the permission `mission`. The details have `"on_board"`:
+  `"new"`, `"old"`, `"other"` or `"unknown"`, and `"remarks"`: what the firmware does not keep of it, and what is wrong
+  with the plan by its own fence (`Aerie.Control.Mission.OwnFence`).
 
   A plan that has nothing of this kind is refused: what is aboard is removed by `clear/4` only. So is one with a place
-  without a height, which would reach the vehicle as NaN. Refused as well, unless the option `force: true` is given, is a
-  fence that the vehicle, which is known to fly with its fence on, would breach at once.
+  without a height, which would reach the vehicle as NaN. Refused as well, unless the option `force: true` is given, is
+  a fence that the vehicle, which is known to fly with its fence on, would breach at once.
   """
   @spec upload(Names.gateway(), vehicle :: String.t(), kind(), Plan.t(), [
           Transfers.option() | {:force, boolean()}
@@ -174,8 +176,9 @@ defmodule Aerie.Control.Missions do
   end
 
   @doc """
-  Removes a kind of plan from the vehicle, and reads back that it is gone. The details have `"removed"`: what was aboard, such as `"4 corners"`, if it
-  could be read before. Needs the permission `mission`, and for a fence `protection`.
+  Removes a kind of plan from the vehicle, and reads back that it is gone. The details have `"removed"`: what was
+  aboard, such as `"4 corners"`, if it could be read before. Needs the permission `mission`, and for a fence
+  `protection`.
   """
   @spec clear(Names.gateway(), vehicle :: String.t(), kind(), [Transfers.option()]) :: Commands.answer()
   def clear(gateway, vehicle, kind, options \\ []) do
@@ -238,7 +241,10 @@ defmodule Aerie.Control.Missions do
     {"mission", "put", if(force, do: Map.put(asked, "force", true), else: asked)}
   end
 
-  @doc "Compares a kind of plan with the vehicle's, by what its firmware keeps: `:same`, or the first item that differs, and how."
+  @doc """
+  Compares a kind of plan with the vehicle's, by what its firmware keeps: `:same`, or the first item that differs, and
+  how.
+  """
   @spec verify(Names.gateway(), vehicle :: String.t(), kind(), Plan.t(), [Transfers.option()]) ::
           {:ok, :same | {:differs, seq :: non_neg_integer(), how :: String.t()}} | {:error, Result.t()}
   def verify(gateway, vehicle, kind, plan, options \\ []) do

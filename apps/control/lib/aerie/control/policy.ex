@@ -1,7 +1,7 @@
 defmodule Aerie.Control.Policy do
   @moduledoc """
-  Who may command what, where, when and how high: a value that is compiled from the section `policy` of the configuration
-  and a fence file, and asked about each command.
+  Who may command what, where, when and how high: a value that is compiled from the section `policy` of the
+  configuration and a fence file, and asked about each command.
 
       {:ok, policy} = Aerie.Control.Policy.compile(%{max_altitude: 120.0, geofence_file: "fence.geojson"})
       Aerie.Control.Policy.decide(policy, command, context)
@@ -71,7 +71,10 @@ defmodule Aerie.Control.Policy do
           | :disarmed
   @type decision :: :allow | {:deny, rule(), reason :: String.t()}
 
-  @doc "The names of the rules, in the order in which they are asked. Rates are asked before them (`Aerie.Control.Policy.Rate`)."
+  @doc """
+  The names of the rules, in the order in which they are asked. Rates are asked before them
+  (`Aerie.Control.Policy.Rate`).
+  """
   @spec rules() :: [rule(), ...]
   defdelegate rules, to: Rules, as: :names
 
@@ -117,9 +120,10 @@ defmodule Aerie.Control.Policy do
         }
 
   @doc """
-  The sender of raw MAVLink, in this order: who proved it by a key or by signing in; an entry of `policy.clients` with the
-  client's or link's id; the entry without an id. Without any of these it is an operator on this machine, and on a link with
-  `gcs: allow`; elsewhere a viewer. Who does not count as a client on a link is a viewer, whatever is listed.
+  The sender of raw MAVLink, in this order: who proved it by a key or by signing in; an entry of `policy.clients` with
+  the client's or link's id; the entry without an id. Without any of these it is an operator on this machine, and on a
+  link with `gcs: allow`; elsewhere a viewer. A sender on a link that does not count as a client is a viewer, whatever
+  is listed.
   """
   @spec principal(t(), origin()) :: Principal.t()
   def principal(_policy, %{commands: false} = origin),

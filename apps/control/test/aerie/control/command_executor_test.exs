@@ -76,7 +76,7 @@ defmodule Aerie.Control.CommandExecutorTest do
     assert sent >= 2
   end
 
-  test "who no longer holds the vehicle sends nothing more: no repetition, no stream", context do
+  test "sends nothing more once it no longer holds the vehicle: no repetition, no stream", context do
     %{gateway: gateway} = context
     holds = :counters.new(1, [])
     still? = fn -> :counters.get(holds, 1) == 0 end
@@ -180,7 +180,7 @@ defmodule Aerie.Control.CommandExecutorTest do
     refute_received {:transmit, _messages}
   end
 
-  test "what was heard is told by the messages" do
+  test "the messages say what was heard" do
     assert Observed.changed_groups(%{0 => 1}, %{0 => 2}) |> Enum.sort() == [:in_air, :mode]
 
     assert Observed.changed_groups(%{0 => 1, 245 => 1}, %{0 => 1, 245 => 2}) |> Enum.sort() == [

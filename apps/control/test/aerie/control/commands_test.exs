@@ -198,7 +198,7 @@ defmodule Aerie.Control.CommandsTest do
     assert %{status: :completed} = gateway |> command("land", id: "a") |> result()
   end
 
-  test "progress and cancelling, for who may give the command", %{tmp_dir: dir} do
+  test "progress and cancelling, for a source that may give the command", %{tmp_dir: dir} do
     gateway = start_commands(dir)
     task = command(gateway, "takeoff", id: "t", params: %{altitude: 9}, progress: {self(), :mine})
     assert_receive {:"$gen_call", from, {:submit, %{id: "t"}, desk, _still?}}
@@ -520,7 +520,7 @@ defmodule Aerie.Control.CommandsTest do
     assert Task.await(drain, Aerie.Patience.ms()) == []
   end
 
-  test "what cannot be drained is told as unknown, and stays in the ledger as sent", %{tmp_dir: dir} do
+  test "what cannot be drained is unknown, and stays in the ledger as sent", %{tmp_dir: dir} do
     gateway = start_commands(dir, commands: %{grace_s: 0})
     task = command(gateway, "takeoff", id: "b", params: %{altitude: 20})
     _from = executing(%{id: "b"})

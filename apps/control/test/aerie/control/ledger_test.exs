@@ -50,8 +50,8 @@ defmodule Aerie.Control.LedgerTest do
        %{
          tmp_dir: dir
        } do
-    # One command after another, and each line is said when the ledger has answered: what follows a line may or may not have
-    # happened.
+    # One command after another, and each line is said when the ledger has answered: what follows a line may or may not
+    # have happened.
     script = """
     Application.ensure_all_started(:control)
     alias Aerie.Vehicle.Command.Result
@@ -137,7 +137,7 @@ defmodule Aerie.Control.LedgerTest do
     assert log =~ "in use by another gateway"
   end
 
-  test "a torn end is cut off, damage in between is told and kept, another format is left alone", %{
+  test "a torn end is cut off, damage in between is reported and kept, another format is left alone", %{
     tmp_dir: dir
   } do
     {gateway, _pid} = start(dir)
@@ -255,9 +255,10 @@ defmodule Aerie.Control.LedgerTest do
     assert {:stored, %Result{status: :denied}} = Ledger.admit(gateway, command("b"))
   end
 
-  test "a slow disk holds up only who must wait for it, and brings all who came meanwhile there at once", %{
-    tmp_dir: dir
-  } do
+  test "a slow disk holds up only callers that must wait for it, and serves all that came meanwhile at once",
+       %{
+         tmp_dir: dir
+       } do
     slow = :atomics.new(1, [])
     test = self()
 
@@ -289,7 +290,7 @@ defmodule Aerie.Control.LedgerTest do
     refute_received {:sync, _third}
   end
 
-  test "a disk that fails: who waits for it is told, and the file is written again", %{tmp_dir: dir} do
+  test "a disk that fails: callers that wait get the error, and the file is written again", %{tmp_dir: dir} do
     broken = :atomics.new(1, [])
     sync = fn _path -> if :atomics.get(broken, 1) == 1, do: {:error, :eio}, else: :ok end
     {gateway, _pid} = start(dir, 1000, sync: sync)

@@ -1,7 +1,7 @@
 defmodule Aerie.Control.CommandExecutor.Repeater do
   @moduledoc """
-  The stream of set-points or overrides that is sent to a vehicle: at most one, which a new one replaces (X7). It ends when it
-  is not renewed in time, and at its deadline, so that a source that died no longer steers. Pure.
+  The stream of set-points or overrides that is sent to a vehicle: at most one, which a new one replaces (X7). It ends
+  when it is not renewed soon enough, and at its deadline, so that a source that died no longer steers. Pure.
   """
 
   alias Aerie.Vehicle.Command
@@ -23,8 +23,8 @@ defmodule Aerie.Control.CommandExecutor.Repeater do
   def new, do: %__MODULE__{}
 
   @doc """
-  Starts a stream. Gives the former one, by its id and step, if that has to be given back first: one of the same type only
-  changes its values.
+  Starts a stream. Gives the former one, by its id and step, if that has to be given back first: one of the same type
+  only changes its values.
   """
   @spec start(t(), Command.t(), Step.t(), deadline :: integer(), now :: integer()) :: {t(), ended() | nil}
   def start(former, command, step, deadline, now) do

@@ -1,11 +1,11 @@
 defmodule Aerie.Control.Commands.OwnershipCheck do
   @moduledoc """
-  Decides whether this gateway may send a command to a vehicle that others may hear, too. A pure value for one command;
-  `Aerie.Control.Commands.Pipeline` asks what it wants to know and does what it says.
+  Decides whether this gateway may send a command to a vehicle that others may hear as well. A pure value for one
+  command; `Aerie.Control.Commands.Pipeline` asks what it wants to know and does what it says.
 
-  One gateway holds the vehicle. It sends a command when it has claimed the command's id where all of them see it, and only while its
-  lease lasts. The others pass the command on to it. A gateway that does not know whether it holds the vehicle
-  sends nothing, but for what holds the vehicle or brings it down (`urgent?`): no lease keeps that from it, and
+  One gateway holds the vehicle. It sends a command when it has claimed the command's id where all of them see it, and
+  only while its lease lasts. The others pass the command on to it. A gateway that does not know whether it holds the
+  vehicle sends nothing, but for what holds the vehicle or brings it down (`urgent?`): no lease keeps that from it, and
   at worst it arrives twice. A gateway that is alone needs no lease, and its own ledger is enough.
 
       look ──▶ held ──▶ claiming ──▶ claimed ──▶ send
@@ -33,7 +33,10 @@ defmodule Aerie.Control.Commands.OwnershipCheck do
           stage: :look | :held | :claiming | :claimed | :over
         }
 
-  @typedoc "Who holds the vehicle: nobody else can, this gateway until a time, another one by its name, or nobody knows and why."
+  @typedoc """
+  The gateway that holds the vehicle: no other can, this one until a time, another one by its name, or why it is not
+  known.
+  """
   @type holder :: :alone | {:mine, until :: integer()} | {:other, String.t()} | {:unknown, String.t()}
   @type event ::
           {:holder, holder(), now :: integer()}
@@ -53,8 +56,8 @@ defmodule Aerie.Control.Commands.OwnershipCheck do
     do: %__MODULE__{until: until, relayed?: relayed?, urgent?: urgent?}
 
   @doc """
-  What follows from what is known. Events: who holds the vehicle (`:holder`, at the beginning, and again right before the claim),
-  what became of the claim, and who holds it right before the first message (`:send?`).
+  What follows from what is known. Events: who holds the vehicle (`:holder`, at the beginning, and again right before
+  the claim), what became of the claim, and who holds it right before the first message (`:send?`).
   """
   @spec handle(t(), event()) :: {t(), action()}
   def handle(%{stage: :look} = state, {:holder, holder, now}) do
@@ -108,7 +111,7 @@ defmodule Aerie.Control.Commands.OwnershipCheck do
 
   defp lease(:alone, _now), do: {:ok, :alone}
   defp lease({:mine, until}, now) when now < until, do: {:ok, until}
-  defp lease({:mine, _until}, _now), do: {:unknown, "the lease could not be renewed in time"}
+  defp lease({:mine, _until}, _now), do: {:unknown, "the lease was not renewed before it ended"}
   defp lease(other_or_unknown, _now), do: other_or_unknown
 
   defp over(state, action), do: {%{state | stage: :over}, action}

@@ -1,7 +1,8 @@
 defmodule Aerie.Control.Commands.RemoteGateway do
   @moduledoc """
-  Passes commands on to the gateway that hears the vehicle, after ledger, rates, policy and audit log of this gateway have let them
-  through; those of the other gateway then decide, too. `Aerie.Fleet.Remote` implements it; `Aerie.Gateway` plugs it in.
+  Passes commands on to the gateway that hears the vehicle, after ledger, rates, policy and audit log of this gateway
+  have let them through; those of the other gateway then decide as well. `Aerie.Fleet.Remote` implements it;
+  `Aerie.Gateway` plugs it in.
 
   A command that came from another gateway, over NATS, is never passed on.
   """
@@ -12,8 +13,8 @@ defmodule Aerie.Control.Commands.RemoteGateway do
   alias Aerie.Control.Commands.Server
 
   @doc """
-  Passes the command to the gateway of the vehicle's snapshot (`:via`), and waits for its result. `progress` is called with that
-  gateway's progress.
+  Passes the command to the gateway of the vehicle's snapshot (`:via`), and waits for its result. `progress` is called
+  with that gateway's progress.
   """
   @callback submit(
               Names.gateway(),
@@ -28,9 +29,9 @@ defmodule Aerie.Control.Commands.RemoteGateway do
   @type request :: {area :: String.t(), operation :: String.t(), body :: %{String.t() => term()}}
 
   @doc """
-  Asks the gateway of the vehicle's snapshot for something that is not a command, in the name of `who`, and waits at most
-  a little longer than `timeout_ms`; nil: as long as that gateway reports progress. Gives what it answered beside its
-  result, or the result that says why there is nothing.
+  Asks the gateway of the vehicle's snapshot for something that is not a command, in the name of `who`, and waits at
+  most a little longer than `timeout_ms`; nil: as long as that gateway reports progress. Gives what it answered beside
+  its result, or the result that says why there is nothing.
   """
   @callback transfer(
               Names.gateway(),

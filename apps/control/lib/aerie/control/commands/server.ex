@@ -1,9 +1,10 @@
 defmodule Aerie.Control.Commands.Server do
   @moduledoc """
-  Receives commands: keeps those under way, their waiting callers, the limit on their number, and the rate of each source.
+  Receives commands: keeps those under way, their waiting callers, the limit on their number, and the rate of each
+  source.
 
-  This process never blocks. A task (`Aerie.Control.Commands.Pipeline`) takes each command through ledger, policy and executor, and
-  continues if its sender is gone.
+  This process never blocks. A task (`Aerie.Control.Commands.Pipeline`) takes each command through ledger, policy and
+  executor, and continues if its sender is gone.
   """
   use GenServer
 
@@ -16,9 +17,10 @@ defmodule Aerie.Control.Commands.Server do
 
   # Places beyond `max_in_flight` for commands that hold a vehicle or bring it down.
   @reserve 64
-  # For one command; beyond that the first caller is told that it is under way, and may ask again.
+  # For one command; beyond that the first caller hears that it is under way, and may ask again.
   @max_waiting 8
-  # Extra time for the answer after the grace time: a late answer on a busy machine must not read as "no command is left".
+  # Extra time for the answer after the grace time: a late answer on a busy machine must not read as "no command is
+  # left".
   @drained_ms 30_000
 
   @typedoc """
@@ -39,8 +41,8 @@ defmodule Aerie.Control.Commands.Server do
         }
 
   @typedoc """
-  A command under way; `progress` is the vehicle's last word about it, `permission` what is needed to cancel it. `change?`: it is
-  not a command of the table.
+  A command under way; `progress` is the vehicle's last word about it, `permission` what is needed to cancel it.
+  `change?`: it is not a command of the table.
   """
   @type under_way :: %{
           vehicle: String.t(),
@@ -52,8 +54,8 @@ defmodule Aerie.Control.Commands.Server do
         }
 
   @doc """
-  `:remote_gateway` passes commands on to other gateways (`Aerie.Control.Commands.RemoteGateway`); `:holder` knows which gateway holds a
-  vehicle (`Aerie.Control.Commands.Ownership`).
+  `:remote_gateway` passes commands on to other gateways (`Aerie.Control.Commands.RemoteGateway`); `:holder` knows which
+  gateway holds a vehicle (`Aerie.Control.Commands.Ownership`).
   """
   @spec start_link(
           gateway: Names.gateway(),
@@ -81,8 +83,8 @@ defmodule Aerie.Control.Commands.Server do
   end
 
   @doc """
-  Takes no more commands and waits for those under way, `grace_ms` at most. Callers of the commands that are left then get the
-  result `unknown`. Returns the ids of those commands.
+  Takes no more commands and waits for those under way, `grace_ms` at most. Callers of the commands that are left then
+  get the result `unknown`. Returns the ids of those commands.
   """
   @spec drain(Names.gateway(), grace_ms :: non_neg_integer()) :: [String.t()]
   def drain(gateway, grace_ms) do

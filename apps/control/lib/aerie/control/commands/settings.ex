@@ -12,7 +12,7 @@ defmodule Aerie.Control.Commands.Settings do
 
   setting :grace_ms,
           {:number, 0, 300},
-          "How long the gateway, when it is told to end, waits for commands under way; no new ones are taken then.",
+          "How long a gateway that is stopped waits for commands under way; it takes no new ones then.",
           key: "grace_s",
           default: 5.0,
           times: 1000

@@ -2,8 +2,8 @@ defmodule Aerie.Control.Ftp.Exchange do
   @moduledoc """
   One request at a time and its answers: numbers, repetitions and time-outs (T2). Pure.
 
-  A request is repeated with the same number until it is answered; the vehicle answers a repetition with its last answer. A burst
-  is answered by many packets, whose numbers continue from the request's.
+  A request is repeated with the same number until it is answered; the vehicle answers a repetition with its last
+  answer. A burst is answered by many packets, whose numbers continue from the request's.
   """
 
   alias Aerie.Control.Ftp.RoundTrip
@@ -39,9 +39,10 @@ defmodule Aerie.Control.Ftp.Exchange do
     * `sent_at` - when the request was sent first, until its answer has come
     * `patience` - the shortest wait, because the last answer took so long that its request was repeated (0: it was not)
     * `seq` - the number of the next request
-    * `first_seq` - burst packets with numbers from here on belong to this session; nil before a file is open for reading
-    * `silent` - for how long a vehicle that has answered nothing is asked; one that has answered something, twice as long for each
-      request, or longer on a slow link. nil for as long as the repetitions take
+    * `first_seq` - burst packets with numbers from here on belong to this session; nil before a file is open for
+      reading
+    * `silent` - for how long a vehicle that has answered nothing is asked; one that has answered something, twice as
+      long for each request, or longer on a slow link. nil for as long as the repetitions take
     * `heard?` - whether the vehicle has answered anything
   """
   @type t :: %__MODULE__{}
@@ -86,7 +87,7 @@ defmodule Aerie.Control.Ftp.Exchange do
   def send_only(exchange, opcode),
     do: {%{exchange | seq: next(exchange.seq)}, Packet.message(packet(exchange, opcode), exchange.target)}
 
-  @doc "Repeats the request, because no answer came in time."
+  @doc "Repeats the request, because no answer has come."
   @spec again(t(), integer()) :: {t(), struct()} | :give_up
   def again(%{repeats: @repeats}, _now), do: :give_up
 
@@ -108,8 +109,8 @@ defmodule Aerie.Control.Ftp.Exchange do
     do: Enum.max([2 * exchange.silent, 4 * RoundTrip.timeout(exchange.trip), 4 * exchange.patience])
 
   @doc """
-  Gives up on the rest of a burst, which is lost or late. The number of the next request must not be among those of the burst: a late EOF
-  would look like its answer.
+  Gives up on the rest of a burst, which is lost or late. The number of the next request must not be among those of the
+  burst: a late EOF would look like its answer.
   """
   @spec after_burst(t()) :: t()
   def after_burst(exchange) do
@@ -126,8 +127,8 @@ defmodule Aerie.Control.Ftp.Exchange do
   end
 
   @doc """
-  Records an answer. If its request was sent once, that measures the round trip; if it was repeated, nobody knows to which of them it is the
-  answer, and the next requests wait as long as it took (Karn's rule, RFC 6298).
+  Records an answer. If its request was sent once, that measures the round trip; if it was repeated, nobody knows to
+  which of them it is the answer, and the next requests wait as long as it took (Karn's rule, RFC 6298).
   """
   @spec answered(t(), Packet.t(), integer()) :: t()
   def answered(%{sent_at: at, request: request} = exchange, packet, now) when at != nil do

@@ -2,8 +2,8 @@ defmodule Aerie.Control.Ftp.Listing do
   @moduledoc """
   The entries of a directory received so far. The vehicle sends as many as fit into each answer.
 
-  Fields of an entry are separated by tabs: the name, the size (of a folder some firmware sends one, too), and what newer firmware adds.
-  The folder itself and the one above it are left out.
+  Fields of an entry are separated by tabs: the name, the size (of a folder some firmware sends one as well), and what
+  newer firmware adds. The folder itself and the one above it are left out.
   """
 
   alias Aerie.Control.Ftp.Name
@@ -20,7 +20,10 @@ defmodule Aerie.Control.Ftp.Listing do
   @spec max() :: pos_integer()
   def max, do: @max
 
-  @doc "Adds the entries of one answer; `:ended` if it has none. Names end with NUL; `S` is an entry that is left out, but counted."
+  @doc """
+  Adds the entries of one answer; `:ended` if it has none. Names end with NUL; `S` is an entry that is left out, but
+  counted.
+  """
   @spec took(t(), binary()) :: {:more, t()} | :ended | :too_large
   def took(listing, data) do
     case :binary.split(data, <<0>>, [:global, :trim_all]) do

@@ -6,9 +6,10 @@ defmodule Aerie.Control.Params.File do
     * `.params` - QGroundControl: system, component, name, value and MAV_PARAM_TYPE, separated by tabs
     * `.txt` - Betaflight and iNav: what their command lines print (`Aerie.Control.Params.File.CommandLine`)
 
-  The format is recognised from the lines. Values are decimal or, as `0xFF`, hexadecimal. Of a name that comes twice the last value counts. Rows of
-  another component than the autopilot are left out, and rows of another vehicle are an error. A file has at most 1 MiB and as many parameters
-  as a vehicle (`Aerie.Control.Params.Table.max/0`); errors are reported with their line numbers, at most twenty.
+  The format is recognised from the lines. Values are decimal or, as `0xFF`, hexadecimal. The last value of a repeated
+  name counts. Rows of another component than the autopilot are left out, and rows of another vehicle are an error. A
+  file has at most 1 MiB and as many parameters as a vehicle (`Aerie.Control.Params.Table.max/0`); errors are reported
+  with their line numbers, at most twenty.
   """
 
   alias Aerie.Control.Params.File.CommandLine
@@ -42,8 +43,8 @@ defmodule Aerie.Control.Params.File do
   def parse(text), do: with({:ok, entries, _remarks} <- read(text, {nil, @autopilot}), do: {:ok, entries})
 
   @doc """
-  The parameters of a file for a vehicle's autopilot, and sentences about what was left out. What words mean depends on the firmware and its version: the
-  vehicle's, or the one that the file names.
+  The parameters of a file for a vehicle's autopilot, and sentences about what was left out. What words mean depends on
+  the firmware and its version: the vehicle's, or the one that the file names.
   """
   @spec read(binary(), owner(), {firmware :: atom(), Message.version() | nil} | nil) ::
           {:ok, [entry()], remarks :: [String.t()]} | {:error, [error(), ...]}
@@ -217,7 +218,10 @@ defmodule Aerie.Control.Params.File do
       else: []
   end
 
-  @doc "Whether an entry of a file matches a vehicle's value: the same 32-bit float, or the same digits if the file has it rounded."
+  @doc """
+  Whether an entry of a file matches a vehicle's value: the same 32-bit float, or the same digits if the file has it
+  rounded.
+  """
   @spec says?(entry(), number() | nil) :: boolean()
   def says?(%{value: value, decimals: decimals}, actual) do
     ParamValue.same?(value, actual) or
@@ -226,8 +230,8 @@ defmodule Aerie.Control.Params.File do
   end
 
   @doc """
-  A file of a list: `:param` for Mission Planner and MAVProxy, `:params` for QGroundControl, `{:txt, release}` for the command line of Betaflight or iNav. Ordered
-  by name. A value that is not a number is a comment.
+  A file of a list: `:param` for Mission Planner and MAVProxy, `:params` for QGroundControl, `{:txt, release}` for the
+  command line of Betaflight or iNav. Ordered by name. A value that is not a number is a comment.
   """
   @spec format(
           Table.t(),
@@ -264,7 +268,8 @@ defmodule Aerie.Control.Params.File do
   defp unless_unusable(%{value: nil} = param, _line), do: "# #{param.name} is not a number on board\n"
   defp unless_unusable(param, line), do: line.(param)
 
-  # The fewest digits that give the same 32-bit float; without an exponent if possible, because some readers do not know exponents.
+  # The fewest digits that give the same 32-bit float; without an exponent if possible, because some readers do not know
+  # exponents.
   defp text(value) when is_integer(value), do: Integer.to_string(value)
 
   defp text(value) do

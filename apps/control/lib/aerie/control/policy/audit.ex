@@ -4,8 +4,9 @@ defmodule Aerie.Control.Policy.Audit do
   (`Aerie.Control.Policy.Audit.Log`), written by this process.
 
   When it cannot be written (a full disk, a folder that is gone), `append/3` says so, and `verdict/3` says what follows:
-  with `required: true`, the default, commands are denied until it can be again, but for those that hold a vehicle or bring
-  it down. A task brings it to the disk once a second, so that no caller waits for a slow one. Records that could not be written are counted, shown by `status/1`, and noted in the log itself as soon as it can be written.
+  with `required: true`, the default, commands are denied until it can be again, but for those that hold a vehicle or
+  bring it down. A task brings it to the disk once a second, so that no caller waits for a slow one. Records that could
+  not be written are counted, shown by `status/1`, and noted in the log itself as soon as it can be written.
 
   Telemetry: `[:aerie, :audit, :failing]` (`count` 1; `gateway`, `reason`) when writing begins to fail, and
   `[:aerie, :audit, :writing]` (`missed`; `gateway`) when it works again.
@@ -57,8 +58,8 @@ defmodule Aerie.Control.Policy.Audit do
   def append(gateway, entry, timeout \\ @call_ms), do: call(gateway, {:append, entry}, timeout)
 
   @doc """
-  The same for who must not wait: a forwarding process. Where the log cannot keep up, the entry is not written and counts as
-  missed. `failing/1` tells beforehand whether it can be written.
+  The same for a caller that must not wait: a forwarding process. Where the log cannot keep up, the entry is not written
+  and counts as missed. `failing/1` tells beforehand whether it can be written.
   """
   @spec note(Names.gateway(), %{String.t() => term()} | {:refusal, %{String.t() => term()}}) :: :ok
   def note(gateway, entry) do
@@ -95,8 +96,8 @@ defmodule Aerie.Control.Policy.Audit do
   def failing(gateway), do: Names.value(gateway, :audit)
 
   @doc """
-  Number and hash of the last record, the folder and its bytes on the disk, and why it cannot be written (nil when it can). Keep number and
-  hash elsewhere to be able to prove that nothing was cut off.
+  Number and hash of the last record, the folder and its bytes on the disk, and why it cannot be written (nil when it
+  can). Keep number and hash elsewhere to be able to prove that nothing was cut off.
   """
   @spec status(Names.gateway()) :: {:ok, status()} | {:error, String.t()}
   def status(gateway), do: call(gateway, :status)
@@ -279,7 +280,7 @@ defmodule Aerie.Control.Policy.Audit do
     end
   end
 
-  # Counted in the read model, too, if there is one.
+  # Also counted in the read model, if there is one.
   defp missed(state) do
     :ok = Store.count_if_running(state.gateway, {:audit, :missed})
     %{state | missed: state.missed + 1}

@@ -10,7 +10,7 @@ defmodule Aerie.Control.Policy.Context do
   defstruct [:source, :now, :lease, :position, :home, :origin, :armed, :in_air, :mode, :battery, :autopilot] ++
               [:vehicle_type, datums: [], params: %{}, standard_modes: %{}, mode_names: %{}]
 
-  # A position that is older than this is none: the vehicle has moved since.
+  # A position that is older than this counts as unknown: the vehicle has moved since.
   @fresh_us 10_000_000
   # How far home moves by itself at take-off, and a barometer drifts on the ground.
   @home_m 1.0
@@ -19,10 +19,11 @@ defmodule Aerie.Control.Policy.Context do
   @typedoc """
     * `:source` - who commands, nil for nobody that is known
     * `:now` - unix microseconds; `:lease` - who is in charge of the vehicle, nil for nobody
-    * `:position` - degrees, metres above home (`alt_rel`) and above mean sea level (`alt_msl`), where its nose points, and
-      when that was heard
+    * `:position` - degrees, metres above home (`alt_rel`) and above mean sea level (`alt_msl`), where its nose points,
+      and when that was heard
     * `:home` - degrees and metres above mean sea level; `:origin` - the same of its local coordinates
-    * `:datums` - where it took off, in metres above mean sea level: its home then, and the ground, as far as home is another height now
+    * `:datums` - where it took off, in metres above mean sea level: its home then, and the ground, as far as home is
+      another height now
     * `:params` - values of parameters that rules depend on (`Aerie.Vehicle.Services.Switches`), by their names
     * `:mode` - its name; `:battery` - the share of its charge that is left, 0..1
     * `:autopilot`, `:vehicle_type` - the firmware and the kind of vehicle, as its snapshot has them
@@ -142,7 +143,8 @@ defmodule Aerie.Control.Policy.Context do
     )
   end
 
-  # The parts that a description of a vehicle in JSON may have: the groups of a snapshot with the fields that rules ask for.
+  # The parts that a description of a vehicle in JSON may have: the groups of a snapshot with the fields that rules ask
+  # for.
   @plain %{
     "position" => %{
       "lat" => :lat,

@@ -37,7 +37,8 @@ defmodule Aerie.Control.Policy.Intent do
   ]
 
   @typedoc """
-  A height in metres: above home, above mean sea level, above the ground there, or `:same`, which the vehicle has already.
+  A height in metres: above home, above mean sea level, above the ground there, or `:same`, which the vehicle has
+  already.
   """
   @type height :: {:home | :msl | :terrain, number()} | :same
 
@@ -51,11 +52,12 @@ defmodule Aerie.Control.Policy.Intent do
     * `{:along, places}` - from place to place; how it gets to the first one is not known
     * `{:from, place, place}` - from one place to another
     * `{:at, places}` - places that are stored: a home, corners of a fence
-    * `{:around, place, metres}` - to the nearest point of a circle, and around on it; `{:ring, place, metres}` - around on it,
-      however it gets there
-    * `{:offset, {north, east, down}}` - so many metres from the origin of its local coordinates; nil: on that axis it stays where it is
-    * `{:shift, frame, {x, y, down}}` - so many metres from where it is: x to the north and y to the east, or, in the frame
-      `:body`, ahead and to the right
+    * `{:around, place, metres}` - to the nearest point of a circle, and around on it; `{:ring, place, metres}` - around
+      on it, however it gets there
+    * `{:offset, {north, east, down}}` - so many metres from the origin of its local coordinates; nil: on that axis it
+      stays where it is
+    * `{:shift, frame, {x, y, down}}` - so many metres from where it is: x to the north and y to the east, or, in the
+      frame `:body`, ahead and to the right
     * `{:drift, drift}` - a velocity (`t:drift/0`); `{:onward, path, drift}` - from the end of a path on
     * `{:level, height}` - to a height, wherever it is then
     * `{:all, paths}` - to each of them, because firmwares read the message in different ways
@@ -95,8 +97,8 @@ defmodule Aerie.Control.Policy.Intent do
           | {:takeoff, number()}
 
   @typedoc """
-  A velocity in m/s and an acceleration in m/s². `:frame` - `:any`: in whichever direction; `:hold` - for how many seconds the gateway
-  repeats it; `:vertical?` - whether it changes the height.
+  A velocity in m/s and an acceleration in m/s². `:frame` - `:any`: in whichever direction; `:hold` - for how many
+  seconds the gateway repeats it; `:vertical?` - whether it changes the height.
   """
   @type drift :: %{
           frame: :north | :body | :any,
@@ -109,8 +111,8 @@ defmodule Aerie.Control.Policy.Intent do
   @typedoc """
   What works channels of the remote control; `:unknown` for a message that says so in no way that is known here.
 
-    * `:channels` - RC_CHANNELS_OVERRIDE's values by the numbers of the channels, as they are sent: what ignores or gives back a channel depends on the
-      firmware (`Aerie.Control.Policy.Switches`)
+    * `:channels` - RC_CHANNELS_OVERRIDE's values by the numbers of the channels, as they are sent: what ignores or
+      gives back a channel depends on the firmware (`Aerie.Control.Policy.Switches`)
     * `:axes` - a joystick's, in thousandths; nil for one that is missing
     * `:buttons` - those that are pressed, from 0; `:aux` - the numbers of MANUAL_CONTROL's outputs that are set
   """
@@ -136,15 +138,18 @@ defmodule Aerie.Control.Policy.Intent do
     * `:permission` - what a source must be allowed to do (`t:Aerie.Vehicle.Command.Type.permission/0`)
     * `:label` - what refusals call it, where its type is not in the table of commands
     * `:also` - permissions that it needs besides; `:reasons` - why, for those of which the name alone does not say it
-    * `:unknown` - that no table of the gateway knows the message or command; `:number` - what is wrong with one of its numbers
+    * `:unknown` - that no table of the gateway knows the message or command; `:number` - what is wrong with one of its
+      numbers
     * `:mode` - the mode that it asks for, by its name; `:modes` - others for which a firmware may take it;
       `:standard_mode` - the mode by the name of MAVLink's standard modes
     * `:implies` - the types that it amounts to while the vehicle is on the ground: what may make it take off or arm
     * `:besides` - types that it is as well, wherever the vehicle is
     * `:control` - how it changes who is in charge of the vehicle
-    * `:moves?` - the vehicle may move because of it; `:stored?` - it comes as raw MAVLink, and a disarmed vehicle may keep it until it is armed
+    * `:moves?` - the vehicle may move because of it; `:stored?` - it comes as raw MAVLink, and a disarmed vehicle may
+      keep it until it is armed
     * `:switches` - channels of the remote control, and buttons, that it works (`t:switches/0`)
-    * `:ends_flight?` - it holds the vehicle or brings it down; only roles, conditions and modes keep such a command from it
+    * `:ends_flight?` - it holds the vehicle or brings it down; only roles, conditions and modes keep such a command
+      from it
     * `:what` - what refusals call the place that it names
   """
   @type t :: %__MODULE__{
@@ -386,7 +391,8 @@ defmodule Aerie.Control.Policy.Intent do
   defp asked("setpoint_attitude", _params), do: [path: :anywhere]
   defp asked("setpoint_local", params), do: [path: {:offset, {params.north, params.east, params.down}}]
 
-  # The vehicle turns a velocity ahead and to the right into one to the north and the east each time it comes, and its nose may turn with it.
+  # The vehicle turns a velocity ahead and to the right into one to the north and the east each time it comes, and its
+  # nose may turn with it.
   defp asked("setpoint_velocity", params) do
     straight? = params.vy == 0 and params.vx >= 0 and (params[:yaw_rate] || 0) == 0
     frame = if params.frame == "body", do: if(straight?, do: :body, else: :any), else: :north
@@ -424,7 +430,7 @@ defmodule Aerie.Control.Policy.Intent do
   defp asked("mission_set_current", %{seq: seq}), do: [enters: [{:item, seq}]]
   defp asked("jump", %{tag: tag}), do: [enters: [{:tag, tag}]]
   defp asked("set_geofence", %{enabled: false}), do: [also: [:protection]]
-  # The fence and the failsafes are reset, too.
+  # This also resets the fence and the failsafes.
   defp asked("reset_params", _params), do: [also: [:protection]]
   # Only a release brings it down.
   defp asked("parachute", params), do: [ends_flight?: params.action == "release"]

@@ -1,8 +1,8 @@
 defmodule Aerie.Control.Policy.Lease do
   @moduledoc """
-  Who is in charge of a vehicle: one source at a time, by its name; of a client with several programs, one program by its address
-  (`who/1`). A pure value; `Aerie.Control.Policy.Leases` keeps those of a gateway,
-  and the rule `Aerie.Control.Policy.Rules.Lease` asks them.
+  Who is in charge of a vehicle: one source at a time, by its name; of a client with several programs, one program by
+  its address (`who/1`). A pure value; `Aerie.Control.Policy.Leases` keeps those of a gateway, and the rule
+  `Aerie.Control.Policy.Rules.Lease` asks them.
 
   | change | who may |
   |---|---|
@@ -17,7 +17,8 @@ defmodule Aerie.Control.Policy.Lease do
   defstruct [:holder, :via, :since, :reason, :offered_to, :before, :endpoint]
 
   @typedoc """
-    * `:holder` - the name of the source in charge, by `:via` (`nats`, `rest`, `elixir` or `mavlink`) since then (unix microseconds)
+    * `:holder` - the name of the source in charge, by `:via` (`nats`, `rest`, `elixir` or `mavlink`) since then (unix
+      microseconds)
     * `:reason` - why it was taken over; nil if it was free or offered
     * `:offered_to` - who may take it without a reason; `:anyone`, or nil for nobody
     * `:before` - who was in charge before
@@ -33,13 +34,17 @@ defmodule Aerie.Control.Policy.Lease do
           endpoint: {String.t(), term()} | nil
         }
 
-  @typedoc "What a command asks for. Who takes it may offer it in the same breath, as MAVLink's allow-takeover flag does."
+  @typedoc """
+  What a command asks for. A source that takes it may offer it at once, as MAVLink's allow-takeover flag does.
+  """
   @type change ::
           {:take, reason :: String.t() | nil, offer :: :anyone | nil}
           | {:offer, String.t() | :anyone}
           | :release
 
-  @typedoc "`:required`: whether nobody may command before taking charge; `:take_over`: the lowest role that may take over."
+  @typedoc """
+  `:required`: whether nobody may command before taking charge; `:take_over`: the lowest role that may take over.
+  """
   @type rules :: %{required: boolean(), take_over: :operator | :admin}
 
   @doc "By which name a source is in charge: a program's own, or the source's."

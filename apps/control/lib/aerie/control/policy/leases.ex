@@ -1,7 +1,8 @@
 defmodule Aerie.Control.Policy.Leases do
   @moduledoc """
-  The leases of a gateway: who is in charge of each vehicle. A table of the store, which any process reads and changes without waiting for
-  another. Subscribers of `:leases` (`Aerie.Base.PubSub`) get `{vehicle_key, lease}` of each change, nil for nobody in charge.
+  The leases of a gateway: who is in charge of each vehicle. A table of the store, which any process reads and changes
+  without waiting for another. Subscribers of `:leases` (`Aerie.Base.PubSub`) get `{vehicle_key, lease}` of each change,
+  nil for nobody in charge.
 
   The table ends with the gateway: after its restart nobody is in charge.
   """
@@ -16,7 +17,8 @@ defmodule Aerie.Control.Policy.Leases do
   def table, do: {:leases, [:set, read_concurrency: true], []}
 
   @doc """
-  The lease of a vehicle; nil if nobody is in charge. A program that is gone cannot hand over, so anybody who may fly may take it then.
+  The lease of a vehicle; nil if nobody is in charge. A program that is gone cannot hand over, so anybody who may fly
+  may take it then.
   """
   @spec of(Names.gateway(), Store.vehicle_key()) :: Lease.t() | nil
   def of(gateway, key) do
@@ -41,7 +43,7 @@ defmodule Aerie.Control.Policy.Leases do
   @spec all(Names.gateway()) :: %{Store.vehicle_key() => Lease.t()}
   def all(gateway), do: Map.new(Store.with_table(gateway, :leases, [], &:ets.tab2list/1))
 
-  @doc "Changes who is in charge (`Aerie.Control.Policy.Lease.change/6`). Of several that take it at once, one succeeds."
+  @doc "Changes who is in charge (`Aerie.Control.Policy.Lease.change/6`). If several take it at once, one succeeds."
   @spec change(
           Names.gateway(),
           Store.vehicle_key(),

@@ -1,9 +1,10 @@
 defmodule Aerie.Control.Policy.Mavlink do
   @moduledoc """
-  What a raw MAVLink message asks of a vehicle, in the words of the policy (`Aerie.Control.Policy.Intent`): the same rules judge a
-  ground station's DO_REPOSITION and a `goto`.
+  What a raw MAVLink message asks of a vehicle, in the words of the policy (`Aerie.Control.Policy.Intent`): the same
+  rules judge a ground station's DO_REPOSITION and a `goto`.
 
-  Commands of MAV_CMD are read by `Aerie.Control.Policy.Mavlink.Commands`. What is not a command of the table has a type of its own:
+  Commands of MAV_CMD are read by `Aerie.Control.Policy.Mavlink.Commands`. What is not a command of the table has a type
+  of its own:
 
   | type | messages | permission |
   |---|---|---|
@@ -16,8 +17,9 @@ defmodule Aerie.Control.Policy.Mavlink do
   | `mav_cmd_N` | a command that has no type of its own | by its row (`Authority.Commands`) |
   | `raw` | every other message that changes a vehicle, and those that cannot be read | `maintain` |
 
-  An item of a mission needs `mission`, and what its command needs if that is more than an operator has. Parameters and files that protect
-  a vehicle, and a fence that is removed, need `protection` besides (`Aerie.Control.Policy.Protection`).
+  An item of a mission needs `mission`, and what its command needs if that is more than an operator has. Parameters and
+  files that protect a vehicle, and a fence that is removed, need `protection` besides
+  (`Aerie.Control.Policy.Protection`).
 
   Items of a mission come one by one: `Aerie.Control.Policy.Mavlink.Upload` remembers where the last one was, so
   that the way from it is judged, and `Aerie.Control.Policy.Mavlink.Writing` all of them.
@@ -264,7 +266,7 @@ defmodule Aerie.Control.Policy.Mavlink do
     end
   end
 
-  @doc "The facts of what cannot be read, or is not known: only who may do everything may send it."
+  @doc "The facts of what cannot be read, or is not known: only a source that may do everything may send it."
   @spec unreadable() :: Intent.t()
   def unreadable, do: own("raw", :maintain)
 

@@ -1,14 +1,16 @@
 defmodule Aerie.Control.Policy.MavlinkPolicy do
   @moduledoc """
-  The policy for raw MAVLink of clients (`MavRouter.Router.Policy`): reads what a message asks for (`Aerie.Control.Policy.Mavlink`), decides by
-  the gateway's policy, answers a refusal (`Aerie.Control.Policy.Mavlink.Refusal`), and writes it into the audit log.
+  The policy for raw MAVLink of clients (`MavRouter.Router.Policy`): reads what a message asks for
+  (`Aerie.Control.Policy.Mavlink`), decides by the gateway's policy, answers a refusal
+  (`Aerie.Control.Policy.Mavlink.Refusal`), and writes it into the audit log.
 
-  It runs in the process that received the message and never blocks; rates, uploads and the times of notices are in a table
-  (`Aerie.Control.Policy.ClientHistory`). A refusal that repeats itself (set-points, sticks) is answered each time where its protocol has
-  an answer. The same text comes every 5 s as STATUSTEXT, and says how many were left out; another text comes at once.
-  A record is written every 5 s for each type of command and rule.
+  It runs in the process that received the message and never blocks; rates, uploads and the times of notices are in a
+  table (`Aerie.Control.Policy.ClientHistory`). A refusal that repeats itself (set-points, sticks) is answered each time
+  where its protocol has an answer. The same text comes every 5 s as STATUSTEXT, and says how many were left out;
+  another text comes at once. A record is written every 5 s for each type of command and rule.
 
-  Telemetry: `[:aerie, :policy, :refused]` (`count` 1; `gateway`, `vehicle`, `source`, `type`, `rule`), with each refusal.
+  Telemetry: `[:aerie, :policy, :refused]` (`count` 1; `gateway`, `vehicle`, `source`, `type`, `rule`), with each
+  refusal.
   """
 
   @behaviour MavRouter.Router.Policy
@@ -218,7 +220,7 @@ defmodule Aerie.Control.Policy.MavlinkPolicy do
     end
   end
 
-  # The gateway itself keeps who is in charge; a vehicle that does so, too, is asked in the client's name (X15).
+  # The gateway itself keeps who is in charge; a vehicle that also does so is asked in the client's name (X15).
   defp in_charge(_policy, _gateway, _key, %{control: nil}, _whose), do: :allow
 
   defp in_charge(_policy, _gateway, _key, _facts, {_source, nil}),

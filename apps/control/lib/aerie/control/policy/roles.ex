@@ -9,8 +9,8 @@ defmodule Aerie.Control.Policy.Roles do
   | `pilot` | the same, and `pilot`: heights and speeds, home in flight, the vehicle's own fence, its logs |
   | `admin` | the same, and `maintain`, `protection` and `inputs` |
 
-  No role includes `force_disarm` and `terminate`, which can bring a vehicle down on somebody, nor `receiver` and `motors`, which arm vehicles with MSP
-  and turn their motors: they are given by name, to an operator or an admin.
+  No role includes `force_disarm` and `terminate`, which can bring a vehicle down on somebody, nor `receiver` and
+  `motors`, which arm vehicles with MSP and turn their motors: they are given by name, to an operator or an admin.
   """
 
   alias Authority.Principal
@@ -25,7 +25,9 @@ defmodule Aerie.Control.Policy.Roles do
 
   @type role :: :viewer | :operator | :pilot | :admin
 
-  @typedoc "Who commands, as authentication found out: a name for people, a role, and permissions beyond the role."
+  @typedoc """
+  The source of a command, as authentication found out: a name for people, a role, and permissions beyond the role.
+  """
   @type source :: Principal.t()
 
   @doc "All roles, from the one that may least."

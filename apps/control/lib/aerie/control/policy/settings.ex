@@ -1,5 +1,7 @@
 defmodule Aerie.Control.Policy.Settings do
-  @moduledoc "Who may command what, where, when and how high: what `Aerie.Control.Policy.compile/1` takes, and the audit log."
+  @moduledoc """
+  Who may command what, where, when and how high: what `Aerie.Control.Policy.compile/1` takes, and the audit log.
+  """
   use Aerie.Base.Settings
 
   alias Aerie.Vehicle.Command.Type
@@ -7,7 +9,7 @@ defmodule Aerie.Control.Policy.Settings do
   alias Aerie.Base.Settings.Types
 
   section "policy",
-          "Limits on what is commanded through the gateway (docs/policy.md). Vehicles have limits of their own: set those, too."
+          "Limits on what is commanded through the gateway (docs/policy.md). Vehicles have limits of their own: set those as well."
 
   setting :max_altitude,
           {:number, 0, 100_000},
@@ -148,7 +150,7 @@ defmodule Aerie.Control.Policy.Settings do
   defp rate_fields do
     [
       field(:types, {:one_or_list, :string}, "Names of commands; all but streams if left out.", filled: true),
-      field(:sources, {:one_or_list, :string}, "Who commands; each one if left out.", filled: true),
+      field(:sources, {:one_or_list, :string}, "Sources of commands; each one if left out.", filled: true),
       field(:vehicles, {:one_or_list, :string}, "Vehicles; each one if left out.", filled: true),
       field(:per_minute, {:number, 0.001, 1_000_000}, "How often.", required: true),
       field(:burst, {:integer, 1, 100_000}, "How many at once.", default: 1)
@@ -189,7 +191,7 @@ defmodule Aerie.Control.Policy.Settings do
       field(
         :required,
         :boolean,
-        "Whether a vehicle is commanded only by who took charge of it; otherwise anybody may while nobody is in charge.",
+        "Whether only the source that took charge of a vehicle commands it; otherwise anybody may while nobody is in charge.",
         default: false
       ),
       field(

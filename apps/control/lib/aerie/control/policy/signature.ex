@@ -2,8 +2,8 @@ defmodule Aerie.Control.Policy.Signature do
   @moduledoc """
   Signed commands: an Ed25519 signature by a NATS key (nkey) over the command as it was sent.
 
-  The header `Aerie-Signature` of a NATS message or an HTTP request has three words: the public nkey (`U…`), the time of signing
-  (ISO 8601 with an offset), and the signature in base64url without padding.
+  The header `Aerie-Signature` of a NATS message or an HTTP request has three words: the public nkey (`U…`), the time of
+  signing (ISO 8601 with an offset), and the signature in base64url without padding.
 
       Aerie-Signature: UDXU4RCS… 2026-11-22T09:30:00Z 5mZ8…
 
@@ -11,8 +11,8 @@ defmodule Aerie.Control.Policy.Signature do
 
       aerie-command-1\\nSUBJECT\\nTIME\\nBODY
 
-  `SUBJECT` is `fleet.{environment}.{vehicle}.cmd.{type}`, over REST too, so that a command for one vehicle is none for another; `TIME`
-  is the text of the header, and `BODY` the bytes of the message.
+  `SUBJECT` is `fleet.{environment}.{vehicle}.cmd.{type}`, over REST too, so that a command for one vehicle is not valid
+  for another; `TIME` is the text of the header, and `BODY` the bytes of the message.
 
   A signature counts for a minute. Within that a message that is sent again has the same id, and gets the stored result.
   """
@@ -30,8 +30,8 @@ defmodule Aerie.Control.Policy.Signature do
   end
 
   @doc """
-  The public nkey by which a command was signed rightly and lately. Whether that key may command anything is another question.
-  `now` is in unix microseconds.
+  The public nkey by which a command was signed rightly and lately. Whether that key may command anything is another
+  question. `now` is in unix microseconds.
   """
   @spec verify(header :: String.t(), subject :: String.t(), body :: binary(), now :: integer()) ::
           {:ok, public :: String.t()} | {:error, String.t()}
@@ -46,8 +46,8 @@ defmodule Aerie.Control.Policy.Signature do
   end
 
   @doc """
-  The public nkey that a header names, if it is well-formed and its time counts: what can be known without the work of checking the
-  signature.
+  The public nkey that a header names, if it is well-formed and its time counts: what can be known without the work of
+  checking the signature.
   """
   @spec claim(header :: String.t(), now :: integer()) :: {:ok, public :: String.t()} | {:error, String.t()}
   def claim(header, now) do

@@ -8,7 +8,7 @@ defmodule Aerie.Control.Policy.Switches do
 
   The four sticks are a pilot's and pass. A channel or button whose effect nobody here knows needs the most, because
   it may be the one that
-  stops the motors. Vehicles with MSP are not meant: who works their channels needs `receiver`.
+  stops the motors. Vehicles with MSP are not meant: their channels need `receiver`.
   """
 
   alias Aerie.Control.Policy.{Context, Intent}

@@ -2,7 +2,7 @@ defmodule Aerie.Control.TransferExecutor.Core do
   @moduledoc """
   The transfers of one vehicle, without the process: `handle(core, event) -> {core, actions}`.
 
-  Of each lane (`t:Aerie.Control.TransferExecutor.Job.lane/0`) one transfer is under way; the others wait in the order
+  Each lane (`t:Aerie.Control.TransferExecutor.Job.lane/0`) has one transfer under way; the others wait in the order
   of their arrival, at most 32 in all. Before a transfer of missions, files or logs begins, it takes its turn among
   those of ground stations. One that yields (`t:Aerie.Control.TransferExecutor.Job.t/0`) goes out of the way of
   others, and of a ground station that wants the turn.

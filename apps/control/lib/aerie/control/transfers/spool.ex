@@ -1,7 +1,8 @@
 defmodule Aerie.Control.Transfers.Spool do
   @moduledoc """
-  Downloads something large from a vehicle into a file of this machine. Until it is complete its name ends with `.part`. An interrupted
-  download continues at the first gap if the vehicle's checksum is still the one in `.part.crc`. The complete file is compared with it, too.
+  Downloads something large from a vehicle into a file of this machine. Until it is complete its name ends with `.part`.
+  An interrupted download continues at the first gap if the vehicle's checksum is still the one in `.part.crc`. The
+  complete file is compared with it as well.
   """
 
   alias Aerie.Vehicle.Command
@@ -17,10 +18,11 @@ defmodule Aerie.Control.Transfers.Spool do
   def max_bytes, do: @max_bytes
 
   @doc """
-  Fills a file by `reading`, which gets the offset to begin at and folds the pieces (`Aerie.Control.Transfers.read/6`). Returns the size, or why it is incomplete.
+  Fills a file by `reading`, which gets the offset to begin at and folds the pieces (`Aerie.Control.Transfers.read/6`).
+  Returns the size, or why it is incomplete.
 
-  `same` is the vehicle's checksum (`MavCodec.CRC.crc32/2`); nil if there is none, so that nothing is continued; `:asks` if `reading`
-  itself finds out whether it is the same.
+  `same` is the vehicle's checksum (`MavCodec.CRC.crc32/2`); nil if there is none, so that nothing is continued; `:asks`
+  if `reading` itself finds out whether it is the same.
   """
   @spec fill(Path.t(), non_neg_integer() | nil | :asks, (non_neg_integer(), acc, (term(), acc -> acc) ->
                                                            {{:ok, term()} | {:error, Result.t()}, acc})) ::

@@ -217,7 +217,7 @@ defmodule Aerie.Control.CommandExecutor.CoreTest do
                "the vehicle answered TEMPORARILY_REJECTED; failing checks: check_gyro, check_mag"
     end
 
-    test "an acknowledgement for another ground station, command or component is none (C7)" do
+    test "ignores an acknowledgement for another ground station, command or component (C7)" do
       {core, _sent} = submit(core(), "arm")
       {core, []} = ack(core, [command: 400, result: 2, target_system: 255, target_component: 190], 10 * @ms)
       {core, []} = ack(core, [command: 22, result: 2], 10 * @ms)
@@ -256,7 +256,7 @@ defmodule Aerie.Control.CommandExecutor.CoreTest do
   end
 
   describe "progress (C4)" do
-    test "who tells of its progress has time" do
+    test "gives a vehicle time that reports progress" do
       {core, _sent} = submit(core(), "gripper", %{action: "grab"})
       {core, actions} = ack(core, [command: 211, result: 5, progress: 30], 20 * @ms)
       assert actions == [{:progress, "gripper", %{"progress" => 0.3, "text" => nil}}]
@@ -455,7 +455,7 @@ defmodule Aerie.Control.CommandExecutor.CoreTest do
     end
   end
 
-  describe "commands that our session asks by, too (C8)" do
+  describe "commands that our session also asks by (C8)" do
     test "wait until it asks nothing, and let it ask again when no answer can come any more" do
       {core, [{:alone, true}]} = submit(core(), "request_message", %{message_id: 148}, 1, id: "a")
       {core, []} = submit(core, "set_message_interval", %{message_id: 30, rate: 5}, 2, id: "b")

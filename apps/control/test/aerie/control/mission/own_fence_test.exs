@@ -98,7 +98,7 @@ defmodule Aerie.Control.Mission.OwnFenceTest do
     end
   end
 
-  test "a vehicle outside is told, and one that flies with its fence on breaches it at once" do
+  test "names a vehicle outside, and one that flies with its fence on breaches it at once" do
     plan = %Plan{fence: [{:inclusion, square(0, 0, 100)}]}
     outside = %{@copter | place: degrees(200, 50)}
 

@@ -147,7 +147,7 @@ defmodule Aerie.Control.Mission.ReviewTest do
     assert {:deny, :altitude, 0, _} = review([at(47.01, 8.004, 20.0, frame: 10)], policy)
   end
 
-  test "who may not send missions is refused before any item" do
+  test "refuses a source that may not send missions before any item" do
     viewer = %{name: "guest", role: :viewer, permissions: []}
     assert {:deny, :role, nil, _reason} = review([at(47.03, 8.004)], policy(), context(%{source: viewer}))
   end

@@ -34,7 +34,7 @@ defmodule Aerie.Control.Params.CacheTest do
     assert for(key <- keys, do: Cache.load(dir, key) != :none) == [false, true, true, true]
   end
 
-  test "a damaged file, and one of another version, are none", %{tmp_dir: dir} do
+  test "ignores a damaged file, and one of another version", %{tmp_dir: dir} do
     :ok = Cache.store(dir, @key, @table, 10)
     text = File.read!(file(dir))
 

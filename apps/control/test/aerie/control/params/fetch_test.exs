@@ -74,7 +74,7 @@ defmodule Aerie.Control.Params.FetchTest do
     assert {:ok, %{params: %{"P8" => %{value: 3}}}} = run(other, [], [stored: table] ++ more).result
   end
 
-  test "at 25 % loss, too" do
+  test "also at 25 % loss" do
     params = ParamsVehicle.some(1000)
 
     for seed <- 1..5 do
@@ -84,7 +84,7 @@ defmodule Aerie.Control.Params.FetchTest do
     end
   end
 
-  test "over a way that takes far longer than what was measured, the file, too, with few repetitions (T2)" do
+  test "over a link that takes far longer than measured, also the file, with few repetitions (T2)" do
     params = ParamsVehicle.some(400)
 
     for delay <- [300_000, 1_000_000, 3_000_000] do
@@ -108,7 +108,7 @@ defmodule Aerie.Control.Params.FetchTest do
     assert List.last(run.progress) == {100, 100}
   end
 
-  test "without an answer to FTP, too; and at once if the vehicle does not offer it" do
+  test "also without an answer to FTP; at once if the vehicle does not offer it" do
     params = ParamsVehicle.some(100)
 
     deaf = fn v, message, now ->

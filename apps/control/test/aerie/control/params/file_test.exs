@@ -62,7 +62,7 @@ defmodule Aerie.Control.Params.FileTest do
     assert :proper.quickcheck(property, [:quiet, numtests: 500]) == true, inspect(:proper.counterexample())
   end
 
-  test "differences: changed, missing on either side; rounding is none" do
+  test "differences: changed, missing on either side; rounding does not count" do
     {:ok, entries} = File.parse("A,6\nB,0.100000\nE,1\nD,-2147483648\n")
 
     assert Diff.diff(entries, @table) == %{

@@ -203,7 +203,7 @@ defmodule Aerie.Control.Params.ResponderTest do
     assert {_served, [{:forward, :a}]} = Responder.handle(served, {:unlisted, @second})
   end
 
-  test "who waits is bounded" do
+  test "bounds the stations that wait" do
     {served, [:fetch]} = Responder.handle(Responder.new(:bytewise), {:station, @list, 0, 0})
 
     served =

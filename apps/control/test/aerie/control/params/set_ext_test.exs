@@ -155,7 +155,7 @@ defmodule Aerie.Control.Params.SetExtTest do
     assert {:ok, %{value: 7}} = run.result
   end
 
-  test "a refusal is told in the component's words, with the value that stands" do
+  test "a refusal has the component's words and the value that stands" do
     assert {:error, {:not_set, :unsupported, {:keeps, 1}}} = error = set("CAM_MODE", 9).result
     assert {:rejected, text, %{"value" => 1}} = Outcome.of(error)
     assert text == "the component does not support this value; it keeps 1"

@@ -33,7 +33,7 @@ defmodule Aerie.Control.Policy.AuditTest do
     assert {:ok, %{problems: [], records: 4}} = Verify.folder(dir, {2, hash})
   end
 
-  test "a flipped byte anywhere in the log is told at the start", %{tmp_dir: dir} do
+  test "reports a flipped byte anywhere in the log at the start", %{tmp_dir: dir} do
     {gateway, _pid} = start(dir)
     for n <- 1..20, do: {:ok, _n} = append(gateway, %{"type" => "decision", "id" => "id-#{n}"})
     :ok = stop_supervised!(gateway)

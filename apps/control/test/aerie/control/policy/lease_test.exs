@@ -78,7 +78,7 @@ defmodule Aerie.Control.Policy.LeaseTest do
     end
   end
 
-  test "of many who take it at once, one is in charge, and all who watch are told" do
+  test "if many take it at once, one is in charge, and all watchers hear of it" do
     gateway = start_gateway()
     :ok = PubSub.subscribe(gateway, :leases)
 

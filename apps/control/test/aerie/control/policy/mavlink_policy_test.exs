@@ -237,7 +237,7 @@ defmodule Aerie.Control.Policy.MavlinkPolicyTest do
       z: 20.0
     }
 
-  test "fence and altitude hold for a ground station's commands, and it is told why", c do
+  test "fence and altitude hold for a ground station's commands, and it gets the reason", c do
     gcs = client(c.gateway, "operator")
     say(gcs, goto(47.01, 50.0))
     say(gcs, goto(47.03, 50.0))

@@ -212,7 +212,7 @@ defmodule Aerie.Control.Policy.MavlinkTest do
     end
   end
 
-  test "files: who only reads is free, who writes needs more" do
+  test "files: reading is free, writing needs more" do
     ftp = &%M.FileTransferProtocol{payload: <<7::16-little, 0, &1, 0::size(247 * 8)>>}
     # 16 lists a folder with times: MAVProxy's first question.
     for operation <- [0, 1, 2, 3, 4, 5, 14, 15, 16, 128, 129], do: assert(facts(ftp.(operation)) == :free)

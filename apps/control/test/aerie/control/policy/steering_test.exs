@@ -1,5 +1,8 @@
 defmodule Aerie.Control.Policy.SteeringTest do
-  @moduledoc "Where set-points, homes and sticks lead a vehicle, as each firmware reads them, under a fence, limits of height and denied modes."
+  @moduledoc """
+  Where set-points, homes and sticks lead a vehicle, as each firmware reads them, under a fence, limits of height and
+  denied modes.
+  """
   use ExUnit.Case, async: true
 
   alias Aerie.Control.Policy
@@ -152,7 +155,7 @@ defmodule Aerie.Control.Policy.SteeringTest do
         do: assert({message, judge(Map.merge(c.fence, c.limit), message, vehicle)} == {message, :allow})
   end
 
-  test "a velocity is flown until the vehicle's own time-out, and braking takes its way, too", c do
+  test "a velocity is flown until the vehicle's own time-out, and braking takes its way as well", c do
     fast = &command("setpoint_velocity", Map.merge(%{vx: 8, vy: 0, vz: 0, hold: 0.2}, &1))
     # 100 m to the border: 8 m/s take 4.2 s and 21 m.
     assert judge(c.fence, fast.(%{}), @copter) == :allow
@@ -187,7 +190,7 @@ defmodule Aerie.Control.Policy.SteeringTest do
     assert {:deny, :altitude, _} = judge(c.limit, local(@place, z: -40.0), @copter, low)
   end
 
-  test "who moves home in flight needs `protection`, by every message", _c do
+  test "moving home in flight needs `protection`, by every message", _c do
     home = MavCmd.value(:MAV_CMD_DO_SET_HOME)
 
     ways = [

@@ -119,7 +119,7 @@ defmodule Aerie.Control.Policy.TrialTest do
     assert {:allow, _trial} = message(trial, item.(2, 47.01, 8.015), asked(4))
   end
 
-  test "who takes charge keeps others from it until it is released" do
+  test "taking charge keeps others from it until it is released" do
     trial = trial(%{lease: %{required: true}})
     ann = Roles.principal(:key, "ann", :operator)
 

@@ -155,7 +155,7 @@ defmodule Aerie.Control.TransferExecutor.CoreTest do
     assert Core.known?(core, "s") and Core.known?(core, "set")
   end
 
-  test "a reboot is told to what is under way; what waits begins after it" do
+  test "a reboot reaches what is under way; what waits begins after it" do
     {_actions, core} = run(core(), [{:submit, job("a", [:params]), 0}, {:submit, job("b", [:params]), 0}])
     {actions, _core} = run(core, [{:rebooted, 5}])
     assert [{:done, "a", {:error, :rebooted}}, {:send, ["b"]}, _progress] = actions

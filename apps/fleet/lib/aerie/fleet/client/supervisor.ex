@@ -1,7 +1,7 @@
 defmodule Aerie.Fleet.Client.Supervisor do
   @moduledoc """
   What serves programs on this machine by unix sockets. Nothing else of the gateway depends on it, so it is the last
-  child of the gateway, and its end costs only its clients' connections.
+  child of the gateway, and if it crashes, only its clients lose their connections.
   """
   use Supervisor
 

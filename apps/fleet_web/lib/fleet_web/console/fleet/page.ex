@@ -2,8 +2,9 @@ defmodule FleetWeb.Console.Fleet.Page do
   @moduledoc """
   The page of all vehicles: a map beside a table. Filter, order and the part that a phone shows are in the address.
 
-  The map gets all changes, at most five times a second. For up to 50 vehicles the table is rendered as often, for more vehicles less
-  often, because nobody reads 200 rows five times a second; a change of a vehicle's state still shows at once.
+  The map gets all changes, at most five times a second. For up to 50 vehicles the table is rendered as often, for more
+  vehicles less often, because nobody reads 200 rows five times a second; a change of a vehicle's state still shows at
+  once.
   """
   use FleetWeb.Console,
       {:page,
@@ -324,7 +325,7 @@ defmodule FleetWeb.Console.Fleet.Page do
     end
   end
 
-  # As somebody asked for.
+  # The order the user chose.
   defp sort(%{assigns: %{sequence: sequence}} = socket),
     do: put_rows(socket, Sequence.sort(sequence, ids(sorted(socket)), now_ms()))
 

@@ -1,10 +1,12 @@
 defmodule Aerie.Control.Params.File.CommandLine do
   @moduledoc """
-  What the command lines of Betaflight and iNav print (`diff all`, `dump`), and their configurators keep as `.txt`: lines such as `set NAME = VALUE`.
+  What the command lines of Betaflight and iNav print (`diff all`, `dump`), and their configurators keep as `.txt`:
+  lines such as `set NAME = VALUE`.
 
-  A value may be a word (`set failsafe_procedure = DROP`), by the tables of `MavCodec.Msp.Params` for the version. Settings of a profile count if it is the one
-  that the file selects at its end. What is not a number there, words that the version does not have, and lines of other commands (`feature`, `aux`,
-  `serial` …), are left out, with remarks that say so.
+  A value may be a word (`set failsafe_procedure = DROP`), by the tables of `MavCodec.Msp.Params` for the version.
+  Settings of a profile count if it is the one that the file selects at its end. What is not a number there, words that
+  the version does not have, and lines of other commands (`feature`, `aux`, `serial` …), are left out, with remarks that
+  say so.
   """
 
   alias MavCodec.Msp.{Message, Params}
@@ -12,7 +14,7 @@ defmodule Aerie.Control.Params.File.CommandLine do
   @set ~r/\Aset\s+(\S+)\s*=\s*(.*?)\s*\z/
   @profile ~r/\A(profile|rateprofile|control_profile|battery_profile|mixer_profile)\s+(\d{1,2})\z/
   @header ~r/^# (Betaflight|INAV|iNav)\b(?:[^\n]*?\s(?:20)?(\d{1,2}\.\d{1,2})\b)?/m
-  # Of the session with the command line, not of the vehicle.
+  # These belong to the session with the command line, not to the vehicle.
   @silent ~w(diff dump defaults batch save exit version board_name manufacturer_id mcu_id signature board_info)
   @named 5
 

@@ -77,7 +77,7 @@ defmodule Aerie.Control.Policy.Mavlink.Place do
   defp axis(value) when is_number(value), do: value
   defp axis(_not_finite), do: nil
 
-  @doc "A number, 0 for what is none."
+  @doc "A number, 0 for anything else."
   @spec number(term()) :: number()
   def number(value) when is_number(value), do: value
   def number(_not_finite), do: 0.0

@@ -1,5 +1,8 @@
 defmodule Aerie.Control.Policy.Mavlink.Request do
-  @moduledoc "COMMAND_LONG, COMMAND_INT and the items of a mission, brought to one form: a command of MAV_CMD, its parameters, and its place."
+  @moduledoc """
+  COMMAND_LONG, COMMAND_INT and the items of a mission, brought to one form: a command of MAV_CMD, its parameters, and
+  its place.
+  """
 
   alias Authority.Commands.Numbers
   alias Aerie.Control.Policy.Intent
@@ -14,8 +17,8 @@ defmodule Aerie.Control.Policy.Mavlink.Request do
   defstruct [:command, :params, :path, :frame?]
 
   @typedoc """
-  `:params` by their number, as they came; `:path` leads to the place that the parameters 5 to 7 name; `:frame?` - whether the message says
-  what its height is above.
+  `:params` by their number, as they came; `:path` leads to the place that the parameters 5 to 7 name; `:frame?` -
+  whether the message says what its height is above.
   """
   @type t :: %__MODULE__{
           command: non_neg_integer(),
@@ -79,7 +82,7 @@ defmodule Aerie.Control.Policy.Mavlink.Request do
   defp int(@unset), do: :nan
   defp int(value), do: value
 
-  @doc "The integer that a parameter is, nil for one that is none."
+  @doc "The parameter as an integer, nil if it is not one."
   @spec int(t(), 1..7) :: integer() | nil
   def int(request, index) do
     case Numbers.integer(request.params[index]) do
@@ -88,7 +91,7 @@ defmodule Aerie.Control.Policy.Mavlink.Request do
     end
   end
 
-  @doc "A parameter as a number, 0 for what is none."
+  @doc "A parameter as a number, 0 if it is not one."
   @spec number(t(), 1..7) :: number()
   def number(request, index), do: Place.number(request.params[index])
 

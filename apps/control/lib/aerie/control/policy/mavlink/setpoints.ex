@@ -2,11 +2,12 @@ defmodule Aerie.Control.Policy.Mavlink.Setpoints do
   @moduledoc """
   SET_POSITION_TARGET_GLOBAL_INT and _LOCAL_NED: where they lead, as the vehicle's firmware reads their masks.
 
-  ArduPilot (`handle_message_set_position_target_*` of GCS_MAVLINK_Copter, _Rover, _Plane, _Sub) takes no notice of a position, a velocity or
-  an acceleration of which one axis is masked. With a position and a velocity it flies to the place and on from there; an acceleration
-  makes a velocity grow for as long as it is flown. A rover with a yaw or a rate besides drives where that points. A plane takes only the
-  height, whatever the mask says. PX4 (`MavlinkReceiver::handle_message_set_position_target_*`) goes by axis, and takes NaN for masked. Of an
-  unknown firmware each reading is judged. Besides, the place and the velocity that the message names are judged as they are.
+  ArduPilot (`handle_message_set_position_target_*` of GCS_MAVLINK_Copter, _Rover, _Plane, _Sub) takes no notice of a
+  position, a velocity or an acceleration of which one axis is masked. With a position and a velocity it flies to the
+  place and on from there; an acceleration makes a velocity grow for as long as it is flown. A rover with a yaw or a
+  rate besides drives where that points. A plane takes only the height, whatever the mask says. PX4
+  (`MavlinkReceiver::handle_message_set_position_target_*`) goes by axis, and takes NaN for masked. Each reading is
+  judged for an unknown firmware. Besides, the place and the velocity that the message names are judged as they are.
   """
 
   import Bitwise

@@ -1,8 +1,8 @@
 defmodule Aerie.Control.Policy.Rules.Altitude do
   @moduledoc """
   Heights that a command may ask for: at most `max_altitude` and at least `min_altitude` above home, at most
-  `max_altitude_msl` above mean sea level. Above home means above where the vehicle took off, too, so that nobody lifts a limit by moving
-  home. A command that leaves the vehicle at its height is not judged.
+  `max_altitude_msl` above mean sea level. Above home also means above where the vehicle took off, so that nobody lifts
+  a limit by moving home. A command that leaves the vehicle at its height is not judged.
   """
 
   @behaviour Aerie.Control.Policy.Rules.Rule

@@ -1,7 +1,7 @@
 defmodule Aerie.Control.Policy.Rules.Condition do
   @moduledoc """
-  Some commands are allowed only while the vehicle is armed or not, in the air or not. On the ground, what may make the vehicle
-  take off or arm must meet the conditions of `takeoff` and `arm`, too.
+  Some commands are allowed only while the vehicle is armed or not, in the air or not. On the ground, what may make the
+  vehicle take off or arm must meet the conditions of `takeoff` and `arm` as well.
   """
 
   @behaviour Aerie.Control.Policy.Rules.Rule

@@ -1,6 +1,6 @@
 defmodule Aerie.Control.Policy.Rules.Role do
   @moduledoc """
-  The source must have the permission that the command needs (`Aerie.Control.Policy.Roles`). Who moves home or the origin
+  The source must have the permission that the command needs (`Aerie.Control.Policy.Roles`). Moving home or the origin
   of a vehicle that may be flying changes where it returns to and what its heights are measured from: that needs
   `protection` as well. A vehicle with MSP is armed and steered by channels in the place of its pilot's, which needs
   `receiver`; `motors` is for turning its motors. One whose firmware is not known may be such a vehicle, but `rtl` and

@@ -1,8 +1,8 @@
 defmodule Aerie.Control.Policy.Rules.Window do
   @moduledoc """
-  Some commands are allowed at some times only: where windows name a type, one of them must be open. Times are UTC; a window
-  whose end is before its start goes over midnight and belongs to the day on which it starts. On the ground, what may make the
-  vehicle take off or arm needs the windows of `takeoff` and `arm`, too.
+  Some commands are allowed at some times only: where windows name a type, one of them must be open. Times are UTC; a
+  window whose end is before its start goes over midnight and belongs to the day on which it starts. On the ground, what
+  may make the vehicle take off or arm needs the windows of `takeoff` and `arm` as well.
   """
 
   @behaviour Aerie.Control.Policy.Rules.Rule

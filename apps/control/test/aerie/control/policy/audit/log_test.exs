@@ -156,7 +156,7 @@ defmodule Aerie.Control.Policy.Audit.LogTest do
     end
   end
 
-  test "what was tampered with is not repaired: it stays, is told in the log, and a new file goes on behind it",
+  test "what was tampered with is not repaired: it stays, the log says so, and a new file goes on behind it",
        %{
          tmp_dir: dir
        } do

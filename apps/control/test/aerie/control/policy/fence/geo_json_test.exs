@@ -52,7 +52,7 @@ defmodule Aerie.Control.Policy.Fence.GeoJsonTest do
     refute Zone.over?(tower, Earth.point(47.05, 8.0508))
   end
 
-  test "a feature or a geometry alone is a fence, too" do
+  test "a feature or a geometry alone is also a fence" do
     for alone <- [square(), %{"type" => "Polygon", "coordinates" => @square}],
         do: assert({:ok, [%Zone{}]} = alone |> JSON.encode!() |> GeoJson.parse())
   end

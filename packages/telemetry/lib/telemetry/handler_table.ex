@@ -41,13 +41,6 @@ defmodule Telemetry.HandlerTable do
       []
   end
 
-  @spec by_prefix(:telemetry.event_prefix()) :: [:telemetry.handler()]
-  def by_prefix(prefix) do
-    for {event_name, id, function, config} <- :ets.tab2list(@table), List.starts_with?(event_name, prefix) do
-      %{id: id, event_name: event_name, function: function, config: config}
-    end
-  end
-
   @doc "Makes the table, which belongs to the calling process."
   @spec create() :: :ok
   def create do

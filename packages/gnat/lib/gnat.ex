@@ -10,17 +10,11 @@ defmodule Gnat do
         {:msg, %{topic: "fleet.news", body: "hello"}} -> :ok
       end
 
-  One connection is one process. It ends when the connection does, with the reason `{:shutdown, %Gnat.Error{}}`. Functions called
-  without a connection return `{:error, %Gnat.Error{reason: :not_connected}}`.
+  One connection is one process. It ends when the connection does, with the reason `{:shutdown, %Gnat.Error{}}`.
+  Functions called without a connection return `{:error, %Gnat.Error{reason: :not_connected}}`.
 
-  Telemetry events, each after the function has returned; `latency` in native units:
-
-  | event | measurements | metadata |
-  |---|---|---|
-  | `[:gnat, :pub]`, `[:gnat, :sub]`, `[:gnat, :request]`, `[:gnat, :request_multi]` | `latency` | `topic` |
-  | `[:gnat, :unsub]` | `latency` | |
-  | `[:gnat, :message_received]` | `count` (1) | `topic` |
-  | `[:gnat, :server_error]` | `count` (1) | `message` |
+  Each error that the server reports is the telemetry event `[:gnat, :server_error]`, with `count: 1` and its text as
+  `message`.
   """
 
   alias Gnat.{Command, Connection, Error, Handshake, Headers}
@@ -65,8 +59,6 @@ defmodule Gnat do
     * `username` and `password`, or `token`, or `nkey_seed`, or `jwt` and `nkey_seed`
     * `auth_required` - send credentials even if the server does not ask; default false
     * `no_responders` - a request without any subscriber fails at once; default false
-    * `headers` - default true
-    * `inbox_prefix` - subject prefix of the answers to requests, default `"_INBOX."`
     * `name` - shown by the server's monitoring
   """
   @type connection_settings :: %{
@@ -85,8 +77,6 @@ defmodule Gnat do
           optional(:jwt) => String.t(),
           optional(:auth_required) => boolean(),
           optional(:no_responders) => boolean(),
-          optional(:headers) => boolean(),
-          optional(:inbox_prefix) => String.t(),
           optional(:name) => String.t()
         }
 
@@ -125,12 +115,8 @@ defmodule Gnat do
   With `queue_group: name` each message goes to one member of the group only. The subscription ends with the process.
   """
   @spec sub(t(), pid(), String.t(), queue_group: String.t()) :: {:ok, sid()} | {:error, Error.t()}
-  def sub(gnat, subscriber, topic, opts \\ []) do
-    started = System.monotonic_time()
-    result = call(gnat, {:sub, subscriber, topic, opts[:queue_group]})
-    measure(:sub, started, %{topic: topic})
-    result
-  end
+  def sub(gnat, subscriber, topic, opts \\ []),
+    do: call(gnat, {:sub, subscriber, topic, opts[:queue_group]})
 
   @doc """
   Publishes. `:ok` means written to the connection; only a request or JetStream shows whether somebody received it.
@@ -140,17 +126,11 @@ defmodule Gnat do
   """
   @spec pub(t(), String.t(), iodata(), reply_to: String.t(), headers: headers()) :: :ok | {:error, Error.t()}
   def pub(gnat, topic, message, opts \\ []) do
-    started = System.monotonic_time()
     headers = opts[:headers] || []
 
-    result =
-      with {:ok, command, size} <- Command.pub(topic, message, opts[:reply_to], headers),
-           [result] <- call(gnat, {:pub, [{command, size, headers != []}]}) do
-        result
-      end
-
-    measure(:pub, started, %{topic: topic})
-    result
+    with {:ok, command, size} <- Command.pub(topic, message, opts[:reply_to], headers),
+         [result] <- call(gnat, {:pub, [{command, size, headers != []}]}),
+         do: result
   end
 
   @doc """
@@ -159,12 +139,10 @@ defmodule Gnat do
   """
   @spec pub_all(t(), [{String.t(), iodata()}]) :: [:ok | {:error, Error.t()}]
   def pub_all(gnat, messages) do
-    started = System.monotonic_time()
     built = for {topic, message} <- messages, do: Command.pub(topic, message, nil, [])
     commands = for {:ok, command, size} <- built, do: {command, size, false}
     sent = if commands == [], do: [], else: call(gnat, {:pub, commands})
     sent = with {:error, _} = error <- sent, do: List.duplicate(error, length(commands))
-    for {topic, _message} <- messages, do: measure(:pub, started, %{topic: topic})
     results(built, sent)
   end
 
@@ -184,50 +162,43 @@ defmodule Gnat do
   @spec request(t(), String.t(), iodata(), receive_timeout: timeout(), headers: headers()) ::
           {:ok, message()} | {:error, :timeout | :no_responders | Error.t()}
   def request(gnat, topic, body, opts \\ []) do
-    started = System.monotonic_time()
+    timeout = Keyword.get(opts, :receive_timeout, 60_000)
+    headers = Keyword.get(opts, :headers, [])
 
-    result =
-      with {:ok, [answer]} <- ask(gnat, topic, body, opts, 1) do
-        {:ok, answer}
-      else
-        {:ok, []} -> {:error, :timeout}
-        {:error, _} = error -> error
+    with :ok <- Command.check(topic),
+         {:ok, _block} <- Headers.encode(headers),
+         {:ok, pid} <- whereis(gnat) do
+      alias = Process.monitor(pid, alias: :demonitor)
+
+      try do
+        with {:ok, inbox} <- call(pid, {:request, alias, {topic, body, headers}}),
+             do: answer(alias, timeout, pid, inbox)
+      after
+        Process.demonitor(alias, [:flush])
+        drop(alias)
       end
+    end
+  end
 
-    measure(:request, started, %{topic: topic})
-    result
+  # The answer goes to the monitor's alias. The demonitor ends it, so a late answer is dropped. Every receive matches
+  # the reference made here, so a long mailbox is not searched.
+  defp answer(alias, timeout, pid, inbox) do
+    receive do
+      {^alias, %{status: "503"}} -> {:error, :no_responders}
+      {^alias, message} -> {:ok, message}
+      {:DOWN, ^alias, :process, _pid, reason} -> {:error, lost(reason)}
+    after
+      timeout ->
+        GenServer.cast(pid, {:forget, inbox})
+        {:error, :timeout}
+    end
   end
 
   @doc """
-  Publishes and collects answers until the timeout or until there are enough.
-
-    * `receive_timeout` - milliseconds, default 60000
-    * `max_messages` - default -1: as many as come
-    * `headers`
+  Ends a subscription. An unknown one is not an error.
   """
-  @spec request_multi(t(), String.t(), iodata(),
-          receive_timeout: timeout(),
-          max_messages: integer(),
-          headers: headers()
-        ) :: {:ok, [message()]} | {:error, :no_responders | Error.t()}
-  def request_multi(gnat, topic, body, opts \\ []) do
-    started = System.monotonic_time()
-    result = ask(gnat, topic, body, opts, Keyword.get(opts, :max_messages, -1))
-    measure(:request_multi, started, %{topic: topic})
-    result
-  end
-
-  @doc """
-  Ends a subscription: now, or when it has received `max_messages: n` messages, counted from its beginning.
-  An unknown one is not an error.
-  """
-  @spec unsub(t(), sid() | String.t(), max_messages: pos_integer()) :: :ok | {:error, Error.t()}
-  def unsub(gnat, sid, opts \\ []) do
-    started = System.monotonic_time()
-    result = call(gnat, {:unsub, sid, opts[:max_messages]})
-    measure(:unsub, started, %{})
-    result
-  end
+  @spec unsub(t(), sid()) :: :ok | {:error, Error.t()}
+  def unsub(gnat, sid), do: call(gnat, {:unsub, sid})
 
   @doc "The number of subscriptions, including the connection's own for answers to requests."
   @spec active_subscriptions(t()) :: {:ok, pos_integer()} | {:error, Error.t()}
@@ -248,51 +219,6 @@ defmodule Gnat do
   @spec answer_ms() :: pos_integer()
   def answer_ms, do: Application.get_env(:gnat, :answer_ms, 5_000)
 
-  @doc "Does nothing: the connection pings by itself."
-  @deprecated "The connection pings by itself"
-  @spec ping(t()) :: :ok
-  def ping(_gnat), do: :ok
-
-  # The answers go to the monitor's alias. The demonitor ends it, so late answers are dropped. Every receive matches the
-  # reference made here, so a long mailbox is not searched.
-  defp ask(gnat, topic, body, opts, max) do
-    timeout = Keyword.get(opts, :receive_timeout, 60_000)
-    headers = Keyword.get(opts, :headers, [])
-    count = if max == 1, do: :one, else: :many
-
-    with :ok <- Command.check(topic),
-         {:ok, _block} <- Headers.encode(headers),
-         {:ok, pid} <- whereis(gnat) do
-      alias = Process.monitor(pid, alias: :demonitor)
-
-      try do
-        with {:ok, inbox} <- call(pid, {:request, alias, count, {topic, body, headers}}) do
-          result = collect(alias, expiry(timeout), max, [])
-          unless answered?(count, result), do: GenServer.cast(pid, {:unsub, inbox})
-          result
-        end
-      after
-        Process.demonitor(alias, [:flush])
-        drop(alias)
-      end
-    end
-  end
-
-  defp answered?(:one, {:ok, [_]}), do: true
-  defp answered?(_count, _result), do: false
-
-  defp collect(_alias, _expiry, 0, answers), do: {:ok, Enum.reverse(answers)}
-
-  defp collect(alias, expiry, left, answers) do
-    receive do
-      {^alias, %{status: "503"}} -> {:error, :no_responders}
-      {^alias, message} -> collect(alias, expiry, left - 1, [message | answers])
-      {:DOWN, ^alias, :process, _pid, reason} -> {:error, lost(reason)}
-    after
-      left(expiry) -> {:ok, Enum.reverse(answers)}
-    end
-  end
-
   defp drop(alias) do
     receive do
       {^alias, _message} -> drop(alias)
@@ -300,12 +226,6 @@ defmodule Gnat do
       0 -> :ok
     end
   end
-
-  defp expiry(:infinity), do: :infinity
-  defp expiry(timeout), do: System.monotonic_time(:millisecond) + timeout
-
-  defp left(:infinity), do: :infinity
-  defp left(expiry), do: max(expiry - System.monotonic_time(:millisecond), 0)
 
   defp whereis(gnat) do
     case GenServer.whereis(gnat) do
@@ -324,8 +244,4 @@ defmodule Gnat do
   defp lost({:shutdown, %Error{} = error}), do: error
   defp lost(:timeout), do: Error.new(:timeout)
   defp lost(_noproc_or_other), do: Error.new(:not_connected)
-
-  defp measure(event, started, metadata) do
-    :telemetry.execute([:gnat, event], %{latency: System.monotonic_time() - started}, metadata)
-  end
 end

@@ -57,7 +57,6 @@ defmodule GnatTest do
             {%{hots: "a"}, "unknown key :hots"},
             {%{port: 0}, ":port must be 1 to 65535, got: 0"},
             {%{tls: :yes}, ":tls must be true or false"},
-            {%{inbox_prefix: "x"}, ":inbox_prefix must be a subject that ends with a dot"},
             {%{password: :secret}, ":password must be a string"},
             {%{ping_interval: 0}, ":ping_interval must be 1 to 86400000 ms"},
             {%{host: ""}, ":host must be"}
@@ -156,27 +155,6 @@ defmodule GnatTest do
       refute_received {:msg, _}
       assert :ok = Gnat.unsub(gnat, sid)
       assert :ok = Gnat.unsub(gnat, 4711)
-    end
-
-    test "unsub with max_messages counts from the beginning of the subscription", %{gnat: gnat, topic: topic} do
-      {:ok, sid} = Gnat.sub(gnat, self(), topic)
-      :ok = Gnat.pub(gnat, topic, "1")
-      assert_receive {:msg, %{body: "1"}}
-      :ok = Gnat.unsub(gnat, sid, max_messages: 3)
-      for n <- 2..5, do: :ok = Gnat.pub(gnat, topic, "#{n}")
-      :ok = Gnat.flush(gnat)
-      assert_received {:msg, %{body: "2"}}
-      assert_received {:msg, %{body: "3"}}
-      refute_received {:msg, _}
-      assert {:ok, 1} = Gnat.active_subscriptions(gnat)
-    end
-
-    test "max_messages below the number received ends it at once", %{gnat: gnat, topic: topic} do
-      {:ok, sid} = Gnat.sub(gnat, self(), topic)
-      for n <- 1..2, do: :ok = Gnat.pub(gnat, topic, "#{n}")
-      assert_receive {:msg, %{body: "2"}}
-      :ok = Gnat.unsub(gnat, sid, max_messages: 1)
-      assert {:ok, 1} = Gnat.active_subscriptions(gnat)
     end
 
     test "subscriptions end with their process", %{gnat: gnat, topic: topic} do
@@ -292,13 +270,11 @@ defmodule GnatTest do
 
     test "without a subscriber: an error at once with no_responders", %{gnat: gnat} do
       assert {:error, :no_responders} = Gnat.request(gnat, unique("nobody"), "x")
-      assert {:error, :no_responders} = Gnat.request_multi(gnat, unique("nobody"), "x", max_messages: 2)
     end
 
     test "without a subscriber: a timeout otherwise", %{server: server} do
       {:ok, gnat} = Gnat.start_link(NatsServer.settings(server))
       assert {:error, :timeout} = Gnat.request(gnat, unique("nobody"), "x", receive_timeout: 20)
-      assert {:ok, []} = Gnat.request_multi(gnat, unique("nobody"), "x", receive_timeout: 20)
     end
 
     test "a late answer is dropped", %{gnat: gnat} do
@@ -309,19 +285,6 @@ defmodule GnatTest do
       :ok = Gnat.pub(gnat, inbox, "late")
       :ok = Gnat.flush(gnat)
       refute_received _anything
-    end
-
-    test "request_multi collects up to a number, or until the timeout", %{gnat: gnat, topic: topic} do
-      second = spawn_link(fn -> echo() end)
-      {:ok, _} = Gnat.sub(gnat, second, topic)
-      assert {:ok, [%{body: "a"}, %{body: "a"}]} = Gnat.request_multi(gnat, topic, "a", max_messages: 2)
-      assert {:ok, [%{body: "a"}]} = Gnat.request_multi(gnat, topic, "a", max_messages: 1)
-
-      # On a busy machine a second may be too short for an answer.
-      for more <- [[], [headers: [{"a", "b"}]]] do
-        options = [receive_timeout: 1_000] ++ more
-        eventually(fn -> match?({:ok, [_, _]}, Gnat.request_multi(gnat, topic, "a", options)) end)
-      end
     end
 
     test "of a process that dies are forgotten", %{gnat: gnat} do
@@ -404,7 +367,6 @@ defmodule GnatTest do
       assert Gnat.sub(gnat, self(), "a") == error
       assert Gnat.unsub(gnat, 1) == error
       assert Gnat.request(gnat, "a", "b") == error
-      assert Gnat.request_multi(gnat, "a", "b") == error
       assert Gnat.active_subscriptions(gnat) == error
       assert Gnat.flush(gnat) == error
       assert Gnat.pub(:nobody_has_this_name, "a", "b") == error
@@ -435,27 +397,6 @@ defmodule GnatTest do
       :ok = NatsServer.kill(server)
       assert_receive {:EXIT, ^gnat, {:shutdown, %Error{reason: reason}}}
       assert reason == :closed or match?({:transport, _}, reason)
-    end
-  end
-
-  describe "telemetry" do
-    test "has an event for each function and message", %{gnat: gnat, topic: topic} do
-      for name <- [:sub, :pub, :unsub, :request, :request_multi, :message_received],
-          do: telemetry([:gnat, name])
-
-      {:ok, sid} = Gnat.sub(gnat, self(), topic)
-      :ok = Gnat.pub(gnat, topic, "x")
-      assert_receive {:msg, _}
-      :ok = Gnat.unsub(gnat, sid)
-      Gnat.request(gnat, topic, "x")
-      Gnat.request_multi(gnat, topic, "x")
-
-      for name <- [:sub, :pub, :request, :request_multi] do
-        assert_receive {:telemetry, [:gnat, ^name], %{latency: latency}, %{topic: ^topic}} when latency > 0
-      end
-
-      assert_receive {:telemetry, [:gnat, :unsub], %{latency: _}, _}
-      assert_receive {:telemetry, [:gnat, :message_received], %{count: 1}, %{topic: ^topic}}
     end
   end
 end

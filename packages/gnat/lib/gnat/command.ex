@@ -46,10 +46,8 @@ defmodule Gnat.Command do
     end
   end
 
-  @doc "UNSUB, at once or after `max` messages in all."
-  @spec unsub(non_neg_integer(), pos_integer() | nil) :: iodata()
-  def unsub(sid, nil), do: ["UNSUB ", Integer.to_string(sid), "\r\n"]
-  def unsub(sid, max), do: ["UNSUB ", Integer.to_string(sid), ?\s, Integer.to_string(max), "\r\n"]
+  @spec unsub(non_neg_integer()) :: iodata()
+  def unsub(sid), do: ["UNSUB ", Integer.to_string(sid), "\r\n"]
 
   @spec connect(map()) :: iodata()
   def connect(options), do: ["CONNECT ", JSON.encode_to_iodata!(options), "\r\n"]

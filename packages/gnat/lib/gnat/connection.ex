@@ -34,7 +34,7 @@ defmodule Gnat.Connection do
   @impl GenServer
   def init(%Handshake{info: info, settings: settings} = handshake) do
     Process.set_label({:gnat, settings.host, settings.port})
-    {session, [{:write, subscribe}]} = Session.new(info, settings.inbox_prefix)
+    {session, [{:write, subscribe}]} = Session.new(info)
 
     # Before anybody can use the name: a request must not overtake the subscription for its answer. If this fails,
     # activating the socket fails too.
@@ -45,7 +45,7 @@ defmodule Gnat.Connection do
        transport: handshake.transport,
        parser: handshake.parser,
        session: session,
-       headers: settings.headers and info[:headers] == true,
+       headers: info[:headers] == true,
        ping_interval: settings.ping_interval,
        monitors: %{},
        last_server_error: nil
@@ -58,7 +58,7 @@ defmodule Gnat.Connection do
     activate(state)
   end
 
-  def handle_cast({:unsub, sid}, state), do: session({:unsub, sid, nil}, state)
+  def handle_cast({:forget, inbox}, state), do: session({:forget, inbox}, state)
 
   @impl GenServer
   def handle_call({:pub, commands}, from, state) do
@@ -79,12 +79,10 @@ defmodule Gnat.Connection do
     session({:sub, from, pid, subject, queue_group}, state)
   end
 
-  def handle_call({:unsub, sid, max}, from, state) do
-    event({:unsub, sid, max}, state, [{:reply, from, :ok}])
-  end
+  def handle_call({:unsub, sid}, from, state), do: event({:unsub, sid}, state, [{:reply, from, :ok}])
 
-  def handle_call({:request, to, count, {topic, body, headers}}, {pid, _tag}, state) do
-    {session, inbox, actions} = Session.request(state.session, to, pid, count)
+  def handle_call({:request, to, {topic, body, headers}}, {pid, _tag}, state) do
+    {session, inbox, actions} = Session.request(state.session, to, pid)
 
     with {:ok, command, size} <- Command.pub(topic, body, inbox, headers),
          :ok <- sendable(state, {command, size, headers != []}) do
@@ -166,11 +164,6 @@ defmodule Gnat.Connection do
 
   defp action({:send, to, message}, state) do
     send(to, message)
-    {:ok, state}
-  end
-
-  defp action({:received, topic}, state) do
-    :telemetry.execute([:gnat, :message_received], %{count: 1}, %{topic: topic})
     {:ok, state}
   end
 

@@ -82,7 +82,7 @@ defmodule Gnat.Handshake do
   end
 
   defp options(info, settings, transport) do
-    headers? = settings.headers and info[:headers] == true
+    headers? = info[:headers] == true
 
     with {:ok, auth} <- Auth.options(info, settings) do
       {:ok,

@@ -7,7 +7,7 @@ defmodule Gnat.Session do
     * `{:write, iodata}` to the server
     * `{:send, to, message}` to a process or an alias
     * `{:monitor, pid}`, `{:demonitor, pid}`
-    * `{:received, subject}`, `{:server_error, text}` for telemetry
+    * `{:server_error, text}` for telemetry
     * `{:reply, from, term}` to a caller
     * `{:stop, error}`: this connection is over
   """
@@ -29,14 +29,13 @@ defmodule Gnat.Session do
     heard: true
   ]
 
-  @typep sub :: %{pid: pid(), received: non_neg_integer(), max: pos_integer() | :infinity}
-  @typep request :: %{to: reference(), pid: pid(), count: :one | :many}
+  @typep request :: %{to: reference(), pid: pid()}
 
   @type t :: %__MODULE__{
           info: Gnat.server_info(),
           inbox: String.t(),
           next_sid: pos_integer(),
-          subs: %{pos_integer() => sub()},
+          subs: %{pos_integer() => pid()},
           requests: %{String.t() => request()},
           owned: %{pid() => MapSet.t()},
           pongs: :queue.queue(),
@@ -47,7 +46,6 @@ defmodule Gnat.Session do
           {:write, iodata()}
           | {:send, pid() | reference(), term()}
           | {:monitor | :demonitor, pid()}
-          | {:received, String.t()}
           | {:server_error, String.t()}
           | {:reply, GenServer.from(), term()}
           | {:stop, Error.t()}
@@ -55,16 +53,17 @@ defmodule Gnat.Session do
   @type event ::
           {:message, Gnat.Parsec.message()}
           | {:sub, GenServer.from(), pid(), String.t(), String.t() | nil}
-          | {:unsub, non_neg_integer() | String.t(), pos_integer() | nil}
+          | {:unsub, non_neg_integer()}
+          | {:forget, inbox :: String.t()}
           | {:flush, GenServer.from()}
           | {:down, pid()}
           | :heard
           | :tick
 
   @doc "A session on a connection whose INFO was `info`; the write subscribes the inbox that answers come to."
-  @spec new(Gnat.server_info(), inbox_prefix :: String.t()) :: {t(), [action()]}
-  def new(info, inbox_prefix) do
-    inbox = inbox_prefix <> unique() <> "."
+  @spec new(Gnat.server_info()) :: {t(), [action()]}
+  def new(info) do
+    inbox = "_INBOX." <> unique() <> "."
     {:ok, command} = Command.sub(inbox <> "*", @inbox_sid, nil)
     {%__MODULE__{info: info, inbox: inbox, pongs: :queue.new()}, [{:write, command}]}
   end
@@ -85,13 +84,13 @@ defmodule Gnat.Session do
   def check_size(_session, _size), do: :ok
 
   @doc """
-  A new inbox for the answer to one request, or for its answers. They are sent to the alias `to` as `{to, message}`
-  until `{:unsub, inbox, nil}`, the first answer (`:one`) or the end of `pid`.
+  A new inbox for the answer to one request. The first is sent to the alias `to` as `{to, message}`, unless
+  `{:forget, inbox}` or the end of `pid` comes before.
   """
-  @spec request(t(), reference(), pid(), :one | :many) :: {t(), inbox :: String.t(), [action()]}
-  def request(session, to, pid, count) do
+  @spec request(t(), reference(), pid()) :: {t(), inbox :: String.t(), [action()]}
+  def request(session, to, pid) do
     inbox = session.inbox <> unique()
-    requests = Map.put(session.requests, inbox, %{to: to, pid: pid, count: count})
+    requests = Map.put(session.requests, inbox, %{to: to, pid: pid})
     {session, actions} = own(%{session | requests: requests}, pid, inbox)
     {session, inbox, actions}
   end
@@ -105,7 +104,7 @@ defmodule Gnat.Session do
 
     case Command.sub(subject, sid, queue_group) do
       {:ok, command} ->
-        subs = Map.put(session.subs, sid, %{pid: pid, received: 0, max: :infinity})
+        subs = Map.put(session.subs, sid, pid)
         {session, actions} = own(%{session | subs: subs, next_sid: sid + 1}, pid, sid)
         {session, actions ++ [{:write, command}, {:reply, from, {:ok, sid}}]}
 
@@ -114,19 +113,16 @@ defmodule Gnat.Session do
     end
   end
 
-  def handle(session, {:unsub, inbox, _max}) when is_binary(inbox), do: end_request(session, inbox)
+  def handle(session, {:forget, inbox}), do: end_request(session, inbox)
 
-  def handle(session, {:unsub, sid, max}) do
-    case session.subs do
-      %{^sid => %{received: received} = sub} when is_integer(max) and received < max ->
-        {%{session | subs: %{session.subs | sid => %{sub | max: max}}}, [{:write, Command.unsub(sid, max)}]}
-
-      %{^sid => _sub} ->
-        {session, actions} = end_sub(session, sid)
-        {session, [{:write, Command.unsub(sid, nil)} | actions]}
-
-      _unknown ->
+  def handle(session, {:unsub, sid}) do
+    case Map.pop(session.subs, sid) do
+      {nil, _subs} ->
         {session, []}
+
+      {pid, subs} ->
+        {session, actions} = disown(%{session | subs: subs}, pid, sid)
+        {session, [{:write, Command.unsub(sid)} | actions]}
     end
   end
 
@@ -139,7 +135,7 @@ defmodule Gnat.Session do
     {mine, owned} = Map.pop(session.owned, pid, MapSet.new())
     {sids, inboxes} = mine |> MapSet.to_list() |> Enum.split_with(&is_integer/1)
     session = %{session | owned: owned, subs: Map.drop(session.subs, sids)}
-    writes = for sid <- sids, do: {:write, Command.unsub(sid, nil)}
+    writes = for sid <- sids, do: {:write, Command.unsub(sid)}
     {%{session | requests: Map.drop(session.requests, inboxes)}, writes}
   end
 
@@ -194,38 +190,20 @@ defmodule Gnat.Session do
   # A message may still be on its way when UNSUB is sent: not an error.
   defp deliver(session, sid, message) do
     case session.subs do
-      %{^sid => %{pid: pid, received: received, max: max} = sub} ->
-        actions = [{:received, message.topic}, {:send, pid, {:msg, message}}]
-
-        if received + 1 >= max do
-          {session, ended} = end_sub(session, sid)
-          {session, actions ++ ended}
-        else
-          {%{session | subs: %{session.subs | sid => %{sub | received: received + 1}}}, actions}
-        end
-
-      _ended ->
-        {session, []}
+      %{^sid => pid} -> {session, [{:send, pid, {:msg, message}}]}
+      _ended -> {session, []}
     end
   end
 
   defp answer(session, inbox, message) do
     case session.requests do
-      %{^inbox => %{to: to, count: :many}} ->
-        {session, [{:send, to, {to, message}}]}
-
-      %{^inbox => %{to: to, count: :one}} ->
+      %{^inbox => %{to: to}} ->
         {session, ended} = end_request(session, inbox)
         {session, [{:send, to, {to, message}} | ended]}
 
       _late ->
         {session, []}
     end
-  end
-
-  defp end_sub(session, sid) do
-    {%{pid: pid}, subs} = Map.pop!(session.subs, sid)
-    disown(%{session | subs: subs}, pid, sid)
   end
 
   defp end_request(session, inbox) do

@@ -12,9 +12,7 @@ defmodule Gnat.Settings do
     connection_timeout: 3_000,
     send_timeout: 10_000,
     ping_interval: 10_000,
-    inbox_prefix: "_INBOX.",
     no_responders: false,
-    headers: true,
     auth_required: false
   }
 
@@ -53,7 +51,7 @@ defmodule Gnat.Settings do
   defp ok?(:port, port), do: is_integer(port) and port in 1..65_535
   defp ok?(key, list) when key in [:tcp_opts, :ssl_opts], do: is_list(list)
 
-  defp ok?(key, flag) when key in [:tls, :no_responders, :headers, :auth_required] do
+  defp ok?(key, flag) when key in [:tls, :no_responders, :auth_required] do
     is_boolean(flag)
   end
 
@@ -61,7 +59,6 @@ defmodule Gnat.Settings do
     is_integer(ms) and ms in 1..86_400_000
   end
 
-  defp ok?(:inbox_prefix, prefix), do: Gnat.Command.check(prefix) == :ok and String.ends_with?(prefix, ".")
   defp ok?(_text, value), do: is_binary(value)
 
   # The value is not shown where it may be a secret.
@@ -73,9 +70,8 @@ defmodule Gnat.Settings do
   defp kind(:host), do: "a host name or an address"
   defp kind(:port), do: "1 to 65535"
   defp kind(key) when key in [:tcp_opts, :ssl_opts], do: "a list of options"
-  defp kind(key) when key in [:tls, :no_responders, :headers, :auth_required], do: "true or false"
+  defp kind(key) when key in [:tls, :no_responders, :auth_required], do: "true or false"
   defp kind(key) when key in [:connection_timeout, :send_timeout, :ping_interval], do: "1 to 86400000 ms"
-  defp kind(:inbox_prefix), do: "a subject that ends with a dot"
   defp kind(_text), do: "a string"
 
   defp wrong(text), do: {:error, Error.new({:settings, text})}

@@ -7,7 +7,7 @@ defmodule Gnat.SessionTest do
   @from {:caller, :tag}
 
   setup do
-    {session, [{:write, sub}]} = Session.new(%{max_payload: 10}, "_INBOX.")
+    {session, [{:write, sub}]} = Session.new(%{max_payload: 10})
     assert IO.iodata_to_binary(sub) =~ ~r/\ASUB _INBOX\.\S+\.\* 0\r\n\z/
     {:ok, session: session, other: spawn(fn -> :ok end)}
   end
@@ -60,10 +60,10 @@ defmodule Gnat.SessionTest do
       {[first, second], session} = run(session, [{:sub, @from, pid, "a", nil}, {:sub, @from, pid, "b", "q"}])
       assert [{:monitor, ^pid}, {:write, _}, {:reply, @from, {:ok, 1}}] = first
       assert [{:write, _}, {:reply, @from, {:ok, 2}}] = second
-      {session, inbox, []} = Session.request(session, make_ref(), pid, :one)
+      {session, inbox, []} = Session.request(session, make_ref(), pid)
 
       {[unsub, ended, last], session} =
-        run(session, [{:unsub, 1, nil}, {:unsub, inbox, nil}, {:unsub, 2, nil}])
+        run(session, [{:unsub, 1}, {:forget, inbox}, {:unsub, 2}])
 
       assert written(unsub) == ["UNSUB 1\r\n"]
       assert ended == []
@@ -72,7 +72,7 @@ defmodule Gnat.SessionTest do
     end
 
     test "take all they own with them", %{session: session, other: pid} do
-      {session, _inbox, _} = Session.request(session, make_ref(), pid, :many)
+      {session, _inbox, _} = Session.request(session, make_ref(), pid)
 
       {[_, _, gone], session} =
         run(session, [{:sub, @from, pid, "a", nil}, {:sub, @from, self(), "b", nil}, {:down, pid}])
@@ -88,33 +88,21 @@ defmodule Gnat.SessionTest do
       assert {^session, []} = Session.handle(session, {:message, {:msg, "a", 9, nil, "x"}})
     end
 
-    test "end a subscription with their number", %{session: session} do
-      events = [
-        {:sub, @from, self(), "a", nil},
-        {:unsub, 1, 2},
-        {:message, {:msg, "a", 1, nil, "x"}},
-        {:message, {:msg, "a", 1, nil, "y"}},
-        {:message, {:msg, "a", 1, nil, "z"}}
-      ]
-
-      {[_, unsub, first, last, none], _} = run(session, events)
-      assert written(unsub) == ["UNSUB 1 2\r\n"]
+    test "go to the process that subscribed", %{session: session} do
+      message = {:message, {:msg, "a", 1, nil, "x"}}
+      {[_sub, delivered], _} = run(session, [{:sub, @from, self(), "a", nil}, message])
       me = self()
-      assert [{:received, "a"}, {:send, ^me, {:msg, %{body: "x", sid: 1, reply_to: nil}}}] = first
-      assert [{:received, "a"}, {:send, ^me, {:msg, %{body: "y"}}}, {:demonitor, ^me}] = last
-      assert none == []
+      assert [{:send, ^me, {:msg, %{body: "x", sid: 1, reply_to: nil}}}] = delivered
     end
 
-    test "that answer a request go to its alias, the first one only if one is wanted", %{session: session} do
+    test "that answer a request go to its alias, only the first one", %{session: session} do
       to = make_ref()
-      {session, one, [{:monitor, _}]} = Session.request(session, to, self(), :one)
-      {session, many, []} = Session.request(session, to, self(), :many)
-      answers = for inbox <- [one, one, many, many], do: {:message, {:msg, inbox, 0, nil, inbox}}
-      {[first, late, third, fourth], _} = run(session, answers)
-      assert [{:send, ^to, {^to, %{body: ^one, topic: ^one}}}] = first
+      {session, inbox, [{:monitor, _}]} = Session.request(session, to, self())
+      answer = {:message, {:msg, inbox, 0, nil, "x"}}
+      me = self()
+      {[first, late], _} = run(session, [answer, answer])
+      assert [{:send, ^to, {^to, %{body: "x", topic: ^inbox}}}, {:demonitor, ^me}] = first
       assert late == []
-      assert [{:send, ^to, {^to, %{body: ^many}}}] = third
-      assert [{:send, ^to, {^to, %{body: ^many}}}] = fourth
     end
 
     test "of the server change what is known, or are reported", %{session: session} do

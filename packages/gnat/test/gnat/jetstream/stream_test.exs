@@ -63,17 +63,6 @@ defmodule Gnat.Jetstream.StreamTest do
       assert {:error, %{"code" => 404, "description" => "stream not found"}} = Stream.info(gnat, name)
     end
 
-    test "are purged, whole or one subject", %{gnat: gnat, name: name, stream: stream} do
-      {:ok, _} = Stream.create(gnat, stream)
-      for topic <- ~w(a b b), do: {:ok, _} = store(gnat, "#{name}.#{topic}", topic)
-      assert :ok = Stream.purge(gnat, name, nil, %{filter: name <> ".b"})
-      assert {:ok, %{state: %{messages: 1}}} = Stream.info(gnat, name)
-      assert :ok = Stream.purge(gnat, name)
-      assert {:ok, %{state: %{messages: 0}}} = Stream.info(gnat, name)
-      assert {:error, text} = Stream.purge(gnat, name, nil, %{subject: "x"})
-      assert text =~ "%{filter: subject}"
-    end
-
     test "give single messages", %{gnat: gnat, name: name, stream: stream} do
       {:ok, _} = Stream.create(gnat, stream)
       topic = name <> ".a"
@@ -87,9 +76,6 @@ defmodule Gnat.Jetstream.StreamTest do
                Stream.get_message(gnat, name, %{last_by_subj: topic})
 
       assert {:error, %{"code" => 404}} = Stream.get_message(gnat, name, %{seq: 9})
-
-      assert {:error, "expected either `seq` or `last_by_subj`" <> _} =
-               Stream.get_message(gnat, name, %{seq: 1, last_by_subj: topic})
     end
 
     test "with invalid names or subjects are refused locally", %{gnat: gnat, stream: stream} do
@@ -102,18 +88,5 @@ defmodule Gnat.Jetstream.StreamTest do
       assert {:error, "name must be a string"} = Stream.info(gnat, nil)
       assert {:error, ":subjects must be" <> _} = Stream.create(gnat, %{stream | subjects: "a"})
     end
-  end
-
-  test "a domain is part of the subject of the API" do
-    server =
-      start_supervised!({NatsServer, config: &"jetstream { domain: hub, store_dir: \"#{&1}/js\" }"}, id: :hub)
-
-    {:ok, gnat} = Gnat.start_link(NatsServer.settings(server, %{no_responders: true}))
-    stream = %Stream{name: "D", subjects: ["d"], domain: "hub"}
-    assert {:ok, %{config: %{name: "D"}}} = Stream.create(gnat, stream)
-    assert {:ok, %{streams: ["D"]}} = Stream.list(gnat, domain: "hub")
-    assert {:ok, %{"domain" => "hub"}} = store(gnat, "d", "x")
-    assert {:error, :no_responders} = Stream.info(gnat, "D", "other")
-    assert :ok = Stream.delete(gnat, "D", "hub")
   end
 end

@@ -6,7 +6,7 @@ defmodule Gnat.Jetstream.API.Stream do
       {:ok, %{config: %Stream{}, state: %{messages: 0}}} = Stream.create(gnat, stream)
 
   Fields that are nil are left to the server. Times (`max_age`, `duplicate_window`, `subject_delete_marker_ttl`) are in
-  nanoseconds, sizes in bytes, -1 means unlimited. `domain` is the JetStream domain, not part of the stream.
+  nanoseconds, sizes in bytes, -1 means unlimited.
   """
 
   alias Gnat.Error
@@ -14,70 +14,23 @@ defmodule Gnat.Jetstream.API.Stream do
 
   @enforce_keys [:name, :subjects]
   defstruct ~w(allow_direct allow_msg_ttl allow_rollup_hdrs compression deny_delete deny_purge description discard
-               discard_new_per_subject domain duplicate_window max_age max_bytes max_consumers max_msg_size max_msgs
+               discard_new_per_subject duplicate_window max_age max_bytes max_consumers max_msg_size max_msgs
                max_msgs_per_subject mirror mirror_direct name no_ack num_replicas placement retention sealed sources
                storage subject_delete_marker_ttl subjects template_owner)a
 
-  @type nanoseconds :: non_neg_integer()
-  @type placement :: %{required(:cluster) => String.t(), optional(:tags) => [String.t()]}
-  @type source :: %{required(:name) => String.t(), optional(atom()) => term()}
+  @type t :: %__MODULE__{name: String.t(), subjects: nil | [String.t()]}
 
-  @type t :: %__MODULE__{
-          allow_direct: nil | boolean(),
-          allow_msg_ttl: nil | boolean(),
-          allow_rollup_hdrs: nil | boolean(),
-          compression: nil | String.t(),
-          deny_delete: nil | boolean(),
-          deny_purge: nil | boolean(),
-          description: nil | String.t(),
-          discard: nil | :old | :new,
-          discard_new_per_subject: nil | boolean(),
-          domain: nil | String.t(),
-          duplicate_window: nil | nanoseconds(),
-          max_age: nil | nanoseconds(),
-          max_bytes: nil | integer(),
-          max_consumers: nil | integer(),
-          max_msg_size: nil | integer(),
-          max_msgs: nil | integer(),
-          max_msgs_per_subject: nil | integer(),
-          mirror: nil | source(),
-          mirror_direct: nil | boolean(),
-          name: String.t(),
-          no_ack: nil | boolean(),
-          num_replicas: nil | pos_integer(),
-          placement: nil | placement(),
-          retention: nil | :limits | :workqueue | :interest,
-          sealed: nil | boolean(),
-          sources: nil | [source()],
-          storage: nil | :file | :memory,
-          subject_delete_marker_ttl: nil | nanoseconds(),
-          subjects: nil | [String.t()],
-          template_owner: nil | String.t()
-        }
-
-  @typedoc "Counts and limits of what is stored; `first_ts` and `last_ts` are in year 1 while it is empty."
-  @type state :: %{
-          bytes: non_neg_integer(),
-          consumer_count: non_neg_integer(),
-          deleted: nil | [non_neg_integer()],
-          first_seq: non_neg_integer(),
-          first_ts: DateTime.t() | nil,
-          last_seq: non_neg_integer(),
-          last_ts: DateTime.t() | nil,
-          lost: nil | map(),
-          messages: non_neg_integer(),
-          num_deleted: nil | non_neg_integer(),
-          num_subjects: nil | non_neg_integer(),
-          subjects: nil | %{String.t() => non_neg_integer()}
-        }
-
+  @typedoc """
+  `config` is a `t:t/0` with what the server has filled in. `state` has counts and limits of what is stored
+  (`messages`, `bytes`, `first_seq`, `last_seq` …); its `first_ts` and `last_ts` are in year 1 while it is empty.
+  """
   @type info :: %{
           cluster: nil | map(),
           config: t(),
           created: DateTime.t() | nil,
           mirror: nil | map(),
           sources: nil | [map()],
-          state: state()
+          state: map()
         }
 
   @type streams :: %{
@@ -108,40 +61,19 @@ defmodule Gnat.Jetstream.API.Stream do
   def update(conn, %__MODULE__{} = stream), do: put(conn, stream, "UPDATE")
 
   @doc "Deletes a stream with all its messages."
-  @spec delete(Gnat.t(), String.t(), nil | String.t()) :: :ok | error()
-  def delete(conn, name, domain \\ nil) do
-    with {:ok, _answer} <- ask(conn, domain, "DELETE", name, ""), do: :ok
-  end
-
-  @doc "Removes all messages, or with `%{filter: subject}` those of a subject."
-  @spec purge(Gnat.t(), String.t(), nil | String.t(), nil | %{filter: String.t()}) :: :ok | error()
-  def purge(conn, name, domain \\ nil, method \\ nil)
-
-  def purge(conn, name, domain, nil) do
-    with {:ok, _answer} <- ask(conn, domain, "PURGE", name, ""), do: :ok
-  end
-
-  def purge(conn, name, domain, %{filter: subject} = method) when is_binary(subject) do
-    with {:ok, _answer} <- ask(conn, domain, "PURGE", name, Util.encode(method)), do: :ok
-  end
-
-  def purge(_conn, _name, _domain, other) do
-    {:error, "a purge takes %{filter: subject}, got: #{inspect(other)}"}
-  end
+  @spec delete(Gnat.t(), String.t()) :: :ok | error()
+  def delete(conn, name), do: with({:ok, _answer} <- ask(conn, "DELETE", name, ""), do: :ok)
 
   @doc "Configuration and state."
-  @spec info(Gnat.t(), String.t(), nil | String.t()) :: {:ok, info()} | error()
-  def info(conn, name, domain \\ nil) do
-    with {:ok, answer} <- ask(conn, domain, "INFO", name, ""), do: to_info(answer)
-  end
+  @spec info(Gnat.t(), String.t()) :: {:ok, info()} | error()
+  def info(conn, name), do: with({:ok, answer} <- ask(conn, "INFO", name, ""), do: to_info(answer))
 
-  @doc "The names of streams, a page at a time: `offset`, `subject` (only streams that have it), `domain`."
-  @spec list(Gnat.t(), offset: non_neg_integer(), subject: String.t(), domain: nil | String.t()) ::
-          {:ok, streams()} | error()
+  @doc "The names of streams, a page at a time: `offset`, `subject` (only streams that have it)."
+  @spec list(Gnat.t(), offset: non_neg_integer(), subject: String.t()) :: {:ok, streams()} | error()
   def list(conn, params \\ []) do
     payload = Util.encode(%{offset: params[:offset] || 0, subject: params[:subject]})
 
-    with {:ok, answer} <- Util.request(conn, "#{Util.api(params[:domain])}.STREAM.NAMES", payload) do
+    with {:ok, answer} <- Util.request(conn, "$JS.API.STREAM.NAMES", payload) do
       {:ok,
        %{
          limit: answer["limit"],
@@ -153,17 +85,10 @@ defmodule Gnat.Jetstream.API.Stream do
   end
 
   @doc "One stored message: `%{seq: n}` or `%{last_by_subj: subject}`."
-  @spec get_message(
-          Gnat.t(),
-          String.t(),
-          %{seq: pos_integer()} | %{last_by_subj: String.t()},
-          nil | String.t()
-        ) ::
+  @spec get_message(Gnat.t(), String.t(), %{seq: pos_integer()} | %{last_by_subj: String.t()}) ::
           {:ok, message_response()} | error()
-  def get_message(conn, name, method, domain \\ nil)
-
-  def get_message(conn, name, method, domain) when map_size(method) == 1 do
-    with {:ok, %{"message" => message}} <- ask(conn, domain, "MSG.GET", name, Util.encode(method)) do
+  def get_message(conn, name, method) do
+    with {:ok, %{"message" => message}} <- ask(conn, "MSG.GET", name, Util.encode(method)) do
       {:ok,
        %{
          data: Util.decode_base64(message["data"]),
@@ -175,22 +100,16 @@ defmodule Gnat.Jetstream.API.Stream do
     end
   end
 
-  def get_message(_conn, _name, method, _domain) do
-    {:error, "expected either `seq` or `last_by_subj`, got: #{inspect(method)}"}
-  end
-
   defp put(conn, stream, operation) do
     with :ok <- validate(stream),
-         config = stream |> Map.from_struct() |> Map.delete(:domain),
-         {:ok, answer} <- ask(conn, stream.domain, operation, stream.name, Util.encode(config)) do
+         {:ok, answer} <- ask(conn, operation, stream.name, stream |> Map.from_struct() |> Util.encode()) do
       to_info(answer)
     end
   end
 
-  defp ask(conn, domain, operation, name, payload) do
-    with :ok <- Util.check_name(name, "name") do
-      Util.request(conn, "#{Util.api(domain)}.STREAM.#{operation}.#{name}", payload)
-    end
+  defp ask(conn, operation, name, payload) do
+    with :ok <- Util.check_name(name, "name"),
+         do: Util.request(conn, "$JS.API.STREAM.#{operation}.#{name}", payload)
   end
 
   defp validate(%{subjects: subjects, mirror: mirror}) do
@@ -215,14 +134,9 @@ defmodule Gnat.Jetstream.API.Stream do
 
   defp to_info(_other), do: {:error, Error.new({:protocol, "a stream without configuration or state"})}
 
-  @fields ~w(allow_direct allow_msg_ttl allow_rollup_hdrs compression deny_delete deny_purge description discard
-             discard_new_per_subject duplicate_window max_age max_bytes max_consumers max_msg_size max_msgs
-             max_msgs_per_subject mirror mirror_direct name no_ack num_replicas placement retention sealed sources
-             storage subject_delete_marker_ttl subjects template_owner)a
-
   defp to_stream(config) do
-    fields = for field <- @fields, do: {field, value(field, config[Atom.to_string(field)])}
-    struct!(__MODULE__, fields)
+    fields = %__MODULE__{name: nil, subjects: nil} |> Map.from_struct() |> Map.keys()
+    struct!(__MODULE__, for(field <- fields, do: {field, value(field, config[Atom.to_string(field)])}))
   end
 
   defp value(:discard, text), do: Util.to_atom(text, [:old, :new])
@@ -230,20 +144,10 @@ defmodule Gnat.Jetstream.API.Stream do
   defp value(:storage, text), do: Util.to_atom(text, [:file, :memory])
   defp value(_field, value), do: value
 
+  @state ~w(bytes consumer_count deleted first_seq last_seq lost messages num_deleted num_subjects subjects)a
+
   defp to_state(state) do
-    %{
-      bytes: state["bytes"],
-      consumer_count: state["consumer_count"],
-      deleted: state["deleted"],
-      first_seq: state["first_seq"],
-      first_ts: Util.to_datetime(state["first_ts"]),
-      last_seq: state["last_seq"],
-      last_ts: Util.to_datetime(state["last_ts"]),
-      lost: state["lost"],
-      messages: state["messages"],
-      num_deleted: state["num_deleted"],
-      num_subjects: state["num_subjects"],
-      subjects: state["subjects"]
-    }
+    times = for field <- [:first_ts, :last_ts], do: {field, Util.to_datetime(state[Atom.to_string(field)])}
+    Map.new(times ++ for(field <- @state, do: {field, state[Atom.to_string(field)]}))
   end
 end

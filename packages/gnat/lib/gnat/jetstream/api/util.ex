@@ -8,11 +8,6 @@ defmodule Gnat.Jetstream.API.Util do
   """
   @type api_error :: %{String.t() => term()}
 
-  @doc "The prefix of the API of a domain; nil or \"\" for the server's own."
-  @spec api(nil | String.t()) :: String.t()
-  def api(domain) when domain in [nil, ""], do: "$JS.API"
-  def api(domain), do: "$JS.#{domain}.API"
-
   @doc "Sends a request to the API and reads the answer, which may be an error."
   @spec request(Gnat.t(), String.t(), iodata(), keyword()) ::
           {:ok, map()} | {:error, api_error() | :timeout | :no_responders | Error.t()}

@@ -186,6 +186,7 @@ defmodule MavCodec.Definition.Facts do
     end
   end
 
+  @spec no_type(String.t(), String.t(), pos_integer()) :: no_return()
   defp no_type(text, name, line), do: fail(line, "field #{name} has the unknown type #{inspect(text)}")
 
   defp field_fact("instance", field, _line), do: %{field | instance: true}

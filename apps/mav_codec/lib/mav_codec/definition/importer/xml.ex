@@ -64,7 +64,7 @@ defmodule MavCodec.Definition.Importer.XML do
       {:refused, {_path, _file, line}, reason, _tags, _state} -> {:error, line, reason}
       {:fatal_error, {_path, _file, line}, reason, tags, _state} -> {:error, line, reason(reason, tags)}
       # The parser's own crash.
-      {:fatal_error, _crash} -> {:error, nil, "not XML"}
+      _crash -> {:error, nil, "not XML"}
     end
   end
 

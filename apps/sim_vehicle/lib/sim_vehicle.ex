@@ -7,11 +7,13 @@ defmodule SimVehicle do
       SimVehicle.fault(sim, :loss, 0.25)
       SimVehicle.failsafe(sim, :battery)
 
-  `SimVehicle.Options.table/0` lists the options. An unknown option or a wrong value is refused with what was expected.
+  `SimVehicle.Server.Options.table/0` lists the options. An unknown option or a wrong value is refused with what was
+  expected.
   `SimVehicle.Fleet` starts several that fly by themselves.
   """
 
-  alias SimVehicle.{Options, Server}
+  alias SimVehicle.Server
+  alias SimVehicle.Server.Options
 
   @type sim :: GenServer.server()
 
@@ -29,8 +31,8 @@ defmodule SimVehicle do
     with {:ok, options} <- Options.validate(opts), do: Server.start_link(options)
   end
 
-  @doc "What the vehicle is doing (`t:SimVehicle.View.t/0`)."
-  @spec state(sim) :: SimVehicle.View.t()
+  @doc "What the vehicle is doing (`t:SimVehicle.Vehicle.View.t/0`)."
+  @spec state(sim) :: SimVehicle.Vehicle.View.t()
   def state(sim), do: GenServer.call(sim, :state, :infinity)
 
   @doc "The local port of its link."
@@ -48,7 +50,7 @@ defmodule SimVehicle do
   Waits until `fun`, called with the vehicle's view, returns something other than false or nil, and returns that. Exits after
   `timeout` ms of real time. The function runs in the vehicle's process.
   """
-  @spec await(sim, (SimVehicle.View.t() -> term), timeout) :: term
+  @spec await(sim, (SimVehicle.Vehicle.View.t() -> term), timeout) :: term
   def await(sim, fun, timeout \\ 180_000), do: GenServer.call(sim, {:await, fun}, timeout)
 
   @doc "Sends `{:sim, pid, event}` (`t:SimVehicle.Vehicle.event/0`) to the caller from now on."
@@ -56,7 +58,7 @@ defmodule SimVehicle do
   def subscribe(sim), do: GenServer.call(sim, {:subscribe, self()}, :infinity)
 
   @doc """
-  Sets a fault of the link (`SimVehicle.Faults`) or of the vehicle:
+  Sets a fault of the link (`SimVehicle.Link.Faults`) or of the vehicle:
 
   - `:freeze` true/false: the firmware hangs: its time stands still, nothing is received or sent
   - `:clock_jump` seconds: its UTC clock jumps
@@ -76,7 +78,7 @@ defmodule SimVehicle do
   @spec reboot(sim) :: :ok
   def reboot(sim), do: GenServer.call(sim, :reboot, :infinity)
 
-  @doc "Gives the vehicle any event of `SimVehicle.Simulation.handle/2`."
+  @doc "Gives the vehicle any event of `SimVehicle.Server.Simulation.handle/2`."
   @spec happen(sim, term) :: :ok
   def happen(sim, event), do: GenServer.call(sim, {:handle, event}, :infinity)
 end

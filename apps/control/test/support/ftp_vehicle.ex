@@ -2,7 +2,8 @@ defmodule Aerie.FtpVehicle do
   @moduledoc "The simulated vehicles' FTP server and logs as a model for `Aerie.LossyLink`."
 
   alias MavCodec.Messages, as: M
-  alias SimVehicle.{Ftp, Logs, Params}
+  alias SimVehicle.{Ftp, Params}
+  alias SimVehicle.Vehicle.Logs
 
   defstruct [:ftp, :logs, params: %Params{}, asked: 0]
 

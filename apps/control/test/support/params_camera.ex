@@ -1,7 +1,7 @@
 defmodule Aerie.ParamsCamera do
-  @moduledoc "`SimVehicle.Camera` for `Aerie.LossyLink`, which has no ticks: what it works on is done when it is next asked."
+  @moduledoc "`SimVehicle.Vehicle.Camera` for `Aerie.LossyLink`, which has no ticks: what it works on is done when it is next asked."
 
-  alias SimVehicle.Camera
+  alias SimVehicle.Vehicle.Camera
 
   @doc "A camera that sends no heartbeats."
   def new, do: %{Camera.new(100) | beat_at: 1_000_000_000_000}

@@ -11,12 +11,14 @@ defmodule SimVehicle.Fleet do
   - `home` ({47.397742, 8.545594, 489.0}), `spacing` (30.0 m)
   - `firmware` (`:mixed`): `:ardupilot`, `:px4` or every third a PX4
   - `fly` (true): whether they fly by themselves
-  - `seed`, `speed`, `wind`, `ready_s`, `rates`: as in `SimVehicle.Options`; seed counts up
+  - `seed`, `speed`, `wind`, `ready_s`, `rates`: as in `SimVehicle.Server.Options`; seed counts up
   """
 
   use Supervisor
 
-  alias SimVehicle.{Geo, Options, Pilot}
+  alias SimVehicle.Pilot
+  alias SimVehicle.Physics.Geo
+  alias SimVehicle.Server.Options
 
   @defaults [
     count: 3,

@@ -9,7 +9,8 @@ defmodule SimVehicle.Flight do
   - `{:item, seq}` the mission goes on to this item, `{:reached, seq}`, `:mission_done`
   """
 
-  alias SimVehicle.{Kinematics, Vehicle, Wind}
+  alias SimVehicle.Vehicle
+  alias SimVehicle.Physics.{Kinematics, Wind}
   alias SimVehicle.Flight.{Goal, Mission}
 
   @settle_us 2_000_000

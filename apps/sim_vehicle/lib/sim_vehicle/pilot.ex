@@ -15,7 +15,9 @@ defmodule SimVehicle.Pilot do
   import MavCodec.Command
 
   alias MavCodec.Messages, as: M
-  alias SimVehicle.{Command, Geo, Vehicle}
+  alias SimVehicle.Vehicle
+  alias SimVehicle.Physics.Geo
+  alias SimVehicle.Services.Command
 
   @hands_off_us 300_000_000
   # A refused command is tried again; a step that does not finish is given up.
@@ -95,7 +97,7 @@ defmodule SimVehicle.Pilot do
 
   def notified(pilot, _event), do: pilot
 
-  @doc "The commands to give now, as events for `SimVehicle.Simulation.handle/2`."
+  @doc "The commands to give now, as events for `SimVehicle.Server.Simulation.handle/2`."
   @spec step(t, Vehicle.t()) :: {t, [term]}
   def step(%{boots: boots} = pilot, %{boots: now} = v) when boots != now,
     do: step(restart(%{pilot | boots: now}, v), v)

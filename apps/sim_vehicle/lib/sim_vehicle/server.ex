@@ -2,14 +2,17 @@ defmodule SimVehicle.Server do
   @moduledoc """
   The process of one simulated vehicle: real time and sockets around `SimVehicle.Vehicle`.
 
-  It performs actions, advances time, parses and encodes, and puts `SimVehicle.Faults` between vehicle and socket.
+  It performs actions, advances time, parses and encodes, and puts `SimVehicle.Link.Faults` between vehicle and socket.
   The public functions are in `SimVehicle`.
   """
 
   use GenServer, restart: :transient
 
   alias MavCodec.Parser
-  alias SimVehicle.{Faults, Link, Pilot, Signing, Simulation, Vehicle, View}
+  alias SimVehicle.{Link, Pilot, Vehicle}
+  alias SimVehicle.Link.{Faults, Signing}
+  alias SimVehicle.Server.Simulation
+  alias SimVehicle.Vehicle.View
 
   # After a pause of the whole machine, a vehicle catches up with at most this much time.
   @catch_up_s 0.5

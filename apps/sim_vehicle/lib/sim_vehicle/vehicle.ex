@@ -2,19 +2,22 @@ defmodule SimVehicle.Vehicle do
   @moduledoc """
   One simulated autopilot as a value: no process, no clock, no socket.
 
-  `SimVehicle.Simulation` advances its time and gives it events, and returns the vehicle with a list of actions, in order:
+  `SimVehicle.Server.Simulation` advances its time and gives it events, and returns the vehicle with a list of actions, in order:
 
   - `{:send, message}`: a `MavCodec.Messages` struct to send; `{component, message}` comes from another component than the autopilot
   - `{:bytes, binary}`: bytes outside any frame (ArduPilot's boot text)
   - `{:notify, event}`: something that tests and the fleet may wait for (`t:event/0`)
-  - `:reboot`: the vehicle restarts; the owner boots it again with `SimVehicle.Simulation.boot/2`
+  - `:reboot`: the vehicle restarts; the owner boots it again with `SimVehicle.Server.Simulation.boot/2`
 
-  The modules behind `SimVehicle.Personality` have what ArduPilot and PX4 do differently. Internally every function takes and
+  The modules behind `SimVehicle.Firmware.Personality` have what ArduPilot and PX4 do differently. Internally every function takes and
   returns the vehicle and adds actions to `out`.
   """
 
   alias MavCodec.Messages, as: M
-  alias SimVehicle.{Battery, Camera, Command, Ftp, Geo, Kinematics, Logs, Params, Plans, Wind}
+  alias SimVehicle.{Ftp, Params, Plans}
+  alias SimVehicle.Physics.{Battery, Geo, Kinematics, Wind}
+  alias SimVehicle.Services.Command
+  alias SimVehicle.Vehicle.{Camera, Logs}
 
   @later_max 200
   @override_us 3_000_000
@@ -56,7 +59,7 @@ defmodule SimVehicle.Vehicle do
             own: %{}
 
   @typedoc """
-  - `origin`: origin of the local frame (`t:SimVehicle.Geo.origin/0`); `home`: the content of HOME_POSITION, nil until it is
+  - `origin`: origin of the local frame (`t:SimVehicle.Physics.Geo.origin/0`); `home`: the content of HOME_POSITION, nil until it is
     known
   - `now`: microseconds since boot; `epoch`: UNIX time of boot in microseconds
   - `ready_us`: vehicle time at which position is good enough to arm in a position mode
@@ -83,7 +86,7 @@ defmodule SimVehicle.Vehicle do
   @type action :: {:send, struct | {1..255, struct}} | {:bytes, binary} | {:notify, event} | :reboot
 
   @doc """
-  A vehicle that has not booted yet. Options (all needed, see `SimVehicle.Options`): `:personality`, `:system`,
+  A vehicle that has not booted yet. Options (all needed, see `SimVehicle.Server.Options`): `:personality`, `:system`,
   `:component`, `:home`, `:heading` (degrees), `:ready_s`, `:battery`, `:wind`, `:seed`, `:rates`, `:params`, `:files`,
   `:logs`, `:camera`.
   """

@@ -5,7 +5,7 @@ defmodule SimVehicle.CalibrationTest do
   import SimVehicle.TestFlight
 
   alias MavCodec.Messages, as: M
-  alias SimVehicle.Ardupilot.Calibration
+  alias SimVehicle.Firmware.Ardupilot.Calibration
 
   @accelerometer [0.0, 0.0, 0.0, 0.0, 1.0]
   @compass_motor [0.0, 0.0, 0.0, 0.0, 0.0, 1.0]

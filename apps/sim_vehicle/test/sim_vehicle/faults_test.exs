@@ -1,7 +1,7 @@
 defmodule SimVehicle.FaultsTest do
   use ExUnit.Case, async: true
 
-  alias SimVehicle.Faults
+  alias SimVehicle.Link.Faults
 
   @frames for n <- 1..4000, do: <<n::32, "frame"::binary>>
 

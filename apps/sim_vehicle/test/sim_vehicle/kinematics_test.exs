@@ -1,7 +1,7 @@
 defmodule SimVehicle.KinematicsTest do
   use ExUnit.Case, async: true
 
-  alias SimVehicle.{Geo, Kinematics, Wind}
+  alias SimVehicle.Physics.{Geo, Kinematics, Wind}
 
   @limits %{yaw: :keep, speed: 10.0, accel: 2.0, up: 2.5, down: 1.5}
 

@@ -3,20 +3,11 @@ defmodule SimVehicle.PartsTest do
 
   alias MavCodec.Messages, as: M
 
-  alias SimVehicle.{
-    Battery,
-    Camera,
-    Fleet,
-    Link,
-    Options,
-    Params,
-    Pilot,
-    Real32,
-    Simulation,
-    Streams,
-    Texts,
-    Vehicle
-  }
+  alias SimVehicle.{Fleet, Link, Params, Pilot, Real32, Vehicle}
+  alias SimVehicle.Physics.Battery
+  alias SimVehicle.Server.{Options, Simulation}
+  alias SimVehicle.Services.{Streams, Texts}
+  alias SimVehicle.Vehicle.Camera
 
   describe "streams" do
     test "send at their rate, whatever the step" do

@@ -9,7 +9,8 @@ defmodule SimVehicle.PropertiesTest do
   import SimVehicle.TestFlight, only: [ready: 1, flying: 1]
 
   alias MavCodec.Messages, as: M
-  alias SimVehicle.{Battery, Simulation}
+  alias SimVehicle.Physics.Battery
+  alias SimVehicle.Server.Simulation
 
   @commands [
               16,

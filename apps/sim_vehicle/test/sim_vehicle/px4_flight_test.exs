@@ -123,7 +123,7 @@ defmodule SimVehicle.Px4FlightTest do
       assert [{_t, 16_973_824}] = changes(flight, M.Heartbeat, & &1.custom_mode)
       assert [%{radius: 8.0} | _more] = sent(flight, M.OrbitExecutionStatus)
       {v, _log} = flight
-      assert_in_delta SimVehicle.Kinematics.distance(v.kin, 22.26, 0.0), 8.0, 3.0
+      assert_in_delta SimVehicle.Physics.Kinematics.distance(v.kin, 22.26, 0.0), 8.0, 3.0
     end
 
     test "OFFBOARD needs a stream of setpoints, and is left when it stops (X7)" do

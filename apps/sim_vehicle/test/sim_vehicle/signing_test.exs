@@ -3,7 +3,7 @@ defmodule SimVehicle.SigningTest do
 
   alias MavCodec.{Frame, Parser}
   alias MavCodec.Messages.{Heartbeat, SetupSigning}
-  alias SimVehicle.Signing
+  alias SimVehicle.Link.Signing
 
   @key :crypto.hash(:sha256, "simulated")
   @me %{system: 1, component: 1}

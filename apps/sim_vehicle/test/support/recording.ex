@@ -4,7 +4,8 @@ defmodule SimVehicle.Recording do
   """
 
   alias MavCodec.Messages, as: M
-  alias SimVehicle.{Options, Simulation, Vehicle}
+  alias SimVehicle.Vehicle
+  alias SimVehicle.Server.{Options, Simulation}
 
   @fixtures Path.expand("../fixtures", __DIR__)
 

@@ -5,7 +5,8 @@ defmodule SimVehicle.TestFlight do
   """
 
   alias MavCodec.Messages, as: M
-  alias SimVehicle.{Options, Simulation, Vehicle}
+  alias SimVehicle.Vehicle
+  alias SimVehicle.Server.{Options, Simulation}
 
   @gcs {255, 190}
 
@@ -66,7 +67,8 @@ defmodule SimVehicle.TestFlight do
       end
     end)
     |> tap(fn {vehicle, _log} ->
-      unless fun.(vehicle), do: raise("not within #{seconds} s: #{inspect(SimVehicle.View.of(vehicle))}")
+      unless fun.(vehicle),
+        do: raise("not within #{seconds} s: #{inspect(SimVehicle.Vehicle.View.of(vehicle))}")
     end)
   end
 

@@ -82,7 +82,7 @@ defmodule Aerie.Control.TransfersTest do
       fly(gateway, port, firmware: unquote(firmware), camera: 100, loss: 0.25)
       camera = [component: 100]
       assert {:ok, table} = answered(fn -> Params.list(gateway, "VID-001", camera) end)
-      assert Enum.map(table.order, &{&1, table.params[&1].type}) == SimVehicle.Camera.params()
+      assert Enum.map(table.order, &{&1, table.params[&1].type}) == SimVehicle.Vehicle.Camera.params()
       assert %{value: 0xFFFF_FFFF_FFFF_FFFF} = table.params["CAM_FREE"]
 
       eventually(fn ->

@@ -7,7 +7,7 @@ defmodule SimVehicle.Flight.Goal do
   down of the origin. A goal ends by returning an event and what to do next.
   """
 
-  alias SimVehicle.Kinematics
+  alias SimVehicle.Physics.Kinematics
 
   @type t :: :off | :idle | map
 
@@ -156,11 +156,11 @@ defmodule SimVehicle.Flight.Goal do
 
   defp orbiting(g, v) do
     bearing = :math.atan2(v.kin.e - g.e, v.kin.n - g.n)
-    swept = if g.angle, do: g.swept + abs(SimVehicle.Geo.wrap_pi(bearing - g.angle)), else: 0.0
+    swept = if g.angle, do: g.swept + abs(SimVehicle.Physics.Geo.wrap_pi(bearing - g.angle)), else: 0.0
     # Aim a little ahead on the circle; the pull towards it grows with the distance from it.
     ahead = bearing + g.speed / max(g.radius, 1.0)
     {n, e} = {g.n + g.radius * :math.cos(ahead), g.e + g.radius * :math.sin(ahead)}
-    inward = SimVehicle.Geo.wrap_pi(bearing + :math.pi())
+    inward = SimVehicle.Physics.Geo.wrap_pi(bearing + :math.pi())
     setpoint = setpoint(v, {:pos, n, e}, {:pos, g.d}, {:to, inward})
     {:cont, %{g | swept: swept, angle: bearing}, %{setpoint | speed: g.speed}, []}
   end

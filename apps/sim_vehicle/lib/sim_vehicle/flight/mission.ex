@@ -7,7 +7,8 @@ defmodule SimVehicle.Flight.Mission do
 
   import MavCodec.Command
 
-  alias SimVehicle.{Geo, Plans, Real32, Vehicle}
+  alias SimVehicle.{Plans, Real32, Vehicle}
+  alias SimVehicle.Physics.Geo
   alias SimVehicle.Flight.Goal
 
   @jumps_max 100

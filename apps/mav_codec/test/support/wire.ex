@@ -20,6 +20,12 @@ defmodule MavCodec.Test.Wire do
     )
   end
 
+  @doc "A message of a ground station as it comes off the wire: NaN, cut zeros, and numbers of the fields' sizes."
+  def decoded(message) do
+    {:ok, message} = message |> MavCodec.encode(system: 255) |> Frame.from_bytes(nil) |> MavCodec.decode()
+    message
+  end
+
   @doc "A frame with an id that no dialect has."
   def unknown(options \\ []) do
     Raw.frame(

@@ -2,12 +2,13 @@ defmodule Aerie.Control.Policy.FirmwareReadingTest do
   @moduledoc "What an operator's raw MAVLink may make a vehicle do, as its firmware reads the numbers: each row once passed, or has a sibling that did."
   use ExUnit.Case, async: true
 
+  import MavCodec.Test.Wire, only: [decoded: 1]
+
   alias Authority
   alias Aerie.Vehicle.Command.Types
   alias Aerie.Control.Policy
   alias Aerie.Control.Policy.{Context, Intent, Mavlink}
   alias MavCodec.Enums.MavCmd
-  alias MavCodec.Frame
   alias MavCodec.Messages, as: M
 
   @moduletag :tmp_dir
@@ -58,14 +59,8 @@ defmodule Aerie.Control.Policy.FirmwareReadingTest do
     struct!(Context.new(groups, source, @now), vehicle)
   end
 
-  # As it comes off the wire.
-  defp wired(message) do
-    {:ok, message} = message |> MavCodec.encode(system: 255) |> Frame.from_bytes(nil) |> MavCodec.decode()
-    message
-  end
-
   defp judge(policy, message, vehicle, context),
-    do: Policy.decide(policy, Mavlink.facts(wired(message), vehicle), context)
+    do: Policy.decide(policy, Mavlink.facts(decoded(message), vehicle), context)
 
   defp cmd(name), do: MavCmd.value(:"MAV_CMD_#{name}") || flunk("no command #{name}")
 
@@ -441,7 +436,7 @@ defmodule Aerie.Control.Policy.FirmwareReadingTest do
 
     {decisions, _last} =
       Enum.map_reduce(messages, nil, fn message, last ->
-        message = wired(message)
+        message = decoded(message)
         {facts, last} = Mavlink.Upload.next(last, message, Mavlink.facts(message, vehicle))
         {Policy.decide(policy, facts, context), last}
       end)
@@ -719,7 +714,7 @@ defmodule Aerie.Control.Policy.FirmwareReadingTest do
         message = &long(row.id, List.replace_at(List.duplicate(0, 7), index - 1, &1))
 
         for vehicle <- [@ap, @px4], judge(policy, message.(value), vehicle, context(vehicle)) == :allow do
-          read = wired(message.(value)) |> Map.fetch!(:"param#{index}")
+          read = decoded(message.(value)) |> Map.fetch!(:"param#{index}")
 
           for reading <- readings(read) do
             decision = judge(policy, message.(reading), vehicle, context(vehicle))
@@ -742,7 +737,7 @@ defmodule Aerie.Control.Policy.FirmwareReadingTest do
   test "parameters and files that protect a vehicle need the permission for it, by every way" do
     maintainer = %{@operator | permissions: [:maintain]}
     allowed? = fn facts -> Policy.decide(policy(%{}), facts, context(@ap, %{}, maintainer)) == :allow end
-    set = &Mavlink.facts(wired(%M.ParamSet{param_id: &1}), @ap)
+    set = &Mavlink.facts(decoded(%M.ParamSet{param_id: &1}), @ap)
 
     for name <-
           ~w(FENCE_ENABLE fence_enable FENCE_ALT_MAX AVOID_ENABLE ARMING_CHECK ARMING_SKIPCHK BRD_SAFETYENABLE FS_THR_ENABLE FS_GCS_ENABL
@@ -751,21 +746,21 @@ defmodule Aerie.Control.Policy.FirmwareReadingTest do
           CP_DIST FD_FAIL_P BAT_CRIT_THR RC_MAP_KILL_SW SYSID_MYGCS) do
       refute allowed?.(set.(name)), name
       refute allowed?.(Intent.set_parameters(["WPNAV_SPEED", name])), name
-      refute allowed?.(Mavlink.facts(wired(%M.ParamMapRc{param_id: name, param_index: -1}), @ap)), name
-      refute allowed?.(Mavlink.facts(wired(%M.ParamExtSet{param_id: name}), @ap)), name
+      refute allowed?.(Mavlink.facts(decoded(%M.ParamMapRc{param_id: name, param_index: -1}), @ap)), name
+      refute allowed?.(Mavlink.facts(decoded(%M.ParamExtSet{param_id: name}), @ap)), name
     end
 
     for name <- ~w(WPNAV_SPEED MPC_XY_VEL_MAX RTL_ALT CAM_EXPOSURE ATC_RAT_RLL_P SERVO9_MIN PFENCE OFS_THR),
         do: assert(allowed?.(set.(name)), name)
 
     # By its number, and not by its name.
-    refute allowed?.(Mavlink.facts(wired(%M.ParamMapRc{param_id: "WPNAV_SPEED", param_index: 0}), @ap))
+    refute allowed?.(Mavlink.facts(decoded(%M.ParamMapRc{param_id: "WPNAV_SPEED", param_index: 0}), @ap))
 
     ftp = fn operation, data ->
       payload = <<7::16-little, 0, operation, byte_size(data), 0::24, 0::32, data::binary>>
 
       Mavlink.facts(
-        wired(%M.FileTransferProtocol{payload: payload <> :binary.copy(<<0>>, 251 - byte_size(payload))}),
+        decoded(%M.FileTransferProtocol{payload: payload <> :binary.copy(<<0>>, 251 - byte_size(payload))}),
         @ap
       )
     end

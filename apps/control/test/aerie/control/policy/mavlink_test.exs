@@ -1,6 +1,8 @@
 defmodule Aerie.Control.Policy.MavlinkTest do
   use ExUnit.Case, async: true
 
+  import MavCodec.Test.Wire, only: [decoded: 1]
+
   alias Aerie.Control.Policy.{Intent, Mavlink}
   alias Aerie.Control.Policy.Mavlink.Refusal
   alias Authority.Messages
@@ -16,12 +18,6 @@ defmodule Aerie.Control.Policy.MavlinkTest do
   defp long(name, params \\ []), do: struct!(%M.CommandLong{command: cmd(name)}, params)
   defp int(name, params), do: struct!(%M.CommandInt{command: cmd(name)}, params)
   defp facts(message, vehicle \\ @copter), do: Mavlink.facts(message, vehicle)
-
-  # As it comes off the wire, NaN and cut zeros and all.
-  defp wired(message) do
-    {:ok, message} = message |> MavCodec.encode(system: 255) |> Frame.from_bytes(nil) |> MavCodec.decode()
-    message
-  end
 
   defp place(lat, lon, height), do: %{lat: lat, lon: lon, height: height}
 
@@ -69,7 +65,9 @@ defmodule Aerie.Control.Policy.MavlinkTest do
           {%M.CommandLong{command: 31_010}, @copter, "mav_cmd_31010", :maintain, :none},
           {long("DO_FOLLOW"), @copter, "mav_cmd_32", :fly, :anywhere}
         ] do
-      assert %Intent{type: ^type, permission: ^permission, path: found} = message |> wired() |> facts(vehicle)
+      assert %Intent{type: ^type, permission: ^permission, path: found} =
+               message |> decoded() |> facts(vehicle)
+
       assert near?(found, path), inspect({type, found, path})
     end
 
@@ -119,7 +117,7 @@ defmodule Aerie.Control.Policy.MavlinkTest do
           {%M.RallyPoint{idx: 1, lat: 470_000_000, lng: 80_000_000, alt: 30}, "rally_upload",
            {:at, [place(47.0, 8.0, {:home, 30})]}}
         ] do
-      assert %Intent{type: ^type, path: ^path} = message |> wired() |> facts()
+      assert %Intent{type: ^type, path: ^path} = message |> decoded() |> facts()
     end
 
     assert facts(item.(seq: 7), @px4).what == "mission item 7"
@@ -208,7 +206,7 @@ defmodule Aerie.Control.Policy.MavlinkTest do
           {%M.CubepilotRawRc{}, "rc_override", :none},
           {%M.ManualControl{}, "manual_control", :none}
         ] do
-      assert %Intent{type: ^type, permission: :manual, path: ^path} = message |> wired() |> facts()
+      assert %Intent{type: ^type, permission: :manual, path: ^path} = message |> decoded() |> facts()
     end
   end
 

@@ -5,12 +5,13 @@ defmodule Aerie.Control.Policy.SteeringTest do
   """
   use ExUnit.Case, async: true
 
+  import MavCodec.Test.Wire, only: [decoded: 1]
+
   alias Aerie.Control.Policy
   alias Aerie.Vehicle.Command
   alias Aerie.Control.Policy.{Context, Mavlink}
   alias Aerie.Vehicle.Services.Switches
   alias MavCodec.Enums.MavCmd
-  alias MavCodec.Frame
   alias MavCodec.Messages, as: M
 
   @moduletag :tmp_dir
@@ -53,13 +54,8 @@ defmodule Aerie.Control.Policy.SteeringTest do
 
   defp judge(section, %module{} = message, vehicle, more \\ %{}) do
     {:ok, policy} = Policy.compile(section)
-    facts = if module == Command, do: message, else: Mavlink.facts(wired(message), vehicle)
+    facts = if module == Command, do: message, else: Mavlink.facts(decoded(message), vehicle)
     Policy.decide(policy, facts, context(vehicle, more))
-  end
-
-  defp wired(message) do
-    {:ok, message} = message |> MavCodec.encode(system: 255) |> Frame.from_bytes(nil) |> MavCodec.decode()
-    message
   end
 
   defp local(mask, fields),

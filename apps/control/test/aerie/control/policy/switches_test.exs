@@ -3,12 +3,13 @@ defmodule Aerie.Control.Policy.SwitchesTest do
   are known of the vehicle."
   use ExUnit.Case, async: true
 
+  import MavCodec.Test.Wire, only: [decoded: 1]
+
   alias Aerie.Control.Policy
   alias Aerie.Control.Policy.{Context, Intent, Mavlink, Roles}
   alias Aerie.Vehicle.Command
   alias Aerie.Vehicle.Services.Switches
   alias MavCodec.Enums.MavCmd
-  alias MavCodec.Frame
   alias MavCodec.Messages, as: M
 
   @copter %{autopilot: :ardupilot, vehicle_type: "copter"}
@@ -51,10 +52,7 @@ defmodule Aerie.Control.Policy.SwitchesTest do
 
   defp facts(%Command{} = command, _vehicle), do: Intent.of(command)
 
-  defp facts(message, vehicle) do
-    {:ok, message} = message |> MavCodec.encode(system: 255) |> Frame.from_bytes(nil) |> MavCodec.decode()
-    Mavlink.facts(message, vehicle)
-  end
+  defp facts(message, vehicle), do: message |> decoded() |> Mavlink.facts(vehicle)
 
   # Everything that is read from it, and nothing mapped.
   defp nothing(%{autopilot: autopilot, vehicle_type: kind}) do

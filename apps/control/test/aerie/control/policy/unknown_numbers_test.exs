@@ -5,11 +5,12 @@ defmodule Aerie.Control.Policy.UnknownNumbersTest do
   """
   use ExUnit.Case, async: true
 
+  import MavCodec.Test.Wire, only: [decoded: 1]
+
   alias Aerie.Control.Policy
   alias Aerie.Control.Policy.{Context, Intent, Mavlink, Roles}
   alias MavCodec.Dialects.All
   alias MavCodec.Enums.MavCmd
-  alias MavCodec.Frame
   alias MavCodec.Messages, as: M
 
   @moduletag :tmp_dir
@@ -44,12 +45,7 @@ defmodule Aerie.Control.Policy.UnknownNumbersTest do
     }
 
     context = groups |> Context.new(source, @now) |> struct!(vehicle)
-    Policy.decide(policy, Mavlink.facts(wired(message), vehicle), context)
-  end
-
-  defp wired(message) do
-    {:ok, message} = message |> MavCodec.encode(system: 255) |> Frame.from_bytes(nil) |> MavCodec.decode()
-    message
+    Policy.decide(policy, Mavlink.facts(decoded(message), vehicle), context)
   end
 
   defp id(name), do: MavCmd.value(:"MAV_CMD_#{name}")

@@ -20,7 +20,7 @@ defmodule Aerie.Control.Operations.Mission.Forms do
   end
 
   @doc "The plan of a file."
-  @spec read(format :: String.t(), binary()) :: {:ok, Aerie.Mission.Plan.t()} | {:error, String.t()}
+  @spec read(format :: String.t(), binary()) :: {:ok, Protocols.Mission.Plan.t()} | {:error, String.t()}
   def read(format, text), do: Missions.import(text, Map.fetch!(@readers, format))
 
   @doc "A stored plan in one of the forms: an object, or the text of a file."

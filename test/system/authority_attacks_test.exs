@@ -1,5 +1,8 @@
 defmodule Aerie.System.AuthorityAttacksTest do
-  @moduledoc "Ways around authority that once led to a vehicle, each against a whole gateway. What arrived is counted at the vehicle."
+  @moduledoc """
+  Ways around authority that once led to a vehicle, each against a whole gateway. What arrived is counted at the
+  vehicle.
+  """
 
   use Aerie.SystemCase, async: true
 
@@ -510,7 +513,8 @@ defmodule Aerie.System.AuthorityAttacksTest do
       assert count(settle(c), M.GpsInput.id(), 255) >= 1
     end
 
-    test "who is gone is not in charge for ever: another one may take over then, and not before", c do
+    test "a client that is gone is not in charge for ever: another one may take over then, and not before",
+         c do
       take = command("REQUEST_OPERATOR_CONTROL", 250, param1: 1.0)
       arm = command("COMPONENT_ARM_DISARM", 250, param1: 1.0)
       Program.deliver(c.two, [take, arm])

@@ -1,8 +1,8 @@
 defmodule Aerie.System.CommandTrialsTest do
   @moduledoc """
-  Every command of the table against simulated ArduPilot and PX4, by Aerie's own interface and by pymavlink and MAVSDK through the
-  gateway: its answer, and what the vehicle heard and did. Then the same commands from clients and a source that may only look
-  on: each is refused and answered, and the vehicle hears none of them.
+  Every command of the table against simulated ArduPilot and PX4, by Aerie's own interface and by pymavlink and MAVSDK
+  through the gateway: its answer, and what the vehicle heard and did. Then the same commands from clients and a source
+  that may only look on: each is refused and answered, and the vehicle hears none of them.
   """
 
   use Aerie.SystemCase, async: true
@@ -87,8 +87,8 @@ defmodule Aerie.System.CommandTrialsTest do
     }
   end
 
-  # On a busy machine an answer may come too late, and a command that must not be repeated blindly is then unknown. Once more, as a person
-  # would.
+  # On a busy machine an answer may come too late, and a command that must not be repeated blindly is then unknown. Once
+  # more, as a person would.
   defp answer(context, %{own: own} = row) do
     case submit(context, row, @crew).status do
       :unknown when own != :unknown ->
@@ -136,7 +136,8 @@ defmodule Aerie.System.CommandTrialsTest do
 
   defp method?(row), do: not match?({:no, _reason}, row.mavsdk)
 
-  # What comes before a call may be late (MAVSDK's download gives up after a second or two), and the call is then refused by MAVSDK itself.
+  # What comes before a call may be late (MAVSDK's download gives up after a second or two), and the call is then
+  # refused by MAVSDK itself.
   defp prepared(peer, %{mavsdk: [_before, _call]} = row) do
     eventually(fn -> call(peer, row) == row.result end, "#{row.type}: MAVSDK gets #{row.result}")
     row.result
@@ -216,7 +217,7 @@ defmodule Aerie.System.CommandTrialsTest do
       fly(flight, mavsdk(peer))
     end
 
-    test "#{firmware}: Aerie's own interface, for who only looks on", context do
+    test "#{firmware}: Aerie's own interface, for a viewer", context do
       flight = start(context, unquote(firmware))
 
       for row <- CommandTrials.rows(unquote(firmware)) do

@@ -1,7 +1,7 @@
 defmodule Aerie.System.ComponentParamsTest do
   @moduledoc """
-  The parameters of a vehicle's camera (PARAM_EXT, P8) over REST and NATS through the whole gateway, with the examples of docs/transfers.md,
-  and by pymavlink as a ground station of the gateway.
+  The parameters of a vehicle's camera (PARAM_EXT, P8) over REST and NATS through the whole gateway, with the examples
+  of docs/transfers.md, and by pymavlink as a ground station of the gateway.
   """
 
   use Aerie.SystemCase, async: true
@@ -64,7 +64,7 @@ defmodule Aerie.System.ComponentParamsTest do
   end
 
   @tag policy: %{"unsigned" => "viewer"}
-  test "who may not set the autopilot's may not set a camera's", c do
+  test "setting a camera's parameter needs the autopilot's permission", c do
     set = %{"id" => "c1", "component" => 100, "name" => "CAM_MODE", "value" => 2}
     assert %{"result" => "denied", "rule" => "role"} = nats(c, "params.set", set)
   end

@@ -67,8 +67,8 @@ defmodule Aerie.System.DrainTest do
     assert_receive {:DOWN, ^monitor, :port, _port, _reason}
   end
 
-  # A gateway that ends and whose command is still under way. The vehicle is asked for a few seconds only, and on a busy machine those
-  # may be over before the gateway has seen its signal: then another one is asked to end.
+  # A gateway that ends and whose command is still under way. The vehicle is asked for a few seconds only, and on a busy
+  # machine those may be over before the gateway has seen its signal: then another one is asked to end.
   defp draining(context, tries \\ 5) do
     {port, task} = commanded(context, 120)
 
@@ -96,7 +96,7 @@ defmodule Aerie.System.DrainTest do
     end
   end
 
-  test "answered within the grace time: its result is told, and nothing new is taken", context do
+  test "answered within the grace time: its result comes, and nothing new is taken", context do
     answered(context)
   end
 
@@ -116,7 +116,8 @@ defmodule Aerie.System.DrainTest do
     assert unanswered(context) =~ "the gateway ended before"
   end
 
-  # The reason that is told. As in `draining/2`, the vehicle's own time may be over before the gateway has seen its signal.
+  # The reason that is told. As in `draining/2`, the vehicle's own time may be over before the gateway has seen its
+  # signal.
   defp unanswered(context, tries \\ 5) do
     {port, task} = commanded(context, 0.5)
     assert {504, %{"result" => "unknown", "reason" => reason}} = Task.await(task, :infinity)

@@ -211,7 +211,7 @@ defmodule Aerie.System.ReleaseTest do
   end
 
   @tag :long
-  test "without a gateway it evaluates, too", context do
+  test "also evaluates without a gateway", context do
     assert {":circuits_uart\n", 0} =
              aerie(context, [
                "eval",

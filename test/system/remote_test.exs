@@ -1,5 +1,7 @@
 defmodule Aerie.System.RemoteTest do
-  @moduledoc "A hub and a companion with real nats-servers: the hub shows and commands a vehicle that only the companion hears."
+  @moduledoc """
+  A hub and a companion with real nats-servers: the hub shows and commands a vehicle that only the companion hears.
+  """
   use Aerie.SystemCase, async: true
 
   alias Aerie.{CommandCase, Fleet, HubServer}
@@ -246,7 +248,7 @@ defmodule Aerie.System.RemoteTest do
     assert %{status: :failed, details: %{"rule" => "unreachable"}} = command(hub, "rtl")
   end
 
-  test "heard both ways it is one vehicle: shown by the hub's own link while that hears it, commanded by who holds it",
+  test "heard both ways it is one vehicle: shown by the hub's own link while that hears it, commanded by its holder",
        %{hub: hub, sim: remote} do
     shown(hub, "the companion tells of it", &(&1.via == @companion and &1.status == :online))
     near = fly(hub, "hub-sim")
@@ -340,7 +342,8 @@ defmodule Aerie.System.RemoteTest do
     for result <- results, do: assert(%{status: :completed} = result)
     assert [%{"command" => "arm", "decision" => "allow"}] = done(folder, "both")
 
-    # A server of the three is gone. If the vehicle or a hub was connected to it, it finds another one; until then it is unreachable.
+    # A server of the three is gone. If the vehicle or a hub was connected to it, it finds another one; until then it is
+    # unreachable.
     HubServer.kill(server, "127.0.0.3")
 
     eventually(
@@ -360,7 +363,7 @@ defmodule Aerie.System.RemoteTest do
   @tag :leaf
   # Its threads have to be seen to stop before the hub misses it; a little later its gateway restarts it.
   @tag lost_s: 10
-  test "through a leaf node whose server is frozen: a command is answered in time, and is not done after its deadline",
+  test "through a leaf node whose server is frozen: a command is answered, and is not done after its deadline",
        %{hub: hub, sim: sim, folder: folder} do
     shown(hub, "a mode", &(&1.status == :online and is_map(&1.groups[:mode])))
     assert %{status: :completed} = command(hub, "set_mode", %{mode: "GUIDED"})
@@ -385,8 +388,8 @@ defmodule Aerie.System.RemoteTest do
     signal.("CONT")
     shown(hub, "online again", &(&1.status == :online))
 
-    # What comes after it on the same way is done, so the late one has arrived. Until the gateway aboard listens again, and has renewed its
-    # lease, which it could not while its server was frozen, nothing is sent, which is said.
+    # What comes after it on the same way is done, so the late one has arrived. Until the gateway aboard listens again,
+    # and has renewed its lease, which it could not while its server was frozen, nothing is sent, which is said.
     eventually(fn -> after_thaw(hub).status == :completed end, "a command is completed again")
 
     assert SimVehicle.state(sim).mode == "BRAKE"

@@ -1,5 +1,7 @@
 defmodule Aerie.System.SetupTest do
-  @moduledoc "The scripts that download and compile: what they say of a fault, that they end as a whole, whom they let wait."
+  @moduledoc """
+  The scripts that download and compile: what they say of a fault, that they end as a whole, whom they let wait.
+  """
 
   use ExUnit.Case, async: true
 
@@ -10,7 +12,8 @@ defmodule Aerie.System.SetupTest do
   @moduletag :tmp_dir
   @root Path.expand("../..", __DIR__)
 
-  # A checkout with the scripts alone, in a folder that a shell would take apart; programs of its own come first on the PATH.
+  # A checkout with the scripts alone, in a folder that a shell would take apart; programs of its own come first on the
+  # PATH.
   setup %{tmp_dir: dir} do
     root = Path.join(dir, "Jörg's $drones & co")
     File.mkdir_p!(Path.join(root, "programs"))
@@ -167,7 +170,7 @@ defmodule Aerie.System.SetupTest do
     end
 
     @describetag skip: System.find_executable("apt-get") == nil && "no apt-get here"
-    test "is told by apt-get itself: a mirror that is not there, that is empty, that has a fault", %{
+    test "comes from apt-get itself: a mirror that is not there, that is empty, that has a fault", %{
       root: root
     } do
       mirror = fn port ->
@@ -295,7 +298,7 @@ defmodule Aerie.System.SetupTest do
       assert text =~ "error: Aerie did not compile"
     end
 
-    test "who waited takes what the other one compiled", %{root: root, holder: holder} do
+    test "one that waited takes what the other one compiled", %{root: root, holder: holder} do
       Port.command(holder, "\n")
       File.mkdir_p!(Path.join(root, "_build/prod"))
       File.touch!(Path.join(root, "config/config.exs"))
@@ -319,7 +322,7 @@ defmodule Aerie.System.SetupTest do
       assert File.read!(Path.join(root, "compiled")) == "one\n"
     end
 
-    test "without a program of before the tool waits, too", %{root: root} do
+    test "also waits without a program of before the tool", %{root: root} do
       File.rm!(Path.join(root, "_build/code-prod"))
       {port, pid} = start(root, "code_install any")
       assert output(port, "", "==> another start is compiling here; waiting for it\n")

@@ -327,7 +327,7 @@ defmodule Aerie.System.ToolTest do
     assert await_exit(port) == 0
   end
 
-  test "an answer that the disk has no room for is an error; a reader that has seen enough is none",
+  test "an answer that the disk has no room for is an error; a reader that has seen enough is not",
        %{folder: folder} do
     tool = Path.join(@root, "bin/aerie")
     flight = Path.join(folder, "flight.tlog")

@@ -1,7 +1,7 @@
 defmodule Aerie.System.UpgradeTest do
   @moduledoc """
-  `aerie upgrade` with a release as it is installed, three vehicles in the air, and in place of systemd a program that knows its rules for
-  the main process of a service.
+  `aerie upgrade` with a release as it is installed, three vehicles in the air, and in place of systemd a program that
+  knows its rules for the main process of a service.
   """
 
   use Aerie.SystemCase, async: true
@@ -178,7 +178,7 @@ defmodule Aerie.System.UpgradeTest do
     assert Path.wildcard(Path.join(context.home, "var/shell/upgrade-*")) == []
   end
 
-  test "a tarball that is none, of another machine, or not what its checksum says is refused", context do
+  test "refuses a corrupt tarball, a foreign architecture, and a wrong checksum", context do
     file = Path.join(context.tmp_dir, "aerie.tar.gz")
     upgrade = fn -> aerie(context, "1-old", ["upgrade", file]) end
     assert {text, 2} = upgrade.()

@@ -1,8 +1,8 @@
 defmodule Aerie.EventLog do
   @moduledoc """
-  Writes one line of the log for each thing that happens to a gateway and matters to who runs it: links, vehicles, commands,
-  desired states, recordings. It listens to `:telemetry` (`Aerie.Fleet.Telemetry`), so no part has to log for it; what a part logs
-  itself, with more words, is not in the table here.
+  Writes one line of the log for each thing that happens to a gateway and matters to the people who run it: links,
+  vehicles, commands, desired states, recordings. It listens to `:telemetry` (`Aerie.Fleet.Telemetry`), so no part has
+  to log for it; what a part logs itself, with more words, is not in the table here.
 
   What somebody could cause in a flood (refused commands) is a line once in five seconds for each cause.
   """
@@ -53,7 +53,8 @@ defmodule Aerie.EventLog do
   def events, do: for({event, level, _message, _keys} <- @lines, do: {event, level})
 
   @doc """
-  Writes the events of a gateway from now on. Attached again, it does nothing. `except`: events that somebody else shows.
+  Writes the events of a gateway from now on. Attached again, it does nothing. `except`: events that somebody else
+  shows.
   """
   @spec attach(Names.gateway(), except: [:telemetry.event_name()]) :: :ok
   def attach(gateway, options \\ []) do

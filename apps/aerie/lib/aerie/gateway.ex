@@ -23,11 +23,13 @@ defmodule Aerie.Gateway do
   └─ Aerie.Fleet.Client.Supervisor       unix sockets of programs on this machine
   ```
 
-  A child depends only on those before it, and a restart also restarts those after it. The app's README says what each restart costs.
+  A child depends only on those before it, and a restart also restarts those after it. The app's README says what each
+  restart costs.
 
   The store therefore does nothing but own tables: it has no code that could fail on input.
 
-  The configuration ends here: each part gets the settings that it declares (`Aerie.Base.Settings`) and sees nothing else of it.
+  The configuration ends here: each part gets the settings that it declares (`Aerie.Base.Settings`) and sees nothing
+  else of it.
 
   A gateway is addressed by its name everywhere: `Aerie.Base.Store.vehicles(name)`. Tests give each their own
   (`make_ref()`), a node that runs only one uses `:default`.
@@ -48,7 +50,8 @@ defmodule Aerie.Gateway do
   * `:name` - any term, `:default` when absent
   * `:config` - an `%Aerie.Config{}`; required
   * `:pubsub_tick_ms` - the shortest time between change notices; `Aerie.Base.PubSub` has the default
-  * `:read_config` - reads the configuration again, for `Aerie.Control.Policy.Store.reload/2`; without it only the fence file is read again
+  * `:read_config` - reads the configuration again, for `Aerie.Control.Policy.Store.reload/2`; without it only the fence
+    file is read again
   * `:without` - children that are left out, as modules: for a gateway that only has vehicles, say
   """
   @type option ::
@@ -91,16 +94,16 @@ defmodule Aerie.Gateway do
         Successor.child_spec({module, [gateway: name] ++ options ++ tick})
       end
 
-    # A part that fails at once each time ends the gateway, and then the VM, for the service manager to start them; single deaths,
-    # even one of each part within a minute, do not.
+    # A part that fails at once each time ends the gateway, and then the VM, for the service manager to start them;
+    # single deaths, even one of each part within a minute, do not.
     Supervisor.init(children, strategy: :rest_for_one, max_restarts: 10, max_seconds: 10)
   end
 
   @doc """
-  The parts of a gateway in the order of their start, each with its options (but for `:gateway`): its settings, and what it
-  needs of those above it. The store keeps the tables of the fleet; the router knows who takes in vehicles, who answers
-  requests for rates and who decides about commands, and supervises the client endpoints; signing knows who keeps its events; vehicles know who is told what
-  happens.
+  The parts of a gateway in the order of their start, each with its options (but for `:gateway`): its settings, and what
+  it needs of those above it. The store keeps the tables of the fleet; the router knows who takes in vehicles, who
+  answers requests for rates and who decides about commands, and supervises the client endpoints; signing knows who
+  keeps its events; vehicles know who hears what happens.
   """
   @spec parts(Names.gateway(), Config.t(), read | nil) :: [{module(), keyword()}]
         when read: (-> {:ok, Config.t()} | {:error, [Config.Error.t()]})

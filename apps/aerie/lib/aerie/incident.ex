@@ -1,7 +1,8 @@
 defmodule Aerie.Incident do
   @moduledoc """
-  Packs what is known of a vehicle and a span of time into one archive: recordings, events, commands with their decisions, audit log, desired
-  state, diagnosis, and a page that plots it. `aerie incident` calls it; the README of this module's folder tells what is in it.
+  Packs what is known of a vehicle and a span of time into one archive: recordings, events, commands with their
+  decisions, audit log, desired state, diagnosis, and a page that plots it. `aerie incident` calls it; the README of
+  this module's folder tells what is in it.
   """
 
   alias Aerie.Config
@@ -15,7 +16,7 @@ defmodule Aerie.Incident do
     "flight.tlog" => "the vehicle's frames, for any ground station and aerie replay",
     "events.jsonl" => "its events, made from flight.tlog, or else from a link's recording",
     "gateway-events.jsonl" => "the events as the gateway had published them",
-    "commands.jsonl" => "commands with who asked, decision, rule and result",
+    "commands.jsonl" => "commands with their sender, decision, rule and result",
     "audit.jsonl" => "records of the audit log about the vehicle and the gateway",
     "shadow.json" => "desired and reported state when the archive was made",
     "diagnosis.json" => "what was wrong when the archive was made",

@@ -1,11 +1,11 @@
 defmodule Aerie.Upgrade do
   @moduledoc """
-  The part of an upgrade that the running gateway does: it says what would be lost, starts the program of the other version, which
-  waits (`Aerie.Upgrade.Standby`), and ends for it. `aerie upgrade` calls these functions, of another version perhaps: their names,
-  arguments and answers stay as they are.
+  The part of an upgrade that the running gateway does: it says what would be lost, starts the program of the other
+  version, which waits (`Aerie.Upgrade.Standby`), and ends for it. `aerie upgrade` calls these functions, of another
+  version perhaps: their names, arguments and answers stay as they are.
 
-  The waiting one is a child of nobody but init, in the service's control group, with the same user, environment, words and output. systemd
-  is told that it is the service's main process before this one ends (`MAINPID`, `sd_notify(3)`).
+  The waiting one is a child of nobody but init, in the service's control group, with the same user, environment, words
+  and output. systemd hears that it is the service's main process before this one ends (`MAINPID`, `sd_notify(3)`).
   """
 
   alias Aerie.Base.Files.Private
@@ -13,7 +13,7 @@ defmodule Aerie.Upgrade do
   alias Aerie.{Systemd, Upgrade}
   alias Aerie.Upgrade.Standby
 
-  @typedoc "The waiting gateway: its process, and the folder of the files by which it is told."
+  @typedoc "The waiting gateway: its process, and the folder of the files that it reads."
   @type standby :: %{pid: String.t(), folder: Path.t()}
 
   @tick_ms 20
@@ -26,7 +26,10 @@ defmodule Aerie.Upgrade do
   @spec obstacles(Names.gateway()) :: [String.t()]
   defdelegate obstacles(gateway), to: Upgrade.Obstacles, as: :list
 
-  @doc "Starts the gateway of `program` (a release's `bin/aerie`) beside this one, and waits until it is ready to take its place. Files are made below `dir`."
+  @doc """
+  Starts the gateway of `program` (a release's `bin/aerie`) beside this one, and waits until it is ready to take its
+  place. Files are made below `dir`.
+  """
   @spec begin(program :: Path.t(), dir :: Path.t()) :: {:ok, standby()} | {:error, String.t()}
   def begin(program, dir), do: with(:ok <- release(), do: beside(program, dir))
 

@@ -9,8 +9,8 @@ defmodule Aerie.Fleet do
     * `:gateways` - the other gateways that report it
     * of a group, `:via` - the gateway that told the value; missing or nil: this one's links
 
-  This gateway's links count until they have lost the vehicle; then another gateway does, if that hears it. Of a group that two
-  tell, the one on the vehicle's way counts unless it is ten seconds older.
+  This gateway's links count until they have lost the vehicle; then another gateway does, if that hears it. If two
+  report a group, the one on the vehicle's way counts unless it is ten seconds older.
   """
 
   alias Aerie.Fleet.RemoteTable

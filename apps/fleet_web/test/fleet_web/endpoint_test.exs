@@ -33,7 +33,7 @@ defmodule FleetWeb.EndpointTest do
     assert [%{"id" => "radio", "status" => "up", "text" => "listening" <> _}] = report["links"]
   end
 
-  test "without NATS a restart can be told, too: an epoch in the status and in events, and gateway.started",
+  test "without NATS a restart can also be seen: an epoch in the status and in events, and gateway.started",
        context do
     event = Aerie.Vehicle.Event.new("VID-001", "armed", 1, 1_763_800_000_000_000, nil, %{"mode" => "AUTO"})
     Aerie.Vehicle.Journal.commit(context.gateway, "VID-001", 1, [event])

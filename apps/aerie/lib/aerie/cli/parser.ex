@@ -8,7 +8,10 @@ defmodule Aerie.CLI.Parser do
           | {:help, Subcommand.t() | [Subcommand.t()]}
           | {:error, String.t()}
 
-  @doc "Finds the subcommand, and checks its options and arguments. An error says what is wrong, what was expected, and where to look."
+  @doc """
+  Finds the subcommand, and checks its options and arguments. An error says what is wrong, what was expected, and where
+  to look.
+  """
   @spec command_line([String.t()]) :: result()
   def command_line([]), do: {:help, Subcommands.all()}
   def command_line([help | _rest]) when help in ["help", "--help", "-h"], do: {:help, Subcommands.all()}
@@ -20,7 +23,7 @@ defmodule Aerie.CLI.Parser do
     end
   end
 
-  # `aerie params` is none, and `aerie params --help` lists those below it.
+  # `aerie params` is not a subcommand, and `aerie params --help` lists those below it.
   defp group([first | rest] = words) do
     case {below(first), rest} do
       {[_ | _] = rows, [help | _more]} when help in ["--help", "-h", "help"] -> {:help, rows}
@@ -30,7 +33,7 @@ defmodule Aerie.CLI.Parser do
 
   defp below(first), do: for(row <- Subcommands.all(), String.starts_with?(row.name, first <> " "), do: row)
 
-  # Two words before one: `config check` is a row, `config` alone is none.
+  # Two words before one: `config check` is a row, `config` alone is not one.
   defp find([first, second | rest] = words) do
     with nil <- row("#{first} #{second}", rest), do: find([first], tl(words))
   end

@@ -1,7 +1,8 @@
 defmodule Aerie.CLI.Status do
   @moduledoc """
-  Shows a running gateway in the terminal that started it: a table that is redrawn twice a second, or log lines (`Aerie.CLI.Status.Lines.due/3`)
-  if the output is a pipe. It reads the store and subscribes to the events. No other process waits for it.
+  Shows a running gateway in the terminal that started it: a table that is redrawn twice a second, or log lines
+  (`Aerie.CLI.Status.Lines.due/3`) if the output is a pipe. It reads the store and subscribes to the events. No other
+  process waits for it.
   """
 
   use GenServer
@@ -18,7 +19,7 @@ defmodule Aerie.CLI.Status do
 
   @doc """
   Options: `gateway` (name of the instance), `style` (`:table` or `:lines`), `http` (address to show, or nil),
-  `config` (for its warnings, and for who may use which interface), `device` (where to write, default standard
+  `config` (for its warnings, and for the users of each interface), `device` (where to write, default standard
   output), `size` (`{columns, lines}`).
   """
   @spec start_link(keyword()) :: GenServer.on_start()

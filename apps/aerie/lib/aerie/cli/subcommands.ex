@@ -123,7 +123,7 @@ defmodule Aerie.CLI.Subcommands do
         where: :here,
         module: Subcommand.Recordings.Replay,
         arguments: [{"FILE", "a .tlog file"}],
-        options: [{:samples, :boolean, nil, "print the state samples, too"}, @config],
+        options: [{:samples, :boolean, nil, "also print the state samples"}, @config],
         more: "aerie start --replay FILE plays it to clients and the console."
       },
       %Subcommand{
@@ -267,7 +267,7 @@ defmodule Aerie.CLI.Subcommands do
         where: :here,
         module: Subcommand.Machine.Config,
         arguments: [{"[FILE]", "as for config check"}],
-        options: [{:all, :boolean, nil, "print the keys with default values, too"}]
+        options: [{:all, :boolean, nil, "also print the keys with default values"}]
       },
       %Subcommand{
         name: "policy try",

@@ -1,7 +1,8 @@
 defmodule Aerie.Incident.Flight do
   @moduledoc """
-  What a copied recording shows of a vehicle: its events as `aerie replay` prints them, values over time, modes, the track, and how it was
-  heard. Everything comes from the replay's core (`Aerie.Fleet.Replay.Machine`), so the same recording gives the same flight.
+  What a copied recording shows of a vehicle: its events as `aerie replay` prints them, values over time, modes, the
+  track, and how it was heard. Everything comes from the replay's core (`Aerie.Fleet.Replay.Machine`), so the same
+  recording gives the same flight.
   """
 
   alias Aerie.Base.Json
@@ -200,7 +201,7 @@ defmodule Aerie.Incident.Flight do
 
   defp link(%{heard: heard} = flight) when heard == %{}, do: Map.take(flight.series, [:rate, :loss])
 
-  # An interval in which nothing was heard counts, too.
+  # An interval in which nothing was heard counts as well.
   defp link(%{heard: heard, span: span} = flight) do
     width = interval(span)
     {first, last} = heard |> Map.keys() |> Enum.min_max()

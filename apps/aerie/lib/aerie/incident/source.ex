@@ -1,7 +1,8 @@
 defmodule Aerie.Incident.Source do
   @moduledoc """
-  Where an incident is read from: a running gateway, or the folders of one that has stopped. Of both the configuration says where the files
-  are. What only a running gateway knows is asked from it in single calls; each answer may also be an error, which becomes a note.
+  Where an incident is read from: a running gateway, or the folders of one that has stopped. The configuration says
+  where the files of both are. What only a running gateway knows is asked from it in single calls; each answer may also
+  be an error, which becomes a note.
   """
 
   alias Aerie.Base.{Json, Names, Store}
@@ -18,7 +19,10 @@ defmodule Aerie.Incident.Source do
   @enforce_keys [:config, :base]
   defstruct [:config, :base, :call]
 
-  @typedoc "`base`: what relative paths of the configuration begin at; `call`: calls a function in the running gateway, nil if it has stopped."
+  @typedoc """
+  `base`: what relative paths of the configuration begin at; `call`: calls a function in the running gateway, nil if it
+  has stopped.
+  """
   @type t :: %__MODULE__{config: Config.t(), base: Path.t(), call: call() | nil}
   @typedoc "Calls a function in a gateway; the error is a text."
   @type call :: (module(), function :: atom(), arguments :: [term()] -> term() | {:error, String.t()})
@@ -62,7 +66,9 @@ defmodule Aerie.Incident.Source do
   @spec folder(t(), Path.t()) :: Path.t()
   def folder(%__MODULE__{base: base}, dir), do: Path.expand(dir, base)
 
-  @doc "Has the last minutes of a vehicle written to a file, unless it is being recorded. A note says why they could not be."
+  @doc """
+  Has the last minutes of a vehicle written to a file, unless it is being recorded. A note says why they could not be.
+  """
   @spec save(t(), String.t(), Aerie.Incident.Span.t(), now :: integer()) :: [String.t()]
   def save(%{call: nil}, _vehicle, _span, _now), do: []
 

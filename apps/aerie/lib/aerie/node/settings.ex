@@ -8,8 +8,8 @@ defmodule Aerie.Node.Settings do
     :enabled,
     :boolean,
     """
-    Let bin/aerie in: status, commands, the shell. Only who can read the files in dir gets in, and only on this machine. Who
-    gets in may do everything that the gateway may.
+    Let bin/aerie in: status, commands, the shell. It lets in only users who can read the files in dir, and only on this
+    machine. They may do everything that the gateway may.
     """,
     default: true
   )

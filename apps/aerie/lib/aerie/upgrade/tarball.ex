@@ -5,7 +5,10 @@ defmodule Aerie.Upgrade.Tarball do
 
   @max_bytes 1_000_000_000
 
-  @doc "Installs what is in `file`, which has a gateway that runs hand over to it; `words` are for that `aerie upgrade`. The exit status and what to print."
+  @doc """
+  Installs what is in `file`, which has a gateway that runs hand over to it; `words` are for that `aerie upgrade`. The
+  exit status and what to print.
+  """
   @spec install(Path.t(), Versions.t(), [String.t()]) :: {0..255, iodata()} | {:error, String.t()}
   def install(file, versions, words) do
     with :ok <- readable(file),
@@ -71,7 +74,7 @@ defmodule Aerie.Upgrade.Tarball do
       {:ok, folder}
     else
       {:error, :eacces} ->
-        {:error, "only who may write #{beside} can upgrade the gateway: sudo aerie upgrade"}
+        {:error, "only a user who may write #{beside} can upgrade the gateway: sudo aerie upgrade"}
 
       {:error, posix} ->
         {:error, "#{folder}: #{:file.format_error(posix)}"}

@@ -83,7 +83,7 @@ defmodule Aerie.CLI.RenderTest do
 
     assert text =~ ~r/VID-001 +online +copter px4 +AUTO_LOITER +ARMED +47.500000 +8.250000 +12.5 m +- +98% -/
     assert text =~ ~r/radio +.dev.ttyACM0 +down +0 +0 +0.0 +3 +7 +no such file/
-    assert text =~ "error: link radio: gone\n  e1\n  to mend it: plug it in\n"
+    assert text =~ "error: link radio: gone\n  e1\n  fix: plug it in\n"
 
     # What a vehicle has not told is a gap.
     silent = %{hd(@view.vehicles) | id: "x", status: :stale, autopilot: nil, vehicle_type: nil, groups: %{}}
@@ -175,7 +175,7 @@ defmodule Aerie.CLI.RenderTest do
     ]
 
     assert IO.iodata_to_binary(Subcommand.Machine.Doctor.render(findings)) ==
-             "error    clock: wrong\n         to mend it: set it\nok       disk: much\n"
+             "error    clock: wrong\n         fix: set it\nok       disk: much\n"
   end
 
   test "a probe's report names what was heard, or that nothing was" do

@@ -11,7 +11,7 @@ defmodule Aerie.Node.EntryTest do
   defp entry(name, pid, started \\ "2026-01-01T00:00:00Z"),
     do: %{name: name, port: 4000, pid: pid, started: started, http: "http://127.0.0.1:4000", config: nil}
 
-  test "a gateway that runs is found, what a killed one left is removed, damaged files are none", %{
+  test "a gateway that runs is found, what a killed one left is removed, damaged files are ignored", %{
     tmp_dir: dir
   } do
     me = String.to_integer(System.pid())

@@ -54,7 +54,7 @@ defmodule Aerie.Upgrade.StandbyTest do
     refute File.exists?(folder)
   end
 
-  test "what keeps it from starting is told to the one that runs", %{tmp_dir: folder, pid: pid} do
+  test "what keeps it from starting reaches the one that runs", %{tmp_dir: folder, pid: pid} do
     assert {:error, ["no"]} = Standby.wait(environment(folder, pid), fn _ours? -> {:error, ["no"]} end)
     assert File.read!(Path.join(folder, "failed")) == "no"
     assert {:error, [text]} = Standby.wait(environment(folder, "x"), fn _ours? -> :ok end)

@@ -51,7 +51,7 @@ defmodule Aerie.Upgrade.TarballTest do
     assert text =~ "copy it again"
   end
 
-  test "what is none is refused by name, and nothing is left", context do
+  test "refuses other files by name, and leaves nothing", context do
     assert {{:error, text}, ""} = install(context)
     assert text =~ "no such file"
     assert {{:error, text}, ""} = install(%{context | tarball: context.tmp_dir})

@@ -3,7 +3,8 @@ defmodule Aerie.Fleet.Bridge do
   Publishes state and events of vehicles to NATS.
 
   State is fire and forget; while NATS is away, the last value of each subject is kept. Events come from
-  `Aerie.Vehicle.Journal` and are published at least once, even if NATS or the gateway restarts. See the README beside the code.
+  `Aerie.Vehicle.Journal` and are published at least once, even if NATS or the gateway restarts. See the README beside
+  the code.
 
   Telemetry:
 
@@ -25,14 +26,15 @@ defmodule Aerie.Fleet.Bridge do
   * `mode` - `:embedded` or `:url`
   * `connected` - whether there is a connection; `url` - to which server, or the embedded server's
   * `problem` - why NATS does not store events, or nil if it does
-  * `server` - embedded mode: `status` (`:starting | :up | :down | {:failed, text}`), `port`, `store_dir`, `restarts`, `fault`
-    (why it stores nothing, or nil)
-  * `hub` - leaf node: `status` (`:up | :down`), `waiting` (events that the hub does not have), `lost` (events that it never gets),
-    `problem` (text or nil) and `stalled` (text if it is there and does not store events, else nil); nil without a hub
+  * `server` - embedded mode: `status` (`:starting | :up | :down | {:failed, text}`), `port`, `store_dir`, `restarts`,
+    `fault` (why it stores nothing, or nil)
+  * `hub` - leaf node: `status` (`:up | :down`), `waiting` (events that the hub does not have), `lost` (events that it
+    never gets), `problem` (text or nil) and `stalled` (text if it is there and does not store events, else nil); nil
+    without a hub
   * `streams` - the state of each stream, see `Aerie.Fleet.Bridge.Streams`
-  * `outbox` - `events`, `bytes`, `dropped`, `in_flight`, `problem` (of its disk: text or nil), `stalled_s` (how long events
-    have waited without any confirmation), `stalled` (text if that is too long, else nil) and `silent?` (whether the server is
-    connected and says nothing to it, as after a failed write)
+  * `outbox` - `events`, `bytes`, `dropped`, `in_flight`, `problem` (of its disk: text or nil), `stalled_s` (how long
+    events have waited without any confirmation), `stalled` (text if that is too long, else nil) and `silent?` (whether
+    the server is connected and says nothing to it, as after a failed write)
   """
   @type info :: %{
           mode: :embedded | :url,
@@ -46,7 +48,8 @@ defmodule Aerie.Fleet.Bridge do
         }
 
   @doc """
-  Hands over a state group of a vehicle for publishing. It is encoded in the calling process, which never waits for NATS.
+  Hands over a state group of a vehicle for publishing. It is encoded in the calling process, which never waits for
+  NATS.
 
   `map` is the group as in the vehicle's snapshot (`%{data: …, time_boot_ms: …}`) or just its data; `at` is in unix
   microseconds. Without a bridge it does nothing.
@@ -55,7 +58,9 @@ defmodule Aerie.Fleet.Bridge do
   @spec publish_state(Names.gateway(), String.t(), atom(), map(), integer()) :: :ok
   defdelegate publish_state(gateway, vehicle, group, map, at), to: State, as: :put
 
-  @doc "The vehicle's state as last published before the gateway was restarted (`Aerie.Fleet.Bridge.LastPublished`), or nil."
+  @doc """
+  The vehicle's state as last published before the gateway was restarted (`Aerie.Fleet.Bridge.LastPublished`), or nil.
+  """
   @impl Aerie.Vehicle.Publisher
   @spec remembered(Names.gateway(), String.t()) :: Aerie.Vehicle.Detector.OfflineChanges.t()
   defdelegate remembered(gateway, vehicle), to: LastPublished, as: :of
@@ -84,7 +89,7 @@ defmodule Aerie.Fleet.Bridge do
   @spec off?(Names.gateway()) :: boolean()
   def off?(gateway), do: Store.recall(gateway, {:bridge, :off}, false)
 
-  @doc "The fleet's environment: the second word of every subject, which signed commands name over REST, too."
+  @doc "The fleet's environment: the second word of every subject, which signed commands also name over REST."
   @spec environment(Names.gateway()) :: String.t() | nil
   def environment(gateway), do: Store.recall(gateway, {:bridge, :environment})
 
@@ -106,8 +111,9 @@ defmodule Aerie.Fleet.Bridge do
   def note_off(gateway), do: Store.remember(gateway, {:bridge, :off}, true)
 
   @doc """
-  The server's address for people and programs on this machine. That of the embedded server contains its login: show it in the
-  terminal from which the gateway was started, and write it nowhere that others can read. Nil if there is no address.
+  The server's address for people and programs on this machine. That of the embedded server contains its login: show it
+  in the terminal from which the gateway was started, and write it nowhere that others can read. Nil if there is no
+  address.
   """
   @spec login_url(Names.gateway()) :: String.t() | nil
   def login_url(gateway) do
@@ -118,7 +124,10 @@ defmodule Aerie.Fleet.Bridge do
     end
   end
 
-  @doc "The connection, for other users of NATS (commands, shadow), or nil if there is none now. Ask again after a `:bridge` message."
+  @doc """
+  The connection, for other users of NATS (commands, shadow), or nil if there is none now. Ask again after a `:bridge`
+  message.
+  """
   @spec connection(Names.gateway()) :: pid() | nil
   def connection(gateway) do
     with %{} = tables <- Tables.get(gateway), do: Map.get(Tables.info(tables, :connection), :conn)

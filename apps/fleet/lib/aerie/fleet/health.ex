@@ -2,14 +2,15 @@ defmodule Aerie.Fleet.Health do
   @moduledoc """
   Says whether a gateway is ready, part by part from the read model, so that a failing probe gives the reason.
 
-  Ready means that the gateway's parts run and its code is loaded (`Aerie.Base.Store.starting?/1`), that NATS stores events (or is switched off by the configuration), that no
-  autopilot has the gateway's own ids (its vehicle would be invisible), that the processes which its own heartbeat needs answer
-  (`MavRouter.Identity.status/1`, as for `Aerie.Systemd`; those of one vehicle do not count), that the ledger admits commands
-  (`Aerie.Control.Ledger.problem/1`), and that no link, no endpoint for clients and no
-  session of a vehicle drops what comes faster than it takes it (what the gateway shows would be incomplete). Links that are down are
-  listed but do not make it unready, because a gateway that waits for a radio to return does its work. Nor do an audit log that cannot
-  be written (the gateway then refuses commands, and shows everything), a policy that could not be loaded again (the old one is in
-  force), and a leaf node's hub that is away or stores nothing (events are stored aboard).
+  Ready means that the gateway's parts run and its code is loaded (`Aerie.Base.Store.starting?/1`), that NATS stores
+  events (or is switched off by the configuration), that no autopilot has the gateway's own ids (its vehicle would be
+  invisible), that the processes which its own heartbeat needs answer (`MavRouter.Identity.status/1`, as for
+  `Aerie.Systemd`; those of one vehicle do not count), that the ledger admits commands
+  (`Aerie.Control.Ledger.problem/1`), and that no link, no endpoint for clients and no session of a vehicle drops what
+  comes faster than it takes it (what the gateway shows would be incomplete). Links that are down are listed but do not
+  make it unready, because a gateway that waits for a radio to return does its work. Nor do an audit log that cannot be
+  written (the gateway then refuses commands, and shows everything), a policy that could not be loaded again (the old
+  one is in force), and a leaf node's hub that is away or stores nothing (events are stored aboard).
   """
 
   alias Aerie.Base.{Names, Store}
@@ -59,7 +60,7 @@ defmodule Aerie.Fleet.Health do
      }}
   end
 
-  # A process that has never answered counts, too: a gateway that has just started is not ready yet.
+  # A process that has never answered counts as well: a gateway that has just started is not ready yet.
   defp silent(gateway) do
     for {role, nil} <- Identity.status(gateway).silent,
         do:

@@ -6,9 +6,10 @@ defmodule Aerie.Fleet.Inspector do
       Aerie.Fleet.Inspector.rows(:default, system: 7)
       Aerie.Fleet.Inspector.last(:default, {"radio", :in, 7, 1, 30})
 
-  It looks only while somebody watches (`watch/1`, until that process ends): without watchers the links pay nothing. It gets frames by the
-  recorder's taps, so it never makes a link wait: what it does not take in time is left out and counted (`skipped`). Nothing is decoded
-  but what somebody asks for, in the process of the caller (`Aerie.Fleet.Inspector.Fields`).
+  It looks only while somebody watches (`watch/1`, until that process ends): without watchers the links pay nothing. It
+  gets frames by the recorder's taps, so it never makes a link wait: what it cannot take at once is left out and counted
+  (`skipped`). Nothing is decoded but what somebody asks for, in the process of the caller
+  (`Aerie.Fleet.Inspector.Fields`).
 
   What a link sends is seen as far as the recorder sees it (`recorder.sent`); without a recorder there is
   nothing to see. Passwords and keys (`MavCodec.Signing.Redact`) are never shown (S9).
@@ -56,7 +57,10 @@ defmodule Aerie.Fleet.Inspector do
     :exit, _gone -> :ok
   end
 
-  @doc "The rows that are heard, of one link, direction, system, component or message id if these are given; in the order of their keys."
+  @doc """
+  The rows that are heard, of one link, direction, system, component or message id if these are given; in the order of
+  their keys.
+  """
   @spec rows(Names.gateway(), keyword) :: [row]
   def rows(gateway, filter \\ []),
     do: read(gateway, [], &Rows.list(&1, filter))
@@ -65,7 +69,10 @@ defmodule Aerie.Fleet.Inspector do
   @spec last(Names.gateway(), key) :: Frame.t() | nil
   def last(gateway, key), do: read(gateway, nil, &Rows.frame(&1, key))
 
-  @doc "How many frames were left out since somebody began to watch: they came too fast, or there were too many different ones."
+  @doc """
+  How many frames were left out since somebody began to watch: they came too fast, or there were too many different
+  ones.
+  """
   @spec skipped(Names.gateway()) :: non_neg_integer
   def skipped(gateway), do: read(gateway, 0, &Rows.skipped/1)
 

@@ -1,11 +1,11 @@
 defmodule Aerie.Fleet.Nats do
   @moduledoc """
-  The only way to NATS: what Aerie uses of the client `Gnat`, with the same results from the one in `packages/` and from the Hex
-  package (`AERIE_PACKAGES`).
+  The only way to NATS: what Aerie uses of the client `Gnat`, with the same results from the one in `packages/` and from
+  the Hex package (`AERIE_PACKAGES`).
 
-  Nothing here exits: without a connection, or if it ends meanwhile, the result is an error. Reasons are terms of the client;
-  `text/1` says them to a person. Of interest to a program are `:timeout`, `:no_responders`, `{:too_large, bytes, max}` and the maps
-  of JetStream (`"err_code"`).
+  Nothing here exits: without a connection, or if it ends meanwhile, the result is an error. Reasons are terms of the
+  client; `text/1` says them to a person. A program may want `:timeout`, `:no_responders`, `{:too_large, bytes, max}`
+  and the maps of JetStream (`"err_code"`).
   """
 
   @timeout_ms 5_000
@@ -15,7 +15,9 @@ defmodule Aerie.Fleet.Nats do
   @type conn :: pid()
   @type reason :: :timeout | :no_responders | {:too_large, pos_integer(), pos_integer()} | map() | term()
   @type headers :: [{String.t(), String.t()}]
-  @typedoc "`topic`, `body`, `reply_to`, `headers` (lower case; only if there are any), `status` (with headers), `sid`, `gnat`."
+  @typedoc """
+  `topic`, `body`, `reply_to`, `headers` (lower case; only if there are any), `status` (with headers), `sid`, `gnat`.
+  """
   @type message :: Gnat.message()
 
   @doc """
@@ -31,7 +33,9 @@ defmodule Aerie.Fleet.Nats do
     safely(fn -> with :ok <- fits(conn, body, options), do: Gnat.pub(conn, subject, body, options) end)
   end
 
-  @doc "Publishes several messages, each as by `pub/4`, in one write if the client can. Gives their results in the same order."
+  @doc """
+  Publishes several messages, each as by `pub/4`, in one write if the client can. Gives their results in the same order.
+  """
   @spec pub_all(conn(), [{String.t(), iodata()}]) :: [:ok | {:error, reason()}]
   if @ours do
     def pub_all(conn, messages), do: conn |> Gnat.pub_all(messages) |> Enum.map(&result/1)
@@ -59,8 +63,9 @@ defmodule Aerie.Fleet.Nats do
   end
 
   @doc """
-  Calls a function of the client that waits for the server, such as those of `Gnat.Jetstream.API.Stream`, in a process of its own: a
-  client may wait on when its connection has ended, and leave a late answer in the caller's mailbox. `timeout` in ms.
+  Calls a function of the client that waits for the server, such as those of `Gnat.Jetstream.API.Stream`, in a process
+  of its own: a client may wait on when its connection has ended, and leave a late answer in the caller's mailbox.
+  `timeout` in ms.
   """
   @spec call(conn(), (-> result), timeout :: pos_integer()) :: result | {:error, reason()} when result: term()
   def call(conn, fun, timeout \\ @timeout_ms) do
@@ -102,8 +107,8 @@ defmodule Aerie.Fleet.Nats do
 
   defp lost(reason), do: reason
 
-  # A server ends the connection of a client that sends more, so the message would be sent again and again. The client in `packages/`
-  # knows the limit; for the one from Hex it is asked for.
+  # A server ends the connection of a client that sends more, so the message would be sent again and again. The client
+  # in `packages/` knows the limit; for the one from Hex it is asked for.
   if @ours do
     defp fits(_conn, _body, _options), do: :ok
   else

@@ -134,7 +134,7 @@ defmodule Aerie.Fleet.Remote do
 
   defp now, do: System.monotonic_time(:millisecond)
 
-  # This gateway hears the vehicle, too, and the other one holds it (`Aerie.Control.Commands.SharedVehicle`).
+  # This gateway also hears the vehicle, and the other one holds it (`Aerie.Control.Commands.SharedVehicle`).
   defp there?(_gateway, %{holds?: holds?}), do: holds?.()
 
   defp there?(gateway, snapshot) do

@@ -74,7 +74,7 @@ defmodule Aerie.Fleet.InspectorTest do
     assert :binary.match(shown.bytes, key) == :nomatch
   end
 
-  test "what it does not take in time is left out and counted, and the link never waits", c do
+  test "what it cannot take at once is left out and counted, and the link never waits", c do
     assert Inspector.watch(c.gateway) == :ok
     inspector = Aerie.Base.Names.whereis(c.gateway, :inspector)
     :sys.suspend(inspector, Aerie.Patience.ms())

@@ -14,7 +14,7 @@ defmodule Aerie.Fleet.NatsTest do
     %{conn: conn}
   end
 
-  test "a key is changed only by who knows its last revision, and made only if it has no value", %{conn: conn} do
+  test "a key is changed only with its last revision, and made only if it has no value", %{conn: conn} do
     assert KV.get(conn, "bucket", "a.b") == {:none, 0}
     assert :ok = KV.put(conn, "bucket", "a.b", "one", expected: 0)
     assert :lost_race = KV.put(conn, "bucket", "a.b", "other", expected: 0)

@@ -1,5 +1,7 @@
 defmodule Aerie.Fleet.RemoteTest do
-  @moduledoc "A hub whose other gateway is the test, on a real nats-server: what it shows of it, and what becomes of commands."
+  @moduledoc """
+  A hub whose other gateway is the test, on a real nats-server: what it shows of it, and what becomes of commands.
+  """
   use Aerie.BridgeCase, async: true
 
   import Aerie.CommandCase, only: [start_part: 3, commands: 1, audit: 1]
@@ -48,8 +50,8 @@ defmodule Aerie.Fleet.RemoteTest do
     start_supervised!({Remote.Supervisor, gateway: gateway, settings: settings})
     conn = client(url)
 
-    # The answer shows that the listener's subscription is known to the server. And it has read what the stream had, so that it takes
-    # nothing twice.
+    # The answer shows that the listener's subscription is known to the server. And it has read what the stream had, so
+    # that it takes nothing twice.
     eventually(fn ->
       listener = Names.whereis(gateway, :remote_listener)
       %{conn: conn, tasks: tasks} = :sys.get_state(listener, Aerie.Patience.ms())
@@ -225,7 +227,7 @@ defmodule Aerie.Fleet.RemoteTest do
     assert %{status: :failed, details: %{"rule" => "unreachable"}} = command(gateway, "hold")
   end
 
-  test "an answer that is none is unknown; the hub's own policy decides first",
+  test "an invalid answer is unknown; the hub's own policy decides first",
        %{gateway: gateway} = context do
     known(context)
     serve(context, fn message, _body -> Gnat.pub(message.gnat, message.reply_to, "[]") end)
@@ -287,7 +289,8 @@ defmodule Aerie.Fleet.RemoteTest do
        %{gateway: gateway} = context do
     old = System.os_time(:microsecond) - 600_000_000
 
-    # A message that was two seconds under way, as on a busy machine, shows another clock: then another vehicle is tried.
+    # A message that was two seconds under way, as on a busy machine, shows another clock: then another vehicle is
+    # tried.
     eventually(fn ->
       id = "VID-#{System.unique_integer([:positive])}"
       known(context, id)

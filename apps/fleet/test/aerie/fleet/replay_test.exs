@@ -220,7 +220,7 @@ defmodule Aerie.Fleet.ReplayTest do
       assert exact(Replay.run(files)) == once
     end
 
-    test "that is none says so", %{tmp_dir: dir} do
+    test "that does not exist says so", %{tmp_dir: dir} do
       missing = Path.join(dir, "missing.tlog")
       assert Replay.run(missing) == {:error, "#{missing}: no such file or directory"}
       assert Replay.run(dir) == {:error, "#{dir}: illegal operation on a directory"}
@@ -239,7 +239,7 @@ defmodule Aerie.Fleet.ReplayTest do
     defp damage(<<head::binary-size(50_000), _::binary-size(100), tail::binary>>),
       do: head <> String.duplicate(<<0x55>>, 100) <> tail
 
-    test "with a cut-off end is read to there, and the end is told", %{tmp_dir: dir} do
+    test "with a cut-off end is read to there, and the end is reported", %{tmp_dir: dir} do
       path = Path.join(dir, "cut.tlog")
       whole = bytes("px4_refusals")
       File.write!(path, binary_part(whole, 0, byte_size(whole) - 5))
@@ -261,7 +261,7 @@ defmodule Aerie.Fleet.ReplayTest do
                [{:online, :stale, 4}, {:stale, :lost, 6}, {:lost, :online, 60}]
     end
 
-    test "a text that stays incomplete is told when its time is up, not with the next frame" do
+    test "a text that stays incomplete comes when its time is up, not with the next frame" do
       chunk = %M.Statustext{severity: 4, text: String.duplicate("x", 50), id: 7, chunk_seq: 0}
       {:ok, flight} = play([beat(0), frame(chunk, at(0.5)), beat(2.9)])
       assert [%{type: "statustext", time: time}] = flight.events
@@ -304,7 +304,7 @@ defmodule Aerie.Fleet.ReplayTest do
       assert [{9, 154}, {255, 190}] = Enum.map(flight.summary.stations, &{&1.system, &1.component})
     end
 
-    test "a recording without a vehicle is none, which is not an error" do
+    test "a recording without a vehicle has no flight, which is not an error" do
       assert {:ok, %{events: [], snapshots: %{}, summary: %{vehicles: []}}} =
                play([beat(0, [type: 6, autopilot: 8], system: 255)])
     end

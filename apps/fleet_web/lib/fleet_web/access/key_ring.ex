@@ -1,7 +1,8 @@
 defmodule FleetWeb.Access.KeyRing do
   @moduledoc """
-  The keys that open `/api` and the WebSocket at this moment: those of the configuration, and those that an admin made in the console. Of the
-  latter a file of the console's folder has the digests, in the form of `api.keys_file`; the key itself is shown once and kept nowhere.
+  The keys that open `/api` and the WebSocket at this moment: those of the configuration, and those that an admin made
+  in the console. A file of the console's folder has the digests of the latter, in the form of `api.keys_file`; the key
+  itself is shown once and kept nowhere.
 
   A request reads the list without waiting (`admit/2`). While this process restarts nobody is let in, because no keys
   at all would mean that programs of this machine need none.
@@ -60,7 +61,10 @@ defmodule FleetWeb.Access.KeyRing do
   defp summary(keys, made?),
     do: for(key <- keys, do: key |> Map.take([:name, :role, :permissions, :until]) |> Map.put(:made, made?))
 
-  @doc "Makes a key in the name of `by`; gives its text, which is known nowhere else. `expires`: a day as `2027-12-31`, or nothing."
+  @doc """
+  Makes a key in the name of `by`; gives its text, which is known nowhere else. `expires`: a day as `2027-12-31`, or
+  nothing.
+  """
   @spec make(Names.gateway(), name :: term(), role :: term(), expires :: term(), Changes.by()) ::
           {:ok, String.t()} | {:error, String.t()}
   def make(gateway, name, role, expires, by) do

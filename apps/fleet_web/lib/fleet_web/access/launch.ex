@@ -1,7 +1,8 @@
 defmodule FleetWeb.Access.Launch do
   @moduledoc """
-  The token in the address that `bin/run` prints, which signs in somebody on this machine with one click. It is made at start and
-  stored only in the file `url` of the console's folder, which only its owner can read and which is removed with the gateway.
+  The token in the address that `bin/run` prints, which signs in somebody on this machine with one click. It is made at
+  start and stored only in the file `url` of the console's folder, which only its owner can read and which is removed
+  with the gateway.
   """
   use GenServer
 
@@ -55,7 +56,7 @@ defmodule FleetWeb.Access.Launch do
     {:noreply, state}
   end
 
-  # A server that listens on all addresses is reachable on loopback, too.
+  # A server that listens on all addresses is also reachable on loopback.
   defp host({0, 0, 0, 0}), do: "127.0.0.1"
   defp host({0, 0, 0, 0, 0, 0, 0, 0}), do: "[::1]"
   defp host(address) when tuple_size(address) == 8, do: "[#{:inet.ntoa(address)}]"

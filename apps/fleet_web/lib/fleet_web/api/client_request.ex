@@ -4,8 +4,8 @@ defmodule FleetWeb.API.ClientRequest do
 
       {"url": "udpout:192.168.1.20:14550", "id": "field", "networks": ["main"], "access": "read"}
 
-  Only `url` is required. `MavRouter.Client.add/2` checks the values; HTTP clients must not name devices or files of this
-  machine.
+  Only `url` is required. `MavRouter.Client.add/2` checks the values; HTTP clients must not name devices or files of
+  this machine.
   """
 
   alias FleetWeb.API.{Error, Request}
@@ -27,7 +27,7 @@ defmodule FleetWeb.API.ClientRequest do
   defp url(url) when is_binary(url) and byte_size(url) <= @max_url, do: {:ok, url}
   defp url(_other), do: Error.invalid("url must be a connection string such as udpout:192.168.1.20:14550")
 
-  # Left out means all networks; an empty list would, too, and is more likely a mistake.
+  # Left out means all networks; so would an empty list, which is more likely a mistake.
   defp networks(nil), do: {:ok, []}
   defp networks([_ | _] = names), do: {:ok, names}
   defp networks(_other), do: Error.invalid("networks must be a list of names")

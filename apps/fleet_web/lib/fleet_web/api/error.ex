@@ -2,9 +2,9 @@ defmodule FleetWeb.API.Error do
   @moduledoc """
   The answer to a refused request: a status and `{"error": {"code": ..., "message": ...}}`.
 
-  The code is for programs and does not change. The message is for people and says what is expected. This is a struct of its
-  own besides `Aerie.Base.Error`, because most refusals here concern HTTP (keys, methods, sizes, headers), which the gateway
-  below does not know; `from/1` gives each error of the gateway its status.
+  The code is for programs and does not change. The message is for people and says what is expected. This is a struct of
+  its own besides `Aerie.Base.Error`, because most refusals here concern HTTP (keys, methods, sizes, headers), which the
+  gateway below does not know; `from/1` gives each error of the gateway its status.
   """
 
   alias Aerie.Vehicle.Command
@@ -20,13 +20,14 @@ defmodule FleetWeb.API.Error do
   * `forbidden` (403) - a web page of another server; without a configured key: a request from another machine
   * `not_found` (404), `method_not_allowed` (405), `conflict` (409, the id is taken, or the present state forbids it)
   * `too_large` (413), `unsupported_media_type` (415), `range` (416, it begins after the end)
-  * `misdirected` (421) - only the gateway that hears the vehicle has it: the message and `GET /api/vehicles/ID` (`via`) name that one
+  * `misdirected` (421) - only the gateway that hears the vehicle has it: the message and `GET /api/vehicles/ID` (`via`)
+    name that one
   * `upgrade_required` (426) - plain HTTP where a WebSocket is served
   * `invalid` (422) - well-formed but not possible
   * `too_many` (429) - a limit is reached
   * `unavailable` (503) - the part that would answer does not run
 
-  Of commands (`of_result/1`):
+  For commands (`of_result/1`):
 
   * `expired` (410) - its deadline passed; `cancelled` (409)
   * `failed` (502) - the vehicle did not do it; `timeout` (504), `outcome_unknown` (504) - it may have done it

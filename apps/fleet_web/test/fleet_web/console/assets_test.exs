@@ -33,7 +33,7 @@ defmodule FleetWeb.Console.AssetsTest do
     assert again.status == 304 and again.body == ""
   end
 
-  test "who takes gzip gets it", %{console: console} do
+  test "serves gzip to clients that take it", %{console: console} do
     path = Assets.path(console.gateway, "css/ui.css")
     plain = get(console, path)
     packed = get(console, path, %{}, [{"accept-encoding", "br, gzip"}])

@@ -99,7 +99,7 @@ defmodule FleetWeb.Console.RemoteTest do
     assert has_element?(view, "a", "To the vehicle")
   end
 
-  test "an emergency, and silence while armed, are alarms here, too", %{console: console} = context do
+  test "an emergency, and silence while armed, are also alarms here", %{console: console} = context do
     now = context.now + 1
 
     RemoteTable.put(console.gateway, @id, :mode, %{

@@ -1,7 +1,8 @@
 defmodule Aerie.Vehicle.ArmAuthorization do
   @moduledoc """
-  A vehicle asks before it arms (X13: PX4's COM_ARM_AUTH_REQ with the gateway's system id in COM_ARM_AUTH_ID), whatever the source of
-  the order: a pilot's remote control, too. A module with this behaviour decides; without one the answer is no.
+  A vehicle asks before it arms (X13: PX4's COM_ARM_AUTH_REQ with the gateway's system id in COM_ARM_AUTH_ID), whatever
+  the source of the order, a pilot's remote control included. A module with this behaviour decides; without one the
+  answer is no.
   """
 
   alias Aerie.Base.Names

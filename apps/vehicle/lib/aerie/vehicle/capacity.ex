@@ -1,15 +1,15 @@
 defmodule Aerie.Vehicle.Capacity do
   @moduledoc """
-  Which vehicle makes room for a new one when there are `limits.max_vehicles`: the one that has been lost for the longest
-  time. Three exceptions protect real vehicles from ids that a bad radio or an attacker made up:
+  Which vehicle makes room for a new one when there are `limits.max_vehicles`: the one that has been lost for the
+  longest time. Three exceptions protect real vehicles from ids that a bad radio or an attacker made up:
 
     * A vehicle with a name in the configuration keeps its place.
     * A vehicle that was armed when it was lost goes last: its last position helps those who search for it.
     * A vehicle that was never here before has to wait until the other one has been lost for `limits.displace_lost_s`. A
       vehicle with a name, or one that was itself displaced, need not wait.
 
-  Of a displaced vehicle only its events and its event numbering are kept. Its public name follows from network and system
-  id, so it is the same when the vehicle comes back.
+  Only the events and the event numbering of a displaced vehicle are kept. Its public name follows from network and
+  system id, so it is the same when the vehicle comes back.
   """
 
   alias Aerie.Base.{Names, Store}

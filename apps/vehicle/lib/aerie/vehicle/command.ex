@@ -5,8 +5,8 @@ defmodule Aerie.Vehicle.Command do
       {:ok, command} = Aerie.Vehicle.Command.parse(%{"id" => "a1", "vehicle" => "VID-001", "type" => "takeoff",
                          "params" => %{"altitude" => 20}, "source" => "ops"}, now)
 
-  `Aerie.Vehicle.Command.Types` is the table of what can be commanded; a command that was parsed has parameters of that table only,
-  in range, with defaults filled in. Times are unix microseconds.
+  `Aerie.Vehicle.Command.Types` is the table of what can be commanded; a command that was parsed has parameters of that
+  table only, in range, with defaults filled in. Times are unix microseconds.
   """
 
   alias Aerie.Base.Json
@@ -77,7 +77,10 @@ defmodule Aerie.Vehicle.Command do
 
   def parse(envelope, _now), do: {:error, [Error.new("command", "an object", envelope)]}
 
-  @doc "The command of the same fields for callers in Elixir: an id is made when none is given, `params` may have atoms as keys."
+  @doc """
+  The command of the same fields for callers in Elixir: an id is made when none is given, `params` may have atoms as
+  keys.
+  """
   @spec new(keyword(), now :: integer()) :: {:ok, t()} | {:error, [Error.t(), ...]}
   def new(fields, now \\ System.os_time(:microsecond)) do
     fields
@@ -88,7 +91,7 @@ defmodule Aerie.Vehicle.Command do
     |> parse(now)
   end
 
-  # What is none is left to the check.
+  # Anything else is left to the check.
   defp named(params) do
     if is_map(params) or Keyword.keyword?(params),
       do: Map.new(params, fn {name, value} -> {to_string(name), value} end),

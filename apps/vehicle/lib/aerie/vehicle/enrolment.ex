@@ -2,19 +2,19 @@ defmodule Aerie.Vehicle.Enrolment do
   @moduledoc """
   Gives a flight controller a signing key, or takes it away; runs in the process of the caller.
 
-  SETUP_SIGNING is not acknowledged: it worked when frames with the new signature come (or unsigned ones, after the key was
-  taken away). Until then it is sent again every two seconds. It is signed with the key in force, which a flight controller
-  with that key requires, and one without a key ignores.
+  SETUP_SIGNING is not acknowledged: it worked when frames with the new signature come (or unsigned ones, after the key
+  was taken away). Until then it is sent again every two seconds. It is signed with the key in force, which a flight
+  controller with that key requires, and one without a key ignores.
 
   So that nobody is locked out, a new key goes through two phases:
 
   1. **staged**: the key is on the disk (`MavRouter.Signing.KeyStore.KeyFiles`) before it is sent. The key in force
   stays in use in both
      directions. A signature that does not match it is tried with the staged key.
-  2. **proven**: the first frame that is signed with the staged key puts it in force, whether or not a caller still waits,
-     even an hour later or after a restart.
+  2. **proven**: the first frame that is signed with the staged key puts it in force, whether or not a caller still
+     waits, even an hour later or after a restart.
 
-  If no such frame comes in time, both keys stay known, and the error says which one the vehicle uses. Call `enrol/3` again to
+  If no such frame comes, both keys stay known, and the error says which one the vehicle uses. Call `enrol/3` again to
   send the staged key again, `discard/2` to forget it, and use `key: :previous` to go back to the former key.
   """
 
@@ -36,13 +36,13 @@ defmodule Aerie.Vehicle.Enrolment do
   @doc """
   Gives a flight controller its key by SETUP_SIGNING, and waits until it signs with it.
 
-  This needs a link that is marked secure in the configuration or in its connection string (USB, Ethernet), because the key is
-  sent unencrypted; other links are refused with the reason (S8). Options:
+  This needs a link that is marked secure in the configuration or in its connection string (USB, Ethernet), because the
+  key is sent unencrypted; other links are refused with the reason (S8). Options:
 
     * `:link` - the secure link to use; required if the vehicle is not heard there (its frames may be refused)
-    * `:key` - another key than the one in force: `{:file, path}`, `{:env, name}`, `:generate` (random), or `:previous` (the
-      former key). It is stored in `signing.dir/keys` before it is sent, and is in force as soon as the vehicle proves that
-      it has it (`Aerie.Vehicle.Enrolment`). The result has a generated key as an `Aerie.Base.Secret`.
+    * `:key` - another key than the one in force: `{:file, path}`, `{:env, name}`, `:generate` (random), or `:previous`
+      (the former key). It is stored in `signing.dir/keys` before it is sent, and is in force as soon as the vehicle
+      proves that it has it (`Aerie.Vehicle.Enrolment`). The result has a generated key as an `Aerie.Base.Secret`.
     * `:component` - of the autopilot, default 1
     * `:timeout_ms` - default 10,000
     * `:by` - who asks, for the audit event; default `"local"`
@@ -64,9 +64,9 @@ defmodule Aerie.Vehicle.Enrolment do
   end
 
   @doc """
-  Takes the key away from a flight controller (SETUP_SIGNING with zeros), and waits until it sends unsigned frames. Needs a
-  secure link, like `enrol/3`; options `:link`, `:component`, `:timeout_ms`, `:by`. A key that `enrol/3` gave is retired
-  (kept as the previous one); the configuration of the vehicle does not change.
+  Takes the key away from a flight controller (SETUP_SIGNING with zeros), and waits until it sends unsigned frames.
+  Needs a secure link, like `enrol/3`; options `:link`, `:component`, `:timeout_ms`, `:by`. A key that `enrol/3` gave is
+  retired (kept as the previous one); the configuration of the vehicle does not change.
   """
   @spec revoke(Names.gateway(), Signing.vehicle(), keyword) ::
           {:ok, %{link: String.t()}} | {:error, Error.t()}
@@ -89,8 +89,8 @@ defmodule Aerie.Vehicle.Enrolment do
   end
 
   @doc """
-  The links that are marked secure, by which keys can be given; of `key`'s network, with whether that vehicle is `heard` there, if one
-  is given.
+  The links that are marked secure, by which keys can be given; of `key`'s network, with whether that vehicle is `heard`
+  there, if one is given.
   """
   @spec links(Names.gateway(), SecureLink.key() | nil) :: [map]
   def links(gateway, key \\ nil)

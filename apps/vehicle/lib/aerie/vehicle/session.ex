@@ -2,14 +2,14 @@ defmodule Aerie.Vehicle.Session do
   @moduledoc """
   The process of one vehicle: receives its frames and carries out the actions of `Aerie.Vehicle.Core`.
 
-  The router sends `{:frames, link_id, [frame]}`, one message per read of a link, or `{:frames, {link_id, peer}, [frame]}`
-  while several endpoints of a link bring the system.
+  The router sends `{:frames, link_id, [frame]}`, one message per read of a link, or `{:frames, {link_id, peer},
+  [frame]}` while several endpoints of a link bring the system.
 
-  Between frames time goes on by `Aerie.Vehicle.Session.Clock`: a vehicle is lost after the same silence whether its frames come from a
-  radio or from a recording that is played ten times as fast. A recording that is played as fast as it can be read has no time
-  between its frames until its end. When the machine's clock is set (`Aerie.Base.HostClock`; a companion computer without a
-  battery-backed clock starts in another year), all times that the session keeps of a live vehicle move with it: nothing becomes
-  older or newer, and no vehicle is lost by it.
+  Between frames time goes on by `Aerie.Vehicle.Session.Clock`: a vehicle is lost after the same silence whether its
+  frames come from a radio or from a recording that is played ten times as fast. A recording that is played as fast as
+  it can be read has no time between its frames until its end. When the machine's clock is set (`Aerie.Base.HostClock`;
+  a companion computer without a battery-backed clock starts in another year), all times that the session keeps of a
+  live vehicle move with it: nothing becomes older or newer, and no vehicle is lost by it.
   """
   use GenServer
 
@@ -98,7 +98,8 @@ defmodule Aerie.Vehicle.Session do
     handle_info({:tick, due}, state)
   end
 
-  # Time as it was when the tick came: frames that wait behind it came later, so a busy process takes no vehicle for lost.
+  # Time as it was when the tick came: frames that wait behind it came later, so a busy process takes no vehicle for
+  # lost.
   def handle_info({:tick, due}, state) do
     state = state |> check_host_clock() |> past_end()
 
@@ -124,8 +125,8 @@ defmodule Aerie.Vehicle.Session do
     {:noreply, %{state | output: Vehicle.Session.Output.send(state.output, message, state.core.version)}}
   end
 
-  # The executor or the transfers want frames with these ids, texts, reports and reboots, and with `:snapshots` among them those as
-  # well; nil: nothing any more.
+  # The executor or the transfers want frames with these ids, texts, reports and reboots, and with `:snapshots` among
+  # them those as well; nil: nothing any more.
   def handle_info({:listen, pid, ids}, state) do
     {monitor, _ids} = Map.get_lazy(state.listeners, pid, fn -> {Process.monitor(pid), nil} end)
     if ids == nil, do: Process.demonitor(monitor, [:flush])
@@ -141,7 +142,8 @@ defmodule Aerie.Vehicle.Session do
   def handle_info({:DOWN, _monitor, :process, pid, _reason}, state),
     do: {:noreply, %{state | listeners: Map.delete(state.listeners, pid)}}
 
-  # The executor asks the vehicle by commands that our requests for streams use, too, and cannot tell the answers apart (C8).
+  # The executor asks the vehicle by commands that our requests for streams also use, and cannot tell the answers apart
+  # (C8).
   def handle_info({:alone, pid, wanted?}, state),
     do: {:noreply, step(%{state | alone: if(wanted?, do: pid)}, {:hold_requests, wanted?})}
 
@@ -168,8 +170,9 @@ defmodule Aerie.Vehicle.Session do
   defp notify(%{listeners: listeners}, what),
     do: Enum.each(listeners, fn {pid, _wants} -> send(pid, what) end)
 
-  # Not :timer.send_interval/2: all ticks would pass through its one process, a thousand a second for a hundred vehicles. Those of all
-  # vehicles come at full hundredths of a second, so that they wake the machine a hundred times a second, not ten times for each.
+  # Not :timer.send_interval/2: all ticks would pass through its one process, a thousand a second for a hundred
+  # vehicles. Those of all vehicles come at full hundredths of a second, so that they wake the machine a hundred times a
+  # second, not ten times for each.
   defp schedule_tick do
     now = System.monotonic_time(:millisecond)
     at = now + @tick_ms - Integer.mod(now + @tick_ms, @grid_ms)
@@ -249,8 +252,8 @@ defmodule Aerie.Vehicle.Session do
     end)
   end
 
-  # Time stands still between the frames of a recording that is read as fast as it can be, but not after its end: the vehicle is
-  # lost then.
+  # Time stands still between the frames of a recording that is read as fast as it can be, but not after its end: the
+  # vehicle is lost then.
   defp past_end(%{clock: %{speed: speed} = clock, link: link} = state) when speed == 0 do
     if link_speed(state.gateway, link) == 0,
       do: state,

@@ -84,7 +84,7 @@ defmodule Aerie.Vehicle.CommandTest do
     assert param_errors("takeoff", [1]) == ["params: expected an object, got [1]"]
   end
 
-  test "all that is wrong is told at once" do
+  test "names all that is wrong at once" do
     assert [
              "params.speeed: " <> _,
              "params.lat: " <> _,

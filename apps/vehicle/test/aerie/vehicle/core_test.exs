@@ -132,7 +132,8 @@ defmodule Aerie.Vehicle.CoreTest do
     test "H4: messages of a camera, a gimbal and an on-board computer do not change the vehicle" do
       place = &%M.GlobalPositionInt{lat: &1, lon: 10, relative_alt: 5_000, time_boot_ms: &2}
 
-      # An on-board computer with an estimate of its own and another clock, a gimbal, and a camera that says it is armed.
+      # An on-board computer with an estimate of its own and another clock, a gimbal, and a camera that says it is
+      # armed.
       others = fn second ->
         at = second * @second
 
@@ -565,7 +566,7 @@ defmodule Aerie.Vehicle.CoreTest do
     refute "collision" in types(changed)
   end
 
-  test "another unique id is a collision, too" do
+  test "another unique id is also a collision" do
     version = fn at, uid -> frame(%M.AutopilotVersion{uid: uid}, at * @second) end
     run = start() |> beat(10) |> frames([version.(11, 1), version.(12, 2), version.(13, 1)])
     assert types(run) == ["collision"]

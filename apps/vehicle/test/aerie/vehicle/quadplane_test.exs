@@ -1,5 +1,7 @@
 defmodule Aerie.Vehicle.QuadplaneTest do
-  @moduledoc "ArduPlane with rotors: its heartbeat says FIXED_WING by default (Q_MAV_TYPE 0), and it takes off and lands as a VTOL."
+  @moduledoc """
+  ArduPlane with rotors: its heartbeat says FIXED_WING by default (Q_MAV_TYPE 0), and it takes off and lands as a VTOL.
+  """
   use ExUnit.Case, async: true
 
   import Aerie.CommandSamples
@@ -26,7 +28,7 @@ defmodule Aerie.Vehicle.QuadplaneTest do
     assert %{kind: "vtol", autopilot: :ardupilot} = run(frames("arduplane_47_quadplane_vtol")).core.state
   end
 
-  test "it is told by its VTOL state, by Q_ENABLE or by a mode that only a quadplane has, whichever comes" do
+  test "its VTOL state, Q_ENABLE or a mode shows it that only a quadplane has, whichever comes" do
     assert kind([%{@beat | custom_mode: 19}]) == "vtol"
     assert kind([%{@beat | custom_mode: 12}]) == "plane"
     assert kind([]) == "plane"

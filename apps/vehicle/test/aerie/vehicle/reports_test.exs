@@ -234,7 +234,7 @@ defmodule Aerie.Vehicle.ReportsTest do
       (beats ++ said) |> Enum.sort_by(& &1.at) |> run()
     end
 
-    test "an event of a camera is the vehicle's, too; each component has its own numbers (X3)" do
+    test "an event of a camera is also the vehicle's; each component has its own numbers (X3)" do
       run =
         said([{1.1, event(5), 1}, {1.2, event(5), 100}, {1.3, event(6), 1}, {1.4, event(6), 100}])
 

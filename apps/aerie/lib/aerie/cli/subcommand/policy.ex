@@ -192,7 +192,7 @@ defmodule Aerie.CLI.Subcommand.Policy do
   defp heading(name, %{vehicles: []}), do: "#{name}: no vehicle was heard\n"
   defp heading(name, summary), do: "#{name}: #{Enum.join(summary.vehicles, ", ")}\n"
 
-  # A recording that goes on with the last one has its damage, too.
+  # A recording that goes on with the last one has its damage as well.
   defp damage(name, before, summary) do
     earlier =
       if summary.frames > before.frames and summary.from == before.from, do: before.damaged_parts, else: 0

@@ -9,7 +9,7 @@ defmodule Aerie.Fleet.Alarms.Conditions do
   alias Aerie.Fleet.Alarms
   alias Aerie.Vehicle.Snapshot
 
-  # Which conditions of the diagnosis are alarms, too, and how severe.
+  # Which conditions of the diagnosis are also alarms, and how severe.
   @diagnosed [:two_vehicles_one_id, :overload, :noisy_link, :hub_not_confirming]
   @severities %{error: :critical, warning: :warning}
 
@@ -48,7 +48,10 @@ defmodule Aerie.Fleet.Alarms.Conditions do
       )
     ]
 
-  @doc "Those of the diagnosis' conditions that are alarms: duplicate system ids, overload, damaged frames, a hub that stores nothing."
+  @doc """
+  Those of the diagnosis' conditions that are alarms: duplicate system ids, overload, damaged frames, a hub that stores
+  nothing.
+  """
   @spec diagnosed([Condition.t()]) :: [Alarms.condition()]
   def diagnosed(conditions) do
     for %{name: name, subject: subject, severity: severity, title: title} <- conditions,

@@ -1,8 +1,8 @@
 defmodule Aerie.Fleet.Alarms.Server do
   @moduledoc """
-  Keeps a gateway's alarms, for all operators together. It looks at the snapshots when they have changed, at most twice a second, and
-  handles events as they come. After a restart it begins with what the vehicles' detectors and the journal still have, and nothing is
-  acknowledged.
+  Keeps a gateway's alarms, for all operators together. It looks at the snapshots when they have changed, at most twice
+  a second, and handles events as they come. After a restart it begins with what the vehicles' detectors and the journal
+  still have, and nothing is acknowledged.
 
   Pages are notified of a change by `{:notice, :console_alarms}` of `Aerie.Base.PubSub`, with the summary.
   """
@@ -120,7 +120,7 @@ defmodule Aerie.Fleet.Alarms.Server do
     do:
       for([id, conditions] <- Journal.states(gateway, %{conditions: :"$2"}), into: %{}, do: {id, conditions})
 
-  # A diagnosis that does not answer in time changes nothing.
+  # A diagnosis that does not answer changes nothing.
   defp diagnosed(alarms, gateway, now) do
     case Diagnosis.Server.fetch(gateway) do
       {:ok, conditions} -> Alarms.put(alarms, :diagnosis, Conditions.diagnosed(conditions), now)

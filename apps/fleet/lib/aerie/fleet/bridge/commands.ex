@@ -3,7 +3,7 @@ defmodule Aerie.Fleet.Bridge.Commands do
   Commands over NATS: request and reply on `fleet.{environment}.{vehicle}.cmd.{type}`, in no stream.
 
   The gateway listens for the vehicles that it has heard, so a request for any other one is answered by the server (no
-  responders). Of several gateways that hear the same vehicle the one that holds it listens
+  responders). If several gateways hear the same vehicle, the one that holds it listens
   (`Aerie.Fleet.Shadow.Ownership`); the others leave it.
 
   So are requests for parameters, plans, files and logs (`Aerie.Fleet.Bridge.Commands.Operation`), on subjects with

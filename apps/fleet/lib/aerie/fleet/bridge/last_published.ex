@@ -1,23 +1,24 @@
 defmodule Aerie.Fleet.Bridge.LastPublished do
   @moduledoc """
-  Keeps on disk what was last published of each vehicle (mode, armed, in the air), so that a restarted gateway can detect what
-  changed in between (`Aerie.Vehicle.Detector.OfflineChanges`). It also keeps the epoch, a number that grows with each start; in
-  one epoch a vehicle's `seq` grows by one from event to event.
+  Keeps on disk what was last published of each vehicle (mode, armed, in the air), so that a restarted gateway can
+  detect what changed in between (`Aerie.Vehicle.Detector.OfflineChanges`). It also keeps the epoch, a number that grows
+  with each start; in one epoch a vehicle's `seq` grows by one from event to event.
 
-  A vehicle's values are written when its events have left the journal, because then the stream or the outbox has them. So a
-  transition whose event died with the gateway is found after the restart. One that was published in the last half second
-  before a `kill -9` may be found again, marked as found. Every ten seconds the time is updated at which the values still held.
+  A vehicle's values are written when its events have left the journal, because then the stream or the outbox has them.
+  So a transition whose event died with the gateway is found after the restart. One that was published in the last half
+  second before a `kill -9` may be found again, marked as found. Every ten seconds the time is updated at which the
+  values still held.
 
   A vehicle that was not lost and is not heard again gives `link.lost` (`Aerie.Fleet.Bridge.LastPublished.Missing`).
 
-  Each start gives an event `gateway.started`, under the gateway's own name. With `nats.mode: off` there is no file and no
-  process: the start is reported, the epoch comes from the clock alone, and no offline changes are found.
+  Each start gives an event `gateway.started`, under the gateway's own name. With `nats.mode: off` there is no file and
+  no process: the start is reported, the epoch comes from the clock alone, and no offline changes are found.
 
   The file is `last/vehicles.json` in the outbox's folder. If it is damaged or missing, no offline changes are found.
 
   If another gateway has the folder (one that was killed and has not ended yet, or a second one by mistake), the lock is
-  retried with back-off. Vehicles that were heard meanwhile are compared late (`Aerie.Fleet.Bridge.LastPublished.Late`), and
-  `gateway.started` waits up to ten seconds.
+  retried with back-off. Vehicles that were heard meanwhile are compared late (`Aerie.Fleet.Bridge.LastPublished.Late`),
+  and `gateway.started` waits up to ten seconds.
   """
   # Its end writes to the disk.
   use GenServer, shutdown: 30_000
@@ -134,7 +135,7 @@ defmodule Aerie.Fleet.Bridge.LastPublished do
   defp compared(former), do: Map.new(former.vehicles, fn {id, known} -> {id, Map.delete(known, :lost)} end)
 
   defp again(%{lock_failures: failures} = state) do
-    # The first wait would be none, and nothing has changed yet.
+    # The first wait would be zero, and nothing has changed yet.
     Process.send_after(self(), :lock, Backoff.wait(failures + 1, @lock_min_ms, @lock_max_ms))
     %{state | lock_failures: failures + 1}
   end

@@ -21,7 +21,10 @@ defmodule Aerie.Fleet.Bridge.Message do
   @spec max_state_bytes() :: pos_integer()
   def max_state_bytes, do: @max_state_bytes
 
-  @doc "The groups of a vehicle's state, the last tokens of its subjects. What a gateway says of a vehicle is one, too (`Aerie.Fleet.Remote`)."
+  @doc """
+  The groups of a vehicle's state, the last tokens of its subjects. What a gateway says of a vehicle is also one
+  (`Aerie.Fleet.Remote`).
+  """
   @spec state_groups() :: [String.t()]
   def state_groups,
     do: for({group, _title, _fields} <- Fields.all(), do: Atom.to_string(group)) ++ ["gateway"]

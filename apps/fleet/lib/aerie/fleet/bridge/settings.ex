@@ -137,7 +137,7 @@ defmodule Aerie.Fleet.Bridge.Settings do
           {:enum, [:memory, :file]},
           """
           Where FLEET_STATE is kept. By default: on the embedded server in memory, because values that change several times a second wear
-          out a flash card, and a gateway that starts again is soon told them by its vehicles; with nats.url in a file.
+          out a flash card, and a gateway that starts again soon gets them from its vehicles; with nats.url in a file.
           """,
           example: "file"
         ),
@@ -203,7 +203,9 @@ defmodule Aerie.Fleet.Bridge.Settings do
     ]
   end
 
-  @doc "The mode follows from whether there is a URL. A password in a URL would be logged with it: it goes where secrets are."
+  @doc """
+  The mode follows from whether there is a URL. A password in a URL would be logged with it: it goes where secrets are.
+  """
   @impl Aerie.Base.Settings
   def derive(%{nats: nats} = settings) do
     mode = nats.mode || if(nats.url == [], do: :embedded, else: :url)
@@ -242,8 +244,8 @@ defmodule Aerie.Fleet.Bridge.Settings do
   def on?(%__MODULE__{nats: %{mode: mode}}), do: mode != :off
 
   @doc """
-  What contradicts itself in the section as it is written, before `derive/1` puts the login of an address in place of the keys. `given`
-  says what was set, and where.
+  What contradicts itself in the section as it is written, before `derive/1` puts the login of an address in place of
+  the keys. `given` says what was set, and where.
   """
   @spec contradictions(map(), given :: %{String.t() => String.t()}) :: [Schema.problem()]
   def contradictions(nats, given) do

@@ -1,10 +1,11 @@
 defmodule Aerie.Fleet.Client.MavlinkSocket do
   @moduledoc """
-  One program at `mavlink.sock`: an endpoint of the router like any ground station. Who may open the socket may command
-  vehicles; the file's permissions say who that is.
+  One program at `mavlink.sock`: an endpoint of the router like any ground station. A program that may open the socket
+  may command vehicles; the file's permissions say which ones may.
 
-  Writing never waits: frames for which the socket has no room stay in the pipe's queue and are tried again. A program that
-  reads nothing for half a minute is disconnected; one that sends anything but lengths and frames is disconnected at once.
+  Writing never waits: frames for which the socket has no room stay in the pipe's queue and are tried again. A program
+  that reads nothing for half a minute is disconnected; one that sends anything but lengths and frames is disconnected
+  at once.
   """
   use GenServer, restart: :temporary
 

@@ -9,7 +9,7 @@ defmodule Aerie.Fleet.Client.Settings do
 
   setting :dir,
           :path,
-          "Folder. Left out: $XDG_RUNTIME_DIR/aerie, /run/aerie, or var/run. Who may use them is what its permissions say.",
+          "Folder. Left out: $XDG_RUNTIME_DIR/aerie, /run/aerie, or var/run. Its permissions say who may use them.",
           example: ~S("/run/aerie")
 
   setting :state_hz, {:number, 0.1, 50}, "How often state.sock tells every vehicle's state.", default: 10.0

@@ -2,9 +2,9 @@ defmodule Aerie.Fleet.Remote.Listener do
   @moduledoc """
   Follows the state of vehicles that other gateways publish, and writes it to `Aerie.Fleet.RemoteTable`.
 
-  At each connection it reads the last values that the stream has, so that a vehicle whose gateway is away is shown with its age.
-  Of vehicles that this gateway's own links hear it takes only who else hears them. It tells `Aerie.Fleet.Bridge.Commands` which
-  vehicles to leave to another gateway, because this one's links have lost them.
+  At each connection it reads the last values that the stream has, so that a vehicle whose gateway is away is shown with
+  its age. For vehicles that this gateway's own links hear, it takes only the names of others that hear them. It tells
+  `Aerie.Fleet.Bridge.Commands` which vehicles to leave to another gateway, because this one's links have lost them.
 
   Counters (`gateway_occurrences_total{name="remote.…"}`): `taken`, and those of the table.
 

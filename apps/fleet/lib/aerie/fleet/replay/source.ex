@@ -1,7 +1,7 @@
 defmodule Aerie.Fleet.Replay.Source do
   @moduledoc """
-  Reads the bytes of a recording: a tlog file, gzipped or not, several in succession, or chunks of any size. A file is read
-  chunk by chunk, so its size costs no memory.
+  Reads the bytes of a recording: a tlog file, gzipped or not, several in succession, or chunks of any size. A file is
+  read chunk by chunk, so its size costs no memory.
   """
 
   alias MavCodec.{Frame, Tlog}
@@ -14,8 +14,8 @@ defmodule Aerie.Fleet.Replay.Source do
   @type t :: Path.t() | [Path.t()] | {:chunks, Enumerable.t(binary)}
 
   @doc """
-  Reduces over the frames and damaged parts of a recording, without traces of MSP (`MavCodec.Msp.Trace`), which no vehicle sent. The error
-  is a text that names the file.
+  Reduces over the frames and damaged parts of a recording, without traces of MSP (`MavCodec.Msp.Trace`), which no
+  vehicle sent. The error is a text that names the file.
   """
   @spec reduce(t, [MavCodec.Parser.option()], acc, (Frame.t() | Tlog.Damage.t(), acc -> acc)) ::
           {:ok, acc} | {:error, String.t()}
@@ -50,7 +50,10 @@ defmodule Aerie.Fleet.Replay.Source do
     opened(path, &read(&1, {acc, Tlog.Decoder.new(options)}, 0, fun))
   end
 
-  @doc "Whether a file has a MAVLink frame in its first mebibyte, as every recording has. The error is a text that names the file."
+  @doc """
+  Whether a file has a MAVLink frame in its first mebibyte, as every recording has. The error is a text that names the
+  file.
+  """
   @spec recording(Path.t()) :: :ok | {:error, String.t()}
   def recording(path),
     do: with({:ok, _found} <- opened(path, &first(&1, Tlog.Decoder.new([]), @looked_at)), do: :ok)
@@ -109,7 +112,7 @@ defmodule Aerie.Fleet.Replay.Source do
     {Enum.reduce(items, acc, fun), decoder}
   end
 
-  # Damaged gzip data is reported as an I/O error, too.
+  # Damaged gzip data is also reported as an I/O error.
   defp named({:error, :eio}, path), do: {:error, "#{path}: damaged gzip data, or a disk error"}
 
   defp named({:error, reason}, path) when is_atom(reason),

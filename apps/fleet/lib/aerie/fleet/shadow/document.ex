@@ -1,9 +1,10 @@
 defmodule Aerie.Fleet.Shadow.Document do
   @moduledoc """
-  The desired state of a vehicle: fields, each with version, time, actor, reason and expiry, and a history of changes (Z1, Z3).
-  A value; `Aerie.Fleet.Shadow.Documents` keeps it.
+  The desired state of a vehicle: fields, each with version, time, actor, reason and expiry, and a history of changes
+  (Z1, Z3). A value; `Aerie.Fleet.Shadow.Documents` keeps it.
 
-  A document is never removed: without fields it keeps its version, so that no older document is taken for a newer one (Z5).
+  A document is never removed: without fields it keeps its version, so that no older document is taken for a newer one
+  (Z5).
   """
 
   alias Aerie.Base.Json
@@ -230,7 +231,7 @@ defmodule Aerie.Fleet.Shadow.Document do
     Enum.reduce_while(items, {:ok, []}, fn item, {:ok, done} ->
       case read.(item) do
         {:ok, value} -> {:cont, {:ok, [value | done]}}
-        _wrong -> {:halt, {:error, "one of its fields is none that a gateway writes"}}
+        _wrong -> {:halt, {:error, "a gateway does not write one of its fields"}}
       end
     end)
     |> case do

@@ -1,10 +1,11 @@
 defmodule Aerie.Fleet.Shadow.Documents do
   @moduledoc """
-  The desired documents of the vehicles that this gateway hears, the state of their fields, and whether this gateway may act on them.
+  The desired documents of the vehicles that this gateway hears, the state of their fields, and whether this gateway may
+  act on them.
 
-  `Aerie.Fleet.Shadow.Documents.Server` keeps them. Loops join with their vehicle, and get `{:desired, document}` at once and with every
-  change. Readers use its table. Updates are written in the caller's process (`change/3`), so none waits for another; the
-  server is only notified.
+  `Aerie.Fleet.Shadow.Documents.Server` keeps them. Loops join with their vehicle, and get `{:desired, document}` at
+  once and with every change. Readers use its table. Updates are written in the caller's process (`change/3`), so none
+  waits for another; the server is only notified.
   """
 
   alias Aerie.Base.Names
@@ -51,7 +52,10 @@ defmodule Aerie.Fleet.Shadow.Documents do
     end
   end
 
-  @doc "Who holds a vehicle (`Aerie.Control.Commands.OwnershipCheck`): by both clocks, because a machine that was suspended counts too little on one of them."
+  @doc """
+  The gateway that holds a vehicle (`Aerie.Control.Commands.OwnershipCheck`): by both clocks, because a machine that was
+  suspended counts too little on one of them.
+  """
   @spec holder(Names.gateway(), String.t()) :: Aerie.Control.Commands.OwnershipCheck.holder()
   def holder(gateway, vehicle), do: if(Bridge.off?(gateway), do: :alone, else: held(gateway, vehicle))
 
@@ -146,7 +150,8 @@ defmodule Aerie.Fleet.Shadow.Documents do
       {:error, {:unavailable, "the shadow is being restarted, or NATS does not answer; try again"}}
   end
 
-  # A caller that has its answer finds the change in the gateway's state. If the process is busy with NATS, that follows later.
+  # A caller that has its answer finds the change in the gateway's state. If the process is busy with NATS, that follows
+  # later.
   defp written(gateway, document) do
     GenServer.call(Names.via(gateway, :shadow_documents), {:written, document}, @shown_ms)
   catch

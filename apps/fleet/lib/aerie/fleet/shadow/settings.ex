@@ -46,7 +46,7 @@ defmodule Aerie.Fleet.Shadow.Settings do
 
   setting :lease_ms,
           {:number, 1, 600},
-          "Of gateways that hear the same vehicle one acts. Another one takes over when it was silent for one and a half times this.",
+          "One of the gateways that hear a vehicle acts. Another one takes over when it was silent for one and a half times this.",
           key: "lease_s",
           default: 10.0,
           times: 1000

@@ -81,7 +81,7 @@ defmodule Aerie.Fleet.Client.StateFormTest do
     assert Map.keys(object) -- Map.keys(json(vehicle())) == []
   end
 
-  test "values that JSON has no form for, and text that is none, become null and valid text" do
+  test "values that JSON has no form for become null, and invalid text valid text" do
     odd = %{mode: <<"A", 0xFF>>, armed: nil, in_air: nil}
     attitude = %{roll: :nan, pitch: :infinity, yaw: {:nan, 1}}
     groups = %{mode: %{at: 1, data: odd}, attitude: %{at: 1, data: attitude}}

@@ -64,7 +64,7 @@ defmodule Aerie.Fleet.Client.StateSocketTest do
            end)
   end
 
-  test "a reader that does not read holds nothing up and has nothing queued; who reads gets every text" do
+  test "a reader that does not read holds nothing up and has nothing queued; a reader that reads gets every text" do
     dir = short_dir()
     gateway = start_clients(dir)
     for n <- 1..100, do: put_vehicle(gateway, vehicle(%{id: "VID-#{n}", key: {"main", n}, system_id: n}))

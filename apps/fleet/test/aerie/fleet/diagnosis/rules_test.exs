@@ -99,7 +99,7 @@ defmodule Aerie.Fleet.Diagnosis.RulesTest do
     assert conditions(facts(), facts(%{clock_offset: 300_000})) == []
   end
 
-  test "a jump is told for ten minutes" do
+  test "reports a jump for ten minutes" do
     {_facts, trend} = Trend.step(Trend.new(), facts())
     {_facts, trend} = Trend.step(trend, facts(%{mono: 1_000, clock_offset: 9 * @second}))
 

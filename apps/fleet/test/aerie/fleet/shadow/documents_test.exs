@@ -109,7 +109,7 @@ defmodule Aerie.Fleet.Shadow.DocumentsTest do
       assert {:error, {:unavailable, "the shadow does not answer" <> _}} = Documents.rate(make_ref(), "op")
     end
 
-    test "a folder that cannot be written is told, and everything goes on from memory", %{tmp_dir: dir} do
+    test "reports a folder that cannot be written, and goes on from memory", %{tmp_dir: dir} do
       gateway = make_ref()
       start_supervised!({Store, [gateway: gateway] ++ Aerie.GatewayCase.plugs(%{})})
       File.write!(Path.join(dir, "shadow"), "a file")
@@ -404,7 +404,7 @@ defmodule Aerie.Fleet.Shadow.DocumentsTest do
       assert {:ok, %{state: %{messages: 2}}} = KV.info(conn, "fleet_desired")
     end
 
-    test "of another server are left as they are, and the difference is told", %{tmp_dir: dir} do
+    test "of another server are left as they are, and the difference is reported", %{tmp_dir: dir} do
       embedded = start_bridge(config(dir))
       url = await_up(embedded)
       conn = client(url)

@@ -1,5 +1,7 @@
 defmodule Aerie.Fleet.Shadow.LoopTest do
-  @moduledoc "The loop of a vehicle behind the real pipeline, with policy, ledger and audit log; the test is the vehicle's executor."
+  @moduledoc """
+  The loop of a vehicle behind the real pipeline, with policy, ledger and audit log; the test is the vehicle's executor.
+  """
   use Aerie.ShadowCase, async: true
 
   @moduletag :tmp_dir
@@ -108,7 +110,9 @@ defmodule Aerie.Fleet.Shadow.LoopTest do
   end
 
   @tag policy: [modes: %{denied: ["ACRO"], transitions: %{}}]
-  test "the policy denies, as to everybody; that is told, and tried again later", %{gateway: gateway} do
+  test "the policy denies, as to everybody; the report says so, and it is tried again later", %{
+    gateway: gateway
+  } do
     desire(gateway, %{"mode" => "ACRO"})
 
     # Two seconds later the next attempt begins, so all is seen at once.
@@ -146,7 +150,7 @@ defmodule Aerie.Fleet.Shadow.LoopTest do
     held(gateway, "mode", "configuration")
   end
 
-  test "a lost vehicle is held by its link, an expired field is none", %{gateway: gateway} do
+  test "a lost vehicle is held by its link, an expired field does not count", %{gateway: gateway} do
     vehicle = Store.vehicle(gateway, @vehicle)
     :ok = Store.put_vehicle(gateway, vehicle.key, %{vehicle | status: :lost})
     desire(gateway, %{"mode" => "LOITER"})

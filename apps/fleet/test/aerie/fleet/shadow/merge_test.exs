@@ -19,7 +19,7 @@ defmodule Aerie.Fleet.Shadow.MergeTest do
     %{none: Document.new("V"), base: changed(Document.new("V"), %{"mode" => "LOITER", "tags" => ["a"]})}
   end
 
-  test "who did not change takes the other's document as it is, whatever the clocks say", %{
+  test "a side without changes takes the other's document as it is, whatever the clocks say", %{
     base: base,
     none: none
   } do
@@ -31,7 +31,7 @@ defmodule Aerie.Fleet.Shadow.MergeTest do
     assert merge(none, none, base) == base
   end
 
-  test "different fields: both changes, removals too; one field: the hub's, and that is told", %{base: base} do
+  test "different fields: both changes, removals too; one field: the hub's, and it says so", %{base: base} do
     aboard = changed(base, %{"mode" => "RTL", "params" => %{"A" => 1}}, "aboard", @now + 9_000_000)
 
     hub =

@@ -27,7 +27,7 @@ defmodule Aerie.Fleet.Shadow.TagsTest do
     assert Tags.note(table, document("V1", ["y"]))
   end
 
-  test "tags are told as a change of the vehicle, and need the permission of their field", %{tmp_dir: dir} do
+  test "tags show as a change of the vehicle, and need the permission of their field", %{tmp_dir: dir} do
     gateway = make_ref()
     start_supervised!({Store, [gateway: gateway] ++ Aerie.GatewayCase.plugs(%{})})
     start_supervised!({PubSub, gateway: gateway})

@@ -1,5 +1,7 @@
 defmodule Aerie.Fleet.Shadow.UplinkTest do
-  @moduledoc "Desired and reported state between a hub and a companion that is its leaf node: real servers, cut and together again."
+  @moduledoc """
+  Desired and reported state between a hub and a companion that is its leaf node: real servers, cut and together again.
+  """
   use Aerie.ShadowCase, async: true
 
   alias Aerie.Control.Policy
@@ -198,7 +200,7 @@ defmodule Aerie.Fleet.Shadow.UplinkTest do
   end
 
   @tag key: {"shadow.key", "another key than the hub's"}
-  test "with another key than the hub's nothing is passed on, and that is told", %{hub: hub, leaf: leaf} do
+  test "with another key than the hub's nothing is passed on, and the report says so", %{hub: hub, leaf: leaf} do
     desire(hub, %{"mode" => "LOITER"})
 
     eventually(fn ->

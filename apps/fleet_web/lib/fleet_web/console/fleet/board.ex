@@ -1,9 +1,10 @@
 defmodule FleetWeb.Console.Fleet.Board do
   @moduledoc """
-  The rows of all vehicles with their rendered cells, for all pages of the fleet. Pure; `FleetWeb.Console.Fleet.Board.Server` keeps it.
+  The rows of all vehicles with their rendered cells, for all pages of the fleet. Pure;
+  `FleetWeb.Console.Fleet.Board.Server` keeps it.
 
-  A row that looks as before is kept with its cells, so that it is rendered once however many pages show it, and a page is told only
-  which rows have changed since it last asked.
+  A row that looks as before is kept with its cells, so that it is rendered once however many pages show it, and a page
+  hears only which rows have changed since it last asked.
   """
 
   alias FleetWeb.Console.Fleet.Board.Row
@@ -22,7 +23,9 @@ defmodule FleetWeb.Console.Fleet.Board do
   @typedoc "What a page has seen of which board, `nil` for nothing."
   @type seen :: {reference(), version :: non_neg_integer()} | nil
 
-  @typedoc "`:rows` are those that a page has not seen yet; `:ids` are all, in their order; `:words` are the tags of all vehicles."
+  @typedoc """
+  `:rows` are those that a page has not seen yet; `:ids` are all, in their order; `:words` are the tags of all vehicles.
+  """
   @type news :: %{seen: seen(), ids: [String.t()], rows: [Row.t()], words: [String.t()]}
 
   @doc "A board without vehicles."

@@ -8,7 +8,7 @@ defmodule FleetWeb.Console.Shadow.Rows do
   @typedoc """
     * `:desired`, `:actual` - as text; `:actual` is nil where it is not known
     * `:state` - `converged`, `pending`, `held`, `refused`; nil while no gateway has compared it
-    * `:why` - in words, with who holds it and until when
+    * `:why` - in words, with its holder and until when
     * `:set` - who set it, when, and why
     * `:able` - whether the user may change it
   """

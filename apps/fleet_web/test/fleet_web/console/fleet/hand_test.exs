@@ -54,7 +54,7 @@ defmodule FleetWeb.Console.Fleet.HandTest do
       assert has_element?(view, "#fleet-batch li", "V2")
     end
 
-    test "on Tags and Missions is for the same vehicles, too", %{view: view} do
+    test "on Tags and Missions is also for the same vehicles", %{view: view} do
       select(view, "V2")
       assert render_click(view, "tag", %{"ids" => ["V1"]}) =~ @changed
       assert render_click(view, "plans", %{"ids" => ["V1"]}) =~ @changed

@@ -92,7 +92,7 @@ defmodule FleetWeb.Console.Fleet.PageTest do
     eventually(fn -> view |> element("#vehicle-VID-001") |> render() =~ "RTL" end)
   end
 
-  test "the map is told of all vehicles, then of those that changed, then of those that are gone", %{
+  test "the map gets all vehicles, then those that changed, then those that are gone", %{
     console: console
   } do
     put_vehicle(console, "VID-001")

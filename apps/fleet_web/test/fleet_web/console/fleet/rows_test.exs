@@ -213,7 +213,7 @@ defmodule FleetWeb.Console.Fleet.RowsTest do
       assert %Selection{anchor: "hidden"} |> Selection.range("c", @order) |> Selection.among(@order) == ["c"]
     end
 
-    test "who is gone is selected no longer" do
+    test "a vehicle that is gone is selected no longer" do
       selection = %Selection{ids: MapSet.new(~w(a x)), anchor: "x"}
       assert Selection.keep(selection, @order) == %Selection{ids: MapSet.new(["a"]), anchor: nil}
     end
@@ -270,7 +270,7 @@ defmodule FleetWeb.Console.Fleet.RowsTest do
     end
   end
 
-  describe "what the map is told" do
+  describe "what the map gets" do
     test "a row has numbers that the eye can tell apart, and no position no row" do
       groups = %{
         position: %{lat: 47.123456789, lon: 8.5, alt_rel: 12.34, heading: 93.4},

@@ -70,7 +70,7 @@ defmodule FleetWeb.Console.Map.TilesTest do
       assert {:error, "its metadata do not name" <> _} = PMTiles.open(file(dir, pmtiles(1)))
     end
 
-    test "what is none, or broken anywhere, is an error and never a crash", %{tmp_dir: dir} do
+    test "another file, or one broken anywhere, is an error and never a crash", %{tmp_dir: dir} do
       assert {:error, "it is not a PMTiles file"} = PMTiles.open(file(dir, String.duplicate("x", 200)))
       assert {:error, "it is shorter than it says"} = PMTiles.open(file(dir, "PMTiles"))
       assert {:error, "no such file" <> _} = PMTiles.open(Path.join(dir, "none"))

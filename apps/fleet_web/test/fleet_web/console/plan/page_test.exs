@@ -282,7 +282,7 @@ defmodule FleetWeb.Console.Plan.PageTest do
       assert {:ok, %{plan: %{fence: [_]}}} = Missions.download(c.gateway, c.vehicle, :fence)
     end
 
-    test "a plan that does not fit its own fence, and a vehicle outside of it, are told before Send", c do
+    test "names a plan that does not fit its own fence, and a vehicle outside of it, before Send", c do
       view = open(c.console, "/plan?vehicle=#{c.vehicle}")
       add(view, 500)
       view |> element("button", "Fence (0)") |> render_click()

@@ -97,7 +97,7 @@ defmodule FleetWeb.Console.Recordings.PageTest do
     refute has_element?(view, "#time-line")
   end
 
-  test "download by who is signed in; only recordings", c do
+  test "download by users who are signed in; only recordings", c do
     file = record(c.gateway)
     name = Path.basename(file)
     jar = HTTPClient.sign_in(c.console, "viewer", password(:viewer)).jar
@@ -154,7 +154,7 @@ defmodule FleetWeb.Console.Recordings.PageTest do
     assert open(c.console) |> render() =~ "console"
   end
 
-  test "a file that is too large, or none, is told" do
+  test "names a file that is too large or missing" do
     assert {:error, "it is too large" <> _} = TimeLine.read("x", 1_000_000_000)
     assert {:error, text} = TimeLine.read("no-such-file.tlog", 10)
     assert is_binary(text)

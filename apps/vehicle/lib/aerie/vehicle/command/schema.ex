@@ -1,5 +1,7 @@
 defmodule Aerie.Vehicle.Command.Schema do
-  @moduledoc "JSON Schemas of commands, from the table of their types: what they take, `Aerie.Vehicle.Command.parse/2` takes. Pure."
+  @moduledoc """
+  JSON Schemas of commands, from the table of their types: what they take, `Aerie.Vehicle.Command.parse/2` takes. Pure.
+  """
 
   import Aerie.Base.JsonSchema
 
@@ -50,8 +52,8 @@ defmodule Aerie.Vehicle.Command.Schema do
   end
 
   @doc """
-  The body of a command of one type. `type?`: the body names it; over NATS the subject does. `id?`: it must have an id. Times are
-  compared with the gateway's clock, which a schema cannot say.
+  The body of a command of one type. `type?`: the body names it; over NATS the subject does. `id?`: it must have an id.
+  Times are compared with the gateway's clock, which a schema cannot say.
   """
   @spec envelope(Type.t(), keyword()) :: Aerie.Base.JsonSchema.t()
   def envelope(%Type{} = type, options) do
@@ -76,7 +78,7 @@ defmodule Aerie.Vehicle.Command.Schema do
     described(object(properties, required), type.meaning)
   end
 
-  # Rules that want one of several parameters hold for none, too.
+  # Rules that want one of several parameters also hold when none is given.
   defp needed?(type),
     do: Enum.any?(type.params, & &1.required) or Enum.any?(type.rules, &(elem(&1, 0) in [:one_of, :any_of]))
 
@@ -85,7 +87,7 @@ defmodule Aerie.Vehicle.Command.Schema do
   def result do
     object(
       %{
-        id: described(nullable(token()), "the request's id; null if it had none that can be told"),
+        id: described(nullable(token()), "the request's id; null if it had no valid one"),
         result:
           described(
             nullable(%{enum: statuses()}),

@@ -2,8 +2,9 @@ defmodule Aerie.Vehicle.Protocol.Ardupilot do
   @moduledoc """
   ArduPilot (copter, plane, rover, sub and its other vehicles), as of 4.6.
 
-  Heights are above home unless the frame says otherwise; in COMMAND_LONG they always are. A refusal is FAILED more often than DENIED, and
-  its reason comes as a STATUSTEXT. Vehicles fly to positions in GUIDED, and item 0 of a mission is home (W8).
+  Heights are above home unless the frame says otherwise; in COMMAND_LONG they always are. A refusal is FAILED more
+  often than DENIED, and its reason comes as a STATUSTEXT. Vehicles fly to positions in GUIDED, and item 0 of a mission
+  is home (W8).
   """
 
   # Heights in COMMAND_LONG are above home.
@@ -65,7 +66,7 @@ defmodule Aerie.Vehicle.Protocol.Ardupilot do
       do: "ArduPlane takes only the height of a set-point: use goto or set_altitude"
 
   def gap("orbit", kind, _firmware) when kind not in @winged,
-    do: "only ArduPlane circles around a place that it is told; set_mode CIRCLE does so in front of a copter"
+    do: "only ArduPlane circles around a given place; set_mode CIRCLE does so in front of a copter"
 
   def gap("set_yaw", kind, _firmware) when kind in @winged, do: "ArduPlane steers its nose itself"
 

@@ -1,10 +1,11 @@
 defmodule Aerie.Vehicle.Protocol.Msp do
   @moduledoc """
-  Betaflight and iNav, which the gateway reaches over MSP (`Msp.Session`). The session takes commands as MAVLink and acknowledges them with what
-  the flight controller said.
+  Betaflight and iNav, which the gateway reaches over MSP (`Msp.Session`). The session takes commands as MAVLink and
+  acknowledges them with what the flight controller said.
 
-  MSP has no message for arming, for a mode, or for flying somewhere: the pilot's switches do that, or channels in their place, where the vehicle's
-  receiver is MSP or its pilot has handed them over (`Msp.Receiver`). Who arms it has to steer it by `manual_control` or `rc_override`.
+  MSP has no message for arming, for a mode, or for flying somewhere: the pilot's switches do that, or channels in their
+  place, where the vehicle's receiver is MSP or its pilot has handed them over (`Msp.Receiver`). A source that arms it
+  has to steer it by `manual_control` or `rc_override`.
   """
 
   use Aerie.Vehicle.Protocol.Mavlink.Commands, calibration: __MODULE__.Calibration, long_frames: []

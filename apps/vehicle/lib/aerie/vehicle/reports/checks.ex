@@ -4,9 +4,10 @@ defmodule Aerie.Vehicle.Reports.Checks do
   @moduledoc """
   What keeps a PX4 vehicle from being armed, from its EVENT messages. A pure value.
 
-  The arming checks come as a batch: `commander_arming_check_summary`, the reasons one by one, `commander_health_summary`. A
-  batch is complete in itself, and is sent again whenever something in it changes. A batch whose last event does not come
-  within #{div(@wait_us, 1_000_000)} s is dropped; one with another event missing is used without it.
+  The arming checks come as a batch: `commander_arming_check_summary`, the reasons one by one,
+  `commander_health_summary`. A batch is complete in itself, and is sent again whenever something in it changes. A batch
+  whose last event does not come within #{div(@wait_us, 1_000_000)} s is dropped; one with another event missing is used
+  without it.
   """
 
   import Bitwise
@@ -18,8 +19,9 @@ defmodule Aerie.Vehicle.Reports.Checks do
   @type t :: %__MODULE__{}
 
   @doc """
-  An event of the component with its sequence number and its name, nil if that is unknown. `{:taken, …}`: it is part of a batch and is not shown by itself. The
-  list has the reasons of a batch that is complete now, in order; nil if there is none.
+  An event of the component with its sequence number and its name, nil if that is unknown. `{:taken, …}`: it is part of
+  a batch and is not shown by itself. The list has the reasons of a batch that is complete now, in order; nil if there
+  is none.
   """
   @spec event(t() | nil, 0..65_535, String.t() | nil, term(), integer()) ::
           {:taken | :other, t() | nil, [term()] | nil}
@@ -59,7 +61,7 @@ defmodule Aerie.Vehicle.Reports.Checks do
     (number - first &&& 0xFFFF) in 1..end_of//1
   end
 
-  # An event with an unknown name may be a reason, too.
+  # An event with an unknown name may also be a reason.
   defp reason?(nil), do: true
   defp reason?(name), do: String.starts_with?(name, "check_")
 

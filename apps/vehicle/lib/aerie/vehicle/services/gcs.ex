@@ -3,12 +3,12 @@ defmodule Aerie.Vehicle.Services.Gcs do
   Which ground station's heartbeats keep a vehicle's failsafe quiet (H5). A pure value.
 
   The failsafe for a lost ground station waits for heartbeats. ArduPilot's counts those of system `SYSID_MYGCS`
-  (`MAV_GCS_SYSID` to `MAV_GCS_SYSID_HI` since 4.7), PX4's any with MAV_TYPE_GCS. So with two stations on a network the one
-  that the vehicle listens to may be gone while the other is still there, and with a wrong parameter there never was one.
-  This module knows which one counts and whether it is heard, and reports when it falls silent.
+  (`MAV_GCS_SYSID` to `MAV_GCS_SYSID_HI` since 4.7), PX4's any with MAV_TYPE_GCS. So with two stations on a network the
+  one that the vehicle listens to may be gone while the other is still there, and with a wrong parameter there never was
+  one. This module knows which one counts and whether it is heard, and reports when it falls silent.
 
-  The parameters are read once, one by one, two seconds apart, and again after a reboot; any other PARAM_VALUE that comes is
-  used, too. Unknown values are nil.
+  The parameters are read once, one by one, two seconds apart, and again after a reboot; any other PARAM_VALUE that
+  comes is used as well. Unknown values are nil.
   """
 
   alias MavRouter.Forward.GroundStations
@@ -224,7 +224,8 @@ defmodule Aerie.Vehicle.Services.Gcs do
   For the snapshot:
 
   - `known_by`: system ids of the ground stations heard within a minute
-  - `failsafe_gcs`: the id that the failsafe listens to, nil if unknown or any; `failsafe_range`: the lowest and highest id
+  - `failsafe_gcs`: the id that the failsafe listens to, nil if unknown or any; `failsafe_range`: the lowest and highest
+    id
   - `heard_gcs`, `last_heard`: the system whose heartbeat last kept it quiet, and when (unix us)
   - `quiet?`: whether it is kept quiet now; nil before the first such heartbeat
   - `enabled?`, `timeout_s`: of the failsafe

@@ -1,10 +1,11 @@
 defmodule Aerie.Vehicle.Services.Switches do
   @moduledoc """
-  The parameters of a vehicle on which rules of the policy and adapters depend: what its mode switch, channels and buttons do, whether and
-  for how long it obeys overrides and set-points, and how wide its paths are (`Authority.Shaping`). A pure value.
+  The parameters of a vehicle on which rules of the policy and adapters depend: what its mode switch, channels and
+  buttons do, whether and for how long it obeys overrides and set-points, and how wide its paths are
+  (`Authority.Shaping`). A pure value.
 
-  They are read once, a few at a time, after those of `Aerie.Vehicle.Services.Gcs`, and again after a reboot; any other PARAM_VALUE that comes is
-  used, too.
+  They are read once, a few at a time, after those of `Aerie.Vehicle.Services.Gcs`, and again after a reboot; any other
+  PARAM_VALUE that comes is used as well.
   """
 
   alias MavCodec.Messages.ParamRequestRead
@@ -32,7 +33,7 @@ defmodule Aerie.Vehicle.Services.Switches do
     RC_MAP_THROTTLE RC_MAP_YAW RC_MAP_FAILSAFE RC_MAP_GEAR_SW RC_MAP_PARAM1 RC_MAP_PARAM2 RC_MAP_PARAM3
     RC_MAP_AUX1 RC_MAP_AUX2 RC_MAP_AUX3 RC_MAP_AUX4 RC_MAP_AUX5 RC_MAP_AUX6 RC_MAP_PAY_SW MAN_KILL_GEST_T
   )
-  # Of old versions.
+  # Names in old versions.
   @more ~w(RC_MAP_MODE_SW RC_MAP_ACRO_SW RC_MAP_STAB_SW RC_MAP_MAN_SW RC_MAP_POSCTL_SW RC_MAP_RATT_SW)
   @shaping for row <- Authority.Shaping.all(), row.metres != nil, do: row.name
   @names MapSet.new(@flying ++ @driving ++ @diving ++ @px4 ++ @more ++ @shaping)

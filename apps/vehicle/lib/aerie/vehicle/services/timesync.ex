@@ -2,16 +2,16 @@ defmodule Aerie.Vehicle.Services.Timesync do
   @moduledoc """
   The offset of a vehicle's clock from ours, by TIMESYNC, and the round trip by each of its links. A pure value.
 
-  A request has our time (`ts1`); the answer repeats it and adds the vehicle's time (`tc1`). So the round trip is known, and
-  half of it is the best estimate of the answer's age. Of the last samples the one with the shortest round trip counts, because
-  its error, `rtt_us / 2`, is the smallest. Older samples lose by drift, 50 µs a second.
+  A request has our time (`ts1`); the answer repeats it and adds the vehicle's time (`tc1`). So the round trip is known,
+  and half of it is the best estimate of the answer's age. The sample with the shortest round trip counts among the last
+  ones, because its error, `rtt_us / 2`, is the smallest. Older samples lose by drift, 50 µs a second.
 
-  A vehicle with several links is asked by each of them. The first copy of an answer is a sample of the clock, whichever link
-  brought it; the round trip of a link is that of the copy which came by the link that was asked.
+  A vehicle with several links is asked by each of them. The first copy of an answer is a sample of the clock, whichever
+  link brought it; the round trip of a link is that of the copy which came by the link that was asked.
 
-  Only answers to our own requests count, recognised by `ts1` (X5): many programs ask, and firmware sends its answers to all. A
-  vehicle that does not answer is sent PING as well, which gives a round trip but no clock. A vehicle that answers neither is
-  asked less often.
+  Only answers to our own requests count, recognised by `ts1` (X5): many programs ask, and firmware sends its answers to
+  all. A vehicle that does not answer is sent PING as well, which gives a round trip but no clock. A vehicle that
+  answers neither is asked less often.
   """
 
   alias MavCodec.Messages.{Ping, Timesync}
@@ -48,8 +48,8 @@ defmodule Aerie.Vehicle.Services.Timesync do
 
   @typedoc """
   - `period`: time between two requests (us), 0 for none
-  - `pending`: requests without an answer by the link that was asked, by `ts1` or `{:ping, seq}`: when they were sent, by which
-    link (nil: any), and whether another link brought a copy of the answer
+  - `pending`: requests without an answer by the link that was asked, by `ts1` or `{:ping, seq}`: when they were sent,
+    by which link (nil: any), and whether another link brought a copy of the answer
   - `unanswered`, `unpinged`: rounds since the last answer to TIMESYNC and to PING
   - `odd`: a sample that contradicts the others
   - `foreign`: how many answers were not for us
@@ -127,8 +127,8 @@ defmodule Aerie.Vehicle.Services.Timesync do
   def asked(sync, %Timesync{tc1: 0, ts1: ts1}, at), do: wait(sync, ts1, {at, nil, false})
 
   @doc """
-  An answer that came `at` by a link, and that link's round trip if it was the one asked. An answer that is not to one of our
-  requests only counts as `foreign`.
+  An answer that came `at` by a link, and that link's round trip if it was the one asked. An answer that is not to one
+  of our requests only counts as `foreign`.
   """
   @spec reply(t(), Timesync.t() | Ping.t(), integer(), term() | nil) :: {t(), round_trip() | nil}
   def reply(sync, answer, at, link \\ nil) do
@@ -211,8 +211,9 @@ defmodule Aerie.Vehicle.Services.Timesync do
   end
 
   @doc """
-  For the snapshot: `offset_us` and `error_us` as in `offset/2`, `rtt_us` of the best sample, `boot_at` (unix us at which the
-  vehicle's clock was 0), `at` (of the last answer), `samples`, `foreign`. The measurements are nil before the first answer.
+  For the snapshot: `offset_us` and `error_us` as in `offset/2`, `rtt_us` of the best sample, `boot_at` (unix us at
+  which the vehicle's clock was 0), `at` (of the last answer), `samples`, `foreign`. The measurements are nil before the
+  first answer.
   """
   @spec show(t(), integer()) :: map()
   def show(%{samples: []} = sync, _now) do
@@ -235,8 +236,8 @@ defmodule Aerie.Vehicle.Services.Timesync do
   end
 
   @doc """
-  Our answer at `now` (unix us) to a request: TIMESYNC with `tc1` 0, or PING without a target (X5). nil for anything else, and
-  for a request to another target than `own`.
+  Our answer at `now` (unix us) to a request: TIMESYNC with `tc1` 0, or PING without a target (X5). nil for anything
+  else, and for a request to another target than `own`.
   """
   @spec answer(struct(), from :: {integer(), integer()}, own :: {integer(), integer()}, integer()) ::
           struct() | nil

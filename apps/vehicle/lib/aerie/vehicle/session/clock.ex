@@ -1,11 +1,11 @@
 defmodule Aerie.Vehicle.Session.Clock do
   @moduledoc """
-  The time of one vehicle between its frames: that of the last frame plus what has passed since by the monotonic clock, at the
-  link's speed. A pure value; all times are in microseconds, and a `moment` is one of the monotonic clock.
+  The time of one vehicle between its frames: that of the last frame plus what has passed since by the monotonic clock,
+  at the link's speed. A pure value; all times are in microseconds, and a `moment` is one of the monotonic clock.
 
-  It knows, too, when time begins again, because the next frames' time is not comparable with that of the last ones: when a recording
-  begins again, and perhaps with the first frames after a restart. A live frame that is late by seconds, as after a pause of the whole
-  machine, is only late.
+  It also knows when time begins again, because the next frames' time is not comparable with that of the last ones: when
+  a recording begins again, and perhaps with the first frames after a restart. A live frame that is late by seconds, as
+  after a pause of the whole machine, is only late.
   """
 
   # A larger difference between a frame's time and the expected one means that a clock was set.
@@ -48,8 +48,8 @@ defmodule Aerie.Vehicle.Session.Clock do
     do: at + round(max(moment - clock.moment, 0) * clock.speed)
 
   @doc """
-  Whether time begins again with a frame that came `at`. `now` is the newest time that is known, `host` the machine's clock less the
-  monotonic one (`Aerie.Base.HostClock`).
+  Whether time begins again with a frame that came `at`. `now` is the newest time that is known, `host` the machine's
+  clock less the monotonic one (`Aerie.Base.HostClock`).
   """
   @spec restarted?(
           t() | nil,
@@ -62,8 +62,8 @@ defmodule Aerie.Vehicle.Session.Clock do
           boolean()
   def restarted?(_clock, _speed, nil, _at, _moment, _host), do: false
 
-  # Times that the machine's clock has not reached were stamped before it was set back. A frame that is late by seconds waited for a busy
-  # link, or the machine stood still: what was waited for meanwhile is waited for still.
+  # Times that the machine's clock has not reached were stamped before it was set back. A frame that is late by seconds
+  # waited for a busy link, or the machine stood still: what was waited for meanwhile is waited for still.
   def restarted?(%{by: :host}, :live, now, at, moment, host), do: max(now, at) > moment + host + @clock_set_us
 
   # The first frames since the process was started, or since those of a recording.

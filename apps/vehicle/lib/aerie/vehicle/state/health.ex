@@ -1,5 +1,8 @@
 defmodule Aerie.Vehicle.State.Health do
-  @moduledoc "The health of sensors (SYS_STATUS, which has a battery, too), estimator and vibration; and the autopilot's version and unique id."
+  @moduledoc """
+  The health of sensors (SYS_STATUS, which also has a battery), estimator and vibration; and the autopilot's version and
+  unique id.
+  """
   import Bitwise
 
   alias Aerie.Vehicle.State.{Battery, Group, Mission, Value}

@@ -68,7 +68,7 @@ defmodule Aerie.Vehicle.State.HighLatency do
     named ++ if(unknown == 0, do: [], else: ["FLAGS(#{unknown})"])
   end
 
-  # In two degrees. What is more than a circle is none.
+  # In two degrees. More than a circle is unknown.
   defp heading(half) when half <= 180, do: rem(half * 2, 360) * 1.0
   defp heading(_unknown), do: nil
 

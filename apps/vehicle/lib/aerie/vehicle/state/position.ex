@@ -1,5 +1,5 @@
 defmodule Aerie.Vehicle.State.Position do
-  @moduledoc "The vehicle's position; GLOBAL_POSITION_INT has its velocity, too."
+  @moduledoc "The vehicle's position; GLOBAL_POSITION_INT also has its velocity."
 
   alias Aerie.Vehicle.State.{Group, Value}
   alias MavCodec.Messages, as: M

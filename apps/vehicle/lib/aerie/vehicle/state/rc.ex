@@ -21,7 +21,7 @@ defmodule Aerie.Vehicle.State.Rc do
   @impl Group
   def read(%M.RcChannels{} = m, state, _at), do: channels(m, Enum.take(@channels, m.chancount), state)
   def read(%M.RcChannelsRaw{port: 0} = m, state, _at), do: channels(m, Enum.take(@channels, 8), state)
-  # RC_CHANNELS has the other ports, too.
+  # RC_CHANNELS also has the other ports.
   def read(%M.RcChannelsRaw{}, _state, _at), do: {[], []}
 
   defp channels(m, names, state) do

@@ -1,6 +1,7 @@
 defmodule Aerie.Vehicle.Detector.ArdupilotFailsafesTest do
   @moduledoc """
-  How the vehicles of ArduPilot show their failsafes: each has its own words, and some show nothing but a change of the mode.
+  How the vehicles of ArduPilot show their failsafes: each has its own words, and some show nothing but a change of the
+  mode.
   """
   use ExUnit.Case, async: true
 
@@ -117,7 +118,8 @@ defmodule Aerie.Vehicle.Detector.ArdupilotFailsafesTest do
     end
   end
 
-  # ekf_check of ArduCopter, Rover and the quadplane: "EKF variance", then the action's text if the mode needs a position.
+  # ekf_check of ArduCopter, Rover and the quadplane: "EKF variance", then the action's text if the mode needs a
+  # position.
   test "an estimator without a position is what fails, though the GNSS was lost just before" do
     lost = fn fix -> %M.GpsRawInt{fix_type: fix, satellites_visible: 9} end
     [critical, over] = [{:land, :critical}, "EKF Failsafe Cleared"]
@@ -203,7 +205,7 @@ defmodule Aerie.Vehicle.Detector.ArdupilotFailsafesTest do
       end
     end
 
-    test "that is only reported, or broken long before the pilot returns, is none" do
+    test "that is only reported, or broken long before the pilot returns, does not count" do
       assert failsafes(@copter, [{0, :loiter}, {1, {:breach, 0}}, {5, {:breach, 1}}, {9, :rtl}, {12, :rtl}]) ==
                []
 

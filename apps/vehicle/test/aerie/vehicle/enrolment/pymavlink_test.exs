@@ -87,7 +87,7 @@ defmodule Aerie.Vehicle.Enrolment.PymavlinkTest do
     refute await(peer, "heard ") =~ "SETUP_SIGNING"
   end
 
-  test "a vehicle that takes no key: that is told, and the old key stays in force", c do
+  test "a vehicle that takes no key: the error says so, and the old key stays in force", c do
     gateway = start_signing(c.tmp_dir)
     {_id, port} = add_link(gateway, "udpin:127.0.0.1:0", id: "usb", options: [secure: true])
     # It has the right key, and is asked for as another component.

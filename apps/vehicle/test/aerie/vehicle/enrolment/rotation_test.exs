@@ -88,7 +88,7 @@ defmodule Aerie.Vehicle.Enrolment.RotationTest do
                Task.await(task, Aerie.Patience.ms())
     end
 
-    test "a second one who asks is told; an armed vehicle is left alone; a key itself is not an argument",
+    test "a second request gets an error; an armed vehicle is left alone; a key itself is not an argument",
          c do
       {bytes, _signer} = signed(signer(), 1)
       say(c, bytes)

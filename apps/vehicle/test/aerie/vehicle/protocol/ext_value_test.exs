@@ -38,7 +38,7 @@ defmodule Aerie.Vehicle.Protocol.ExtValueTest do
     assert {:error, "expected a number that fits a float" <> _} = ExtValue.encode(1.0e300, 9)
   end
 
-  test "text, and bytes that are none, can be sent back as they came" do
+  test "text, and bytes that are not text, can be sent back as they came" do
     assert ExtValue.decode(pad("photo"), 11) == "photo"
 
     assert ExtValue.decode(pad("photo" <> <<0, "graph", 255>>), 11) == "photo"

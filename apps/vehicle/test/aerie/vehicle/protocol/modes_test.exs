@@ -30,7 +30,7 @@ defmodule Aerie.Vehicle.Protocol.ModesTest do
     assert Modes.number(:ardupilot, "copter", "mode(99)") == {:ok, 99}
   end
 
-  test "a number that the firmware would read as another mode is none" do
+  test "a number that the firmware would read as another mode is refused" do
     for number <- [256, 257, 65_536],
         do: assert(Modes.number(:ardupilot, "copter", "MODE(#{number})") == :error)
 

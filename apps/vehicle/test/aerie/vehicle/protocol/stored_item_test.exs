@@ -1,5 +1,7 @@
 defmodule Aerie.Vehicle.Protocol.StoredItemTest do
-  @moduledoc "What comes back when an item of a plan is read again (W9): the same, or what the firmware is known to make of it."
+  @moduledoc """
+  What comes back when an item of a plan is read again (W9): the same, or what the firmware is known to make of it.
+  """
   use ExUnit.Case, async: true
 
   alias Aerie.Vehicle.Protocol.{Ardupilot, Px4}
@@ -107,7 +109,7 @@ defmodule Aerie.Vehicle.Protocol.StoredItemTest do
     refute is_map_key(Px4.StoredItem.item(item(:DO_SET_SERVO, [1.0, 2.0, 0.0, 0.0]), 0, "copter"), :param1)
   end
 
-  test "what is too small a difference to be told" do
+  test "a difference too small to be named" do
     assert StoredItem.same?([1.0], 0.1, 0.10000000149)
     refute StoredItem.same?([1.0], 0.1, 0.1001)
     assert StoredItem.same?({:angle, 359.9999, 1.0e-3}, 359.9999, 0.0)

@@ -58,7 +58,7 @@ defmodule Aerie.Vehicle.Services.ClientRequestsTest do
       param2: 1.0e6 / hz
     }
 
-  test "M2: who asks first is forwarded, who asks for less is answered; when the first goes, its want goes" do
+  test "M2: the first request is forwarded, one for less is answered; when the first client goes, its want goes" do
     {gateway, vehicle} = flying()
     one = client(gateway, "one")
     bytes = says(one, set(30, 10))

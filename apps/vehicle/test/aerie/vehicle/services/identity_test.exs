@@ -231,7 +231,7 @@ defmodule Aerie.Vehicle.Services.IdentityTest do
       assert {hub.own_system, hub.own_component} == {237, 191}
     end
 
-    test "H5: only who is meant to be the ground station says so" do
+    test "H5: only a gateway that is meant to be the ground station says so" do
       {_gateway, _port, socket} = flying(%{i_am_the_gcs: true})
       assert {:ok, %{type: 6, autopilot: 8}} = MavCodec.decode(heard(socket))
     end

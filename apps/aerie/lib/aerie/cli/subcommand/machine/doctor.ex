@@ -1,7 +1,8 @@
 defmodule Aerie.CLI.Subcommand.Machine.Doctor do
   @moduledoc """
-  `aerie doctor`: checks whether this machine has what a gateway with this configuration needs. Each finding is ok, a warning or an error,
-  and says how to fix it. If a gateway is running, the findings of its own diagnosis (`Aerie.Fleet.Diagnosis`) are included.
+  `aerie doctor`: checks whether this machine has what a gateway with this configuration needs. Each finding is ok, a
+  warning or an error, and says how to fix it. If a gateway is running, the findings of its own diagnosis
+  (`Aerie.Fleet.Diagnosis`) are included.
   """
   @behaviour Aerie.CLI.Subcommand
 
@@ -46,7 +47,7 @@ defmodule Aerie.CLI.Subcommand.Machine.Doctor do
           Enum.sort_by(findings, &Enum.find_index([:error, :warning, :ok], fn level -> level == &1.level end)) do
       [
         "#{String.pad_trailing(Atom.to_string(finding.level), 8)} #{finding.what}: #{Columns.cell(finding.text)}\n",
-        if(finding.mend, do: "         to mend it: #{Columns.cell(finding.mend)}\n", else: [])
+        if(finding.mend, do: "         fix: #{Columns.cell(finding.mend)}\n", else: [])
       ]
     end
   end

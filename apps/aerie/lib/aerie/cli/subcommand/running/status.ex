@@ -2,7 +2,8 @@ defmodule Aerie.CLI.Subcommand.Running.Status do
   @moduledoc """
   `aerie status`: vehicles, links, NATS and problems, from the read model.
 
-  A gateway that waits for a radio is ready (`Aerie.Fleet.Health`), and all the same something is wrong: the exit status says so.
+  A gateway that waits for a radio is ready (`Aerie.Fleet.Health`), and all the same something is wrong: the exit status
+  says so.
   """
   @behaviour Aerie.CLI.Subcommand
 
@@ -37,7 +38,9 @@ defmodule Aerie.CLI.Subcommand.Running.Status do
     if heard?, do: down, else: down ++ ["#{own}, aboard which this gateway runs (vehicle_id), is not heard"]
   end
 
-  @doc "The status as text. Pure; `status` is what `--json` prints: that of `GET /api/status` with `health` and `conditions`."
+  @doc """
+  The status as text. Pure; `status` is what `--json` prints: that of `GET /api/status` with `health` and `conditions`.
+  """
   @spec render(map(), Status.View.t()) :: iodata()
   def render(status, view) do
     [
@@ -90,7 +93,7 @@ defmodule Aerie.CLI.Subcommand.Running.Status do
     [
       "\n#{condition["severity"]}: #{Columns.cell(subject <> condition["title"])}\n",
       for(line <- condition["evidence"], do: "  #{Columns.cell(line)}\n"),
-      "  to mend it: #{Columns.cell(condition["mend"])}\n"
+      "  fix: #{Columns.cell(condition["mend"])}\n"
     ]
   end
 end

@@ -92,6 +92,6 @@ defmodule Aerie.CLI.Subcommand.Running.Tail do
   defp text(value) when is_binary(value) or is_atom(value) or is_number(value), do: value
   defp text(value), do: inspect(value, limit: 20, width: :infinity)
 
-  # Standard output is aerie's own; when it is closed, this process ends, too.
+  # Standard output is aerie's own; when it is closed, this process ends as well.
   defp put(line), do: line |> Aerie.Base.Printable.lines() |> IO.puts()
 end

@@ -2,8 +2,8 @@ defmodule Aerie.Fleet.Bridge.Hub.Accounts do
   @moduledoc """
   The accounts of a hub's nats-server, as text of its configuration. Pure.
 
-  The account `FLEET` has the streams and buckets; the hub's gateway and operators are its users. Each vehicle has an account of
-  its own, to which its leaf node belongs. Between the two passes what is listed here and nothing else:
+  The account `FLEET` has the streams and buckets; the hub's gateway and operators are its users. Each vehicle has an
+  account of its own, to which its leaf node belongs. Between the two passes what is listed here and nothing else:
 
   | from a vehicle to the fleet, on the leaf's subject | in the fleet |
   |---|---|
@@ -17,18 +17,20 @@ defmodule Aerie.Fleet.Bridge.Hub.Accounts do
   | `fleet.E.V.{cmd,params,mission,files,logs}.*`, answered | the same |
   | what is written to its own keys | `hub.kv.new.BUCKET.KEY` |
 
-  Permissions within one account would not be enough: the answer to a request goes to the subject that the request names, so a
-  vehicle could have JetStream publish its own text in another one's name. Between accounts, answers have subjects of the server's.
+  Permissions within one account would not be enough: the answer to a request goes to the subject that the request
+  names, so a vehicle could have JetStream publish its own text in another one's name. Between accounts, answers have
+  subjects of the server's.
 
-  Headers pass from one account to another, so the streams and buckets are such that none has an effect on other vehicles:
-  roll-up is off, each vehicle's events have a stream of their own (`Aerie.Fleet.Bridge.EventStreams`), in which it knows its ids, and sizes are
-  limited. What a vehicle can fill is its listed subjects times the size of a message, for which the hub has room (`Aerie.Fleet.Bridge.Hub.Quota`).
+  Headers pass from one account to another, so the streams and buckets are such that none has an effect on other
+  vehicles: roll-up is off, each vehicle's events have a stream of their own (`Aerie.Fleet.Bridge.EventStreams`), in
+  which it knows its ids, and sizes are limited. What a vehicle can fill is its listed subjects times the size of a
+  message, for which the hub has room (`Aerie.Fleet.Bridge.Hub.Quota`).
 
-  Of the leases a vehicle has only that of who acts on itself. The desired state is asked of the hub's gateway: documents aboard and at the
-  hub are kept the same (`Aerie.Fleet.Shadow.Uplink`).
+  A vehicle has only the lease of the gateway that acts on it. The hub's gateway answers for the desired state:
+  documents aboard and at the hub are kept the same (`Aerie.Fleet.Shadow.Uplink`).
 
-  Events have a subject of their own on the leaf, because the leaf stores them in a stream of its own: the gateway forwards them
-  in order (`Aerie.Fleet.Bridge.Forward`).
+  Events have a subject of their own on the leaf, because the leaf stores them in a stream of its own: the gateway
+  forwards them in order (`Aerie.Fleet.Bridge.Forward`).
   """
 
   @areas ~w(cmd params mission files logs)
@@ -87,7 +89,8 @@ defmodule Aerie.Fleet.Bridge.Hub.Accounts do
   # Requests that a vehicle answers.
   defp obeyed(environment, id), do: for(area <- @areas, do: "fleet.#{environment}.#{id}.#{area}.*")
 
-  # Subjects that the fleet imports from a vehicle, or exports to it: `{kind, subject of the fleet, subject on the leaf, nil for the same}`.
+  # Subjects that the fleet imports from a vehicle, or exports to it: `{kind, subject of the fleet, subject on the leaf,
+  # nil for the same}`.
   defp granted(environment, id) do
     vehicle = "fleet.#{environment}.#{id}"
 

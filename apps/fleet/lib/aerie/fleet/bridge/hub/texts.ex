@@ -90,7 +90,7 @@ defmodule Aerie.Fleet.Bridge.Hub.Texts do
     shadow:
       vehicle_key: #{JSON.encode!(key)}
     policy:
-      # What each hub may do aboard, by commands and by desired states: role admin lets it set parameters, too.
+      # What each hub may do aboard, by commands and by desired states: role admin also lets it set parameters.
       sources:
     #{Enum.map_join(hubs, "\n", fn {name, nkey} -> "    - {name: #{name}, nkey: #{nkey}, role: operator}" end)}
     """

@@ -1,7 +1,7 @@
 defmodule Aerie.Fleet.Shadow.Documents.Ownership do
   @moduledoc """
-  Decides which gateway acts on a vehicle, by `Aerie.Fleet.Shadow.Lease` and the bucket of leases: functions of the state of
-  `Aerie.Fleet.Shadow.Documents.Server`, their only caller.
+  Decides which gateway acts on a vehicle, by `Aerie.Fleet.Shadow.Lease` and the bucket of leases: functions of the
+  state of `Aerie.Fleet.Shadow.Documents.Server`, their only caller.
   """
 
   alias Aerie.Base.Store
@@ -231,7 +231,7 @@ defmodule Aerie.Fleet.Shadow.Documents.Ownership do
     state
   end
 
-  # Who holds a vehicle, for commands (`Aerie.Fleet.Shadow.Ownership`).
+  # The gateway that holds a vehicle, for commands (`Aerie.Fleet.Shadow.Ownership`).
   defp held(%{kept: %{local?: true}}, _vehicle), do: :alone
   defp held(%{conn: nil, settings: %{without_nats: :act}}, _vehicle), do: :alone
 

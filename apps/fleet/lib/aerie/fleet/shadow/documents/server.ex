@@ -1,10 +1,11 @@
 defmodule Aerie.Fleet.Shadow.Documents.Server do
   @moduledoc """
   Keeps the desired documents of `Aerie.Fleet.Shadow.Documents`: copies in memory and on disk of the documents in NATS
-  (`Aerie.Fleet.Shadow.Documents.Desired`), and the lease by which one of several gateways acts (`Aerie.Fleet.Shadow.Documents.Ownership`).
+  (`Aerie.Fleet.Shadow.Documents.Desired`), and the lease by which one of several gateways acts
+  (`Aerie.Fleet.Shadow.Documents.Ownership`).
 
-  The bucket is authoritative, with three exceptions: a document that no gateway with our key wrote, an older one than we know
-  (Z5), and none at all. In the last two cases our copy is written back, so a deleted bucket is restored.
+  The bucket is authoritative, with three exceptions: a document that no gateway with our key wrote, an older one than
+  we know (Z5), and none at all. In the last two cases our copy is written back, so a deleted bucket is restored.
   """
   use GenServer
 
@@ -258,7 +259,7 @@ defmodule Aerie.Fleet.Shadow.Documents.Server do
     end
   end
 
-  ## Who acts
+  ## The gateway that acts
 
   defp renew(%{conn: nil} = state), do: state
 

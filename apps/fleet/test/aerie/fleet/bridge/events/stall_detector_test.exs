@@ -14,7 +14,7 @@ defmodule Aerie.Fleet.Bridge.Events.StallDetectorTest do
     assert look(stall, 10..10, true).problem?
   end
 
-  test "a backlog that moves is none" do
+  test "a backlog that moves is not a stall" do
     stall =
       Enum.reduce(0..1000, StallDetector.new(), fn second, stall ->
         stall |> StallDetector.check(second * 1000, true) |> StallDetector.confirmed(second * 1000)

@@ -13,7 +13,7 @@ defmodule Aerie.Fleet.Bridge.Forward.HubTest do
         do: assert({:away, "it answers " <> _} = Hub.answer(%{body: text}))
   end
 
-  test "a refusal is told until a connection has lasted for half a minute" do
+  test "reports a refusal until a connection has lasted for half a minute" do
     assert Hub.refusal(%{problem: "no", connected_at: nil}, 0) == "no"
     assert Hub.refusal(%{problem: "no", connected_at: 1_000}, 30_999) == "no"
     assert Hub.refusal(%{problem: "no", connected_at: 1_000}, 31_000) == nil

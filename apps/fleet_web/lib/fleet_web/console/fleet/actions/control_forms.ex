@@ -1,5 +1,8 @@
 defmodule FleetWeb.Console.Fleet.Actions.ControlForms do
-  @moduledoc "Who is in charge of the selected vehicles (`Aerie.Control.Policy.Lease`), and the forms to take, take over and release the charge of all of them."
+  @moduledoc """
+  Who is in charge of the selected vehicles (`Aerie.Control.Policy.Lease`), and the forms to take, take over and release
+  the charge of all of them.
+  """
   use FleetWeb.Console, :component
 
   alias FleetWeb.Console.Fleet.Board.Row
@@ -17,7 +20,7 @@ defmodule FleetWeb.Console.Fleet.Actions.ControlForms do
       <summary><.icon name={if @others != [], do: "lock", else: "user"} /> <span>{lease_text(@own, @others, @free)}</span></summary>
       <div class="charge-forms">
         <form :if={@others != [] or @free != []} id="fleet-take" class="control" phx-hook="CommandForm" phx-auto-recover="ignore" data-type="take_control" data-value={@value}>
-          <.field :if={@others != []} id="fleet-take-reason" name="reason" label="Reason, told to who is in charge" maxlength="200" required={true} autocomplete="off" />
+          <.field :if={@others != []} id="fleet-take-reason" name="reason" label="Reason, for the one in charge" maxlength="200" required={true} autocomplete="off" />
           <.button type="submit" kind="primary">{if @others != [], do: "Take over", else: "Take charge"}</.button>
         </form>
         <form :if={@own != []} id="fleet-release" phx-hook="CommandForm" phx-auto-recover="ignore" data-type="release_control" data-value={@value}>

@@ -1,5 +1,7 @@
 defmodule FleetWeb.Console.Fleet.Actions.Tagging do
-  @moduledoc "The dialog for tags: of the vehicles that were selected when it was opened, whatever is selected later. Pure."
+  @moduledoc """
+  The dialog for tags: of the vehicles that were selected when it was opened, whatever is selected later. Pure.
+  """
 
   alias Aerie.Fleet.Shadow.Tags
   alias FleetWeb.Console.Fleet.Board.Row
@@ -7,7 +9,9 @@ defmodule FleetWeb.Console.Fleet.Actions.Tagging do
   @enforce_keys [:ids, :common, :text]
   defstruct @enforce_keys ++ [error: nil, left: []]
 
-  @typedoc "`:common` - the tags that all of them have; `:left` - vehicles that are still to be changed, with their new tags"
+  @typedoc """
+  `:common` - the tags that all of them have; `:left` - vehicles that are still to be changed, with their new tags
+  """
   @type t :: %__MODULE__{
           ids: [String.t()],
           common: [String.t()],
@@ -16,7 +20,7 @@ defmodule FleetWeb.Console.Fleet.Actions.Tagging do
           left: [{String.t(), [String.t()]}]
         }
 
-  @doc "Of these vehicles; nil for none."
+  @doc "The form for these vehicles; nil for none."
   @spec new([Row.t()]) :: t() | nil
   def new([]), do: nil
 

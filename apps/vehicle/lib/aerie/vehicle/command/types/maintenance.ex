@@ -70,7 +70,7 @@ defmodule Aerie.Vehicle.Command.Types.Maintenance do
         name: "reset_params",
         group: :maintenance,
         meaning:
-          "Resets all parameters to the firmware's defaults, calibration included; needs `protection`, too.",
+          "Resets all parameters to the firmware's defaults, calibration included; also needs `protection`.",
         permission: :maintain,
         retry: :never
       },

@@ -55,7 +55,7 @@ defmodule Aerie.Vehicle.Command.Types.Mission do
       %Type{
         name: "set_geofence",
         group: :mission,
-        meaning: "Switches the vehicle's own fence on or off; off needs `protection`, too.",
+        meaning: "Switches the vehicle's own fence on or off; off also needs `protection`.",
         mav_cmds: ~w(DO_FENCE_ENABLE)a,
         permission: :mission,
         params: [Param.boolean(:enabled, "whether the fence is on", required: true)]

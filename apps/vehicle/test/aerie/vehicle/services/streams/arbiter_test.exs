@@ -13,7 +13,7 @@ defmodule Aerie.Vehicle.Services.Streams.ArbiterTest do
   defp after_s(list, seconds), do: for({at, what} <- list, at > seconds, do: {at, what})
 
   describe "what the gateway needs" do
-    test "M3: who sends it is asked for nothing, but for what comes only once" do
+    test "M3: a vehicle that sends it is asked for nothing but what comes only once" do
       vehicle = Sim.run(Sim.new(rates: @default), 600)
       assert requests(vehicle) == []
       assert for({_, what} <- Sim.sent(vehicle), do: what) == [{:once, 148}, {:once, 242}]
@@ -105,7 +105,7 @@ defmodule Aerie.Vehicle.Services.Streams.ArbiterTest do
       refute is_map_key(Arbiter.show(vehicle.arbiter), 36)
     end
 
-    test "who wants less again gets less, but never less than somebody else wants" do
+    test "a client that wants less again gets less, but never less than somebody else wants" do
       vehicle = Sim.new(rates: @default) |> Sim.run(10) |> Sim.want(%{30 => 20}) |> Sim.run(10)
       vehicle = vehicle |> Sim.want(%{30 => 6}) |> Sim.run(60)
       assert [50_000.0, 166_666.0] = vehicle |> sets(30) |> Enum.map(&elem(&1, 1))
@@ -202,7 +202,7 @@ defmodule Aerie.Vehicle.Services.Streams.ArbiterTest do
       assert (vehicle |> Sim.want(%{}, groups: %{10 => 1}) |> Sim.run(30)).rates[178] == 3
     end
 
-    test "a group's end takes nothing from who wants one of its messages" do
+    test "a group's end takes nothing from a client that wants one of its messages" do
       vehicle = Sim.new(rates: %{@default | 30 => 10}) |> Sim.run(20)
       vehicle = vehicle |> Sim.want(%{30 => 20, 178 => 6}, groups: %{10 => 4}) |> Sim.run(30)
       vehicle = vehicle |> Sim.want(%{30 => 20, 178 => 6}) |> Sim.run(60)

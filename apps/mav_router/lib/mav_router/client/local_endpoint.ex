@@ -1,6 +1,7 @@
 defmodule MavRouter.Client.LocalEndpoint do
-  @moduledoc "Makes a process of this machine an endpoint (`MavRouter.Endpoints.Endpoint`): a socket's client, a page,
-  a script."
+  @moduledoc """
+  Makes a process of this machine an endpoint (`MavRouter.Endpoints.Endpoint`): a socket's client, a page, a script.
+  """
 
   alias Aerie.Base.Names
   alias MavRouter.Router

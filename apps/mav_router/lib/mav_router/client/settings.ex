@@ -29,8 +29,8 @@ defmodule MavRouter.Client.Settings do
           link (UDP 14550) becomes a client automatically, as long as no autopilot is heard from there.
           """,
           example:
-            ~S([{id: field-laptop, url: "udpout:192.168.1.20:14550", rate_limits: {ATTITUDE: 4}, filter_out:
-            {block_messages: [RAW_IMU]}}])
+            ~S([{id: field-laptop, url: "udpout:192.168.1.20:14550", rate_limits: {ATTITUDE: 4}, ) <>
+              "filter_out: {block_messages: [RAW_IMU]}}]"
 
   section "limits"
 
@@ -43,8 +43,8 @@ defmodule MavRouter.Client.Settings do
       field(
         :networks,
         {:one_or_list, Types.token()},
-        "Networks that it sees, all if left out. If two have the same system id, it sees that of the network named
-        first.",
+        "Networks that it sees, all if left out. If two have the same system id, it sees that of the network " <>
+          "named first.",
         default: [],
         filled: true
       ),
@@ -67,8 +67,8 @@ defmodule MavRouter.Client.Settings do
       field(
         :served,
         :boolean,
-        "The gateway gives it parameters and plans while they are known to be the vehicle's, instead of having the
-        vehicle read once for each client.",
+        "The gateway gives it parameters and plans while they are known to be the vehicle's, instead of having the " <>
+          "vehicle read once for each client.",
         default: struct(Owner).served
       ),
       field(

@@ -1,6 +1,7 @@
 defmodule MavRouter.Endpoints.Owner.SavedRules do
-  @moduledoc "The changes of rules that `Aerie.Base.Store` remembers for `MavRouter.Endpoints.Rules`, and an owner with
-  them."
+  @moduledoc """
+  The changes of rules that `Aerie.Base.Store` remembers for `MavRouter.Endpoints.Rules`, and an owner with them.
+  """
 
   alias Aerie.Base.{Error, Names, Store}
   alias MavRouter.Endpoints.Owner

@@ -153,8 +153,7 @@ defmodule MavRouter.Link.Transport.Net.BacklogTest do
   # A link that was short of a processor just after its vehicles appeared: every datagram was read afterwards, and
   # none passed on.
   for fine_s <- [2, 10, 70], reads <- [3, 5, 8], n <- [1, 2, 8] do
-    test "after #{fine_s} s, and #{reads} slow reads of #{n} while hundreds wait, a link with a free processor loses
-    nothing" do
+    test "after #{fine_s} s and #{reads} slow reads of #{n} while hundreds wait, a free processor loses nothing" do
       {backlog, now} =
         Enum.reduce(1..(unquote(fine_s) * 100), {Backlog.new(), 0}, fn _i, {backlog, now} ->
           {backlog |> read(now, 10, 10) |> elem(1), now + 10}
@@ -201,8 +200,7 @@ defmodule MavRouter.Link.Transport.Net.BacklogTest do
   end
 
   for {budget, strangers, least} <- [{40, 300, 0.7}, {160, 300, 0.98}, {250, 300, 0.98}, {400, 3_000, 0.98}] do
-    test "a known vehicle with 20 frames a second keeps #{least} of them beside #{strangers} made-up senders, with a
-    budget of #{budget}" do
+    test "a known vehicle keeps #{least} of 20 frames/s beside #{strangers} made-up senders, budget #{budget}" do
       heard =
         hear(40, unquote(budget), fn now ->
           # They come in the tenth second, all of them once a second.

@@ -296,7 +296,7 @@ defmodule FleetWeb.API.Operations do
         ) ::
           Error.t()
   def refusal(%Error{} = error), do: error
-  def refusal(%Result{} = result), do: Error.of_result(result)
+  def refusal(%Result{} = result), do: %Error{} = Error.of_result(result)
   def refusal([_ | _] = errors), do: Error.malformed(errors)
   def refusal({:invalid, %Command.Error{expected: reason}}), do: Error.new(:invalid, reason)
   def refusal({:malformed, errors}), do: Error.malformed(errors)

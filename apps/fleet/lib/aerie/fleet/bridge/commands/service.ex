@@ -86,8 +86,9 @@ defmodule Aerie.Fleet.Bridge.Commands.Service do
   def handle_info({:DOWN, task, :process, _pid, _crash}, state) do
     {message, workers} = Workers.ended(state.workers, task)
 
-    if message,
-      do: reply(message, refusal(:unavailable, "a fault of the gateway ended its work on the request"))
+    _ =
+      if message,
+        do: reply(message, refusal(:unavailable, "a fault of the gateway ended its work on the request"))
 
     {:noreply, %{state | workers: workers}}
   end

@@ -44,7 +44,7 @@ defmodule Aerie.Upgrade.VersionsTest do
     assert folder |> File.ls!() |> Enum.sort() == ~w(1 2 former)
   end
 
-  test "a link to nothing is not a version; a release elsewhere is not installed; without the right to write nothing changes",
+  test "ignores a link to nothing and a release elsewhere; without the right to write nothing changes",
        %{
          folder: folder,
          link: link,

@@ -18,7 +18,7 @@ Code.require_file("../../test/browser/browser.ex", __DIR__)
 defmodule ConsoleBench do
   alias Aerie.Base.Store
   alias Bench.{Gateway, OSProcess, Sample, Table}
-  alias FleetWeb.Console.Access
+  alias FleetWeb.Access
 
   # Each vehicle changes once in a round, a slice of them at a time.
   @slices 10

@@ -203,9 +203,9 @@ defmodule Aerie.Fleet.Shadow.DocumentsTest do
 
     # A connection on which what is written is stored, and the answer is lost; `fun` is called as soon as it is stored.
     defp without_answers(conn, fun) do
-      between(conn, fn {:request, _alias, count, message} ->
+      between(conn, fn {:request, _alias, message} ->
         alias = Process.alias()
-        reply = GenServer.call(conn, {:request, alias, count, message})
+        reply = GenServer.call(conn, {:request, alias, message})
         assert_receive {^alias, %{body: stored}}
         assert IO.iodata_to_binary(stored) =~ "seq"
         fun.()
@@ -222,7 +222,7 @@ defmodule Aerie.Fleet.Shadow.DocumentsTest do
 
     defp forward(conn, write) do
       receive do
-        {:"$gen_call", from, {:request, _alias, _count, {"$KV." <> _key, _body, _headers}} = request} ->
+        {:"$gen_call", from, {:request, _alias, {"$KV." <> _key, _body, _headers}} = request} ->
           GenServer.reply(from, write.(request))
 
         {:"$gen_call", from, request} ->

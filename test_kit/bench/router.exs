@@ -290,7 +290,7 @@ defmodule RouterBench.Decision do
   alias MavCodec.{Frame, Parser}
   alias MavCodec.Messages, as: M
   alias MavRouter.Endpoints.Counters
-  alias MavRouter.Forward.{Delivery, Gate, Source, Table.Path}
+  alias MavRouter.Forward.{Delivery, Gate, Source}
 
   @gateway :decision_bench
   @reads 2_000
@@ -330,7 +330,7 @@ defmodule RouterBench.Decision do
   defp row(name, messages, fields, vehicle?) do
     frames = messages |> Stream.cycle() |> Enum.take(@frames) |> Enum.map(&frame/1)
     own = [key: {fields[:owner], 1}, networks: ["main"], counters: Counters.new(), gateway: @gateway]
-    path = struct!(Path, own ++ [text: "10.0.0.9:14550"] ++ fields)
+    path = struct!(MavRouter.Forward.Table.Path, own ++ [text: "10.0.0.9:14550"] ++ fields)
     source = %{Source.new(1, 1) | vehicle: vehicle?}
 
     delivery = %Delivery{

@@ -78,7 +78,8 @@ defmodule FleetWeb.API.Operations do
   defp with_media(name, %{media: media}), do: {:bytes, ["application/json" | media], name}
 
   # What has no form as JSON is bytes.
-  defp answers({operation, route, _index}), do: if(bytes?(route), do: [], else: ["answer." <> operation.name])
+  defp answers({operation, route, _index}),
+    do: if(bytes?(route), do: [], else: [Operation.answer_name(operation)])
 
   defp bytes?(route), do: route.media != [] and route.formats == []
 
@@ -94,9 +95,18 @@ defmodule FleetWeb.API.Operations do
   end
 
   # What stands in the query: without a body everything that is not in the path.
+  defp query(operation, %{stream?: true}), do: common(operation)
+
   defp query(operation, route) do
     own = if body?(route), do: Enum.filter(operation.fields, &(&1.key in route.query)), else: operation.fields
-    own = for field <- own, field.schema != false, not in_path?(field, route), do: field
+
+    own =
+      for field <- own,
+          field.schema != false,
+          field.key not in route.omit,
+          not in_path?(field, route),
+          do: field
+
     own ++ common(operation)
   end
 
@@ -131,9 +141,17 @@ defmodule FleetWeb.API.Operations do
   defp body_schema(operation, route) do
     common = for field <- common(operation), into: %{}, do: {field.key, Field.schema(field)}
     elsewhere = for field <- operation.fields, in_path?(field, route), do: field.key
+
+    fields =
+      for field <- operation.fields, do: %{field | required: field.required or field.key in route.required}
+
     # A rule may be about a field in the query.
     rules = if route.query == [], do: operation.rules, else: []
-    %{operation.name => Operation.schema(%{operation | rules: rules}, common, [], elsewhere)}
+
+    %{
+      operation.name =>
+        Operation.schema(%{operation | fields: fields, rules: rules}, common, [], elsewhere ++ route.omit)
+    }
   end
 
   defp described?(route), do: body?(route) and not bytes?(route)
@@ -141,7 +159,7 @@ defmodule FleetWeb.API.Operations do
   defp answer_schema(operation, route) do
     if result?(operation) or bytes?(route),
       do: %{},
-      else: %{("answer." <> operation.name) => Operation.answer_schema(operation)}
+      else: %{Operation.answer_name(operation) => Operation.answer_schema(operation)}
   end
 
   # --- Requests
@@ -206,16 +224,21 @@ defmodule FleetWeb.API.Operations do
   defp input(operation, route, format, body, _state, request),
     do: read(operation, route, format, body, request)
 
-  defp read(operation, %{stream?: true} = route, _format, _body, request),
-    do: Operation.parse(%{operation | fields: []}, texts(operation, route, request))
+  defp read(operation, %{stream?: true} = route, _format, _body, request) do
+    operation = %{operation | fields: []}
+    Operation.parse(operation, texts(operation, route, request))
+  end
 
   defp read(operation, route, format, body, request) do
     file? = route.file != nil and (format != "json" or route.formats == [])
-    file = if file?, do: [file: {route.file, body}, format: format], else: []
+    own = if file?, do: [file: {route.file, body}, format: format], else: [required: route.required]
 
     with {:ok, object} <- if(file? or not body?(route), do: {:ok, %{}}, else: Request.decode(body)) do
+      # null is the same as nothing, also beside a parameter of the query.
+      object = Map.reject(object, fn {_key, value} -> value == nil end)
       given = operation |> texts(route, request) |> Map.merge(object) |> Map.merge(route.given)
-      Operation.parse(operation, Map.merge(given, path(route, request)), [more: more(operation)] ++ file)
+      options = [more: more(operation), omit: route.omit] ++ own
+      Operation.parse(operation, Map.merge(given, path(route, request)), options)
     end
   end
 
@@ -225,7 +248,9 @@ defmodule FleetWeb.API.Operations do
   defp texts(operation, route, request) do
     names =
       Enum.map(route.query, &Atom.to_string/1) ++
-        for field <- operation.fields ++ Operation.common(operation) ++ more(operation), do: Field.name(field)
+        for field <- operation.fields ++ Operation.common(operation) ++ more(operation),
+            field.key not in route.omit,
+            do: Field.name(field)
 
     for {name, <<text::binary>>} <- Request.parameters(request),
         name in names,

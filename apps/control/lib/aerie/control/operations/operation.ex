@@ -32,7 +32,8 @@ defmodule Aerie.Control.Operations.Operation do
     * `:once` - `{field, when, reason}`: the field without which a copy of a message would be another request; `:signed`
       or `:always`, and what is said if it is missing. Over NATS only
     * `:rules` - further keywords of the request's JSON Schema, for what fields cannot say; `c:run/2` checks them
-    * `:answer` - the properties of what `c:run/2` reads
+    * `:answer` - the properties of what `c:run/2` reads; `:answer_as` names them where several operations have the same
+      ones
     * `:routes` - how it is asked for over REST
   """
 
@@ -50,6 +51,7 @@ defmodule Aerie.Control.Operations.Operation do
     :meaning,
     :request,
     :once,
+    :answer_as,
     changes?: false,
     transfer?: true,
     fields: [],
@@ -64,6 +66,7 @@ defmodule Aerie.Control.Operations.Operation do
           meaning: String.t(),
           request: JsonSchema.t() | nil,
           once: {field :: String.t(), :signed | :always, reason :: String.t()} | nil,
+          answer_as: String.t() | nil,
           changes?: boolean(),
           transfer?: boolean(),
           fields: [Field.t()],
@@ -133,7 +136,8 @@ defmodule Aerie.Control.Operations.Operation do
   Reads a request: a map with text keys, whose values are those of JSON, or `{:text, text}` where everything is text.
   null is the same as nothing. Options:
 
-    * `:more` - fields of the interface; `:required` - names of fields that must be there as well
+    * `:more` - fields of the interface; `:omit` - names of fields that it does not have; `:required` - names of those
+      that must be there as well
     * `:file` - `{field, bytes}`, a field that came as a file in the `:format`
   """
   @spec parse(t(), map(), keyword()) :: {:ok, input()} | {:error, [Error.t(), ...] | {:invalid, Error.t()}}
@@ -147,9 +151,11 @@ defmodule Aerie.Control.Operations.Operation do
     {file, bytes} = Keyword.get(options, :file, {nil, nil})
     required = Keyword.get(options, :required, [])
 
+    omit = Keyword.get(options, :omit, [])
+
     fields =
       for field <- common(operation) ++ operation.fields ++ Keyword.get(options, :more, []),
-          field.key != file do
+          field.key not in [file | omit] do
         %{field | required: field.required or field.key in required}
       end
 
@@ -159,6 +165,7 @@ defmodule Aerie.Control.Operations.Operation do
 
     case Schema.validate(fields, given) do
       {input, []} when unknown == %{} ->
+        input = Map.merge(Map.new(omit, &{&1, nil}), input)
         prepare(operation.module, if(file, do: Map.put(input, file, bytes), else: input), format)
 
       {_input, problems} ->
@@ -232,6 +239,10 @@ defmodule Aerie.Control.Operations.Operation do
     required = required ++ for %{required: true, key: key} <- own, do: key
     JsonSchema.object(properties, required, [open: not operation.transfer?] ++ operation.rules)
   end
+
+  @doc "The name of the schema of its answer."
+  @spec answer_name(t()) :: String.t()
+  def answer_name(%__MODULE__{name: name, answer_as: as}), do: "answer." <> (as || name)
 
   @doc "The JSON Schema of what it reads, with further properties."
   @spec answer_schema(t(), more :: map()) :: JsonSchema.t()

@@ -4,7 +4,8 @@ defmodule Aerie.Control.Operations.Route do
   vehicle's `:id`. A request without a body has the other fields in its query, one with a body has them there.
 
     * `:query` - fields that stand in the query although there is a body
-    * `:given` - fields that the path says by itself
+    * `:given` - fields that the path says by itself; `:omit` - fields that only messages of NATS have;
+      `:required` - fields without which an object is not enough
     * `:select` - of several operations on one path, this one is meant if the query has the parameter
     * `:file` - the field that a body is as a whole, when it is no JSON; fields that it may replace are in `:replaces`
     * `:formats` - the forms of a file that `?format=`, `Accept` or `Content-Type` choose, JSON first
@@ -22,6 +23,8 @@ defmodule Aerie.Control.Operations.Route do
     :file,
     query: [],
     given: %{},
+    omit: [],
+    required: [],
     replaces: [],
     formats: [],
     media: [],
@@ -38,6 +41,8 @@ defmodule Aerie.Control.Operations.Route do
           file: atom() | nil,
           query: [atom()],
           given: %{String.t() => term()},
+          omit: [atom()],
+          required: [atom()],
           replaces: [atom()],
           formats: [String.t()],
           media: [String.t()],

@@ -8,6 +8,7 @@ defmodule Aerie.Fleet.AsyncAPI.Channels do
 
   alias Aerie.Fleet.AsyncAPI.Requests
   alias Aerie.Control.Operations
+  alias Aerie.Control.Operations.Operation
   alias Aerie.Fleet.Bridge.Message
   alias Aerie.Vehicle.Command
 
@@ -108,9 +109,9 @@ defmodule Aerie.Fleet.AsyncAPI.Channels do
     end
   end
 
-  defp replies(%{transfer?: false, name: name}), do: ["answer.#{name}", "refused"]
+  defp replies(%{transfer?: false} = operation), do: [Operation.answer_name(operation), "refused"]
   defp replies(%{changes?: true}), do: ["result", "refusal"]
-  defp replies(%{name: name}), do: ["answer.#{name}", "result", "refusal"]
+  defp replies(operation), do: [Operation.answer_name(operation), "result", "refusal"]
 
   defp buckets do
     text = [content_type: "text/plain"]

@@ -4,6 +4,7 @@ defmodule Aerie.Fleet.AsyncAPI.Requests do
   import Aerie.Base.JsonSchema
 
   alias Aerie.Control.Operations
+  alias Aerie.Control.Operations.Operation
   alias Aerie.Fleet
   alias Aerie.Fleet.Bridge.Commands.Operation, as: Answers
   alias Aerie.Fleet.Operations.Schema
@@ -37,9 +38,10 @@ defmodule Aerie.Fleet.AsyncAPI.Requests do
       )
 
     own =
-      for %{name: name} = operation <- Fleet.operations(),
+      for operation <- Fleet.operations(),
           not (operation.transfer? and operation.changes?),
-          do: {"answer.#{name}", Answers.reply_schema(operation)}
+          uniq: true,
+          do: {Operation.answer_name(operation), Answers.reply_schema(operation)}
 
     [{"result", Command.Schema.result()}, {"refusal", refusal()}, {"refused", refused} | own]
   end

@@ -59,8 +59,8 @@ defmodule Aerie.Fleet.Operations.Schema do
   @doc "The field that names one."
   @spec id() :: Field.t()
   def id do
-    check = &if(is_binary(&1) and byte_size(&1) <= 32 and Command.token?(&1), do: {:ok, &1}, else: :error)
-    words = "1 to 32 letters, digits, - and _"
+    check = &if(is_binary(&1), do: {:ok, &1}, else: :error)
+    words = "the id of an operation"
     Field.field(:id, {:term, check, words}, "its id", required: true, schema: id_schema())
   end
 

@@ -76,7 +76,7 @@ defmodule Aerie.Fleet.Operations.RequestsTest do
 
     assert %{"rule" => "malformed", "reason" => "the body is not a JSON object"} = ask(c, "list", "[1]")
 
-    assert %{"rule" => "malformed", "reason" => "id: expected 1 to 32 letters" <> _} =
+    assert %{"rule" => "malformed", "reason" => "id: expected the id of an operation" <> _} =
              ask(c, "get", %{"id" => 7})
 
     assert %{"rule" => "malformed", "reason" => "the last word" <> _} = ask(c, "destroy", "{}")

@@ -18,6 +18,8 @@ defmodule Aerie.Control.Operations.Params.Load do
       routes: [
         put("/api/vehicles/:id/params", "Sets several parameters of a vehicle.",
           query: [:unknown],
+          omit: [:file],
+          required: [:values],
           file: :file,
           formats: ~w(json param params txt),
           media: ["text/plain"],

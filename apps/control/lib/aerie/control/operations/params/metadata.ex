@@ -12,7 +12,9 @@ defmodule Aerie.Control.Operations.Params.Metadata do
       fields: [names()],
       answer: %{params: %{type: :array, items: object(%{name: %{type: :string}}, [:name], open: true)}},
       routes: [
-        get("/api/vehicles/:id/metadata/params", "What the vehicle itself says of its parameters.")
+        get("/api/vehicles/:id/metadata/params", "What the vehicle itself says of its parameters.",
+          omit: [:names]
+        )
       ]
     }
   end

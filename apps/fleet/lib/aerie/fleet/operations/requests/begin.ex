@@ -17,6 +17,7 @@ defmodule Aerie.Fleet.Operations.Requests.Begin do
       request: Schema.request(),
       once: {"id", :always, "id: an operation over NATS has one, so that a copy of it is the same one"},
       answer: Schema.operation(true),
+      answer_as: "operation",
       routes: [post("/api/operations", summary, status: 202)]
     }
   end

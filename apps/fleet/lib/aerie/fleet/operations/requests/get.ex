@@ -13,6 +13,7 @@ defmodule Aerie.Fleet.Operations.Requests.Get do
       transfer?: false,
       fields: [Schema.id()],
       answer: Schema.operation(true),
+      answer_as: "operation",
       routes: [get("/api/operations/:id", "An operation, and what became of each vehicle.")]
     }
   end

@@ -14,6 +14,7 @@ defmodule Aerie.Fleet.Operations.Requests.Stop do
       transfer?: false,
       fields: [Schema.id()],
       answer: Schema.operation(true),
+      answer_as: "operation",
       routes: [delete("/api/operations/:id", "Stops an operation: no further vehicle is begun.")]
     }
   end

@@ -41,6 +41,10 @@ defmodule :telemetry do
   @spec detach(handler_id()) :: :ok | {:error, :not_found}
   def detach(id), do: HandlerTable.delete(id)
 
+  @doc "The id and the event of each handler of events whose names begin with `prefix`; of all for `[]`."
+  @spec list_handlers([atom()]) :: [%{id: handler_id(), event_name: event_name()}]
+  def list_handlers(prefix), do: HandlerTable.by_prefix(prefix)
+
   @doc "Calls every handler of `event_name` with the name, the measurements, the metadata and its own configuration."
   @spec execute(event_name(), event_measurements(), event_metadata()) :: :ok
   def execute([_ | _] = event_name, measurements, metadata) when is_map(measurements) and is_map(metadata) do

@@ -42,6 +42,13 @@ defmodule TelemetryTest do
       assert_received {:event, ^event, _, _}
     end
 
+    test "the handlers of a prefix are listed", %{event: event, id: id} = context do
+      attach(context)
+      assert [%{id: ^id, event_name: ^event}] = :telemetry.list_handlers(event)
+      assert %{id: id, event_name: event} in :telemetry.list_handlers([hd(event)])
+      assert [] = :telemetry.list_handlers(event ++ [:more])
+    end
+
     test "an id is unique", context do
       assert :ok = attach(context)
       assert {:error, :already_exists} = attach(context)

@@ -41,6 +41,14 @@ defmodule Telemetry.HandlerTable do
       []
   end
 
+  @doc "The handlers of the events whose names begin with `prefix`."
+  @spec by_prefix([atom()]) :: [%{id: :telemetry.handler_id(), event_name: :telemetry.event_name()}]
+  def by_prefix(prefix) do
+    for {event_name, id, _, _} <- :ets.tab2list(@table),
+        List.starts_with?(event_name, prefix),
+        do: %{id: id, event_name: event_name}
+  end
+
   @doc "Makes the table, which belongs to the calling process."
   @spec create() :: :ok
   def create do

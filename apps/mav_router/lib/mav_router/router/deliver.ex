@@ -189,12 +189,12 @@ defmodule MavRouter.Router.Deliver do
       else: pass_or_hold(frames, key, cache, delivery)
   end
 
-  # Its session may have taken its name and its first frames since it was looked for.
+  # Its session may have taken its name since it was looked for, which the cache learns a moment later.
   defp pass_or_hold(frames, key, cache, delivery) do
-    case session(key, cache, delivery) do
+    case Names.whereis(delivery.gateway, :session, key) do
       # No session, so no vehicle yet: its texts are kept for the time when it is one.
-      {nil, cache} -> {unclaimed(frames), Cache.hold(cache, key, frames)}
-      {session, cache} -> {pass(frames, key, session, delivery), cache}
+      nil -> {unclaimed(frames), Cache.hold(cache, key, frames)}
+      session -> {pass(frames, key, session, delivery), cache}
     end
   end
 

@@ -40,7 +40,6 @@ defmodule Aerie.Control.MixProject do
     do:
       [
         {:mav_codec, in_umbrella: true},
-        {:authority, in_umbrella: true},
         {:base, in_umbrella: true},
         {:protocols, in_umbrella: true},
         {:msp, in_umbrella: true},

@@ -34,7 +34,6 @@ defmodule FleetWeb.MixProject do
     do:
       [
         {:mav_codec, in_umbrella: true},
-        {:authority, in_umbrella: true},
         {:base, in_umbrella: true},
         {:mav_router, in_umbrella: true},
         {:vehicle, in_umbrella: true},

@@ -37,7 +37,6 @@ defmodule MavRouter.MixProject do
     do:
       [
         {:mav_codec, in_umbrella: true},
-        {:authority, in_umbrella: true},
         {:base, in_umbrella: true},
         {:msp, in_umbrella: true}
       ] ++

@@ -137,7 +137,7 @@ defmodule Aerie.System.AuthorityAttacksTest do
     }
 
     c = start_authority(folder, [:operator, :admin], policy: policy)
-    rows = Authority.Shaping.all()
+    rows = MavCodec.Meaning.Shaping.all()
     unknown = ~w(WP_NAVALT_MIN RTL_LOIT_TIME MIS_YAW_TMT)
     names = Enum.map(rows, & &1.name) ++ unknown
 

@@ -1,7 +1,7 @@
 defmodule Aerie.System.AuthorityTest do
   @moduledoc """
   What reaches a vehicle, generated from the definitions: every message and every command, with extremes in their fields, from everybody
-  who can send anything, by every way in. It is counted at the vehicle's socket and compared with `Authority.Messages` and
+  who can send anything, by every way in. It is counted at the vehicle's socket and compared with `MavCodec.Meaning.Messages` and
   the roles.
   """
 
@@ -10,7 +10,7 @@ defmodule Aerie.System.AuthorityTest do
   import Aerie.AuthorityCase
 
   alias Aerie.{AllFrames, CountingVehicle, Program}
-  alias Authority.Messages
+  alias MavCodec.Meaning.Messages
   alias Aerie.Control.Policy.{Mavlink, Roles}
   alias MavCodec.Dialects.All
   alias MavCodec.Frame
@@ -238,7 +238,7 @@ defmodule Aerie.System.AuthorityTest do
 
   defp reads?(command) do
     name = to_string(MavCodec.Enums.MavCmd.name(command))
-    Authority.Commands.question?(command) or name == "MAV_CMD_SET_MESSAGE_INTERVAL"
+    MavCodec.Meaning.Commands.question?(command) or name == "MAV_CMD_SET_MESSAGE_INTERVAL"
   end
 
   defp everything(system, sample, except) do

@@ -12,7 +12,6 @@ defmodule Layers do
   # From the bottom up, each with how the names of its modules begin; the first one names the folder of its parts.
   @apps [
     mav_codec: ["MavCodec"],
-    authority: ["Authority"],
     base: ["Aerie.Base"],
     protocols: ["Protocols"],
     msp: ["Msp"],

@@ -106,7 +106,7 @@ defmodule MavRouter.ForwardTest do
           target ->
             assert(reached == [{"v2", [bytes]}])
 
-          Authority.Messages.order?(message.__struct__.id()) ->
+          MavCodec.Meaning.Messages.order?(message.__struct__.id()) ->
             assert(reached == [{"v1", [bytes]}, {"v2", [bytes]}])
 
           # A vehicle's answer.

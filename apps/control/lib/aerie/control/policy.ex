@@ -11,7 +11,7 @@ defmodule Aerie.Control.Policy do
   needs to know denies. `docs/policy.md` describes the rules with examples.
   """
 
-  alias Authority.Principal
+  alias Aerie.Base.Principal
   alias Aerie.Vehicle.Command
   alias Aerie.Control.Policy.{Compile, Context, Fence, Intent, Lease, Rate, Roles, Rules, Sources}
 

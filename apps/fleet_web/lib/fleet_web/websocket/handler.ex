@@ -16,7 +16,7 @@ defmodule FleetWeb.WebSocket.Handler do
 
   @behaviour :cowboy_websocket
 
-  alias Authority.Principal
+  alias Aerie.Base.Principal
   alias MavRouter.Router
   alias MavRouter.Client.Connection
   alias Aerie.Base.{Address, Names, PubSub, Store}

@@ -11,7 +11,7 @@ defmodule MavRouter.Endpoints.Counters do
   | `collided` | from it, by another vehicle with the id of one that was there before (`MavRouter.Routes.Collisions`) |
   | `read_only` | from it, and it may only read |
   | `denied` | from it, orders to vehicles that it may not give (`MavRouter.Forward.Gate`) |
-  | `withheld` | from it, kept from vehicles: heartbeats, questions, telemetry, input of estimators, messages without a row in `Authority.Messages` |
+  | `withheld` | from it, kept from vehicles: heartbeats, questions, telemetry, input of estimators, messages without a row in `MavCodec.Meaning.Messages` |
   | `routes_refused` | components heard from it that got no route, four times a second each while they speak (`MavRouter.Routes`) |
   | `held` | from it, kept until another's transfer with the vehicle was over (`MavRouter.Sharing.TransferLock`) |
   | `out_of_turn` | from it, steps of a transfer while another had the turn, and beginnings that waited in vain |

@@ -75,7 +75,7 @@ defmodule MavRouter.Endpoints.Endpoint do
           waiting: :atomics.atomics_ref(),
           pid: pid | nil,
           since: integer,
-          principal: Authority.Principal.t() | nil,
+          principal: Aerie.Base.Principal.t() | nil,
           heard_vehicle: boolean,
           listens: boolean,
           high_latency: boolean

@@ -1,7 +1,7 @@
 defmodule MavRouter.Forward.Gate do
   @moduledoc """
-  Decides for each frame whether it may reach vehicles: the table (`Authority.Messages`) says what it needs, the sender's
-  principal (`Authority.Principal`) what he has.
+  Decides for each frame whether it may reach vehicles: the table (`MavCodec.Meaning.Messages`) says what it needs, the sender's
+  principal (`Aerie.Base.Principal`) what he has.
 
   | scope | reaches |
   |---|---|
@@ -30,9 +30,9 @@ defmodule MavRouter.Forward.Gate do
 
   import MavCodec.Meaning.Heartbeat, only: [is_station: 1]
 
-  alias Authority.Commands
-  alias Authority.Messages
-  alias Authority.Principal
+  alias MavCodec.Meaning.Commands
+  alias MavCodec.Meaning.Messages
+  alias Aerie.Base.Principal
   alias MavCodec.Command
   alias MavCodec.Enums.MavComponent
   alias MavRouter.Forward.Gate.Questions

@@ -1,8 +1,8 @@
 defmodule MavRouter.Forward.Reach do
   @moduledoc """
   What vehicles, their parts and strangers reach on the side of vehicles: everything is refused that the table
-  (`Authority.Messages`) does not list. Frames of clients are judged by `MavRouter.Forward.Gate` instead; clients hear
-  everything.
+  (`MavCodec.Meaning.Messages`) does not list. Frames of clients are judged by `MavRouter.Forward.Gate` instead; clients
+  hear everything.
 
   | relation of the sender to the receiver | gets through |
   |---|---|
@@ -16,7 +16,7 @@ defmodule MavRouter.Forward.Reach do
 
   import MavCodec.Meaning.Heartbeat, only: [is_station: 1]
 
-  alias Authority.Messages
+  alias MavCodec.Meaning.Messages
   alias MavCodec.Meaning.Heartbeat
   alias MavCodec.MessageId
   alias MavRouter.Forward.Table.Path

@@ -8,7 +8,7 @@ defmodule MavRouter.Forward.Refusal do
   - Everything else is counted as `withheld`. Messages without a row in the table are logged as well.
   """
 
-  alias Authority.Messages
+  alias MavCodec.Meaning.Messages
   alias MavCodec.Command
   alias MavRouter.Forward.Delivery
   alias MavRouter.Endpoints.Counters

@@ -1,12 +1,12 @@
 defmodule MavRouter.Router.Policy do
   @moduledoc """
   The module that knows who clients are and decides which of their frames reach a vehicle, given to `MavRouter.Router.Supervisor`
-  (`:policy`). Without one every client may send everything that `Authority.Messages` has a row for.
+  (`:policy`). Without one every client may send everything that `MavCodec.Meaning.Messages` has a row for.
 
   It runs in the process that received the frame: it must not wait. It is never asked about telemetry of vehicles.
   """
 
-  alias Authority.Principal
+  alias Aerie.Base.Principal
   alias Aerie.Base.Names
   alias MavRouter.Forward.Table.Path
   alias MavCodec.Frame

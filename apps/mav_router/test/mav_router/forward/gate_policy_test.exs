@@ -17,7 +17,7 @@ defmodule MavRouter.Forward.GatePolicyTest do
     @impl MavRouter.Router.Policy
     def principal(_gateway, path) do
       may = if path.commands, do: [:telemetry, :sensors, :manual], else: []
-      %Authority.Principal{kind: :client, name: path.owner, may: may}
+      %Aerie.Base.Principal{kind: :client, name: path.owner, may: may}
     end
 
     # Somebody is in charge of vehicle 2.

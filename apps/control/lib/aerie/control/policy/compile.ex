@@ -4,7 +4,7 @@ defmodule Aerie.Control.Policy.Compile do
   that contradicts itself or names what does not exist, at once.
   """
 
-  alias Authority.{Commands, Messages}
+  alias MavCodec.Meaning.{Commands, Messages}
   alias Aerie.Vehicle.Command.Types
   alias Aerie.Control.Policy
   alias Aerie.Control.Policy.Compile.Modes

@@ -11,10 +11,10 @@ defmodule Aerie.Control.Policy.Mavlink do
   | `mission_upload`, `fence_upload`, `rally_upload` | MISSION_COUNT, MISSION_ITEM(_INT), MISSION_WRITE_PARTIAL_LIST, MISSION_CLEAR_ALL, FENCE_POINT, RALLY_POINT | `mission` |
   | `set_parameter` | PARAM_SET, PARAM_EXT_SET, PARAM_MAP_RC | `maintain`; a camera's PARAM_EXT_SET `payload` |
   | `write_file` | FILE_TRANSFER_PROTOCOL with an operation that writes | `maintain` |
-  | `sensor_input` | what estimators and failsafes are given (`limited` of `Authority.Messages`) | `sensors`, `inputs` |
+  | `sensor_input` | what estimators and failsafes are given (`limited` of `Meaning.Messages`) | `sensors`, `inputs` |
   | `erase_logs` | LOG_ERASE | `maintain` |
   | `aux_function` | DO_AUX_FUNCTION, as far as it is not another command by another name (`Aerie.Control.Policy.Mavlink.AuxFunctions`) | by function |
-  | `mav_cmd_N` | a command that has no type of its own | by its row (`Authority.Commands`) |
+  | `mav_cmd_N` | a command that has no type of its own | by its row (`MavCodec.Meaning.Commands`) |
   | `raw` | every other message that changes a vehicle, and those that cannot be read | `maintain` |
 
   An item of a mission needs `mission`, and what its command needs if that is more than an operator has. Parameters and
@@ -25,7 +25,7 @@ defmodule Aerie.Control.Policy.Mavlink do
   that the way from it is judged, and `Aerie.Control.Policy.Mavlink.Writing` all of them.
   """
 
-  alias Authority
+  alias MavCodec.Meaning
   alias Aerie.Vehicle.Command.{Type, Types}
   alias Aerie.Vehicle.Protocol
   alias Aerie.Control.Policy.Intent
@@ -47,7 +47,7 @@ defmodule Aerie.Control.Policy.Mavlink do
   @all_types MavMissionType.value(:MAV_MISSION_TYPE_ALL)
   @waypoint MavCmd.value(:MAV_CMD_NAV_WAYPOINT)
   @rally_point MavCmd.value(:MAV_CMD_NAV_RALLY_POINT)
-  @fence_items for %{id: id, name: "NAV_FENCE_" <> _kind} <- Authority.Commands.all(), do: id
+  @fence_items for %{id: id, name: "NAV_FENCE_" <> _kind} <- Meaning.Commands.all(), do: id
   # Where the vehicle may be. Exclusions may lie anywhere.
   @fence_inside [
     MavCmd.value(:MAV_CMD_NAV_FENCE_RETURN_POINT),
@@ -260,7 +260,7 @@ defmodule Aerie.Control.Policy.Mavlink do
   defp read(%module{}, _vehicle) when module in @payload, do: own("payload", :payload)
 
   defp read(%module{}, _vehicle) do
-    case Authority.Messages.row(module.id()) do
+    case Meaning.Messages.row(module.id()) do
       %{limited: true} -> Intent.sensor_input(All.name(module.id()))
       _another -> unreadable()
     end
@@ -278,7 +278,7 @@ defmodule Aerie.Control.Policy.Mavlink do
   @strong [:terminate, :force_disarm, :protection, :maintain]
 
   defp item(m, vehicle) do
-    case Authority.Commands.get(m.command) do
+    case Meaning.Commands.get(m.command) do
       nil ->
         upload(0, unknown: {:command, m.command}, also: [:maintain])
 

@@ -15,7 +15,7 @@ defmodule Aerie.Control.Policy.MavlinkPolicy do
 
   @behaviour MavRouter.Router.Policy
 
-  alias Authority.Principal
+  alias Aerie.Base.Principal
   alias Aerie.Base.Store
   alias Aerie.Control.Policy
 

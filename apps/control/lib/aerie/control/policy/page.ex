@@ -1,11 +1,12 @@
 defmodule Aerie.Control.Policy.Page do
   @moduledoc """
   The tables of `docs/policy.md` and `docs/security.md` that say who can do what: made from the roles, from `Aerie.Control.Policy.principal/2`
-  and from the tables of messages and commands (`Authority.Messages`, `Authority.Commands`). `mix aerie.authority` renews
+  and from the tables of messages and commands (`MavCodec.Meaning.Messages`, `MavCodec.Meaning.Commands`). `mix aerie.authority` renews
   them.
   """
 
-  alias Authority.{Commands, Messages, Pilot, Principal, Shaping}
+  alias MavCodec.Meaning.{Commands, Messages, Pilot, Shaping}
+  alias Aerie.Base.Principal
   alias Aerie.Vehicle.Command.Page, as: Markdown
   alias Aerie.Vehicle.Command.Type
   alias Aerie.Control.Policy

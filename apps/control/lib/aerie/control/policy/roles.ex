@@ -13,7 +13,7 @@ defmodule Aerie.Control.Policy.Roles do
   `motors`, which arm vehicles with MSP and turn their motors: they are given by name, to an operator or an admin.
   """
 
-  alias Authority.Principal
+  alias Aerie.Base.Principal
   alias Aerie.Vehicle.Command.Type
 
   @operator [:arm, :fly, :mission, :manual, :payload, :telemetry, :sensors]

@@ -4,7 +4,7 @@ defmodule Aerie.Control.Policy.FirmwareReadingTest do
 
   import MavCodec.Test.Wire, only: [decoded: 1]
 
-  alias Authority
+  alias MavCodec.Meaning
   alias Aerie.Vehicle.Command.Types
   alias Aerie.Control.Policy
   alias Aerie.Control.Policy.{Context, Intent, Mavlink}
@@ -651,16 +651,16 @@ defmodule Aerie.Control.Policy.FirmwareReadingTest do
 
   test "a command of MAV_CMD belongs to one type at most, and needs the same permission" do
     for %{mav_cmds: names, permission: permission} = type <- Types.all(), name <- names do
-      row = Authority.Commands.get(MavCmd.value(:"MAV_CMD_#{name}"))
+      row = Meaning.Commands.get(MavCmd.value(:"MAV_CMD_#{name}"))
       assert {name, row.permission, Types.name_of_mav_cmd(row.id)} == {name, permission, type.name}
     end
 
-    for row <- Authority.Commands.all(),
+    for row <- Meaning.Commands.all(),
         do: assert(row.permission in Aerie.Vehicle.Command.Type.permissions())
   end
 
   test "ground stations' usual questions and commands are an operator's", c do
-    questions = for %{class: :question} = row <- Authority.Commands.all(), do: {@ap, long(row.id, [1])}
+    questions = for %{class: :question} = row <- Meaning.Commands.all(), do: {@ap, long(row.id, [1])}
 
     allowed(
       c.section,
@@ -700,7 +700,7 @@ defmodule Aerie.Control.Policy.FirmwareReadingTest do
 
   test "no number that a firmware may read as a refused one is allowed", c do
     policy = policy(c.section)
-    commands = for row <- Authority.Commands.all(), {index, _kind} <- row.numbers, do: {row, index}
+    commands = for row <- Meaning.Commands.all(), {index, _kind} <- row.numbers, do: {row, index}
 
     float =
       :proper_types.oneof([

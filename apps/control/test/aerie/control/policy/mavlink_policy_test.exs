@@ -2,7 +2,7 @@ defmodule Aerie.Control.Policy.MavlinkPolicyTest do
   use ExUnit.Case, async: true
   use Aerie.LinkCase
 
-  alias Authority.Principal
+  alias Aerie.Base.Principal
   alias Aerie.Base.{Names, Store}
   alias Aerie.Control.Policy
   alias MavRouter.{Link, Router}
@@ -811,7 +811,7 @@ defmodule Aerie.Control.Policy.MavlinkPolicyTest do
     frames =
       for name <- ~w(px4_refusals_tx arducopter_flight_tx),
           frame <- Aerie.Flight.parse(File.read!(Path.join(@flights, name <> ".tlog"))),
-          Authority.Messages.order?(frame.id),
+          MavCodec.Meaning.Messages.order?(frame.id),
           do: MavCodec.Frame.Splitter.checked(frame)
 
     for {role, n} <- Enum.with_index(~w(viewer operator admin)a), permissions <- [[], [:force_disarm]] do

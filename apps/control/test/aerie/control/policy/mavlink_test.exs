@@ -5,7 +5,7 @@ defmodule Aerie.Control.Policy.MavlinkTest do
 
   alias Aerie.Control.Policy.{Intent, Mavlink}
   alias Aerie.Control.Policy.Mavlink.Refusal
-  alias Authority.Messages
+  alias MavCodec.Meaning.Messages
   alias MavCodec.Dialects.All
   alias MavCodec.Enums.MavCmd
   alias MavCodec.Frame

@@ -1,7 +1,7 @@
 defmodule Aerie.Control.Policy.SignatureTest do
   use ExUnit.Case, async: true
 
-  alias Authority.Principal
+  alias Aerie.Base.Principal
   alias Aerie.Control.Policy
   alias Aerie.Control.Policy.{Signature, Sources}
 

@@ -63,7 +63,9 @@ defmodule Aerie.Control.Policy.UnknownNumbersTest do
     do: struct!(%M.MissionItemInt{seq: 3, command: command}, Keyword.merge(@here, fields))
 
   defp module(name), do: Module.concat(M, name |> String.downcase() |> Macro.camelize())
-  defp rows(key, kinds), do: for(row <- Authority.Commands.all(), Map.fetch!(row, key) in kinds, do: row)
+
+  defp rows(key, kinds),
+    do: for(row <- MavCodec.Meaning.Commands.all(), Map.fetch!(row, key) in kinds, do: row)
 
   test "a height that is not a number is refused where heights or places are limited, in every command and item",
        c do
@@ -148,7 +150,7 @@ defmodule Aerie.Control.Policy.UnknownNumbersTest do
   end
 
   test "`current` 2 and 3: ArduPilot obeys, PX4 stores, and each command in it needs what it needs", c do
-    for row <- Authority.Commands.all(), current <- [2, 3], role <- [:operator, :admin] do
+    for row <- MavCodec.Meaning.Commands.all(), current <- [2, 3], role <- [:operator, :admin] do
       options = [role: role, permissions: []]
       stored = judge(c.fence, item(row.id, current: 0), @px4, options)
       assert {row.name, judge(c.fence, item(row.id, current: current), @px4, options)} == {row.name, stored}
@@ -182,7 +184,7 @@ defmodule Aerie.Control.Policy.UnknownNumbersTest do
   end
 
   test "what estimators and failsafes are given needs `inputs` where anything is limited", c do
-    limited = for id <- All.ids(), Authority.Messages.row(id).limited, do: module(All.name(id))
+    limited = for id <- All.ids(), MavCodec.Meaning.Messages.row(id).limited, do: module(All.name(id))
 
     for message <- Enum.map(limited, &struct!(&1, [])), vehicle <- [@ap, @px4, @unknown] do
       for section <- [%{max_altitude_msl: 600} | c.limits] do
@@ -197,7 +199,7 @@ defmodule Aerie.Control.Policy.UnknownNumbersTest do
   end
 
   test "a fence and rally points consist of their own commands, whatever `current` says" do
-    for row <- Authority.Commands.all(),
+    for row <- MavCodec.Meaning.Commands.all(),
         {type, start} <- [{1, "NAV_FENCE_"}, {2, "NAV_RALLY_"}],
         vehicle <- [@ap, @px4, @unknown],
         current <- [0, 2] do

@@ -9,7 +9,7 @@ defmodule Aerie.Fleet.Client.RawMessage do
   #{@component}, so that answers find their way back.
   """
 
-  alias Authority.Principal
+  alias Aerie.Base.Principal
   alias Aerie.Control.Policy.Roles
   alias MavRouter.Router
   alias MavRouter.Endpoints.Endpoint

@@ -9,7 +9,7 @@ defmodule Aerie.Fleet.Replay.Commands do
   """
 
   alias Aerie.Fleet.Replay.Machine
-  alias Authority.Messages
+  alias MavCodec.Meaning.Messages
   alias MavCodec.{Command, Frame}
   alias MavCodec.Frame.Splitter
   alias MavCodec.Dialects.All
@@ -33,7 +33,7 @@ defmodule Aerie.Fleet.Replay.Commands do
 
   @type t :: %__MODULE__{machine: Machine.t(), sent: %{integer() => integer()}, skipped: skipped()}
 
-  @typedoc "`:own?` - it has the gateway's own ids; `:class` - of the message (`Authority.Messages`); `:snapshot` - of its vehicle, just before."
+  @typedoc "`:own?` - it has the gateway's own ids; `:class` - of the message (`MavCodec.Meaning.Messages`); `:snapshot` - of its vehicle, just before."
   @type found :: %{
           at: integer(),
           from: {system :: non_neg_integer(), component :: byte()},
@@ -91,7 +91,7 @@ defmodule Aerie.Fleet.Replay.Commands do
 
   defp question?(frame) do
     number = Command.of(frame)
-    number != nil and Authority.Commands.question?(number)
+    number != nil and MavCodec.Meaning.Commands.question?(number)
   end
 
   defp vehicle?(%{own: own, vehicles: vehicles}, frame),
@@ -153,7 +153,7 @@ defmodule Aerie.Fleet.Replay.Commands do
           else: All.name(frame.id)
 
       number ->
-        command(Authority.Commands.get(number), number)
+        command(MavCodec.Meaning.Commands.get(number), number)
     end
   end
 

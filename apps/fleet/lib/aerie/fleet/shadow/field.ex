@@ -6,7 +6,7 @@ defmodule Aerie.Fleet.Shadow.Field do
   A field is named by its path. `params.*` and `intervals.*` have one entry for each parameter and message.
   """
 
-  alias Authority.Shaping
+  alias MavCodec.Meaning.Shaping
   alias Aerie.Vehicle.Command.{Error, Param, Type}
   alias Aerie.Control.Params.LongNames
   alias Aerie.Control.Policy.Protection

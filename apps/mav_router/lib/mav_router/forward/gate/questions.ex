@@ -10,8 +10,8 @@ defmodule MavRouter.Forward.Gate.Questions do
   an error is denied.
   """
 
-  alias Authority.Commands
-  alias Authority.Commands.Numbers
+  alias MavCodec.Meaning.Commands
+  alias MavCodec.Meaning.Commands.Numbers
   alias MavCodec.Command
   alias MavRouter.Forward.Delivery
   alias MavRouter.Forward.Dispatch
@@ -38,7 +38,8 @@ defmodule MavRouter.Forward.Gate.Questions do
   asker only;
   `:too_often` if there is no room in the budget; `:denied` if the gateway would not send such numbers.
   """
-  @spec ask(Frame.t(), Authority.Messages.row(), Delivery.t()) :: :asked | :too_often | :denied | :not_askable
+  @spec ask(Frame.t(), MavCodec.Meaning.Messages.row(), Delivery.t()) ::
+          :asked | :too_often | :denied | :not_askable
   def ask(%Frame{} = frame, row, delivery) do
     command = Command.of(frame)
     per_minute = if command, do: @commands_per_minute, else: row.per_minute

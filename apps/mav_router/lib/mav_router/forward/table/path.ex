@@ -16,7 +16,7 @@ defmodule MavRouter.Forward.Table.Path do
   The others are as in `MavRouter.Endpoints.Endpoint` and `MavRouter.Endpoints.Owner`, of which `filter` is `out`.
   """
 
-  alias Authority.Principal
+  alias Aerie.Base.Principal
   alias MavRouter.Endpoints.Access
   alias MavRouter.Endpoints.Endpoint
   alias MavRouter.Endpoints.Counters

@@ -14,7 +14,7 @@ defmodule MavRouter.Link.Transport.MspShareTest do
     @behaviour MavRouter.Router.Policy
 
     @impl MavRouter.Router.Policy
-    def principal(_gateway, path), do: %Authority.Principal{kind: :client, name: path.owner, may: []}
+    def principal(_gateway, path), do: %Aerie.Base.Principal{kind: :client, name: path.owner, may: []}
     @impl MavRouter.Router.Policy
     def permits?(_gateway, _principal, _vehicle), do: true
     @impl MavRouter.Router.Policy

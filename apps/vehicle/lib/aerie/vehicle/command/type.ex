@@ -3,7 +3,7 @@ defmodule Aerie.Vehicle.Command.Type do
   One row of the table of commands (`Aerie.Vehicle.Command.Types`), and the check of a command's parameters by it.
   """
 
-  alias Authority.Commands.Row
+  alias MavCodec.Meaning.Commands.Row
   alias Aerie.Vehicle.Command.{Error, Param}
 
   @enforce_keys [:name, :group, :meaning, :permission]

@@ -2,7 +2,7 @@ defmodule Aerie.Vehicle.Services.Switches do
   @moduledoc """
   The parameters of a vehicle on which rules of the policy and adapters depend: what its mode switch, channels and
   buttons do, whether and for how long it obeys overrides and set-points, and how wide its paths are
-  (`Authority.Shaping`). A pure value.
+  (`MavCodec.Meaning.Shaping`). A pure value.
 
   They are read once, a few at a time, after those of `Aerie.Vehicle.Services.Gcs`, and again after a reboot; any other
   PARAM_VALUE that comes is used as well.
@@ -35,7 +35,7 @@ defmodule Aerie.Vehicle.Services.Switches do
   )
   # Names in old versions.
   @more ~w(RC_MAP_MODE_SW RC_MAP_ACRO_SW RC_MAP_STAB_SW RC_MAP_MAN_SW RC_MAP_POSCTL_SW RC_MAP_RATT_SW)
-  @shaping for row <- Authority.Shaping.all(), row.metres != nil, do: row.name
+  @shaping for row <- MavCodec.Meaning.Shaping.all(), row.metres != nil, do: row.name
   @names MapSet.new(@flying ++ @driving ++ @diving ++ @px4 ++ @more ++ @shaping)
 
   defstruct params: %{}, asked: %{}, next: nil
@@ -77,7 +77,7 @@ defmodule Aerie.Vehicle.Services.Switches do
 
   def due(switches, now, {system, component}, firmware) do
     wanted =
-      (plan(firmware) ++ Authority.Shaping.read_by(elem(firmware, 0), elem(firmware, 1)))
+      (plan(firmware) ++ MavCodec.Meaning.Shaping.read_by(elem(firmware, 0), elem(firmware, 1)))
       |> Enum.filter(&(not is_map_key(switches.params, &1) and Map.get(switches.asked, &1, 0) < @tries))
       |> Enum.take(@at_once)
 

@@ -1,8 +1,8 @@
 defmodule Aerie.Control.Policy.FlightPath.Shaping do
   @moduledoc """
   Whether parameters that are set keep the paths of a vehicle within the limits: with a fence or a limit of height in
-  force, one that shapes a path (`Authority.Shaping`) is judged as a path is. Without the permission `protection` a
-  source may set a height within the limits of height, and no larger radius than the vehicle has; nothing else that
+  force, one that shapes a path (`MavCodec.Meaning.Shaping`) is judged as a path is. Without the permission `protection`
+  a source may set a height within the limits of height, and no larger radius than the vehicle has; nothing else that
   shapes a path.
   """
 
@@ -15,7 +15,7 @@ defmodule Aerie.Control.Policy.FlightPath.Shaping do
     if limited?(policy),
       do:
         Enum.find_value(facts.sets, fn {name, value} ->
-          wrong(Authority.Shaping.get(name), {name, value}, policy, context)
+          wrong(MavCodec.Meaning.Shaping.get(name), {name, value}, policy, context)
         end)
   end
 

@@ -4,7 +4,7 @@ defmodule Aerie.Control.Policy.FlightPath.Volume do
   circles where a copter stands, turns before or after a waypoint, and climbs when a landing is aborted.
 
   Each firmware has a module; one that is not known takes the most that any of them would. Radii that a message
-  leaves open come from the vehicle's parameters (`Authority.Shaping`); one that is not known is assumed to be
+  leaves open come from the vehicle's parameters (`MavCodec.Meaning.Shaping`); one that is not known is assumed to be
   larger than people set it.
   """
 
@@ -76,7 +76,7 @@ defmodule Aerie.Control.Policy.FlightPath.Volume do
   def by(what, [first | _] = names, params, assumed \\ nil) do
     name = Enum.find(names, first, &is_map_key(params, &1))
 
-    case Authority.Shaping.metres(name, params, assumed) do
+    case MavCodec.Meaning.Shaping.metres(name, params, assumed) do
       {:known, metres} ->
         given(metres, "#{what}#{name}, #{round(metres)} m")
 

@@ -1,11 +1,11 @@
 defmodule Aerie.Control.Policy.Mavlink.Commands do
   @moduledoc """
-  What a command of MAV_CMD asks for, whichever message carries it: by its row of `Authority.Commands`, and for some by their
+  What a command of MAV_CMD asks for, whichever message carries it: by its row of `MavCodec.Meaning.Commands`, and for some by their
   parameters.
   """
 
-  alias Authority
-  alias Authority.Commands.Row
+  alias MavCodec.Meaning
+  alias MavCodec.Meaning.Commands.Row
   alias Aerie.Vehicle.Command.Types
   alias Aerie.Control.Policy.Intent
   alias Aerie.Control.Policy.Mavlink.{AuxFunctions, Place, Request}
@@ -21,12 +21,12 @@ defmodule Aerie.Control.Policy.Mavlink.Commands do
 
   @doc "Whether a mission item of this command is a place to which the vehicle flies."
   @spec place?(non_neg_integer()) :: boolean()
-  defdelegate place?(command), to: Authority.Commands
+  defdelegate place?(command), to: Meaning.Commands
 
   @doc "A command by its name, or by its number if it has no row."
   @spec name(non_neg_integer()) :: String.t()
   def name(command) do
-    case Authority.Commands.get(command) do
+    case Meaning.Commands.get(command) do
       nil -> "the command #{command}"
       row -> row.name
     end
@@ -35,7 +35,7 @@ defmodule Aerie.Control.Policy.Mavlink.Commands do
   @doc "The facts of COMMAND_LONG and COMMAND_INT."
   @spec facts(struct(), Aerie.Control.Policy.Mavlink.vehicle()) :: Intent.t()
   def facts(%{command: command} = message, vehicle) do
-    case Authority.Commands.get(command) do
+    case Meaning.Commands.get(command) do
       nil -> unknown(command)
       row -> message |> Request.of(vehicle) |> read(row, vehicle)
     end
@@ -53,7 +53,7 @@ defmodule Aerie.Control.Policy.Mavlink.Commands do
     facts = asked(row.name, request, row, vehicle)
 
     # An ambiguous command is never exempt from rules.
-    case Authority.Commands.check(row, request.params) do
+    case Meaning.Commands.check(row, request.params) do
       :ok -> facts
       {:error, reason} -> %{facts | number: facts.number || reason, ends_flight?: false}
     end

@@ -4,7 +4,7 @@ defmodule Aerie.Control.Policy.Mavlink.Request do
   its place.
   """
 
-  alias Authority.Commands.Numbers
+  alias MavCodec.Meaning.Commands.Numbers
   alias Aerie.Control.Policy.Intent
   alias Aerie.Control.Policy.Mavlink.Place
   alias MavCodec.Enums.MavCmd

@@ -1,7 +1,7 @@
 defmodule Aerie.Control.Policy.Rules.Number do
   @moduledoc """
   A number that firmwares read in different ways is refused: an enumeration, a flag or an index that is not an integer, or out of
-  its range (`Authority.Commands`). PX4 takes 0.6 for 1, and ArduPilot 257 as well.
+  its range (`MavCodec.Meaning.Commands`). PX4 takes 0.6 for 1, and ArduPilot 257 as well.
   """
 
   @behaviour Aerie.Control.Policy.Rules.Rule

@@ -1,7 +1,8 @@
 defmodule Aerie.Control.Policy.Rules.Unknown do
   @moduledoc """
-  What no table of the gateway knows is refused: a command of MAV_CMD without a row (`Authority.Commands`), a message
-  without one. `policy.open` opens single ones to sources with `maintain`, `policy.unknown: maintain` all of them.
+  What no table of the gateway knows is refused: a command of MAV_CMD without a row (`MavCodec.Meaning.Commands`), a
+  message without one. `policy.open` opens single ones to sources with `maintain`, `policy.unknown: maintain` all of
+  them.
   """
 
   @behaviour Aerie.Control.Policy.Rules.Rule

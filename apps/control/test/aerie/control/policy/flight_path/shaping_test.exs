@@ -4,7 +4,7 @@ defmodule Aerie.Control.Policy.FlightPath.ShapingTest do
 
   alias Aerie.Control.Policy
   alias Aerie.Control.Policy.{Context, Intent, Mavlink, Protection}
-  alias Authority.Shaping
+  alias MavCodec.Meaning.Shaping
   alias MavCodec.Message.Value
   alias MavCodec.Messages, as: M
 

@@ -4,7 +4,7 @@ defmodule Aerie.Control.Policy.Lease.SteeringTest do
   alias Aerie.Base.Store
   alias Aerie.Control.Policy.{ClientHistory, Intent}
   alias Aerie.Control.Policy.Lease.Steering
-  alias Authority.Principal
+  alias Aerie.Base.Principal
 
   @steers ~w(arm set_mode rtl hold manual_control rc_override)
 

@@ -54,7 +54,7 @@ defmodule Aerie.Control.Policy.Rules.PilotTest do
   end
 
   test "every parameter of a pilot has bounds, and none of them protects the vehicle" do
-    for {name, least, most, _unit, _meaning} <- Authority.Pilot.all() do
+    for {name, least, most, _unit, _meaning} <- MavCodec.Meaning.Pilot.all() do
       refute Protection.parameter?(name)
       assert least > 0 and most > least
 

@@ -4,7 +4,7 @@ defmodule Aerie.Control.Policy.Rules.Role.Pilot do
 
   | what | as far as |
   |---|---|
-  | heights and speeds of a flight, by parameters | the bounds of `Authority.Pilot`, and limits of the policy |
+  | heights and speeds of a flight, by parameters | the bounds of `MavCodec.Meaning.Pilot`, and limits of the policy |
   | moving home in flight | fence and limits allow its place |
   | removing the vehicle's fence, or replacing it | the policy has no limits, which it may stand for |
   | erasing the vehicle's logs | always |
@@ -20,7 +20,7 @@ defmodule Aerie.Control.Policy.Rules.Role.Pilot do
   def opens?(policy, facts, lacking), do: lacking -- @instead == [] and opens?(policy, facts)
 
   defp opens?(_policy, %{type: "set_parameter", also: [], sets: [_ | _] = sets}),
-    do: Enum.all?(sets, fn {name, value} -> Authority.Pilot.within?(name, value) end)
+    do: Enum.all?(sets, fn {name, value} -> MavCodec.Meaning.Pilot.within?(name, value) end)
 
   defp opens?(_policy, %{type: "set_home"}), do: true
   defp opens?(_policy, %{type: "erase_logs"}), do: true

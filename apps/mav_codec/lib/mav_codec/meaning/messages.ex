@@ -1,8 +1,8 @@
-defmodule Authority.Messages do
+defmodule MavCodec.Meaning.Messages do
   @moduledoc """
-  What each message does to a vehicle that gets it, and who may send it there: one row for every message of the definitions.
-  A message without a row reaches no vehicle. A test compares the rows with the definitions, so that a new message waits until
-  somebody decides about it.
+  What each message does to a vehicle that gets it, and who may send it there: one row for every message of the
+  definitions. A message without a row reaches no vehicle. A test compares the rows with the definitions, so that a new
+  message waits until somebody decides about it.
 
   | column | |
   |---|---|
@@ -23,16 +23,16 @@ defmodule Authority.Messages do
   | `:input` | what estimators, clocks, flow control and safety functions believe |
   | `:stick` | a pilot's controls |
   | `:setpoint` | where to go, how fast, in which attitude |
-  | `:command` | commands by number (see `Authority.Commands`) and by messages of their own |
+  | `:command` | commands by number (see `MavCodec.Meaning.Commands`) and by messages of their own |
   | `:parameter`, `:mission`, `:file` | writes of these; missions and files go both ways |
   | `:internal` | what firmwares and buses say among themselves |
 
-  Some telemetry has a permission, because a firmware acts upon it when somebody else sends it: PX4 takes RC_CHANNELS for a
-  pilot's sticks and BATTERY_STATUS for its battery, ArduPilot follows GLOBAL_POSITION_INT. Sources: PX4's `mavlink_receiver.cpp`
-  and ArduPilot's `GCS_Common.cpp`.
+  Some telemetry has a permission, because a firmware acts upon it when somebody else sends it: PX4 takes RC_CHANNELS
+  for a pilot's sticks and BATTERY_STATUS for its battery, ArduPilot follows GLOBAL_POSITION_INT. Sources: PX4's
+  `mavlink_receiver.cpp` and ArduPilot's `GCS_Common.cpp`.
   """
 
-  alias Authority.Messages.Rows
+  alias MavCodec.Meaning.Messages.Rows
 
   @enforce_keys [:class]
   defstruct [:class, :permission, limited: false, crosses: :never, part: false, per_minute: 0, order?: false]

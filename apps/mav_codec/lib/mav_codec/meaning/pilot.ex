@@ -1,4 +1,4 @@
-defmodule Authority.Pilot do
+defmodule MavCodec.Meaning.Pilot do
   @moduledoc """
   The parameters that a pilot sets before and during a flight: heights and speeds, each within bounds that any vehicle
   of its kind can fly. The permission `pilot` is enough to set them; every other parameter, and a value beyond its

@@ -1,5 +1,7 @@
-defmodule Authority.Messages.Rows do
-  @moduledoc "The rows of `Authority.Messages`, by the names of the messages: class, permission, what else, names."
+defmodule MavCodec.Meaning.Messages.Rows do
+  @moduledoc """
+  The rows of `MavCodec.Meaning.Messages`, by the names of the messages: class, permission, what else, names.
+  """
 
   alias MavCodec.MessageId
 
@@ -110,7 +112,7 @@ defmodule Authority.Messages.Rows do
     {:setpoint, :maintain, [],
      ~w(SET_VELOCITY_LIMITS TRAJECTORY_REPRESENTATION_WAYPOINTS TRAJECTORY_REPRESENTATION_BEZIER)},
 
-    # The policy reads these and finds the permission that each needs (`Authority.Commands` for those by number).
+    # The policy reads these and finds the permission that each needs (`MavCodec.Meaning.Commands` for those by number).
     {:command, :telemetry, [], ~w(COMMAND_LONG COMMAND_INT COMMAND_CANCEL REQUEST_DATA_STREAM)},
     {:command, :fly, [], ~w(SET_MODE SET_HOME_POSITION)},
     {:command, :payload, [],
@@ -138,7 +140,9 @@ defmodule Authority.Messages.Rows do
        ARRAY_TEST_8)}
   ]
 
-  @doc "The fields of each message's row, by its id. A message that stands in two rows, or is not in the definitions, raises."
+  @doc """
+  The fields of each message's row, by its id. A message that stands in two rows, or is not in the definitions, raises.
+  """
   @spec all() :: [{non_neg_integer(), keyword()}]
   def all do
     rows =

@@ -1,7 +1,7 @@
-defmodule Authority.CommandsTest do
+defmodule MavCodec.Meaning.CommandsTest do
   use ExUnit.Case, async: true
 
-  alias Authority.Commands
+  alias MavCodec.Meaning.Commands
   alias MavCodec.Enums.MavCmd
 
   defp row(name), do: Commands.get(MavCmd.value(:"MAV_CMD_#{name}"))

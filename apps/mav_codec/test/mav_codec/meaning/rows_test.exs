@@ -1,11 +1,12 @@
-defmodule Authority.RowsTest do
-  @moduledoc "What the rows say is what the tables have, each row stands once, and its numbers are read as firmwares read them."
+defmodule MavCodec.Meaning.RowsTest do
+  @moduledoc """
+  What the rows say is what the tables have, each row stands once, and its numbers are read as firmwares read them.
+  """
   use ExUnit.Case, async: true
 
-  alias Authority.Commands
-  alias Authority.Commands.{Flight, Numbers, Payload, Row, Upkeep}
-  alias Authority.Messages
-  alias Authority.Principal
+  alias MavCodec.Meaning.Commands
+  alias MavCodec.Meaning.Commands.{Flight, Numbers, Payload, Row, Upkeep}
+  alias MavCodec.Meaning.Messages
 
   test "the rows of each part are in the table, and none is in two parts" do
     parts = for part <- [Flight, Payload, Upkeep], do: length(part.rows())
@@ -52,15 +53,5 @@ defmodule Authority.RowsTest do
         do: assert(Numbers.read(value, kind) == :error)
 
     assert Numbers.text({:flags, 1}) == "0 or 1"
-  end
-
-  test "who may do what: everything, what is listed, and nothing that needs no permission anybody could have" do
-    for {may, permission, expected} <- [
-          {:all, :terminate, true},
-          {:all, nil, false},
-          {[:fly], :fly, true},
-          {[:fly], :arm, false}
-        ],
-        do: assert(Principal.may?(%Principal{kind: :user, name: "olga", may: may}, permission) == expected)
   end
 end

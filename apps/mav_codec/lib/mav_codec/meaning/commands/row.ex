@@ -1,7 +1,7 @@
-defmodule Authority.Commands.Row do
-  @moduledoc "What the gateway knows of one MAV_CMD: a row of `Authority.Commands`."
+defmodule MavCodec.Meaning.Commands.Row do
+  @moduledoc "What the gateway knows of one MAV_CMD: a row of `MavCodec.Meaning.Commands`."
 
-  alias Authority.Commands.Numbers
+  alias MavCodec.Meaning.Commands.Numbers
 
   @enforce_keys [:id, :name, :class, :permission, :as_command, :as_item, :numbers]
   defstruct @enforce_keys
@@ -10,8 +10,8 @@ defmodule Authority.Commands.Row do
                   receiver motors inputs)a
 
   @typedoc """
-  What a source must be allowed to do, as `t:Aerie.Vehicle.Command.Type.permission/0` describes it. It is the least that any form of the command
-  needs; its parameters may make it need more (`Aerie.Control.Policy.Mavlink.Commands`).
+  What a source must be allowed to do, as `t:Aerie.Vehicle.Command.Type.permission/0` describes it. It is the least that
+  any form of the command needs; its parameters may make it need more (`Aerie.Control.Policy.Mavlink.Commands`).
   """
   @type permission :: unquote(Enum.reduce(@permissions, &{:|, [], [&1, &2]}))
 

@@ -1,7 +1,7 @@
-defmodule Authority.Commands.Payload do
-  @moduledoc "Commands for cameras, gimbals and outputs: rows of `Authority.Commands`."
+defmodule MavCodec.Meaning.Commands.Payload do
+  @moduledoc "Commands for cameras, gimbals and outputs: rows of `MavCodec.Meaning.Commands`."
 
-  alias Authority.Commands.Row
+  alias MavCodec.Meaning.Commands.Row
 
   @doc false
   @spec rows() :: [{atom(), Row.permission(), keyword()}]

@@ -1,7 +1,7 @@
-defmodule Authority.Commands.Flight do
-  @moduledoc "Commands that arm, fly, and end a flight, and those of missions: rows of `Authority.Commands`."
+defmodule MavCodec.Meaning.Commands.Flight do
+  @moduledoc "Commands that arm, fly, and end a flight, and those of missions: rows of `MavCodec.Meaning.Commands`."
 
-  alias Authority.Commands.Row
+  alias MavCodec.Meaning.Commands.Row
 
   @byte {:index, 0, 255}
   @forever {:index, -1, 65_535}

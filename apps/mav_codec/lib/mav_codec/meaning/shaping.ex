@@ -1,4 +1,4 @@
-defmodule Authority.Shaping do
+defmodule MavCodec.Meaning.Shaping do
   @moduledoc """
   The parameters that shape the path of a vehicle: how wide it circles and turns, how high it climbs by itself. Each
   has a row that says what it shapes. Names of the same families without a row may shape anything.

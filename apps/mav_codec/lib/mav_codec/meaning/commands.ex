@@ -1,16 +1,16 @@
-defmodule Authority.Commands do
+defmodule MavCodec.Meaning.Commands do
   @moduledoc """
   The table of all MAV_CMDs of the definitions: what each of them needs, as a command and as an item of a mission. A
   command without a row is refused (`policy.unknown`); a test compares the table with the definitions.
 
-  The rows are in `Authority.Commands.Flight`, `Payload` and `Upkeep`, by what they are about.
+  The rows are in `MavCodec.Meaning.Commands.Flight`, `Payload` and `Upkeep`, by what they are about.
   """
 
-  alias Authority.Commands.Flight
-  alias Authority.Commands.Numbers
-  alias Authority.Commands.Payload
-  alias Authority.Commands.Row
-  alias Authority.Commands.Upkeep
+  alias MavCodec.Meaning.Commands.Flight
+  alias MavCodec.Meaning.Commands.Numbers
+  alias MavCodec.Meaning.Commands.Payload
+  alias MavCodec.Meaning.Commands.Row
+  alias MavCodec.Meaning.Commands.Upkeep
   alias MavCodec.Enums.MavCmd
 
   row = fn {name, permission, options} ->

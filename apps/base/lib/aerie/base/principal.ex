@@ -1,4 +1,4 @@
-defmodule Authority.Principal do
+defmodule Aerie.Base.Principal do
   @moduledoc """
   The sender of a frame or request: a value that is made where it enters, and travels with it.
 

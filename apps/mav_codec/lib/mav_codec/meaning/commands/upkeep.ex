@@ -1,7 +1,7 @@
-defmodule Authority.Commands.Upkeep do
-  @moduledoc "Commands for the workshop, for estimators, and for messages: rows of `Authority.Commands`."
+defmodule MavCodec.Meaning.Commands.Upkeep do
+  @moduledoc "Commands for the workshop, for estimators, and for messages: rows of `MavCodec.Meaning.Commands`."
 
-  alias Authority.Commands.Row
+  alias MavCodec.Meaning.Commands.Row
 
   @byte {:index, 0, 255}
 

@@ -1,11 +1,12 @@
-defmodule Authority.Commands.Numbers do
+defmodule MavCodec.Meaning.Commands.Numbers do
   @moduledoc """
-  Parameters of MAV_CMDs that are enumerations, flags or indices, although they are sent as floats. Firmwares turn them into integers
-  in different ways: PX4 rounds some and truncates others, ArduPilot compares some within a tolerance and keeps one byte of others.
-  So such a parameter has to be the integer that it means, in its range. NaN counts as 0, as both firmwares read it.
+  Parameters of MAV_CMDs that are enumerations, flags or indices, although they are sent as floats. Firmwares turn them
+  into integers in different ways: PX4 rounds some and truncates others, ArduPilot compares some within a tolerance and
+  keeps one byte of others. So such a parameter has to be the integer that it means, in its range. NaN counts as 0, as
+  both firmwares read it.
 
-  Which parameters are meant follows from the definitions: those with an enumeration, and those without a unit that count in ones.
-  A row may say otherwise.
+  Which parameters are meant follows from the definitions: those with an enumeration, and those without a unit that
+  count in ones. A row may say otherwise.
   """
 
   import Bitwise
@@ -19,7 +20,9 @@ defmodule Authority.Commands.Numbers do
   @typedoc "One of some values, a set of bits, or an integer in a range."
   @type kind :: {:values, [integer()]} | {:flags, non_neg_integer()} | {:index, integer(), integer()}
 
-  @doc "The parameters of a command that have to be integers, by the definitions, with those of its row in place of them."
+  @doc """
+  The parameters of a command that have to be integers, by the definitions, with those of its row in place of them.
+  """
   @spec of(0..65_535, keyword() | [{1..7, kind() | :any}]) :: [{1..7, kind()}]
   def of(id, given) do
     defined = for param <- MavCmd.params(id), kind = defined(param), into: %{}, do: {param.index, kind}
@@ -44,7 +47,10 @@ defmodule Authority.Commands.Numbers do
       else: {:values, values}
   end
 
-  @doc "The integer that a parameter is; `:error` for one that firmwares may read in different ways, or that is not in its range."
+  @doc """
+  The integer that a parameter is; `:error` for one that firmwares may read in different ways, or that is not in its
+  range.
+  """
   @spec read(term(), kind()) :: {:ok, integer()} | :error
   def read(value, kind) do
     with {:ok, number} <- integer(value),

@@ -5,7 +5,7 @@ defmodule Aerie.Gate.LayersTest do
 
   use ExUnit.Case, async: true
 
-  alias Layers.{Graph, Limits, Readme, Source}
+  alias Layers.{Firmwares, Graph, Limits, Readme, Source}
 
   setup_all do
     apps = Layers.read()
@@ -122,6 +122,64 @@ defmodule Aerie.Gate.LayersTest do
 
       assert problem =~ "a.ex: 2 lines of more than 120 characters, 1 at most;"
       assert problem =~ ": 2, 4"
+    end
+  end
+
+  describe "firmwares" do
+    test "are known by their names in their folder only" do
+      named = "defmodule A do\n  def of(:px4), do: 1\nend\n"
+      own = "apps/vehicle/lib/aerie/vehicle/firmware"
+
+      places = [
+        "apps/a/lib/a.ex",
+        "apps/sim_vehicle/lib/a.ex",
+        own <> ".ex",
+        own <> "/px4/a.ex",
+        own <> "s.ex"
+      ]
+
+      limit = Firmwares.limit(Map.new(places, &{&1, named}))
+      assert limit.found == %{"apps/a/lib/a.ex" => 1, (own <> "s.ex") => 1}
+
+      assert Shrinking.problems(limit, %{(own <> "s.ex") => 1}) == [
+               "apps/a/lib/a.ex: names a firmware 1 times, 0 at most; move what differs into #{own}/, in lines 2"
+             ]
+    end
+
+    test "are found in whichever way code knows them" do
+      for code <- [
+            ":ardupilot",
+            "%{autopilot: :inav}",
+            "[betaflight: 1]",
+            "~w(px4 other)a",
+            "name == \"BTFL\"",
+            "text =~ ~r/^INAV /",
+            "Firmware.Px4.modes()",
+            "MavAutopilot.value(:MAV_AUTOPILOT_PX4)",
+            "vehicle.autopilot == 12",
+            "%{autopilot: 3}"
+          ],
+          do: assert(Firmwares.named("a = 1\n" <> code) == [2], code)
+
+      for code <- [
+            "@moduledoc \"px4\"",
+            "# PX4",
+            "\"PX4 has no relays\"",
+            "MavCodec.Dialects.Ardupilot",
+            "a.autopilot"
+          ],
+          do: assert(Firmwares.named(code) == [], code)
+    end
+
+    test "are named by each place that may" do
+      for place <- Firmwares.elsewhere() do
+        files =
+          if String.ends_with?(place, "/"),
+            do: Path.wildcard("../../#{place}**/*.ex"),
+            else: ["../../#{place}"]
+
+        assert Enum.any?(files, &(&1 |> File.read!() |> Firmwares.named() != [])), place
+      end
     end
   end
 

@@ -2,8 +2,9 @@
 #
 # Apps use only apps below them, which their mix.exs names; a module's name begins with its app's. Within an app, files
 # form no cycle, but for a file and those in the folder of its name: `link/core.ex` may use `link.ex`, which uses it.
-# Limits with exceptions are in layers/limits.exs, what an app may use of another one in layers/readme.exs.
-for file <- ~w(shrinking layers/graph layers/source layers/limits layers/readme),
+# Limits with exceptions are in layers/limits.exs, what names a firmware in layers/firmwares.exs, what an app may use of
+# another one in layers/readme.exs.
+for file <- ~w(shrinking layers/graph layers/source layers/firmwares layers/limits layers/readme),
     do: Code.require_file("#{file}.exs", __DIR__)
 
 defmodule Layers do

@@ -1,6 +1,6 @@
 # The limits of bin/layers --check that have exceptions (see shrinking.exs), from the apps as Layers.Source reads them.
 defmodule Layers.Limits do
-  alias Layers.Graph
+  alias Layers.{Firmwares, Graph}
 
   @root Path.expand("../../../..", __DIR__)
   @most_files 12
@@ -17,7 +17,16 @@ defmodule Layers.Limits do
         files("{test,test_kit}/**/*.{ex,exs}") ++ scripts()
 
     texts = Map.new(code, &{&1, File.read!(Path.join(@root, &1))})
-    [files_in_folder(files), named(apps), arrows(apps), folder_cycles(apps), long_lines(texts)]
+    sources = Map.take(texts, files)
+
+    [
+      files_in_folder(files),
+      named(apps),
+      arrows(apps),
+      folder_cycles(apps),
+      long_lines(texts),
+      Firmwares.limit(sources)
+    ]
   end
 
   @doc "`files` are the paths of all .ex files below a lib/."

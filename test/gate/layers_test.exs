@@ -190,7 +190,7 @@ defmodule Aerie.Gate.LayersTest do
       assert Shrinking.problems(limit(), %{"c" => 20}) == ["a has 14, 12 at most"]
     end
 
-    test "are no higher than what stands" do
+    test "are not higher than what stands" do
       assert [problem] = Shrinking.problems(limit(), %{"a" => 15, "c" => 20})
       assert problem =~ "bin/lib/checks/exceptions/made_up.txt: 15 for a, which has 14; lower it to 14"
 

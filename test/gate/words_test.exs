@@ -3,7 +3,7 @@ Code.require_file("../../bin/lib/checks/words.exs", __DIR__)
 defmodule Aerie.Gate.WordsTest do
   use ExUnit.Case, async: true
 
-  @listed [
+  @turns [
     {"A command without a name is none.", "is none", "is not one"},
     {"With another key none is.", "none is", "say what is not"},
     {"Its gateway told none.", "told none", "reported no"},
@@ -19,14 +19,11 @@ defmodule Aerie.Gate.WordsTest do
     {"It ends. Of the rest nothing is kept.", ". Of the", "begin with the subject"},
     {"The vehicle is not told.", "is not told", "hears"},
     {"The end can be told.", "be told", "hears"},
-    {"It did not answer in time.", "in time", "before its deadline"},
+    {"It ends in time.", "in time", "before its deadline"},
     {"To mend it: start it again.", "To mend it", "fix"},
     {"Does what the words say.", "Does what the words say", "say what it does"},
     {"The rows stand below each other.", "stand below each other", "line up"},
-    {"This is for nobody.", "is for nobody", "say what is refused"}
-  ]
-
-  @banned [
+    {"This is for nobody.", "is for nobody", "say what is refused"},
     {"A stone is no vehicle.", "is no vehicle", "is not a"},
     {"It goes by NATS.", "by NATS", "over NATS"},
     {"It begins anew.", "anew", "again"},
@@ -45,23 +42,22 @@ defmodule Aerie.Gate.WordsTest do
     "It is too late, and the other one knows it too. Too many, too long.",
     "Of course. Most of the time it is a part of the rest.",
     "They are told apart by their ids, and it runs until it is told otherwise. It told the user.",
-    "A point in time, and a step back in time. At the time when it came.",
+    "A point in time, and a step back in time. It did not answer in time. At the time when it came.",
     "There is no vehicle; it is no longer there. It runs by night."
   ]
 
   defp find(text, kind \\ :page), do: Words.find(kind, text, Words.patterns())
-  defp listed(n), do: List.duplicate({:listed, 7, "is none", "is not one"}, n)
 
   test "each turn is found, with what to write instead" do
-    for {kind, turns} <- [listed: @listed, banned: @banned], {text, says, instead} <- turns do
-      assert [{^kind, 1, ^says, advice}] = find(text)
+    for {text, says, instead} <- @turns do
+      assert [{1, ^says, advice}] = find(text)
       assert advice =~ instead
     end
   end
 
   test "there is an example of each pattern" do
-    patterns = for {_kind, _part, pattern, _instead} <- Words.patterns(), do: pattern
-    texts = Enum.map(@listed ++ @banned, &elem(&1, 0))
+    patterns = for {_part, pattern, _instead} <- Words.patterns(), do: pattern
+    texts = Enum.map(@turns, &elem(&1, 0))
     assert for(pattern <- patterns, not Enum.any?(texts, &(&1 =~ pattern)), do: pattern) == []
   end
 
@@ -70,8 +66,8 @@ defmodule Aerie.Gate.WordsTest do
   end
 
   test "a turn may go over the end of a line, not over the end of a paragraph or a cell" do
-    assert [{:listed, 2, "is none", _}] = find("One\nthat is\nnone.")
-    assert [{:listed, 3, "Of a", _}] = find("Text.\n\nOf a boat.")
+    assert [{2, "is none", _}] = find("One\nthat is\nnone.")
+    assert [{3, "Of a", _}] = find("Text.\n\nOf a boat.")
     assert find("It is\n\nnone") == []
     assert find("- it is\n- none") == []
     assert find("| it is | none |") == []
@@ -100,7 +96,7 @@ defmodule Aerie.Gate.WordsTest do
     end
     '''
 
-    assert code |> find(:code) |> Enum.map(&{elem(&1, 1), elem(&1, 2)}) |> Enum.sort() ==
+    assert code |> find(:code) |> Enum.map(&{elem(&1, 0), elem(&1, 1)}) |> Enum.sort() ==
              [
                {5, "be told"},
                {9, "is none"},
@@ -114,53 +110,7 @@ defmodule Aerie.Gate.WordsTest do
   test "of tests, their names are read" do
     code = ~s(  describe "who waits is told" do\n    test "one is none", c do\n      assert "this is none"\n)
 
-    assert [{:listed, 1, "who waits is ", _}, {:listed, 1, "is told", _}, {:listed, 2, "is none", _}] =
+    assert [{1, "who waits is ", _}, {1, "is told", _}, {2, "is none", _}] =
              find(code, :test)
-
-    assert find(~s(  test "a stone is no vehicle" do), :test) == []
-  end
-
-  test "generated files are read for what is banned, because the list counts the rest in the code" do
-    assert [{:banned, 1, "is no text", _}] = find(~s({"a": "one that is none, and is no text"}), :generated)
-  end
-
-  test "a banned turn is refused, whatever the list says" do
-    assert Words.problems(%{"a.md" => find("A stone is no vehicle.")}, %{"a.md" => 5}) |> hd() ==
-             "a.md:1: \"is no vehicle\": is not a ..."
-  end
-
-  test "a file may have what the list says" do
-    assert Words.problems(%{"a.md" => listed(2), "b.md" => []}, %{"a.md" => 2}) == []
-  end
-
-  test "more than the list says is refused, with all of the file" do
-    assert [problem] = Words.problems(%{"a.md" => listed(2)}, %{"a.md" => 1})
-
-    assert problem =~
-             ~s(a.md:7: "is none": is not one\na.md:7: "is none": is not one\na.md may have 1 of these, and has 2)
-
-    assert [problem] = Words.problems(%{"a.md" => listed(1)}, %{})
-    assert problem =~ "a.md may have 0 of these, and has 1"
-  end
-
-  test "fewer than the list says is refused, so that the list shrinks" do
-    for found <- [%{"a.md" => listed(1)}, %{"a.md" => []}, %{}] do
-      assert [problem] = Words.problems(found, %{"a.md" => 2})
-
-      assert problem =~
-               "a.md may have 2 turns of phrase by bin/lib/checks/words.txt, and has #{length(found["a.md"] || [])}"
-
-      assert problem =~ "lower the number there"
-      assert problem =~ ~s{elixir -r bin/lib/checks/words.exs -e 'Words.main(["--shrink"])'}
-    end
-  end
-
-  test "shrinking lowers numbers, and raises none" do
-    list = Words.list("3 a.md\n1 b.md\n2 folder with space/c.md\n")
-    assert list == %{"a.md" => 3, "b.md" => 1, "folder with space/c.md" => 2}
-
-    found = %{"a.md" => listed(1), "b.md" => listed(4), "d.md" => listed(1)}
-    assert Words.shrink(found, list) == "1 a.md\n1 b.md\n"
-    assert [_b, _d] = Words.problems(found, Words.list(Words.shrink(found, list)))
   end
 end

@@ -159,7 +159,7 @@ defmodule Aerie.System.CollisionTest do
     end
   end
 
-  test "whoever has no right to the id gets neither its commands nor its state, whatever he sends", %{
+  test "a sender without a right to the id gets neither its commands nor its state, whatever it sends", %{
     tmp_dir: folder
   } do
     %{gateway: gateway} = start_gateway(folder, links: ["udpin:127.0.0.1:0?gcs=deny"])

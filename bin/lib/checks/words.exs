@@ -1,11 +1,7 @@
 # Turns of phrase that read as translated, in what users see (errors, pages, help, OpenAPI, README, docs), in comments
 # and READMEs of the code, and in the names of tests. bin/test calls Words.main(), which prints file, line and what to
 # write instead.
-#
-# Many files still contain turns of @listed: words.txt has how many each file may have. Words.main(["--shrink"]) lowers
-# its numbers to what is left, and never raises one.
 defmodule Words do
-  @list "bin/lib/checks/words.txt"
   @files [
     code: "{apps,packages}/*/lib/**/*.ex",
     test: "{apps,packages}/*/test/**/*_test.exs",
@@ -15,13 +11,13 @@ defmodule Words do
     page: "packages/*.md",
     page: "{apps,packages}/*/*.md",
     page: "{apps,packages}/*/{lib,priv,test,bench}/**/*.md",
-    # Made from texts of the code, where the turns of @listed are counted already.
-    generated: "docs/openapi.json",
-    generated: "config/gateway.example.yaml"
+    page: "docs/openapi.json",
+    page: "config/gateway.example.yaml"
   ]
 
+  @name_it "name it: the user, the gateway, the program that ..."
   # Each with a part that every match has, because most texts have none of them.
-  @banned [
+  @turns [
     {" no ",
      ~S"(?<!there )(?<!here )\b(?i:is|are|was|were) no (?!longer\b|more than\b|less than\b|one\b)([a-z]+|…)",
      "is not a ..."},
@@ -32,11 +28,7 @@ defmodule Words do
     {"hoever", ~S"\b(?i:whoever)\b", "anyone who, or name the person"},
     {"her", ~S"\b(?i:wherefore|hitherto)\b", "plain words"},
     {"reof", ~S"\b(?i:thereof|whereof)\b", "plain words"},
-    {" of", ~S"\b(?i:tells?) of\b", "reports, shows"}
-  ]
-
-  @name_it "name it: the user, the gateway, the program that ..."
-  @listed [
+    {" of", ~S"\b(?i:tells?) of\b", "reports, shows"},
     {" none", ~S"(?<!there )(?<!here )\b(is|are|was|were|be) none\b(?! of\b)",
      "is not one, or what it is instead"},
     {"one ", ~S"\b[Nn]one (is|are)(?=[.;,:)]|$)", "say what is not"},
@@ -58,7 +50,8 @@ defmodule Words do
     {"Of ", ~S"(^|[.:;!?] )Of (?!course\b)[a-z]+", "begin with the subject"},
     {" told", ~S"\b(is|are|be|being) (not |soon |then |only )?told\b(?! apart\b| otherwise\b)",
      "hears, is reported"},
-    {"in time", ~S"(?<!point )(?<!back )\bin time\b(?! order\b| zone\b)",
+    {"in time",
+     ~S"(?<!point )(?<!back )(?<!answer )(?<!answered )(?<!arrive )(?<!renewed )\bin time\b(?! order\b| zone\b)",
      "before its deadline, within ... s"},
     {"mend it", ~S"\b(?i:to mend it)\b", "fix: ..."},
     {"the words say", ~S"\b(?i:does what the words say)", "say what it does"},
@@ -66,51 +59,30 @@ defmodule Words do
     {"is for nobody", ~S"\bis for nobody\b", "say what is refused"}
   ]
 
-  def main(arguments \\ []) do
-    found = found()
-    list = @list |> File.read!() |> list()
-
-    case arguments do
-      [] ->
-        stop(problems(found, list))
-
-      ["--shrink"] ->
-        File.write!(@list, shrink(found, list))
-        stop(problems(found, list) -- lower(found, list))
-    end
-  end
-
-  defp stop([]), do: :ok
-
-  defp stop(problems) do
-    Enum.each(problems, &IO.puts(:stderr, &1))
-    System.halt(1)
-  end
-
-  defp found do
+  def main do
     patterns = patterns()
 
-    for({kind, wildcard} <- @files, file <- Path.wildcard(wildcard), do: {kind, file})
-    |> Task.async_stream(fn {kind, file} -> {file, find(kind, File.read!(file), patterns)} end,
-      timeout: :infinity
-    )
-    |> Map.new(fn {:ok, found} -> found end)
+    problems =
+      for({kind, wildcard} <- @files, file <- Path.wildcard(wildcard), do: {kind, file})
+      |> Task.async_stream(fn {kind, file} -> {file, find(kind, File.read!(file), patterns)} end,
+        timeout: :infinity
+      )
+      |> Enum.flat_map(fn {:ok, {file, found}} ->
+        for {line, said, instead} <- found, do: "#{file}:#{line}: #{inspect(said)}: #{instead}"
+      end)
+
+    Enum.each(problems, &IO.puts(:stderr, &1))
+    if problems != [], do: System.halt(1)
   end
 
-  def patterns do
-    for {kind, turns} <- [banned: @banned, listed: @listed], {part, pattern, instead} <- turns do
-      {kind, part, Regex.compile!(pattern, "u"), instead}
-    end
-  end
+  def patterns,
+    do: for({part, pattern, instead} <- @turns, do: {part, Regex.compile!(pattern, "u"), instead})
 
-  ## Turns of a text: `{kind, line, what it says, what to write instead}`.
+  ## Turns of a text: `{line, what it says, what to write instead}`.
 
   def find(:code, text, patterns), do: text |> code() |> search(patterns)
-  def find(:test, text, patterns), do: text |> names() |> search(only(patterns, :listed))
+  def find(:test, text, patterns), do: text |> names() |> search(patterns)
   def find(:page, text, patterns), do: search([{1, text}], patterns)
-  def find(:generated, text, patterns), do: search([{1, text}], only(patterns, :banned))
-
-  defp only(patterns, kind), do: Enum.filter(patterns, &(elem(&1, 0) == kind))
 
   defp names(text) do
     for {text, line} <- text |> String.split("\n") |> Enum.with_index(1),
@@ -156,10 +128,10 @@ defmodule Words do
     text = Enum.map_join(lines, " ", &elem(&1, 1))
 
     found =
-      for {kind, part, pattern, instead} <- patterns,
+      for {part, pattern, instead} <- patterns,
           String.contains?(text, part),
           [{at, length} | _] <- Regex.scan(pattern, text, return: :index),
-          do: {at, {kind, line_at(lines, at), binary_part(text, at, length), instead}}
+          do: {at, {line_at(lines, at), binary_part(text, at, length), instead}}
 
     # Two patterns may find the same.
     for {_at, hit} <- Enum.uniq_by(found, &elem(&1, 0)), do: hit
@@ -197,49 +169,5 @@ defmodule Words do
     end)
     |> Enum.reject(&(&1 == []))
     |> Enum.map(&Enum.reverse/1)
-  end
-
-  ## The list: how many turns each file may have
-
-  # From lines of a number and a file.
-  def list(text) do
-    for line <- String.split(text, "\n", trim: true),
-        [n, file] = String.split(line, " ", parts: 2),
-        into: %{} do
-      {file, String.to_integer(n)}
-    end
-  end
-
-  # What is wrong with what was found in files, `%{file => hits}`.
-  def problems(found, list), do: banned(found) ++ higher(found, list) ++ lower(found, list)
-
-  defp banned(found) do
-    for {file, hits} <- Enum.sort(found), {:banned, _, _, _} = hit <- Enum.sort(hits), do: text(file, hit)
-  end
-
-  defp higher(found, list) do
-    for {file, hits} <- Enum.sort(found), n = count(hits), n > Map.get(list, file, 0) do
-      hits = for {:listed, _, _, _} = hit <- Enum.sort(hits), do: text(file, hit) <> "\n"
-      "#{hits}#{file} may have #{Map.get(list, file, 0)} of these, and has #{n}"
-    end
-  end
-
-  defp lower(found, list) do
-    for {file, may} <- Enum.sort(list), n = count(found[file] || []), n < may do
-      "#{file} may have #{may} turns of phrase by #{@list}, and has #{n}: lower the number there, or all by " <>
-        "elixir -r bin/lib/checks/words.exs -e 'Words.main([\"--shrink\"])'"
-    end
-  end
-
-  defp count(hits), do: Enum.count(hits, &(elem(&1, 0) == :listed))
-  defp text(file, {_kind, line, says, instead}), do: "#{file}:#{line}: \"#{says}\": #{instead}"
-
-  # The list with the numbers that are lower now; those of files without any are left out.
-  def shrink(found, list) do
-    for {file, may} <- Enum.sort(list),
-        n = min(may, count(found[file] || [])),
-        n > 0,
-        into: "",
-        do: "#{n} #{file}\n"
   end
 end

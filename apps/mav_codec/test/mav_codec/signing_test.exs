@@ -56,7 +56,7 @@ defmodule MavCodec.SigningTest do
       assert {{:rejected, :replayed}, ^signing} = Signing.check(signing, Enum.find(frames, &Frame.signed?/1))
     end
 
-    test "with another key none is" do
+    test "with another key, no frame is" do
       {frames, _} = Parser.push(Parser.new(), Captures.read("arducopter_signed.bin"))
       signing = Signing.new(:crypto.hash(:sha256, "another"), clock: fn -> @now end)
 

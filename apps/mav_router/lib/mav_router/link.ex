@@ -134,7 +134,7 @@ defmodule MavRouter.Link do
 
   @doc """
   The snapshot of this moment, from the link's process; nil if it does not run. If it is too busy to answer within `wait_ms`, a
-  second, the one that it published last. A client has one, too.
+  second, the one that it published last. Clients have one as well.
   """
   @spec snapshot(Names.gateway(), String.t(), pos_integer) :: map | nil
   def snapshot(gateway, id, wait_ms \\ @snapshot_ms) do

@@ -301,7 +301,7 @@ defmodule MavRouter.RecorderTest do
       assert Process.alive?(recording)
     end
 
-    test "full: nothing is left of files that could not be written, and it is told once for all", c do
+    test "full: nothing is left of files that could not be written, and one event says so", c do
       gateway = start_recorder(c.tmp_dir, %{files: FullDisk, pause_ms: 0})
 
       log =
@@ -389,7 +389,7 @@ defmodule MavRouter.RecorderTest do
       assert reason =~ "no space left on device"
     end
 
-    test "that hangs: its queue is bounded, and whoever gives frames never waits", c do
+    test "that hangs: its queue is bounded, and the giver of frames never waits", c do
       FaultyDisk.new(c.tmp_dir)
       gateway = start_recorder(c.tmp_dir, %{files: FaultyDisk, queue_kb: 64})
       FaultyDisk.set(c.tmp_dir, :gate, self())
@@ -717,7 +717,7 @@ defmodule MavRouter.RecorderTest do
       assert [30, 76, 76] = Enum.map(recorded(file), & &1.id)
     end
 
-    test "who cannot be saved is told why", c do
+    test "a vehicle that cannot be saved is refused with the reason", c do
       gateway = start_recorder(c.tmp_dir, %{ring: %{enabled: false}})
       give(gateway, attitudes(1, 1..10))
       assert {:error, %Error{reason: {:unavailable, "no ring is kept" <> _}}} = Recorder.save(gateway, @key)

@@ -345,7 +345,7 @@ defmodule MavRouter.SigningTest do
       assert frame(IO.iodata_to_binary(own)).signature.timestamp > frame(bytes).signature.timestamp
     end
 
-    test "a damaged file is told and does not stop anything", c do
+    test "a damaged file is reported and does not stop anything", c do
       damages = ["{", "[]", ~s({"version":1,"link_ids":{},"links":[1,{"link":2}]})]
 
       # Each has a folder of its own: a gateway that runs writes into its folder.
@@ -367,7 +367,7 @@ defmodule MavRouter.SigningTest do
     end
 
     @tag :capture_log
-    test "a folder that cannot be written is told, and links go on", c do
+    test "a folder that cannot be written is reported, and links go on", c do
       File.write!(Path.join(c.tmp_dir, "signing"), "in the way")
       gateway = start_signing(c.tmp_dir)
       {bytes, _} = signed(signer(), 1)

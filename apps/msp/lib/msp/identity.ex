@@ -1,6 +1,6 @@
 defmodule Msp.Identity do
   @moduledoc """
-  Who answers at an MSP port: what API_VERSION, FC_VARIANT and FC_VERSION say, and whether that is a vehicle.
+  What answers at an MSP port: what API_VERSION, FC_VARIANT and FC_VERSION say, and whether that is a vehicle.
 
   | answer | is |
   |---|---|
@@ -44,7 +44,7 @@ defmodule Msp.Identity do
         }
 
   @doc """
-  The vehicle that gave these answers, or why it is none.
+  The vehicle that gave these answers, or why they are not a vehicle's.
 
       iex> {:ok, identity} = Msp.Identity.of({1, 46}, "BTFL", %{major_or_year: 4, minor_or_month: 5, patch: 5})
       iex> {identity.version, identity.text}

@@ -88,7 +88,7 @@ defmodule Msp.Listing do
     end
   end
 
-  # Who is there is asked again after each restart.
+  # After each restart the vehicle is identified again.
   defp learn(%{found: found} = listing, %Frame{direction: :reply, id: id} = frame)
        when is_map_key(@about, id) do
     case MavCodec.Msp.decode(frame, @nobody) do

@@ -4,7 +4,7 @@ defmodule Msp.Modes do
 
   Bit n of the mode flags is the n-th id of BOXIDS, which depends on build and configuration; the id itself is permanent. A mode's
   number is the permanent id of its box, 0 is ACRO, when none is on. The first box of the list that is on is the mode: a failsafe
-  switches ANGLE on, too.
+  also switches ANGLE on.
   """
 
   import Bitwise
@@ -63,7 +63,7 @@ defmodule Msp.Modes do
   @spec name(firmware, byte) :: String.t() | nil
   def name(firmware, number), do: List.keyfind(all(firmware), number, 0, {nil, nil}) |> elem(1)
 
-  @doc "The MAV_STANDARD_MODE of a mode, 0 if it is none."
+  @doc "The MAV_STANDARD_MODE of a mode, 0 for a mode without one."
   @spec standard(firmware, byte) :: non_neg_integer
   def standard(firmware, number), do: Map.get(@standard[firmware], number, 0)
 

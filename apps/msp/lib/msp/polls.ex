@@ -154,7 +154,7 @@ defmodule Msp.Polls do
       -1 ->
         {false, polls}
 
-      # Replies come when they come: a little early is in time.
+      # Replies come when they come: a little early is early enough.
       us ->
         due? = now - Map.get(told, id, now - us) >= div(us * 3, 4)
         {due?, if(due?, do: %{polls | told: Map.put(told, id, now)}, else: polls)}

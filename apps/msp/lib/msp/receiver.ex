@@ -19,7 +19,7 @@ defmodule Msp.Receiver do
 
   - Safe channels come first, for #{@settle_us / 1_000_000} s: sticks in the middle, throttle low, disarmed. The arm switch goes up only if nothing keeps the vehicle from
     being armed and its own report of the channels is what was sent.
-  - Who armed it has to steer it. Without sticks for #{div(@steered_us, 1_000_000)} s, or without any for #{div(@idle_us, 1_000_000)} s after it was armed, it is
+  - The ground station that armed it has to steer it. Without sticks for #{div(@steered_us, 1_000_000)} s, or without any for #{div(@idle_us, 1_000_000)} s after it was armed, it is
     over: on the ground the vehicle is disarmed; in the air the channels pause, so that the vehicle's own failsafe
     acts, which its owner has configured.
   - Where MSP is the receiver, the next sticks end a pause (`resume/4`), from anyone who may steer, and disarming does
@@ -375,7 +375,7 @@ defmodule Msp.Receiver do
 
   defp safe(receiver), do: %{receiver | arm: :off, sticks: nil, overrides: %{}, nudge: false}
 
-  # Who steers has to go on with it.
+  # Steering lapses unless it goes on.
   defp longer(%{sticks: nil, overrides: none} = receiver, now) when none == %{},
     do: if(receiver.arm == :wanted, do: receiver.until, else: now + @idle_us)
 

@@ -57,7 +57,7 @@ defmodule Msp.Rerun do
     end
   end
 
-  # Of somebody else, on its way to the vehicle.
+  # Another sender's, on its way to the vehicle.
   def push(rerun, _frame), do: {nil, rerun}
 
   defp entry(rerun, nil, _at), do: rerun

@@ -256,7 +256,7 @@ defmodule Msp.Session do
     {session, told}
   end
 
-  # After each event: the next request, what is to be told, and when to look again.
+  # After each event: the next request, what is to be reported, and when to look again.
   defp proceed(session, now) do
     session = if session.restarted, do: Identifying.restarted(session, now), else: session
     {session, stops} = Motors.due(session, now)

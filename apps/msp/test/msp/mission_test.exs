@@ -381,7 +381,7 @@ defmodule Msp.MissionTest do
     assert List.last(acks(line)) == 14
   end
 
-  test "a client that falls silent ends its upload, and another one may begin; one that cancels, too (W6)" do
+  test "a client that falls silent ends its upload, and another one may begin; so does one that cancels (W6)" do
     {line, _change, _state} = up()
     line = line |> send_mavlink(%M.MissionCount{count: 2}) |> Line.run(7 * @second)
     assert acks(line) == [15]

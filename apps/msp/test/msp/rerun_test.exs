@@ -63,7 +63,7 @@ defmodule Msp.RerunTest do
     end
   end
 
-  test "real flight controllers' answers, too" do
+  test "also real flight controllers' answers" do
     for name <- ~w(betaflight_4.5.5 inav_9.0.0) do
       line = name |> Recorded.answers(0.0) |> Line.open(record: true) |> Line.run(10 * @second)
       assert %{difference: nil, counts: %{frames: frames}} = rerun(recording(line))

@@ -304,7 +304,7 @@ defmodule Msp.SessionTest do
              ] = Line.told(line, M.RcChannels)
     end
 
-    test "what keeps it from being armed is told once for each change, and not of an armed one" do
+    test "what keeps it from being armed is said once for each change, and never while armed" do
       line =
         run(
           betaflight(%{
@@ -529,7 +529,7 @@ defmodule Msp.SessionTest do
       assert length(Line.told(later, M.Heartbeat)) > 10
     end
 
-    test "to others, and numbers that are none, change nothing" do
+    test "to others, and impossible numbers, change nothing" do
       line = run(betaflight(), 3)
 
       other =
@@ -607,7 +607,7 @@ defmodule Msp.SessionTest do
       assert Enum.any?(Line.told(line, M.Attitude), fn {_at, attitude} -> abs(attitude.roll) > 0.2 end)
     end
 
-    test "Betaflight 4.5.5: 250 m above the sea are no height above home, before it is armed and after" do
+    test "Betaflight 4.5.5: 250 m above the sea are not a height above home, before it is armed and after" do
       line = run(Recorded.answers("betaflight_4.5.5", 0.0), 62)
       known = for {at, height} <- heights(line), height != :nan, do: {at / @second, height}
       assert {first, low} = hd(known)

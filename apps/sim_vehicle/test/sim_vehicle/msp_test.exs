@@ -181,7 +181,7 @@ defmodule SimVehicle.MspTest do
   end
 
   describe "iNav" do
-    test "answers at once, and not at all if it is told to" do
+    test "answers at once, and not at all if asked to be silent" do
       {_fc, [{:a, _reply}]} = Firmware.receive(on(:inav), :a, Frame.encode(%Frame{id: 1}))
       {_fc, []} = Firmware.receive(on(:inav), :a, Frame.encode(%Frame{form: :v2, flags: 1, id: 1}))
     end

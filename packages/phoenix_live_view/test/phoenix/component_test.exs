@@ -57,7 +57,7 @@ defmodule Phoenix.ComponentTest do
            ) == "<li>1</li>"
   end
 
-  test "one element is a root, also with space around it; two, or one with :if, are none" do
+  test "one element is a root, also with space around it; two, or one with :if, are not" do
     assigns = %{}
 
     assert ~H"""
@@ -73,7 +73,7 @@ defmodule Phoenix.ComponentTest do
     assert_raise ArgumentError, ~r/same :key/, fn -> ~H"<p :for={i <- [1, 1]} :key={i}></p>" end
   end
 
-  test "an assign that is not there is told by name" do
+  test "the error for a missing assign names it" do
     assigns = %{there: 1}
     assert_raise KeyError, ~r/@gone is not there.*:there/, fn -> ~H"{@gone}" end
   end
@@ -95,7 +95,7 @@ defmodule Phoenix.ComponentTest do
         {"<p", "expected the end of the tag"},
         {"\n <p a=\"x>", "t.ex:2:"}
       ] do
-    test "a mistake is told with its place: #{inspect(source)}" do
+    test "a mistake is reported with its place: #{inspect(source)}" do
       error = catch_error(Phoenix.LiveView.Template.Compiler.compile(unquote(source), file: "t.ex"))
       assert %Error{} = error
       assert Exception.message(error) =~ unquote(words)

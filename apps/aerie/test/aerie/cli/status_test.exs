@@ -125,7 +125,7 @@ defmodule Aerie.CLI.StatusTest do
     assert Enum.any?(rendered(view), &(&1 =~ "client=gcs dropped_out=7 dropped_in=0 text=listening"))
   end
 
-  test "what came in and was dropped is in the line of its link or client, whoever did not keep up" do
+  test "what came in and was dropped is in the line of its link or client, whichever did not keep up" do
     [link] = view().links
     counters = %{link.counters | kernel_dropped: 1, shed: 20, overload: 300}
     assert Enum.any?(rendered(view(links: [%{link | counters: counters}])), &(&1 =~ "dropped_in=321"))

@@ -88,7 +88,7 @@ defmodule Aerie.Config.YamlTest do
     assert Yaml.lines("a: [") == %{}
   end
 
-  test "syntax errors and bytes that are no text give the line" do
+  test "syntax errors and bytes that are not text give the line" do
     assert {:error, %{line: 3, expected: "valid YAML"}} = Yaml.parse("a: 1\nb: [1, 2\n")
     assert {:error, %{line: 2, expected: "UTF-8 text"}} = Yaml.parse("a: 1\nb: \xFF\xFE\n")
   end

@@ -114,7 +114,7 @@ defmodule Aerie.Control.CommandExecutorTest do
     end
   end
 
-  test "progress goes to whoever asked for it", %{gateway: gateway, pid: pid} do
+  test "progress goes to the process that asked for it", %{gateway: gateway, pid: pid} do
     task = submit(gateway, id: "g", type: "gripper", params: %{action: "grab"}, progress: self())
     assert_receive {:transmit, [_command]}
     send(pid, ack(command: 211, result: 5, progress: 50))

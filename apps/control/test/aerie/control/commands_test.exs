@@ -48,7 +48,7 @@ defmodule Aerie.Control.CommandsTest do
     assert sample(gateway, "gateway_commands_executed_total", type: "takeoff", result: :completed) == 1
   end
 
-  test "the same id: whoever asks meanwhile waits, later it is the stored result, another command is refused",
+  test "the same id: a second request waits meanwhile, later it is the stored result, another command is refused",
        %{tmp_dir: dir} do
     gateway = start_commands(dir)
     first = command(gateway, "land", id: "a")

@@ -236,7 +236,9 @@ defmodule Aerie.Control.TransfersTest do
     assert_raise ArgumentError, fn -> Params.set_all(gateway, "VID-001", %{"A" => 1}, component: 100) end
   end
 
-  test "whoever may not is sent away before anything is sent, and it is on record", %{tmp_dir: dir} do
+  test "a sender without the permission is refused before anything is sent, and it is on record", %{
+    tmp_dir: dir
+  } do
     {gateway, port} = start(dir, %{max_altitude: 100})
     sim = fly(gateway, port, firmware: :ardupilot)
 
@@ -339,7 +341,7 @@ defmodule Aerie.Control.TransfersTest do
   defp match_ok({:ok, _value} = ok), do: ok
   defp match_ok(_other), do: nil
 
-  test "a transfer is cancelled, by whoever may", %{tmp_dir: dir} do
+  test "a transfer is cancelled by a sender with the permission", %{tmp_dir: dir} do
     {gateway, port} = start(dir)
     sim = fly(gateway, port, firmware: :px4)
     :ok = SimVehicle.fault(sim, :deaf, true)

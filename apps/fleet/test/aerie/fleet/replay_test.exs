@@ -309,7 +309,7 @@ defmodule Aerie.Fleet.ReplayTest do
                play([beat(0, [type: 6, autopilot: 8], system: 255)])
     end
 
-    test "our own frames are no vehicle's, but its answers to what we asked are read: its clock is known" do
+    test "our own frames are not a vehicle's, but its answers to what we asked are read: its clock is known" do
       own = [system: 237, component: 191]
       request = frame(%M.Timesync{tc1: 0, ts1: 555}, at(2), own)
       answer = frame(%M.Timesync{tc1: 7_000_000_000, ts1: 555}, at(2.02))

@@ -198,7 +198,7 @@ defmodule FleetWeb.API.CommandsTest do
       Task.async(fn -> request(context.port, "POST", @path, headers, Keyword.get(more, :body, text)) end)
     end
 
-    test "whoever signed it commands, by Ed25519 as over NATS; a copy is not carried out again", context do
+    test "the signer is the sender, by Ed25519 as over NATS; a copy is not carried out again", context do
       body = %{"type" => "takeoff", "id" => "s1", "params" => %{"altitude" => 20}}
       task = sign(context, body)
       answer(executing(%{id: "s1", source: "signer"}), "s1", :completed)

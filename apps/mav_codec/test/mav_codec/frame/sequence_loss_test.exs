@@ -8,7 +8,7 @@ defmodule MavCodec.Frame.SequenceLossTest do
 
   defp stats(numbers), do: numbers |> observe() |> SequenceLoss.stats()
 
-  test "R7: numbers in order, over the wrap, are no loss" do
+  test "R7: numbers in order, over the wrap, are not a loss" do
     assert %{received: 1000, lost: 0, missing: 0, ratio: +0.0, restarts: 0} = stats(0..999)
     assert %{received: 0, lost: 0, ratio: +0.0} = stats([])
   end

@@ -15,7 +15,7 @@ defmodule MavCodec.Meaning.HeartbeatTest do
     assert Heartbeat.read(%Frame{id: 1, payload: <<0>>}) == nil
   end
 
-  test "H2: who says nothing of itself is a vehicle only as the component of an autopilot" do
+  test "H2: a sender that says nothing of itself is a vehicle only as the component of an autopilot" do
     vehicle? = fn type, autopilot, component ->
       frame = %Frame{id: 0, system: 42, component: component, payload: <<0::32, type, autopilot, 0, 0, 3>>}
       frame |> Heartbeat.read() |> Heartbeat.vehicle?()

@@ -22,7 +22,7 @@ defmodule MavCodec.Message.BootClockTest do
              [:ok, :behind, :behind, :reboot, :ok]
   end
 
-  test "frames out of order are no reboot, however many, as long as the clock goes on in between" do
+  test "frames out of order are not a reboot, however many, as long as the clock goes on in between" do
     assert Enum.uniq(verdicts([{60_000, 0}, {59_990, 0.1}, {58_500, 0.2}, {60_100, 0.3}])) == [:ok]
     late = for n <- 1..50, reading <- [{60_000 + n * 100, n / 10}, {50_000 + n * 100, n / 10}], do: reading
     refute :reboot in verdicts(late)
@@ -75,7 +75,7 @@ defmodule MavCodec.Message.BootClockTest do
       end
     end
 
-    test "microseconds beside milliseconds are no reboot, and no time once that is seen" do
+    test "microseconds beside milliseconds are not a reboot, and not a time once that is seen" do
       readings = betaflight(4_280, 60)
       verdicts = Enum.zip(readings, verdicts(readings))
       assert verdicts |> Enum.map(&elem(&1, 1)) |> Enum.uniq() |> Enum.sort() == [:none, :ok]

@@ -58,7 +58,7 @@ defmodule MavCodec.Msp.TraceTest do
     assert [{1, {:bytes, _}}] = read([a, other, b, c])
   end
 
-  test "another one's TUNNEL, and one that is damaged, are none" do
+  test "another program's TUNNEL, and a damaged one, are not traces" do
     for payload <- ["", "short", <<99, 1, 0::16, 0::64>>, <<8, 1, 0::16, 0::64, 1>>] do
       tunnel = %M.Tunnel{payload_type: 41_080, payload_length: byte_size(payload), payload: payload}
       frame = Frame.from_bytes(MavCodec.encode(tunnel, system: 7, component: 242), nil, 0)

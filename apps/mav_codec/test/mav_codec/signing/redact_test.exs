@@ -41,7 +41,7 @@ defmodule MavCodec.Signing.RedactTest do
     end
   end
 
-  test "what is no secret stays: other parameters, an address without a login, other messages" do
+  test "what is not secret stays: other parameters, an address without a login, other messages" do
     for message <- [
           %M.ParamExtSet{param_id: "CAM_EXPOSURE", param_value: "7"},
           %M.VideoStreamInformation{uri: "rtsp://cam/1"},

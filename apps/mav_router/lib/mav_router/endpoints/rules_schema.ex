@@ -1,7 +1,7 @@
 defmodule MavRouter.Endpoints.RulesSchema do
   @moduledoc """
   The JSON Schema of a change of a link's or client's rules, with the keys of the configuration: what `MavRouter.Router.configure/3` takes over
-  HTTP. Messages are named as in the definitions; numbers are taken, too. Pure.
+  HTTP. Messages are named as in the definitions; numbers are accepted as well. Pure.
   """
 
   import Aerie.Base.JsonSchema

@@ -11,7 +11,7 @@ defmodule MavRouter.Forward.Delivery do
   | `trusted` | those of the read whose signature was right, or that need none: only from them anything is learned |
   | `source` | the component that sent them; nil when the read has frames of several |
   | `now` | monotonic ms |
-  | `sender` | what the vehicle's session is told of their origin: the id of the link, or the endpoint's key while several endpoints bring the system |
+  | `sender` | their origin, as the vehicle's session hears it: the id of the link, or the endpoint's key while several endpoints bring the system |
   | `vehicle` | whether one of the frames was the heartbeat of a vehicle's autopilot |
   | `secure` | whether the link is a cable that the operator vouches for (`secure: true`) |
   | `scope` | whom the frames may reach (`MavRouter.Forward.Gate`): clients only, unless the gate says more |

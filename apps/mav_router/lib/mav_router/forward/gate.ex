@@ -24,7 +24,7 @@ defmodule MavRouter.Forward.Gate do
 
   A vehicle on a link by which its sender counts as a client is judged as such when it commands: saying a vehicle's heartbeat costs
   nothing, and a router on this machine brings vehicles and ground stations by one endpoint. Not judged is what it says to
-  ground stations, to this gateway (the items of a plan that is read are orders, too), and to its own system while no other
+  ground stations, to this gateway (the items of a plan that is read are orders as well), and to its own system while no other
   endpoint has an autopilot of that id.
   """
 
@@ -300,7 +300,7 @@ defmodule MavRouter.Forward.Gate do
     end)
   end
 
-  # Vehicles that it is for. Of one that is not known yet, nothing is known, and that counts, too.
+  # Vehicles that it is for. One that has not been heard counts as well, as unknown.
   defp vehicles(target, %{gateway: gateway, path: path} = delivery) do
     case target do
       {system, _component} ->

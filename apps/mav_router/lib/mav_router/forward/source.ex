@@ -234,8 +234,8 @@ defmodule MavRouter.Forward.Source do
          Enum.any?(path.networks, &Routes.talks?(tables, {&1, source.system, @autopilot}, path.key)))
   end
 
-  # Other vehicles hear heartbeats of a vehicle, in a crowd nothing. Of a client that a router brings by the vehicle's
-  # endpoint they hear what the gate clears. Each of these costs the receivers' radios, and us, in
+  # Other vehicles hear heartbeats of a vehicle, in a crowd nothing. They hear what the gate clears of a client that a
+  # router brings by the vehicle's endpoint. Each of these costs the receivers' radios, and us, in
   # proportion to the number of senders. The vehicle's own other parts, and clients, get everything.
   defp of_vehicle(%{forwarding: forwarding, path: path} = delivery, source) do
     others = Enum.reduce(path.networks, %{}, &Map.merge(&2, Map.get(forwarding.vehicles, &1, %{})))

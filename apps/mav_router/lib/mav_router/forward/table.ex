@@ -40,7 +40,7 @@ defmodule MavRouter.Forward.Table do
   @spec crowd() :: pos_integer
   def crowd, do: @crowd
 
-  @doc "Reads the tables. Who sees all networks sees those that there are now: a new one moves the generation."
+  @doc "Reads the tables. An endpoint that sees all networks sees the present ones: a new one moves the generation."
   @spec read(Tables.t()) :: t
   def read(tables) do
     # The generation comes first, so that a change made meanwhile is read again.

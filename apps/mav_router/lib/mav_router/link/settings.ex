@@ -1,7 +1,7 @@
 defmodule MavRouter.Link.Settings do
   @moduledoc """
   The configured links, and what applies to every link unless its own options differ (`MavRouter.Link.Spec`, `options`). The
-  settings are kept with the name of the links' supervisor, so that links that are added at run time have them, too.
+  settings are kept with the name of the links' supervisor, so that links that are added at run time have them as well.
   """
   use Aerie.Base.Settings
 

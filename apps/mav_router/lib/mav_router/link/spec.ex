@@ -70,7 +70,7 @@ defmodule MavRouter.Link.Spec do
   - `path` (with the query), `tls`, `ca`: WebSocket
   - `device`, `baud`: serial; `detect` is what is found by listening: nothing (nil), `:baud`, or `:port` for both
   - `bauds`, `ports`, `only`: candidates for that
-  - `inner`, `sysid`, `share`: MSP: the module of the transport that it goes over, the MAVLink id of the vehicle, and the address where programs share it; `share_origin`: the page that may, too
+  - `inner`, `sysid`, `share`: MSP: the module of the transport that it goes over, the MAVLink id of the vehicle, and the address where programs share it; `share_origin`: the page that may do so as well
   - `gateway`: whose link it is, known when it is opened
   - `file`, `speed` (factor of real time, or `:max`), `loop`: replay
   - `network`: links of one network share one space of system ids

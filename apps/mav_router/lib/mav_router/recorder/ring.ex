@@ -56,7 +56,7 @@ defmodule MavRouter.Recorder.Ring do
   defp subtract(tables, key, size) do
     :ets.update_counter(tables.rings, key, {3, -size})
   rescue
-    # The vehicle was forgotten meanwhile; who writes goes on.
+    # The vehicle was forgotten meanwhile; the writer goes on.
     ArgumentError -> 0
   end
 

@@ -11,7 +11,7 @@ defmodule MavRouter.Router.Policy do
   alias MavRouter.Forward.Table.Path
   alias MavCodec.Frame
 
-  @typedoc "Who sends: the endpoint, its client or link, its address in words, and who that is."
+  @typedoc "The sender: the endpoint, its client or link, its address in words, and its principal."
   @type sender :: %{
           endpoint: MavRouter.Endpoints.Endpoint.key(),
           owner: String.t(),

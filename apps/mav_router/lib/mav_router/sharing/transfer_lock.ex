@@ -224,7 +224,7 @@ defmodule MavRouter.Sharing.TransferLock do
     %{state | own: own} |> keep(key, turn) |> let_go(key)
   end
 
-  # After every change: gives the turn to who is next.
+  # After every change: gives the turn to the next in the queue.
   defp let_go(state, key) do
     case state.turns do
       %{^key => turn} ->

@@ -140,7 +140,7 @@ defmodule MavRouter.Signing.Admission do
 
   defp candidate({verdict, scope}, acc, _frame), do: {verdict, scope, acc}
 
-  # Read once for each system of a read: its first frame puts the key in force, and the others of the read are signed with it, too.
+  # Read once for each system of a read: its first frame puts the key in force, and the others of the read are signed with it as well.
   defp staged(%{candidates: candidates} = acc, system) do
     case candidates do
       %{^system => candidate} ->

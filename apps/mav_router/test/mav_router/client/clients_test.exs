@@ -192,7 +192,7 @@ defmodule MavRouter.Client.ClientsTest do
     eventually(fn -> Names.whereis(c.gateway, :session, {"main", 9}) end)
   end
 
-  test "what is wrong is told, and nothing is added", c do
+  test "an error says what is wrong, and nothing is added", c do
     {_id, port} = client(c.gateway, "tcpin:127.0.0.1:0")
     assert {:error, %Error{reason: reason}} = MavRouter.Client.add(c.gateway, "tcpin:127.0.0.1:#{port}")
     # Without a port in its id, the first one has another name.

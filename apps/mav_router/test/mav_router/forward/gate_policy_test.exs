@@ -192,7 +192,7 @@ defmodule MavRouter.Forward.GatePolicyTest do
     refute_received {:asked, _sender, _vehicle, _message}
   end
 
-  test "a command to all is judged for vehicles that were not heard yet, too", c do
+  test "a command to all is also judged for vehicles that were not heard yet", c do
     silent = udp(c.port)
     say(silent, attitude(9, 1))
     eventually(fn -> Router.route(c.gateway, {"main", 9}) end)
@@ -201,7 +201,7 @@ defmodule MavRouter.Forward.GatePolicyTest do
     assert_receive {:asked, _sender, {"main", 0}, %M.CommandLong{command: 404}}
   end
 
-  test "a command to all is judged for a vehicle whose session has not begun, too", c do
+  test "a command to all is also judged for a vehicle whose session has not begun", c do
     {_id, port} = add_link(c.gateway, "udpin:127.0.0.1:0", id: "lab", network: "lab")
     starting = udp(port)
     say(starting, heartbeat(5))

@@ -346,7 +346,7 @@ defmodule MavRouter.Forward.GateTest do
     assert asked == [plain, %{plain | param5: 5.0}]
   end
 
-  test "V1: whoever speaks MAVLink 1 is answered in it, and asked for in it", c do
+  test "V1: a sender of MAVLink 1 is answered in it, and asked for in it", c do
     known(c)
     stranger = udp(c.port)
     ask = %Messages.CommandLong{target_system: 1, target_component: 1, command: 512, param1: 33.0}
@@ -372,7 +372,7 @@ defmodule MavRouter.Forward.GateTest do
     end
   end
 
-  test "questions of who may not ask are asked by the gateway, within a budget", c do
+  test "the gateway asks for senders that may not ask themselves, within a budget", c do
     known(c)
     stranger = udp(c.port)
     say(stranger, gcs(255))

@@ -325,7 +325,7 @@ defmodule MavRouter.Link.CoreTest do
 
   defp without_publishing({core, actions}), do: {core, actions -- [:publish_snapshot]}
 
-  test "X6: silence of less than an hour is no reason to open a link of high latency again" do
+  test "X6: silence of less than an hour does not open a link of high latency again" do
     slow = Core.new(Spec.parse!("udpout:127.0.0.1:1", options: %{high_latency: true}), seed: 1)
     {slow, _} = run(slow, [{0, :start}, {0, {:opened, %{local: "here"}}}])
     assert {%{phase: :up}, _} = Core.handle(slow, :tick, now(3_599_999))

@@ -75,7 +75,7 @@ defmodule MavRouter.Recorder.CoreTest do
     assert run(core, for(at <- 1..5, do: beat(1, false, at))) == [{1, 1}, {1, 2}, {1, 3}, :close]
   end
 
-  test "who is armed is known when the mode changes" do
+  test "the armed vehicles are known when the mode changes" do
     {core, _} = Core.frames(Core.new(:armed, 0), [beat(1, true, 1)])
     assert {core, [:close]} = Core.stop(core)
     assert run(Core.mode(core, :armed), attitudes(1, 1..1, 0)) == [{1, 1000}]

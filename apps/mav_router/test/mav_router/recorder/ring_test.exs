@@ -45,7 +45,7 @@ defmodule MavRouter.Recorder.RingTest do
     end
   end
 
-  test "who writes while the vehicle is forgotten goes on", c do
+  test "a writer goes on while the vehicle is forgotten", c do
     forgets = fn again ->
       Enum.sum(1..:rand.uniform(1_000))
       Ring.forget(c.tables, @key)

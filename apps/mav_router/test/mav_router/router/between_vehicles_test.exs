@@ -106,7 +106,7 @@ defmodule MavRouter.Router.BetweenVehiclesTest do
     end
   end
 
-  describe "senders on a link to vehicles that are none" do
+  describe "senders on a link to vehicles that are not vehicles" do
     # Peers of one link, all written to by one process.
     defp peers(gateway, names, since \\ 0) do
       tables = MavRouter.Tables.of(gateway)

@@ -224,7 +224,7 @@ defmodule MavRouter.Router.DeliverTest do
     heard(system, left - length(frames), got ++ Enum.map(frames, &if(&1.id == 0, do: 0, else: number(&1))))
   end
 
-  test "what was kept of a vehicle for which there is no room is told as dropped" do
+  test "what was kept of a vehicle for which there is no room counts as dropped" do
     gateway = gateway(%{}, 0)
     test = self()
 

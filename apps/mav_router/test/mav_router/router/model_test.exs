@@ -179,7 +179,7 @@ defmodule MavRouter.Router.ModelTest do
 
   defp step(_op, wrong), do: wrong
 
-  test "whoever says what, it goes to whom the rules say (R1, R2, R4, R6, R9, F10)" do
+  test "every frame goes to those whom the rules say (R1, R2, R4, R6, R9, F10)" do
     property =
       :proper.forall(:proper_types.list(op()), fn ops ->
         gateway = start_parts(%{router: %{between_vehicles: :all}})

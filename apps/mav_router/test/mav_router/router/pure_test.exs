@@ -491,7 +491,7 @@ defmodule MavRouter.Router.PureTest do
     end
   end
 
-  test "rules: what is wrong with one is told by name" do
+  test "rules: an error names the rule that is wrong" do
     assert {:ok, %Owner{side: :client, networks: ["a", "b"]}} =
              Owner.new("x", side: :client, networks: ["a", "b", "a"], group: nil)
 

@@ -40,7 +40,7 @@ defmodule MavRouter.Routes.CollisionsTest do
     assert %{"other" => []} = got(c.all)
   end
 
-  test "the same bytes from both are no duplicates", c do
+  test "the same bytes from both are not duplicates", c do
     same = heartbeat(1, seq: 77)
     say(c.other, same)
     say(c.first, same)

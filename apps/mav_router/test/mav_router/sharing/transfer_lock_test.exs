@@ -85,7 +85,7 @@ defmodule MavRouter.Sharing.TransferLockTest do
       assert %{waiting: []} = Turn.give_back(turn, own)
     end
 
-    test "whatever happens: what goes is of who has the turn, waiting is bounded, and everything ends" do
+    test "whatever happens: only the holder of the turn sends, waiting is bounded, and everything ends" do
       who = :proper_types.oneof([@a, @b, @c, {:d, 255, 190}])
       said = :proper_types.oneof([:begin, :begin, :more, :end])
 
@@ -206,7 +206,7 @@ defmodule MavRouter.Sharing.TransferLockTest do
       assert Enum.sum_by(Router.endpoints(c.gateway), & &1.counters.held) == 1
     end
 
-    test "who asks while nobody decides waits until somebody does, and passes once", c do
+    test "a request while nobody decides waits for a decision, and passes once", c do
       say(c.a, count(255, 3))
       until(c.vehicle, count(255, 3))
       turns = Aerie.Base.Names.whereis(c.gateway, :transfer_lock)

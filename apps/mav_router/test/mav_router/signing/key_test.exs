@@ -58,7 +58,7 @@ defmodule MavRouter.Signing.KeyTest do
     end
   end
 
-  test "files that are none", c do
+  test "what is not a file", c do
     assert {:error, text} = Key.read({:file, Path.join(c.tmp_dir, "nowhere")})
     assert text =~ "no such file"
     assert {:error, text} = Key.read({:file, c.tmp_dir})

@@ -31,7 +31,7 @@ defmodule MavRouter.Signing.SignerTest do
   end
 
   describe "what is for everybody" do
-    test "is signed with the key of whoever is at the other end, each peer's own", c do
+    test "is signed with the key of the other end, each peer's own", c do
       gateway = start(c.tmp_dir, [{1, "one"}, {2, "two"}])
       ours = Signing.mark(gateway, {"main", nil}, heartbeat(237, component: 191))
       # Nobody was heard, and there is no key for all: signed from the first frame on, for whoever it is.

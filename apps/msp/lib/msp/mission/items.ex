@@ -209,7 +209,7 @@ defmodule Msp.Mission.Items do
     speed = if own, do: {:ok, 0}, else: whole(item.param2, 100)
 
     case {speed, number(item.param1) == 0 or number(item.param1) == 1} do
-      # A waypoint of iNav with speed 0 is flown at the vehicle's own: who sends 0 does not mean that.
+      # A waypoint of iNav with speed 0 is flown at the vehicle's own, which is not what a sender of 0 means.
       {{:ok, cm_s}, true} when cm_s < 0 or (cm_s == 0 and not own) ->
         {:error, :invalid, @speeds}
 

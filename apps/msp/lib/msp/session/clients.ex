@@ -221,7 +221,7 @@ defmodule Msp.Session.Clients do
   end
 
   @impl Tasks
-  # Of our own.
+  # The session's own task.
   def answer(session, %{client: nil, tries: tries} = task, :timeout, _now) when tries < 5,
     do: Tasks.ask_next(session, task, %{tries: tries + 1})
 
@@ -277,7 +277,7 @@ defmodule Msp.Session.Clients do
 
   defp update(session, id, fun), do: update_in(session.clients.map, &Map.replace_lazy(&1, id, fun))
 
-  @doc "What is told to programs, and what is to be judged, since the last call."
+  @doc "The answers for programs, and what is to be judged, since the last call."
   @spec take(Session.t()) :: {[Session.action()], Session.t()}
   def take(%{clients: %{told: [], judgements: []}} = session), do: {[], session}
 

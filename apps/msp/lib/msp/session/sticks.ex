@@ -86,7 +86,7 @@ defmodule Msp.Session.Sticks do
       ),
       do: Output.acknowledge(session, command, from, :IN_PROGRESS)
 
-  # It may be disarmed by others than who steers it: the policy says by whom.
+  # Others than its steerer may disarm it: the policy says which.
   def command(%{sticks: %{receiver: %{from: steers} = receiver}} = session, want, command, from, now) do
     mine? = steers == from
 

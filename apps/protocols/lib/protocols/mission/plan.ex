@@ -60,7 +60,7 @@ defmodule Protocols.Mission.Plan do
   @spec put_part(t(), kind(), t()) :: t()
   def put_part(plan, kind, other), do: struct!(plan, part(other, kind))
 
-  @doc "Whether a plan has nothing of a kind. A fence without zones is none, even if it has a return point."
+  @doc "Whether a plan has nothing of a kind. A fence without zones counts as empty, even if it has a return point."
   @spec empty?(t(), kind()) :: boolean()
   def empty?(plan, :mission), do: plan.items == []
   def empty?(plan, :fence), do: plan.fence == [] and plan.fence_others == []

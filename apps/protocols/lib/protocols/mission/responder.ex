@@ -153,7 +153,7 @@ defmodule Protocols.Mission.Responder do
     {total(served, m.total, now), []}
   end
 
-  # Somebody's upload or clearing was accepted. Of a refused one, or of the end of a reading, the vehicle says nothing here.
+  # Somebody's upload or clearing was accepted. The vehicle says nothing here about a refused one or the end of a reading.
   def handle(served, {:vehicle, %M.MissionAck{type: 0, mission_type: type}, now}),
     do: {forget(served, type, now), []}
 

@@ -195,7 +195,7 @@ defmodule SimVehicle.Flight.Mission do
 
   defp goto(v, n, e, d), do: Goal.goto(n, e, d, speed: v.mission.speed || v.limits.speed)
 
-  # No position (0/0), or one that is none, means here.
+  # No position (0/0), or an impossible one, means here.
   defp place(v, %{x: 0, y: 0}), do: {v.kin.n, v.kin.e}
   defp place(v, %{x: x, y: y}) when abs(x) > 900_000_000 or abs(y) > 1_800_000_000, do: {v.kin.n, v.kin.e}
   defp place(v, item), do: Geo.to_local(v.origin, item.x, item.y)

@@ -332,7 +332,7 @@ defmodule SimVehicle.Msp.Firmware do
       else: {:error, fc}
   end
 
-  # Half a channel is acknowledged, too.
+  # Half a channel is acknowledged as well.
   defp answer(fc, _id, %{id: 200, payload: payload}) when byte_size(payload) <= 36 do
     receiver = Receiver.set(fc.receiver, payload, fc.blocks[64], fc.now)
     {{:ok, ""}, %{fc | receiver: receiver, rc_at: if(fc.rx_msp, do: fc.now, else: fc.rc_at)}}

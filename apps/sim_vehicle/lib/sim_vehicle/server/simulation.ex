@@ -169,7 +169,7 @@ defmodule SimVehicle.Server.Simulation do
 
   defp note_station(vehicle, _message, _source), do: vehicle
 
-  # ArduPilot hears what is for the camera, too.
+  # ArduPilot also hears what is for the camera.
   defp on_message(%{camera: %{component: id}, system: system} = vehicle, message, source) do
     v =
       if match?({s, c} when s in [0, system] and c in [0, id], target(message)),

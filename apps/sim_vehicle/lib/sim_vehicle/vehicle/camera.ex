@@ -110,7 +110,7 @@ defmodule SimVehicle.Vehicle.Camera do
   defp set(camera, {"CAM_MODE", _type, _default}, %{param_value: <<mode, _::binary>>}, _now) when mode > 2,
     do: {camera, @unsupported}
 
-  # Who asks again learns that it is under way.
+  # A repeated request is answered with progress.
   defp set(%{work: nil} = camera, {"CAM_FORMAT", _type, _default}, m, now),
     do: {%{camera | work: {m.param_id, m.param_value, now + @work_us}}, @in_progress}
 

@@ -386,7 +386,7 @@ defmodule Aerie.Vehicle.CoreTest do
     assert %{component: 1, groups: %{mode: %{data: %{mode: "GUIDED"}}}} = Core.snapshot(run.core)
   end
 
-  test "R6: the wrap of the clock after 49.7 days is no reboot, in a silence either" do
+  test "R6: the wrap of the clock after 49.7 days is not a reboot, in a silence either" do
     # Read at these seconds before and after the wrap, which comes at 7,230 s.
     attitude = fn n ->
       frame(%M.Attitude{time_boot_ms: Integer.mod(n * 1000, 0x100000000)}, (7_230 + n) * @second)

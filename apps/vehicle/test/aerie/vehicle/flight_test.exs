@@ -151,7 +151,7 @@ defmodule Aerie.Vehicle.FlightTest do
       assert length(texts) == 14
     end
 
-    test "an empty battery: low, critical, failsafe with its reason; then refusals that are no events" do
+    test "an empty battery: low, critical, failsafe with its reason; then refusals that are not events" do
       run = frames("px4_refusals") |> run()
       events = pick(run, ~w(failsafe battery.low battery.critical))
 

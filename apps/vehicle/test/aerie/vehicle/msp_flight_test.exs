@@ -65,7 +65,7 @@ defmodule Aerie.Vehicle.MspFlightTest do
 
   @versions [betaflight: [], betaflight: [api: {1, 48}], inav: []]
 
-  test "armed on the ground, 488 m above the sea, is no take-off; up, down and disarmed is one flight" do
+  test "armed on the ground, 488 m above the sea, is not a take-off; up, down and disarmed is one flight" do
     for {firmware, options} <- @versions do
       ground = fly(firmware, options, [{@armed, 4}])
       assert types(ground) == ["armed"]

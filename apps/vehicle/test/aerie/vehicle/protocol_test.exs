@@ -114,7 +114,7 @@ defmodule Aerie.Vehicle.ProtocolTest do
     assert ["rc"] = sensors -- able.(:ardupilot)
   end
 
-  test "a mode that the vehicle has not named yet is no gap; one that it does not have is" do
+  test "a mode that the vehicle has not named yet is not a gap; one that it does not have is" do
     for {type, params} <- [{"hold", %{}}, {"rtl", %{}}, {"set_mode", %{mode: "GPS RESCUE"}}] do
       assert {:error, "the vehicle has not said" <> _} = steps(:betaflight, type, params)
 

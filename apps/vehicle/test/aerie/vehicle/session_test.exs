@@ -78,7 +78,7 @@ defmodule Aerie.Vehicle.SessionTest do
     assert Store.vehicles(gateway) == []
   end
 
-  test "requests for streams cease while the executor asks by the same commands (C8), once their answer came" do
+  test "requests for streams stop while the executor asks by the same commands (C8), once their answer came" do
     gateway = gateway()
     deliver(gateway, [frame(@copter, at(1))])
     alive(gateway, {"main", 1})

@@ -274,7 +274,7 @@ defmodule Protocols.Mission.TransferTest do
       assert world.plan == old and world.upload == nil
     end
 
-    test "W6: whoever asks on after the end is told" do
+    test "W6: a request after the end is answered" do
       {t, _} = transfer({:upload, items(3)})
       {t, actions} = Transfer.handle(t, {:cancel, 10})
       assert [%M.MissionAck{type: 15}] = sent(actions)
@@ -384,7 +384,7 @@ defmodule Protocols.Mission.TransferTest do
     end
   end
 
-  test "progress is told at most once per per cent" do
+  test "progress is reported at most once per per cent" do
     {t, start} = transfer({:upload, items(1000)})
 
     {_t, actions} =

@@ -50,6 +50,6 @@ defmodule Circuits.UART.PortProgram do
   @spec missing_message(Path.t()) :: String.t()
   def missing_message(path) do
     "serial ports cannot be opened: there is no port program at #{path} (circuits_uart was compiled without a C " <>
-      "compiler). To mend it: apt-get install gcc libc6-dev, then mix deps.compile circuits_uart --force"
+      "compiler). Fix: apt-get install gcc libc6-dev, then mix deps.compile circuits_uart --force"
   end
 end

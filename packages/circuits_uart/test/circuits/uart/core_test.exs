@@ -73,7 +73,7 @@ defmodule Circuits.UART.CoreTest do
     refute core.reading == late
   end
 
-  test "a request that is not answered makes the program be given up, and all who wait are told" do
+  test "a request that is not answered ends the program, and all callers get an error" do
     run = Enum.reduce([{:call, {:open, "/dev/x", []}}, :deliver], %__MODULE__{}, &step/2)
     run = Enum.reduce([{:call, {:flush, 100}}, {:call, {:write, "x", 10}}], run, &step/2)
     [first | _] = run.core.pending |> Map.keys() |> Enum.sort()

@@ -15,7 +15,7 @@ defmodule Circuits.UART.FaultsTest do
   end
 
   describe "hang-up" do
-    test "is told once in active mode, and the port is closed", %{uart: uart, pty: %{path: path} = pty} do
+    test "is one message in active mode, and the port is closed", %{uart: uart, pty: %{path: path} = pty} do
       assert UART.open(uart, path) == :ok
       Pty.hang_up(pty)
       assert_receive {:circuits_uart, ^path, {:error, :eio}}
@@ -24,7 +24,7 @@ defmodule Circuits.UART.FaultsTest do
       refute_received {:circuits_uart, _, _}
     end
 
-    test "is told with the pid when so asked", %{uart: uart, pty: pty} do
+    test "comes with the pid when so asked", %{uart: uart, pty: pty} do
       assert UART.open(uart, pty.path, id: :pid) == :ok
       Pty.hang_up(pty)
       assert_receive {:circuits_uart, ^uart, {:error, :eio}}
@@ -51,7 +51,7 @@ defmodule Circuits.UART.FaultsTest do
       assert_receive {:circuits_uart, ^path, {:error, :eio}}
     end
 
-    test "while nobody waits is told by the next call in passive mode, once", %{uart: uart, pty: pty} do
+    test "while nobody waits is the answer of the next call in passive mode, once", %{uart: uart, pty: pty} do
       Enum.reduce([&UART.read/1, &UART.write(&1, "x")], pty, fn call, pty ->
         assert UART.open(uart, pty.path, active: false) == :ok
         Pty.hang_up(pty)
@@ -78,7 +78,7 @@ defmodule Circuits.UART.FaultsTest do
   describe "the port program killed" do
     @describetag :capture_log
 
-    test "is told as :epipe; the process survives and starts another one", %{
+    test "is :epipe; the process survives and starts another one", %{
       uart: uart,
       pty: %{path: path} = pty
     } do
@@ -106,7 +106,7 @@ defmodule Circuits.UART.FaultsTest do
       assert Task.await(writer, 60_000) == {:error, :epipe}
     end
 
-    test "in passive mode is told by the next call", %{uart: uart, pty: pty} do
+    test "in passive mode is the answer of the next call", %{uart: uart, pty: pty} do
       assert UART.open(uart, pty.path, active: false) == :ok
       kill("KILL", os_pid(uart))
       eventually(fn -> match?({:closed, _}, UART.configuration(uart)) end)
@@ -173,7 +173,7 @@ defmodule Circuits.UART.FaultsTest do
     end
   end
 
-  test "a program that sends what is no answer, or ends at once, is given up" do
+  test "a program that sends something other than an answer, or ends at once, is given up" do
     # cat sends the request back.
     for program <- ["cat", "true"] do
       {:ok, uart} = GenServer.start_link(Server, program: System.find_executable(program))

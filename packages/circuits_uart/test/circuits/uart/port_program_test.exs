@@ -6,7 +6,7 @@ defmodule Circuits.UART.PortProgramTest do
 
   @moduletag :pty
 
-  test "ends at what is no request, and says why" do
+  test "ends at anything but a request, and says why" do
     for packet <- [
           "",
           "x",

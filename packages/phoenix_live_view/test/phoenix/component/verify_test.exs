@@ -94,7 +94,7 @@ defmodule Phoenix.Component.VerifyTest do
     end
   end
 
-  test "an error in a template in a heredoc is told with its line and column" do
+  test "an error in a template in a heredoc has its line and column" do
     source = """
     defmodule Phoenix.Component.VerifyTest.Broken do
       use Phoenix.Component

@@ -152,7 +152,7 @@ defmodule Phoenix.LiveView.CowboyTest do
                Wire.recv(view.socket)
     end
 
-    test "with what is no message, or with uploads, is closed, never with 1000", %{
+    test "with anything but a message, or with uploads, is closed, never with 1000", %{
       port: port
     } do
       for {opcode, data, code} <- [{1, "{}", 1003}, {1, "[1,2]", 1003}, {2, "x", 1003}, {1, <<255>>, 1007}] do
@@ -315,7 +315,7 @@ defmodule Phoenix.LiveView.CowboyTest do
       assert diff == %{"e" => [["told", [1]]]}
     end
 
-    test "that crashes the view is told as such, and the view can be joined again", %{port: port} do
+    test "that crashes the view is reported as such, and the view can be joined again", %{port: port} do
       view = joined(port)
       assert ["1", "1", _, "phx_error", %{}] = click(view, "7", "crash")
       assert [_, _, _, "phx_reply", %{"status" => "ok"}] = Wire.join(view.socket, view.page)

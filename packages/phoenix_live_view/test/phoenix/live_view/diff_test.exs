@@ -46,7 +46,7 @@ defmodule Phoenix.LiveView.DiffTest do
     end
   end
 
-  test "a row that moved and changed is told once" do
+  test "a row that moved and changed is sent once" do
     before = list([{:a, ["1"]}, {:b, ["2"]}])
     now = list([{:b, ["3"]}, {:a, ["1"]}])
     assert Diff.diff(before, now) == %{0 => %{k: %{0 => [1, %{0 => "3"}], 1 => 0, :kc => 2, :km => true}}}

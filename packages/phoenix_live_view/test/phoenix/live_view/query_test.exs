@@ -15,7 +15,7 @@ defmodule Phoenix.LiveView.QueryTest do
       do: assert(Query.decode(unquote(query)) == {:ok, unquote(Macro.escape(params))})
   end
 
-  test "what is no text, too much or too deep is an error" do
+  test "what is not text, too much or too deep is an error" do
     assert {:error, _} = Query.decode("a=%FF")
     assert {:error, _} = Query.decode(String.duplicate("a=1&", 2_001))
     assert {:error, _} = Query.decode("a" <> String.duplicate("[b]", 12) <> "=1")

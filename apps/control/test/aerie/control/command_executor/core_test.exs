@@ -307,7 +307,7 @@ defmodule Aerie.Control.CommandExecutor.CoreTest do
       assert {_core, [{:not_cancelled, "b", _reason}]} = Core.handle(core, {:cancel, "b", 4})
     end
 
-    test "what runs is asked to cease, and its last word counts" do
+    test "what runs is asked to stop, and its last word counts" do
       for {code, status} <- [{6, :cancelled}, {0, :accepted}, {4, :failed}] do
         {core, _sent} = submit(core(), "gripper", %{action: "grab"})
         {core, _progress} = ack(core, [command: 211, result: 5], 20 * @ms)

@@ -49,7 +49,7 @@ defmodule Aerie.Control.Ftp.ListingTest do
     assert :proper.quickcheck(property, [:quiet, numtests: 2000]) == true, inspect(:proper.counterexample())
   end
 
-  test "text hides no character of ASCII, and nothing that is no such byte" do
+  test "text hides no character of ASCII, and nothing else" do
     assert Name.bytes("/APM/scripts/a.l\\x75a \\x2F \\xe9 \\xE") == "/APM/scripts/a.l\\x75a \\x2F \\xe9 \\xE"
     assert Name.text("C:\\x5C") == "C:\\x5Cx5C"
     assert Name.text("a\\b") == "a\\b"

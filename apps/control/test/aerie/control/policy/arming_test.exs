@@ -14,7 +14,7 @@ defmodule Aerie.Control.Policy.ArmingTest do
 
   defp decide(gateway), do: Arming.decide(gateway, Store.vehicle(gateway, @key), System.os_time(:microsecond))
 
-  test "the policy decides, whoever told it to arm, and it is on record", %{tmp_dir: dir} do
+  test "the policy decides, whatever the source of the command, and it is on record", %{tmp_dir: dir} do
     gateway = start_commands(dir, policy: [takeoff_battery: 0.5])
     # Its battery is not known.
     assert {:deny, :battery, reason} = decide(gateway)

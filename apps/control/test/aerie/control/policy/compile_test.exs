@@ -87,7 +87,7 @@ defmodule Aerie.Control.Policy.CompileTest do
       assert reason =~ "may change to no other one, not to RTL"
     end
 
-    test "what is denied under another name is no way to go" do
+    test "what is denied is denied under another name as well" do
       assert [error] = errors(%{modes: %{denied: ["AUTO_LAND"], transitions: %{"AUTO" => ["AUTO_LAND"]}}})
       assert error =~ "AUTO_LAND, which modes.denied denies"
 

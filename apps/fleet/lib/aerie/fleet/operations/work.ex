@@ -75,7 +75,7 @@ defmodule Aerie.Fleet.Operations.Work do
 
       {:waiting, what} ->
         if now() >= until do
-          failed(:timeout, "not converged in time: #{what}")
+          failed(:timeout, "not converged before the deadline: #{what}")
         else
           Process.sleep(@look_ms)
           converge(gateway, vehicle, wanted, until)

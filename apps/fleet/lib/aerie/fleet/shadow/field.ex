@@ -48,7 +48,7 @@ defmodule Aerie.Fleet.Shadow.Field do
       permission: :telemetry,
       stage: 0,
       check: Param.list(:tags, Param.text(:tag, 64, "a tag"), 32, "tags"),
-      meaning: "Words for people and programs; the vehicle is not told."
+      meaning: "Words for people and programs; nothing is sent to the vehicle."
     },
     %{
       name: "recorder",

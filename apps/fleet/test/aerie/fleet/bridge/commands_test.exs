@@ -103,7 +103,7 @@ defmodule Aerie.Fleet.Bridge.CommandsTest do
   end
 
   @tag policy: [unsigned: :operator]
-  test "policy.unsigned: whoever may publish has that role; headers stand for keys of the body", context do
+  test "policy.unsigned: every publisher has that role; headers stand for keys of the body", context do
     past = "#{System.os_time(:second) - 1}"
 
     assert %{"result" => "expired"} =

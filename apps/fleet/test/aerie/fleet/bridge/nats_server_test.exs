@@ -109,7 +109,7 @@ defmodule Aerie.Fleet.Bridge.NatsServerTest do
   end
 
   describe "its login" do
-    test "whoever does not know it is refused; it is in files for their owner alone, and nowhere else",
+    test "a client without it is refused; it is in files for their owner alone, and nowhere else",
          context do
       %{tmp_dir: dir} = context
 

@@ -66,7 +66,7 @@ defmodule Aerie.Fleet.Bridge.SettingsTest do
   end
 
   describe "streams" do
-    test "differences are texts; defaults that the server fills in are no differences" do
+    test "differences are texts; defaults that the server fills in are not differences" do
       [state, events] = Streams.wanted(Aerie.BridgeCase.settings())
       assert Streams.differences(state, %{state | max_age: 0, allow_rollup_hdrs: nil}) == []
 
@@ -84,7 +84,7 @@ defmodule Aerie.Fleet.Bridge.SettingsTest do
     end
   end
 
-  test "numbers that JSON has no form for are null, bytes that are no text are replaced, structure stays" do
+  test "numbers that JSON has no form for are null, bytes that are not text are replaced, structure stays" do
     data = %{
       a: :nan,
       b: {:nan, 5},

@@ -65,7 +65,7 @@ defmodule Aerie.Fleet.Shadow.DocumentsTest do
       assert Documents.problem(gateway) =~ "its seal does not fit"
     end
 
-    test "an update is refused to whoever lacks a permission, and when too many come", %{tmp_dir: dir} do
+    test "an update is refused without the permission, and when too many come", %{tmp_dir: dir} do
       gateway = make_ref()
       start_supervised!({Store, [gateway: gateway] ++ Aerie.GatewayCase.plugs(%{})})
       start_shadow(gateway, dir)

@@ -121,7 +121,7 @@ defmodule Aerie.Fleet.Shadow.OperationsTest do
   end
 
   @tag policy: [unsigned: :operator]
-  test "policy.unsigned: whoever may publish has that role", context do
+  test "policy.unsigned: every publisher has that role", context do
     assert %{"result" => "ok", "version" => 1} = ask(context, "update", %{"desired" => %{"tags" => ["a"]}})
     assert %{"rule" => "role"} = ask(context, "update", %{"desired" => %{"signing" => true}})
     # A vehicle that is not heard here: a companion will read it.

@@ -42,7 +42,7 @@ defmodule FleetWeb.Console.Fleet.BoardTest do
     assert Board.news(faster, Board.news(faster, nil).seen).rows == []
   end
 
-  test "whoever has seen another board gets all, and who is gone is not among the ids" do
+  test "a page with another board gets all, and vehicles that are gone are not among the ids" do
     board = Board.new() |> put([row("A"), row("B")]) |> put([row("B")])
 
     assert %{ids: ["B"], rows: [%{id: "B"}]} =

@@ -106,7 +106,7 @@ defmodule FleetWeb.Console.Map.TilesTest do
     [{~c"cookie", ~c"#{name}=#{Phoenix.LiveView.Token.sign(secret, "cookie", session)}"}]
   end
 
-  test "the gateway serves them to whoever is signed in, and tells the map", %{tmp_dir: dir} do
+  test "the gateway serves them to signed-in users, and tells the map", %{tmp_dir: dir} do
     path = file(dir, pmtiles())
 
     [console: console] =

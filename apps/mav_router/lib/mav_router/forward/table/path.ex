@@ -5,7 +5,7 @@ defmodule MavRouter.Forward.Table.Path do
   | field | |
   |---|---|
   | `plain` | it has no rules of what goes out: every frame passes |
-  | `commands` | who sends by it counts as a client, whose principal decides (`MavRouter.Forward.Gate`) |
+  | `commands` | its senders count as clients, whose principals decide (`MavRouter.Forward.Gate`) |
   | `local` | only this machine can send by it |
   | `parts` | cameras, gimbals and companions of its vehicles are on it (`MavRouter.Forward.Reach`) |
   | `principal` | who it is, as it proved by a key or by signing in; nil: the policy knows its owner |

@@ -182,7 +182,7 @@ defmodule MavRouter.Link.Serial.Detector do
 
   defp rest(detector), do: %{detector | tier: :rest}
 
-  # Whether a preferred port may still turn out to have a vehicle, too.
+  # Whether a preferred port may still turn out to have a vehicle as well.
   defp wait?(detector, hit, busy, now) do
     before = Enum.take_while(detector.order, &(&1 != hit))
     open? = Enum.any?(before, &(&1 in busy and not Probe.warmed_up?(detector.probes[&1], now)))

@@ -157,7 +157,7 @@ defmodule MavRouter.Link.Serial.UartProcess do
     with :ok <- free(device), do: open_free(device, baud)
   end
 
-  # The creator of a PTY has it open, too, without reading from it.
+  # The creator of a PTY also has it open, without reading from it.
   defp free(device) do
     with {:ok, %File.Stat{type: type, minor_device: number}} <- File.stat(device),
          false <- type == :device and bsr(number, 8) in @pty_majors,
@@ -181,7 +181,7 @@ defmodule MavRouter.Link.Serial.UartProcess do
     end
   end
 
-  # Known only if we may see the other process. Who has the lock counts: a link that is refused, too, or that was just stopped,
+  # Known only if we may see the other process. Who has the lock counts: a link that is refused as well, or that was just stopped,
   # has the port open for a moment.
   defp owner(device) do
     holders = PortOwner.holders(device)

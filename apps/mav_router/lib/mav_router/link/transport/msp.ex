@@ -6,7 +6,7 @@ defmodule MavRouter.Link.Transport.Msp do
   Its MAVLink id is the option `sysid`; without it a number from 100 to 199 that follows from the link's id. The option `share` is a port, or an address with
   one, where other programs speak MSP with it (`MavRouter.Link.Transport.Msp.Share`).
 
-  A recording of the link has what the session was given and wrote, too (`MavCodec.Msp.Trace`), from which `aerie msp` shows the line, and `Msp.Rerun` makes the
+  A recording of the link also has what the session was given and wrote (`MavCodec.Msp.Trace`), from which `aerie msp` shows the line, and `Msp.Rerun` makes the
   same MAVLink frames again.
   """
   @behaviour MavRouter.Link.Transport

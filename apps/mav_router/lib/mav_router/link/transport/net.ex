@@ -107,7 +107,7 @@ defmodule MavRouter.Link.Transport.Net do
 
   @doc "The same for the bytes that the system says it gave, and the system (`:os.type/0`). Pure."
   @spec short(non_neg_integer, {atom, atom}) :: String.t() | nil
-  # Linux says twice what it gave, because its own book-keeping counts, too.
+  # Linux says twice what it gave, because it counts its own book-keeping.
   def short(bytes, {:unix, :linux}) when bytes < 2 * @recbuf do
     "the kernel keeps only #{kib(div(bytes, 2))} KiB of unread datagrams in place of #{kib(@recbuf)} (about " <>
       "#{div(bytes, @datagram_bytes)} small ones), so a burst is lost sooner. Allow more before the start: " <>
@@ -361,7 +361,7 @@ defmodule MavRouter.Link.Transport.Net do
   end
 
   @doc """
-  The same by a process of its own: closing looks through the mailbox of who closes, which is the path of frames in a link's process.
+  The same by a process of its own: closing scans the caller's mailbox, which in a link's process is the path of frames.
   """
   @spec tcp_discard(:gen_tcp.socket()) :: :ok
   def tcp_discard(socket) do

@@ -22,7 +22,7 @@ defmodule MavRouter.Sharing.TransferLock.Turn do
 
   defstruct [:who, :at, open: [], waiting: []]
 
-  @typedoc "Who asks: any term, and its ids; the gateway itself by one of its processes"
+  @typedoc "The asker: any term, and its ids; the gateway itself by one of its processes"
   @type who :: {term, system :: non_neg_integer, component :: 0..255} | {:gateway, pid}
   @typedoc "What is released later: any term"
   @type item :: term

@@ -70,7 +70,7 @@ defmodule MavRouter.Endpoints.Queue.RequestedDataTest do
       if List.first(offsets) == @pieces - 1, do: Enum.reverse(offsets), else: pieces(socket, parser, offsets)
     end
 
-    test "a log of 3 MB arrives whole at a client that reads slower than the vehicle sends; who did not ask is told of its loss",
+    test "a log of 3 MB arrives whole at a client that reads slower than the vehicle sends; another client's loss is counted",
          c do
       # Made before anybody waits: who takes nothing for half a minute is let go.
       chunks =

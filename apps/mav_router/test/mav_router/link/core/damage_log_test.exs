@@ -24,7 +24,7 @@ defmodule MavRouter.Link.Core.DamageLogTest do
     assert {nil, _damage} = DamageLog.check(damage, counted(500, 2, 9), 60_000)
   end
 
-  test "a few bytes between frames are no damage, a stream of them is" do
+  test "a few bytes between frames are not damage, a stream of them is" do
     damage = DamageLog.new(counted(0))
     assert {nil, damage} = DamageLog.check(damage, counted(0, 0, 280), 0)
 

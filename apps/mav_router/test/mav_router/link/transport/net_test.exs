@@ -40,7 +40,7 @@ defmodule MavRouter.Link.Transport.NetTest do
     end
   end
 
-  test "a receive buffer that the system made smaller is told, with what to do about it" do
+  test "a receive buffer that the system made smaller is reported, with what to do about it" do
     text = Net.short(2 * 212_992, {:unix, :linux})
     assert text =~ "only 208 KiB of unread datagrams in place of 2048 (about 512 small ones)"
     assert text =~ "sysctl -w net.core.rmem_max=2097152"

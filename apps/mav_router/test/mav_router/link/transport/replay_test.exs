@@ -64,7 +64,7 @@ defmodule MavRouter.Link.Transport.ReplayTest do
     assert reason =~ "the file ends in the middle of a record"
   end
 
-  describe "times that are none" do
+  describe "impossible times" do
     @times Path.expand("../../../../../mav_codec/test/fixtures/recordings", __DIR__)
 
     for name <- ["clock-set.tlog", "first-zero.tlog"] do

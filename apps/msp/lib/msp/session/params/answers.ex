@@ -1,5 +1,5 @@
 defmodule Msp.Session.Params.Answers do
-  @moduledoc "What a client is told of a parameter: PARAM_VALUE, PARAM_ERROR, and texts."
+  @moduledoc "The answers about a parameter for a client: PARAM_VALUE, PARAM_ERROR, and texts."
 
   alias MavCodec.Messages, as: M
   alias MavCodec.Msp.ShortName

@@ -44,7 +44,7 @@ defmodule Aerie.Vehicle.Collision.OwnerTest do
     assert Owner.others(back, 22 * @second) == ["a"]
   end
 
-  test "a machine that stands still does not hand the id over, whoever is heard first afterwards" do
+  test "a machine that stands still does not hand the id over, whichever is heard first afterwards" do
     owner = heard(Owner.new(), ["a", "b"], 0..1)
     {owner, ["a"], ["b"]} = Owner.decide(owner, ["a"], ["b"], @second)
 

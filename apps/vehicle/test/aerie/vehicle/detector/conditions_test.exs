@@ -227,7 +227,7 @@ defmodule Aerie.Vehicle.Detector.ConditionsTest do
     end
   end
 
-  test "the fence's own failsafe goes with a fence that only texts tell of" do
+  test "the fence's own failsafe goes with a fence that only texts report" do
     {events, detector} =
       see([flying(0), text(1, "Fence breached"), flying(2, mode: "RTL"), {5, :settle, nil}])
 

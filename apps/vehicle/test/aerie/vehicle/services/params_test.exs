@@ -33,7 +33,7 @@ defmodule Aerie.Vehicle.Services.ParamsTest do
     assert {:ok, {"P", 1.0, nil}} = read(:ardupilot, param_value: 1.0, param_type: 9, param_index: 0xFFFF)
   end
 
-  test "PX4's hash, memory garbage in the name, counters and values that are no numbers are ignored" do
+  test "PX4's hash, memory garbage in the name, counters and values that are not numbers are ignored" do
     assert read(:px4, param_id: "_HASH_CHECK", param_type: 5) == :ignore
     assert read(:px4, param_id: <<"NO_S(", 0xFE>>, param_type: 6) == :ignore
     assert read(:px4, param_id: "", param_type: 6) == :ignore

@@ -77,7 +77,7 @@ defmodule Circuits.UART.Core.Receive do
     end
   end
 
-  @doc "Bytes that come before the answer to the flush were received before it, and are dropped, too."
+  @doc "Bytes that come before the answer to the flush were received before it, and are dropped as well."
   @spec flush(State.t(), GenServer.from(), non_neg_integer()) :: State.t()
   def flush(state, from, limit) do
     {_id, state} = State.request(state, {:flush, from}, limit, &Wire.flush/1)

@@ -108,7 +108,7 @@ defmodule Phoenix.LiveView.Cowboy.Socket do
         Channel.event(pid, ref, event, payload)
         {[], state}
 
-      # A message from before the last join, which the client has forgotten, too.
+      # A message from before the last join, which the client has also forgotten.
       %{^topic => _channel} ->
         {[], state}
 

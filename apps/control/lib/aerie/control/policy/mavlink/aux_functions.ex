@@ -47,7 +47,7 @@ defmodule Aerie.Control.Policy.Mavlink.AuxFunctions do
 
   # Motors: emergency stop, interlock, arming by a switch, disarming, the engine. Not in their high position they stop
   # them,
-  # in flight, too.
+  # in flight as well.
   @motors [32, 41, 153, 154, 165, 179]
   @stops [31, 81]
   @parachute [21, 22, 23]

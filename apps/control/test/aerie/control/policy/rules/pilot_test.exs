@@ -130,7 +130,7 @@ defmodule Aerie.Control.Policy.Rules.PilotTest do
     end
   end
 
-  test "logs are erased by a pilot, and by whoever maintains" do
+  test "logs are erased by a pilot, and by a maintainer" do
     assert decide(%M.LogErase{}, role(:pilot)) == :allow
     assert decide(%M.LogErase{}, role(:operator, [:maintain])) == :allow
     assert {:deny, :role, reason} = decide(%M.LogErase{}, role(:operator))

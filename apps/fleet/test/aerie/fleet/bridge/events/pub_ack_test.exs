@@ -21,7 +21,7 @@ defmodule Aerie.Fleet.Bridge.Events.PubAckTest do
     assert {:refused, 7, :not_understood} = parse(7, %{body: "[]"})
   end
 
-  test "other messages are no answers" do
+  test "other messages are not answers" do
     assert parse("x", %{}) == :other
     assert parse("1x", %{}) == :other
     assert PubAck.parse(%{topic: "other.1", body: ""}, @inbox) == :other

@@ -88,7 +88,7 @@ defmodule MavRouter.Link.Transport.Msp.Share do
   # Beyond its limits, or the acceptor has ended with the link.
   defp event(_other, share), do: {[], share}
 
-  # Of a connection that was dropped.
+  # The connection was dropped.
   defp read(nil, _id, _bytes, share), do: {[], share}
 
   defp read(:new, id, bytes, share) do

@@ -15,7 +15,7 @@ defmodule MavRouter.Link.Transport.Net.Backlog do
   only the time in which it passed on those it had counts. A pace of what was kept, or of what came, would feed on its
   own result. At least one datagram of a read is kept.
 
-  It is fair to senders (`MavRouter.Link.Transport.Net.Senders`). Of the datagrams read at a time, those are kept first
+  It is fair to senders (`MavRouter.Link.Transport.Net.Senders`). It first keeps those of the datagrams read at a time
   whose senders had been heard for a minute when the overload began, then those of senders heard for five seconds, then
   those of new ones: hundreds of strangers take nothing from a vehicle that was there before. Among equals each sender
   keeps as many as the others that have so many, its newest.

@@ -16,7 +16,7 @@ defmodule MavRouter.Link.Transport.Net.Gathering do
 
   defstruct since: nil, reads: 0, datagrams: 0, changes: 0, last: nil, on?: false
 
-  @typedoc "Of the window that began at `since` (monotonic ms): reads, datagrams, and how often the sender changed; `last`: the last one"
+  @typedoc "About the window that began at `since` (monotonic ms): reads, datagrams, and how often the sender changed; `last`: the last one"
   @type t :: %__MODULE__{
           since: integer | nil,
           reads: non_neg_integer,

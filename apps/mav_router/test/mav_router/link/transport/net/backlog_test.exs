@@ -187,7 +187,7 @@ defmodule MavRouter.Link.Transport.Net.BacklogTest do
            inspect(:proper.counterexample())
   end
 
-  test "a burst every second is no overload, though more than wait otherwise" do
+  test "a burst every second is not an overload, though more than wait otherwise" do
     backlog = Enum.reduce(1..30, Backlog.new(), &(&2 |> read(&1 * 1_000, 120, 120) |> elem(1)))
     assert {120, backlog} = read(backlog, 31_000, 120, 120)
     assert backlog.strained == nil

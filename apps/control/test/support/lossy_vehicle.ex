@@ -10,8 +10,8 @@ defmodule Aerie.LossyVehicle do
 
   import Bitwise
 
-  alias Aerie.Vehicle.{Command, Protocol}
-  alias Aerie.Vehicle.Protocol.Modes
+  alias Aerie.Vehicle.{Command, Firmware, Protocol}
+  alias Aerie.Vehicle.Firmware.Modes
   alias Aerie.Control.CommandExecutor.Core
   alias MavCodec.Messages, as: M
 
@@ -441,7 +441,7 @@ defmodule Aerie.LossyVehicle do
         home: vehicle.home || %{lat: 0.0, lon: 0.0, alt_msl: 0.0}
     }
 
-    case Protocol.plan(Protocol.of(vehicle.autopilot), command, able) do
+    case Protocol.plan(Firmware.of(vehicle.autopilot), command, able) do
       {:ok, steps} -> {:ok, steps}
       {_gap_or_error, _reason} -> {:ok, [%Protocol.Step{key: :none, forms: [{:long, 0, []}]}]}
     end

@@ -5,7 +5,7 @@ defmodule Aerie.LossyPlans do
   writes down each plan that it ever had.
   """
 
-  alias Aerie.Vehicle.Protocol
+  alias Aerie.Vehicle.Firmware
   alias Protocols.Mission.{Item, Reply, Transfer, Upload}
   alias MavCodec.Messages, as: M
 
@@ -50,7 +50,7 @@ defmodule Aerie.LossyPlans do
   def start(world, op, type \\ 0, options \\ []) do
     {:ok, transfer} =
       Transfer.new(op, type,
-        protocol: Protocol.of(world.style),
+        protocol: Firmware.of(world.style),
         kind: "copter",
         target: @vehicle,
         us: @us,

@@ -154,7 +154,7 @@ defmodule Aerie.Control.CommandExecutor do
 
       %{autopilot: autopilot} = snapshot ->
         us = {state.options.own_system, state.options.own_component}
-        protocol = Aerie.Vehicle.Protocol.of(autopilot)
+        protocol = Aerie.Vehicle.Firmware.of(autopilot)
         known? = state.core != nil and state.core.protocol == protocol
         core = if known?, do: state.core, else: Core.new(Observed.vehicle(snapshot, us))
         {:ok, observe(%{state | core: core}, snapshot, %{})}

@@ -16,7 +16,7 @@ defmodule Aerie.Control.Missions do
   alias Aerie.Base.Names
   alias Aerie.Control.{Commands, Transfers}
   alias Protocols.Mission
-  alias Aerie.Vehicle.Protocol
+  alias Aerie.Vehicle.Firmware
   alias Aerie.Vehicle.Command.{Error, Result}
   alias Aerie.Control.Mission.{Known, OwnFence}
   alias Protocols.Mission.{Item, Onboard, Plan, Transfer}
@@ -54,7 +54,7 @@ defmodule Aerie.Control.Missions do
 
   @doc "Why the firmware of a vehicle has no plans of this kind; nil if it has, or may have."
   @spec gap(vehicle :: map(), kind()) :: String.t() | nil
-  def gap(%{autopilot: autopilot}, kind), do: Protocol.of(autopilot).plan_gap(@kinds[kind], autopilot)
+  def gap(%{autopilot: autopilot}, kind), do: Firmware.of(autopilot).plan_gap(@kinds[kind], autopilot)
 
   @doc "Reads a kind of plan from the vehicle."
   @spec download(Names.gateway(), vehicle :: String.t(), kind(), [Transfers.option()]) ::
@@ -214,7 +214,7 @@ defmodule Aerie.Control.Missions do
   defp removing(gateway, snapshot, kind) do
     case Transfers.read(gateway, snapshot, transfer(:download, @kinds[kind], snapshot.vehicle_type), []) do
       {{:ok, %{items: items}}, nil} ->
-        removed = contents(items, kind, Protocol.of(snapshot.autopilot))
+        removed = contents(items, kind, Firmware.of(snapshot.autopilot))
 
         fn
           %{status: :completed} = result -> put_in(result.details["removed"], removed)
@@ -365,8 +365,8 @@ defmodule Aerie.Control.Missions do
 
   defp protocol(gateway, vehicle) do
     case RemoteGateway.vehicle(gateway, vehicle) do
-      nil -> Protocol.of(:generic)
-      snapshot -> Protocol.of(snapshot.autopilot)
+      nil -> Firmware.of(:generic)
+      snapshot -> Firmware.of(snapshot.autopilot)
     end
   end
 end

@@ -13,7 +13,7 @@ defmodule Aerie.Control.TransferExecutor do
   import Aerie.Vehicle.CoreProcess, only: [now: 0]
 
   alias Aerie.Base.{Names, Store}
-  alias Aerie.Vehicle.Protocol
+  alias Aerie.Vehicle.Firmware
   alias MavRouter.Sharing.TransferLock
   alias Aerie.Vehicle.CoreProcess
   alias Aerie.Control.TransferExecutor.{Core, Job}
@@ -188,7 +188,7 @@ defmodule Aerie.Control.TransferExecutor do
            target: {state.options.system_id, snapshot.component || 1},
            us: {state.options.own_system, state.options.own_component},
            version: snapshot[:mavlink_version] || 2,
-           protocol: Protocol.of(snapshot.autopilot),
+           protocol: Firmware.of(snapshot.autopilot),
            autopilot: snapshot.autopilot,
            capabilities: snapshot[:capabilities],
            rtt_us: get_in(snapshot, [:clock, :rtt_us]),

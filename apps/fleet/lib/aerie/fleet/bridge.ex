@@ -17,7 +17,7 @@ defmodule Aerie.Fleet.Bridge do
   | `[:aerie, :bridge, :events, :confirmed]` | `count` | `gateway` |
   """
 
-  @behaviour Aerie.Vehicle.Publisher
+  @behaviour Aerie.Vehicle.Session.Publisher
 
   alias Aerie.Fleet.Bridge.{LastPublished, Metrics, State, Tables, Token}
   alias Aerie.Base.{Names, Store}
@@ -54,14 +54,14 @@ defmodule Aerie.Fleet.Bridge do
   `map` is the group as in the vehicle's snapshot (`%{data: …, time_boot_ms: …}`) or just its data; `at` is in unix
   microseconds. Without a bridge it does nothing.
   """
-  @impl Aerie.Vehicle.Publisher
+  @impl Aerie.Vehicle.Session.Publisher
   @spec publish_state(Names.gateway(), String.t(), atom(), map(), integer()) :: :ok
   defdelegate publish_state(gateway, vehicle, group, map, at), to: State, as: :put
 
   @doc """
   The vehicle's state as last published before the gateway was restarted (`Aerie.Fleet.Bridge.LastPublished`), or nil.
   """
-  @impl Aerie.Vehicle.Publisher
+  @impl Aerie.Vehicle.Session.Publisher
   @spec remembered(Names.gateway(), String.t()) :: Aerie.Vehicle.Detector.OfflineChanges.t()
   defdelegate remembered(gateway, vehicle), to: LastPublished, as: :of
 

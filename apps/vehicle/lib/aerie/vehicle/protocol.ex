@@ -1,7 +1,7 @@
 defmodule Aerie.Vehicle.Protocol do
   @moduledoc """
   The behaviour of an adapter to a firmware. It turns a command into steps, steps into messages, and messages into answers;
-  everything that depends on the firmware is in its adapter. `Aerie.Vehicle.Protocol.Ardupilot` and `Aerie.Vehicle.Protocol.Px4`
+  everything that depends on the firmware is in its adapter. `Aerie.Vehicle.Firmware.Ardupilot` and `Aerie.Vehicle.Firmware.Px4`
   share `Aerie.Vehicle.Protocol.Mavlink`; the behaviour itself does not depend on MAVLink, so another protocol fits. What
   transfers of plans need is in `Protocols.Mission.Firmware`, which each adapter implements as well.
 
@@ -74,13 +74,6 @@ defmodule Aerie.Vehicle.Protocol do
 
   @doc "Whether set-points must come before the vehicle does this (X7)."
   @callback setpoints_first?(Command.t(), Vehicle.t()) :: boolean()
-
-  @doc "The adapter of a firmware."
-  @spec of(Aerie.Vehicle.Kind.autopilot()) :: module()
-  def of(:ardupilot), do: Aerie.Vehicle.Protocol.Ardupilot
-  def of(:px4), do: Aerie.Vehicle.Protocol.Px4
-  def of(msp) when msp in [:betaflight, :inav], do: Aerie.Vehicle.Protocol.Msp
-  def of(:generic), do: Aerie.Vehicle.Protocol.Unknown
 
   @doc "The steps of a command, or why there are none: `:gap` is permanent, `:error` temporary."
   @spec plan(module(), Command.t(), Vehicle.t()) :: {:ok, plan()} | {:gap, String.t()} | {:error, String.t()}

@@ -125,7 +125,7 @@ defmodule Aerie.Vehicle.Settings do
     %{settings | identity: MavRouter.Identity.resolve(settings.identity, gateway)}
   end
 
-  @doc "The gateway's `Aerie.Vehicle.Publisher`, or nil."
+  @doc "The gateway's `Aerie.Vehicle.Session.Publisher`, or nil."
   @spec publisher(Names.gateway()) :: module() | nil
   def publisher(gateway), do: plug(gateway, :publisher)
 

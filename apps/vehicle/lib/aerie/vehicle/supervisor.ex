@@ -21,7 +21,7 @@ defmodule Aerie.Vehicle.Supervisor do
   alias MavRouter.Identity
 
   @doc """
-  Options: `:gateway`, `:settings`, `:publisher` (the module of `Aerie.Vehicle.Publisher`; none when absent), `:loops` (modules
+  Options: `:gateway`, `:settings`, `:publisher` (the module of `Aerie.Vehicle.Session.Publisher`; none when absent), `:loops` (modules
   of further processes of each vehicle's tree, which are linked to the others; none when absent), `:arming` (the module of
   `Aerie.Vehicle.ArmAuthorization`; without one no vehicle that asks may arm).
   """

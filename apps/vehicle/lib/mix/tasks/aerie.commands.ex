@@ -13,7 +13,7 @@ defmodule Mix.Tasks.Aerie.Commands do
   @doc "The page as it is to be."
   @spec page() :: String.t()
   def page do
-    sections = Map.merge(Aerie.Vehicle.Command.Page.sections(), Aerie.Vehicle.Protocol.Page.sections())
+    sections = Map.merge(Aerie.Vehicle.Command.Page.sections(), Aerie.Vehicle.Firmware.Page.sections())
     Aerie.Vehicle.Command.Page.renew(File.read!(@page), sections)
   end
 

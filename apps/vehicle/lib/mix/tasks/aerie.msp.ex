@@ -13,7 +13,7 @@ defmodule Mix.Tasks.Aerie.Msp do
 
   @doc "The page as it is to be."
   @spec page() :: String.t()
-  def page, do: Page.renew(File.read!(@page), Aerie.Vehicle.Protocol.Msp.Page.sections())
+  def page, do: Page.renew(File.read!(@page), Aerie.Vehicle.Firmware.Msp.Page.sections())
 
   @impl Mix.Task
   def run(_args) do

@@ -4,16 +4,16 @@ defmodule Aerie.Vehicle.ProtocolTest do
   import Aerie.CommandSamples
 
   alias Aerie.Vehicle.Command.Types
-  alias Aerie.Vehicle.Protocol
+  alias Aerie.Vehicle.{Firmware, Protocol}
   alias Aerie.Vehicle.Protocol.{Condition, Step, Vehicle}
   alias MavCodec.Enums.MavCmd
   alias MavCodec.Messages, as: M
 
-  @kinds Protocol.Page.kinds()
-  @adapters [ardupilot: Protocol.Ardupilot, px4: Protocol.Px4, betaflight: Protocol.Msp, inav: Protocol.Msp]
+  @kinds Firmware.Page.kinds()
+  @adapters [ardupilot: Firmware.Ardupilot, px4: Firmware.Px4, betaflight: Firmware.Msp, inav: Firmware.Msp]
 
   defp steps(autopilot, name, params, more \\ %{}) do
-    Protocol.plan(Protocol.of(autopilot), command(name, params), vehicle(autopilot, more))
+    Protocol.plan(Firmware.of(autopilot), command(name, params), vehicle(autopilot, more))
   end
 
   defp first(autopilot, name, params \\ %{}, more \\ %{}) do
@@ -23,7 +23,7 @@ defmodule Aerie.Vehicle.ProtocolTest do
 
   defp message(autopilot, name, params, more \\ %{}) do
     {:ok, steps} = steps(autopilot, name, params, more)
-    [message] = Protocol.of(autopilot).encode(List.last(steps), 0, vehicle(autopilot, more))
+    [message] = Firmware.of(autopilot).encode(List.last(steps), 0, vehicle(autopilot, more))
     message
   end
 
@@ -88,11 +88,11 @@ defmodule Aerie.Vehicle.ProtocolTest do
     assert {:gap, "ArduPlane takes off" <> _} = steps(:ardupilot, "takeoff", %{altitude: 5}, %{kind: "plane"})
 
     assert {:gap, "Aerie knows how" <> _} =
-             Protocol.plan(Protocol.Unknown, command("arm"), vehicle(:ardupilot))
+             Protocol.plan(Firmware.Unknown, command("arm"), vehicle(:ardupilot))
   end
 
   test "a gap may be of a firmware, of a kind of vehicle, or of a parameter's value" do
-    gap = fn autopilot, name, kind -> Protocol.of(autopilot).gap(name, kind, autopilot) end
+    gap = fn autopilot, name, kind -> Firmware.of(autopilot).gap(name, kind, autopilot) end
 
     assert [nil, nil, "ArduPilot has no" <> _] =
              for(name <- ~w(arm relay actuator), do: gap.(:ardupilot, name, "copter"))
@@ -199,8 +199,8 @@ defmodule Aerie.Vehicle.ProtocolTest do
 
   test "COMMAND_LONG counts its repetitions (C1)" do
     vehicle = vehicle(:px4)
-    assert [%{confirmation: 2}] = Protocol.Px4.encode(first(:px4, "disarm"), 2, vehicle)
-    assert [%{confirmation: 255}] = Protocol.Px4.encode(first(:px4, "disarm"), 300, vehicle)
+    assert [%{confirmation: 2}] = Firmware.Px4.encode(first(:px4, "disarm"), 2, vehicle)
+    assert [%{confirmation: 255}] = Firmware.Px4.encode(first(:px4, "disarm"), 300, vehicle)
   end
 
   test "a gimbal's commands are for the component that manages it, or the one that is named" do
@@ -221,7 +221,7 @@ defmodule Aerie.Vehicle.ProtocolTest do
     end
   end
 
-  defp ack(step, fields, source \\ {1, 1}, protocol \\ Protocol.Ardupilot) do
+  defp ack(step, fields, source \\ {1, 1}, protocol \\ Firmware.Ardupilot) do
     [message] = protocol.encode(step, 0, vehicle(:ardupilot))
     protocol.read(step, struct!(%M.CommandAck{command: message.command}, fields), source, vehicle(:ardupilot))
   end
@@ -236,8 +236,8 @@ defmodule Aerie.Vehicle.ProtocolTest do
     assert ack(arm, [], {1, 100}) == :ignore
     assert ack(arm, [], {2, 1}) == :ignore
     camera = first(:px4, "camera_photo")
-    assert ack(camera, [], {1, 100}, Protocol.Px4) == :accepted
-    assert ack(camera, [], {1, 1}, Protocol.Px4) == :ignore
+    assert ack(camera, [], {1, 100}, Firmware.Px4) == :accepted
+    assert ack(camera, [], {1, 1}, Firmware.Px4) == :ignore
   end
 
   test "each result of an acknowledgement" do
@@ -259,14 +259,14 @@ defmodule Aerie.Vehicle.ProtocolTest do
     assert {:instead, long} = ack(goto, result: 7)
 
     assert [%M.CommandLong{command: 192, param5: 1.5, param6: 2.0, param7: 20.0}] =
-             Protocol.Ardupilot.encode(long, 0, vehicle(:ardupilot))
+             Firmware.Ardupilot.encode(long, 0, vehicle(:ardupilot))
 
     assert {:refused, :rejected, _reason} = ack(long, result: 8)
 
     # Another frame, with the height that belongs to it.
     assert {:instead, amsl} = ack(goto, result: 9)
 
-    assert [%M.CommandInt{frame: 5, z: 509.566}] = Protocol.Ardupilot.encode(amsl, 0, vehicle(:ardupilot))
+    assert [%M.CommandInt{frame: 5, z: 509.566}] = Firmware.Ardupilot.encode(amsl, 0, vehicle(:ardupilot))
     assert {:refused, :rejected, _reason} = ack(amsl, result: 9)
     assert {:refused, :rejected, _reason} = ack(amsl, result: 7)
 
@@ -274,14 +274,14 @@ defmodule Aerie.Vehicle.ProtocolTest do
     assert {:instead, int} = ack(arm, result: 8)
 
     assert [%M.CommandInt{command: 400, param1: 1.0, x: 0, y: 0}] =
-             Protocol.Ardupilot.encode(int, 0, vehicle(:ardupilot))
+             Firmware.Ardupilot.encode(int, 0, vehicle(:ardupilot))
 
     assert {:refused, :rejected, _reason} = ack(int, result: 9)
   end
 
   test "PX4 takes the channels of an override as a whole, and gets them so; 0 would not give them back" do
     override = first(:px4, "rc_override", %{channels: [1500, 1500, 1000, 1500], hold: 1})
-    assert [] = Protocol.Px4.release(override, vehicle(:px4))
+    assert [] = Firmware.Px4.release(override, vehicle(:px4))
 
     for channels <- [[1500], [1500, 1500, 1000], [0, 0, 0, 0, 0, 0, 2000], [1500, 0, 1000, 1500]] do
       assert {:error, reason} = steps(:px4, "rc_override", %{channels: channels})
@@ -295,21 +295,21 @@ defmodule Aerie.Vehicle.ProtocolTest do
     velocity = first(:ardupilot, "setpoint_velocity", %{vx: 1, vy: 0, vz: 0})
     assert override.key == velocity.key
     assert %{hz: 20, ms: 2000} = override.stream
-    assert [message] = Protocol.Ardupilot.encode(override, 0, vehicle(:ardupilot))
+    assert [message] = Firmware.Ardupilot.encode(override, 0, vehicle(:ardupilot))
 
     assert %M.RcChannelsOverride{chan1_raw: 1500, chan2_raw: 65_535, chan8_raw: 65_535, chan9_raw: 0} =
              message
 
-    assert [released] = Protocol.Ardupilot.release(override, vehicle(:ardupilot))
+    assert [released] = Firmware.Ardupilot.release(override, vehicle(:ardupilot))
     assert %M.RcChannelsOverride{chan1_raw: 0, chan2_raw: 65_535, chan9_raw: 0} = released
-    assert [] = Protocol.Ardupilot.release(velocity, vehicle(:ardupilot))
+    assert [] = Firmware.Ardupilot.release(velocity, vehicle(:ardupilot))
     level = first(:px4, "setpoint_attitude", %{roll: 0, pitch: 0, yaw: 0, thrust: 0.5})
 
     assert [%M.SetAttitudeTarget{q: [1.0, +0.0, +0.0, +0.0], type_mask: 7}] =
-             Protocol.Px4.encode(level, 0, vehicle(:px4))
+             Firmware.Px4.encode(level, 0, vehicle(:px4))
 
     assert [%M.ManualControl{target: 1, x: 500, z: 0}] =
-             Protocol.Px4.encode(first(:px4, "manual_control", %{pitch: 0.5}), 0, vehicle(:px4))
+             Firmware.Px4.encode(first(:px4, "manual_control", %{pitch: 0.5}), 0, vehicle(:px4))
   end
 
   test "what a take-off would be refused for after its first step is known before it" do
@@ -342,7 +342,7 @@ defmodule Aerie.Vehicle.ProtocolTest do
     assert {:any, [{:mode, modes}, {:in_air, false}]} = first(:px4, "land").confirm
     assert "AUTO_DESCEND" in modes
     jump = first(:px4, "mission_set_current", %{seq: 99})
-    read = &Protocol.of(:px4).read(jump, %M.Statustext{text: &1}, {1, 1}, vehicle(:px4))
+    read = &Firmware.of(:px4).read(jump, %M.Statustext{text: &1}, {1, 1}, vehicle(:px4))
     assert {:refused, :rejected, reason} = read.("WPM: WP CURR CMD: Not in list")
     assert reason =~ "Not in list"
     assert read.("Mission: 3 WP") == :ignore
@@ -350,7 +350,7 @@ defmodule Aerie.Vehicle.ProtocolTest do
 
   test "prompts of a calibration, as PX4 and ArduPilot give them" do
     read = fn autopilot, step, message ->
-      Protocol.of(autopilot).read(step, message, {1, 1}, vehicle(autopilot))
+      Firmware.of(autopilot).read(step, message, {1, 1}, vehicle(autopilot))
     end
 
     text = fn text -> %M.Statustext{text: text} end
@@ -378,14 +378,14 @@ defmodule Aerie.Vehicle.ProtocolTest do
 
     assert read.(:ardupilot, magnetometer, %M.MagCalReport{cal_status: 4}) == :done
     assert {:failed, _text} = read.(:ardupilot, magnetometer, %M.MagCalReport{cal_status: 5})
-    assert Enum.sort(Protocol.Ardupilot.listens(magnetometer)) == [77, 191, 192]
+    assert Enum.sort(Firmware.Ardupilot.listens(magnetometer)) == [77, 191, 192]
   end
 
   test "a message that was asked for is the end of asking" do
     step = first(:px4, "request_message", %{message_id: 148})
-    assert Enum.sort(Protocol.Px4.listens(step)) == [77, 148]
-    assert Protocol.Px4.read(step, %M.AutopilotVersion{}, {1, 1}, vehicle(:px4)) == :done
-    assert Protocol.Px4.read(step, %M.Heartbeat{}, {1, 1}, vehicle(:px4)) == :ignore
+    assert Enum.sort(Firmware.Px4.listens(step)) == [77, 148]
+    assert Firmware.Px4.read(step, %M.AutopilotVersion{}, {1, 1}, vehicle(:px4)) == :done
+    assert Firmware.Px4.read(step, %M.Heartbeat{}, {1, 1}, vehicle(:px4)) == :ignore
   end
 
   test "conditions" do
@@ -415,7 +415,7 @@ defmodule Aerie.Vehicle.ProtocolTest do
   end
 
   test "parameters and missions" do
-    assert {:c_cast, true} = {Protocol.Ardupilot.param_encoding(), Protocol.Ardupilot.home_is_item_0?()}
-    assert {:bytewise, false} = {Protocol.Px4.param_encoding(), Protocol.Px4.home_is_item_0?()}
+    assert {:c_cast, true} = {Firmware.Ardupilot.param_encoding(), Firmware.Ardupilot.home_is_item_0?()}
+    assert {:bytewise, false} = {Firmware.Px4.param_encoding(), Firmware.Px4.home_is_item_0?()}
   end
 end

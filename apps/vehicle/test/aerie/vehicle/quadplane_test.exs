@@ -8,7 +8,7 @@ defmodule Aerie.Vehicle.QuadplaneTest do
   import Aerie.Flight, only: [frame: 2, frames: 1, run: 1]
 
   alias Aerie.Vehicle.Protocol
-  alias Aerie.Vehicle.Protocol.Ardupilot
+  alias Aerie.Vehicle.Firmware.Ardupilot
   alias MavCodec.Messages, as: M
 
   @second 1_000_000

@@ -2,7 +2,7 @@ defmodule Protocols.Mission.TransferTest do
   use ExUnit.Case, async: true
 
   alias Aerie.LossyPlans
-  alias Aerie.Vehicle.Protocol
+  alias Aerie.Vehicle.Firmware
   alias Protocols.Mission.{Item, Transfer}
   alias MavCodec.Messages, as: M
 
@@ -28,7 +28,7 @@ defmodule Protocols.Mission.TransferTest do
         op,
         type,
         Keyword.merge(
-          [protocol: Protocol.of(style), kind: "copter", target: @vehicle, us: @us, until: 60_000_000],
+          [protocol: Firmware.of(style), kind: "copter", target: @vehicle, us: @us, until: 60_000_000],
           options
         )
       )
@@ -261,7 +261,7 @@ defmodule Protocols.Mission.TransferTest do
     end
 
     test "a warning is not a rejection" do
-      assert Protocol.Px4.plan_verdict(%M.Event{id: 22_091_529, log_levels: 0x64}, 0, 1) == :ignore
+      assert Firmware.Px4.plan_verdict(%M.Event{id: 22_091_529, log_levels: 0x64}, 0, 1) == :ignore
     end
   end
 
@@ -292,7 +292,7 @@ defmodule Protocols.Mission.TransferTest do
 
       {:ok, late} =
         Transfer.new(:download, 0,
-          protocol: Protocol.Px4,
+          protocol: Firmware.Px4,
           kind: "copter",
           target: @vehicle,
           us: @us,
@@ -312,7 +312,7 @@ defmodule Protocols.Mission.TransferTest do
     test "a plan has a limit" do
       assert {:error, "the plan has 5001 items; at most 5000" <> _} =
                Transfer.new({:upload, items(5001)}, 0,
-                 protocol: Protocol.Px4,
+                 protocol: Firmware.Px4,
                  kind: "copter",
                  target: @vehicle,
                  us: @us,

@@ -29,7 +29,7 @@ defmodule Aerie.Control.CommandExecutor.Core do
     * `{:not_cancelled, id, reason}`
   """
 
-  alias Aerie.Vehicle.{Command, Protocol}
+  alias Aerie.Vehicle.{Command, Firmware, Protocol}
   alias Aerie.Vehicle.Command.Result
   alias Aerie.Vehicle.Protocol.Mavlink.Version
   alias Aerie.Vehicle.Protocol.Vehicle
@@ -86,7 +86,7 @@ defmodule Aerie.Control.CommandExecutor.Core do
 
   @doc "An executor for a vehicle."
   @spec new(Vehicle.t()) :: t()
-  def new(vehicle), do: %__MODULE__{protocol: Protocol.of(vehicle.autopilot), vehicle: vehicle}
+  def new(vehicle), do: %__MODULE__{protocol: Firmware.of(vehicle.autopilot), vehicle: vehicle}
 
   @doc "How many commands are being carried out or wait."
   @spec size(t()) :: non_neg_integer()

@@ -6,7 +6,7 @@ defmodule Aerie.Control.CommandExecutor.Offers do
   alias Aerie.Control.CommandExecutor.Observed
   alias Aerie.Control.Policy.{Context, Intent, Roles}
   alias Aerie.Control.Policy.Rules.Role
-  alias Aerie.Vehicle.{Command, Protocol}
+  alias Aerie.Vehicle.{Command, Firmware, Protocol}
   alias Aerie.Vehicle.Command.Type
 
   # Fences and limits ask for permissions by what a command says, not by its type.
@@ -24,7 +24,7 @@ defmodule Aerie.Control.CommandExecutor.Offers do
   """
   @spec lacks(vehicle :: map(), type :: String.t(), Roles.source(), params :: map()) :: lack() | nil
   def lacks(%{autopilot: autopilot} = snapshot, type, source, params \\ %{}) do
-    with nil <- Protocol.of(autopilot).gap(type, snapshot.vehicle_type, autopilot),
+    with nil <- Firmware.of(autopilot).gap(type, snapshot.vehicle_type, autopilot),
          nil <- gap(snapshot, Command.new(vehicle: snapshot.id, type: type, params: params)),
          context = Context.seen(snapshot, nil, source, System.os_time(:microsecond)),
          nil <- Role.lacking(@unlimited, Intent.named(type), context) do
@@ -47,5 +47,5 @@ defmodule Aerie.Control.CommandExecutor.Offers do
   def plan(_command, %{via: via}) when via != nil, do: {:ok, []}
 
   def plan(command, snapshot),
-    do: Protocol.plan(Protocol.of(snapshot.autopilot), command, Observed.vehicle(snapshot, {1, 1}))
+    do: Protocol.plan(Firmware.of(snapshot.autopilot), command, Observed.vehicle(snapshot, {1, 1}))
 end

@@ -8,7 +8,7 @@ defmodule Aerie.Control.Commands.OffboardPrecondition do
   """
 
   alias Aerie.Base.Names
-  alias Aerie.Vehicle.{Command, Protocol}
+  alias Aerie.Vehicle.{Command, Firmware}
   alias Aerie.Control.Policy.RecentCommands
   alias Aerie.Control.CommandExecutor.Observed
 
@@ -19,7 +19,7 @@ defmodule Aerie.Control.Commands.OffboardPrecondition do
   def check(_gateway, %{params: %{setpoints_elsewhere: true}}, _snapshot), do: :ok
 
   def check(gateway, command, snapshot) do
-    if Protocol.of(snapshot.autopilot).setpoints_first?(command, Observed.vehicle(snapshot, {1, 1})),
+    if Firmware.of(snapshot.autopilot).setpoints_first?(command, Observed.vehicle(snapshot, {1, 1})),
       do: check_stream(RecentCommands.setpoints_ms(gateway, command.vehicle)),
       else: :ok
   end

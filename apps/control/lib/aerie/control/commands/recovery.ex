@@ -10,7 +10,7 @@ defmodule Aerie.Control.Commands.Recovery do
 
   alias Aerie.Base.{Names, Store}
   alias Aerie.Control.Ledger
-  alias Aerie.Vehicle.{Command, Protocol}
+  alias Aerie.Vehicle.{Command, Firmware, Protocol}
   alias Aerie.Vehicle.Command.Result
   alias Aerie.Control.Commands.Record
   alias Aerie.Vehicle.Protocol.Condition
@@ -35,7 +35,7 @@ defmodule Aerie.Control.Commands.Recovery do
   def evaluate(command, snapshot) do
     vehicle = Observed.vehicle(snapshot, {1, 1})
 
-    with {:ok, steps} <- Protocol.plan(Protocol.of(snapshot.autopilot), command, vehicle),
+    with {:ok, steps} <- Protocol.plan(Firmware.of(snapshot.autopilot), command, vehicle),
          condition when condition not in [nil, :told] <- List.last(steps).confirm,
          # How often it had booted before, died with the earlier gateway.
          false <- match?({:booted, _count}, condition) do

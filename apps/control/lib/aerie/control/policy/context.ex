@@ -5,7 +5,7 @@ defmodule Aerie.Control.Policy.Context do
 
   alias Aerie.Base.Names
   alias Aerie.Control.Policy.{Lease, Leases, Roles}
-  alias Aerie.Vehicle.Protocol.Modes
+  alias Aerie.Vehicle.Firmware.Modes
 
   defstruct [:source, :now, :lease, :position, :home, :origin, :armed, :in_air, :mode, :battery, :autopilot] ++
               [:vehicle_type, datums: [], params: %{}, standard_modes: %{}, mode_names: %{}]

@@ -27,7 +27,7 @@ defmodule Aerie.Control.Policy.Mavlink do
 
   alias MavCodec.Meaning
   alias Aerie.Vehicle.Command.{Type, Types}
-  alias Aerie.Vehicle.Protocol
+  alias Aerie.Vehicle.Firmware
   alias Aerie.Control.Policy.Intent
   alias Aerie.Control.Policy.Mavlink.{Commands, Place, Request, Setpoints, Sticks, SystemId, Wording}
   alias MavCodec.Enums.{MavCmd, MavFtpOpcode, MavMissionType, MavParamType, MavRemoteLogDataBlockCommands}
@@ -114,7 +114,7 @@ defmodule Aerie.Control.Policy.Mavlink do
 
   defp asked(%{param_type: type, param_value: wire}, autopilot)
        when autopilot in [:ardupilot, :px4, :betaflight, :inav] do
-    case ParamValue.asked(wire, type, Protocol.of(autopilot).param_encoding()) do
+    case ParamValue.asked(wire, type, Firmware.of(autopilot).param_encoding()) do
       {:ok, value} -> value
       {:error, _why} -> nil
     end

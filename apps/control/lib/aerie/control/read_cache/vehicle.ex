@@ -9,7 +9,7 @@ defmodule Aerie.Control.ReadCache.Vehicle do
   alias Aerie.Control.{Missions, Params, ReadCache}
   alias Aerie.Control.Policy.Mavlink.Writing.Aboard
   alias Protocols.Mission
-  alias Aerie.Vehicle.Protocol
+  alias Aerie.Vehicle.Firmware
   alias MavCodec.Ftp.Packet
   alias MavCodec.Messages, as: M
 
@@ -178,7 +178,7 @@ defmodule Aerie.Control.ReadCache.Vehicle do
   end
 
   defp begun(%{vehicle: %{autopilot: autopilot}} = state) do
-    protocol = Protocol.of(autopilot)
+    protocol = Firmware.of(autopilot)
     for type <- Map.keys(@kinds), do: Aboard.put(state.gateway, state.key, type, :read, nil)
     # A new fence is compared with it, for those without the permission to take it away.
     if autopilot in @fenced, do: GenServer.cast(self(), {:learn, @fence})

@@ -6,7 +6,7 @@ defmodule Aerie.Control.Mission.KnownTest do
   alias Aerie.Control.Policy.Mavlink.Writing.Aboard
   alias Aerie.Control.Policy.Roles
   alias Protocols.Mission.{Item, Onboard, Plan}
-  alias Aerie.Vehicle.Protocol
+  alias Aerie.Vehicle.Firmware
   alias MavCodec.Messages, as: M
   alias MavRouter.{Client, Link}
 
@@ -40,7 +40,7 @@ defmodule Aerie.Control.Mission.KnownTest do
 
   # As ground stations do it: the items that are asked for, up to the acknowledgement.
   defp write(socket, plan) do
-    items = Onboard.items(plan, @fence, Protocol.of(:ardupilot))
+    items = Onboard.items(plan, @fence, Firmware.of(:ardupilot))
 
     say(socket, %M.MissionCount{
       target_system: 1,

@@ -5,7 +5,7 @@ defmodule Aerie.Control.Policy.CompileTest do
   alias Aerie.Vehicle.Command.Types
   alias Aerie.Control.Policy
   alias Aerie.Control.Policy.{Context, Intent, Rate, Roles}
-  alias Aerie.Vehicle.Protocol.Modes
+  alias Aerie.Vehicle.Firmware.Modes
 
   @now 1_795_514_400_000_000
   @source %{name: "ops", role: :admin, permissions: Roles.own()}

@@ -3,7 +3,7 @@ defmodule Aerie.Control.Policy.ContextTest do
 
   alias Aerie.Control.CommandExecutor.Observed
   alias Aerie.Control.Policy.Context
-  alias Aerie.Vehicle.Protocol
+  alias Aerie.Vehicle.{Firmware, Protocol}
 
   # AUTO with the sub-mode of an external program, as PX4 numbers it.
   @external 0x0B040000
@@ -25,6 +25,6 @@ defmodule Aerie.Control.Policy.ContextTest do
     command = Aerie.CommandSamples.command("set_mode", %{standard_mode: "land"})
 
     assert {:ok, [%{confirm: {:mode, ["Soft landing"]}}]} =
-             Protocol.plan(Protocol.Px4, command, vehicle)
+             Protocol.plan(Firmware.Px4, command, vehicle)
   end
 end

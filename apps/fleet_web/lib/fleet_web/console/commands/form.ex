@@ -7,7 +7,7 @@ defmodule FleetWeb.Console.Commands.Form do
   """
 
   alias Aerie.Vehicle.Command.{Error, Param, Type}
-  alias Aerie.Vehicle.Protocol.Modes
+  alias Aerie.Vehicle.Firmware.Modes
 
   @max_text 256
   @max_items 64

@@ -7,7 +7,7 @@ defmodule FleetWeb.Console.Plan.Check do
   alias Protocols.Mission.{Onboard, Plan}
   alias Aerie.Base.Names
   alias Aerie.Control.{Missions, Policy}
-  alias Aerie.Vehicle.Protocol
+  alias Aerie.Vehicle.Firmware
   alias Aerie.Control.Policy.{Context, Roles}
   alias FleetWeb.Console.Plan.Profile
   alias MavCodec.Enums.MavCmd
@@ -78,7 +78,7 @@ defmodule FleetWeb.Console.Plan.Check do
   @doc "Asks the policy about sending parts of the plan to the vehicle of a snapshot."
   @spec policy(Names.gateway(), Plan.t(), [Missions.kind()], map(), Roles.source()) :: [problem()]
   def policy(gateway, plan, parts, snapshot, user) do
-    protocol = Protocol.of(snapshot.autopilot)
+    protocol = Firmware.of(snapshot.autopilot)
     context = Context.of(gateway, snapshot, user, System.os_time(:microsecond))
     vehicle = Map.take(snapshot, [:autopilot, :vehicle_type])
 

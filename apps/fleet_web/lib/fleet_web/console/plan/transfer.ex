@@ -10,7 +10,7 @@ defmodule FleetWeb.Console.Plan.Transfer do
   alias Aerie.Base.Names
   alias Aerie.Control.Missions
   alias Aerie.Fleet
-  alias Aerie.Vehicle.Protocol
+  alias Aerie.Vehicle.Firmware
   alias Aerie.Vehicle.Command.{Error, Result}
   alias Protocols.Mission.Plan
 
@@ -137,7 +137,7 @@ defmodule FleetWeb.Console.Plan.Transfer do
 
   defp aboard(gateway, vehicle, kind, options) do
     with {:ok, stored} <- Missions.download(gateway, vehicle, kind, options) do
-      protocol = Protocol.of((Fleet.vehicle(gateway, vehicle) || %{autopilot: :generic}).autopilot)
+      protocol = Firmware.of((Fleet.vehicle(gateway, vehicle) || %{autopilot: :generic}).autopilot)
       {:ok, %{kind: kind, text: Missions.contents(stored.items, kind, protocol), digest: stored.digest}}
     end
   end

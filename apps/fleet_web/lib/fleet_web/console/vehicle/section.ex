@@ -2,7 +2,7 @@ defmodule FleetWeb.Console.Vehicle.Section do
   @moduledoc "The chosen section of a vehicle's page, from the page's assigns."
   use FleetWeb.Console, :component
 
-  alias Aerie.Vehicle.Protocol.Modes
+  alias Aerie.Vehicle.Firmware.Modes
   alias FleetWeb.Console.Commands.{Catalog, EntryList, Form, Panel}
   alias FleetWeb.Console.Map.Tiles
 

@@ -5,7 +5,7 @@ defmodule FleetWeb.Console.Fleet.PageTest do
 
   alias Aerie.Control.Policy.Leases
   alias Aerie.Fleet.Shadow
-  alias Aerie.Vehicle.Protocol.Modes
+  alias Aerie.Vehicle.Firmware.Modes
 
   setup do: {:ok, start_console()}
 

@@ -5,7 +5,7 @@ defmodule Aerie.Vehicle.Core.Services do
   """
 
   alias Aerie.Vehicle.ArmAuthorization
-  alias Aerie.Vehicle.Protocol.Modes
+  alias Aerie.Vehicle.Firmware.Modes
   alias Aerie.Vehicle.{Core, Reports, State}
   alias Aerie.Vehicle.Services.{Gcs, Params, Switches, Timesync}
   alias Aerie.Vehicle.Core.{Collisions, Effects, SnapshotSchedule}

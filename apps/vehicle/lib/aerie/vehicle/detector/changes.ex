@@ -4,7 +4,7 @@ defmodule Aerie.Vehicle.Detector.Changes do
   mode, is armed, takes off … lands, is disarmed.
   """
 
-  alias Aerie.Vehicle.Protocol.Modes
+  alias Aerie.Vehicle.Firmware.Modes
   alias Aerie.Vehicle.Detector
   alias Aerie.Vehicle.Detector.{Failsafe, Step}
 

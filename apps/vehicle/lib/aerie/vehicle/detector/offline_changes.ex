@@ -9,7 +9,7 @@ defmodule Aerie.Vehicle.Detector.OfflineChanges do
   """
 
   alias Aerie.Base.Json
-  alias Aerie.Vehicle.Protocol.Modes
+  alias Aerie.Vehicle.Firmware.Modes
   alias Aerie.Vehicle.Detector.Step
 
   @keys [:mode, :armed, :in_air]

@@ -4,7 +4,7 @@ defmodule Aerie.Vehicle.Services.Params do
   there (P2). The capability flags are not reliable, so the autopilot decides.
   """
 
-  alias Aerie.Vehicle.Protocol
+  alias Aerie.Vehicle.Firmware
   alias MavCodec.Message.ParamValue
   alias MavCodec.Messages, as: M
   alias MavCodec.Ftp.PackedParams
@@ -41,5 +41,5 @@ defmodule Aerie.Vehicle.Services.Params do
 
   defp name?(name), do: PackedParams.name?(name) and not String.starts_with?(name, @counters)
 
-  defp encoding(autopilot), do: Protocol.of(autopilot).param_encoding()
+  defp encoding(autopilot), do: Firmware.of(autopilot).param_encoding()
 end

@@ -8,7 +8,7 @@ defmodule Aerie.Vehicle.State.HighLatency do
 
   import Bitwise
 
-  alias Aerie.Vehicle.Protocol.Modes
+  alias Aerie.Vehicle.Firmware.Modes
   alias Aerie.Vehicle.Kind
   alias Aerie.Vehicle.State.{Battery, Group, Value}
   alias MavCodec.Enums.{HlFailureFlag, MavModeFlag}

@@ -5,7 +5,7 @@ defmodule Aerie.Vehicle.State.Mode do
   """
   import Bitwise
 
-  alias Aerie.Vehicle.Protocol.Modes
+  alias Aerie.Vehicle.Firmware.Modes
   alias Aerie.Vehicle.{Kind, State}
   alias Aerie.Vehicle.State.Group
 

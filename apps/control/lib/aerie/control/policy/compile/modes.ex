@@ -6,7 +6,7 @@ defmodule Aerie.Control.Policy.Compile.Modes do
 
   alias Aerie.Control.Policy.Compile
   alias Aerie.Control.Policy.Rules
-  alias Aerie.Vehicle.Protocol.Modes
+  alias Aerie.Vehicle.Firmware.Modes
   alias Aerie.Base.Settings.Schema
 
   @path "policy.modes"

@@ -10,7 +10,7 @@ defmodule Aerie.Control.Policy.Fence.Kept do
   alias Aerie.Control.Policy.Fence.Polygon
   alias Aerie.Control.Policy.Fence.Earth
   alias Protocols.Mission.{Item, Onboard, Plan}
-  alias Aerie.Vehicle.Protocol
+  alias Aerie.Vehicle.Firmware
 
   # Pairs of zones that are compared; of more only equal ones count.
   @most_pairs 400
@@ -38,7 +38,7 @@ defmodule Aerie.Control.Policy.Fence.Kept do
   # What makes a zone; vehicles keep frames and heights of fences otherwise than they were sent.
   defp place(item), do: {item.command, elem(item.params, 0), item.x, item.y}
 
-  defp zones(items), do: Onboard.put(%Plan{}, 1, items, Protocol.of(:generic))
+  defp zones(items), do: Onboard.put(%Plan{}, 1, items, Firmware.of(:generic))
 
   defp inclusion?({kind, _shape}), do: kind == :inclusion
 

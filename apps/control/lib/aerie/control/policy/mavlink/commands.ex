@@ -9,7 +9,7 @@ defmodule Aerie.Control.Policy.Mavlink.Commands do
   alias Aerie.Vehicle.Command.Types
   alias Aerie.Control.Policy.Intent
   alias Aerie.Control.Policy.Mavlink.{AuxFunctions, Place, Request}
-  alias Aerie.Vehicle.Protocol.Modes
+  alias Aerie.Vehicle.Firmware.Modes
   alias MavCodec.Enums.{MavGoto, MavStandardMode, RebootShutdownConditions}
 
   import Bitwise

@@ -14,7 +14,7 @@ defmodule Aerie.Control.Policy.Rules.Mode do
   @behaviour Aerie.Control.Policy.Rules.Rule
 
   alias Aerie.Control.Policy.{Intent, Switches}
-  alias Aerie.Vehicle.Protocol.Modes
+  alias Aerie.Vehicle.Firmware.Modes
 
   @typedoc "Names in capitals. A mode that is not in `transitions` may be left for any other."
   @type modes :: %{denied: [String.t()], transitions: %{String.t() => [String.t()]}}

@@ -9,7 +9,7 @@ defmodule Aerie.Control.Policy.Switches.Ardupilot do
 
   alias Aerie.Control.Policy.{Context, Intent, Switches}
   alias Aerie.Control.Policy.Mavlink.AuxFunctions
-  alias Aerie.Vehicle.Protocol.Modes
+  alias Aerie.Vehicle.Firmware.Modes
 
   @sticks %{"RCMAP_ROLL" => 1, "RCMAP_PITCH" => 2, "RCMAP_THROTTLE" => 3, "RCMAP_YAW" => 4}
   @axes %{roll: "RCMAP_ROLL", pitch: "RCMAP_PITCH", throttle: "RCMAP_THROTTLE", yaw: "RCMAP_YAW"}

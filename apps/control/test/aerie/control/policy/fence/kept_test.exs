@@ -3,7 +3,7 @@ defmodule Aerie.Control.Policy.Fence.KeptTest do
 
   alias Aerie.Control.Policy.Fence.Kept
   alias Protocols.Mission.{Item, Onboard, Plan}
-  alias Aerie.Vehicle.Protocol
+  alias Aerie.Vehicle.Firmware
 
   # A square of so many metres around a place, and a circle.
   defp square(metres, {lat, lon} \\ {47.0, 8.0}) do
@@ -16,7 +16,7 @@ defmodule Aerie.Control.Policy.Fence.KeptTest do
     do: {:circle, {round(lat * 1.0e7), round(lon * 1.0e7)}, metres / 1}
 
   defp items(zones, back \\ nil),
-    do: Onboard.items(%Plan{fence: zones, fence_return: back}, 1, Protocol.of(:px4))
+    do: Onboard.items(%Plan{fence: zones, fence_return: back}, 1, Firmware.of(:px4))
 
   defp kept?(new, old), do: Kept.by?(items(new), items(old))
 

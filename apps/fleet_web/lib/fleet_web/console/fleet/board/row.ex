@@ -8,7 +8,7 @@ defmodule FleetWeb.Console.Fleet.Board.Row do
   alias Aerie.Fleet.Age
   alias FleetWeb.Console.Fleet.Board.Problems
   alias FleetWeb.Console.Map.Payload
-  alias Aerie.Vehicle.{Protocol, Snapshot}
+  alias Aerie.Vehicle.{Firmware, Snapshot}
 
   @digits for digit <- ?0..?9, do: <<digit>>
 
@@ -171,7 +171,7 @@ defmodule FleetWeb.Console.Fleet.Board.Row do
 
   defp mission(vehicle, data) do
     seq = data[:seq]
-    %{total: data[:total], current: seq && seq - Protocol.of(vehicle.autopilot).item_offset()}
+    %{total: data[:total], current: seq && seq - Firmware.of(vehicle.autopilot).item_offset()}
   end
 
   defp seconds(nil), do: nil

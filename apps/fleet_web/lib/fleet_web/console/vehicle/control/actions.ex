@@ -6,7 +6,7 @@ defmodule FleetWeb.Console.Vehicle.Control.Actions do
   use FleetWeb.Console, :component
 
   alias Aerie.Control.CommandExecutor.Offers
-  alias Aerie.Vehicle.Protocol.Modes
+  alias Aerie.Vehicle.Firmware.Modes
   alias FleetWeb.Console.Commands.{Catalog, Panel}
   alias FleetWeb.Console.Vehicle.View
   alias FleetWeb.Console.Vehicle.Control.Target

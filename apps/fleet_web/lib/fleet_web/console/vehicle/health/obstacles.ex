@@ -4,7 +4,7 @@ defmodule FleetWeb.Console.Vehicle.Health.Obstacles do
   """
 
   alias Aerie.Vehicle.Command.Types
-  alias Aerie.Vehicle.Protocol.Modes
+  alias Aerie.Vehicle.Firmware.Modes
   alias Aerie.Vehicle.Kind
   alias FleetWeb.Console.UI.Age
   alias FleetWeb.Console.Vehicle.View

@@ -1,4 +1,4 @@
-defmodule Aerie.Vehicle.Protocol.Ardupilot.StoredItem do
+defmodule Aerie.Vehicle.Firmware.Ardupilot.StoredItem do
   @moduledoc """
   What ArduPilot keeps of the items of a plan.
 

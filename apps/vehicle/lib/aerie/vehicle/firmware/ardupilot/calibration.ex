@@ -1,4 +1,4 @@
-defmodule Aerie.Vehicle.Protocol.Ardupilot.Calibration do
+defmodule Aerie.Vehicle.Firmware.Ardupilot.Calibration do
   @moduledoc """
   Calibration as ArduPilot does it. Gyros, level, barometer and airspeed block the firmware until they are done, and
   are then answered. For the accelerometer the vehicle asks in texts for each position, which `calibrate_position` confirms;

@@ -1,4 +1,4 @@
-defmodule Aerie.Vehicle.Protocol.RecordedTest do
+defmodule Aerie.Vehicle.Firmware.RecordedTest do
   @moduledoc """
   What adapters send, byte for byte against what pymavlink sent to real firmware in flights that were recorded, where that
   was answered as it should be.
@@ -7,7 +7,7 @@ defmodule Aerie.Vehicle.Protocol.RecordedTest do
 
   import Aerie.CommandSamples
 
-  alias Aerie.Vehicle.Protocol
+  alias Aerie.Vehicle.{Firmware, Protocol}
   alias MavCodec.{Dialects, Message, Tlog}
 
   @fixtures Path.expand("../../../fixtures", __DIR__)
@@ -20,7 +20,7 @@ defmodule Aerie.Vehicle.Protocol.RecordedTest do
   end
 
   defp sent(vehicle, name, params) do
-    protocol = Protocol.of(vehicle.autopilot)
+    protocol = Firmware.of(vehicle.autopilot)
     {:ok, steps} = Protocol.plan(protocol, command(name, params), vehicle)
 
     for step <- steps, message <- protocol.encode(step, 0, vehicle) do

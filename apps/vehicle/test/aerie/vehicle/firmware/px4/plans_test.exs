@@ -1,8 +1,8 @@
-defmodule Aerie.Vehicle.Protocol.Px4.PlansTest do
+defmodule Aerie.Vehicle.Firmware.Px4.PlansTest do
   @moduledoc "W10: PX4 may reject a plan after it has acknowledged it."
   use ExUnit.Case, async: true
 
-  alias Aerie.Vehicle.Protocol.Px4.Plans
+  alias Aerie.Vehicle.Firmware.Px4.Plans
   alias MavCodec.Messages, as: M
 
   @mission 0

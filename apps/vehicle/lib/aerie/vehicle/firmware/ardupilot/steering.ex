@@ -1,4 +1,4 @@
-defmodule Aerie.Vehicle.Protocol.Ardupilot.Steering do
+defmodule Aerie.Vehicle.Firmware.Ardupilot.Steering do
   @moduledoc """
   Whether ArduPilot will obey sticks and set-points, which it acknowledges by nothing.
 

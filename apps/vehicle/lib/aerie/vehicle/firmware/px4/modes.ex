@@ -1,4 +1,4 @@
-defmodule Aerie.Vehicle.Protocol.Px4.Modes do
+defmodule Aerie.Vehicle.Firmware.Px4.Modes do
   @moduledoc """
   PX4's modes: `custom_mode = sub mode << 24 | main mode << 16`.
 

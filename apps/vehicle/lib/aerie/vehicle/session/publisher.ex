@@ -1,4 +1,4 @@
-defmodule Aerie.Vehicle.Publisher do
+defmodule Aerie.Vehicle.Session.Publisher do
   @moduledoc """
   Publishes the state of vehicles, and knows after a restart what was published last. `Aerie.Fleet.Bridge` is one; it is given to
   `Aerie.Vehicle.Supervisor` as `:publisher`. Without a publisher, nothing is published or remembered.

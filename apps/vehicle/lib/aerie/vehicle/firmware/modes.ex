@@ -1,15 +1,16 @@
-defmodule Aerie.Vehicle.Protocol.Modes do
+defmodule Aerie.Vehicle.Firmware.Modes do
   @moduledoc """
   Flight modes by name, both ways, for ArduPilot and PX4.
 
-  ArduPilot numbers its modes per firmware (`Aerie.Vehicle.Protocol.Ardupilot.Modes`), PX4 packs a main and a sub mode into the
-  number (`Aerie.Vehicle.Protocol.Px4.Modes`), other firmwares have only the flags of the heartbeat. A number without a name is shown as
+  ArduPilot numbers its modes per firmware (`Aerie.Vehicle.Firmware.Ardupilot.Modes`), PX4 packs a main and a sub mode into the
+  number (`Aerie.Vehicle.Firmware.Px4.Modes`), other firmwares have only the flags of the heartbeat. A number without a name is shown as
   `MODE(27)` and converts back to the same number.
   """
 
   import Bitwise
 
-  alias Aerie.Vehicle.Protocol.{Ardupilot, Px4, Vehicle}
+  alias Aerie.Vehicle.Firmware.{Ardupilot, Px4}
+  alias Aerie.Vehicle.Protocol.Vehicle
 
   # MAV_MODE_FLAG
   @custom 0x01

@@ -1,4 +1,4 @@
-defmodule Aerie.Vehicle.Protocol.Msp.Page do
+defmodule Aerie.Vehicle.Firmware.Msp.Page do
   @moduledoc "The table of `docs/msp.md`: how much of MSP is known of each firmware and version."
 
   alias Aerie.Vehicle.Command.Page

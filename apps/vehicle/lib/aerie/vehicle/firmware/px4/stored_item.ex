@@ -1,4 +1,4 @@
-defmodule Aerie.Vehicle.Protocol.Px4.StoredItem do
+defmodule Aerie.Vehicle.Firmware.Px4.StoredItem do
   @moduledoc """
   What PX4 keeps of the items of a plan (mavlink_mission.cpp: `parse_mavlink_mission_item`, `format_mavlink_mission_item`; navigation.h:
   `mission_item_s`). An item with a place has a few fields of its own, with the yaw in radians; one without keeps all parameters.

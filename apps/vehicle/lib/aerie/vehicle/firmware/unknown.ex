@@ -1,4 +1,4 @@
-defmodule Aerie.Vehicle.Protocol.Unknown do
+defmodule Aerie.Vehicle.Firmware.Unknown do
   @moduledoc """
   A firmware that is neither ArduPilot nor PX4. It is sent no commands, because it is not known which ones it supports and what
   its parameters mean.

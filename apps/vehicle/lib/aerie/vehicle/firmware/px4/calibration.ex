@@ -1,4 +1,4 @@
-defmodule Aerie.Vehicle.Protocol.Px4.Calibration do
+defmodule Aerie.Vehicle.Firmware.Px4.Calibration do
   @moduledoc """
   Calibration as PX4 does it: PREFLIGHT_CALIBRATION is accepted at once, and texts that begin with `[cal]` report the rest: what to
   do, the progress, the result.

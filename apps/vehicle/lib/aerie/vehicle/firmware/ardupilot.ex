@@ -1,4 +1,4 @@
-defmodule Aerie.Vehicle.Protocol.Ardupilot do
+defmodule Aerie.Vehicle.Firmware.Ardupilot do
   @moduledoc """
   ArduPilot (copter, plane, rover, sub and its other vehicles), as of 4.6.
 
@@ -9,13 +9,14 @@ defmodule Aerie.Vehicle.Protocol.Ardupilot do
 
   # Heights in COMMAND_LONG are above home.
   use Aerie.Vehicle.Protocol.Mavlink.Commands,
-    calibration: Aerie.Vehicle.Protocol.Ardupilot.Calibration,
+    calibration: Aerie.Vehicle.Firmware.Ardupilot.Calibration,
     long_frames: [3, 6]
 
   import Aerie.Vehicle.Protocol.Vehicle, only: [airborne: 2]
 
-  alias Aerie.Vehicle.Protocol.{Mavlink, Modes, Vehicle}
-  alias Aerie.Vehicle.Protocol.Ardupilot.{Calibration, Steering, StoredItem}
+  alias Aerie.Vehicle.Firmware.Ardupilot.{Calibration, Steering, StoredItem}
+  alias Aerie.Vehicle.Firmware.Modes
+  alias Aerie.Vehicle.Protocol.{Mavlink, Vehicle}
   alias Aerie.Vehicle.Protocol.Mavlink.{Commands, Streams}
 
   @copter "copter"

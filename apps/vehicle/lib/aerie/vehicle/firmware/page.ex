@@ -1,8 +1,8 @@
-defmodule Aerie.Vehicle.Protocol.Page do
+defmodule Aerie.Vehicle.Firmware.Page do
   @moduledoc "The table of gaps in `docs/commands.md`: which commands a firmware lacks, and why."
 
   alias Aerie.Vehicle.Command.{Page, Types}
-  alias Aerie.Vehicle.{Kind, Protocol}
+  alias Aerie.Vehicle.{Firmware, Kind}
 
   @firmwares [:ardupilot, :px4, :betaflight, :inav]
   @kinds ~w(copter plane vtol rover boat sub)
@@ -33,7 +33,7 @@ defmodule Aerie.Vehicle.Protocol.Page do
   end
 
   defp kinds(name, firmware) do
-    gaps = for kind <- @kinds, reason = Protocol.of(firmware).gap(name, kind, firmware), do: {reason, kind}
+    gaps = for kind <- @kinds, reason = Firmware.of(firmware).gap(name, kind, firmware), do: {reason, kind}
 
     for reason <- gaps |> Enum.map(&elem(&1, 0)) |> Enum.uniq(),
         do: {reason, for({^reason, kind} <- gaps, do: kind)}

@@ -1,10 +1,10 @@
-defmodule Aerie.Vehicle.Protocol.StoredItemTest do
+defmodule Aerie.Vehicle.Firmware.StoredItemTest do
   @moduledoc """
   What comes back when an item of a plan is read again (W9): the same, or what the firmware is known to make of it.
   """
   use ExUnit.Case, async: true
 
-  alias Aerie.Vehicle.Protocol.{Ardupilot, Px4}
+  alias Aerie.Vehicle.Firmware.{Ardupilot, Px4}
   alias Protocols.Mission.StoredItem
   alias MavCodec.Enums.MavCmd
 

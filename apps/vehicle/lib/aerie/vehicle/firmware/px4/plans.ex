@@ -1,4 +1,4 @@
-defmodule Aerie.Vehicle.Protocol.Px4.Plans do
+defmodule Aerie.Vehicle.Firmware.Px4.Plans do
   @moduledoc """
   What PX4 reports about a plan after acknowledging it. Its feasibility check runs after MISSION_ACK, and only an EVENT reports that it
   rejected the mission; MISSION_CURRENT then shows "no mission" with the id of the new one. A fence is checked against

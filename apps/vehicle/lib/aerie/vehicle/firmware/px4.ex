@@ -1,4 +1,4 @@
-defmodule Aerie.Vehicle.Protocol.Px4 do
+defmodule Aerie.Vehicle.Firmware.Px4 do
   @moduledoc """
   PX4, as of 1.17 and 1.18.
 
@@ -9,15 +9,16 @@ defmodule Aerie.Vehicle.Protocol.Px4 do
   """
 
   use Aerie.Vehicle.Protocol.Mavlink.Commands,
-    calibration: Aerie.Vehicle.Protocol.Px4.Calibration,
+    calibration: Aerie.Vehicle.Firmware.Px4.Calibration,
     long_frames: [0, 5]
 
   import Bitwise
   import Aerie.Vehicle.Protocol.Vehicle, only: [airborne: 2]
 
-  alias Aerie.Vehicle.Protocol.{Mavlink, Modes, Px4, Step, Vehicle}
+  alias Aerie.Vehicle.Firmware.{Modes, Px4}
+  alias Aerie.Vehicle.Protocol.{Mavlink, Step, Vehicle}
   alias Aerie.Vehicle.Protocol.Mavlink.{Commands, Streams}
-  alias Aerie.Vehicle.Protocol.Px4.{Calibration, Plans}
+  alias Aerie.Vehicle.Firmware.Px4.{Calibration, Plans}
   alias MavCodec.Messages, as: M
 
   @amsl 5

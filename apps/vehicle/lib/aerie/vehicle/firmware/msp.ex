@@ -1,4 +1,4 @@
-defmodule Aerie.Vehicle.Protocol.Msp do
+defmodule Aerie.Vehicle.Firmware.Msp do
   @moduledoc """
   Betaflight and iNav, which the gateway reaches over MSP (`Msp.Session`). The session takes commands as MAVLink and
   acknowledges them with what the flight controller said.
@@ -10,9 +10,10 @@ defmodule Aerie.Vehicle.Protocol.Msp do
 
   use Aerie.Vehicle.Protocol.Mavlink.Commands, calibration: __MODULE__.Calibration, long_frames: []
 
-  alias Aerie.Vehicle.Protocol.{Mavlink, Modes, Unknown}
+  alias Aerie.Vehicle.Firmware.{Modes, Unknown}
+  alias Aerie.Vehicle.Protocol.Mavlink
   alias Aerie.Vehicle.Protocol.Mavlink.{Commands, Streams}
-  alias Aerie.Vehicle.Protocol.Msp.StoredItem
+  alias Aerie.Vehicle.Firmware.Msp.StoredItem
 
   # What the firmware, or one of the two, could do.
   @not_yet ~w(rx_pair reset_params mission_start mission_pause mission_set_current resume camera_trigger)

@@ -1,4 +1,4 @@
-defmodule Aerie.Vehicle.Protocol.Ardupilot.Modes do
+defmodule Aerie.Vehicle.Firmware.Ardupilot.Modes do
   @moduledoc """
   ArduPilot's mode numbers by firmware: the enums of its MAVLink definitions (`COPTER_MODE`, …), the modes that those
   lack, and the names that its own ground stations use.

@@ -125,6 +125,11 @@ defmodule Aerie.Gate.LayersTest do
     end
   end
 
+  test "the lowest apps name nothing above them in documentation" do
+    text = "# See `MavCodec.Frame`.\n# See `MavRouter.Link`.\n# `Camera.MavRouter.Link`\n"
+    assert Layers.told(:base, "a.ex", text) == ["a.ex:2: names a module of an app above it"]
+  end
+
   describe "firmwares" do
     test "are known by their names in their folder only" do
       named = "defmodule A do\n  def of(:px4), do: 1\nend\n"

@@ -45,7 +45,7 @@ defmodule Layers do
   def problems(app) do
     names(app) ++
       directions(app) ++
-      declared(app, File.read!(Path.join(@root, "apps/#{app.name}/mix.exs"))) ++ file_cycles(app)
+      declared(app, File.read!(Path.join(@root, "apps/#{app.name}/mix.exs"))) ++ file_cycles(app) ++ told(app)
   end
 
   defp names(%{name: app, prefixes: prefixes, modules: modules}) do
@@ -69,6 +69,27 @@ defmodule Layers do
   defp directions(%{name: app, uses: uses}) do
     above = Enum.drop_while(Keyword.keys(@apps), &(&1 != app)) -- [:sim_vehicle]
     for used <- uses, used in above, do: "apps/#{app} uses #{used}, which is above it"
+  end
+
+  @bottom [:mav_codec, :base, :protocols]
+
+  defp told(%{name: app}) when app in @bottom do
+    for file <- Path.wildcard(Path.join(@root, "apps/#{app}/lib/**/*.ex")),
+        problem <- told(app, Path.relative_to(file, @root), File.read!(file)),
+        do: problem
+  end
+
+  defp told(_app), do: []
+
+  @doc "What the whole gateway stands on does not name the apps above it in documentation either."
+  def told(app, file, text) do
+    [_app | above] = Enum.drop_while(@apps, fn {name, _prefixes} -> name != app end)
+    names = for {_app, prefixes} <- above, name <- prefixes, name != "Aerie", do: Regex.escape(name)
+    named = Regex.compile!("(?<![\\w.])(#{Enum.join(names, "|")})\\.[A-Z]")
+
+    for {line, n} <- text |> String.split("\n") |> Enum.with_index(1),
+        line =~ named,
+        do: "#{file}:#{n}: names a module of an app above it"
   end
 
   defp declared(%{name: app, uses: uses}, mix) do

@@ -5,34 +5,6 @@ defmodule Aerie.Base.Names do
   One node can have several gateways (tests start one each), so no process has a global name. Each is registered in
   `Aerie.Base.Names.Book` under `{gateway, role, id}`: the gateway's name (any term), an atom for what the process does,
   and what tells processes of one role apart (`nil` when there is only one).
-
-  | role             | id                     | process                              |
-  |------------------|------------------------|--------------------------------------|
-  | `:gateway`       | nil                    | `Aerie.Gateway` supervisor           |
-  | `:store`         | nil                    | `Aerie.Base.Store`                  |
-  | `:pubsub`        | nil                    | `Aerie.Base.PubSub`                 |
-  | `:vehicles`      | nil                    | `Aerie.Vehicle.Supervisor`           |
-  | `:vehicle_trees` | nil                    | its dynamic supervisor               |
-  | `:tree_restarter` | nil                   | `Aerie.Vehicle.Supervisor.TreeRestarter` |
-  | `:tree`          | `{network, system_id}` | `Aerie.Vehicle.Supervisor.Tree`      |
-  | `:session`       | `{network, system_id}` | `Aerie.Vehicle.Session`              |
-  | `:events`        | `{network, system_id}` | `Aerie.Vehicle.Events`               |
-  | `:watchdog`         | nil                    | `MavRouter.Identity.Watchdog`       |
-  | `:audit`         | nil                    | `Aerie.Control.Policy.Audit`                 |
-  | `:policy_supervisor` | nil                 | `Aerie.Control.Policy.Supervisor`            |
-  | `:policy`        | nil                    | `Aerie.Control.Policy.Store`                 |
-  | `:ledger`        | nil                    | `Aerie.Control.Ledger`                       |
-  | `:command_supervisor`, `:command_server`, `:command_tasks`, `:command_recovery` | nil | of `Aerie.Control.Commands.Supervisor` |
-  | `:remote_supervisor`, `:remote_listener`, `:remote_announcer` | nil | of `Aerie.Fleet.Remote.Supervisor` |
-  | `:transfers`     | `{network, system_id}` | `Aerie.Control.TransferExecutor`            |
-  | `:params_cache` | nil                    | `Aerie.Control.Params.CacheWriter`                |
-  | `:read_cache`    | `{network, system_id}` | `Aerie.Control.ReadCache.Vehicle`; `:read_cache_supervisor`, `:read_cache_vehicles`, `:read_cache_starter` without a vehicle |
-  | `:clients`       | nil                    | `Aerie.Fleet.Client.Supervisor`            |
-  | `:inspector`     | nil                    | `Aerie.Fleet.Inspector`                    |
-  | `:diagnosis`     | nil                    | `Aerie.Fleet.Diagnosis.Server`             |
-  | `:websocket_client`, `:unix_client` | the endpoint's id | of one client     |
-
-  Links, router and bridge add their own roles.
   """
 
   alias Aerie.Base.Names.Book

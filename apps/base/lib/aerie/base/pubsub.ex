@@ -9,7 +9,7 @@ defmodule Aerie.Base.PubSub do
   | `{:vehicle, id}` | its id: it changed, or is gone              | coalesced, once per tick |
   | `:links`        | ids of the links that changed               | coalesced, once per tick |
   | `{:link, id}`   | its id: it changed, or is gone              | coalesced, once per tick |
-  | `:events`       | an `Aerie.Vehicle.Event`                    | at once                  |
+  | `:events`       | an event of a vehicle                       | at once                  |
   | `:journal`      | `:pending`: events wait for their acknowledgement | at once            |
   | `:bridge`       | `{part, info}`: the NATS side changed       | at once                  |
   | `:leases`       | `{key, lease}`: who is in charge of a vehicle changed, nil for nobody | at once |
@@ -95,7 +95,7 @@ defmodule Aerie.Base.PubSub do
 
   def handle_info(:changed, state), do: {:noreply, state}
 
-  # The answer that `MavRouter.Identity.Watchdog` waits for.
+  # The answer that a watchdog waits for.
   def handle_info({:watchdog, watchdog, tag}, state) do
     send(watchdog, {:alive, tag, self()})
     {:noreply, state}

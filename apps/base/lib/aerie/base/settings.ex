@@ -3,7 +3,7 @@ defmodule Aerie.Base.Settings do
   The settings of one part of the gateway: each key of the configuration that the part reads, declared once, in the part's own
   folder. The declaration makes the part's struct, its defaults, its checks, and its lines of `config/gateway.example.yaml`.
 
-      defmodule MavRouter.Recorder.Settings do
+      defmodule Camera.Recorder.Settings do
         use Aerie.Base.Settings
 
         section "recorder", "Recordings (tlog files) of links and vehicles."
@@ -12,7 +12,7 @@ defmodule Aerie.Base.Settings do
       end
 
   `section` names the section of the configuration that the following keys are in (`""`: none); its meaning is given once, here
-  or, of a section that several parts share, in `Aerie.Config.Keys`. The first argument of `setting` is the field of the struct,
+  or, of a section that several parts share, where the configuration is put together. The first argument of `setting` is the field of the struct,
   then follow type (`Aerie.Base.Settings.Field`), meaning and options:
 
     * `:key` - the key's name in the section, when it is not that of the field
@@ -20,11 +20,10 @@ defmodule Aerie.Base.Settings do
     * `:times` - the struct has the value in another unit: times so much, as an integer
     * `:internal` - no key of the configuration, only something that tests change
 
-  `part :identity, MavRouter.Identity.Settings` puts the settings of another part into a field.
+  `part :identity, Camera.Identity.Settings` puts the settings of another part into a field.
 
-  A part is started with its struct (`settings: %MavRouter.Recorder.Settings{}`) and sees nothing else of the configuration.
-  `Aerie.Config` in `apps/aerie` reads files, the environment and the command line, and checks all sections at once; `from/1`
-  then picks a part's settings from it. `new/1` checks the settings of one part by itself.
+  A part is started with its struct (`settings: %Camera.Recorder.Settings{}`) and sees nothing else of the configuration.
+  The app on top reads files, the environment and the command line, and checks all sections at once; `from/1` then picks a part's settings from it. `new/1` checks the settings of one part by itself.
   """
 
   alias Aerie.Base.Settings.{Field, Schema}
@@ -47,7 +46,7 @@ defmodule Aerie.Base.Settings do
 
   @doc """
   What is wrong with the part's keys taken together: the whole configuration, every key with a value of its type and the
-  derived values filled in (`Aerie.Config`).
+  derived values filled in.
   """
   @callback problems(config :: map()) :: [Schema.problem()]
   @doc "Warnings: values that are allowed but probably not meant."

@@ -11,9 +11,8 @@ defmodule Aerie.Base.Store do
 
   A vehicle's snapshot is a map with `:id` (public id), `:key` (`{network, system_id}`), `:network`, `:system_id`,
   `:autopilot`, `:vehicle_type`, `:firmware`, `:status` (`:online | :stale | :lost`), `:last_heard` (us), `:links` and
-  `:groups` (see `Aerie.Vehicle.State`), `:signing` (`MavRouter.Signing.vehicle/2`), `:recording`
-  (`MavRouter.Recorder.summary/2`). A link's snapshot belongs to `MavRouter.Link`; its peers
-  are rows of their own (`Aerie.Base.Store.Links`).
+  `:groups` (its state), `:signing` and `:recording`. A link's snapshot is that of its process; its peers are rows of
+  their own (`Aerie.Base.Store.Links`).
   """
   use GenServer
 
@@ -295,7 +294,7 @@ defmodule Aerie.Base.Store do
   end
 
   @impl GenServer
-  # The answer that `MavRouter.Identity.Watchdog` waits for.
+  # The answer that a watchdog waits for.
   def handle_info({:watchdog, watchdog, tag}, gateway) do
     send(watchdog, {:alive, tag, self()})
     {:noreply, gateway}

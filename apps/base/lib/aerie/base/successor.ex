@@ -6,8 +6,8 @@ defmodule Aerie.Base.Successor do
   after the supervisor above has restarted it, and may still hold their names. Without this the restart fails several times in
   a moment and uses up the restarts of everything above.
 
-  Two supervisors need it: `Aerie.Gateway` for its parts, each of which is a supervisor with named children, and the one of the
-  links for its trees (`MavRouter.Link.Tree`), because recordings and sockets are closed in order before a link's name is free.
+  Two supervisors need it: that of a gateway's parts, each of which is a supervisor with named children, and that of the
+  links' trees, because recordings and sockets are closed in order before a link's name is free.
 
   A predecessor is a process with a supervisor above it that is dead; if it is still there after #{@patience_ms} ms, it is killed. Any
   other process keeps its name, and the start fails with `{:already_started, pid}`.

@@ -37,7 +37,7 @@ defmodule MavCodec.Msp.Trace do
   ]
   @names Map.new(@kinds, fn {name, kind} -> {kind, name} end)
 
-  @typedoc "As in `Msp.Session`; `{:written, bytes}` to the flight controller."
+  @typedoc "What a session was given; `{:written, bytes}` to the flight controller."
   @type what ::
           :opened
           | :tick

@@ -1,7 +1,7 @@
 defmodule Aerie.Base.Files.Damaged do
   @moduledoc """
   Files of the gateway that cannot be read any more: each is set aside under another name, for somebody to examine, and named in the
-  log and by the diagnosis (`Aerie.Fleet.Diagnosis`). What kept its state in it starts without.
+  log and by the diagnosis. What kept its state in it starts without.
   """
 
   require Logger

@@ -22,7 +22,7 @@ defmodule Aerie.Base.Store.Links do
   @typedoc "Rows to write, and keys of rows to delete; `:all` deletes all earlier ones."
   @type changes :: %{put: [{key :: term, row :: map}], delete: [key :: term] | :all}
 
-  @doc "One link's snapshot with `:peers` and `:sources` (`MavRouter.Link.Core.Snapshot`); nil when there is none."
+  @doc "One link's snapshot with `:peers` and `:sources`; nil when there is none."
   @spec whole(Names.gateway(), id :: term) :: map | nil
   def whole(gateway, id) do
     with %{} = snapshot <- Store.link(gateway, id), do: joined(gateway, id, snapshot)

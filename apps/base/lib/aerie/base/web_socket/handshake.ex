@@ -7,8 +7,17 @@ defmodule Aerie.Base.WebSocket.Handshake do
   @max_bytes 16_384
   @ports %{false => 80, true => 443}
 
-  @doc "The request for a link's URL; `key` is from `:cow_ws.key/0`."
-  @spec request(MavRouter.Link.Spec.t(), binary) :: iodata
+  @typedoc "The parts of a URL."
+  @type url :: %{
+          :host => String.t() | :inet.ip_address(),
+          :port => :inet.port_number(),
+          :path => String.t(),
+          :tls => term(),
+          optional(atom()) => term()
+        }
+
+  @doc "The request for a URL; `key` is from `:cow_ws.key/0`."
+  @spec request(url, binary) :: iodata
   def request(spec, key) do
     [
       ["GET ", spec.path, " HTTP/1.1\r\nHost: ", host(spec), "\r\n"],

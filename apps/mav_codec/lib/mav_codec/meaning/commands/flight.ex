@@ -61,7 +61,7 @@ defmodule MavCodec.Meaning.Commands.Flight do
 
   defp modes do
     [
-      # How large a custom mode may be depends on the firmware (`Aerie.Vehicle.Firmware.Modes`).
+      # How large a custom mode may be depends on the firmware.
       {:DO_SET_MODE, :fly, numbers: [{2, {:index, 0, 16_777_215}}, {3, {:index, 0, 16_777_215}}]},
       {:DO_SET_STANDARD_MODE, :fly, []},
       {:SET_GUIDED_SUBMODE_STANDARD, :fly, []},

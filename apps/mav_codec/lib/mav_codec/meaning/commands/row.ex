@@ -10,8 +10,19 @@ defmodule MavCodec.Meaning.Commands.Row do
                   receiver motors inputs)a
 
   @typedoc """
-  What a source must be allowed to do, as `t:Aerie.Vehicle.Command.Type.permission/0` describes it. It is the least that
-  any form of the command needs; its parameters may make it need more (`Aerie.Control.Policy.Mavlink.Commands`).
+  What a source must be allowed to do. It is the least that any form of the command needs; its parameters may make it
+  need more.
+
+    * `:arm` - arm and disarm; `:force_disarm` - stop the motors in flight; `:terminate` - end the flight for good
+    * `:fly` - move the vehicle, change its mode and home; `:mission` - start and steer a mission, fences
+    * `:manual` - steer it by hand or by a stream of set-points
+    * `:payload` - cameras, gimbals, grippers, servos; the parachute belongs to `:terminate`
+    * `:maintain` - calibrate, test motors, reboot, parameters; `:telemetry` - ask for messages
+    * `:protection` - take away what protects a vehicle: its fence, its safety switch, its failsafes and checks
+    * `:receiver` - take the place of the pilot's receiver, which is how vehicles with MSP are armed and steered;
+      `:motors` - turn their motors on the ground
+    * `:sensors` - tell its estimators what they shall believe: positions, corrections; where a fence or a limit of
+      height is configured, `:inputs` as well for what may lead it around them
   """
   @type permission :: unquote(Enum.reduce(@permissions, &{:|, [], [&1, &2]}))
 

@@ -23,20 +23,7 @@ defmodule Aerie.Vehicle.Command.Type do
     disarmed: :taken
   ]
 
-  @typedoc """
-  What a source must be allowed to do:
-
-    * `:arm` - arm and disarm; `:force_disarm` - stop the motors in flight; `:terminate` - end the flight for good
-    * `:fly` - move the vehicle, change its mode and home; `:mission` - start and steer a mission, fences
-    * `:manual` - steer it by hand or by a stream of set-points
-    * `:payload` - cameras, gimbals, grippers, servos; the parachute belongs to `:terminate`
-    * `:maintain` - calibrate, test motors, reboot, parameters; `:telemetry` - ask for messages
-    * `:protection` - take away what protects a vehicle: its fence, its safety switch, its failsafes and checks
-    * `:receiver` - take the place of the pilot's receiver, which is how vehicles with MSP are armed and steered; `:motors` - turn their
-      motors on the ground
-    * `:sensors` - tell its estimators what they shall believe: positions, corrections; where a fence or a limit of
-      height is configured, `:inputs` as well for what may lead it around them
-  """
+  @typedoc "What a source must be allowed to do (`t:MavCodec.Meaning.Commands.Row.permission/0`)."
   @type permission :: Row.permission()
 
   @typedoc """

@@ -23,9 +23,10 @@ defmodule Aerie.Control.Commands do
     Recent,
     Record,
     RemoteGateway,
-    Server,
-    SharedVehicle
+    Server
   }
+
+  alias Aerie.Control.Commands.Pipeline.Request
 
   alias Aerie.Control.Policy.{Audit, Context, Roles}
 
@@ -114,7 +115,7 @@ defmodule Aerie.Control.Commands do
   defp pass(gateway, command, source, says, options) do
     wait_ms = Keyword.get(options, :wait_ms, :infinity)
 
-    request = %{
+    request = %Request{
       command: command,
       source: source,
       via: via(options),
@@ -191,13 +192,24 @@ defmodule Aerie.Control.Commands do
       })
 
       with %{} = snapshot <- RemoteGateway.vehicle(gateway, vehicle),
-           snapshot = SharedVehicle.by(Server.holder(gateway), gateway, snapshot),
-           :ok <- cancel_job(gateway, snapshot, job, id) do
+           :ok <- cancel_job(gateway, held(gateway, snapshot), job, id) do
         :ok
       else
         nil -> {:error, :impossible, "the vehicle is not known"}
         {:error, reason} -> {:error, :impossible, reason}
       end
+    end
+  end
+
+  # Another gateway may hold a vehicle that is heard here.
+  defp held(_gateway, %{via: via} = snapshot) when via != nil, do: snapshot
+
+  defp held(gateway, snapshot) do
+    with holder when holder != nil <- Server.holder(gateway),
+         {:other, name} <- holder.holder(gateway, snapshot.id) do
+      RemoteGateway.reached_by(snapshot, name)
+    else
+      _alone_mine_or_unknown -> snapshot
     end
   end
 

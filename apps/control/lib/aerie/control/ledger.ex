@@ -7,6 +7,7 @@ defmodule Aerie.Control.Ledger do
   | a new id | `:new`: execute it |
   | the same command again | `:in_flight`, or `{:stored, result}` |
   | another command with that id | `{:refused, reason}` |
+  | a new id, for which there is no room | `{:error, reason}` |
   | after a kill: a command that was not sent | `:new` again, because nothing happened |
   | after a kill: a command that may have been sent | `{:stored, %Result{status: :unknown}}`, and it is never sent again |
 

@@ -48,6 +48,38 @@ defmodule Aerie.Control.CommandsTest do
     assert sample(gateway, "gateway_commands_executed_total", type: "takeoff", result: :completed) == 1
   end
 
+  test "a command makes five calls from its submission to the executor", %{tmp_dir: dir} do
+    gateway = start_commands(dir)
+    session = :trace.session_create(:calls, self(), [])
+    server = Aerie.Base.Names.whereis(gateway, :command_server)
+    1 = :trace.process(session, server, true, [:send, :set_on_spawn])
+
+    fields = [
+      vehicle: "VID-007",
+      type: "land",
+      id: "a",
+      as: operator(),
+      deadline: System.os_time(:second) + 290
+    ]
+
+    task = Task.async(fn -> receive do: (:go -> Commands.submit(gateway, fields)) end)
+    1 = :trace.process(session, task.pid, true, [:send])
+    send(task.pid, :go)
+    from = executing(%{id: "a"})
+    delivered = :trace.delivered(session, :all)
+    assert_receive {:trace_delivered, :all, ^delivered}
+
+    calls =
+      for {:trace, _pid, :send, {:"$gen_call", _from, call}, _to} <- elem(Process.info(self(), :messages), 1),
+          do: elem(call, 0)
+
+    # Those of two processes come in any order.
+    assert Enum.sort(calls) == [:admit, :append, :sending, :submit, :submit]
+    true = :trace.session_destroy(session)
+    answer(from, "a", :completed)
+    assert %{status: :completed} = result(task)
+  end
+
   test "the same id: a second request waits meanwhile, later it is the stored result, another command is refused",
        %{tmp_dir: dir} do
     gateway = start_commands(dir)

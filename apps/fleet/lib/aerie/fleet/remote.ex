@@ -17,6 +17,7 @@ defmodule Aerie.Fleet.Remote do
   alias Aerie.Fleet.Bridge.Commands.Operation
   alias Aerie.Vehicle.Command.Result
   alias Aerie.Control.Policy.Signature
+  alias Aerie.Fleet.Shadow.Documents
 
   # A command may go on after its deadline, which is when it is sent at the latest.
   @after_deadline_ms 300_000
@@ -134,8 +135,9 @@ defmodule Aerie.Fleet.Remote do
 
   defp now, do: System.monotonic_time(:millisecond)
 
-  # This gateway also hears the vehicle, and the other one holds it (`Aerie.Control.Commands.SharedVehicle`).
-  defp there?(_gateway, %{holds?: holds?}), do: holds?.()
+  # This gateway also hears the vehicle, and the other one holds it.
+  defp there?(gateway, %{id: id, via: via, heard_here?: true}),
+    do: match?({:other, ^via}, Documents.holder(gateway, id))
 
   defp there?(gateway, snapshot) do
     match?(

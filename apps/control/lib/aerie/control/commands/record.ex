@@ -16,7 +16,8 @@ defmodule Aerie.Control.Commands.Record do
   alias Aerie.Base.{Names, Store}
   alias Aerie.Vehicle.Command
   alias Aerie.Vehicle.Command.{Result, Types}
-  alias Aerie.Control.Commands.{Metrics, Server}
+  alias Aerie.Control.Commands.Metrics
+  alias Aerie.Control.Commands.Pipeline.Request
   alias Aerie.Control.Policy.{Audit, Intent, Roles}
 
   @quiet_ms 5_000
@@ -38,7 +39,7 @@ defmodule Aerie.Control.Commands.Record do
   end
 
   @doc "A decision as the audit log has it."
-  @spec decision(Server.request(), :allow | :deny, map()) :: map()
+  @spec decision(Request.t(), :allow | :deny, map()) :: map()
   def decision(%{command: command} = request, decision, more \\ %{}) do
     Map.merge(
       %{
@@ -58,7 +59,7 @@ defmodule Aerie.Control.Commands.Record do
   end
 
   @doc "A command is not carried out; gives its result."
-  @spec refused(Names.gateway(), Server.request(), Result.status(), rule :: atom(), String.t()) :: Result.t()
+  @spec refused(Names.gateway(), Request.t(), Result.status(), rule :: atom(), String.t()) :: Result.t()
   def refused(gateway, %{command: command} = request, status, rule, reason) do
     flood? = rule in @floods and not Audit.Refusals.nobody?(request.source)
 

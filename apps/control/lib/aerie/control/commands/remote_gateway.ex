@@ -10,7 +10,7 @@ defmodule Aerie.Control.Commands.RemoteGateway do
   alias Aerie.Base.{Names, Store}
   alias Aerie.Vehicle.Command
   alias Aerie.Vehicle.Command.Result
-  alias Aerie.Control.Commands.Server
+  alias Aerie.Control.Commands.Pipeline.Request
 
   @doc """
   Passes the command to the gateway of the vehicle's snapshot (`:via`), and waits for its result. `progress` is called
@@ -20,7 +20,7 @@ defmodule Aerie.Control.Commands.RemoteGateway do
               Names.gateway(),
               snapshot :: map(),
               Command.t(),
-              Server.request(),
+              Request.t(),
               progress :: (map() -> term())
             ) ::
               Result.t()
@@ -59,6 +59,13 @@ defmodule Aerie.Control.Commands.RemoteGateway do
       module -> module.vehicle(gateway, id)
     end
   end
+
+  @doc """
+  A vehicle's snapshot as that of one which is reached by another gateway (`:via`), although this one hears it
+  (`:heard_here?`).
+  """
+  @spec reached_by(snapshot :: map(), gateway :: String.t()) :: map()
+  def reached_by(snapshot, name), do: Map.merge(snapshot, %{via: name, heard_here?: true})
 
   @doc "Why a gateway does not do something to a vehicle that it reaches by another one."
   @spec only(via :: String.t()) :: String.t()

@@ -1,19 +1,17 @@
 defmodule Aerie.Control.Commands.Server do
   @moduledoc """
-  Receives commands: keeps those under way, their waiting callers, the limit on their number, and the rate of each
-  source.
+  Receives commands: keeps those under way, their waiting callers, and the limit on their number.
 
   This process never blocks. A task (`Aerie.Control.Commands.Pipeline`) takes each command through ledger, policy and
-  executor, and continues if its sender is gone.
+  executor, and continues if its sender is gone. It ends with this process.
   """
   use GenServer
 
   alias Aerie.Vehicle.Command
   alias Aerie.Vehicle.Command.Result
-  alias Aerie.Control.Commands.{Change, Pipeline, Recent, Record, Settings}
+  alias Aerie.Control.Commands.{Pipeline, Recent, Record, Settings}
+  alias Aerie.Control.Commands.Pipeline.{Core, Request}
   alias Aerie.Base.Names
-  alias Aerie.Control.Policy
-  alias Aerie.Control.Policy.{Rate, Roles}
 
   # Places beyond `max_in_flight` for commands that hold a vehicle or bring it down.
   @reserve 64
@@ -22,23 +20,6 @@ defmodule Aerie.Control.Commands.Server do
   # Extra time for the answer after the grace time: a late answer on a busy machine must not read as "no command is
   # left".
   @drained_ms 30_000
-
-  @typedoc """
-    * `:source` - the authenticated sender; the command's source is its name
-    * `:via` - `"nats"`, `"rest"` or `"elixir"`; `:says` - the source that the envelope names
-    * `:progress` - a process to notify of progress, and a term for the message
-    * `:change` - the change to make, if it is not a command of the table
-    * `:wait?` - whether the caller wants the result, or only to know that the command is under way
-  """
-  @type request :: %{
-          command: Command.t(),
-          source: Roles.source(),
-          via: String.t(),
-          says: String.t() | nil,
-          progress: {pid(), term()} | nil,
-          change: Change.t() | nil,
-          wait?: boolean()
-        }
 
   @typedoc """
   A command under way; `progress` is the vehicle's last word about it, `permission` what is needed to cancel it.
@@ -67,7 +48,7 @@ defmodule Aerie.Control.Commands.Server do
     do: GenServer.start_link(__MODULE__, options, name: Names.via(options[:gateway], :command_server))
 
   @doc "Submits a command and waits `wait_ms` for its result; `:pending`: it continues without the caller."
-  @spec submit(Names.gateway(), request(), timeout()) :: {:ok, Result.t()} | {:pending, String.t()}
+  @spec submit(Names.gateway(), Request.t(), timeout()) :: {:ok, Result.t()} | {:pending, String.t()}
   def submit(gateway, %{command: %{id: id}} = request, wait_ms) do
     GenServer.call(Names.via(gateway, :command_server), {:submit, request}, wait_ms)
   catch
@@ -105,6 +86,7 @@ defmodule Aerie.Control.Commands.Server do
 
   @impl GenServer
   def init(options) do
+    Process.flag(:trap_exit, true)
     %{gateway: gateway, settings: settings, remote_gateway: remote_gateway, holder: holder} = Map.new(options)
     Process.set_label({:command_server, gateway})
     Recent.abandoned(gateway)
@@ -115,15 +97,27 @@ defmodule Aerie.Control.Commands.Server do
       grace_ms: settings.grace_ms
     })
 
+    environment = %{
+      gateway: gateway,
+      server: self(),
+      remote_gateway: remote_gateway,
+      holder: holder,
+      settings: %{
+        ledger_required?: settings.ledger.required,
+        urgent_ms: settings.urgent_ms,
+        record_ms: settings.record_ms,
+        remote?: remote_gateway != nil,
+        shared?: holder != nil
+      }
+    }
+
     {:ok,
      %{
        gateway: gateway,
-       settings: settings,
-       remote_gateway: remote_gateway,
-       holder: holder,
+       environment: environment,
+       max_in_flight: settings.max_in_flight,
        jobs: %{},
        tasks: %{},
-       rate: Rate.new(),
        draining: nil
      }}
   end
@@ -165,26 +159,12 @@ defmodule Aerie.Control.Commands.Server do
           type: command.type,
           source: command.source,
           progress: progress,
-          permission: Pipeline.facts(request).permission,
+          permission: Request.intent(request).permission,
           change?: request.change != nil
         }
       end
 
     {:reply, answer, state}
-  end
-
-  def handle_call({:rate, command}, _from, state) do
-    now = System.monotonic_time(:microsecond)
-    %{source: source, vehicle: vehicle, type: type} = command
-
-    with %Policy{} = policy <- Policy.Store.get(state.gateway),
-         {:ok, rate} <- Rate.take(state.rate, policy, source, vehicle, type, now) do
-      {:reply, :ok, %{state | rate: rate}}
-    else
-      # The rules deny it.
-      nil -> {:reply, :ok, state}
-      deny -> {:reply, deny, state}
-    end
   end
 
   @impl GenServer
@@ -208,8 +188,8 @@ defmodule Aerie.Control.Commands.Server do
   # A fault of ours. Whether the vehicle did it, nobody knows; the ledger keeps it from being sent again.
   def handle_info({:DOWN, task, :process, _pid, _crash}, state) when is_map_key(state.tasks, task) do
     %{request: request} = state.jobs[state.tasks[task]]
-    {:ok, _pid} = Task.Supervisor.start_child(tasks(state), Pipeline, :broken, [request, state.gateway])
-    {:noreply, ended(state, task, Pipeline.lost(request.command))}
+    {:ok, _pid} = Task.start_link(Pipeline, :broken, [request, state.gateway])
+    {:noreply, ended(state, task, Core.lost(request.command))}
   end
 
   # The grace time is over.
@@ -220,7 +200,8 @@ defmodule Aerie.Control.Commands.Server do
     {:noreply, %{state | jobs: jobs, draining: :told}}
   end
 
-  def handle_info(_late, state), do: {:noreply, state}
+  # The exit of a task, or what comes late.
+  def handle_info(_other, state), do: {:noreply, state}
 
   # The ledger knows that it was sent; the next life looks after it.
   defp unknown(%{request: %{command: %{id: id}}}),
@@ -234,23 +215,12 @@ defmodule Aerie.Control.Commands.Server do
   defp drained(state), do: state
 
   defp admit(%{command: command} = request, digest, from, state) do
-    reserve = if Pipeline.facts(request).ends_flight?, do: @reserve, else: 0
-    most = state.settings.max_in_flight + reserve
+    reserve = if Request.intent(request).ends_flight?, do: @reserve, else: 0
+    most = state.max_in_flight + reserve
     own = Enum.count(state.jobs, fn {_id, job} -> job.request.source.name == request.source.name end)
 
     if map_size(state.jobs) < most and own < max(div(most * 3, 4), 1) do
-      environment = %{
-        gateway: state.gateway,
-        server: self(),
-        rate: rate(self()),
-        ledger_required?: state.settings.ledger.required,
-        urgent_ms: state.settings.urgent_ms,
-        record_ms: state.settings.record_ms,
-        remote_gateway: state.remote_gateway,
-        holder: state.holder
-      }
-
-      task = Task.Supervisor.async_nolink(tasks(state), Pipeline, :run, [request, environment])
+      task = Task.async(Pipeline, :run, [request, state.environment])
       job = %{request: request, digest: digest, waiting: [], watchers: [], progress: nil}
       Recent.begun(state.gateway, command, request.via)
       state = %{state | tasks: Map.put(state.tasks, task.ref, command.id)}
@@ -264,9 +234,6 @@ defmodule Aerie.Control.Commands.Server do
       refuse(request, :busy, reason, state)
     end
   end
-
-  # Takes a token for a command of its source; for the task.
-  defp rate(server), do: fn command -> GenServer.call(server, {:rate, command}) end
 
   defp join(state, job, request, from) do
     id = request.command.id
@@ -295,6 +262,4 @@ defmodule Aerie.Control.Commands.Server do
     for caller <- job.waiting, do: GenServer.reply(caller, {:ok, result})
     drained(%{state | tasks: tasks, jobs: jobs})
   end
-
-  defp tasks(state), do: Names.via(state.gateway, :command_tasks)
 end

@@ -52,10 +52,10 @@ defmodule Aerie.Control.Ledger.Core do
 
   @doc """
   Admits a command: `:new`, or what is known about its id. `:in_flight`: the same command is under way; `{:stored, result}`:
-  it has ended; `{:refused, reason}`: another command has the id, or the ledger is full.
+  it has ended; `{:refused, reason}`: another command has the id; `{:error, reason}`: the ledger is full.
   """
   @spec admit(t(), Command.t(), now :: integer()) ::
-          {:new | :in_flight | {:stored, Result.t()} | {:refused, String.t()}, [line()], t()}
+          {:new | :in_flight | {:stored, Result.t()} | {:refused | :error, String.t()}, [line()], t()}
   def admit(core, command, now) do
     core = forget(core, now)
     digest = Command.digest(command)
@@ -248,7 +248,7 @@ defmodule Aerie.Control.Ledger.Core do
       entry = %{digest: digest, at: now, state: :received, command: plain}
       {:new, gone ++ [["new", command.id, digest, now, plain]], put(core, command.id, entry)}
     else
-      {{:refused,
+      {{:error,
         "the ledger holds #{core.max_entries} commands of the last 20 minutes; there is no room for another one"},
        gone, core}
     end

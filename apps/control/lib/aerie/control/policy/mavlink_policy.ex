@@ -26,9 +26,10 @@ defmodule Aerie.Control.Policy.MavlinkPolicy do
     Intent,
     Leases,
     Mavlink,
-    Rate,
     RecentCommands
   }
+
+  alias Aerie.Control.Policy.Rate.Table, as: Rates
 
   alias MavCodec.Dialects.All
   alias MavCodec.Frame
@@ -192,23 +193,8 @@ defmodule Aerie.Control.Policy.MavlinkPolicy do
   # Commands that bring a vehicle down are exempt, so that a stuck key cannot exhaust the rate limit.
   defp rate(_policy, _gateway, _source, _vehicle, %{ends_flight?: true}), do: :ok
 
-  defp rate(policy, gateway, source, snapshot, facts) do
-    now = System.monotonic_time(:microsecond)
-    vehicle = counted(snapshot)
-
-    take = fn rate ->
-      rate = rate || Rate.new()
-
-      case Rate.take(rate, policy, source, vehicle, facts.type, now) do
-        {:ok, ^rate} -> {:keep, :ok}
-        {:ok, rate} -> {:put, :ok, rate, Rate.full_at(rate, now)}
-        deny -> {:keep, deny}
-      end
-    end
-
-    with :full <- ClientHistory.update(gateway, {source, :rate, vehicle}, now, take),
-         do: {:deny, :rate, "#{source} commanded too many vehicles just now to be counted"}
-  end
+  defp rate(policy, gateway, source, snapshot, facts),
+    do: Rates.take(gateway, policy, :rate, source, counted(snapshot), facts.type)
 
   # They are many, and keep a vehicle in the air: no disk that is full stops them.
   defp recorded(_gateway, %{type: "sensor_input"}, _required?), do: :allow

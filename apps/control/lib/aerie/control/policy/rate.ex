@@ -54,11 +54,9 @@ defmodule Aerie.Control.Policy.Rate do
         ) ::
           {:ok, t()} | {:deny, :rate, String.t()}
   def take(rate, policy, source, vehicle, type, now) do
-    policy.rates
-    |> Enum.filter(&(types?(&1.types, type) and names?(&1.sources, source) and names?(&1.vehicles, vehicle)))
-    |> Enum.reduce_while({:ok, rate.buckets}, fn rule, {:ok, buckets} ->
-      key = {source, vehicle, type, rule.interval_us, rule.burst}
-
+    policy
+    |> rules(source, vehicle, type)
+    |> Enum.reduce_while({:ok, rate.buckets}, fn {key, rule}, {:ok, buckets} ->
       case TokenBucket.take(buckets[key], now, rule.interval_us, rule.burst) do
         {:ok, full} -> {:cont, {:ok, Map.put(buckets, key, full)}}
         :none -> {:halt, {:deny, :rate, text(rule, source, vehicle, type, wait(buckets[key], rule, now))}}
@@ -66,6 +64,28 @@ defmodule Aerie.Control.Policy.Rate do
     end)
     |> room(rate, source, now)
   end
+
+  @doc "Puts back the token that `take/6` took for a command which turned out to be a repetition."
+  @spec put_back(t(), Policy.t(), source :: String.t(), vehicle :: String.t(), type :: String.t()) :: t()
+  def put_back(rate, policy, source, vehicle, type) do
+    policy
+    |> rules(source, vehicle, type)
+    |> Enum.reduce(rate, fn {key, rule}, rate ->
+      %{rate | buckets: Map.replace_lazy(rate.buckets, key, &(&1 - rule.interval_us))}
+    end)
+  end
+
+  # The rules that name a command, each with the key of its bucket.
+  defp rules(policy, source, vehicle, type) do
+    for rule <- policy.rates,
+        types?(rule.types, type) and names?(rule.sources, source) and names?(rule.vehicles, vehicle),
+        do: {{source, vehicle, type, rule.interval_us, rule.burst}, rule}
+  end
+
+  @doc "The refusal where there is no room for another bucket of a source."
+  @spec full(source :: String.t()) :: {:deny, :rate, String.t()}
+  def full(source),
+    do: {:deny, :rate, "#{source} commanded too many vehicles just now to be counted; try again in a moment"}
 
   @doc "When all buckets are full again: until then a rate is worth keeping. `now` without any."
   @spec full_at(t(), now :: integer()) :: integer()
@@ -86,9 +106,7 @@ defmodule Aerie.Control.Policy.Rate do
 
       if room?(used, source),
         do: {:ok, %{rate | buckets: used}},
-        else:
-          {:deny, :rate,
-           "#{source} commanded too many vehicles just now to be counted; try again in a moment"}
+        else: full(source)
     end
   end
 

@@ -76,7 +76,7 @@ defmodule Aerie.Control.Ledger.CoreTest do
     admit = fn core, id, now -> Core.admit(core, command(id, "arm", now), now) end
     {:new, _records, core} = Core.new(2, 3600) |> admit.("a", @now)
     {:new, _records, core} = admit.(core, "b", @now + @minute)
-    assert {{:refused, text}, [], _core} = admit.(core, "c", @now + 20 * @minute)
+    assert {{:error, text}, [], _core} = admit.(core, "c", @now + 20 * @minute)
     assert text =~ "holds 2 commands of the last 20 minutes"
     assert {:new, [["gone", "a"] | _new], core} = admit.(core, "c", @now + 20 * @minute + 1)
     assert {:new, _records, core} = admit.(core, "d", @now + 90 * @minute)
@@ -89,7 +89,7 @@ defmodule Aerie.Control.Ledger.CoreTest do
     {:ok, file, core} = Core.finish(core, Result.new("a", :denied), @now)
     assert [["done", "a" | _rest]] = file
     {:new, _records, core} = Core.admit(core, command("b"), @now)
-    assert {{:refused, _full}, [], _core} = Core.admit(core, command("c"), @now)
+    assert {{:error, _full}, [], _core} = Core.admit(core, command("c"), @now)
     {:ok, _records, core} = Core.finish(core, Result.new("b", :denied), @now)
 
     for core <- [core, core |> Core.records() |> Enum.to_list() |> plain() |> reborn(core)] do

@@ -58,6 +58,15 @@ defmodule Aerie.Control.Policy.RateTest do
     assert {_, 9} = burst(Rate.new(), policy, 9, 0, {"olga", "VID-001", "takeoff"})
   end
 
+  test "a token that is put back may be taken again" do
+    policy = policy([%{types: ["goto"], per_minute: 1, burst: 2}])
+    {rate, 2} = burst(Rate.new(), policy, 3, 0)
+    rate = Rate.put_back(rate, policy, "olga", "VID-001", "goto")
+    assert {_rate, 1} = burst(rate, policy, 3, 0)
+    # Nothing was taken of it.
+    assert Rate.put_back(rate, policy, "omar", "VID-001", "goto") == rate
+  end
+
   test "out of the box a flood does not pass, but set-points and transfers, unless a rule names them" do
     {:ok, policy} = Policy.compile(%{})
     {rate, allowed} = burst(Rate.new(), policy, 1000, 0)

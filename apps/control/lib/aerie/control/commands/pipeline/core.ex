@@ -1,0 +1,356 @@
+defmodule Aerie.Control.Commands.Pipeline.Core do
+  @moduledoc """
+  The way of one command through every check to its result, as a pure value: `handle/3` takes what was found out and
+  says what to do next.
+
+      look ─▶ token ─▶ holder ─▶ ledger ─▶ judge ─▶ audit ─▶ set-points ─▶ claim ─▶ sending ─▶ send ─▶ result
+
+  The last of the actions is a question, and its answer is the next event; or it ends the command (`:answer`, `:refuse`,
+  `:finish`). Those before it are not answered.
+
+  What refuses a command before the ledger admits it is not kept, because nothing was decided about the command: the
+  ledger is only asked whether it knows the id, since a repetition has its result whatever would be decided now. What
+  refuses it later is the result of its id. Nothing is sent before the ledger knows that it will be. If the ledger
+  cannot be written, a command is denied, unless it holds the vehicle or brings it down, or the configuration allows it.
+  """
+
+  alias Aerie.Vehicle.Command
+  alias Aerie.Vehicle.Command.Result
+  alias Aerie.Control.Commands.{OwnershipCheck, RemoteGateway}
+  alias Aerie.Control.Commands.Pipeline.Request
+  alias Aerie.Control.Policy.{Intent, Lease}
+
+  # For a claim that nobody waits for.
+  @alone_ms 500
+
+  # Why a gateway that was said to have the lease gave no command to the vehicle.
+  @unheld ~w(unreachable holder claim unavailable vehicle)
+
+  @enforce_keys [:request, :intent, :settings, :patience]
+  defstruct @enforce_keys ++ [:snapshot, :asked, :refusal, :ownership, :promise, :result, token?: false]
+
+  @typedoc """
+    * `ledger_required?` - nothing is sent while the ledger cannot be written
+    * `urgent_ms` - how long a command that holds a vehicle or brings it down waits for the ledger and the audit log;
+      `record_ms` - how long other commands wait for them
+    * `remote?` - whether commands can be passed on to other gateways
+    * `shared?` - whether another gateway may hold a vehicle that is heard here
+  """
+  @type settings :: %{
+          ledger_required?: boolean(),
+          urgent_ms: pos_integer(),
+          record_ms: pos_integer(),
+          remote?: boolean(),
+          shared?: boolean()
+        }
+
+  @typedoc """
+    * `:patience` - how long it waits for ledger and audit log (ms)
+    * `:asked` - what the ledger was asked; `:refusal` - the actions that follow if it does not know the id
+    * `:promise` - which gateways do not send it again; nil where no other one can hold the vehicle
+    * `:token?` - whether it took a token of its source's rate
+  """
+  @type t :: %__MODULE__{
+          request: Request.t(),
+          intent: Intent.t(),
+          settings: settings(),
+          patience: pos_integer(),
+          snapshot: map() | nil,
+          asked: :known | :admit | nil,
+          refusal: [action()] | nil,
+          ownership: OwnershipCheck.t() | nil,
+          promise: :fleet | :gateway | :urgent | nil,
+          result: Result.t() | nil,
+          token?: boolean()
+        }
+
+  @typedoc "`us`: the time of day (unix microseconds); `ms`: of a clock that never jumps."
+  @type now :: %{us: integer(), ms: integer()}
+
+  @type denial :: {:deny, rule :: atom(), reason :: String.t()}
+
+  @type event ::
+          :start
+          | :waited
+          | {:seen, snapshot :: map() | nil, :allow | denial()}
+          | {:token, :ok | denial()}
+          | {:holder, OwnershipCheck.holder()}
+          | {:known, :new | :in_flight | {:stored, Result.t()} | {:refused | :error, String.t()}}
+          | {:judged, {:audit, required? :: boolean()} | :allow | :no_policy | denial()}
+          | {:setpoints, :ok | {:error, String.t()}}
+          | {:claimed, :ok | {:taken, map()} | {:error, String.t()}}
+          | {:sending, :ok | {:refused | :error, String.t()}}
+          | {:result, Result.t()}
+          | {:lease, {:ok, Lease.t() | nil} | {:deny, String.t()}}
+
+  @typedoc """
+    * `:look` - finds the vehicle, and whether its sender may do anything like it
+    * `{:ask, :known | :admit}` - asks the ledger whether it knows the id, and `:admit` that it keeps the command if not
+    * `{:refuse, status, rule, reason, stored?}` - ends it, as the result of its id if `stored?`
+    * `{:answer, result}` - ends a repetition; `{:finish, result}` - ends a command that was admitted
+  """
+  @type action ::
+          :look
+          | :take_token
+          | :put_back_token
+          | :holder
+          | {:wait, ms :: pos_integer()}
+          | {:ask, :known | :admit}
+          | :judge
+          | {:audit, required? :: boolean()}
+          | {:count, :allow | :deny, rule :: atom()}
+          | :setpoints
+          | {:claim, timeout_ms :: pos_integer()}
+          | {:sending, :safe | :never}
+          | :commanded
+          | :execute
+          | :pass_on
+          | {:change_lease, Lease.change()}
+          | {:announce, Result.t()}
+          | {:refuse, Result.status(), rule :: atom(), reason :: String.t(), stored? :: boolean()}
+          | {:answer, Result.t()}
+          | {:finish, Result.t()}
+
+  @doc "A command that has come."
+  @spec new(Request.t(), settings()) :: t()
+  def new(request, settings) do
+    intent = Request.intent(request)
+    patience = if intent.ends_flight?, do: settings.urgent_ms, else: settings.record_ms
+    %__MODULE__{request: request, intent: intent, settings: settings, patience: patience}
+  end
+
+  @doc "What follows from an event."
+  @spec handle(t(), event(), now()) :: {t(), [action(), ...]}
+  def handle(core, :start, _now), do: {core, [:look]}
+
+  def handle(core, {:seen, nil, _admission}, _now),
+    do: refuse(core, :rejected, :vehicle, "there is no vehicle #{core.request.command.vehicle}")
+
+  # Before anything is remembered of it, so that one who may nothing fills neither rates nor the ledger.
+  def handle(core, {:seen, _snapshot, {:deny, rule, reason}}, _now),
+    do: refuse(core, :denied, rule, reason, [{:count, :deny, rule}])
+
+  # Commands that bring a vehicle down are exempt, so that a stuck key cannot exhaust the rate limit.
+  def handle(%{intent: %{ends_flight?: true}} = core, {:seen, snapshot, :allow}, now),
+    do: find_holder(%{core | snapshot: snapshot}, now)
+
+  def handle(core, {:seen, snapshot, :allow}, _now), do: {%{core | snapshot: snapshot}, [:take_token]}
+  def handle(core, {:token, {:deny, rule, reason}}, _now), do: refuse(core, :denied, rule, reason)
+  def handle(core, {:token, :ok}, now), do: find_holder(%{core | token?: true}, now)
+
+  def handle(%{ownership: %{stage: :look}} = core, {:holder, holder}, now) do
+    case OwnershipCheck.handle(core.ownership, {:holder, holder, now.ms}) do
+      {ownership, :go_on} -> admit(%{core | ownership: ownership}, now)
+      {_over, {:pass_on, name}} -> elsewhere(%{core | ownership: nil}, name, now)
+      {_over, {:refuse, rule, why}} -> refuse(core, :denied, rule, unsent(why))
+      {_same, {:again, ms}} when core.asked == :known -> {core, [{:wait, ms}]}
+      {_same, {:again, _ms}} -> {%{core | asked: :known}, [{:ask, :known}]}
+    end
+  end
+
+  def handle(%{ownership: %{stage: :held}} = core, {:holder, holder}, now) do
+    case OwnershipCheck.handle(core.ownership, {:holder, holder, now.ms}) do
+      {ownership, :claim} -> {%{core | ownership: ownership}, [{:claim, claim_ms(core, ownership)}]}
+      {_over, {:refuse, rule, why}} -> stop(core, :denied, rule, unsent(why))
+    end
+  end
+
+  def handle(%{ownership: %{stage: :claimed}} = core, {:holder, holder}, now) do
+    case OwnershipCheck.handle(core.ownership, {:send?, holder, now.ms}) do
+      {_over, {:send, promise}} -> send_off(%{core | promise: promise})
+      {_over, {:refuse, rule, why}} -> stop(core, :denied, rule, unsent(why))
+    end
+  end
+
+  def handle(core, :waited, _now), do: {core, [:holder]}
+
+  def handle(core, {:known, {:stored, result}}, _now), do: repeated(core, {:answer, result})
+  def handle(core, {:known, :in_flight}, _now), do: repeated(core, {:answer, lost(core.request.command)})
+
+  def handle(core, {:known, {:refused, reason}}, _now),
+    do: repeated(core, {:refuse, :rejected, :id, reason, false})
+
+  # It is not known yet who holds the vehicle.
+  def handle(%{asked: :known, refusal: nil} = core, {:known, _new_or_error}, _now), do: {core, [:holder]}
+  def handle(%{asked: :known} = core, {:known, _new_or_error}, _now), do: {core, core.refusal}
+  def handle(core, {:known, :new}, _now), do: {core, [:judge]}
+
+  def handle(core, {:known, {:error, reason}}, _now) do
+    if unrecorded?(core),
+      do: {core, [:judge]},
+      else: {core, [{:refuse, :denied, :ledger, unrecorded(core, reason), false}]}
+  end
+
+  def handle(core, {:judged, {:audit, required?}}, _now), do: {core, [{:audit, required?}]}
+  def handle(core, {:judged, :allow}, _now), do: {core, [{:count, :allow, nil}, :setpoints]}
+
+  def handle(core, {:judged, :no_policy}, _now),
+    do: stop(core, :denied, :policy, "the gateway has no policy, so nobody may command anything")
+
+  def handle(core, {:judged, {:deny, rule, reason}}, _now),
+    do: stop(core, :denied, rule, reason, [{:count, :deny, rule}])
+
+  def handle(core, {:setpoints, {:error, reason}}, _now), do: stop(core, :rejected, :setpoints, reason)
+
+  def handle(%{request: %{command: command}} = core, {:setpoints, :ok}, now) do
+    cond do
+      Command.expired?(command, now.us) -> stop(core, :expired, :deadline, late())
+      core.ownership == nil -> {core, [{:sending, Request.retry(core.request)}]}
+      true -> {core, [:holder]}
+    end
+  end
+
+  def handle(core, {:claimed, claimed}, _now) do
+    case OwnershipCheck.handle(core.ownership, {:claimed, claimed}) do
+      {ownership, :go_on} -> {%{core | ownership: ownership}, [{:sending, Request.retry(core.request)}]}
+      {_over, {:known, claim}} -> finish(core, claimed_result(core, claim))
+      {_over, {:refuse, rule, why}} -> stop(core, :denied, rule, unsent(why))
+    end
+  end
+
+  def handle(core, {:sending, :ok}, _now), do: sending(core)
+
+  def handle(core, {:sending, {kind, reason}}, _now) do
+    cond do
+      # It is unknown whether it was done before.
+      kind == :refused and Request.retry(core.request) == :never -> stop(core, :denied, :ledger, reason)
+      unrecorded?(core) -> sending(core)
+      true -> stop(core, :denied, :ledger, unrecorded(core, reason))
+    end
+  end
+
+  def handle(%{snapshot: %{via: via} = snapshot} = core, {:result, result}, _now) when via != nil do
+    if again?(core, result),
+      do: carry_out(%{core | snapshot: Map.drop(snapshot, [:via, :heard_here?])}),
+      else: done(core, result)
+  end
+
+  def handle(%{intent: %{control: nil}} = core, {:result, result}, _now), do: done(core, result)
+
+  # A release succeeds even if the vehicle does not answer.
+  def handle(%{intent: %{control: change}} = core, {:result, result}, _now) do
+    if result.status in [:accepted, :completed] or change == :release,
+      do: {%{core | result: result}, [{:change_lease, change}]},
+      else: done(core, result)
+  end
+
+  def handle(core, {:lease, {:ok, _lease}}, _now), do: done(core, core.result)
+
+  def handle(core, {:lease, {:deny, reason}}, _now),
+    do: done(core, Result.new(core.request.command.id, :denied, reason, %{"rule" => "lease"}))
+
+  @doc "The result of a command whose task died."
+  @spec lost(Command.t()) :: Result.t()
+  def lost(command) do
+    complete(Result.new(command.id, :unknown, "a fault in the gateway interrupted the command"), command)
+  end
+
+  defp find_holder(%{settings: %{shared?: false}} = core, now), do: admit(core, now)
+  defp find_holder(%{snapshot: %{via: via}} = core, now) when via != nil, do: admit(core, now)
+
+  defp find_holder(%{request: request, intent: intent} = core, now) do
+    ownership = OwnershipCheck.new(now.ms + core.patience, request.via == "nats", intent.ends_flight?)
+    {%{core | ownership: ownership}, [:holder]}
+  end
+
+  # Another gateway holds the vehicle, which is heard here.
+  defp elsewhere(%{settings: %{remote?: true}} = core, name, now),
+    do: admit(%{core | snapshot: RemoteGateway.reached_by(core.snapshot, name)}, now)
+
+  defp elsewhere(%{intent: %{ends_flight?: true}} = core, _name, now), do: admit(core, now)
+
+  defp elsewhere(core, name, _now),
+    do: refuse(core, :denied, :holder, unsent("the gateway #{name} holds the vehicle"))
+
+  defp admit(%{request: %{command: command, change: change}, snapshot: snapshot} = core, now) do
+    cond do
+      match?(%{remote_request: nil}, change) and snapshot[:via] != nil ->
+        refuse(core, :rejected, :elsewhere, RemoteGateway.only(snapshot.via))
+
+      Command.expired?(command, now.us) ->
+        refuse(core, :expired, :deadline, late())
+
+      true ->
+        {%{core | asked: :admit}, [{:ask, :admit}]}
+    end
+  end
+
+  defp refuse(core, status, rule, reason, counted \\ []) do
+    refusal = counted ++ [{:refuse, status, rule, reason, false}]
+
+    if core.asked == nil,
+      do: {%{core | asked: :known, refusal: refusal}, [{:ask, :known}]},
+      else: {core, refusal}
+  end
+
+  defp stop(core, status, rule, reason, counted \\ []),
+    do: {core, counted ++ [{:refuse, status, rule, reason, true}]}
+
+  defp repeated(%{token?: true} = core, action), do: {core, [:put_back_token, action]}
+  defp repeated(core, action), do: {core, [action]}
+
+  defp unrecorded?(core), do: core.intent.ends_flight? or not core.settings.ledger_required?
+
+  defp unrecorded(core, reason) do
+    "#{core.request.command.type} must be kept from being done twice, and the ledger cannot be written (#{reason})"
+  end
+
+  defp unsent(why), do: why <> "; nothing was sent"
+  defp late, do: "its deadline passed before it was sent"
+
+  defp claim_ms(core, %{lease: lease, urgent?: urgent?}) when lease == :alone or urgent?,
+    do: min(@alone_ms, core.patience)
+
+  defp claim_ms(core, _ownership), do: core.patience
+
+  defp claimed_result(_core, %{result: %Result{} = result}), do: result
+
+  defp claimed_result(core, %{by: by}) do
+    reason = "the gateway #{by} had this command, and what became of it is not known here"
+    Result.new(core.request.command.id, :unknown, reason)
+  end
+
+  defp sending(%{ownership: nil} = core), do: send_off(core)
+  defp sending(core), do: {core, [:holder]}
+
+  defp send_off(core) do
+    {core, actions} = carry_out(core)
+    {core, [:commanded | actions]}
+  end
+
+  defp carry_out(%{snapshot: %{via: via}} = core) when via != nil, do: {core, [:pass_on]}
+  defp carry_out(%{intent: %{control: nil}} = core), do: {core, [:execute]}
+
+  # A vehicle that has an operator of its own (X15) is asked first.
+  defp carry_out(%{intent: %{control: change}, snapshot: snapshot} = core) do
+    if snapshot[:status] != :lost and get_in(snapshot.groups, [:operator, :data, :system]) != nil do
+      {core, [:execute]}
+    else
+      {%{core | result: Result.new(core.request.command.id, :completed)}, [{:change_lease, change}]}
+    end
+  end
+
+  # It was passed on in vain: the vehicle is heard here, the command holds it or brings it down, and the gateway that
+  # has the lease did not answer or does not have it any more.
+  defp again?(%{intent: %{ends_flight?: true}, snapshot: %{heard_here?: true}}, result),
+    do: result.status == :unknown or result.details["rule"] in @unheld
+
+  defp again?(_core, _result), do: false
+
+  # The other gateways learn of the result, and it says what holds.
+  defp done(%{promise: nil} = core, result), do: finish(core, result)
+
+  defp done(%{promise: promise} = core, result) do
+    once = if promise == :urgent, do: "gateway", else: Atom.to_string(promise)
+    result = %{result | details: Map.put(result.details, "once", once)}
+    {core, actions} = finish(core, result)
+    {core, [{:announce, result} | actions]}
+  end
+
+  defp finish(core, result), do: {core, [{:finish, complete(result, core.request.command)}]}
+
+  defp complete(result, command) do
+    details = Map.merge(result.details, %{"vehicle" => command.vehicle, "type" => command.type})
+    %{result | details: details}
+  end
+end

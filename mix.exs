@@ -41,7 +41,7 @@ defmodule Aerie.Umbrella.MixProject do
 
   # What a release has beside its applications. bin/release adds the loader and libraries of the toolchain, nats-server and xz.
   defp pack(release) do
-    case apply(FleetWeb.Console.Assets, :pack, [Path.join(release.path, "lib/fleet_web-#{release.version}")]) do
+    case apply(Aerie.Console.Assets, :pack, [Path.join(release.path, "lib/console-#{release.version}")]) do
       [] ->
         :ok
 

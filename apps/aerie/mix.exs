@@ -61,7 +61,9 @@ defmodule Aerie.MixProject do
         {:vehicle, in_umbrella: true},
         {:control, in_umbrella: true},
         {:fleet, in_umbrella: true},
-        {:fleet_web, in_umbrella: true},
+        {:access, in_umbrella: true},
+        {:api, in_umbrella: true},
+        {:console, in_umbrella: true},
         # In the checkout only: a release has no simulated vehicles.
         {:sim_vehicle, in_umbrella: true, runtime: false}
       ] ++ Aerie.Packages.deps([:telemetry, :nkey])

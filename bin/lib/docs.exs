@@ -131,7 +131,7 @@ defmodule Docs do
   defp subsystem(beam, source) do
     [_all, app] = Regex.run(~r{/lib/([^/]+)/ebin/}, beam)
 
-    # lib/aerie/control/policy.ex and lib/fleet_web/api/view.ex are of control: policy and fleet_web: api.
+    # lib/aerie/control/policy.ex and lib/aerie/api/rest/view.ex are of control: policy and api: rest.
     case Regex.run(~r{/lib/(aerie/#{app}|#{app}|aerie)/([^/.]+)(?:/|\.ex)}, source) do
       [_all, root, part] -> if File.dir?("apps/#{app}/lib/#{root}/#{part}"), do: "#{app}: #{part}", else: app
       nil -> app

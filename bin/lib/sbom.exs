@@ -151,7 +151,7 @@ defmodule Sbom do
   defp npm(root, release) do
     locked = root |> Path.join("package-lock.json") |> File.read!() |> JSON.decode!()
 
-    for path <- Path.wildcard(Path.join(release, "lib/fleet_web-*/priv/console/node_modules/*")) do
+    for path <- Path.wildcard(Path.join(release, "lib/console-*/priv/console/node_modules/*")) do
       name = Path.basename(path)
       %{"version" => version, "license" => licence, "integrity" => "sha512-" <> hash} = locked["packages"]["node_modules/#{name}"]
       content = hash |> Base.decode64!() |> Base.encode16(case: :lower)

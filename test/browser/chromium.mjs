@@ -37,7 +37,7 @@ export const shows = (page, selector, text) =>
 export const contains = (page, selector, text) =>
   until(page, ([selector, text]) => document.querySelector(selector)?.textContent.includes(text), [selector, text]);
 
-// What a button of FleetWeb.Console.UI.HoldButton went through: its presses that ended, and the one that is on. Null if there is no such button.
+// What a button of Aerie.Console.UI.HoldButton went through: its presses that ended, and the one that is on. Null if there is no such button.
 export const presses = (page, selector) =>
   page.evaluate((selector) => {
     const { heldCount, slippedCount, state } = document.querySelector(selector)?.dataset ?? {};

@@ -41,7 +41,7 @@ defmodule Aerie.Gate.BenchTest do
         do: assert({file, File.read!(file) =~ "Bench.Options.read(__ENV__.file"} == {file, true})
   end
 
-  @ours ~w(Aerie FleetWeb MavCodec MavRouter Msp Protocols SimVehicle)a
+  @ours ~w(Aerie MavCodec MavRouter Msp Protocols SimVehicle)a
 
   # Nothing compiles them but a run.
   test "no benchmark calls a function or reads a file that has gone" do

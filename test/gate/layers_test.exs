@@ -215,7 +215,7 @@ defmodule Aerie.Gate.LayersTest do
 
   describe "modules that other apps use" do
     test "another one is refused", %{apps: apps} do
-      file = "fleet_web/made_up"
+      file = "aerie/api/made_up"
 
       made_up = fn app -> put_in(app.names[file], [{:control, "Aerie.Control.Made.Up"}]) end
 
@@ -223,10 +223,10 @@ defmodule Aerie.Gate.LayersTest do
         Enum.map(apps, &if(&1.name == name, do: made_up.(&1), else: &1)) |> Readme.problems()
       end
 
-      assert [problem] = new.(:fleet_web) -- Readme.problems(apps)
+      assert [problem] = new.(:api) -- Readme.problems(apps)
 
       assert problem =~
-               "apps/fleet_web/lib/fleet_web/made_up.ex uses Aerie.Control.Made.Up, which apps/control/README.md"
+               "apps/api/lib/aerie/api/made_up.ex uses Aerie.Control.Made.Up, which apps/control/README.md"
 
       assert problem =~ "does not list under \"Used by other apps\"; use one that it lists, or add it there"
 

@@ -20,7 +20,7 @@ defmodule Aerie.Gate.RefusalsTest do
   @console ~w(form firmware)
 
   defp used do
-    for file <- Path.wildcard(@apps <> "/{control,fleet,fleet_web,vehicle}/lib/**/*.ex"),
+    for file <- Path.wildcard(@apps <> "/{control,fleet,access,api,console,vehicle}/lib/**/*.ex"),
         text = File.read!(file),
         form <- @forms,
         [_all, rule] <- Regex.scan(form, text),

@@ -80,7 +80,7 @@ defmodule Aerie.AuthorityCase do
 
   defp way(c, {:udp, id}), do: {:udp, {127, 0, 0, 1}, port(c, id)}
   defp way(c, {:tcp, id}), do: {:tcp, port(c, id)}
-  defp way(c, {:websocket, key}), do: {:websocket, FleetWeb.WebSocket.port(c.gateway), key_header(key)}
+  defp way(c, {:websocket, key}), do: {:websocket, Aerie.Api.WebSocket.port(c.gateway), key_header(key)}
   defp way(c, :unix), do: {:unix, Path.join(c.sockets, "mavlink.sock")}
   defp way(c, {:link, address}), do: {:udp, address, c.link}
 

@@ -7,7 +7,7 @@ defmodule Aerie.Program do
 
   alias Aerie.Patience
   alias MavRouter.Router
-  alias FleetWeb.WSClient
+  alias Aerie.WSClient
 
   @typedoc "How it is connected: UDP (its own address, the gateway's port), TCP, a WebSocket with headers, `mavlink.sock`."
   @type way ::

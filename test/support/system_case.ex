@@ -212,7 +212,7 @@ defmodule Aerie.SystemCase do
   decoded if it is JSON. `path` begins with a slash, or below `/api/`. A body that is not text is sent as JSON.
   """
   def rest(gateway, method, path, body \\ nil, options \\ []) do
-    port = if is_integer(gateway), do: gateway, else: FleetWeb.Endpoint.port(gateway)
+    port = if is_integer(gateway), do: gateway, else: Aerie.Api.Endpoint.port(gateway)
     path = if String.starts_with?(path, "/"), do: path, else: "/api/" <> path
     url = ~c"http://127.0.0.1:#{port}#{path}"
     headers = [{"connection", "close"} | for(key <- List.wrap(options[:key]), do: {"x-aerie-key", key})]

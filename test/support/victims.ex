@@ -3,12 +3,25 @@ defmodule Aerie.Victims do
 
   alias Aerie.Base.Store
 
-  @apps [:aerie, :base, :mav_router, :vehicle, :control, :fleet, :fleet_web, :telemetry, :ranch, :cowboy]
+  @apps [
+    :aerie,
+    :base,
+    :mav_router,
+    :vehicle,
+    :control,
+    :fleet,
+    :access,
+    :api,
+    :console,
+    :telemetry,
+    :ranch,
+    :cowboy
+  ]
 
   @doc "The port of HTTP, nil while it does not listen."
   @spec port() :: :inet.port_number() | nil
   def port do
-    FleetWeb.Listener.port(:default)
+    Aerie.Api.Listener.port(:default)
   rescue
     _restarting -> nil
   end

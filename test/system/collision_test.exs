@@ -36,7 +36,7 @@ defmodule Aerie.System.CollisionTest do
 
   defp metric(gateway) do
     {_name, :gauge, _help, [{[vehicle: "VID-001"], value}]} =
-      gateway |> FleetWeb.Metrics.families() |> Enum.find(&(elem(&1, 0) == "gateway_vehicle_collision"))
+      gateway |> Aerie.Api.Metrics.families() |> Enum.find(&(elem(&1, 0) == "gateway_vehicle_collision"))
 
     value in [1, true]
   end

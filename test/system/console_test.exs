@@ -4,7 +4,7 @@ defmodule Aerie.System.ConsoleTest do
   use Aerie.SystemCase, async: true
   use Aerie.RunCase
 
-  import FleetWeb.ConsoleCase, only: [await_line: 2]
+  import Aerie.ConsoleCase, only: [await_line: 2]
 
   @moduletag :tmp_dir
   @moduletag :chromium

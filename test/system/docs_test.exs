@@ -16,7 +16,8 @@ defmodule Aerie.System.DocsTest do
       for path <- Path.wildcard(Path.join(@root, "docs/**/*.md")), do: Path.basename(path, ".md")
 
     modules =
-      ~w(Aerie.Shell FleetWeb.Metrics Aerie.Control.Policy MavCodec.Messages.Heartbeat MavRouter.Router SimVehicle Gnat)
+      ~w(Aerie.Shell Aerie.Api.Metrics Aerie.Control.Policy MavCodec.Messages.Heartbeat MavRouter.Router SimVehicle) ++
+        ~w(Gnat)
 
     for name <- guides ++ modules, do: assert(pages[name <> ".html"], name)
 

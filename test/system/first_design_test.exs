@@ -69,7 +69,7 @@ defmodule Aerie.System.FirstDesignTest do
       fn -> "it is ready: #{inspect(Aerie.Fleet.Health.ready(gateway))}" end
     )
 
-    assert %{identity: %{system: 1, component: 191}} = FleetWeb.API.View.status(gateway)
+    assert %{identity: %{system: 1, component: 191}} = Aerie.Api.Rest.View.status(gateway)
   end
 
   @tag mavlink: %{"component_id" => 190}

@@ -72,7 +72,7 @@ defmodule Aerie.System.FleetTest do
       {SimVehicle.Fleet, count: 1, link: "udpout:127.0.0.1:#{context.port}", ready_s: 1.0, fly: false}
     )
 
-    port = FleetWeb.Endpoint.port(context.gateway)
+    port = Aerie.Api.Endpoint.port(context.gateway)
     eventually(fn -> Store.vehicle(context.gateway, "VID-001") end, "the vehicle is known")
 
     assert {200, %{"status" => "ok"}} = get_json(port, "/healthz")

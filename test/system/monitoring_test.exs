@@ -3,8 +3,8 @@ defmodule Aerie.System.MonitoringTest do
 
   use Aerie.SystemCase, async: true
 
-  alias FleetWeb.Metrics
-  alias FleetWeb.Metrics.Page
+  alias Aerie.Api.Metrics
+  alias Aerie.Api.Metrics.Page
 
   @moduletag :tmp_dir
   @moduletag :capture_log

@@ -35,7 +35,7 @@ defmodule Aerie.System.OpenAPIRequestsTest do
   defp key(n), do: "a-key-for-the-requests-#{n}"
 
   test "no request that the description takes is refused for its shape", %{gateway: gateway} do
-    base = "http://127.0.0.1:#{FleetWeb.Endpoint.port(gateway)}"
+    base = "http://127.0.0.1:#{Aerie.Api.Endpoint.port(gateway)}"
 
     operations =
       for {path, methods} <- @document["paths"], {method, operation} <- methods, do: {path, method, operation}
@@ -59,7 +59,7 @@ defmodule Aerie.System.OpenAPIRequestsTest do
 
     # The log is everybody's.
     if {method, path} == {"patch", "/api/log"},
-      do: with({:ok, _changes} <- FleetWeb.API.LogLevels.parse(body), do: nil),
+      do: with({:ok, _changes} <- Aerie.Api.Rest.LogLevels.parse(body), do: nil),
       else: asked(String.to_existing_atom(method), url, body, key)
   end
 

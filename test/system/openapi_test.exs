@@ -13,9 +13,9 @@ defmodule Aerie.System.OpenAPITest do
     %{gateway: gateway} =
       start_gateway(folder, links: ["udpin:127.0.0.1:0"], overrides: %{"api" => %{"key" => @key}})
 
-    port = FleetWeb.Endpoint.port(gateway)
+    port = Aerie.Api.Endpoint.port(gateway)
     file = Path.join(folder, "openapi.json")
-    File.write!(file, FleetWeb.API.OpenAPI.text())
+    File.write!(file, Aerie.Api.Rest.OpenAPI.text())
 
     peer =
       start_program("schemathesis", [

@@ -107,7 +107,7 @@ defmodule Aerie.System.PageCommandsTest do
 
   # The ports of this gateway in the place of the usual ones, and an error for an answer that is one.
   defp configure_curl(gateway, folder) do
-    ports = [{4000, FleetWeb.Endpoint.port(gateway)}, {8765, FleetWeb.WebSocket.port(gateway)}]
+    ports = [{4000, Aerie.Api.Endpoint.port(gateway)}, {8765, Aerie.Api.WebSocket.port(gateway)}]
 
     connect =
       for host <- ["127.0.0.1", "localhost"],

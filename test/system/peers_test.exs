@@ -118,7 +118,7 @@ defmodule Aerie.System.PeersTest do
   @key "a-key-for-the-tests-0123"
   @tag config: %{"api" => %{"key" => @key}}
   test "pymavlink by WebSocket, with a ticket, with ArduPilot; pymavlink by mavlink.sock with PX4", c do
-    websocket = FleetWeb.WebSocket.port(c.gateway)
+    websocket = Aerie.Api.WebSocket.port(c.gateway)
     socket = Path.join(c.config.sockets.dir, "mavlink.sock")
 
     one =

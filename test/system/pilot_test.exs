@@ -5,7 +5,7 @@ defmodule Aerie.System.PilotTest do
 
   alias Aerie.Control.Params
   alias Aerie.Control.Policy.Roles
-  alias FleetWeb.Access.Users
+  alias Aerie.Access.Users
   alias MavCodec.{Frame, Parser}
   alias MavCodec.Messages, as: M
   alias MavRouter.Link

@@ -6,7 +6,7 @@ defmodule Aerie.System.PromtoolTest do
 
   use Aerie.SystemCase, async: true
 
-  alias FleetWeb.Metrics
+  alias Aerie.Api.Metrics
 
   @moduletag :tmp_dir
   @moduletag :capture_log
@@ -24,7 +24,7 @@ defmodule Aerie.System.PromtoolTest do
       await_standing(gateway, {"main", n})
     end
 
-    port = FleetWeb.Endpoint.port(gateway)
+    port = Aerie.Api.Endpoint.port(gateway)
     {:ok, {{_version, 200, _reason}, _headers, page}} = :httpc.request("http://localhost:#{port}/metrics")
     assert length(Regex.scan(~r/^gateway_vehicle_online\{/m, to_string(page))) == 2
     accepts_metrics(dir, page)

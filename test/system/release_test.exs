@@ -107,7 +107,7 @@ defmodule Aerie.System.ReleaseTest do
                "it is found"
              )
 
-    assert {text, 0} = aerie(context, ["rpc", "FleetWeb.Console.Assets.missing(:default)"])
+    assert {text, 0} = aerie(context, ["rpc", "Aerie.Console.Assets.missing(:default)"])
     assert text == "[]\n"
     assert {text, 0} = aerie(context, ["stop"])
     assert text =~ "has ended"
@@ -180,7 +180,7 @@ defmodule Aerie.System.ReleaseTest do
           do: place["location"]
 
     there =
-      for pattern <- ~w(lib/* usr/lib/*/* erts-*/bin/* lib/fleet_web-*/priv/console/node_modules/*),
+      for pattern <- ~w(lib/* usr/lib/*/* erts-*/bin/* lib/console-*/priv/console/node_modules/*),
           path <- Path.wildcard(Path.join(context.release, pattern)),
           not String.ends_with?(path, ".elf"),
           do: Path.relative_to(path, context.release)

@@ -284,7 +284,9 @@ defmodule Aerie.System.SigningTest do
     assert rejected >= 0
     assert Store.vehicle(c.gateway, @vehicle).groups.mode.data.armed == false
 
-    metrics = FleetWeb.Metrics.families(c.gateway) |> FleetWeb.Metrics.Text.render() |> IO.iodata_to_binary()
+    metrics =
+      Aerie.Api.Metrics.families(c.gateway) |> Aerie.Api.Metrics.Text.render() |> IO.iodata_to_binary()
+
     assert metrics =~ ~s(gateway_link_signing_alarms_total{link="link-1",network="main"} 1)
     assert metrics =~ ~s(gateway_vehicle_signed{vehicle="VID-001"} 1)
 

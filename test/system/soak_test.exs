@@ -34,7 +34,9 @@ defmodule Aerie.System.SoakTest do
       :vehicle,
       :mav_codec,
       :sim_vehicle,
-      :fleet_web,
+      :access,
+      :api,
+      :console,
       :circuits_uart,
       :gnat,
       :telemetry,
@@ -251,7 +253,7 @@ defmodule Aerie.System.SoakTest do
     end
 
     {:ok, {{_, 200, _}, _, _}} =
-      :httpc.request(~c"http://127.0.0.1:#{FleetWeb.Endpoint.port(gateway)}/metrics")
+      :httpc.request(~c"http://127.0.0.1:#{Aerie.Api.Endpoint.port(gateway)}/metrics")
   end
 
   # Client endpoints that are added and removed, with a client that talks to them.

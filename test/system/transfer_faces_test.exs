@@ -313,7 +313,7 @@ defmodule Aerie.System.TransferFacesTest do
   # A download of which the first bytes have come.
   defp begun(%{gateway: gateway}) do
     {:ok, socket} =
-      :gen_tcp.connect({127, 0, 0, 1}, FleetWeb.Endpoint.port(gateway), [:binary, active: false])
+      :gen_tcp.connect({127, 0, 0, 1}, Aerie.Api.Endpoint.port(gateway), [:binary, active: false])
 
     :ok =
       :gen_tcp.send(socket, [
@@ -350,7 +350,7 @@ defmodule Aerie.System.TransferFacesTest do
   end
 
   defp fetch(%{gateway: gateway}, id, headers, method) do
-    url = ~c"http://127.0.0.1:#{FleetWeb.Endpoint.port(gateway)}/api/vehicles/VID-001/logs/#{id}"
+    url = ~c"http://127.0.0.1:#{Aerie.Api.Endpoint.port(gateway)}/api/vehicles/VID-001/logs/#{id}"
 
     headers =
       for {name, value} <- [{"x-aerie-key", @chief}, {"connection", "close"} | headers],

@@ -39,7 +39,9 @@ defmodule ClientsBench do
     clients = for part <- ~w(sockets websocket), do: {"#{part}.max_clients", 200}
     config = Gateway.config(dir, [{"sockets.dir", dir}, {"http.port", 0}, {"websocket.port", 0} | clients])
     Gateway.parts(gateway, config, @parts)
-    {:ok, _server} = FleetWeb.Endpoint.start_link(gateway: gateway, settings: FleetWeb.Settings.from(config))
+
+    {:ok, _server} =
+      Aerie.Api.Endpoint.start_link(gateway: gateway, settings: Aerie.Api.Settings.from(config))
 
     # A session that wants nothing.
     spawn_link(fn ->
@@ -48,7 +50,7 @@ defmodule ClientsBench do
     end)
 
     ways = [
-      {"WebSocket", {:websocket, FleetWeb.WebSocket.port(gateway)}},
+      {"WebSocket", {:websocket, Aerie.Api.WebSocket.port(gateway)}},
       {"mavlink.sock", {:unix, Path.join(dir, "mavlink.sock")}},
       {"TCP", {:tcp, Gateway.client(gateway, "tcpin:127.0.0.1:0")}}
     ]

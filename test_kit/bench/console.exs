@@ -18,7 +18,7 @@ Code.require_file("../../test/browser/browser.ex", __DIR__)
 defmodule ConsoleBench do
   alias Aerie.Base.Store
   alias Bench.{Gateway, OSProcess, Sample, Table}
-  alias FleetWeb.Access
+  alias Aerie.Access
 
   # Each vehicle changes once in a round, a slice of them at a time.
   @slices 10
@@ -60,7 +60,7 @@ defmodule ConsoleBench do
     {:ok, secret} = Access.Secret.load(gateway, Path.join(dir, "console"))
     session = Phoenix.LiveView.Cookie.with_csrf(Access.Session.of_launch(gateway))
     cookie = Access.Session.cookie(secret) <> "=" <> Phoenix.LiveView.Token.sign(secret, "cookie", session)
-    %{gateway: gateway, port: FleetWeb.Endpoint.port(gateway), cookie: cookie}
+    %{gateway: gateway, port: Aerie.Api.Endpoint.port(gateway), cookie: cookie}
   end
 
   # Gives the row for a picture, and the CPU without viewers, to be taken off the next ones'.

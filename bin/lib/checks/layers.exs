@@ -20,7 +20,9 @@ defmodule Layers do
     vehicle: ["Aerie.Vehicle"],
     control: ["Aerie.Control"],
     fleet: ["Aerie.Fleet"],
-    fleet_web: ["FleetWeb"],
+    access: ["Aerie.Access"],
+    api: ["Aerie.Api"],
+    console: ["Aerie.Console"],
     aerie: ["Aerie"],
     sim_vehicle: ["SimVehicle"]
   ]

@@ -55,8 +55,11 @@ defmodule Bench.Gateway do
   def whole(gateway, config, pages? \\ false) do
     {:ok, pid} = Aerie.Gateway.start_link(name: gateway, config: config)
 
-    if pages?,
-      do: {:ok, _} = FleetWeb.Endpoint.start_link(gateway: gateway, settings: FleetWeb.Settings.from(config))
+    if pages? do
+      settings = Aerie.Api.Settings.from(config)
+      pages = &Aerie.Console.HTTP.Routes.serve(gateway, settings.console, nil, &1)
+      {:ok, _} = Aerie.Api.Endpoint.start_link(gateway: gateway, settings: settings, pages: pages)
+    end
 
     pid
   end

@@ -8,7 +8,7 @@ defmodule Aerie.Incident do
   alias Aerie.Config
   alias Aerie.Fleet.Replay
   alias Aerie.Incident.{Archive, Commands, Flight, Hide, Page, Recordings, Records, Source, Span, Timeline}
-  alias FleetWeb.Console.Assets
+  alias Aerie.Console.Assets
   alias MavRouter.Recorder
 
   @format 1

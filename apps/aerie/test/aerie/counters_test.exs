@@ -15,7 +15,7 @@ defmodule Aerie.CountersTest do
   end
 
   defp samples(gateway, name) do
-    {^name, :counter, _help, samples} = List.keyfind(FleetWeb.Metrics.families(gateway), name, 0)
+    {^name, :counter, _help, samples} = List.keyfind(Aerie.Api.Metrics.families(gateway), name, 0)
     Map.new(samples)
   end
 

@@ -10,7 +10,7 @@ defmodule Aerie.CLI.Status do
   alias Aerie.Base.Log
   alias Aerie.Base.Log.Formatter
   alias Aerie.Base.PubSub
-  alias FleetWeb.Access.Launch
+  alias Aerie.Access.Launch
   alias Aerie.CLI.Status.{Access, Format, Lines, Table, View}
 
   @table_period 500
@@ -113,7 +113,7 @@ defmodule Aerie.CLI.Status do
   defp bound(%{config: nil}), do: nil
 
   defp bound(%{config: config, gateway: gateway}) do
-    for {name, server} <- [http: FleetWeb.Endpoint, websocket: FleetWeb.WebSocket], reduce: config do
+    for {name, server} <- [http: Aerie.Api.Endpoint, websocket: Aerie.Api.WebSocket], reduce: config do
       config -> Map.update!(config, name, &bound(&1, server, gateway))
     end
   end

@@ -25,7 +25,7 @@ defmodule Aerie.Config.Keys do
     Aerie.Fleet.Shadow.Settings,
     Aerie.Fleet.Client.Settings,
     Aerie.Base.Log.Settings,
-    FleetWeb.Settings,
+    Aerie.Api.Settings,
     Aerie.Node.Settings
   ]
 

@@ -12,8 +12,8 @@ defmodule Aerie.Config.Names do
   alias Aerie.{Config, Vehicle}
   alias Aerie.Control.Commands
   alias Aerie.Base.Settings.Schema
-  alias FleetWeb.Access.Keys
-  alias FleetWeb.Access.Users
+  alias Aerie.Access.Keys
+  alias Aerie.Access.Users
   alias MavRouter.Link.Transport.Msp.Share
 
   # Parts of the gateway that command in their own name, and commands over NATS that nobody signed.

@@ -20,7 +20,7 @@ defmodule Aerie.Config.Preflight do
   alias Aerie.Base.Files.Private
   alias Aerie.Fleet.Replay.Source
   alias Aerie.Fleet.Shadow.LocalStore
-  alias FleetWeb.Access.Users
+  alias Aerie.Access.Users
 
   @typedoc "Whether a port that is taken counts as free."
   @type ours :: (:tcp | :udp, :inet.port_number() -> boolean())
@@ -251,7 +251,7 @@ defmodule Aerie.Config.Preflight do
   defp keys(config), do: keys_file(config) ++ own_file(config)
 
   defp keys_file(config) do
-    case FleetWeb.Access.Keys.load(config.api) do
+    case Aerie.Access.Keys.load(config.api) do
       {:ok, _keys} -> []
       {:error, text} -> [error(config, "api.keys_file", "a file of keys that only its owner can read", text)]
     end

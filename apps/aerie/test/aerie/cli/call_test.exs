@@ -66,7 +66,7 @@ defmodule Aerie.CLI.CallTest do
     for known <- [
           Aerie.Fleet.Bridge,
           MavCodec.Messages.Attitude,
-          FleetWeb.Endpoint,
+          Aerie.Api.Endpoint,
           SimVehicle,
           :cowboy_req,
           :inet,

@@ -20,8 +20,7 @@ defmodule Aerie.Config.AuthorityTest do
   alias MavRouter.Endpoints.Endpoint
   alias MavRouter.Endpoints.Owner.Filter
   alias Aerie.Base.Settings.Field
-  alias FleetWeb.API
-  alias FleetWeb.HTTP.Proxy
+  alias Aerie.Access.HTTP.{Admission, Proxy}
 
   @moduletag :tmp_dir
 
@@ -212,20 +211,20 @@ defmodule Aerie.Config.AuthorityTest do
       {"api.keys_file", %{}, one, two, &request(&1, key: @key)},
       {"api.origins", key, ["https://a"], ["https://b"], &request(&1, key: @key, origin: "https://a")},
       {"http.hosts", %{}, ["a.example"], ["b.example"],
-       &API.Access.host(access(&1), %{facts([]) | host: "a.example", peer: {10, 0, 0, 1}})},
+       &Admission.host(access(&1), %{facts([]) | host: "a.example", peer: {10, 0, 0, 1}})},
       {"http.proxies", %{}, ["10.0.0.1"], ["10.0.0.2"],
        fn config ->
-         proxies = Enum.map(config.http.proxies, &FleetWeb.Settings.ip/1)
+         proxies = Enum.map(config.http.proxies, &Aerie.Api.Settings.ip/1)
          Proxy.client({10, 0, 0, 1}, %{"x-forwarded-for" => "10.9.9.9"}, proxies)
        end},
       {"http.address", %{}, "127.0.0.1", "0.0.0.0", & &1},
-      {"http.enabled", %{}, true, false, &FleetWeb.Settings.from(&1).http.enabled},
-      {"console.enabled", %{}, true, false, &FleetWeb.Settings.from(&1).console.enabled},
-      {"websocket.enabled", %{}, true, false, &FleetWeb.Settings.from(&1).websocket.enabled},
+      {"http.enabled", %{}, true, false, &Aerie.Api.Settings.from(&1).http.enabled},
+      {"console.enabled", %{}, true, false, &Aerie.Api.Settings.from(&1).console.enabled},
+      {"websocket.enabled", %{}, true, false, &Aerie.Api.Settings.from(&1).websocket.enabled},
       {"websocket.address", %{}, "127.0.0.1", "0.0.0.0", & &1},
-      {"websocket.sign", %{}, true, false, &FleetWeb.Settings.from(&1).websocket.sign},
-      {"websocket.cert_file", tls, "/a", "/b", &FleetWeb.Settings.from(&1).websocket.cert_file},
-      {"websocket.key_file", tls, "/a", "/b", &FleetWeb.Settings.from(&1).websocket.key_file}
+      {"websocket.sign", %{}, true, false, &Aerie.Api.Settings.from(&1).websocket.sign},
+      {"websocket.cert_file", tls, "/a", "/b", &Aerie.Api.Settings.from(&1).websocket.cert_file},
+      {"websocket.key_file", tls, "/a", "/b", &Aerie.Api.Settings.from(&1).websocket.key_file}
     ]
   end
 
@@ -456,11 +455,11 @@ defmodule Aerie.Config.AuthorityTest do
   end
 
   defp access(config) do
-    {:ok, keys} = FleetWeb.Access.Keys.load(config.api)
+    {:ok, keys} = Aerie.Access.Keys.load(config.api)
     %{keys: keys, origins: config.api.origins, ports: [], hosts: config.http.hosts}
   end
 
-  defp request(config, more), do: API.Access.decide(access(config), facts(more))
+  defp request(config, more), do: Admission.decide(access(config), facts(more))
 
   defp facts(more),
     do:

@@ -4,7 +4,7 @@ defmodule Aerie.Incident.BrowserTest do
 
   alias Aerie.Browser
   alias Aerie.Incident.{Flight, Page, Span}
-  alias FleetWeb.Console.Assets
+  alias Aerie.Console.Assets
 
   @moduletag :tmp_dir
   @script Path.expand("../../../../../test/browser/incident.mjs", __DIR__)

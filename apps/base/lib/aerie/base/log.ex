@@ -18,7 +18,7 @@ defmodule Aerie.Base.Log do
   @areas %{
     "mav_router" => [:mav_router, :base],
     "vehicle" => [:vehicle, :control, :fleet],
-    "fleet_web" => [:fleet_web],
+    "fleet_web" => [:access, :api, :console],
     "aerie" => [:aerie],
     "gnat" => [:gnat],
     "circuits_uart" => [:circuits_uart],

@@ -9,7 +9,7 @@ defmodule Aerie.CLI.PolicyTrial.Principals do
   alias Aerie.Control.Policy.{Roles, Sources}
   alias Aerie.Fleet.Replay.PolicyTrial
 
-  @type key :: FleetWeb.Access.Keys.key()
+  @type key :: Aerie.Access.Keys.key()
 
   @doc "The function for `t:Aerie.Fleet.Replay.PolicyTrial.sender/0`; `as` is the word of `--as`, nil for none. `now` is for keys that expire."
   @spec as(String.t() | nil, Policy.t(), [key()], now :: integer()) ::

@@ -4,7 +4,7 @@ defmodule Aerie.CLI.Start.Run do
 
   1. `Aerie.Gateway` with the checked configuration
   2. `Aerie.CLI.Start.ModuleLoader`, whose end the readiness waits for
-  3. `FleetWeb.Endpoint`
+  3. `Aerie.Api.Endpoint`
   4. `Aerie.Reload`, which puts a changed configuration in force
   5. `SimVehicle.Fleet` and `Aerie.CLI.Start.SimMsp`, if simulated vehicles were asked for. They use a loopback link and a network of their own
      (`sim`), so that they cannot collide with a real vehicle of the same system id.
@@ -19,7 +19,7 @@ defmodule Aerie.CLI.Start.Run do
   alias Aerie.Base.Log
   alias MavRouter.Link.Spec
   alias Aerie.CLI.Status
-  alias Aerie.CLI.Start.{ModuleLoader, Plan, Ports, SimMsp}
+  alias Aerie.CLI.Start.{HTTP, ModuleLoader, Plan, Ports, SimMsp}
 
   @loopback {127, 0, 0, 1}
   @sim_port 14_650
@@ -165,14 +165,14 @@ defmodule Aerie.CLI.Start.Run do
   end
 
   defp start_parts(supervisor, gateway, {loaded, config}, plan, {sim_port, msp_ports}, options) do
-    http = http_url(config)
+    http = HTTP.url(config)
 
     read = fn -> Config.load(plan.config_file, plan.overrides) end
 
     parts =
       [{:gateway, {Aerie.Gateway, name: gateway, config: config, read_config: read}}] ++
         [{:modules, %{id: ModuleLoader, start: {ModuleLoader, :start, [gateway]}}}] ++
-        http_part(gateway, config) ++
+        HTTP.part(gateway, config) ++
         [{:reload, {Reload, gateway: gateway, config: loaded, read: read, log?: options[:log] == true}}] ++
         sim_part(plan, sim_port) ++
         SimMsp.part(msp_ports) ++
@@ -206,22 +206,6 @@ defmodule Aerie.CLI.Start.Run do
 
     {:error, ["#{id} did not start: #{Exception.format_exit(reason)}"]}
   end
-
-  defp http_part(_gateway, %{http: %{enabled: false}}), do: []
-
-  defp http_part(gateway, config) do
-    options = [
-      gateway: gateway,
-      settings: FleetWeb.Settings.from(config),
-      reload: &Reload.run(gateway, &1),
-      configuration: fn -> gateway |> Reload.in_force(config) |> Config.Listing.sections() end
-    ]
-
-    [{:http, {FleetWeb.Endpoint, options}}]
-  end
-
-  defp http_url(%{http: %{enabled: false}}), do: nil
-  defp http_url(%{http: %{address: address, port: port}}), do: "http://#{address}:#{port}"
 
   # systemd watches the program's gateway, not those of tests.
   defp systemd_part(:default), do: [{:systemd, {Systemd, gateway: :default}}]

@@ -29,7 +29,7 @@ defmodule Aerie.CLI.Subcommand.Policy do
 
     with {:ok, config} <- config(request),
          {:ok, policy} <- policy(config),
-         {:ok, keys} <- FleetWeb.Access.Keys.load(config.api),
+         {:ok, keys} <- Aerie.Access.Keys.load(config.api),
          {:ok, as} <- Principals.as(request.options[:as], policy, keys, now) do
       case request.options do
         %{command: _json} -> SingleCommand.judge(policy, as, request, now)

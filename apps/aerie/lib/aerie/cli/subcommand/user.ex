@@ -3,7 +3,7 @@ defmodule Aerie.CLI.Subcommand.User do
   @behaviour Aerie.CLI.Subcommand
 
   alias Aerie.CLI.Output.Columns
-  alias FleetWeb.Access.Users
+  alias Aerie.Access.Users
 
   @impl Aerie.CLI.Subcommand
   def run(%{name: "user add", arguments: %{"NAME" => name}, options: options}) do

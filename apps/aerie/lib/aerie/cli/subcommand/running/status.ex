@@ -9,7 +9,7 @@ defmodule Aerie.CLI.Subcommand.Running.Status do
 
   alias Aerie.CLI.Status
   alias Aerie.CLI.Output.Columns
-  alias FleetWeb.API.View
+  alias Aerie.Api.Rest.View
   alias Aerie.Base.{Json, Store}
   alias Aerie.Fleet.Health
 

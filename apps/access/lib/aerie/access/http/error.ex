@@ -1,0 +1,204 @@
+defmodule Aerie.Access.HTTP.Error do
+  @moduledoc """
+  The answer to a refused request: a status and `{"error": {"code": ..., "message": ...}}`.
+
+  The code is for programs and does not change. The message is for people and says what is expected. This is a struct of
+  its own besides `Aerie.Base.Error`, because most refusals here concern HTTP (keys, methods, sizes, headers), which the
+  gateway below does not know; `from/1` gives each error of the gateway its status.
+  """
+
+  alias Aerie.Vehicle.Command
+  alias Aerie.Vehicle.Command.Result
+  alias Aerie.Control.Commands.RemoteGateway
+
+  @enforce_keys [:status, :code, :message]
+  defstruct [:status, :code, :message, headers: %{}, details: %{}]
+
+  @typedoc """
+  * `bad_request` (400) - malformed HTTP or JSON
+  * `unauthorized` (401) - no key, or an unknown one
+  * `forbidden` (403) - a web page of another server; without a configured key: a request from another machine
+  * `not_found` (404), `method_not_allowed` (405), `conflict` (409, the id is taken, or the present state forbids it)
+  * `too_large` (413), `unsupported_media_type` (415), `range` (416, it begins after the end)
+  * `misdirected` (421) - only the gateway that hears the vehicle has it: the message and `GET /api/vehicles/ID` (`via`)
+    name that one
+  * `upgrade_required` (426) - plain HTTP where a WebSocket is served
+  * `invalid` (422) - well-formed but not possible
+  * `too_many` (429) - a limit is reached
+  * `unavailable` (503) - the part that would answer does not run
+
+  For commands (`of_result/1`):
+
+  * `expired` (410) - its deadline passed; `cancelled` (409)
+  * `failed` (502) - the vehicle did not do it; `timeout` (504), `outcome_unknown` (504) - it may have done it
+  """
+  @type code ::
+          :bad_request
+          | :unauthorized
+          | :forbidden
+          | :not_found
+          | :method_not_allowed
+          | :conflict
+          | :too_large
+          | :unsupported_media_type
+          | :range
+          | :misdirected
+          | :invalid
+          | :upgrade_required
+          | :too_many
+          | :unavailable
+          | :expired
+          | :cancelled
+          | :failed
+          | :timeout
+          | :outcome_unknown
+
+  @typedoc "`details` are beside `error` in the answer."
+  @type t :: %__MODULE__{
+          status: 400..599,
+          code: code(),
+          message: String.t(),
+          headers: map(),
+          details: map()
+        }
+
+  @statuses %{
+    bad_request: 400,
+    unauthorized: 401,
+    forbidden: 403,
+    not_found: 404,
+    method_not_allowed: 405,
+    conflict: 409,
+    too_large: 413,
+    unsupported_media_type: 415,
+    range: 416,
+    misdirected: 421,
+    invalid: 422,
+    upgrade_required: 426,
+    too_many: 429,
+    unavailable: 503,
+    expired: 410,
+    cancelled: 409,
+    failed: 502,
+    timeout: 504,
+    outcome_unknown: 504
+  }
+
+  @meanings %{
+    400 => "Malformed HTTP or JSON.",
+    401 => "No key, or an unknown one.",
+    403 => "The key, the page or the machine may not, or the policy denies it.",
+    404 => "There is no such thing.",
+    405 => "The resource does not take this method.",
+    409 => "The id is taken, or the present state forbids it.",
+    410 => "The command's deadline has passed.",
+    413 => "The body is too large.",
+    415 => "The body has another type.",
+    421 =>
+      "Another gateway hears the vehicle, and only that one has this: ask the one that `via` of GET /api/vehicles/{id} names.",
+    422 => "Well-formed but not possible.",
+    429 => "A limit is reached.",
+    502 => "The vehicle did not do it.",
+    503 => "The part that would answer does not run.",
+    504 => "The vehicle did not answer; it may have done it."
+  }
+
+  @doc "The codes of all errors."
+  @spec codes() :: [code()]
+  def codes, do: @statuses |> Map.keys() |> Enum.sort()
+
+  @doc "The meaning of a status."
+  @spec meaning(400..599) :: String.t()
+  def meaning(status), do: Map.fetch!(@meanings, status)
+
+  @doc "Makes an error of a kind, with further headers for the answer."
+  @spec new(code(), String.t(), map()) :: t()
+  def new(code, message, headers \\ %{}),
+    do: %__MODULE__{status: Map.fetch!(@statuses, code), code: code, message: message, headers: headers}
+
+  @codes %{
+    unknown: :not_found,
+    exists: :conflict,
+    conflict: :conflict,
+    limit: :too_many,
+    invalid: :invalid,
+    unavailable: :unavailable
+  }
+
+  @doc "The answer for an error of the gateway; an answer is returned unchanged."
+  @spec from(t() | Aerie.Base.Error.t()) :: t()
+  def from(%__MODULE__{} = error), do: error
+
+  def from(%Aerie.Base.Error{reason: reason} = error),
+    do: new(Map.fetch!(@codes, elem(reason, 0)), Exception.message(error))
+
+  # A command's results; `Aerie.Vehicle.Command.Refusal` has the statuses of rules.
+  @results %{
+    rejected: :invalid,
+    denied: :forbidden,
+    failed: :failed,
+    cancelled: :cancelled,
+    timeout: :timeout,
+    unknown: :outcome_unknown,
+    expired: :expired
+  }
+  @by_status %{
+    403 => :forbidden,
+    404 => :not_found,
+    409 => :conflict,
+    421 => :misdirected,
+    422 => :invalid,
+    429 => :too_many,
+    503 => :unavailable
+  }
+
+  @doc "The answer for a command that was not done, with its result as details; nil for one that was."
+  @spec of_result(Result.t()) :: t() | nil
+  def of_result(%Result{status: status}) when status in [:completed, :accepted], do: nil
+
+  def of_result(result) do
+    status = Command.Refusal.http(result.details["rule"])
+    code = if status, do: Map.fetch!(@by_status, status), else: Map.fetch!(@results, result.status)
+    %{new(code, result.reason || Atom.to_string(result.status)) | details: Result.plain(result)}
+  end
+
+  @doc "The answer for what only the gateway `via` has, which hears the vehicle."
+  @spec misdirected(via :: String.t()) :: t()
+  def misdirected(via),
+    do: %{new(:misdirected, RemoteGateway.only(via)) | details: %{"rule" => "elsewhere", "gateway" => via}}
+
+  @doc "The answer for an invalid command, with all its errors."
+  @spec malformed([Command.Error.t(), ...]) :: t()
+  def malformed(errors) do
+    plain = for error <- errors, do: error |> Map.from_struct() |> Map.take([:key, :expected, :got])
+    details = %{"result" => "rejected", "rule" => "malformed", "errors" => plain}
+    %{new(:invalid, Command.Error.text(errors)) | details: details}
+  end
+
+  @doc "The error for a well-formed request that is not possible."
+  @spec invalid(String.t()) :: {:error, t()}
+  def invalid(message), do: {:error, new(:invalid, message)}
+
+  @doc "The error for what would be too much at once."
+  @spec busy(seconds :: pos_integer()) :: t()
+  def busy(seconds),
+    do: new(:too_many, "too much at once: try again in #{seconds} s", %{"retry-after" => "#{seconds}"})
+
+  @doc "Answers a request with an error and closes its connection."
+  @spec refuse(t(), :cowboy_req.req()) :: :cowboy_req.req()
+  def refuse(%__MODULE__{} = error, request) do
+    headers = %{
+      "content-type" => "application/json; charset=utf-8",
+      "cache-control" => "no-store",
+      "connection" => "close"
+    }
+
+    body = [JSON.encode_to_iodata!(body(error)), ?\n]
+    :cowboy_req.reply(error.status, Map.merge(headers, error.headers), body, request)
+  end
+
+  @doc "The body of the answer, as a map for JSON."
+  @spec body(t()) :: map()
+  def body(%__MODULE__{code: code, message: message, details: details}),
+    do: Map.put(details, "error", %{code: code, message: message})
+end

@@ -1,0 +1,70 @@
+defmodule Aerie.Access.Session do
+  @moduledoc """
+  The signed cookie's statement of who is signed in, and who that is now. Pure, except for looking a user up.
+
+  A session is open as long as its `"id"` is listed (`Aerie.Access.Sessions`). It belongs either to a user (`"user"`, and `"stamp"`,
+  which another password, role or permission invalidates), for a month, or to the address that `bin/run` prints (`"launch"`): an admin, for a day.
+  """
+
+  alias Aerie.Base.Names
+  alias Aerie.Control.Policy.Roles
+  alias Aerie.Access.{Sessions, Users}
+  alias Phoenix.LiveView.Cookie
+
+  @launch_s 24 * 3600
+  @user_s 30 * 24 * 3600
+  @themes ~w(dark light)
+  @theme_cookie "aerie_theme"
+
+  @doc "The name of the cookie. Cookies ignore ports, so two gateways on one machine need different names."
+  @spec cookie(secret :: binary()) :: String.t()
+  def cookie(secret) do
+    <<short::binary-4, _rest::binary>> = :crypto.hash(:sha256, ["cookie name: ", secret])
+    "aerie_" <> Base.encode16(short, case: :lower)
+  end
+
+  @doc "The part of a request, besides the signed session, that a page gets: the theme."
+  @spec extra(:cowboy_req.req()) :: %{String.t() => String.t()}
+  def extra(request) do
+    case List.keyfind(Cookie.cookies(request), @theme_cookie, 0) do
+      {_name, theme} when theme in @themes -> %{"theme" => theme}
+      _other -> %{}
+    end
+  end
+
+  @doc "Opens a session of a user who has signed in."
+  @spec of_user(Names.gateway(), Users.user()) :: map()
+  def of_user(gateway, user),
+    do: %{"user" => user.name, "stamp" => stamp(user), "id" => Sessions.open(gateway, user.name, @user_s)}
+
+  @doc "Opens a session of the printed address."
+  @spec of_launch(Names.gateway()) :: map()
+  def of_launch(gateway), do: %{"launch" => true, "id" => Sessions.open(gateway, nil, @launch_s)}
+
+  @doc "The signed-in user, or nil."
+  @spec user(Names.gateway(), map(), now :: integer()) :: Roles.source() | nil
+  def user(gateway, session, now \\ System.system_time(:second)) do
+    with {:ok, owner} <- Sessions.owner(gateway, session["id"], now),
+         do: of(gateway, owner, session),
+         else: (:error -> nil)
+  end
+
+  defp of(gateway, name, %{"user" => name, "stamp" => stamp}) when name != nil do
+    case Users.find(gateway, name) do
+      %{role: role} = user -> if stamp(user) == stamp, do: source(name, role, user.permissions)
+      nil -> nil
+    end
+  end
+
+  defp of(_gateway, nil, %{"launch" => _signed}), do: source("local", :admin)
+  defp of(_gateway, _owner, _session), do: nil
+
+  defp source(name, role, permissions \\ []), do: Roles.principal(:user, name, role, permissions)
+
+  defp stamp(%{password: stored, role: role, permissions: permissions}) do
+    may = Enum.map_join([role | permissions], ",", &Atom.to_string/1)
+    <<stamp::binary-9, _rest::binary>> = :crypto.hash(:sha256, ["session: ", may, " ", stored])
+
+    Base.url_encode64(stamp)
+  end
+end

@@ -1,0 +1,284 @@
+defmodule Aerie.Api.Rest.Actions do
+  @moduledoc "What the methods of `Aerie.Api.Rest.Routes` do: read the request, call Aerie's public functions, answer."
+
+  alias Aerie.Control.Policy
+  alias Aerie.Fleet.Shadow
+  alias Aerie.Vehicle.Enrolment
+  alias MavRouter.{Client, Link, Router}
+  alias Aerie.Vehicle.Command.Types
+
+  alias Aerie.Api.Rest.{ClientRequest, Commands, EventsQuery, LinkRequest, LogLevels, OpenAPI, Operations}
+  alias Aerie.Access.HTTP.Error
+
+  alias Aerie.Api.Rest.{Recordings, Routes, RuleChanges, SigningCapability, SigningRequest, View}
+  alias Aerie.Access.HTTP.Request
+  alias Aerie.Access.Tickets
+
+  alias Aerie.Access.WorkLimit
+
+  @signing_results %{enrol: "enrolled", revoke: "revoked", discard: "discarded"}
+
+  @typedoc "A body is an object, a file as `{:file, path, bytes}`, text or bytes as `{:text, content_type, text, name}`, nothing, or `:sent` already."
+  @type result ::
+          {:ok, 200..299,
+           map()
+           | {:file, Path.t(), non_neg_integer()}
+           | {:text, String.t(), iodata(), String.t()}
+           | :sent
+           | nil, :cowboy_req.req()}
+          | {:error, Error.t(), :cowboy_req.req()}
+
+  @doc "Runs an action. `state` has the gateway, the requester (`t:Aerie.Access.HTTP.Admission.requester/0`) and its name."
+  @spec run(atom() | tuple(), map(), :cowboy_req.req()) :: result()
+  def run(:index, _state, request), do: {:ok, 200, %{resources: Routes.index()}, request}
+  def run(:openapi, _state, request), do: {:ok, 200, OpenAPI.document(), request}
+  def run(:status, state, request), do: {:ok, 200, View.status(state.gateway), request}
+  def run(:diagnosis, state, request), do: {:ok, 200, View.diagnosis(state.gateway), request}
+
+  def run(:vehicles, state, request),
+    do: {:ok, 200, View.vehicles(state.gateway, Request.parameters(request)["tag"]), request}
+
+  def run(:links, state, request), do: {:ok, 200, View.links(state.gateway), request}
+
+  def run(:vehicle, state, request), do: answer(vehicle(state, request), 200, request)
+
+  def run(what, state, request) when what in [:events, :vehicle_events] do
+    vehicle = if what == :events, do: :all, else: id(request)
+
+    with {:ok, options} <- EventsQuery.parse(Request.parameters(request)) do
+      state.gateway |> View.events(vehicle, options) |> found(unknown_vehicle())
+    end
+    |> answer(200, request)
+  end
+
+  def run(:signing, state, request), do: {:ok, 200, View.signing(state.gateway), request}
+
+  def run(:signing_capability, state, request),
+    do: {:ok, 200, SigningCapability.of(state.gateway), request}
+
+  def run(:vehicle_signing, state, request) do
+    with {:ok, vehicle} <- vehicle(state, request) do
+      found(vehicle.signing, Error.new(:not_found, "this vehicle has no key"))
+    end
+    |> answer(200, request)
+  end
+
+  # Waits until the vehicle uses the key, for ten seconds at most.
+  def run(:sign_vehicle, state, request) do
+    with {:ok, object, request} <- Request.object(request) do
+      with {:ok, action, options} <- SigningRequest.parse(object), {:ok, _known} <- vehicle(state, request) do
+        sign(action, state.gateway, id(request), [by: "http:#{state.name}"] ++ options)
+      end
+      |> answer(200, request)
+    end
+  end
+
+  def run(:issue_ticket, state, request) do
+    case Tickets.issue(state.gateway, state.requester) do
+      {:ok, ticket, seconds} -> {:ok, %{ticket: ticket, expires_s: seconds}}
+      {:error, :too_many} -> {:error, Error.new(:too_many, "too many tickets wait to be used")}
+      {:error, :unavailable} -> {:error, Error.new(:unavailable, "tickets are restarting; try again")}
+    end
+    |> answer(201, request)
+  end
+
+  def run(:recorder, state, request) do
+    state.gateway
+    |> Recordings.all()
+    |> found(Error.new(:not_found, "no recorder runs"))
+    |> answer(200, request)
+  end
+
+  def run(:download, state, request) do
+    state.gateway
+    |> Recordings.download(:cowboy_req.binding(:name, request))
+    |> found(Error.new(:not_found, "no recording has this name; see /api/recorder"))
+    |> answer(200, request)
+  end
+
+  def run(:save, state, request) do
+    with {:ok, object, request} <- Request.object(request),
+         do: state.gateway |> Recordings.save(id(request), object) |> answer(201, request)
+  end
+
+  def run(what, state, request) when what in [:record_vehicle, :record_link] do
+    target = {if(what == :record_link, do: :link, else: :vehicle), id(request)}
+
+    with {:ok, object, request} <- Request.object(request),
+         do: state.gateway |> Recordings.record(target, object) |> answer(200, request)
+  end
+
+  def run(:clients, state, request), do: {:ok, 200, View.clients(state.gateway), request}
+
+  def run(:add_client, state, request) do
+    with {:ok, object, request} <- Request.object(request) do
+      with {:ok, client} <- ClientRequest.parse(object),
+           {:ok, id} <- Client.add(state.gateway, client) do
+        {:ok, %{id: id, url: client.url}}
+      end
+      |> answer(201, request)
+    end
+  end
+
+  def run(:remove_client, state, request),
+    do: state.gateway |> Client.remove(id(request)) |> answer(204, request)
+
+  def run(:command_types, _state, request), do: {:ok, 200, %{types: Types.plain()}, request}
+
+  def run(:vehicle_commands, state, request) do
+    state.gateway
+    |> Commands.offers(id(request), state.requester)
+    |> found(unknown_vehicle())
+    |> answer(200, request)
+  end
+
+  # Waits for the result for at most 20 seconds.
+  def run(:command, state, request) do
+    with {:ok, object, body, request} <- Request.object_and_body(request) do
+      wait = Request.parameters(request)["wait"]
+      signed = %{header: Request.header(request, "aerie-signature"), body: body}
+
+      case Commands.submit(state.gateway, id(request), object, wait, state.requester, signed) do
+        {:ok, status, %{"id" => command} = body} -> {:ok, status, body, located(request, command)}
+        {:error, error} -> {:error, error, request}
+      end
+    end
+  end
+
+  def run(:look_at_command, state, request),
+    do: state.gateway |> Commands.state(id(request), command(request)) |> answer(200, request)
+
+  def run(:cancel_command, state, request) do
+    state.gateway |> Commands.cancel(id(request), command(request), state.requester) |> answer(202, request)
+  end
+
+  def run({:operation, choices}, state, request), do: Operations.run(choices, state, request)
+
+  def run(:policy, state, request),
+    do:
+      state.gateway
+      |> View.policy()
+      |> found(Error.new(:not_found, "the gateway has no policy"))
+      |> answer(200, request)
+
+  def run(:add_link, state, request) do
+    with {:ok, object, request} <- Request.object(request) do
+      with {:ok, link} <- LinkRequest.parse(object), {:ok, id} <- Link.start(state.gateway, link) do
+        {:ok, %{id: id, url: link.url}}
+      end
+      |> answer(201, request)
+    end
+  end
+
+  def run(:remove_link, state, request) do
+    if Link.get(state.gateway, id(request)),
+      do: state.gateway |> Link.stop(id(request)) |> answer(204, request),
+      else: answer({:error, Error.new(:not_found, "no link has this id; see /api/links")}, 204, request)
+  end
+
+  def run(:reload_config, %{reload: nil}, request),
+    do:
+      answer(
+        {:error, Error.new(:unavailable, "this gateway has no configuration to read again")},
+        200,
+        request
+      )
+
+  def run(:reload_config, state, request) do
+    case state.reload.("http:" <> state.name) do
+      {:ok, report} ->
+        {:ok, report}
+
+      {:error, lines} ->
+        message = "the configuration was not reloaded; the old one stays in force"
+        {:error, %{Error.new(:invalid, message) | details: %{errors: lines}}}
+    end
+    |> answer(200, request)
+  end
+
+  def run(:log, _state, request), do: {:ok, 200, LogLevels.view(), request}
+
+  def run(:change_log, _state, request) do
+    with {:ok, object, request} <- Request.object(request),
+         do: object |> LogLevels.change() |> answer(200, request)
+  end
+
+  def run(:reload_policy, state, request) do
+    case Policy.Store.reload(state.gateway, "http:" <> state.name) do
+      :ok ->
+        {:ok, View.policy(state.gateway)}
+
+      {:error, lines} ->
+        {:error,
+         %{
+           Error.new(:invalid, "the policy was not loaded; the old one stays in force")
+           | details: %{errors: lines}
+         }}
+    end
+    |> answer(200, request)
+  end
+
+  def run(:store_plan, state, request) do
+    with {:ok, text, request} <- Request.bytes(request, Shadow.max_plan_bytes()),
+         do: state |> store_plan(text) |> answer(201, request)
+  end
+
+  def run(:rules, state, request), do: {:ok, 200, View.rules(state.gateway), request}
+
+  def run(:change_rules, state, request) do
+    with {:ok, object, request} <- Request.object(request) do
+      with {:ok, changes} <- RuleChanges.parse(object),
+           :ok <- Router.configure(state.gateway, id(request), changes) do
+        {:ok, View.rules(state.gateway)}
+      end
+      |> answer(200, request)
+    end
+  end
+
+  def run(:reset_rules, state, request),
+    do: state.gateway |> Router.reset(id(request)) |> answer(204, request)
+
+  defp id(request), do: :cowboy_req.binding(:id, request)
+  defp command(request), do: :cowboy_req.binding(:command, request)
+
+  # The path is made from checked values.
+  defp located(request, command),
+    do: :cowboy_req.set_resp_header("location", "/api/vehicles/#{id(request)}/commands/#{command}", request)
+
+  defp vehicle(state, request), do: state.gateway |> View.vehicle(id(request)) |> found(unknown_vehicle())
+
+  defp unknown_vehicle, do: Error.new(:not_found, "no vehicle has this name; see /api/vehicles")
+
+  # The answer never contains a new key, which stays in the gateway's folder of keys.
+  defp sign(action, gateway, id, options) do
+    result =
+      case action do
+        :enrol -> Enrolment.enrol(gateway, id, options)
+        :revoke -> Enrolment.revoke(gateway, id, options)
+        :discard -> Enrolment.discard(gateway, id)
+      end
+
+    case result do
+      {:ok, %{link: link}} -> {:ok, %{result: @signing_results[action], link: link}}
+      :ok -> {:ok, %{result: @signing_results[action]}}
+      {:error, error} -> {:error, error}
+    end
+  end
+
+  defp store_plan(%{gateway: gateway, requester: requester}, text) do
+    work = fn -> Shadow.put_plan(gateway, text, Commands.source(requester)) end
+
+    case WorkLimit.run(gateway, :parse, {:name, requester.name}, work) do
+      {:ok, {:ok, hash}} -> {:ok, %{"plan" => hash}}
+      {:ok, {:error, refusal}} -> {:error, Operations.refusal(refusal)}
+      {:busy, seconds} -> {:error, Error.busy(seconds)}
+    end
+  end
+
+  defp found(nil, error), do: {:error, error}
+  defp found(object, _error), do: {:ok, object}
+
+  defp answer({:ok, object}, status, request), do: {:ok, status, object, request}
+  defp answer(:ok, status, request), do: {:ok, status, nil, request}
+  defp answer({:error, error}, _status, request), do: {:error, Error.from(error), request}
+end

@@ -1,0 +1,151 @@
+defmodule Aerie.Api.Rest.Commands do
+  @moduledoc """
+  Commands over REST: `Aerie.Control.Commands` in the name of a key, and the answer for each outcome.
+
+  A key without a role commands as an admin, a key of a file with its role. A program of this machine, which needs no key while
+  none is configured, may only read. A signature replaces the key (`Aerie.Control.Policy.Signature`).
+  """
+
+  alias Aerie.Vehicle.Command.{Result, Types}
+  alias Aerie.Control.{Commands, Policy}
+  alias Aerie.Control.CommandExecutor.Offers
+  alias Aerie.Control.Commands.Record
+  alias Aerie.Control.Policy.{Roles, Sources}
+  alias Aerie.Access.HTTP.{Admission, Error}
+
+  @typedoc "The header `Aerie-Signature` (nil: none), and the body as it was sent."
+  @type signed :: %{header: String.t() | nil, body: binary()}
+
+  # Shorter than the connection's time-out.
+  @max_wait_s 20
+
+  @doc """
+  Gives a command and waits for its result for at most `wait` seconds (a text from the query): 200 with the result, 202 while it is under way, or the
+  error that corresponds to its result.
+  """
+  @spec submit(term(), String.t(), map(), String.t() | nil, Admission.requester(), signed()) ::
+          {:ok, 200 | 202, map()} | {:error, Error.t()}
+  def submit(gateway, vehicle, object, wait, requester, signed) do
+    with {:ok, wait_ms} <- wait_ms(wait),
+         :ok <- same(object, vehicle),
+         {:ok, source} <- who(gateway, vehicle, object, requester, signed) do
+      options = [via: "rest", wait_ms: wait_ms]
+
+      case Commands.submit(gateway, Map.put(object, "vehicle", vehicle), source, options) do
+        {:ok, result} -> outcome(result)
+        {:pending, id} -> {:ok, 202, %{"id" => id, "vehicle" => vehicle, "state" => "under_way"}}
+        {:error, errors} -> {:error, Error.malformed(errors)}
+      end
+    end
+  end
+
+  defp outcome(result) do
+    case Error.of_result(result) do
+      nil -> {:ok, 200, Result.plain(result)}
+      error -> {:error, error}
+    end
+  end
+
+  @doc "The state of a command: its result (`state` is `done`), or its progress (`under_way`)."
+  @spec state(term(), String.t(), String.t()) :: {:ok, map()} | {:error, Error.t()}
+  def state(gateway, vehicle, id) do
+    case Commands.state(gateway, vehicle, id) do
+      {:ok, result} ->
+        {:ok, Map.put(Result.plain(result), "state", "done")}
+
+      {:under_way, job} ->
+        {:ok,
+         %{
+           "id" => id,
+           "vehicle" => job.vehicle,
+           "type" => job.type,
+           "source" => job.source,
+           "progress" => job.progress,
+           "state" => "under_way"
+         }}
+
+      nil ->
+        {:error, Error.new(:not_found, "no command of this vehicle has this id")}
+
+      {:error, reason} ->
+        {:error, Error.new(:unavailable, reason)}
+    end
+  end
+
+  @doc "Cancels a command."
+  @spec cancel(term(), String.t(), String.t(), Admission.requester()) :: {:ok, map()} | {:error, Error.t()}
+  def cancel(gateway, vehicle, id, requester) do
+    case Commands.cancel(gateway, vehicle, id, source(requester), "rest") do
+      :ok -> {:ok, %{"id" => id, "state" => "cancelling"}}
+      {:error, :unknown, reason} -> {:error, Error.new(:not_found, reason)}
+      {:error, :role, reason} -> {:error, Error.new(:forbidden, reason)}
+      {:error, :impossible, reason} -> {:error, Error.new(:conflict, reason)}
+    end
+  end
+
+  # The signer of a command is its source, whichever key the request has. The sender chooses the id, so a copy has the same one.
+  defp who(_gateway, _vehicle, _object, requester, %{header: nil}), do: {:ok, source(requester)}
+
+  defp who(gateway, vehicle, object, _requester, %{header: header, body: body}) do
+    subject = "fleet.#{Aerie.Fleet.Bridge.environment(gateway)}.#{vehicle}.cmd.#{object["type"]}"
+    envelope = Map.put(object, "vehicle", vehicle)
+
+    with {:ok, policy} <- in_force(gateway),
+         true <- is_binary(object["id"]) || {:error, "a signed command needs an id"},
+         {:ok, source} <- Sources.identify(policy, header, subject, body, System.os_time(:microsecond)) do
+      {:ok, source}
+    else
+      {:error, reason} ->
+        Record.turned_away(gateway, envelope, nil, "rest", :signature, reason)
+        {:error, %{Error.new(:forbidden, reason) | details: %{"result" => "denied", "rule" => "signature"}}}
+    end
+  end
+
+  defp in_force(gateway) do
+    case Policy.Store.get(gateway) do
+      nil -> {:error, "the gateway has no policy, so nobody may command anything"}
+      policy -> {:ok, policy}
+    end
+  end
+
+  @doc """
+  Each command of the table, and why it need not be offered: `lacks` is `firmware` or `permission`, null if it may be
+  given. Whether it would be carried out now is another matter. nil: there is no such vehicle.
+  """
+  @spec offers(term(), vehicle :: String.t(), Admission.requester()) :: map() | nil
+  def offers(gateway, id, requester) do
+    with %{} = vehicle <- Aerie.Fleet.vehicle(gateway, id),
+         do: %{
+           "commands" => Enum.map(Types.names(), &offer(&1, Offers.lacks(vehicle, &1, source(requester))))
+         }
+  end
+
+  defp offer(type, nil), do: %{"type" => type, "lacks" => nil, "permission" => nil, "reason" => nil}
+
+  defp offer(type, {:firmware, reason}),
+    do: %{"type" => type, "lacks" => "firmware", "permission" => nil, "reason" => reason}
+
+  defp offer(type, {:permission, permission, reason}),
+    do: %{"type" => type, "lacks" => "permission", "permission" => permission, "reason" => reason}
+
+  @doc "The source of a command."
+  @spec source(Admission.requester()) :: Roles.source()
+  def source(requester),
+    do: Roles.principal(:key, requester.name, requester.role || :admin, requester.permissions)
+
+  @doc "How long to wait for a result, from the query's text."
+  @spec wait_ms(String.t() | nil) :: {:ok, non_neg_integer()} | {:error, Error.t()}
+  def wait_ms(nil), do: {:ok, @max_wait_s * 1000}
+
+  def wait_ms(text) do
+    case Integer.parse(text) do
+      {seconds, ""} when seconds in 0..@max_wait_s -> {:ok, seconds * 1000}
+      _other -> Error.invalid("wait: expected 0 to #{@max_wait_s} seconds")
+    end
+  end
+
+  defp same(%{"vehicle" => other}, vehicle) when other != vehicle,
+    do: Error.invalid("vehicle: the path names another one than the body")
+
+  defp same(_object, _vehicle), do: :ok
+end

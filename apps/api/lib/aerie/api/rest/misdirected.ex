@@ -1,0 +1,31 @@
+defmodule Aerie.Api.Rest.Misdirected do
+  @moduledoc """
+  Refuses what this gateway cannot say of a vehicle that only another gateway hears: its recordings, its signing, and its events, unless
+  some came while this gateway heard it. What goes by `Aerie.Control.Transfers` is refused there, by the rule `elsewhere`.
+  """
+
+  alias Aerie.Base.Names
+  alias Aerie.Fleet
+  alias Aerie.Vehicle.Journal
+  alias Aerie.Access.HTTP.Error
+
+  @here [:save, :record_vehicle, :vehicle_signing, :sign_vehicle, :vehicle_events]
+
+  @doc "Whether the request may be answered here."
+  @spec check(term(), Names.gateway(), :cowboy_req.req()) :: :ok | {:error, Error.t()}
+  def check(action, gateway, request) when action in @here do
+    id = :cowboy_req.binding(:id, request)
+
+    case Fleet.vehicle(gateway, id) do
+      %{via: via} when via != nil -> unless_known(action, gateway, id, via)
+      _heard_here_or_nowhere -> :ok
+    end
+  end
+
+  def check(_action, _gateway, _request), do: :ok
+
+  defp unless_known(:vehicle_events, gateway, id, via),
+    do: if(Journal.recent(gateway, id, limit: 1) == [], do: {:error, Error.misdirected(via)}, else: :ok)
+
+  defp unless_known(_action, _gateway, _id, via), do: {:error, Error.misdirected(via)}
+end

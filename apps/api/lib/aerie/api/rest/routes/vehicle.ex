@@ -1,0 +1,52 @@
+defmodule Aerie.Api.Rest.Routes.Vehicle do
+  @moduledoc """
+  The routes of one vehicle: commands, desired state, recordings, signing (`Aerie.Api.Rest.Routes`); its
+  operations have their own.
+  """
+
+  import Aerie.Api.Rest.Route
+
+  @doc "The rows."
+  @spec rows() :: [Aerie.Api.Rest.Route.t()]
+  def rows do
+    [
+      get("/api/vehicles/:id", :vehicle, "Everything that is known of a vehicle."),
+      get("/api/vehicles/:id/events", :vehicle_events, "The latest events of a vehicle.",
+        query: [:limit, :since]
+      ),
+      post("/api/vehicles/:id/save", :save, :operator, "Saves the last minutes of a vehicle as a recording.",
+        body: :save,
+        status: 201
+      ),
+      put("/api/vehicles/:id/recording", :record_vehicle, :admin, "Starts or stops recording a vehicle.",
+        body: :mode
+      ),
+      get("/api/vehicles/:id/signing", :vehicle_signing, "The signing state of a vehicle."),
+      post(
+        "/api/vehicles/:id/signing",
+        :sign_vehicle,
+        :admin,
+        "Gives a vehicle a signing key, or takes it away.",
+        body: :signing
+      ),
+      get(
+        "/api/vehicles/:id/commands",
+        :vehicle_commands,
+        "Which commands this key may give to the vehicle."
+      ),
+      post("/api/vehicles/:id/commands", :command, :operator, "Gives a command, and waits for its result.",
+        query: [:wait],
+        body: :command,
+        later: true
+      ),
+      get(
+        "/api/vehicles/:id/commands/:command",
+        :look_at_command,
+        "The progress of a command, or its result."
+      ),
+      delete("/api/vehicles/:id/commands/:command", :cancel_command, :operator, "Cancels a command.",
+        status: 202
+      )
+    ]
+  end
+end

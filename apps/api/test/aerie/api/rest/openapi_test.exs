@@ -1,0 +1,54 @@
+defmodule Aerie.Api.Rest.OpenAPITest do
+  use Aerie.APICase, async: true
+
+  alias Aerie.Api.Rest.{OpenAPI, Parameters, Routes}
+
+  @file_ Path.expand("../../../../../../docs/openapi.json", __DIR__)
+
+  test "docs/openapi.json is what the routes say; mix aerie.openapi writes it" do
+    text = File.read!(@file_)
+    assert text == OpenAPI.text()
+    assert JSON.decode!(text) == OpenAPI.document() |> JSON.encode!() |> JSON.decode!()
+  end
+
+  test "each route is described, by parameters that have a meaning, and has one row" do
+    for route <- Routes.all() do
+      assert route.summary =~ ~r/\A[A-Z].*\.\z/
+    end
+
+    rows = for route <- Routes.all(), do: {route.method, route.path}
+    assert rows == Enum.uniq(rows)
+
+    used =
+      for route <- Routes.all(),
+          query <- route.query,
+          not match?({_name, _schema, _meaning}, query),
+          do: with({:format, _forms} <- query, do: :format)
+
+    assert Enum.sort(Enum.uniq(used)) == Enum.sort(Parameters.all())
+  end
+
+  test "ids of operations differ, references lead somewhere" do
+    document = JSON.decode!(File.read!(@file_))
+    operations = for {_path, methods} <- document["paths"], {_method, operation} <- methods, do: operation
+    ids = Enum.map(operations, & &1["operationId"])
+    assert length(ids) > 50 and ids == Enum.uniq(ids)
+
+    used =
+      for [_all, kind, name] <- Regex.scan(~r/"#\/components\/([a-z]+)\/([^"]+)"/, OpenAPI.text()),
+          uniq: true,
+          do: {kind, name}
+
+    for {kind, name} <- used, do: assert(document["components"][kind][name], "#{kind}/#{name}")
+
+    for kind <- ["schemas", "responses"],
+        name <- Map.keys(document["components"][kind]),
+        do: assert({kind, name} in used)
+  end
+
+  test "the gateway serves it" do
+    %{port: port} = start_server()
+    assert {200, _headers, document} = request(port, "GET", "/api/openapi")
+    assert document == JSON.decode!(File.read!(@file_))
+  end
+end

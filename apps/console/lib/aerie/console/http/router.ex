@@ -1,0 +1,12 @@
+defmodule Aerie.Console.HTTP.Router do
+  @moduledoc "The routes of `Aerie.Console.Pages`."
+  use Phoenix.Router, helpers: false
+  import Phoenix.LiveView.Router
+
+  alias Aerie.Console.{Alarms, Frame, Layout, Pages}
+  alias Aerie.Console.SignIn.OnMount
+
+  live_session :console, on_mount: [OnMount, Frame, Alarms.OnMount], layout: {Layout, :app} do
+    for %{path: path, page: page} <- Pages.all(), do: live(path, page)
+  end
+end

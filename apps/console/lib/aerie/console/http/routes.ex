@@ -1,0 +1,76 @@
+defmodule Aerie.Console.HTTP.Routes do
+  @moduledoc "What the console serves: pages, signing in and out, downloads, assets and map tiles."
+
+  alias Aerie.Access.HTTP.Admission
+  alias Aerie.Access.{Secret, Session}
+  alias Aerie.Base.Names
+  alias Aerie.Console.{Assets, Layout, SignIn, Supervisor}
+  alias Aerie.Console.HTTP.{DownloadHandler, PageHandler, Router}
+  alias Aerie.Console.Map.Tiles
+  alias Aerie.Console.Settings.Configuration
+  alias Phoenix.LiveView.Server
+
+  @doc """
+  The console's processes and routes, for `Aerie.Api.Endpoint`. `configuration` gives what the page of settings shows;
+  without it the page has no configuration.
+  """
+  @spec serve(Names.gateway(), map(), (-> [Configuration.section()]) | nil, Admission.policy()) ::
+          {:ok, [{module(), keyword()}], [tuple()]} | {:error, String.t()}
+  def serve(gateway, settings, configuration, policy) do
+    with {:ok, secret} <- Secret.load(gateway, settings.dir) do
+      {:ok, [{Supervisor, gateway: gateway, settings: settings, configuration: configuration}],
+       routes(gateway, policy, secret)}
+    end
+  end
+
+  @doc "The server of the live pages. `policy` says which hosts are the gateway's."
+  @spec server(Names.gateway(), Admission.policy(), secret :: binary()) :: Server.t()
+  def server(gateway, policy, secret) do
+    Server.new(
+      router: Router,
+      secret: secret,
+      supervisor: Supervisor.pages(gateway),
+      root_layout: {Layout, :root},
+      cookie: Session.cookie(secret),
+      session: &Map.put(Session.extra(&1), "gateway", gateway),
+      origin?: &PageHandler.own?(policy, &1),
+      not_found: Layout.not_found(),
+      too_many: Layout.too_many(),
+      # Telemetry goes first.
+      priority: :low,
+      opened: fn _session -> SignIn.OnMount.watch(gateway) end,
+      over?: &SignIn.OnMount.over?(gateway, &1, &2)
+    )
+  end
+
+  @doc "The routes for Cowboy. Pages of other sites may not use the console, even if they may use `/api`."
+  @spec routes(Names.gateway(), Admission.policy(), secret :: binary()) :: [tuple()]
+  def routes(gateway, policy, secret) do
+    policy = %{policy | origins: [], keys: []}
+    server = server(gateway, policy, secret)
+    access = %{gateway: gateway, policy: policy, server: server}
+
+    entrance =
+      for {path, what} <- [{"/sign-in", :sign_in}, {"/sign-out", :sign_out}, {"/launch", :launch}],
+          do: {path, SignIn.Handler, Map.put(access, :what, what)}
+
+    pages =
+      for route <- Phoenix.LiveView.Cowboy.routes(server) do
+        case route do
+          {:_, _page, server} -> {:_, PageHandler, %{policy: policy, server: server}}
+          socket -> socket
+        end
+      end
+
+    downloads =
+      for {path, what} <- [{"/download/recordings/:name", :recording}, {"/download/audit", :audit}],
+          do: {path, DownloadHandler, Map.put(access, :what, what)}
+
+    entrance ++
+      downloads ++
+      [
+        {"/assets/:version/[...]", Assets.Handler, gateway},
+        {"/tiles/:z/:x/:y", Tiles.Handler, access}
+      ] ++ pages
+  end
+end

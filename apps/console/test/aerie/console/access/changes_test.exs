@@ -1,0 +1,167 @@
+defmodule Aerie.Console.Access.ChangesTest do
+  @moduledoc "Nothing of the gateway is changed without a record of who, from where, and what; no secret is in it."
+  use Aerie.ConsoleCase, async: true
+
+  import Aerie.HTTPClient
+
+  alias Aerie.Control.Policy.Audit
+  alias Aerie.Api.Rest.Routes
+  alias Aerie.Access.KeyRing
+  alias Aerie.Access.Changes
+  alias Aerie.Access.{Sessions, Users}
+
+  @moduletag :tmp_dir
+  @lib Path.expand("../../../../lib/aerie", __DIR__)
+  @by %{name: "console:admin", from: "192.0.2.7"}
+
+  setup %{tmp_dir: dir} do
+    [console: console] = start_console()
+    start_supervised!({Audit, gateway: console.gateway, dir: Path.join(dir, "audit"), max_bytes: 8_000_000})
+    {:ok, console: console, gateway: console.gateway}
+  end
+
+  defp records(dir, type), do: for(%{"type" => ^type} = record <- Aerie.CommandCase.audit(dir), do: record)
+  defp text(dir), do: dir |> Path.join("audit/*.jsonl") |> Path.wildcard() |> Enum.map_join(&File.read!/1)
+
+  defp recorded(dir, type, n) do
+    eventually(fn ->
+      records = records(dir, type)
+      if length(records) >= n, do: records
+    end)
+  end
+
+  # A function that changes something comes here with its record, or the test fails.
+  test "users: each change, who made it, from where, and no password", %{gateway: gateway, tmp_dir: dir} do
+    changes = %{
+      add: {fn -> Users.add(gateway, "ann", "viewer", "the-password-of-ann", @by) end, %{"role" => "viewer"}},
+      set_role:
+        {fn -> Users.set_role(gateway, "ann", "operator", @by) end,
+         %{"role" => "operator", "before" => "viewer"}},
+      set_permissions:
+        {fn -> Users.set_permissions(gateway, "ann", ["receiver"], @by) end,
+         %{"action" => "permissions", "permissions" => ["receiver"], "before" => []}},
+      set_password:
+        {fn -> Users.set_password(gateway, "ann", "another-password", @by) end, %{"action" => "password"}},
+      remove: {fn -> Users.remove(gateway, "ann", @by) end, %{"action" => "remove", "before" => "operator"}}
+    }
+
+    reads =
+      [:start_link, :list, :find, :check, :busy, :same, :name, :file, :read, :any?, :child_spec, :init] ++
+        [:handle_call, :format_status, :code_change, :handle_cast, :handle_info, :terminate]
+
+    assert names(Users) -- reads == Enum.sort(Map.keys(changes))
+
+    for {name, n} <- Enum.with_index([:add, :set_role, :set_permissions, :set_password, :remove], 1) do
+      {change, said} = changes[name]
+      assert :ok = change.()
+      record = dir |> recorded("user", n) |> List.last()
+      assert %{"source" => "console:admin", "from" => "192.0.2.7", "user" => "ann"} = record
+      assert Map.take(record, Map.keys(said)) == said
+    end
+
+    assert {:error, _none} = Users.remove(gateway, "ann", @by)
+    assert length(records(dir, "user")) == 5
+    refute text(dir) =~ "password-of-ann"
+    refute text(dir) =~ "pbkdf2"
+  end
+
+  test "keys: each change, and not the key", %{gateway: gateway, tmp_dir: dir} do
+    changes = [:make, :revoke]
+
+    reads =
+      [:start_link, :nobody, :admit, :list, :child_spec, :init, :handle_call, :code_change] ++
+        [:handle_cast, :handle_info, :terminate]
+
+    assert names(KeyRing) -- reads == changes
+    {:ok, key} = KeyRing.make(gateway, "wall", "viewer", "2099-12-31", @by)
+    :ok = KeyRing.revoke(gateway, "wall", @by)
+
+    assert [
+             %{"action" => "make", "key" => "wall", "role" => "viewer", "expires" => "2100-01-01" <> _},
+             revoked
+           ] =
+             recorded(dir, "key", 2)
+
+    assert %{"action" => "revoke", "source" => "console:admin", "from" => "192.0.2.7"} = revoked
+    refute text(dir) =~ key
+  end
+
+  test "sign-ins, good and failed, and sign-outs, with the address; what was typed in vain is not kept", %{
+    console: console,
+    tmp_dir: dir
+  } do
+    reads =
+      [:child_spec, :start_link, :owner, :file, :init, :handle_call, :handle_info, :code_change, :handle_cast] ++
+        [:terminate]
+
+    # Both are called by the handler alone, which records them.
+    assert names(Sessions) -- reads == [:finish, :open]
+
+    signed = sign_in(console, "operator", password(:operator))
+    home = get(console, "/", signed.jar)
+    post(console, "/sign-out", home.jar, %{"_csrf_token" => csrf(home.body)})
+    assert sign_in(console, "admin", "not-the-password").status == 403
+    assert sign_in(console, "typed-a-password-here", "x").status == 403
+
+    assert [
+             %{"outcome" => "signed_in", "source" => "operator", "from" => "127.0.0.1"},
+             %{"outcome" => "signed_out", "source" => "operator", "from" => "127.0.0.1"},
+             %{"outcome" => "refused", "source" => "admin", "from" => "127.0.0.1"}
+           ] = recorded(dir, "sign_in", 3)
+
+    refute text(dir) =~ "not-the-password"
+    refute text(dir) =~ "typed-a-password"
+    # Those that follow are counted.
+    late = System.monotonic_time(:microsecond) + 120_000_000
+    assert [%{"count" => 1}] = Audit.Refusals.due(console.gateway, late)
+  end
+
+  test "a page's change has the user and the address" do
+    assert Changes.user(%{user: %{name: "ann"}, peer: {192, 0, 2, 7}}) == %{
+             name: "console:ann",
+             from: "192.0.2.7"
+           }
+
+    assert Changes.user(%{user: %{name: "ann"}}) == %{name: "console:ann", from: nil}
+  end
+
+  test "what /api changes is recorded by its route, unless something else does" do
+    changing = for %{method: method, action: action} <- Routes.all(), method != "GET", do: {method, action}
+    others = for {method, action} <- changing, not Changes.recorded?(method, action), do: kind(action)
+    assert Enum.sort(Enum.uniq(others)) == Enum.sort(Changes.recorded_elsewhere())
+    # A new one is recorded without anybody thinking of it.
+    assert Changes.recorded?("POST", :a_new_one) and not Changes.recorded?("GET", :a_new_one)
+
+    for {method, action} <- changing,
+        kind(action) in [:add_link, :change_rules, :change_log, :save, :sign_vehicle],
+        do: assert(Changes.recorded?(method, action))
+  end
+
+  defp kind(action) when is_tuple(action), do: elem(action, 0)
+  defp kind(action), do: action
+
+  # The functions by which pages change something of the gateway, and where each is recorded.
+  @writes ~w(Link.start Link.stop Link.restart Client.add Client.remove Router.reset Router.change Recorder.start
+             Recorder.stop Recorder.save Recorder.delete Log.set_level Enrolment.enrol Enrolment.revoke
+             Enrolment.discard Policy.Store.reload)
+
+  test "each event of a page that changes links, clients, recordings or settings writes a record" do
+    pages = Path.wildcard(Path.join(@lib, "console/**/*.ex"))
+
+    clauses =
+      for page <- pages,
+          clause <- page |> File.read!() |> String.split(~r/^  (?=defp? )/m) |> Enum.drop(1),
+          write <- @writes,
+          clause =~ ~r/\b#{Regex.escape(write)}\(/,
+          do: {Path.relative_to(page, @lib), clause |> String.split("\n") |> hd(), clause}
+
+    assert length(clauses) >= 7
+
+    for {page, head, clause} <- clauses, not String.starts_with?(head, "defp add(") do
+      assert clause =~ "note(" or clause =~ "answer(", "#{page}: #{head} changes something without a record"
+    end
+  end
+
+  defp names(module),
+    do: module.__info__(:functions) |> Enum.map(&elem(&1, 0)) |> Enum.uniq() |> Enum.sort()
+end

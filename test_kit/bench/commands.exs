@@ -58,7 +58,7 @@ defmodule CommandsBench do
 
   # A gateway of a store, a policy and a pipeline.
   defp start(dir, section) do
-    tables = [Commands.Recent.table(), Policy.Leases.table(), Policy.ClientHistory.table()]
+    tables = [Commands.Recent.table(), Policy.ControlLeases.table(), Policy.ClientHistory.table()]
     policy = Policy.Settings.from(%{policy: Map.put(section, :audit, %{dir: Path.join(dir, "audit")})})
     # More than it keeps of 20 minutes by default.
     ledger = %{dir: Path.join(dir, "ledger"), max_entries: 1_000_000}

@@ -122,7 +122,7 @@ defmodule Aerie.Gateway do
          StreamDemand.table(),
          Fleet.RemoteTable.table(),
          Commands.Recent.table(),
-         Policy.Leases.table(),
+         Policy.ControlLeases.table(),
          Policy.ClientHistory.table()
        ]},
       {Aerie.Base.PubSub, []},

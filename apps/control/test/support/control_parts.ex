@@ -11,7 +11,7 @@ defmodule Aerie.ControlParts do
     [
       tables: [
         Aerie.Control.Commands.Recent.table(),
-        Aerie.Control.Policy.Leases.table(),
+        Aerie.Control.Policy.ControlLeases.table(),
         Aerie.Control.Policy.ClientHistory.table()
       ],
       policy: Aerie.Control.Policy.MavlinkPolicy,

@@ -15,7 +15,7 @@ defmodule Aerie.Config.AuthorityTest do
   alias MavRouter.Client
   alias MavRouter.Link.Spec
   alias MavRouter.Link.Server.Egress
-  alias Aerie.Control.Policy.{Audit, Context, Intent, Lease, Rate, Signature, Sources}
+  alias Aerie.Control.Policy.{Audit, Context, Intent, ControlLease, Rate, Signature, Sources}
   alias MavRouter.Endpoints.Access
   alias MavRouter.Endpoints.Endpoint
   alias MavRouter.Endpoints.Owner.Filter
@@ -393,9 +393,9 @@ defmodule Aerie.Config.AuthorityTest do
   end
 
   defp take_over(config) do
-    lease = %Lease{holder: "other", via: "nats", since: @now}
+    lease = %ControlLease{holder: "other", via: "nats", since: @now}
     source = %{name: "ops", role: :operator, permissions: []}
-    Lease.change(lease, {:take, "he is ill", nil}, source, "rest", compiled(config).lease, @now)
+    ControlLease.change(lease, {:take, "he is ill", nil}, source, "rest", compiled(config).lease, @now)
   end
 
   # The rules of the last link or client as its process makes them.

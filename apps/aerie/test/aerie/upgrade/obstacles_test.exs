@@ -3,7 +3,7 @@ defmodule Aerie.Upgrade.ObstaclesTest do
 
   alias Aerie.CLI.Subcommand
   alias Aerie.Control.Commands.Recent
-  alias Aerie.Control.Policy.{Intent, Leases, RecentCommands, Roles}
+  alias Aerie.Control.Policy.{Intent, ControlLeases, RecentCommands, Roles}
   alias Aerie.Upgrade
   alias Aerie.Vehicle.Command
   alias MavRouter.Sharing.TransferLock
@@ -35,10 +35,15 @@ defmodule Aerie.Upgrade.ObstaclesTest do
     pilot = Roles.principal(:user, "ann", :operator)
 
     {:ok, _lease} =
-      Leases.change(gateway, key, {:take, nil, nil}, pilot, "rest", %{required: false, take_over: :admin})
+      ControlLeases.change(gateway, key, {:take, nil, nil}, pilot, "rest", %{
+        required: false,
+        take_over: :admin
+      })
 
     obstacle(context, "VID-001: ann is in charge of it")
-    {:ok, _none} = Leases.change(gateway, key, :release, pilot, "rest", %{required: false, take_over: :admin})
+
+    {:ok, _none} =
+      ControlLeases.change(gateway, key, :release, pilot, "rest", %{required: false, take_over: :admin})
 
     RecentCommands.note(gateway, "VID-001", "olga", %Intent{type: "rc_override", permission: :fly})
     obstacle(context, "VID-001: olga steers it by its sticks")

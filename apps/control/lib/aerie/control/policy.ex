@@ -13,7 +13,7 @@ defmodule Aerie.Control.Policy do
 
   alias Aerie.Base.Principal
   alias Aerie.Vehicle.Command
-  alias Aerie.Control.Policy.{Compile, Context, Fence, Intent, Lease, Rate, Roles, Rules, Sources}
+  alias Aerie.Control.Policy.{Compile, Context, Fence, Intent, ControlLease, Rate, Roles, Rules, Sources}
 
   @enforce_keys [:modes, :lease, :audit_required]
   defstruct [
@@ -50,7 +50,7 @@ defmodule Aerie.Control.Policy do
           clients: [client()],
           sources: [Sources.listed()],
           unsigned: Roles.role() | nil,
-          lease: Lease.rules(),
+          lease: ControlLease.rules(),
           audit_required: boolean()
         }
 

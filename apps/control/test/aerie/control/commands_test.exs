@@ -270,13 +270,16 @@ defmodule Aerie.Control.CommandsTest do
     assert %{status: :completed} = result(land)
 
     done.("hand_over_control", params: %{to: "other"})
-    assert %{holder: "ops", offered_to: "other"} = Policy.Leases.of(gateway, {"main", 7})
+    assert %{holder: "ops", offered_to: "other"} = Policy.ControlLeases.of(gateway, {"main", 7})
     done.("take_control", as: other)
     assert {:denied, "lease"} = gateway |> command("arm") |> rule()
     done.("take_control", params: %{reason: "it drifts"})
-    assert %{holder: "ops", before: "other", reason: "it drifts"} = Policy.Leases.of(gateway, {"main", 7})
+
+    assert %{holder: "ops", before: "other", reason: "it drifts"} =
+             Policy.ControlLeases.of(gateway, {"main", 7})
+
     done.("release_control", [])
-    assert Policy.Leases.of(gateway, {"main", 7}) == nil
+    assert Policy.ControlLeases.of(gateway, {"main", 7}) == nil
 
     assert [_first, _second, %{"reason" => "it drifts"}] =
              for(
@@ -295,16 +298,16 @@ defmodule Aerie.Control.CommandsTest do
     task = command(gateway, "take_control", id: "no")
     answer(executing(%{id: "no"}), "no", :failed)
     assert %{status: :failed} = result(task)
-    assert Policy.Leases.of(gateway, {"main", 7}) == nil
+    assert Policy.ControlLeases.of(gateway, {"main", 7}) == nil
     task = command(gateway, "take_control", id: "yes")
     answer(executing(%{id: "yes"}), "yes", :accepted)
     assert %{status: :accepted} = result(task)
-    assert %{holder: "ops"} = Policy.Leases.of(gateway, {"main", 7})
+    assert %{holder: "ops"} = Policy.ControlLeases.of(gateway, {"main", 7})
     # It does not answer, and is let go all the same.
     task = command(gateway, "release_control", id: "off")
     answer(executing(%{id: "off"}), "off", :unknown)
     assert %{status: :unknown} = result(task)
-    assert Policy.Leases.of(gateway, {"main", 7}) == nil
+    assert Policy.ControlLeases.of(gateway, {"main", 7}) == nil
   end
 
   test "what would become of a command, without giving it", %{tmp_dir: dir} do

@@ -3,7 +3,7 @@ defmodule Aerie.Console.Commands.Entry do
 
   alias Aerie.Vehicle.Command.{Result, Types}
   alias Aerie.Control.Commands.Recent
-  alias Aerie.Control.Policy.Lease
+  alias Aerie.Control.Policy.ControlLease
   alias Aerie.Console.Commands.{Catalog, Outcome, Wording}
 
   @typedoc """
@@ -97,8 +97,8 @@ defmodule Aerie.Console.Commands.Entry do
   @spec advice(String.t()) :: String.t()
   def advice(reason) do
     reason
-    |> String.replace(Lease.take_over(), "take over under “in charge”")
-    |> String.replace(Lease.take_first(), "needs somebody in charge: take charge first")
+    |> String.replace(ControlLease.take_over(), "take over under “in charge”")
+    |> String.replace(ControlLease.take_first(), "needs somebody in charge: take charge first")
   end
 
   # The meaning of an uncertain end is shown beside it.

@@ -65,7 +65,7 @@ defmodule Aerie.Console.Commands.EntryTest do
   end
 
   test "a refusal because another one is in charge names the form of these pages" do
-    lease = %Aerie.Control.Policy.Lease{holder: "ann", via: "console", since: 1_795_000_000_000_000}
+    lease = %Aerie.Control.Policy.ControlLease{holder: "ann", via: "console", since: 1_795_000_000_000_000}
 
     assert {:deny, reason} =
              Aerie.Control.Policy.Rules.Lease.check(

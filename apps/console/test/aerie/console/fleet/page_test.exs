@@ -3,7 +3,7 @@ defmodule Aerie.Console.Fleet.PageTest do
 
   import Aerie.ShadowCase, only: [start_shadow: 2]
 
-  alias Aerie.Control.Policy.Leases
+  alias Aerie.Control.Policy.ControlLeases
   alias Aerie.Fleet.Shadow
   alias Aerie.Vehicle.Firmware.Modes
 
@@ -301,7 +301,9 @@ defmodule Aerie.Console.Fleet.PageTest do
     defp take(console, n, name, role \\ :operator) do
       rules = %{required: false, take_over: :operator}
       source = %{name: name, role: role, permissions: []}
-      {:ok, _lease} = Leases.change(console.gateway, {"main", n}, {:take, nil, nil}, source, "rest", rules)
+
+      {:ok, _lease} =
+        ControlLeases.change(console.gateway, {"main", n}, {:take, nil, nil}, source, "rest", rules)
     end
 
     test "is in the table and beside the buttons, and follows at once", %{console: console} do

@@ -3,7 +3,7 @@ defmodule Aerie.Console.Fleet.SlowLineTest do
   use Aerie.ConsoleCase, async: true
 
   alias Aerie.Control.Commands
-  alias Aerie.Control.Policy.Leases
+  alias Aerie.Control.Policy.ControlLeases
   alias Aerie.Base.Store
   alias Aerie.SlowLine
 
@@ -64,7 +64,10 @@ defmodule Aerie.Console.Fleet.SlowLineTest do
     vehicle(c.console, 2, 0.05, mode: %{mode: "RTL", failsafe: true})
     rules = %{required: false, take_over: :operator}
     olga = %{name: "olga", role: :operator, permissions: []}
-    {:ok, _lease} = Leases.change(c.console.gateway, {"main", 2}, {:take, nil, nil}, olga, "rest", rules)
+
+    {:ok, _lease} =
+      ControlLeases.change(c.console.gateway, {"main", 2}, {:take, nil, nil}, olga, "rest", rules)
+
     tell(script, "alarmed")
     await_line(script, "ok")
   end

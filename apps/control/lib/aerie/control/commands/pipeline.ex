@@ -9,7 +9,7 @@ defmodule Aerie.Control.Commands.Pipeline do
   alias Aerie.Control.Commands.{OffboardPrecondition, Record, RemoteGateway}
   alias Aerie.Control.Commands.Pipeline.{Core, Request}
   alias Aerie.Control.Policy.Mavlink.Writing
-  alias Aerie.Control.Policy.{Audit, Context, Leases, Rate, RecentCommands}
+  alias Aerie.Control.Policy.{Audit, Context, ControlLeases, Rate, RecentCommands}
   alias Aerie.Vehicle.Command
   alias Aerie.Vehicle.Command.Result
 
@@ -134,7 +134,7 @@ defmodule Aerie.Control.Commands.Pipeline do
 
   defp perform({:change_lease, change}, %{request: request, snapshot: snapshot}, %{gateway: gateway}) do
     %Policy{lease: rules} = Policy.Store.get(gateway)
-    {:lease, Leases.change(gateway, snapshot.key, change, request.source, request.via, rules)}
+    {:lease, ControlLeases.change(gateway, snapshot.key, change, request.source, request.via, rules)}
   end
 
   defp perform({:announce, result}, core, %{gateway: gateway, holder: holder}),
@@ -180,7 +180,7 @@ defmodule Aerie.Control.Commands.Pipeline do
          :allow <- Policy.decide(policy, intent, context),
          :allow <- Writing.entered(policy, gateway, snapshot, intent, context),
          :allow <- review(request.change, policy, context, snapshot),
-         :allow <- Leases.steer(gateway, snapshot, intent, request.source, hold_us(request.command)) do
+         :allow <- ControlLeases.steer(gateway, snapshot, intent, request.source, hold_us(request.command)) do
       {:audit, policy.audit_required}
     else
       nil -> :no_policy

@@ -6,9 +6,10 @@ defmodule Aerie.Control.Commands.Supervisor do
   """
   use Supervisor
 
-  alias Aerie.Control.Commands.{LeaseAnnouncer, Recovery, Server, Settings}
+  alias Aerie.Control.Commands.{Recovery, Server, Settings}
   alias Aerie.Base.Names
   alias Aerie.Control.Ledger
+  alias Aerie.Control.Policy.ControlLease
 
   @doc """
   `:remote_gateway` passes commands on to other gateways (`Aerie.Control.Commands.RemoteGateway`); without it there are none. `:holder` knows which
@@ -44,7 +45,7 @@ defmodule Aerie.Control.Commands.Supervisor do
          remote_gateway: options[:remote_gateway],
          holder: options[:holder]},
         {Recovery, gateway: gateway},
-        {LeaseAnnouncer, gateway: gateway}
+        {ControlLease.Announcer, gateway: gateway}
       ],
       strategy: :one_for_all,
       max_restarts: 10,

@@ -5,7 +5,7 @@ defmodule Aerie.Control.Policy.Arming do
   """
 
   alias Aerie.Control.Policy
-  alias Aerie.Control.Policy.{Audit, Context, Intent, Lease, Roles}
+  alias Aerie.Control.Policy.{Audit, Context, Intent, ControlLease, Roles}
 
   @behaviour Aerie.Vehicle.ArmAuthorization
 
@@ -39,7 +39,7 @@ defmodule Aerie.Control.Policy.Arming do
 
   # In the name of the lease's holder: the rule only asks whether a lease is required.
   defp verdict(policy, context) do
-    name = with %Lease{holder: holder} <- context.lease, do: holder
+    name = with %ControlLease{holder: holder} <- context.lease, do: holder
     source = Roles.principal(:vehicle, name || "the vehicle", :admin)
     Policy.decide(policy, Intent.named("arm"), %{context | source: source})
   end

@@ -4,7 +4,7 @@ defmodule Aerie.Control.Policy.Context do
   """
 
   alias Aerie.Base.Names
-  alias Aerie.Control.Policy.{Lease, Leases, Roles}
+  alias Aerie.Control.Policy.{ControlLease, ControlLeases, Roles}
   alias Aerie.Vehicle.Firmware.Modes
 
   defstruct [:source, :now, :lease, :position, :home, :origin, :armed, :in_air, :mode, :battery, :autopilot] ++
@@ -33,7 +33,7 @@ defmodule Aerie.Control.Policy.Context do
   @type t :: %__MODULE__{
           source: Roles.source() | nil,
           now: integer(),
-          lease: Lease.t() | nil,
+          lease: ControlLease.t() | nil,
           position:
             %{
               lat: number(),
@@ -87,10 +87,10 @@ defmodule Aerie.Control.Policy.Context do
     do: %{new(%{}, source, now) | autopilot: :generic, vehicle_type: "unknown"}
 
   def of(gateway, snapshot, source, now),
-    do: seen(snapshot, Leases.of(gateway, snapshot.key), source, now)
+    do: seen(snapshot, ControlLeases.of(gateway, snapshot.key), source, now)
 
   @doc "A context of a vehicle's snapshot and of who is in charge of it."
-  @spec seen(map(), Lease.t() | nil, Roles.source() | nil, now :: integer()) :: t()
+  @spec seen(map(), ControlLease.t() | nil, Roles.source() | nil, now :: integer()) :: t()
   def seen(snapshot, lease, source, now) do
     memory = snapshot[:memory] || %{}
     context = new(snapshot.groups, source, now)

@@ -8,7 +8,7 @@ defmodule Aerie.Control.Policy.Intent do
 
   alias Aerie.Vehicle.Command
   alias Aerie.Vehicle.Command.{Type, Types}
-  alias Aerie.Control.Policy.{Context, Lease, Protection}
+  alias Aerie.Control.Policy.{Context, ControlLease, Protection}
 
   @enforce_keys [:type, :permission]
   defstruct [
@@ -165,7 +165,7 @@ defmodule Aerie.Control.Policy.Intent do
           besides: [String.t()],
           mode: String.t() | nil,
           standard_mode: String.t() | nil,
-          control: Lease.change() | nil,
+          control: ControlLease.change() | nil,
           path: path(),
           sweep: sweep(),
           sets: [setting()],

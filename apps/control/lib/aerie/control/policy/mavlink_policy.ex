@@ -24,7 +24,7 @@ defmodule Aerie.Control.Policy.MavlinkPolicy do
     ClientHistory,
     Context,
     Intent,
-    Leases,
+    ControlLeases,
     Mavlink,
     RecentCommands
   }
@@ -74,7 +74,7 @@ defmodule Aerie.Control.Policy.MavlinkPolicy do
 
         Policy.in_charge?(policy, @input, %Context{
           source: principal,
-          lease: Leases.of(gateway, key),
+          lease: ControlLeases.of(gateway, key),
           now: now
         })
     end
@@ -133,7 +133,7 @@ defmodule Aerie.Control.Policy.MavlinkPolicy do
                :allow <- Policy.decide(policy, facts, context),
                :allow <- Mavlink.Writing.written(policy, gateway, snapshot, message, facts, context),
                :allow <- Mavlink.Writing.entered(policy, gateway, snapshot, facts, context),
-               :allow <- Leases.steer(gateway, snapshot, facts, source),
+               :allow <- ControlLeases.steer(gateway, snapshot, facts, source),
                :allow <- recorded(gateway, facts, policy.audit_required),
                do: in_charge(policy, gateway, key, facts, {source, snapshot})
 
@@ -213,7 +213,7 @@ defmodule Aerie.Control.Policy.MavlinkPolicy do
     do: {:deny, :lease, "nobody can be in charge of a vehicle that was not heard yet"}
 
   defp in_charge(policy, gateway, key, %{control: change}, {source, _snapshot}) do
-    case Leases.change(gateway, key, change, source, "mavlink", policy.lease) do
+    case ControlLeases.change(gateway, key, change, source, "mavlink", policy.lease) do
       {:ok, _lease} -> :allow
       {:deny, reason} -> {:deny, :lease, reason}
     end

@@ -8,7 +8,7 @@ defmodule Aerie.Control.Policy.Trial do
   """
 
   alias Aerie.Control.Policy
-  alias Aerie.Control.Policy.{Context, Intent, Lease, Mavlink, Rate, Roles}
+  alias Aerie.Control.Policy.{Context, Intent, ControlLease, Mavlink, Rate, Roles}
   alias Aerie.Control.Policy.Mavlink.Writing
   alias Aerie.Vehicle.Command
 
@@ -34,7 +34,7 @@ defmodule Aerie.Control.Policy.Trial do
           uploads: %{term() => Mavlink.Upload.t()},
           plans: %{term() => Mavlink.Writing.RawPlan.t() | nil},
           aboard: %{term() => [Protocols.Mission.Item.t()] | nil},
-          leases: %{String.t() => Lease.t() | nil}
+          leases: %{String.t() => ControlLease.t() | nil}
         }
 
   @typedoc "`:snapshot` - of the vehicle at that time (`Aerie.Vehicle.Core.snapshot/1`); `:at` - unix microseconds; `:sender` - who uploads; `:via` - the interface."
@@ -156,7 +156,7 @@ defmodule Aerie.Control.Policy.Trial do
   defp in_charge(trial, %{control: nil}, _asked), do: {:ok, trial}
 
   defp in_charge(trial, %{control: change}, %{snapshot: %{id: id}} = asked) do
-    case Lease.change(trial.leases[id], change, asked.source, asked.via, trial.policy.lease, asked.at) do
+    case ControlLease.change(trial.leases[id], change, asked.source, asked.via, trial.policy.lease, asked.at) do
       {:ok, lease} -> {:ok, %{trial | leases: Map.put(trial.leases, id, lease)}}
       {:deny, reason} -> {:deny, :lease, reason}
     end

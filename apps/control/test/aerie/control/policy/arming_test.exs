@@ -5,7 +5,7 @@ defmodule Aerie.Control.Policy.ArmingTest do
   import Aerie.Flight, only: [frame: 3]
 
   alias Aerie.Vehicle.ArmAuthorization
-  alias Aerie.Control.Policy.{Arming, Leases}
+  alias Aerie.Control.Policy.{Arming, ControlLeases}
   alias Aerie.Vehicle.Core
   alias MavCodec.Messages, as: M
 
@@ -33,7 +33,7 @@ defmodule Aerie.Control.Policy.ArmingTest do
     lease = %{required: true, take_over: :operator}
     gateway = start_commands(dir, policy: [lease: lease])
     assert {:deny, :lease, _reason} = decide(gateway)
-    assert {:ok, _lease} = Leases.change(gateway, @key, {:take, nil, nil}, operator(), "rest", lease)
+    assert {:ok, _lease} = ControlLeases.change(gateway, @key, {:take, nil, nil}, operator(), "rest", lease)
     assert :allow = decide(gateway)
   end
 

@@ -201,7 +201,7 @@ defmodule Aerie.Fleet.Shadow.Loop do
       end
 
     in_charge =
-      case Policy.Leases.of(state.gateway, state.vehicle.key) do
+      case Policy.ControlLeases.of(state.gateway, state.vehicle.key) do
         %{holder: holder} when holder != "shadow" ->
           [%{by: "lease", until: nil, why: "#{holder} is in charge of it"}]
 

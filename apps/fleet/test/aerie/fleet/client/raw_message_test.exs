@@ -18,7 +18,7 @@ defmodule Aerie.Fleet.Client.RawMessageTest do
 
     gateway =
       start_parts(%{mavlink: %{system_id: 245, component_id: 191}},
-        options: [policy: MavlinkPolicy, tables: [Policy.Leases.table(), Policy.ClientHistory.table()]]
+        options: [policy: MavlinkPolicy, tables: [Policy.ControlLeases.table(), Policy.ClientHistory.table()]]
       )
 
     start_supervised!({Policy.Store, gateway: gateway, policy: policy})

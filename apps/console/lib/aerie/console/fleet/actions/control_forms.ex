@@ -1,7 +1,7 @@
 defmodule Aerie.Console.Fleet.Actions.ControlForms do
   @moduledoc """
-  Who is in charge of the selected vehicles (`Aerie.Control.Policy.Lease`), and the forms to take, take over and release
-  the charge of all of them.
+  Who is in charge of the selected vehicles (`Aerie.Control.Policy.ControlLease`), and the forms to take, take over and
+  release the charge of all of them.
   """
   use Aerie.Console, :component
 

@@ -3,7 +3,7 @@ defmodule Aerie.Console.Fleet.Board.Row do
   A vehicle as a row of the table. Pure. Numbers are rounded as they are shown, so that changes that are not visible are not sent.
   """
 
-  alias Aerie.Control.Policy.Lease
+  alias Aerie.Control.Policy.ControlLease
   alias Aerie.Base.Store
   alias Aerie.Fleet.Age
   alias Aerie.Console.Fleet.Board.Problems
@@ -92,7 +92,9 @@ defmodule Aerie.Console.Fleet.Board.Row do
   The row of a snapshot. `links`: snapshots of links; `tags`: the tags of all vehicles by id; `leases`: who is in charge, by key; `now`: unix
   microseconds.
   """
-  @spec new(map(), [map()], %{String.t() => [String.t()]}, integer(), %{Store.vehicle_key() => Lease.t()}) ::
+  @spec new(map(), [map()], %{String.t() => [String.t()]}, integer(), %{
+          Store.vehicle_key() => ControlLease.t()
+        }) ::
           t()
   def new(vehicle, links, tags, now, leases \\ %{}) do
     own = for link <- links, link.id in vehicle.links, do: link

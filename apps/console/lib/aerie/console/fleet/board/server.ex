@@ -6,7 +6,7 @@ defmodule Aerie.Console.Fleet.Board.Server do
   use GenServer
 
   alias Aerie.Base.{Names, Store}
-  alias Aerie.Control.Policy.Leases
+  alias Aerie.Control.Policy.ControlLeases
   alias Aerie.Fleet
   alias Aerie.Fleet.Shadow
   alias Aerie.Fleet.Shadow.Tags
@@ -47,7 +47,7 @@ defmodule Aerie.Console.Fleet.Board.Server do
     now = System.os_time(:microsecond)
     links = Store.links(gateway)
     tags = Shadow.tags(gateway)
-    leases = Leases.all(gateway)
+    leases = ControlLeases.all(gateway)
     rows = for vehicle <- Fleet.vehicles(gateway), do: Row.new(vehicle, links, tags, now, leases)
     Board.put(board, rows, Tags.all(tags), &Table.cells/1)
   end

@@ -18,7 +18,7 @@ defmodule Aerie.Control.Commands.Pipeline.Core do
   alias Aerie.Vehicle.Command.Result
   alias Aerie.Control.Commands.{OwnershipCheck, RemoteGateway}
   alias Aerie.Control.Commands.Pipeline.Request
-  alias Aerie.Control.Policy.{Intent, Lease}
+  alias Aerie.Control.Policy.{Intent, ControlLease}
 
   # For a claim that nobody waits for.
   @alone_ms 500
@@ -81,7 +81,7 @@ defmodule Aerie.Control.Commands.Pipeline.Core do
           | {:claimed, :ok | {:taken, map()} | {:error, String.t()}}
           | {:sending, :ok | {:refused | :error, String.t()}}
           | {:result, Result.t()}
-          | {:lease, {:ok, Lease.t() | nil} | {:deny, String.t()}}
+          | {:lease, {:ok, ControlLease.t() | nil} | {:deny, String.t()}}
 
   @typedoc """
     * `:look` - finds the vehicle, and whether its sender may do anything like it
@@ -105,7 +105,7 @@ defmodule Aerie.Control.Commands.Pipeline.Core do
           | :commanded
           | :execute
           | :pass_on
-          | {:change_lease, Lease.change()}
+          | {:change_lease, ControlLease.change()}
           | {:announce, Result.t()}
           | {:refuse, Result.status(), rule :: atom(), reason :: String.t(), stored? :: boolean()}
           | {:answer, Result.t()}

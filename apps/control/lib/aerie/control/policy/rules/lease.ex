@@ -1,17 +1,18 @@
 defmodule Aerie.Control.Policy.Rules.Lease do
   @moduledoc """
-  One source is in charge of a vehicle (`Aerie.Control.Policy.Lease`): nobody else commands it, and with `policy.lease.required` nobody
+  One source is in charge of a vehicle (`Aerie.Control.Policy.ControlLease`): nobody else commands it, and with `policy.lease.required` nobody
   before taking charge. What holds the vehicle or brings it down, and what only asks for messages, is free for all whose role
   allows it.
   """
 
   @behaviour Aerie.Control.Policy.Rules.Rule
 
-  alias Aerie.Control.Policy.{Intent, Lease}
+  alias Aerie.Control.Policy.{Intent, ControlLease}
 
   @impl Aerie.Control.Policy.Rules.Rule
   def check(policy, %{control: change}, context) when change != nil do
-    with {:ok, _lease} <- Lease.change(context.lease, change, context.source, "", policy.lease, context.now),
+    with {:ok, _lease} <-
+           ControlLease.change(context.lease, change, context.source, "", policy.lease, context.now),
          do: :ok
   end
 
@@ -22,11 +23,12 @@ defmodule Aerie.Control.Policy.Rules.Lease do
   def check(_policy, facts, %{lease: nil}),
     do:
       {:deny,
-       "nobody is in charge of the vehicle; #{Intent.label(facts)} #{Lease.take_first()} (policy.lease.required)"}
+       "nobody is in charge of the vehicle; #{Intent.label(facts)} #{ControlLease.take_first()} " <>
+         "(policy.lease.required)"}
 
   def check(_policy, _facts, %{lease: lease, source: source}) do
-    if source != nil and Lease.who(source) == lease.holder,
+    if source != nil and ControlLease.who(source) == lease.holder,
       do: :ok,
-      else: {:deny, "#{Lease.in_charge(lease)}; #{Lease.take_over()}"}
+      else: {:deny, "#{ControlLease.in_charge(lease)}; #{ControlLease.take_over()}"}
   end
 end

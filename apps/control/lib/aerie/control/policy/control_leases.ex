@@ -1,4 +1,4 @@
-defmodule Aerie.Control.Policy.Leases do
+defmodule Aerie.Control.Policy.ControlLeases do
   @moduledoc """
   The leases of a gateway: who is in charge of each vehicle. A table of the store, which any process reads and changes
   without waiting for another. Subscribers of `:leases` (`Aerie.Base.PubSub`) get `{vehicle_key, lease}` of each change,
@@ -9,7 +9,7 @@ defmodule Aerie.Control.Policy.Leases do
 
   alias Aerie.Base.{Names, Store}
   alias MavRouter.Router
-  alias Aerie.Control.Policy.{Intent, Lease, Roles}
+  alias Aerie.Control.Policy.{Intent, ControlLease, Roles}
   alias Aerie.Base.PubSub
 
   @doc "The table that the store owns for this module."
@@ -20,10 +20,10 @@ defmodule Aerie.Control.Policy.Leases do
   The lease of a vehicle; nil if nobody is in charge. A program that is gone cannot hand over, so anybody who may fly
   may take it then.
   """
-  @spec of(Names.gateway(), Store.vehicle_key()) :: Lease.t() | nil
+  @spec of(Names.gateway(), Store.vehicle_key()) :: ControlLease.t() | nil
   def of(gateway, key) do
     case row(gateway, key) do
-      %Lease{endpoint: endpoint} = lease when endpoint != nil ->
+      %ControlLease{endpoint: endpoint} = lease when endpoint != nil ->
         if Router.connected?(gateway, endpoint), do: lease, else: %{lease | offered_to: :anyone}
 
       lease ->
@@ -31,33 +31,35 @@ defmodule Aerie.Control.Policy.Leases do
     end
   end
 
-  @doc "Whether a source may steer a vehicle with MSP: see `Aerie.Control.Policy.Lease.Steering`."
+  @doc "Whether a source may steer a vehicle with MSP: see `Aerie.Control.Policy.ControlLease.Steering`."
   @spec steer(Names.gateway(), map() | nil, Intent.t(), Roles.source(), hold_us :: non_neg_integer()) ::
           :allow | {:deny, :lease, String.t()}
-  defdelegate steer(gateway, snapshot, facts, source, hold_us \\ 0), to: Lease.Steering, as: :claim
+  defdelegate steer(gateway, snapshot, facts, source, hold_us \\ 0), to: ControlLease.Steering, as: :claim
 
   defp row(gateway, key),
     do: Store.with_table(gateway, :leases, nil, &:ets.lookup_element(&1, key, 2, nil))
 
   @doc "All vehicles that somebody is in charge of."
-  @spec all(Names.gateway()) :: %{Store.vehicle_key() => Lease.t()}
+  @spec all(Names.gateway()) :: %{Store.vehicle_key() => ControlLease.t()}
   def all(gateway), do: Map.new(Store.with_table(gateway, :leases, [], &:ets.tab2list/1))
 
-  @doc "Changes who is in charge (`Aerie.Control.Policy.Lease.change/6`). If several take it at once, one succeeds."
+  @doc """
+  Changes who is in charge (`Aerie.Control.Policy.ControlLease.change/6`). If several take it at once, one succeeds.
+  """
   @spec change(
           Names.gateway(),
           Store.vehicle_key(),
-          Lease.change(),
+          ControlLease.change(),
           Roles.source(),
           String.t(),
-          Lease.rules()
+          ControlLease.rules()
         ) ::
-          {:ok, Lease.t() | nil} | {:deny, String.t()}
+          {:ok, ControlLease.t() | nil} | {:deny, String.t()}
   def change(gateway, key, change, source, via, rules) do
     before = row(gateway, key)
 
     with {:ok, lease} <-
-           Lease.change(of(gateway, key), change, source, via, rules, System.os_time(:microsecond)) do
+           ControlLease.change(of(gateway, key), change, source, via, rules, System.os_time(:microsecond)) do
       cond do
         lease == before ->
           {:ok, lease}

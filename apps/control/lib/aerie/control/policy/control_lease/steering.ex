@@ -1,4 +1,4 @@
-defmodule Aerie.Control.Policy.Lease.Steering do
+defmodule Aerie.Control.Policy.ControlLease.Steering do
   @arming_us 18_000_000
   @begun_us 10_000_000
   @sticks_us 1_000_000
@@ -14,7 +14,7 @@ defmodule Aerie.Control.Policy.Lease.Steering do
   """
 
   alias Aerie.Base.Names
-  alias Aerie.Control.Policy.{ClientHistory, Intent, Lease, Roles}
+  alias Aerie.Control.Policy.{ClientHistory, Intent, ControlLease, Roles}
 
   @msp [:betaflight, :inav]
   @until %{
@@ -50,7 +50,7 @@ defmodule Aerie.Control.Policy.Lease.Steering do
   def claim(gateway, %{autopilot: autopilot, key: key}, %{type: type}, source, hold_us)
       when autopilot in @msp and is_map_key(@until, type) do
     now = now()
-    who = {Map.get(source, :kind), Lease.who(source)}
+    who = {Map.get(source, :kind), ControlLease.who(source)}
     until = now + @until[type] + hold_us
 
     update(gateway, key, now, fn

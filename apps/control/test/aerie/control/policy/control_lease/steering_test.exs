@@ -1,9 +1,9 @@
-defmodule Aerie.Control.Policy.Lease.SteeringTest do
+defmodule Aerie.Control.Policy.ControlLease.SteeringTest do
   use ExUnit.Case, async: true
 
   alias Aerie.Base.Store
   alias Aerie.Control.Policy.{ClientHistory, Intent}
-  alias Aerie.Control.Policy.Lease.Steering
+  alias Aerie.Control.Policy.ControlLease.Steering
   alias Aerie.Base.Principal
 
   @steers ~w(arm set_mode rtl hold manual_control rc_override)

@@ -1,11 +1,11 @@
-defmodule Aerie.Control.Commands.LeaseAnnouncerTest do
+defmodule Aerie.Control.Policy.ControlLease.AnnouncerTest do
   use Aerie.GatewayCase, async: true
 
   import Aerie.Flight, only: [frame: 2]
 
   alias Aerie.Base.{PubSub, Store}
-  alias Aerie.Control.Commands.LeaseAnnouncer
-  alias Aerie.Control.Policy.Leases
+  alias Aerie.Control.Policy.ControlLease.Announcer
+  alias Aerie.Control.Policy.ControlLeases
   alias MavCodec.Messages, as: M
 
   @copter %M.Heartbeat{type: 2, autopilot: 3, base_mode: 81, custom_mode: 4, system_status: 3}
@@ -15,13 +15,13 @@ defmodule Aerie.Control.Commands.LeaseAnnouncerTest do
 
   test "the state has the user in charge and what the vehicle says about it (X15), and a change is an event" do
     gateway = start_gateway(%{}, with: [:router])
-    start_supervised!({LeaseAnnouncer, gateway: gateway})
+    start_supervised!({Announcer, gateway: gateway})
     deliver(gateway, [frame(@copter, 1_000_000)])
     eventually(fn -> Store.vehicle(gateway, {"main", 1}) end)
     PubSub.subscribe(gateway, :events)
     source = %{name: "olga", role: :operator, permissions: []}
     rules = %{required: false, take_over: :operator}
-    change = &Leases.change(gateway, {"main", 1}, &1, source, "nats", rules)
+    change = &ControlLeases.change(gateway, {"main", 1}, &1, source, "nats", rules)
     assert {:ok, _lease} = change.({:take, nil, nil})
     assert_receive {:fleet, :events, %{type: "operator.changed", data: data}}
     assert %{"operator" => "olga", "before" => nil, "via" => "nats"} = JSON.decode!(JSON.encode!(data))

@@ -1,12 +1,12 @@
-defmodule Aerie.Control.Commands.LeaseAnnouncer do
+defmodule Aerie.Control.Policy.ControlLease.Announcer do
   @moduledoc """
-  Tells who is in charge of a vehicle (`Aerie.Control.Policy.Leases`): in its state, as the group `operator`, and by the event
+  Tells who is in charge of a vehicle (`Aerie.Control.Policy.ControlLeases`): in its state, as the group `operator`, and by the event
   `operator.changed`. A change does not wait for that.
   """
   use GenServer
 
   alias Aerie.Base.{Names, Store}
-  alias Aerie.Control.Policy.{Lease, Leases}
+  alias Aerie.Control.Policy.{ControlLease, ControlLeases}
   alias Aerie.Base.PubSub
   alias Aerie.Vehicle.Events.External
 
@@ -21,7 +21,7 @@ defmodule Aerie.Control.Commands.LeaseAnnouncer do
   def init(gateway) do
     Process.set_label({:command_control, gateway})
     :ok = PubSub.subscribe(gateway, :leases)
-    leases = Leases.all(gateway)
+    leases = ControlLeases.all(gateway)
     # The changes while this process was away.
     for {key, lease} <- leases, do: announce(gateway, key, lease)
     {:ok, %{gateway: gateway, holders: Map.new(leases, fn {key, lease} -> {key, lease.holder} end)}}
@@ -54,7 +54,7 @@ defmodule Aerie.Control.Commands.LeaseAnnouncer do
 
   defp fields(nil), do: %{name: nil, via: nil, since: nil, reason: nil, offered_to: nil}
 
-  defp fields(%Lease{} = lease) do
+  defp fields(%ControlLease{} = lease) do
     %{
       name: lease.holder,
       via: lease.via,

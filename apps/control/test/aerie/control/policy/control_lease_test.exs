@@ -1,9 +1,9 @@
-defmodule Aerie.Control.Policy.LeaseTest do
+defmodule Aerie.Control.Policy.ControlLeaseTest do
   use Aerie.GatewayCase, async: true
 
   alias Aerie.Control.Policy
   alias Aerie.Vehicle.Command
-  alias Aerie.Control.Policy.{Context, Lease, Leases}
+  alias Aerie.Control.Policy.{Context, ControlLease, ControlLeases}
   alias Aerie.Base.PubSub
 
   @now 1_795_000_000_000_000
@@ -14,13 +14,13 @@ defmodule Aerie.Control.Policy.LeaseTest do
   @key {"main", 1}
 
   defp change(lease, change, source, rules \\ @rules),
-    do: Lease.change(lease, change, source, "rest", rules, @now)
+    do: ControlLease.change(lease, change, source, "rest", rules, @now)
 
   defp lease(fields \\ []),
-    do: struct!(%Lease{holder: "olga", via: "rest", since: @now - 60_000_000}, fields)
+    do: struct!(%ControlLease{holder: "olga", via: "rest", since: @now - 60_000_000}, fields)
 
   test "who may take, offer and release it" do
-    assert {:ok, %Lease{holder: "olga", via: "rest", since: @now, before: nil}} =
+    assert {:ok, %ControlLease{holder: "olga", via: "rest", since: @now, before: nil}} =
              change(nil, {:take, nil, nil}, @olga)
 
     # Again: since then, and no longer offered.
@@ -87,23 +87,23 @@ defmodule Aerie.Control.Policy.LeaseTest do
       |> Task.async_stream(
         fn n ->
           source = %{@olga | name: "source-#{n}"}
-          {source.name, Leases.change(gateway, @key, {:take, nil, nil}, source, "rest", @rules)}
+          {source.name, ControlLeases.change(gateway, @key, {:take, nil, nil}, source, "rest", @rules)}
         end,
         timeout: Aerie.Patience.ms()
       )
       |> Enum.flat_map(fn {:ok, {name, answer}} -> if match?({:ok, _lease}, answer), do: [name], else: [] end)
 
     assert [name] = taken
-    assert %Lease{holder: ^name} = lease = Leases.of(gateway, @key)
+    assert %ControlLease{holder: ^name} = lease = ControlLeases.of(gateway, @key)
     assert_receive {:fleet, :leases, {@key, ^lease}}
     source = %{@olga | name: name}
     # What changes nothing is told to nobody.
-    assert {:ok, ^lease} = Leases.change(gateway, @key, {:take, nil, nil}, source, "rest", @rules)
-    assert {:ok, offered} = Leases.change(gateway, @key, {:offer, :anyone}, source, "rest", @rules)
-    assert Leases.all(gateway) == %{@key => offered}
+    assert {:ok, ^lease} = ControlLeases.change(gateway, @key, {:take, nil, nil}, source, "rest", @rules)
+    assert {:ok, offered} = ControlLeases.change(gateway, @key, {:offer, :anyone}, source, "rest", @rules)
+    assert ControlLeases.all(gateway) == %{@key => offered}
     assert_receive {:fleet, :leases, {@key, ^offered}}
-    assert {:ok, nil} = Leases.change(gateway, @key, :release, source, "rest", @rules)
+    assert {:ok, nil} = ControlLeases.change(gateway, @key, :release, source, "rest", @rules)
     assert_receive {:fleet, :leases, {@key, nil}}
-    assert Leases.of(gateway, @key) == nil
+    assert ControlLeases.of(gateway, @key) == nil
   end
 end

@@ -82,7 +82,7 @@ defmodule Aerie.System.TwoGatewaysTest do
     {holder, other}
   end
 
-  defp holder(%{gateway: gateway}), do: Shadow.Ownership.holder(gateway, @vehicle)
+  defp holder(%{gateway: gateway}), do: Remote.Claims.holder(gateway, @vehicle)
 
   # Between the vehicle and both gateways. It keeps the commands that pass to the vehicle.
   defp wire(ports) do

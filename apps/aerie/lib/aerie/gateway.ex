@@ -145,7 +145,7 @@ defmodule Aerie.Gateway do
        loops: [CommandExecutor, TransferExecutor, Shadow.Loop, Params.EventDefinitions]},
       {Remote.Supervisor, settings: Remote.Settings.from(config)},
       {Commands.Supervisor,
-       settings: Commands.Settings.from(config), remote_gateway: Remote, holder: Shadow.Ownership},
+       settings: Commands.Settings.from(config), remote_gateway: Remote, holder: Remote.Claims},
       {Params.CacheWriter, settings: Params.Settings.from(config)},
       {ReadCache.Supervisor, []},
       {Shadow.Supervisor, settings: Shadow.Settings.from(config)},

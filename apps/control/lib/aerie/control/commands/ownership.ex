@@ -1,7 +1,7 @@
 defmodule Aerie.Control.Commands.Ownership do
   @moduledoc """
   Which of several gateways holds a vehicle, and where gateways claim the ids of commands.
-  `Aerie.Fleet.Shadow.Ownership` is one; `Aerie.Gateway` plugs it in. Without one a gateway is alone.
+  `Aerie.Fleet.Remote.Claims` is one; `Aerie.Gateway` plugs it in. Without one a gateway is alone.
   """
 
   alias Aerie.Vehicle.Command.Result

@@ -8,7 +8,7 @@ defmodule Aerie.Fleet.Shadow.Buckets do
   | `fleet_reported` | `{env}.{vehicle}` | the reported document (`Aerie.Fleet.Shadow.Report`) |
   | `fleet_leases` | `{env}.gateways.{name}` | the heartbeat of a gateway |
   | | `{env}.vehicles.{vehicle}` | the name of the gateway that acts on it |
-  | `fleet_commands` | `{env}.{vehicle}.{id}` | the gateway that sends a command, and what became of it (`Aerie.Fleet.Shadow.Ownership`) |
+  | `fleet_commands` | `{env}.{vehicle}.{id}` | the gateway that sends a command, and what became of it (`Aerie.Fleet.Remote.Claims`) |
   | `fleet_plans` | SHA-256 of the file | a `.plan` file |
 
   Sizes, ages, history and copies are in the configuration (`shadow.buckets`, `nats.streams.replicas`). A bucket that differs is changed on
@@ -19,7 +19,7 @@ defmodule Aerie.Fleet.Shadow.Buckets do
   alias Aerie.Fleet.Nats
   alias Aerie.Fleet.Nats.KV
   alias Aerie.Fleet.Shadow.{Document, Keys, Report, SealedDocument}
-  alias Aerie.Fleet.Shadow.Documents.LeaseSeal
+  alias Aerie.Fleet.Shadow.GatewayLease.Seal
   alias Gnat.Jetstream.API.Stream
 
   @desired "fleet_desired"
@@ -262,7 +262,7 @@ defmodule Aerie.Fleet.Shadow.Buckets do
     with {:ok, value, _revision} <- KV.get(conn, @plans, hash), do: {:ok, value}, else: (_none -> :error)
   end
 
-  @doc "Writes this gateway's heartbeat with its seal (`Aerie.Fleet.Shadow.Documents.LeaseSeal`)."
+  @doc "Writes this gateway's heartbeat with its seal (`Aerie.Fleet.Shadow.GatewayLease.Seal`)."
   @spec renew(Nats.conn(), String.t(), instance :: String.t(), value :: binary(), seal :: Nats.headers()) ::
           :ok | {:error, String.t()}
   def renew(conn, environment, instance, value, seal) do
@@ -279,7 +279,7 @@ defmodule Aerie.Fleet.Shadow.Buckets do
           {:ok, String.t() | nil, seal :: String.t() | nil, revision :: non_neg_integer()}
           | {:error, String.t()}
   def owner(conn, environment, vehicle) do
-    with {:error, reason} <- KV.get_with(conn, @leases, owned(environment, vehicle), LeaseSeal.header()),
+    with {:error, reason} <- KV.get_with(conn, @leases, owned(environment, vehicle), Seal.header()),
          do: {:error, Nats.text(reason)}
   end
 

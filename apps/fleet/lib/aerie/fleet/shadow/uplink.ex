@@ -6,7 +6,7 @@ defmodule Aerie.Fleet.Shadow.Uplink do
   |---|---|
   | the desired document | both ways; what was changed on both sides meanwhile is merged (`Aerie.Fleet.Shadow.Merge`) |
   | the reported document | to the hub, the last value, at most once a second |
-  | who acts on the vehicle | to the hub: `gateway-{vehicle}` while a gateway aboard does (`Aerie.Fleet.Shadow.Lease.aboard?/2`) |
+  | who acts on the vehicle | to the hub: `gateway-{vehicle}` while a gateway aboard does (`Aerie.Fleet.Shadow.GatewayLease.aboard?/2`) |
 
   What the hub desires needs the permissions that its commands would need aboard: those of the source `shadow.hub` of the policy there. Other changes are
   taken back at the hub, with the reason in the history.
@@ -39,7 +39,7 @@ defmodule Aerie.Fleet.Shadow.Uplink do
   }
 
   alias Aerie.Base.PubSub
-  alias Aerie.Fleet.Shadow.Documents.LeaseSeal
+  alias Aerie.Fleet.Shadow.GatewayLease.Seal
 
   require Logger
 
@@ -101,7 +101,7 @@ defmodule Aerie.Fleet.Shadow.Uplink do
     do: {:noreply, %{state | reported: body}}
 
   def handle_info({:msg, %{topic: "$KV.fleet_leases." <> _key, body: body} = message}, state) do
-    seal = Map.new(Map.get(message, :headers, []))[String.downcase(LeaseSeal.header())]
+    seal = Map.new(Map.get(message, :headers, []))[String.downcase(Seal.header())]
     {:noreply, work(%{state | owner: who(state, body, seal) || state.owner})}
   end
 
@@ -143,7 +143,7 @@ defmodule Aerie.Fleet.Shadow.Uplink do
       with {:ok, value, _revision} <- KV.get(conn, @reported, state.key), do: value, else: (_none -> nil)
 
     owner =
-      case KV.get_with(conn, @leases, state.lease, LeaseSeal.header()) do
+      case KV.get_with(conn, @leases, state.lease, Seal.header()) do
         {:ok, nil, _seal, _revision} -> :nobody
         {:ok, owner, seal, _revision} -> who(state, owner, seal)
         {:error, _no_answer} -> nil
@@ -163,7 +163,7 @@ defmodule Aerie.Fleet.Shadow.Uplink do
 
   defp number(%{environment: environment, vehicle: vehicle} = state, owner, seal) do
     with %{keys: keys} <- Names.value(state.gateway, :shadow_documents),
-         {:ok, number} <- LeaseSeal.read(keys, environment, {:vehicle, vehicle}, owner, seal),
+         {:ok, number} <- Seal.read(keys, environment, {:vehicle, vehicle}, owner, seal),
          do: number,
          else: (_none -> nil)
   end
@@ -189,7 +189,7 @@ defmodule Aerie.Fleet.Shadow.Uplink do
   defp own(state) do
     name = "gateway-" <> state.vehicle
 
-    header = String.downcase(LeaseSeal.header())
+    header = String.downcase(Seal.header())
 
     with {:ok, present, seal, _revision} <- HubBuckets.get_with(state.conn, @leases, state.lease, header) do
       case {state.owner, present, number(state, present || "", seal)} do
@@ -208,7 +208,7 @@ defmodule Aerie.Fleet.Shadow.Uplink do
     number = max(System.os_time(:millisecond), (before || 0) + 1)
     %{keys: keys} = Names.value(state.gateway, :shadow_documents)
     text = if value == :delete, do: "", else: value
-    seal = LeaseSeal.headers(keys, environment, {:vehicle, vehicle}, text, number)
+    seal = Seal.headers(keys, environment, {:vehicle, vehicle}, text, number)
 
     case HubBuckets.send(state.conn, @leases, state.lease, value, seal) do
       :ok -> %{state | owner: nil}

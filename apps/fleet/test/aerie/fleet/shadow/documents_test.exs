@@ -5,7 +5,7 @@ defmodule Aerie.Fleet.Shadow.DocumentsTest do
   alias Aerie.Base.Store
   alias Aerie.Fleet.Nats
   alias Aerie.Fleet.Shadow.{Buckets, Document}
-  alias Aerie.Fleet.Shadow.Documents.LeaseSeal
+  alias Aerie.Fleet.Shadow.GatewayLease.Seal
 
   @moduletag :tmp_dir
   @moduletag :capture_log
@@ -548,7 +548,7 @@ defmodule Aerie.Fleet.Shadow.DocumentsTest do
 
       stranger = %Shadow.Keys{common: Aerie.Base.Secret.new("the key of somebody else")}
       now = System.os_time(:millisecond) + 1_000
-      forged = LeaseSeal.headers(stranger, "test", {:vehicle, @vehicle}, "ee00", now)
+      forged = Seal.headers(stranger, "test", {:vehicle, @vehicle}, "ee00", now)
 
       for {value, headers} <- [{"ee00", []}, {"ee00", forged}, {"ee00", named}] do
         before = for g <- [gateway, other], do: {g, refused.(g)}

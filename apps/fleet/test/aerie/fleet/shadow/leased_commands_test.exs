@@ -6,7 +6,7 @@ defmodule Aerie.Fleet.Shadow.LeasedCommandsTest do
   use ExUnit.Case, async: true
 
   alias Aerie.Control.Commands.OwnershipCheck
-  alias Aerie.Fleet.Shadow.Lease
+  alias Aerie.Fleet.Shadow.GatewayLease
 
   @ttl 10_000
 
@@ -64,7 +64,7 @@ defmodule Aerie.Fleet.Shadow.LeasedCommandsTest do
   end
 
   defp gateway(n, offset) do
-    lease = Lease.new("g#{n}", @ttl) |> Lease.want("V", true)
+    lease = GatewayLease.new("g#{n}", @ttl) |> GatewayLease.want("V", true)
     %{n: n, lease: lease, offset: offset, cut: :no, hears?: true, seen: %{}, ledger: %{}, jobs: []}
   end
 
@@ -85,7 +85,7 @@ defmodule Aerie.Fleet.Shadow.LeasedCommandsTest do
     me = gateway.lease.me
     bucket = if world.bucket.owner == me and cut == :no, do: %{world.bucket | owner: nil}, else: world.bucket
     gateway = hears(gateway, false)
-    lease = Lease.owner(gateway.lease, "V", nil, now(gateway, world))
+    lease = GatewayLease.owner(gateway.lease, "V", nil, now(gateway, world))
     put(%{world | bucket: bucket}, %{gateway | lease: lease})
   end
 
@@ -128,7 +128,7 @@ defmodule Aerie.Fleet.Shadow.LeasedCommandsTest do
   end
 
   defp hears(gateway, hears?),
-    do: %{gateway | hears?: hears?, lease: Lease.want(gateway.lease, "V", hears?)}
+    do: %{gateway | hears?: hears?, lease: GatewayLease.want(gateway.lease, "V", hears?)}
 
   defp given(gateway, id, relayed?, world) do
     if is_map_key(gateway.ledger, id) or List.keymember?(gateway.jobs, id, 0),
@@ -187,7 +187,7 @@ defmodule Aerie.Fleet.Shadow.LeasedCommandsTest do
   end
 
   defp holder(gateway, now) do
-    case Lease.holder(gateway.lease, "V", now) do
+    case GatewayLease.holder(gateway.lease, "V", now) do
       :none -> {:unknown, "nobody knows"}
       known -> known
     end
@@ -202,8 +202,8 @@ defmodule Aerie.Fleet.Shadow.LeasedCommandsTest do
   defp renew(gateway, bucket, now) do
     # Only news count as a sign of life.
     news = for {id, count} <- bucket.renewals, gateway.seen[id] != count, do: id
-    lease = Enum.reduce(news, gateway.lease, &Lease.peer(&2, &1, now))
-    lease = if bucket.owner == lease.me, do: lease, else: Lease.owner(lease, "V", bucket.owner, now)
+    lease = Enum.reduce(news, gateway.lease, &GatewayLease.peer(&2, &1, now))
+    lease = if bucket.owner == lease.me, do: lease, else: GatewayLease.owner(lease, "V", bucket.owner, now)
     bucket = %{bucket | renewals: Map.update(bucket.renewals, lease.me, 1, &(&1 + 1))}
 
     if gateway.cut == :answers,
@@ -212,14 +212,14 @@ defmodule Aerie.Fleet.Shadow.LeasedCommandsTest do
   end
 
   defp take(gateway, lease, bucket, now) do
-    lease = Lease.renewed(lease, now)
+    lease = GatewayLease.renewed(lease, now)
 
     {lease, bucket} =
-      case Lease.claims(lease, now) do
+      case GatewayLease.claims(lease, now) do
         ["V"] ->
-          if bucket.owner in [nil, lease.me] or Lease.gone?(lease, bucket.owner, now),
-            do: {Lease.owner(lease, "V", lease.me, now), %{bucket | owner: lease.me}},
-            else: {Lease.owner(lease, "V", bucket.owner, now), bucket}
+          if bucket.owner in [nil, lease.me] or GatewayLease.gone?(lease, bucket.owner, now),
+            do: {GatewayLease.owner(lease, "V", lease.me, now), %{bucket | owner: lease.me}},
+            else: {GatewayLease.owner(lease, "V", bucket.owner, now), bucket}
 
         [] ->
           {lease, bucket}

@@ -2,7 +2,7 @@ defmodule Aerie.Fleet.Shadow.Documents.Server do
   @moduledoc """
   Keeps the desired documents of `Aerie.Fleet.Shadow.Documents`: copies in memory and on disk of the documents in NATS
   (`Aerie.Fleet.Shadow.Documents.Desired`), and the lease by which one of several gateways acts
-  (`Aerie.Fleet.Shadow.Documents.Ownership`).
+  (`Aerie.Fleet.Shadow.GatewayLease.Keeper`).
 
   The bucket is authoritative, with three exceptions: a document that no gateway with our key wrote, an older one than
   we know (Z5), and none at all. In the last two cases our copy is written back, so a deleted bucket is restored.
@@ -12,8 +12,9 @@ defmodule Aerie.Fleet.Shadow.Documents.Server do
   alias Aerie.Base.Names
   alias Aerie.Fleet.{Bridge, Nats}
   alias Aerie.Fleet.Bridge.LastPublished
-  alias Aerie.Fleet.Shadow.{Buckets, Keys, Lease, LocalStore, Settings}
-  alias Aerie.Fleet.Shadow.Documents.{Desired, LeaseNumbers, LeaseSeal, Ownership}
+  alias Aerie.Fleet.Shadow.{Buckets, Keys, GatewayLease, LocalStore, Settings}
+  alias Aerie.Fleet.Shadow.Documents.Desired
+  alias Aerie.Fleet.Shadow.GatewayLease.{Keeper, Numbers, Seal}
   alias Aerie.Base.PubSub
   alias Aerie.Base.TokenBucket
 
@@ -46,7 +47,7 @@ defmodule Aerie.Fleet.Shadow.Documents.Server do
     Names.put_value(gateway, :shadow_documents, kept)
     :ok = PubSub.subscribe(gateway, :bridge)
 
-    me = LeaseSeal.name(folder.instance, keys)
+    me = Seal.name(folder.instance, keys)
     :ets.insert(table, {:instance, me})
 
     state = %{
@@ -57,8 +58,8 @@ defmodule Aerie.Fleet.Shadow.Documents.Server do
       table: table,
       name: LastPublished.name(bridge.vehicle.identity),
       names: %{},
-      lease: Lease.new(me, settings.lease_ms),
-      numbers: LeaseNumbers.new(me, settings.lease_ms),
+      lease: GatewayLease.new(me, settings.lease_ms),
+      numbers: Numbers.new(me, settings.lease_ms),
       # Vehicles whose lease in the bucket is not what it should be.
       repairs: MapSet.new(),
       loops: %{},
@@ -72,7 +73,7 @@ defmodule Aerie.Fleet.Shadow.Documents.Server do
     }
 
     schedule(state)
-    {:ok, state |> Desired.problem(problem) |> Ownership.authorities(), {:continue, :connect}}
+    {:ok, state |> Desired.problem(problem) |> Keeper.authorities(), {:continue, :connect}}
   end
 
   defp own(%{vehicle_key: nil}), do: %{}
@@ -126,14 +127,13 @@ defmodule Aerie.Fleet.Shadow.Documents.Server do
     Process.monitor(loop)
     state = Desired.load(%{state | loops: Map.put(state.loops, vehicle, loop)}, vehicle)
     send(loop, {:desired, Desired.known(state, vehicle)})
-    {:noreply, Ownership.authorities(state)}
+    {:noreply, Keeper.authorities(state)}
   end
 
   def handle_cast({:heard, vehicle, heard?}, state) do
-    state = %{state | lease: Lease.want(state.lease, vehicle, heard?)}
+    state = %{state | lease: GatewayLease.want(state.lease, vehicle, heard?)}
 
-    {:noreply,
-     if(heard?, do: state |> Ownership.claim() |> Ownership.authorities(), else: give_up(state, vehicle))}
+    {:noreply, if(heard?, do: state |> Keeper.claim() |> Keeper.authorities(), else: give_up(state, vehicle))}
   end
 
   def handle_cast({:report, vehicle, fields, reported}, state) do
@@ -144,8 +144,8 @@ defmodule Aerie.Fleet.Shadow.Documents.Server do
   @impl GenServer
   def handle_info(:renew, state) do
     schedule(state)
-    state = state |> connect() |> renew() |> Ownership.repair() |> Ownership.claim()
-    {:noreply, Ownership.authorities(state)}
+    state = state |> connect() |> renew() |> Keeper.repair() |> Keeper.claim()
+    {:noreply, Keeper.authorities(state)}
   end
 
   def handle_info({:fleet, :bridge, {:connection, _info}}, state), do: {:noreply, connect(state)}
@@ -167,8 +167,8 @@ defmodule Aerie.Fleet.Shadow.Documents.Server do
   @impl GenServer
   def terminate(_reason, %{conn: conn} = state) when conn != nil do
     for vehicle <- state.lease.wanted,
-        match?({:mine, _until}, Ownership.holder(state, vehicle)),
-        do: Ownership.release(state, vehicle)
+        match?({:mine, _until}, Keeper.holder(state, vehicle)),
+        do: Keeper.release(state, vehicle)
   end
 
   def terminate(_reason, _state), do: :ok
@@ -181,7 +181,7 @@ defmodule Aerie.Fleet.Shadow.Documents.Server do
     conn = Bridge.connection(state.gateway)
 
     cond do
-      conn == nil -> state |> disconnected() |> Ownership.authorities()
+      conn == nil -> state |> disconnected() |> Keeper.authorities()
       conn == state.conn and length(state.watchers) == 2 -> state
       true -> begin(disconnected(state), conn)
     end
@@ -199,8 +199,8 @@ defmodule Aerie.Fleet.Shadow.Documents.Server do
       |> Desired.problem(nil)
       |> all()
       |> renew()
-      |> Ownership.claim()
-      |> Ownership.authorities()
+      |> Keeper.claim()
+      |> Keeper.authorities()
     else
       {:error, why} -> Desired.problem(state, Nats.text(why))
     end
@@ -216,7 +216,7 @@ defmodule Aerie.Fleet.Shadow.Documents.Server do
     with {:ok, %{made: made, differs: differs}} <-
            Buckets.ensure(conn, state.settings.bridge, state.settings.buckets) do
       for text <- differs -- state.differs, do: Logger.warning("shadow: the bucket #{text}")
-      state = if Buckets.leases() in made, do: %{state | lease: Lease.forget(state.lease)}, else: state
+      state = if Buckets.leases() in made, do: %{state | lease: GatewayLease.forget(state.lease)}, else: state
       {:ok, made, %{state | differs: differs, looked_at: monotonic()}}
     end
   end
@@ -249,12 +249,12 @@ defmodule Aerie.Fleet.Shadow.Documents.Server do
   end
 
   defp changed("fleet_leases", key, change, headers, state) do
-    seal = headers[String.downcase(LeaseSeal.header())]
+    seal = headers[String.downcase(Seal.header())]
 
     case {Buckets.lease(key, state.kept.environment), change} do
-      {{:gateway, instance}, {:put, value}} -> Ownership.peer(state, instance, value, seal)
-      {{:vehicle, vehicle}, {:put, value}} -> Ownership.owner(state, vehicle, value, seal)
-      {{:vehicle, vehicle}, :removed} -> Ownership.owner(state, vehicle, nil, seal)
+      {{:gateway, instance}, {:put, value}} -> Keeper.peer(state, instance, value, seal)
+      {{:vehicle, vehicle}, {:put, value}} -> Keeper.owner(state, vehicle, value, seal)
+      {{:vehicle, vehicle}, :removed} -> Keeper.owner(state, vehicle, nil, seal)
       _other -> state
     end
   end
@@ -265,8 +265,8 @@ defmodule Aerie.Fleet.Shadow.Documents.Server do
 
   defp renew(%{looked_at: looked_at} = state) do
     sent_at = monotonic()
-    {renewed, state} = if sent_at - looked_at < @look_ms, do: Ownership.renew(state), else: {:look, state}
-    if renewed == :ok, do: Ownership.renewed(state, sent_at), else: look(state)
+    {renewed, state} = if sent_at - looked_at < @look_ms, do: Keeper.renew(state), else: {:look, state}
+    if renewed == :ok, do: Keeper.renewed(state, sent_at), else: look(state)
   end
 
   # Somebody may have deleted a bucket.
@@ -274,8 +274,8 @@ defmodule Aerie.Fleet.Shadow.Documents.Server do
     sent_at = monotonic()
 
     with {:ok, made, state} <- buckets(state, state.conn),
-         {:ok, state} <- Ownership.renew(state) do
-      state = Ownership.renewed(state, sent_at)
+         {:ok, state} <- Keeper.renew(state) do
+      state = Keeper.renewed(state, sent_at)
       if made == [], do: state, else: all(state)
     else
       {{:error, why}, state} -> Desired.problem(disconnected(state), why)
@@ -284,16 +284,16 @@ defmodule Aerie.Fleet.Shadow.Documents.Server do
   end
 
   defp left(state, vehicle) do
-    lease = Lease.want(state.lease, vehicle, false)
+    lease = GatewayLease.want(state.lease, vehicle, false)
     state = give_up(%{state | lease: lease}, vehicle)
     for what <- [:document, :reported, :authority, :holder], do: :ets.delete(state.table, {what, vehicle})
     %{state | loops: Map.delete(state.loops, vehicle), reports: Map.delete(state.reports, vehicle)}
   end
 
   defp give_up(state, vehicle) do
-    held? = state.conn != nil and match?({:mine, _until}, Ownership.holder(state, vehicle))
-    state = if held?, do: Ownership.release(state, vehicle), else: state
-    Ownership.authorities(%{state | lease: Lease.owner(state.lease, vehicle, nil, monotonic())})
+    held? = state.conn != nil and match?({:mine, _until}, Keeper.holder(state, vehicle))
+    state = if held?, do: Keeper.release(state, vehicle), else: state
+    Keeper.authorities(%{state | lease: GatewayLease.owner(state.lease, vehicle, nil, monotonic())})
   end
 
   # The owner of a vehicle reports it; if the owner is not known, every gateway that hears it does.
@@ -302,7 +302,7 @@ defmodule Aerie.Fleet.Shadow.Documents.Server do
   defp publish(state, vehicle) do
     # A report that is lost with the connection is published with the next one.
     _ =
-      unless match?({:other, _id}, Ownership.holder(state, vehicle)),
+      unless match?({:other, _id}, Keeper.holder(state, vehicle)),
         do: Buckets.report(state.conn, state.kept.environment, vehicle, state.reports[vehicle])
 
     state

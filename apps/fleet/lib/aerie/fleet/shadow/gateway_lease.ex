@@ -1,4 +1,4 @@
-defmodule Aerie.Fleet.Shadow.Lease do
+defmodule Aerie.Fleet.Shadow.GatewayLease do
   @moduledoc """
   Decides which of several gateways that hear a vehicle acts on it. A pure value; `Aerie.Fleet.Shadow.Documents` reads and writes the bucket.
 

@@ -1,4 +1,4 @@
-defmodule Aerie.Fleet.Shadow.Documents.LeaseSeal do
+defmodule Aerie.Fleet.Shadow.GatewayLease.Seal do
   @moduledoc """
   Seals leases and signs of life: a gateway believes only those that a gateway with the same key wrote, so
   access to NATS alone takes no vehicle from anybody.
@@ -7,7 +7,7 @@ defmodule Aerie.Fleet.Shadow.Documents.LeaseSeal do
   and number. It stands beside the value, which earlier versions go on reading. A lease has the key of its
   vehicle, a sign of life that of its gateway: the common one, or aboard (`shadow.vehicle_key`) the vehicle's,
   whose id then ends the gateway's name. The number grows with each word
-  (`Aerie.Fleet.Shadow.Documents.LeaseNumbers`), so an old one counts for nothing.
+  (`Aerie.Fleet.Shadow.GatewayLease.Numbers`), so an old one counts for nothing.
   """
 
   alias Aerie.Base.Secret

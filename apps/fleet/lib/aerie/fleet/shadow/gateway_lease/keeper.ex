@@ -1,13 +1,13 @@
-defmodule Aerie.Fleet.Shadow.Documents.Ownership do
+defmodule Aerie.Fleet.Shadow.GatewayLease.Keeper do
   @moduledoc """
-  Decides which gateway acts on a vehicle, by `Aerie.Fleet.Shadow.Lease` and the bucket of leases: functions of the
-  state of `Aerie.Fleet.Shadow.Documents.Server`, their only caller.
+  Decides which gateway acts on a vehicle, by `Aerie.Fleet.Shadow.GatewayLease` and the bucket of leases: functions of
+  the state of `Aerie.Fleet.Shadow.Documents.Server`, their only caller.
   """
 
   alias Aerie.Base.Store
   alias Aerie.Fleet.Bridge
-  alias Aerie.Fleet.Shadow.{Buckets, Lease, Metrics}
-  alias Aerie.Fleet.Shadow.Documents.{LeaseNumbers, LeaseSeal}
+  alias Aerie.Fleet.Shadow.{Buckets, GatewayLease, Metrics}
+  alias Aerie.Fleet.Shadow.GatewayLease.{Numbers, Seal}
 
   require Logger
 
@@ -29,12 +29,12 @@ defmodule Aerie.Fleet.Shadow.Documents.Ownership do
 
   defp heard(state, instance, value) do
     {name, echo} = sign(value, state.lease.me)
-    {alive?, numbers} = LeaseNumbers.alive(state.numbers, instance, echo, monotonic())
+    {alive?, numbers} = Numbers.alive(state.numbers, instance, echo, monotonic())
     state = %{state | numbers: numbers}
 
     if alive? do
       names = if map_size(state.names) > @max_names, do: %{}, else: state.names
-      lease = Lease.peer(state.lease, instance, monotonic())
+      lease = GatewayLease.peer(state.lease, instance, monotonic())
       %{state | lease: lease, names: Map.put(names, instance, name)}
     else
       refused(state, {:gateway, instance}, "is old: it knows none of this gateway's last signs of life")
@@ -53,9 +53,9 @@ defmodule Aerie.Fleet.Shadow.Documents.Ownership do
 
   # `:new`, `:same` as before, or `:refused`, which is counted.
   defp read(state, subject, value, seal) do
-    case LeaseSeal.read(state.kept.keys, state.kept.environment, subject, value, seal) do
+    case Seal.read(state.kept.keys, state.kept.environment, subject, value, seal) do
       {:ok, number} ->
-        {age, numbers} = LeaseNumbers.seen(state.numbers, subject, number)
+        {age, numbers} = Numbers.seen(state.numbers, subject, number)
         state = %{state | numbers: numbers}
 
         if age == :old,
@@ -93,16 +93,21 @@ defmodule Aerie.Fleet.Shadow.Documents.Ownership do
   end
 
   defp owner(state, vehicle, nil),
-    do: %{state | lease: Lease.owner(state.lease, vehicle, nil, monotonic())} |> claim() |> authorities()
+    do:
+      %{state | lease: GatewayLease.owner(state.lease, vehicle, nil, monotonic())} |> claim() |> authorities()
 
   defp owner(state, vehicle, instance),
     do: authorities(%{state | lease: owned(state.lease, vehicle, instance, monotonic())})
 
   # This gateway knows its own vehicles from its claims; a notice from the bucket may be old.
   defp owned(%{me: me} = lease, vehicle, me, now),
-    do: if(match?(%{^vehicle => ^me}, lease.owners), do: lease, else: Lease.owner(lease, vehicle, nil, now))
+    do:
+      if(match?(%{^vehicle => ^me}, lease.owners),
+        do: lease,
+        else: GatewayLease.owner(lease, vehicle, nil, now)
+      )
 
-  defp owned(lease, vehicle, other, now), do: Lease.owner(lease, vehicle, other, now)
+  defp owned(lease, vehicle, other, now), do: GatewayLease.owner(lease, vehicle, other, now)
 
   # A removal without a seal (by an operator, an earlier version, the server) ends no lease of a gateway that lives.
   defp removed(%{lease: %{me: me} = lease} = state, vehicle) do
@@ -114,15 +119,15 @@ defmodule Aerie.Fleet.Shadow.Documents.Ownership do
   end
 
   defp lives?(lease, vehicle, other),
-    do: not Lease.aboard?(vehicle, other) and not Lease.gone?(lease, other, monotonic())
+    do: not GatewayLease.aboard?(vehicle, other) and not GatewayLease.gone?(lease, other, monotonic())
 
   @doc "Writes this gateway's sign of life."
   @spec renew(state()) :: {:ok | {:error, String.t()}, state()}
   def renew(%{kept: kept, lease: %{me: me}} = state) do
-    {echo, numbers} = LeaseNumbers.echo(state.numbers)
+    {echo, numbers} = Numbers.echo(state.numbers)
     value = JSON.encode!(%{"gateway" => state.name, "seen" => echo})
     {seal, number, state} = seal(%{state | numbers: numbers}, {:gateway, me}, value)
-    state = %{state | numbers: LeaseNumbers.sent(state.numbers, number, monotonic())}
+    state = %{state | numbers: Numbers.sent(state.numbers, number, monotonic())}
     {Buckets.renew(state.conn, kept.environment, me, value, seal), state}
   end
 
@@ -130,13 +135,13 @@ defmodule Aerie.Fleet.Shadow.Documents.Ownership do
   @spec renewed(state(), sent_at :: integer()) :: state()
   def renewed(%{lease: lease} = state, sent_at) do
     gap? = lease.renewed_at != nil and sent_at - lease.renewed_at >= lease.ttl_ms
-    numbers = if gap?, do: LeaseNumbers.gap(state.numbers), else: state.numbers
-    %{state | lease: Lease.renewed(lease, sent_at), numbers: numbers}
+    numbers = if gap?, do: Numbers.gap(state.numbers), else: state.numbers
+    %{state | lease: GatewayLease.renewed(lease, sent_at), numbers: numbers}
   end
 
   defp seal(%{kept: kept} = state, subject, value) do
-    {number, numbers} = LeaseNumbers.next(state.numbers, subject, System.os_time(:millisecond))
-    seal = LeaseSeal.headers(kept.keys, kept.environment, subject, value, number)
+    {number, numbers} = Numbers.next(state.numbers, subject, System.os_time(:millisecond))
+    seal = Seal.headers(kept.keys, kept.environment, subject, value, number)
     {seal, number, %{state | numbers: numbers}}
   end
 
@@ -166,7 +171,7 @@ defmodule Aerie.Fleet.Shadow.Documents.Ownership do
   def claim(%{conn: nil} = state), do: state
 
   def claim(state) do
-    state.lease |> Lease.claims(monotonic()) |> Enum.take(@max_claims) |> Enum.reduce(state, &take/2)
+    state.lease |> GatewayLease.claims(monotonic()) |> Enum.take(@max_claims) |> Enum.reduce(state, &take/2)
   end
 
   # What no gateway of ours wrote, or what is old, does not keep it.
@@ -176,9 +181,9 @@ defmodule Aerie.Fleet.Shadow.Documents.Ownership do
       now = monotonic()
 
       if owner in [nil, me] or age == :refused or
-           (not Lease.aboard?(vehicle, owner) and Lease.gone?(lease, owner, now)),
+           (not GatewayLease.aboard?(vehicle, owner) and GatewayLease.gone?(lease, owner, now)),
          do: own(state, vehicle, revision),
-         else: %{state | lease: Lease.owner(lease, vehicle, owner, now)}
+         else: %{state | lease: GatewayLease.owner(lease, vehicle, owner, now)}
     else
       {:error, _next_time} -> state
     end
@@ -188,7 +193,7 @@ defmodule Aerie.Fleet.Shadow.Documents.Ownership do
     {seal, _number, state} = seal(state, {:vehicle, vehicle}, me)
 
     case Buckets.own(state.conn, kept.environment, vehicle, me, seal, revision) do
-      :ok -> %{state | lease: Lease.owner(state.lease, vehicle, me, monotonic())}
+      :ok -> %{state | lease: GatewayLease.owner(state.lease, vehicle, me, monotonic())}
       {:error, _next_time} -> state
     end
   end
@@ -208,9 +213,9 @@ defmodule Aerie.Fleet.Shadow.Documents.Ownership do
     end
   end
 
-  @doc "See `Aerie.Fleet.Shadow.Lease.holder/3`."
+  @doc "See `Aerie.Fleet.Shadow.GatewayLease.holder/3`."
   @spec holder(state(), String.t()) :: {:mine, until :: integer()} | {:other, String.t()} | :none
-  def holder(state, vehicle), do: Lease.holder(state.lease, vehicle, monotonic())
+  def holder(state, vehicle), do: GatewayLease.holder(state.lease, vehicle, monotonic())
 
   @doc "Records who may act; loops read this before they act."
   @spec authorities(state()) :: state()
@@ -231,7 +236,7 @@ defmodule Aerie.Fleet.Shadow.Documents.Ownership do
     state
   end
 
-  # The gateway that holds a vehicle, for commands (`Aerie.Fleet.Shadow.Ownership`).
+  # The gateway that holds a vehicle, for commands (`Aerie.Fleet.Remote.Claims`).
   defp held(%{kept: %{local?: true}}, _vehicle), do: :alone
   defp held(%{conn: nil, settings: %{without_nats: :act}}, _vehicle), do: :alone
 
@@ -245,7 +250,7 @@ defmodule Aerie.Fleet.Shadow.Documents.Ownership do
 
       {:other, id} ->
         # No gateway can renew its lease while this server is away.
-        if own_server? and state.conn == nil and Lease.gone?(state.lease, id, now),
+        if own_server? and state.conn == nil and GatewayLease.gone?(state.lease, id, now),
           do: :alone,
           else: {:other, Map.get(state.names, id, id)}
 

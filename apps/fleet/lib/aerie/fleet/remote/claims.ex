@@ -1,4 +1,4 @@
-defmodule Aerie.Fleet.Shadow.Ownership do
+defmodule Aerie.Fleet.Remote.Claims do
   @moduledoc """
   Which gateway holds a vehicle, by the lease of the shadow, and the ids of commands in the bucket `fleet_commands`, where all gateways of
   a NATS server see them.

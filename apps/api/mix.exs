@@ -23,8 +23,7 @@ defmodule Aerie.Api.MixProject do
     [extra_applications: [:logger, :cowboy] ++ test_applications(Mix.env())]
   end
 
-  # PropEr is Debian's, not a dependency that Mix knows; naming it keeps it on the code path of the tests.
-  defp test_applications(:test), do: [:proper]
+  defp test_applications(:test), do: [:inets]
   defp test_applications(_env), do: []
 
   defp elixirc_paths(:test), do: ["lib", "test/support"]

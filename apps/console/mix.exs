@@ -41,6 +41,7 @@ defmodule Aerie.Console.MixProject do
         {:control, in_umbrella: true},
         {:fleet, in_umbrella: true},
         {:access, in_umbrella: true},
-        {:api, in_umbrella: true}
+        # The HTTP server, on which the tests try the pages.
+        {:api, in_umbrella: true, only: :test}
       ] ++ Aerie.Packages.deps([:telemetry, :phoenix_live_view])
 end

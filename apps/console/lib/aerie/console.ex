@@ -16,7 +16,7 @@ defmodule Aerie.Console do
   its `mount/3`. Its options:
 
     * `:role` - the least role that may open the page, `:viewer` unless given
-    * `:changes` - events by the change of `Aerie.Api.Rights` that they cause, which says their least role
+    * `:changes` - events by the change of `Aerie.Access.Changes.Rights` that they cause, which says their least role
     * `:events` - the least role for other events by name. An event that is not named needs `:operator`
 
     * `:costly` - events that cost as much as several others: tables that are sorted, files that are read (`Aerie.Access.WorkLimit`)
@@ -25,7 +25,7 @@ defmodule Aerie.Console do
   """
 
   alias Aerie.Control.Policy.Roles
-  alias Aerie.Api.Rights
+  alias Aerie.Access.Changes.Rights
 
   @doc "`use Aerie.Console, :page`, `{:page, options}` or `:component`."
   defmacro __using__(:component), do: component()

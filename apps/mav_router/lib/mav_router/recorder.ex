@@ -261,6 +261,10 @@ defmodule MavRouter.Recorder do
   @spec list(Names.gateway()) :: [map]
   def list(gateway), do: Archive.list(gateway)
 
+  @doc "One of our files by its name; nil for any other name."
+  @spec find(Names.gateway(), String.t()) :: map() | nil
+  def find(gateway, name), do: Enum.find(list(gateway), &(Path.basename(&1.file) == name))
+
   @doc "Removes one of our files by its name (`list/1`), unless it is being written."
   @spec delete(Names.gateway(), String.t()) :: :ok | {:error, Error.t()}
   def delete(gateway, name) do

@@ -8,6 +8,7 @@ defmodule Aerie.Access.Changes do
   `recorded_elsewhere/0` lists its action.
   """
 
+  alias Aerie.Access.Changes.Rights
   alias Aerie.Base.{Address, Json, Names}
   alias Aerie.Control.Policy.Audit
   alias Aerie.Control.Policy.Roles
@@ -20,7 +21,6 @@ defmodule Aerie.Access.Changes do
   @elsewhere [
     :command,
     :cancel_command,
-    :operation,
     :reload_policy,
     :reload_config,
     :issue_ticket
@@ -32,11 +32,9 @@ defmodule Aerie.Access.Changes do
   @spec recorded_elsewhere() :: [atom()]
   def recorded_elsewhere, do: @elsewhere
 
-  @doc "Whether a request is recorded by its route."
-  @spec recorded?(method :: String.t(), action :: atom() | tuple()) :: boolean()
-  def recorded?("GET", _action), do: false
-  def recorded?(method, action) when is_tuple(action), do: recorded?(method, elem(action, 0))
-  def recorded?(_method, action), do: action not in @elsewhere
+  @doc "Whether a change by a request is recorded by its route; nil stands for no change."
+  @spec recorded?(Rights.change() | nil) :: boolean()
+  def recorded?(change), do: change != nil and change not in @elsewhere
 
   @doc "The name of somebody."
   @spec name(by()) :: String.t()

@@ -8,7 +8,7 @@ defmodule Aerie.Console.RightsTest do
   alias Aerie.Access.HTTP.Admission
   alias Aerie.Api.Rest.{OpenAPI, Routes}
   alias Aerie.Console
-  alias Aerie.Api.Rights
+  alias Aerie.Access.Changes.Rights
 
   @moduletag :tmp_dir
   @json {"content-type", "application/json"}
@@ -33,7 +33,7 @@ defmodule Aerie.Console.RightsTest do
   defp changes do
     for %{method: method, path: path} = route <- Routes.all(),
         method != "GET",
-        do: {path |> String.replace(~r/:[a-z]+/, "x") |> String.replace("[...]", "x"), method, route.action}
+        do: {path |> String.replace(~r/:[a-z]+/, "x") |> String.replace("[...]", "x"), method, route}
   end
 
   test "what only the console offers, and what nobody listed, is an admin's" do
@@ -41,14 +41,18 @@ defmodule Aerie.Console.RightsTest do
         do: assert(Rights.least(change) == :admin)
   end
 
+  test "each change that a route makes is listed" do
+    for %{change: change} when change != nil <- Routes.all(), do: assert(is_map_key(Rights.all(), change))
+  end
+
   test "a key changes what its role may, and a higher role what a lower one may", %{tmp_dir: dir} do
     %{port: port} = keyed(dir, links: true)
 
     # The levels of the log and the policy are the gateway's own: their tests change them.
-    for {path, method, action} <- changes(),
-        action not in [:change_log, :reload_policy],
+    for {path, method, route} <- changes(),
+        route.change not in [:change_log, :reload_policy],
         role <- Map.keys(@keys) do
-      allowed? = Aerie.Control.Policy.Roles.at_least?(role, Rights.least(action))
+      allowed? = Aerie.Control.Policy.Roles.at_least?(role, route.role)
       {status, answer} = ask(port, role, method, path)
       refused? = status == 403 and answer["error"]["message"] =~ ~r/this needs|may only read/
       assert {method, path, role, refused?} == {method, path, role, not allowed?}
@@ -98,7 +102,7 @@ defmodule Aerie.Console.RightsTest do
   test "without a key nobody is an admin: the answer says how to make one, and what a program may still do" do
     %{gateway: gateway, port: port} = start_server(links: true)
 
-    for {path, method, action} <- changes(), Rights.least(action) == :admin do
+    for {path, method, %{role: :admin}} <- changes() do
       assert {{403, %{"error" => %{"message" => words}}}, _path} = {ask(port, nil, method, path), path}
       assert words =~ "console" and words =~ "api.keys_file" and words =~ "X-Aerie-Key"
     end

@@ -1,33 +1,49 @@
-defmodule Aerie.Api.Rights do
+defmodule Aerie.Access.Changes.Rights do
   @moduledoc """
-  The least role for each change, by whichever way it is asked for. Pure. Those of `/api` stand with their routes
-  (`Aerie.Api.Rest.Routes`); here is what only the console offers. A page of the console names the change
-  behind each event (`changes:` of `Aerie.Console`).
+  The least role for each change of the gateway, by whichever way it is asked for. Pure. A route of `/api` and a page's
+  event name the change that they make.
 
-  What decides who may command, who is heard, or what is known of it later is an admin's. What a vehicle is asked to do is an
-  operator's here, and the policy's beyond that (`Aerie.Control.Policy`). Requests over NATS change nothing of the gateway.
-
-  A way to change something that has no row is an admin's.
+  What decides who may command, who is heard, or what is known of it later is an admin's. What a vehicle is asked to do
+  is an operator's here, and the policy's beyond that (`Aerie.Control.Policy`). Requests over NATS change nothing of the
+  gateway.
   """
 
   alias Aerie.Control.Policy.Roles
-  alias Aerie.Api.Rest.Routes
 
-  @console [:restart_link, :make_key, :revoke_key, :change_users, :play_recording, :delete_recording]
+  @roles %{
+    admin: [
+      :add_link,
+      :remove_link,
+      :restart_link,
+      :add_client,
+      :remove_client,
+      :change_rules,
+      :reset_rules,
+      :record_link,
+      :record_vehicle,
+      :play_recording,
+      :delete_recording,
+      :sign_vehicle,
+      :make_key,
+      :revoke_key,
+      :change_users,
+      :change_log,
+      :reload_config,
+      :reload_policy
+    ],
+    operator: [:command, :cancel_command, :save, :store_plan],
+    viewer: [:issue_ticket]
+  }
+  @least for {role, changes} <- @roles, change <- changes, into: %{}, do: {change, role}
 
-  @typedoc "An action of `Aerie.Api.Rest.Routes`, or a change that only the console offers."
-  @type change :: atom() | tuple()
+  @typedoc "What is changed; the audit log has the same name."
+  @type change :: atom()
 
   @doc "Every change with its least role."
   @spec all() :: %{change() => Roles.role()}
-  def all do
-    routes =
-      for %{method: method, action: action, role: role} <- Routes.all(), method != "GET", do: {action, role}
+  def all, do: @least
 
-    Map.new(routes ++ Enum.map(@console, &{&1, :admin}))
-  end
-
-  @doc "The least role for a change."
+  @doc "The least role for a change; an admin's if it is not listed."
   @spec least(change()) :: Roles.role()
-  def least(change), do: Map.get(all(), change, :admin)
+  def least(change), do: Map.get(@least, change, :admin)
 end

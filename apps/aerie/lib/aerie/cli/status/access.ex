@@ -168,7 +168,8 @@ defmodule Aerie.CLI.Status.Access do
 
   defp keys?(api), do: api[:key] != nil or api[:keys_file] != nil
 
-  # Without keys /api is for this machine, whatever the address, and nobody there is an admin (Aerie.Api.Rights).
+  # Without keys /api is for this machine, whatever the address, and nobody there is an admin
+  # (Aerie.Access.Changes.Rights).
   defp rest(api) do
     if keys?(api),
       do: "anyone with a key: by its role, look on, command vehicles, and change what /api changes",

@@ -69,9 +69,9 @@ defmodule Aerie.Api.Rest.Handler do
   end
 
   # What was changed is in the audit log, as for the console.
-  defp recorded({:ok, _status, body, request} = answer, %{method: method, action: action}, by, gateway) do
-    if Changes.recorded?(method, action),
-      do: Changes.request(gateway, by, action, :cowboy_req.binding(:id, request, nil), body)
+  defp recorded({:ok, _status, body, request} = answer, %{change: change}, by, gateway) do
+    if Changes.recorded?(change),
+      do: Changes.request(gateway, by, change, :cowboy_req.binding(:id, request, nil), body)
 
     answer
   end

@@ -76,8 +76,7 @@ defmodule Aerie.Api.Rest.Recordings do
   @doc "A recording by its file name, as `{:file, path, bytes}`; nil for any other name."
   @spec download(term(), String.t()) :: {:file, Path.t(), non_neg_integer()} | nil
   def download(gateway, name) do
-    with %{file: path, bytes: bytes} <- Enum.find(Recorder.list(gateway), &(Path.basename(&1.file) == name)),
-         do: {:file, path, bytes}
+    with %{file: path, bytes: bytes} <- Recorder.find(gateway, name), do: {:file, path, bytes}
   end
 
   @doc "Saves the last minutes of a vehicle; `%{\"reason\" => text}` becomes part of the file's name."

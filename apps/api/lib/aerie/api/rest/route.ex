@@ -7,6 +7,7 @@ defmodule Aerie.Api.Rest.Route do
   |---|---|
   | `method`, `path` | as in `"GET"`, `"/api/links/:id"`; what `:name` stands for is a binding of the request |
   | `action` | the clause of `Aerie.Api.Rest.Actions.run/3` that answers |
+  | `change` | what it changes of the gateway (`Aerie.Access.Changes.Rights`), for the audit log; nil for nothing |
   | `role` | the least role that may; a viewer may read everything |
   | `summary` | one line, for the description |
   | `body` | the name of a schema (`Aerie.Api.Rest.Bodies`), `{:bytes, media types, name of the one as JSON}`, or nil for none |
@@ -15,6 +16,7 @@ defmodule Aerie.Api.Rest.Route do
   | `answer` | names of schemas, nil for none, or `{:bytes, media types, names of those as JSON}` |
   """
 
+  alias Aerie.Access.Changes.Rights
   alias Aerie.Control.Policy.Roles
 
   @enforce_keys [:method, :path, :action, :role, :summary]
@@ -24,6 +26,7 @@ defmodule Aerie.Api.Rest.Route do
     :action,
     :role,
     :summary,
+    :change,
     :body,
     query: [],
     status: 200,
@@ -38,6 +41,7 @@ defmodule Aerie.Api.Rest.Route do
           method: String.t(),
           path: String.t(),
           action: action(),
+          change: Rights.change() | nil,
           role: Roles.role(),
           summary: String.t(),
           body: body(),
@@ -49,16 +53,24 @@ defmodule Aerie.Api.Rest.Route do
 
   @doc "A route that reads: open to every admitted requester."
   @spec get(String.t(), action(), String.t(), keyword()) :: t()
-  def get(path, action, summary, options \\ []), do: new("GET", path, action, :viewer, summary, options)
-
-  for method <- ~w(post put patch delete)a do
-    @doc "A route that changes something, for a role and higher ones."
-    @spec unquote(method)(String.t(), action(), Roles.role(), String.t(), keyword()) :: t()
-    def unquote(method)(path, action, role, summary, options \\ []),
-      do: new(unquote(method |> Atom.to_string() |> String.upcase()), path, action, role, summary, options)
+  def get(path, action, summary, options \\ []) do
+    struct!(
+      %__MODULE__{method: "GET", path: path, action: action, role: :viewer, summary: summary},
+      options
+    )
   end
 
-  defp new(method, path, action, role, summary, options),
-    do:
-      struct!(%__MODULE__{method: method, path: path, action: action, role: role, summary: summary}, options)
+  for method <- ~w(post put patch delete)a do
+    @doc "A route that changes something, for those whom `Aerie.Access.Changes.Rights` allows it."
+    @spec unquote(method)(String.t(), Rights.change(), String.t(), keyword()) :: t()
+    def unquote(method)(path, change, summary, options \\ []) do
+      method = unquote(method |> Atom.to_string() |> String.upcase())
+      role = Rights.least(change)
+
+      struct!(
+        %__MODULE__{method: method, path: path, action: change, change: change, role: role, summary: summary},
+        options
+      )
+    end
+  end
 end

@@ -1,7 +1,7 @@
 defmodule Aerie.Api.Rest.Routes do
   @moduledoc """
   Every method of every path below `/api`: one table of `Aerie.Api.Rest.Route`, from which dispatch, the access check
-  (`Aerie.Api.Rights`) and `docs/openapi.json` (`Aerie.Api.Rest.OpenAPI`) come. A new one is an operation of
+  and `docs/openapi.json` (`Aerie.Api.Rest.OpenAPI`) come. A new one is an operation of
   `Aerie.Control.Operations`, or a row of `Routes.Gateway` or `Routes.Vehicle` and a clause of `Actions.run/3`.
   """
 

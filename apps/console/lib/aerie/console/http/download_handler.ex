@@ -9,9 +9,9 @@ defmodule Aerie.Console.HTTP.DownloadHandler do
   alias Aerie.Control.Policy.Audit
   alias Aerie.Control.Policy.Audit.Reader
   alias Aerie.Access.HTTP.{Admission, Request}
-  alias Aerie.Api.Rest.Recordings
   alias Aerie.Control.Policy.Roles
   alias Aerie.Access.Session
+  alias MavRouter.Recorder
   alias Phoenix.LiveView.Cookie
 
   @least %{recording: :viewer, audit: :admin}
@@ -41,8 +41,8 @@ defmodule Aerie.Console.HTTP.DownloadHandler do
   defp answer(:recording, request, %{gateway: gateway}) do
     name = :cowboy_req.binding(:name, request)
 
-    case Recordings.download(gateway, name) do
-      {:file, path, bytes} ->
+    case Recorder.find(gateway, name) do
+      %{file: path, bytes: bytes} ->
         :cowboy_req.reply(
           200,
           headers("application/octet-stream", name),

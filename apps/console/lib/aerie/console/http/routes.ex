@@ -11,7 +11,7 @@ defmodule Aerie.Console.HTTP.Routes do
   alias Phoenix.LiveView.Server
 
   @doc """
-  The console's processes and routes, for `Aerie.Api.Endpoint`. `configuration` gives what the page of settings shows;
+  The console's processes and routes, for the HTTP server. `configuration` gives what the page of settings shows;
   without it the page has no configuration.
   """
   @spec serve(Names.gateway(), map(), (-> [Configuration.section()]) | nil, Admission.policy()) ::

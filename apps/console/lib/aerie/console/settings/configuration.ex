@@ -1,7 +1,7 @@
 defmodule Aerie.Console.Settings.Configuration do
   @moduledoc """
   The configuration that the gateway runs with, for admins to look at. What it is, only the app that read it knows: it gives
-  `Aerie.Api.Endpoint` a function that says it in words (`configuration:`), without any secret.
+  `Aerie.Console.HTTP.Routes.serve/4` a function that says it in words, without any secret.
   """
   use Aerie.Console, :component
 

@@ -26,48 +26,45 @@ defmodule Aerie.Api.Rest.Routes.Gateway do
         "Which vehicles can sign, and by which links they can be given a key."
       ),
       get("/api/links", :links, "All links."),
-      post("/api/links", :add_link, :admin, "Adds a link; it lives until it is removed, or the gateway ends.",
+      post("/api/links", :add_link, "Adds a link; it lives until it is removed, or the gateway ends.",
         body: :link,
         status: 201
       ),
-      delete("/api/links/:id", :remove_link, :admin, "Closes and forgets a link.", status: 204, answer: nil),
-      put("/api/links/:id/recording", :record_link, :admin, "Starts or stops recording a link.", body: :mode),
+      delete("/api/links/:id", :remove_link, "Closes and forgets a link.", status: 204, answer: nil),
+      put("/api/links/:id/recording", :record_link, "Starts or stops recording a link.", body: :mode),
       get("/api/recorder", :recorder, "What is being recorded, and the recordings on disk."),
       get("/api/recordings/:name", :download, "A recording.", answer: @bytes),
       get("/api/clients", :clients, "Endpoints for clients, and the clients that are connected."),
-      post("/api/clients", :add_client, :admin, "Adds an endpoint for clients.",
+      post("/api/clients", :add_client, "Adds an endpoint for clients.",
         body: :client,
         status: 201
       ),
-      delete("/api/clients/:id", :remove_client, :admin, "Removes an endpoint, or disconnects a client.",
+      delete("/api/clients/:id", :remove_client, "Removes an endpoint, or disconnects a client.",
         status: 204,
         answer: nil
       ),
       get("/api/rules", :rules, "The routing rules of links and clients."),
-      patch("/api/rules/:id", :change_rules, :admin, "Changes the rules of a link or client.", body: :rules),
-      delete("/api/rules/:id", :reset_rules, :admin, "Restores the configured rules.",
+      patch("/api/rules/:id", :change_rules, "Changes the rules of a link or client.", body: :rules),
+      delete("/api/rules/:id", :reset_rules, "Restores the configured rules.",
         status: 204,
         answer: nil
       ),
       post(
         "/api/config/reload",
         :reload_config,
-        :admin,
         "Reads the configuration again and puts in force what can change without a restart.",
         body: :nothing
       ),
       get("/api/log", :log, "The levels of the log."),
-      patch("/api/log", :change_log, :admin, "Changes the levels of the log.", body: :log),
+      patch("/api/log", :change_log, "Changes the levels of the log.", body: :log),
       get("/api/policy", :policy, "The policy in force."),
-      post("/api/policy/reload", :reload_policy, :admin, "Reads the policy and its fences again.",
-        body: :nothing
-      ),
-      post("/api/plans", :store_plan, :operator, "Stores a .plan file for desired states.",
+      post("/api/policy/reload", :reload_policy, "Reads the policy and its fences again.", body: :nothing),
+      post("/api/plans", :store_plan, "Stores a .plan file for desired states.",
         body: @plan,
         status: 201
       ),
       get("/api/commands/types", :command_types, "The commands with their parameters."),
-      post("/api/tickets", :issue_ticket, :viewer, "Issues a ticket that opens one WebSocket.",
+      post("/api/tickets", :issue_ticket, "Issues a ticket that opens one WebSocket.",
         body: :nothing,
         status: 201
       )

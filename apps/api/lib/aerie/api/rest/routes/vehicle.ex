@@ -14,18 +14,17 @@ defmodule Aerie.Api.Rest.Routes.Vehicle do
       get("/api/vehicles/:id/events", :vehicle_events, "The latest events of a vehicle.",
         query: [:limit, :since]
       ),
-      post("/api/vehicles/:id/save", :save, :operator, "Saves the last minutes of a vehicle as a recording.",
+      post("/api/vehicles/:id/save", :save, "Saves the last minutes of a vehicle as a recording.",
         body: :save,
         status: 201
       ),
-      put("/api/vehicles/:id/recording", :record_vehicle, :admin, "Starts or stops recording a vehicle.",
+      put("/api/vehicles/:id/recording", :record_vehicle, "Starts or stops recording a vehicle.",
         body: :mode
       ),
       get("/api/vehicles/:id/signing", :vehicle_signing, "The signing state of a vehicle."),
       post(
         "/api/vehicles/:id/signing",
         :sign_vehicle,
-        :admin,
         "Gives a vehicle a signing key, or takes it away.",
         body: :signing
       ),
@@ -34,7 +33,7 @@ defmodule Aerie.Api.Rest.Routes.Vehicle do
         :vehicle_commands,
         "Which commands this key may give to the vehicle."
       ),
-      post("/api/vehicles/:id/commands", :command, :operator, "Gives a command, and waits for its result.",
+      post("/api/vehicles/:id/commands", :command, "Gives a command, and waits for its result.",
         query: [:wait],
         body: :command,
         later: true
@@ -44,9 +43,7 @@ defmodule Aerie.Api.Rest.Routes.Vehicle do
         :look_at_command,
         "The progress of a command, or its result."
       ),
-      delete("/api/vehicles/:id/commands/:command", :cancel_command, :operator, "Cancels a command.",
-        status: 202
-      )
+      delete("/api/vehicles/:id/commands/:command", :cancel_command, "Cancels a command.", status: 202)
     ]
   end
 end

@@ -13,7 +13,7 @@ Code.require_file("../../apps/vehicle/test/support/mission_station.ex", __DIR__)
 defmodule MissionBench do
   alias Protocols.Mission.Item
   alias Aerie.MissionStation
-  alias Aerie.Vehicle.Firmware.Ardupilot
+  alias Aerie.Vehicle.Firmware.Ardupilot.Adapter
   alias Bench.{Gateway, OSProcess, Python, Table}
 
   @widths [19, -14, -14]

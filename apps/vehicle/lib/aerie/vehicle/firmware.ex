@@ -6,8 +6,8 @@ defmodule Aerie.Vehicle.Firmware do
 
   @doc "The adapter of a firmware."
   @spec of(Aerie.Vehicle.Kind.autopilot()) :: module()
-  def of(:ardupilot), do: __MODULE__.Ardupilot
-  def of(:px4), do: __MODULE__.Px4
-  def of(msp) when msp in [:betaflight, :inav], do: __MODULE__.Msp
+  def of(:ardupilot), do: __MODULE__.Ardupilot.Adapter
+  def of(:px4), do: __MODULE__.Px4.Adapter
+  def of(msp) when msp in [:betaflight, :inav], do: __MODULE__.Msp.Adapter
   def of(:generic), do: __MODULE__.Unknown
 end

@@ -1,7 +1,7 @@
 defmodule Aerie.Vehicle.Protocol do
   @moduledoc """
   The behaviour of an adapter to a firmware. It turns a command into steps, steps into messages, and messages into answers;
-  everything that depends on the firmware is in its adapter. `Aerie.Vehicle.Firmware.Ardupilot` and `Aerie.Vehicle.Firmware.Px4`
+  everything that depends on the firmware is in its adapter. `Aerie.Vehicle.Firmware.Ardupilot.Adapter` and `Aerie.Vehicle.Firmware.Px4.Adapter`
   share `Aerie.Vehicle.Protocol.Mavlink`; the behaviour itself does not depend on MAVLink, so another protocol fits. What
   transfers of plans need is in `Protocols.Mission.Firmware`, which each adapter implements as well.
 

@@ -10,7 +10,12 @@ defmodule Aerie.Vehicle.ProtocolTest do
   alias MavCodec.Messages, as: M
 
   @kinds Firmware.Page.kinds()
-  @adapters [ardupilot: Firmware.Ardupilot, px4: Firmware.Px4, betaflight: Firmware.Msp, inav: Firmware.Msp]
+  @adapters [
+    ardupilot: Firmware.Ardupilot.Adapter,
+    px4: Firmware.Px4.Adapter,
+    betaflight: Firmware.Msp.Adapter,
+    inav: Firmware.Msp.Adapter
+  ]
 
   defp steps(autopilot, name, params, more \\ %{}) do
     Protocol.plan(Firmware.of(autopilot), command(name, params), vehicle(autopilot, more))
@@ -199,8 +204,8 @@ defmodule Aerie.Vehicle.ProtocolTest do
 
   test "COMMAND_LONG counts its repetitions (C1)" do
     vehicle = vehicle(:px4)
-    assert [%{confirmation: 2}] = Firmware.Px4.encode(first(:px4, "disarm"), 2, vehicle)
-    assert [%{confirmation: 255}] = Firmware.Px4.encode(first(:px4, "disarm"), 300, vehicle)
+    assert [%{confirmation: 2}] = Firmware.Px4.Adapter.encode(first(:px4, "disarm"), 2, vehicle)
+    assert [%{confirmation: 255}] = Firmware.Px4.Adapter.encode(first(:px4, "disarm"), 300, vehicle)
   end
 
   test "a gimbal's commands are for the component that manages it, or the one that is named" do
@@ -221,7 +226,7 @@ defmodule Aerie.Vehicle.ProtocolTest do
     end
   end
 
-  defp ack(step, fields, source \\ {1, 1}, protocol \\ Firmware.Ardupilot) do
+  defp ack(step, fields, source \\ {1, 1}, protocol \\ Firmware.Ardupilot.Adapter) do
     [message] = protocol.encode(step, 0, vehicle(:ardupilot))
     protocol.read(step, struct!(%M.CommandAck{command: message.command}, fields), source, vehicle(:ardupilot))
   end
@@ -236,8 +241,8 @@ defmodule Aerie.Vehicle.ProtocolTest do
     assert ack(arm, [], {1, 100}) == :ignore
     assert ack(arm, [], {2, 1}) == :ignore
     camera = first(:px4, "camera_photo")
-    assert ack(camera, [], {1, 100}, Firmware.Px4) == :accepted
-    assert ack(camera, [], {1, 1}, Firmware.Px4) == :ignore
+    assert ack(camera, [], {1, 100}, Firmware.Px4.Adapter) == :accepted
+    assert ack(camera, [], {1, 1}, Firmware.Px4.Adapter) == :ignore
   end
 
   test "each result of an acknowledgement" do
@@ -259,14 +264,16 @@ defmodule Aerie.Vehicle.ProtocolTest do
     assert {:instead, long} = ack(goto, result: 7)
 
     assert [%M.CommandLong{command: 192, param5: 1.5, param6: 2.0, param7: 20.0}] =
-             Firmware.Ardupilot.encode(long, 0, vehicle(:ardupilot))
+             Firmware.Ardupilot.Adapter.encode(long, 0, vehicle(:ardupilot))
 
     assert {:refused, :rejected, _reason} = ack(long, result: 8)
 
     # Another frame, with the height that belongs to it.
     assert {:instead, amsl} = ack(goto, result: 9)
 
-    assert [%M.CommandInt{frame: 5, z: 509.566}] = Firmware.Ardupilot.encode(amsl, 0, vehicle(:ardupilot))
+    assert [%M.CommandInt{frame: 5, z: 509.566}] =
+             Firmware.Ardupilot.Adapter.encode(amsl, 0, vehicle(:ardupilot))
+
     assert {:refused, :rejected, _reason} = ack(amsl, result: 9)
     assert {:refused, :rejected, _reason} = ack(amsl, result: 7)
 
@@ -274,14 +281,14 @@ defmodule Aerie.Vehicle.ProtocolTest do
     assert {:instead, int} = ack(arm, result: 8)
 
     assert [%M.CommandInt{command: 400, param1: 1.0, x: 0, y: 0}] =
-             Firmware.Ardupilot.encode(int, 0, vehicle(:ardupilot))
+             Firmware.Ardupilot.Adapter.encode(int, 0, vehicle(:ardupilot))
 
     assert {:refused, :rejected, _reason} = ack(int, result: 9)
   end
 
   test "PX4 takes the channels of an override as a whole, and gets them so; 0 would not give them back" do
     override = first(:px4, "rc_override", %{channels: [1500, 1500, 1000, 1500], hold: 1})
-    assert [] = Firmware.Px4.release(override, vehicle(:px4))
+    assert [] = Firmware.Px4.Adapter.release(override, vehicle(:px4))
 
     for channels <- [[1500], [1500, 1500, 1000], [0, 0, 0, 0, 0, 0, 2000], [1500, 0, 1000, 1500]] do
       assert {:error, reason} = steps(:px4, "rc_override", %{channels: channels})
@@ -295,21 +302,21 @@ defmodule Aerie.Vehicle.ProtocolTest do
     velocity = first(:ardupilot, "setpoint_velocity", %{vx: 1, vy: 0, vz: 0})
     assert override.key == velocity.key
     assert %{hz: 20, ms: 2000} = override.stream
-    assert [message] = Firmware.Ardupilot.encode(override, 0, vehicle(:ardupilot))
+    assert [message] = Firmware.Ardupilot.Adapter.encode(override, 0, vehicle(:ardupilot))
 
     assert %M.RcChannelsOverride{chan1_raw: 1500, chan2_raw: 65_535, chan8_raw: 65_535, chan9_raw: 0} =
              message
 
-    assert [released] = Firmware.Ardupilot.release(override, vehicle(:ardupilot))
+    assert [released] = Firmware.Ardupilot.Adapter.release(override, vehicle(:ardupilot))
     assert %M.RcChannelsOverride{chan1_raw: 0, chan2_raw: 65_535, chan9_raw: 0} = released
-    assert [] = Firmware.Ardupilot.release(velocity, vehicle(:ardupilot))
+    assert [] = Firmware.Ardupilot.Adapter.release(velocity, vehicle(:ardupilot))
     level = first(:px4, "setpoint_attitude", %{roll: 0, pitch: 0, yaw: 0, thrust: 0.5})
 
     assert [%M.SetAttitudeTarget{q: [1.0, +0.0, +0.0, +0.0], type_mask: 7}] =
-             Firmware.Px4.encode(level, 0, vehicle(:px4))
+             Firmware.Px4.Adapter.encode(level, 0, vehicle(:px4))
 
     assert [%M.ManualControl{target: 1, x: 500, z: 0}] =
-             Firmware.Px4.encode(first(:px4, "manual_control", %{pitch: 0.5}), 0, vehicle(:px4))
+             Firmware.Px4.Adapter.encode(first(:px4, "manual_control", %{pitch: 0.5}), 0, vehicle(:px4))
   end
 
   test "what a take-off would be refused for after its first step is known before it" do
@@ -378,14 +385,14 @@ defmodule Aerie.Vehicle.ProtocolTest do
 
     assert read.(:ardupilot, magnetometer, %M.MagCalReport{cal_status: 4}) == :done
     assert {:failed, _text} = read.(:ardupilot, magnetometer, %M.MagCalReport{cal_status: 5})
-    assert Enum.sort(Firmware.Ardupilot.listens(magnetometer)) == [77, 191, 192]
+    assert Enum.sort(Firmware.Ardupilot.Adapter.listens(magnetometer)) == [77, 191, 192]
   end
 
   test "a message that was asked for is the end of asking" do
     step = first(:px4, "request_message", %{message_id: 148})
-    assert Enum.sort(Firmware.Px4.listens(step)) == [77, 148]
-    assert Firmware.Px4.read(step, %M.AutopilotVersion{}, {1, 1}, vehicle(:px4)) == :done
-    assert Firmware.Px4.read(step, %M.Heartbeat{}, {1, 1}, vehicle(:px4)) == :ignore
+    assert Enum.sort(Firmware.Px4.Adapter.listens(step)) == [77, 148]
+    assert Firmware.Px4.Adapter.read(step, %M.AutopilotVersion{}, {1, 1}, vehicle(:px4)) == :done
+    assert Firmware.Px4.Adapter.read(step, %M.Heartbeat{}, {1, 1}, vehicle(:px4)) == :ignore
   end
 
   test "conditions" do
@@ -415,7 +422,10 @@ defmodule Aerie.Vehicle.ProtocolTest do
   end
 
   test "parameters and missions" do
-    assert {:c_cast, true} = {Firmware.Ardupilot.param_encoding(), Firmware.Ardupilot.home_is_item_0?()}
-    assert {:bytewise, false} = {Firmware.Px4.param_encoding(), Firmware.Px4.home_is_item_0?()}
+    assert {:c_cast, true} =
+             {Firmware.Ardupilot.Adapter.param_encoding(), Firmware.Ardupilot.Adapter.home_is_item_0?()}
+
+    assert {:bytewise, false} =
+             {Firmware.Px4.Adapter.param_encoding(), Firmware.Px4.Adapter.home_is_item_0?()}
   end
 end

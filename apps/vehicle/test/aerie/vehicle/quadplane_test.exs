@@ -8,7 +8,7 @@ defmodule Aerie.Vehicle.QuadplaneTest do
   import Aerie.Flight, only: [frame: 2, frames: 1, run: 1]
 
   alias Aerie.Vehicle.Protocol
-  alias Aerie.Vehicle.Firmware.Ardupilot
+  alias Aerie.Vehicle.Firmware.Ardupilot.Adapter
   alias MavCodec.Messages, as: M
 
   @second 1_000_000
@@ -43,12 +43,12 @@ defmodule Aerie.Vehicle.QuadplaneTest do
   # Plane's GCS_MAVLINK: NAV_TAKEOFF is for quadplanes in GUIDED (QuadPlane::do_user_takeoff); QLAND lands.
   test "it takes off in GUIDED, and lands in QLAND" do
     on_ground = vehicle(:ardupilot, %{kind: "vtol", mode: "QLOITER", armed: true, in_air: false})
-    steps = fn type, params, vehicle -> Protocol.plan(Ardupilot, command(type, params), vehicle) end
+    steps = fn type, params, vehicle -> Protocol.plan(Adapter, command(type, params), vehicle) end
     assert {:ok, [mode, takeoff]} = steps.("takeoff", %{altitude: 20}, on_ground)
-    assert [%M.CommandLong{command: 176, param2: 15.0}] = Ardupilot.encode(mode, 0, on_ground)
-    assert [%M.CommandLong{command: 22, param7: 20.0}] = Ardupilot.encode(takeoff, 0, on_ground)
+    assert [%M.CommandLong{command: 176, param2: 15.0}] = Adapter.encode(mode, 0, on_ground)
+    assert [%M.CommandLong{command: 22, param7: 20.0}] = Adapter.encode(takeoff, 0, on_ground)
     assert {:ok, [land]} = steps.("land", %{}, %{on_ground | in_air: true})
-    assert [%M.CommandLong{command: 176, param2: 20.0}] = Ardupilot.encode(land, 0, on_ground)
+    assert [%M.CommandLong{command: 176, param2: 20.0}] = Adapter.encode(land, 0, on_ground)
     assert {:gap, _reason} = steps.("takeoff", %{altitude: 20}, %{on_ground | kind: "plane"})
   end
 end

@@ -84,7 +84,7 @@ defmodule Protocols.Mission.KeptTest do
       assert %{status: :completed, items: items} = result
       assert List.last(items).x == unquote(x)
 
-      stored = Onboard.put(%Plan{home: plan.home}, 0, items, Firmware.Ardupilot)
+      stored = Onboard.put(%Plan{home: plan.home}, 0, items, Firmware.Ardupilot.Adapter)
       assert %{"mission" => %{"items" => shown}} = JSON.decode!(QgcPlan.write(stored))
       assert Enum.at(List.last(shown)["params"], 4) == unquote(x)
       assert Waypoints.write(stored) |> String.split() |> Enum.at(-4) == "#{unquote(x)}"
@@ -141,19 +141,21 @@ defmodule Protocols.Mission.KeptTest do
 
   defp compare(sent, read, protocol, kind \\ "copter") do
     # ArduPilot's first item is home.
-    first = if protocol == Firmware.Ardupilot, do: [item(16)], else: []
+    first = if protocol == Firmware.Ardupilot.Adapter, do: [item(16)], else: []
     Compare.plans(first ++ List.wrap(sent), first ++ List.wrap(read), 0, protocol, kind)
   end
 
   for {{kind, command, sent, kept}, n} <- Enum.with_index(@kept) do
     test "ArduPilot, #{kind}, command #{command} (#{n}): keeps what its structure holds, and no other value" do
       {sent, kept} = {params(unquote(command), unquote(Macro.escape(sent))), unquote(Macro.escape(kept))}
-      assert {:same, _remarks} = compare(sent, %{sent | params: kept}, Firmware.Ardupilot, unquote(kind))
+
+      assert {:same, _remarks} =
+               compare(sent, %{sent | params: kept}, Firmware.Ardupilot.Adapter, unquote(kind))
 
       # A parameter that is kept must not come back as another number.
       for index <- 0..3, elem(kept, index) != 0.0 do
         wrong = put_elem(kept, index, elem(kept, index) + 1.0)
-        differs = compare(sent, %{sent | params: wrong}, Firmware.Ardupilot, unquote(kind))
+        differs = compare(sent, %{sent | params: wrong}, Firmware.Ardupilot.Adapter, unquote(kind))
         assert {:differs, 1, "item 1 has param" <> _} = differs
       end
     end
@@ -171,26 +173,26 @@ defmodule Protocols.Mission.KeptTest do
   test "PX4: the yaw comes back in other words, the pitch of a take-off and the kind of a delay not at all" do
     for {sent, read} <- @yaws, command <- [16, 17, 21, 22, 84, 85] do
       sent = params(command, {0.0, 0.0, 0.0, sent})
-      assert compare(sent, params(command, {0.0, 0.0, 0.0, read}), Firmware.Px4) == {:same, []}
+      assert compare(sent, params(command, {0.0, 0.0, 0.0, read}), Firmware.Px4.Adapter) == {:same, []}
       turned = params(command, {0.0, 0.0, 0.0, read + 1.0})
-      assert {:differs, 0, "item 0 has param4" <> _} = compare(sent, turned, Firmware.Px4)
-      assert {:differs, 0, _} = compare(sent, params(command, {0.0, 0.0, 0.0, nil}), Firmware.Px4)
+      assert {:differs, 0, "item 0 has param4" <> _} = compare(sent, turned, Firmware.Px4.Adapter)
+      assert {:differs, 0, _} = compare(sent, params(command, {0.0, 0.0, 0.0, nil}), Firmware.Px4.Adapter)
     end
 
     takeoff = params(22, {15.0, 0.0, 0.0, nil})
 
     assert {:same, ["item 0: the vehicle keeps param1 0.0 and not 15.0"]} =
-             compare(takeoff, params(22, {0.0, 0.0, 0.0, nil}), Firmware.Px4)
+             compare(takeoff, params(22, {0.0, 0.0, 0.0, nil}), Firmware.Px4.Adapter)
 
     delay = params(112, {5.0, 0.0, 0.0, 0.0}, frame: 2)
 
     assert {:same, ["item 0: the vehicle keeps command 93 and not 112"]} =
-             compare(delay, %{delay | command: 93}, Firmware.Px4)
+             compare(delay, %{delay | command: 93}, Firmware.Px4.Adapter)
 
     assert {:differs, 0, _} =
-             compare(delay, %{delay | command: 93, params: {6.0, 0.0, 0.0, 0.0}}, Firmware.Px4)
+             compare(delay, %{delay | command: 93, params: {6.0, 0.0, 0.0, 0.0}}, Firmware.Px4.Adapter)
 
-    assert {:differs, 0, _} = compare(delay, %{delay | command: 114}, Firmware.Px4)
+    assert {:differs, 0, _} = compare(delay, %{delay | command: 114}, Firmware.Px4.Adapter)
   end
 
   for {p4, n} <- Enum.with_index([1.0, 10.0, 123.4, 359.5, -90.0, nil]) do
@@ -224,7 +226,7 @@ defmodule Protocols.Mission.KeptTest do
     ]
 
     for {{field, value}, n} <- Enum.with_index(@differences),
-        protocol <- [Firmware.Ardupilot, Firmware.Px4] do
+        protocol <- [Firmware.Ardupilot.Adapter, Firmware.Px4.Adapter] do
       test "#{inspect(protocol)}: #{field} #{inspect(value)} (#{n})" do
         sent = params(16, {2.0, 0.0, 0.0, 0.0})
         read = Map.put(sent, unquote(field), unquote(Macro.escape(value)))
@@ -233,7 +235,7 @@ defmodule Protocols.Mission.KeptTest do
     end
 
     test "a missing item, turns, a jump's target and its number, a speed, a servo, a corner, a radius" do
-      ardupilot = Firmware.Ardupilot
+      ardupilot = Firmware.Ardupilot.Adapter
       assert {:differs, 2, _} = compare([item(16), item(16)], [item(16)], ardupilot)
 
       for {command, sent, read} <- [
@@ -249,7 +251,7 @@ defmodule Protocols.Mission.KeptTest do
           ],
           do: assert({:differs, 1, _} = compare(params(command, sent), params(command, read), ardupilot))
 
-      for protocol <- [ardupilot, Firmware.Px4] do
+      for protocol <- [ardupilot, Firmware.Px4.Adapter] do
         corner = params(5001, {4.0, 0.0, 0.0, 0.0}, frame: 0, z: 0.0)
         circle = params(5003, {50.4, 0.0, 0.0, 0.0}, frame: 0, z: 0.0)
         point = item(5100, z: 20.0)
@@ -270,9 +272,9 @@ defmodule Protocols.Mission.KeptTest do
     test "a whole centimetre may be cut either way by a float, and nothing else" do
       for cm <- 0..30_000//7 do
         sent = item(16, z: cm / 100)
-        assert {:same, _} = compare(sent, item(16, z: cm / 100), Firmware.Ardupilot)
-        assert {:differs, _, _} = compare(sent, item(16, z: (cm + 1) / 100), Firmware.Ardupilot)
-        assert {:differs, _, _} = compare(sent, item(16, z: (cm - 2) / 100), Firmware.Ardupilot)
+        assert {:same, _} = compare(sent, item(16, z: cm / 100), Firmware.Ardupilot.Adapter)
+        assert {:differs, _, _} = compare(sent, item(16, z: (cm + 1) / 100), Firmware.Ardupilot.Adapter)
+        assert {:differs, _, _} = compare(sent, item(16, z: (cm - 2) / 100), Firmware.Ardupilot.Adapter)
       end
     end
   end
@@ -282,7 +284,7 @@ defmodule Protocols.Mission.KeptTest do
 
     for metres <- [50.4, 50.0] do
       read = params(5003, {metres, 0.0, 0.0, 0.0}, frame: 0, z: 0.0, autocontinue: 0)
-      assert {:same, _} = Compare.plans([circle], [read], 1, Firmware.Ardupilot, "copter")
+      assert {:same, _} = Compare.plans([circle], [read], 1, Firmware.Ardupilot.Adapter, "copter")
     end
 
     plan = %Plan{
@@ -296,11 +298,11 @@ defmodule Protocols.Mission.KeptTest do
 
   test "frames 5, 6 and 11 come back as 0, 3 and 10, and MISSION as 0 if the item has a place" do
     for {sent, read} <- [{5, 0}, {6, 3}, {11, 10}, {2, 0}] do
-      assert {:same, _} = compare(item(16, frame: sent), item(16, frame: read), Firmware.Ardupilot)
+      assert {:same, _} = compare(item(16, frame: sent), item(16, frame: read), Firmware.Ardupilot.Adapter)
     end
 
     for {sent, read} <- [{0, 5}, {3, 6}, {5, 0}, {6, 3}],
-        do: assert({:same, []} = compare(item(16, frame: sent), item(16, frame: read), Firmware.Px4))
+        do: assert({:same, []} = compare(item(16, frame: sent), item(16, frame: read), Firmware.Px4.Adapter))
   end
 
   # Two tables from the same source, made apart: the simulator's storage, and what the gateway expects of it.
@@ -355,7 +357,7 @@ defmodule Protocols.Mission.KeptTest do
   test "many remarks are counted" do
     sent = for _n <- 1..50, do: params(16, {0.0, 0.0, 0.0, 90.0})
     read = for _n <- 1..50, do: item(16)
-    assert {:same, remarks} = compare(sent, read, Firmware.Ardupilot)
+    assert {:same, remarks} = compare(sent, read, Firmware.Ardupilot.Adapter)
     assert length(remarks) == 21
     assert List.last(remarks) == "and 30 more"
   end
@@ -369,7 +371,7 @@ defmodule Protocols.Mission.KeptTest do
     end
   end
 
-  defp inav(sent, read), do: Compare.plans(sent, read, 0, Firmware.Msp, "copter")
+  defp inav(sent, read), do: Compare.plans(sent, read, 0, Firmware.Msp.Adapter, "copter")
 
   test "iNav: any mission that it takes is the same when it is read" do
     value = :proper_types.oneof([0.0, 1.0, 2.4, 7.123, 90.0, -1.0, -2.0, nil])

@@ -176,18 +176,18 @@ defmodule Protocols.Mission.PlanTest do
     test "ArduPilot's item 0 is home, and PX4 counts a jump's target from 0" do
       {:ok, plan} = QgcPlan.read(@qgc)
 
-      assert [home, _takeoff, _transect, _trigger, jump] = Onboard.items(plan, 0, Firmware.Ardupilot)
+      assert [home, _takeoff, _transect, _trigger, jump] = Onboard.items(plan, 0, Firmware.Ardupilot.Adapter)
       assert %Item{command: 16, frame: 0, x: 473_977_420, z: 488.2} = home
       assert {2.0, 3.0, _, _} = jump.params
 
-      assert [%Item{command: 22}, _transect, _trigger, jump] = Onboard.items(plan, 0, Firmware.Px4)
+      assert [%Item{command: 22}, _transect, _trigger, jump] = Onboard.items(plan, 0, Firmware.Px4.Adapter)
       assert {1.0, 3.0, _, _} = jump.params
     end
 
     test "what is stored is the plan again" do
       {:ok, plan} = QgcPlan.read(@qgc)
 
-      for protocol <- [Firmware.Ardupilot, Firmware.Px4] do
+      for protocol <- [Firmware.Ardupilot.Adapter, Firmware.Px4.Adapter] do
         stored =
           Enum.reduce(0..2, %Plan{home: plan.home}, fn type, stored ->
             Onboard.put(stored, type, Onboard.items(plan, type, protocol), protocol)
@@ -196,7 +196,7 @@ defmodule Protocols.Mission.PlanTest do
         assert stored == plan
       end
 
-      assert Onboard.items(%Plan{}, 0, Firmware.Ardupilot) == []
+      assert Onboard.items(%Plan{}, 0, Firmware.Ardupilot.Adapter) == []
     end
 
     @corner %Item{command: 5001, frame: 0, params: {4.0, 0.0, 0.0, 0.0}, x: 473_900_000, y: 85_400_000}
@@ -215,7 +215,7 @@ defmodule Protocols.Mission.PlanTest do
             do: %{@corner | x: @corner.x + dx, y: @corner.y + dy}
 
       items = square ++ [@around_home, @keep_out]
-      plan = Onboard.put(%Plan{}, 1, items, Firmware.Ardupilot)
+      plan = Onboard.put(%Plan{}, 1, items, Firmware.Ardupilot.Adapter)
       assert [{:inclusion, {:polygon, [_, _, _, _]}}, {:exclusion, {:circle, _, 25.0}}] = plan.fence
       assert plan.fence_others == [@around_home]
       assert Plan.contents(plan, :fence) == "4 corners and 1 circle and 1 other item"
@@ -226,8 +226,8 @@ defmodule Protocols.Mission.PlanTest do
                "an item has the command NAV_FENCE_HOME_CIRCLE_INCLUSION and the frame GLOBAL: this is under"
 
       assert reread(plan) == plan
-      assert Enum.sort(Onboard.items(reread(plan), 1, Firmware.Ardupilot)) == Enum.sort(items)
-      refute Plan.empty?(Onboard.put(%Plan{}, 1, [@around_home], Firmware.Ardupilot), :fence)
+      assert Enum.sort(Onboard.items(reread(plan), 1, Firmware.Ardupilot.Adapter)) == Enum.sort(items)
+      refute Plan.empty?(Onboard.put(%Plan{}, 1, [@around_home], Firmware.Ardupilot.Adapter), :fence)
     end
 
     test "whatever a vehicle has in a fence is there again after a file" do
@@ -245,16 +245,16 @@ defmodule Protocols.Mission.PlanTest do
             [back, back],
             [%{back | z: 500.0}]
           ] do
-        plan = Onboard.put(%Plan{}, 1, [@keep_out | items], Firmware.Px4)
+        plan = Onboard.put(%Plan{}, 1, [@keep_out | items], Firmware.Px4.Adapter)
         assert [{:exclusion, {:circle, _, 25.0}} | _] = plan.fence
         assert [_ | _] = plan.fence_others
         assert length(Plan.remarks(plan, :fence)) == length(plan.fence_others)
         assert reread(plan) == plan
-        assert length(Onboard.items(plan, 1, Firmware.Px4)) == 1 + length(items)
+        assert length(Onboard.items(plan, 1, Firmware.Px4.Adapter)) == 1 + length(items)
       end
 
       many = List.duplicate(%{@corner | command: 16}, 30)
-      assert length(Plan.remarks(Onboard.put(%Plan{}, 1, many, Firmware.Px4), :fence)) == 21
+      assert length(Plan.remarks(Onboard.put(%Plan{}, 1, many, Firmware.Px4.Adapter), :fence)) == 21
     end
 
     test "the height of a rally point keeps its frame, by a file as well" do
@@ -269,12 +269,12 @@ defmodule Protocols.Mission.PlanTest do
         point.(11, 3.0)
       ]
 
-      plan = Onboard.put(%Plan{}, 2, items, Firmware.Ardupilot)
+      plan = Onboard.put(%Plan{}, 2, items, Firmware.Ardupilot.Adapter)
 
       assert Enum.map(plan.rally, &elem(&1, 1)) == [{560.0, 0}, 40.0, {30.0, 10}, {1.0, 0}, 2.0, {3.0, 10}]
       assert reread(plan) == plan
 
-      assert for(item <- Onboard.items(reread(plan), 2, Firmware.Ardupilot), do: {item.frame, item.z}) ==
+      assert for(item <- Onboard.items(reread(plan), 2, Firmware.Ardupilot.Adapter), do: {item.frame, item.z}) ==
                [{0, 560.0}, {3, 40.0}, {10, 30.0}, {0, 1.0}, {3, 2.0}, {10, 3.0}]
 
       # QGroundControl reads what is above home, and no height as another one.
@@ -288,7 +288,7 @@ defmodule Protocols.Mission.PlanTest do
                Plan.remarks(plan, :rally)
 
       odd = [point.(2, 5.0), point.(1, 5.0), point.(3, nil), %{point.(3, 5.0) | x: nil}, @corner]
-      plan = Onboard.put(plan, 2, [point.(3, 7.0) | odd], Firmware.Ardupilot)
+      plan = Onboard.put(plan, 2, [point.(3, 7.0) | odd], Firmware.Ardupilot.Adapter)
       assert [{_place, 7.0}] = plan.rally
       assert plan.rally_others == odd
       assert reread(plan) == plan

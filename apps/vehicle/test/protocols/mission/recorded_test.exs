@@ -74,7 +74,10 @@ defmodule Protocols.Mission.RecordedTest do
     {module, Map.take(message, fields)}
   end
 
-  for {name, protocol} <- [{"arducopter_flight", Firmware.Ardupilot}, {"px4_flight", Firmware.Px4}],
+  for {name, protocol} <- [
+        {"arducopter_flight", Firmware.Ardupilot.Adapter},
+        {"px4_flight", Firmware.Px4.Adapter}
+      ],
       {type, what} <- [{0, "mission"}, {1, "fence"}, {2, "rally points"}] do
     test "#{name}: the #{what}, word for word, and read back" do
       exchange = exchange(unquote(name), unquote(type) + 1)
@@ -100,7 +103,7 @@ defmodule Protocols.Mission.RecordedTest do
 
   test "px4_flight: the mission's id is that of the acknowledgement, and MISSION_CURRENT shows that it can be flown" do
     exchange = exchange("px4_flight", 1)
-    {transfer, actions} = replay(exchange, Firmware.Px4, 0)
+    {transfer, actions} = replay(exchange, Firmware.Px4.Adapter, 0)
     assert result(actions) == nil
 
     [id] = for {@vehicle, %M.MissionAck{opaque_id: id}} <- exchange, do: id
@@ -111,7 +114,7 @@ defmodule Protocols.Mission.RecordedTest do
 
   test "px4_refusals: a command and a frame that it does not support" do
     for {n, reason} <- [{1, {:doubt, 3}}, {2, {:doubt, 2}}] do
-      {transfer, actions} = replay(exchange("px4_refusals", n), Firmware.Px4, 0)
+      {transfer, actions} = replay(exchange("px4_refusals", n), Firmware.Px4.Adapter, 0)
       # All items were sent: what is on board is to be read.
       assert %{phase: :settling, cause: ^reason} = transfer
       assert %M.MissionAck{type: 15} = List.last(sent(actions))
@@ -121,7 +124,7 @@ defmodule Protocols.Mission.RecordedTest do
   test "px4_refusals: accepted, and rejected by an EVENT three milliseconds later" do
     exchange = exchange("px4_refusals", 4)
     assert Enum.any?(exchange, &match?({@vehicle, %M.Event{id: 22_271_714}}, &1))
-    {transfer, actions} = replay(exchange, Firmware.Px4, 0)
+    {transfer, actions} = replay(exchange, Firmware.Px4.Adapter, 0)
     assert result(actions) == nil
 
     # It stores it nevertheless.

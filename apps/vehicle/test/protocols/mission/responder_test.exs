@@ -23,7 +23,7 @@ defmodule Protocols.Mission.ResponderTest do
     Responder.handle(served, {:read, type, result, now})
   end
 
-  defp served(protocol \\ Firmware.Px4, items \\ items(3)) do
+  defp served(protocol \\ Firmware.Px4.Adapter, items \\ items(3)) do
     {served, []} = protocol |> Responder.new() |> read(0, items, 77, 0)
     served
   end
@@ -61,7 +61,7 @@ defmodule Protocols.Mission.ResponderTest do
   end
 
   test "an unknown plan is read once, for all who ask meanwhile" do
-    served = Responder.new(Firmware.Px4)
+    served = Responder.new(Firmware.Px4.Adapter)
     {served, [{:fetch, 1}]} = station(served, %M.MissionRequestList{mission_type: 1})
     {served, []} = station(served, %M.MissionRequestList{mission_type: 1})
     {served, []} = station(served, %M.MissionRequestList{mission_type: 1}, @other)
@@ -82,7 +82,7 @@ defmodule Protocols.Mission.ResponderTest do
 
   test "if it cannot be read the vehicle is asked by the stations themselves" do
     list = %M.MissionRequestList{}
-    {served, [{:fetch, 0}]} = station(Responder.new(Firmware.Px4), list)
+    {served, [{:fetch, 0}]} = station(Responder.new(Firmware.Px4.Adapter), list)
     assert {served, [{:forward, ^list, @gcs}]} = Responder.handle(served, {:unread, 0, 2})
     request = %M.MissionRequestInt{seq: 0}
     assert {served, [{:forward, ^request, @gcs}]} = station(served, request)
@@ -136,7 +136,7 @@ defmodule Protocols.Mission.ResponderTest do
   end
 
   test "without ids the total tells" do
-    {served, []} = read(Responder.new(Firmware.Ardupilot), 0, items(3), nil, 0)
+    {served, []} = read(Responder.new(Firmware.Ardupilot.Adapter), 0, items(3), nil, 0)
     served = vehicle(served, %M.MissionCurrent{total: 2})
     assert Responder.fresh?(vehicle(served, %M.MissionCurrent{total: 2}), 0)
     refute Responder.fresh?(vehicle(served, %M.MissionCurrent{total: 5}), 0)
@@ -144,7 +144,7 @@ defmodule Protocols.Mission.ResponderTest do
 
   test "ArduPilot's item 0 is home: another one makes the mission stale" do
     home = %Item{command: 16, frame: 0, x: -353_632_610, y: 1_491_652_299, z: 584.09}
-    served = served(Firmware.Ardupilot, [home | items(2)])
+    served = served(Firmware.Ardupilot.Adapter, [home | items(2)])
     same = %M.HomePosition{latitude: -353_632_609, longitude: 1_491_652_299, altitude: 584_090}
     assert Responder.fresh?(vehicle(served, same), 0)
     refute Responder.fresh?(vehicle(served, %{same | latitude: -353_632_000}), 0)
@@ -175,7 +175,7 @@ defmodule Protocols.Mission.ResponderTest do
              station(served, %M.MissionRequestInt{seq: 0}, @gcs, 40_000_000)
 
     waiting =
-      for n <- 1..100, reduce: Responder.new(Firmware.Px4) do
+      for n <- 1..100, reduce: Responder.new(Firmware.Px4.Adapter) do
         served -> served |> station(%M.MissionRequestList{}, {n, 1}) |> elem(0)
       end
 
@@ -207,7 +207,8 @@ defmodule Protocols.Mission.ResponderTest do
         {_served, _began, ok?} =
           events
           |> Enum.with_index(1)
-          |> Enum.reduce({Responder.new(Firmware.Px4), nil, true}, fn {event, now}, {served, began, ok?} ->
+          |> Enum.reduce({Responder.new(Firmware.Px4.Adapter), nil, true}, fn {event, now},
+                                                                              {served, began, ok?} ->
             plan = Enum.at(plans, now)
 
             case event do
@@ -248,7 +249,7 @@ defmodule Protocols.Mission.ResponderTest do
   end
 
   test "a reading that began before the plan changed is not served" do
-    {served, [{:fetch, 0}]} = station(Responder.new(Firmware.Px4), %M.MissionRequestList{}, @gcs, 10)
+    {served, [{:fetch, 0}]} = station(Responder.new(Firmware.Px4.Adapter), %M.MissionRequestList{}, @gcs, 10)
     {served, [{:forward, _, _}]} = station(served, %M.MissionCount{count: 1}, @other, 20)
     {served, [{:fetch, 0}]} = read(served, 0, items(3), 1, 30, 11)
     refute Responder.fresh?(served, 0)

@@ -61,8 +61,8 @@ defmodule Protocols.Mission.SimulatedTest do
     {sim, station}
   end
 
-  defp protocol(:px4), do: Firmware.Px4
-  defp protocol(_ardupilot), do: Firmware.Ardupilot
+  defp protocol(:px4), do: Firmware.Px4.Adapter
+  defp protocol(_ardupilot), do: Firmware.Ardupilot.Adapter
 
   # Whether it can be flown PX4 says within a second or so; for a busy machine, or at a bad link, that may be too late.
   defp taken(:px4, 0), do: [:completed, :accepted]
@@ -124,8 +124,8 @@ defmodule Protocols.Mission.SimulatedTest do
   test "PX4 rejects a mission without a take-off after it acknowledged it" do
     {sim, station} = start(:px4)
     :ok = SimVehicle.happen(sim, {:set_param, "MIS_TKO_LAND_REQ", 1})
-    items = Onboard.items(%{plan(4) | items: tl(plan(4).items)}, 0, Firmware.Px4)
-    {result, _station} = MissionStation.transfer(station, {:upload, items}, 0, Firmware.Px4)
+    items = Onboard.items(%{plan(4) | items: tl(plan(4).items)}, 0, Firmware.Px4.Adapter)
+    {result, _station} = MissionStation.transfer(station, {:upload, items}, 0, Firmware.Px4.Adapter)
 
     assert %{
              status: :rejected,
@@ -139,8 +139,8 @@ defmodule Protocols.Mission.SimulatedTest do
     SimVehicle.await(sim, & &1.home)
     {x, y} = @home
     square = [{x - 9_000, y - 9_000}, {x - 9_000, y + 9_000}, {x + 9_000, y + 9_000}, {x + 9_000, y - 9_000}]
-    items = Onboard.items(%Plan{fence: [{:exclusion, {:polygon, square}}]}, 1, Firmware.Px4)
-    {result, _station} = MissionStation.transfer(station, {:upload, items}, 1, Firmware.Px4)
+    items = Onboard.items(%Plan{fence: [{:exclusion, {:polygon, square}}]}, 1, Firmware.Px4.Adapter)
+    {result, _station} = MissionStation.transfer(station, {:upload, items}, 1, Firmware.Px4.Adapter)
 
     assert %{
              status: :rejected,
@@ -153,13 +153,13 @@ defmodule Protocols.Mission.SimulatedTest do
   for {loss, reasons} <- [{0.0, ["UNSUPPORTED"]}, {0.1, ["UNSUPPORTED", "ERROR"]}] do
     test "an item that ArduPilot refuses, #{loss} of the frames lost: the old mission stays" do
       {sim, station} = start(:ardupilot, loss: unquote(loss))
-      old = Onboard.items(plan(5), 0, Firmware.Ardupilot)
+      old = Onboard.items(plan(5), 0, Firmware.Ardupilot.Adapter)
 
       {%{status: :completed}, station} =
-        MissionStation.transfer(station, {:upload, old}, 0, Firmware.Ardupilot)
+        MissionStation.transfer(station, {:upload, old}, 0, Firmware.Ardupilot.Adapter)
 
-      bad = List.update_at(Onboard.items(plan(9), 0, Firmware.Ardupilot), 6, &%{&1 | command: 31_000})
-      {result, _station} = MissionStation.transfer(station, {:upload, bad}, 0, Firmware.Ardupilot)
+      bad = List.update_at(Onboard.items(plan(9), 0, Firmware.Ardupilot.Adapter), 6, &%{&1 | command: 31_000})
+      {result, _station} = MissionStation.transfer(station, {:upload, bad}, 0, Firmware.Ardupilot.Adapter)
       assert %{status: :rejected, on_board: :other, reason: "the vehicle refused it: " <> reason} = result
       assert reason in unquote(reasons)
       assert length(result.items) == length(old)
@@ -169,16 +169,19 @@ defmodule Protocols.Mission.SimulatedTest do
 
   test "a cancelled upload leaves the old mission" do
     {sim, station} = start(:px4, delay: 20)
-    items = Onboard.items(plan(50), 0, Firmware.Px4)
+    items = Onboard.items(plan(50), 0, Firmware.Px4.Adapter)
     during = fn progress -> if progress.done == 10, do: :cancel end
-    {result, _station} = MissionStation.transfer(station, {:upload, items}, 0, Firmware.Px4, during: during)
+
+    {result, _station} =
+      MissionStation.transfer(station, {:upload, items}, 0, Firmware.Px4.Adapter, during: during)
+
     assert %{status: :cancelled, on_board: :other, items: []} = result
     assert SimVehicle.state(sim).mission.items == 0
   end
 
   test "a vehicle that is switched off in the middle, and comes back" do
     {sim, station} = start(:ardupilot)
-    items = Onboard.items(plan(300), 0, Firmware.Ardupilot)
+    items = Onboard.items(plan(300), 0, Firmware.Ardupilot.Adapter)
 
     during = fn progress ->
       if progress.phase == :sending and div(100 * progress.done, progress.total) == 20,
@@ -186,7 +189,7 @@ defmodule Protocols.Mission.SimulatedTest do
     end
 
     {result, _station} =
-      MissionStation.transfer(station, {:upload, items}, 0, Firmware.Ardupilot, during: during)
+      MissionStation.transfer(station, {:upload, items}, 0, Firmware.Ardupilot.Adapter, during: during)
 
     # Its transfer is forgotten: an item that comes now is an error.
     assert %{status: status, on_board: :other, items: []} = result

@@ -261,7 +261,7 @@ defmodule Protocols.Mission.TransferTest do
     end
 
     test "a warning is not a rejection" do
-      assert Firmware.Px4.plan_verdict(%M.Event{id: 22_091_529, log_levels: 0x64}, 0, 1) == :ignore
+      assert Firmware.Px4.Adapter.plan_verdict(%M.Event{id: 22_091_529, log_levels: 0x64}, 0, 1) == :ignore
     end
   end
 
@@ -292,7 +292,7 @@ defmodule Protocols.Mission.TransferTest do
 
       {:ok, late} =
         Transfer.new(:download, 0,
-          protocol: Firmware.Px4,
+          protocol: Firmware.Px4.Adapter,
           kind: "copter",
           target: @vehicle,
           us: @us,
@@ -312,7 +312,7 @@ defmodule Protocols.Mission.TransferTest do
     test "a plan has a limit" do
       assert {:error, "the plan has 5001 items; at most 5000" <> _} =
                Transfer.new({:upload, items(5001)}, 0,
-                 protocol: Firmware.Px4,
+                 protocol: Firmware.Px4.Adapter,
                  kind: "copter",
                  target: @vehicle,
                  us: @us,

@@ -155,7 +155,7 @@ defmodule Aerie.Control.Mission.ReviewTest do
   test "ArduPilot's home is not a place to fly to" do
     plan = %Plan{home: {{100_000_000, 100_000_000}, 0.0}, items: [at(47.01, 8.004)]}
     vehicle = %{@vehicle | autopilot: :ardupilot}
-    items = Onboard.items(plan, 0, Firmware.Ardupilot)
+    items = Onboard.items(plan, 0, Firmware.Ardupilot.Adapter)
     assert review(items, policy(), context(), 0, vehicle) == :allow
     assert {:deny, :geofence, 0, _reason} = review(items)
   end
@@ -166,12 +166,12 @@ defmodule Aerie.Control.Mission.ReviewTest do
        {:polygon, [{470_010_000, 80_010_000}, {470_010_000, 80_020_000}, {470_020_000, 80_010_000}]}}
 
     outside = {:inclusion, {:circle, {471_010_000, 80_010_000}, 50.0}}
-    items = fn zones -> Onboard.items(%Plan{fence: zones}, 1, Firmware.Px4) end
+    items = fn zones -> Onboard.items(%Plan{fence: zones}, 1, Firmware.Px4.Adapter) end
     assert review(items.([inside]), policy(), context(), 1) == :allow
     assert {:deny, :geofence, 3, _reason} = review(items.([inside, outside]), policy(), context(), 1)
     assert review(items.([put_elem(outside, 0, :exclusion)]), policy(), context(), 1) == :allow
 
-    rally = fn places -> Onboard.items(%Plan{rally: places}, 2, Firmware.Px4) end
+    rally = fn places -> Onboard.items(%Plan{rally: places}, 2, Firmware.Px4.Adapter) end
     assert review(rally.([{{470_010_000, 80_010_000}, 20.0}]), policy(), context(), 2) == :allow
 
     assert {:deny, :geofence, 0, _} =

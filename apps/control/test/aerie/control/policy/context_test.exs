@@ -25,6 +25,6 @@ defmodule Aerie.Control.Policy.ContextTest do
     command = Aerie.CommandSamples.command("set_mode", %{standard_mode: "land"})
 
     assert {:ok, [%{confirm: {:mode, ["Soft landing"]}}]} =
-             Protocol.plan(Firmware.Px4, command, vehicle)
+             Protocol.plan(Firmware.Px4.Adapter, command, vehicle)
   end
 end

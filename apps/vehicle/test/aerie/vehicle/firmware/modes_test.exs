@@ -193,7 +193,7 @@ defmodule Aerie.Vehicle.Firmware.ModesTest do
       vehicle = struct!(%Aerie.Vehicle.Protocol.Vehicle{system: 1, autopilot: :px4, kind: "copter"}, told)
 
       assert {:ok, [%{confirm: {:mode, ["Soft landing"]}}]} =
-               Aerie.Vehicle.Protocol.plan(Aerie.Vehicle.Firmware.Px4, command, vehicle)
+               Aerie.Vehicle.Protocol.plan(Aerie.Vehicle.Firmware.Px4.Adapter, command, vehicle)
 
       changed = [monitor.(82, 3) | for(s <- 83..150, do: beat(s, 3 * 0x10000))]
       run = Enum.reduce(changed, run, &step(&2, {:frames, "link", [&1]}))

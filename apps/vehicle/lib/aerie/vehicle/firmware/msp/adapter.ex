@@ -1,4 +1,4 @@
-defmodule Aerie.Vehicle.Firmware.Msp do
+defmodule Aerie.Vehicle.Firmware.Msp.Adapter do
   @moduledoc """
   Betaflight and iNav, which the gateway reaches over MSP (`Msp.Session`). The session takes commands as MAVLink and
   acknowledges them with what the flight controller said.

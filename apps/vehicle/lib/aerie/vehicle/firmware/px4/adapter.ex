@@ -1,4 +1,4 @@
-defmodule Aerie.Vehicle.Firmware.Px4 do
+defmodule Aerie.Vehicle.Firmware.Px4.Adapter do
   @moduledoc """
   PX4, as of 1.17 and 1.18.
 

@@ -1,4 +1,4 @@
-defmodule Aerie.Vehicle.Firmware.Ardupilot do
+defmodule Aerie.Vehicle.Firmware.Ardupilot.Adapter do
   @moduledoc """
   ArduPilot (copter, plane, rover, sub and its other vehicles), as of 4.6.
 

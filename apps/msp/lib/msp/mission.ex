@@ -16,7 +16,7 @@ defmodule Msp.Mission do
   | waypoint at home (flag 0x48) | the item in the frame LOCAL_ENU, at 0, 0 |
 
   Speeds and user actions are items of their own, so numbers of items are not those of waypoints. What iNav does not keep of an
-  item is in `Aerie.Vehicle.Firmware.Msp.StoredItem`. Each mission has one form of items: what would come back as others is an error.
+  item is in `Aerie.Vehicle.Firmware.Inav.StoredItem`. Each mission has one form of items: what would come back as others is an error.
   """
 
   alias MavCodec.Enums.{MavCmd, MavFrame}

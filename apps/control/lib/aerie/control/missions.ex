@@ -54,7 +54,7 @@ defmodule Aerie.Control.Missions do
 
   @doc "Why the firmware of a vehicle has no plans of this kind; nil if it has, or may have."
   @spec gap(vehicle :: map(), kind()) :: String.t() | nil
-  def gap(%{autopilot: autopilot}, kind), do: Firmware.of(autopilot).plan_gap(@kinds[kind], autopilot)
+  def gap(%{autopilot: autopilot}, kind), do: Firmware.of(autopilot).plan_gap(@kinds[kind])
 
   @doc "Reads a kind of plan from the vehicle."
   @spec download(Names.gateway(), vehicle :: String.t(), kind(), [Transfers.option()]) ::

@@ -15,7 +15,7 @@ defmodule Aerie.Fleet.RemoteTable do
   @type facts :: %{
           network: String.t() | nil,
           system_id: non_neg_integer() | nil,
-          autopilot: Aerie.Vehicle.Kind.autopilot(),
+          autopilot: Aerie.Vehicle.Firmware.name(),
           type: String.t() | nil,
           firmware: String.t() | nil,
           status: :online | :stale | :lost,

@@ -1,13 +1,63 @@
 defmodule Aerie.Vehicle.Firmware do
   @moduledoc """
-  The firmwares that Aerie knows, and the adapter of each: a module with the behaviour `Aerie.Vehicle.Protocol`. What is
-  particular to a firmware is in the folder of its name, `firmware/NAME`.
+  The firmwares that Aerie knows. What is particular to one is in the folder of its name, `firmware/NAME`. To add one,
+  write that folder and add its adapter (`Aerie.Vehicle.Firmware.Adapter`) to the list in this file.
   """
 
-  @doc "The adapter of a firmware."
-  @spec of(Aerie.Vehicle.Kind.autopilot()) :: module()
-  def of(:ardupilot), do: __MODULE__.Ardupilot.Adapter
-  def of(:px4), do: __MODULE__.Px4.Adapter
-  def of(msp) when msp in [:betaflight, :inav], do: __MODULE__.Msp.Adapter
-  def of(:generic), do: __MODULE__.Unknown
+  alias Aerie.Vehicle.Firmware.{Traits, Unknown}
+
+  @typedoc "A firmware by the name that state, NATS and REST have; `:generic` for any that is not in the list."
+  @type name :: atom()
+
+  # In the order of the documentation.
+  defp adapters do
+    [
+      ardupilot: __MODULE__.Ardupilot.Adapter,
+      px4: __MODULE__.Px4.Adapter,
+      betaflight: __MODULE__.Betaflight.Adapter,
+      inav: __MODULE__.Inav.Adapter
+    ]
+  end
+
+  @doc "The names of all firmwares."
+  @spec names() :: [name(), ...]
+  def names, do: Keyword.keys(adapters())
+
+  @doc "Whether a firmware is one of these."
+  @spec known?(name() | nil) :: boolean()
+  def known?(name), do: name in names()
+
+  @doc "What may stand for a firmware in texts, with what it means."
+  @spec by_text() :: %{String.t() => name()}
+  def by_text, do: Map.new([:generic | names()], &{Atom.to_string(&1), &1})
+
+  @doc "The adapter of a firmware, that of an unknown one for any other name and for nil."
+  @spec of(name() | nil) :: module()
+  def of(name), do: Keyword.get(adapters(), name, Unknown)
+
+  @doc "What a firmware is and what it offers."
+  @spec traits(name() | nil) :: Traits.t()
+  def traits(name), do: of(name).traits()
+
+  @doc "The name of a firmware for people."
+  @spec title(name()) :: String.t()
+  def title(name), do: traits(name).title
+
+  @doc """
+  The firmware of a heartbeat's MAV_AUTOPILOT. One without a number there says that it is generic, and stays what it is
+  known to be.
+  """
+  @spec heard(integer(), known :: name()) :: name()
+  def heard(number, known \\ :generic) do
+    with :generic <- find(&(&1.mav_autopilot == number)),
+         do: if(traits(known).vendor, do: known, else: :generic)
+  end
+
+  @doc "The firmware of a vendor's name in COMPONENT_INFORMATION_BASIC; `:generic` for another one."
+  @spec vendor(String.t()) :: name()
+  def vendor(name), do: find(&(&1.vendor == name))
+
+  defp find(fits?) do
+    Enum.find_value(adapters(), :generic, fn {name, adapter} -> if fits?.(adapter.traits()), do: name end)
+  end
 end

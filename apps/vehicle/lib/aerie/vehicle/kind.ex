@@ -1,11 +1,11 @@
 defmodule Aerie.Vehicle.Kind do
   @moduledoc """
-  The kind of a vehicle, by MAV_TYPE and MAV_AUTOPILOT of its autopilot's heartbeat, never by the component id (R10).
+  The kind of a vehicle, by MAV_TYPE of its autopilot's heartbeat, never by the component id (R10).
   ArduPlane with rotors says FIXED_WING there by default: `Aerie.Vehicle.State.Mode` tells it from its other signs.
   """
 
   alias MavCodec.Meaning.Heartbeat
-  alias MavCodec.Enums.{MavAutopilot, MavType}
+  alias MavCodec.Enums.MavType
 
   @kinds %{
     "plane" => ~w(FIXED_WING),
@@ -30,50 +30,9 @@ defmodule Aerie.Vehicle.Kind do
                into: %{},
                do: {MavType.value(:"MAV_TYPE_#{name}"), kind}
 
-  @ardupilot MavAutopilot.value(:MAV_AUTOPILOT_ARDUPILOTMEGA)
-  @px4 MavAutopilot.value(:MAV_AUTOPILOT_PX4)
-
-  @autopilots [:ardupilot, :px4, :betaflight, :inav, :generic]
-  @firmwares %{
-    ardupilot: "ArduPilot",
-    px4: "PX4",
-    betaflight: "Betaflight",
-    inav: "iNav",
-    generic: "unknown firmware"
-  }
-  # COMPONENT_INFORMATION_BASIC has the names of those that MAV_AUTOPILOT has no number for.
-  @vendors Map.new([:betaflight, :inav], &{@firmwares[&1], &1})
-
-  @type autopilot :: :ardupilot | :px4 | :betaflight | :inav | :generic
-
   @doc "The kind of vehicle of a MAV_TYPE; `\"unknown\"` for a generic or unknown one."
   @spec name(integer()) :: String.t()
   def name(type), do: Map.get(@by_type, type, "unknown")
-
-  @doc "The firmware families by their names."
-  @spec autopilots() :: %{String.t() => autopilot()}
-  def autopilots, do: Map.new(@autopilots, &{Atom.to_string(&1), &1})
-
-  @doc "The name of a firmware family for people."
-  @spec firmware(autopilot()) :: String.t()
-  def firmware(autopilot), do: Map.fetch!(@firmwares, autopilot)
-
-  @doc "The firmware family of a vendor's name that a vehicle sends, nil for another one."
-  @spec vendor(String.t()) :: autopilot() | nil
-  def vendor(name), do: @vendors[name]
-
-  @doc "What a MAV_AUTOPILOT says of a vehicle whose firmware is known: those without a number stay what they are."
-  @spec autopilot(integer(), known :: autopilot()) :: autopilot()
-  def autopilot(number, known) when known in [:betaflight, :inav],
-    do: with(:generic <- autopilot(number), do: known)
-
-  def autopilot(number, _known), do: autopilot(number)
-
-  @doc "The firmware family of a MAV_AUTOPILOT."
-  @spec autopilot(integer()) :: autopilot()
-  def autopilot(@ardupilot), do: :ardupilot
-  def autopilot(@px4), do: :px4
-  def autopilot(_other), do: :generic
 
   @doc "Whether a heartbeat with this MAV_TYPE and MAV_AUTOPILOT is that of a vehicle's autopilot (H2, `MavCodec.Meaning.Heartbeat.vehicle?/1`)."
   @spec vehicle?(integer(), integer(), component :: 0..255) :: boolean()

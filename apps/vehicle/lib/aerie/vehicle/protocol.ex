@@ -1,12 +1,11 @@
 defmodule Aerie.Vehicle.Protocol do
   @moduledoc """
-  The behaviour of an adapter to a firmware. It turns a command into steps, steps into messages, and messages into answers;
-  everything that depends on the firmware is in its adapter. `Aerie.Vehicle.Firmware.Ardupilot.Adapter` and `Aerie.Vehicle.Firmware.Px4.Adapter`
-  share `Aerie.Vehicle.Protocol.Mavlink`; the behaviour itself does not depend on MAVLink, so another protocol fits. What
-  transfers of plans need is in `Protocols.Mission.Firmware`, which each adapter implements as well.
+  What a firmware's adapter does with a command (`Aerie.Vehicle.Firmware` lists the adapters). It turns the command into
+  steps, steps into messages, and messages into answers. Adapters share `Aerie.Vehicle.Protocol.Mavlink`; the behaviour
+  itself does not depend on MAVLink, so another protocol fits.
 
-  An adapter declares what its firmware lacks, with the reason (`c:gap/3`). Such a command is refused at
-  once, and nothing is sent to the vehicle.
+  An adapter declares what its firmware lacks, with the reason (`c:gap/2`). Such a command is refused at once, and
+  nothing is sent to the vehicle.
   """
 
   alias Aerie.Vehicle.Command
@@ -43,7 +42,7 @@ defmodule Aerie.Vehicle.Protocol do
           | {:instead, Step.t()}
 
   @doc "Why this firmware lacks a command on a kind of vehicle, whatever its parameters are; nil if it has it."
-  @callback gap(type :: String.t(), kind :: String.t(), Aerie.Vehicle.Kind.autopilot()) :: String.t() | nil
+  @callback gap(type :: String.t(), kind :: String.t()) :: String.t() | nil
 
   @doc """
   The steps of a command without a gap; `{:gap, reason}` if the firmware lacks it with these parameters, `{:error, reason}`
@@ -66,11 +65,8 @@ defmodule Aerie.Vehicle.Protocol do
   @doc "The ids of the messages that `c:read/4` needs for a step, besides texts, of which it gets all, each reassembled."
   @callback listens(Step.t()) :: [non_neg_integer()]
 
-  @doc "How integer parameters are encoded in PARAM_SET's float (P2)."
-  @callback param_encoding() :: :c_cast | :bytewise
-
   @doc "Why a firmware has no plans of this kind; nil if it has them, or may have them."
-  @callback plan_gap(mission_type :: 0..2, Aerie.Vehicle.Kind.autopilot()) :: String.t() | nil
+  @callback plan_gap(mission_type :: 0..2) :: String.t() | nil
 
   @doc "Whether set-points must come before the vehicle does this (X7)."
   @callback setpoints_first?(Command.t(), Vehicle.t()) :: boolean()
@@ -78,7 +74,7 @@ defmodule Aerie.Vehicle.Protocol do
   @doc "The steps of a command, or why there are none: `:gap` is permanent, `:error` temporary."
   @spec plan(module(), Command.t(), Vehicle.t()) :: {:ok, plan()} | {:gap, String.t()} | {:error, String.t()}
   def plan(protocol, command, vehicle) do
-    case protocol.gap(command.type, vehicle.kind, vehicle.autopilot) do
+    case protocol.gap(command.type, vehicle.kind) do
       nil ->
         with {:ok, steps} <- protocol.steps(command, vehicle),
              :ok <- armed(Command.type(command), vehicle),

@@ -10,7 +10,7 @@ defmodule Aerie.Vehicle.State do
   is not even decoded while ATTITUDE arrives.
   """
 
-  alias Aerie.Vehicle.{Kind, State}
+  alias Aerie.Vehicle.{Firmware, State}
   alias Aerie.Vehicle.State.Groups
   alias MavCodec.Messages, as: M
 
@@ -56,7 +56,7 @@ defmodule Aerie.Vehicle.State do
   @type group :: atom()
   @type entry :: %{at: integer(), time_boot_ms: non_neg_integer() | nil, data: map()}
   @type t :: %__MODULE__{
-          autopilot: Kind.autopilot(),
+          autopilot: Firmware.name(),
           type: integer() | nil,
           kind: String.t(),
           firmware: String.t() | nil,
@@ -167,6 +167,11 @@ defmodule Aerie.Vehicle.State do
     :standard_modes,
     :modes_seq
   ]
+
+  @doc "Whether a MAV_TYPE and a MAV_AUTOPILOT are those of another vehicle."
+  @spec other?(t(), integer(), integer()) :: boolean()
+  def other?(state, type, autopilot),
+    do: type != state.type or Firmware.heard(autopilot, state.autopilot) != state.autopilot
 
   @doc "The part of a snapshot that only `restore/1` needs."
   @spec memory(t()) :: map()

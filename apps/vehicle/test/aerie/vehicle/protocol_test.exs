@@ -10,12 +10,7 @@ defmodule Aerie.Vehicle.ProtocolTest do
   alias MavCodec.Messages, as: M
 
   @kinds Firmware.Page.kinds()
-  @adapters [
-    ardupilot: Firmware.Ardupilot.Adapter,
-    px4: Firmware.Px4.Adapter,
-    betaflight: Firmware.Msp.Adapter,
-    inav: Firmware.Msp.Adapter
-  ]
+  @adapters for name <- Firmware.names(), do: {name, Firmware.of(name)}
 
   defp steps(autopilot, name, params, more \\ %{}) do
     Protocol.plan(Firmware.of(autopilot), command(name, params), vehicle(autopilot, more))
@@ -44,7 +39,7 @@ defmodule Aerie.Vehicle.ProtocolTest do
         fn {{autopilot, protocol}, kind, command} ->
           vehicle = vehicle(autopilot, %{kind: kind})
 
-          case {protocol.gap(command.type, kind, autopilot), Protocol.plan(protocol, command, vehicle)} do
+          case {protocol.gap(command.type, kind), Protocol.plan(protocol, command, vehicle)} do
             {nil, {:ok, steps}} -> Enum.all?(steps, &sound?(&1, protocol, vehicle))
             {nil, {why_not, reason}} when why_not in [:gap, :error] -> reason =~ ~r/\A\w/
             {reason, {:gap, reason}} -> reason =~ ~r/\A\w/
@@ -97,7 +92,7 @@ defmodule Aerie.Vehicle.ProtocolTest do
   end
 
   test "a gap may be of a firmware, of a kind of vehicle, or of a parameter's value" do
-    gap = fn autopilot, name, kind -> Firmware.of(autopilot).gap(name, kind, autopilot) end
+    gap = fn autopilot, name, kind -> Firmware.of(autopilot).gap(name, kind) end
 
     assert [nil, nil, "ArduPilot has no" <> _] =
              for(name <- ~w(arm relay actuator), do: gap.(:ardupilot, name, "copter"))
@@ -422,10 +417,14 @@ defmodule Aerie.Vehicle.ProtocolTest do
   end
 
   test "parameters and missions" do
-    assert {:c_cast, true} =
-             {Firmware.Ardupilot.Adapter.param_encoding(), Firmware.Ardupilot.Adapter.home_is_item_0?()}
-
-    assert {:bytewise, false} =
-             {Firmware.Px4.Adapter.param_encoding(), Firmware.Px4.Adapter.home_is_item_0?()}
+    for {name, encoding, home?} <- [
+          {:ardupilot, :c_cast, true},
+          {:px4, :bytewise, false},
+          {:inav, :bytewise, false},
+          {:generic, :c_cast, false}
+        ] do
+      assert Firmware.traits(name).param_encoding == encoding
+      assert Firmware.of(name).home_is_item_0?() == home?
+    end
   end
 end

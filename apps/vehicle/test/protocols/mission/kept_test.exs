@@ -371,7 +371,7 @@ defmodule Protocols.Mission.KeptTest do
     end
   end
 
-  defp inav(sent, read), do: Compare.plans(sent, read, 0, Firmware.Msp.Adapter, "copter")
+  defp inav(sent, read), do: Compare.plans(sent, read, 0, Firmware.Inav.Adapter, "copter")
 
   test "iNav: any mission that it takes is the same when it is read" do
     value = :proper_types.oneof([0.0, 1.0, 2.4, 7.123, 90.0, -1.0, -2.0, nil])

@@ -5,7 +5,7 @@ defmodule Aerie.Console.Fleet.Table do
   """
   use Aerie.Console, :component
 
-  alias Aerie.Vehicle.Kind
+  alias Aerie.Vehicle.Firmware
   alias Aerie.Console.Fleet.Filter
   alias Aerie.Console.Fleet.Board.Row
 
@@ -94,7 +94,7 @@ defmodule Aerie.Console.Fleet.Table do
     """
   end
 
-  defp kind_of(row), do: "#{row.kind} #{Kind.firmware(row.autopilot)} #{row.firmware}"
+  defp kind_of(row), do: "#{row.kind} #{Firmware.title(row.autopilot)} #{row.firmware}"
 
   defp state(assigns),
     do: ~H"<.badge kind={kind(@row.state)}>{word(@row)}</.badge><.age us={@row.silent_us} />"

@@ -2,7 +2,7 @@ defmodule Aerie.Console.Vehicle.Header do
   @moduledoc "The header above every section of a vehicle's page: name, reception, present action, problems."
   use Aerie.Console, :component
 
-  alias Aerie.Vehicle.Kind
+  alias Aerie.Vehicle.Firmware
   alias Aerie.Console.UI
   alias Aerie.Console.Vehicle.View
 
@@ -38,7 +38,7 @@ defmodule Aerie.Console.Vehicle.Header do
   end
 
   defp firmware(%{autopilot: autopilot, firmware: firmware}),
-    do: Enum.join([Kind.firmware(autopilot) | List.wrap(firmware)], " ")
+    do: Enum.join([Firmware.title(autopilot) | List.wrap(firmware)], " ")
 
   defp status(status), do: Atom.to_string(status)
 

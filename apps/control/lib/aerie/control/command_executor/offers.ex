@@ -24,7 +24,7 @@ defmodule Aerie.Control.CommandExecutor.Offers do
   """
   @spec lacks(vehicle :: map(), type :: String.t(), Roles.source(), params :: map()) :: lack() | nil
   def lacks(%{autopilot: autopilot} = snapshot, type, source, params \\ %{}) do
-    with nil <- Firmware.of(autopilot).gap(type, snapshot.vehicle_type, autopilot),
+    with nil <- Firmware.of(autopilot).gap(type, snapshot.vehicle_type),
          nil <- gap(snapshot, Command.new(vehicle: snapshot.id, type: type, params: params)),
          context = Context.seen(snapshot, nil, source, System.os_time(:microsecond)),
          nil <- Role.lacking(@unlimited, Intent.named(type), context) do

@@ -21,7 +21,7 @@ defmodule Aerie.Control.Mission.OwnFence do
   the air; `fenced?`: its fence is known to be on.
   """
   @type vehicle :: %{
-          autopilot: Aerie.Vehicle.Kind.autopilot(),
+          autopilot: Aerie.Vehicle.Firmware.name(),
           vehicle_type: String.t(),
           place: {number(), number()} | nil,
           flying?: boolean(),

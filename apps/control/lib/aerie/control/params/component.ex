@@ -45,7 +45,7 @@ defmodule Aerie.Control.Params.Component do
   @spec options(Job.context(), t()) :: keyword()
   def options(context, component) do
     autopilot? = target(context, component) == context.target
-    encoding = if autopilot?, do: context.protocol.param_encoding(), else: :extended
+    encoding = if autopilot?, do: context.protocol.traits().param_encoding, else: :extended
     [encoding: encoding, rtt_us: context.rtt_us]
   end
 

@@ -94,7 +94,7 @@ defmodule Aerie.Control.Params.Download do
   @doc """
   A download that has not begun. `target` is `{system, component}`, `deadline` in the clock of the events.
 
-  Options: `:encoding` (`c:Aerie.Vehicle.Protocol.param_encoding/0`, or `:extended` for PARAM_EXT), `:hash` (whether the firmware has `_HASH_CHECK`), `:rtt_us`,
+  Options: `:encoding` (`t:Aerie.Vehicle.Firmware.Traits.t/0`, or `:extended` for PARAM_EXT), `:hash` (whether the firmware has `_HASH_CHECK`), `:rtt_us`,
   `:each_us` (what the deadline grows by for each parameter that the vehicle says it has).
   """
   @spec new({non_neg_integer(), 0..255}, deadline :: integer(), keyword()) :: t()

@@ -20,7 +20,7 @@ defmodule Aerie.Control.Params.LongNames do
   defdelegate wire(name), to: ShortName, as: :of
 
   @doc "A parameter, or all of a vehicle, with the whole names."
-  @spec shown(Param.t() | Table.t(), Aerie.Vehicle.Kind.autopilot()) :: Param.t() | Table.t()
+  @spec shown(Param.t() | Table.t(), Aerie.Vehicle.Firmware.name()) :: Param.t() | Table.t()
   def shown(%Param{} = param, firmware) when firmware in @msp,
     do: %{param | name: Params.full(firmware, param.name)}
 
@@ -30,7 +30,7 @@ defmodule Aerie.Control.Params.LongNames do
   def shown(params, _firmware), do: params
 
   @doc "The firmware of a snapshot, and the version of its parameters if that is known; nil without a snapshot."
-  @spec release(map() | nil) :: {Aerie.Vehicle.Kind.autopilot(), Message.version() | nil} | nil
+  @spec release(map() | nil) :: {Aerie.Vehicle.Firmware.name(), Message.version() | nil} | nil
   def release(%{autopilot: firmware} = snapshot) when firmware in @msp,
     do: {firmware, Params.version(firmware, snapshot[:firmware])}
 

@@ -5,6 +5,7 @@ defmodule Aerie.Control.Policy.Context do
 
   alias Aerie.Base.Names
   alias Aerie.Control.Policy.{ControlLease, ControlLeases, Roles}
+  alias Aerie.Vehicle.Firmware
   alias Aerie.Vehicle.Firmware.Modes
 
   defstruct [:source, :now, :lease, :position, :home, :origin, :armed, :in_air, :mode, :battery, :autopilot] ++
@@ -52,7 +53,7 @@ defmodule Aerie.Control.Policy.Context do
           in_air: boolean() | nil,
           mode: String.t() | nil,
           battery: number() | nil,
-          autopilot: Aerie.Vehicle.Kind.autopilot() | nil,
+          autopilot: Firmware.name() | nil,
           vehicle_type: String.t() | nil,
           standard_modes: %{String.t() => String.t()},
           mode_names: %{non_neg_integer() => String.t()}
@@ -158,7 +159,6 @@ defmodule Aerie.Control.Policy.Context do
     "battery" => %{"remaining" => :remaining}
   }
   @group %{"position" => :position, "home" => :home, "mode" => :mode, "battery" => :battery}
-  @autopilots Aerie.Vehicle.Kind.autopilots()
   @top ~w(position home mode battery autopilot vehicle_type at)
 
   @doc """
@@ -236,8 +236,10 @@ defmodule Aerie.Control.Policy.Context do
   defp autopilot(nil), do: {:ok, nil}
 
   defp autopilot(name) do
-    with :error <- Map.fetch(@autopilots, name),
-         do: {:error, "autopilot: expected one of #{@autopilots |> Map.keys() |> Enum.join(", ")}"}
+    known = Firmware.by_text()
+
+    with :error <- Map.fetch(known, name),
+         do: {:error, "autopilot: expected one of #{known |> Map.keys() |> Enum.join(", ")}"}
   end
 
   @doc "The vehicle's position, or why there is none that counts."

@@ -37,7 +37,7 @@ defmodule Aerie.Control.Policy.Mavlink do
 
   @typedoc "What is known of the vehicle, as its snapshot has it: firmware, kind, its autopilot's component."
   @type vehicle :: %{
-          :autopilot => Aerie.Vehicle.Kind.autopilot(),
+          :autopilot => Aerie.Vehicle.Firmware.name(),
           :vehicle_type => String.t(),
           optional(:component) => 0..255 | nil | :unknown
         }
@@ -112,15 +112,14 @@ defmodule Aerie.Control.Policy.Mavlink do
   # The number that the firmware takes; an unknown one may take that of the float or that of the bytes.
   defp asked(%{param_type: @real32, param_value: value}, _autopilot), do: if(is_number(value), do: value)
 
-  defp asked(%{param_type: type, param_value: wire}, autopilot)
-       when autopilot in [:ardupilot, :px4, :betaflight, :inav] do
-    case ParamValue.asked(wire, type, Firmware.of(autopilot).param_encoding()) do
-      {:ok, value} -> value
-      {:error, _why} -> nil
+  defp asked(%{param_type: type, param_value: wire}, autopilot) do
+    with true <- Firmware.known?(autopilot),
+         {:ok, value} <- ParamValue.asked(wire, type, Firmware.traits(autopilot).param_encoding) do
+      value
+    else
+      _unknown -> nil
     end
   end
-
-  defp asked(_integer, _unknown), do: nil
 
   # PX4 arms with it.
   defp stored?(%{type: "mission_start"}, %{autopilot: :px4}), do: false

@@ -182,7 +182,12 @@ defmodule Aerie.Control.ReadCache.Vehicle do
     for type <- Map.keys(@kinds), do: Aboard.put(state.gateway, state.key, type, :read, nil)
     # A new fence is compared with it, for those without the permission to take it away.
     if autopilot in @fenced, do: GenServer.cast(self(), {:learn, @fence})
-    %{state | params: Params.Responder.new(protocol.param_encoding()), plans: Mission.Responder.new(protocol)}
+
+    %{
+      state
+      | params: Params.Responder.new(protocol.traits().param_encoding),
+        plans: Mission.Responder.new(protocol)
+    }
   end
 
   defp receive_frame(frame, %{vehicle: %{component: component}} = state) when frame.component == component do

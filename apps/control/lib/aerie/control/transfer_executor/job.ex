@@ -30,7 +30,7 @@ defmodule Aerie.Control.TransferExecutor.Job do
           us: {non_neg_integer(), 0..255},
           version: 1 | 2,
           protocol: module(),
-          autopilot: Aerie.Vehicle.Kind.autopilot(),
+          autopilot: Aerie.Vehicle.Firmware.name(),
           capabilities: non_neg_integer() | nil,
           rtt_us: non_neg_integer() | nil,
           links: [term()],

@@ -52,7 +52,7 @@ defmodule Aerie.Control.Policy.CompileTest do
     end
 
     test "every name that is taken is denied to every firmware that has it" do
-      for name <- Modes.known() ++ ["hold", "MODE(27)", "mode(4)"],
+      for name <- Modes.names() ++ ["hold", "MODE(27)", "mode(4)"],
           {autopilot, kind, _number} <- Modes.meanings(name) do
         context = %{context("STABILIZE", autopilot) | vehicle_type: kind}
         assert {:deny, :mode, _reason} = set_mode(%{modes: %{denied: [name]}}, context, name)

@@ -6,7 +6,7 @@ defmodule Aerie.Fleet.AsyncAPI.Schemas do
   alias Aerie.Fleet.AsyncAPI.Requests
   alias Aerie.Fleet.Bridge.Events.Gaps
   alias Aerie.Fleet.Shadow
-  alias Aerie.Vehicle.{Command, Event, Fields, Kind}
+  alias Aerie.Vehicle.{Command, Event, Fields, Firmware}
   alias Aerie.Vehicle.State.Groups
 
   @type t :: Aerie.Base.JsonSchema.t()
@@ -49,7 +49,7 @@ defmodule Aerie.Fleet.AsyncAPI.Schemas do
       %{
         network: described(%{type: :string}, "the network that its system id belongs to"),
         system_id: described(integer(0, 0xFFFFFFFF), "MAVLink system id"),
-        autopilot: %{enum: Enum.sort(Map.keys(Kind.autopilots()))},
+        autopilot: %{enum: Enum.sort(Map.keys(Firmware.by_text()))},
         type: described(%{type: [:string, :null]}, "copter, plane, rover, …"),
         firmware: %{type: [:string, :null]},
         status: %{enum: ~w(online stale lost)},

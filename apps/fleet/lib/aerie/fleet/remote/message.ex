@@ -8,7 +8,7 @@ defmodule Aerie.Fleet.Remote.Message do
 
   alias Aerie.Fleet.Bridge
   alias Aerie.Fleet.RemoteTable
-  alias Aerie.Vehicle.Fields
+  alias Aerie.Vehicle.{Fields, Firmware}
 
   @max_text 256
   @max_list 64
@@ -22,7 +22,6 @@ defmodule Aerie.Fleet.Remote.Message do
             {Atom.to_string(group), {group, Map.new(names)}}
           end)
   # Fields of a nested object have a name of their own; the object itself is not a number.
-  @autopilots Aerie.Vehicle.Kind.autopilots()
   @statuses %{"online" => :online, "stale" => :stale, "lost" => :lost}
 
   @typedoc "`time` is the sender's, in unix microseconds."
@@ -87,7 +86,7 @@ defmodule Aerie.Fleet.Remote.Message do
        network: text(data["network"]),
        system_id:
          if(is_integer(data["system_id"]) and data["system_id"] in 0..0xFFFFFFFF, do: data["system_id"]),
-       autopilot: Map.get(@autopilots, data["autopilot"], :generic),
+       autopilot: Map.get(Firmware.by_text(), data["autopilot"], :generic),
        type: text(data["type"]),
        firmware: text(data["firmware"]),
        status: Map.get(@statuses, data["status"], :online),

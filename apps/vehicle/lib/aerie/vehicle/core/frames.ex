@@ -122,9 +122,7 @@ defmodule Aerie.Vehicle.Core.Frames do
     do: other?(core, state, frame, message) and not Collision.Owner.changes?(core.owner, core.path, frame.at)
 
   defp other?(core, state, frame, %{type: type, autopilot: autopilot}),
-    do:
-      core.component not in [nil, frame.component] or type != state.type or
-        Kind.autopilot(autopilot, state.autopilot) != state.autopilot
+    do: core.component not in [nil, frame.component] or State.other?(state, type, autopilot)
 
   defp other?(_core, _state, _frame, %M.ComponentInformationBasic{}), do: true
   defp other?(_core, _state, _frame, _message), do: false

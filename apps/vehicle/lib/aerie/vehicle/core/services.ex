@@ -213,18 +213,21 @@ defmodule Aerie.Vehicle.Core.Services do
   defp streams(acc, _now, _ask), do: acc
 
   # Only the vehicle knows the name of its mode; by MSP it tells unasked.
-  defp ask_for_mode_names(%{state: %{autopilot: autopilot}} = core) when autopilot not in [:ardupilot, :px4],
-    do: core
+  defp ask_for_mode_names(%{state: %{autopilot: firmware, modes_seq: seq} = state} = core) do
+    cond do
+      not Modes.known?(firmware) ->
+        core
 
-  # The standard modes, and again when the vehicle tells that its modes have changed (X4).
-  defp ask_for_mode_names(%{state: %{modes_seq: seq}, modes_asked: asked} = core)
-       when seq != nil and seq != asked,
-       do: %{core | modes_asked: seq, streams: Arbiter.again(core.streams, @available_modes)}
+      # The standard modes, and again when the vehicle tells that its modes have changed (X4).
+      seq not in [nil, core.modes_asked] ->
+        %{core | modes_asked: seq, streams: Arbiter.again(core.streams, @available_modes)}
 
-  defp ask_for_mode_names(core) do
-    if Modes.unnamed?(State.data(core.state, :mode).mode),
-      do: %{core | streams: Arbiter.once(core.streams, @available_modes)},
-      else: core
+      Modes.unnamed?(State.data(state, :mode).mode) ->
+        %{core | streams: Arbiter.once(core.streams, @available_modes)}
+
+      true ->
+        core
+    end
   end
 
   defp clock({core, actions}, now, true) do

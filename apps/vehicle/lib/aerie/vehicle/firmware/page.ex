@@ -2,9 +2,8 @@ defmodule Aerie.Vehicle.Firmware.Page do
   @moduledoc "The table of gaps in `docs/commands.md`: which commands a firmware lacks, and why."
 
   alias Aerie.Vehicle.Command.{Page, Types}
-  alias Aerie.Vehicle.{Firmware, Kind}
+  alias Aerie.Vehicle.Firmware
 
-  @firmwares [:ardupilot, :px4, :betaflight, :inav]
   @kinds ~w(copter plane vtol rover boat sub)
 
   @doc "The section by its name."
@@ -24,16 +23,16 @@ defmodule Aerie.Vehicle.Firmware.Page do
   # Firmwares that lack it on the same kinds for the same reason have one row.
   defp by_reason(name) do
     gaps =
-      for firmware <- @firmwares,
+      for firmware <- Firmware.names(),
           {reason, kinds} <- kinds(name, firmware),
-          do: {{reason, kinds}, Kind.firmware(firmware)}
+          do: {{reason, kinds}, Firmware.title(firmware)}
 
     for {reason, kinds} = gap <- gaps |> Enum.map(&elem(&1, 0)) |> Enum.uniq(),
         do: {reason, Enum.join(for({^gap, firmware} <- gaps, do: firmware), ", "), kinds}
   end
 
   defp kinds(name, firmware) do
-    gaps = for kind <- @kinds, reason = Firmware.of(firmware).gap(name, kind, firmware), do: {reason, kind}
+    gaps = for kind <- @kinds, reason = Firmware.of(firmware).gap(name, kind), do: {reason, kind}
 
     for reason <- gaps |> Enum.map(&elem(&1, 0)) |> Enum.uniq(),
         do: {reason, for({^reason, kind} <- gaps, do: kind)}

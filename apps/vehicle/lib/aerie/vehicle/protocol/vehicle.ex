@@ -56,7 +56,7 @@ defmodule Aerie.Vehicle.Protocol.Vehicle do
           system: pos_integer(),
           component: 1..255,
           version: 1 | 2,
-          autopilot: Aerie.Vehicle.Kind.autopilot(),
+          autopilot: Aerie.Vehicle.Firmware.name(),
           kind: String.t(),
           us: {non_neg_integer(), non_neg_integer()},
           mode: String.t() | nil,

@@ -41,5 +41,5 @@ defmodule Aerie.Vehicle.Services.Params do
 
   defp name?(name), do: PackedParams.name?(name) and not String.starts_with?(name, @counters)
 
-  defp encoding(autopilot), do: Firmware.of(autopilot).param_encoding()
+  defp encoding(autopilot), do: Firmware.traits(autopilot).param_encoding
 end

@@ -9,7 +9,7 @@ defmodule Aerie.Vehicle.State.HighLatency do
   import Bitwise
 
   alias Aerie.Vehicle.Firmware.Modes
-  alias Aerie.Vehicle.Kind
+  alias Aerie.Vehicle.{Firmware, Kind}
   alias Aerie.Vehicle.State.{Battery, Group, Value}
   alias MavCodec.Enums.{HlFailureFlag, MavModeFlag}
   alias MavCodec.Messages, as: M
@@ -20,7 +20,7 @@ defmodule Aerie.Vehicle.State.HighLatency do
   @impl Group
   def read(%M.HighLatency2{} = m, state, at) do
     with {lat, lon} <- Value.lat_lon(m.latitude, m.longitude) || {nil, nil} do
-      autopilot = Kind.autopilot(m.autopilot)
+      autopilot = Firmware.heard(m.autopilot)
       kind = Kind.name(m.type)
       # The field has 16 bits. PX4 sends the upper half of its mode, with the main and sub mode.
       mode = if autopilot == :px4, do: m.custom_mode <<< 16, else: m.custom_mode

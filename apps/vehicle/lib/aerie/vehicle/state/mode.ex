@@ -6,7 +6,7 @@ defmodule Aerie.Vehicle.State.Mode do
   import Bitwise
 
   alias Aerie.Vehicle.Firmware.Modes
-  alias Aerie.Vehicle.{Kind, State}
+  alias Aerie.Vehicle.{Firmware, Kind, State}
   alias Aerie.Vehicle.State.Group
 
   alias MavCodec.Enums.{
@@ -53,7 +53,7 @@ defmodule Aerie.Vehicle.State.Mode do
 
   @impl Group
   def read(%M.Heartbeat{} = m, state, _at) do
-    autopilot = Kind.autopilot(m.autopilot, state.autopilot)
+    autopilot = Firmware.heard(m.autopilot, state.autopilot)
     named = Kind.name(m.type)
     # Only a quadplane enters one of these.
     quadplane =
@@ -90,13 +90,9 @@ defmodule Aerie.Vehicle.State.Mode do
 
   # Which of the firmwares that MAV_AUTOPILOT has no number for.
   def read(%M.ComponentInformationBasic{} = m, state, _at) do
-    case Kind.vendor(m.vendor_name) do
-      autopilot when autopilot != nil and state.autopilot in [:generic, :betaflight, :inav] ->
-        {[autopilot: autopilot], []}
-
-      _other ->
-        {[], []}
-    end
+    autopilot = Firmware.vendor(m.vendor_name)
+    numbered? = Firmware.traits(state.autopilot).mav_autopilot != nil
+    {if(autopilot == :generic or numbered?, do: [], else: [autopilot: autopilot]), []}
   end
 
   # A mode that an application registered (PX4's external modes, ArduPilot's scripts) has its own name.

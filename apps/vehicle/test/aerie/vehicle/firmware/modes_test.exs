@@ -96,7 +96,6 @@ defmodule Aerie.Vehicle.Firmware.ModesTest do
   test "kinds" do
     assert Enum.map([1, 2, 10, 11, 12, 22, 200], &Kind.name/1) == ~w(plane copter rover boat sub vtol unknown)
     assert Kind.flies?("vtol") and Kind.flies?("unknown") and not Kind.flies?("rover")
-    assert {Kind.autopilot(3), Kind.autopilot(12), Kind.autopilot(0)} == {:ardupilot, :px4, :generic}
   end
 
   describe "modes that an application brings along" do

@@ -31,7 +31,7 @@ defmodule Aerie.Control.Policy.Compile.Modes do
 
   defp unknown(path, names) do
     for name <- names, Modes.meanings(name) == [] do
-      hint = with hint when hint != nil <- Schema.did_you_mean(name, Modes.known()), do: " (#{hint})"
+      hint = with hint when hint != nil <- Schema.did_you_mean(name, Modes.names()), do: " (#{hint})"
       {path, @expected, ~s("#{name}"#{hint})}
     end
   end

@@ -24,7 +24,7 @@ defmodule Aerie.Control.Policy.Mavlink.SystemId do
   @doc "`follow/4` for a message of a client that is passed on."
   @spec sent(Names.gateway(), map() | nil, struct()) :: :ok
   def sent(gateway, %{autopilot: autopilot} = snapshot, %ParamSet{param_id: name} = m) when name in @names do
-    encoding = Firmware.of(autopilot).param_encoding()
+    encoding = Firmware.traits(autopilot).param_encoding
 
     with {:ok, value, _exact?} <- ParamValue.decode(m.param_value, m.param_type, encoding),
          do: follow(gateway, snapshot, [{name, value}])

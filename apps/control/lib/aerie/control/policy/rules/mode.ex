@@ -118,5 +118,5 @@ defmodule Aerie.Control.Policy.Rules.Mode do
   end
 
   defp known_firmware?(context),
-    do: context.autopilot in [:ardupilot, :px4] and is_binary(context.vehicle_type)
+    do: Modes.known?(context.autopilot) and is_binary(context.vehicle_type)
 end

@@ -8,16 +8,19 @@ defmodule Aerie.Vehicle.Firmware.Ardupilot.Adapter do
   """
 
   # Heights in COMMAND_LONG are above home.
+  use Aerie.Vehicle.Firmware.Adapter
+
   use Aerie.Vehicle.Protocol.Mavlink.Commands,
     calibration: Aerie.Vehicle.Firmware.Ardupilot.Calibration,
     long_frames: [3, 6]
 
   import Aerie.Vehicle.Protocol.Vehicle, only: [airborne: 2]
 
+  alias Aerie.Vehicle.Firmware.{Ardupilot, Modes, Traits}
   alias Aerie.Vehicle.Firmware.Ardupilot.{Calibration, Steering, StoredItem}
-  alias Aerie.Vehicle.Firmware.Modes
   alias Aerie.Vehicle.Protocol.{Mavlink, Vehicle}
   alias Aerie.Vehicle.Protocol.Mavlink.{Commands, Streams}
+  alias MavCodec.Enums.MavAutopilot
 
   @copter "copter"
   @winged ["plane", "vtol"]
@@ -37,49 +40,58 @@ defmodule Aerie.Vehicle.Firmware.Ardupilot.Adapter do
   @missions ~w(copter plane vtol rover boat sub)
 
   @impl true
-  def gap("takeoff", "plane", _firmware),
+  def traits do
+    %Traits{
+      title: "ArduPilot",
+      mav_autopilot: MavAutopilot.value(:MAV_AUTOPILOT_ARDUPILOTMEGA),
+      modes: Ardupilot.Modes
+    }
+  end
+
+  @impl true
+  def gap("takeoff", "plane"),
     do:
       "ArduPlane takes off by its mode TAKEOFF, to TKOFF_ALT, or by a mission: use set_mode or mission_start"
 
-  def gap("takeoff", kind, _firmware) when kind not in ["copter", "vtol"], do: "it does not take off"
+  def gap("takeoff", kind) when kind not in ["copter", "vtol"], do: "it does not take off"
 
-  def gap("land", "plane", _firmware),
+  def gap("land", "plane"),
     do: "ArduPlane lands by the landing of its mission: use land_start"
 
-  def gap("land", kind, _firmware) when kind not in ["copter", "vtol", "blimp"], do: "it does not land"
+  def gap("land", kind) when kind not in ["copter", "vtol", "blimp"], do: "it does not land"
 
-  def gap("rtl", kind, _firmware) when kind not in @returning, do: "this firmware has no mode for returning"
+  def gap("rtl", kind) when kind not in @returning, do: "this firmware has no mode for returning"
 
-  def gap("hold", kind, _firmware) when not is_map_key(@hold, kind),
+  def gap("hold", kind) when not is_map_key(@hold, kind),
     do: "this firmware has no mode for holding"
 
-  def gap(type, kind, _firmware)
+  def gap(type, kind)
       when type in ["mission_start", "mission_pause", "resume"] and kind not in @missions,
       do: "this firmware has no missions"
 
-  def gap("mission_pause", kind, _firmware) when kind in ["rover", "boat", "sub"],
+  def gap("mission_pause", kind) when kind in ["rover", "boat", "sub"],
     do: "this firmware does not pause a mission: use hold, and then resume"
 
-  def gap("set_altitude", kind, _firmware) when kind in @grounded, do: "it has no height to change"
+  def gap("set_altitude", kind) when kind in @grounded, do: "it has no height to change"
 
-  def gap(type, kind, _firmware)
+  def gap(type, kind)
       when type in ["setpoint_position", "setpoint_local", "setpoint_velocity"] and kind in @winged,
       do: "ArduPlane takes only the height of a set-point: use goto or set_altitude"
 
-  def gap("orbit", kind, _firmware) when kind not in @winged,
+  def gap("orbit", kind) when kind not in @winged,
     do: "only ArduPlane circles around a given place; set_mode CIRCLE does so in front of a copter"
 
-  def gap("set_yaw", kind, _firmware) when kind in @winged, do: "ArduPlane steers its nose itself"
+  def gap("set_yaw", kind) when kind in @winged, do: "ArduPlane steers its nose itself"
 
-  def gap("vtol_transition", kind, _firmware) when kind not in @winged,
+  def gap("vtol_transition", kind) when kind not in @winged,
     do: "it has no wings and rotors to change between"
 
-  def gap("land_start", kind, _firmware) when kind not in ["copter" | @winged],
+  def gap("land_start", kind) when kind not in ["copter" | @winged],
     do: "its missions have no landing"
 
-  def gap("actuator", _kind, _firmware), do: "ArduPilot has no DO_SET_ACTUATOR: use servo"
-  def gap("save_params", _kind, _firmware), do: "ArduPilot stores each parameter when it is set"
-  def gap(_type, _kind, _firmware), do: nil
+  def gap("actuator", _kind), do: "ArduPilot has no DO_SET_ACTUATOR: use servo"
+  def gap("save_params", _kind), do: "ArduPilot stores each parameter when it is set"
+  def gap(_type, _kind), do: nil
 
   @impl true
   def steps(%{type: type, params: params}, vehicle) do
@@ -277,25 +289,11 @@ defmodule Aerie.Vehicle.Firmware.Ardupilot.Adapter do
   end
 
   @impl true
-  def param_encoding, do: :c_cast
-
-  @impl true
-  def setpoints_first?(_command, _vehicle), do: false
-
-  @impl true
   def home_is_item_0?, do: true
 
-  @impl true
-  def plan_gap(_mission_type, _firmware), do: nil
   @impl true
   def item_offset, do: 0
 
   @impl true
   defdelegate kept(item, mission_type, kind), to: StoredItem, as: :item
-
-  @impl true
-  def plan_watch_us(_mission_type), do: 0
-
-  @impl true
-  def plan_verdict(_message, _mission_type, _opaque_id), do: :ignore
 end

@@ -4,6 +4,11 @@ defmodule Aerie.Vehicle.Firmware.Ardupilot.Modes do
   lack, and the names that its own ground stations use.
   """
 
+  @behaviour Aerie.Vehicle.Firmware.Modes
+
+  import Bitwise
+
+  alias Aerie.Vehicle.Firmware.Modes
   alias MavCodec.Enums
 
   @known_as %{
@@ -51,26 +56,45 @@ defmodule Aerie.Vehicle.Firmware.Ardupilot.Modes do
     "vtol" => ~w(QLAND QRTL)
   }
 
-  @doc "The mode to be set first, if a vehicle of this kind refuses to be armed in its mode; nil if it does not."
-  @spec arm_first(kind :: String.t(), mode :: String.t()) :: String.t() | nil
+  # MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+  @custom 0x01
+
+  @impl true
   def arm_first(kind, mode), do: if(mode in Map.get(@not_armable, kind, []), do: "GUIDED")
 
-  @doc "The modes for MAVLink's standard modes on a kind of vehicle, by their names."
-  @spec standard(String.t()) :: %{String.t() => String.t()}
+  @impl true
   def standard(kind), do: for({name, %{^kind => mode}} <- @standard, into: %{}, do: {name, mode})
 
-  @doc "The kinds of vehicles with a firmware."
-  @spec kinds() :: [String.t()]
+  @impl true
   def kinds, do: ~w(copter plane vtol rover boat sub tracker blimp)
 
-  @doc "Number to name for a kind of vehicle (`Aerie.Vehicle.Kind.name/1`); empty for a kind without a firmware."
-  @spec names(String.t()) :: %{non_neg_integer() => String.t()}
-  def names("copter"), do: @copter
+  @impl true
+  def name(kind, _base, custom), do: Map.get(names(kind), custom) || Modes.numbered(custom)
+
+  @impl true
+  def number(kind, name) do
+    Enum.find_value(names(kind), :error, fn {number, known} -> if known == name, do: {:ok, number} end)
+  end
+
+  @impl true
+  def asked(kind, base, custom) when band(base, @custom) != 0, do: [name(kind, base, custom)]
+  # It refuses what is not a mode of its own; older ones had modes for the flags.
+  def asked(kind, base, _custom), do: [Modes.Flags.name(kind, base, 0)]
+
+  # It keeps one byte of the number.
+  @impl true
+  def wrong(mode), do: if(mode not in 0..255, do: "the mode #{mode} is not an integer from 0 to 255")
+
+  @impl true
+  def all(kind), do: kind |> names() |> Enum.sort() |> Enum.map(&elem(&1, 1))
+
+  # Number to name; empty for a kind without a firmware.
+  defp names("copter"), do: @copter
   # ArduPlane flies the VTOLs: its Q modes are part of its table.
-  def names(kind) when kind in ["plane", "vtol"], do: @plane
-  def names(kind) when kind in ["rover", "boat"], do: @rover
-  def names("sub"), do: @sub
-  def names("tracker"), do: @tracker
-  def names("blimp"), do: @blimp
-  def names(_other), do: %{}
+  defp names(kind) when kind in ["plane", "vtol"], do: @plane
+  defp names(kind) when kind in ["rover", "boat"], do: @rover
+  defp names("sub"), do: @sub
+  defp names("tracker"), do: @tracker
+  defp names("blimp"), do: @blimp
+  defp names(_other), do: %{}
 end

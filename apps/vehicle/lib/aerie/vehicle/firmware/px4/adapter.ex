@@ -8,6 +8,8 @@ defmodule Aerie.Vehicle.Firmware.Px4.Adapter do
   a take-off would wait for arming: both are refused here.
   """
 
+  use Aerie.Vehicle.Firmware.Adapter
+
   use Aerie.Vehicle.Protocol.Mavlink.Commands,
     calibration: Aerie.Vehicle.Firmware.Px4.Calibration,
     long_frames: [0, 5]
@@ -15,10 +17,11 @@ defmodule Aerie.Vehicle.Firmware.Px4.Adapter do
   import Bitwise
   import Aerie.Vehicle.Protocol.Vehicle, only: [airborne: 2]
 
-  alias Aerie.Vehicle.Firmware.{Modes, Px4}
+  alias Aerie.Vehicle.Firmware.{Modes, Px4, Traits}
   alias Aerie.Vehicle.Protocol.{Mavlink, Step, Vehicle}
   alias Aerie.Vehicle.Protocol.Mavlink.{Commands, Streams}
   alias Aerie.Vehicle.Firmware.Px4.{Calibration, Plans}
+  alias MavCodec.Enums.MavAutopilot
   alias MavCodec.Messages, as: M
 
   @amsl 5
@@ -38,32 +41,42 @@ defmodule Aerie.Vehicle.Firmware.Px4.Adapter do
   }
 
   @impl true
-  def gap(type, kind, _firmware) when type in ["takeoff", "land"] and kind in ["rover", "boat", "sub"],
+  def traits do
+    %Traits{
+      title: "PX4",
+      mav_autopilot: MavAutopilot.value(:MAV_AUTOPILOT_PX4),
+      modes: Px4.Modes,
+      param_encoding: :bytewise
+    }
+  end
+
+  @impl true
+  def gap(type, kind) when type in ["takeoff", "land"] and kind in ["rover", "boat", "sub"],
     do: "it does not fly"
 
-  def gap(type, kind, _firmware) when type in ["orbit", "set_yaw"] and kind in ["plane", "rover", "boat"],
+  def gap(type, kind) when type in ["orbit", "set_yaw"] and kind in ["plane", "rover", "boat"],
     do: "only what can stay in one place does so"
 
-  def gap("set_altitude", kind, _firmware) when kind in ["rover", "boat"], do: "it has no height to change"
+  def gap("set_altitude", kind) when kind in ["rover", "boat"], do: "it has no height to change"
 
-  def gap("vtol_transition", kind, _firmware) when kind != "vtol",
+  def gap("vtol_transition", kind) when kind != "vtol",
     do: "it has no wings and rotors to change between"
 
-  def gap("land_start", kind, _firmware) when kind not in @winged, do: "only what has wings lands so"
+  def gap("land_start", kind) when kind not in @winged, do: "only what has wings lands so"
 
-  def gap("parachute", _kind, _firmware),
+  def gap("parachute", _kind),
     do: "PX4 opens a parachute by flight termination only: use terminate"
 
-  def gap("servo", _kind, _firmware), do: "PX4 has no DO_SET_SERVO: use actuator"
-  def gap("relay", _kind, _firmware), do: "PX4 has no relays"
-  def gap("jump", _kind, _firmware), do: "PX4 has no jump by tag: use mission_set_current"
+  def gap("servo", _kind), do: "PX4 has no DO_SET_SERVO: use actuator"
+  def gap("relay", _kind), do: "PX4 has no relays"
+  def gap("jump", _kind), do: "PX4 has no jump by tag: use mission_set_current"
 
-  def gap("set_geofence", _kind, _firmware),
+  def gap("set_geofence", _kind),
     do: "PX4 has no DO_FENCE_ENABLE: its fence is on while the parameter GF_ACTION is not 0"
 
-  def gap("calibrate_position", _kind, _firmware), do: "PX4 finds out itself how it lies"
-  def gap("calibrate_accept", _kind, _firmware), do: "PX4 stores a calibration itself"
-  def gap(_type, _kind, _firmware), do: nil
+  def gap("calibrate_position", _kind), do: "PX4 finds out itself how it lies"
+  def gap("calibrate_accept", _kind), do: "PX4 stores a calibration itself"
+  def gap(_type, _kind), do: nil
 
   @impl true
   def steps(%{type: type, params: params}, vehicle) do
@@ -281,9 +294,6 @@ defmodule Aerie.Vehicle.Firmware.Px4.Adapter do
 
   def read(step, message, source, vehicle), do: super(step, message, source, vehicle)
 
-  @impl true
-  def param_encoding, do: :bytewise
-
   # A vehicle that is not armed takes every mode.
   @impl true
   def setpoints_first?(%{type: "set_mode", params: %{mode: name}}, %{armed: armed} = vehicle)
@@ -291,14 +301,6 @@ defmodule Aerie.Vehicle.Firmware.Px4.Adapter do
       do: match?({:ok, _number, "OFFBOARD"}, Modes.find(vehicle, name))
 
   def setpoints_first?(_command, _vehicle), do: false
-
-  @impl true
-  def home_is_item_0?, do: false
-
-  @impl true
-  def plan_gap(_mission_type, _firmware), do: nil
-  @impl true
-  def item_offset, do: -1
 
   @impl true
   defdelegate kept(item, mission_type, kind), to: Px4.StoredItem, as: :item

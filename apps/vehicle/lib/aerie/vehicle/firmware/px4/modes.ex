@@ -5,7 +5,18 @@ defmodule Aerie.Vehicle.Firmware.Px4.Modes do
   An orbit flies as position control with sub mode 1, so it has a name of its own here.
   """
 
+  @behaviour Aerie.Vehicle.Firmware.Modes
+
   import Bitwise
+
+  alias Aerie.Vehicle.Firmware.Modes
+
+  # MAV_MODE_FLAG
+  @custom 0x01
+  @auto 0x04
+  @guided 0x08
+  @stabilize 0x10
+  @manual 0x40
 
   @modes [
     {{1, 0}, "MANUAL"},
@@ -60,20 +71,36 @@ defmodule Aerie.Vehicle.Firmware.Px4.Modes do
     "takeoff" => "AUTO_TAKEOFF"
   }
 
-  @doc "The modes for MAVLink's standard modes, by their names."
-  @spec standard() :: %{String.t() => String.t()}
-  def standard, do: @standard
+  # All kinds have the same.
+  @impl true
+  def kinds, do: ["any"]
 
-  @doc "The name of a custom mode, or nil."
-  @spec name(non_neg_integer()) :: String.t() | nil
-  def name(mode) when band(mode, 0xFFFF) == 0,
+  @impl true
+  def name(kind, base, 0) when band(base, @custom) == 0, do: Modes.Flags.name(kind, base, 0)
+  def name(_kind, _base, custom), do: known(custom) || Modes.numbered(custom)
+
+  @impl true
+  def number(_kind, name), do: Map.fetch(@numbers, Map.get(@aliases, name, name))
+
+  @impl true
+  def asked(_kind, base, custom) when band(base, @custom) != 0 do
+    case {known(custom), effect(custom)} do
+      {nil, [_ | _] = effect} -> effect
+      {name, effect} -> [name || Modes.numbered(custom) | effect]
+    end
+  end
+
+  # Without the flag it goes by the others, and the number does not count.
+  def asked(_kind, base, 0), do: [flags(base)]
+  def asked(_kind, base, custom), do: [flags(base), known(custom) || Modes.numbered(custom)]
+
+  defp known(mode) when band(mode, 0xFFFF) == 0,
     do: Map.get(@names, {mode >>> 16 &&& 0xFF, mode >>> 24 &&& 0xFF})
 
-  def name(_mode), do: nil
+  defp known(_mode), do: nil
 
-  @doc "The modes that PX4 makes of a custom mode: it takes no notice of most sub modes, and AUTO without one is the mission."
-  @spec effect(non_neg_integer()) :: [String.t()]
-  def effect(mode) do
+  # It takes no notice of most sub modes, and AUTO without one is the mission.
+  defp effect(mode) do
     case {mode >>> 16 &&& 0xFF, mode >>> 24 &&& 0xFF} do
       {3, 2} -> []
       {3, _sub} -> ["POSCTL"]
@@ -83,11 +110,30 @@ defmodule Aerie.Vehicle.Firmware.Px4.Modes do
     end
   end
 
-  @doc "The custom mode of a name in capitals; the common short names are known too."
-  @spec number(String.t()) :: {:ok, non_neg_integer()} | :error
-  def number(name), do: Map.fetch(@numbers, Map.get(@aliases, name, name))
+  defp flags(base) do
+    cond do
+      band(base, @auto) != 0 -> "AUTO_MISSION"
+      band(base, @manual) == 0 -> "PREFLIGHT"
+      band(base, @guided) != 0 -> "POSCTL"
+      band(base, @stabilize) != 0 -> "STABILIZED"
+      true -> "MANUAL"
+    end
+  end
 
-  @doc "All names in the order of main and sub modes."
-  @spec all() :: [String.t()]
-  def all, do: @names |> Enum.sort() |> Enum.map(&elem(&1, 1))
+  # It takes no notice of the lower half of the number.
+  @impl true
+  def wrong(mode) do
+    if mode not in 0..0xFFFFFFFF or band(mode, 0xFFFF) != 0,
+      do: "the mode #{mode} is not a main mode and a sub mode of PX4"
+  end
+
+  @impl true
+  def all(_kind), do: @names |> Enum.sort() |> Enum.map(&elem(&1, 1))
+
+  @impl true
+  def standard(_kind), do: @standard
+
+  # It tells by itself which mode it would have to be in.
+  @impl true
+  def arm_first(_kind, _mode), do: nil
 end

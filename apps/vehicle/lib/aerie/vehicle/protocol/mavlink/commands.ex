@@ -36,8 +36,6 @@ defmodule Aerie.Vehicle.Protocol.Mavlink.Commands do
   @doc false
   defmacro __using__(calibration: calibration, long_frames: frames) do
     quote do
-      @behaviour Aerie.Vehicle.Protocol
-      @behaviour Protocols.Mission.Firmware
       @impl true
       defdelegate encode(step, attempt, vehicle), to: Mavlink
       @impl true

@@ -1,4 +1,4 @@
-defmodule Aerie.Vehicle.Firmware.Msp.StoredItem do
+defmodule Aerie.Vehicle.Firmware.Inav.StoredItem do
   @moduledoc """
   What iNav keeps of the items of a mission, as `Msp.Mission` makes waypoints of them: heights and speeds in cm, times, directions and
   heights of the ground in whole units, no radii.

@@ -4,7 +4,8 @@ defmodule Aerie.Application do
 
   require Logger
 
-  alias Aerie.Base.{Store, Successor}
+  alias Aerie.Base.Store
+  alias Aerie.Base.Names.Successor
   alias Aerie.CLI
   alias Aerie.Control.Commands
   alias Aerie.CLI.Output

@@ -37,7 +37,8 @@ defmodule Aerie.Gateway do
   use Supervisor
 
   alias Aerie.{Config, Fleet, Vehicle}
-  alias Aerie.Base.{Names, Successor}
+  alias Aerie.Base.Names
+  alias Aerie.Base.Names.Successor
   alias Aerie.Control.{CommandExecutor, Commands, Params, Policy, ReadCache, TransferExecutor}
   alias Aerie.Fleet.{Bridge, Operations, Remote, Shadow}
   alias Aerie.Vehicle.Journal

@@ -22,7 +22,7 @@ defmodule MavRouter.Client do
   | `tcp:HOST:PORT` | connects to a ground station that listens |
   | `DEVICE,BAUD` | a serial line with a ground station at its other end |
 
-  Unix sockets (`Aerie.Base.UnixSocket`) and WebSockets (`Aerie.Api.WebSocket`) are configured; each of their
+  Unix sockets (`Aerie.Base.Net.UnixSocket`) and WebSockets (`Aerie.Api.WebSocket`) are configured; each of their
   connections is a client that can be listed and removed. All of them are endpoints of `MavRouter.Router`, with its
   rules.
   """

@@ -33,7 +33,8 @@ defmodule MavRouter.Forward do
   alias MavRouter.Endpoints.Owner.Renumber
   alias MavRouter.Routes
   alias MavRouter.Forward.Holders
-  alias Aerie.Base.{Names, TokenBucket}
+  alias Aerie.Base.Names
+  alias Aerie.Base.Timing.TokenBucket
   alias MavCodec.Frame
   alias MavCodec.Signing.Redact
 

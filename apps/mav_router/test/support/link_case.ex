@@ -64,7 +64,7 @@ defmodule Aerie.LinkCase do
   @spec clients(term, map) :: Supervisor.child_spec()
   def clients(gateway, config),
     do:
-      Aerie.Base.Successor.child_spec(
+      Aerie.Base.Names.Successor.child_spec(
         {MavRouter.Client.Supervisor, options(MavRouter.Client.Supervisor, gateway, config)}
       )
 

@@ -61,7 +61,7 @@ defmodule Aerie.GatewayCase do
     children =
       for part <- parts(Keyword.get(options, :with, [])) do
         more = if part == Aerie.Base.PubSub, do: tick, else: []
-        Aerie.Base.Successor.child_spec({part, part(part, name, config) ++ more})
+        Aerie.Base.Names.Successor.child_spec({part, part(part, name, config) ++ more})
       end
 
     strategy = [strategy: :rest_for_one, max_restarts: 3, max_seconds: 60]

@@ -9,7 +9,8 @@ defmodule Aerie.Access.Changes do
   """
 
   alias Aerie.Access.Changes.Rights
-  alias Aerie.Base.{Address, Json, Names}
+  alias Aerie.Base.{Json, Names}
+  alias Aerie.Base.Net.Address
   alias Aerie.Control.Policy.Audit
   alias Aerie.Control.Policy.Roles
 

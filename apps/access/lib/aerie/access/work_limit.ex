@@ -16,7 +16,8 @@ defmodule Aerie.Access.WorkLimit do
   """
   use GenServer
 
-  alias Aerie.Base.{Names, TokenBucket}
+  alias Aerie.Base.Names
+  alias Aerie.Base.Timing.TokenBucket
   alias Aerie.Access.WorkLimit.Places
 
   @half max(div(System.schedulers_online(), 2), 1)

@@ -15,7 +15,7 @@ defmodule Aerie.Upgrade.Standby do
   """
 
   alias Aerie.Base.Files.Private
-  alias Aerie.Base.PortOwner
+  alias Aerie.Base.Net.PortOwner
 
   @folder "AERIE_STANDBY"
   @replaces "AERIE_REPLACES"

@@ -186,7 +186,7 @@ defmodule Aerie.Api.Settings do
   defp users?(%{enabled: true, dir: dir}), do: Users.any?(dir)
   defp users?(_off), do: false
 
-  defp local?(address), do: address |> ip() |> Aerie.Base.Address.loopback?()
+  defp local?(address), do: address |> ip() |> Aerie.Base.Net.Address.loopback?()
 
   @doc "An address of the settings, which was checked."
   @spec ip(String.t()) :: :inet.ip_address()

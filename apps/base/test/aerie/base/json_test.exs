@@ -1,7 +1,8 @@
 defmodule Aerie.Base.JsonTest do
   use ExUnit.Case, async: true
 
-  alias Aerie.Base.{HostClock, Json, Secret}
+  alias Aerie.Base.{Json, Secret}
+  alias Aerie.Base.Timing.HostClock
 
   test "values of the read model become what JSON has" do
     assert Json.plain(%{alt: :nan, v: {:nan, 1}, up: :infinity}) == %{alt: nil, v: nil, up: nil}

@@ -35,6 +35,6 @@ defmodule Aerie.Control.Operations do
   defp area(%{name: name}), do: name |> String.split(".") |> hd()
 
   @doc "The schemas that those of requests and answers refer to, by their names."
-  @spec shared() :: %{String.t() => Aerie.Base.JsonSchema.t()}
+  @spec shared() :: %{String.t() => Aerie.Base.Json.Schema.t()}
   def shared, do: %{"plan" => Mission.Forms.schema()}
 end

@@ -7,7 +7,7 @@ defmodule Aerie.Fleet.AsyncAPI do
   later versions, so their schemas are open; those of requests are closed, because a gateway refuses what it does not know.
   """
 
-  alias Aerie.Base.JsonSchema
+  alias Aerie.Base.Json
   alias Aerie.Fleet.AsyncAPI.{Channels, Schemas}
 
   @doc "The description."
@@ -50,12 +50,12 @@ defmodule Aerie.Fleet.AsyncAPI do
       name: id,
       title: message.title,
       contentType: Map.get(message, :content_type, "application/json"),
-      payload: JsonSchema.ref(schema)
+      payload: Json.Schema.ref(schema)
     }
-    |> Map.merge(if headers = message[:headers], do: %{headers: JsonSchema.ref(headers)}, else: %{})
+    |> Map.merge(if headers = message[:headers], do: %{headers: Json.Schema.ref(headers)}, else: %{})
   end
 
   @doc "The text of `docs/asyncapi.json`: the same bytes each time."
   @spec text() :: String.t()
-  def text, do: JsonSchema.pretty(document(), 2)
+  def text, do: Json.Schema.pretty(document(), 2)
 end

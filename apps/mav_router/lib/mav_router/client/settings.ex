@@ -244,7 +244,7 @@ defmodule MavRouter.Client.Settings do
   defp open_to_all(clients) do
     for %{sign: true, url: url, id: id} <- clients,
         {:ok, %{server: true, host: host}} <- [Spec.parse(url)],
-        not is_tuple(host) or not Aerie.Base.Address.loopback?(host),
+        not is_tuple(host) or not Aerie.Base.Net.Address.loopback?(host),
         do: id
   end
 end

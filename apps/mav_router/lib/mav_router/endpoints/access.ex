@@ -13,7 +13,7 @@ defmodule MavRouter.Endpoints.Access do
   Nobody else on a link commands a vehicle.
   """
 
-  alias Aerie.Base.Address
+  alias Aerie.Base.Net.Address
   alias MavRouter.Endpoints.Endpoint
   alias MavRouter.Endpoints.Owner
 

@@ -4,13 +4,13 @@ defmodule MavRouter.Endpoints.RulesSchema do
   HTTP. Messages are named as in the definitions; numbers are accepted as well. Pure.
   """
 
-  import Aerie.Base.JsonSchema
+  import Aerie.Base.Json.Schema
 
   alias MavCodec.Dialects.All
   alias MavRouter.Endpoints.Owner.Filter
   alias MavRouter.Endpoints.Queue.TrafficClass
 
-  @type t :: Aerie.Base.JsonSchema.t()
+  @type t :: Aerie.Base.Json.Schema.t()
 
   @most 256
   @ids %{messages: 0xFFFFFF, systems: 0xFFFFFFFF, components: 0xFF}

@@ -8,13 +8,13 @@ defmodule MavRouter.Forward.GroundStations do
   since what a vehicle hears on its network may keep its failsafe from triggering (H5).
 
   At most #{@max_stations} are kept; one that was not heard for #{div(@forget_us, 60_000_000)} minutes makes room for a new one. When
-  the machine's clock is set, a station that was heard live stays as old as it was (`Aerie.Base.HostClock`).
+  the machine's clock is set, a station that was heard live stays as old as it was (`Aerie.Base.Timing.HostClock`).
 
   The session of a vehicle reads which system ids the vehicle takes for its station's, and notes them here
   (`obeyed/3`): another vehicle's heartbeat with such an id does not reach it, or its failsafe would stay quiet.
   """
 
-  alias Aerie.Base.HostClock
+  alias Aerie.Base.Timing.HostClock
   alias Aerie.Base.Store
   alias Aerie.Base.Names
   alias MavRouter.Tables

@@ -45,8 +45,8 @@ defmodule MavRouter.Link.Core do
   Every event comes with its time, `{monotonic ms, unix microseconds}`; the only randomness is a seed in the state.
   """
 
-  alias Aerie.Base.HostClock
-  alias Aerie.Base.Backoff
+  alias Aerie.Base.Timing.HostClock
+  alias Aerie.Base.Timing.Backoff
   alias MavRouter.Link.Core.Counters
   alias MavRouter.Link.Core.DamageLog
   alias MavRouter.Link.Core.Reception

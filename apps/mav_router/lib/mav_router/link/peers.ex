@@ -18,10 +18,10 @@ defmodule MavRouter.Link.Peers do
   their connections.
   """
 
-  alias Aerie.Base.TokenBucket
+  alias Aerie.Base.Timing.TokenBucket
   alias MavRouter.Link.Peers.Fragments
   alias MavRouter.Link.Peers.Peer
-  alias Aerie.Base.Address
+  alias Aerie.Base.Net.Address
   alias MavCodec.Parser
 
   @idle_ms 60_000

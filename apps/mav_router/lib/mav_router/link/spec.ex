@@ -18,7 +18,7 @@ defmodule MavRouter.Link.Spec do
   | `gcs=allow`, `gcs=deny` | everybody who reaches the link may command vehicles, or nobody, not even this machine (`MavRouter.Endpoints.Access`) |
   """
 
-  alias Aerie.Base.Address
+  alias Aerie.Base.Net.Address
   alias MavRouter.Endpoints.Owner.RuleKeys
   alias MavRouter.Link.Spec.Error
   alias MavRouter.Link.Transport.Query

@@ -10,9 +10,9 @@ defmodule MavRouter.Link.Tree do
   alias MavRouter.Link.Server
   alias Aerie.Base.Names
   alias MavRouter.Recorder.Recording
-  alias Aerie.Base.Successor
+  alias Aerie.Base.Names.Successor
 
-  @doc "Its start waits for the processes of a tree that was killed (`Aerie.Base.Successor`). Options: as `start_link/1`."
+  @doc "Its start waits for the processes of a tree that was killed (`Aerie.Base.Names.Successor`). Options: as `start_link/1`."
   @spec child_spec(keyword) :: Supervisor.child_spec()
   def child_spec(options), do: options |> super() |> Successor.child_spec()
 

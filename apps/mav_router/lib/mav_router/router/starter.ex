@@ -34,7 +34,8 @@ defmodule MavRouter.Router.Starter do
   """
   use GenServer
 
-  alias Aerie.Base.{Names, TokenBucket}
+  alias Aerie.Base.Names
+  alias Aerie.Base.Timing.TokenBucket
   alias MavCodec.Frame
   alias MavRouter.Forward.Delivery
   alias MavRouter.Router.AutoSystemId

@@ -51,7 +51,7 @@ defmodule MavRouter.Routes.Collisions do
   @doc "The link for people, with the peer where that is an address."
   @spec text(by) :: String.t()
   def text({link, {address, port}}) when is_tuple(address) and is_integer(port),
-    do: "#{link} (#{Aerie.Base.Address.format(address, port)})"
+    do: "#{link} (#{Aerie.Base.Net.Address.format(address, port)})"
 
   def text({link, _peer}), do: to_string(link)
   def text(link), do: to_string(link)

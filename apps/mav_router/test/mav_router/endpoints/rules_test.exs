@@ -2,7 +2,8 @@ defmodule MavRouter.Endpoints.RulesTest do
   @moduledoc "Rules that are changed at run time, while parts of the gateway are killed."
   use Aerie.LinkCase, async: true
 
-  alias Aerie.Base.{Error, Names, Successor}
+  alias Aerie.Base.{Error, Names}
+  alias Aerie.Base.Names.Successor
   alias MavRouter.Router
 
   # When a part dies, those after it start again, as in a whole gateway.

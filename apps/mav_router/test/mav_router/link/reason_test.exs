@@ -1,7 +1,7 @@
 defmodule MavRouter.Link.ReasonTest do
   use ExUnit.Case, async: true
 
-  alias Aerie.Base.PortOwner
+  alias Aerie.Base.Net.PortOwner
   alias MavRouter.Link.Reason
   alias MavRouter.Link.Server.Restarts
   alias MavRouter.Link.Spec

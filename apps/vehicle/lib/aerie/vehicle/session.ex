@@ -7,13 +7,14 @@ defmodule Aerie.Vehicle.Session do
 
   Between frames time goes on by `Aerie.Vehicle.Session.Clock`: a vehicle is lost after the same silence whether its
   frames come from a radio or from a recording that is played ten times as fast. A recording that is played as fast as
-  it can be read has no time between its frames until its end. When the machine's clock is set (`Aerie.Base.HostClock`;
-  a companion computer without a battery-backed clock starts in another year), all times that the session keeps of a
-  live vehicle move with it: nothing becomes older or newer, and no vehicle is lost by it.
+  it can be read has no time between its frames until its end. When the machine's clock is set
+  (`Aerie.Base.Timing.HostClock`; a companion computer without a battery-backed clock starts in another year), all times
+  that the session keeps of a live vehicle move with it: nothing becomes older or newer, and no vehicle is lost by it.
   """
   use GenServer
 
-  alias Aerie.Base.{HostClock, Names, Store}
+  alias Aerie.Base.{Names, Store}
+  alias Aerie.Base.Timing.HostClock
   alias Aerie.Vehicle
   alias Aerie.Vehicle.Journal
   alias Aerie.Vehicle.Services.StreamDemand

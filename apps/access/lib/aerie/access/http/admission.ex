@@ -11,7 +11,7 @@ defmodule Aerie.Access.HTTP.Admission do
   For the same reason, metrics and health need no key, but a `Host` that belongs to the gateway (`host/2`).
   """
 
-  alias Aerie.Base.Address
+  alias Aerie.Base.Net.Address
   alias Aerie.Vehicle.Command.Type
   alias Aerie.Control.Policy.Roles
   alias Aerie.Access.Keys

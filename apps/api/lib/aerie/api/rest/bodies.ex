@@ -4,7 +4,7 @@ defmodule Aerie.Api.Rest.Bodies do
   of connection strings, plans and files of parameters. Pure.
   """
 
-  import Aerie.Base.JsonSchema
+  import Aerie.Base.Json.Schema
 
   alias Aerie.Base.Log
   alias Aerie.Fleet.{Operations, Shadow}

@@ -4,7 +4,7 @@ defmodule Aerie.Api.Rest.OpenAPI do
   `Aerie.Api.Rest.Routes`. Pure.
   """
 
-  alias Aerie.Base.JsonSchema
+  alias Aerie.Base.Json
   alias Aerie.Api.Rest.{Bodies, Parameters, Routes}
   alias Aerie.Access.HTTP.Error
 
@@ -40,7 +40,7 @@ defmodule Aerie.Api.Rest.OpenAPI do
 
   @doc "The text of `docs/openapi.json`: the same bytes each time, a line for each operation."
   @spec text() :: String.t()
-  def text, do: JsonSchema.pretty(document())
+  def text, do: Json.Schema.pretty(document())
 
   # The version of the release; a checkout has the same.
   defp version, do: :api |> Application.spec(:vsn) |> to_string()

@@ -7,7 +7,7 @@ defmodule Aerie.Api.Rest.Operations do
   the client hangs up. A change is waited for like a command, and then continues by itself.
   """
 
-  alias Aerie.Base.JsonSchema
+  alias Aerie.Base.Json
   alias Aerie.Base.Settings.Field
   alias Aerie.Control.Operations
   alias Aerie.Control.Operations.{Operation, Table}
@@ -129,7 +129,7 @@ defmodule Aerie.Api.Rest.Operations do
   defp named(path), do: for([":" <> name] <- Regex.scan(~r{:[a-z]+}, path), do: name)
 
   @doc "The schemas of bodies and answers, by the names that the rows have."
-  @spec schemas() :: %{String.t() => JsonSchema.t()}
+  @spec schemas() :: %{String.t() => Json.Schema.t()}
   def schemas do
     for operation <- Fleet.operations(), route <- operation.routes, reduce: Operations.shared() do
       schemas ->

@@ -1,7 +1,7 @@
 defmodule Aerie.Api.Rest.Parameters do
   @moduledoc "The parameters that paths and queries of `/api` may have, for `docs/openapi.json`."
 
-  import Aerie.Base.JsonSchema
+  import Aerie.Base.Json.Schema
 
   alias Aerie.Control.Operations.Fields
 

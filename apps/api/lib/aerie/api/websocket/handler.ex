@@ -19,7 +19,8 @@ defmodule Aerie.Api.WebSocket.Handler do
   alias Aerie.Base.Principal
   alias MavRouter.Router
   alias MavRouter.Client.Connection
-  alias Aerie.Base.{Address, Names, PubSub, Store}
+  alias Aerie.Base.{Names, PubSub, Store}
+  alias Aerie.Base.Net.Address
   alias Aerie.Access.HTTP.{Admission, Error, Request}
   alias Aerie.Access.{KeyRing, Tickets}
   alias Aerie.Api.WebSocket.Capacity

@@ -21,7 +21,7 @@ defmodule Aerie.Base.Settings.Field do
   (`schema/1`).
   """
 
-  import Aerie.Base.JsonSchema,
+  import Aerie.Base.Json.Schema,
     only: [bytes: 1, described: 3, integer: 2, nullable: 1, number: 2, text: 2, token: 0]
 
   @enforce_keys [:key, :type, :doc]
@@ -53,7 +53,7 @@ defmodule Aerie.Base.Settings.Field do
           default: term(),
           example: String.t() | nil,
           unit: String.t() | nil,
-          schema: Aerie.Base.JsonSchema.t() | nil,
+          schema: Aerie.Base.Json.Schema.t() | nil,
           required: boolean(),
           filled: boolean()
         }
@@ -74,7 +74,7 @@ defmodule Aerie.Base.Settings.Field do
   def name(%__MODULE__{key: key}), do: Atom.to_string(key)
 
   @doc "The JSON Schema of the values; null is the same as a key that may be left out."
-  @spec schema(t()) :: Aerie.Base.JsonSchema.t()
+  @spec schema(t()) :: Aerie.Base.Json.Schema.t()
   def schema(%__MODULE__{} = field) do
     schema = described(field.schema || values(field.type), field.doc, field.unit)
     schema = if field.required, do: schema, else: nullable(schema)

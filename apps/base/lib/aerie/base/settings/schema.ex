@@ -9,7 +9,8 @@ defmodule Aerie.Base.Settings.Schema do
   `{:error, %{expected: words, got: words}}`.
   """
 
-  alias Aerie.Base.{Address, Json, Secret}
+  alias Aerie.Base.{Json, Secret}
+  alias Aerie.Base.Net.Address
   alias Aerie.Base.Settings.{Field, Types}
 
   @type path :: [String.t() | non_neg_integer()]

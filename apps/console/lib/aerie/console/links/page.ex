@@ -13,7 +13,8 @@ defmodule Aerie.Console.Links.Page do
 
   import Aerie.Console.Links.Parts
 
-  alias Aerie.Base.{Address, Store}
+  alias Aerie.Base.Store
+  alias Aerie.Base.Net.Address
   alias MavRouter.{Client, Link, Router}
   alias Aerie.Control.Policy.Roles
   alias Aerie.Access.Changes

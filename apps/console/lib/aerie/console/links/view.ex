@@ -85,7 +85,7 @@ defmodule Aerie.Console.Links.View do
     {rows, max(length(routes) - @max_rows, 0)}
   end
 
-  defp peer({address, port}) when is_tuple(address), do: Aerie.Base.Address.format(address, port)
+  defp peer({address, port}) when is_tuple(address), do: Aerie.Base.Net.Address.format(address, port)
   defp peer(other), do: inspect(other, limit: 4)
 
   @doc "The links and vehicles of each network."

@@ -6,7 +6,8 @@ defmodule Aerie.Console.SignIn.Handler do
 
   @behaviour :cowboy_handler
 
-  alias Aerie.Base.{Address, Store}
+  alias Aerie.Base.Store
+  alias Aerie.Base.Net.Address
   alias Aerie.Access.Changes
   alias Aerie.Access.HTTP.{Admission, Request}
   alias Aerie.Access.{Launch, Limiter, Session, Sessions, Users}

@@ -1,7 +1,7 @@
 defmodule Aerie.Control.Operations.Fields do
   @moduledoc "The fields and parts of answers that several operations have, each described once."
 
-  import Aerie.Base.JsonSchema
+  import Aerie.Base.Json.Schema
 
   alias Aerie.Base.Settings.Field
   alias Aerie.Control.{Missions, Params.LongNames}
@@ -81,15 +81,15 @@ defmodule Aerie.Control.Operations.Fields do
   # --- Parts of answers
 
   @doc "The name of a parameter as programs give it."
-  @spec name() :: Aerie.Base.JsonSchema.t()
+  @spec name() :: Aerie.Base.Json.Schema.t()
   def name, do: %{type: :string, pattern: @name}
 
   @doc "A value of a parameter of the autopilot."
-  @spec float32() :: Aerie.Base.JsonSchema.t()
+  @spec float32() :: Aerie.Base.Json.Schema.t()
   def float32, do: number(-@largest, @largest)
 
   @doc "A parameter that was read, by its properties."
-  @spec param() :: %{atom() => Aerie.Base.JsonSchema.t()}
+  @spec param() :: %{atom() => Aerie.Base.Json.Schema.t()}
   def param do
     %{
       name: %{type: :string},
@@ -101,17 +101,17 @@ defmodule Aerie.Control.Operations.Fields do
   end
 
   @doc "A log as the vehicle lists it."
-  @spec log_schema() :: Aerie.Base.JsonSchema.t()
+  @spec log_schema() :: Aerie.Base.Json.Schema.t()
   def log_schema do
     time = described(%{type: [:integer, :null]}, "unix time; null if the vehicle did not know it", "s")
     object(%{id: integer(0, 0xFFFF), size: count(), time: time}, [:id, :size])
   end
 
   @doc "Bytes in base64."
-  @spec data() :: Aerie.Base.JsonSchema.t()
+  @spec data() :: Aerie.Base.Json.Schema.t()
   def data, do: %{type: :string, pattern: @base64, contentEncoding: :base64}
 
   @doc "How many."
-  @spec count() :: Aerie.Base.JsonSchema.t()
+  @spec count() :: Aerie.Base.Json.Schema.t()
   def count, do: %{type: :integer, minimum: 0}
 end

@@ -37,7 +37,7 @@ defmodule Aerie.Control.Operations.Operation do
     * `:routes` - how it is asked for over REST
   """
 
-  alias Aerie.Base.{JsonSchema, Names}
+  alias Aerie.Base.{Json, Names}
   alias Aerie.Base.Settings.{Field, Schema}
   alias Aerie.Control.Operations.Route
   alias Aerie.Control.Transfers
@@ -64,14 +64,14 @@ defmodule Aerie.Control.Operations.Operation do
           module: module() | nil,
           name: String.t(),
           meaning: String.t(),
-          request: JsonSchema.t() | nil,
+          request: Json.Schema.t() | nil,
           once: {field :: String.t(), :signed | :always, reason :: String.t()} | nil,
           answer_as: String.t() | nil,
           changes?: boolean(),
           transfer?: boolean(),
           fields: [Field.t()],
           rules: keyword(),
-          answer: %{atom() => JsonSchema.t()},
+          answer: %{atom() => Json.Schema.t()},
           routes: [Route.t()]
         }
 
@@ -118,7 +118,7 @@ defmodule Aerie.Control.Operations.Operation do
     quote do
       @behaviour Aerie.Control.Operations.Operation
 
-      import Aerie.Base.JsonSchema
+      import Aerie.Base.Json.Schema
       import Aerie.Control.Operations.Fields
 
       import Aerie.Control.Operations.Route,
@@ -229,7 +229,7 @@ defmodule Aerie.Control.Operations.Operation do
   end
 
   @doc "The JSON Schema of a request with its own fields (without `except`) and `more` properties."
-  @spec schema(t(), more :: map(), required :: [atom()], except :: [atom()]) :: JsonSchema.t()
+  @spec schema(t(), more :: map(), required :: [atom()], except :: [atom()]) :: Json.Schema.t()
   def schema(operation, more, required, except \\ [])
   def schema(%__MODULE__{request: %{} = schema}, _more, _required, _except), do: schema
 
@@ -237,7 +237,7 @@ defmodule Aerie.Control.Operations.Operation do
     own = for field <- operation.fields, field.key not in except, field.schema != false, do: field
     properties = for field <- own, into: more, do: {field.key, Field.schema(field)}
     required = required ++ for %{required: true, key: key} <- own, do: key
-    JsonSchema.object(properties, required, [open: not operation.transfer?] ++ operation.rules)
+    Json.Schema.object(properties, required, [open: not operation.transfer?] ++ operation.rules)
   end
 
   @doc "The name of the schema of its answer."
@@ -245,9 +245,9 @@ defmodule Aerie.Control.Operations.Operation do
   def answer_name(%__MODULE__{name: name, answer_as: as}), do: "answer." <> (as || name)
 
   @doc "The JSON Schema of what it reads, with further properties."
-  @spec answer_schema(t(), more :: map()) :: JsonSchema.t()
+  @spec answer_schema(t(), more :: map()) :: Json.Schema.t()
   def answer_schema(%__MODULE__{answer: answer}, more \\ %{}) do
     properties = Map.merge(more, answer)
-    JsonSchema.object(properties, Map.keys(properties), open: true)
+    Json.Schema.object(properties, Map.keys(properties), open: true)
   end
 end

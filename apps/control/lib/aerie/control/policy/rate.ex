@@ -12,7 +12,7 @@ defmodule Aerie.Control.Policy.Rate do
   alias Aerie.Control.Policy
   alias Aerie.Control.Policy.Intent
   alias Aerie.Control.Policy.Mavlink.Wording
-  alias Aerie.Base.TokenBucket
+  alias Aerie.Base.Timing.TokenBucket
 
   # Set-points and sticks come many times a second, and a transfer as fast as the vehicle asks for its parts.
   @streams for(%{group: :manual, name: name} <- Types.all(), do: name) ++ Intent.transfers()

@@ -4,7 +4,7 @@ defmodule Aerie.Fleet.AsyncAPI.Channels do
   the same messages (docs/fleet.md) and are not repeated. Pure.
   """
 
-  import Aerie.Base.JsonSchema
+  import Aerie.Base.Json.Schema
 
   alias Aerie.Fleet.AsyncAPI.Requests
   alias Aerie.Control.Operations

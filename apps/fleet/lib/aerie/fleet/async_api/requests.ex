@@ -1,7 +1,7 @@
 defmodule Aerie.Fleet.AsyncAPI.Requests do
   @moduledoc "What can be asked for over NATS besides commands, with the schemas of requests and answers. Pure."
 
-  import Aerie.Base.JsonSchema
+  import Aerie.Base.Json.Schema
 
   alias Aerie.Control.Operations
   alias Aerie.Control.Operations.Operation
@@ -11,7 +11,7 @@ defmodule Aerie.Fleet.AsyncAPI.Requests do
   alias Aerie.Fleet.Shadow
   alias Aerie.Vehicle.Command
 
-  @type t :: Aerie.Base.JsonSchema.t()
+  @type t :: Aerie.Base.Json.Schema.t()
 
   @doc "The schemas of requests, and those that they refer to, by their names."
   @spec schemas() :: [{String.t(), t()}]

@@ -1,7 +1,7 @@
 defmodule Aerie.Fleet.AsyncAPI.Schemas do
   @moduledoc "The schemas of `docs/asyncapi.json` by their names. Pure."
 
-  import Aerie.Base.JsonSchema
+  import Aerie.Base.Json.Schema
 
   alias Aerie.Fleet.AsyncAPI.Requests
   alias Aerie.Fleet.Bridge.Events.Gaps
@@ -9,7 +9,7 @@ defmodule Aerie.Fleet.AsyncAPI.Schemas do
   alias Aerie.Vehicle.{Command, Event, Fields, Firmware}
   alias Aerie.Vehicle.State.Groups
 
-  @type t :: Aerie.Base.JsonSchema.t()
+  @type t :: Aerie.Base.Json.Schema.t()
 
   @doc "All schemas."
   @spec all() :: %{String.t() => t()}

@@ -23,7 +23,7 @@ defmodule Aerie.Fleet.Bridge.LastPublished do
   # Its end writes to the disk.
   use GenServer, shutdown: 30_000
 
-  alias Aerie.Base.Backoff
+  alias Aerie.Base.Timing.Backoff
   alias Aerie.Vehicle.Journal
   alias Aerie.Fleet.Bridge.LastPublished.File, as: Kept
   alias Aerie.Fleet.Bridge.LastPublished.{Late, Missing}

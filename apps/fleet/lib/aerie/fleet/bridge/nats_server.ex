@@ -14,7 +14,7 @@ defmodule Aerie.Fleet.Bridge.NatsServer do
   """
   use GenServer
 
-  alias Aerie.Base.Backoff
+  alias Aerie.Base.Timing.Backoff
   alias Aerie.Fleet.Bridge.{Leaf, Tables, Token}
   alias Aerie.Fleet.Bridge.NatsServer.{LogFile, LogLine, OsProcess, Repeats, RestartPolicy, Settings}
   alias Aerie.Base.Files.FolderLock

@@ -289,7 +289,7 @@ defmodule Aerie.Fleet.Bridge.Settings do
     given = for key <- [:credentials, :nkey_seed_file, :user], Map.fetch!(nats, key), do: "nats.#{key}"
 
     failed([
-      {not Aerie.Base.Address.loopback?(ip(nats.address)), ["nats", "address"],
+      {not Aerie.Base.Net.Address.loopback?(ip(nats.address)), ["nats", "address"],
        "a loopback address: the embedded server has no TLS, so its token could be read on the way (for others run a server of " <>
          "your own, nats.mode url)", nats.address},
       {nats.token != nil and byte_size(Secret.reveal(nats.token)) < @shortest, ["nats", "token"],

@@ -11,7 +11,7 @@ defmodule Aerie.Fleet.Client.MavlinkSocket do
 
   alias MavRouter.Client.Connection
   alias Aerie.Base.Store
-  alias Aerie.Base.UnixSocket.LengthPrefix
+  alias Aerie.Base.Net.UnixSocket.LengthPrefix
   alias MavRouter.Link.Transport.Net
   alias Aerie.Base.Names
 

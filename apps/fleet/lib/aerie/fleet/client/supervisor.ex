@@ -7,7 +7,7 @@ defmodule Aerie.Fleet.Client.Supervisor do
 
   alias Aerie.Fleet.Client.{Settings, StateClient, StateFeed}
   alias Aerie.Base.Names
-  alias Aerie.Base.UnixSocket.Listener
+  alias Aerie.Base.Net.UnixSocket.Listener
   alias Aerie.Fleet.Client.MavlinkSocket
 
   @doc "Options: `:gateway`, `:settings` (`Aerie.Fleet.Client.Settings`)."

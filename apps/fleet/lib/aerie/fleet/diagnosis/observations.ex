@@ -6,7 +6,7 @@ defmodule Aerie.Fleet.Diagnosis.Observations do
   | key | value |
   |---|---|
   | `:now`, `:mono` | unix microseconds, monotonic ms |
-  | `:clock_offset` | `Aerie.Base.HostClock.offset/0` |
+  | `:clock_offset` | `Aerie.Base.Timing.HostClock.offset/0` |
   | `:links`, `:vehicles`, `:endpoints` | snapshots (`Aerie.Base.Store.Links`, `Aerie.Base.Store`, `MavRouter.Router.endpoints/1`) |
   | `:clients` | the endpoints for clients (`MavRouter.Client.endpoints/1`) |
   | `:identity` | `MavRouter.Router.identity/1` |
@@ -20,7 +20,8 @@ defmodule Aerie.Fleet.Diagnosis.Observations do
   `Aerie.Fleet.Diagnosis.Trend` adds `:grown`, `:online_ms` and `:clock_steps`.
   """
 
-  alias Aerie.Base.{HostClock, Names, Store}
+  alias Aerie.Base.{Names, Store}
+  alias Aerie.Base.Timing.HostClock
   alias Aerie.Base.Files.Damaged
   alias Aerie.Control.{Ledger, Policy}
   alias Aerie.Fleet.Bridge

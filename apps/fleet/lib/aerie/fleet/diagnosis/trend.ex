@@ -13,7 +13,7 @@ defmodule Aerie.Fleet.Diagnosis.Trend do
   """
 
   alias Aerie.Fleet.Diagnosis.Observations
-  alias Aerie.Base.HostClock
+  alias Aerie.Base.Timing.HostClock
 
   @window_ms 60_000
   @apart_ms 5_000

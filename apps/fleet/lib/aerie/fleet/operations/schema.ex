@@ -1,14 +1,14 @@
 defmodule Aerie.Fleet.Operations.Schema do
   @moduledoc "JSON Schemas of operations on many vehicles; the first is as strict as `Aerie.Fleet.Operations.Request`. Pure."
 
-  import Aerie.Base.JsonSchema
+  import Aerie.Base.Json.Schema
 
   alias Aerie.Base.Settings.Field
   alias Aerie.Fleet.Operations.Request
   alias Aerie.Fleet.Shadow
   alias Aerie.Vehicle.Command
 
-  @type t :: Aerie.Base.JsonSchema.t()
+  @type t :: Aerie.Base.Json.Schema.t()
 
   @id "^[A-Za-z0-9_-]{1,32}$"
 

@@ -3,12 +3,12 @@ defmodule Aerie.Fleet.Shadow.Attempts do
   The attempts to make a vehicle agree with its desired state, by field: how many, when the next one is due, and when to
   give up. A pure value.
 
-  Each attempt that does not lead to agreement doubles the wait (`Aerie.Base.Backoff`), and after `max` attempts the
-  field is refused until it is set again or the vehicle restarts. A field that stops agreeing uses an attempt as well,
-  so the gateway gives up on a vehicle that keeps changing it back. Ten minutes of agreement reset the count.
+  Each attempt that does not lead to agreement doubles the wait (`Aerie.Base.Timing.Backoff`), and after `max` attempts
+  the field is refused until it is set again or the vehicle restarts. A field that stops agreeing uses an attempt as
+  well, so the gateway gives up on a vehicle that keeps changing it back. Ten minutes of agreement reset the count.
   """
 
-  alias Aerie.Base.Backoff
+  alias Aerie.Base.Timing.Backoff
   alias Aerie.Fleet.Shadow.Field
 
   defstruct max: 6, fields: %{}

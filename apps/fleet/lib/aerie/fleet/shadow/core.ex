@@ -64,7 +64,7 @@ defmodule Aerie.Fleet.Shadow.Core do
   def desired(core, document),
     do: if(document.version >= core.document.version, do: %{core | document: document}, else: core)
 
-  @doc "The machine's clock was set by so many microseconds (`Aerie.Base.HostClock`). A field's expiry is a date, and follows the clock."
+  @doc "The machine's clock was set by so many microseconds (`Aerie.Base.Timing.HostClock`). A field's expiry is a date, and follows the clock."
   @spec clock_set(t(), integer()) :: t()
   def clock_set(core, 0), do: core
 

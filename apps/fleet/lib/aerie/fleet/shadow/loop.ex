@@ -9,7 +9,8 @@ defmodule Aerie.Fleet.Shadow.Loop do
   """
   use GenServer
 
-  alias Aerie.Base.{HostClock, Names, Store}
+  alias Aerie.Base.{Names, Store}
+  alias Aerie.Base.Timing.HostClock
   alias Aerie.Control.Params.LongNames
   alias Aerie.Control.Policy
   alias Aerie.Vehicle.Journal

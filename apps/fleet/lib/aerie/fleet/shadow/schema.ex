@@ -4,14 +4,14 @@ defmodule Aerie.Fleet.Shadow.Schema do
   change takes, `Aerie.Fleet.Shadow.Update` takes, but for `expires_at`, which must be in the coming year. Pure.
   """
 
-  import Aerie.Base.JsonSchema
+  import Aerie.Base.Json.Schema
 
   alias Aerie.Fleet.Shadow.{Field, Update}
   alias Aerie.Vehicle.Command
   alias Aerie.Vehicle.Command.Param
   alias MavRouter.Endpoints.RulesSchema
 
-  @type t :: Aerie.Base.JsonSchema.t()
+  @type t :: Aerie.Base.Json.Schema.t()
 
   @hash "^[0-9a-f]{64}$"
   @param "^([A-Za-z][A-Za-z0-9_]{0,15}|[a-z][a-z0-9_]{0,63})$"

@@ -4,7 +4,7 @@ defmodule Aerie.Fleet.Client.MavlinkSocketTest do
   import Aerie.LinkCase
 
   alias Aerie.ShortDir
-  alias Aerie.Base.UnixSocket.{LengthPrefix, Listener}
+  alias Aerie.Base.Net.UnixSocket.{LengthPrefix, Listener}
   alias Aerie.Fleet.Client.MavlinkSocket
   alias Aerie.Base.Store
   alias Aerie.Base.Names

@@ -5,7 +5,7 @@ defmodule Aerie.Fleet.Client.StateSocketTest do
   import Aerie.LinkCase, only: [eventually: 1]
   import Bitwise
 
-  alias Aerie.Base.UnixSocket
+  alias Aerie.Base.Net.UnixSocket
   alias Aerie.Base.Store
   alias Aerie.Base.Names
 

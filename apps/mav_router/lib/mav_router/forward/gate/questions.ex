@@ -19,7 +19,7 @@ defmodule MavRouter.Forward.Gate.Questions do
   alias MavRouter.Endpoints.Owner.Renumber
   alias MavRouter.Tables
   alias Aerie.Base.Store
-  alias Aerie.Base.TokenBucket
+  alias Aerie.Base.Timing.TokenBucket
   alias MavCodec.Enums.{MavCmd, MavResult}
   alias MavCodec.Frame
   alias MavCodec.Messages.{CommandAck, CommandInt, CommandLong}

@@ -7,7 +7,7 @@ defmodule MavRouter.Link.Serial.Detection do
 
   alias MavRouter.Link.Serial.Detector
   alias MavRouter.Link.Serial.Finding
-  alias Aerie.Base.SerialPorts
+  alias Aerie.Base.Net.SerialPorts
   alias MavRouter.Link.Serial.UartProcess
 
   @tick_ms 250
@@ -17,7 +17,7 @@ defmodule MavRouter.Link.Serial.Detection do
   @doc """
   Searches; returns the holder of the port, which is open but not being read, and the bytes that were received.
 
-  Options: those of `Aerie.Base.SerialPorts` as `:ports`, and `:bauds`, `:hint` and `:ask` of `MavRouter.Link.Serial.Detector.new/1`.
+  Options: those of `Aerie.Base.Net.SerialPorts` as `:ports`, and `:bauds`, `:hint` and `:ask` of `MavRouter.Link.Serial.Detector.new/1`.
   """
   @spec run(keyword) :: {:ok, pid, Finding.t(), binary} | {:error, {:undetected, [Finding.t()]}}
   def run(options) do

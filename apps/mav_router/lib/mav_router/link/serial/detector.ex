@@ -8,7 +8,7 @@ defmodule MavRouter.Link.Serial.Detector do
 
   | event | meaning |
   |---|---|
-  | `{:ports, [port]}` | the existing ports (`Aerie.Base.SerialPorts`); repeated, as they may change |
+  | `{:ports, [port]}` | the existing ports (`Aerie.Base.Net.SerialPorts`); repeated, as they may change |
   | `{key, event}` | an event for the probe of a port |
   | `:tick` | four times a second |
 

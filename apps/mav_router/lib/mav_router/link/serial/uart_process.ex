@@ -14,7 +14,7 @@ defmodule MavRouter.Link.Serial.UartProcess do
 
   import Bitwise, only: [bsr: 2]
 
-  alias Aerie.Base.PortOwner
+  alias Aerie.Base.Net.PortOwner
   alias Circuits.UART
 
   # Major numbers of the devices /dev/pts/* on Linux.

@@ -7,7 +7,8 @@ defmodule MavRouter.Link.Server.Connector do
   exit of an opener that crashed.
   """
 
-  alias Aerie.Base.{Names, PortOwner, Store}
+  alias Aerie.Base.{Names, Store}
+  alias Aerie.Base.Net.PortOwner
   alias MavRouter.Link.Settings
   alias MavRouter.Link.Spec
 

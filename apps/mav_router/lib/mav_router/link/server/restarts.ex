@@ -6,7 +6,7 @@ defmodule MavRouter.Link.Server.Restarts do
   A value: the times (monotonic ms) of the last restarts, kept in the link's snapshot.
   """
 
-  alias Aerie.Base.Backoff
+  alias Aerie.Base.Timing.Backoff
 
   @window_ms 5_000
   @free 3

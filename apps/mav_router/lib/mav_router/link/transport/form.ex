@@ -1,7 +1,7 @@
 defmodule MavRouter.Link.Transport.Form do
   @moduledoc "A form of connection strings, such as `udpin:HOST:PORT`."
 
-  alias Aerie.Base.Address
+  alias Aerie.Base.Net.Address
 
   @enforce_keys [:prefix, :expected, :example]
   defstruct [:prefix, :expected, :example, help: [], options: [], passes_query: false]

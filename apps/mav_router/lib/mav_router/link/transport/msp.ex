@@ -12,7 +12,7 @@ defmodule MavRouter.Link.Transport.Msp do
   @behaviour MavRouter.Link.Transport
 
   alias MavRouter.Link.Transport
-  alias Aerie.Base.Address
+  alias Aerie.Base.Net.Address
   alias MavRouter.Link.Transport.{Form, Serial, TcpClient}
   alias MavRouter.Link.Transport.Msp.Share
   alias MavCodec.Msp.Trace

@@ -2,7 +2,7 @@ defmodule MavRouter.Link.Transport.Net do
   @moduledoc "What the UDP and TCP transports share: names, address families, batches of datagrams, bounded writes."
 
   alias MavRouter.Link.Transport.Net.Backlog
-  alias Aerie.Base.Address
+  alias Aerie.Base.Net.Address
 
   # Messages between two renewals of `active`: enough that a busy socket rarely waits, few enough to bound the mailbox.
   @active 256

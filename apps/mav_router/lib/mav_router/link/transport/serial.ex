@@ -19,7 +19,7 @@ defmodule MavRouter.Link.Transport.Serial do
   alias MavRouter.Link.Transport.Serial.ConnectionString
   alias MavRouter.Link.Serial.Detection
   alias MavRouter.Link.Serial.Finding
-  alias Aerie.Base.SerialPorts
+  alias Aerie.Base.Net.SerialPorts
   alias MavCodec.Sniff
   alias MavRouter.Link.Serial.UartProcess
 

@@ -3,7 +3,7 @@ defmodule MavRouter.Link.Transport.TcpClient do
   @behaviour MavRouter.Link.Transport
 
   alias MavRouter.Link.Transport.Form
-  alias Aerie.Base.Address
+  alias Aerie.Base.Net.Address
   alias MavRouter.Link.Transport.Net
 
   @connect_ms 5_000

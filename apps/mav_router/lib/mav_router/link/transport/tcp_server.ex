@@ -7,7 +7,7 @@ defmodule MavRouter.Link.Transport.TcpServer do
   @behaviour MavRouter.Link.Transport
 
   alias MavRouter.Link.Transport.Form
-  alias Aerie.Base.Address
+  alias Aerie.Base.Net.Address
   alias MavRouter.Link.Transport.Net
   alias MavRouter.Link.Transport.TcpAcceptor
 

@@ -13,7 +13,7 @@ defmodule MavRouter.Link.Transport.UdpClient do
 
   alias MavRouter.Link.Transport.Form
   alias MavRouter.Link.Transport.Net.Backlog
-  alias Aerie.Base.Address
+  alias Aerie.Base.Net.Address
   alias MavRouter.Link.Transport.Net
 
   @broadcast "udpbcast:"

@@ -12,10 +12,10 @@ defmodule MavRouter.Link.Transport.WebSocket do
   @behaviour MavRouter.Link.Transport
 
   alias MavRouter.Link.Transport.WebSocket.ConnectionString
-  alias Aerie.Base.Address
+  alias Aerie.Base.Net.Address
   alias MavRouter.Link.Transport.Net
-  alias Aerie.Base.WebSocket.Frames
-  alias Aerie.Base.WebSocket.Handshake
+  alias Aerie.Base.Net.WebSocket.Frames
+  alias Aerie.Base.Net.WebSocket.Handshake
   alias MavCodec.Frame
 
   @connect_ms 5_000

@@ -19,7 +19,7 @@ defmodule MavRouter.Recorder.Recording.Output do
 
   require Logger
 
-  alias Aerie.Base.Backoff
+  alias Aerie.Base.Timing.Backoff
   alias Aerie.Base.Names
   alias Aerie.Base.Files.Raw
   alias MavRouter.Recorder.{Archive, Settings, Tables}

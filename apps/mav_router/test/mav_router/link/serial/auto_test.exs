@@ -254,7 +254,7 @@ defmodule MavRouter.Link.Serial.AutoTest do
     shell = System.find_executable("sh")
     program = Port.open({:spawn_executable, shell}, [:binary, args: ["-c", "exec cat 3<\"$1\"", "sh", file]])
     {:os_pid, pid} = Port.info(program, :os_pid)
-    eventually(fn -> Aerie.Base.PortOwner.holders(file) == [{"cat", pid}] end)
+    eventually(fn -> Aerie.Base.Net.PortOwner.holders(file) == [{"cat", pid}] end)
     {fixed, _} = add_link(c.gateway, "#{file},57600")
     eventually(fn -> Link.get(c.gateway, fixed).reason == "#{file} is in use by cat (process #{pid})" end)
   end

@@ -3,7 +3,7 @@ defmodule MavRouter.Link.Transport.LinkLocalTest do
   use ExUnit.Case, async: true
   use Aerie.LinkCase
 
-  alias Aerie.Base.Address
+  alias Aerie.Base.Net.Address
   alias MavRouter.Link
   alias MavRouter.Link.Transport.Net
 

@@ -7,8 +7,8 @@ defmodule MavRouter.Link.Transport.WebSocketTest do
   alias MavRouter.Link
   alias MavRouter.Link.Spec
   alias MavRouter.Link.Transport.WebSocket
-  alias Aerie.Base.WebSocket.Frames
-  alias Aerie.Base.WebSocket.Handshake
+  alias Aerie.Base.Net.WebSocket.Frames
+  alias Aerie.Base.Net.WebSocket.Handshake
   alias MavRouter.Router
 
   @patience Aerie.Patience.ms()

@@ -3,12 +3,12 @@ defmodule Aerie.Vehicle.Command.Schema do
   JSON Schemas of commands, from the table of their types: what they take, `Aerie.Vehicle.Command.parse/2` takes. Pure.
   """
 
-  import Aerie.Base.JsonSchema
+  import Aerie.Base.Json.Schema
 
   alias Aerie.Vehicle.Command.{Param, Result, Type, Types}
 
   @doc "A parameter's value."
-  @spec param(Param.t()) :: Aerie.Base.JsonSchema.t()
+  @spec param(Param.t()) :: Aerie.Base.Json.Schema.t()
   def param(%Param{} = param) do
     schema = param |> value() |> described(param.meaning, param.unit)
     if param.default == nil, do: schema, else: Map.put(schema, :default, param.default)
@@ -25,7 +25,7 @@ defmodule Aerie.Vehicle.Command.Schema do
     do: %{type: :array, minItems: 1, maxItems: param.max, items: value(param.items)}
 
   @doc "The parameters of a type. null is the same as a parameter that is left out, so a required one cannot be null."
-  @spec params(Type.t()) :: Aerie.Base.JsonSchema.t()
+  @spec params(Type.t()) :: Aerie.Base.Json.Schema.t()
   def params(%Type{} = type) do
     properties =
       Map.new(type.params, &{&1.name, if(&1.required, do: param(&1), else: nullable(param(&1)))})
@@ -44,7 +44,7 @@ defmodule Aerie.Vehicle.Command.Schema do
   defp given(name), do: %{required: [name], properties: %{name => %{not: %{type: :null}}}}
 
   @doc "The schemas that the others refer to, by their names: `moment`, and `params.TYPE` for each type."
-  @spec shared() :: %{String.t() => Aerie.Base.JsonSchema.t()}
+  @spec shared() :: %{String.t() => Aerie.Base.Json.Schema.t()}
   def shared do
     seconds = %{type: :number, exclusiveMinimum: 0, exclusiveMaximum: 1.0e11}
     moment = described(%{anyOf: [time(), seconds]}, "a time: ISO 8601 with its offset, or unix seconds")
@@ -55,7 +55,7 @@ defmodule Aerie.Vehicle.Command.Schema do
   The body of a command of one type. `type?`: the body names it; over NATS the subject does. `id?`: it must have an id.
   Times are compared with the gateway's clock, which a schema cannot say.
   """
-  @spec envelope(Type.t(), keyword()) :: Aerie.Base.JsonSchema.t()
+  @spec envelope(Type.t(), keyword()) :: Aerie.Base.Json.Schema.t()
   def envelope(%Type{} = type, options) do
     needed? = needed?(type)
     params = ref("params.#{type.name}")
@@ -83,7 +83,7 @@ defmodule Aerie.Vehicle.Command.Schema do
     do: Enum.any?(type.params, & &1.required) or Enum.any?(type.rules, &(elem(&1, 0) in [:one_of, :any_of]))
 
   @doc "A result; further keys are details, such as `mav_result`, `retries` or `remarks`."
-  @spec result() :: Aerie.Base.JsonSchema.t()
+  @spec result() :: Aerie.Base.Json.Schema.t()
   def result do
     object(
       %{

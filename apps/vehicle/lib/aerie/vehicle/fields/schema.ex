@@ -4,12 +4,12 @@ defmodule Aerie.Vehicle.Fields.Schema do
   versions may have more. Pure.
   """
 
-  import Aerie.Base.JsonSchema
+  import Aerie.Base.Json.Schema
 
   alias Aerie.Vehicle.Event
   alias Aerie.Vehicle.State.{Group, Groups}
 
-  @type t :: Aerie.Base.JsonSchema.t()
+  @type t :: Aerie.Base.Json.Schema.t()
 
   @doc "The data of a state group."
   @spec group(Group.t()) :: t()

@@ -49,7 +49,7 @@ defmodule Aerie.Vehicle.Session.Clock do
 
   @doc """
   Whether time begins again with a frame that came `at`. `now` is the newest time that is known, `host` the machine's
-  clock less the monotonic one (`Aerie.Base.HostClock`).
+  clock less the monotonic one (`Aerie.Base.Timing.HostClock`).
   """
   @spec restarted?(
           t() | nil,

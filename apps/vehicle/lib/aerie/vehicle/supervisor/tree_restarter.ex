@@ -2,15 +2,16 @@ defmodule Aerie.Vehicle.Supervisor.TreeRestarter do
   @moduledoc """
   Restarts a vehicle's tree when it died.
 
-  The first time at once, then with a back-off of up to 30 s (`Aerie.Base.Backoff`); a tree that lived for ten seconds
-  counts as new. A tree that is to stay stopped has to be forgotten first (`forget/2`): the exit reason does not tell,
-  because a supervisor that gives up exits with `:shutdown` as well.
+  The first time at once, then with a back-off of up to 30 s (`Aerie.Base.Timing.Backoff`); a tree that lived for ten
+  seconds counts as new. A tree that is to stay stopped has to be forgotten first (`forget/2`): the exit reason does not
+  tell, because a supervisor that gives up exits with `:shutdown` as well.
 
   It also stops a lost vehicle's tree when another vehicle needs its place (`Aerie.Vehicle.Capacity`).
   """
   use GenServer
 
-  alias Aerie.Base.{Backoff, Names, Store}
+  alias Aerie.Base.{Names, Store}
+  alias Aerie.Base.Timing.Backoff
   alias Aerie.Vehicle
 
   @min_delay_ms 250

@@ -2,7 +2,7 @@ defmodule Aerie.CLI.Subcommand.Machine.Config do
   @moduledoc "`aerie config check` and `aerie config show`."
   @behaviour Aerie.CLI.Subcommand
 
-  alias Aerie.Base.PortOwner
+  alias Aerie.Base.Net.PortOwner
   alias Aerie.Config
   alias Aerie.Control.Policy
   alias Aerie.Config.{Keys, Preflight}

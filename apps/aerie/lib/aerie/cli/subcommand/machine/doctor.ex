@@ -9,7 +9,7 @@ defmodule Aerie.CLI.Subcommand.Machine.Doctor do
   alias Aerie.Base.Files.Disk
   alias Aerie.Config
   alias Aerie.Config.Preflight
-  alias Aerie.Base.SerialPorts
+  alias Aerie.Base.Net.SerialPorts
   alias Aerie.CLI.{Gateway, Subcommand}
   alias Aerie.CLI.Output.Columns
 

@@ -1,7 +1,7 @@
 defmodule Aerie.Control.Operations.Mission.Forms do
   @moduledoc "The forms of a plan: an object as in a `.plan` file, or a file of one of several programs."
 
-  import Aerie.Base.JsonSchema
+  import Aerie.Base.Json.Schema
 
   alias Aerie.Control.Missions
 
@@ -36,7 +36,7 @@ defmodule Aerie.Control.Operations.Mission.Forms do
   end
 
   @doc "A .plan file of QGroundControl as an object. Which items and shapes it may have is in docs/transfers.md."
-  @spec schema() :: Aerie.Base.JsonSchema.t()
+  @spec schema() :: Aerie.Base.Json.Schema.t()
   def schema do
     section = %{type: :object}
 

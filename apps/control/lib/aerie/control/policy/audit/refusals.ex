@@ -10,7 +10,8 @@ defmodule Aerie.Control.Policy.Audit.Refusals do
   may something.
   """
 
-  alias Aerie.Base.{Names, TokenBucket}
+  alias Aerie.Base.Names
+  alias Aerie.Base.Timing.TokenBucket
   alias Aerie.Control.Policy.{ClientHistory, Roles}
 
   @minute_us 60_000_000

@@ -5,7 +5,6 @@ defmodule Aerie.Fleet.Bridge.Commands.Operation do
   """
 
   alias Aerie.Base.{Json, Names}
-  alias Aerie.Base.JsonSchema
   alias Aerie.Base.Settings.Field
   alias Aerie.Control.Operations
   alias Aerie.Control.Operations.Operation
@@ -106,12 +105,12 @@ defmodule Aerie.Fleet.Bridge.Commands.Operation do
   # --- Schemas
 
   @doc "The JSON Schema of a request."
-  @spec request_schema(Operation.t()) :: JsonSchema.t()
+  @spec request_schema(Operation.t()) :: Json.Schema.t()
   def request_schema(%{request: nil, transfer?: true, name: name, changes?: changes?} = operation) do
     envelope = %{
-      vehicle: JsonSchema.described(JsonSchema.token(), "if given, that of the subject"),
+      vehicle: Json.Schema.described(Json.Schema.token(), "if given, that of the subject"),
       type: %{const: name},
-      source: JsonSchema.described(%{type: :string}, "a remark")
+      source: Json.Schema.described(%{type: :string}, "a remark")
     }
 
     common = for field <- Operation.common(operation), do: %{field | required: changes? and field.key == :id}
@@ -134,13 +133,13 @@ defmodule Aerie.Fleet.Bridge.Commands.Operation do
   end
 
   @doc "The JSON Schema of the reply to one that reads, or that has an answer of its own."
-  @spec reply_schema(Operation.t()) :: JsonSchema.t()
+  @spec reply_schema(Operation.t()) :: Json.Schema.t()
   def reply_schema(%{transfer?: false} = operation),
     do: Operation.answer_schema(operation, %{result: %{const: "ok"}})
 
   def reply_schema(operation) do
     read = %{
-      id: JsonSchema.nullable(JsonSchema.token()),
+      id: Json.Schema.nullable(Json.Schema.token()),
       result: %{const: "completed"},
       reason: %{type: :null}
     }

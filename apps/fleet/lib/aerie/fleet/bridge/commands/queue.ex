@@ -16,7 +16,7 @@ defmodule Aerie.Fleet.Bridge.Commands.Queue do
   that somebody has overheard.
   """
 
-  alias Aerie.Base.TokenBucket
+  alias Aerie.Base.Timing.TokenBucket
 
   @checking 8
   @waiting 256

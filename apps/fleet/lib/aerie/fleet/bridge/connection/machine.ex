@@ -12,7 +12,7 @@ defmodule Aerie.Fleet.Bridge.Connection.Machine do
   that lasted less than `stable_ms` counts as a failure, so that a server that accepts and then closes causes no busy loop.
   """
 
-  alias Aerie.Base.Backoff
+  alias Aerie.Base.Timing.Backoff
 
   @enforce_keys [:backoff]
   defstruct [:backoff, urls: [], phase: :idle, attempts: 0, stable_ms: 5_000, failures: %{}]

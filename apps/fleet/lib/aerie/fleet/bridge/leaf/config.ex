@@ -9,7 +9,7 @@ defmodule Aerie.Fleet.Bridge.Leaf.Config do
   import Aerie.Base.Settings.Field, only: [field: 4, section: 3]
   import Aerie.Base.Settings.Rules
 
-  alias Aerie.Base.Address
+  alias Aerie.Base.Net.Address
   alias Aerie.Base.Settings.{Field, Schema, Types}
 
   @port 7422

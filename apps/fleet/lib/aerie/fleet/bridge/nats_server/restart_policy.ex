@@ -7,7 +7,7 @@ defmodule Aerie.Fleet.Bridge.NatsServer.RestartPolicy do
   ten seconds to ten minutes.
   """
 
-  alias Aerie.Base.Backoff
+  alias Aerie.Base.Timing.Backoff
 
   # Without jitter: 10 s, 20 s, … 10 min.
   @min_pause_ms 5_000

@@ -16,7 +16,7 @@ defmodule Aerie.Fleet.Shadow.Documents.Server do
   alias Aerie.Fleet.Shadow.Documents.Desired
   alias Aerie.Fleet.Shadow.GatewayLease.{Keeper, Numbers, Seal}
   alias Aerie.Base.PubSub
-  alias Aerie.Base.TokenBucket
+  alias Aerie.Base.Timing.TokenBucket
 
   require Logger
 

@@ -7,8 +7,8 @@ defmodule MavRouter.Link.Transport.Msp.Share do
   `share_origin` may; programs name none.
   """
 
-  alias Aerie.Base.Address
-  alias Aerie.Base.WebSocket.{Frames, Handshake}
+  alias Aerie.Base.Net.Address
+  alias Aerie.Base.Net.WebSocket.{Frames, Handshake}
   alias MavRouter.Link.Spec
   alias MavRouter.Link.Transport.TcpServer
   alias MavRouter.Endpoints.Access

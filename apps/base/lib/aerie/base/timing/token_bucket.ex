@@ -1,4 +1,4 @@
-defmodule Aerie.Base.TokenBucket do
+defmodule Aerie.Base.Timing.TokenBucket do
   @moduledoc """
   Limits the rate of something that costs more than a frame: a burst, and then one in an interval. A token bucket as one integer, the
   time at which it will be full again.

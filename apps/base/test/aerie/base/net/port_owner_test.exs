@@ -1,7 +1,7 @@
-defmodule Aerie.Base.PortOwnerTest do
+defmodule Aerie.Base.Net.PortOwnerTest do
   use ExUnit.Case, async: true
 
-  alias Aerie.Base.PortOwner
+  alias Aerie.Base.Net.PortOwner
 
   @tag :tmp_dir
   test "the program that has a device open, by any of its names", %{tmp_dir: dir} do

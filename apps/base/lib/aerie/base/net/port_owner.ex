@@ -1,4 +1,4 @@
-defmodule Aerie.Base.PortOwner do
+defmodule Aerie.Base.Net.PortOwner do
   @moduledoc """
   Which program holds a UDP or TCP port or a device of this machine, according to Linux' /proc.
 

@@ -1,7 +1,7 @@
-defmodule Aerie.Base.AddressTest do
+defmodule Aerie.Base.Net.AddressTest do
   use ExUnit.Case, async: true
 
-  alias Aerie.Base.Address
+  alias Aerie.Base.Net.Address
 
   test "which addresses are this machine's own" do
     for ip <- [{127, 0, 0, 1}, {127, 9, 9, 9}, {0, 0, 0, 0, 0, 0, 0, 1}, {0, 0, 0, 0, 0, 0xFFFF, 0x7F00, 1}],

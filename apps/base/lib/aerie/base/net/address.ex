@@ -1,4 +1,4 @@
-defmodule Aerie.Base.Address do
+defmodule Aerie.Base.Net.Address do
   @moduledoc """
   HOST:PORT of a connection string, and back to text: IPv4, IPv6 in brackets, or a name.
 
@@ -153,7 +153,7 @@ defmodule Aerie.Base.Address do
   An address or connection string as people may see it, in errors, logs, pages and records: without a login, and
   without the values behind its `?` that are not among the options of links.
 
-      iex> Aerie.Base.Address.shown("ws://ann:pass@10.0.0.5:8765/x?token=abc&id=north")
+      iex> Aerie.Base.Net.Address.shown("ws://ann:pass@10.0.0.5:8765/x?token=abc&id=north")
       "ws://[hidden]@10.0.0.5:8765/x?token=[hidden]&id=north"
   """
   @spec shown(String.t()) :: String.t()

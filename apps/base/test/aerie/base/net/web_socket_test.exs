@@ -1,12 +1,13 @@
-defmodule Aerie.Base.WebSocketTest do
+defmodule Aerie.Base.Net.WebSocketTest do
   @moduledoc "The side of a server: requests and masked frames, however they are cut (RFC 6455)."
   use ExUnit.Case, async: true
 
-  alias Aerie.Base.WebSocket.{Frames, Handshake}
+  alias Aerie.Base.Net.WebSocket.{Frames, Handshake}
 
   @key "dGhlIHNhbXBsZSBub25jZQ=="
-  @request "GET /chat HTTP/1.1\r\nHost: server.example\r\nUpgrade: WebSocket\r\nConnection: Upgrade\r\nSec-WebSocket-Key: #{@key}\r\n" <>
-             "Origin: https://page.example\r\nSec-WebSocket-Protocol: chat, superchat\r\nSec-WebSocket-Version: 13\r\n\r\n"
+  @request "GET /chat HTTP/1.1\r\nHost: server.example\r\nUpgrade: WebSocket\r\nConnection: Upgrade\r\n" <>
+             "Sec-WebSocket-Key: #{@key}\r\nOrigin: https://page.example\r\n" <>
+             "Sec-WebSocket-Protocol: chat, superchat\r\nSec-WebSocket-Version: 13\r\n\r\n"
 
   test "the standard's own example" do
     assert {:ok, request, "rest"} = Handshake.accept(@request <> "rest")

@@ -1,11 +1,11 @@
-defmodule Aerie.Base.UnixSocket.ListenerTest do
+defmodule Aerie.Base.Net.UnixSocket.ListenerTest do
   use ExUnit.Case, async: true
 
   import Aerie.Patience, only: [eventually: 1]
   import ExUnit.CaptureLog
 
   alias Aerie.Base.{Names, Store}
-  alias Aerie.Base.UnixSocket.Listener
+  alias Aerie.Base.Net.UnixSocket.Listener
   alias Aerie.ShortDir
 
   # A client that sends back what it gets.

@@ -1,4 +1,4 @@
-defmodule Aerie.Base.WebSocket.Frames do
+defmodule Aerie.Base.Net.WebSocket.Frames do
   @moduledoc """
   Parses what the other side of a WebSocket sends (RFC 6455): a value into which bytes are pushed in any pieces. A client masks its frames, a server must
   not.

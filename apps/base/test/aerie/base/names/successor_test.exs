@@ -1,8 +1,8 @@
-defmodule Aerie.Base.SuccessorTest do
+defmodule Aerie.Base.Names.SuccessorTest do
   use ExUnit.Case, async: true
 
   alias Aerie.Base.Names
-  alias Aerie.Base.Successor
+  alias Aerie.Base.Names.Successor
 
   # A supervisor with one named child that ends only when it is told to.
   defmodule Slow do

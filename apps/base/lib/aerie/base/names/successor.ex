@@ -1,4 +1,4 @@
-defmodule Aerie.Base.Successor do
+defmodule Aerie.Base.Names.Successor do
   @patience_ms 1_000
 
   @moduledoc """

@@ -1,7 +1,7 @@
-defmodule Aerie.Base.TokenBucketTest do
+defmodule Aerie.Base.Timing.TokenBucketTest do
   use ExUnit.Case, async: true
 
-  alias Aerie.Base.TokenBucket
+  alias Aerie.Base.Timing.TokenBucket
 
   defp take(full, times, keep \\ 0) do
     Enum.flat_map_reduce(times, full, fn now, full ->

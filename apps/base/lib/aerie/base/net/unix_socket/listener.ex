@@ -1,4 +1,4 @@
-defmodule Aerie.Base.UnixSocket.Listener do
+defmodule Aerie.Base.Net.UnixSocket.Listener do
   @moduledoc """
   Serves one unix socket: lets clients in, up to a limit, each with a process of its own.
 
@@ -10,7 +10,7 @@ defmodule Aerie.Base.UnixSocket.Listener do
   """
   use GenServer
 
-  alias Aerie.Base.UnixSocket
+  alias Aerie.Base.Net.UnixSocket
   alias Aerie.Base.Store
   alias Aerie.Base.Names
 

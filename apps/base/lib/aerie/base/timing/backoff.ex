@@ -1,4 +1,4 @@
-defmodule Aerie.Base.Backoff do
+defmodule Aerie.Base.Timing.Backoff do
   @moduledoc """
   How long to wait before the next attempt: none after the first failure, then twice as long each time, with jitter, up to
   a limit. A value without a clock. The random number can be passed, for tests.

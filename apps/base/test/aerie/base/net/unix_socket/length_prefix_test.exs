@@ -1,7 +1,7 @@
-defmodule Aerie.Base.UnixSocket.LengthPrefixTest do
+defmodule Aerie.Base.Net.UnixSocket.LengthPrefixTest do
   use ExUnit.Case, async: true
 
-  alias Aerie.Base.UnixSocket.LengthPrefix
+  alias Aerie.Base.Net.UnixSocket.LengthPrefix
 
   defp wire(frames), do: frames |> Enum.map(&LengthPrefix.wrap/1) |> IO.iodata_to_binary()
 

@@ -1,4 +1,4 @@
-defmodule Aerie.Base.HostClock do
+defmodule Aerie.Base.Timing.HostClock do
   @moduledoc """
   Notices when the machine's clock is set: by NTP, by hand, or by the GPS that a companion computer without a battery-backed clock
   waits for.

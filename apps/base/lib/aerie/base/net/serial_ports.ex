@@ -1,4 +1,4 @@
-defmodule Aerie.Base.SerialPorts do
+defmodule Aerie.Base.Net.SerialPorts do
   @moduledoc """
   The serial ports of a search: those of the configuration first, then `/dev/serial/by-id/*` (names that stay the same
   whichever socket the cable is in), `/dev/ttyACM*` and `/dev/ttyUSB*`. A port with several names is listed once, by the first

@@ -1,9 +1,9 @@
-defmodule Aerie.Base.UnixSocketTest do
+defmodule Aerie.Base.Net.UnixSocketTest do
   use ExUnit.Case, async: true
 
   import Bitwise
 
-  alias Aerie.Base.UnixSocket
+  alias Aerie.Base.Net.UnixSocket
   alias Aerie.ShortDir
 
   defp mode(path), do: File.stat!(path).mode &&& 0o777

@@ -1,9 +1,9 @@
-defmodule Aerie.Base.BackoffTest do
+defmodule Aerie.Base.Timing.BackoffTest do
   use ExUnit.Case, async: true
 
   import :proper_types
 
-  alias Aerie.Base.Backoff
+  alias Aerie.Base.Timing.Backoff
 
   test "the first retry is at once, the second after 250 to 500 ms" do
     assert {0, backoff} = Backoff.next(Backoff.new(), 0.7)

@@ -1,4 +1,4 @@
-defmodule Aerie.Base.UnixSocket do
+defmodule Aerie.Base.Net.UnixSocket do
   @moduledoc """
   A listening unix socket as a file with its permissions.
 

@@ -1,7 +1,7 @@
-defmodule Aerie.Base.SerialPortsTest do
+defmodule Aerie.Base.Net.SerialPortsTest do
   use ExUnit.Case, async: true
 
-  alias Aerie.Base.SerialPorts
+  alias Aerie.Base.Net.SerialPorts
 
   # Devices that every machine has, in place of serial ports.
   setup do

@@ -1,4 +1,4 @@
-defmodule Aerie.Base.UnixSocket.LengthPrefix do
+defmodule Aerie.Base.Net.UnixSocket.LengthPrefix do
   @moduledoc """
   The form of `mavlink.sock`: a 4-byte little-endian length before each frame, both ways. Pure.
 

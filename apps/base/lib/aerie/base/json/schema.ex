@@ -1,4 +1,4 @@
-defmodule Aerie.Base.JsonSchema do
+defmodule Aerie.Base.Json.Schema do
   @moduledoc """
   Pieces of the JSON Schemas in `docs/asyncapi.json` and `docs/openapi.json`, as maps. Only keywords that draft-07
   (AsyncAPI) and 2020-12 (OpenAPI 3.1) read alike are used. Pure.

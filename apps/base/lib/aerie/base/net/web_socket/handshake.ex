@@ -1,7 +1,7 @@
-defmodule Aerie.Base.WebSocket.Handshake do
+defmodule Aerie.Base.Net.WebSocket.Handshake do
   @moduledoc "The request that opens a WebSocket, and its answer, from both sides (RFC 6455, section 4). Pure."
 
-  alias Aerie.Base.Address
+  alias Aerie.Base.Net.Address
 
   # A status line with its headers.
   @max_bytes 16_384

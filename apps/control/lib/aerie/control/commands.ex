@@ -22,7 +22,7 @@ defmodule Aerie.Control.Commands do
     OffboardPrecondition,
     Recent,
     Record,
-    RemoteGateway,
+    Gateways,
     Server
   }
 
@@ -156,7 +156,7 @@ defmodule Aerie.Control.Commands do
 
     with {:ok, command} <- Command.new(fields),
          {:policy, %Policy{} = policy} <- {:policy, Policy.Store.get(gateway)},
-         %{} = snapshot <- RemoteGateway.vehicle(gateway, command.vehicle),
+         %{} = snapshot <- Gateways.vehicle(gateway, command.vehicle),
          context = Context.of(gateway, snapshot, source, System.os_time(:microsecond)),
          :allow <- Policy.decide(policy, command, context),
          {:ok, _steps} <- Offers.plan(command, snapshot),
@@ -191,7 +191,7 @@ defmodule Aerie.Control.Commands do
         "via" => via
       })
 
-      with %{} = snapshot <- RemoteGateway.vehicle(gateway, vehicle),
+      with %{} = snapshot <- Gateways.vehicle(gateway, vehicle),
            :ok <- cancel_job(gateway, held(gateway, snapshot), job, id) do
         :ok
       else
@@ -207,14 +207,14 @@ defmodule Aerie.Control.Commands do
   defp held(gateway, snapshot) do
     with holder when holder != nil <- Server.holder(gateway),
          {:other, name} <- holder.holder(gateway, snapshot.id) do
-      RemoteGateway.reached_by(snapshot, name)
+      Gateways.reached_by(snapshot, name)
     else
       _alone_mine_or_unknown -> snapshot
     end
   end
 
   defp cancel_job(gateway, %{via: via} = snapshot, _job, id) when via != nil,
-    do: RemoteGateway.module(gateway).cancel(gateway, snapshot, id)
+    do: Gateways.module(gateway).cancel(gateway, snapshot, id)
 
   defp cancel_job(gateway, %{key: key}, %{change?: true}, id), do: TransferExecutor.cancel(gateway, key, id)
   defp cancel_job(gateway, %{key: key}, _command, id), do: CommandExecutor.cancel(gateway, key, id)

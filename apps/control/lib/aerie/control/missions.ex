@@ -11,7 +11,7 @@ defmodule Aerie.Control.Missions do
   those of `t:Aerie.Control.Transfers.option/0`.
   """
 
-  alias Aerie.Control.Commands.RemoteGateway
+  alias Aerie.Control.Commands.Gateways
   alias Aerie.Base.Files.Text
   alias Aerie.Base.Names
   alias Aerie.Control.{Commands, Transfers}
@@ -171,7 +171,7 @@ defmodule Aerie.Control.Missions do
 
         gateway
         |> send_items(vehicle, kind, {:upload, items}, change, options)
-        |> Known.note(gateway, RemoteGateway.vehicle(gateway, vehicle), @kinds[kind], items)
+        |> Known.note(gateway, Gateways.vehicle(gateway, vehicle), @kinds[kind], items)
     end
   end
 
@@ -191,7 +191,7 @@ defmodule Aerie.Control.Missions do
 
     gateway
     |> send_items(vehicle, kind, :clear, change, options)
-    |> Known.note(gateway, RemoteGateway.vehicle(gateway, vehicle), @kinds[kind], [])
+    |> Known.note(gateway, Gateways.vehicle(gateway, vehicle), @kinds[kind], [])
   end
 
   @doc "Why a plan could be sent to no vehicle (a place without a height), or nil."
@@ -357,14 +357,14 @@ defmodule Aerie.Control.Missions do
   defp sent(_clear_or_download), do: 0
 
   defp kind_of(gateway, vehicle) do
-    case RemoteGateway.vehicle(gateway, vehicle) do
+    case Gateways.vehicle(gateway, vehicle) do
       nil -> "unknown"
       snapshot -> snapshot.vehicle_type
     end
   end
 
   defp protocol(gateway, vehicle) do
-    case RemoteGateway.vehicle(gateway, vehicle) do
+    case Gateways.vehicle(gateway, vehicle) do
       nil -> Firmware.of(:generic)
       snapshot -> Firmware.of(snapshot.autopilot)
     end

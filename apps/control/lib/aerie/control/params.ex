@@ -16,7 +16,7 @@ defmodule Aerie.Control.Params do
 
   alias Aerie.Base.Names
   alias Aerie.Control.{Commands, Transfers}
-  alias Aerie.Control.Commands.RemoteGateway
+  alias Aerie.Control.Commands.Gateways
   alias Aerie.Vehicle.Command.{Error, Result}
 
   alias Aerie.Control.Params.{
@@ -271,7 +271,7 @@ defmodule Aerie.Control.Params do
   def load(gateway, vehicle, text, options \\ []) do
     {unknown, options} = options |> Component.none!() |> Keyword.pop(:unknown, :refuse)
 
-    with {:ok, entries, remarks} <- read_file(text, RemoteGateway.vehicle(gateway, vehicle)),
+    with {:ok, entries, remarks} <- read_file(text, Gateways.vehicle(gateway, vehicle)),
          {:ok, table} <- list(gateway, vehicle, Keyword.take(options, [:progress])),
          :ok <- present(entries, table, unknown) do
       differ =
@@ -312,7 +312,7 @@ defmodule Aerie.Control.Params do
   def diff(gateway, vehicle, other, options \\ [])
 
   def diff(gateway, vehicle, text, options) when is_binary(text) do
-    with {:ok, entries, _remarks} <- read_file(text, RemoteGateway.vehicle(gateway, vehicle)),
+    with {:ok, entries, _remarks} <- read_file(text, Gateways.vehicle(gateway, vehicle)),
          {:ok, table} <- list(gateway, vehicle, Component.none!(options)),
          do: {:ok, Diff.diff(entries, table)}
   end

@@ -11,7 +11,7 @@ defmodule Aerie.Control.Transfers do
   alias Aerie.Control.{Commands, TransferExecutor}
   alias Aerie.Vehicle.Command
   alias Aerie.Vehicle.Command.{Error, Result}
-  alias Aerie.Control.Commands.{Change, RemoteGateway}
+  alias Aerie.Control.Commands.{Change, Gateways}
   alias Aerie.Control.Policy.{Intent, Roles}
   alias Aerie.Control.Policy.Mavlink.SystemId
   alias Aerie.Control.Transfers.{Outcome, Progress}
@@ -65,7 +65,7 @@ defmodule Aerie.Control.Transfers do
           optional(:before) => (snapshot :: map() -> (Result.t() -> Result.t())),
           optional(:review) => term(),
           optional(:sets) => [{String.t(), term()}],
-          optional(:remote_request) => RemoteGateway.request()
+          optional(:remote_request) => Gateways.request()
         }
 
   @doc "The longest time limit that NATS and REST accept, in seconds."
@@ -86,12 +86,12 @@ defmodule Aerie.Control.Transfers do
   """
   @spec vehicle(Names.gateway(), String.t()) :: {:ok, map()} | {:error, Result.t()}
   def vehicle(gateway, id) do
-    case RemoteGateway.vehicle(gateway, id) do
+    case Gateways.vehicle(gateway, id) do
       nil ->
         {:error, Result.new(Command.id(), :rejected, "there is no vehicle #{id}", %{"rule" => "vehicle"})}
 
       %{via: via} when via != nil ->
-        {:error, Result.new(Command.id(), :rejected, RemoteGateway.only(via), %{"rule" => "elsewhere"})}
+        {:error, Result.new(Command.id(), :rejected, Gateways.only(via), %{"rule" => "elsewhere"})}
 
       snapshot ->
         {:ok, snapshot}
@@ -105,14 +105,14 @@ defmodule Aerie.Control.Transfers do
   @spec read_remote(
           Names.gateway(),
           String.t(),
-          RemoteGateway.request(),
+          Gateways.request(),
           [option()]
         ) ::
           :here | {:ok, %{String.t() => term()}} | {:error, Result.t()}
   def read_remote(gateway, vehicle, request, options) do
     with true <- options[:via] != "nats",
-         %{via: via} = snapshot when via != nil <- RemoteGateway.vehicle(gateway, vehicle),
-         module when module != nil <- RemoteGateway.module(gateway) do
+         %{via: via} = snapshot when via != nil <- Gateways.vehicle(gateway, vehicle),
+         module when module != nil <- Gateways.module(gateway) do
       id = options[:id] || Command.id()
       who = Command.passed_on(source(options).name, options[:via] || "elixir")
       tell = teller(options[:progress], id)

@@ -8,7 +8,7 @@ defmodule Aerie.Fleet.Remote do
   vehicle is lost, the answer is `failed` with the rule `unreachable` at once, and nothing was sent. Parameters and
   plans go the same way, on the subjects that `Aerie.Fleet.Bridge.Commands.Operation` answers.
   """
-  @behaviour Aerie.Control.Commands.RemoteGateway
+  @behaviour Aerie.Control.Commands.Gateways
 
   alias Aerie.Base.Names
   alias Aerie.Fleet
@@ -32,10 +32,10 @@ defmodule Aerie.Fleet.Remote do
   @own ~w(id result reason)
   @progress ~w(progress text phase done total)
 
-  @impl Aerie.Control.Commands.RemoteGateway
+  @impl Aerie.Control.Commands.Gateways
   defdelegate vehicle(gateway, id), to: Fleet
 
-  @impl Aerie.Control.Commands.RemoteGateway
+  @impl Aerie.Control.Commands.Gateways
   def submit(gateway, snapshot, command, request, progress) do
     timeout = max(div(command.deadline - System.os_time(:microsecond), 1000) + @after_deadline_ms, 0)
     what = "cmd.#{command.type}"
@@ -45,7 +45,7 @@ defmodule Aerie.Fleet.Remote do
     |> result(command.id, snapshot)
   end
 
-  @impl Aerie.Control.Commands.RemoteGateway
+  @impl Aerie.Control.Commands.Gateways
   def transfer(gateway, snapshot, id, {area, operation, body}, who, timeout_ms, progress) do
     limit = if timeout_ms, do: %{"timeout" => timeout_ms / 1000}, else: %{}
     text = body |> Map.merge(%{"id" => id, "source" => who}) |> Map.merge(limit) |> JSON.encode!()
@@ -200,7 +200,7 @@ defmodule Aerie.Fleet.Remote do
   defp plain?(value),
     do: is_number(value) or is_boolean(value) or (is_binary(value) and byte_size(value) <= @max_text)
 
-  @impl Aerie.Control.Commands.RemoteGateway
+  @impl Aerie.Control.Commands.Gateways
   def cancel(gateway, snapshot, id) do
     subject = "fleet.#{Bridge.environment(gateway)}.#{snapshot.id}.cmd.cancel"
     body = JSON.encode!(%{"id" => id})

@@ -14,7 +14,7 @@ defmodule Aerie.Control.Commands.Change do
   @typedoc """
     * `:facts` - the intent by which the rules judge it; its type is that of the envelope
     * `:review` - a further check by the policy before anything is sent; nil for none
-    * `:remote_request` - the request to the gateway that hears the vehicle (`t:Aerie.Control.Commands.RemoteGateway.request/0`); nil: it is
+    * `:remote_request` - the request to the gateway that hears the vehicle (`t:Aerie.Control.Commands.Gateways.request/0`); nil: it is
       not passed on
     * `:timeout_ms` - the time limit that was asked for, nil for none
     * `:run` - makes the change, given the vehicle's snapshot and a function that reports progress
@@ -24,7 +24,7 @@ defmodule Aerie.Control.Commands.Change do
           review:
             nil | (Policy.t(), Context.t(), snapshot :: map() -> :allow | {:deny, Policy.rule(), String.t()}),
           timeout_ms: pos_integer() | nil,
-          remote_request: nil | Aerie.Control.Commands.RemoteGateway.request(),
+          remote_request: nil | Aerie.Control.Commands.Gateways.request(),
           run: (snapshot :: map(), (map() -> :ok) -> Result.t())
         }
 end

@@ -5,11 +5,11 @@ defmodule Aerie.Control.Commands.Ownership do
   """
 
   alias Aerie.Vehicle.Command.Result
-  alias Aerie.Control.Commands.OwnershipCheck
+  alias Aerie.Control.Commands.Gateways.Sending
   alias Aerie.Base.Names
 
   @doc "The gateway that holds a vehicle."
-  @callback holder(Names.gateway(), vehicle :: String.t()) :: OwnershipCheck.holder()
+  @callback holder(Names.gateway(), vehicle :: String.t()) :: Sending.holder()
 
   @doc """
   Claims a command's id where all gateways see it, within a time. `{:taken, claim}`: another gateway has claimed it, and

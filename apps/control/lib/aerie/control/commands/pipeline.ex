@@ -6,7 +6,7 @@ defmodule Aerie.Control.Commands.Pipeline do
 
   alias Aerie.Base.{Names, Store}
   alias Aerie.Control.{CommandExecutor, Ledger, Policy}
-  alias Aerie.Control.Commands.{OffboardPrecondition, Record, RemoteGateway}
+  alias Aerie.Control.Commands.{OffboardPrecondition, Record, Gateways}
   alias Aerie.Control.Commands.Pipeline.{Core, Request}
   alias Aerie.Control.Policy.Mavlink.Writing
   alias Aerie.Control.Policy.{Audit, Context, ControlLeases, Rate, RecentCommands}
@@ -17,7 +17,7 @@ defmodule Aerie.Control.Commands.Pipeline do
   Where it runs.
 
     * `server` - gets the progress
-    * `remote_gateway` - passes commands on to the gateways of other vehicles (`Aerie.Control.Commands.RemoteGateway`)
+    * `remote_gateway` - passes commands on to the gateways of other vehicles (`Aerie.Control.Commands.Gateways`)
     * `holder` - knows which gateway holds a vehicle (`Aerie.Control.Commands.Ownership`); nil if this one is alone
   """
   @type environment :: %{
@@ -159,7 +159,7 @@ defmodule Aerie.Control.Commands.Pipeline do
   defp vehicle(%{via: via, command: command}, %{gateway: gateway, remote_gateway: remote_gateway}) do
     if remote_gateway == nil or via == "nats",
       do: Store.vehicle(gateway, command.vehicle),
-      else: RemoteGateway.vehicle(gateway, command.vehicle)
+      else: Gateways.vehicle(gateway, command.vehicle)
   end
 
   defp context(gateway, snapshot, request),

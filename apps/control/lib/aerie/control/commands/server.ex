@@ -35,7 +35,7 @@ defmodule Aerie.Control.Commands.Server do
         }
 
   @doc """
-  `:remote_gateway` passes commands on to other gateways (`Aerie.Control.Commands.RemoteGateway`); `:holder` knows which
+  `:remote_gateway` passes commands on to other gateways (`Aerie.Control.Commands.Gateways`); `:holder` knows which
   gateway holds a vehicle (`Aerie.Control.Commands.Ownership`).
   """
   @spec start_link(

@@ -12,7 +12,7 @@ defmodule Aerie.Control.Commands.Supervisor do
   alias Aerie.Control.Policy.ControlLease
 
   @doc """
-  `:remote_gateway` passes commands on to other gateways (`Aerie.Control.Commands.RemoteGateway`); without it there are none. `:holder` knows which
+  `:remote_gateway` passes commands on to other gateways (`Aerie.Control.Commands.Gateways`); without it there are none. `:holder` knows which
   gateway holds a vehicle (`Aerie.Control.Commands.Ownership`); without one this gateway is alone.
   """
   @spec start_link(

@@ -53,10 +53,10 @@ defmodule Aerie.Fleet.Shadow.Documents do
   end
 
   @doc """
-  The gateway that holds a vehicle (`Aerie.Control.Commands.OwnershipCheck`): by both clocks, because a machine that was
+  The gateway that holds a vehicle (`Aerie.Control.Commands.Gateways`): by both clocks, because a machine that was
   suspended counts too little on one of them.
   """
-  @spec holder(Names.gateway(), String.t()) :: Aerie.Control.Commands.OwnershipCheck.holder()
+  @spec holder(Names.gateway(), String.t()) :: Aerie.Control.Commands.Gateways.Sending.holder()
   def holder(gateway, vehicle), do: if(Bridge.off?(gateway), do: :alone, else: held(gateway, vehicle))
 
   defp held(gateway, vehicle) do

@@ -5,7 +5,7 @@ defmodule Aerie.Fleet.Shadow.LeasedCommandsTest do
   """
   use ExUnit.Case, async: true
 
-  alias Aerie.Control.Commands.OwnershipCheck
+  alias Aerie.Control.Commands.Gateways.Sending
   alias Aerie.Fleet.Shadow.GatewayLease
 
   @ttl 10_000
@@ -123,7 +123,7 @@ defmodule Aerie.Fleet.Shadow.LeasedCommandsTest do
         do: {:send?, holder(gateway, now), now},
         else: {:holder, holder(gateway, now), now}
 
-    {holding, action} = OwnershipCheck.handle(holding, event)
+    {holding, action} = Sending.handle(holding, event)
     done(action, id, holding, gateway, world)
   end
 
@@ -133,7 +133,7 @@ defmodule Aerie.Fleet.Shadow.LeasedCommandsTest do
   defp given(gateway, id, relayed?, world) do
     if is_map_key(gateway.ledger, id) or List.keymember?(gateway.jobs, id, 0),
       do: gateway,
-      else: %{gateway | jobs: gateway.jobs ++ [{id, OwnershipCheck.new(now(gateway, world) + 500, relayed?)}]}
+      else: %{gateway | jobs: gateway.jobs ++ [{id, Sending.new(now(gateway, world) + 500, relayed?)}]}
   end
 
   defp done({:again, _ms}, id, holding, gateway, world), do: put(world, later(gateway, id, holding))
@@ -149,7 +149,7 @@ defmodule Aerie.Fleet.Shadow.LeasedCommandsTest do
   defp done(:claim, id, holding, gateway, world) do
     {claimed, bucket} = claim(gateway, id, world.bucket)
 
-    case OwnershipCheck.handle(holding, {:claimed, claimed}) do
+    case Sending.handle(holding, {:claimed, claimed}) do
       # From here on the ledger says that it may have been sent.
       {holding, :go_on} ->
         put(%{world | bucket: bucket}, later(ledger(gateway, id, :sending), id, holding))

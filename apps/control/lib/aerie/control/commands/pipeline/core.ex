@@ -16,7 +16,8 @@ defmodule Aerie.Control.Commands.Pipeline.Core do
 
   alias Aerie.Vehicle.Command
   alias Aerie.Vehicle.Command.Result
-  alias Aerie.Control.Commands.{OwnershipCheck, RemoteGateway}
+  alias Aerie.Control.Commands.Gateways
+  alias Aerie.Control.Commands.Gateways.Sending
   alias Aerie.Control.Commands.Pipeline.Request
   alias Aerie.Control.Policy.{Intent, ControlLease}
 
@@ -58,7 +59,7 @@ defmodule Aerie.Control.Commands.Pipeline.Core do
           snapshot: map() | nil,
           asked: :known | :admit | nil,
           refusal: [action()] | nil,
-          ownership: OwnershipCheck.t() | nil,
+          ownership: Sending.t() | nil,
           promise: :fleet | :gateway | :urgent | nil,
           result: Result.t() | nil,
           token?: boolean()
@@ -74,7 +75,7 @@ defmodule Aerie.Control.Commands.Pipeline.Core do
           | :waited
           | {:seen, snapshot :: map() | nil, :allow | denial()}
           | {:token, :ok | denial()}
-          | {:holder, OwnershipCheck.holder()}
+          | {:holder, Sending.holder()}
           | {:known, :new | :in_flight | {:stored, Result.t()} | {:refused | :error, String.t()}}
           | {:judged, {:audit, required? :: boolean()} | :allow | :no_policy | denial()}
           | {:setpoints, :ok | {:error, String.t()}}
@@ -139,7 +140,7 @@ defmodule Aerie.Control.Commands.Pipeline.Core do
   def handle(core, {:token, :ok}, now), do: find_holder(%{core | token?: true}, now)
 
   def handle(%{ownership: %{stage: :look}} = core, {:holder, holder}, now) do
-    case OwnershipCheck.handle(core.ownership, {:holder, holder, now.ms}) do
+    case Sending.handle(core.ownership, {:holder, holder, now.ms}) do
       {ownership, :go_on} -> admit(%{core | ownership: ownership}, now)
       {_over, {:pass_on, name}} -> elsewhere(%{core | ownership: nil}, name, now)
       {_over, {:refuse, rule, why}} -> refuse(core, :denied, rule, unsent(why))
@@ -149,14 +150,14 @@ defmodule Aerie.Control.Commands.Pipeline.Core do
   end
 
   def handle(%{ownership: %{stage: :held}} = core, {:holder, holder}, now) do
-    case OwnershipCheck.handle(core.ownership, {:holder, holder, now.ms}) do
+    case Sending.handle(core.ownership, {:holder, holder, now.ms}) do
       {ownership, :claim} -> {%{core | ownership: ownership}, [{:claim, claim_ms(core, ownership)}]}
       {_over, {:refuse, rule, why}} -> stop(core, :denied, rule, unsent(why))
     end
   end
 
   def handle(%{ownership: %{stage: :claimed}} = core, {:holder, holder}, now) do
-    case OwnershipCheck.handle(core.ownership, {:send?, holder, now.ms}) do
+    case Sending.handle(core.ownership, {:send?, holder, now.ms}) do
       {_over, {:send, promise}} -> send_off(%{core | promise: promise})
       {_over, {:refuse, rule, why}} -> stop(core, :denied, rule, unsent(why))
     end
@@ -201,7 +202,7 @@ defmodule Aerie.Control.Commands.Pipeline.Core do
   end
 
   def handle(core, {:claimed, claimed}, _now) do
-    case OwnershipCheck.handle(core.ownership, {:claimed, claimed}) do
+    case Sending.handle(core.ownership, {:claimed, claimed}) do
       {ownership, :go_on} -> {%{core | ownership: ownership}, [{:sending, Request.retry(core.request)}]}
       {_over, {:known, claim}} -> finish(core, claimed_result(core, claim))
       {_over, {:refuse, rule, why}} -> stop(core, :denied, rule, unsent(why))
@@ -249,13 +250,13 @@ defmodule Aerie.Control.Commands.Pipeline.Core do
   defp find_holder(%{snapshot: %{via: via}} = core, now) when via != nil, do: admit(core, now)
 
   defp find_holder(%{request: request, intent: intent} = core, now) do
-    ownership = OwnershipCheck.new(now.ms + core.patience, request.via == "nats", intent.ends_flight?)
+    ownership = Sending.new(now.ms + core.patience, request.via == "nats", intent.ends_flight?)
     {%{core | ownership: ownership}, [:holder]}
   end
 
   # Another gateway holds the vehicle, which is heard here.
   defp elsewhere(%{settings: %{remote?: true}} = core, name, now),
-    do: admit(%{core | snapshot: RemoteGateway.reached_by(core.snapshot, name)}, now)
+    do: admit(%{core | snapshot: Gateways.reached_by(core.snapshot, name)}, now)
 
   defp elsewhere(%{intent: %{ends_flight?: true}} = core, _name, now), do: admit(core, now)
 
@@ -265,7 +266,7 @@ defmodule Aerie.Control.Commands.Pipeline.Core do
   defp admit(%{request: %{command: command, change: change}, snapshot: snapshot} = core, now) do
     cond do
       match?(%{remote_request: nil}, change) and snapshot[:via] != nil ->
-        refuse(core, :rejected, :elsewhere, RemoteGateway.only(snapshot.via))
+        refuse(core, :rejected, :elsewhere, Gateways.only(snapshot.via))
 
       Command.expired?(command, now.us) ->
         refuse(core, :expired, :deadline, late())

@@ -1,4 +1,4 @@
-defmodule Aerie.Control.Commands.RemoteGateway do
+defmodule Aerie.Control.Commands.Gateways do
   @moduledoc """
   Passes commands on to the gateway that hears the vehicle, after ledger, rates, policy and audit log of this gateway
   have let them through; those of the other gateway then decide as well. `Aerie.Fleet.Remote` implements it;

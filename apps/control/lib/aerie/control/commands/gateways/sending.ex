@@ -1,4 +1,4 @@
-defmodule Aerie.Control.Commands.OwnershipCheck do
+defmodule Aerie.Control.Commands.Gateways.Sending do
   @moduledoc """
   Decides whether this gateway may send a command to a vehicle that others may hear as well. A pure value for one
   command; `Aerie.Control.Commands.Pipeline` asks what it wants to know and does what it says.

@@ -7,7 +7,7 @@ defmodule Aerie.System.TwoGatewaysTest do
 
   alias Aerie.{BridgeCase, HubServer}
   alias Aerie.Control.Commands
-  alias Aerie.Fleet.{Bridge, Shadow}
+  alias Aerie.Fleet.{Bridge, Remote}
   alias Aerie.Control.Policy.Signature
 
   @moduletag :tmp_dir
@@ -82,7 +82,7 @@ defmodule Aerie.System.TwoGatewaysTest do
     {holder, other}
   end
 
-  defp holder(%{gateway: gateway}), do: Remote.Claims.holder(gateway, @vehicle)
+  defp holder(%{gateway: gateway}), do: Remote.holder(gateway, @vehicle)
 
   # Between the vehicle and both gateways. It keeps the commands that pass to the vehicle.
   defp wire(ports) do

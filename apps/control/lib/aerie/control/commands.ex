@@ -192,24 +192,12 @@ defmodule Aerie.Control.Commands do
       })
 
       with %{} = snapshot <- Gateways.vehicle(gateway, vehicle),
-           :ok <- cancel_job(gateway, held(gateway, snapshot), job, id) do
+           :ok <- cancel_job(gateway, Gateways.reached(gateway, snapshot), job, id) do
         :ok
       else
         nil -> {:error, :impossible, "the vehicle is not known"}
         {:error, reason} -> {:error, :impossible, reason}
       end
-    end
-  end
-
-  # Another gateway may hold a vehicle that is heard here.
-  defp held(_gateway, %{via: via} = snapshot) when via != nil, do: snapshot
-
-  defp held(gateway, snapshot) do
-    with holder when holder != nil <- Server.holder(gateway),
-         {:other, name} <- holder.holder(gateway, snapshot.id) do
-      Gateways.reached_by(snapshot, name)
-    else
-      _alone_mine_or_unknown -> snapshot
     end
   end
 

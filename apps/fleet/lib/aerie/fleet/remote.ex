@@ -7,12 +7,21 @@ defmodule Aerie.Fleet.Remote do
   id stays, so its ledger keeps the command from being done twice. Nothing is queued: if nobody listens, or the
   vehicle is lost, the answer is `failed` with the rule `unreachable` at once, and nothing was sent. Parameters and
   plans go the same way, on the subjects that `Aerie.Fleet.Bridge.Commands.Operation` answers.
+
+  The lease of the shadow says which gateway holds a vehicle:
+
+  | gateway | holds a vehicle |
+  |---|---|
+  | no NATS (`nats.mode: off`) | always |
+  | a server of its own (`embedded`), also with a leaf node | unless another gateway that uses it has the lease |
+  | `nats.url` | while its lease lasts; while NATS is away not, unless `shadow.without_nats` is `act` |
   """
   @behaviour Aerie.Control.Commands.Gateways
 
   alias Aerie.Base.Names
   alias Aerie.Fleet
   alias Aerie.Fleet.{Bridge, Nats}
+  alias Aerie.Fleet.Remote.Claims
   alias Aerie.Vehicle.Command
   alias Aerie.Fleet.Bridge.Commands.Operation
   alias Aerie.Vehicle.Command.Result
@@ -34,6 +43,15 @@ defmodule Aerie.Fleet.Remote do
 
   @impl Aerie.Control.Commands.Gateways
   defdelegate vehicle(gateway, id), to: Fleet
+
+  @impl Aerie.Control.Commands.Gateways
+  defdelegate holder(gateway, vehicle), to: Documents
+
+  @impl Aerie.Control.Commands.Gateways
+  defdelegate claim(gateway, vehicle, id, timeout_ms), to: Claims
+
+  @impl Aerie.Control.Commands.Gateways
+  defdelegate done(gateway, vehicle, result), to: Claims
 
   @impl Aerie.Control.Commands.Gateways
   def submit(gateway, snapshot, command, request, progress) do
@@ -137,7 +155,7 @@ defmodule Aerie.Fleet.Remote do
 
   # This gateway also hears the vehicle, and the other one holds it.
   defp there?(gateway, %{id: id, via: via, heard_here?: true}),
-    do: match?({:other, ^via}, Documents.holder(gateway, id))
+    do: match?({:other, ^via}, holder(gateway, id))
 
   defp there?(gateway, snapshot) do
     match?(

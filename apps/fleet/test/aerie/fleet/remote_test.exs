@@ -27,7 +27,7 @@ defmodule Aerie.Fleet.RemoteTest do
     }
 
     start_part(Policy.Supervisor, gateway, sections)
-    options = LinkCase.options(Commands.Supervisor, gateway, sections) ++ [remote_gateway: Remote]
+    options = LinkCase.options(Commands.Supervisor, gateway, sections) ++ [gateways: Remote]
 
     start_supervised!(%{
       id: :commands,

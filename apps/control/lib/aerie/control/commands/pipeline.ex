@@ -17,15 +17,13 @@ defmodule Aerie.Control.Commands.Pipeline do
   Where it runs.
 
     * `server` - gets the progress
-    * `remote_gateway` - passes commands on to the gateways of other vehicles (`Aerie.Control.Commands.Gateways`)
-    * `holder` - knows which gateway holds a vehicle (`Aerie.Control.Commands.Ownership`); nil if this one is alone
+    * `gateways` - knows the other gateways (`Aerie.Control.Commands.Gateways`); nil if this one is alone
   """
   @type environment :: %{
           gateway: Names.gateway(),
           server: pid(),
           settings: Core.settings(),
-          remote_gateway: module() | nil,
-          holder: module() | nil
+          gateways: module() | nil
         }
 
   @doc "Runs a command to its result, which is then in the ledger, the audit log and the metrics."
@@ -54,8 +52,8 @@ defmodule Aerie.Control.Commands.Pipeline do
     Record.done(gateway, command, result, nil)
   end
 
-  defp perform(:look, %{request: request, intent: intent}, %{gateway: gateway} = environment) do
-    snapshot = vehicle(request, environment)
+  defp perform(:look, %{request: request, intent: intent}, %{gateway: gateway}) do
+    snapshot = vehicle(request, gateway)
     policy = Policy.Store.get(gateway)
     judged? = snapshot != nil and policy != nil
 
@@ -100,8 +98,8 @@ defmodule Aerie.Control.Commands.Pipeline do
 
   defp perform(:setpoints, _core, _environment), do: {:setpoints, :ok}
 
-  defp perform({:claim, timeout_ms}, %{request: %{command: command}}, %{gateway: gateway, holder: holder}),
-    do: {:claimed, holder.claim(gateway, command.vehicle, command.id, timeout_ms)}
+  defp perform({:claim, timeout_ms}, %{request: %{command: command}}, %{gateway: gateway, gateways: gateways}),
+       do: {:claimed, gateways.claim(gateway, command.vehicle, command.id, timeout_ms)}
 
   defp perform({:sending, retry}, core, %{gateway: gateway}),
     do: {:sending, Ledger.sending(gateway, core.request.command.id, retry, core.patience)}
@@ -137,8 +135,8 @@ defmodule Aerie.Control.Commands.Pipeline do
     {:lease, ControlLeases.change(gateway, snapshot.key, change, request.source, request.via, rules)}
   end
 
-  defp perform({:announce, result}, core, %{gateway: gateway, holder: holder}),
-    do: holder.done(gateway, core.request.command.vehicle, result)
+  defp perform({:announce, result}, core, %{gateway: gateway, gateways: gateways}),
+    do: gateways.done(gateway, core.request.command.vehicle, result)
 
   defp perform({:refuse, status, rule, reason, stored?}, %{request: request} = core, %{gateway: gateway}) do
     result = Record.refused(gateway, request, status, rule, reason)
@@ -156,11 +154,8 @@ defmodule Aerie.Control.Commands.Pipeline do
   end
 
   # A command from another gateway is not passed on again.
-  defp vehicle(%{via: via, command: command}, %{gateway: gateway, remote_gateway: remote_gateway}) do
-    if remote_gateway == nil or via == "nats",
-      do: Store.vehicle(gateway, command.vehicle),
-      else: Gateways.vehicle(gateway, command.vehicle)
-  end
+  defp vehicle(%{via: "nats", command: command}, gateway), do: Store.vehicle(gateway, command.vehicle)
+  defp vehicle(%{command: command}, gateway), do: Gateways.vehicle(gateway, command.vehicle)
 
   defp context(gateway, snapshot, request),
     do: Context.of(gateway, snapshot, request.source, System.os_time(:microsecond))
@@ -199,7 +194,7 @@ defmodule Aerie.Control.Commands.Pipeline do
 
   defp pass_on(nil, %{request: request} = core, %{gateway: gateway} = environment) do
     tell = progress(core, environment)
-    environment.remote_gateway.submit(gateway, core.snapshot, request.command, request, tell)
+    environment.gateways.submit(gateway, core.snapshot, request.command, request, tell)
   end
 
   defp pass_on(%{remote_request: asked} = change, core, %{gateway: gateway} = environment) do
@@ -208,7 +203,7 @@ defmodule Aerie.Control.Commands.Pipeline do
     who = Command.passed_on(source.name, via)
     tell = progress(core, environment)
 
-    case environment.remote_gateway.transfer(gateway, core.snapshot, command.id, asked, who, left_ms, tell) do
+    case environment.gateways.transfer(gateway, core.snapshot, command.id, asked, who, left_ms, tell) do
       {:ok, details} -> Result.new(command.id, :completed, nil, details)
       {:error, result} -> result
     end
@@ -239,6 +234,6 @@ defmodule Aerie.Control.Commands.Pipeline do
     end
   end
 
-  defp holder(core, %{gateway: gateway, holder: holder}),
-    do: holder.holder(gateway, core.request.command.vehicle)
+  defp holder(core, %{gateway: gateway, gateways: gateways}),
+    do: gateways.holder(gateway, core.request.command.vehicle)
 end

@@ -35,14 +35,12 @@ defmodule Aerie.Control.Commands.Server do
         }
 
   @doc """
-  `:remote_gateway` passes commands on to other gateways (`Aerie.Control.Commands.Gateways`); `:holder` knows which
-  gateway holds a vehicle (`Aerie.Control.Commands.Ownership`).
+  `:gateways` knows the other gateways (`Aerie.Control.Commands.Gateways`); nil if this one is alone.
   """
   @spec start_link(
           gateway: Names.gateway(),
           settings: Settings.t(),
-          remote_gateway: module() | nil,
-          holder: module() | nil
+          gateways: module() | nil
         ) :: GenServer.on_start()
   def start_link(options),
     do: GenServer.start_link(__MODULE__, options, name: Names.via(options[:gateway], :command_server))
@@ -87,27 +85,21 @@ defmodule Aerie.Control.Commands.Server do
   @impl GenServer
   def init(options) do
     Process.flag(:trap_exit, true)
-    %{gateway: gateway, settings: settings, remote_gateway: remote_gateway, holder: holder} = Map.new(options)
+    %{gateway: gateway, settings: settings, gateways: gateways} = Map.new(options)
     Process.set_label({:command_server, gateway})
     Recent.abandoned(gateway)
 
-    Names.put_value(gateway, :command_server, %{
-      remote_gateway: remote_gateway,
-      holder: holder,
-      grace_ms: settings.grace_ms
-    })
+    Names.put_value(gateway, :command_server, %{gateways: gateways, grace_ms: settings.grace_ms})
 
     environment = %{
       gateway: gateway,
       server: self(),
-      remote_gateway: remote_gateway,
-      holder: holder,
+      gateways: gateways,
       settings: %{
         ledger_required?: settings.ledger.required,
         urgent_ms: settings.urgent_ms,
         record_ms: settings.record_ms,
-        remote?: remote_gateway != nil,
-        shared?: holder != nil
+        shared?: gateways != nil
       }
     }
 
@@ -121,10 +113,6 @@ defmodule Aerie.Control.Commands.Server do
        draining: nil
      }}
   end
-
-  @doc "How it is known who holds a vehicle; nil if this gateway is alone."
-  @spec holder(Names.gateway()) :: module() | nil
-  def holder(gateway), do: with(%{holder: module} <- Names.value(gateway, :command_server), do: module)
 
   @impl GenServer
   def handle_call({:submit, %{command: %{id: id} = command} = request}, from, state) do

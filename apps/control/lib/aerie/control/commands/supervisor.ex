@@ -12,14 +12,12 @@ defmodule Aerie.Control.Commands.Supervisor do
   alias Aerie.Control.Policy.ControlLease
 
   @doc """
-  `:remote_gateway` passes commands on to other gateways (`Aerie.Control.Commands.Gateways`); without it there are none. `:holder` knows which
-  gateway holds a vehicle (`Aerie.Control.Commands.Ownership`); without one this gateway is alone.
+  `:gateways` knows the other gateways (`Aerie.Control.Commands.Gateways`); without it this one is alone.
   """
   @spec start_link(
           gateway: Names.gateway(),
           settings: Settings.t(),
-          remote_gateway: module(),
-          holder: module()
+          gateways: module()
         ) ::
           Supervisor.on_start()
   def start_link(options),
@@ -39,11 +37,7 @@ defmodule Aerie.Control.Commands.Supervisor do
          max_entries: ledger.max_entries,
          max_age_s: round(ledger.max_age_s)},
         {Task.Supervisor, name: Names.via(gateway, :command_tasks)},
-        {Server,
-         gateway: gateway,
-         settings: settings,
-         remote_gateway: options[:remote_gateway],
-         holder: options[:holder]},
+        {Server, gateway: gateway, settings: settings, gateways: options[:gateways]},
         {Recovery, gateway: gateway},
         {ControlLease.Announcer, gateway: gateway}
       ],

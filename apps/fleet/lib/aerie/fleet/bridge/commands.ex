@@ -4,7 +4,7 @@ defmodule Aerie.Fleet.Bridge.Commands do
 
   The gateway listens for the vehicles that it has heard, so a request for any other one is answered by the server (no
   responders). If several gateways hear the same vehicle, the one that holds it listens
-  (`Aerie.Fleet.Remote.Claims`); the others leave it.
+  (`Aerie.Control.Commands.Gateways`); the others leave it.
 
   So are requests for parameters, plans, files and logs (`Aerie.Fleet.Bridge.Commands.Operation`), on subjects with
   their own area in the place of `cmd`.

@@ -1,24 +1,17 @@
 defmodule Aerie.Fleet.Remote.Claims do
   @moduledoc """
-  Which gateway holds a vehicle, by the lease of the shadow, and the ids of commands in the bucket `fleet_commands`, where all gateways of
-  a NATS server see them.
-
-  | gateway | holds a vehicle |
-  |---|---|
-  | no NATS (`nats.mode: off`) | always |
-  | a server of its own (`embedded`), a companion with a leaf node too | unless another gateway that uses this server has the lease |
-  | `nats.url` | while its lease lasts; while NATS is away not, unless `shadow.without_nats` is `act` |
+  The ids of commands in the bucket `fleet_commands`, where all gateways of a NATS server see which of them sends a
+  command, and what became of it.
   """
-  @behaviour Aerie.Control.Commands.Ownership
 
+  alias Aerie.Base.Names
   alias Aerie.Vehicle.Command.Result
   alias Aerie.Fleet.Nats
   alias Aerie.Fleet.Shadow.{Buckets, Documents}
 
-  @impl Aerie.Control.Commands.Ownership
-  def holder(gateway, vehicle), do: Documents.holder(gateway, vehicle)
-
-  @impl Aerie.Control.Commands.Ownership
+  @doc "Claims a command's id (`c:Aerie.Control.Commands.Gateways.claim/4`)."
+  @spec claim(Names.gateway(), String.t(), String.t(), pos_integer()) ::
+          :ok | {:taken, %{by: String.t(), result: Result.t() | nil}} | {:error, String.t()}
   def claim(gateway, vehicle, id, timeout_ms) do
     case Documents.nats(gateway) do
       {conn, environment} ->
@@ -55,8 +48,8 @@ defmodule Aerie.Fleet.Remote.Claims do
 
   defp result(_claim, _id), do: nil
 
-  # Without it another gateway says `unknown`.
-  @impl Aerie.Control.Commands.Ownership
+  @doc "Says what became of a command; without it another gateway says `unknown`."
+  @spec done(Names.gateway(), String.t(), Result.t()) :: :ok
   def done(gateway, vehicle, result) do
     _ =
       with {conn, environment} <- Documents.nats(gateway) do

@@ -118,12 +118,7 @@ defmodule Aerie.Fleet.Shadow.LeasedCommandsTest do
     now = now(gateway, world)
     gateway = %{gateway | jobs: jobs}
 
-    event =
-      if holding.stage == :claimed,
-        do: {:send?, holder(gateway, now), now},
-        else: {:holder, holder(gateway, now), now}
-
-    {holding, action} = Sending.handle(holding, event)
+    {holding, action} = Sending.handle(holding, {:holder, holder(gateway, now), now})
     done(action, id, holding, gateway, world)
   end
 

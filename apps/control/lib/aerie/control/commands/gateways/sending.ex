@@ -40,7 +40,6 @@ defmodule Aerie.Control.Commands.Gateways.Sending do
   @type holder :: :alone | {:mine, until :: integer()} | {:other, String.t()} | {:unknown, String.t()}
   @type event ::
           {:holder, holder(), now :: integer()}
-          | {:send?, holder(), now :: integer()}
           | {:claimed, :ok | {:taken, term()} | {:error, String.t()}}
   @type action ::
           {:again, ms :: pos_integer()}
@@ -57,7 +56,7 @@ defmodule Aerie.Control.Commands.Gateways.Sending do
 
   @doc """
   What follows from what is known. Events: who holds the vehicle (`:holder`, at the beginning, and again right before
-  the claim), what became of the claim, and who holds it right before the first message (`:send?`).
+  the claim and right before the first message), and what became of the claim.
   """
   @spec handle(t(), event()) :: {t(), action()}
   def handle(%{stage: :look} = state, {:holder, holder, now}) do
@@ -95,7 +94,7 @@ defmodule Aerie.Control.Commands.Gateways.Sending do
   def handle(%{stage: :claiming} = state, {:claimed, {:error, why}}),
     do: over(state, {:refuse, :claim, "its id could not be claimed where other gateways see it (#{why})"})
 
-  def handle(%{stage: :claimed} = state, {:send?, holder, now}) do
+  def handle(%{stage: :claimed} = state, {:holder, holder, now}) do
     case lease(holder, now) do
       {:ok, :alone} -> over(state, {:send, :gateway})
       {:ok, _until} -> over(state, {:send, :fleet})

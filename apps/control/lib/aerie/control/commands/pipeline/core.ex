@@ -28,20 +28,18 @@ defmodule Aerie.Control.Commands.Pipeline.Core do
   @unheld ~w(unreachable holder claim unavailable vehicle)
 
   @enforce_keys [:request, :intent, :settings, :patience]
-  defstruct @enforce_keys ++ [:snapshot, :asked, :refusal, :ownership, :promise, :result, token?: false]
+  defstruct @enforce_keys ++ [:snapshot, :asked, :refusal, :sending, :promise, :result, token?: false]
 
   @typedoc """
     * `ledger_required?` - nothing is sent while the ledger cannot be written
     * `urgent_ms` - how long a command that holds a vehicle or brings it down waits for the ledger and the audit log;
       `record_ms` - how long other commands wait for them
-    * `remote?` - whether commands can be passed on to other gateways
-    * `shared?` - whether another gateway may hold a vehicle that is heard here
+    * `shared?` - whether there may be other gateways
   """
   @type settings :: %{
           ledger_required?: boolean(),
           urgent_ms: pos_integer(),
           record_ms: pos_integer(),
-          remote?: boolean(),
           shared?: boolean()
         }
 
@@ -59,7 +57,7 @@ defmodule Aerie.Control.Commands.Pipeline.Core do
           snapshot: map() | nil,
           asked: :known | :admit | nil,
           refusal: [action()] | nil,
-          ownership: Sending.t() | nil,
+          sending: Sending.t() | nil,
           promise: :fleet | :gateway | :urgent | nil,
           result: Result.t() | nil,
           token?: boolean()
@@ -139,27 +137,15 @@ defmodule Aerie.Control.Commands.Pipeline.Core do
   def handle(core, {:token, {:deny, rule, reason}}, _now), do: refuse(core, :denied, rule, reason)
   def handle(core, {:token, :ok}, now), do: find_holder(%{core | token?: true}, now)
 
-  def handle(%{ownership: %{stage: :look}} = core, {:holder, holder}, now) do
-    case Sending.handle(core.ownership, {:holder, holder, now.ms}) do
-      {ownership, :go_on} -> admit(%{core | ownership: ownership}, now)
-      {_over, {:pass_on, name}} -> elsewhere(%{core | ownership: nil}, name, now)
-      {_over, {:refuse, rule, why}} -> refuse(core, :denied, rule, unsent(why))
+  def handle(core, {:holder, holder}, now) do
+    case Sending.handle(core.sending, {:holder, holder, now.ms}) do
+      {sending, :go_on} -> admit(%{core | sending: sending}, now)
+      {_over, {:pass_on, name}} -> admit(reached_by(core, name), now)
       {_same, {:again, ms}} when core.asked == :known -> {core, [{:wait, ms}]}
       {_same, {:again, _ms}} -> {%{core | asked: :known}, [{:ask, :known}]}
-    end
-  end
-
-  def handle(%{ownership: %{stage: :held}} = core, {:holder, holder}, now) do
-    case Sending.handle(core.ownership, {:holder, holder, now.ms}) do
-      {ownership, :claim} -> {%{core | ownership: ownership}, [{:claim, claim_ms(core, ownership)}]}
-      {_over, {:refuse, rule, why}} -> stop(core, :denied, rule, unsent(why))
-    end
-  end
-
-  def handle(%{ownership: %{stage: :claimed}} = core, {:holder, holder}, now) do
-    case Sending.handle(core.ownership, {:send?, holder, now.ms}) do
+      {sending, :claim} -> {%{core | sending: sending}, [{:claim, claim_ms(core, sending)}]}
       {_over, {:send, promise}} -> send_off(%{core | promise: promise})
-      {_over, {:refuse, rule, why}} -> stop(core, :denied, rule, unsent(why))
+      {_over, {:refuse, rule, why}} -> refuse(core, :denied, rule, unsent(why))
     end
   end
 
@@ -186,37 +172,37 @@ defmodule Aerie.Control.Commands.Pipeline.Core do
   def handle(core, {:judged, :allow}, _now), do: {core, [{:count, :allow, nil}, :setpoints]}
 
   def handle(core, {:judged, :no_policy}, _now),
-    do: stop(core, :denied, :policy, "the gateway has no policy, so nobody may command anything")
+    do: refuse(core, :denied, :policy, "the gateway has no policy, so nobody may command anything")
 
   def handle(core, {:judged, {:deny, rule, reason}}, _now),
-    do: stop(core, :denied, rule, reason, [{:count, :deny, rule}])
+    do: refuse(core, :denied, rule, reason, [{:count, :deny, rule}])
 
-  def handle(core, {:setpoints, {:error, reason}}, _now), do: stop(core, :rejected, :setpoints, reason)
+  def handle(core, {:setpoints, {:error, reason}}, _now), do: refuse(core, :rejected, :setpoints, reason)
 
   def handle(%{request: %{command: command}} = core, {:setpoints, :ok}, now) do
     cond do
-      Command.expired?(command, now.us) -> stop(core, :expired, :deadline, late())
-      core.ownership == nil -> {core, [{:sending, Request.retry(core.request)}]}
+      Command.expired?(command, now.us) -> refuse(core, :expired, :deadline, late())
+      core.sending == nil -> {core, [{:sending, Request.retry(core.request)}]}
       true -> {core, [:holder]}
     end
   end
 
   def handle(core, {:claimed, claimed}, _now) do
-    case Sending.handle(core.ownership, {:claimed, claimed}) do
-      {ownership, :go_on} -> {%{core | ownership: ownership}, [{:sending, Request.retry(core.request)}]}
+    case Sending.handle(core.sending, {:claimed, claimed}) do
+      {sending, :go_on} -> {%{core | sending: sending}, [{:sending, Request.retry(core.request)}]}
       {_over, {:known, claim}} -> finish(core, claimed_result(core, claim))
-      {_over, {:refuse, rule, why}} -> stop(core, :denied, rule, unsent(why))
+      {_over, {:refuse, rule, why}} -> refuse(core, :denied, rule, unsent(why))
     end
   end
 
-  def handle(core, {:sending, :ok}, _now), do: sending(core)
+  def handle(core, {:sending, :ok}, _now), do: held(core)
 
   def handle(core, {:sending, {kind, reason}}, _now) do
     cond do
       # It is unknown whether it was done before.
-      kind == :refused and Request.retry(core.request) == :never -> stop(core, :denied, :ledger, reason)
-      unrecorded?(core) -> sending(core)
-      true -> stop(core, :denied, :ledger, unrecorded(core, reason))
+      kind == :refused and Request.retry(core.request) == :never -> refuse(core, :denied, :ledger, reason)
+      unrecorded?(core) -> held(core)
+      true -> refuse(core, :denied, :ledger, unrecorded(core, reason))
     end
   end
 
@@ -250,18 +236,13 @@ defmodule Aerie.Control.Commands.Pipeline.Core do
   defp find_holder(%{snapshot: %{via: via}} = core, now) when via != nil, do: admit(core, now)
 
   defp find_holder(%{request: request, intent: intent} = core, now) do
-    ownership = Sending.new(now.ms + core.patience, request.via == "nats", intent.ends_flight?)
-    {%{core | ownership: ownership}, [:holder]}
+    sending = Sending.new(now.ms + core.patience, request.via == "nats", intent.ends_flight?)
+    {%{core | sending: sending}, [:holder]}
   end
 
-  # Another gateway holds the vehicle, which is heard here.
-  defp elsewhere(%{settings: %{remote?: true}} = core, name, now),
-    do: admit(%{core | snapshot: Gateways.reached_by(core.snapshot, name)}, now)
-
-  defp elsewhere(%{intent: %{ends_flight?: true}} = core, _name, now), do: admit(core, now)
-
-  defp elsewhere(core, name, _now),
-    do: refuse(core, :denied, :holder, unsent("the gateway #{name} holds the vehicle"))
+  # Another gateway holds the vehicle, which is heard here; it claims the command.
+  defp reached_by(core, name),
+    do: %{core | sending: nil, snapshot: Gateways.reached_by(core.snapshot, name)}
 
   defp admit(%{request: %{command: command, change: change}, snapshot: snapshot} = core, now) do
     cond do
@@ -276,16 +257,14 @@ defmodule Aerie.Control.Commands.Pipeline.Core do
     end
   end
 
+  # What was admitted keeps its refusal; nothing else is kept.
   defp refuse(core, status, rule, reason, counted \\ []) do
-    refusal = counted ++ [{:refuse, status, rule, reason, false}]
+    refusal = counted ++ [{:refuse, status, rule, reason, core.asked == :admit}]
 
     if core.asked == nil,
       do: {%{core | asked: :known, refusal: refusal}, [{:ask, :known}]},
       else: {core, refusal}
   end
-
-  defp stop(core, status, rule, reason, counted \\ []),
-    do: {core, counted ++ [{:refuse, status, rule, reason, true}]}
 
   defp repeated(%{token?: true} = core, action), do: {core, [:put_back_token, action]}
   defp repeated(core, action), do: {core, [action]}
@@ -302,7 +281,7 @@ defmodule Aerie.Control.Commands.Pipeline.Core do
   defp claim_ms(core, %{lease: lease, urgent?: urgent?}) when lease == :alone or urgent?,
     do: min(@alone_ms, core.patience)
 
-  defp claim_ms(core, _ownership), do: core.patience
+  defp claim_ms(core, _sending), do: core.patience
 
   defp claimed_result(_core, %{result: %Result{} = result}), do: result
 
@@ -311,8 +290,8 @@ defmodule Aerie.Control.Commands.Pipeline.Core do
     Result.new(core.request.command.id, :unknown, reason)
   end
 
-  defp sending(%{ownership: nil} = core), do: send_off(core)
-  defp sending(core), do: {core, [:holder]}
+  defp held(%{sending: nil} = core), do: send_off(core)
+  defp held(core), do: {core, [:holder]}
 
   defp send_off(core) do
     {core, actions} = carry_out(core)

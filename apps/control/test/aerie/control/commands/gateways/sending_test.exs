@@ -8,9 +8,9 @@ defmodule Aerie.Control.Commands.Gateways.SendingTest do
     assert {state, :go_on} = Sending.handle(state, {:holder, {:mine, 500}, 0})
     assert {state, :claim} = Sending.handle(state, {:holder, {:mine, 500}, 499})
     assert {state, :go_on} = Sending.handle(state, {:claimed, :ok})
-    assert {_over, {:send, :fleet}} = Sending.handle(state, {:send?, {:mine, 900}, 501})
-    assert {_over, {:refuse, :holder, _}} = Sending.handle(state, {:send?, {:mine, 500}, 500})
-    assert {_over, {:refuse, :holder, _}} = Sending.handle(state, {:send?, {:other, "b"}, 1})
+    assert {_over, {:send, :fleet}} = Sending.handle(state, {:holder, {:mine, 900}, 501})
+    assert {_over, {:refuse, :holder, _}} = Sending.handle(state, {:holder, {:mine, 500}, 500})
+    assert {_over, {:refuse, :holder, _}} = Sending.handle(state, {:holder, {:other, "b"}, 1})
   end
 
   test "a claim of another gateway or one that failed ends it; a gateway that is alone needs no claim" do
@@ -27,7 +27,7 @@ defmodule Aerie.Control.Commands.Gateways.SendingTest do
 
     assert {_over, {:known, :them}} = Sending.handle(held.(:alone), {:claimed, {:taken, :them}})
     assert {state, :go_on} = Sending.handle(held.(:alone), {:claimed, {:error, "no"}})
-    assert {_over, {:send, :gateway}} = Sending.handle(state, {:send?, :alone, 0})
+    assert {_over, {:send, :gateway}} = Sending.handle(state, {:holder, :alone, 0})
   end
 
   test "what brings a vehicle down waits for no lease: unknown, not renewed, not claimed, or relayed" do
@@ -40,7 +40,7 @@ defmodule Aerie.Control.Commands.Gateways.SendingTest do
       assert {state, :go_on} = Sending.handle(state, {:holder, holder, 1_000})
       assert {state, :claim} = Sending.handle(state, {:holder, holder, 1_000})
       assert {state, :go_on} = Sending.handle(state, {:claimed, {:error, "NATS is away"}})
-      assert {_over, {:send, :urgent}} = Sending.handle(state, {:send?, holder, 1_001})
+      assert {_over, {:send, :urgent}} = Sending.handle(state, {:holder, holder, 1_001})
     end
 
     # With a lease nothing changes, but for a claim that somebody else made: it may be forged.
@@ -51,7 +51,7 @@ defmodule Aerie.Control.Commands.Gateways.SendingTest do
     assert {state, :claim} = Sending.handle(state, {:holder, {:mine, 500}, 0})
     assert {_state, :go_on} = Sending.handle(state, {:claimed, {:taken, :them}})
     assert {state, :go_on} = Sending.handle(state, {:claimed, :ok})
-    assert {_over, {:send, :fleet}} = Sending.handle(state, {:send?, {:mine, 500}, 1})
+    assert {_over, {:send, :fleet}} = Sending.handle(state, {:holder, {:mine, 500}, 1})
   end
 
   test "another one's command is passed on, but not twice; without knowing who holds it nothing is sent" do

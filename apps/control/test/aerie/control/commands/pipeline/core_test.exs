@@ -8,7 +8,7 @@ defmodule Aerie.Control.Commands.Pipeline.CoreTest do
 
   @us 1_795_339_800_000_000
   @operator %{name: "ops", role: :operator, permissions: []}
-  @settings %{ledger_required?: true, urgent_ms: 500, record_ms: 5_000, remote?: true, shared?: true}
+  @settings %{ledger_required?: true, urgent_ms: 500, record_ms: 5_000, shared?: true}
   @params %{"gripper" => %{action: "release"}, "goto" => %{lat: 47, lon: 8, altitude: 9}}
   @ends [:answer, :refuse, :finish]
   @sends [:execute, :pass_on]
@@ -55,11 +55,6 @@ defmodule Aerie.Control.Commands.Pipeline.CoreTest do
     answers = %{holder: [{:other, "b"}], pass_on: [Result.new("a", :unknown)]}
     assert [:pass_on, :execute, :finish] = Enum.take(names(play(core("land"), answers)), -3)
     assert [:pass_on, :finish] = Enum.take(names(play(core("goto"), answers)), -2)
-    # Nobody can pass it on.
-    assert :execute in names(play(core("land", %{remote?: false}), answers))
-
-    assert {{:refuse, :denied, :holder, _why, false}, nil} =
-             List.last(play(core("goto", %{remote?: false}), answers))
   end
 
   test "another gateway had the command: its result, or that it is not known" do
@@ -184,7 +179,7 @@ defmodule Aerie.Control.Commands.Pipeline.CoreTest do
 
     types = :proper_types.oneof(~w(goto land gripper force_disarm take_control release_control))
     bool = :proper_types.boolean()
-    settings = :proper_types.fixed_list([bool, bool, bool])
+    settings = :proper_types.fixed_list([bool, bool])
     named = for {question, answer} <- answers, do: {question, :proper_types.vector(4, answer)}
 
     :proper_types.bind(
@@ -194,8 +189,8 @@ defmodule Aerie.Control.Commands.Pipeline.CoreTest do
         :proper_types.oneof(["rest", "nats"]),
         :proper_types.fixed_list(Enum.map(named, &elem(&1, 1)))
       ]),
-      fn {type, [ledger?, remote?, shared?], via, lists} ->
-        settings = %{ledger_required?: ledger?, remote?: remote?, shared?: shared?}
+      fn {type, [ledger?, shared?], via, lists} ->
+        settings = %{ledger_required?: ledger?, shared?: shared?}
         {type, settings, via, Map.new(Enum.zip(Enum.map(named, &elem(&1, 0)), lists))}
       end,
       false

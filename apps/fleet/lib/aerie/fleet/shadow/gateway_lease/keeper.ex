@@ -236,7 +236,7 @@ defmodule Aerie.Fleet.Shadow.GatewayLease.Keeper do
     state
   end
 
-  # The gateway that holds a vehicle, for commands (`Aerie.Fleet.Remote.Claims`).
+  # The gateway that holds a vehicle, for commands (`Aerie.Control.Commands.Gateways`).
   defp held(%{kept: %{local?: true}}, _vehicle), do: :alone
   defp held(%{conn: nil, settings: %{without_nats: :act}}, _vehicle), do: :alone
 

@@ -4,7 +4,7 @@ defmodule Aerie.Vehicle.Firmware do
   write that folder and add its adapter (`Aerie.Vehicle.Firmware.Adapter`) to the list in this file.
   """
 
-  alias Aerie.Vehicle.Firmware.{Traits, Unknown}
+  alias Aerie.Vehicle.Firmware.{Telemetry, Traits, Unknown}
 
   @typedoc "A firmware by the name that state, NATS and REST have; `:generic` for any that is not in the list."
   @type name :: atom()
@@ -38,6 +38,10 @@ defmodule Aerie.Vehicle.Firmware do
   @doc "What a firmware is and what it offers."
   @spec traits(name() | nil) :: Traits.t()
   def traits(name), do: of(name).traits()
+
+  @doc "Where the messages of a firmware say other things than MAVLink declares."
+  @spec telemetry(name() | nil) :: Telemetry.t()
+  def telemetry(name), do: of(name).telemetry()
 
   @doc "The name of a firmware for people."
   @spec title(name()) :: String.t()

@@ -3,7 +3,7 @@ defmodule Aerie.Vehicle.Core.Reporting do
   Texts (STATUSTEXT) and reports (EVENT) of the vehicle, which often say the same (`Aerie.Vehicle.Reports`).
   """
 
-  alias Aerie.Vehicle.{Core, Detector, Reports, State}
+  alias Aerie.Vehicle.{Core, Detector, Firmware, Reports, State}
   alias Aerie.Vehicle.Core.{Collisions, Effects, Services}
   alias Aerie.Vehicle.Detector.{Observation, Px4Reports, StatusTexts}
   alias Protocols.StatusText
@@ -48,19 +48,19 @@ defmodule Aerie.Vehicle.Core.Reporting do
     {core, [Effects.observation(core, :part_text, text.at, data) | actions]}
   end
 
-  # By MSP a text names what keeps the vehicle from being armed; SYS_STATUS says when nothing does any more.
-  defp arming(
-         {%{state: %{autopilot: autopilot}} = core, actions},
-         %{text: "Arming disabled: " <> names} = text
-       )
-       when autopilot in [:betaflight, :inav] do
+  # SYS_STATUS says when nothing keeps it from being armed any more.
+  defp arming({core, _actions} = acc, %{text: "Arming disabled: " <> names} = text) do
     checks = for name <- String.split(names, ", "), do: %{id: nil, name: name, severity: text.severity}
-    core = %{core | state: State.put(core.state, :health, %{arming_checks: checks}, text.at)}
-    {core, actions} = Effects.sample({core, actions}, :health, text.at)
-    Effects.check_digest(core, actions, text.at)
+    if Firmware.telemetry(core.state.autopilot).arming_texts?, do: checks(acc, checks, text.at), else: acc
   end
 
   defp arming(acc, _text), do: acc
+
+  defp checks({core, actions}, checks, at) do
+    core = %{core | state: State.put(core.state, :health, %{arming_checks: checks}, at)}
+    {core, actions} = Effects.sample({core, actions}, :health, at)
+    Effects.check_digest(core, actions, at)
+  end
 
   @doc "Does what is due at `now`."
   @spec expire(acc(), integer()) :: acc()
@@ -117,13 +117,11 @@ defmodule Aerie.Vehicle.Core.Reporting do
     {%{core | dirty: true}, [{:observe, observation} | actions]}
   end
 
-  defp output({:checks, list}, {core, actions}, at) do
+  defp output({:checks, list}, acc, at) do
     checks =
       for report <- list, do: %{id: Reports.hex(report).id, name: report.name, severity: report.severity}
 
-    core = %{core | state: State.put(core.state, :health, %{arming_checks: checks}, at)}
-    {core, actions} = Effects.sample({core, actions}, :health, at)
-    Effects.check_digest(core, actions, at)
+    checks(acc, checks, at)
   end
 
   # With its first event since its boot, the autopilot is asked what it says about its events.

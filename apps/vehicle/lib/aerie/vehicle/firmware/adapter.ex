@@ -5,10 +5,13 @@ defmodule Aerie.Vehicle.Firmware.Adapter do
   else it is the one that can hurt.
   """
 
-  alias Aerie.Vehicle.Firmware.Traits
+  alias Aerie.Vehicle.Firmware.{Telemetry, Traits}
 
   @doc "What it is and what it offers."
   @callback traits() :: Traits.t()
+
+  @doc "Where its messages say other things than MAVLink declares."
+  @callback telemetry() :: Telemetry.t()
 
   @doc false
   defmacro __using__([]) do
@@ -16,6 +19,11 @@ defmodule Aerie.Vehicle.Firmware.Adapter do
       @behaviour unquote(__MODULE__)
       @behaviour Aerie.Vehicle.Protocol
       @behaviour Protocols.Mission.Firmware
+
+      @impl true
+      def traits, do: %Aerie.Vehicle.Firmware.Traits{}
+      @impl true
+      def telemetry, do: %Aerie.Vehicle.Firmware.Telemetry{}
 
       @impl true
       def gap(_type, _kind), do: "Aerie knows how to command ArduPilot and PX4, not this firmware"
@@ -47,6 +55,7 @@ defmodule Aerie.Vehicle.Firmware.Adapter do
       @impl true
       def plan_verdict(_message, _mission_type, _opaque_id), do: :ignore
 
+      defoverridable unquote(__MODULE__)
       defoverridable Aerie.Vehicle.Protocol
       defoverridable Protocols.Mission.Firmware
     end

@@ -2,7 +2,4 @@ defmodule Aerie.Vehicle.Firmware.Unknown do
   @moduledoc "A firmware that is not in the list: the default of everything."
 
   use Aerie.Vehicle.Firmware.Adapter
-
-  @impl true
-  def traits, do: %Aerie.Vehicle.Firmware.Traits{}
 end

@@ -8,7 +8,7 @@ defmodule Aerie.Vehicle.State.Battery do
   `charge_state` is the worst of all batteries.
   """
 
-  alias Aerie.Vehicle.State
+  alias Aerie.Vehicle.{Firmware, State}
   alias Aerie.Vehicle.State.{Group, Value}
   alias MavCodec.Enums.MavBatteryChargeState
   alias MavCodec.Messages, as: M
@@ -131,10 +131,13 @@ defmodule Aerie.Vehicle.State.Battery do
   defp voltage_of(0), do: nil
   defp voltage_of(millivolts), do: millivolts / 1000
 
-  # PX4 scales its "unknown" of -1 A before sending it. The lowest number is what did not fit.
-  defp current(-100, :px4), do: nil
-  defp current(-0x8000, _autopilot), do: nil
-  defp current(centiamperes, _autopilot), do: Value.or_minus_one(centiamperes, 100)
+  # The lowest number is what did not fit.
+  defp current(-0x8000, _firmware), do: nil
+
+  defp current(centiamperes, firmware) do
+    if centiamperes != Firmware.telemetry(firmware).unknown_current,
+      do: Value.or_minus_one(centiamperes, 100)
+  end
 
   defp remaining(percent) when percent in 0..100, do: percent / 100
   defp remaining(_unknown), do: nil

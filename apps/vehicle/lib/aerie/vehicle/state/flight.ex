@@ -5,12 +5,12 @@ defmodule Aerie.Vehicle.State.Flight do
   1. A rover, boat or submarine never is.
   2. EXTENDED_SYS_STATE, if it came within the last five seconds and is not undefined.
   3. A vehicle that is not armed does not fly.
-  4. ArduPilot's heartbeat: ACTIVE is flying, STANDBY is not (in a failsafe it says neither).
+  4. The heartbeat of a firmware whose ACTIVE is flying, and STANDBY is not (in a failsafe ArduPilot says neither).
   5. The height: above 1.5 m it flies; below 0.5 m with less than 0.3 m/s vertical speed it does not; in between it is as
      before. Without a height one that flew still does; whether another one does is not known.
   """
 
-  alias Aerie.Vehicle.{Kind, State}
+  alias Aerie.Vehicle.{Firmware, Kind, State}
   alias MavCodec.Enums.MavLandedState
 
   @fresh_us 5_000_000
@@ -51,25 +51,26 @@ defmodule Aerie.Vehicle.State.Flight do
   low enough to stand on the ground.
   """
   @spec aloft?(State.t()) :: boolean()
-  def aloft?(%{autopilot: autopilot}) when autopilot in [:ardupilot, :px4], do: false
-
   def aloft?(state) do
     height = State.data(state, :position).alt_rel
-    State.data(state, :mode).landed_state != "ON_GROUND" and (height == nil or height > @up_m)
+
+    not Firmware.telemetry(state.autopilot).detects_landing? and
+      State.data(state, :mode).landed_state != "ON_GROUND" and (height == nil or height > @up_m)
   end
 
   defp fall_back(in_air, _state, _mode) when is_boolean(in_air), do: in_air
   defp fall_back(nil, _state, %{armed: false}), do: false
-  defp fall_back(nil, %{autopilot: :ardupilot}, %{system_status: "ACTIVE"}), do: true
-  defp fall_back(nil, %{autopilot: :ardupilot}, %{system_status: "STANDBY"}), do: false
 
   defp fall_back(nil, state, mode) do
     height = State.data(state, :position).alt_rel
     sinking = State.data(state, :velocity).vd
+    by_status? = Firmware.telemetry(state.autopilot).status_flies?
 
     cond do
-      # ArduPilot has said so, but for a failsafe.
-      height == nil -> if mode.in_air || state.autopilot == :ardupilot, do: mode.in_air
+      by_status? and mode.system_status == "ACTIVE" -> true
+      by_status? and mode.system_status == "STANDBY" -> false
+      # It has said so, but for a failsafe.
+      height == nil -> if mode.in_air || by_status?, do: mode.in_air
       height > @up_m -> true
       height < @down_m and abs(sinking || 0.0) < @still_m_s -> false
       true -> mode.in_air || false

@@ -5,6 +5,7 @@ defmodule Aerie.Vehicle.State.Health do
   """
   import Bitwise
 
+  alias Aerie.Vehicle.Firmware
   alias Aerie.Vehicle.State.{Battery, Group, Mission, Value}
   alias MavCodec.Enums.MavSysStatusSensor
   alias MavCodec.Messages, as: M
@@ -114,11 +115,11 @@ defmodule Aerie.Vehicle.State.Health do
   end
 
   # What was in the way before it was ready is not any more (`Aerie.Vehicle.Core.Reporting`).
-  defp nothing_in_the_way(%{ready_to_arm: true} = health, %{autopilot: autopilot})
-       when autopilot in [:betaflight, :inav],
-       do: Map.put(health, :arming_checks, [])
-
-  defp nothing_in_the_way(health, _state), do: health
+  defp nothing_in_the_way(health, state) do
+    if health.ready_to_arm == true and Firmware.telemetry(state.autopilot).arming_texts?,
+      do: Map.put(health, :arming_checks, []),
+      else: health
+  end
 
   # PX4 shows a lost receiver as not present.
   defp rc_receiver(m) do

@@ -22,12 +22,12 @@ defmodule Aerie.Vehicle.State.HighLatency do
     with {lat, lon} <- Value.lat_lon(m.latitude, m.longitude) || {nil, nil} do
       autopilot = Firmware.heard(m.autopilot)
       kind = Kind.name(m.type)
-      # The field has 16 bits. PX4 sends the upper half of its mode, with the main and sub mode.
-      mode = if autopilot == :px4, do: m.custom_mode <<< 16, else: m.custom_mode
+      telemetry = Firmware.telemetry(autopilot)
+      mode = m.custom_mode <<< telemetry.high_latency_shift
 
       {[autopilot: autopilot, type: m.type, kind: kind, high_latency: true],
        [
-         mode: armed(%{mode: Modes.name(autopilot, kind, 1, mode), custom_mode: mode}, autopilot, m),
+         mode: armed(%{mode: Modes.name(autopilot, kind, 1, mode), custom_mode: mode}, telemetry, m),
          position: %{lat: lat, lon: lon, alt_msl: m.altitude * 1.0, heading: heading(m.heading)},
          velocity: %{
            groundspeed: m.groundspeed / 5,
@@ -50,8 +50,10 @@ defmodule Aerie.Vehicle.State.HighLatency do
     end
   end
 
-  defp armed(mode, :ardupilot, m), do: Map.put(mode, :armed, (m.custom0 &&& @safety_armed) != 0)
-  defp armed(mode, _autopilot, _m), do: mode
+  defp armed(mode, %{high_latency_armed?: true}, m),
+    do: Map.put(mode, :armed, (m.custom0 &&& @safety_armed) != 0)
+
+  defp armed(mode, _telemetry, _m), do: mode
 
   # Among the failures only the fence has a field of its own.
   defp mission(m) do

@@ -23,8 +23,6 @@ defmodule Aerie.Vehicle.State.Mode do
   # Both firmwares show an active failsafe by these.
   @failsafe [MavState.value(:MAV_STATE_CRITICAL), MavState.value(:MAV_STATE_EMERGENCY)]
   @max_names 64
-  # QSTABILIZE to QACRO.
-  @q_modes 17..23
 
   use Group,
     name: :mode,
@@ -57,7 +55,8 @@ defmodule Aerie.Vehicle.State.Mode do
     named = Kind.name(m.type)
     # Only a quadplane enters one of these.
     quadplane =
-      state.quadplane or (autopilot == :ardupilot and named == "plane" and m.custom_mode in @q_modes)
+      state.quadplane or
+        (named == "plane" and m.custom_mode in Firmware.telemetry(autopilot).rotor_modes)
 
     kind = kind(named, quadplane)
 
@@ -110,8 +109,12 @@ defmodule Aerie.Vehicle.State.Mode do
 
   @doc "It has rotors besides its wings, as its parameter, its state or a mode say: ArduPlane's heartbeat says FIXED_WING unless Q_MAV_TYPE is set."
   @spec quadplane(State.t()) :: keyword()
-  def quadplane(%{quadplane: true}), do: []
-  def quadplane(%{autopilot: :ardupilot, kind: "plane" = kind}), do: [quadplane: true, kind: kind(kind, true)]
+  def quadplane(%{quadplane: false, kind: "plane" = kind} = state) do
+    if Firmware.telemetry(state.autopilot).rotor_modes == [],
+      do: [],
+      else: [quadplane: true, kind: kind(kind, true)]
+  end
+
   def quadplane(_state), do: []
 
   defp kind("plane", true), do: "vtol"

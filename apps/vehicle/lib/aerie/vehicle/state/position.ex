@@ -1,6 +1,7 @@
 defmodule Aerie.Vehicle.State.Position do
   @moduledoc "The vehicle's position; GLOBAL_POSITION_INT also has its velocity."
 
+  alias Aerie.Vehicle.Firmware
   alias Aerie.Vehicle.State.{Group, Value}
   alias MavCodec.Messages, as: M
 
@@ -33,7 +34,11 @@ defmodule Aerie.Vehicle.State.Position do
           lat: lat,
           lon: lon,
           alt_msl: Value.height(place, m.alt, none?),
-          alt_rel: if(msp?(state), do: known_height(state), else: Value.height(place, m.relative_alt, none?)),
+          alt_rel:
+            if(height_apart?(state),
+              do: known_height(state),
+              else: Value.height(place, m.relative_alt, none?)
+            ),
           heading: heading(m.hdg)
         }
 
@@ -47,19 +52,18 @@ defmodule Aerie.Vehicle.State.Position do
     end
   end
 
-  # By MSP it has the height, which GLOBAL_POSITION_INT cannot leave out; PX4 sends it besides. Without a height above
-  # the sea an earlier position no longer counts.
+  # Others send it besides. Without a height above the sea an earlier position no longer counts.
   def read(%M.Altitude{} = m, state, _at) do
     height = %{alt_rel: Value.float(m.altitude_relative)}
 
     cond do
-      not msp?(state) -> {[], []}
+      not height_apart?(state) -> {[], []}
       Value.float(m.altitude_amsl) -> {[], position: height}
       true -> {[], position: Map.merge(height, %{lat: nil, lon: nil, alt_msl: nil, heading: nil})}
     end
   end
 
-  defp msp?(%{autopilot: autopilot}), do: autopilot in [:betaflight, :inav]
+  defp height_apart?(state), do: Firmware.telemetry(state.autopilot).height_apart?
   defp known_height(state), do: Group.data(state, :position)[:alt_rel]
 
   defp heading(hdg) when hdg in 0..36_000, do: rem(hdg, 36_000) / 100

@@ -1,6 +1,7 @@
 defmodule Aerie.Vehicle.State.Rc do
   @moduledoc "The remote control."
 
+  alias Aerie.Vehicle.Firmware
   alias Aerie.Vehicle.State.{Group, Value}
   alias MavCodec.Messages, as: M
 
@@ -26,14 +27,11 @@ defmodule Aerie.Vehicle.State.Rc do
 
   defp channels(m, names, state) do
     channels = for name <- names, do: channel(Map.fetch!(m, name))
-    {[], rc: %{channels: channels, rssi: rssi(m.rssi, state.autopilot)}}
+    full = Firmware.telemetry(state.autopilot).rssi_full
+    {[], rc: %{channels: channels, rssi: Value.up_to(m.rssi, full, full)}}
   end
 
   defp channel(0), do: nil
   defp channel(0xFFFF), do: nil
   defp channel(microseconds), do: microseconds
-
-  # PX4 sends percent (input_rc.rssi, 0 to 100; -1 for unknown), where the definition has 0 to 254.
-  defp rssi(value, :px4), do: Value.up_to(value, 100, 100)
-  defp rssi(value, _autopilot), do: Value.up_to(value, 254, 254)
 end

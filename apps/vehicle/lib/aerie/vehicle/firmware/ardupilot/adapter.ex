@@ -16,7 +16,7 @@ defmodule Aerie.Vehicle.Firmware.Ardupilot.Adapter do
 
   import Aerie.Vehicle.Protocol.Vehicle, only: [airborne: 2]
 
-  alias Aerie.Vehicle.Firmware.{Ardupilot, Modes, Traits}
+  alias Aerie.Vehicle.Firmware.{Ardupilot, Modes, Telemetry, Traits}
   alias Aerie.Vehicle.Firmware.Ardupilot.{Calibration, Steering, StoredItem}
   alias Aerie.Vehicle.Protocol.{Mavlink, Vehicle}
   alias Aerie.Vehicle.Protocol.Mavlink.{Commands, Streams}
@@ -45,6 +45,17 @@ defmodule Aerie.Vehicle.Firmware.Ardupilot.Adapter do
       title: "ArduPilot",
       mav_autopilot: MavAutopilot.value(:MAV_AUTOPILOT_ARDUPILOTMEGA),
       modes: Ardupilot.Modes
+    }
+  end
+
+  @impl true
+  def telemetry do
+    %Telemetry{
+      high_latency_armed?: true,
+      # QSTABILIZE to QACRO.
+      rotor_modes: 17..23,
+      status_flies?: true,
+      detects_landing?: true
     }
   end
 

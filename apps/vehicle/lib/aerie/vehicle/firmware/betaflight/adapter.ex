@@ -7,10 +7,13 @@ defmodule Aerie.Vehicle.Firmware.Betaflight.Adapter do
     calibration: Aerie.Vehicle.Firmware.Msp.Commands,
     long_frames: []
 
-  alias Aerie.Vehicle.Firmware.{Msp, Traits}
+  alias Aerie.Vehicle.Firmware.{Msp, Telemetry, Traits}
 
   @impl true
   def traits, do: %Traits{title: "Betaflight", vendor: "Betaflight", param_encoding: :bytewise}
+
+  @impl true
+  def telemetry, do: %Telemetry{height_apart?: true, arming_texts?: true}
 
   @impl true
   def gap(type, _kind) when type in ~w(goto set_home), do: "Betaflight has no message for it in MSP"

@@ -7,12 +7,15 @@ defmodule Aerie.Vehicle.Firmware.Inav.Adapter do
     calibration: Aerie.Vehicle.Firmware.Msp.Commands,
     long_frames: []
 
-  alias Aerie.Vehicle.Firmware.{Inav, Msp, Traits}
+  alias Aerie.Vehicle.Firmware.{Inav, Msp, Telemetry, Traits}
   alias Aerie.Vehicle.Protocol.Mavlink
   alias Aerie.Vehicle.Protocol.Mavlink.Streams
 
   @impl true
   def traits, do: %Traits{title: "iNav", vendor: "iNav", param_encoding: :bytewise}
+
+  @impl true
+  def telemetry, do: %Telemetry{height_apart?: true, arming_texts?: true}
 
   @impl true
   def gap(type, _kind) when type in ~w(goto set_home), do: nil

@@ -17,7 +17,7 @@ defmodule Aerie.Vehicle.Firmware.Px4.Adapter do
   import Bitwise
   import Aerie.Vehicle.Protocol.Vehicle, only: [airborne: 2]
 
-  alias Aerie.Vehicle.Firmware.{Modes, Px4, Traits}
+  alias Aerie.Vehicle.Firmware.{Modes, Px4, Telemetry, Traits}
   alias Aerie.Vehicle.Protocol.{Mavlink, Step, Vehicle}
   alias Aerie.Vehicle.Protocol.Mavlink.{Commands, Streams}
   alias Aerie.Vehicle.Firmware.Px4.{Calibration, Plans}
@@ -47,6 +47,19 @@ defmodule Aerie.Vehicle.Firmware.Px4.Adapter do
       mav_autopilot: MavAutopilot.value(:MAV_AUTOPILOT_PX4),
       modes: Px4.Modes,
       param_encoding: :bytewise
+    }
+  end
+
+  @impl true
+  def telemetry do
+    %Telemetry{
+      # Percent (input_rc.rssi, 0 to 100; -1 for unknown).
+      rssi_full: 100,
+      # -1 A, which it scales before sending it.
+      unknown_current: -100,
+      # The upper half of the mode has the main and the sub mode.
+      high_latency_shift: 16,
+      detects_landing?: true
     }
   end
 

@@ -3,20 +3,18 @@ defmodule Aerie.Api.Rest.Actions do
 
   alias Aerie.Control.Policy
   alias Aerie.Fleet.Shadow
-  alias Aerie.Vehicle.Enrolment
   alias MavRouter.{Client, Link, Router}
   alias Aerie.Vehicle.Command.Types
 
-  alias Aerie.Api.Rest.{ClientRequest, Commands, EventsQuery, LinkRequest, LogLevels, OpenAPI, Operations}
+  alias Aerie.Api.Rest.{Commands, EventsQuery, OpenAPI, Operations}
+  alias Aerie.Api.Rest.Operations.ChangeLog
   alias Aerie.Access.HTTP.Error
 
-  alias Aerie.Api.Rest.{Recordings, Routes, RuleChanges, SigningCapability, SigningRequest, View}
+  alias Aerie.Api.Rest.{Recordings, Routes, RuleChanges, SigningCapability, View}
   alias Aerie.Access.HTTP.Request
   alias Aerie.Access.Tickets
 
   alias Aerie.Access.WorkLimit
-
-  @signing_results %{enrol: "enrolled", revoke: "revoked", discard: "discarded"}
 
   @typedoc "A body is an object, a file as `{:file, path, bytes}`, text or bytes as `{:text, content_type, text, name}`, nothing, or `:sent` already."
   @type result ::
@@ -63,16 +61,6 @@ defmodule Aerie.Api.Rest.Actions do
     |> answer(200, request)
   end
 
-  # Waits until the vehicle uses the key, for ten seconds at most.
-  def run(:sign_vehicle, state, request) do
-    with {:ok, object, request} <- Request.object(request) do
-      with {:ok, action, options} <- SigningRequest.parse(object), {:ok, _known} <- vehicle(state, request) do
-        sign(action, state.gateway, id(request), [by: "http:#{state.name}"] ++ options)
-      end
-      |> answer(200, request)
-    end
-  end
-
   def run(:issue_ticket, state, request) do
     case Tickets.issue(state.gateway, state.requester) do
       {:ok, ticket, seconds} -> {:ok, %{ticket: ticket, expires_s: seconds}}
@@ -96,29 +84,7 @@ defmodule Aerie.Api.Rest.Actions do
     |> answer(200, request)
   end
 
-  def run(:save, state, request) do
-    with {:ok, object, request} <- Request.object(request),
-         do: state.gateway |> Recordings.save(id(request), object) |> answer(201, request)
-  end
-
-  def run(what, state, request) when what in [:record_vehicle, :record_link] do
-    target = {if(what == :record_link, do: :link, else: :vehicle), id(request)}
-
-    with {:ok, object, request} <- Request.object(request),
-         do: state.gateway |> Recordings.record(target, object) |> answer(200, request)
-  end
-
   def run(:clients, state, request), do: {:ok, 200, View.clients(state.gateway), request}
-
-  def run(:add_client, state, request) do
-    with {:ok, object, request} <- Request.object(request) do
-      with {:ok, client} <- ClientRequest.parse(object),
-           {:ok, id} <- Client.add(state.gateway, client) do
-        {:ok, %{id: id, url: client.url}}
-      end
-      |> answer(201, request)
-    end
-  end
 
   def run(:remove_client, state, request),
     do: state.gateway |> Client.remove(id(request)) |> answer(204, request)
@@ -161,15 +127,6 @@ defmodule Aerie.Api.Rest.Actions do
       |> found(Error.new(:not_found, "the gateway has no policy"))
       |> answer(200, request)
 
-  def run(:add_link, state, request) do
-    with {:ok, object, request} <- Request.object(request) do
-      with {:ok, link} <- LinkRequest.parse(object), {:ok, id} <- Link.start(state.gateway, link) do
-        {:ok, %{id: id, url: link.url}}
-      end
-      |> answer(201, request)
-    end
-  end
-
   def run(:remove_link, state, request) do
     if Link.get(state.gateway, id(request)),
       do: state.gateway |> Link.stop(id(request)) |> answer(204, request),
@@ -196,12 +153,7 @@ defmodule Aerie.Api.Rest.Actions do
     |> answer(200, request)
   end
 
-  def run(:log, _state, request), do: {:ok, 200, LogLevels.view(), request}
-
-  def run(:change_log, _state, request) do
-    with {:ok, object, request} <- Request.object(request),
-         do: object |> LogLevels.change() |> answer(200, request)
-  end
+  def run(:log, _state, request), do: {:ok, 200, ChangeLog.view(), request}
 
   def run(:reload_policy, state, request) do
     case Policy.Store.reload(state.gateway, "http:" <> state.name) do
@@ -248,22 +200,6 @@ defmodule Aerie.Api.Rest.Actions do
   defp vehicle(state, request), do: state.gateway |> View.vehicle(id(request)) |> found(unknown_vehicle())
 
   defp unknown_vehicle, do: Error.new(:not_found, "no vehicle has this name; see /api/vehicles")
-
-  # The answer never contains a new key, which stays in the gateway's folder of keys.
-  defp sign(action, gateway, id, options) do
-    result =
-      case action do
-        :enrol -> Enrolment.enrol(gateway, id, options)
-        :revoke -> Enrolment.revoke(gateway, id, options)
-        :discard -> Enrolment.discard(gateway, id)
-      end
-
-    case result do
-      {:ok, %{link: link}} -> {:ok, %{result: @signing_results[action], link: link}}
-      :ok -> {:ok, %{result: @signing_results[action]}}
-      {:error, error} -> {:error, error}
-    end
-  end
 
   defp store_plan(%{gateway: gateway, requester: requester}, text) do
     work = fn -> Shadow.put_plan(gateway, text, Commands.source(requester)) end

@@ -11,7 +11,7 @@ defmodule Aerie.Api.Rest.Misdirected do
 
   @here [:save, :record_vehicle, :vehicle_signing, :sign_vehicle, :vehicle_events]
 
-  @doc "Whether the request may be answered here."
+  @doc "Whether the request may be answered here, by what it changes or asks for."
   @spec check(term(), Names.gateway(), :cowboy_req.req()) :: :ok | {:error, Error.t()}
   def check(action, gateway, request) when action in @here do
     id = :cowboy_req.binding(:id, request)

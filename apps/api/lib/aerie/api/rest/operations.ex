@@ -16,7 +16,9 @@ defmodule Aerie.Api.Rest.Operations do
   alias Aerie.Vehicle.Command.Result
   import Aerie.Control.Operations.Route, only: [body?: 1]
 
+  alias Aerie.Access.Changes.Rights
   alias Aerie.Api.Rest.{Commands, Format, LogDownload, Route}
+  alias Aerie.Api.Rest.Operations.Gateway
   alias Aerie.Access.HTTP.{Error, Request}
   alias Aerie.Access.WorkLimit
 
@@ -42,7 +44,7 @@ defmodule Aerie.Api.Rest.Operations do
   @spec routes() :: [Route.t()]
   def routes do
     rows =
-      for operation <- Fleet.operations(),
+      for operation <- all(),
           {route, index} <- Enum.with_index(operation.routes),
           do: {operation, route, index}
 
@@ -57,7 +59,8 @@ defmodule Aerie.Api.Rest.Operations do
       method: route.method,
       path: route.path,
       action: {:operation, for({one, _route, index} <- choices, do: {one.name, index})},
-      role: if(operation.changes?, do: :operator, else: :viewer),
+      change: route.change,
+      role: role(operation, route),
       summary: route.summary,
       query:
         formats(route) ++
@@ -70,6 +73,11 @@ defmodule Aerie.Api.Rest.Operations do
         if(result?(operation), do: :result, else: choices |> Enum.flat_map(&answers/1) |> with_media(route))
     }
   end
+
+  defp all, do: Fleet.operations() ++ Gateway.all()
+
+  defp role(_operation, %{change: change}) when change != nil, do: Rights.least(change)
+  defp role(operation, _route), do: if(operation.changes?, do: :operator, else: :viewer)
 
   # What is changed aboard is carried out like a command.
   defp result?(operation), do: operation.transfer? and operation.changes?
@@ -131,7 +139,7 @@ defmodule Aerie.Api.Rest.Operations do
   @doc "The schemas of bodies and answers, by the names that the rows have."
   @spec schemas() :: %{String.t() => Json.Schema.t()}
   def schemas do
-    for operation <- Fleet.operations(), route <- operation.routes, reduce: Operations.shared() do
+    for operation <- all(), route <- operation.routes, reduce: Operations.shared() do
       schemas ->
         schemas
         |> Map.merge(if(described?(route), do: body_schema(operation, route), else: %{}))
@@ -186,7 +194,7 @@ defmodule Aerie.Api.Rest.Operations do
   end
 
   defp choose(choices, parameters) do
-    operations = Fleet.operations()
+    operations = all()
 
     [first | others] =
       for {name, index} <- choices,
@@ -246,6 +254,8 @@ defmodule Aerie.Api.Rest.Operations do
   defp more(operation), do: if(result?(operation), do: [Operation.wait()], else: [])
 
   # The parameters of the query that the operation has; others are left alone.
+  defp texts(_operation, %{change: change}, _request) when change != nil, do: %{}
+
   defp texts(operation, route, request) do
     names =
       Enum.map(route.query, &Atom.to_string/1) ++
@@ -278,6 +288,7 @@ defmodule Aerie.Api.Rest.Operations do
       vehicle: :cowboy_req.binding(:id, request),
       source: source,
       via: "rest",
+      by: "http:" <> state.requester.name,
       options: [as: source, via: "rest"] ++ Operation.options(input),
       format: format,
       max_bytes: nil
@@ -316,12 +327,14 @@ defmodule Aerie.Api.Rest.Operations do
   @doc "The answer for what was refused."
   @spec refusal(
           Error.t()
+          | Aerie.Base.Error.t()
           | Result.t()
           | [Command.Error.t(), ...]
           | {atom(), String.t() | Command.Error.t() | [Command.Error.t(), ...]}
         ) ::
           Error.t()
   def refusal(%Error{} = error), do: error
+  def refusal(%Aerie.Base.Error{} = error), do: Error.from(error)
   def refusal(%Result{} = result), do: %Error{} = Error.of_result(result)
   def refusal([_ | _] = errors), do: Error.malformed(errors)
   def refusal({:invalid, %Command.Error{expected: reason}}), do: Error.new(:invalid, reason)

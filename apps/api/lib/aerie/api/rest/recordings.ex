@@ -1,12 +1,8 @@
 defmodule Aerie.Api.Rest.Recordings do
-  @moduledoc "Shows and controls recordings for `/api`."
+  @moduledoc "Recordings as `/api` shows them."
 
   alias Aerie.Base.Json
   alias MavRouter.Recorder
-  alias Aerie.Access.HTTP.Error
-
-  @modes %{"always" => :always, "armed" => :armed, "off" => :off}
-  @max_reason 40
 
   @doc "A summary of the recorder, or nil."
   @spec status(term()) :: map() | nil
@@ -78,37 +74,6 @@ defmodule Aerie.Api.Rest.Recordings do
   def download(gateway, name) do
     with %{file: path, bytes: bytes} <- Recorder.find(gateway, name), do: {:file, path, bytes}
   end
-
-  @doc "Saves the last minutes of a vehicle; `%{\"reason\" => text}` becomes part of the file's name."
-  @spec save(term(), String.t(), map()) :: {:ok, map()} | {:error, Error.t() | Aerie.Base.Error.t()}
-  def save(gateway, vehicle, object) do
-    with {:ok, reason} <- reason(Map.get(object, "reason", "request")),
-         {:ok, file} <- Recorder.save(gateway, vehicle, reason) do
-      name = Path.basename(file)
-      {:ok, %{name: name, url: "/api/recordings/#{name}"}}
-    end
-  end
-
-  defp reason(text) do
-    if Json.text?(text, 0, @max_reason),
-      do: {:ok, text},
-      else: Error.invalid("reason must be a text of at most #{@max_reason} characters")
-  end
-
-  @doc "Starts or stops the recording of `{:vehicle | :link, name}`: `%{\"mode\" => \"always\" | \"armed\" | \"off\"}`."
-  @spec record(term(), {:vehicle | :link, String.t()}, map()) ::
-          {:ok, map()} | {:error, Error.t() | Aerie.Base.Error.t()}
-  def record(gateway, target, object) do
-    with {:ok, mode} <- wanted(object["mode"]),
-         :ok <- change(gateway, target, mode),
-         do: {:ok, %{recording: one(Recorder.status(gateway, target))}}
-  end
-
-  defp wanted(mode) when is_map_key(@modes, mode), do: {:ok, @modes[mode]}
-  defp wanted(_other), do: Error.invalid("mode must be always, armed or off")
-
-  defp change(gateway, target, :off), do: Recorder.stop(gateway, target)
-  defp change(gateway, target, mode), do: Recorder.start(gateway, target, mode)
 
   defp named(%{target: {kind, _id}, label: label}), do: %{kind: kind, label: label}
 

@@ -84,8 +84,8 @@ defmodule Aerie.Api.Rest.ClientsTest do
           {%{"url" => "udpin:127.0.0.1:0", "networks" => ["a/b"]}, "names"},
           {%{"url" => "udpin:127.0.0.1:0", "networks" => ["feild"]},
            ~s(unknown network "feild"; known: main)},
-          {%{"url" => "udpin:127.0.0.1:0", "access" => "write"}, "read or full"},
-          {%{"url" => "udpin:127.0.0.1:0", "sudo" => true}, "unknown key"}
+          {%{"url" => "udpin:127.0.0.1:0", "access" => "write"}, "one of full, read"},
+          {%{"url" => "udpin:127.0.0.1:0", "sudo" => true}, "sudo: expected only url, id"}
         ] do
       assert {422, _headers, %{"error" => %{"code" => "invalid", "message" => message}}} = post(port, body)
       assert message =~ word

@@ -2,7 +2,6 @@ defmodule Aerie.Api.Rest.LinksTest do
   use Aerie.APICase, async: true
 
   alias Aerie.Base.Store
-  alias Aerie.Api.Rest.LinkRequest
 
   @json {"content-type", "application/json"}
 
@@ -48,6 +47,8 @@ defmodule Aerie.Api.Rest.LinksTest do
   end
 
   test "a wrong request says what is expected" do
+    %{gateway: gateway, port: port} = start_server(links: true, key: true)
+
     for {body, words} <- [
           {%{}, "url"},
           {%{"url" => 7}, "url"},
@@ -57,10 +58,14 @@ defmodule Aerie.Api.Rest.LinksTest do
           {%{"url" => "udpin::1", "network" => 7}, "letters"},
           {%{"url" => "udpin::1", "label" => String.duplicate("x", 300)}, "label"},
           {%{"url" => "udpin::1", "high_latency" => "yes"}, "true or false"},
-          {%{"url" => "udpin::1", "sudo" => true}, "unknown key"}
+          {%{"url" => "udpin::1", "sudo" => true}, "sudo: expected only url, id"}
         ] do
-      assert {:error, error} = LinkRequest.parse(body)
-      assert error.status == 422 and error.message =~ words
+      assert {422, _headers, %{"error" => %{"message" => message}}} =
+               request(port, "POST", "/api/links", [@json, {"x-aerie-key", key()}], JSON.encode!(body))
+
+      assert message =~ words
     end
+
+    assert Store.links(gateway) == []
   end
 end

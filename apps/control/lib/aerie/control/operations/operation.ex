@@ -25,6 +25,7 @@ defmodule Aerie.Control.Operations.Operation do
     * `:name` - area and action, as in the subject of NATS
     * `:transfer?` - it reads or changes what a vehicle has stored, which takes time: it has the fields of `common/1`,
       the answer of a change is a result, and unknown keys are refused
+    * `:closed?` - unknown keys are refused, as for a transfer
     * `:changes?` - it changes the vehicle: it is carried out like a command, so it may have an id, and its answer is
       a result
     * `:fields` - its own
@@ -54,6 +55,7 @@ defmodule Aerie.Control.Operations.Operation do
     :answer_as,
     changes?: false,
     transfer?: true,
+    closed?: false,
     fields: [],
     rules: [],
     answer: %{},
@@ -69,6 +71,7 @@ defmodule Aerie.Control.Operations.Operation do
           answer_as: String.t() | nil,
           changes?: boolean(),
           transfer?: boolean(),
+          closed?: boolean(),
           fields: [Field.t()],
           rules: keyword(),
           answer: %{atom() => Json.Schema.t()},
@@ -81,6 +84,7 @@ defmodule Aerie.Control.Operations.Operation do
   @typedoc """
     * `:vehicle` - nil for what concerns the gateway
     * `:source` - who asks; nil if that does not matter
+    * `:by` - who asks, for the records of what is changed of the gateway; nil where nothing of it can be changed
     * `:options` - `t:Aerie.Control.Transfers.option/0`
     * `:format` - the form of a file that is read or sent (`Aerie.Control.Operations.Route`); `"json"` unless REST
       chose another
@@ -91,6 +95,7 @@ defmodule Aerie.Control.Operations.Operation do
           vehicle: String.t() | nil,
           source: Roles.source() | nil,
           via: String.t(),
+          by: String.t() | nil,
           options: [Transfers.option()],
           format: String.t(),
           max_bytes: pos_integer() | nil
@@ -122,7 +127,7 @@ defmodule Aerie.Control.Operations.Operation do
       import Aerie.Control.Operations.Fields
 
       import Aerie.Control.Operations.Route,
-        only: [get: 2, get: 3, post: 3, put: 3, patch: 2, delete: 2, delete: 3]
+        only: [get: 2, get: 3, post: 3, put: 3, patch: 2, patch: 3, delete: 2, delete: 3]
 
       alias Aerie.Control.Operations.Operation
     end
@@ -161,7 +166,7 @@ defmodule Aerie.Control.Operations.Operation do
 
     known = Enum.map(fields, &Field.name/1)
     {given, unknown} = given |> Map.reject(fn {_key, value} -> value == nil end) |> Map.split(known)
-    unknown = if operation.transfer?, do: unknown, else: %{}
+    unknown = if closed?(operation), do: unknown, else: %{}
 
     case Schema.validate(fields, given) do
       {input, []} when unknown == %{} ->
@@ -172,6 +177,8 @@ defmodule Aerie.Control.Operations.Operation do
         {:error, Enum.take(Enum.map(problems, &error/1) ++ unknown(unknown, known), @max_errors)}
     end
   end
+
+  defp closed?(operation), do: operation.transfer? or operation.closed?
 
   # A text of a query may be a number.
   defp plain({:text, text}),
@@ -237,7 +244,7 @@ defmodule Aerie.Control.Operations.Operation do
     own = for field <- operation.fields, field.key not in except, field.schema != false, do: field
     properties = for field <- own, into: more, do: {field.key, Field.schema(field)}
     required = required ++ for %{required: true, key: key} <- own, do: key
-    Json.Schema.object(properties, required, [open: not operation.transfer?] ++ operation.rules)
+    Json.Schema.object(properties, required, [open: not closed?(operation)] ++ operation.rules)
   end
 
   @doc "The name of the schema of its answer."

@@ -10,6 +10,7 @@ defmodule Aerie.Control.Operations.Route do
     * `:file` - the field that a body is as a whole, when it is no JSON; fields that it may replace are in `:replaces`
     * `:formats` - the forms of a file that `?format=`, `Accept` or `Content-Type` choose, JSON first
     * `:media` - the media types of a body or an answer besides JSON
+    * `:change` - what it changes of the gateway, by its name in the audit log
     * `:max_bytes` - the largest body; `:status` - that of the answer
     * `:stream?` - the answer is sent while it comes from the vehicle, by a module of the interface
   """
@@ -21,6 +22,7 @@ defmodule Aerie.Control.Operations.Route do
     :summary,
     :select,
     :file,
+    :change,
     query: [],
     given: %{},
     omit: [],
@@ -39,6 +41,7 @@ defmodule Aerie.Control.Operations.Route do
           summary: String.t(),
           select: String.t() | nil,
           file: atom() | nil,
+          change: atom() | nil,
           query: [atom()],
           given: %{String.t() => term()},
           omit: [atom()],

@@ -26,19 +26,10 @@ defmodule Aerie.Api.Rest.Routes.Gateway do
         "Which vehicles can sign, and by which links they can be given a key."
       ),
       get("/api/links", :links, "All links."),
-      post("/api/links", :add_link, "Adds a link; it lives until it is removed, or the gateway ends.",
-        body: :link,
-        status: 201
-      ),
       delete("/api/links/:id", :remove_link, "Closes and forgets a link.", status: 204, answer: nil),
-      put("/api/links/:id/recording", :record_link, "Starts or stops recording a link.", body: :mode),
       get("/api/recorder", :recorder, "What is being recorded, and the recordings on disk."),
       get("/api/recordings/:name", :download, "A recording.", answer: @bytes),
       get("/api/clients", :clients, "Endpoints for clients, and the clients that are connected."),
-      post("/api/clients", :add_client, "Adds an endpoint for clients.",
-        body: :client,
-        status: 201
-      ),
       delete("/api/clients/:id", :remove_client, "Removes an endpoint, or disconnects a client.",
         status: 204,
         answer: nil
@@ -56,7 +47,6 @@ defmodule Aerie.Api.Rest.Routes.Gateway do
         body: :nothing
       ),
       get("/api/log", :log, "The levels of the log."),
-      patch("/api/log", :change_log, "Changes the levels of the log.", body: :log),
       get("/api/policy", :policy, "The policy in force."),
       post("/api/policy/reload", :reload_policy, "Reads the policy and its fences again.", body: :nothing),
       post("/api/plans", :store_plan, "Stores a .plan file for desired states.",

@@ -14,20 +14,7 @@ defmodule Aerie.Api.Rest.Routes.Vehicle do
       get("/api/vehicles/:id/events", :vehicle_events, "The latest events of a vehicle.",
         query: [:limit, :since]
       ),
-      post("/api/vehicles/:id/save", :save, "Saves the last minutes of a vehicle as a recording.",
-        body: :save,
-        status: 201
-      ),
-      put("/api/vehicles/:id/recording", :record_vehicle, "Starts or stops recording a vehicle.",
-        body: :mode
-      ),
       get("/api/vehicles/:id/signing", :vehicle_signing, "The signing state of a vehicle."),
-      post(
-        "/api/vehicles/:id/signing",
-        :sign_vehicle,
-        "Gives a vehicle a signing key, or takes it away.",
-        body: :signing
-      ),
       get(
         "/api/vehicles/:id/commands",
         :vehicle_commands,

@@ -41,6 +41,7 @@ defmodule Aerie.Fleet.Bridge.Commands.Operation do
       context = %{
         gateway: gateway,
         vehicle: request["vehicle"],
+        by: nil,
         options: Operation.options(input) ++ options,
         format: "json",
         max_bytes: @max_file

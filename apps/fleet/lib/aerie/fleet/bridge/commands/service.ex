@@ -161,6 +161,7 @@ defmodule Aerie.Fleet.Bridge.Commands.Service do
         vehicle: target,
         source: source,
         via: "nats",
+        by: nil,
         options: [],
         format: "json",
         max_bytes: nil

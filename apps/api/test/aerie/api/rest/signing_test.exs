@@ -1,38 +1,40 @@
-defmodule Aerie.Api.Rest.SigningRequestTest do
+defmodule Aerie.Api.Rest.SigningTest do
   use ExUnit.Case, async: true
   use Aerie.APICase
 
-  alias Aerie.Api.Rest.SigningRequest
+  alias Aerie.Api.Rest.Operations.Sign
+  alias Aerie.Control.Operations.Operation
+  alias Aerie.Vehicle.Command.Error
+
+  defp parse(object), do: Operation.parse(%{Sign.operation() | module: Sign}, object)
 
   defp words(object) do
-    assert {:error, %{status: 422, message: words}} = SigningRequest.parse(object)
-    words
+    assert {:error, errors} = parse(object)
+    Error.text(errors)
   end
 
   test "valid requests" do
-    assert SigningRequest.parse(%{"action" => "enrol"}) == {:ok, :enrol, []}
+    assert parse(%{"action" => "enrol"}) ==
+             {:ok, %{action: :enrol, key: :configured, link: nil, component: nil}}
 
-    assert SigningRequest.parse(%{
-             "action" => "enrol",
-             "key" => "generate",
-             "link" => "usb",
-             "component" => 2
-           }) ==
-             {:ok, :enrol, [key: :generate, link: "usb", component: 2]}
-
-    assert SigningRequest.parse(%{"action" => "revoke", "link" => "usb"}) == {:ok, :revoke, [link: "usb"]}
+    object = %{"action" => "enrol", "key" => "generate", "link" => "usb", "component" => 2}
+    assert parse(object) == {:ok, %{action: :enrol, key: :generate, link: "usb", component: 2}}
+    assert {:ok, %{action: :revoke, link: "usb"}} = parse(%{"action" => "revoke", "link" => "usb"})
   end
 
   test "S9: no key and no file is accepted by HTTP; other errors are named" do
     assert words(%{"action" => "enrol", "key" => "a passphrase"}) =~
-             "key must be one of configured, generate, previous"
+             "key: expected one of configured, generate, previous"
 
-    assert words(%{"action" => "enrol", "key_file" => "/etc/shadow"}) =~ "is an unknown key"
-    assert words(%{"action" => "enrol", "key" => %{"file" => "x"}}) =~ "key must be one of"
-    assert words(%{}) =~ "action must be one of discard, enrol, revoke"
-    assert words(%{"action" => "revoke", "key" => "generate"}) =~ "the action enrol"
-    assert words(%{"action" => "enrol", "link" => 5}) =~ "id of a link"
+    assert words(%{"action" => "enrol", "key_file" => "/etc/shadow"}) ==
+             "key_file: expected only action, key, link, component"
+
+    assert words(%{"action" => "enrol", "key" => %{"file" => "x"}}) =~ "key: expected one of"
+    assert words(%{}) =~ "action: expected one of enrol, revoke, discard"
+    assert words(%{"action" => "enrol", "link" => 5}) =~ "link: expected a text"
     assert words(%{"action" => "enrol", "component" => 0}) =~ "1 to 255"
+    {:ok, input} = parse(%{"action" => "revoke", "key" => "generate"})
+    assert {:error, {:invalid, "key: only the action enrol has one"}} = Sign.run(input, %{})
   end
 
   test "the resources list keys by name, refuse to enrol an unknown vehicle, and say if a vehicle has no key" do

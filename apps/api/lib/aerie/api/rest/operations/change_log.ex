@@ -1,0 +1,69 @@
+defmodule Aerie.Api.Rest.Operations.ChangeLog do
+  @moduledoc false
+  use Aerie.Control.Operations.Operation
+
+  alias Aerie.Base.Log
+
+  @levels Map.new(Log.level_names(), &{Atom.to_string(&1), &1})
+
+  @impl true
+  def operation do
+    %Operation{
+      name: "log.change",
+      meaning: "Changes the levels of the log. A restart brings the configured level back.",
+      transfer?: false,
+      closed?: true,
+      fields: [field(:level, {:enum, Log.level_names()}, "the level of everything"), areas()],
+      rules: [minProperties: 1],
+      answer: %{
+        level: level(),
+        areas: %{type: :object, additionalProperties: level()},
+        levels: %{type: :array, items: level()},
+        known_areas: %{type: :array, items: %{type: :string}}
+      },
+      routes: [patch("/api/log", "Changes the levels of the log.", change: :change_log)]
+    }
+  end
+
+  defp level, do: %{enum: Log.level_names()}
+
+  defp areas do
+    schema = object(Map.new(Log.areas(), &{&1, nullable(level())}))
+    names = fn names -> Enum.join(names, ", ") end
+
+    words =
+      "an object of areas (#{names.(Log.areas())}), each with a level (#{names.(Log.level_names())}) or null"
+
+    field(:areas, {:term, &read_areas/1, words}, "areas with a level of their own; null ends it",
+      schema: schema
+    )
+  end
+
+  defp read_areas(%{} = areas) do
+    known? = fn {area, level} -> area in Log.areas() and (level == nil or is_map_key(@levels, level)) end
+
+    if Enum.all?(areas, known?),
+      do: {:ok, Map.new(areas, fn {area, level} -> {area, @levels[level]} end)},
+      else: :error
+  end
+
+  defp read_areas(_other), do: :error
+
+  @impl true
+  def run(%{level: nil, areas: nil}, _context),
+    do: {:error, {:invalid, "nothing to change; give level or areas"}}
+
+  def run(%{level: level, areas: areas}, _context) do
+    if level, do: Log.set_level(level)
+
+    # An area whose application does not run here has nothing to log.
+    for {area, level} <- areas || %{},
+        do: if(level, do: Log.set_level(area, level), else: Log.reset(area))
+
+    {:ok, view()}
+  end
+
+  @doc "The levels as an answer."
+  @spec view() :: map()
+  def view, do: Map.merge(Log.levels(), %{levels: Log.level_names(), known_areas: Log.areas()})
+end

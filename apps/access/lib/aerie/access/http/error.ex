@@ -125,12 +125,36 @@ defmodule Aerie.Access.HTTP.Error do
     unavailable: :unavailable
   }
 
-  @doc "The answer for an error of the gateway; an answer is returned unchanged."
-  @spec from(t() | Aerie.Base.Error.t()) :: t()
+  # Why an operation was not carried out, as those say it that it asks.
+  @reasons %{
+    busy: :too_many,
+    conflict: :conflict,
+    invalid: :invalid,
+    limit: :too_large,
+    rate: :too_many,
+    role: :forbidden,
+    unavailable: :unavailable,
+    unknown: :not_found
+  }
+
+  @doc "The answer for an error of the gateway or of an operation; an answer is returned unchanged."
+  @spec from(
+          t()
+          | Aerie.Base.Error.t()
+          | Result.t()
+          | [Command.Error.t(), ...]
+          | {atom(), String.t() | Command.Error.t() | [Command.Error.t(), ...]}
+        ) :: t()
   def from(%__MODULE__{} = error), do: error
 
   def from(%Aerie.Base.Error{reason: reason} = error),
     do: new(Map.fetch!(@codes, elem(reason, 0)), Exception.message(error))
+
+  def from(%Result{} = result), do: %__MODULE__{} = of_result(result)
+  def from([_ | _] = errors), do: malformed(errors)
+  def from({:invalid, %Command.Error{expected: reason}}), do: new(:invalid, reason)
+  def from({:malformed, errors}), do: malformed(errors)
+  def from({reason, text}), do: new(Map.fetch!(@reasons, reason), text)
 
   # A command's results; `Aerie.Vehicle.Command.Refusal` has the statuses of rules.
   @results %{

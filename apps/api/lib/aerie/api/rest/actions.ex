@@ -206,7 +206,7 @@ defmodule Aerie.Api.Rest.Actions do
 
     case WorkLimit.run(gateway, :parse, {:name, requester.name}, work) do
       {:ok, {:ok, hash}} -> {:ok, %{"plan" => hash}}
-      {:ok, {:error, refusal}} -> {:error, Operations.refusal(refusal)}
+      {:ok, {:error, refusal}} -> {:error, Error.from(refusal)}
       {:busy, seconds} -> {:error, Error.busy(seconds)}
     end
   end

@@ -12,7 +12,6 @@ defmodule Aerie.Api.Rest.Operations do
   alias Aerie.Control.Operations
   alias Aerie.Control.Operations.{Operation, Table}
   alias Aerie.Fleet
-  alias Aerie.Vehicle.Command
   alias Aerie.Vehicle.Command.Result
   import Aerie.Control.Operations.Route, only: [body?: 1]
 
@@ -24,18 +23,6 @@ defmodule Aerie.Api.Rest.Operations do
 
   # A transfer ends by itself.
   @longest_ms 86_400_000
-
-  # Why something was not done, as `Aerie.Fleet.Shadow` and `Aerie.Fleet.Operations` say it.
-  @reasons %{
-    busy: :too_many,
-    conflict: :conflict,
-    invalid: :invalid,
-    limit: :too_large,
-    rate: :too_many,
-    role: :forbidden,
-    unavailable: :unavailable,
-    unknown: :not_found
-  }
 
   @typedoc "An operation's name, and which of its routes is meant. A compiled table cannot have its functions."
   @type choice :: {name :: String.t(), route :: non_neg_integer()}
@@ -189,7 +176,7 @@ defmodule Aerie.Api.Rest.Operations do
       act(operation, route, input, context(state, format, input, request), request)
     else
       {:error, %Error{} = error, request} -> {:error, error, request}
-      {:error, error} -> {:error, refusal(error), request}
+      {:error, error} -> {:error, Error.from(error), request}
     end
   end
 
@@ -298,7 +285,7 @@ defmodule Aerie.Api.Rest.Operations do
   defp act(_operation, %{stream?: true}, _input, context, request) do
     case LogDownload.run({context.gateway, context.vehicle}, context.options, request) do
       {:ok, status, :sent, request} -> {:ok, status, :sent, request}
-      {:error, error} -> {:error, refusal(error), request}
+      {:error, error} -> {:error, Error.from(error), request}
     end
   end
 
@@ -322,24 +309,7 @@ defmodule Aerie.Api.Rest.Operations do
     do: {:ok, 200, {:text, Format.type(format), text, name}, request}
 
   defp answered({:ok, object}, status, _context, request), do: {:ok, status, object, request}
-  defp answered({:error, error}, _status, _context, request), do: {:error, refusal(error), request}
-
-  @doc "The answer for what was refused."
-  @spec refusal(
-          Error.t()
-          | Aerie.Base.Error.t()
-          | Result.t()
-          | [Command.Error.t(), ...]
-          | {atom(), String.t() | Command.Error.t() | [Command.Error.t(), ...]}
-        ) ::
-          Error.t()
-  def refusal(%Error{} = error), do: error
-  def refusal(%Aerie.Base.Error{} = error), do: Error.from(error)
-  def refusal(%Result{} = result), do: %Error{} = Error.of_result(result)
-  def refusal([_ | _] = errors), do: Error.malformed(errors)
-  def refusal({:invalid, %Command.Error{expected: reason}}), do: Error.new(:invalid, reason)
-  def refusal({:malformed, errors}), do: Error.malformed(errors)
-  def refusal({reason, text}), do: Error.new(Map.fetch!(@reasons, reason), text)
+  defp answered({:error, error}, _status, _context, request), do: {:error, Error.from(error), request}
 
   # `GET` and `DELETE` work there as for commands.
   defp located(request, vehicle, id),

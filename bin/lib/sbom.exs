@@ -174,7 +174,7 @@ defmodule Sbom do
       for %{"properties" => [%{"value" => text}]} <- Enum.flat_map(components, &[&1 | Map.get(&1, "components", [])]) do
         case text do
           "licences/debian/" <> name -> {text, Path.join(toolchain, "packages/#{name}.copyright")}
-          "licences/npm/" <> name -> {text, [root, "node_modules", name, "LICENSE*"] |> Path.join() |> Path.wildcard() |> hd()}
+          "licences/npm/" <> name -> {text, npm_licence(Path.join([root, "node_modules", name]))}
           "LICENSE" -> {text, Path.join(root, text)}
         end
       end
@@ -190,6 +190,10 @@ defmodule Sbom do
 
     named ++ common
   end
+
+  # A package without a file of its licence names it beside its author in package.json.
+  defp npm_licence(folder),
+    do: folder |> Path.join("LICENSE*") |> Path.wildcard() |> List.first(Path.join(folder, "package.json"))
 
   defp copy(source, target) do
     File.mkdir_p!(Path.dirname(target))

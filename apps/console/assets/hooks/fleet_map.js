@@ -1,4 +1,5 @@
 // The hook of `Aerie.Console.Map.map/1`; the README in lib/aerie/console/map describes attributes and events.
+import { described } from "./map/archive.js";
 import { Coastlines } from "./map/coastlines.js";
 import { bounds } from "./map/geo.js";
 import { graticule } from "./map/graticule.js";
@@ -33,7 +34,8 @@ export default {
     if (!document.createElement("canvas").getContext("webgl2")) return this.fail(NO_WEBGL);
     try {
       const library = await import(npm("maplibre-gl/maplibre-gl.mjs"));
-      if (!this.gone) this.open(library);
+      const tiles = await described(JSON.parse(this.el.dataset.tiles || "null"), library);
+      if (!this.gone) this.open(library, tiles);
     } catch (error) {
       console.error(error);
       this.fail(NO_MAP);
@@ -89,8 +91,7 @@ export default {
     this.say(text, this.notice);
   },
 
-  open({ Map, ScaleControl }) {
-    const tiles = JSON.parse(this.el.dataset.tiles || "null");
+  open({ Map, ScaleControl }, tiles) {
     this.colours = colours;
     const map = new Map({
       container: this.canvas,

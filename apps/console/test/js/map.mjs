@@ -197,6 +197,31 @@ const tasks = {
     if (shots) await page.screenshot({ path: `${shots}/fleet-${number}.png` });
   },
 
+  // Tiles of a PMTiles file: of images, or `water` of vectors.
+  async tiles() {
+    const page = await open();
+    await ready(page);
+    await until("the tiles are drawn", () => page.evaluate((kind) => {
+      const { map } = document.querySelector("#fleet-map").fleetMap;
+      if (!map.isSourceLoaded("tiles")) return false;
+      if (kind === "raster") return map.getLayer("tiles")?.type === "raster" && map.areTilesLoaded();
+      return map.queryRenderedFeatures({ layers: ["tiles-water"] }).length > 0;
+    }, count));
+    equal("what the source says", await page.evaluate(() => {
+      const { minzoom, maxzoom, type } = document.querySelector("#fleet-map").fleetMap.map.getSource("tiles");
+      return [type, minzoom, maxzoom];
+    }), [count, 0, 0]);
+    if (shots) await page.screenshot({ path: `${shots}/fleet-tiles.png` });
+  },
+
+  // A file that cannot be read: the map does without.
+  async notiles() {
+    const page = await open();
+    await ready(page);
+    equal("no tiles", await page.evaluate(() => document.querySelector("#fleet-map").fleetMap.map.getSource("tiles") ?? null), null);
+    equal("the reason", complaints.splice(0).filter((text) => text.startsWith("map: the tiles cannot be read")).length, 1);
+  },
+
   async nowebgl() {
     const page = await open();
     await page.waitForSelector("#fleet-map.map-failed");

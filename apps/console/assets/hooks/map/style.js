@@ -65,7 +65,7 @@ function graticuleLabels(c, edge) {
 
 const tileSource = ({ type, url, minzoom, maxzoom, bounds }) => ({
   type,
-  tiles: [new URL(url, location.href).href.replaceAll("%7B", "{").replaceAll("%7D", "}")],
+  tiles: [url.startsWith("/") ? location.origin + url : url],
   ...(type === "raster" ? { tileSize: 256 } : {}),
   ...(minzoom == null ? {} : { minzoom }),
   ...(maxzoom == null ? {} : { maxzoom }),

@@ -16,6 +16,7 @@ defmodule Aerie.Console.Assets do
   @npm [
     {"phoenix", "priv/static", ~w(phoenix.mjs)},
     {"phoenix_live_view", "priv/static", ~w(phoenix_live_view.esm.js)},
+    {"pmtiles", "dist", ~w(pmtiles.js)},
     {"maplibre-gl", "dist", ~w(maplibre-gl.mjs maplibre-gl-worker.mjs)},
     {"world-atlas", "", ~w(countries-50m.json countries-10m.json)},
     {"topojson-client", "src", ~w(feature.js mesh.js stitch.js reverse.js transform.js identity.js)},

@@ -70,6 +70,7 @@ defmodule Aerie.Console.HTTP.Routes do
       downloads ++
       [
         {"/assets/:version/[...]", Assets.Handler, gateway},
+        {"/tiles/archive", Tiles.Handler, Map.put(access, :archive, true)},
         {"/tiles/:z/:x/:y", Tiles.Handler, access}
       ] ++ pages
   end

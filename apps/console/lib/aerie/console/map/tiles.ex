@@ -1,14 +1,14 @@
 defmodule Aerie.Console.Map.Tiles do
   @moduledoc """
-  The operator's own map tiles (`console.tiles`): a PMTiles file or a folder, examined once at start and served at
-  `/tiles/Z/X/Y` to signed-in users. If they cannot be used, that is logged and the map does without them.
+  The operator's own map tiles (`console.tiles`), served to signed-in users: a folder, whose tiles are at
+  `/tiles/Z/X/Y`, or a PMTiles file, which pages read in ranges from `/tiles/archive`. They are looked at once at
+  start; if they cannot be used, that is logged and the map does without them.
   """
   use GenServer
 
   require Logger
 
   alias Aerie.Base.Names
-  alias Aerie.Console.Map.PMTiles
 
   @formats %{
     "png" => {"raster", "image/png"},
@@ -21,7 +21,12 @@ defmodule Aerie.Console.Map.Tiles do
   @max_zoom 24
 
   @typedoc "`:source`: the file, or the folder with the extension of its files; `:shown`: what the map gets."
-  @type t :: %{source: PMTiles.t() | {Path.t(), String.t()}, type: String.t(), gzip?: boolean(), shown: map()}
+  @type t :: %{
+          source: {:archive, Path.t()} | {Path.t(), String.t()},
+          type: String.t(),
+          gzip?: boolean(),
+          shown: map()
+        }
 
   @doc "Options: `:gateway`, `:path` (nil: none), `:attribution`."
   @spec start_link(keyword()) :: GenServer.on_start()
@@ -32,20 +37,24 @@ defmodule Aerie.Console.Map.Tiles do
   @spec description(Names.gateway()) :: map() | nil
   def description(gateway), do: with(%{shown: shown} <- Names.value(gateway, :console_tiles), do: shown)
 
-  @doc "A tile with its content type and whether it is compressed, or nil."
+  @doc "A tile of a folder with its content type and whether it is compressed, or nil."
   @spec tile(Names.gateway(), integer(), integer(), integer()) ::
           {binary(), String.t(), gzip? :: boolean()} | nil
   def tile(gateway, z, x, y) do
-    with %{source: source, type: type, gzip?: gzip?} <- Names.value(gateway, :console_tiles),
-         {:ok, <<_, _::binary>> = bytes} <- read(source, z, x, y) do
+    with %{source: {"" <> folder, ending}, type: type, gzip?: gzip?} <- Names.value(gateway, :console_tiles),
+         {:ok, <<_, _::binary>> = bytes} <- File.read(Path.join([folder, "#{z}", "#{x}", "#{y}.#{ending}"])) do
       {bytes, type, gzip?}
     else
       _none -> nil
     end
   end
 
-  defp read(%PMTiles{} = source, z, x, y), do: PMTiles.tile(source, z, x, y)
-  defp read({folder, ending}, z, x, y), do: File.read(Path.join([folder, "#{z}", "#{x}", "#{y}.#{ending}"]))
+  @doc "The PMTiles file, or nil."
+  @spec archive(Names.gateway()) :: Path.t() | nil
+  def archive(gateway) do
+    with %{source: source} <- Names.value(gateway, :console_tiles),
+         do: if(match?({:archive, _path}, source), do: elem(source, 1))
+  end
 
   @impl GenServer
   def init(options) do
@@ -68,27 +77,22 @@ defmodule Aerie.Console.Map.Tiles do
     end
   end
 
+  # Everything else about it is found out by the pages that read it.
   defp file(path) do
-    with {:ok, tiles} <- PMTiles.open(path) do
-      {type, content} =
-        case tiles.type do
-          :vector -> @formats["pbf"]
-          image -> {"raster", "image/#{image}"}
-        end
+    case File.open(path, [:read, :binary], &IO.binread(&1, 8)) do
+      {:ok, <<"PMTiles", 3>>} ->
+        {:ok, %{source: {:archive, path}, type: nil, gzip?: false, shown: %{archive: "/tiles/archive"}}}
 
-      shown = %{
-        minzoom: tiles.min_zoom,
-        maxzoom: tiles.max_zoom,
-        bounds: area(tiles.bounds),
-        layers: tiles.layers
-      }
+      {:ok, <<"PMTiles", version>>} ->
+        {:error, "it is PMTiles version #{version}; only version 3 is supported"}
 
-      {:ok, tiles(tiles, type, content, tiles.tile_gzip?, shown)}
+      {:ok, _other} ->
+        {:error, "it is not a PMTiles file"}
+
+      {:error, reason} ->
+        {:error, "#{:file.format_error(reason)}"}
     end
   end
-
-  # Many writers omit it.
-  defp area([west, south, east, north] = bounds), do: if(west < east and south < north, do: bounds)
 
   defp folder(path) do
     zooms =
@@ -102,16 +106,12 @@ defmodule Aerie.Console.Map.Tiles do
          %{^ending => {type, content}} <- @formats do
       {low, high} = Enum.min_max(zooms)
       gzip? = type == "vector" and match?(<<31, 139, _::binary>>, start(Path.join([first, column, tile])))
-      shown = %{minzoom: low, maxzoom: high, layers: if(type == "vector", do: @common, else: [])}
-      {:ok, tiles({path, ending}, type, content, gzip?, shown)}
+      layers = if type == "vector", do: @common, else: []
+      shown = %{type: type, url: "/tiles/{z}/{x}/{y}", minzoom: low, maxzoom: high, layers: layers}
+      {:ok, %{source: {path, ending}, type: content, gzip?: gzip?, shown: shown}}
     else
       _no_tiles -> {:error, "expected a PMTiles file, or a folder of Z/X/Y.png, .jpg, .webp or .pbf"}
     end
-  end
-
-  defp tiles(source, type, content, gzip?, shown) do
-    shown = Map.merge(%{type: type, url: "/tiles/{z}/{x}/{y}"}, shown)
-    %{source: source, type: content, gzip?: gzip?, shown: shown}
   end
 
   defp list(folder) do

@@ -1,11 +1,16 @@
 defmodule Aerie.Console.Map.TilesTest do
   use Aerie.ConsoleCase, async: true
 
+  import Aerie.MapPage, only: [browse_map: 2, browse_map: 3]
   import ExUnit.CaptureLog
 
-  alias Aerie.Console.Map.{PMTiles, Tiles}
+  alias Aerie.Console.Map.Tiles
 
   @moduletag :tmp_dir
+  # One white pixel.
+  @png Base.decode64!(
+         "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAAAAAA6fptVAAAACklEQVR4nGP4DwABAQEAsTj2FAAAAABJRU5ErkJggg=="
+       )
 
   defp varint(n) when n < 128, do: <<n>>
   defp varint(n), do: <<1::1, Bitwise.band(n, 127)::7, varint(div(n, 128))::binary>>
@@ -16,81 +21,40 @@ defmodule Aerie.Console.Map.TilesTest do
     IO.iodata_to_binary([varint(length(entries)) | for(column <- columns, n <- column, do: varint(n))])
   end
 
-  # The tile 0/0/0 in the root directory, 1/1/1 and those after it in a leaf; `type` 2 is PNG, 1 vector.
-  defp pmtiles(type \\ 2, metadata \\ "{}") do
-    data = "world" <> "tile!"
-    leaf = :zlib.gzip(directory([{3, 2, 6, 5}]))
-    root = :zlib.gzip(directory([{0, 1, 1, 5}, {1, 0, 1, byte_size(leaf)}]))
+  # One tile, of the whole world; `type` 1 is vectors, 2 PNG.
+  defp pmtiles(type, tile, metadata \\ "{}") do
+    root = :zlib.gzip(directory([{0, 1, 1, byte_size(tile)}]))
     metadata = :zlib.gzip(metadata)
-    at = 127
-    leaves = at + byte_size(root) + byte_size(metadata)
+    data = 127 + byte_size(root) + byte_size(metadata)
 
     header =
-      <<"PMTiles", 3, at::little-64, byte_size(root)::little-64, at + byte_size(root)::little-64,
-        byte_size(metadata)::little-64, leaves::little-64, byte_size(leaf)::little-64,
-        leaves + byte_size(leaf)::little-64, byte_size(data)::little-64, 0::192, 1, 2, 1, type, 0, 1,
-        80_000_000::little-32, 470_000_000::little-32, 90_000_000::little-32, 480_000_000::little-32, 0,
-        0::64>>
+      <<"PMTiles", 3, 127::little-64, byte_size(root)::little-64, 127 + byte_size(root)::little-64,
+        byte_size(metadata)::little-64, data::little-64, 0::64, data::little-64, byte_size(tile)::little-64,
+        0::192, 1, 2, 1, type, 0, 0, -180 * 10_000_000::little-32, -85 * 10_000_000::little-32,
+        180 * 10_000_000::little-32, 85 * 10_000_000::little-32, 0, 0::64>>
 
-    header <> root <> metadata <> leaf <> data
+    header <> root <> metadata <> tile
   end
 
-  defp file(dir, bytes) do
-    path = Path.join(dir, "map.pmtiles")
+  # A vector tile with the layer `water`, whose one polygon is all of it (Mapbox's specification, version 2.1).
+  defp water do
+    zigzag = fn n -> Bitwise.bxor(Bitwise.bsl(n, 1), Bitwise.bsr(n, 63)) end
+    moves = [9, 0, 0, 26, zigzag.(4096), 0, 0, zigzag.(4096), zigzag.(-4096), 0, 15]
+    geometry = for n <- moves, into: "", do: varint(n)
+    feature = <<24, 3, 34, byte_size(geometry)>> <> geometry
+    layer = <<10, 5, "water", 18, byte_size(feature)>> <> feature <> <<40>> <> varint(4096) <> <<120, 2>>
+    <<26, byte_size(layer)>> <> layer
+  end
+
+  defp file(dir, bytes, name \\ "map") do
+    path = Path.join(dir, name <> ".pmtiles")
     File.write!(path, bytes)
     path
   end
 
-  describe "a PMTiles file" do
-    test "tiles are numbered along Hilbert's curve" do
-      tiles = [{0, 0, 0}, {1, 0, 0}, {1, 0, 1}, {1, 1, 1}, {1, 1, 0}, {2, 0, 0}]
-      assert for({z, x, y} <- tiles, do: PMTiles.id(z, x, y)) == Enum.to_list(0..5)
-      # Each once.
-      assert for(x <- 0..15, y <- 0..15, do: PMTiles.id(4, x, y)) |> Enum.sort() == Enum.to_list(85..340)
-      assert PMTiles.id(12, 3423, 1763) == 19_078_479
-    end
-
-    test "tiles are found in the root and in leaves, runs of equal ones too", %{tmp_dir: dir} do
-      {:ok, tiles} = PMTiles.open(file(dir, pmtiles()))
-
-      assert %{type: :png, min_zoom: 0, max_zoom: 1, bounds: [8.0, 47.0, 9.0, 48.0], tile_gzip?: false} =
-               tiles
-
-      assert PMTiles.tile(tiles, 0, 0, 0) == {:ok, "world"}
-      assert PMTiles.tile(tiles, 1, 1, 1) == {:ok, "tile!"}
-      assert PMTiles.tile(tiles, 1, 1, 0) == {:ok, "tile!"}
-      assert PMTiles.tile(tiles, 1, 0, 0) == {:ok, nil}
-      assert PMTiles.tile(tiles, 2, 0, 0) == {:ok, nil}
-      assert PMTiles.tile(tiles, 1, 2, 0) == {:ok, nil}
-    end
-
-    test "layers of vector tiles", %{tmp_dir: dir} do
-      metadata = JSON.encode!(%{vector_layers: [%{id: "water"}, %{id: "roads"}]})
-      assert {:ok, %{layers: ["water", "roads"]}} = PMTiles.open(file(dir, pmtiles(1, metadata)))
-      assert {:error, "its metadata do not name" <> _} = PMTiles.open(file(dir, pmtiles(1)))
-    end
-
-    test "another file, or one broken anywhere, is an error and never a crash", %{tmp_dir: dir} do
-      assert {:error, "it is not a PMTiles file"} = PMTiles.open(file(dir, String.duplicate("x", 200)))
-      assert {:error, "it is shorter than it says"} = PMTiles.open(file(dir, "PMTiles"))
-      assert {:error, "no such file" <> _} = PMTiles.open(Path.join(dir, "none"))
-      whole = pmtiles()
-
-      for at <- 8..(byte_size(whole) - 1) do
-        <<before::binary-size(^at), byte, rest::binary>> = whole
-        path = file(dir, <<before::binary, Bitwise.bxor(byte, 255), rest::binary>>)
-
-        with {:ok, tiles} <- PMTiles.open(path) do
-          assert {outcome, _tile_or_reason} = PMTiles.tile(tiles, 1, 1, 1)
-          assert outcome in [:ok, :error]
-        end
-      end
-    end
-  end
-
-  defp get(console, path, cookie) do
+  defp get(console, path, headers) do
     {:ok, {{_, status, _}, headers, body}} =
-      :httpc.request(:get, {~c"#{console.url}#{path}", cookie}, [], body_format: :binary)
+      :httpc.request(:get, {~c"#{console.url}#{path}", headers}, [], body_format: :binary)
 
     {status, Map.new(headers, fn {name, value} -> {to_string(name), to_string(value)} end), body}
   end
@@ -106,26 +70,79 @@ defmodule Aerie.Console.Map.TilesTest do
     [{~c"cookie", ~c"#{name}=#{Phoenix.LiveView.Token.sign(secret, "cookie", session)}"}]
   end
 
-  test "the gateway serves them to signed-in users, and tells the map", %{tmp_dir: dir} do
-    path = file(dir, pmtiles())
+  defp start(dir, tiles) do
+    config = %{console: %{dir: Path.join(dir, "c"), tiles: tiles, tiles_attribution: "(c) me"}}
+    [console: console] = start_console(config: config, dir: Path.join(dir, "c"))
+    console
+  end
 
-    [console: console] =
-      start_console(
-        config: %{console: %{dir: Path.join(dir, "c"), tiles: path, tiles_attribution: "(c) me"}},
-        dir: Path.join(dir, "c")
-      )
-
-    assert %{type: "raster", url: "/tiles/{z}/{x}/{y}", maxzoom: 1, attribution: "(c) me"} =
-             Tiles.description(console.gateway)
+  test "ranges of a PMTiles file go to signed-in users, and the map knows its address", %{tmp_dir: dir} do
+    whole = pmtiles(2, "tile!")
+    path = file(dir, whole)
+    console = start(dir, path)
+    assert Tiles.description(console.gateway) == %{archive: "/tiles/archive", attribution: "(c) me"}
 
     {:ok, view, _html} = live(conn(console, :viewer), "/")
-    assert view |> element("#fleet-map") |> render() =~ "/tiles/{z}/{x}/{y}"
+    assert view |> element("#fleet-map") |> render() =~ "/tiles/archive"
+
+    assert {401, _headers, _body} = get(console, "/tiles/archive", range("0-9"))
+    cookie = signed_in(console)
+    get = fn range -> get(console, "/tiles/archive", range(range) ++ cookie) end
+
+    assert {206, %{"content-range" => range, "etag" => etag}, <<"PMTiles", 3, _::binary-2>>} = get.("0-9")
+    assert range == "bytes 0-9/#{byte_size(whole)}"
+    last = byte_size(whole) - 1
+    assert {206, %{"etag" => ^etag}, "tile!"} = get.("#{last - 4}-#{last + 1_000}")
+
+    # Several, from the end, without an end, beyond it, too long, and no range at all.
+    for range <- ["0-1,3-4", "-5", "0-", "#{last + 1}-#{last + 9}", "9-0", "x", "0-99999999999"] do
+      expected = if range == "0-99999999999", do: 206, else: 416
+      assert {^expected, _headers, _body} = get.(range)
+    end
+
+    assert {416, _headers, "ask for one range" <> _} = get(console, "/tiles/archive", cookie)
+    File.write!(path, whole <> String.duplicate("x", 20_000_000))
+    assert {416, _headers, _body} = get.("0-17000000")
+    File.rm!(path)
+    assert {404, _headers, _body} = get.("0-9")
+    assert {404, _headers, _body} = get(console, "/tiles/0/0/0", cookie)
+  end
+
+  describe "in a browser, a PMTiles file" do
+    @describetag :chromium
+
+    test "of vectors is drawn by the names of its layers", %{tmp_dir: dir} do
+      metadata = JSON.encode!(%{vector_layers: [%{id: "water"}]})
+      console = start(dir, file(dir, pmtiles(1, water(), metadata)))
+      assert browse_map(console, "tiles", ["vector"]) =~ "ok"
+    end
+
+    test "of images is drawn", %{tmp_dir: dir} do
+      console = start(dir, file(dir, pmtiles(2, @png)))
+      assert browse_map(console, "tiles", ["raster"]) =~ "ok"
+    end
+
+    test "that is damaged is left out, and the map says so in the browser's log", %{tmp_dir: dir} do
+      console = start(dir, file(dir, <<"PMTiles", 3>> <> String.duplicate("x", 300)))
+      assert browse_map(console, "notiles") =~ "ok"
+    end
+  end
+
+  defp range(text), do: [{~c"range", ~c"bytes=#{text}"}]
+
+  test "tiles of a folder go to signed-in users", %{tmp_dir: dir} do
+    File.mkdir_p!(Path.join(dir, "tiles/0/0"))
+    File.write!(Path.join(dir, "tiles/0/0/0.png"), "world")
+    console = start(dir, Path.join(dir, "tiles"))
+
+    assert %{type: "raster", url: "/tiles/{z}/{x}/{y}", maxzoom: 0, attribution: "(c) me"} =
+             Tiles.description(console.gateway)
 
     assert {401, _headers, _body} = get(console, "/tiles/0/0/0", [])
     cookie = signed_in(console)
     assert {200, %{"content-type" => "image/png"}, "world"} = get(console, "/tiles/0/0/0", cookie)
 
-    for path <- ["/tiles/1/0/0", "/tiles/-1/0/0", "/tiles/0/0/x", "/tiles/0/0/99999999999"],
+    for path <- ["/tiles/archive", "/tiles/1/0/0", "/tiles/-1/0/0", "/tiles/0/0/x", "/tiles/0/0/99999999999"],
         do: assert({404, _, _} = get(console, path, cookie))
   end
 
@@ -140,9 +157,22 @@ defmodule Aerie.Console.Map.TilesTest do
   end
 
   test "what holds no tiles is said, and the map goes on without", %{tmp_dir: dir} do
-    gateway = make_ref()
-    log = capture_log(fn -> start_supervised!({Tiles, gateway: gateway, path: dir, attribution: nil}) end)
-    assert log =~ "expected a PMTiles file, or a folder"
-    assert Tiles.description(gateway) == nil
+    for {path, reason} <- [
+          {dir, "expected a PMTiles file, or a folder"},
+          {file(dir, "PMTile", "short"), "it is not a PMTiles file"},
+          {file(dir, <<"PMTiles", 2>>, "old"), "it is PMTiles version 2; only version 3 is supported"},
+          {Path.join(dir, "nowhere"), "no such file"}
+        ] do
+      gateway = make_ref()
+
+      log =
+        capture_log(fn ->
+          start_supervised!({Tiles, gateway: gateway, path: path, attribution: nil}, id: gateway)
+        end)
+
+      assert log =~ reason
+      assert Tiles.description(gateway) == nil
+      assert Tiles.archive(gateway) == nil
+    end
   end
 end

@@ -1,0 +1,48 @@
+// Tiles of one PMTiles file: npm's pmtiles reads the ranges that the map needs. `described` gives what style.js draws.
+import { npm } from "./npm.js";
+
+// Of the file's tiles: 1 are vectors, the others images.
+const TYPES = { 1: "vector", 2: "raster", 3: "raster", 4: "raster", 5: "raster" };
+let protocol; // one for all maps of the page
+
+export async function described(tiles, { addProtocol }) {
+  if (!tiles?.archive) return tiles;
+  try {
+    protocol ??= register(addProtocol);
+    const { PMTiles } = await script("pmtiles/pmtiles.js");
+    const url = new URL(tiles.archive, location.href).href;
+    const file = new PMTiles(url);
+    (await protocol).add(file);
+    return { ...tiles, ...(await contents(file)), url: `pmtiles://${url}/{z}/{x}/{y}` };
+  } catch (error) {
+    console.warn("map: the tiles cannot be read:", error?.message ?? error);
+    return null;
+  }
+}
+
+async function register(addProtocol) {
+  const { Protocol } = await script("pmtiles/pmtiles.js");
+  const created = new Protocol();
+  addProtocol("pmtiles", created.tile);
+  return created;
+}
+
+async function contents(file) {
+  const { tileType, minZoom, maxZoom, minLon, minLat, maxLon, maxLat } = await file.getHeader();
+  const type = TYPES[tileType];
+  if (!type) throw new Error("their type is unknown");
+  const layers = type === "vector" ? ((await file.getMetadata())?.vector_layers ?? []).map(({ id }) => id) : [];
+  // Many writers omit the bounds.
+  const bounds = minLon < maxLon && minLat < maxLat ? [minLon, minLat, maxLon, maxLat] : null;
+  return { type, layers, minzoom: minZoom, maxzoom: maxZoom, bounds };
+}
+
+// It is no module, but sets a global.
+const script = (path) =>
+  globalThis.pmtiles ??
+  new Promise((resolve, reject) => {
+    const element = Object.assign(document.createElement("script"), { src: npm(path) });
+    element.onload = () => resolve(globalThis.pmtiles);
+    element.onerror = () => reject(new Error(`${path} cannot be loaded`));
+    document.head.append(element);
+  });

@@ -17,7 +17,7 @@ defmodule Aerie.Control.Logs do
   alias Aerie.Vehicle.Command.Result
   alias Aerie.Control.Logs.{Download, List}
   alias Aerie.Control.Transfers.{InOrder, Spool}
-  alias Aerie.Vehicle.Snapshot
+  alias Aerie.Vehicle.{Firmware, Snapshot}
 
   @list_ms 600_000
   @byte_ms 4
@@ -131,12 +131,12 @@ defmodule Aerie.Control.Logs do
     end
   end
 
-  # AP_Logger::should_handle_log_message.
-  defp silent({:error, %{status: :timeout} = result}, %{autopilot: :ardupilot} = snapshot) do
-    if Snapshot.data(snapshot, :mode)[:armed],
+  defp silent({:error, %{status: :timeout} = result}, %{autopilot: firmware} = snapshot) do
+    %{title: title, logs_armed?: answers?} = Firmware.traits(firmware)
+
+    if Snapshot.data(snapshot, :mode)[:armed] and not answers?,
       do:
-        {:error,
-         %{result | reason: "ArduPilot does not speak of its logs while it is armed: disarm it first"}},
+        {:error, %{result | reason: "#{title} does not speak of its logs while it is armed: disarm it first"}},
       else: {:error, result}
   end
 

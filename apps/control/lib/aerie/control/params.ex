@@ -36,12 +36,10 @@ defmodule Aerie.Control.Params do
   }
 
   alias Aerie.Control.Policy.Intent
-  alias MavCodec.Enums.MavProtocolCapability
 
   @typedoc "`:component` - the component whose parameters are meant, 1 to 255; without it the autopilot's are"
   @type option :: Transfers.option() | {:component, 1..255}
 
-  @ftp MavProtocolCapability.value(:MAV_PROTOCOL_CAPABILITY_FTP)
   @list_ms 300_000
   @one_ms 60_000
   # One of a list, one that is set and shown.
@@ -103,7 +101,7 @@ defmodule Aerie.Control.Params do
 
   defp list_of_autopilot(gateway, vehicle, refresh?, options) do
     with {:ok, snapshot} <- Transfers.vehicle(gateway, vehicle) do
-      file? = file?(snapshot)
+      file? = Fetch.file?(snapshot)
       stored = if not refresh?, do: CacheWriter.stored(gateway, snapshot)
 
       transfer = %{
@@ -112,7 +110,7 @@ defmodule Aerie.Control.Params do
         share: {:params, refresh?},
         start: fn context, until ->
           more = [
-            hash: context.autopilot == :px4,
+            hash: context.protocol.traits().param_hash?,
             file: file? and context.ftp?,
             stored: stored,
             us: context.us,
@@ -135,10 +133,6 @@ defmodule Aerie.Control.Params do
   end
 
   defp kept(error, _stored, _gateway, _snapshot), do: error
-
-  # ArduPilot offers its parameters as a file.
-  defp file?(snapshot),
-    do: snapshot.autopilot == :ardupilot and Bitwise.band(snapshot[:capabilities] || 0, @ftp) != 0
 
   @doc """
   What the vehicle says about its parameters, by name: units, ranges, descriptions, values to choose from. Only newer firmware offers it (PX4 does); of
@@ -296,13 +290,15 @@ defmodule Aerie.Control.Params do
          do: {:ok, File.format(table, format, {system, component || 1})}
   end
 
-  defp format(:txt, %{autopilot: firmware} = snapshot) when firmware in [:betaflight, :inav],
-    do: {:ok, {:txt, LongNames.release(snapshot)}}
+  defp format(:txt, snapshot) do
+    release = LongNames.release(snapshot)
 
-  defp format(:txt, _snapshot),
-    do:
-      {:error,
-       Result.new(Aerie.Vehicle.Command.id(), :rejected, "only Betaflight and iNav have a command line")}
+    if File.prints?(release),
+      do: {:ok, {:txt, release}},
+      else:
+        {:error,
+         Result.new(Aerie.Vehicle.Command.id(), :rejected, "only Betaflight and iNav have a command line")}
+  end
 
   defp format(format, _snapshot), do: {:ok, format}
 

@@ -4,7 +4,7 @@ defmodule Aerie.Vehicle.Firmware do
   write that folder and add its adapter (`Aerie.Vehicle.Firmware.Adapter`) to the list in this file.
   """
 
-  alias Aerie.Vehicle.Firmware.{Telemetry, Traits, Unknown}
+  alias Aerie.Vehicle.Firmware.{GroundStation, Telemetry, Traits, Unknown}
 
   @typedoc "A firmware by the name that state, NATS and REST have; `:generic` for any that is not in the list."
   @type name :: atom()
@@ -42,6 +42,10 @@ defmodule Aerie.Vehicle.Firmware do
   @doc "Where the messages of a firmware say other things than MAVLink declares."
   @spec telemetry(name() | nil) :: Telemetry.t()
   def telemetry(name), do: of(name).telemetry()
+
+  @doc "Which ground station keeps the failsafe of a firmware on a kind of vehicle quiet."
+  @spec ground_station(name() | nil, kind :: String.t()) :: GroundStation.t()
+  def ground_station(name, kind), do: of(name).ground_station(kind)
 
   @doc "The name of a firmware for people."
   @spec title(name()) :: String.t()

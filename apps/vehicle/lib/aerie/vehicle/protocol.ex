@@ -77,7 +77,7 @@ defmodule Aerie.Vehicle.Protocol do
     case protocol.gap(command.type, vehicle.kind) do
       nil ->
         with {:ok, steps} <- protocol.steps(command, vehicle),
-             :ok <- armed(Command.type(command), vehicle),
+             :ok <- armed(protocol, Command.type(command), vehicle),
              do: {:ok, repeats(steps, Command.type(command).retry)}
 
       reason ->
@@ -86,13 +86,13 @@ defmodule Aerie.Vehicle.Protocol do
   end
 
   # It would be stored, and the vehicle set off as soon as it is armed.
-  defp armed(type, %{armed: false} = vehicle) do
-    if Type.taken_disarmed?(type, vehicle.autopilot, vehicle.kind),
+  defp armed(protocol, type, %{armed: false} = vehicle) do
+    if Type.taken_disarmed?(type, protocol.traits().setpoints_before_arming?, vehicle.kind),
       do: :ok,
       else: {:error, "it is disarmed, and #{type.name} would move it as soon as it is armed: arm it first"}
   end
 
-  defp armed(_type, _armed), do: :ok
+  defp armed(_protocol, _type, _armed), do: :ok
 
   # Steps before the last one, such as a mode, may be repeated.
   defp repeats(steps, retry), do: List.update_at(steps, -1, &%{&1 | repeat: retry})

@@ -11,6 +11,7 @@ defmodule Aerie.Control.Mission.OwnFence do
   alias Protocols.Mission.Plan
   alias Aerie.Control.Mission.OwnFence.Area
   alias Aerie.Control.Policy.Context
+  alias Aerie.Vehicle.Firmware
 
   # Corners times places that are judged: some tenths of a second.
   @most_work 1_000_000
@@ -21,7 +22,7 @@ defmodule Aerie.Control.Mission.OwnFence do
   the air; `fenced?`: its fence is known to be on.
   """
   @type vehicle :: %{
-          autopilot: Aerie.Vehicle.Firmware.name(),
+          autopilot: Firmware.name(),
           vehicle_type: String.t(),
           place: {number(), number()} | nil,
           flying?: boolean(),
@@ -166,7 +167,7 @@ defmodule Aerie.Control.Mission.OwnFence do
     end
   end
 
-  defp union?(vehicle), do: vehicle.autopilot == :px4
+  defp union?(vehicle), do: Firmware.traits(vehicle.autopilot).any_zone?
 
   defp finding(part, index, text), do: %{part: part, index: index, text: text, breach?: false}
 end

@@ -16,8 +16,11 @@ defmodule Aerie.Control.Params.Fetch do
 
   alias Aerie.Control.Ftp.{Client, RoundTrip}
   alias Aerie.Control.Params.{Cache, Download, Param, Set, Table}
+  alias Aerie.Vehicle.Firmware
+  alias MavCodec.Enums.MavProtocolCapability
   alias MavCodec.Ftp.PackedParams
 
+  @ftp MavProtocolCapability.value(:MAV_PROTOCOL_CAPABILITY_FTP)
   @silent_us RoundTrip.silence()
   @max_file_bytes 262_144
 
@@ -37,6 +40,13 @@ defmodule Aerie.Control.Params.Fetch do
   ]
 
   @type t :: %__MODULE__{}
+
+  @doc "Whether the vehicle of a snapshot offers its parameters as a file."
+  @spec file?(map()) :: boolean()
+  def file?(snapshot) do
+    Firmware.traits(snapshot.autopilot).param_file? and
+      Bitwise.band(snapshot[:capabilities] || 0, @ftp) != 0
+  end
 
   @doc """
   A fetch that has not begun. Options are those of `Aerie.Control.Params.Download.new/3`, and `:file` (whether to try the file: ArduPilot

@@ -14,6 +14,7 @@ defmodule Aerie.Control.Params.File do
 
   alias Aerie.Control.Params.File.CommandLine
   alias Aerie.Control.Params.{LongNames, Table}
+  alias Aerie.Vehicle.Firmware
   alias MavCodec.Message.ParamValue
   alias Aerie.Base.Files.Text
   alias MavCodec.Enums.MavComponent
@@ -37,6 +38,10 @@ defmodule Aerie.Control.Params.File do
   @type error :: {line :: pos_integer() | nil, String.t()}
   @typedoc "Whose rows are read: system and component of an autopilot; nil for any one system."
   @type owner :: {system :: non_neg_integer() | nil, component :: 0..255}
+
+  @doc "Whether a vehicle's command line prints parameters, in the format `:txt`."
+  @spec prints?(CommandLine.release() | nil) :: boolean()
+  defdelegate prints?(release), to: CommandLine
 
   @doc "The parameters of a file, in its order, for the autopilot of any one vehicle."
   @spec parse(binary()) :: {:ok, [entry()]} | {:error, [error(), ...]}
@@ -66,12 +71,10 @@ defmodule Aerie.Control.Params.File do
   end
 
   defp settings(_lines, _owner, {firmware, _version}, {named, _of_file}) when firmware != named,
-    do: {:error, [{nil, "the file is of #{CommandLine.title(named)}, and the vehicle has another firmware"}]}
+    do: {:error, [{nil, "the file is of #{Firmware.title(named)}, and the vehicle has another firmware"}]}
 
   defp settings(lines, owner, release, named) do
-    release =
-      if match?({firmware, _} when firmware in [:betaflight, :inav], release), do: release, else: named
-
+    release = if prints?(release), do: release, else: named
     {settings, remarks} = CommandLine.settings(lines, release)
     entries = for {name, value, line} <- settings, do: entry(name, value, nil, line)
     with {:ok, entries, more} <- rows(entries, owner), do: {:ok, entries, remarks ++ more}

@@ -5,11 +5,11 @@ defmodule Aerie.Control.Params.LongNames do
   """
 
   alias Aerie.Control.Params.{Metadata, Param, Table}
+  alias Aerie.Vehicle.Firmware
   alias MavCodec.Msp.{Message, Params, ShortName}
   alias MavCodec.Ftp.PackedParams
 
   @command_line ~r/\A[a-z0-9_]{1,64}\z/
-  @msp [:betaflight, :inav]
 
   @doc "Whether this can be the name of a parameter: one of MAVLink, or a longer one of a command line, which has small letters, digits and `_`."
   @spec name?(term()) :: boolean()
@@ -20,21 +20,26 @@ defmodule Aerie.Control.Params.LongNames do
   defdelegate wire(name), to: ShortName, as: :of
 
   @doc "A parameter, or all of a vehicle, with the whole names."
-  @spec shown(Param.t() | Table.t(), Aerie.Vehicle.Firmware.name()) :: Param.t() | Table.t()
-  def shown(%Param{} = param, firmware) when firmware in @msp,
-    do: %{param | name: Params.full(firmware, param.name)}
+  @spec shown(Param.t() | Table.t(), Firmware.name()) :: Param.t() | Table.t()
+  def shown(params, firmware) do
+    case Firmware.traits(firmware).param_tables do
+      nil -> params
+      tables -> whole(params, tables)
+    end
+  end
 
-  def shown(%Table{} = table, firmware) when firmware in @msp,
-    do: Table.new(for name <- table.order, do: shown(table.params[name], firmware))
+  defp whole(%Param{} = param, tables), do: %{param | name: Params.full(tables, param.name)}
 
-  def shown(params, _firmware), do: params
+  defp whole(%Table{} = table, tables),
+    do: Table.new(for name <- table.order, do: whole(table.params[name], tables))
 
   @doc "The firmware of a snapshot, and the version of its parameters if that is known; nil without a snapshot."
-  @spec release(map() | nil) :: {Aerie.Vehicle.Firmware.name(), Message.version() | nil} | nil
-  def release(%{autopilot: firmware} = snapshot) when firmware in @msp,
-    do: {firmware, Params.version(firmware, snapshot[:firmware])}
+  @spec release(map() | nil) :: {Firmware.name(), Message.version() | nil} | nil
+  def release(%{autopilot: firmware} = snapshot) do
+    tables = Firmware.traits(firmware).param_tables
+    {firmware, tables && Params.version(tables, snapshot[:firmware])}
+  end
 
-  def release(%{autopilot: firmware}), do: {firmware, nil}
   def release(_none), do: nil
 
   @doc """
@@ -43,10 +48,8 @@ defmodule Aerie.Control.Params.LongNames do
   """
   @spec metadata(map()) :: {:ok, %{String.t() => Metadata.t()}} | nil
   def metadata(snapshot) do
-    case release(snapshot) do
-      {firmware, nil} when firmware in @msp -> {:ok, %{}}
-      {firmware, version} when firmware in @msp -> {:ok, Params.described(firmware, version)}
-      _other -> nil
-    end
+    with {firmware, version} <- release(snapshot),
+         tables when tables != nil <- Firmware.traits(firmware).param_tables,
+         do: {:ok, if(version, do: Params.described(tables, version), else: %{})}
   end
 end

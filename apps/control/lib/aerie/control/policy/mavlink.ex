@@ -126,8 +126,12 @@ defmodule Aerie.Control.Policy.Mavlink do
 
   defp stored?(facts, vehicle) do
     case Types.fetch(facts.type) do
-      {:ok, type} -> not Type.taken_disarmed?(type, vehicle.autopilot, vehicle.vehicle_type)
-      :error -> facts.permission == :fly and "takeoff" in facts.implies
+      {:ok, type} ->
+        first? = Firmware.traits(vehicle.autopilot).setpoints_before_arming?
+        not Type.taken_disarmed?(type, first?, vehicle.vehicle_type)
+
+      :error ->
+        facts.permission == :fly and "takeoff" in facts.implies
     end
   end
 

@@ -18,7 +18,6 @@ defmodule Aerie.Control.ReadCache.Vehicle do
   # Whose reading is answered to nobody: the policy's.
   @nobody {0, 0}
   @fence 1
-  @fenced [:ardupilot, :px4]
   @relearn_ms 1_000
   @max_stations 256
   @portion 20
@@ -181,7 +180,7 @@ defmodule Aerie.Control.ReadCache.Vehicle do
     protocol = Firmware.of(autopilot)
     for type <- Map.keys(@kinds), do: Aboard.put(state.gateway, state.key, type, :read, nil)
     # A new fence is compared with it, for those without the permission to take it away.
-    if autopilot in @fenced, do: GenServer.cast(self(), {:learn, @fence})
+    if protocol.traits().fences?, do: GenServer.cast(self(), {:learn, @fence})
 
     %{
       state

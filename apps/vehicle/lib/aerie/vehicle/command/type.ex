@@ -39,7 +39,8 @@ defmodule Aerie.Vehicle.Command.Type do
     * `:cancel?` - it can be cancelled while it runs (C5)
     * `:moves_vehicle?` - the vehicle or its propellers may move because of it
     * `:disarmed` - whether it is taken while the vehicle is disarmed. A vehicle may store it then, and drive off when it is armed:
-      `:refused`; `:refused_on_wheels` - only by what drives or swims; `:refused_by_ardupilot` - PX4 wants it before it is armed (X7)
+      `:refused`; `:refused_on_wheels` - only by what drives or swims; `:refused_unless_first` - only
+      by a firmware that does not want it before it is armed (X7)
   """
   @type t :: %__MODULE__{
           name: String.t(),
@@ -54,19 +55,22 @@ defmodule Aerie.Vehicle.Command.Type do
           long?: boolean(),
           cancel?: boolean(),
           moves_vehicle?: boolean(),
-          disarmed: :taken | :refused | :refused_on_wheels | :refused_by_ardupilot
+          disarmed: :taken | :refused | :refused_on_wheels | :refused_unless_first
         }
 
   @max_unknown 8
 
   @wheels ["rover", "boat", "sub"]
 
-  @doc "Whether a disarmed vehicle of a firmware and a kind may be given the command."
-  @spec taken_disarmed?(t(), autopilot :: atom(), kind :: String.t() | nil) :: boolean()
-  def taken_disarmed?(%{disarmed: :taken}, _autopilot, _kind), do: true
-  def taken_disarmed?(%{disarmed: :refused}, _autopilot, _kind), do: false
-  def taken_disarmed?(%{disarmed: :refused_on_wheels}, _autopilot, kind), do: kind not in @wheels
-  def taken_disarmed?(%{disarmed: :refused_by_ardupilot}, autopilot, _kind), do: autopilot == :px4
+  @doc """
+  Whether a disarmed vehicle of a kind may be given the command. `first?` - whether its firmware wants set-points before
+  it is armed.
+  """
+  @spec taken_disarmed?(t(), first? :: boolean(), kind :: String.t() | nil) :: boolean()
+  def taken_disarmed?(%{disarmed: :taken}, _first?, _kind), do: true
+  def taken_disarmed?(%{disarmed: :refused}, _first?, _kind), do: false
+  def taken_disarmed?(%{disarmed: :refused_on_wheels}, _first?, kind), do: kind not in @wheels
+  def taken_disarmed?(%{disarmed: :refused_unless_first}, first?, _kind), do: first?
 
   @doc "All permissions that a command may need."
   @spec permissions() :: [permission()]

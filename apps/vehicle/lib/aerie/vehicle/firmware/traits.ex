@@ -5,7 +5,15 @@ defmodule Aerie.Vehicle.Firmware.Traits do
             mav_autopilot: nil,
             vendor: nil,
             modes: nil,
-            param_encoding: :c_cast
+            param_encoding: :c_cast,
+            param_tables: nil,
+            command_line: [],
+            param_hash?: false,
+            param_file?: false,
+            fences?: false,
+            any_zone?: false,
+            logs_armed?: true,
+            setpoints_before_arming?: false
 
   @typedoc """
     * `:title` - its name for people
@@ -13,12 +21,30 @@ defmodule Aerie.Vehicle.Firmware.Traits do
     * `:vendor` - its name in COMPONENT_INFORMATION_BASIC, of one without a number
     * `:modes` - the module of its flight modes (`Aerie.Vehicle.Firmware.Modes`); nil: the flags of its heartbeat
     * `:param_encoding` - how integer parameters are put into PARAM_SET's float (P2)
+    * `:param_tables` - whose parameters `MavCodec.Msp.Params` describes, with whole names where MAVLink's are too
+      short; nil: the vehicle describes them itself, or nobody does
+    * `:command_line` - how the firmware's command line calls it in what it prints; empty: it has none that prints
+      parameters
+    * `:param_hash?` - whether the parameter `_HASH_CHECK` says if others have changed (P6)
+    * `:param_file?` - whether it offers all of them as a file
+    * `:fences?` - whether the fence aboard can be read, to be compared with a new one
+    * `:any_zone?` - whether it may be in any of its stay-inside zones; else it has to be in all of them
+    * `:logs_armed?` - whether it answers questions about its logs while it is armed
+    * `:setpoints_before_arming?` - whether it wants set-points before it is armed, and does not keep them (X7)
   """
   @type t :: %__MODULE__{
           title: String.t(),
           mav_autopilot: non_neg_integer() | nil,
           vendor: String.t() | nil,
           modes: module() | nil,
-          param_encoding: :c_cast | :bytewise
+          param_encoding: :c_cast | :bytewise,
+          param_tables: MavCodec.Msp.Messages.firmware() | nil,
+          command_line: [String.t()],
+          param_hash?: boolean(),
+          param_file?: boolean(),
+          fences?: boolean(),
+          any_zone?: boolean(),
+          logs_armed?: boolean(),
+          setpoints_before_arming?: boolean()
         }
 end

@@ -11,13 +11,11 @@ defmodule Aerie.Vehicle.Services.Gcs do
   comes is used as well. Unknown values are nil.
   """
 
+  alias Aerie.Vehicle.Firmware
+  alias Aerie.Vehicle.Firmware.GroundStation
   alias MavRouter.Forward.GroundStations
   alias MavCodec.Enums.MavType
   alias MavCodec.Messages.ParamRequestRead
-
-  @ardupilot ~w(SYSID_MYGCS MAV_GCS_SYSID MAV_GCS_SYSID_HI FS_GCS_ENABLE FS_GCS_ENABL FS_GCS_TIMEOUT FS_LONG_TIMEOUT)
-  @px4 ~w(NAV_DLL_ACT COM_DL_LOSS_T)
-  @names @ardupilot ++ @px4
 
   @first_us 5_000_000
   @pause_us 2_000_000
@@ -25,8 +23,6 @@ defmodule Aerie.Vehicle.Services.Gcs do
   @known_us 60_000_000
   @shown 16
   @mav_type_gcs MavType.value(:MAV_TYPE_GCS)
-  # The firmware's defaults, for when the parameter is not known.
-  @timeout_us %{ardupilot: 5_000_000, px4: 10_000_000}
 
   defstruct autopilot: :generic,
             kind: "unknown",
@@ -61,8 +57,12 @@ defmodule Aerie.Vehicle.Services.Gcs do
 
   @doc "The value of any parameter."
   @spec param(t(), String.t(), number()) :: t()
-  def param(gcs, name, value) when name in @names, do: %{gcs | params: Map.put(gcs.params, name, value)}
-  def param(gcs, _name, _value), do: gcs
+  def param(gcs, name, value) do
+    # The heartbeat may come later than the parameter.
+    if Enum.any?(Firmware.names(), &(name in GroundStation.names(Firmware.ground_station(&1, gcs.kind)))),
+      do: %{gcs | params: Map.put(gcs.params, name, value)},
+      else: gcs
+  end
 
   @doc "After a reboot the parameters are read again: they may have been changed before it."
   @spec rebooted(t(), integer()) :: t()
@@ -125,7 +125,7 @@ defmodule Aerie.Vehicle.Services.Gcs do
   defp ask(gcs, now, {system, component}) do
     gcs = %{gcs | next: now + @pause_us}
 
-    case Enum.find(plan(gcs), &(Map.get(gcs.asked, &1, 0) < @tries and ask?(gcs, &1))) do
+    case Enum.find(station(gcs).asks, &(Map.get(gcs.asked, &1, 0) < @tries and ask?(gcs, &1))) do
       nil ->
         {gcs, []}
 
@@ -136,79 +136,51 @@ defmodule Aerie.Vehicle.Services.Gcs do
     end
   end
 
-  defp plan(%{autopilot: :ardupilot, kind: kind}) when kind in ["plane", "vtol"],
-    do: ~w(SYSID_MYGCS MAV_GCS_SYSID MAV_GCS_SYSID_HI FS_GCS_ENABL FS_LONG_TIMEOUT)
-
-  defp plan(%{autopilot: :ardupilot}),
-    do: ~w(SYSID_MYGCS MAV_GCS_SYSID MAV_GCS_SYSID_HI FS_GCS_ENABLE FS_GCS_TIMEOUT)
-
-  defp plan(%{autopilot: :px4}), do: @px4
-  defp plan(_generic), do: []
-
   # A parameter that is known, or has another name in this firmware, is not requested.
-  defp ask?(gcs, "MAV_GCS_SYSID_HI"),
-    do: is_map_key(gcs.params, "MAV_GCS_SYSID") and not known?(gcs, "MAV_GCS_SYSID_HI")
+  defp ask?(%{params: params} = gcs, name) do
+    ids = station(gcs).ids
 
-  defp ask?(gcs, "MAV_GCS_SYSID"),
-    do: not is_map_key(gcs.params, "SYSID_MYGCS") and not known?(gcs, "MAV_GCS_SYSID")
+    not is_map_key(params, name) and
+      case Enum.find(ids, fn {low, high} -> name in [low, high] end) do
+        nil -> true
+        {low, ^name} -> is_map_key(params, low)
+        {_low, _high} -> not Enum.any?(ids, fn {low, _high} -> is_map_key(params, low) end)
+      end
+  end
 
-  defp ask?(gcs, "SYSID_MYGCS"),
-    do: not is_map_key(gcs.params, "MAV_GCS_SYSID") and not known?(gcs, "SYSID_MYGCS")
-
-  defp ask?(gcs, name), do: not known?(gcs, name)
-
-  defp known?(gcs, name), do: is_map_key(gcs.params, name)
+  defp station(gcs), do: Firmware.ground_station(gcs.autopilot, gcs.kind)
 
   @doc "The system ids that the failsafe listens to: `{lowest, highest}`, `:any_gcs` for any ground station, or nil."
   @spec listens_to(t()) :: {integer(), integer()} | :any_gcs | nil
-  def listens_to(%{autopilot: :px4}), do: :any_gcs
+  def listens_to(%{params: params} = gcs) do
+    case station(gcs) do
+      %{listens_to: :any} ->
+        :any_gcs
 
-  def listens_to(%{autopilot: :ardupilot, params: params}) do
-    case params do
-      %{"MAV_GCS_SYSID" => low} ->
-        {trunc(low), max(trunc(low), trunc(Map.get(params, "MAV_GCS_SYSID_HI", 0)))}
-
-      %{"SYSID_MYGCS" => id} ->
-        {trunc(id), trunc(id)}
-
-      _unknown ->
-        nil
+      %{ids: ids} ->
+        Enum.find_value(ids, fn {low, high} ->
+          with id when id != nil <- params[low], do: {trunc(id), max(trunc(id), trunc(params[high] || 0))}
+        end)
     end
   end
-
-  def listens_to(_generic), do: nil
 
   @doc "The ids whose heartbeats keep the failsafe quiet, `:unknown` before they are read, nil if ids do not count."
   @spec obeyed(t()) :: {integer(), integer()} | :unknown | nil
-  def obeyed(%{autopilot: :ardupilot} = gcs) do
-    case listens_to(gcs) do
-      {_low, _high} = ids -> ids
-      _unread -> :unknown
-    end
-  end
-
-  def obeyed(_by_type_or_not_known), do: nil
+  def obeyed(gcs), do: if(station(gcs).listens_to == :ids, do: listens_to(gcs) || :unknown)
 
   @doc "Whether the failsafe is enabled; nil while that is not known."
   @spec enabled?(t()) :: boolean() | nil
-  def enabled?(%{autopilot: :px4, params: params}), do: on?(params["NAV_DLL_ACT"])
-  def enabled?(%{params: params}), do: on?(params["FS_GCS_ENABLE"] || params["FS_GCS_ENABL"])
-
-  defp on?(nil), do: nil
-  defp on?(value), do: value > 0
+  def enabled?(gcs), do: with(value when value != nil <- first(gcs, station(gcs).enabled), do: value > 0)
 
   @doc "The silence after which the failsafe acts (us)."
   @spec timeout_us(t()) :: pos_integer()
-  def timeout_us(%{autopilot: autopilot, params: params}) do
-    seconds =
-      if autopilot == :px4,
-        do: params["COM_DL_LOSS_T"],
-        else: params["FS_GCS_TIMEOUT"] || params["FS_LONG_TIMEOUT"]
-
-    if seconds != nil and seconds > 0,
-      do: round(seconds * 1_000_000),
-      else: Map.get(@timeout_us, autopilot, 5_000_000)
+  def timeout_us(gcs) do
+    station = station(gcs)
+    seconds = first(gcs, station.timeout)
+    if seconds != nil and seconds > 0, do: round(seconds * 1_000_000), else: station.timeout_us
   end
+
+  defp first(gcs, names), do: Enum.find_value(names, &gcs.params[&1])
 
   @doc "Whether heartbeats of this station keep the failsafe quiet."
   @spec keeps_quiet?(t(), %{system: integer(), type: integer()}) :: boolean()

@@ -23,23 +23,14 @@ defmodule Aerie.Vehicle.Services.Params do
 
   def read(%M.ParamValue{} = message, autopilot) do
     with true <- name?(message.param_id),
-         {:ok, value, _exact?} <-
-           ParamValue.decode(message.param_value, message.param_type, encoding(autopilot)) do
-      {:ok,
-       {whole(message.param_id, autopilot), value,
-        if(message.param_index == 0xFFFF, do: nil, else: message.param_index)}}
+         %{param_encoding: encoding, param_tables: tables} = Firmware.traits(autopilot),
+         {:ok, value, _exact?} <- ParamValue.decode(message.param_value, message.param_type, encoding) do
+      name = if tables, do: MavCodec.Msp.Params.full(tables, message.param_id), else: message.param_id
+      {:ok, {name, value, if(message.param_index == 0xFFFF, do: nil, else: message.param_index)}}
     else
       _garbage -> :ignore
     end
   end
 
-  # Betaflight and iNav have longer names than MAVLink.
-  defp whole(name, autopilot) when autopilot in [:betaflight, :inav],
-    do: MavCodec.Msp.Params.full(autopilot, name)
-
-  defp whole(name, _autopilot), do: name
-
   defp name?(name), do: PackedParams.name?(name) and not String.starts_with?(name, @counters)
-
-  defp encoding(autopilot), do: Firmware.traits(autopilot).param_encoding
 end

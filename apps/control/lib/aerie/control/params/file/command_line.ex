@@ -9,11 +9,12 @@ defmodule Aerie.Control.Params.File.CommandLine do
   say so.
   """
 
+  alias Aerie.Vehicle.Firmware
   alias MavCodec.Msp.{Message, Params}
 
   @set ~r/\Aset\s+(\S+)\s*=\s*(.*?)\s*\z/
   @profile ~r/\A(profile|rateprofile|control_profile|battery_profile|mixer_profile)\s+(\d{1,2})\z/
-  @header ~r/^# (Betaflight|INAV|iNav)\b(?:[^\n]*?\s(?:20)?(\d{1,2}\.\d{1,2})\b)?/m
+  @version "(?:[^\\n]*?\\s(?:20)?(\\d{1,2}\\.\\d{1,2})\\b)?"
   # These belong to the session with the command line, not to the vehicle.
   @silent ~w(diff dump defaults batch save exit version board_name manufacturer_id mcu_id signature board_info)
   @named 5
@@ -26,21 +27,32 @@ defmodule Aerie.Control.Params.File.CommandLine do
   def lines?(lines), do: Enum.any?(lines, fn {line, _number} -> line =~ @set end)
 
   @typedoc "A firmware, and its version if that is known."
-  @type release :: {:betaflight | :inav, Message.version() | nil}
+  @type release :: {Firmware.name(), Message.version() | nil}
+
+  @doc "Whether the firmware of a release has a command line that prints its parameters."
+  @spec prints?(release() | nil) :: boolean()
+  def prints?({firmware, _version}), do: Firmware.traits(firmware).command_line != []
+  def prints?(nil), do: false
 
   @doc "The firmware that a file names in its comments, and its version; nil if it names none."
   @spec release(binary()) :: release() | nil
   def release(text) do
-    case Regex.run(@header, text) do
-      [_all, "Betaflight" | version] -> {:betaflight, Params.version(:betaflight, List.first(version))}
-      [_all, _inav | version] -> {:inav, Params.version(:inav, List.first(version))}
-      nil -> nil
+    names =
+      for firmware <- Firmware.names(), name <- Firmware.traits(firmware).command_line, do: {name, firmware}
+
+    alternatives = Enum.map_join(names, "|", &elem(&1, 0))
+
+    with [_all, name | version] <- Regex.run(Regex.compile!("^# (#{alternatives})\\b#{@version}", "m"), text) do
+      {_name, firmware} = List.keyfind(names, name, 0)
+      {firmware, Params.version(Firmware.traits(firmware).param_tables, List.first(version))}
     end
   end
 
   @doc "The words of a release by the names of parameters; none if it is not known."
   @spec words(release() | nil) :: %{String.t() => [String.t()]}
-  def words({firmware, version}) when version != nil, do: Params.words(firmware, version)
+  def words({firmware, version}) when version != nil,
+    do: Params.words(Firmware.traits(firmware).param_tables, version)
+
   def words(_unknown), do: %{}
 
   @doc "The settings that are numbers, as text, and remarks."
@@ -71,14 +83,9 @@ defmodule Aerie.Control.Params.File.CommandLine do
   end
 
   defp unknown({firmware, nil}),
-    do: ["the words of this version of #{title(firmware)} are not known: only numbers are read"]
+    do: ["the words of this version of #{Firmware.title(firmware)} are not known: only numbers are read"]
 
   defp unknown(_known_or_none), do: []
-
-  @doc "The name of a firmware."
-  @spec title(:betaflight | :inav) :: String.t()
-  def title(:inav), do: "iNav"
-  def title(:betaflight), do: "Betaflight"
 
   defp line({line, number}, read) do
     cond do
@@ -133,11 +140,13 @@ defmodule Aerie.Control.Params.File.CommandLine do
   @spec head(release()) :: String.t()
   def head({firmware, nil}),
     do:
-      "# #{title(firmware)}: save stores them and restarts the vehicle\n" <>
+      "# #{Firmware.title(firmware)}: save stores them and restarts the vehicle\n" <>
         "# The words of this version are not known: its command line refuses numbers in their place\n"
 
   def head({firmware, version}) do
-    {_numbers, _version, release} = List.keyfind(Params.releases(firmware), version, 1)
-    "# #{title(firmware)} #{release}: save stores them and restarts the vehicle\n"
+    {_numbers, _version, release} =
+      List.keyfind(Params.releases(Firmware.traits(firmware).param_tables), version, 1)
+
+    "# #{Firmware.title(firmware)} #{release}: save stores them and restarts the vehicle\n"
   end
 end

@@ -75,7 +75,7 @@ defmodule Aerie.Vehicle.Command.Types.Manual do
       moves_vehicle?: true,
       cancel?: true,
       # Sticks also arm; a set-point may be stored.
-      disarmed: if(String.starts_with?(name, "setpoint_"), do: :refused_by_ardupilot, else: :taken),
+      disarmed: if(String.starts_with?(name, "setpoint_"), do: :refused_unless_first, else: :taken),
       params:
         params ++
           [

@@ -16,7 +16,7 @@ defmodule Aerie.Vehicle.Firmware.Ardupilot.Adapter do
 
   import Aerie.Vehicle.Protocol.Vehicle, only: [airborne: 2]
 
-  alias Aerie.Vehicle.Firmware.{Ardupilot, Modes, Telemetry, Traits}
+  alias Aerie.Vehicle.Firmware.{Ardupilot, GroundStation, Modes, Telemetry, Traits}
   alias Aerie.Vehicle.Firmware.Ardupilot.{Calibration, Steering, StoredItem}
   alias Aerie.Vehicle.Protocol.{Mavlink, Vehicle}
   alias Aerie.Vehicle.Protocol.Mavlink.{Commands, Streams}
@@ -44,7 +44,11 @@ defmodule Aerie.Vehicle.Firmware.Ardupilot.Adapter do
     %Traits{
       title: "ArduPilot",
       mav_autopilot: MavAutopilot.value(:MAV_AUTOPILOT_ARDUPILOTMEGA),
-      modes: Ardupilot.Modes
+      modes: Ardupilot.Modes,
+      param_file?: true,
+      fences?: true,
+      # AP_Logger::should_handle_log_message.
+      logs_armed?: false
     }
   end
 
@@ -56,6 +60,19 @@ defmodule Aerie.Vehicle.Firmware.Ardupilot.Adapter do
       rotor_modes: 17..23,
       status_flies?: true,
       detects_landing?: true
+    }
+  end
+
+  @impl true
+  def ground_station(kind) do
+    failsafe =
+      if kind in @winged, do: ~w(FS_GCS_ENABL FS_LONG_TIMEOUT), else: ~w(FS_GCS_ENABLE FS_GCS_TIMEOUT)
+
+    %GroundStation{
+      listens_to: :ids,
+      # Since 4.7, and before.
+      ids: [{"MAV_GCS_SYSID", "MAV_GCS_SYSID_HI"}, {"SYSID_MYGCS", nil}],
+      asks: ~w(SYSID_MYGCS MAV_GCS_SYSID MAV_GCS_SYSID_HI) ++ failsafe
     }
   end
 

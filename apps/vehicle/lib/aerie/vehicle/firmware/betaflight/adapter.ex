@@ -10,7 +10,15 @@ defmodule Aerie.Vehicle.Firmware.Betaflight.Adapter do
   alias Aerie.Vehicle.Firmware.{Msp, Telemetry, Traits}
 
   @impl true
-  def traits, do: %Traits{title: "Betaflight", vendor: "Betaflight", param_encoding: :bytewise}
+  def traits do
+    %Traits{
+      title: "Betaflight",
+      vendor: "Betaflight",
+      param_encoding: :bytewise,
+      param_tables: :betaflight,
+      command_line: ["Betaflight"]
+    }
+  end
 
   @impl true
   def telemetry, do: %Telemetry{height_apart?: true, arming_texts?: true}

@@ -12,7 +12,15 @@ defmodule Aerie.Vehicle.Firmware.Inav.Adapter do
   alias Aerie.Vehicle.Protocol.Mavlink.Streams
 
   @impl true
-  def traits, do: %Traits{title: "iNav", vendor: "iNav", param_encoding: :bytewise}
+  def traits do
+    %Traits{
+      title: "iNav",
+      vendor: "iNav",
+      param_encoding: :bytewise,
+      param_tables: :inav,
+      command_line: ["INAV", "iNav"]
+    }
+  end
 
   @impl true
   def telemetry, do: %Telemetry{height_apart?: true, arming_texts?: true}

@@ -17,7 +17,7 @@ defmodule Aerie.Vehicle.Firmware.Px4.Adapter do
   import Bitwise
   import Aerie.Vehicle.Protocol.Vehicle, only: [airborne: 2]
 
-  alias Aerie.Vehicle.Firmware.{Modes, Px4, Telemetry, Traits}
+  alias Aerie.Vehicle.Firmware.{GroundStation, Modes, Px4, Telemetry, Traits}
   alias Aerie.Vehicle.Protocol.{Mavlink, Step, Vehicle}
   alias Aerie.Vehicle.Protocol.Mavlink.{Commands, Streams}
   alias Aerie.Vehicle.Firmware.Px4.{Calibration, Plans}
@@ -46,7 +46,11 @@ defmodule Aerie.Vehicle.Firmware.Px4.Adapter do
       title: "PX4",
       mav_autopilot: MavAutopilot.value(:MAV_AUTOPILOT_PX4),
       modes: Px4.Modes,
-      param_encoding: :bytewise
+      param_encoding: :bytewise,
+      param_hash?: true,
+      fences?: true,
+      any_zone?: true,
+      setpoints_before_arming?: true
     }
   end
 
@@ -60,6 +64,17 @@ defmodule Aerie.Vehicle.Firmware.Px4.Adapter do
       # The upper half of the mode has the main and the sub mode.
       high_latency_shift: 16,
       detects_landing?: true
+    }
+  end
+
+  @impl true
+  def ground_station(_kind) do
+    %GroundStation{
+      listens_to: :any,
+      enabled: ["NAV_DLL_ACT"],
+      timeout: ["COM_DL_LOSS_T"],
+      timeout_us: 10_000_000,
+      asks: ~w(NAV_DLL_ACT COM_DL_LOSS_T)
     }
   end
 

@@ -10,7 +10,8 @@ defmodule Aerie.Api.Rest.Actions do
   alias Aerie.Api.Rest.Operations.ChangeLog
   alias Aerie.Access.HTTP.Error
 
-  alias Aerie.Api.Rest.{Recordings, Routes, RuleChanges, SigningCapability, View}
+  alias Aerie.Api.Rest.View.{Recordings, SigningCapability}
+  alias Aerie.Api.Rest.{Routes, RuleChanges, View}
   alias Aerie.Access.HTTP.Request
   alias Aerie.Access.Tickets
 

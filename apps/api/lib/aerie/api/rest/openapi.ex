@@ -5,7 +5,8 @@ defmodule Aerie.Api.Rest.OpenAPI do
   """
 
   alias Aerie.Base.Json
-  alias Aerie.Api.Rest.{Bodies, Parameters, Routes}
+  alias Aerie.Api.Rest.OpenAPI.{Bodies, Parameters}
+  alias Aerie.Api.Rest.Routes
   alias Aerie.Access.HTTP.Error
 
   # Every answer may be one of these; those of commands only where a vehicle is asked.

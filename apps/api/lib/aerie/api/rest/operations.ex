@@ -16,7 +16,8 @@ defmodule Aerie.Api.Rest.Operations do
   import Aerie.Control.Operations.Route, only: [body?: 1]
 
   alias Aerie.Access.Changes.Rights
-  alias Aerie.Api.Rest.{Commands, Format, LogDownload, Route}
+  alias Aerie.Api.Rest.{Commands, Route}
+  alias Aerie.Api.Rest.Operations.{Format, LogDownload}
   alias Aerie.Api.Rest.Operations.Gateway
   alias Aerie.Access.HTTP.{Error, Request}
   alias Aerie.Access.WorkLimit
@@ -106,7 +107,7 @@ defmodule Aerie.Api.Rest.Operations do
     own ++ common(operation)
   end
 
-  # `Aerie.Api.Rest.Parameters` describes those of a request that its reader checks.
+  # `Aerie.Api.Rest.OpenAPI.Parameters` describes those of a request that its reader checks.
   defp undeclared(operation, route), do: route.query -- Enum.map(operation.fields, & &1.key)
 
   # Nobody sees the progress of a read.

@@ -10,8 +10,8 @@ defmodule Aerie.Api.Rest.Route do
   | `change` | what it changes of the gateway (`Aerie.Access.Changes.Rights`), for the audit log; nil for nothing |
   | `role` | the least role that may; a viewer may read everything |
   | `summary` | one line, for the description |
-  | `body` | the name of a schema (`Aerie.Api.Rest.Bodies`), `{:bytes, media types, name of the one as JSON}`, or nil for none |
-  | `query` | names of parameters (`Aerie.Api.Rest.Parameters`), or `{name, schema, meaning}` |
+  | `body` | the name of a schema (`Aerie.Api.Rest.OpenAPI.Bodies`), `{:bytes, media types, name of the one as JSON}`, or nil for none |
+  | `query` | names of parameters (`Aerie.Api.Rest.OpenAPI.Parameters`), or `{name, schema, meaning}` |
   | `status` | of the answer; with `later: true` also 202: the command goes on |
   | `answer` | names of schemas, nil for none, or `{:bytes, media types, names of those as JSON}` |
   """

@@ -13,7 +13,8 @@ defmodule Aerie.Api.Rest.View do
   alias Aerie.Fleet.Shadow
   alias MavRouter.Endpoints.Counters
   alias Aerie.Vehicle.Fields
-  alias Aerie.Api.Rest.{VehicleDetails, EventsQuery, Recordings}
+  alias Aerie.Api.Rest.View.{VehicleDetails, Recordings}
+  alias Aerie.Api.Rest.EventsQuery
 
   @link_keys [
     :id,

@@ -1,7 +1,8 @@
 defmodule Aerie.Api.Rest.OpenAPITest do
   use Aerie.APICase, async: true
 
-  alias Aerie.Api.Rest.{OpenAPI, Parameters, Routes}
+  alias Aerie.Api.Rest.{OpenAPI, Routes}
+  alias Aerie.Api.Rest.OpenAPI.Parameters
 
   @file_ Path.expand("../../../../../../docs/openapi.json", __DIR__)
 

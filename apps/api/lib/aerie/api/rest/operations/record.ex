@@ -2,7 +2,7 @@ defmodule Aerie.Api.Rest.Operations.Record do
   @moduledoc false
   use Aerie.Control.Operations.Operation
 
-  alias Aerie.Api.Rest.Recordings
+  alias Aerie.Api.Rest.View.Recordings
   alias MavRouter.Recorder
 
   @impl true

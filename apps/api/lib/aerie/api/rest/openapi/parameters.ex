@@ -1,4 +1,4 @@
-defmodule Aerie.Api.Rest.Parameters do
+defmodule Aerie.Api.Rest.OpenAPI.Parameters do
   @moduledoc "The parameters that paths and queries of `/api` may have, for `docs/openapi.json`."
 
   import Aerie.Base.Json.Schema

@@ -1,4 +1,4 @@
-defmodule Aerie.Api.Rest.VehicleDetails do
+defmodule Aerie.Api.Rest.View.VehicleDetails do
   @moduledoc """
   What `GET /api/vehicles/ID` shows besides a vehicle's state: streams, ground stations, clock, reports. Pure, from its
   snapshot. A part that is missing in the snapshot is null.

@@ -1,4 +1,4 @@
-defmodule Aerie.Api.Rest.LogDownload do
+defmodule Aerie.Api.Rest.Operations.LogDownload do
   @moduledoc """
   A log of a vehicle as the body of an answer, while it comes from the vehicle: nothing is stored here. `Range: bytes=N-` goes on where
   another download ended; with `If-Range` and the `ETag` of that one only if it is the same log.

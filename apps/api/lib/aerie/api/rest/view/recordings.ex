@@ -1,4 +1,4 @@
-defmodule Aerie.Api.Rest.Recordings do
+defmodule Aerie.Api.Rest.View.Recordings do
   @moduledoc "Recordings as `/api` shows them."
 
   alias Aerie.Base.Json

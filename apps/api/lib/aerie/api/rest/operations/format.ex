@@ -1,4 +1,4 @@
-defmodule Aerie.Api.Rest.Format do
+defmodule Aerie.Api.Rest.Operations.Format do
   @moduledoc """
   The format of a body or an answer: `?format=` chooses it; otherwise the content type of the body, or the first known one of `Accept`.
   Pure.

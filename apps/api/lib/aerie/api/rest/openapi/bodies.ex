@@ -1,4 +1,4 @@
-defmodule Aerie.Api.Rest.Bodies do
+defmodule Aerie.Api.Rest.OpenAPI.Bodies do
   @moduledoc """
   The schemas of the bodies of `/api` by the names that routes have: as strict as what reads them, but for the content
   of connection strings, plans and files of parameters. Pure.

@@ -1,4 +1,4 @@
-defmodule Aerie.Api.Rest.SigningCapability do
+defmodule Aerie.Api.Rest.View.SigningCapability do
   @moduledoc """
   What `GET /api/signing/capability` shows: who can sign, who does, and by which links a key can be given. Never a key (S9).
 

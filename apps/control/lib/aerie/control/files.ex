@@ -10,9 +10,12 @@ defmodule Aerie.Control.Files do
   directions. A refusal is `:failed` or `:rejected`; for a file that the vehicle does not have, with the rule `"file"`.
   """
 
+  @behaviour Aerie.Control.Commands.Change
+
   alias Aerie.Base.Names
-  alias Aerie.Control.{Commands, Transfers}
+  alias Aerie.Control.Transfers
   alias Aerie.Vehicle.Command.{Error, Result}
+  alias Aerie.Control.Commands.Change
   alias Aerie.Control.Ftp.{Client, Name}
   alias Aerie.Control.Policy.Intent
   alias Aerie.Control.Transfers.Spool
@@ -52,7 +55,7 @@ defmodule Aerie.Control.Files do
     with {:ok, snapshot} <- Transfers.vehicle(gateway, vehicle) do
       reading = fn offset, acc, fun ->
         more = [offset: offset, max_bytes: max_bytes]
-        Transfers.read(gateway, snapshot, transfer({:read, path}, more, @read_ms), options, acc, fun)
+        Transfers.read(gateway, snapshot, machine({:read, path}, more, @read_ms), options, acc, fun)
       end
 
       if into,
@@ -85,7 +88,7 @@ defmodule Aerie.Control.Files do
   permission `maintain`, and `protection` for files that hold parameters, missions or scripts.
   """
   @spec write(Names.gateway(), vehicle :: String.t(), Path.t(), binary(), [Transfers.option()]) ::
-          Commands.answer()
+          Transfers.answer()
   def write(gateway, vehicle, path, bytes, options \\ [])
 
   def write(_gateway, _vehicle, _path, bytes, _options) when byte_size(bytes) > @max_bytes,
@@ -98,13 +101,13 @@ defmodule Aerie.Control.Files do
   end
 
   @doc "Removes a file. Needs the permissions of `write/5`."
-  @spec remove(Names.gateway(), vehicle :: String.t(), Path.t(), [Transfers.option()]) :: Commands.answer()
+  @spec remove(Names.gateway(), vehicle :: String.t(), Path.t(), [Transfers.option()]) :: Transfers.answer()
   def remove(gateway, vehicle, path, options \\ []),
     do: change(gateway, vehicle, {:remove, path}, %{action: "remove", path: path}, options)
 
   defp ask(gateway, vehicle, operation, options) do
     with {:ok, snapshot} <- Transfers.vehicle(gateway, vehicle) do
-      transfer = operation |> transfer([], @short_ms) |> Map.put(:share, operation)
+      transfer = operation |> machine([], @short_ms) |> Map.put(:share, operation)
       {result, nil} = Transfers.read(gateway, snapshot, transfer, options)
       result
     end
@@ -114,21 +117,30 @@ defmodule Aerie.Control.Files do
     path = Name.bytes(params.path)
 
     if String.valid?(params.path) and byte_size(path) <= 239 do
-      change = %{facts: Intent.write_file(path), params: params}
+      change = %Change{
+        module: __MODULE__,
+        what: operation,
+        facts: Intent.write_file(path),
+        params: params,
+        limit_ms: limit_ms(operation)
+      }
 
-      Transfers.change(
-        gateway,
-        vehicle,
-        change,
-        transfer(operation, [], Transfers.time_ms(params[:bytes] || 0, @byte_ms)),
-        options
-      )
+      Transfers.change(gateway, vehicle, change, options)
     else
       {:error, [Error.new("path", "text of at most 239 bytes", params.path)]}
     end
   end
 
-  defp transfer(operation, more, timeout_ms) do
+  defp limit_ms({:write, _path, bytes}), do: Transfers.time_ms(byte_size(bytes), @byte_ms)
+  defp limit_ms({:remove, _path}), do: Transfers.time_ms(0, @byte_ms)
+
+  @impl Change
+  def review(_operation, _gateway, _snapshot, _policy, _context), do: :allow
+
+  @impl Change
+  def transfer(operation, _gateway, _snapshot), do: {:ok, machine(operation, [], limit_ms(operation))}
+
+  defp machine(operation, more, timeout_ms) do
     %{
       lanes: [:file],
       timeout_ms: timeout_ms,

@@ -11,10 +11,12 @@ defmodule Aerie.Control.Missions do
   those of `t:Aerie.Control.Transfers.option/0`.
   """
 
-  alias Aerie.Control.Commands.Gateways
+  @behaviour Aerie.Control.Commands.Change
+
+  alias Aerie.Control.Commands.{Change, Gateways}
   alias Aerie.Base.Files.Text
   alias Aerie.Base.Names
-  alias Aerie.Control.{Commands, Transfers}
+  alias Aerie.Control.Transfers
   alias Protocols.Mission
   alias Aerie.Vehicle.Firmware
   alias Aerie.Vehicle.Command.{Error, Result}
@@ -103,7 +105,7 @@ defmodule Aerie.Control.Missions do
     # What a firmware with missions lacks beside them is read as empty.
     with {:ok, snapshot} <- Transfers.vehicle(gateway, vehicle),
          {:gap, nil} <- {:gap, gap(snapshot, :mission)} do
-      transfer = Map.put(transfer(:download, type, snapshot.vehicle_type), :share, {:plan, type})
+      transfer = Map.put(transfer(:download, [], type, snapshot.vehicle_type), :share, {:plan, type})
       {result, nil} = Transfers.read(gateway, snapshot, transfer, options)
       result
     else
@@ -137,7 +139,7 @@ defmodule Aerie.Control.Missions do
   @spec upload(Names.gateway(), vehicle :: String.t(), kind(), Plan.t(), [
           Transfers.option() | {:force, boolean()}
         ]) ::
-          Commands.answer()
+          Transfers.answer()
   def upload(gateway, vehicle, kind, %Plan{} = plan, options \\ []) do
     {force, options} = Keyword.pop(options, :force, false)
     items = Onboard.items(plan, @kinds[kind], protocol(gateway, vehicle))
@@ -160,18 +162,7 @@ defmodule Aerie.Control.Missions do
         {:error, [Error.new(Atom.to_string(kind), "at most #{Transfer.limit()} items", length(items))]}
 
       true ->
-        forced = if force, do: %{forced: true}, else: %{}
-
-        change = %{
-          params: Map.merge(sent("upload", items), forced),
-          remote_request: put(kind, plan, force),
-          review: &review(gateway, &1, &2, &3, items, {kind, plan, force}),
-          before: &remark(&1, kind, plan)
-        }
-
-        gateway
-        |> send_items(vehicle, kind, {:upload, items}, change, options)
-        |> Known.note(gateway, Gateways.vehicle(gateway, vehicle), @kinds[kind], items)
+        change(gateway, vehicle, {:upload, kind, plan, items, force}, put(kind, plan, force), options)
     end
   end
 
@@ -180,18 +171,27 @@ defmodule Aerie.Control.Missions do
   aboard, such as `"4 corners"`, if it could be read before. Needs the permission `mission`, and for a fence
   `protection`.
   """
-  @spec clear(Names.gateway(), vehicle :: String.t(), kind(), [Transfers.option()]) :: Commands.answer()
+  @spec clear(Names.gateway(), vehicle :: String.t(), kind(), [Transfers.option()]) :: Transfers.answer()
   def clear(gateway, vehicle, kind, options \\ []) do
-    change = %{
-      params: sent("clear", []),
-      remote_request: {"mission", "clear", %{"kind" => Atom.to_string(kind)}},
-      review: &review(gateway, &1, &2, &3, [], {kind, %Plan{}, true}),
-      before: &removing(gateway, &1, kind)
+    asked = {"mission", "clear", %{"kind" => Atom.to_string(kind)}}
+    change(gateway, vehicle, {:clear, kind, %Plan{}, [], true}, asked, options)
+  end
+
+  defp change(gateway, vehicle, {action, kind, _plan, items, force} = what, remote_request, options) do
+    sent = %{action: Atom.to_string(action), items: length(items), digest: Plan.digest(items)}
+
+    change = %Change{
+      module: __MODULE__,
+      what: what,
+      facts: facts(@kinds[kind], length(items)),
+      params: if(action == :upload and force, do: Map.put(sent, :forced, true), else: sent),
+      limit_ms: limit_ms(items),
+      remote_request: remote_request
     }
 
     gateway
-    |> send_items(vehicle, kind, :clear, change, options)
-    |> Known.note(gateway, Gateways.vehicle(gateway, vehicle), @kinds[kind], [])
+    |> Transfers.change(vehicle, change, options)
+    |> Known.note(gateway, Gateways.vehicle(gateway, vehicle), @kinds[kind], items)
   end
 
   @doc "Why a plan could be sent to no vehicle (a place without a height), or nil."
@@ -201,29 +201,6 @@ defmodule Aerie.Control.Missions do
       what = Plan.heightless(plan, kind)
       what && "#{kind}: expected #{what}"
     end)
-  end
-
-  defp sent(action, items), do: %{action: action, items: length(items), digest: Plan.digest(items)}
-
-  defp remark(snapshot, kind, plan) do
-    remarks = plan |> OwnFence.check(OwnFence.vehicle(snapshot, now())) |> OwnFence.remarks(kind)
-    &Result.remark(&1, remarks)
-  end
-
-  # The result says what was removed.
-  defp removing(gateway, snapshot, kind) do
-    case Transfers.read(gateway, snapshot, transfer(:download, @kinds[kind], snapshot.vehicle_type), []) do
-      {{:ok, %{items: items}}, nil} ->
-        removed = contents(items, kind, Firmware.of(snapshot.autopilot))
-
-        fn
-          %{status: :completed} = result -> put_in(result.details["removed"], removed)
-          result -> result
-        end
-
-      {{:error, _result}, nil} ->
-        & &1
-    end
   end
 
   @doc "Describes a plan of a kind from its items: `\"4 corners\"`, `\"nothing\"`."
@@ -304,12 +281,6 @@ defmodule Aerie.Control.Missions do
     }
   end
 
-  defp send_items(gateway, vehicle, kind, op, change, options) do
-    type = @kinds[kind]
-    change = Map.merge(change, %{facts: facts(type, change.params.items), gap: &gap(&1, kind)})
-    Transfers.change(gateway, vehicle, change, transfer(op, type, kind_of(gateway, vehicle)), options)
-  end
-
   defp facts(type, count),
     do:
       Mavlink.facts(%M.MissionCount{mission_type: type, count: count}, %{
@@ -317,7 +288,8 @@ defmodule Aerie.Control.Missions do
         vehicle_type: "unknown"
       })
 
-  defp review(gateway, policy, context, snapshot, items, {kind, plan, force}) do
+  @impl Change
+  def review({_action, kind, plan, items, force}, gateway, snapshot, policy, context) do
     read = fn -> read(gateway, snapshot.id, kind) end
 
     with :allow <- Known.review(policy, context, {gateway, snapshot}, items, @kinds[kind], read),
@@ -335,10 +307,44 @@ defmodule Aerie.Control.Missions do
 
   defp now, do: System.os_time(:microsecond)
 
-  defp transfer(op, type, kind) do
+  @impl Change
+  def transfer({action, kind, _plan, items, _force} = what, gateway, snapshot) do
+    op = if action == :upload, do: {:upload, items}, else: :clear
+
+    with nil <- gap(snapshot, kind) do
+      transfer = transfer(op, items, @kinds[kind], snapshot.vehicle_type)
+      {:ok, Map.put(transfer, :complete, remark(what, gateway, snapshot))}
+    else
+      lacking -> {:gap, lacking}
+    end
+  end
+
+  defp remark({:upload, kind, plan, _items, _force}, _gateway, snapshot) do
+    remarks = plan |> OwnFence.check(OwnFence.vehicle(snapshot, now())) |> OwnFence.remarks(kind)
+    &Result.remark(&1, remarks)
+  end
+
+  # The result says what was removed.
+  defp remark({:clear, kind, _plan, _items, _force}, gateway, snapshot) do
+    case Transfers.read(gateway, snapshot, transfer(:download, [], @kinds[kind], snapshot.vehicle_type), []) do
+      {{:ok, %{items: items}}, nil} ->
+        removed = contents(items, kind, Firmware.of(snapshot.autopilot))
+
+        fn
+          %{status: :completed} = result -> put_in(result.details["removed"], removed)
+          result -> result
+        end
+
+      {{:error, _result}, nil} ->
+        & &1
+    end
+  end
+
+  # The items that are sent.
+  defp transfer(op, items, type, kind) do
     %{
       lanes: [:mission],
-      timeout_ms: Transfers.time_ms(2 * sent(op), @item_ms),
+      timeout_ms: limit_ms(items),
       start: fn context, until ->
         Transfer.new(op, type,
           protocol: context.protocol,
@@ -353,8 +359,7 @@ defmodule Aerie.Control.Missions do
     }
   end
 
-  defp sent({:upload, items}), do: length(items)
-  defp sent(_clear_or_download), do: 0
+  defp limit_ms(items), do: Transfers.time_ms(2 * length(items), @item_ms)
 
   defp kind_of(gateway, vehicle) do
     case Gateways.vehicle(gateway, vehicle) do

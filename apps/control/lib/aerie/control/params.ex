@@ -14,9 +14,11 @@ defmodule Aerie.Control.Params do
   `Aerie.Vehicle.Command.Result`.
   """
 
+  @behaviour Aerie.Control.Commands.Change
+
   alias Aerie.Base.Names
-  alias Aerie.Control.{Commands, Transfers}
-  alias Aerie.Control.Commands.Gateways
+  alias Aerie.Control.Transfers
+  alias Aerie.Control.Commands.{Change, Gateways}
   alias Aerie.Vehicle.Command.{Error, Result}
 
   alias Aerie.Control.Params.{
@@ -185,7 +187,7 @@ defmodule Aerie.Control.Params do
   """
   @spec set(Names.gateway(), vehicle :: String.t(), name :: String.t(), number() | String.t(), [
           option() | {:type, 1..11} | {:was, String.t()}
-        ]) :: Commands.answer()
+        ]) :: Transfers.answer()
   def set(gateway, vehicle, name, value, options \\ []) do
     {type, options} = Keyword.pop(options, :type)
     {component, options} = Keyword.pop(options, :component)
@@ -193,31 +195,23 @@ defmodule Aerie.Control.Params do
 
     with :ok <- check(name, value, component),
          :ok <- if(component, do: :ok, else: known(gateway, vehicle, [name])) do
-      besides =
+      remarks =
         for {key, value} <- [component: component, was: was], value != nil, into: %{}, do: {key, value}
 
-      transfer = %{
-        lanes: [:params],
-        timeout_ms: @one_ms,
-        start: &Component.set(LongNames.wire(name), value, type, &1, &2, component)
-      }
-
-      asked = {"params", "set", of(component, %{"name" => name, "value" => value})}
-
-      change =
-        Map.put(
-          change(
-            component_facts(gateway, vehicle, component, {name, value}),
-            Map.merge(%{name: name, value: value}, besides)
-          ),
-          :remote_request,
-          asked
-        )
-        |> Map.put(:sets, if(component, do: [], else: [{name, value}]))
-
-      Transfers.change(gateway, vehicle, change, transfer, options, fn param ->
-        %{"name" => name, "value" => param.value}
-      end)
+      Transfers.change(
+        gateway,
+        vehicle,
+        %Change{
+          module: __MODULE__,
+          what: {:set, name, value, type, component},
+          facts: component_facts(gateway, vehicle, component, {name, value}),
+          params: Map.merge(%{name: name, value: value}, remarks),
+          limit_ms: @one_ms,
+          sets: if(component, do: [], else: [{name, value}]),
+          remote_request: {"params", "set", of(component, %{"name" => name, "value" => value})}
+        },
+        options
+      )
     end
   end
 
@@ -230,7 +224,7 @@ defmodule Aerie.Control.Params do
           vehicle :: String.t(),
           [File.entry()] | %{String.t() => number()},
           [Transfers.option()]
-        ) :: Commands.answer()
+        ) :: Transfers.answer()
   def set_all(gateway, vehicle, values, options \\ []),
     do: set_all(gateway, vehicle, values, Component.none!(options), [])
 
@@ -238,21 +232,51 @@ defmodule Aerie.Control.Params do
     entries = for entry <- values, do: entry(entry)
 
     names = for {name, _value, _type} <- entries, do: name
-    wired = for {name, value, type} <- entries, do: {LongNames.wire(name), value, type}
 
     with :ok <- check_all(entries), :ok <- known(gateway, vehicle, names) do
       sets = for {name, value, _type} <- entries, do: {name, value}
-      change = change(sets, %{count: length(entries), digest: digest(entries)})
-      change = Map.merge(change, %{sets: sets, before: fn _snapshot -> &Result.remark(&1, remarks) end})
 
-      transfer = %{
-        lanes: [:params],
-        timeout_ms: Transfers.time_ms(length(wired), @set_ms),
-        start: fn context, until -> {:ok, SetAll.new(wired, context.target, until, common(context))} end
-      }
-
-      Transfers.change(gateway, vehicle, change, transfer, options, &%{"set" => &1})
+      Transfers.change(
+        gateway,
+        vehicle,
+        %Change{
+          module: __MODULE__,
+          what: {:set_all, entries, remarks},
+          facts: Intent.set_parameters(sets),
+          params: %{count: length(entries), digest: digest(entries)},
+          limit_ms: Transfers.time_ms(length(entries), @set_ms),
+          sets: sets
+        },
+        options
+      )
     end
+  end
+
+  @impl Change
+  def review(_what, _gateway, _snapshot, _policy, _context), do: :allow
+
+  @impl Change
+  def transfer({:set, name, value, type, component}, _gateway, _snapshot) do
+    {:ok,
+     %{
+       lanes: [:params],
+       timeout_ms: @one_ms,
+       start: &Component.set(LongNames.wire(name), value, type, &1, &2, component),
+       details: &%{"name" => name, "value" => &1.value}
+     }}
+  end
+
+  def transfer({:set_all, entries, remarks}, _gateway, _snapshot) do
+    wired = for {name, value, type} <- entries, do: {LongNames.wire(name), value, type}
+
+    {:ok,
+     %{
+       lanes: [:params],
+       timeout_ms: Transfers.time_ms(length(wired), @set_ms),
+       start: fn context, until -> {:ok, SetAll.new(wired, context.target, until, common(context))} end,
+       details: &%{"set" => &1},
+       complete: &Result.remark(&1, remarks)
+     }}
   end
 
   @doc """
@@ -261,7 +285,7 @@ defmodule Aerie.Control.Params do
   """
   @spec load(Names.gateway(), vehicle :: String.t(), text :: binary(), [
           Transfers.option() | {:unknown, :refuse | :skip}
-        ]) :: Commands.answer() | {:error, Result.t()}
+        ]) :: Transfers.answer() | {:error, Result.t()}
   def load(gateway, vehicle, text, options \\ []) do
     {unknown, options} = options |> Component.none!() |> Keyword.pop(:unknown, :refuse)
 
@@ -336,9 +360,6 @@ defmodule Aerie.Control.Params do
 
   defp growing(context), do: [each_us: if(context.grows?, do: @each_ms * 1000, else: 0)]
   defp common(context), do: Component.options(context, nil)
-
-  defp change(sets, params) when is_list(sets), do: change(Intent.set_parameters(sets), params)
-  defp change(facts, params), do: %{facts: facts, params: params}
 
   defp component_facts(_gateway, _vehicle, nil, set), do: Intent.set_parameters([set])
 

@@ -15,14 +15,30 @@ defmodule Aerie.Control.TransferExecutor do
   alias Aerie.Base.{Names, Store}
   alias Aerie.Vehicle.Firmware
   alias MavRouter.Sharing.TransferLock
+  alias Aerie.Vehicle.Command.Result
   alias Aerie.Vehicle.CoreProcess
-  alias Aerie.Control.TransferExecutor.{Core, Job}
+  alias Aerie.Control.TransferExecutor.{Core, Job, Progress}
 
   @typedoc """
-  What a transfer says until its end: `{:progress, progress}`, as `Aerie.Control.TransferExecutor.Core` describes it, and
-  `{:data, offset, bytes}`, in any order and each byte once.
+  A transfer: the lanes that it uses, the function that makes its machine (`t:Aerie.Control.TransferExecutor.Job.t/0`),
+  its default time limit (`Aerie.Control.Transfers.time_ms/2`), and for reads a term: identical reads, which have the
+  same term, share one transfer. `:details` and `:complete` are those of `c:Aerie.Control.Commands.Change.transfer/3`.
+  `context.grows?`: nobody gave a time limit, so it may grow with the length that the
+  vehicle reports.
   """
-  @type event :: {:progress, term()} | {:data, non_neg_integer(), binary()}
+  @type transfer :: %{
+          required(:lanes) => [Job.lane(), ...],
+          required(:start) => (Job.context(), until :: integer() -> {:ok, struct()} | {:error, term()}),
+          required(:timeout_ms) => pos_integer(),
+          optional(:share) => term(),
+          optional(:details) => (value :: term() -> map()),
+          optional(:complete) => (Result.t() -> Result.t())
+        }
+
+  @typedoc """
+  What a transfer reads: `{:data, offset, bytes}`, in any order and each byte once.
+  """
+  @type event :: {:data, non_neg_integer(), binary()}
 
   @doc false
   # A fault in a transfer costs the transfers under way; only one that comes again and again costs the tree a restart.
@@ -41,16 +57,37 @@ defmodule Aerie.Control.TransferExecutor do
   end
 
   @doc """
-  Carries out a transfer, and folds its events by `fun`. Gives its result and what was folded. When the calling process ends, so does the
-  transfer, unless others wait for the same.
+  Carries out a transfer, within `timeout_ms` if that is not nil. `tell` gets its progress as a command has it, `fun`
+  folds what it reads; gives its result and what was folded. When the calling process ends, so does the transfer,
+  unless others wait for the same. With `yields` it makes way for others.
 
   Errors beside those of the machines: `{:unavailable, text}` (the vehicle is not known, is lost, or is reached only by links of high
   latency), `:full` (as many wait as may), `:taken` (one with that id is under way), `:waited` (others were under way for too long), `:yielded` (it
   made way for another one), `:lost` (the vehicle's processes were restarted).
   """
-  @spec run(Names.gateway(), Store.vehicle_key(), Job.t(), acc, (event(), acc -> acc)) :: {term(), acc}
+  @spec run(
+          Names.gateway(),
+          Store.vehicle_key(),
+          id :: String.t(),
+          transfer(),
+          [timeout_ms: pos_integer() | nil, yields: boolean()],
+          (map() -> term()),
+          acc,
+          (event(), acc -> acc)
+        ) :: {term(), acc}
         when acc: term()
-  def run(gateway, key, job, acc, fun) do
+  def run(gateway, key, id, transfer, options, tell, acc, fun) do
+    until = System.monotonic_time(:microsecond) + (options[:timeout_ms] || transfer.timeout_ms) * 1000
+
+    job = %Job{
+      id: id,
+      lanes: transfer.lanes,
+      start: &transfer.start.(Map.put(&1, :grows?, options[:timeout_ms] == nil), until),
+      until: until,
+      share: transfer[:share],
+      yields: Keyword.get(options, :yields, false)
+    }
+
     case Names.whereis(gateway, :transfers, key) do
       nil ->
         {{:error, {:unavailable, "the vehicle is not known"}}, acc}
@@ -58,18 +95,22 @@ defmodule Aerie.Control.TransferExecutor do
       pid ->
         ref = Process.monitor(pid)
         send(pid, {:submit, self(), ref, job})
-        follow(ref, acc, fun)
+        follow(ref, tell, acc, fun)
     end
   end
 
-  defp follow(ref, acc, fun) do
+  defp follow(ref, tell, acc, fun) do
     receive do
       {^ref, {:done, result}} ->
         Process.demonitor(ref, [:flush])
         {result, acc}
 
+      {^ref, {:progress, progress}} ->
+        tell.(Progress.plain(progress))
+        follow(ref, tell, acc, fun)
+
       {^ref, event} ->
-        follow(ref, fun.(event, acc), fun)
+        follow(ref, tell, fun.(event, acc), fun)
 
       {:DOWN, ^ref, :process, _pid, _reason} ->
         {{:error, :lost}, acc}

@@ -12,10 +12,8 @@ defmodule Aerie.Control.Transfers do
   alias Aerie.Vehicle.Command
   alias Aerie.Vehicle.Command.{Error, Result}
   alias Aerie.Control.Commands.{Change, Gateways}
-  alias Aerie.Control.Policy.{Intent, Roles}
-  alias Aerie.Control.Policy.Mavlink.SystemId
-  alias Aerie.Control.Transfers.{Outcome, Progress}
-  alias Aerie.Control.TransferExecutor.Job
+  alias Aerie.Control.Policy.Roles
+  alias Aerie.Control.TransferExecutor.Outcome
 
   @typedoc """
     * `:as` - who asks (`t:Aerie.Control.Policy.Roles.source/0`), by default an admin called `elixir`; `:via` - the
@@ -39,34 +37,10 @@ defmodule Aerie.Control.Transfers do
           | {:yields, boolean()}
           | {:wait_ms, timeout()}
 
+  @typedoc "What becomes of a change."
+  @type answer :: Commands.answer()
+
   @options [:as, :via, :says, :id, :progress, :timeout_ms, :wait_ms]
-
-  @typedoc """
-  A transfer: the lanes that it uses, the function that makes its machine (`t:Aerie.Control.TransferExecutor.Job.t/0`),
-  its default time limit (`time_ms/2`), and for reads a term: identical reads, which have the same term, share one
-  transfer. `context.grows?`: nobody gave a time limit, so it may grow with the length that the vehicle reports.
-  """
-  @type transfer :: %{
-          required(:lanes) => [Job.lane(), ...],
-          required(:start) => (Job.context(), until :: integer() -> {:ok, struct()} | {:error, term()}),
-          required(:timeout_ms) => pos_integer(),
-          optional(:share) => term()
-        }
-
-  @typedoc """
-  What a transfer changes: its type for the policy, what the audit log records, `review` of
-  `t:Aerie.Control.Commands.Change.t/0`, and, when the change was allowed, `gap`: why the vehicle's firmware lacks
-  what is changed, and `before`: what is found out before it begins, as a function that adds it to the result.
-  """
-  @type change :: %{
-          required(:facts) => Intent.t(),
-          required(:params) => %{atom() => term()},
-          optional(:gap) => (snapshot :: map() -> String.t() | nil),
-          optional(:before) => (snapshot :: map() -> (Result.t() -> Result.t())),
-          optional(:review) => term(),
-          optional(:sets) => [{String.t(), term()}],
-          optional(:remote_request) => Gateways.request()
-        }
 
   @doc "The longest time limit that NATS and REST accept, in seconds."
   @spec max_timeout_s() :: pos_integer()
@@ -126,13 +100,16 @@ defmodule Aerie.Control.Transfers do
   Reads something: returns the machine's value, or a result that says why there is none. `fun` folds the bytes that
   the machine delivers (`{:data, offset, bytes}`), starting with `acc`.
   """
-  @spec read(Names.gateway(), map(), transfer(), [option()], acc, (TransferExecutor.event(), acc -> acc)) ::
+  @spec read(Names.gateway(), map(), TransferExecutor.transfer(), [option()], acc, (TransferExecutor.event(),
+                                                                                    acc ->
+                                                                                      acc)) ::
           {{:ok, term()} | {:error, Result.t()}, acc}
         when acc: term()
   def read(gateway, snapshot, transfer, options, acc \\ nil, fun \\ fn _event, acc -> acc end) do
     id = options[:id] || Command.id()
     tell = teller(options[:progress], id)
-    {result, acc} = run(gateway, snapshot, id, transfer, options, tell, acc, fun)
+    options = Keyword.put_new_lazy(options, :yields, fn -> transfer[:share] != nil and viewer?(options) end)
+    {result, acc} = TransferExecutor.run(gateway, snapshot.key, id, transfer, options, tell, acc, fun)
 
     case Outcome.of(result) do
       {:ok, value} -> {{:ok, value}, acc}
@@ -141,14 +118,13 @@ defmodule Aerie.Control.Transfers do
   end
 
   @doc """
-  Changes something: returns the answer of `Aerie.Control.Commands`. `finish` makes the details of a success. Raises
-  `ArgumentError` for an option that is not one: with a misspelt `:as` anybody would be an admin.
+  Changes something: returns the answer of `Aerie.Control.Commands`. Raises `ArgumentError` for an option that is not
+  one: with a misspelt `:as` anybody would be an admin.
   """
-  @spec change(Names.gateway(), String.t(), change(), transfer(), [option()], (term() -> map())) ::
-          Commands.answer()
-  def change(gateway, vehicle, change, transfer, options, finish \\ fn _value -> %{} end) do
+  @spec change(Names.gateway(), String.t(), Change.t(), [option()]) :: answer()
+  def change(gateway, vehicle, change, options) do
     options = Keyword.validate!(options, @options)
-    timeout_ms = options[:timeout_ms] || transfer.timeout_ms
+    change = %{change | timeout_ms: options[:timeout_ms]}
     now = System.os_time(:microsecond)
 
     command = %Command{
@@ -158,65 +134,11 @@ defmodule Aerie.Control.Transfers do
       params: change.params,
       source: "",
       issued_at: now,
-      deadline: now + timeout_ms * 1000
+      deadline: now + (change.timeout_ms || change.limit_ms) * 1000
     }
 
-    work = %Change{
-      facts: change.facts,
-      review: change[:review],
-      timeout_ms: options[:timeout_ms],
-      remote_request: change[:remote_request],
-      run: fn snapshot, tell ->
-        with nil <- change[:gap] && change.gap.(snapshot) do
-          renamed = renaming(gateway, snapshot, change[:sets] || [], command.id)
-          complete = Map.get(change, :before, fn _snapshot -> & &1 end).(snapshot)
-
-          {result, nil} =
-            run(gateway, snapshot, command.id, transfer, options, tell, nil, fn _, acc -> acc end)
-
-          case Outcome.of(result) do
-            {:ok, value} -> Result.new(command.id, :completed, nil, finish.(value))
-            {status, reason, details} -> Result.new(command.id, status, reason, details)
-          end
-          |> renamed.()
-          |> complete.()
-        else
-          lacking -> Result.new(command.id, :rejected, lacking)
-        end
-      end
-    }
-
-    with :ok <- named(command.id),
-         do:
-           Commands.carry_out(
-             gateway,
-             command,
-             work,
-             source(options),
-             Keyword.take(options, [:via, :progress, :wait_ms, :says])
-           )
-  end
-
-  # A vehicle that has the new system id answers nothing that the old one was asked.
-  defp renaming(gateway, snapshot, sets, id) do
-    {asker, ref} = {self(), make_ref()}
-
-    SystemId.follow(gateway, snapshot, sets, fn name ->
-      send(asker, {ref, name})
-      TransferExecutor.cancel(gateway, snapshot.key, id)
-    end)
-
-    fn result ->
-      receive do
-        {^ref, name} ->
-          unanswered? = result.status in [:cancelled, :timeout, :unknown]
-          result = if unanswered?, do: %{result | status: :completed, reason: nil}, else: result
-          result = put_in(result.details["vehicle_now"], name)
-          Result.remark(result, ["the vehicle has the new system id, and is #{name} now"])
-      after
-        0 -> result
-      end
-    end
+    given = Keyword.take(options, [:via, :progress, :wait_ms, :says])
+    with :ok <- named(command.id), do: Commands.carry_out(gateway, command, change, source(options), given)
   end
 
   @doc "The source given by the options."
@@ -236,28 +158,6 @@ defmodule Aerie.Control.Transfers do
     if is_binary(id) and Command.token?(id),
       do: :ok,
       else: {:error, [Error.new("id", "1 to 64 letters, digits, - and _", id)]}
-  end
-
-  defp run(gateway, snapshot, id, transfer, options, tell, acc, fun) do
-    until = System.monotonic_time(:microsecond) + (options[:timeout_ms] || transfer.timeout_ms) * 1000
-
-    job = %Job{
-      id: id,
-      lanes: transfer.lanes,
-      start: &transfer.start.(Map.put(&1, :grows?, options[:timeout_ms] == nil), until),
-      until: until,
-      share: transfer[:share],
-      yields: Keyword.get_lazy(options, :yields, fn -> transfer[:share] != nil and viewer?(options) end)
-    }
-
-    TransferExecutor.run(gateway, snapshot.key, job, acc, fn
-      {:progress, progress}, acc ->
-        tell.(Progress.plain(progress))
-        acc
-
-      event, acc ->
-        fun.(event, acc)
-    end)
   end
 
   defp viewer?(options), do: match?(%{role: :viewer}, source(options))

@@ -6,10 +6,11 @@ defmodule Aerie.Control.Commands.Pipeline do
 
   alias Aerie.Base.{Names, Store}
   alias Aerie.Control.{CommandExecutor, Ledger, Policy}
-  alias Aerie.Control.Commands.{OffboardPrecondition, Record, Gateways}
+  alias Aerie.Control.Commands.{Change, Gateways, OffboardPrecondition, Record}
   alias Aerie.Control.Commands.Pipeline.{Core, Request}
   alias Aerie.Control.Policy.Mavlink.Writing
-  alias Aerie.Control.Policy.{Audit, Context, ControlLeases, Rate, RecentCommands}
+  alias Aerie.Control.Policy.{Audit, Context, ControlLeases, RecentCommands}
+  alias Aerie.Control.Policy.Rate.Table, as: Rates
   alias Aerie.Vehicle.Command
   alias Aerie.Vehicle.Command.Result
 
@@ -62,9 +63,9 @@ defmodule Aerie.Control.Commands.Pipeline do
   end
 
   defp perform(:take_token, core, environment),
-    do: {:token, rate(core, environment, &Rate.Table.take/6)}
+    do: {:token, rate(core, environment, &Rates.take/6)}
 
-  defp perform(:put_back_token, core, environment), do: rate(core, environment, &Rate.Table.put_back/6)
+  defp perform(:put_back_token, core, environment), do: rate(core, environment, &Rates.put_back/6)
   defp perform(:holder, core, environment), do: {:holder, holder(core, environment)}
 
   defp perform({:wait, ms}, _core, _environment) do
@@ -125,8 +126,10 @@ defmodule Aerie.Control.Commands.Pipeline do
     {:result, CommandExecutor.submit(gateway, core.snapshot.key, request.command, options)}
   end
 
-  defp perform(:execute, %{request: %{change: change}} = core, environment),
-    do: {:result, change.run.(core.snapshot, progress(core, environment))}
+  defp perform(:execute, %{request: %{change: change, command: command}} = core, environment) do
+    tell = progress(core, environment)
+    {:result, Change.run(change, environment.gateway, core.snapshot, command.id, tell)}
+  end
 
   defp perform(:pass_on, core, environment), do: {:result, pass_on(core.request.change, core, environment)}
 
@@ -174,7 +177,7 @@ defmodule Aerie.Control.Commands.Pipeline do
     with %Policy{} = policy <- Policy.Store.get(gateway),
          :allow <- Policy.decide(policy, intent, context),
          :allow <- Writing.entered(policy, gateway, snapshot, intent, context),
-         :allow <- review(request.change, policy, context, snapshot),
+         :allow <- review(request.change, gateway, snapshot, policy, context),
          :allow <- ControlLeases.steer(gateway, snapshot, intent, request.source, hold_us(request.command)) do
       {:audit, policy.audit_required}
     else
@@ -187,10 +190,10 @@ defmodule Aerie.Control.Commands.Pipeline do
   defp hold_us(%{params: %{hold: seconds}}) when is_number(seconds), do: round(seconds * 1_000_000)
   defp hold_us(_command), do: 0
 
-  defp review(%{review: review}, policy, context, snapshot) when review != nil,
-    do: review.(policy, context, snapshot)
+  defp review(nil, _gateway, _snapshot, _policy, _context), do: :allow
 
-  defp review(_none, _policy, _context, _snapshot), do: :allow
+  defp review(change, gateway, snapshot, policy, context),
+    do: change.module.review(change.what, gateway, snapshot, policy, context)
 
   defp pass_on(nil, %{request: request} = core, %{gateway: gateway} = environment) do
     tell = progress(core, environment)

@@ -4,7 +4,7 @@ defmodule Aerie.Control.Params.SetExtTest do
 
   alias Aerie.{LossyLink, ParamsCamera}
   alias Aerie.Control.Params.{Download, Set, Table}
-  alias Aerie.Control.Transfers.Outcome
+  alias Aerie.Control.TransferExecutor.Outcome
   alias MavCodec.Messages, as: M
 
   @deadline 120_000_000

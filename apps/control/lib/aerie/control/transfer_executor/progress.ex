@@ -1,4 +1,4 @@
-defmodule Aerie.Control.Transfers.Progress do
+defmodule Aerie.Control.TransferExecutor.Progress do
   @moduledoc "The progress of a transfer in the terms of a command's progress. Pure."
 
   @doc "`progress` (0..1 or nil) and `text` as commands have them, with `phase`, `done` and `total`."

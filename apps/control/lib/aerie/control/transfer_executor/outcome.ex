@@ -1,4 +1,4 @@
-defmodule Aerie.Control.Transfers.Outcome do
+defmodule Aerie.Control.TransferExecutor.Outcome do
   @moduledoc """
   Translates the end of a transfer into the terms of `Aerie.Vehicle.Command.Result`. Pure.
 

@@ -76,11 +76,11 @@ defmodule Aerie.System.CollisionTest do
       eventually(
         fn ->
           match?(
-            %{links: [["link-1" <> _], [unquote(link) <> _]]},
-            Store.vehicle(gateway, @key)[:collision]
+            %{collision: %{links: [["link-1" <> _], [unquote(link) <> _]]}},
+            Store.vehicle(gateway, @key)
           )
         end,
-        fn -> "each is on its link: #{inspect(Store.vehicle(gateway, @key)[:collision])}" end
+        fn -> "each is on its link: #{inspect(Store.vehicle(gateway, @key).collision)}" end
       )
 
       eventually(fn -> metric(gateway) end, "the metric")

@@ -786,7 +786,7 @@ defmodule Aerie.System.MspTest do
     for system <- [7, 8],
         do:
           eventually(
-            fn -> Aerie.Base.Store.vehicle(gateway, {"main", system})[:autopilot] == :betaflight end,
+            fn -> match?(%{autopilot: :betaflight}, Aerie.Base.Store.vehicle(gateway, {"main", system})) end,
             "it is known"
           )
 

@@ -30,7 +30,7 @@ defmodule Aerie.System.RecorderTest do
     sim =
       start_supervised!({SimVehicle, firmware: :px4, system: 78, ready_s: 1.0, link: link, script: script})
 
-    mode = fn -> get_in(Store.vehicle(gateway, "VID-078"), [:groups, :mode, :data, :in_air]) end
+    mode = fn -> get_in(Store.vehicle(gateway, "VID-078").groups, [:mode, :data, :in_air]) end
     eventually(fn -> Store.vehicle(gateway, "VID-078") && mode.() end, "it flies")
     assert Path.wildcard(Path.join(c.tmp_dir, "recordings/*")) == []
 

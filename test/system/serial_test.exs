@@ -70,7 +70,7 @@ defmodule Aerie.System.SerialTest do
 
     # Found, and its streams requested through the cable.
     eventually(
-      fn -> get_in(Store.vehicle(gateway, "VID-001") || %{}, [:groups, :attitude]) end,
+      fn -> match?(%{groups: %{attitude: _}}, Store.vehicle(gateway, "VID-001")) end,
       fn ->
         "attitude comes: #{inspect({MavRouter.Link.get(gateway, "link-1"), Store.vehicle(gateway, "VID-001")})}"
       end

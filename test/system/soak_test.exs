@@ -323,7 +323,7 @@ defmodule Aerie.System.SoakTest do
 
     silent = rem(n * 3, @vehicles) + 1
     :ok = SimVehicle.fault(sims[silent], :silence, true)
-    status = fn -> Store.vehicle(gateway, {"main", silent})[:status] end
+    status = fn -> Store.vehicle(gateway, {"main", silent}).status end
     eventually(fn -> status.() == :lost end, "vehicle #{silent} is missed")
     :ok = SimVehicle.fault(sims[silent], :silence, false)
     eventually(fn -> status.() == :online end, "vehicle #{silent} is back")

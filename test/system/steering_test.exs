@@ -117,7 +117,7 @@ defmodule Aerie.System.SteeringTest do
 
     # It obeys system 255 only, and this gateway is not it.
     eventually(
-      fn -> Aerie.Base.Store.vehicle(c.gateway, {"main", 1})[:gcs][:failsafe_range] == {255, 255} end,
+      fn -> match?(%{gcs: %{failsafe_range: {255, 255}}}, Store.vehicle(c.gateway, {"main", 1})) end,
       "whom it obeys is known"
     )
 
@@ -132,7 +132,7 @@ defmodule Aerie.System.SteeringTest do
 
     refused(c, switch.(1400), :mode)
     assert SimVehicle.state(c.sim).mode == "GUIDED"
-    known = fn -> is_map_key(Aerie.Base.Store.vehicle(c.gateway, {"main", 1})[:params], "FLTMODE6") end
+    known = fn -> is_map_key(Store.vehicle(c.gateway, {"main", 1}).params, "FLTMODE6") end
     eventually(known, "what its switch does is known")
     refused(c, switch.(1400), :mode)
     assert SimVehicle.state(c.sim).mode == "GUIDED"

@@ -85,7 +85,7 @@ defmodule CommandsBench do
       battery: %{remaining: 0.9}
     }
 
-    %{
+    %Aerie.Vehicle.Snapshot{
       id: "VID-007",
       key: @key,
       network: "main",

@@ -164,7 +164,7 @@ defmodule ConsoleBench do
       mode: %{mode: "M#{mode}", armed: true, in_air: true, failsafe: false}
     }
 
-    Store.put_vehicle(gateway, {"main", n}, %{
+    Store.put_vehicle(gateway, {"main", n}, %Aerie.Vehicle.Snapshot{
       id: "V-#{String.pad_leading("#{n}", 3, "0")}",
       key: {"main", n},
       network: "main",

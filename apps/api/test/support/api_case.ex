@@ -94,7 +94,7 @@ defmodule Aerie.APICase do
   def put_vehicle(gateway, id, system) do
     now = System.os_time(:microsecond)
 
-    Aerie.Base.Store.put_vehicle(gateway, {"main", system}, %{
+    Aerie.Base.Store.put_vehicle(gateway, {"main", system}, %Aerie.Vehicle.Snapshot{
       id: id,
       key: {"main", system},
       network: "main",

@@ -135,7 +135,7 @@ defmodule Aerie.ConsoleCase do
     groups =
       for {name, data} <- groups(groups), into: %{}, do: {name, %{at: now, time_boot_ms: 5_000, data: data}}
 
-    snapshot = %{
+    snapshot = %Aerie.Vehicle.Snapshot{
       id: id,
       key: {"main", system},
       network: "main",

@@ -63,7 +63,7 @@ defmodule Aerie.CommandCase do
     now = System.os_time(:microsecond)
     mode = Map.merge(%{mode: "GUIDED", armed: true, in_air: false}, changes)
 
-    Store.put_vehicle(gateway, @key, %{
+    Store.put_vehicle(gateway, @key, %Aerie.Vehicle.Snapshot{
       id: "VID-007",
       key: @key,
       network: "main",

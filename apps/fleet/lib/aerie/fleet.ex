@@ -3,11 +3,8 @@ defmodule Aerie.Fleet do
   All vehicles that this gateway knows of, in one model: those on its own links, and those that other gateways hear
   (`Aerie.Fleet.RemoteTable`). A vehicle that is heard both ways is one vehicle.
 
-  A snapshot is that of `Aerie.Base.Store`, with these beside it:
-
-    * `:via` - the gateway by which it is reached; nil: this one's links
-    * `:gateways` - the other gateways that report it
-    * of a group, `:via` - the gateway that told the value; missing or nil: this one's links
+  A snapshot is that of `Aerie.Base.Store` with `:via` and `:gateways`; a group that another gateway reported has the key `:via`
+  as well, the name of that gateway.
 
   This gateway's links count until they have lost the vehicle; then another gateway does, if that hears it. If two
   report a group, the one on the vehicle's way counts unless it is ten seconds older.
@@ -15,11 +12,12 @@ defmodule Aerie.Fleet do
 
   alias Aerie.Fleet.RemoteTable
   alias Aerie.Base.{Names, Store}
+  alias Aerie.Vehicle.Snapshot
 
   @older_us 10_000_000
 
   @doc "All vehicles, those on this gateway's links first."
-  @spec vehicles(Names.gateway()) :: [map()]
+  @spec vehicles(Names.gateway()) :: [Snapshot.t()]
   def vehicles(gateway) do
     local = Store.vehicles(gateway)
     remote = RemoteTable.vehicles(gateway, now())
@@ -30,12 +28,12 @@ defmodule Aerie.Fleet do
   end
 
   @doc "One vehicle by its id; nil if no gateway knows it."
-  @spec vehicle(Names.gateway(), String.t()) :: map() | nil
+  @spec vehicle(Names.gateway(), String.t()) :: Snapshot.t() | nil
   def vehicle(gateway, id),
     do: merge(Store.vehicle(gateway, id), RemoteTable.vehicle(gateway, id, now()))
 
   @doc "The snapshot of a vehicle that may be heard here (local), there (remote), or both."
-  @spec merge(local :: map() | nil, remote :: map() | nil) :: map() | nil
+  @spec merge(local :: Snapshot.t() | nil, remote :: Snapshot.t() | nil) :: Snapshot.t() | nil
   def merge(nil, remote), do: remote
   def merge(local, nil), do: local
 
@@ -43,7 +41,7 @@ defmodule Aerie.Fleet do
     do: %{remote | groups: groups(remote.groups, local.groups)}
 
   def merge(local, remote),
-    do: Map.merge(local, %{via: nil, gateways: remote.gateways, groups: groups(local.groups, remote.groups)})
+    do: %{local | gateways: remote.gateways, groups: groups(local.groups, remote.groups)}
 
   defp groups(first, second) do
     Map.merge(first, second, fn _group, one, other ->

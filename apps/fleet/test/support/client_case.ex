@@ -45,7 +45,7 @@ defmodule Aerie.ClientCase do
     group = fn data -> %{at: now, time_boot_ms: 1000, data: data} end
 
     Map.merge(
-      %{
+      %Aerie.Vehicle.Snapshot{
         id: "VID-001",
         key: {"main", 1},
         network: "main",

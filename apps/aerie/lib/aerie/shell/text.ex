@@ -10,7 +10,7 @@ defmodule Aerie.Shell.Text do
   @doc "One vehicle: a line for each value that is known, with the age of its group."
   @spec vehicle(map(), integer()) :: iodata()
   def vehicle(vehicle, now) do
-    via = if vehicle[:via], do: ", heard by the gateway #{vehicle[:via]}", else: ""
+    via = if vehicle.via, do: ", heard by the gateway #{vehicle.via}", else: ""
 
     head =
       "#{vehicle.id}: #{vehicle.autopilot} #{vehicle.vehicle_type}, system #{vehicle.system_id} of #{vehicle.network}, #{vehicle.status}#{via}\n"

@@ -26,7 +26,7 @@ defmodule Aerie.CLI.RenderTest do
     now: @now,
     started: @now,
     vehicles: [
-      %{
+      %Aerie.Vehicle.Snapshot{
         id: "VID-001",
         status: :online,
         vehicle_type: "copter",

@@ -8,7 +8,7 @@ defmodule Aerie.CLI.StatusTest do
 
   defp vehicle(changes \\ %{}) do
     Map.merge(
-      %{
+      %Aerie.Vehicle.Snapshot{
         id: "VID-001",
         vehicle_type: "copter",
         autopilot: :ardupilot,

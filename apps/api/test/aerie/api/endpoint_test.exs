@@ -178,7 +178,7 @@ defmodule Aerie.Api.EndpointTest do
 
   test "the armed metric of a lost vehicle is absent", context do
     mode = %{at: 1, time_boot_ms: nil, data: %{armed: true, in_air: true}}
-    vehicle = %{id: "V", links: [], last_heard: nil, groups: %{mode: mode}, status: :online}
+    vehicle = %Aerie.Vehicle.Snapshot{id: "V", groups: %{mode: mode}, status: :online}
     Store.put_vehicle(context.gateway, {"main", 9}, vehicle)
     {200, text} = get(context.port, "/metrics")
 

@@ -9,10 +9,8 @@ defmodule Aerie.Base.Store do
   While the gateway is not running, reading gives nothing (`[]`, `nil`) and writing raises: a reader must be prepared for an absent
   gateway anyway, but a writer must not run without a store.
 
-  A vehicle's snapshot is a map with `:id` (public id), `:key` (`{network, system_id}`), `:network`, `:system_id`,
-  `:autopilot`, `:vehicle_type`, `:firmware`, `:status` (`:online | :stale | :lost`), `:last_heard` (us), `:links` and
-  `:groups` (its state), `:signing` and `:recording`. A link's snapshot is that of its process; its peers are rows of
-  their own (`Aerie.Base.Store.Links`).
+  What is in a snapshot is its writer's affair, but for a vehicle's `:id`. A link's peers are rows of their own
+  (`Aerie.Base.Store.Links`).
   """
   use GenServer
 

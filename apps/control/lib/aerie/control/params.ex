@@ -349,7 +349,7 @@ defmodule Aerie.Control.Params do
   @spec read_file(binary(), map() | nil) ::
           {:ok, [File.entry()], remarks :: [String.t()]} | {:error, [Error.t(), ...]}
   def read_file(text, snapshot) do
-    owner = {snapshot[:system_id], snapshot[:component] || 1}
+    owner = if snapshot, do: {snapshot.system_id, snapshot.component || 1}, else: {nil, 1}
     with {:error, errors} <- File.read(text, owner, LongNames.release(snapshot)), do: wrong(errors)
   end
 

@@ -228,11 +228,11 @@ defmodule Aerie.Control.TransferExecutor do
          %{
            target: {state.options.system_id, snapshot.component || 1},
            us: {state.options.own_system, state.options.own_component},
-           version: snapshot[:mavlink_version] || 2,
+           version: snapshot.mavlink_version || 2,
            protocol: Firmware.of(snapshot.autopilot),
            autopilot: snapshot.autopilot,
-           capabilities: snapshot[:capabilities],
-           rtt_us: get_in(snapshot, [:clock, :rtt_us]),
+           capabilities: snapshot.capabilities,
+           rtt_us: snapshot.clock[:rtt_us],
            links: snapshot.links
          }}
     end

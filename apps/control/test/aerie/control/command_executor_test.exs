@@ -23,7 +23,7 @@ defmodule Aerie.Control.CommandExecutorTest do
 
   # A snapshot at a beat: one heartbeat later.
   defp snapshot(mode, beat) do
-    %{
+    %Aerie.Vehicle.Snapshot{
       id: "VID-007",
       key: @key,
       network: "main",

@@ -10,6 +10,7 @@ defmodule Aerie.Fleet.RemoteTable do
   """
 
   alias Aerie.Base.{Names, Store}
+  alias Aerie.Vehicle.Snapshot
 
   @typedoc "What a gateway says of a vehicle; what it does not say is nil."
   @type facts :: %{
@@ -64,7 +65,7 @@ defmodule Aerie.Fleet.RemoteTable do
   end
 
   @doc "All remote vehicles as snapshots, by their ids."
-  @spec vehicles(Names.gateway(), now :: integer()) :: %{String.t() => map()}
+  @spec vehicles(Names.gateway(), now :: integer()) :: %{String.t() => Snapshot.t()}
   def vehicles(gateway, now) do
     {rows, limits} = gateway |> Store.with_table(:remote_vehicles, [], &:ets.tab2list/1) |> split()
 
@@ -81,7 +82,7 @@ defmodule Aerie.Fleet.RemoteTable do
   end
 
   @doc "A remote vehicle as a snapshot; nil if no gateway announced it."
-  @spec vehicle(Names.gateway(), String.t(), now :: integer()) :: map() | nil
+  @spec vehicle(Names.gateway(), String.t(), now :: integer()) :: Snapshot.t() | nil
   def vehicle(gateway, id, now) do
     rows =
       Store.with_table(gateway, :remote_vehicles, [], fn table ->
@@ -109,25 +110,17 @@ defmodule Aerie.Fleet.RemoteTable do
     {via, best} = Enum.max_by(gateways, &rank(&1, limits, now), fn -> {nil, %{heard: 0, facts: nil}} end)
     facts = best.facts || @nothing
 
-    %{
+    %Snapshot{
       id: id,
       key: {"nats/#{via}/#{facts.network}", facts.system_id || 0},
       network: facts.network,
       system_id: facts.system_id,
-      component: nil,
       autopilot: facts.autopilot,
       vehicle_type: facts.type,
-      type: nil,
       firmware: facts.firmware,
-      uid: nil,
-      capabilities: nil,
       status: status(facts.status, now - best.heard, limits),
       last_heard: facts.last_heard || newest(groups),
-      time_boot_ms: nil,
-      links: [],
       groups: groups,
-      collision: nil,
-      memory: %{},
       via: via,
       gateways: Enum.sort(for {name, _what} <- gateways, do: name)
     }

@@ -25,7 +25,14 @@ defmodule Aerie.Fleet.PublishedFieldsTest do
     nats = JSON.decode!(Message.state("V", "battery", data, 5, 1))["data"]
 
     socket =
-      %{id: "V", network: "main", system_id: 1, status: :online, last_heard: 1, autopilot: :px4}
+      %Aerie.Vehicle.Snapshot{
+        id: "V",
+        network: "main",
+        system_id: 1,
+        status: :online,
+        last_heard: 1,
+        autopilot: :px4
+      }
       |> Map.merge(%{vehicle_type: "copter", links: [], groups: %{battery: group}})
       |> StateForm.of(%{}, 1)
       |> JSON.encode!()

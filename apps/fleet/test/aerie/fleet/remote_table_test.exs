@@ -57,13 +57,13 @@ defmodule Aerie.Fleet.RemoteTableTest do
   end
 
   test "heard both ways: the own link until it has lost the vehicle; newer values of the other way are shown" do
-    local = %{
+    local = %Aerie.Vehicle.Snapshot{
       id: "V",
       status: :online,
       groups: %{mode: Map.delete(group(@now), :via), gps: group(@now - 60 * @s, nil)}
     }
 
-    remote = %{
+    remote = %Aerie.Vehicle.Snapshot{
       id: "V",
       status: :online,
       via: "g",

@@ -266,7 +266,7 @@ defmodule MavRouter.Forward.Holders do
 
     Enum.any?(Routes.heard_by(tables, key), fn system ->
       vehicle = Store.vehicle(gateway, system)
-      vehicle != nil and vehicle[:status] != :lost and key in way(tables, system, options, now)
+      vehicle != nil and not match?(%{status: :lost}, vehicle) and key in way(tables, system, options, now)
     end)
   end
 

@@ -27,7 +27,7 @@ defmodule Aerie.Vehicle.Core do
 
   Actions, to be carried out in order:
 
-    * `{:snapshot, map}` - what the store is to show
+    * `{:snapshot, snapshot}` - what the store is to show
     * `{:observe, observation}` - for the detector (`Aerie.Vehicle.Detector.Observation`)
     * `{:reported, report}` - a report (EVENT) has just come, and tells what is
     * `{:publish, group, %{data: map, time_boot_ms: ms}, at}` - a sample of a state group for the fleet
@@ -49,7 +49,7 @@ defmodule Aerie.Vehicle.Core do
   """
 
   alias MavCodec.Message.BootClock
-  alias Aerie.Vehicle.{Collision, Options, Reports, Sampling, State}
+  alias Aerie.Vehicle.{Collision, Options, Reports, Sampling, Snapshot, State}
   alias Aerie.Vehicle.Services.{Gcs, Switches, Timesync}
   alias Aerie.Vehicle.Core.{Collisions, Effects, Frames, Reporting, Services, SnapshotSchedule, Texts, Timers}
   alias Aerie.Vehicle.Detector.Observation
@@ -123,7 +123,7 @@ defmodule Aerie.Vehicle.Core do
           | {:hold_requests, boolean()}
           | {:event_definitions, Aerie.Vehicle.Reports.Definitions.t()}
   @type action ::
-          {:snapshot, map()}
+          {:snapshot, Snapshot.t()}
           | {:observe, Observation.t()}
           | {:reported, Aerie.Vehicle.Reports.report()}
           | {:publish, State.group(), map(), integer()}
@@ -161,13 +161,13 @@ defmodule Aerie.Vehicle.Core do
         last_heard: snapshot.last_heard,
         now: snapshot.last_heard,
         status: snapshot.status,
-        component: snapshot[:component],
-        version: snapshot[:mavlink_version] || 2,
+        component: snapshot.component,
+        version: snapshot.mavlink_version || 2,
         reception: Reception.new(snapshot.links, snapshot.last_heard),
         boot_clock: BootClock.new(Enum.max(boots, fn -> nil end), snapshot.last_heard),
-        gcs: Gcs.new(snapshot[:gcs]),
-        switches: Switches.new(snapshot[:params]),
-        high_latency: HighLatency.new(snapshot[:high_latency], snapshot.last_heard),
+        gcs: Gcs.new(snapshot.gcs),
+        switches: Switches.new(snapshot.params),
+        high_latency: HighLatency.new(snapshot.high_latency, snapshot.last_heard),
         # Digest and status are shown to the detector again: the crash may have come between writing the snapshot and
         # telling the detector, and the detector knows what it has seen.
         digest: :restored
@@ -273,13 +273,13 @@ defmodule Aerie.Vehicle.Core do
   defdelegate view(core), to: Services, as: :show
 
   @doc "The vehicle as the read model shows it."
-  @spec snapshot(t()) :: map()
+  @spec snapshot(t()) :: Snapshot.t()
   def snapshot(core), do: snapshot(core, Services.show(core))
 
   @doc false
-  @spec snapshot(t(), view :: map()) :: map()
+  @spec snapshot(t(), view :: map()) :: Snapshot.t()
   def snapshot(%__MODULE__{options: options, state: state} = core, view) do
-    %{
+    %Snapshot{
       id: options.id,
       key: options.key,
       network: options.network,

@@ -1,8 +1,91 @@
 defmodule Aerie.Vehicle.Snapshot do
-  @moduledoc "Reads a vehicle's snapshot, as `Aerie.Base.Store` keeps it."
+  @moduledoc """
+  A vehicle as it was at a moment: what its session writes to `Aerie.Base.Store`, and what everybody else reads of it.
+
+    * `:id` - its public id; `:key` - network and system id
+    * `:component`, `:mavlink_version` - of its autopilot; `:type` - MAV_TYPE; `:vehicle_type` - copter, plane, rover …
+    * `:last_heard` - unix microseconds; `:time_boot_ms` - the vehicle's clock then
+    * `:links` - ids of the links that hear it, the latest first
+    * `:groups` - the groups of its state (`Aerie.Vehicle.State.Groups`) by name
+    * `:collision`, `:streams`, `:clock`, `:gcs`, `:reports`, `:high_latency`, `:params` - what the session's services show
+    * `:signing` - `MavRouter.Signing.vehicle/2`; `:recording` - `MavRouter.Recorder.summary/2`
+    * `:memory` - what only a session needs that goes on after a crash
+
+  These are filled in above the session:
+
+    * `:via` - the gateway by which the vehicle is reached; nil: a link of this one. `:gateways` - the others that report it
+    * `:heard_here?` - that the gateway in `:via` holds the vehicle, although this one hears it as well
+  """
+
+  # At most 32 keys with __struct__: the BEAM keeps a larger map as a tree.
+  defstruct [
+    :id,
+    :key,
+    :network,
+    :system_id,
+    :component,
+    :mavlink_version,
+    :autopilot,
+    :vehicle_type,
+    :type,
+    :firmware,
+    :uid,
+    :capabilities,
+    :status,
+    :last_heard,
+    :time_boot_ms,
+    :collision,
+    :streams,
+    :clock,
+    :gcs,
+    :reports,
+    :high_latency,
+    :signing,
+    :recording,
+    :via,
+    heard_here?: false,
+    gateways: [],
+    links: [],
+    groups: %{},
+    params: %{},
+    memory: %{}
+  ]
+
+  @type t :: %__MODULE__{
+          id: String.t() | nil,
+          key: Aerie.Base.Store.vehicle_key() | nil,
+          network: String.t() | nil,
+          system_id: non_neg_integer() | nil,
+          component: 1..255 | nil,
+          mavlink_version: 1 | 2 | nil,
+          autopilot: Aerie.Vehicle.Kind.autopilot() | nil,
+          vehicle_type: String.t() | nil,
+          type: non_neg_integer() | nil,
+          firmware: String.t() | nil,
+          uid: String.t() | nil,
+          capabilities: non_neg_integer() | nil,
+          status: :online | :stale | :lost | nil,
+          last_heard: integer() | nil,
+          time_boot_ms: non_neg_integer() | nil,
+          collision: map() | nil,
+          streams: %{non_neg_integer() => map()} | nil,
+          clock: map() | nil,
+          gcs: map() | nil,
+          reports: map() | nil,
+          high_latency: map() | nil,
+          signing: map() | nil,
+          recording: map() | nil,
+          via: String.t() | nil,
+          heard_here?: boolean(),
+          gateways: [String.t()],
+          links: [term()],
+          groups: %{atom() => map()},
+          params: %{String.t() => number()},
+          memory: map()
+        }
 
   @doc "The data of a group; empty if the group was never heard."
-  @spec data(map(), atom()) :: map()
+  @spec data(t(), atom()) :: map()
   def data(%{groups: groups}, group) do
     case groups do
       %{^group => %{data: data}} -> data

@@ -178,19 +178,19 @@ defmodule Aerie.Vehicle.State do
   def memory(state), do: Map.take(state, @memory)
 
   @doc "The state that a snapshot shows."
-  @spec restore(map()) :: t()
+  @spec restore(Aerie.Vehicle.Snapshot.t()) :: t()
   def restore(snapshot) do
     shown = %__MODULE__{
       autopilot: snapshot.autopilot,
       kind: snapshot.vehicle_type,
       firmware: snapshot.firmware,
-      uid: Map.get(snapshot, :uid),
-      type: Map.get(snapshot, :type),
-      capabilities: Map.get(snapshot, :capabilities),
+      uid: snapshot.uid,
+      type: snapshot.type,
+      capabilities: snapshot.capabilities,
       groups: snapshot.groups
     }
 
-    struct!(shown, Map.get(snapshot, :memory, %{}))
+    struct!(shown, snapshot.memory)
   end
 
   defp merge(state, {group, changes}, at) do

@@ -81,7 +81,7 @@ defmodule Aerie.Vehicle.ReportsTest do
       assert pick(run, ["report"]) == []
       texts = for {_, _, %{"text" => text}} <- pick(run, ["statustext"]), do: text
       assert "Armed by external command" in texts and "Disarmed by landing" in texts
-      shown = run.core |> Core.snapshot() |> get_in([:reports])
+      shown = Core.snapshot(run.core).reports
       assert shown.lost == 0
 
       assert %{

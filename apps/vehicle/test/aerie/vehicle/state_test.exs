@@ -240,11 +240,10 @@ defmodule Aerie.Vehicle.StateTest do
   test "a snapshot restores the state" do
     state = fold([@copter, %M.SysStatus{voltage_battery: 12_600}])
 
-    snapshot = %{
+    snapshot = %Aerie.Vehicle.Snapshot{
       autopilot: :ardupilot,
       vehicle_type: "copter",
       firmware: "4.6.3",
-      uid: nil,
       type: 2,
       groups: state.groups
     }

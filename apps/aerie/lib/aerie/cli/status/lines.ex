@@ -93,7 +93,7 @@ defmodule Aerie.CLI.Status.Lines do
      [
        vehicle: vehicle.id,
        status: vehicle.status,
-       via: vehicle[:via],
+       via: vehicle.via,
        type: vehicle.vehicle_type,
        autopilot: vehicle.autopilot,
        mode: Snapshot.data(vehicle, :mode)[:mode],

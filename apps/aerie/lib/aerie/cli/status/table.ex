@@ -137,7 +137,7 @@ defmodule Aerie.CLI.Status.Table do
 
   # Only where some other gateway hears a vehicle is there something to say of it, and then it comes before the values.
   defp via(vehicles, rows) do
-    if Enum.any?(vehicles, & &1[:via]) do
+    if Enum.any?(vehicles, & &1.via) do
       [id | columns] = @vehicle_columns
 
       {[id, {"VIA", 16, :left} | columns],

@@ -73,19 +73,19 @@ defmodule Aerie.Api.Metrics.Vehicles do
         fn vehicle -> part(vehicle, :signing, :state) && vehicle.signing.state == :verified end
       ),
       gauge(vehicles, "gateway_vehicle_collision", "1 while two vehicles use its id.", fn vehicle ->
-        vehicle[:collision] != nil
+        vehicle.collision != nil
       end)
     ]
   end
 
   defp part(vehicle, part, key) do
-    with %{^key => value} <- vehicle[part], do: value
+    with %{^key => value} <- Map.fetch!(vehicle, part), do: value
   end
 
   defp seconds(us) when is_integer(us), do: us / 1_000_000
   defp seconds(_unknown), do: nil
 
-  defp wanting(%{streams: streams}),
+  defp wanting(%{streams: %{} = streams}),
     do: Enum.count(streams, fn {_id, line} -> line.state in [:short, :yielded] end)
 
   defp wanting(_unknown), do: nil

@@ -57,9 +57,9 @@ defmodule Aerie.Api.Rest.View do
     vehicle
     |> StateForm.of(links, now)
     |> Map.merge(%{
-      recording: Recordings.one(vehicle[:recording]),
-      via: vehicle[:via],
-      gateways: vehicle[:gateways] || [],
+      recording: Recordings.one(vehicle.recording),
+      via: vehicle.via,
+      gateways: vehicle.gateways,
       tags: Map.get(tags, vehicle.id, [])
     })
   end
@@ -86,14 +86,14 @@ defmodule Aerie.Api.Rest.View do
       |> vehicle(links, Shadow.tags(gateway), now)
       |> Map.merge(%{
         firmware: Json.plain(vehicle.firmware),
-        capabilities: vehicle[:capabilities],
-        time_boot_ms: vehicle[:time_boot_ms],
-        uid: Json.plain(vehicle[:uid]),
-        collision: collision(vehicle[:collision]),
-        component: vehicle[:component],
+        capabilities: vehicle.capabilities,
+        time_boot_ms: vehicle.time_boot_ms,
+        uid: Json.plain(vehicle.uid),
+        collision: collision(vehicle.collision),
+        component: vehicle.component,
         last_heard: Json.time(vehicle.last_heard),
         links: Json.plain(vehicle.links),
-        signing: signed(vehicle[:signing]),
+        signing: signed(vehicle.signing),
         groups: Map.new(vehicle.groups, fn {name, group} -> {name, group(name, group, clock)} end)
       })
       |> Map.merge(VehicleDetails.of(vehicle))

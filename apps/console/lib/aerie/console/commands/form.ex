@@ -87,7 +87,7 @@ defmodule Aerie.Console.Commands.Form do
   defp text(other), do: to_string(other)
 
   defp suggestions("set_mode", :mode, %{autopilot: autopilot, vehicle_type: kind} = vehicle),
-    do: Modes.all(autopilot, kind) ++ Enum.sort(Map.values(vehicle[:memory][:mode_names] || %{}))
+    do: Modes.all(autopilot, kind) ++ Enum.sort(Map.values(vehicle.memory[:mode_names] || %{}))
 
   defp suggestions(_type, _param, _vehicle), do: []
 

@@ -6,6 +6,7 @@ defmodule Aerie.Console.Fleet.Actions do
 
   alias Aerie.Control.CommandExecutor.Offers
   alias Aerie.Control.Policy.Roles
+  alias Aerie.Vehicle.Snapshot
   alias Aerie.Console.Commands.Catalog
   alias Aerie.Console.Fleet.{Plans, Selection}
   alias Aerie.Console.Fleet.Actions.Batch
@@ -133,12 +134,11 @@ defmodule Aerie.Console.Fleet.Actions do
   # What counts is the same for all of a kind.
   defp kinds(chosen) do
     for row <- Enum.uniq_by(chosen, &{&1.autopilot, &1.kind}),
-        do: %{
+        do: %Snapshot{
           id: row.id,
           autopilot: row.autopilot,
           vehicle_type: row.kind,
-          system_id: row.system_id,
-          groups: %{}
+          system_id: row.system_id
         }
   end
 

@@ -7,7 +7,7 @@ defmodule Aerie.Console.Params.Components do
   @spec others(Names.gateway(), map(), asked :: 1..255 | nil) :: [{String.t(), 1..255}]
   def others(gateway, %{key: key} = vehicle, asked) do
     heard = (Store.system(gateway, key) || %{components: %{}}).components
-    autopilot = vehicle[:component] || 1
+    autopilot = vehicle.component || 1
 
     for component <- Enum.sort(Enum.uniq(Map.keys(heard) ++ List.wrap(asked))),
         component not in [0, autopilot],

@@ -191,13 +191,13 @@ defmodule Aerie.Console.Params.Page do
         %{assigns: %{table: %{} = table, component: nil, vehicle: id, gateway: gateway}} = socket
       )
       when format in ~w(param params) do
-    vehicle = Fleet.vehicle(gateway, id) || %{}
+    vehicle = Fleet.vehicle(gateway, id) || %{system_id: nil, component: nil}
 
     text =
       Params.File.format(
         table,
         if(format == "param", do: :param, else: :params),
-        {vehicle[:system_id] || 1, vehicle[:component] || 1}
+        {vehicle.system_id || 1, vehicle.component || 1}
       )
 
     {:noreply, push_event(socket, "params:file", %{name: "#{id}.#{format}", text: text})}
@@ -275,7 +275,7 @@ defmodule Aerie.Console.Params.Page do
       vehicles: for(vehicle <- Fleet.vehicles(gateway), do: vehicle.id),
       components: others,
       snapshot: vehicle,
-      via: vehicle[:via]
+      via: vehicle && vehicle.via
     )
   end
 

@@ -68,7 +68,7 @@ defmodule Aerie.Console.Vehicle.Fly do
         <.facts id="gps" title="GPS" view={@view} group={:gps} fields={gps()} />
         <section class="card" aria-labelledby="latest-title">
           <div class="spread"><h2 id="latest-title">Latest</h2><.link patch={@events_path}>All events</.link></div>
-          <p :if={@lines == []} class="muted">{if @view.vehicle[:via], do: "The gateway #{@view.vehicle[:via]} has its events.", else: "No events yet"}</p>
+          <p :if={@lines == []} class="muted">{if @view.vehicle.via, do: "The gateway #{@view.vehicle.via} has its events.", else: "No events yet"}</p>
           <Events.lines id="latest" lines={@lines} />
         </section>
       </div>

@@ -16,7 +16,7 @@ defmodule Aerie.Console.Vehicle.Header do
     <header class="vehicle-head" data-status={@status}>
       <h1>{@vehicle.id}</h1>
       <span class="muted">{@vehicle.vehicle_type}, {firmware(@vehicle)}</span>
-      <.badge :if={@vehicle[:via]} kind="info" class="vehicle-via">via {@vehicle[:via]}</.badge>
+      <.badge :if={@vehicle.via} kind="info" class="vehicle-via">via {@vehicle.via}</.badge>
       <.badge kind={kind(@status)} class="vehicle-status">{status(@status)}</.badge>
       <.badge kind={armed_kind(View.get(@view, [:mode, :armed]))} class="vehicle-armed">{armed(View.get(@view, [:mode, :armed]))}</.badge>
       <.badge class="vehicle-mode">{View.get(@view, [:mode, :mode]) || "mode unknown"}</.badge>

@@ -11,13 +11,13 @@ defmodule Aerie.Console.Vehicle.LinkTable do
 
   @doc "The links section."
   def links(assigns) do
-    assigns = assign(assigns, clock: assigns.view.vehicle[:clock] || %{}, gcs: assigns.view.vehicle[:gcs])
+    assigns = assign(assigns, clock: assigns.view.vehicle.clock || %{}, gcs: assigns.view.vehicle.gcs)
 
     ~H"""
     <section aria-labelledby="links-title" class="stack">
       <h2 id="links-title" class="visually-hidden">Links</h2>
-      <.elsewhere :if={@view.vehicle[:via]} via={@view.vehicle[:via]}>Its links and its clock are shown there.</.elsewhere>
-      <.empty :if={@rows == [] && @view.vehicle[:via] == nil} icon="link-off" title="No link hears this vehicle" />
+      <.elsewhere :if={@view.vehicle.via} via={@view.vehicle.via}>Its links and its clock are shown there.</.elsewhere>
+      <.empty :if={@rows == [] && @view.vehicle.via == nil} icon="link-off" title="No link hears this vehicle" />
       <.data_table :if={@rows != []} id="vehicle-links" label="Links of this vehicle" rows={@rows} row_id={&"link-#{&1.id}"}>
         <:col :let={row} label="Link"><strong>{row.id}</strong> <span class="muted">{row.url}</span></:col>
         <:col :let={row} label="State"><.badge kind={kind(row.status)}>{row.status}</.badge></:col>
@@ -28,12 +28,12 @@ defmodule Aerie.Console.Vehicle.LinkTable do
       </.data_table>
       <div class="cards">
         <.facts id="hearing" title="Reception" view={@view} group={:link} fields={[frames_per_s: "Frames", bytes_per_s: "Bytes"]} />
-        <section :if={@view.vehicle[:via] == nil} class="card">
+        <section :if={@view.vehicle.via == nil} class="card">
           <h2>Clock</h2>
           <dl class="facts">
             <div class="fact"><dt>Round trip</dt><dd>{ms(@clock[:rtt_us])}</dd></div>
             <div class="fact"><dt>Accurate to</dt><dd>{ms(@clock[:error_us])}</dd></div>
-            <div class="fact"><dt>Up</dt><dd>{boot(@view.vehicle[:time_boot_ms])}</dd></div>
+            <div class="fact"><dt>Up</dt><dd>{boot(@view.vehicle.time_boot_ms)}</dd></div>
           </dl>
         </section>
         <section :if={@gcs} class="card">

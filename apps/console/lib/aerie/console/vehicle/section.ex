@@ -59,13 +59,13 @@ defmodule Aerie.Console.Vehicle.Section do
     assigns = assign(assigns, :shown, assigns.paused || assigns.events)
 
     ~H"""
-    <Events.events lines={Timeline.lines(@shown, @level, @events_search)} level={@level} search={@events_search} paused={@paused != nil} total={length(@shown)} via={@view.vehicle[:via]} />
+    <Events.events lines={Timeline.lines(@shown, @level, @events_search)} level={@level} search={@events_search} paused={@paused != nil} total={length(@shown)} via={@view.vehicle.via} />
     """
   end
 
   def section(%{section: "charts"} = assigns) do
     ~H"""
-    <Charts.charts vehicle={@id} series={@series} heard={@heard} message={@message} via={@view.vehicle[:via]} path={&Sections.charts_path(@id, &1)} />
+    <Charts.charts vehicle={@id} series={@series} heard={@heard} message={@message} via={@view.vehicle.via} path={&Sections.charts_path(@id, &1)} />
     """
   end
 
@@ -91,5 +91,5 @@ defmodule Aerie.Console.Vehicle.Section do
   defp modes(vehicle),
     do:
       Modes.all(vehicle.autopilot, vehicle.vehicle_type) ++
-        Enum.sort(Map.values(vehicle[:memory][:mode_names] || %{}))
+        Enum.sort(Map.values(vehicle.memory[:mode_names] || %{}))
 end

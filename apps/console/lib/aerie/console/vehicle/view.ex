@@ -76,7 +76,7 @@ defmodule Aerie.Console.Vehicle.View do
     [
       mode[:failsafe] && {:bad, "failsafe active (#{mode[:system_status]})"},
       get(view, [:mission, :fence_breach]) && {:bad, "outside its fence"},
-      collision(view.vehicle[:collision]),
+      collision(view.vehicle.collision),
       battery(get(view, [:battery, :charge_state])),
       get(view, [:health, :rc_receiver]) == false && {:warn, "no remote control"}
     ]

@@ -3,7 +3,13 @@ defmodule Aerie.Console.Commands.CatalogTest do
 
   alias Aerie.Console.Commands.Catalog
 
-  @copter %{id: "V-1", system_id: 1, autopilot: :px4, vehicle_type: "copter", groups: %{}}
+  @copter %Aerie.Vehicle.Snapshot{
+    id: "V-1",
+    system_id: 1,
+    autopilot: :px4,
+    vehicle_type: "copter",
+    groups: %{}
+  }
   @operator %{name: "ann", role: :operator, permissions: []}
 
   defp names(groups), do: for({_title, entries} <- groups, entry <- entries, do: entry.type.name)

@@ -241,7 +241,7 @@ defmodule Aerie.Console.Fleet.HandTest do
     }
 
     Row.new(
-      %{
+      %Aerie.Vehicle.Snapshot{
         id: id,
         key: id,
         network: "main",

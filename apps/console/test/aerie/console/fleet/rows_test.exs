@@ -12,7 +12,7 @@ defmodule Aerie.Console.Fleet.RowsTest do
     groups = Map.new(groups, fn {name, data} -> {name, %{at: @now, time_boot_ms: nil, data: data}} end)
 
     Map.merge(
-      %{
+      %Aerie.Vehicle.Snapshot{
         id: "VID-001",
         network: "main",
         system_id: 1,

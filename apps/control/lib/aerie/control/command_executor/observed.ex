@@ -31,7 +31,7 @@ defmodule Aerie.Control.CommandExecutor.Observed do
   def vehicle(snapshot, us) do
     struct!(
       %Vehicle{system: snapshot.system_id, autopilot: snapshot.autopilot, kind: snapshot.vehicle_type},
-      Map.merge(changes(snapshot), %{component: snapshot[:component] || 1, us: us})
+      Map.merge(changes(snapshot), %{component: snapshot.component || 1, us: us})
     )
   end
 
@@ -42,7 +42,7 @@ defmodule Aerie.Control.CommandExecutor.Observed do
     position = Snapshot.data(snapshot, :position)
 
     %{
-      version: snapshot[:mavlink_version] || 2,
+      version: snapshot.mavlink_version || 2,
       mode: mode[:mode],
       armed: mode[:armed],
       in_air: mode[:in_air],
@@ -55,17 +55,17 @@ defmodule Aerie.Control.CommandExecutor.Observed do
       home: home(Snapshot.data(snapshot, :home)),
       mission_seq: Snapshot.data(snapshot, :mission)[:seq],
       arming_checks: checks(snapshot),
-      gcs: get_in(snapshot, [:gcs, :failsafe_range]),
-      params: snapshot[:params] || %{},
-      gimbal_manager: get_in(snapshot, [:memory, :gimbal_manager]),
-      mode_names: get_in(snapshot, [:memory, :mode_names]) || %{},
-      standard_modes: get_in(snapshot, [:memory, :standard_modes]) || %{}
+      gcs: snapshot.gcs[:failsafe_range],
+      params: snapshot.params,
+      gimbal_manager: snapshot.memory[:gimbal_manager],
+      mode_names: snapshot.memory[:mode_names] || %{},
+      standard_modes: snapshot.memory[:standard_modes] || %{}
     }
   end
 
   @doc "The times of a snapshot's messages."
   @spec sources(map()) :: sources()
-  def sources(snapshot), do: get_in(snapshot, [:memory, :sources]) || %{}
+  def sources(snapshot), do: snapshot.memory[:sources] || %{}
 
   @doc "The groups that were heard between two snapshots. Without EXTENDED_SYS_STATE the heartbeat tells whether it flies."
   @spec changed_groups(sources(), sources()) :: [Vehicle.group()]

@@ -93,8 +93,8 @@ defmodule Aerie.Control.Commands.Gateways do
   A vehicle's snapshot as that of one which is reached by another gateway (`:via`), although this one hears it
   (`:heard_here?`).
   """
-  @spec reached_by(snapshot :: map(), gateway :: String.t()) :: map()
-  def reached_by(snapshot, name), do: Map.merge(snapshot, %{via: name, heard_here?: true})
+  @spec reached_by(Aerie.Vehicle.Snapshot.t(), gateway :: String.t()) :: Aerie.Vehicle.Snapshot.t()
+  def reached_by(snapshot, name), do: %{snapshot | via: name, heard_here?: true}
 
   @doc "Why a gateway does not do something to a vehicle that it reaches by another one."
   @spec only(via :: String.t()) :: String.t()

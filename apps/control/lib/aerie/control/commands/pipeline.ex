@@ -94,7 +94,7 @@ defmodule Aerie.Control.Commands.Pipeline do
   defp perform(:setpoints, %{request: %{change: nil, command: command}, snapshot: snapshot}, %{
          gateway: gateway
        })
-       when not is_map_key(snapshot, :via) or snapshot.via == nil,
+       when snapshot.via == nil,
        do: {:setpoints, OffboardPrecondition.check(gateway, command, snapshot)}
 
   defp perform(:setpoints, _core, _environment), do: {:setpoints, :ok}

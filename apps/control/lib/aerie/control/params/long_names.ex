@@ -37,7 +37,7 @@ defmodule Aerie.Control.Params.LongNames do
   @spec release(map() | nil) :: {Firmware.name(), Message.version() | nil} | nil
   def release(%{autopilot: firmware} = snapshot) do
     tables = Firmware.traits(firmware).param_tables
-    {firmware, tables && Params.version(tables, snapshot[:firmware])}
+    {firmware, tables && Params.version(tables, snapshot.firmware)}
   end
 
   def release(_none), do: nil

@@ -7,6 +7,7 @@ defmodule Aerie.Control.Policy.Context do
   alias Aerie.Control.Policy.{ControlLease, ControlLeases, Roles}
   alias Aerie.Vehicle.Firmware
   alias Aerie.Vehicle.Firmware.Modes
+  alias Aerie.Vehicle.Snapshot
 
   defstruct [:source, :now, :lease, :position, :home, :origin, :armed, :in_air, :mode, :battery, :autopilot] ++
               [:vehicle_type, datums: [], params: %{}, standard_modes: %{}, mode_names: %{}]
@@ -93,13 +94,13 @@ defmodule Aerie.Control.Policy.Context do
   @doc "A context of a vehicle's snapshot and of who is in charge of it."
   @spec seen(map(), ControlLease.t() | nil, Roles.source() | nil, now :: integer()) :: t()
   def seen(snapshot, lease, source, now) do
-    memory = snapshot[:memory] || %{}
+    memory = snapshot.memory
     context = new(snapshot.groups, source, now)
 
     struct!(context, %{
       origin: memory[:origin] || get_in(memory, [:liftoff, :home]),
       datums: datums(context.home, memory[:liftoff]),
-      params: snapshot[:params] || %{},
+      params: snapshot.params,
       autopilot: snapshot.autopilot,
       vehicle_type: snapshot.vehicle_type,
       standard_modes: standard_modes(snapshot),
@@ -123,7 +124,7 @@ defmodule Aerie.Control.Policy.Context do
   end
 
   defp standard_modes(snapshot) do
-    memory = Map.merge(%{mode_names: %{}, standard_modes: %{}}, snapshot[:memory] || %{})
+    memory = Map.merge(%{mode_names: %{}, standard_modes: %{}}, snapshot.memory)
     Modes.standard(Map.merge(memory, %{autopilot: snapshot.autopilot, kind: snapshot.vehicle_type}))
   end
 
@@ -190,7 +191,7 @@ defmodule Aerie.Control.Policy.Context do
     context = %{context | autopilot: autopilot, vehicle_type: kind}
 
     if autopilot != nil and is_binary(kind),
-      do: %{context | standard_modes: standard_modes(%{autopilot: autopilot, vehicle_type: kind})},
+      do: %{context | standard_modes: standard_modes(%Snapshot{autopilot: autopilot, vehicle_type: kind})},
       else: context
   end
 

@@ -147,7 +147,7 @@ defmodule Aerie.Control.Mission.OwnFenceTest do
     now = 1_000_000_000
     group = &%{data: &1, at: now}
 
-    snapshot = %{
+    snapshot = %Aerie.Vehicle.Snapshot{
       autopilot: :px4,
       vehicle_type: "copter",
       groups: %{

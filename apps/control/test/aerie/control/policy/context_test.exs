@@ -9,7 +9,7 @@ defmodule Aerie.Control.Policy.ContextTest do
   @external 0x0B040000
 
   test "policy and commands know a standard mode by the name that the vehicle gave it (X4)" do
-    snapshot = %{
+    snapshot = %Aerie.Vehicle.Snapshot{
       key: {"main", 1},
       system_id: 1,
       component: 1,

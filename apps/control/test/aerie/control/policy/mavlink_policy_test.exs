@@ -63,7 +63,7 @@ defmodule Aerie.Control.Policy.MavlinkPolicyTest do
     # A position counts for ten seconds, and a busy machine may need longer.
     at = System.os_time(:microsecond) + 600_000_000
 
-    Store.put_vehicle(gateway, {"main", 1}, %{
+    Store.put_vehicle(gateway, {"main", 1}, %Aerie.Vehicle.Snapshot{
       id: "VID-001",
       key: {"main", 1},
       network: "main",
@@ -716,7 +716,7 @@ defmodule Aerie.Control.Policy.MavlinkPolicyTest do
 
   test "a vehicle of which nothing is known is refused what needs to be known, and a new policy counts at once",
        c do
-    Store.put_vehicle(c.gateway, {"main", 1}, %{
+    Store.put_vehicle(c.gateway, {"main", 1}, %Aerie.Vehicle.Snapshot{
       id: "VID-001",
       key: {"main", 1},
       network: "main",

@@ -33,7 +33,7 @@ defmodule Aerie.Control.Policy.TrialTest do
       mode: %{mode: "GUIDED", armed: true, in_air: true}
     }
 
-    %{
+    %Aerie.Vehicle.Snapshot{
       id: "VID-001",
       key: {"main", 1},
       autopilot: :ardupilot,

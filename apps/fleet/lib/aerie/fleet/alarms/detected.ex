@@ -17,7 +17,7 @@ defmodule Aerie.Fleet.Alarms.Detected do
   def put(alarms, detected, vehicles, now) do
     conditions =
       for %{id: id} = vehicle <- vehicles,
-          vehicle[:via] == nil,
+          vehicle.via == nil,
           one <- Map.get(detected, id, []),
           do: id |> condition(one) |> Map.put(:text, text(one, vehicle))
 

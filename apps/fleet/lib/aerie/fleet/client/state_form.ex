@@ -34,18 +34,6 @@ defmodule Aerie.Fleet.Client.StateForm do
     battery: [:voltage, :current, :remaining],
     gps: [:fix, :satellites, :hdop]
   ]
-  @nobody %{
-    id: nil,
-    network: nil,
-    system_id: nil,
-    status: nil,
-    last_heard: nil,
-    autopilot: nil,
-    vehicle_type: nil,
-    links: [],
-    groups: %{}
-  }
-
   @doc "The object of a vehicle's snapshot at a unix time in microseconds; `links` are snapshots of links by id."
   @spec of(map(), %{optional(term()) => map()}, integer()) :: map()
   def of(vehicle, links, now) do
@@ -59,7 +47,7 @@ defmodule Aerie.Fleet.Client.StateForm do
       network: vehicle.network,
       system_id: vehicle.system_id,
       status: vehicle.status,
-      via: vehicle[:via],
+      via: vehicle.via,
       age: age(vehicle.last_heard, clock),
       fc_connected: vehicle.status == :online,
       autopilot: vehicle.autopilot,
@@ -80,7 +68,7 @@ defmodule Aerie.Fleet.Client.StateForm do
   is connected, and the rest is null.
   """
   @spec lines([map()], [map()], integer()) :: binary()
-  def lines([], links, now), do: lines([@nobody], links, now)
+  def lines([], links, now), do: lines([%Snapshot{}], links, now)
 
   def lines(vehicles, links, now) do
     links = Map.new(links, &{&1.id, &1})

@@ -74,7 +74,7 @@ defmodule Aerie.Fleet.Remote.Message do
       system_id: snapshot.system_id,
       autopilot: snapshot.autopilot,
       type: snapshot.vehicle_type,
-      firmware: snapshot[:firmware],
+      firmware: snapshot.firmware,
       status: snapshot.status,
       silent_s: if(snapshot.last_heard, do: max(now - snapshot.last_heard, 0) / 1_000_000)
     }

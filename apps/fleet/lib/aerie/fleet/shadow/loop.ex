@@ -176,7 +176,7 @@ defmodule Aerie.Fleet.Shadow.Loop do
 
   # A plan that was read stays valid until somebody commands the vehicle, and may send another plan, or it restarts.
   defp still_known(plans, commanded, snapshot) do
-    boot_ms = snapshot[:time_boot_ms] || 0
+    boot_ms = snapshot.time_boot_ms || 0
 
     Map.filter(plans, fn {_path, known} ->
       (commanded == nil or commanded.at < known.at) and

@@ -26,8 +26,8 @@ defmodule Aerie.Fleet.Shadow.Observed do
   defp field("mode", snapshot), do: Snapshot.data(snapshot, :mode)[:mode]
   defp field("armed", snapshot), do: Snapshot.data(snapshot, :mode)[:armed]
   defp field("geofence.enabled", snapshot), do: Snapshot.data(snapshot, :health)[:fence_enabled]
-  defp field("recorder", snapshot), do: match?(%{mode: :always}, snapshot[:recording])
-  defp field("signing", snapshot), do: match?(%{state: :verified}, snapshot[:signing])
+  defp field("recorder", snapshot), do: match?(%{mode: :always}, snapshot.recording)
+  defp field("signing", snapshot), do: match?(%{state: :verified}, snapshot.signing)
 
   defp field("home", snapshot) do
     case Snapshot.data(snapshot, :home) do
@@ -40,7 +40,7 @@ defmodule Aerie.Fleet.Shadow.Observed do
   end
 
   defp field("intervals." <> name, snapshot) do
-    case get_in(snapshot, [:streams, All.message_id(name)]) do
+    case snapshot.streams[All.message_id(name)] do
       %{measured: rate} -> rate
       _not_wanted -> nil
     end

@@ -26,7 +26,14 @@ defmodule Aerie.Fleet.Alarms.ServerTest do
       groups: groups
     }
 
-    defaults = %{autopilot: :px4, vehicle_type: "copter", firmware: nil, last_heard: 1, links: ["radio"]}
+    defaults = %Aerie.Vehicle.Snapshot{
+      autopilot: :px4,
+      vehicle_type: "copter",
+      firmware: nil,
+      last_heard: 1,
+      links: ["radio"]
+    }
+
     Store.put_vehicle(gateway, {"main", 9}, Map.merge(defaults, snapshot))
   end
 

@@ -28,7 +28,7 @@ defmodule Aerie.Fleet.Client.RawMessageTest do
     :ok = :gen_udp.send(socket, {127, 0, 0, 1}, port, heartbeat(1))
     eventually(fn -> Router.route(gateway, {"main", 1}) end)
 
-    Store.put_vehicle(gateway, {"main", 1}, %{
+    Store.put_vehicle(gateway, {"main", 1}, %Aerie.Vehicle.Snapshot{
       id: "VID-001",
       key: {"main", 1},
       network: "main",

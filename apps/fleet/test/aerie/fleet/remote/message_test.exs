@@ -37,7 +37,7 @@ defmodule Aerie.Fleet.Remote.MessageTest do
   end
 
   test "what a gateway says of a vehicle comes back" do
-    snapshot = %{
+    snapshot = %Aerie.Vehicle.Snapshot{
       network: "main",
       system_id: 300,
       autopilot: :px4,

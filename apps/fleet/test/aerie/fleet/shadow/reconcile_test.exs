@@ -338,9 +338,8 @@ defmodule Aerie.Fleet.Shadow.ReconcileTest do
 
     %{
       now: now,
-      snapshot: %{
+      snapshot: %Aerie.Vehicle.Snapshot{
         status: :online,
-        collision: nil,
         time_boot_ms: div(now - vehicle.jump, 1000),
         groups: %{
           mode: %{data: mode},

@@ -22,7 +22,7 @@ defmodule Aerie.Fleet.Shadow.ReportTest do
 
     {:ok, desired} = Document.apply(Document.new("V"), update, %{actor: "ops", via: "rest"}, now)
 
-    snapshot = %{
+    snapshot = %Aerie.Vehicle.Snapshot{
       status: :online,
       autopilot: :ardupilot,
       vehicle_type: "copter",

@@ -126,10 +126,10 @@ defmodule Aerie.CLI.Subcommand.Machine.Probe do
   defp vehicle(vehicle) do
     %{
       system: vehicle.system_id,
-      component: vehicle[:component],
+      component: vehicle.component,
       autopilot: vehicle.autopilot,
       type: vehicle.vehicle_type,
-      firmware: Json.plain(vehicle[:firmware])
+      firmware: Json.plain(vehicle.firmware)
     }
   end
 

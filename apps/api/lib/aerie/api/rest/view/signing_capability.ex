@@ -42,14 +42,14 @@ defmodule Aerie.Api.Rest.View.SigningCapability do
   end
 
   defp vehicle(gateway, %{key: {network, system} = key} = vehicle, pending) do
-    here? = vehicle[:via] == nil
+    here? = vehicle.via == nil
 
     %{
       id: vehicle.id,
       network: network,
       system_id: system,
-      via: vehicle[:via],
-      mavlink_version: vehicle[:mavlink_version],
+      via: vehicle.via,
+      mavlink_version: vehicle.mavlink_version,
       can_sign: can_sign(vehicle),
       signing: if(here?, do: View.signed(Signing.vehicle(gateway, key))),
       pending: here? and "#{network}/#{system}" in pending,

@@ -29,7 +29,7 @@ defmodule Aerie.Api.Rest.View.VehicleDetails do
     }
   end
 
-  defp part(vehicle, name, fun), do: with(%{} = part <- vehicle[name], do: fun.(part))
+  defp part(vehicle, name, fun), do: with(%{} = part <- Map.fetch!(vehicle, name), do: fun.(part))
 
   defp streams(lines) do
     for {id, line} <- Enum.sort(lines) do

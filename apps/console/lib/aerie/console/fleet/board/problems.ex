@@ -14,7 +14,7 @@ defmodule Aerie.Console.Fleet.Board.Problems do
     [
       status(vehicle.status),
       failsafe(Snapshot.data(vehicle, :mode)),
-      collision(vehicle[:collision]),
+      collision(vehicle.collision),
       fence(Snapshot.data(vehicle, :mission)),
       battery(Snapshot.data(vehicle, :battery)),
       gps(Snapshot.data(vehicle, :gps), Snapshot.data(vehicle, :mode)),

@@ -122,13 +122,13 @@ defmodule Aerie.Console.Fleet.Board.Row do
       speed: rounded(Snapshot.data(vehicle, :velocity)[:groundspeed], 1),
       link: quality(own),
       silent_us: seconds(Age.silent_us(vehicle, own, now)),
-      via: vehicle[:via],
+      via: vehicle.via,
       order: order(vehicle.id),
       on_map: Payload.row(vehicle),
       home: Payload.home(vehicle),
       mission: mission(vehicle, Snapshot.data(vehicle, :mission)),
       problems: Problems.of(vehicle),
-      holder: with(%{holder: name} <- leases[vehicle[:key]], do: name),
+      holder: with(%{holder: name} <- leases[vehicle.key], do: name),
       tags: Map.get(tags, vehicle.id, [])
     }
   end

@@ -81,7 +81,7 @@ defmodule Aerie.Console.Vehicle.Charts.MessageSeries do
 
   # Several components of a vehicle send the same messages; the charts show the autopilot's.
   defp rows(gateway, vehicle) do
-    filter = [system: vehicle.system_id, component: vehicle[:component] || 1, direction: :in]
+    filter = [system: vehicle.system_id, component: vehicle.component || 1, direction: :in]
     Inspector.rows(gateway, filter)
   end
 

@@ -208,7 +208,7 @@ defmodule Aerie.Control.Commands.Pipeline.Core do
 
   def handle(%{snapshot: %{via: via} = snapshot} = core, {:result, result}, _now) when via != nil do
     if again?(core, result),
-      do: carry_out(%{core | snapshot: Map.drop(snapshot, [:via, :heard_here?])}),
+      do: carry_out(%{core | snapshot: %{snapshot | via: nil, heard_here?: false}}),
       else: done(core, result)
   end
 
@@ -246,7 +246,7 @@ defmodule Aerie.Control.Commands.Pipeline.Core do
 
   defp admit(%{request: %{command: command, change: change}, snapshot: snapshot} = core, now) do
     cond do
-      match?(%{remote_request: nil}, change) and snapshot[:via] != nil ->
+      match?(%{remote_request: nil}, change) and snapshot.via != nil ->
         refuse(core, :rejected, :elsewhere, Gateways.only(snapshot.via))
 
       Command.expired?(command, now.us) ->
@@ -303,7 +303,7 @@ defmodule Aerie.Control.Commands.Pipeline.Core do
 
   # A vehicle that has an operator of its own (X15) is asked first.
   defp carry_out(%{intent: %{control: change}, snapshot: snapshot} = core) do
-    if snapshot[:status] != :lost and get_in(snapshot.groups, [:operator, :data, :system]) != nil do
+    if snapshot.status != :lost and get_in(snapshot.groups, [:operator, :data, :system]) != nil do
       {core, [:execute]}
     else
       {%{core | result: Result.new(core.request.command.id, :completed)}, [{:change_lease, change}]}

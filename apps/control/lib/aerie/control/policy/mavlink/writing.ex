@@ -90,7 +90,7 @@ defmodule Aerie.Control.Policy.Mavlink.Writing do
   # The autopilot answers to 0 as well; what is for another part is another plan.
   def plan(%{mission_type: type, target_component: component}, %{type: kind}, snapshot)
       when type in [@mission, @fence] and kind in ["mission_upload", "fence_upload"],
-      do: {type, if(component in [0, snapshot[:component] || 1], do: :autopilot, else: component)}
+      do: {type, if(component in [0, snapshot.component || 1], do: :autopilot, else: component)}
 
   def plan(_message, _facts, _snapshot), do: nil
 

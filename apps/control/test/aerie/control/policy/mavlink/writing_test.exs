@@ -36,7 +36,7 @@ defmodule Aerie.Control.Policy.Mavlink.WritingTest do
     home = %{lat: 47.01, lon: 8.005, alt_msl: 500.0}
     position = %{lat: lat, lon: lon, alt_rel: 20.0, alt_msl: 520.0}
 
-    %{
+    %Aerie.Vehicle.Snapshot{
       id: "VID-001",
       key: {"main", 1},
       component: 1,

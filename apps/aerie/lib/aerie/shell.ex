@@ -24,7 +24,7 @@ defmodule Aerie.Shell do
   alias Aerie.Fleet
   alias Aerie.Fleet.{Inspector, Shadow}
   alias MavRouter.Link
-  alias Aerie.Fleet.Age
+  alias Aerie.Vehicle.Snapshot.Age
   alias Aerie.Processes
   alias Aerie.Shell.Text
   alias Aerie.CLI.{Ask, Subcommand}

@@ -6,7 +6,7 @@ defmodule Aerie.CLI.Status.Lines do
 
   import Aerie.CLI.Status.Format
 
-  alias Aerie.Fleet.Age
+  alias Aerie.Vehicle.Snapshot.Age
   alias Aerie.CLI.Status.View
   alias Aerie.Vehicle.Snapshot
 

@@ -6,7 +6,7 @@ defmodule Aerie.CLI.Status.Table do
 
   import Aerie.CLI.Status.Format
 
-  alias Aerie.Fleet.Age
+  alias Aerie.Vehicle.Snapshot.Age
   alias Aerie.CLI.Output.Columns
   alias Aerie.CLI.Status.View
   alias Aerie.Vehicle.Snapshot

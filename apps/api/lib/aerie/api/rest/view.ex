@@ -5,7 +5,7 @@ defmodule Aerie.Api.Rest.View do
   alias Aerie.Fleet.Client.StateForm
   alias Aerie.Fleet.Bridge.Message
   alias Aerie.Base.Json
-  alias Aerie.Fleet.Age
+  alias Aerie.Vehicle.Snapshot.Age
   alias Aerie.Vehicle.Journal
   alias Aerie.Base.Store
   alias Aerie.Control.Policy

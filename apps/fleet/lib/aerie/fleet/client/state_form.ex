@@ -23,7 +23,7 @@ defmodule Aerie.Fleet.Client.StateForm do
   """
 
   alias Aerie.Base.Json
-  alias Aerie.Fleet.Age
+  alias Aerie.Vehicle.Snapshot.Age
   alias Aerie.Vehicle.Fields
   alias Aerie.Vehicle.Snapshot
 

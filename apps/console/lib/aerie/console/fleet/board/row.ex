@@ -5,7 +5,7 @@ defmodule Aerie.Console.Fleet.Board.Row do
 
   alias Aerie.Control.Policy.ControlLease
   alias Aerie.Base.Store
-  alias Aerie.Fleet.Age
+  alias Aerie.Vehicle.Snapshot.Age
   alias Aerie.Console.Fleet.Board.Problems
   alias Aerie.Console.Map.Payload
   alias Aerie.Vehicle.{Firmware, Snapshot}

@@ -1,7 +1,7 @@
-defmodule Aerie.Fleet.AgeTest do
+defmodule Aerie.Vehicle.Snapshot.AgeTest do
   use ExUnit.Case, async: true
 
-  alias Aerie.Fleet.Age
+  alias Aerie.Vehicle.Snapshot.Age
 
   @links [
     %{id: "radio", spec: %{recorded: false}, last_heard: 900},

@@ -1,4 +1,4 @@
-defmodule Aerie.Fleet.Age do
+defmodule Aerie.Vehicle.Snapshot.Age do
   @moduledoc """
   The age of what the read model shows. Pure.
 

@@ -3,8 +3,8 @@ defmodule Aerie.Fleet do
   All vehicles that this gateway knows of, in one model: those on its own links, and those that other gateways hear
   (`Aerie.Fleet.RemoteTable`). A vehicle that is heard both ways is one vehicle.
 
-  A snapshot is that of `Aerie.Base.Store` with `:via` and `:gateways`; a group that another gateway reported has the key `:via`
-  as well, the name of that gateway.
+  A snapshot is that of `Aerie.Base.Store` with `:via` and `:gateways`; a group that another gateway reported has the
+  key `:via` as well, the name of that gateway.
 
   This gateway's links count until they have lost the vehicle; then another gateway does, if that hears it. If two
   report a group, the one on the vehicle's way counts unless it is ten seconds older.

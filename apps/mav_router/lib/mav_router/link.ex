@@ -124,6 +124,10 @@ defmodule MavRouter.Link do
     end
   end
 
+  @doc "What people are shown of a snapshot (`Aerie.Base.Json.Object`)."
+  @spec fields :: [Aerie.Base.Json.Object.t()]
+  defdelegate fields, to: MavRouter.Link.Core.Snapshot
+
   @doc "The snapshots of all links (`MavRouter.Link.Core.Snapshot`), at most a quarter of a second old."
   @spec list(Names.gateway()) :: [map]
   def list(gateway), do: Store.Links.all(gateway)

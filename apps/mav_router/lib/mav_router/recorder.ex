@@ -233,6 +233,10 @@ defmodule MavRouter.Recorder do
     end
   end
 
+  @doc "What is shown of the recording of a link or vehicle (`Aerie.Base.Json.Object`)."
+  @spec fields :: [Aerie.Base.Json.Object.t()]
+  defdelegate fields, to: Status
+
   @doc "The part of a recording's status that the snapshot of its link or vehicle shows; nil for none."
   @spec summary(Names.gateway(), Tables.target()) :: map | nil
   def summary(gateway, target) do

@@ -24,6 +24,7 @@ defmodule MavRouter.Signing do
   """
 
   alias Aerie.Base.Store
+  alias Aerie.Base.Json.Object
   alias Aerie.Base.Names
   alias Aerie.Base.Secret
   alias MavRouter.Signing.{Admission, KeyStore, Scope, Signer, Tables}
@@ -132,6 +133,24 @@ defmodule MavRouter.Signing do
 
   ## For interfaces
 
+  @fields Object.fields([
+            {:policy, :text, nil, "required, accept_unsigned or off"},
+            {:key, :text, nil, "name of the key"},
+            {:state, {:one_of, [:verified, :unsigned, :rejected, :unknown]}, nil,
+             "of the last frame that was taken in, verified or unsigned; rejected: none was yet; unknown: none came"},
+            {:unsafe, :boolean, nil, "whether frames are taken in that anybody could have sent"},
+            {:text, :text, nil, "the state in words"},
+            {:verified_at, :time, nil, "time of the last frame with a valid signature"},
+            {:unsigned_at, :time, nil, "time of the last frame without one that was taken in"},
+            {:verified, :integer, nil, "frames with a valid signature"},
+            {:unsigned, :integer, nil, "frames without one that were taken in"},
+            {:rejected, :integer, nil, "frames that were not taken in"}
+          ])
+
+  @doc "What is shown of `t:status/0`."
+  @spec fields :: [Object.t()]
+  def fields, do: @fields
+
   @doc "The state of a vehicle's signing; nil when there is no key for it."
   @spec vehicle(Names.gateway(), {String.t(), non_neg_integer}) :: status | nil
   def vehicle(gateway, {_network, _system} = key) do
@@ -141,10 +160,23 @@ defmodule MavRouter.Signing do
     end
   end
 
-  @doc """
-  The state of a link: `%{secure, unsafe, verified, unsigned, rejected, signed, not_signed, alarms}`; nil without any key in the
-  gateway.
-  """
+  @link_fields Object.fields([
+                 {:secure, :boolean, nil, "whether the link is one by which keys are given to vehicles"},
+                 {:unsafe, :boolean, nil,
+                  "whether frames of its network are taken in that anybody could have sent"},
+                 {:verified, :integer, nil, "frames with a valid signature"},
+                 {:unsigned, :integer, nil, "frames without one that were taken in"},
+                 {:rejected, :integer, nil, "frames that were not taken in"},
+                 {:signed, :integer, nil, "frames that were sent with a signature"},
+                 {:not_signed, :integer, nil, "frames that were sent without one"},
+                 {:alarms, :integer, nil, "alarms that were raised for rejected frames"}
+               ])
+
+  @doc "What is shown of `link/2`."
+  @spec link_fields :: [Object.t()]
+  def link_fields, do: @link_fields
+
+  @doc "The state of a link (`link_fields/0`); nil without any key in the gateway."
   @spec link(Names.gateway(), MavRouter.Link.Spec.t()) :: map | nil
   def link(gateway, %{id: id, network: network} = spec) do
     with tables when is_map(tables) <- Tables.active(gateway) do

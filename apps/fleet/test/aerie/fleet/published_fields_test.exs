@@ -2,7 +2,7 @@ defmodule Aerie.Fleet.PublishedFieldsTest do
   use ExUnit.Case, async: true
 
   alias Aerie.Fleet.Bridge.Message
-  alias Aerie.Fleet.Client.StateForm
+  alias Aerie.Vehicle.Snapshot
   alias Aerie.Fleet.Replay
   alias Aerie.Vehicle.{Event, Fields}
 
@@ -25,16 +25,8 @@ defmodule Aerie.Fleet.PublishedFieldsTest do
     nats = JSON.decode!(Message.state("V", "battery", data, 5, 1))["data"]
 
     socket =
-      %Aerie.Vehicle.Snapshot{
-        id: "V",
-        network: "main",
-        system_id: 1,
-        status: :online,
-        last_heard: 1,
-        autopilot: :px4
-      }
-      |> Map.merge(%{vehicle_type: "copter", links: [], groups: %{battery: group}})
-      |> StateForm.of(%{}, 1)
+      %Snapshot{id: "V", groups: %{battery: group}}
+      |> Snapshot.Fields.show(:short, %{now: 1, links: %{}})
       |> JSON.encode!()
       |> JSON.decode!()
 

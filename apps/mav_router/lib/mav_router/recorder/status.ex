@@ -4,6 +4,7 @@ defmodule MavRouter.Recorder.Status do
   the recording is over, until its link or vehicle is removed.
   """
 
+  alias Aerie.Base.Json.Object
   alias Aerie.Base.{Names, Store}
   alias MavRouter.Recorder.{Core, Recording, Tables}
 
@@ -29,6 +30,42 @@ defmodule MavRouter.Recorder.Status do
           errors: non_neg_integer,
           error: %{at: integer, reason: String.t()} | nil
         }
+
+  @error Object.fields([
+           {:time, {:time, :second}, nil, "when it was", :at},
+           {:reason, :text, nil, "what it was"}
+         ])
+  @fields Object.fields([
+            {:state, {:one_of, [:off, :waiting, :recording, :paused]}, nil,
+             "off, waiting (for arming, or for a first frame), recording or paused"},
+            {:mode, :text, nil, "always, armed or off; saving: the last minutes are being saved",
+             &__MODULE__.shown_mode/1},
+            {:reason, :text, nil, "why it is paused"},
+            {:file, :text, nil, "name of the file that is being written", &__MODULE__.file_name/1},
+            {:size, :integer, "B", "its size"},
+            {:since, {:time, :second}, nil, "since when it is written"},
+            {:frames, :integer, nil, "frames that were written since the gateway was started"},
+            {:bytes, :integer, "B", "bytes that were written since then"},
+            {:dropped, :integer, nil, "frames that could not be written"},
+            {:error, {:object, @error}, nil, "the last fault of the disk:"}
+          ])
+
+  @doc "What is shown of a status."
+  @spec fields() :: [Object.t()]
+  def fields, do: @fields
+
+  @doc "What is shown of a fault of the disk."
+  @spec error_fields() :: [Object.t()]
+  def error_fields, do: @error
+
+  @doc false
+  @spec shown_mode(t) :: atom
+  def shown_mode(%{mode: {:until, _at}}), do: :saving
+  def shown_mode(%{mode: mode}), do: mode
+
+  @doc false
+  @spec file_name(t) :: String.t() | nil
+  def file_name(%{file: file}), do: file && Path.basename(file)
 
   @doc "The status for a recording's mode and output."
   @spec new(Core.mode(), Recording.Output.t()) :: t

@@ -49,7 +49,7 @@ defmodule Aerie.Vehicle.Core do
   """
 
   alias MavCodec.Message.BootClock
-  alias Aerie.Vehicle.{Collision, Options, Reports, Sampling, Snapshot, State}
+  alias Aerie.Vehicle.{Collision, Options, Reports, Sampling, State}
   alias Aerie.Vehicle.Services.{Gcs, Switches, Timesync}
   alias Aerie.Vehicle.Core.{Collisions, Effects, Frames, Reporting, Services, SnapshotSchedule, Texts, Timers}
   alias Aerie.Vehicle.Detector.Observation
@@ -91,8 +91,6 @@ defmodule Aerie.Vehicle.Core do
     samplers: nil
   ]
 
-  @collision_us 60_000_000
-
   @typedoc """
   For this module and those in its folder.
 
@@ -123,7 +121,7 @@ defmodule Aerie.Vehicle.Core do
           | {:hold_requests, boolean()}
           | {:event_definitions, Aerie.Vehicle.Reports.Definitions.t()}
   @type action ::
-          {:snapshot, Snapshot.t()}
+          {:snapshot, SnapshotSchedule.snapshot()}
           | {:observe, Observation.t()}
           | {:reported, Aerie.Vehicle.Reports.report()}
           | {:publish, State.group(), map(), integer()}
@@ -273,41 +271,8 @@ defmodule Aerie.Vehicle.Core do
   defdelegate view(core), to: Services, as: :show
 
   @doc "The vehicle as the read model shows it."
-  @spec snapshot(t()) :: Snapshot.t()
-  def snapshot(core), do: snapshot(core, Services.show(core))
-
-  @doc false
-  @spec snapshot(t(), view :: map()) :: Snapshot.t()
-  def snapshot(%__MODULE__{options: options, state: state} = core, view) do
-    %Snapshot{
-      id: options.id,
-      key: options.key,
-      network: options.network,
-      system_id: options.system_id,
-      component: core.component,
-      mavlink_version: core.version,
-      autopilot: state.autopilot,
-      vehicle_type: state.kind,
-      type: state.type,
-      firmware: state.firmware,
-      uid: state.uid,
-      capabilities: state.capabilities,
-      status: core.status,
-      last_heard: core.last_heard,
-      time_boot_ms: state.boot_ms,
-      links: Reception.links(core.reception),
-      groups: state.groups,
-      collision: collision(core),
-      memory: State.memory(state)
-    }
-    |> Map.merge(view)
-  end
-
-  defp collision(%{other_vehicle: %{collision: %{at: at} = collision}, now: now})
-       when now - at < @collision_us,
-       do: collision
-
-  defp collision(_core), do: nil
+  @spec snapshot(t()) :: SnapshotSchedule.snapshot()
+  def snapshot(core), do: SnapshotSchedule.snapshot(core, Services.show(core))
 
   # The status before this step.
   defp confirm_status(%{status: :lost, options: %{lost_us: lost_us}} = core),

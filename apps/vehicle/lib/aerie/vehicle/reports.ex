@@ -17,6 +17,7 @@ defmodule Aerie.Vehicle.Reports do
 
   import Bitwise
 
+  alias Aerie.Base.Json.Object
   alias Aerie.Vehicle.Reports.{Checks, Definitions, Names, Sequence}
   alias MavCodec.Enums.MavEventCurrentSequenceFlags, as: EventSequenceFlags
   alias MavCodec.Messages.{CurrentEventSequence, Event, RequestEvent, ResponseEventError}
@@ -230,6 +231,28 @@ defmodule Aerie.Vehicle.Reports do
 
     %{reports | components: components, texts: [], open: Enum.map(reports.open, &%{&1 | at: now - @text_us})}
   end
+
+  @report Object.fields([
+            {:time, :time, nil, "when the gateway received it", :at},
+            {:time_boot_ms, :integer, "ms", "the vehicle's clock when it was sent", :boot_ms},
+            {:component, :integer, nil, "component that sent it"},
+            {:sequence, :integer, nil, "number of the report"},
+            {:id, :text, nil, "id of the report, hexadecimal"},
+            {:name, :text, nil, "name of the report, if it is known"},
+            {:severity, :integer, nil, "MAV_SEVERITY for users"},
+            {:internal_severity, :integer, nil, "MAV_SEVERITY for the log", :internal},
+            {:arguments, :text, nil, "its arguments, hexadecimal"},
+            {:values, {:list, :any}, nil, "their values, if they are known"},
+            {:text, :text, nil, "a sentence for people, if the report is known"}
+          ])
+  @fields Object.fields([
+            {:lost, :integer, nil, "how many were lost"},
+            {:recent, {:list, {:object, @report}}, nil, "the last #{@recent}, newest first:"}
+          ])
+
+  @doc "What people are shown of `show/1`."
+  @spec fields() :: [Object.t()]
+  def fields, do: @fields
 
   @doc "For the snapshot: the last #{@recent} reports, newest first, and how many events were lost."
   @spec show(t()) :: %{recent: [map()], lost: non_neg_integer()}

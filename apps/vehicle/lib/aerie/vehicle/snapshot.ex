@@ -7,13 +7,15 @@ defmodule Aerie.Vehicle.Snapshot do
     * `:last_heard` - unix microseconds; `:time_boot_ms` - the vehicle's clock then
     * `:links` - ids of the links that hear it, the latest first
     * `:groups` - the groups of its state (`Aerie.Vehicle.State.Groups`) by name
-    * `:collision`, `:streams`, `:clock`, `:gcs`, `:reports`, `:high_latency`, `:params` - what the session's services show
+    * `:collision`, `:streams`, `:clock`, `:gcs`, `:reports`, `:high_latency`, `:params` - what the session's services
+      show
     * `:signing` - `MavRouter.Signing.vehicle/2`; `:recording` - `MavRouter.Recorder.summary/2`
     * `:memory` - what only a session needs that goes on after a crash
 
   These are filled in above the session:
 
-    * `:via` - the gateway by which the vehicle is reached; nil: a link of this one. `:gateways` - the others that report it
+    * `:via` - the gateway by which the vehicle is reached; nil: a link of this one. `:gateways` - the others that
+      report it
     * `:heard_here?` - that the gateway in `:via` holds the vehicle, although this one hears it as well
   """
 

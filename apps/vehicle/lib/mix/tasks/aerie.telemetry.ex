@@ -10,7 +10,7 @@ defmodule Mix.Tasks.Aerie.Telemetry do
   @impl Mix.Task
   def run(args) do
     file = List.first(args) || Path.expand("../../../../../docs/telemetry.md", __DIR__)
-    File.write!(file, Aerie.Vehicle.Fields.Page.markdown())
+    File.write!(file, Aerie.Vehicle.Snapshot.Page.markdown())
     Mix.shell().info("wrote #{Path.relative_to_cwd(file)}")
   end
 end

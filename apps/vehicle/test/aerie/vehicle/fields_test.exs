@@ -1,8 +1,9 @@
 defmodule Aerie.Vehicle.FieldsTest do
   use ExUnit.Case, async: true
 
-  alias Aerie.Vehicle.{Event, Fields, State}
-  alias Aerie.Vehicle.Fields.{Object, Page}
+  alias Aerie.Base.Json.Object
+  alias Aerie.Vehicle.{Event, Fields, Snapshot, State}
+  alias Aerie.Vehicle.Snapshot.Page
 
   @root Path.expand("../../../../..", __DIR__)
 
@@ -20,8 +21,8 @@ defmodule Aerie.Vehicle.FieldsTest do
 
     for %{name: name} <- Event.Types.all(), do: assert(page =~ name)
 
-    for %{name: name, meaning: meaning} <- Object.short() ++ Object.long() ++ Object.link() do
-      assert page =~ "`#{name}`" or page =~ name
+    for {name, _unit, meaning} <- Object.rows(Snapshot.Fields.of(:whole) ++ MavRouter.Link.fields()) do
+      assert page =~ "`#{name}`"
       assert meaning != ""
     end
   end
@@ -67,9 +68,6 @@ defmodule Aerie.Vehicle.FieldsTest do
     assert Fields.rounded("of the future", %{x: 0.1 + 0.2}) == %{x: 0.1 + 0.2}
 
     assert %{"lat" => 47.3977418} = Fields.rounded("position", %{"lat" => 47.39774182})
-
-    assert Object.rounded_link(%{rates: %{bytes_in: 1.26}, quality: %{loss: 0.12345}, retry_in_ms: 12.6}) ==
-             %{rates: %{bytes_in: 1.3}, quality: %{loss: 0.123}, retry_in_ms: 13}
 
     assert Fields.event(%{
              "remaining" => 0.3600000143051147,

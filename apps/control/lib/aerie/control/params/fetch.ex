@@ -45,7 +45,7 @@ defmodule Aerie.Control.Params.Fetch do
   @spec file?(map()) :: boolean()
   def file?(snapshot) do
     Firmware.traits(snapshot.autopilot).param_file? and
-      Bitwise.band(snapshot[:capabilities] || 0, @ftp) != 0
+      Bitwise.band(snapshot.capabilities || 0, @ftp) != 0
   end
 
   @doc """

@@ -1,16 +1,17 @@
 defmodule Aerie.Fleet.Client.StateFeed do
   @moduledoc """
-  The state of all vehicles as text, made once for all who read it, ten times a second while anybody does.
+  The state of all vehicles as text, made once for all who read it, ten times a second while anybody does: for each
+  vehicle a line with an object of JSON (`Aerie.Vehicle.Snapshot.Fields`). While there is no vehicle, one line says
+  so: nothing is connected, and the rest is null.
 
   A reader (`join/1`) gets the message `:state_lines` when there is a new text, takes it with `latest/1`, and gets no
   further message before it has: a slow subscriber misses texts and never has more than one message waiting.
   """
   use GenServer
 
-  alias Aerie.Fleet.Client.StateForm
+  alias Aerie.Base.{Json, Names, Store}
   alias Aerie.Fleet
-  alias Aerie.Base.Store
-  alias Aerie.Base.Names
+  alias Aerie.Vehicle.Snapshot
 
   @topic :state_lines
 
@@ -69,11 +70,16 @@ defmodule Aerie.Fleet.Client.StateFeed do
   def handle_info(:joined, state), do: {:noreply, state}
 
   defp notify(state, readers) do
-    now = System.os_time(:microsecond)
-    lines = StateForm.lines(Fleet.vehicles(state.gateway), Store.links(state.gateway), now)
-    :ets.insert(state.table, {:text, lines})
+    :ets.insert(state.table, {:text, lines(state.gateway)})
     for {pid, told} <- readers, :atomics.exchange(told, 1, 1) == 0, do: send(pid, @topic)
     :ok
+  end
+
+  defp lines(gateway) do
+    context = %{now: System.os_time(:microsecond), links: Map.new(Store.links(gateway), &{&1.id, &1})}
+    vehicles = with [] <- Fleet.vehicles(gateway), do: [%Snapshot{}]
+    line = &[&1 |> Snapshot.Fields.show(:short, context) |> Json.encode_to_iodata!(), ?\n]
+    vehicles |> Enum.map(line) |> IO.iodata_to_binary()
   end
 
   # By the clock, so that the rate is the rate; after a pause of the machine no ticks are made up for.

@@ -5,53 +5,48 @@ defmodule MavRouter.Link.Core.Counters do
   What a link counted since it was added: a value that only grows, kept in the link's snapshot in the store, so that it
   outlives reconnections and restarts of the link's process.
 
-  - `bytes_in`, `frames_in`: received bytes, and frames in them that passed their checks
-  - `crc_errors`, `resync_bytes`, `unknown_ids`, `incompatible`, `lost`: as `MavCodec.Parser.stats/1` counts them
-  - `bytes_out`, `writes_out`: passed to the transport
-  - `reconnects`: connections made after the first; `restarts`: of the link's process
-  - `peers_refused`: datagrams and connections of peers beyond the limit
-  - drops, in frames or writes: `unclaimed` (no vehicle is known for the system), `overload` (the vehicle could not keep up),
-    `refused` (the limit of vehicles is reached), `looped` (our own frames came back), `dropped_out` (link down, peer gone,
-    buffer full)
-  - `denied`: commands to vehicles from peers that may not command; `withheld`: heartbeats and measurements that were not
-    forwarded to vehicles (`MavRouter.Endpoints.Access`)
-  - `routes_refused`: how often a component of its peers got no route, because the peer has too many
-    (`MavRouter.Routes`)
-  - datagrams that came faster than the link could read: `kernel_dropped` (the kernel had no room; known on Linux only), `shed`
-    (too many waited, `MavRouter.Link.Transport.Net.Backlog`), `shed_new` (the same, of senders that were not heard
-    before the overload)
-  - `messages`: frames by message id; ids beyond the first #{@max_ids} different ones are counted under `:other`
+  `fields/0` says what each sum counts. `messages`: frames by message id; ids beyond the first #{@max_ids} different ones are
+  counted under `:other`.
   """
 
-  @sums [
-    :bytes_in,
-    :frames_in,
-    :crc_errors,
-    :resync_bytes,
-    :unknown_ids,
-    :incompatible,
-    :lost,
-    :bytes_out,
-    :writes_out,
-    :reconnects,
-    :restarts,
-    :peers_refused,
-    :unclaimed,
-    :overload,
-    :refused,
-    :looped,
-    :dropped_out,
-    :kernel_dropped,
-    :shed,
-    :shed_new,
-    :denied,
-    :withheld,
-    :routes_refused
-  ]
+  alias Aerie.Base.Json.Object
+
+  @fields Object.fields([
+            {:bytes_in, :integer, "B", "received since the gateway was started, as for all counters"},
+            {:bytes_out, :integer, "B", "sent"},
+            {:frames_in, :integer, nil, "good frames received"},
+            {:writes_out, :integer, nil, "writes to the transport"},
+            {:crc_errors, :integer, nil, "frames with a wrong checksum"},
+            {:resync_bytes, :integer, "B", "bytes outside of frames"},
+            {:unknown_ids, :integer, nil, "frames with an unknown message id"},
+            {:incompatible, :integer, nil, "frames with unknown incompatibility flags"},
+            {:lost, :integer, nil, "lost frames, by their sequence numbers"},
+            {:reconnects, :integer, nil, "connections made after the first"},
+            {:restarts, :integer, nil, "restarts of the link's process"},
+            {:peers_refused, :integer, nil, "datagrams and connections of peers beyond the limit"},
+            {:routes_refused, :integer, nil, "components without a route, because their peer has too many"},
+            {:unclaimed, :integer, nil, "frames of systems without a vehicle"},
+            {:overload, :integer, nil, "frames that a vehicle's session could not keep up with"},
+            {:refused, :integer, nil, "frames of vehicles beyond limits.max_vehicles"},
+            {:looped, :integer, nil, "our own frames that came back"},
+            {:dropped_out, :integer, nil,
+             "writes that could not be sent: link down, peer gone, or buffer full"},
+            {:kernel_dropped, :integer, nil,
+             "datagrams that the kernel's buffer had no room for; known on Linux only"},
+            {:shed, :integer, nil, "datagrams dropped because too many waited"},
+            {:shed_new, :integer, nil, "the same, of senders that were not heard before the overload"},
+            {:denied, :integer, nil, "commands of endpoints that may not send them"},
+            {:withheld, :integer, nil, "heartbeats and measurements withheld from vehicles"}
+          ])
+  @sums Enum.map(@fields, & &1.name)
 
   defstruct Enum.map(@sums, &{&1, 0}) ++ [messages: %{}]
 
   @type t :: %__MODULE__{messages: %{(non_neg_integer | :other) => pos_integer}}
+
+  @doc "The sums, and what each counts."
+  @spec fields :: [Object.t()]
+  def fields, do: @fields
 
   @doc "Adds to one sum."
   @spec add(t, atom, integer) :: t

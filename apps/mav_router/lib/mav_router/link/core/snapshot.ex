@@ -3,33 +3,22 @@ defmodule MavRouter.Link.Core.Snapshot do
   What everybody may know about a link. The link's process publishes it in `Aerie.Base.Store`: `brief/2` as a whole, of `:peers`
   and `:sources` only what changed (`MavRouter.Link.Peers.PublishedPeers`). `Aerie.Base.Store.Links` puts them together.
 
+  `fields/0` says what people are shown, and what it means; times are unix microseconds here. These keys are for the gateway
+  alone:
+
   | key | value |
   |---|---|
-  | `:id`, `:network`, `:kind`, `:url`, `:spec` | as in `MavRouter.Link.Spec` (`:url` is its `text`) |
-  | `:status` | `:connecting`, `:up`, `:idle` (up, but no frame for a while), `:down`, `:ended` |
-  | `:text` | the status in words: `connection refused by 127.0.0.1:5760, next try in 3.2 s` |
-  | `:reason` | the last fault in words, or nil |
-  | `:since` | unix microseconds of the last change of phase |
-  | `:retry_in_ms` | while down: time to the next attempt, at the time of publishing |
-  | `:local`, `:port`, `:peer` | our end, its real port, the other end, as far as known |
+  | `:spec` | `MavRouter.Link.Spec` |
   | `:baud` | of an open serial port |
   | `:finding` | how an open serial port was found, if it was searched for (`MavRouter.Link.Serial.Finding`) |
   | `:diagnosis` | why serial ports do not work: findings with evidence and advice, otherwise empty |
-  | `:last_heard` | unix microseconds of the arrival of the last good frame |
-  | `:counters` | `MavRouter.Link.Core.Counters` |
-  | `:rates` | per second: `bytes_in`, `frames_in`, `bytes_out`, `writes_out`, `crc_errors` |
-  | `:overload` | `%{since: unix us, datagrams: n}` while datagrams come faster than they are read and for 10 s after, otherwise nil; `datagrams` were dropped |
-  | `:behind` | `%{since: unix us, frames: n}` while a session does not keep up with the frames of its vehicle and for 10 s after, otherwise nil; `frames` were dropped |
-  | `:peers` | `[%{peer, text, silent_ms, frames_in, bytes_in}]`, at most 1,024 of them |
+  | `:peers` | also `peer`, its id; at most 1,024 of them |
   | `:sources` | `%{{system, component} => %{received, lost, ratio, …}}`, loss by sequence numbers (R7, R9) |
-  | `:signing` | `MavRouter.Signing.link/2`, nil without a key |
-  | `:quality` | score, loss, round-trip time and age, and whether it carries its group (`t:MavRouter.Endpoints.Meter.quality/0`), or nil |
-  | `:recording` | `t:MavRouter.Recorder.Status.t/0` without its names, nil if it was never recorded |
   | `:restarts` | monotonic ms of the last restarts of the link's process |
-  | `:label` | the label of the configuration, or nil |
   | `:high_latency` | whether it is configured as a high-latency link (`MavCodec.Meaning.HighLatency`) |
   """
 
+  alias Aerie.Base.Json.Object
   alias MavRouter.Link.Core
   alias MavRouter.Link.Peers.Peer
   alias MavRouter.Link.Peers
@@ -39,7 +28,69 @@ defmodule MavRouter.Link.Core.Snapshot do
   alias MavRouter.Link.Spec
   alias Aerie.Base.Store
 
+  @peer Object.fields([
+          {:text, :text, nil, "its address"},
+          {:silent_ms, :integer, "ms", "since it was heard"},
+          {:frames_in, :integer, nil, "good frames received"},
+          {:bytes_in, :integer, "B", "bytes received"}
+        ])
+  @rates Object.fields([
+           {:bytes_in, 1, "B/s", "received in the last second"},
+           {:bytes_out, 1, "B/s", "sent"},
+           {:frames_in, 1, "1/s", "good frames received"},
+           {:writes_out, 1, "1/s", "writes: frames and batches of frames"},
+           {:crc_errors, 1, "1/s", "frames with a wrong checksum"}
+         ])
+  @quality Object.fields([
+             {:score, 1, nil, "0 to 100, higher is better; the best link of a group carries"},
+             {:loss, 3, "0..1", "ratio of lost frames"},
+             {:rtt_ms, 1, "ms", "round trip"},
+             {:age_ms, 0, "ms", "since the last frame"},
+             {:group, :text, nil, "the links that are redundant with it"},
+             {:carries, :boolean, nil, "whether this link carries for the group"}
+           ])
+  @overload Object.fields([
+              {:since, :time, nil, "since when"},
+              {:datagrams, :integer, nil, "how many were dropped"}
+            ])
+  @behind Object.fields([
+            {:since, :time, nil, "since when"},
+            {:frames, :integer, nil, "how many were dropped"}
+          ])
+  @fields Object.fields([
+            {:id, :text, nil, "name"},
+            {:network, :text, nil, "the network that its system ids belong to"},
+            {:kind, :text, nil, "udp_server, tcp_client, serial, replay …"},
+            {:url, :text, nil, "connection string"},
+            {:label, :text, nil, "label from the configuration"},
+            {:status, {:one_of, [:connecting, :up, :idle, :down, :ended]}, nil,
+             "connecting, up, idle (up, but nothing was heard for a while), down or ended"},
+            {:text, :text, nil, "the status in words"},
+            {:reason, :text, nil, "why the link is not up"},
+            {:retry_in_ms, 0, "ms", "until the next try"},
+            {:since, :time, nil, "time since which it has this status"},
+            {:last_heard, :time, nil, "time of the last frame"},
+            {:local, :text, nil, "own address, or the device"},
+            {:port, :integer, nil, "own port"},
+            {:peer, :text, nil, "address of the peer"},
+            {:peers, {:list, {:object, @peer}}, nil, "peers of a server:"},
+            {:signing, {:object, MavRouter.Signing.link_fields()}, nil,
+             "signatures, if there is any key (signing.md):"},
+            {:recording, {:object, MavRouter.Recorder.fields()}, nil, "how it is recorded (recordings.md):"},
+            {:overload, {:object, @overload}, nil,
+             "while datagrams come faster than they are read, and for 10 s after:"},
+            {:behind, {:object, @behind}, nil,
+             "while a vehicle's session does not keep up with its frames, and for 10 s after:"},
+            {:rates, {:object, @rates}, nil, "per second:"},
+            {:quality, {:object, @quality}, nil, "how good the link is:"},
+            {:counters, {:object, Core.Counters.fields()}, nil, "what was counted:"}
+          ])
+
   @type status :: :connecting | :up | :idle | :down | :ended
+
+  @doc "What is shown of a snapshot."
+  @spec fields :: [Object.t()]
+  def fields, do: @fields
 
   @doc "The snapshot at a monotonic time in ms."
   @spec of(Core.t(), integer) :: map

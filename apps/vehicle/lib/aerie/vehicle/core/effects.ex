@@ -139,7 +139,9 @@ defmodule Aerie.Vehicle.Core.Effects do
   def show({%{dirty: true} = core, actions}, now) when core.component != nil do
     if SnapshotSchedule.due?(core.shown, now) do
       shown = SnapshotSchedule.write(core.shown, now, fn -> Core.view(core) end)
-      {%{core | shown: shown, dirty: false}, [{:snapshot, Core.snapshot(core, shown.view)} | actions]}
+
+      {%{core | shown: shown, dirty: false},
+       [{:snapshot, SnapshotSchedule.snapshot(core, shown.view)} | actions]}
     else
       {core, actions}
     end

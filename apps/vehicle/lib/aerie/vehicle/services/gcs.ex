@@ -11,6 +11,7 @@ defmodule Aerie.Vehicle.Services.Gcs do
   comes is used as well. Unknown values are nil.
   """
 
+  alias Aerie.Base.Json.Object
   alias Aerie.Vehicle.Firmware
   alias Aerie.Vehicle.Firmware.GroundStation
   alias MavRouter.Forward.GroundStations
@@ -192,18 +193,42 @@ defmodule Aerie.Vehicle.Services.Gcs do
     end
   end
 
-  @doc """
-  For the snapshot:
+  @station Object.fields([
+             {:system, :integer, nil, "system id"},
+             {:component, :integer, nil, "component id"},
+             {:type, :integer, nil, "MAV_TYPE; 6 is a ground station"},
+             {:via, :text, nil, "link or client that it is heard by"},
+             {:last_heard, :time, nil, "time of its last heartbeat"},
+             {:keeps, :boolean, nil, "whether the failsafe listens to it", :keeps?}
+           ])
+  @fields Object.fields([
+            {:known_by, {:list, :integer}, nil, "ids of the ground stations heard within a minute"},
+            {:failsafe_gcs, :integer, nil, "the id that the failsafe listens to; null if unknown or any"},
+            {:failsafe_range, {:list, :integer}, nil, "lowest and highest id that it listens to",
+             &__MODULE__.range/1},
+            {:heard_gcs, :integer, nil, "id of the station whose heartbeat last kept it quiet"},
+            {:last_heard, :time, nil, "time of that heartbeat"},
+            {:quiet, :boolean, nil, "whether it is kept quiet now; null before the first such heartbeat",
+             :quiet?},
+            {:enabled, :boolean, nil, "whether it is enabled", :enabled?},
+            {:timeout_s, :number, "s", "the silence after which it acts"},
+            {:kept_by_gateway, :boolean, nil, "whether the gateway's own heartbeat keeps it quiet", :by_us?},
+            {:withheld, :boolean, nil,
+             "whether the gateway withholds its heartbeat so as not to be taken for a ground station",
+             :withheld?},
+            {:params, {:map, :number}, nil, "the parameters that this is known from"},
+            {:stations, {:list, {:object, @station}}, nil, "what else sends heartbeats on the network:"}
+          ])
 
-  - `known_by`: system ids of the ground stations heard within a minute
-  - `failsafe_gcs`: the id that the failsafe listens to, nil if unknown or any; `failsafe_range`: the lowest and highest
-    id
-  - `heard_gcs`, `last_heard`: the system whose heartbeat last kept it quiet, and when (unix us)
-  - `quiet?`: whether it is kept quiet now; nil before the first such heartbeat
-  - `enabled?`, `timeout_s`: of the failsafe
-  - `stations`: each `%{system, component, type, via, last_heard, keeps?}`
-  - `params`: those that were read
-  """
+  @doc "What people are shown of `show/2`, and of `:by_us?` and `:withheld?` beside it."
+  @spec fields() :: [Object.t()]
+  def fields, do: @fields
+
+  @doc false
+  @spec range(map()) :: [non_neg_integer()] | nil
+  def range(%{failsafe_range: range}), do: range && Tuple.to_list(range)
+
+  @doc "For the snapshot."
   @spec show(t(), integer()) :: map()
   def show(gcs, now) do
     near = Enum.filter(gcs.stations, &(now - &1.last_heard < @known_us))

@@ -14,6 +14,7 @@ defmodule Aerie.Vehicle.Services.Timesync do
   answers neither is asked less often.
   """
 
+  alias Aerie.Base.Json.Object
   alias MavCodec.Messages.{Ping, Timesync}
 
   @first_us 1_000_000
@@ -210,11 +211,20 @@ defmodule Aerie.Vehicle.Services.Timesync do
     {offset, div(rtt, 2) + div(max(now - at, 0) * @drift_per_s, 1_000_000)}
   end
 
-  @doc """
-  For the snapshot: `offset_us` and `error_us` as in `offset/2`, `rtt_us` of the best sample, `boot_at` (unix us at
-  which the vehicle's clock was 0), `at` (of the last answer), `samples`, `foreign`. The measurements are nil before the
-  first answer.
-  """
+  @fields Object.fields([
+            {:offset_s, {:seconds, 6}, "s", "the vehicle's clock minus the gateway's", :offset_us},
+            {:error_s, {:seconds, 6}, "s", "largest error of the offset", :error_us},
+            {:round_trip_s, {:seconds, 6}, "s", "round trip of the best measurement", :rtt_us},
+            {:boot, :time, nil, "the time at which the clock was 0", :boot_at},
+            {:time, :time, nil, "time of the last answer", :at},
+            {:samples, :integer, nil, "number of measurements"}
+          ])
+
+  @doc "What people are shown of `show/2`."
+  @spec fields() :: [Object.t()]
+  def fields, do: @fields
+
+  @doc "For the snapshot, in microseconds. The measurements are nil before the first answer."
   @spec show(t(), integer()) :: map()
   def show(%{samples: []} = sync, _now) do
     %{offset_us: nil, error_us: nil, rtt_us: nil, boot_at: nil, at: nil, samples: 0, foreign: sync.foreign}

@@ -2,6 +2,7 @@ defmodule Aerie.Api.Rest.View.Recordings do
   @moduledoc "Recordings as `/api` shows them."
 
   alias Aerie.Base.Json
+  alias Aerie.Base.Json.Object
   alias MavRouter.Recorder
 
   @doc "A summary of the recorder, or nil."
@@ -25,22 +26,7 @@ defmodule Aerie.Api.Rest.View.Recordings do
 
   @doc "The recording of a link's or vehicle's snapshot, or nil."
   @spec one(map() | nil) :: map() | nil
-  def one(nil), do: nil
-
-  def one(recording) do
-    %{
-      state: recording.state,
-      mode: mode(recording.mode),
-      reason: recording.reason,
-      file: recording.file && Path.basename(recording.file),
-      size: recording.size,
-      since: recording.since && Json.time(recording.since * 1_000_000),
-      frames: recording.frames,
-      bytes: recording.bytes,
-      dropped: recording.dropped,
-      error: error(recording.error)
-    }
-  end
+  def one(recording), do: recording && Object.show(Recorder.fields(), recording)
 
   @doc "The whole state of the recorder: active recordings, content of the rings, files."
   @spec all(term()) :: map() | nil
@@ -76,9 +62,6 @@ defmodule Aerie.Api.Rest.View.Recordings do
   end
 
   defp named(%{target: {kind, _id}, label: label}), do: %{kind: kind, label: label}
-
-  defp mode({:until, _at}), do: :saving
-  defp mode(mode), do: mode
 
   defp error(nil), do: nil
   defp error(error), do: %{time: Json.time(error.at * 1_000_000), reason: error.reason}

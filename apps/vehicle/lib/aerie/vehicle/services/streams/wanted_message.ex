@@ -13,6 +13,9 @@ defmodule Aerie.Vehicle.Services.Streams.WantedMessage do
   | `:yielded` | another program changed it again after our request; it is left to that program |
   """
 
+  alias Aerie.Base.Json.Object
+  alias MavCodec.Dialects.All
+
   # A lower share of the wanted rate is too slow: schedulers round, and radios lose some.
   @retries_us [3_000_000, 10_000_000]
   @enough 0.7
@@ -135,6 +138,25 @@ defmodule Aerie.Vehicle.Services.Streams.WantedMessage do
   @doc "How long after the request of this number (from 0) it is repeated (us)."
   @spec retry_us(non_neg_integer()) :: non_neg_integer()
   def retry_us(tries), do: Enum.at(@retries_us, tries, 0)
+
+  @states [:new, :asked, :query, :ok, :short, :missing, :yielded]
+  @fields Object.fields([
+            {:id, :integer, nil, "message id"},
+            {:message, :text, nil, "message name", &__MODULE__.name/1},
+            {:state, {:one_of, @states}, nil,
+             "new, asked, query, ok, short (too slow), missing, yielded (left to another program)"},
+            {:wanted_hz, 2, "1/s", "wanted rate; null: any rate", :wanted},
+            {:asked_hz, 2, "1/s", "requested rate", :asked},
+            {:measured_hz, 2, "1/s", "measured rate", :measured}
+          ])
+
+  @doc "What people are shown of `show/1` and the message's `:id`."
+  @spec fields() :: [Object.t()]
+  def fields, do: @fields
+
+  @doc false
+  @spec name(map()) :: String.t() | nil
+  def name(%{id: id}), do: All.name(id)
 
   @doc "For the snapshot."
   @spec show(t()) :: map()

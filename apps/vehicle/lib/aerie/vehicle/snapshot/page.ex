@@ -1,26 +1,30 @@
-defmodule Aerie.Vehicle.Fields.Page do
+defmodule Aerie.Vehicle.Snapshot.Page do
   @moduledoc """
-  `docs/telemetry.md`, made from `Aerie.Vehicle.Fields` and `Aerie.Vehicle.Event.Types` (`mix aerie.telemetry`), so that the page
-  cannot differ from what is published.
+  `docs/telemetry.md`, made from `Aerie.Vehicle.Fields`, `Aerie.Vehicle.Snapshot.Fields`, `MavRouter.Link.fields/0` and
+  `Aerie.Vehicle.Event.Types` (`mix aerie.telemetry`), so that the page cannot differ from what is published.
   """
 
-  alias Aerie.Vehicle.{Event, Fields}
-  alias Aerie.Vehicle.Fields.Object
+  alias Aerie.Base.Json.Object
+  alias Aerie.Vehicle.{Event, Fields, Snapshot}
 
   @doc "The text of the page."
   @spec markdown() :: String.t()
   def markdown do
+    [short, listed, whole] = Enum.map([:short, :listed, :whole], &Snapshot.Fields.of/1)
+
     [
       intro(),
       "\n## State\n\n",
       state(),
       for({group, title, fields} <- Fields.all(), do: group(group, title, fields)),
-      "\n## A vehicle\n\nThe object of `state.sock` and `/api/status`:\n\n",
-      object(Object.short()),
+      "\n## A vehicle\n\nThe object of `state.sock`:\n\n",
+      object(short),
+      "\n`GET /api/status` and `GET /api/vehicles` add:\n\n",
+      object(listed -- short),
       "\n`GET /api/vehicles/ID` adds:\n\n",
-      object(Object.long()),
+      object(whole -- listed),
       "\n## A link\n\nThe objects of `GET /api/links`:\n\n",
-      object(Object.link()),
+      object(MavRouter.Link.fields()),
       "\n## Events\n\n",
       events(),
       for(type <- Event.Types.all(), do: event(type))
@@ -76,7 +80,10 @@ defmodule Aerie.Vehicle.Fields.Page do
   end
 
   defp object(fields),
-    do: [header(~w(field unit meaning)), for(f <- fields, do: row(["`#{f.name}`", f.unit, f.meaning]))]
+    do: [
+      header(~w(field unit meaning)),
+      for({name, unit, meaning} <- Object.rows(fields), do: row(["`#{name}`", unit, meaning]))
+    ]
 
   defp decimals(%{decimals: nil}), do: nil
   defp decimals(%{decimals: n}), do: Integer.to_string(n)

@@ -1,12 +1,40 @@
-defmodule Aerie.Fleet.Client.StateFormTest do
+defmodule Aerie.Vehicle.Snapshot.FieldsTest do
   use ExUnit.Case, async: true
 
-  import Aerie.ClientCase, only: [vehicle: 0, vehicle: 1]
+  alias Aerie.Vehicle.Snapshot
 
-  alias Aerie.Fleet.Client.StateForm
+  @now 1_763_800_000_000_000
 
-  defp json(vehicle, links \\ %{}, now \\ System.os_time(:microsecond)),
-    do: vehicle |> StateForm.of(links, now) |> JSON.encode!() |> JSON.decode!()
+  # A hovering copter.
+  defp vehicle(changes \\ %{}) do
+    group = fn data -> %{at: @now, time_boot_ms: 1000, data: data} end
+
+    snapshot = %Snapshot{
+      id: "VID-001",
+      key: {"main", 1},
+      network: "main",
+      system_id: 1,
+      autopilot: :ardupilot,
+      vehicle_type: "copter",
+      status: :online,
+      last_heard: @now,
+      links: ["radio"],
+      groups: %{
+        mode: group.(%{mode: "GUIDED", armed: true, in_air: true}),
+        attitude: group.(%{roll: 1.234567, pitch: -0.5, yaw: 178.5}),
+        position:
+          group.(%{lat: 12.97161234567, lon: 77.5946, alt_msl: 920.0, alt_rel: 10.25, heading: 178.5}),
+        velocity: group.(%{groundspeed: 3.21, airspeed: nil, climb: -0.1}),
+        battery: group.(%{voltage: 22.8, current: 0.5, remaining: 0.98}),
+        gps: group.(%{fix: 3, satellites: 14, hdop: 0.9})
+      }
+    }
+
+    struct!(snapshot, changes)
+  end
+
+  defp json(vehicle, links \\ %{}, now \\ @now),
+    do: vehicle |> Snapshot.Fields.show(:short, %{now: now, links: links}) |> JSON.encode!() |> JSON.decode!()
 
   test "has the fields of the documented form, in its units" do
     vehicle = vehicle()
@@ -19,7 +47,7 @@ defmodule Aerie.Fleet.Client.StateFormTest do
       }
     }
 
-    object = json(vehicle, links, vehicle.last_heard + 250_000)
+    object = json(vehicle, links, @now + 250_000)
 
     assert %{
              "fc_connected" => true,
@@ -90,10 +118,8 @@ defmodule Aerie.Fleet.Client.StateFormTest do
     assert String.valid?(object["mode"])
   end
 
-  test "while there is no vehicle, one line says that nothing is connected" do
-    line = StateForm.lines([], [%{id: "radio", url: "udpin::14550", kind: :udp_server}], 1_500_000)
-    assert String.ends_with?(line, "\n")
-    object = JSON.decode!(line)
+  test "a snapshot of no vehicle has all fields, null" do
+    object = json(%Snapshot{}, %{"radio" => %{id: "radio", url: "udpin::14550"}}, 1_500_000)
 
     assert %{"fc_connected" => false, "vehicle" => nil, "timestamp" => 1.5, "status" => nil, "armed" => nil} =
              object
@@ -101,15 +127,11 @@ defmodule Aerie.Fleet.Client.StateFormTest do
     assert Map.keys(object) == Map.keys(json(vehicle()))
   end
 
-  test "lines: one for each vehicle" do
-    remote = StateForm.lines([vehicle(%{id: "VID-003", via: "gateway-VID-003", links: []})], [], 0)
-    assert %{"via" => "gateway-VID-003", "age" => age} = JSON.decode!(remote)
+  test "the gateway by which a vehicle is reached is named" do
+    assert %{"via" => "gateway-VID-003", "age" => age} =
+             json(vehicle(%{id: "VID-003", via: "gateway-VID-003", links: []}))
+
     assert is_number(age)
-    assert %{"via" => nil} = JSON.decode!(StateForm.lines([vehicle()], [], 0))
-    lines = StateForm.lines([vehicle(), vehicle(%{id: "VID-002"})], [], 0)
-    assert String.ends_with?(lines, "\n")
-    assert [one, two] = String.split(lines, "\n", trim: true)
-    assert %{"vehicle" => "VID-001"} = JSON.decode!(one)
-    assert %{"vehicle" => "VID-002"} = JSON.decode!(two)
+    assert %{"via" => nil} = json(vehicle())
   end
 end

@@ -18,7 +18,7 @@ defmodule Aerie.Vehicle.Core do
     * `{:vehicles, n}` - how many vehicles the gateway has: the more, the less often each is shown
     * `{:asked, request, at}` - a TIMESYNC request of ours that is in a recording, to recognise its answers
     * `{:hold_requests, hold?}` - no message or rate is to be requested until further notice
-    * `{:event_definitions, definitions}` - what the vehicle itself says about its events (`Aerie.Vehicle.Reports.Definitions`)
+    * `{:event_definitions, definitions}` - what the vehicle itself says about its events (`Aerie.Vehicle.Services.Reports.Definitions`)
     * `{:operator, fields}` - who is in charge of the vehicle changed: fields of the group `operator`
     * `{:demand, demand, forwarded}` - the rates that clients want have changed (`Aerie.Vehicle.Services.Streams.Arbiter.demand/3`)
 
@@ -49,8 +49,8 @@ defmodule Aerie.Vehicle.Core do
   """
 
   alias MavCodec.Message.BootClock
-  alias Aerie.Vehicle.{Collision, Options, Reports, Sampling, State}
-  alias Aerie.Vehicle.Services.{Gcs, Switches, Timesync}
+  alias Aerie.Vehicle.{Collision, Options, Sampling, State}
+  alias Aerie.Vehicle.Services.{Gcs, Reports, Switches, Timesync}
   alias Aerie.Vehicle.Core.{Collisions, Effects, Frames, Reporting, Services, SnapshotSchedule, Texts, Timers}
   alias Aerie.Vehicle.Detector.Observation
   alias Aerie.Vehicle.Services.Links.{HighLatency, Reception}
@@ -119,11 +119,11 @@ defmodule Aerie.Vehicle.Core do
           | {:asked, struct(), integer()}
           | {:operator, map()}
           | {:hold_requests, boolean()}
-          | {:event_definitions, Aerie.Vehicle.Reports.Definitions.t()}
+          | {:event_definitions, Aerie.Vehicle.Services.Reports.Definitions.t()}
   @type action ::
           {:snapshot, SnapshotSchedule.snapshot()}
           | {:observe, Observation.t()}
-          | {:reported, Aerie.Vehicle.Reports.report()}
+          | {:reported, Aerie.Vehicle.Services.Reports.report()}
           | {:publish, State.group(), map(), integer()}
           | {:send, struct(), 1 | 2}
           | {:send, struct(), 1 | 2, link :: term()}

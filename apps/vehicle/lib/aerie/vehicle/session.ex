@@ -391,7 +391,7 @@ defmodule Aerie.Vehicle.Session do
   defp act({:status, old, new}, state) do
     metadata = %{gateway: state.gateway, vehicle: state.options.id, old: old, new: new}
     :telemetry.execute([:aerie, :vehicle, :status], %{count: 1}, metadata)
-    Vehicle.Capacity.note(state.gateway, state.options.key, new)
+    Vehicle.Session.Capacity.note(state.gateway, state.options.key, new)
     state
   end
 

@@ -6,11 +6,11 @@ defmodule Aerie.Vehicle.Supervisor do
   Aerie.Vehicle.Supervisor        rest_for_one
   ├─ dynamic supervisor           one Supervisor.Tree (temporary) per {network, system_id}, at most `max_vehicles`
   ├─ Supervisor.TreeRestarter     restarts a tree that died: at once, then with growing delays
-  └─ MavRouter.Identity.Watchdog      asks all loops whether they answer, which is what the gateway's heartbeat vouches for
-  ```
+  └─ MavRouter.Identity.Watchdog      asks all loops whether they answer, which is what the gateway's heartbeat
+  vouches for ```
 
-  The trees are temporary, so that a vehicle whose frames crash its session again and again cannot use up a restart budget
-  that all vehicles share; the restarter bounds how often it is started.
+  The trees are temporary, so that a vehicle whose frames crash its session again and again cannot use up a restart
+  budget that all vehicles share; the restarter bounds how often it is started.
   """
   use Supervisor
   @behaviour MavRouter.Router.Vehicles
@@ -21,9 +21,9 @@ defmodule Aerie.Vehicle.Supervisor do
   alias MavRouter.Identity
 
   @doc """
-  Options: `:gateway`, `:settings`, `:publisher` (the module of `Aerie.Vehicle.Session.Publisher`; none when absent), `:loops` (modules
-  of further processes of each vehicle's tree, which are linked to the others; none when absent), `:arming` (the module of
-  `Aerie.Vehicle.ArmAuthorization`; without one no vehicle that asks may arm).
+  Options: `:gateway`, `:settings`, `:publisher` (the module of `Aerie.Vehicle.Session.Publisher`; none when absent),
+  `:loops` (modules of further processes of each vehicle's tree, which are linked to the others; none when absent),
+  `:arming` (the module of `Aerie.Vehicle.ArmAuthorization`; without one no vehicle that asks may arm).
   """
   @spec start_link(
           gateway: Names.gateway(),
@@ -39,10 +39,10 @@ defmodule Aerie.Vehicle.Supervisor do
   @doc """
   Makes sure that a vehicle has its tree, and returns its session.
 
-  Any number of processes may call this at once; all get the same session. `options` override what the configuration says
-  about the vehicle (`Aerie.Vehicle.Options`). Errors: `:too_many` if there are `max_vehicles` and none of them makes room
-  (`Aerie.Vehicle.Capacity`; counted as `{:vehicles, :refused}`), `:not_running` if the gateway is stopping or its
-  vehicles are being restarted.
+  Any number of processes may call this at once; all get the same session. `options` override what the configuration
+  says about the vehicle (`Aerie.Vehicle.Options`). Errors: `:too_many` if there are `max_vehicles` and none of them
+  makes room (`Aerie.Vehicle.Session.Capacity`; counted as `{:vehicles, :refused}`), `:not_running` if the gateway is
+  stopping or its vehicles are being restarted.
   """
   @impl MavRouter.Router.Vehicles
   @spec ensure(Names.gateway(), Store.vehicle_key(), keyword()) ::

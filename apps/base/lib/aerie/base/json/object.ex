@@ -12,7 +12,7 @@ defmodule Aerie.Base.Json.Object do
   field's name. An unknown value is null. The types:
 
     * `:text`, `:boolean`, `:integer`, `:number`, `{:one_of, values}`, `:any` - as it is
-    * a number of decimals - a number that is rounded to them, 0 for whole numbers; null for what is no number
+    * a number of decimals - a number that is rounded to them, 0 for whole numbers; null for what is not a number
     * `:time` - unix microseconds, shown as ISO 8601; `{:time, :second}` - the same from unix seconds
     * `{:seconds, decimals}` - microseconds, shown as seconds
     * `{:list, type}`, `{:map, type}` (free names), `{:object, fields}`

@@ -1,17 +1,17 @@
 defmodule Aerie.Control.Params.EventDefinitions do
   @moduledoc """
   Reads what a vehicle says about its events, when its session sends `:read`, and sends the session
-  `{:event_definitions, definitions}`: what is otherwise than in Aerie's own file (`Aerie.Vehicle.Reports.Definitions`).
-  `Aerie.Gateway` plugs it into the vehicles' trees.
+  `{:event_definitions, definitions}`: what is otherwise than in Aerie's own file
+  (`Aerie.Vehicle.Services.Reports.Definitions`). `Aerie.Gateway` plugs it into the vehicles' trees.
 
-  The session asks once per boot. Without an answer, or with a file that cannot be read, Aerie's own file applies to all events; a line
-  in the log says why. The reading is a process of its own, so that its death concerns nobody else.
+  The session asks once per boot. Without an answer, or with a file that cannot be read, Aerie's own file applies to
+  all events; a line in the log says why. The reading is a process of its own, so that its death concerns nobody else.
   """
   use GenServer
 
   alias Aerie.Base.Names
   alias Aerie.Control.Params.MetadataReader
-  alias Aerie.Vehicle.Reports
+  alias Aerie.Vehicle.Services.Reports
 
   require Logger
 

@@ -11,7 +11,7 @@ defmodule Aerie.Control.Params.MetadataReader do
   alias Aerie.Vehicle.Command
   alias Aerie.Vehicle.Command.Result
   alias Aerie.Control.Params.{Metadata, MetadataSource, Unpack}
-  alias Aerie.Vehicle.Reports.Definitions
+  alias Aerie.Vehicle.Services.Reports.Definitions
   alias MavCodec.CRC
 
   @source_ms 30_000

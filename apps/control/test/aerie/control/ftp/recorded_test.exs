@@ -6,7 +6,7 @@ defmodule Aerie.Control.Ftp.RecordedTest do
   alias Aerie.{Flight, LossyLink}
   alias Aerie.Control.Ftp.Client
   alias Aerie.Control.Params.Unpack
-  alias Aerie.Vehicle.Reports.{Definitions, Names}
+  alias Aerie.Vehicle.Services.Reports.{Definitions, Names}
   alias MavCodec.Messages.FileTransferProtocol
 
   @fixtures Path.expand("../../../../../vehicle/test/fixtures", __DIR__)

@@ -1,9 +1,10 @@
 defmodule Aerie.Vehicle.Core.Reporting do
   @moduledoc """
-  Texts (STATUSTEXT) and reports (EVENT) of the vehicle, which often say the same (`Aerie.Vehicle.Reports`).
+  Texts (STATUSTEXT) and reports (EVENT) of the vehicle, which often say the same (`Aerie.Vehicle.Services.Reports`).
   """
 
-  alias Aerie.Vehicle.{Core, Detector, Firmware, Reports, State}
+  alias Aerie.Vehicle.{Core, Detector, Firmware, State}
+  alias Aerie.Vehicle.Services.Reports
   alias Aerie.Vehicle.Core.{Collisions, Effects, Services}
   alias Aerie.Vehicle.Detector.{Observation, Px4Reports, StatusTexts}
   alias Protocols.StatusText

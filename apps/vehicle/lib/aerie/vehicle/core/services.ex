@@ -6,8 +6,8 @@ defmodule Aerie.Vehicle.Core.Services do
 
   alias Aerie.Vehicle.ArmAuthorization
   alias Aerie.Vehicle.Firmware.Modes
-  alias Aerie.Vehicle.{Core, Reports, State}
-  alias Aerie.Vehicle.Services.{Gcs, Params, Switches, Timesync}
+  alias Aerie.Vehicle.{Core, State}
+  alias Aerie.Vehicle.Services.{Gcs, Params, Reports, Switches, Timesync}
   alias Aerie.Vehicle.Core.{Collisions, Effects, SnapshotSchedule}
   alias Aerie.Vehicle.Services.Links.{HighLatency, Reception}
   alias Aerie.Vehicle.Services.Streams.Arbiter

@@ -14,8 +14,8 @@ defmodule Aerie.Vehicle.Snapshot.Fields do
   alias Aerie.Base.Json
   alias Aerie.Base.Json.{Object, Schema}
   alias Aerie.Vehicle.Fields
-  alias Aerie.Vehicle.{Reports, Snapshot}
-  alias Aerie.Vehicle.Services.{Gcs, Timesync}
+  alias Aerie.Vehicle.Snapshot
+  alias Aerie.Vehicle.Services.{Gcs, Reports, Timesync}
   alias Aerie.Vehicle.Services.Streams.WantedMessage
   alias Aerie.Vehicle.Snapshot.Age
   alias Aerie.Vehicle.State.Groups

@@ -6,7 +6,7 @@ defmodule Aerie.Vehicle.Supervisor.TreeRestarter do
   seconds counts as new. A tree that is to stay stopped has to be forgotten first (`forget/2`): the exit reason does not
   tell, because a supervisor that gives up exits with `:shutdown` as well.
 
-  It also stops a lost vehicle's tree when another vehicle needs its place (`Aerie.Vehicle.Capacity`).
+  It also stops a lost vehicle's tree when another vehicle needs its place (`Aerie.Vehicle.Session.Capacity`).
   """
   use GenServer
 
@@ -33,7 +33,7 @@ defmodule Aerie.Vehicle.Supervisor.TreeRestarter do
   def forget(restarter, key), do: GenServer.call(restarter, {:forget, key})
 
   @doc """
-  Stops a lost vehicle to make room for another one (`Aerie.Vehicle.Capacity`), and returns which, or `:none`.
+  Stops a lost vehicle to make room for another one (`Aerie.Vehicle.Session.Capacity`), and returns which, or `:none`.
   One call at a time, so that two newcomers displace two vehicles.
   """
   @spec make_room(pid(), Store.vehicle_key()) :: {:ok, Store.vehicle_key()} | :none
@@ -60,14 +60,14 @@ defmodule Aerie.Vehicle.Supervisor.TreeRestarter do
   def handle_call({:forget, key}, _from, state), do: {:reply, :ok, unwatch(state, key)}
 
   def handle_call({:make_room, newcomer}, _from, state) do
-    case Vehicle.Capacity.displaced_by(state.gateway, newcomer) do
+    case Vehicle.Session.Capacity.displaced_by(state.gateway, newcomer) do
       nil ->
         {:reply, :none, state}
 
       {key, lost_ms} ->
         state = unwatch(state, key)
         Vehicle.Supervisor.end_tree(state.gateway, key)
-        Vehicle.Capacity.report(state.gateway, key, newcomer, lost_ms)
+        Vehicle.Session.Capacity.report(state.gateway, key, newcomer, lost_ms)
         {:reply, {:ok, key}, state}
     end
   end

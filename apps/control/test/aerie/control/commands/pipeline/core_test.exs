@@ -257,7 +257,7 @@ defmodule Aerie.Control.Commands.Pipeline.CoreTest do
   defp event(send, answer) when send in @sends, do: {:result, answer}
   defp event(action, answer), do: {name(action), answer}
 
-  defp snapshot, do: %{id: "VID-001", key: {"main", 1}, via: nil, status: :online, groups: %{}}
+  defp snapshot, do: %Aerie.Vehicle.Snapshot{id: "VID-001", key: {"main", 1}, status: :online}
 
   defp names(done), do: Enum.map(done, fn {action, _answer} -> name(action) end)
 end

@@ -1,4 +1,4 @@
-defmodule Aerie.Vehicle.Reports.Names do
+defmodule Aerie.Vehicle.Services.Reports.Names do
   @moduledoc """
   Names and arguments of EVENT ids, from `priv/px4_events.json` (facts of PX4's own metadata: names, ids, types of arguments,
   values of enums; see the README beside it).
@@ -11,9 +11,9 @@ defmodule Aerie.Vehicle.Reports.Names do
 
   import Bitwise
 
-  alias Aerie.Vehicle.Reports.Definitions
+  alias Aerie.Vehicle.Services.Reports.Definitions
 
-  @file_name Path.expand("../../../../priv/px4_events.json", __DIR__)
+  @file_name Path.expand("../../../../../priv/px4_events.json", __DIR__)
   @external_resource @file_name
 
   {:ok, definitions} =

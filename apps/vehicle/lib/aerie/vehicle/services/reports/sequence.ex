@@ -1,4 +1,4 @@
-defmodule Aerie.Vehicle.Reports.Sequence do
+defmodule Aerie.Vehicle.Services.Reports.Sequence do
   @first_us 300_000
 
   @moduledoc """

@@ -1,4 +1,4 @@
-defmodule Aerie.Vehicle.Reports.Checks do
+defmodule Aerie.Vehicle.Services.Reports.Checks do
   @wait_us 5_000_000
 
   @moduledoc """

@@ -1,4 +1,4 @@
-defmodule Aerie.Vehicle.CapacityTest do
+defmodule Aerie.Vehicle.Session.CapacityTest do
   @moduledoc "More vehicles than limits.max_vehicles: which one is displaced, which has to wait, and what is kept of a displaced one."
   use Aerie.GatewayCase, async: true
 
@@ -11,7 +11,7 @@ defmodule Aerie.Vehicle.CapacityTest do
   alias Aerie.Vehicle
   alias Aerie.Vehicle.Journal
   alias Aerie.Base.PubSub
-  alias Aerie.Vehicle.Capacity
+  alias Aerie.Vehicle.Session.Capacity
   alias MavCodec.Messages, as: M
 
   @copter %M.Heartbeat{type: 2, autopilot: 3, base_mode: 81, custom_mode: 4, system_status: 3}

@@ -1,4 +1,4 @@
-defmodule Aerie.Vehicle.ReportsTest do
+defmodule Aerie.Vehicle.Services.ReportsTest do
   @moduledoc """
   EVENT messages (X3), with what PX4 1.17 sent in two recordings: `px4_refusals_reports` (what it refuses) and
   `px4_flight_reports`, the heartbeats, EVENTs and STATUSTEXTs of those recordings.
@@ -7,8 +7,9 @@ defmodule Aerie.Vehicle.ReportsTest do
 
   import Aerie.Flight, only: [frame: 3, frames: 1, options: 1, pick: 2, run: 1, run: 2, step: 2]
 
-  alias Aerie.Vehicle.{Core, Detector, Reports, State}
-  alias Aerie.Vehicle.Reports.{Checks, Names}
+  alias Aerie.Vehicle.{Core, Detector, State}
+  alias Aerie.Vehicle.Services.Reports
+  alias Aerie.Vehicle.Services.Reports.{Checks, Names}
   alias MavCodec.Messages, as: M
 
   @px4 %M.Heartbeat{type: 2, autopilot: 12, base_mode: 81, system_status: 3}

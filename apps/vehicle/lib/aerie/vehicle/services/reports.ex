@@ -1,4 +1,4 @@
-defmodule Aerie.Vehicle.Reports do
+defmodule Aerie.Vehicle.Services.Reports do
   @text_us 1_500_000
 
   @moduledoc """
@@ -18,7 +18,7 @@ defmodule Aerie.Vehicle.Reports do
   import Bitwise
 
   alias Aerie.Base.Json.Object
-  alias Aerie.Vehicle.Reports.{Checks, Definitions, Names, Sequence}
+  alias Aerie.Vehicle.Services.Reports.{Checks, Definitions, Names, Sequence}
   alias MavCodec.Enums.MavEventCurrentSequenceFlags, as: EventSequenceFlags
   alias MavCodec.Messages.{CurrentEventSequence, Event, RequestEvent, ResponseEventError}
 

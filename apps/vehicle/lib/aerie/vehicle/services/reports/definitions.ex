@@ -1,10 +1,11 @@
-defmodule Aerie.Vehicle.Reports.Definitions do
+defmodule Aerie.Vehicle.Services.Reports.Definitions do
   @moduledoc """
-  What EVENT ids mean: names, types of the arguments, labels of enums. Read from the file that a vehicle serves (MAVLink's
-  component metadata, COMP_METADATA_TYPE_EVENTS), or built from Aerie's own (`Aerie.Vehicle.Reports.Names`). Pure.
+  What EVENT ids mean: names, types of the arguments, labels of enums. Read from the file that a vehicle serves
+  (MAVLink's component metadata, COMP_METADATA_TYPE_EVENTS), or built from Aerie's own
+  (`Aerie.Vehicle.Services.Reports.Names`). Pure.
 
-  The texts of the file are left out. Everything has a bound; an event that cannot be read is left out, and one with an argument of an
-  unknown type, or with more arguments than a message has room for, keeps its bytes.
+  The texts of the file are left out. Everything has a bound; an event that cannot be read is left out, and one with
+  an argument of an unknown type, or with more arguments than a message has room for, keeps its bytes.
   """
 
   import Bitwise
@@ -86,8 +87,8 @@ defmodule Aerie.Vehicle.Reports.Definitions do
   defp plain_event(_other), do: %{}
 
   @doc """
-  Builds it from components as Aerie's own file has them: namespace, `enums` (type, bitfield, values) and `events` (name, types of
-  arguments). Too much of it is an error.
+  Builds it from components as Aerie's own file has them: namespace, `enums` (type, bitfield, values) and `events`
+  (name, types of arguments). Too much of it is an error.
   """
   @spec build(%{String.t() => map()}) :: {:ok, t()} | {:error, String.t()}
   def build(components) do

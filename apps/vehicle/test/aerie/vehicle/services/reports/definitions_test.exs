@@ -1,10 +1,10 @@
-defmodule Aerie.Vehicle.Reports.DefinitionsTest do
+defmodule Aerie.Vehicle.Services.Reports.DefinitionsTest do
   @moduledoc "What a vehicle says about its own events (X3, X14)."
   use ExUnit.Case, async: true
 
   import Bitwise
 
-  alias Aerie.Vehicle.Reports.{Definitions, Names}
+  alias Aerie.Vehicle.Services.Reports.{Definitions, Names}
 
   @gcs_lost 0x01A4B458
   @new 0x01000001

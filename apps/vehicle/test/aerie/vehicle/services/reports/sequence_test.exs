@@ -1,10 +1,10 @@
-defmodule Aerie.Vehicle.Reports.SequenceTest do
+defmodule Aerie.Vehicle.Services.Reports.SequenceTest do
   @moduledoc "X3: missing events are noticed, requested and given up, whatever is lost, late or duplicated."
   use ExUnit.Case, async: true
 
   import Bitwise
 
-  alias Aerie.Vehicle.Reports.Sequence
+  alias Aerie.Vehicle.Services.Reports.Sequence
 
   @ms 1000
 

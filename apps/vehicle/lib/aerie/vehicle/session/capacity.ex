@@ -1,4 +1,4 @@
-defmodule Aerie.Vehicle.Capacity do
+defmodule Aerie.Vehicle.Session.Capacity do
   @moduledoc """
   Which vehicle makes room for a new one when there are `limits.max_vehicles`: the one that has been lost for the
   longest time. Three exceptions protect real vehicles from ids that a bad radio or an attacker made up:

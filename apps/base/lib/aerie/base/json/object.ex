@@ -89,8 +89,7 @@ defmodule Aerie.Base.Json.Object do
   def schema(fields) do
     properties =
       for field <- fields, into: %{} do
-        {field.name,
-         field.type |> schema_of() |> nullable() |> Schema.described(field.meaning, field.unit)}
+        {field.name, field.type |> schema_of() |> nullable() |> Schema.described(field.meaning, field.unit)}
       end
 
     Schema.object(properties, Map.keys(properties), open: true)

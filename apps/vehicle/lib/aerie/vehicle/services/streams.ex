@@ -56,7 +56,8 @@ defmodule Aerie.Vehicle.Services.Streams do
   def intercept(gateway, network, client, frame) do
     with {system, component} when system != 0 <- Frame.target(frame),
          %{component: autopilot, streams: streams} = vehicle
-         when component in [0, autopilot] and streams != %{} <- Store.vehicle(gateway, {network, system}),
+         when component in [0, autopilot] and map_size(streams) > 0 <-
+           Store.vehicle(gateway, {network, system}),
          {:high_latency, false} <- {:high_latency, match?(%{high_latency: %{only?: true}}, vehicle)},
          {:ok, message} <- MavCodec.decode(frame) do
       key = {network, system}

@@ -104,7 +104,7 @@ defmodule Aerie.Fleet.Diagnosis.Rules.Vehicles do
 
   defp version(_vehicle, _facts), do: []
 
-  defp streams(%{streams: streams} = vehicle, facts) do
+  defp streams(%{streams: %{} = streams} = vehicle, facts) do
     unmet = for {id, %{state: state}} <- streams, state in @unmet, do: id
     answered? = match?(%{samples: n} when n > 0, vehicle.clock)
 
@@ -153,7 +153,7 @@ defmodule Aerie.Fleet.Diagnosis.Rules.Vehicles do
     )
   end
 
-  defp contested(%{streams: streams} = vehicle, _facts) do
+  defp contested(%{streams: %{} = streams} = vehicle, _facts) do
     case for {id, %{state: :yielded} = stream} <- streams, do: {id, stream} do
       [] ->
         []

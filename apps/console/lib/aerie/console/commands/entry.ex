@@ -86,12 +86,24 @@ defmodule Aerie.Console.Commands.Entry do
   end
 
   defp state(%{result: result}) do
-    {tone, label} = Map.fetch!(@results, result.status)
+    {tone, label} = result(result.status)
     {result.status, tone, label, reason(result) || meaning(result.status), nil}
   end
 
   defp reason(%{reason: nil}), do: nil
   defp reason(%{reason: reason}), do: advice(reason)
+
+  @doc "A result's tone and word."
+  @spec result(Result.status()) :: {:good | :plain | :bad | :unsure, String.t()}
+  def result(status), do: Map.fetch!(@results, status)
+
+  @doc "The kind of badge for a tone."
+  @spec badge(:busy | :going | :good | :plain | :bad | :unsure) :: String.t()
+  def badge(tone) when tone in [:busy, :going], do: "info"
+  def badge(:good), do: "ok"
+  def badge(:plain), do: "plain"
+  def badge(:bad), do: "bad"
+  def badge(:unsure), do: "warn"
 
   @doc "A refusal's reason with what to do on these pages, where the policy names a command."
   @spec advice(String.t()) :: String.t()

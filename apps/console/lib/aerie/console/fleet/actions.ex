@@ -9,7 +9,7 @@ defmodule Aerie.Console.Fleet.Actions do
   alias Aerie.Vehicle.Snapshot
   alias Aerie.Console.Commands.Catalog
   alias Aerie.Console.Fleet.{Plans, Selection}
-  alias Aerie.Console.Fleet.Actions.Batch
+  alias Aerie.Console.Commands.Batch
 
   attr :selection, :map, required: true
   attr :all, :list, required: true

@@ -22,7 +22,8 @@ defmodule Aerie.Console.Fleet.Page do
   alias Aerie.Base.PubSub
 
   alias Aerie.Console.Fleet.{Address, Board, Filter, OnMap, Order, Plans, Selection}
-  alias Aerie.Console.Fleet.Actions.{Batch, ControlForms}
+  alias Aerie.Console.Commands.{Batch, Submit}
+  alias Aerie.Console.Fleet.Actions.ControlForms
   alias Aerie.Console.Fleet.Sequence
   alias Aerie.Console.Fleet.Actions.Tagging
 
@@ -126,7 +127,7 @@ defmodule Aerie.Console.Fleet.Page do
     with %{} <- Batch.find(batch, id),
          {:ok, result} <- Commands.state(gateway, vehicle, id) do
       PubSub.unsubscribe(gateway, {:commands, vehicle})
-      {:noreply, assign(socket, :batch, Batch.put(batch, id, {:done, result.status, result.reason}))}
+      {:noreply, assign(socket, :batch, Batch.put(batch, id, Submit.state(result)))}
     else
       _other_or_under_way -> {:noreply, socket}
     end
@@ -245,9 +246,8 @@ defmodule Aerie.Console.Fleet.Page do
 
   defp command(socket, event, chosen) do
     %{gateway: gateway, batch: last, user: user} = socket.assigns
-    type = event["type"]
 
-    case Batch.new(event["id"], type, ControlForms.concerned(type, chosen, user.name), params(event)) do
+    case Batch.new(event, ControlForms.concerned(event["type"], chosen, user.name)) do
       {:ok, %{press: press} = batch} when last == nil or last.press != press ->
         forget(gateway, last)
         for entry <- batch.entries, do: PubSub.subscribe(gateway, {:commands, entry.vehicle})
@@ -259,18 +259,9 @@ defmodule Aerie.Console.Fleet.Page do
     end
   end
 
-  # The table of commands checks them.
-  defp params(%{"fields" => %{"reason" => reason}}) when is_binary(reason), do: %{"reason" => reason}
-  defp params(_event), do: %{}
-
-  defp submit(%{assigns: %{gateway: gateway, user: user}}, batch, %{vehicle: vehicle, id: id}) do
-    envelope = %{"id" => id, "vehicle" => vehicle, "type" => batch.type, "params" => batch.params}
-
-    case Commands.submit(gateway, envelope, user, via: "console", wait_ms: 0) do
-      {:ok, result} -> {:done, result.status, result.reason}
-      {:pending, _id} -> :under_way
-      {:error, errors} -> {:done, :rejected, Aerie.Vehicle.Command.Error.text(errors)}
-    end
+  defp submit(%{assigns: %{gateway: gateway, user: user}}, batch, entry) do
+    with {:invalid, _type, errors} <- Submit.give(gateway, entry.vehicle, user, Batch.event(batch, entry)),
+         do: {:done, :rejected, Submit.text(errors)}
   end
 
   defp forget(_gateway, nil), do: :ok

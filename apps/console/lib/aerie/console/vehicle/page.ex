@@ -135,9 +135,9 @@ defmodule Aerie.Console.Vehicle.Page do
 
     case charge_meant?(socket, event) && Submit.give(gateway, id, user, event) do
       false -> {:noreply, put_flash(socket, :error, "Who is in charge changed; nothing was sent.")}
-      {:ok, _id} -> {:noreply, socket |> clear_flash() |> assign(errors: @no_errors) |> sent(event["type"])}
       {:invalid, type, errors} -> {:noreply, invalid(socket, type, errors)}
-      {:refused, text} -> {:noreply, put_flash(socket, :error, "Not sent: #{text}")}
+      {:done, status, text} when status in [:denied, :rejected] -> {:noreply, not_sent(socket, text)}
+      _state -> {:noreply, socket |> clear_flash() |> assign(errors: @no_errors) |> sent(event["type"])}
     end
   end
 
@@ -233,10 +233,8 @@ defmodule Aerie.Console.Vehicle.Page do
   defp invalid(%{assigns: %{command: type, section: "commands"}} = socket, type, errors),
     do: assign(socket, :errors, errors)
 
-  defp invalid(socket, _type, errors) do
-    texts = Enum.map(errors.fields, fn {name, text} -> "#{name}: #{text}" end) ++ errors.general
-    put_flash(socket, :error, "Not sent: #{Enum.join(texts, "; ")}")
-  end
+  defp invalid(socket, _type, errors), do: not_sent(socket, Submit.text(errors))
+  defp not_sent(socket, text), do: put_flash(socket, :error, "Not sent: #{text}")
 
   defp aim(socket, target) do
     socket |> assign(:target, target) |> mark() |> preview()

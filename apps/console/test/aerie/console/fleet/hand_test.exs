@@ -4,7 +4,7 @@ defmodule Aerie.Console.Fleet.HandTest do
 
   alias Aerie.Control.Commands
   alias Aerie.Console.Fleet.{Order, Selection, Sequence}
-  alias Aerie.Console.Fleet.Actions.Batch
+  alias Aerie.Console.Commands.Batch
   alias Aerie.Console.Fleet.Board.Row
 
   @changed "The selection changed; nothing was sent."
@@ -286,7 +286,7 @@ defmodule Aerie.Console.Fleet.HandTest do
   end
 
   test "results: those that need somebody come first, and Done is said of nothing that has only begun" do
-    {:ok, batch} = Batch.new("press", "land", ~w(a b c d))
+    {:ok, batch} = Batch.new(%{"id" => "press", "type" => "land"}, ~w(a b c d))
     [a, b, c, d] = batch.entries
     batch = batch |> Batch.put(a.id, {:done, :completed, nil}) |> Batch.put(b.id, {:done, :timeout, nil})
     batch = Batch.put(batch, d.id, {:done, :denied, "no"})

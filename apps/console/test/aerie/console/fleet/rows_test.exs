@@ -2,7 +2,7 @@ defmodule Aerie.Console.Fleet.RowsTest do
   use ExUnit.Case, async: true
 
   alias Aerie.Console.Fleet.{Filter, Order, Selection}
-  alias Aerie.Console.Fleet.Actions.Batch
+  alias Aerie.Console.Commands.Batch
   alias Aerie.Console.Fleet.Board.{Problems, Row}
   alias Aerie.Console.Map.Payload
 
@@ -244,9 +244,9 @@ defmodule Aerie.Console.Fleet.RowsTest do
 
   describe "a batch" do
     test "commands each vehicle under an id of its own, the same for the same press" do
-      {:ok, batch} = Batch.new("web-1", "rtl", ["A", "B"])
-      {:ok, again} = Batch.new("web-1", "rtl", ["B", "A"])
-      {:ok, other} = Batch.new("web-2", "rtl", ["A", "B"])
+      {:ok, batch} = Batch.new(%{"id" => "web-1", "type" => "rtl"}, ["A", "B"])
+      {:ok, again} = Batch.new(%{"id" => "web-1", "type" => "rtl"}, ["B", "A"])
+      {:ok, other} = Batch.new(%{"id" => "web-2", "type" => "rtl"}, ["A", "B"])
       ids = for entry <- batch.entries, do: entry.id
       assert length(Enum.uniq(ids)) == 2
       assert Enum.sort(ids) == Enum.sort(for entry <- again.entries, do: entry.id)
@@ -255,13 +255,13 @@ defmodule Aerie.Console.Fleet.RowsTest do
     end
 
     test "takes only its own commands and good ids" do
-      assert Batch.new("web-1", "arm", ["A"]) == :error
-      assert Batch.new("no id!", "rtl", ["A"]) == :error
-      assert Batch.new(nil, "rtl", ["A"]) == :error
+      assert Batch.new(%{"id" => "web-1", "type" => "arm"}, ["A"]) == :error
+      assert Batch.new(%{"id" => "no id!", "type" => "rtl"}, ["A"]) == :error
+      assert Batch.new(%{"id" => nil, "type" => "rtl"}, ["A"]) == :error
     end
 
     test "a result is final" do
-      {:ok, batch} = Batch.new("web-1", "land", ["A", "B"])
+      {:ok, batch} = Batch.new(%{"id" => "web-1", "type" => "land"}, ["A", "B"])
       %{id: id} = Batch.next(batch)
       batch = batch |> Batch.put(id, {:done, :completed, nil}) |> Batch.put(id, :under_way)
       assert Batch.find(batch, id).state == {:done, :completed, nil}

@@ -1,37 +1,35 @@
-defmodule Aerie.Console.Fleet.Actions.Batch do
+defmodule Aerie.Console.Commands.Batch do
   @moduledoc """
   One button press for several vehicles: a command for each, and its result. Pure.
 
-  The id of each command is made from the id of the press, which the browser makes, and the vehicle's. So a press that arrives twice commands
-  no vehicle twice.
+  The id of each command is made from the id of the press, which the browser makes, and the vehicle's. So a press that
+  arrives twice commands no vehicle twice.
   """
 
-  alias Aerie.Vehicle.Command.Result
+  alias Aerie.Console.Commands.{Entry, Submit}
 
   @types ~w(hold rtl land take_control release_control)
 
   @enforce_keys [:press, :type]
-  defstruct [:press, :type, params: %{}, entries: []]
+  defstruct [:press, :type, :fields, entries: []]
 
   @typedoc "`:waiting` is not submitted yet."
-  @type state :: :waiting | :under_way | {:done, Result.status(), reason :: String.t() | nil}
+  @type state :: :waiting | Submit.state()
   @type entry :: %{vehicle: String.t(), id: String.t(), state: state()}
-  @type t :: %__MODULE__{press: String.t(), type: String.t(), params: map(), entries: [entry()]}
+  @type t :: %__MODULE__{press: String.t(), type: String.t(), fields: term(), entries: [entry()]}
 
   @doc "The commands for the vehicles; `:error` for a command that this page does not offer, or an invalid id."
-  @spec new(term(), term(), [String.t()], params :: map()) :: {:ok, t()} | :error
-  def new(press, type, vehicles, params \\ %{})
-
-  def new(press, type, vehicles, params) when is_binary(press) and type in @types do
+  @spec new(event :: map(), [String.t()]) :: {:ok, t()} | :error
+  def new(%{"id" => press, "type" => type} = event, vehicles) when is_binary(press) and type in @types do
     if press =~ ~r/\A[A-Za-z0-9_-]{1,64}\z/ do
       entries = for vehicle <- vehicles, do: %{vehicle: vehicle, id: id(press, vehicle), state: :waiting}
-      {:ok, %__MODULE__{press: press, type: type, params: params, entries: entries}}
+      {:ok, %__MODULE__{press: press, type: type, fields: event["fields"], entries: entries}}
     else
       :error
     end
   end
 
-  def new(_press, _type, _vehicles, _params), do: :error
+  def new(_event, _vehicles), do: :error
 
   defp id(press, vehicle) do
     <<short::binary-18, _rest::binary>> = :crypto.hash(:sha256, [press, 0, vehicle])
@@ -41,6 +39,10 @@ defmodule Aerie.Console.Fleet.Actions.Batch do
   @doc "The next command to be submitted."
   @spec next(t()) :: entry() | nil
   def next(batch), do: Enum.find(batch.entries, &(&1.state == :waiting))
+
+  @doc "The event of one of its commands, as a page for one vehicle has it (`Aerie.Console.Commands.Submit`)."
+  @spec event(t(), entry()) :: map()
+  def event(batch, entry), do: %{"id" => entry.id, "type" => batch.type, "fields" => batch.fields}
 
   @doc "Updates the state of a command. A result is final."
   @spec put(t(), id :: String.t(), state()) :: t()
@@ -79,13 +81,9 @@ defmodule Aerie.Console.Fleet.Actions.Batch do
   def badge("hold", {:done, :completed, _reason}), do: {"ok", "Holding"}
   def badge("rtl", {:done, :completed, _reason}), do: {"ok", "Returning"}
   def badge("land", {:done, :completed, _reason}), do: {"ok", "Landing"}
-  def badge(_type, {:done, :completed, _reason}), do: {"ok", "Done"}
-  def badge(_type, {:done, :accepted, _reason}), do: {"ok", "Accepted"}
-  def badge(_type, {:done, :timeout, _reason}), do: {"warn", "No answer"}
-  def badge(_type, {:done, :unknown, _reason}), do: {"warn", "Unknown"}
-  def badge(_type, {:done, :rejected, _reason}), do: {"bad", "Refused"}
-  def badge(_type, {:done, :denied, _reason}), do: {"bad", "Not allowed"}
-  def badge(_type, {:done, :expired, _reason}), do: {"bad", "Too late"}
-  def badge(_type, {:done, :cancelled, _reason}), do: {"bad", "Cancelled"}
-  def badge(_type, {:done, :failed, _reason}), do: {"bad", "Failed"}
+
+  def badge(_type, {:done, status, _text}) do
+    {tone, word} = Entry.result(status)
+    {Entry.badge(tone), word}
+  end
 end

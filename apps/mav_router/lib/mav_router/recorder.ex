@@ -237,6 +237,10 @@ defmodule MavRouter.Recorder do
   @spec fields :: [Aerie.Base.Json.Object.t()]
   defdelegate fields, to: Status
 
+  @doc "What is shown of a fault of the disk."
+  @spec error_fields :: [Aerie.Base.Json.Object.t()]
+  defdelegate error_fields, to: Status
+
   @doc "The part of a recording's status that the snapshot of its link or vehicle shows; nil for none."
   @spec summary(Names.gateway(), Tables.target()) :: map | nil
   def summary(gateway, target) do

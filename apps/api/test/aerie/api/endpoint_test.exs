@@ -107,7 +107,7 @@ defmodule Aerie.Api.EndpointTest do
     assert text =~ ~s(gateway_client_unread_datagrams{reason="shed"} 7\n)
     assert text =~ "gateway_client_endpoints_overloaded 1\n"
     assert %{conditions: conditions} = Aerie.Api.Rest.View.diagnosis(context.gateway)
-    assert Enum.any?(conditions, &match?(%{"name" => "overload", "id" => "gcs"}, &1))
+    assert Enum.any?(conditions, &match?(%{name: :overload, id: "gcs"}, &1))
   end
 
   test "a missing gateway is unready, and the report names the missing parts", context do

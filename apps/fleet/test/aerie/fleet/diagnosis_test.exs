@@ -246,7 +246,7 @@ defmodule Aerie.Fleet.DiagnosisTest do
     first = eventually(of)
     assert is_integer(first.since)
     assert eventually(of).since == first.since
-    assert %{"name" => "own_ids_taken", "subject" => "gateway", "since" => "20" <> _} = Condition.plain(first)
+    assert %{name: :own_ids_taken, subject: :gateway, since: "20" <> _} = Condition.plain(first)
     assert Diagnosis.list(make_ref()) == []
   end
 end

@@ -6,6 +6,7 @@ defmodule Aerie.Api.Rest.Commands do
   none is configured, may only read. A signature replaces the key (`Aerie.Control.Policy.Signature`).
   """
 
+  alias Aerie.Base.Json.Object
   alias Aerie.Vehicle.Command.{Result, Types}
   alias Aerie.Control.{Commands, Policy}
   alias Aerie.Control.CommandExecutor.Offers
@@ -107,6 +108,17 @@ defmodule Aerie.Api.Rest.Commands do
       policy -> {:ok, policy}
     end
   end
+
+  @fields Object.fields([
+            {:type, :text, nil, "name of the command"},
+            {:lacks, {:one_of, [:firmware, :permission]}, nil, "why it may not be given; null if it may"},
+            {:permission, :text, nil, "the permission that is missing"},
+            {:reason, :text, nil, "a sentence for people"}
+          ])
+
+  @doc "The fields of an offer."
+  @spec offer_fields() :: [Object.t()]
+  def offer_fields, do: @fields
 
   @doc """
   Each command of the table, and why it need not be offered: `lacks` is `firmware` or `permission`, null if it may be

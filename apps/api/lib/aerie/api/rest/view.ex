@@ -1,5 +1,10 @@
 defmodule Aerie.Api.Rest.View do
-  @moduledoc "The objects that `/api` returns, made from the read model. Pure apart from reading it."
+  @moduledoc """
+  The objects that `/api` returns, made from the read model. Pure apart from reading it.
+
+  Each is declared here or where it is made (`Aerie.Base.Json.Object`); `answers/0` has the fields of all by the names
+  that routes have.
+  """
 
   alias MavRouter.Client
   alias Aerie.Fleet.Bridge.Message
@@ -9,19 +14,126 @@ defmodule Aerie.Api.Rest.View do
   alias Aerie.Control.Policy
   alias Aerie.Fleet
   alias Aerie.Fleet.Shadow
+  alias Aerie.Fleet.Diagnosis.Condition
   alias MavRouter.Endpoints.Counters
   alias Aerie.Base.Json.Object
   alias Aerie.Vehicle.Snapshot
   alias Aerie.Api.Rest.EventsQuery
   alias Aerie.Api.Rest.View.Recordings
 
+  links = fn names -> Enum.filter(MavRouter.Link.fields(), &(&1.name in names)) end
+
+  @link links.([:id, :network, :status, :text])
+  @endpoint links.([:id, :url, :status, :text, :port])
+  @nats Object.fields([
+          {:connected, :boolean, nil, "whether there is a connection"},
+          {:url, :text, nil, "the server"},
+          {:waiting, :integer, nil, "events that wait for it", [:outbox, :events]},
+          {:problem, :text, nil, "why there is no connection"}
+        ])
+  @identity Object.fields([
+              {:system, :integer, nil, "the gateway's own system id"},
+              {:component, :integer, nil, "its own component id"},
+              {:alarm, :text, nil, "that an autopilot has the same ids, while that is so"}
+            ])
+  @vehicles Object.fields([
+              {:timestamp, 3, "s", "unix time of the answer"},
+              {:vehicles, {:list, {:shown, Snapshot.Fields.of(:listed)}}, nil, "one object for each"}
+            ])
+  @status @vehicles ++
+            Object.fields([
+              {:epoch, :integer, nil, "grows with each start of the gateway"},
+              {:links, {:list, {:object, @link}}, nil, "one object for each"},
+              {:nats, {:object, @nats}, nil, "the connection to NATS"},
+              {:identity, {:object, @identity}, nil, "as what the gateway sends"},
+              {:recorder, {:shown, Recordings.status_fields()}, nil, "what is being recorded"}
+            ])
+  @event Object.fields([
+           {:id, :text, nil, "of two events with one id, the second is a copy"},
+           {:vehicle, :text, nil, "the vehicle's id"},
+           {:type, :text, nil, "type of the event"},
+           {:epoch, :integer, nil, "the start of the gateway that it is of"},
+           {:seq, :integer, nil, "1, 2, 3 … for each vehicle in an epoch"},
+           {:time, :time, nil, "when the gateway received what shows it"},
+           {:time_boot_ms, :integer, "ms", "the vehicle's own clock"},
+           {:data, {:map, :any}, nil, "the fields of its type"}
+         ])
+  @events Object.fields([
+            {:events, {:list, {:shown, @event}}, nil, "oldest first"},
+            {:more, :boolean, nil, "whether there are more"}
+          ])
+  @key Object.fields([
+         {:key, :text, nil, "its name"},
+         {:network, :text, nil, "network of the vehicles that it is for"},
+         {:system, :any, nil, "system id of the vehicle that it is for, or any"},
+         {:policy, :text, nil, "required, accept_unsigned or off"},
+         {:source, :text, nil, "where it is from"},
+         {:error, :text, nil, "why it cannot be used"},
+         {:unsafe, :boolean, nil, "whether frames are taken in that anybody could have sent"}
+       ])
+  @signing Object.fields([
+             {:keys, {:list, {:object, @key}}, nil, "the keys, without themselves"},
+             {:pending, {:list, :text}, nil, "vehicles that were sent a key and have not proven it yet"},
+             {:not_stored, :text, nil, "why time stamps could not be stored"}
+           ])
+  @client Object.fields([
+            {:id, :text, nil, "its name", :owner},
+            {:kind, :text, nil, "how it is connected"},
+            {:peer, :text, nil, "its address"},
+            {:networks, {:list, :text}, nil, "the networks that it sees"},
+            {:access, {:one_of, [:read, :full]}, nil, "whether it may send", &__MODULE__.access/1},
+            {:since, :time, nil, "since when it is connected"},
+            {:waiting, :integer, nil, "frames that wait to be sent"},
+            {:frames_in, :integer, nil, "good frames received", [:counters, :frames_in]},
+            {:frames_out, :integer, nil, "frames sent", [:counters, :frames_out]},
+            {:dropped, :integer, nil, "frames dropped because it reads too slowly", &__MODULE__.dropped/1},
+            {:denied, :integer, nil, "commands that it may not send", [:counters, :denied]}
+          ])
+  @clients Object.fields([
+             {:endpoints, {:list, {:object, @endpoint}}, nil, "where clients connect"},
+             {:clients, {:list, {:object, @client}}, nil, "those that are connected"}
+           ])
+  @problem Object.fields([
+             {:time, :time, nil, "when it was read", :at},
+             {:errors, {:list, :text}, nil, "what is wrong with it"}
+           ])
+  @policy Object.fields([
+            {:since, :time, nil, "since when it is in force"},
+            {:problem, {:object, @problem}, nil,
+             "what is wrong with the file, so that the former policy stays"}
+          ])
+  @resource Object.fields([
+              {:path, :text, nil, "its path"},
+              {:methods, {:list, :text}, nil, "the methods that it takes"}
+            ])
+
+  @answers %{
+    index: Object.fields([{:resources, {:list, {:object, @resource}}, nil, "all of them"}]),
+    status: @status,
+    vehicles: @vehicles,
+    vehicle: Snapshot.Fields.of(:whole),
+    vehicle_signing: MavRouter.Signing.fields(),
+    events: @events,
+    signing_keys: @signing,
+    diagnosis: Object.fields([{:conditions, {:list, {:shown, Condition.fields()}}, nil, "the worst first"}]),
+    links: Object.fields([{:links, {:list, {:object, MavRouter.Link.fields()}}, nil, "all of them"}]),
+    clients: @clients,
+    rules_in_force:
+      Object.fields([{:changed, {:map, {:map, :any}}, nil, "the rules that differ from the configured ones"}]),
+    policy: @policy
+  }
+
+  @doc "The fields of the answers by their names."
+  @spec answers() :: %{atom() => [Object.t()]}
+  def answers, do: @answers
+
   @doc "The whole status: one object per vehicle, one per link, NATS, and the gateway's identity."
   @spec status(term()) :: map()
   def status(gateway) do
     context = context(gateway)
 
-    %{
-      timestamp: Float.round(context.now / 1_000_000, 3),
+    Object.show(@status, %{
+      timestamp: context.now / 1_000_000,
       epoch: Journal.epoch(gateway),
       vehicles: for(vehicle <- Fleet.vehicles(gateway), do: Snapshot.Fields.show(vehicle, :listed, context)),
       links:
@@ -29,10 +141,10 @@ defmodule Aerie.Api.Rest.View do
           {_id, link} <- Enum.sort(context.links),
           do: Json.plain(Map.take(link, [:id, :network, :status, :text]))
         ),
-      nats: nats(Aerie.Fleet.Bridge.info(gateway)),
+      nats: Aerie.Fleet.Bridge.info(gateway),
       identity: MavRouter.Router.identity(gateway),
       recorder: Recordings.status(gateway)
-    }
+    })
   end
 
   defp context(gateway) do
@@ -57,8 +169,8 @@ defmodule Aerie.Api.Rest.View do
   end
 
   @doc """
-  The latest events of a vehicle, or of `:all`, as in NATS, oldest first; nil if there is no such vehicle. `more` is true if
-  there are further events: later ones if `:since` is given, earlier ones otherwise. Options as in
+  The latest events of a vehicle, or of `:all`, as in NATS, oldest first; nil if there is no such vehicle. `more` is
+  true if there are further events: later ones if `:since` is given, earlier ones otherwise. Options as in
   `Aerie.Vehicle.Journal.recent/3`.
   """
   @spec events(term(), String.t() | :all, EventsQuery.options()) :: map() | nil
@@ -76,17 +188,12 @@ defmodule Aerie.Api.Rest.View do
 
   @doc "All signing keys by name, without the keys themselves, and the vehicles whose key is not confirmed."
   @spec signing(term()) :: map()
-  def signing(gateway),
-    do: Map.new(MavRouter.Signing.list(gateway), fn {name, value} -> {name, Json.plain(value)} end)
-
-  @doc "The state of a vehicle's signing (`t:MavRouter.Signing.status/0`); nil without a key."
-  @spec signed(map() | nil) :: map() | nil
-  def signed(signing), do: signing && Object.show(MavRouter.Signing.fields(), signing)
+  def signing(gateway), do: Object.show(@signing, MavRouter.Signing.list(gateway))
 
   @doc "The conditions of `Aerie.Fleet.Diagnosis`, the most serious first."
   @spec diagnosis(term()) :: map()
   def diagnosis(gateway),
-    do: %{conditions: Enum.map(Aerie.Fleet.Diagnosis.list(gateway), &Aerie.Fleet.Diagnosis.Condition.plain/1)}
+    do: %{conditions: Enum.map(Aerie.Fleet.Diagnosis.list(gateway), &Condition.plain/1)}
 
   @doc "All links with their counters and rates."
   @spec links(term()) :: map()
@@ -95,53 +202,24 @@ defmodule Aerie.Api.Rest.View do
 
   @doc "The endpoints for clients, and all clients, each with its counters."
   @spec clients(term()) :: map()
-  def clients(gateway) do
-    %{
-      endpoints:
-        for(
-          link <- Client.endpoints(gateway),
-          do: Json.plain(Map.take(link, [:id, :url, :status, :text, :port]))
-        ),
-      clients: Enum.map(Client.list(gateway), &client/1)
-    }
-  end
+  def clients(gateway),
+    do: Object.show(@clients, %{endpoints: Client.endpoints(gateway), clients: Client.list(gateway)})
+
+  @doc false
+  @spec access(map()) :: :read | :full
+  def access(endpoint), do: if(endpoint.role == :read_only, do: :read, else: :full)
+
+  @doc false
+  @spec dropped(map()) :: non_neg_integer()
+  def dropped(endpoint), do: Counters.dropped(endpoint.counters)
 
   @doc "Since when the policy is in force, and the errors when it was last read; nil without a policy."
   @spec policy(term()) :: map() | nil
   def policy(gateway) do
-    with %{since: since, problem: problem} <- Policy.Store.status(gateway) do
-      %{since: Json.time(since), problem: problem && %{time: Json.time(problem.at), errors: problem.errors}}
-    end
+    with %{} = status <- Policy.Store.status(gateway), do: Object.show(@policy, status)
   end
 
   @doc "Rules of links and clients that were changed at run time, with the configured ones."
   @spec rules(term()) :: map()
   def rules(gateway), do: %{changed: Json.plain(MavRouter.Router.changes(gateway))}
-
-  defp client(endpoint) do
-    Json.plain(%{
-      id: endpoint.owner,
-      kind: endpoint.kind,
-      peer: endpoint.peer,
-      networks: endpoint.networks,
-      access: if(endpoint.role == :read_only, do: :read, else: :full),
-      since: Json.time(endpoint.since),
-      waiting: endpoint.waiting,
-      frames_in: endpoint.counters.frames_in,
-      frames_out: endpoint.counters.frames_out,
-      dropped: Counters.dropped(endpoint.counters),
-      denied: endpoint.counters.denied
-    })
-  end
-
-  defp nats(nil), do: nil
-
-  defp nats(nats) do
-    Json.plain(%{
-      connected: nats.connected,
-      url: nats[:url],
-      waiting: nats[:outbox][:events],
-      problem: nats.problem
-    })
-  end
 end

@@ -3,6 +3,7 @@ defmodule Aerie.Api.Rest.OpenAPITest do
 
   alias Aerie.Api.Rest.{OpenAPI, Routes}
   alias Aerie.Api.Rest.OpenAPI.Parameters
+  alias Aerie.JsonSchemaCheck
 
   @file_ Path.expand("../../../../../../docs/openapi.json", __DIR__)
 
@@ -45,6 +46,27 @@ defmodule Aerie.Api.Rest.OpenAPITest do
     for kind <- ["schemas", "responses"],
         name <- Map.keys(document["components"][kind]),
         do: assert({kind, name} in used)
+  end
+
+  # What a gateway without NATS, policy, keys and commands has nothing to say of.
+  @nothing ~w(/api/policy /api/vehicles/:id/signing /api/vehicles/:id/commands/:command /api/recordings/:name)
+
+  @tag :tmp_dir
+  test "what is read is described to the last field, and nothing is described that is not there", c do
+    %{gateway: gateway, port: port} = start_server(links: true, recorder: %{dir: c.tmp_dir})
+    put_vehicle(gateway, "VID-001", 1)
+    {:ok, "radio"} = MavRouter.Link.start(gateway, "udpin:127.0.0.1:0", id: "radio")
+    document = JSON.decode!(File.read!(@file_))
+
+    for %{method: "GET", action: action, path: path} <- Routes.all(), is_atom(action), path not in @nothing do
+      {200, _headers, answer} = request(port, "GET", String.replace(path, ":id", "VID-001"))
+
+      %{"responses" => %{"200" => %{"content" => %{"application/json" => %{"schema" => schema}}}}} =
+        document["paths"][String.replace(path, ":id", "{id}")]["get"]
+
+      assert {path, JsonSchemaCheck.errors(schema, answer, document, closed: true)} == {path, []}
+      assert action == :openapi or schema != %{"$ref" => "#/components/schemas/object"}
+    end
   end
 
   test "the gateway serves it" do

@@ -8,14 +8,15 @@ defmodule Aerie.Base.Json.Object do
                 {:time, :time, nil, "time of the last answer", :at}
               ])
 
-  The last element is where the value is: a key of what is shown, or a function of that; left out, the key has the
-  field's name. An unknown value is null. The types:
+  The last element is where the value is: a key of what is shown, a path of keys, or a function of that; left out, the
+  key has the field's name. An unknown value is null. The types:
 
     * `:text`, `:boolean`, `:integer`, `:number`, `{:one_of, values}`, `:any` - as it is
     * a number of decimals - a number that is rounded to them, 0 for whole numbers; null for what is not a number
     * `:time` - unix microseconds, shown as ISO 8601; `{:time, :second}` - the same from unix seconds
     * `{:seconds, decimals}` - microseconds, shown as seconds
     * `{:list, type}`, `{:map, type}` (free names), `{:object, fields}`
+    * `{:shown, fields}` - an object that is shown already, as it is
     * `{:schema, schema}` - as it is, described by that JSON Schema
   """
 
@@ -39,18 +40,19 @@ defmodule Aerie.Base.Json.Object do
           | {:list, type()}
           | {:map, type()}
           | {:object, [t()]}
+          | {:shown, [t()]}
           | {:schema, Schema.t()}
   @type t :: %__MODULE__{
           name: atom(),
           type: type(),
           unit: String.t() | nil,
           meaning: String.t(),
-          from: atom() | (map() -> term())
+          from: atom() | [atom()] | (map() -> term())
         }
   @type declared ::
           {atom(), type(), unit :: String.t() | nil, meaning :: String.t()}
           | {atom(), type(), unit :: String.t() | nil, meaning :: String.t(),
-             from :: atom() | (map() -> term())}
+             from :: atom() | [atom()] | (map() -> term())}
 
   @doc "The fields of a declaration."
   @spec fields([declared()]) :: [t()]
@@ -70,6 +72,10 @@ defmodule Aerie.Base.Json.Object do
   @doc "What one field shows of a value."
   @spec value(t(), map()) :: term()
   def value(%{type: type, from: from}, value) when is_atom(from), do: plain(type, Map.get(value, from))
+
+  def value(%{type: type, from: [_ | _] = path}, value),
+    do: plain(type, Enum.reduce(path, value, &(&2 && Map.get(&2, &1))))
+
   def value(%{type: type, from: from}, value), do: plain(type, from.(value))
 
   defp plain(_type, nil), do: nil
@@ -82,6 +88,7 @@ defmodule Aerie.Base.Json.Object do
   defp plain({:list, type}, list), do: Enum.map(list, &plain(type, &1))
   defp plain({:map, type}, map), do: Map.new(map, fn {name, value} -> {name, plain(type, value)} end)
   defp plain({:object, fields}, value), do: show(fields, value)
+  defp plain({:shown, _fields}, value), do: value
   defp plain(_as_it_is, value), do: Json.plain(value)
 
   @doc "The JSON Schema: each field is there, and may be null; later versions may have more."
@@ -108,7 +115,7 @@ defmodule Aerie.Base.Json.Object do
   defp schema_of({:one_of, values}), do: %{enum: values}
   defp schema_of({:list, type}), do: %{type: :array, items: schema_of(type)}
   defp schema_of({:map, type}), do: %{type: :object, additionalProperties: schema_of(type)}
-  defp schema_of({:object, fields}), do: schema(fields)
+  defp schema_of({kind, fields}) when kind in [:object, :shown], do: schema(fields)
   defp schema_of({:schema, schema}), do: schema
   defp schema_of(:any), do: %{}
 
@@ -123,7 +130,7 @@ defmodule Aerie.Base.Json.Object do
     end)
   end
 
-  defp below({:object, fields}), do: fields
+  defp below({kind, fields}) when kind in [:object, :shown], do: fields
   defp below({kind, type}) when kind in [:list, :map], do: below(type)
   defp below(_other), do: []
 end

@@ -2,12 +2,11 @@ defmodule Aerie.Fleet.Diagnosis.Condition do
   @moduledoc """
   Something that is wrong, or soon will be: what, what shows it, and what to do.
 
-  - `name`: for programs, one of `Aerie.Fleet.Diagnosis.names/0`
-  - `severity`: `:error` (something does not work), `:warning` (it works badly, or is dangerous), `:notice` (worth knowing)
-  - `subject`: `:gateway`, `{:link, id}`, `{:client, id}` or `{:vehicle, id}`
-  - `title`, `mend`: one sentence each, for people; `evidence`: what was measured, a line each
-  - `since`: unix microseconds of when it was first noticed; nil before `Aerie.Fleet.Diagnosis.step/2` set it
+  `fields/0` says what each field is; `:subject` is `:gateway`, `{:link, id}`, `{:client, id}` or `{:vehicle, id}`, and `:since`
+  is nil before `Aerie.Fleet.Diagnosis.step/2` set it.
   """
+
+  alias Aerie.Base.Json.Object
 
   @enforce_keys [:name, :severity, :subject, :title, :mend]
   defstruct [:name, :severity, :subject, :title, :mend, :since, evidence: []]
@@ -35,20 +34,32 @@ defmodule Aerie.Fleet.Diagnosis.Condition do
   def rank(%{severity: severity, subject: subject, name: name}),
     do: {Enum.find_index([:error, :warning, :notice], &(&1 == severity)), inspect(subject), name}
 
-  @doc "Plain values by text keys, for JSON."
-  @spec plain(t()) :: %{String.t() => term()}
-  def plain(%__MODULE__{} = condition) do
-    {kind, id} = with :gateway <- condition.subject, do: {:gateway, nil}
+  @fields Object.fields([
+            {:name, :text, nil, "what is wrong, for programs"},
+            {:severity, {:one_of, [:error, :warning, :notice]}, nil,
+             "error: something does not work; warning: it works badly, or is dangerous; notice: worth knowing"},
+            {:subject, {:one_of, [:gateway, :link, :client, :vehicle]}, nil, "what it concerns",
+             &__MODULE__.kind/1},
+            {:id, :text, nil, "which link, client or vehicle", &__MODULE__.id/1},
+            {:title, :text, nil, "a sentence for people"},
+            {:evidence, {:list, :text}, nil, "what was measured, a line each"},
+            {:mend, :text, nil, "what to do, a sentence"},
+            {:since, :time, nil, "when it was first noticed"}
+          ])
 
-    %{
-      "name" => Atom.to_string(condition.name),
-      "severity" => Atom.to_string(condition.severity),
-      "subject" => Atom.to_string(kind),
-      "id" => id,
-      "title" => condition.title,
-      "evidence" => condition.evidence,
-      "mend" => condition.mend,
-      "since" => condition.since && Aerie.Base.Json.time(condition.since)
-    }
-  end
+  @doc "What is shown of a condition."
+  @spec fields() :: [Object.t()]
+  def fields, do: @fields
+
+  @doc false
+  @spec kind(t()) :: atom()
+  def kind(%{subject: subject}), do: with({kind, _id} <- subject, do: kind)
+
+  @doc false
+  @spec id(t()) :: String.t() | nil
+  def id(%{subject: subject}), do: with(:gateway <- subject, do: nil, else: ({_kind, id} -> id))
+
+  @doc "What is shown of a condition."
+  @spec plain(t()) :: %{atom() => term()}
+  def plain(%__MODULE__{} = condition), do: Object.show(@fields, condition)
 end

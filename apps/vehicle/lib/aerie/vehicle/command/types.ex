@@ -5,7 +5,8 @@ defmodule Aerie.Vehicle.Command.Types do
   in `Aerie.Vehicle.Protocol.Mavlink.Commands`, or in the adapter of a firmware that differs (`Aerie.Vehicle.Protocol`).
   """
 
-  alias Aerie.Vehicle.Command.{Param, Type, Types}
+  alias Aerie.Base.Json.Object
+  alias Aerie.Vehicle.Command.{Type, Types}
   alias MavCodec.Enums.MavCmd
 
   @all Types.Flight.rows() ++
@@ -39,38 +40,45 @@ defmodule Aerie.Vehicle.Command.Types do
   @spec name_of_mav_cmd(integer()) :: String.t() | nil
   def name_of_mav_cmd(id), do: Map.get(@by_mav_cmd, id)
 
+  param = [
+    {:name, :text, nil, "name of the parameter"},
+    {:type, :text, nil, "number, integer, boolean, choice, text or list"},
+    {:unit, :text, nil, "its unit"},
+    {:min, :number, nil, "the least value, or length"},
+    {:max, :number, nil, "the largest value, or length"},
+    {:values, {:list, :any}, nil, "the values to choose from"},
+    {:default, :any, nil, "what counts if it is not given; null: it is left out"},
+    {:required, :boolean, nil, "whether it must be given"},
+    {:meaning, :text, nil, "what it says"}
+  ]
+
+  item = Object.fields(param ++ [{:items, :any, nil, "null"}])
+  params = Object.fields(param ++ [{:items, {:object, item}, nil, "what each item of a list is"}])
+
+  @fields Object.fields([
+            {:name, :text, nil, "name of the command"},
+            {:group, :text, nil, "what it belongs to"},
+            {:meaning, :text, nil, "what it does"},
+            {:permission, :text, nil, "what a source must be allowed to do"},
+            {:retry, {:one_of, [:safe, :never]}, nil, "whether it is sent again when no answer comes"},
+            {:confirmed_by, :text, nil, "what of the vehicle's state shows that it was done"},
+            {:long, :boolean, nil, "whether the vehicle may take seconds or minutes", :long?},
+            {:cancel, :boolean, nil, "whether it can be cancelled while it runs", :cancel?},
+            {:moves_vehicle, :boolean, nil, "whether the vehicle or its propellers may move because of it",
+             :moves_vehicle?},
+            {:rules, {:list, :text}, nil, "rules about several parameters", &__MODULE__.rules/1},
+            {:params, {:list, {:object, params}}, nil, "its parameters"}
+          ])
+
+  @doc "What is shown of a row."
+  @spec fields() :: [Object.t()]
+  def fields, do: @fields
+
   @doc "The table as JSON has it: for forms, and for programs that want to know what can be commanded."
-  @spec plain() :: [%{String.t() => term()}]
-  def plain, do: Enum.map(@all, &plain/1)
+  @spec plain() :: [%{atom() => term()}]
+  def plain, do: Enum.map(@all, &Object.show(@fields, &1))
 
-  defp plain(%Type{} = type) do
-    %{
-      "name" => type.name,
-      "group" => Atom.to_string(type.group),
-      "meaning" => type.meaning,
-      "permission" => Atom.to_string(type.permission),
-      "retry" => Atom.to_string(type.retry),
-      "confirmed_by" => type.confirmed_by,
-      "long" => type.long?,
-      "cancel" => type.cancel?,
-      "moves_vehicle" => type.moves_vehicle?,
-      "rules" => Enum.map(type.rules, &Type.rule_text/1),
-      "params" => Enum.map(type.params, &plain/1)
-    }
-  end
-
-  defp plain(%Param{} = param) do
-    %{
-      "name" => Atom.to_string(param.name),
-      "type" => Atom.to_string(param.type),
-      "unit" => param.unit,
-      "min" => param.min,
-      "max" => param.max,
-      "values" => param.values,
-      "default" => param.default,
-      "required" => param.required,
-      "meaning" => param.meaning,
-      "items" => param.items && plain(param.items)
-    }
-  end
+  @doc false
+  @spec rules(Type.t()) :: [String.t()]
+  def rules(%Type{rules: rules}), do: Enum.map(rules, &Type.rule_text/1)
 end

@@ -22,7 +22,7 @@ defmodule Aerie.CLI.Subcommand.Running.Status do
     health = Map.update!(health, :problems, &(&1 ++ missing))
     json = :default |> View.status() |> Map.merge(%{health: health, conditions: conditions}) |> Json.encode!()
     text = if options[:json], do: [json, ?\n], else: render(JSON.decode!(json), Status.View.collect(:default))
-    well? = ready? and missing == [] and not Enum.any?(conditions, &(&1["severity"] == "error"))
+    well? = ready? and missing == [] and not Enum.any?(conditions, &(&1.severity == :error))
     {if(well?, do: 0, else: 1), text}
   end
 

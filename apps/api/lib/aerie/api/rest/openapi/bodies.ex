@@ -1,11 +1,13 @@
 defmodule Aerie.Api.Rest.OpenAPI.Bodies do
   @moduledoc """
-  The schemas of the bodies of `/api` by the names that routes have: as strict as what reads them, but for the content
-  of connection strings, plans and files of parameters. Pure.
+  The schemas of the bodies and answers of `/api` by the names that routes have. Those of bodies are as strict as what
+  reads them, but for the content of connection strings, plans and files of parameters. Pure.
   """
 
   import Aerie.Base.Json.Schema
 
+  alias Aerie.Api.Rest.{Commands, View}
+  alias Aerie.Base.Json.Object
   alias Aerie.Fleet.{Operations, Shadow}
   alias Aerie.Vehicle.Command
   alias MavRouter.Endpoints.RulesSchema
@@ -19,15 +21,35 @@ defmodule Aerie.Api.Rest.OpenAPI.Bodies do
       rules: RulesSchema.change(),
       command: %{oneOf: for(type <- Command.Types.all(), do: Command.Schema.envelope(type, type?: true))},
       result: Command.Schema.result(),
-      under_way:
-        object(%{id: token(), vehicle: token(), state: %{const: "under_way"}}, [:id, :vehicle, :state])
+      under_way: under_way()
     }
 
-    own
+    answers()
+    |> Map.new(fn {name, fields} -> {name, Object.schema(fields)} end)
+    |> Map.merge(own)
     |> Map.merge(Aerie.Api.Rest.Operations.schemas())
     |> Map.merge(Command.Schema.shared())
     |> Map.merge(Operations.Schema.shared())
     |> Map.merge(Shadow.Schema.shared())
     |> Map.put("reported", Shadow.Schema.reported())
+  end
+
+  defp answers do
+    types = [{:types, {:list, {:object, Command.Types.fields()}}, nil, "all of them"}]
+    offers = [{:commands, {:list, {:object, Commands.offer_fields()}}, nil, "all of them"}]
+
+    Map.merge(View.answers(), %{
+      command_types: Object.fields(types),
+      offers: Object.fields(offers),
+      recorder: View.Recordings.fields(),
+      signing_capability: View.SigningCapability.fields()
+    })
+  end
+
+  # Where it was asked for by its id, with more.
+  defp under_way do
+    more = %{type: %{type: :string}, source: %{type: [:string, :null]}, progress: %{}}
+    own = %{id: token(), vehicle: token(), state: %{const: "under_way"}}
+    object(Map.merge(more, own), Map.keys(own))
   end
 end

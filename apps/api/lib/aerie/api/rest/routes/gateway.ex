@@ -13,29 +13,40 @@ defmodule Aerie.Api.Rest.Routes.Gateway do
   @spec rows() :: [Aerie.Api.Rest.Route.t()]
   def rows do
     [
-      get("/api", :index, "The resources and their methods."),
+      get("/api", :index, "The resources and their methods.", answer: :index),
       get("/api/openapi", :openapi, "This description."),
-      get("/api/status", :status, "The most used state of all vehicles."),
-      get("/api/diagnosis", :diagnosis, "What is wrong, and what to do about it."),
-      get("/api/vehicles", :vehicles, "All vehicles.", query: [:tag]),
-      get("/api/events", :events, "The latest events of all vehicles.", query: [:limit, :since]),
-      get("/api/signing", :signing, "Signed links and vehicles."),
+      get("/api/status", :status, "The most used state of all vehicles.", answer: :status),
+      get("/api/diagnosis", :diagnosis, "What is wrong, and what to do about it.", answer: :diagnosis),
+      get("/api/vehicles", :vehicles, "All vehicles.", query: [:tag], answer: :vehicles),
+      get("/api/events", :events, "The latest events of all vehicles.",
+        query: [:limit, :since],
+        answer: :events
+      ),
+      get("/api/signing", :signing, "Signed links and vehicles.", answer: :signing_keys),
       get(
         "/api/signing/capability",
         :signing_capability,
-        "Which vehicles can sign, and by which links they can be given a key."
+        "Which vehicles can sign, and by which links they can be given a key.",
+        answer: :signing_capability
       ),
-      get("/api/links", :links, "All links."),
+      get("/api/links", :links, "All links.", answer: :links),
       delete("/api/links/:id", :remove_link, "Closes and forgets a link.", status: 204, answer: nil),
-      get("/api/recorder", :recorder, "What is being recorded, and the recordings on disk."),
+      get("/api/recorder", :recorder, "What is being recorded, and the recordings on disk.",
+        answer: :recorder
+      ),
       get("/api/recordings/:name", :download, "A recording.", answer: @bytes),
-      get("/api/clients", :clients, "Endpoints for clients, and the clients that are connected."),
+      get("/api/clients", :clients, "Endpoints for clients, and the clients that are connected.",
+        answer: :clients
+      ),
       delete("/api/clients/:id", :remove_client, "Removes an endpoint, or disconnects a client.",
         status: 204,
         answer: nil
       ),
-      get("/api/rules", :rules, "The routing rules of links and clients."),
-      patch("/api/rules/:id", :change_rules, "Changes the rules of a link or client.", body: :rules),
+      get("/api/rules", :rules, "The routing rules of links and clients.", answer: :rules_in_force),
+      patch("/api/rules/:id", :change_rules, "Changes the rules of a link or client.",
+        body: :rules,
+        answer: :rules_in_force
+      ),
       delete("/api/rules/:id", :reset_rules, "Restores the configured rules.",
         status: 204,
         answer: nil
@@ -46,14 +57,16 @@ defmodule Aerie.Api.Rest.Routes.Gateway do
         "Reads the configuration again and puts in force what can change without a restart.",
         body: :nothing
       ),
-      get("/api/log", :log, "The levels of the log."),
-      get("/api/policy", :policy, "The policy in force."),
+      get("/api/log", :log, "The levels of the log.", answer: "answer.log.change"),
+      get("/api/policy", :policy, "The policy in force.", answer: :policy),
       post("/api/policy/reload", :reload_policy, "Reads the policy and its fences again.", body: :nothing),
       post("/api/plans", :store_plan, "Stores a .plan file for desired states.",
         body: @plan,
         status: 201
       ),
-      get("/api/commands/types", :command_types, "The commands with their parameters."),
+      get("/api/commands/types", :command_types, "The commands with their parameters.",
+        answer: :command_types
+      ),
       post("/api/tickets", :issue_ticket, "Issues a ticket that opens one WebSocket.",
         body: :nothing,
         status: 201

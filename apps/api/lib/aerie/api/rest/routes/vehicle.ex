@@ -10,15 +10,19 @@ defmodule Aerie.Api.Rest.Routes.Vehicle do
   @spec rows() :: [Aerie.Api.Rest.Route.t()]
   def rows do
     [
-      get("/api/vehicles/:id", :vehicle, "Everything that is known of a vehicle."),
+      get("/api/vehicles/:id", :vehicle, "Everything that is known of a vehicle.", answer: :vehicle),
       get("/api/vehicles/:id/events", :vehicle_events, "The latest events of a vehicle.",
-        query: [:limit, :since]
+        query: [:limit, :since],
+        answer: :events
       ),
-      get("/api/vehicles/:id/signing", :vehicle_signing, "The signing state of a vehicle."),
+      get("/api/vehicles/:id/signing", :vehicle_signing, "The signing state of a vehicle.",
+        answer: :vehicle_signing
+      ),
       get(
         "/api/vehicles/:id/commands",
         :vehicle_commands,
-        "Which commands this key may give to the vehicle."
+        "Which commands this key may give to the vehicle.",
+        answer: :offers
       ),
       post("/api/vehicles/:id/commands", :command, "Gives a command, and waits for its result.",
         query: [:wait],
@@ -28,7 +32,8 @@ defmodule Aerie.Api.Rest.Routes.Vehicle do
       get(
         "/api/vehicles/:id/commands/:command",
         :look_at_command,
-        "The progress of a command, or its result."
+        "The progress of a command, or its result.",
+        answer: [:result, :under_way]
       ),
       delete("/api/vehicles/:id/commands/:command", :cancel_command, "Cancels a command.", status: 202)
     ]

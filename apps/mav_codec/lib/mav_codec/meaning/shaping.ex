@@ -9,38 +9,29 @@ defmodule MavCodec.Meaning.Shaping do
     * `:metres` - metres of its unit, nil where no length is meant
     * `:assumed` - how many metres count as long as the vehicle has not told its value: more than people set. nil:
       nobody asks for it
-    * `:read_by` - firmwares and kinds of vehicles whose value the gateway reads
   """
   @type row :: %{
           name: String.t(),
           shapes: :width | :height | :path | :speed,
           metres: number() | nil,
           meaning: String.t(),
-          assumed: number() | nil,
-          read_by: [{atom(), [String.t()]}]
+          assumed: number() | nil
         }
-
-  winged = ["plane", "vtol"]
-  plane = [ardupilot: winged]
-  copter = [ardupilot: ["copter"]]
-  wheeled = [ardupilot: ["rover", "boat"]]
-  px4 = [px4: ["copter" | winged] ++ ["rover", "boat", "unknown"]]
-  px4_winged = [px4: winged]
 
   @rows Map.new(
           [
-            {"WP_LOITER_RAD", :width, 1, "the circle of a plane at a place", 300, plane},
+            {"WP_LOITER_RAD", :width, 1, "the circle of a plane at a place", 300},
             {"RTL_RADIUS", :width, 1, "the circle of a plane at home"},
-            {"WP_RADIUS", :width, 1, "how early a plane or rover turns at a waypoint", 150, plane ++ wheeled},
-            {"WP_RADIUS_M", :width, 1, "how near a copter passes a waypoint", 10, copter},
+            {"WP_RADIUS", :width, 1, "how early a plane or rover turns at a waypoint", 150},
+            {"WP_RADIUS_M", :width, 1, "how near a copter passes a waypoint", 10},
             {"WP_MAX_RADIUS", :width, 1, "how far beside a waypoint a plane passes it"},
-            {"WPNAV_RADIUS", :width, 0.01, "how near a copter passes a waypoint", 10, copter},
-            {"CIRCLE_RADIUS", :width, 0.01, "the circle of a copter", 60, copter},
-            {"CIRCLE_RADIUS_M", :width, 1, "the circle of a copter", 60, copter},
-            {"LOIT_RADIUS", :width, 1, "how far a rover drifts from a place", 50, wheeled},
-            {"NAV_LOITER_RAD", :width, 1, "the circle of a plane at a place", 300, px4_winged},
+            {"WPNAV_RADIUS", :width, 0.01, "how near a copter passes a waypoint", 10},
+            {"CIRCLE_RADIUS", :width, 0.01, "the circle of a copter", 60},
+            {"CIRCLE_RADIUS_M", :width, 1, "the circle of a copter", 60},
+            {"LOIT_RADIUS", :width, 1, "how far a rover drifts from a place", 50},
+            {"NAV_LOITER_RAD", :width, 1, "the circle of a plane at a place", 300},
             {"RTL_LOITER_RAD", :width, 1, "the circle of a plane at home"},
-            {"NAV_ACC_RAD", :width, 1, "how early it turns at a waypoint", 30, px4},
+            {"NAV_ACC_RAD", :width, 1, "how early it turns at a waypoint", 30},
             {"MC_ORBIT_RAD_MAX", :width, 1, "the largest circle of a copter"},
             {"RTL_ALT", :height, 0.01, "the height of the way home"},
             {"RTL_ALT_M", :height, 1, "the height of the way home"},
@@ -58,8 +49,7 @@ defmodule MavCodec.Meaning.Shaping do
             {"PILOT_TKOFF_ALT", :height, 0.01, "the height of a take-off"},
             {"MIS_TAKEOFF_ALT", :height, 1, "the height of a take-off"},
             {"VTO_LOITER_ALT", :height, 1, "the height at which it circles after a take-off"},
-            {"MIS_LND_ABRT_ALT", :height, 1, "how high a plane climbs when a landing is aborted", 100,
-             px4_winged},
+            {"MIS_LND_ABRT_ALT", :height, 1, "how high a plane climbs when a landing is aborted", 100},
             {"NAV_MIN_LTR_ALT", :height, 1, "the least height of a circle"},
             {"MIS_LTRMIN_ALT", :height, 1, "the least height of a circle"},
             {"LAND_ALT_LOW", :height, 0.01, "where a landing slows down"},
@@ -90,17 +80,7 @@ defmodule MavCodec.Meaning.Shaping do
           ],
           fn row ->
             [name, shapes, metres, meaning | more] = Tuple.to_list(row)
-            [assumed, read_by] = if more == [], do: [nil, []], else: more
-
-            {name,
-             %{
-               name: name,
-               shapes: shapes,
-               metres: metres,
-               meaning: meaning,
-               assumed: assumed,
-               read_by: read_by
-             }}
+            {name, %{name: name, shapes: shapes, metres: metres, meaning: meaning, assumed: List.first(more)}}
           end
         )
 
@@ -134,12 +114,6 @@ defmodule MavCodec.Meaning.Shaping do
   def shapes?(name) do
     row = get(name)
     row == :unknown or (row != nil and row.shapes != :speed)
-  end
-
-  @doc "The names whose values the gateway reads from a vehicle of a firmware and a kind."
-  @spec read_by(atom(), String.t()) :: [String.t()]
-  def read_by(firmware, kind) do
-    for row <- all(), {^firmware, kinds} <- row.read_by, kind in kinds, uniq: true, do: row.name
   end
 
   @doc "Metres of a parameter by its value, or assumed because the value is not known, and which of both."

@@ -4,7 +4,7 @@ defmodule Aerie.Vehicle.Firmware do
   write that folder and add its adapter (`Aerie.Vehicle.Firmware.Adapter`) to the list in this file.
   """
 
-  alias Aerie.Vehicle.Firmware.{GroundStation, Telemetry, Traits, Unknown}
+  alias Aerie.Vehicle.Firmware.{GroundStation, Reading, Telemetry, Traits, Unknown}
 
   @typedoc "A firmware by the name that state, NATS and REST have; `:generic` for any that is not in the list."
   @type name :: atom()
@@ -42,6 +42,21 @@ defmodule Aerie.Vehicle.Firmware do
   @doc "Where the messages of a firmware say other things than MAVLink declares."
   @spec telemetry(name() | nil) :: Telemetry.t()
   def telemetry(name), do: of(name).telemetry()
+
+  @doc "How a firmware reads what is sent to it."
+  @spec reading(name() | nil) :: Reading.t()
+  def reading(name), do: of(name).reading()
+
+  @doc "The modules of what channels and buttons do, of all firmwares that have one."
+  @spec inputs() :: [module(), ...]
+  def inputs, do: modules(:inputs)
+
+  @doc "The modules of the room that a firmware takes on its way: its own, or those of all others if it has none."
+  @spec rooms(name() | nil) :: [module(), ...]
+  def rooms(name), do: if(room = traits(name).room, do: [room], else: modules(:room))
+
+  defp modules(key),
+    do: for({_name, adapter} <- adapters(), module = Map.fetch!(adapter.traits(), key), do: module)
 
   @doc "Which ground station keeps the failsafe of a firmware on a kind of vehicle quiet."
   @spec ground_station(name() | nil, kind :: String.t()) :: GroundStation.t()

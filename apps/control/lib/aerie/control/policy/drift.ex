@@ -5,14 +5,13 @@ defmodule Aerie.Control.Policy.Drift do
   """
 
   alias Aerie.Control.Policy.{Context, Intent}
+  alias Aerie.Vehicle.Firmware
 
   # Age of the position, way of the message, and the lag of the vehicle's controllers.
   @reaction_s 1.0
   # Braking in m/s², less than both firmwares' defaults (WPNAV_ACCEL and WPNAV_ACCEL_Z, MPC_ACC_HOR and MPC_ACC_DOWN_MAX).
   @brake_xy 1.5
   @brake_z 1.0
-  # ArduPilot's GUID_TIMEOUT, which its other vehicles have as a constant; PX4's COM_OF_LOSS_T.
-  @timeouts %{ardupilot: {"GUID_TIMEOUT", 3.0}, px4: {"COM_OF_LOSS_T", 1.0}}
   @longest_s 60
   @turns 36
   # Farther than any fence reaches.
@@ -41,7 +40,7 @@ defmodule Aerie.Control.Policy.Drift do
   def seconds(drift, context), do: drift.hold + timeout(context) + @reaction_s
 
   defp timeout(context) do
-    {name, default} = Map.get(@timeouts, context.autopilot, @timeouts.ardupilot)
+    {name, default} = Firmware.reading(context.autopilot).setpoint_timeout
 
     case context.params[name] do
       known when is_number(known) and known >= 0 -> min(known / 1, @longest_s)

@@ -7,6 +7,7 @@ defmodule Aerie.Control.Policy.FlightPath do
   alias Aerie.Control.Policy.{Context, Drift, Fence, Intent}
   alias Aerie.Control.Policy.Fence.Earth
   alias Aerie.Control.Policy.FlightPath.Volume
+  alias Aerie.Vehicle.Firmware.Room
 
   @corners 36
   @anywhere "where it leads, nobody can tell"
@@ -175,7 +176,7 @@ defmodule Aerie.Control.Policy.FlightPath do
   def heights(_level, _context), do: {:ok, []}
 
   @doc "The room that the vehicle takes at the end of a leg."
-  @spec room(leg(), Intent.sweep(), Context.t()) :: Volume.t()
+  @spec room(leg(), Intent.sweep(), Context.t()) :: Room.t()
   def room({from, to, _given}, sweep, context) do
     long = from && Earth.distance(Earth.point(from.lat, from.lon), Earth.point(to.lat, to.lon))
     Volume.room(sweep, %{long: long, rise: to.home}, context)

@@ -121,10 +121,12 @@ defmodule Aerie.Control.Policy.Mavlink do
     end
   end
 
-  # PX4 arms with it.
-  defp stored?(%{type: "mission_start"}, %{autopilot: :px4}), do: false
+  defp stored?(%{type: "mission_start"} = facts, vehicle),
+    do: not Firmware.reading(vehicle.autopilot).mission_start_arms? and kept?(facts, vehicle)
 
-  defp stored?(facts, vehicle) do
+  defp stored?(facts, vehicle), do: kept?(facts, vehicle)
+
+  defp kept?(facts, vehicle) do
     case Types.fetch(facts.type) do
       {:ok, type} ->
         first? = Firmware.traits(vehicle.autopilot).setpoints_before_arming?
@@ -171,11 +173,11 @@ defmodule Aerie.Control.Policy.Mavlink do
   # unknown one may do either.
   defp read(%module{current: current, mission_type: 0} = m, vehicle)
        when module in [M.MissionItem, M.MissionItemInt] and current in [2, 3] do
-    case vehicle.autopilot do
-      :ardupilot when m.command == @waypoint -> %{now(m) | number: item(m, vehicle).number}
-      :ardupilot -> both(now(m), item(m, vehicle))
-      :px4 -> item(m, vehicle)
-      _unknown -> %{both(item(m, vehicle), now(m)) | stored?: true}
+    case Firmware.reading(vehicle.autopilot).guided_items do
+      :obeyed when m.command == @waypoint -> %{now(m) | number: item(m, vehicle).number}
+      :obeyed -> both(now(m), item(m, vehicle))
+      :stored -> item(m, vehicle)
+      :either -> %{both(item(m, vehicle), now(m)) | stored?: true}
     end
   end
 
@@ -295,7 +297,7 @@ defmodule Aerie.Control.Policy.Mavlink do
           mode: command.mode,
           modes: command.modes,
           standard_mode: command.standard_mode,
-          path: stop(row.as_item, m, row, request, vehicle),
+          path: if(home?(m, vehicle), do: :none, else: stop(row.as_item, m, row, request, vehicle)),
           sweep: if(row.as_item == :flown, do: Request.sweep(request)),
           what: "mission item #{m.seq}"
         )
@@ -343,8 +345,9 @@ defmodule Aerie.Control.Policy.Mavlink do
   defp moved(%{name: name}) when name in ["DO_SET_HOME", "DO_SET_GLOBAL_ORIGIN"], do: [:protection]
   defp moved(_row), do: []
 
-  # Item 0 of ArduPilot is home, and ArduPilot takes no notice of what is sent for it.
-  defp stop(_place, %{seq: 0}, _row, _request, %{autopilot: :ardupilot}), do: :none
+  # ArduPilot takes no notice of what is sent for its home.
+  defp home?(m, vehicle), do: m.seq == 0 and Firmware.of(vehicle.autopilot).home_is_item_0?()
+
   defp stop(:none, _m, _row, _request, _vehicle), do: :none
   defp stop(:anywhere, _m, _row, _request, _vehicle), do: :anywhere
   defp stop(:climb, _m, _row, request, _vehicle), do: Request.climb(request)

@@ -12,10 +12,10 @@ defmodule Aerie.Control.Policy.Switches do
   """
 
   alias Aerie.Control.Policy.{Context, Intent}
-  alias Aerie.Control.Policy.Switches.{Ardupilot, Gestures, Px4}
+  alias Aerie.Control.Policy.Mavlink.AuxFunctions
+  alias Aerie.Control.Policy.Switches.Gestures
+  alias Aerie.Vehicle.Firmware
 
-  @msp [:betaflight, :inav]
-  @ignored 65_535
   @sticks 4
 
   @typedoc "What a channel or button does, and which one in words; `:unknown` for what is not known."
@@ -28,9 +28,14 @@ defmodule Aerie.Control.Policy.Switches do
   """
   @spec judge(Intent.t(), Context.t(), modes_limited? :: boolean()) :: Intent.t()
   def judge(%{switches: nil} = facts, _context, _modes_limited?), do: facts
-  def judge(facts, %{autopilot: autopilot}, _modes_limited?) when autopilot in @msp, do: facts
 
   def judge(facts, context, modes_limited?) do
+    if Firmware.reading(context.autopilot).steered_by == :channels,
+      do: facts,
+      else: judged(facts, context, modes_limited?)
+  end
+
+  defp judged(facts, context, modes_limited?) do
     facts.switches
     |> effects(context)
     |> Enum.reject(fn {_why, effect} -> effect == :unknown and modes_limited? end)
@@ -75,33 +80,42 @@ defmodule Aerie.Control.Policy.Switches do
   @spec effects(Intent.switches(), Context.t()) :: [effect()]
   defp effects(:unknown, _context), do: [{"which channels it works cannot be read", :unknown}]
 
-  defp effects(switches, %{autopilot: :ardupilot} = context) do
-    worked = %{switches | channels: Ardupilot.worked(switches.channels)}
-    Ardupilot.effects(worked, context) ++ Gestures.effects(worked, context)
-  end
-
-  defp effects(switches, %{autopilot: :px4} = context) do
-    worked = %{switches | channels: Px4.worked(switches.channels)}
-    Px4.effects(worked, context) ++ Gestures.effects(worked, context)
-  end
-
-  # PX4 works more channels by a message than any other firmware.
   defp effects(switches, context) do
-    worked = %{switches | channels: Px4.worked(switches.channels)}
+    case Firmware.traits(context.autopilot).inputs do
+      nil ->
+        # One firmware works more channels by a message than another.
+        channels = Enum.reduce(Firmware.inputs(), %{}, &Map.merge(&2, &1.worked(switches.channels)))
+        worked = %{switches | channels: channels}
+        unknown(worked) ++ Gestures.effects(worked, context)
 
-    channels =
-      for {n, _us} <- Enum.sort(worked.channels), n > @sticks, do: unknown("what channel #{n} switches")
+      inputs ->
+        worked = %{switches | channels: inputs.worked(switches.channels)}
 
-    buttons = for n <- switches.buttons, do: unknown("what button #{n} does")
-    outputs = for n <- switches.aux, do: unknown("what AUX #{n} does")
-    channels ++ buttons ++ outputs ++ Gestures.effects(worked, context)
+        for(
+          {why, what} <- inputs.effects(worked, context.vehicle_type, context.params),
+          do: {why, facts(what)}
+        ) ++
+          Gestures.effects(worked, context)
+    end
   end
 
-  defp unknown(what), do: {"#{what} is not known, because the vehicle's firmware is not", :unknown}
+  defp facts({:mode, []}), do: Intent.named("set_mode", implies: ["takeoff"])
+  defp facts({:mode, [mode | others]}), do: Intent.named("set_mode", mode: mode, modes: others)
+  defp facts({:command, type, also}), do: Intent.named(type, also: also)
+  defp facts({:function, number, level}), do: AuxFunctions.facts(number, level)
 
-  @doc "Whether a channel is left as it is by a value that every firmware ignores."
-  @spec ignored?(pos_integer(), non_neg_integer()) :: boolean()
-  def ignored?(_n, @ignored), do: true
-  def ignored?(n, 0), do: n > 8
-  def ignored?(_n, _us), do: false
+  defp facts({:output, permission, also}),
+    do: %Intent{type: "aux_function", permission: permission, also: also}
+
+  defp facts(:parameter), do: Intent.set_parameters([nil])
+  defp facts(:unknown), do: :unknown
+
+  defp unknown(worked) do
+    whats =
+      for({n, _us} <- Enum.sort(worked.channels), n > @sticks, do: "what channel #{n} switches") ++
+        for(n <- worked.buttons, do: "what button #{n} does") ++
+        for n <- worked.aux, do: "what AUX #{n} does"
+
+    for what <- whats, do: {"#{what} is not known, because the vehicle's firmware is not", :unknown}
+  end
 end

@@ -5,13 +5,16 @@ defmodule Aerie.Vehicle.Firmware.Adapter do
   else it is the one that can hurt.
   """
 
-  alias Aerie.Vehicle.Firmware.{GroundStation, Telemetry, Traits}
+  alias Aerie.Vehicle.Firmware.{GroundStation, Reading, Telemetry, Traits}
 
   @doc "What it is and what it offers."
   @callback traits() :: Traits.t()
 
   @doc "Where its messages say other things than MAVLink declares."
   @callback telemetry() :: Telemetry.t()
+
+  @doc "How it reads what is sent to it."
+  @callback reading() :: Reading.t()
 
   @doc "Which ground station keeps the failsafe of a kind of vehicle quiet."
   @callback ground_station(kind :: String.t()) :: GroundStation.t()
@@ -27,6 +30,8 @@ defmodule Aerie.Vehicle.Firmware.Adapter do
       def traits, do: %Aerie.Vehicle.Firmware.Traits{}
       @impl true
       def telemetry, do: %Aerie.Vehicle.Firmware.Telemetry{}
+      @impl true
+      def reading, do: %Aerie.Vehicle.Firmware.Reading{}
       @impl true
       def ground_station(_kind), do: %Aerie.Vehicle.Firmware.GroundStation{}
 

@@ -5,6 +5,8 @@ defmodule Aerie.Vehicle.Firmware.Traits do
             mav_autopilot: nil,
             vendor: nil,
             modes: nil,
+            inputs: nil,
+            room: nil,
             param_encoding: :c_cast,
             param_tables: nil,
             command_line: [],
@@ -20,6 +22,9 @@ defmodule Aerie.Vehicle.Firmware.Traits do
     * `:mav_autopilot` - its number in MAV_AUTOPILOT; nil: it has none
     * `:vendor` - its name in COMPONENT_INFORMATION_BASIC, of one without a number
     * `:modes` - the module of its flight modes (`Aerie.Vehicle.Firmware.Modes`); nil: the flags of its heartbeat
+    * `:inputs` - the module of what its channels and buttons do (`Aerie.Vehicle.Firmware.Inputs`); nil: nobody knows
+    * `:room` - the module of the room that it takes on its way (`Aerie.Vehicle.Firmware.Room`); nil: the most that any
+      firmware takes
     * `:param_encoding` - how integer parameters are put into PARAM_SET's float (P2)
     * `:param_tables` - whose parameters `MavCodec.Msp.Params` describes, with whole names where MAVLink's are too
       short; nil: the vehicle describes them itself, or nobody does
@@ -37,6 +42,8 @@ defmodule Aerie.Vehicle.Firmware.Traits do
           mav_autopilot: non_neg_integer() | nil,
           vendor: String.t() | nil,
           modes: module() | nil,
+          inputs: module() | nil,
+          room: module() | nil,
           param_encoding: :c_cast | :bytewise,
           param_tables: MavCodec.Msp.Messages.firmware() | nil,
           command_line: [String.t()],

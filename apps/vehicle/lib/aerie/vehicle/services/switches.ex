@@ -8,6 +8,7 @@ defmodule Aerie.Vehicle.Services.Switches do
   PARAM_VALUE that comes is used as well.
   """
 
+  alias Aerie.Vehicle.Firmware
   alias MavCodec.Messages.ParamRequestRead
 
   @first_us 15_000_000
@@ -15,28 +16,7 @@ defmodule Aerie.Vehicle.Services.Switches do
   @at_once 4
   @tries 2
 
-  slots = fn name -> for n <- 1..6, do: "#{name}#{n}" end
-  options = for n <- 1..16, do: "RC#{n}_OPTION"
-  sticks = ~w(RCMAP_ROLL RCMAP_PITCH RCMAP_THROTTLE RCMAP_YAW)
-  overrides = ~w(RC_OVERRIDE_TIME RC_OPTIONS)
-
-  @flying ["FLTMODE_CH", "GUID_TIMEOUT"] ++
-            overrides ++
-            slots.("FLTMODE") ++ Enum.drop(options, 4) ++ sticks ++ Enum.take(options, 4) ++ ["TUNE"]
-  @driving ["MODE_CH"] ++
-             overrides ++ slots.("MODE") ++ Enum.drop(options, 4) ++ sticks ++ Enum.take(options, 4)
-  @diving overrides ++ for(n <- 0..31, end_ <- ~w(FUNCTION SFUNCTION), do: "BTN#{n}_#{end_}") ++ options
-  # Some versions lack the first two. The others are known only after these had their turn.
-  @px4 ~w(
-    RC_MAP_TERM_SW RC_MAP_ENG_MOT COM_OF_LOSS_T COM_RC_IN_MODE RC_MAP_KILL_SW RC_MAP_ARM_SW RC_MAP_TRANS_SW
-    RC_MAP_FLTMODE RC_MAP_FLTM_BTN RC_MAP_RETURN_SW RC_MAP_LOITER_SW RC_MAP_OFFB_SW RC_MAP_ROLL RC_MAP_PITCH
-    RC_MAP_THROTTLE RC_MAP_YAW RC_MAP_FAILSAFE RC_MAP_GEAR_SW RC_MAP_PARAM1 RC_MAP_PARAM2 RC_MAP_PARAM3
-    RC_MAP_AUX1 RC_MAP_AUX2 RC_MAP_AUX3 RC_MAP_AUX4 RC_MAP_AUX5 RC_MAP_AUX6 RC_MAP_PAY_SW MAN_KILL_GEST_T
-  )
-  # Names in old versions.
-  @more ~w(RC_MAP_MODE_SW RC_MAP_ACRO_SW RC_MAP_STAB_SW RC_MAP_MAN_SW RC_MAP_POSCTL_SW RC_MAP_RATT_SW)
   @shaping for row <- MavCodec.Meaning.Shaping.all(), row.metres != nil, do: row.name
-  @names MapSet.new(@flying ++ @driving ++ @diving ++ @px4 ++ @more ++ @shaping)
 
   defstruct params: %{}, asked: %{}, next: nil
 
@@ -54,7 +34,9 @@ defmodule Aerie.Vehicle.Services.Switches do
   @doc "The value of any parameter."
   @spec param(t(), String.t(), number()) :: t()
   def param(switches, name, value) do
-    if name in @names, do: %{switches | params: Map.put(switches.params, name, value)}, else: switches
+    if name in @shaping or Enum.any?(Firmware.inputs(), & &1.keeps?(name)),
+      do: %{switches | params: Map.put(switches.params, name, value)},
+      else: switches
   end
 
   @doc "After a reboot they are read again: they may have been changed before it."
@@ -77,7 +59,8 @@ defmodule Aerie.Vehicle.Services.Switches do
 
   def due(switches, now, {system, component}, firmware) do
     wanted =
-      (plan(firmware) ++ MavCodec.Meaning.Shaping.read_by(elem(firmware, 0), elem(firmware, 1)))
+      firmware
+      |> plan()
       |> Enum.filter(&(not is_map_key(switches.params, &1) and Map.get(switches.asked, &1, 0) < @tries))
       |> Enum.take(@at_once)
 
@@ -87,10 +70,9 @@ defmodule Aerie.Vehicle.Services.Switches do
   end
 
   @doc "The parameters that are read from a vehicle of a firmware and a kind."
-  @spec plan(firmware :: {atom(), String.t()}) :: [String.t()]
-  def plan({:px4, _kind}), do: @px4
-  def plan({:ardupilot, kind}) when kind in ["rover", "boat"], do: @driving
-  def plan({:ardupilot, "sub"}), do: @diving
-  def plan({:ardupilot, _kind}), do: @flying
-  def plan(_generic), do: []
+  @spec plan(firmware :: {Firmware.name(), String.t()}) :: [String.t()]
+  def plan({firmware, kind}) do
+    %{inputs: inputs, room: room} = Firmware.traits(firmware)
+    for module <- [inputs, room], module != nil, name <- module.params(kind), do: name
+  end
 end

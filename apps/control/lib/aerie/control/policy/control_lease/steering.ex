@@ -15,8 +15,8 @@ defmodule Aerie.Control.Policy.ControlLease.Steering do
 
   alias Aerie.Base.Names
   alias Aerie.Control.Policy.{ClientHistory, Intent, ControlLease, Roles}
+  alias Aerie.Vehicle.Firmware
 
-  @msp [:betaflight, :inav]
   @until %{
     "arm" => @arming_us,
     "set_mode" => @begun_us,
@@ -37,8 +37,15 @@ defmodule Aerie.Control.Policy.ControlLease.Steering do
           :allow | {:deny, :lease, String.t()}
   def claim(gateway, snapshot, facts, source, hold_us \\ 0)
 
-  def claim(gateway, %{autopilot: autopilot, key: key}, %{type: type}, _source, _hold_us)
-      when autopilot in @msp and type in @ends do
+  def claim(gateway, %{autopilot: firmware, key: key}, %{type: type}, source, hold_us) do
+    if Firmware.reading(firmware).steered_by == :channels,
+      do: steer(gateway, key, type, source, hold_us),
+      else: :allow
+  end
+
+  def claim(_gateway, _no_vehicle, _facts, _source, _hold_us), do: :allow
+
+  defp steer(gateway, key, type, _source, _hold_us) when type in @ends do
     now = now()
 
     update(gateway, key, now, fn
@@ -47,8 +54,7 @@ defmodule Aerie.Control.Policy.ControlLease.Steering do
     end)
   end
 
-  def claim(gateway, %{autopilot: autopilot, key: key}, %{type: type}, source, hold_us)
-      when autopilot in @msp and is_map_key(@until, type) do
+  defp steer(gateway, key, type, source, hold_us) when is_map_key(@until, type) do
     now = now()
     who = {Map.get(source, :kind), ControlLease.who(source)}
     until = now + @until[type] + hold_us
@@ -65,7 +71,7 @@ defmodule Aerie.Control.Policy.ControlLease.Steering do
     end)
   end
 
-  def claim(_gateway, _snapshot, _facts, _source, _hold_us), do: :allow
+  defp steer(_gateway, _key, _type, _source, _hold_us), do: :allow
 
   defp put({_kind, name} = who, until), do: {:put, :allow, {who, name, until}, until}
 

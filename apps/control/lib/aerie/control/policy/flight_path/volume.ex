@@ -1,112 +1,32 @@
 defmodule Aerie.Control.Policy.FlightPath.Volume do
   @moduledoc """
-  How much room a vehicle takes around the places of its way, and how high it may climb there by itself: a plane
-  circles where a copter stands, turns before or after a waypoint, and climbs when a landing is aborted.
-
-  Each firmware has a module; one that is not known takes the most that any of them would. Radii that a message
-  leaves open come from the vehicle's parameters (`MavCodec.Meaning.Shaping`); one that is not known is assumed to be
-  larger than people set it.
+  How much room a vehicle takes around the places of its way, and how high it may climb there by itself, as its firmware
+  has it (`Aerie.Vehicle.Firmware.Room`). One that is not known takes the most that any of them would.
   """
 
   alias Aerie.Control.Policy.{Context, Intent}
-  alias Aerie.Control.Policy.FlightPath.Volume.{Ardupilot, Px4}
+  alias Aerie.Vehicle.Firmware
+  alias Aerie.Vehicle.Firmware.Room
 
-  @typedoc "Metres around a place, what makes it so many, and how many metres above the place it may climb."
-  @type t :: %{metres: number(), why: String.t(), climb: number()}
-  @type params :: %{String.t() => number()}
-
-  @doc "The room for what happens at a place."
-  @callback room(Intent.sweep(), kind :: String.t(), params()) :: t()
-
-  @modules %{ardupilot: [Ardupilot], px4: [Px4]}
-  # What hovers, or stands on the ground or in water, wherever it is.
-  @hovering ~w(copter sub rover boat blimp balloon tracker)
-  # What a plane needs to enter its circle, and for the wind.
-  @circles 1.5
-  @entry_m 30
   # How far a curve leaves the straight line between its ends, at most, as a share of that line: its speeds at both
   # ends together are at most four times its length (`SplineCurve`), which count a seventh.
   @curve 0.6
   # Assumed where nothing is known.
   @curve_m 300
   @rise_m 120
-  # Metres that a plane flies for each that it climbs.
-  @climb 4
 
   @doc "The room at a place. `:long` - how long the way to it is; `:rise` - how high it is above home; nil: not known."
-  @spec room(Intent.sweep(), %{long: number() | nil, rise: number() | nil}, Context.t()) :: t()
-  def room(nil, _way, _context), do: none()
+  @spec room(Intent.sweep(), %{long: number() | nil, rise: number() | nil}, Context.t()) :: Room.t()
+  def room(nil, _way, _context), do: Room.none()
   # Not a vehicle that was heard, but a description that leaves its firmware open.
-  def room(_sweep, _way, %{autopilot: nil}), do: none()
-  def room(:curve, way, _context), do: given((way.long || @curve_m) * @curve, "the way there is a curve")
+  def room(_sweep, _way, %{autopilot: nil}), do: Room.none()
+  def room(:curve, way, _context), do: Room.given((way.long || @curve_m) * @curve, "the way there is a curve")
   def room(:takeoff, way, context), do: room({:takeoff, max(way.rise || @rise_m, 0)}, way, context)
 
   def room(sweep, _way, context) do
-    @modules
-    |> Map.get(context.autopilot, [Ardupilot, Px4])
+    context.autopilot
+    |> Firmware.rooms()
     |> Enum.map(& &1.room(sweep, context.vehicle_type || "unknown", context.params))
-    |> larger()
+    |> Room.larger()
   end
-
-  @doc "No room at all."
-  @spec none() :: t()
-  def none, do: %{metres: 0, why: "", climb: 0}
-
-  @doc "Whether a kind of vehicle has to keep moving, as far as is known."
-  @spec winged?(String.t()) :: boolean()
-  def winged?(kind), do: kind not in @hovering
-
-  @doc "The room that a number asks for."
-  @spec given(number(), String.t()) :: t()
-  def given(metres, why), do: %{none() | metres: abs(metres), why: why}
-
-  @doc "The circle of a plane: of a radius that is given, or of the first parameter that is known."
-  @spec circle(number() | nil, [String.t(), ...], params()) :: t()
-  def circle(radius, names, params) do
-    circle =
-      if is_number(radius) and radius != 0,
-        do: given(radius, "it circles there with a radius of #{round(abs(radius))} m"),
-        else: by("it circles there with ", names, params)
-
-    %{circle | metres: circle.metres * @circles + @entry_m}
-  end
-
-  @doc "The room by the first parameter that is known; `assumed` metres, if they are others than the row's, otherwise."
-  @spec by(String.t(), [String.t(), ...], params(), assumed :: number() | nil) :: t()
-  def by(what, [first | _] = names, params, assumed \\ nil) do
-    name = Enum.find(names, first, &is_map_key(params, &1))
-
-    case MavCodec.Meaning.Shaping.metres(name, params, assumed) do
-      {:known, metres} ->
-        given(metres, "#{what}#{name}, #{round(metres)} m")
-
-      {:assumed, metres} ->
-        given(metres, "#{what}#{name}, which is not known yet and counts as #{round(metres)} m")
-    end
-  end
-
-  @doc "More room, because it flies on so many metres beyond the place."
-  @spec beyond(t(), number()) :: t()
-  def beyond(room, metres) when metres == 0, do: room
-
-  def beyond(room, metres),
-    do: %{
-      room
-      | metres: room.metres + abs(metres),
-        why: "it flies on for #{round(abs(metres))} m, and " <> room.why
-    }
-
-  @doc "The room of a plane's take-off that climbs `rise` metres: on rotors (`vtol`) it climbs where it is."
-  @spec climbing(number(), kind :: String.t(), circle :: t()) :: t()
-  def climbing(_rise, "vtol", circle), do: circle
-
-  def climbing(rise, _kind, circle) do
-    way = given(rise * @climb, "a plane flies about #{@climb} m for each metre that it climbs")
-    larger([circle, way])
-  end
-
-  @doc "The largest of rooms, with the highest climb of any."
-  @spec larger([t(), ...]) :: t()
-  def larger(rooms),
-    do: %{Enum.max_by(rooms, & &1.metres) | climb: rooms |> Enum.map(& &1.climb) |> Enum.max()}
 end

@@ -9,6 +9,7 @@ defmodule Aerie.Control.Policy.Mavlink.Commands do
   alias Aerie.Vehicle.Command.Types
   alias Aerie.Control.Policy.Intent
   alias Aerie.Control.Policy.Mavlink.{AuxFunctions, Place, Request}
+  alias Aerie.Vehicle.Firmware
   alias Aerie.Vehicle.Firmware.Modes
   alias MavCodec.Enums.{MavGoto, MavStandardMode, RebootShutdownConditions}
 
@@ -94,11 +95,11 @@ defmodule Aerie.Control.Policy.Mavlink.Commands do
     Intent.named("orbit", path: path, what: "the circle")
   end
 
-  defp asked("DO_SET_MODE", request, _row, %{autopilot: autopilot} = vehicle) do
+  defp asked("DO_SET_MODE", request, _row, vehicle) do
     [base, main, sub] = for index <- 1..3, do: Request.int(request, index) || 0
-    # It makes each of them a byte.
-    large? = autopilot == :px4 and (main > 255 or sub > 255)
-    custom = if autopilot == :px4, do: bsl(main, 16) + bsl(sub, 24), else: main
+    bytes? = Firmware.reading(vehicle.autopilot).mode_in_bytes?
+    large? = bytes? and (main > 255 or sub > 255)
+    custom = if bytes?, do: bsl(main, 16) + bsl(sub, 24), else: main
     facts = set_mode(base, custom, vehicle)
     if large?, do: %{facts | number: "the mode #{main} #{sub} is not two bytes"}, else: facts
   end
@@ -112,8 +113,8 @@ defmodule Aerie.Control.Policy.Mavlink.Commands do
   defp asked("DO_CHANGE_ALTITUDE", request, _row, vehicle) do
     metres = request.params[1]
     heights = [Place.height(Request.int(request, 2) || -1, metres)]
-    # PX4 takes it as above mean sea level, whatever the frame says.
-    heights = if vehicle.autopilot == :px4, do: Enum.uniq(heights ++ [{:msl, metres}]), else: heights
+    msl? = Firmware.reading(vehicle.autopilot).ignores_frame?
+    heights = if msl?, do: Enum.uniq(heights ++ [{:msl, metres}]), else: heights
 
     if is_number(metres),
       do: set_altitude({:to, for(height <- heights, do: %{lat: nil, lon: nil, height: height})}),
@@ -241,9 +242,8 @@ defmodule Aerie.Control.Policy.Mavlink.Commands do
   def set_mode(base, custom, vehicle) do
     case Modes.asked(vehicle.autopilot, vehicle.vehicle_type, base, custom) do
       [mode | others] ->
-        "set_mode"
-        |> Intent.named([mode: mode, modes: others] ++ armed(base, vehicle))
-        |> safety(base, vehicle)
+        flag = Firmware.reading(vehicle.autopilot).safety_flag
+        "set_mode" |> Intent.named([mode: mode, modes: others] ++ armed(base, flag)) |> safety(base, flag)
 
       {:error, reason} ->
         Intent.named("set_mode", mode: "MODE(#{custom})", number: reason)
@@ -253,28 +253,27 @@ defmodule Aerie.Control.Policy.Mavlink.Commands do
   @safety_armed 0x80
 
   # Alone, the flag is ArduPilot's safety switch: with 0 it takes it away, and else it stops the motors.
-  defp safety(facts, @safety_armed, %{autopilot: autopilot}) when autopilot != :px4,
+  defp safety(facts, @safety_armed, :switch),
     do: %{facts | also: [:protection, :force_disarm], ends_flight?: false}
 
-  defp safety(facts, _base, _vehicle), do: facts
+  defp safety(facts, _base, _flag), do: facts
 
-  # Up to 1.11, PX4 armed by it.
-  defp armed(base, %{autopilot: :px4}) when band(base, @safety_armed) != 0, do: [implies: ["arm"]]
-  defp armed(_base, _vehicle), do: []
+  defp armed(base, :arms) when band(base, @safety_armed) != 0, do: [implies: ["arm"]]
+  defp armed(_base, _flag), do: []
 
   defp set_altitude(path), do: Intent.named("set_altitude", path: path, what: "the height to fly at")
 
   # A new home at a place that is not known.
   defp elsewhere?(request), do: match?({:unknown, _why}, request.path) and Request.int(request, 1) != 1
 
-  # PX4 flies to 0, 0 if ordered to, and an unknown firmware may.
-  defp takeoff({:to, places}, %{autopilot: :px4}), do: {:to, places}
-  defp takeoff({:to, places}, %{autopilot: :ardupilot}), do: {:to, Enum.map(places, &Place.here/1)}
+  defp takeoff({:to, places}, vehicle) do
+    here = Enum.map(places, &Place.here/1)
 
-  defp takeoff({:to, places}, _vehicle) do
-    case Enum.map(places, &Place.here/1) do
-      ^places -> {:to, places}
-      here -> {:all, [{:to, here}, {:to, places}]}
+    case Firmware.reading(vehicle.autopilot).zero_place do
+      :there -> {:to, places}
+      :here -> {:to, here}
+      :either when here == places -> {:to, places}
+      :either -> {:all, [{:to, here}, {:to, places}]}
     end
   end
 

@@ -2,6 +2,7 @@ defmodule Aerie.Control.Policy.Mavlink.Place do
   @moduledoc "Positions as MAVLink has them, as places of `Aerie.Control.Policy.Intent`."
 
   alias Aerie.Control.Policy.Intent
+  alias Aerie.Vehicle.Firmware
   alias MavCodec.Enums.MavFrame
   alias MavCodec.Messages, as: M
 
@@ -21,12 +22,14 @@ defmodule Aerie.Control.Policy.Mavlink.Place do
   def of(%{x: lat, y: lon} = m), do: int(lat, lon, height(m.frame, m.z))
 
   @doc """
-  The place of an item of a mission: to ArduPilot, latitude and longitude 0 mean where the vehicle is (a take-off,
-  mostly). To PX4 they are a place, and to an unknown firmware they may be.
+  The place of an item of a mission: to some firmwares, latitude and longitude 0 mean where the vehicle is (a take-off,
+  mostly). To others they are a place, and to an unknown firmware they may be.
   """
   @spec item(struct(), Aerie.Control.Policy.Mavlink.vehicle()) :: Intent.place()
-  def item(message, %{autopilot: :ardupilot}), do: message |> of() |> here()
-  def item(message, _vehicle), do: of(message)
+  def item(message, vehicle) do
+    place = of(message)
+    if Firmware.reading(vehicle.autopilot).zero_place == :here, do: here(place), else: place
+  end
 
   @doc "The same place, or where the vehicle is if latitude and longitude are 0."
   @spec here(Intent.place()) :: Intent.place()

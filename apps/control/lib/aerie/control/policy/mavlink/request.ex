@@ -7,6 +7,7 @@ defmodule Aerie.Control.Policy.Mavlink.Request do
   alias MavCodec.Meaning.Commands.Numbers
   alias Aerie.Control.Policy.Intent
   alias Aerie.Control.Policy.Mavlink.Place
+  alias Aerie.Vehicle.Firmware
   alias MavCodec.Enums.MavCmd
   alias MavCodec.Messages, as: M
 
@@ -51,13 +52,14 @@ defmodule Aerie.Control.Policy.Mavlink.Request do
     do: new(m, values, if(is_number(z), do: {:to, [Place.item(m, vehicle)]}, else: missing(7, "the height")))
 
   # PX4 keeps what is NaN as it is. ArduPilot makes an integer of it, which may be any.
-  defp known(path, _values, %{autopilot: :px4}), do: path
-  defp known(_path, {_x, _y, z}, _vehicle) when not is_number(z), do: missing(7, "the height")
-
-  defp known(_path, {x, y, _z}, _vehicle) when not is_number(x) and not is_number(y),
-    do: missing(5, "the latitude")
-
-  defp known(path, _values, _vehicle), do: path
+  defp known(path, {x, y, z}, vehicle) do
+    cond do
+      Firmware.reading(vehicle.autopilot).keeps_nan? -> path
+      not is_number(z) -> missing(7, "the height")
+      not is_number(x) and not is_number(y) -> missing(5, "the latitude")
+      true -> path
+    end
+  end
 
   @doc "The path of a command of which a number is missing that the vehicle takes from elsewhere, or makes up."
   @spec missing(1..7, String.t()) :: Intent.path()
@@ -68,14 +70,14 @@ defmodule Aerie.Control.Policy.Mavlink.Request do
     %__MODULE__{command: m.command, params: params, path: path, frame?: not is_struct(m, M.CommandLong)}
   end
 
-  # COMMAND_LONG has no frame: PX4 takes its height above mean sea level, ArduPilot above home.
   defp long_height(metres, _vehicle) when not is_number(metres), do: :same
-  defp long_height(metres, %{autopilot: :px4}), do: {:msl, metres}
-  defp long_height(metres, _vehicle), do: {:home, metres}
+  defp long_height(metres, vehicle), do: {Firmware.reading(vehicle.autopilot).long_height, metres}
 
-  # PX4 takes no notice of the frame, and every height as above mean sea level.
-  defp readings(%{height: {above, metres}} = place, %{autopilot: :px4}) when above != :msl,
-    do: [place, %{place | height: {:msl, metres}}]
+  defp readings(%{height: {above, metres}} = place, vehicle) when above != :msl do
+    if Firmware.reading(vehicle.autopilot).ignores_frame?,
+      do: [place, %{place | height: {:msl, metres}}],
+      else: [place]
+  end
 
   defp readings(place, _vehicle), do: [place]
 

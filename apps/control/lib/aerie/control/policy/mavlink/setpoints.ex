@@ -14,6 +14,7 @@ defmodule Aerie.Control.Policy.Mavlink.Setpoints do
 
   alias Aerie.Control.Policy.Intent
   alias Aerie.Control.Policy.Mavlink.Place
+  alias Aerie.Vehicle.Firmware
   alias MavCodec.Enums.MavFrame
   alias MavCodec.Messages, as: M
 
@@ -22,8 +23,6 @@ defmodule Aerie.Control.Policy.Mavlink.Setpoints do
   @yaw_rate 0x800
   @all_but_z 0x1FB
   @local_offset MavFrame.value(:MAV_FRAME_LOCAL_OFFSET_NED)
-  @winged ["plane", "vtol"]
-  @wheeled ["rover", "boat"]
 
   @doc "The facts of a set-point."
   @spec facts(struct(), Aerie.Control.Policy.Mavlink.vehicle()) :: Intent.t()
@@ -39,9 +38,11 @@ defmodule Aerie.Control.Policy.Mavlink.Setpoints do
       end
 
     what = if not place? and velocity?, do: [what: Intent.drift_what()], else: []
-    # A plane of ArduPilot takes only the height.
-    sweep = if place? and vehicle.autopilot != :ardupilot, do: {:stay, nil}
-    Intent.named(type, [path: path(readings(m, vehicle) ++ named(m)), sweep: sweep] ++ what)
+    reading = Firmware.reading(vehicle.autopilot)
+    sweep = if place? and reading.stays_at_setpoint?, do: {:stay, nil}
+    ways = Map.get(reading.setpoints, vehicle.vehicle_type, reading.setpoints.any)
+    readings = Enum.flat_map(ways, &read(&1, m))
+    Intent.named(type, [path: path(readings ++ named(m)), sweep: sweep] ++ what)
   end
 
   defp named(%{type_mask: mask} = m) do
@@ -61,13 +62,11 @@ defmodule Aerie.Control.Policy.Mavlink.Setpoints do
     end
   end
 
-  defp readings(m, %{autopilot: :px4}), do: [by_axis(m)]
-  defp readings(m, %{autopilot: :ardupilot, vehicle_type: kind}) when kind in @winged, do: height(m)
-  defp readings(m, %{autopilot: :ardupilot, vehicle_type: kind}) when kind in @wheeled, do: [driven(m)]
-  # In its modes that keep a depth it takes the height alone.
-  defp readings(m, %{autopilot: :ardupilot, vehicle_type: "sub"}), do: [whole(m) | depth(m)]
-  defp readings(m, %{autopilot: :ardupilot}), do: [whole(m)]
-  defp readings(m, _unknown), do: [whole(m), driven(m), by_axis(m) | height(m)]
+  defp read(:whole, m), do: [whole(m)]
+  defp read(:driven, m), do: [driven(m)]
+  defp read(:by_axis, m), do: [by_axis(m)]
+  defp read(:height, m), do: height(m)
+  defp read(:depth, m), do: depth(m)
 
   # Whether each axis from this bit on is not masked.
   defp used(mask, bit), do: for(n <- 0..2, do: (mask >>> (bit + n) &&& 1) == 0)

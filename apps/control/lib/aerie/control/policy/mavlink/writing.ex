@@ -13,6 +13,7 @@ defmodule Aerie.Control.Policy.Mavlink.Writing do
   alias Aerie.Control.Policy.FlightPath.Shaping
   alias Aerie.Control.Policy.Mavlink.{Review, Upload}
   alias Aerie.Control.Policy.Mavlink.Writing.{Aboard, RawPlan}
+  alias Aerie.Vehicle.Firmware
   alias Protocols.Mission.Item
   alias MavCodec.Messages.{MissionClearAll, MissionCount}
 
@@ -132,9 +133,10 @@ defmodule Aerie.Control.Policy.Mavlink.Writing do
     end
   end
 
-  # PX4 flies the old mission until the new one is whole.
-  defp in_place?(%MissionCount{mission_type: @mission}, context),
-    do: context.autopilot != :px4 and context.in_air != false and Intent.mission_mode?(context.mode)
+  defp in_place?(%MissionCount{mission_type: @mission}, context) do
+    not Firmware.reading(context.autopilot).plan_whole? and context.in_air != false and
+      Intent.mission_mode?(context.mode)
+  end
 
   defp in_place?(_message, _context), do: false
 

@@ -15,8 +15,8 @@ defmodule Aerie.Control.Policy.Rules.Role do
   alias Aerie.Control.Policy.{Context, Intent, Roles}
   alias Aerie.Control.Policy.Rules.Role.Pilot
   alias Aerie.Vehicle.Command.Type
+  alias Aerie.Vehicle.Firmware
 
-  @msp [:betaflight, :inav]
   @by_channels ~w(arm set_mode rtl hold rc_override manual_control)
   # What holds a vehicle or brings it home is not kept from one that has not said yet what it is.
   @unknown @by_channels -- ~w(rtl hold)
@@ -68,15 +68,18 @@ defmodule Aerie.Control.Policy.Rules.Role do
 
   defp aloft(_facts, _context), do: []
 
-  defp by_channels(%{type: "motor_test"}, %{autopilot: autopilot}) when autopilot in [:generic | @msp],
-    do: [:motors]
+  # Not a vehicle that was heard, but a description that leaves its firmware open.
+  defp by_channels(_facts, %{autopilot: nil}), do: []
 
-  defp by_channels(%{type: type}, %{autopilot: :generic}) when type in @unknown, do: [:receiver]
-
-  defp by_channels(%{type: type}, %{autopilot: msp}) when msp in @msp and type in @by_channels,
-    do: [:receiver]
-
-  defp by_channels(_facts, _context), do: []
+  defp by_channels(%{type: type}, %{autopilot: firmware}) do
+    case {type, Firmware.reading(firmware).steered_by} do
+      {_any, :commands} -> []
+      {"motor_test", _channels} -> [:motors]
+      {_any, :channels} when type in @by_channels -> [:receiver]
+      {_any, :either} when type in @unknown -> [:receiver]
+      _other -> []
+    end
+  end
 
   defp because(%{reasons: reasons}, lacking), do: if(reasons[lacking], do: ": " <> reasons[lacking], else: "")
 

@@ -10,6 +10,7 @@ defmodule Aerie.Control.Policy.Switches.Gestures do
   """
 
   alias Aerie.Control.Policy.{Context, Intent, Switches}
+  alias Aerie.Vehicle.Firmware
 
   # Beyond these a stick counts as far out: of a channel in µs, of an axis in thousandths.
   @pulses 1_250..1_750
@@ -32,7 +33,7 @@ defmodule Aerie.Control.Policy.Switches.Gestures do
         else: []
 
     kill? =
-      context.autopilot != :ardupilot and not disabled?(context.params) and
+      Firmware.reading(context.autopilot).kill_gesture? and not disabled?(context.params) and
         (kills?(axes) or possibly_out == 4)
 
     if kill?,

@@ -16,7 +16,7 @@ defmodule Aerie.Vehicle.Firmware.Ardupilot.Adapter do
 
   import Aerie.Vehicle.Protocol.Vehicle, only: [airborne: 2]
 
-  alias Aerie.Vehicle.Firmware.{Ardupilot, GroundStation, Modes, Telemetry, Traits}
+  alias Aerie.Vehicle.Firmware.{Ardupilot, GroundStation, Modes, Reading, Telemetry, Traits}
   alias Aerie.Vehicle.Firmware.Ardupilot.{Calibration, Steering, StoredItem}
   alias Aerie.Vehicle.Protocol.{Mavlink, Vehicle}
   alias Aerie.Vehicle.Protocol.Mavlink.{Commands, Streams}
@@ -45,6 +45,8 @@ defmodule Aerie.Vehicle.Firmware.Ardupilot.Adapter do
       title: "ArduPilot",
       mav_autopilot: MavAutopilot.value(:MAV_AUTOPILOT_ARDUPILOTMEGA),
       modes: Ardupilot.Modes,
+      inputs: Ardupilot.Inputs,
+      room: Ardupilot.Room,
       param_file?: true,
       fences?: true,
       # AP_Logger::should_handle_log_message.
@@ -60,6 +62,26 @@ defmodule Aerie.Vehicle.Firmware.Ardupilot.Adapter do
       rotor_modes: 17..23,
       status_flies?: true,
       detects_landing?: true
+    }
+  end
+
+  @impl true
+  def reading do
+    %Reading{
+      zero_place: :here,
+      guided_items: :obeyed,
+      setpoints: %{
+        "plane" => [:height],
+        "vtol" => [:height],
+        "rover" => [:driven],
+        "boat" => [:driven],
+        # In its modes that keep a depth it takes the height alone.
+        "sub" => [:whole, :depth],
+        any: [:whole]
+      },
+      stays_at_setpoint?: false,
+      kill_gesture?: false,
+      steered_by: :commands
     }
   end
 

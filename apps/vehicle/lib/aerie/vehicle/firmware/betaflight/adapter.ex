@@ -7,7 +7,7 @@ defmodule Aerie.Vehicle.Firmware.Betaflight.Adapter do
     calibration: Aerie.Vehicle.Firmware.Msp.Commands,
     long_frames: []
 
-  alias Aerie.Vehicle.Firmware.{Msp, Telemetry, Traits}
+  alias Aerie.Vehicle.Firmware.{Msp, Reading, Telemetry, Traits}
 
   @impl true
   def traits do
@@ -22,6 +22,9 @@ defmodule Aerie.Vehicle.Firmware.Betaflight.Adapter do
 
   @impl true
   def telemetry, do: %Telemetry{height_apart?: true, arming_texts?: true}
+
+  @impl true
+  def reading, do: %Reading{steered_by: :channels}
 
   @impl true
   def gap(type, _kind) when type in ~w(goto set_home), do: "Betaflight has no message for it in MSP"

@@ -7,7 +7,7 @@ defmodule Aerie.Vehicle.Firmware.Inav.Adapter do
     calibration: Aerie.Vehicle.Firmware.Msp.Commands,
     long_frames: []
 
-  alias Aerie.Vehicle.Firmware.{Inav, Msp, Telemetry, Traits}
+  alias Aerie.Vehicle.Firmware.{Inav, Msp, Reading, Telemetry, Traits}
   alias Aerie.Vehicle.Protocol.Mavlink
   alias Aerie.Vehicle.Protocol.Mavlink.Streams
 
@@ -24,6 +24,9 @@ defmodule Aerie.Vehicle.Firmware.Inav.Adapter do
 
   @impl true
   def telemetry, do: %Telemetry{height_apart?: true, arming_texts?: true}
+
+  @impl true
+  def reading, do: %Reading{steered_by: :channels}
 
   @impl true
   def gap(type, _kind) when type in ~w(goto set_home), do: nil

@@ -17,7 +17,7 @@ defmodule Aerie.Vehicle.Firmware.Px4.Adapter do
   import Bitwise
   import Aerie.Vehicle.Protocol.Vehicle, only: [airborne: 2]
 
-  alias Aerie.Vehicle.Firmware.{GroundStation, Modes, Px4, Telemetry, Traits}
+  alias Aerie.Vehicle.Firmware.{GroundStation, Modes, Px4, Reading, Telemetry, Traits}
   alias Aerie.Vehicle.Protocol.{Mavlink, Step, Vehicle}
   alias Aerie.Vehicle.Protocol.Mavlink.{Commands, Streams}
   alias Aerie.Vehicle.Firmware.Px4.{Calibration, Plans}
@@ -46,6 +46,8 @@ defmodule Aerie.Vehicle.Firmware.Px4.Adapter do
       title: "PX4",
       mav_autopilot: MavAutopilot.value(:MAV_AUTOPILOT_PX4),
       modes: Px4.Modes,
+      inputs: Px4.Inputs,
+      room: Px4.Room,
       param_encoding: :bytewise,
       param_hash?: true,
       fences?: true,
@@ -64,6 +66,25 @@ defmodule Aerie.Vehicle.Firmware.Px4.Adapter do
       # The upper half of the mode has the main and the sub mode.
       high_latency_shift: 16,
       detects_landing?: true
+    }
+  end
+
+  @impl true
+  def reading do
+    %Reading{
+      keeps_nan?: true,
+      long_height: :msl,
+      ignores_frame?: true,
+      zero_place: :there,
+      guided_items: :stored,
+      plan_whole?: true,
+      mission_start_arms?: true,
+      mode_in_bytes?: true,
+      # Up to 1.11.
+      safety_flag: :arms,
+      setpoints: %{any: [:by_axis]},
+      setpoint_timeout: {"COM_OF_LOSS_T", 1.0},
+      steered_by: :commands
     }
   end
 

@@ -1,17 +1,27 @@
-defmodule Aerie.Control.Policy.Switches.Px4 do
+defmodule Aerie.Vehicle.Firmware.Px4.Inputs do
   @moduledoc """
-  PX4's channels, by the parameters that map them (`rc_update`, `ManualControl`). Which position of a switch means
-  what depends on the channel's
-  calibration, so each position counts as the one that does the most.
+  PX4's channels, by the parameters that map them (`rc_update`, `ManualControl`). Which position of a switch means what
+  depends on the channel's calibration, so each position counts as the one that does the most.
 
   PX4 takes an override as a whole (`handle_message_rc_channels_override`): each channel up to the last one with a
-  value. An ignored one in between is
-  at its highest, and 0 does not give one of the first eight back but is its lowest.
+  value. An ignored one in between is at its highest, and 0 does not give one of the first eight back but is its lowest.
   """
 
-  alias Aerie.Control.Policy.{Context, Intent, Switches}
+  @behaviour Aerie.Vehicle.Firmware.Inputs
 
-  # Every version has these. Those that some versions lack are read before them (`Aerie.Vehicle.Services.Switches`).
+  alias Aerie.Vehicle.Firmware.Inputs
+
+  # Some versions lack the first two. The others are known only after these had their turn.
+  @read ~w(
+    RC_MAP_TERM_SW RC_MAP_ENG_MOT COM_OF_LOSS_T COM_RC_IN_MODE RC_MAP_KILL_SW RC_MAP_ARM_SW RC_MAP_TRANS_SW
+    RC_MAP_FLTMODE RC_MAP_FLTM_BTN RC_MAP_RETURN_SW RC_MAP_LOITER_SW RC_MAP_OFFB_SW RC_MAP_ROLL RC_MAP_PITCH
+    RC_MAP_THROTTLE RC_MAP_YAW RC_MAP_FAILSAFE RC_MAP_GEAR_SW RC_MAP_PARAM1 RC_MAP_PARAM2 RC_MAP_PARAM3
+    RC_MAP_AUX1 RC_MAP_AUX2 RC_MAP_AUX3 RC_MAP_AUX4 RC_MAP_AUX5 RC_MAP_AUX6 RC_MAP_PAY_SW MAN_KILL_GEST_T
+  )
+  # Names in old versions.
+  @more ~w(RC_MAP_MODE_SW RC_MAP_ACRO_SW RC_MAP_STAB_SW RC_MAP_MAN_SW RC_MAP_POSCTL_SW RC_MAP_RATT_SW)
+  @kept MapSet.new(@read ++ @more)
+  # Every version has these.
   @needed ~w(
     RC_MAP_KILL_SW RC_MAP_ARM_SW RC_MAP_TRANS_SW RC_MAP_PARAM1 RC_MAP_PARAM2 RC_MAP_PARAM3 RC_MAP_FAILSAFE
     RC_MAP_RETURN_SW RC_MAP_LOITER_SW RC_MAP_OFFB_SW RC_MAP_FLTMODE
@@ -29,25 +39,29 @@ defmodule Aerie.Control.Policy.Switches.Px4 do
   ) ++
               @modes
 
-  @doc "The channels that an override works, with the pulses that PX4 takes for them."
-  @spec worked(%{pos_integer() => non_neg_integer()}) :: %{pos_integer() => non_neg_integer()}
+  @impl true
+  def params(_kind), do: @read
+
+  @impl true
+  def keeps?(name), do: name in @kept
+
+  @impl true
   def worked(channels) do
-    last = Enum.max(for({n, us} <- channels, not Switches.ignored?(n, us), do: n), fn -> 0 end)
+    last = Enum.max(for({n, us} <- channels, not Inputs.ignored?(n, us), do: n), fn -> 0 end)
     Map.filter(channels, fn {n, _us} -> n <= last end)
   end
 
-  @doc "What an override, of these channels, or a joystick does."
-  @spec effects(map(), Context.t()) :: [Switches.effect()]
-  def effects(switches, context) do
-    channels = for {n, _us} <- Enum.sort(switches.channels), effect <- channel(n, context.params), do: effect
-    channels ++ for n <- switches.aux, do: {"it works AUX #{n}", own(:payload)}
+  @impl true
+  def effects(inputs, _kind, params) do
+    channels = for {n, _us} <- Enum.sort(inputs.channels), effect <- channel(n, params), do: effect
+    channels ++ for n <- inputs.aux, do: {"it works AUX #{n}", {:output, :payload, []}}
   end
 
   defp channel(n, params) do
     found =
-      for(name <- @switches, params[name] == n, do: {"channel #{n} is #{text(name)} (#{name})", facts(name)}) ++
+      for(name <- @switches, params[name] == n, do: {"channel #{n} is #{text(name)} (#{name})", effect(name)}) ++
         if(button?(n, params[@buttons]),
-          do: [{"channel #{n} changes the mode (#{@buttons})", mode()}],
+          do: [{"channel #{n} changes the mode (#{@buttons})", {:mode, []}}],
           else: []
         )
 
@@ -66,21 +80,16 @@ defmodule Aerie.Control.Policy.Switches.Px4 do
   defp button?(_n, bits) when bits in [nil, 0], do: false
   defp button?(n, bits), do: Bitwise.band(Bitwise.bsr(trunc(bits), n - 1), 1) == 1
 
-  defp facts(name) when name in ["RC_MAP_KILL_SW", "RC_MAP_TERM_SW"], do: Intent.named("terminate")
+  defp effect(name) when name in ["RC_MAP_KILL_SW", "RC_MAP_TERM_SW"], do: {:command, "terminate", []}
   # It disarms as well, in the air in the modes that a pilot flies by hand.
-  defp facts(name) when name in ["RC_MAP_ARM_SW", "RC_MAP_ENG_MOT"],
-    do: Intent.named("arm", also: [:force_disarm])
-
+  defp effect(name) when name in ["RC_MAP_ARM_SW", "RC_MAP_ENG_MOT"], do: {:command, "arm", [:force_disarm]}
   # It may end the flight on its wings at any speed.
-  defp facts("RC_MAP_TRANS_SW"), do: own(:fly, [:protection])
-  defp facts("RC_MAP_FAILSAFE"), do: own(:protection)
-  defp facts("RC_MAP_PARAM" <> _n), do: Intent.set_parameters([nil])
-  defp facts(name) when name in @modes, do: mode()
-  defp facts("RC_MAP_GEAR_SW"), do: own(:fly)
-  defp facts(_output), do: own(:payload)
-
-  defp mode, do: Intent.named("set_mode", implies: ["takeoff"])
-  defp own(permission, also \\ []), do: %Intent{type: "aux_function", permission: permission, also: also}
+  defp effect("RC_MAP_TRANS_SW"), do: {:output, :fly, [:protection]}
+  defp effect("RC_MAP_FAILSAFE"), do: {:output, :protection, []}
+  defp effect("RC_MAP_PARAM" <> _n), do: :parameter
+  defp effect(name) when name in @modes, do: {:mode, []}
+  defp effect("RC_MAP_GEAR_SW"), do: {:output, :fly, []}
+  defp effect(_output), do: {:output, :payload, []}
 
   defp text("RC_MAP_KILL_SW"), do: "its kill switch"
   defp text("RC_MAP_TERM_SW"), do: "its switch for the end of a flight"

@@ -160,16 +160,22 @@ defmodule MavRouter.Signing do
     end
   end
 
+  metric = &[metric: "gateway_link_signing_#{&1}_total"]
+
   @link_fields Object.fields([
                  {:secure, :boolean, nil, "whether the link is one by which keys are given to vehicles"},
                  {:unsafe, :boolean, nil,
                   "whether frames of its network are taken in that anybody could have sent"},
-                 {:verified, :integer, nil, "frames with a valid signature"},
-                 {:unsigned, :integer, nil, "frames without one that were taken in"},
-                 {:rejected, :integer, nil, "frames that were not taken in"},
-                 {:signed, :integer, nil, "frames that were sent with a signature"},
-                 {:not_signed, :integer, nil, "frames that were sent without one"},
-                 {:alarms, :integer, nil, "alarms that were raised for rejected frames"}
+                 {:verified, :integer, nil, "frames received with a valid signature",
+                  metric.("verified_frames")},
+                 {:unsigned, :integer, nil, "frames accepted without a signature",
+                  metric.("unsigned_frames")},
+                 {:rejected, :integer, nil, "frames refused because of a wrong or missing signature",
+                  metric.("rejected_frames")},
+                 {:signed, :integer, nil, "frames that the gateway signed", metric.("signed_frames")},
+                 {:not_signed, :integer, nil, "frames that could not be signed: MAVLink 1, or unknown",
+                  metric.("not_signed_frames")},
+                 {:alarms, :integer, nil, "bursts of refused frames", metric.("alarms")}
                ])
 
   @doc "What is shown of `link/2`."

@@ -2,53 +2,12 @@ defmodule Aerie.Api.Metrics.Links do
   @moduledoc "Metric families of links, from their snapshots (`MavRouter.Link.Core.Snapshot`)."
 
   alias Aerie.Api.Metrics.Text
+  alias Aerie.Base.Json.Object
 
-  @sums [
-    bytes_in: {"gateway_link_received_bytes_total", "Bytes received."},
-    frames_in: {"gateway_link_received_frames_total", "Frames received that passed their checks."},
-    bytes_out: {"gateway_link_sent_bytes_total", "Bytes handed to the transport."},
-    writes_out: {"gateway_link_sent_writes_total", "Writes handed to the transport."},
-    crc_errors: {"gateway_link_crc_errors_total", "Frames with a wrong CRC."},
-    resync_bytes: {"gateway_link_resync_bytes_total", "Bytes skipped in search of the next frame."},
-    unknown_ids: {"gateway_link_unknown_messages_total", "Frames whose message id no dialect knows."},
-    incompatible:
-      {"gateway_link_incompatible_frames_total", "Frames dropped for unknown incompatibility flags (F6)."},
-    lost: {"gateway_link_lost_frames_total", "Frames lost, estimated by sequence numbers (R7, R9)."},
-    reconnects: {"gateway_link_reconnects_total", "Connections made after the first."},
-    restarts: {"gateway_link_restarts_total", "Restarts of the link's process."},
-    peers_refused:
-      {"gateway_link_refused_peers_total",
-       "Connections and datagrams of senders beyond the limit, or of too many new ones at once."},
-    routes_refused:
-      {"gateway_link_refused_routes_total",
-       "Times that a component got no route, because its sender has too many: nothing can be sent to it."}
-  ]
-
-  @drops [
-    :unclaimed,
-    :overload,
-    :refused,
-    :looped,
-    :dropped_out,
-    :kernel_dropped,
-    :shed,
-    :shed_new,
-    :denied,
-    :withheld
-  ]
-
-  @signing [
-    verified: {"gateway_link_signing_verified_frames_total", "Frames received with a valid signature."},
-    unsigned: {"gateway_link_signing_unsigned_frames_total", "Frames accepted without a signature."},
-    rejected:
-      {"gateway_link_signing_rejected_frames_total",
-       "Frames refused because of a wrong or missing signature."},
-    signed: {"gateway_link_signing_signed_frames_total", "Frames that the gateway signed."},
-    not_signed:
-      {"gateway_link_signing_not_signed_frames_total",
-       "Frames that could not be signed: MAVLink 1, or unknown."},
-    alarms: {"gateway_link_signing_alarms_total", "Bursts of refused frames."}
-  ]
+  @counters Object.inside(MavRouter.Link.fields(), :counters)
+  @drops for %{metric: nil, name: name} <- @counters, do: name
+  @sums Object.metrics(@counters)
+  @signing MavRouter.Link.fields() |> Object.inside(:signing) |> Object.metrics()
 
   @doc "The families of these links."
   @spec families([map()]) :: [Text.family()]
@@ -70,9 +29,7 @@ defmodule Aerie.Api.Metrics.Links do
       {"gateway_link_peers", :gauge, "Peers of the link.", Enum.map(links, &{labels(&1), length(&1.peers)})}
     ] ++
       quality(for %{quality: %{}} = link <- links, do: link) ++
-      for {key, {name, help}} <- @sums do
-        {name, :counter, help, Enum.map(links, &{labels(&1), Map.fetch!(&1.counters, key)})}
-      end ++
+      sums(@sums, links, & &1.counters) ++
       [
         {"gateway_link_dropped_total", :counter, "Frames and writes dropped, by reason.",
          for(
@@ -118,11 +75,12 @@ defmodule Aerie.Api.Metrics.Links do
        "1 while the link accepts frames that anybody could have sent (S11).",
        Enum.map(links, &{labels(&1), &1.signing.unsafe})}
 
-    sums =
-      for {key, {name, help}} <- @signing,
-          do: {name, :counter, help, Enum.map(links, &{labels(&1), Map.fetch!(&1.signing, key)})}
+    [unsafe | sums(@signing, links, & &1.signing)]
+  end
 
-    [unsafe | sums]
+  defp sums(fields, links, counts) do
+    for {%{name: key}, name, help} <- fields,
+        do: {name, :counter, help, Enum.map(links, &{labels(&1), Map.fetch!(counts.(&1), key)})}
   end
 
   @doc "The name of a message as a label: `global_position_int`, or `unknown`."

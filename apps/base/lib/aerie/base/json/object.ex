@@ -9,7 +9,8 @@ defmodule Aerie.Base.Json.Object do
               ])
 
   The last element is where the value is: a key of what is shown, a path of keys, or a function of that; left out, the
-  key has the field's name. An unknown value is null. The types:
+  key has the field's name. With options in its place, `:from` is that, and `:metric` the name that the value has for
+  Prometheus. An unknown value is null. The types:
 
     * `:text`, `:boolean`, `:integer`, `:number`, `{:one_of, values}`, `:any` - as it is
     * a number of decimals - a number that is rounded to them, 0 for whole numbers; null for what is not a number
@@ -24,7 +25,7 @@ defmodule Aerie.Base.Json.Object do
   alias Aerie.Base.Json.Schema
 
   @enforce_keys [:name, :type, :unit, :meaning, :from]
-  defstruct @enforce_keys
+  defstruct @enforce_keys ++ [:metric]
 
   @type type ::
           :text
@@ -47,23 +48,44 @@ defmodule Aerie.Base.Json.Object do
           type: type(),
           unit: String.t() | nil,
           meaning: String.t(),
-          from: atom() | [atom()] | (map() -> term())
+          from: from(),
+          metric: String.t() | {String.t(), help :: String.t()} | nil
         }
+  @type from :: atom() | [atom()] | (map() -> term())
   @type declared ::
           {atom(), type(), unit :: String.t() | nil, meaning :: String.t()}
-          | {atom(), type(), unit :: String.t() | nil, meaning :: String.t(),
-             from :: atom() | [atom()] | (map() -> term())}
+          | {atom(), type(), unit :: String.t() | nil, meaning :: String.t(), from() | keyword()}
 
   @doc "The fields of a declaration."
   @spec fields([declared()]) :: [t()]
   def fields(declared) do
     for row <- declared do
-      {name, type, unit, meaning, from} =
-        with {name, type, unit, meaning} <- row, do: {name, type, unit, meaning, name}
+      {name, type, unit, meaning, options} =
+        with {name, type, unit, meaning} <- row, do: {name, type, unit, meaning, []}
 
-      %__MODULE__{name: name, type: type, unit: unit, meaning: meaning, from: from}
+      options = if Keyword.keyword?(options), do: options, else: [from: options]
+      field = %__MODULE__{name: name, type: type, unit: unit, meaning: meaning, from: name}
+      struct!(field, options)
     end
   end
+
+  @doc "The fields of an object in it."
+  @spec inside([t()], atom()) :: [t()]
+  def inside(fields, name) do
+    %{type: {:object, fields}} = Enum.find(fields, &(&1.name == name))
+    fields
+  end
+
+  @doc "The fields that are metrics, each with the metric's name and its help: the meaning, unless it has its own."
+  @spec metrics([t()]) :: [{t(), name :: String.t(), help :: String.t()}]
+  def metrics(fields) do
+    for %{metric: metric} = field when metric != nil <- fields do
+      {name, help} = with name when is_binary(name) <- metric, do: {name, sentence(field.meaning)}
+      {field, name, help}
+    end
+  end
+
+  defp sentence(<<first::utf8, rest::binary>>), do: String.upcase(<<first::utf8>>) <> rest <> "."
 
   @doc "What is shown of a value."
   @spec show([t()], map()) :: %{atom() => term()}

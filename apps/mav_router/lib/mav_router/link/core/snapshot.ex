@@ -83,7 +83,8 @@ defmodule MavRouter.Link.Core.Snapshot do
              "while a vehicle's session does not keep up with its frames, and for 10 s after:"},
             {:rates, {:object, @rates}, nil, "per second:"},
             {:quality, {:object, @quality}, nil, "how good the link is:"},
-            {:counters, {:object, Core.Counters.fields()}, nil, "what was counted:"}
+            {:counters, {:object, Core.Counters.fields()}, nil,
+             "what was counted since the gateway was started:"}
           ])
 
   @type status :: :connecting | :up | :idle | :down | :ended

@@ -209,7 +209,10 @@ defmodule Aerie.Vehicle.Services.Gcs do
             {:heard_gcs, :integer, nil, "id of the station whose heartbeat last kept it quiet"},
             {:last_heard, :time, nil, "time of that heartbeat"},
             {:quiet, :boolean, nil, "whether it is kept quiet now; null before the first such heartbeat",
-             :quiet?},
+             from: :quiet?,
+             metric:
+               {"gateway_vehicle_gcs_failsafe_quiet",
+                "1 while the ground station that its failsafe listens to is heard, 0 while it is gone."}},
             {:enabled, :boolean, nil, "whether it is enabled", :enabled?},
             {:timeout_s, :number, "s", "the silence after which it acts"},
             {:kept_by_gateway, :boolean, nil, "whether the gateway's own heartbeat keeps it quiet", :by_us?},

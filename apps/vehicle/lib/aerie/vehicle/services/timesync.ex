@@ -213,8 +213,10 @@ defmodule Aerie.Vehicle.Services.Timesync do
 
   @fields Object.fields([
             {:offset_s, {:seconds, 6}, "s", "the vehicle's clock minus the gateway's", :offset_us},
-            {:error_s, {:seconds, 6}, "s", "largest error of the offset", :error_us},
-            {:round_trip_s, {:seconds, 6}, "s", "round trip of the best measurement", :rtt_us},
+            {:error_s, {:seconds, 6}, "s", "largest error of its clock's known offset",
+             from: :error_us, metric: "gateway_vehicle_clock_error_seconds"},
+            {:round_trip_s, {:seconds, 6}, "s", "shortest round trip of the latest measurements of its clock",
+             from: :rtt_us, metric: "gateway_vehicle_round_trip_seconds"},
             {:boot, :time, nil, "the time at which the clock was 0", :boot_at},
             {:time, :time, nil, "time of the last answer", :at},
             {:samples, :integer, nil, "number of measurements"}

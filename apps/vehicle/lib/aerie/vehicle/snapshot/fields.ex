@@ -73,7 +73,9 @@ defmodule Aerie.Vehicle.Snapshot.Fields do
   ]
 
   high_latency = [
-    {:only, :boolean, nil, "whether only such links reach the vehicle", :only?},
+    {:only, :boolean, nil, "whether only such links reach the vehicle",
+     from: :only?,
+     metric: {"gateway_vehicle_high_latency", "1 while it is reached by links of high latency only."}},
     {:links, {:list, :text}, nil, "ids of these links"}
   ]
 

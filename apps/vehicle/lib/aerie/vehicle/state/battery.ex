@@ -43,9 +43,11 @@ defmodule Aerie.Vehicle.State.Battery do
     fields: [
       {:id, 0, nil, "id of the battery that these values are of; null if the message does not say",
        "BATTERY_STATUS"},
-      {:voltage, 2, "V", "voltage", "SYS_STATUS, BATTERY_STATUS"},
+      {:voltage, 2, "V", "voltage", "SYS_STATUS, BATTERY_STATUS",
+       metric: {"gateway_vehicle_battery_volts", "Battery voltage."}},
       {:current, 2, "A", "discharge current", "SYS_STATUS, BATTERY_STATUS"},
-      {:remaining, 2, "0..1", "remaining charge", "SYS_STATUS, BATTERY_STATUS, HIGH_LATENCY2"},
+      {:remaining, 2, "0..1", "remaining charge", "SYS_STATUS, BATTERY_STATUS, HIGH_LATENCY2",
+       metric: {"gateway_vehicle_battery_ratio", "Remaining charge, 0 to 1."}},
       {:consumed_mah, 0, "mAh", "consumed charge", "BATTERY_STATUS"},
       {:charge_state, :text, nil, "MAV_BATTERY_CHARGE_STATE, the worst of all batteries", "BATTERY_STATUS"},
       {:batteries, {:list, :group}, nil, "a list of all batteries, each with the fields above and these:",

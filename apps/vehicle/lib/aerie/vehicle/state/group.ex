@@ -2,13 +2,15 @@ defmodule Aerie.Vehicle.State.Group do
   @moduledoc """
   A group of a vehicle's state, as its module declares it with `use Aerie.Vehicle.State.Group`.
 
-    * `fields` - `{name, type, unit, meaning, source}`, or with the least and largest value, `{0, nil}` or `0..360`; a list of names for a nested
-      field. The type is a number of decimals (0 for whole numbers), `:text`, `:boolean`, `:time`, `{:one_of, texts}`, `{:list, type}`,
-      `{:list, :object}` and `{:object, decimals}` of the fields below it, `{:list, :group}` of these and the group's own
+    * `fields` - `{name, type, unit, meaning, source}`, or with the least and largest value, `{0, nil}` or `0..360`,
+      and the name and help of a metric (`[range: …, metric: {…, …}]`); a list of names for a nested field. The type
+      is a number of decimals (0 for whole numbers), `:text`, `:boolean`, `:time`, `{:one_of, texts}`, `{:list,
+      type}`, `{:list, :object}` and `{:object, decimals}` of the fields below it, `{:list, :group}` of these and the
+      group's own
     * `sampling` - how it is published unless the configuration says otherwise: `{strategy, hz, threshold, refresh_s}`
       (`Aerie.Vehicle.Sampling`)
-    * `messages` - the messages that the module reads, whichever groups they change. `{second, first}`: the second is read only
-      while the first has not come for two seconds
+    * `messages` - the messages that the module reads, whichever groups they change. `{second, first}`: the second is
+      read only while the first has not come for two seconds
   """
 
   alias Aerie.Vehicle.State
@@ -24,7 +26,7 @@ defmodule Aerie.Vehicle.State.Group do
           | {:one_of, [String.t()]}
           | {:list, kind() | :object | :group}
           | {:object, non_neg_integer()}
-  @typedoc "`path`: its name, or the names that lead to it. `decimals`: 0 for whole numbers, nil for anything but a number."
+  @typedoc "`path`: its name, or the names that lead to it. `decimals`: 0 for whole numbers, nil for others than numbers."
   @type field :: %{
           path: [atom()],
           type: kind(),
@@ -32,7 +34,8 @@ defmodule Aerie.Vehicle.State.Group do
           decimals: non_neg_integer() | nil,
           unit: String.t() | nil,
           meaning: String.t(),
-          source: String.t()
+          source: String.t(),
+          metric: {name :: String.t(), help :: String.t()} | nil
         }
   @type t :: %__MODULE__{
           name: State.group(),
@@ -69,17 +72,18 @@ defmodule Aerie.Vehicle.State.Group do
     struct!(__MODULE__, Keyword.put(group, :fields, Enum.map(group[:fields], &field/1)))
   end
 
-  # A ratio is 0..1, whatever is measured.
-  defp field({path, type, "0..1" = unit, meaning, source}),
-    do: field({path, type, unit, meaning, source, 0..1})
+  defp field({path, type, unit, meaning, source}), do: field({path, type, unit, meaning, source, []})
 
-  defp field({path, type, unit, meaning, source}), do: field({path, type, unit, meaning, source, {nil, nil}})
+  defp field({path, type, unit, meaning, source, options}) do
+    options = if is_list(options), do: options, else: [range: options]
+    # A ratio is 0..1, whatever is measured.
+    range = Keyword.get(options, :range, if(unit == "0..1", do: 0..1, else: {nil, nil}))
 
-  defp field({path, type, unit, meaning, source, range}) do
     %{
       path: List.wrap(path),
       type: type,
       range: with(first..last//_step <- range, do: {first, last}),
+      metric: options[:metric],
       decimals: decimals(type),
       unit: unit,
       meaning: meaning,

@@ -111,6 +111,18 @@ defmodule Aerie.Gate.LayersTest do
              ]
     end
 
+    test "api and console name few modules of the apps below" do
+      problems = fn names ->
+        app = %{name: :api, names: %{"aerie/api/made_up" => names}}
+        Shrinking.problems(Limits.used([app, %{app | name: :console}]), %{})
+      end
+
+      names = for n <- 1..25, do: {:control, "Aerie.Control.Made.Up#{n}"}
+      assert problems.([{:base, "Aerie.Base.Made.Up"}, {:access, "Aerie.Access.Made.Up"} | names]) == []
+      assert [problem] = problems.([{:fleet, "Aerie.Fleet.Made.Up"} | names])
+      assert problem =~ "apps/api, apps/console: name 26 modules of the apps below, 25 at most"
+    end
+
     test "no line of more than 120 characters" do
       at_most = String.duplicate("µ", 120)
       assert Shrinking.problems(Limits.long_lines(%{"a.ex" => at_most <> "\n" <> at_most}), %{}) == []

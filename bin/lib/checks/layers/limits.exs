@@ -8,6 +8,9 @@ defmodule Layers.Limits do
   # A picture with more arrows shows nothing.
   @most_arrows 25
   @longest 120
+  # What people and programs use should know the apps below by a few modules of each.
+  @interfaces [:api, :console]
+  @most_used 25
 
   def all(apps) do
     files = files("{apps,packages}/*/lib/**/*.ex")
@@ -22,6 +25,7 @@ defmodule Layers.Limits do
     [
       files_in_folder(files),
       named(apps),
+      used(apps),
       arrows(apps),
       folder_cycles(apps),
       long_lines(texts),
@@ -54,6 +58,27 @@ defmodule Layers.Limits do
         ),
       problem: fn file, n, most ->
         "#{file}: names #{n} modules of other files, #{most} at most; move one of its tasks to a module of its own"
+      end
+    }
+  end
+
+  @doc "Modules of the apps below that api and console name together. On base and access everything stands."
+  def used(apps) do
+    used =
+      for app <- apps,
+          app.name in @interfaces,
+          {_file, names} <- app.names,
+          {owner, module} <- names,
+          owner not in [:base, :access | @interfaces],
+          uniq: true,
+          do: module
+
+    %{
+      name: :used_modules,
+      most: @most_used,
+      found: %{"apps/api, apps/console" => length(used)},
+      problem: fn what, n, most ->
+        "#{what}: name #{n} modules of the apps below, #{most} at most; ask one that they name already"
       end
     }
   end

@@ -10,9 +10,9 @@ defmodule Aerie.Fleet do
   report a group, the one on the vehicle's way counts unless it is ten seconds older.
   """
 
-  alias Aerie.Fleet.RemoteTable
-  alias Aerie.Base.{Names, Store}
-  alias Aerie.Vehicle.Snapshot
+  alias Aerie.Base.{Json, Names, Store}
+  alias Aerie.Fleet.{Operations, RemoteTable, Shadow}
+  alias Aerie.Vehicle.{Command, Snapshot}
 
   @older_us 10_000_000
 
@@ -56,5 +56,20 @@ defmodule Aerie.Fleet do
   def operations,
     do:
       Aerie.Control.Operations.all() ++
-        Aerie.Fleet.Shadow.Operations.all() ++ Aerie.Fleet.Operations.Requests.all()
+        Shadow.Operations.all() ++ Operations.Requests.all()
+
+  @doc "The schemas of commands and their results, and those that the schemas of operations refer to, by their names."
+  @spec schemas() :: %{String.t() => Json.Schema.t()}
+  def schemas do
+    envelopes = for type <- Command.Types.all(), do: Command.Schema.envelope(type, type?: true)
+
+    for shared <- [Command.Schema.shared(), Operations.Schema.shared(), Shadow.Schema.shared()],
+        named <- shared,
+        into: %{
+          "command" => %{oneOf: envelopes},
+          "result" => Command.Schema.result(),
+          "reported" => Shadow.Schema.reported()
+        },
+        do: named
+  end
 end

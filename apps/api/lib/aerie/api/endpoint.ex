@@ -59,7 +59,7 @@ defmodule Aerie.Api.Endpoint do
           {Access.KeyRing, key_ring(gateway, settings, keys)},
           {Access.Tickets, gateway: gateway},
           {Access.WorkLimit, gateway: gateway},
-          {Aerie.Fleet.Diagnosis.Server, gateway: gateway}
+          {Aerie.Fleet.Diagnosis, gateway: gateway}
         ] ++
           console ++
           [listener(gateway, settings, options[:max_connections], routes)] ++

@@ -9,6 +9,8 @@ defmodule Aerie.Api.Metrics do
   """
 
   alias Aerie.Base.Store
+  alias Aerie.Control.Commands
+  alias Aerie.Fleet.Shadow
   alias Aerie.Api.Metrics.{Clients, Links, Policy, Text, Vehicles}
 
   @doc "The metric families of a gateway; those of parts that do not run have no samples."
@@ -26,7 +28,7 @@ defmodule Aerie.Api.Metrics do
   end
 
   defp parts(gateway) do
-    for part <- [Aerie.Fleet.Bridge, MavRouter.Recorder, Aerie.Control.Commands, Aerie.Fleet.Shadow],
+    for part <- [Aerie.Fleet.Bridge, MavRouter.Recorder, Commands, Shadow],
         %{name: name, type: type, help: help, samples: samples} <- part.metrics(gateway),
         do: {name, type, help, samples}
   end
@@ -42,7 +44,7 @@ defmodule Aerie.Api.Metrics do
     samples =
       for {name, n} <- counters,
           not match?({:sent, _id}, name) and not Clients.own?(name) and not Policy.own?(name) and
-            not Aerie.Control.Commands.Metrics.own?(name) and not Aerie.Fleet.Shadow.Metrics.own?(name),
+            not Commands.counter?(name) and not Shadow.counter?(name),
           do: {[name: counter_name(name)], n}
 
     {"gateway_occurrences_total", :counter, "Drops, refusals and what else is counted, by name.",

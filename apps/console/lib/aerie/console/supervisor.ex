@@ -10,7 +10,7 @@ defmodule Aerie.Console.Supervisor do
   ├─ Access.Limiter             counts failed sign-ins
   ├─ Map.Tiles                  knows the file or folder of map tiles
   ├─ Access.Launch              the token of the address that `bin/run` prints
-  ├─ Alarms.Server              the alarms, for all operators
+  ├─ Alarms              the alarms, for all operators
   ├─ Aerie.Fleet.Inspector      the messages on the links, while somebody looks
   ├─ Fleet.Board.Server         the rows of the fleet's table, for all who look
   ├─ Commands.Courses           how far each vehicle's commands are
@@ -45,7 +45,7 @@ defmodule Aerie.Console.Supervisor do
         {Access.Limiter, gateway: gateway},
         {Console.Map.Tiles, gateway: gateway, path: settings.tiles, attribution: settings.tiles_attribution},
         {Access.Launch, gateway: gateway, file: Path.join(dir, "url")},
-        {Alarms.Server, gateway: gateway},
+        {Alarms, gateway: gateway},
         {Aerie.Fleet.Inspector, gateway: gateway},
         {Console.Fleet.Board.Server, gateway: gateway},
         {Console.Commands.Courses, gateway: gateway},

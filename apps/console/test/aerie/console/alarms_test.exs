@@ -1,7 +1,7 @@
 defmodule Aerie.Console.AlarmsTest do
   use Aerie.ConsoleCase, async: true
 
-  alias Aerie.Fleet.Alarms.Server
+  alias Aerie.Fleet.Alarms
   alias Aerie.Vehicle.{Detector, Journal, Options}
   alias Aerie.Vehicle.Detector.Observation
 
@@ -34,7 +34,7 @@ defmodule Aerie.Console.AlarmsTest do
     put_vehicle(console, "VID-001", [], %{collision: %{at: 1, sign: :position, links: [["a"], ["b"]]}})
     eventually(fn -> render(view) =~ "two vehicles use system id" end)
     [%{title: title}] = Aerie.Fleet.Diagnosis.list(console.gateway)
-    assert {[%{text: ^title, vehicle: "VID-001", severity: :critical}], 0} = Server.list(console.gateway)
+    assert {[%{text: ^title, vehicle: "VID-001", severity: :critical}], 0} = Alarms.list(console.gateway)
   end
 
   # A step of the vehicle's detector, as its event loop commits it.
@@ -61,10 +61,10 @@ defmodule Aerie.Console.AlarmsTest do
       render(view) =~ "GNSS position lost" and render(view) =~ "Battery nearly empty, 5 % left"
     end)
 
-    assert %{sound: :critical} = Server.summary(console.gateway)
+    assert %{sound: :critical} = Alarms.summary(console.gateway)
 
     detector = observe(console, detector, 2, gps: "OK", remaining: 0.94)
-    eventually(fn -> match?(%{sound: nil, counts: %{critical: 0}}, Server.summary(console.gateway)) end)
+    eventually(fn -> match?(%{sound: nil, counts: %{critical: 0}}, Alarms.summary(console.gateway)) end)
     eventually(fn -> view |> element("#alarms") |> render() |> String.split("Cleared") |> length() == 3 end)
     refute render(view) =~ "94 % left"
     assert detector.conditions == []

@@ -3,7 +3,7 @@ defmodule Aerie.Console.OffersTest do
   use Aerie.VehiclePageCase, async: true
 
   alias Aerie.Control.Policy.Roles
-  alias Aerie.Fleet.Alarms.Server
+  alias Aerie.Fleet.Alarms
   alias Aerie.Console.Pages
 
   # What hooks send: the name of the event is in the element.
@@ -13,7 +13,7 @@ defmodule Aerie.Console.OffersTest do
     put_link(console, "radio", %{sources: %{{7, 1} => %{received: 95, lost: 5}}})
     put(console, mode: %{armed: false, in_air: false}, mission: %{seq: 1, total: 3})
     put_vehicle(console, "VID-009", [], %{status: :lost})
-    eventually(fn -> Server.summary(console.gateway).first != nil end)
+    eventually(fn -> Alarms.summary(console.gateway).first != nil end)
     :ok
   end
 

@@ -41,6 +41,9 @@ defmodule Aerie.Control.Commands do
   """
   @type option :: {:via, String.t()} | {:progress, pid() | {pid(), term()}} | {:wait_ms, timeout()}
 
+  @typedoc "A command that is under way or done, for those who look on."
+  @type entry :: Recent.entry()
+
   @typedoc "`:pending`: the command with this id is under way; an error: the command is invalid, for these reasons."
   @type answer :: {:ok, Result.t()} | {:pending, String.t()} | {:error, [Error.t(), ...]}
 
@@ -239,8 +242,23 @@ defmodule Aerie.Control.Commands do
   @doc """
   The commands of a vehicle for those who look on, the latest first: those under way, then at most `limit` done ones.
   """
-  @spec recent(Names.gateway(), vehicle :: String.t(), limit :: non_neg_integer()) :: [Recent.entry()]
+  @spec recent(Names.gateway(), vehicle :: String.t(), limit :: non_neg_integer()) :: [entry()]
   defdelegate recent(gateway, vehicle, limit \\ 20), to: Recent, as: :of
+
+  @doc """
+  Why somebody cannot give a command to the vehicle of a snapshot, by its firmware or for want of a permission. nil: it
+  may be offered, and `check/2` says what would become of it now.
+  """
+  @spec lacks(vehicle :: map(), type :: String.t(), Roles.source(), params :: map()) :: Offers.lack() | nil
+  defdelegate lacks(vehicle, type, source, params \\ %{}), to: Offers
+
+  @doc "Records a command that was refused before it was known who sent it: `envelope` is as it came."
+  @spec turned_away(Names.gateway(), map(), Roles.source() | nil, String.t(), atom(), String.t()) :: :ok
+  defdelegate turned_away(gateway, envelope, who, via, rule, reason), to: Record
+
+  @doc "Whether the metrics of commands show a counter of the read model."
+  @spec counter?(term()) :: boolean()
+  defdelegate counter?(name), to: Metrics, as: :own?
 
   @doc "The metrics of commands."
   @spec metrics(Names.gateway()) :: [Metrics.metric()]

@@ -237,6 +237,10 @@ defmodule Aerie.Control.Missions do
     end
   end
 
+  @doc "What a plan does beyond its own fence, and what of that the vehicle of a snapshot would breach at once."
+  @spec own_fence(Plan.t(), snapshot :: map() | nil) :: [OwnFence.finding()]
+  def own_fence(plan, snapshot), do: OwnFence.check(plan, OwnFence.vehicle(snapshot, now()))
+
   @typedoc "A file: QGroundControl's, `QGC WPL 110`, or mwp's for iNav. The last two have the mission only."
   @type format :: :plan | :waypoints | :mission
 
@@ -297,7 +301,7 @@ defmodule Aerie.Control.Missions do
   end
 
   defp breach(plan, snapshot) do
-    findings = OwnFence.check(plan, OwnFence.vehicle(snapshot, now()))
+    findings = own_fence(plan, snapshot)
 
     case Enum.find(findings, & &1.breach?) do
       nil -> :allow
@@ -320,7 +324,7 @@ defmodule Aerie.Control.Missions do
   end
 
   defp remark({:upload, kind, plan, _items, _force}, _gateway, snapshot) do
-    remarks = plan |> OwnFence.check(OwnFence.vehicle(snapshot, now())) |> OwnFence.remarks(kind)
+    remarks = plan |> own_fence(snapshot) |> OwnFence.remarks(kind)
     &Result.remark(&1, remarks)
   end
 

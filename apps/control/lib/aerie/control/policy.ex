@@ -11,9 +11,22 @@ defmodule Aerie.Control.Policy do
   needs to know denies. `docs/policy.md` describes the rules with examples.
   """
 
-  alias Aerie.Base.Principal
+  alias Aerie.Base.{Names, Principal}
   alias Aerie.Vehicle.Command
-  alias Aerie.Control.Policy.{Compile, Context, Fence, Intent, ControlLease, Rate, Roles, Rules, Sources}
+
+  alias Aerie.Control.Policy.{
+    Compile,
+    Context,
+    ControlLease,
+    ControlLeases,
+    Fence,
+    Intent,
+    Protection,
+    Rate,
+    Roles
+  }
+
+  alias Aerie.Control.Policy.{Rules, Sources, Store}
 
   @enforce_keys [:modes, :lease, :audit_required]
   defstruct [
@@ -70,6 +83,50 @@ defmodule Aerie.Control.Policy do
           | :geofence
           | :disarmed
   @type decision :: :allow | {:deny, rule(), reason :: String.t()}
+
+  @doc "The policy that a gateway asks; nil: it has none, so nobody may command anything."
+  @spec in_force(Names.gateway()) :: t() | nil
+  defdelegate in_force(gateway), to: Store, as: :get
+
+  @doc "Since when it is in force, and why a newer one is not; nil without a policy."
+  @spec status(Names.gateway()) :: Store.status() | nil
+  defdelegate status(gateway), to: Store
+
+  @doc "Reads it and its fences again, for `by`; the old one stays in force if there is an error."
+  @spec reload(Names.gateway(), by :: String.t()) :: :ok | {:error, [String.t(), ...]}
+  defdelegate reload(gateway, by), to: Store
+
+  @doc "Who signed a message (`Aerie.Control.Policy.Signature`)."
+  @spec signer(Names.gateway(), header :: String.t(), subject :: String.t(), body :: binary()) ::
+          {:ok, Roles.source()} | {:error, String.t()}
+  def signer(gateway, header, subject, body) do
+    case in_force(gateway) do
+      nil -> {:error, "the gateway has no policy, so nobody may command anything"}
+      policy -> Sources.identify(policy, header, subject, body, System.os_time(:microsecond))
+    end
+  end
+
+  @doc "Who is in charge of a vehicle; nil for nobody."
+  @spec control_lease(Names.gateway(), ControlLeases.vehicle()) :: ControlLease.t() | nil
+  defdelegate control_lease(gateway, key), to: ControlLeases, as: :of
+
+  @doc "Who is in charge of each vehicle that somebody has taken."
+  @spec control_leases(Names.gateway()) :: %{ControlLeases.vehicle() => ControlLease.t()}
+  defdelegate control_leases(gateway), to: ControlLeases, as: :all
+
+  @doc "The polygons of a policy's zones: of what kind and name, and their rings of `{latitude, longitude}`."
+  @spec zones(t() | nil) :: [%{kind: atom(), name: String.t() | nil, rings: [[{float(), float()}]]}]
+  def zones(%__MODULE__{fence: %{zones: zones}}) do
+    for zone <- zones,
+        polygon <- zone.polygons,
+        do: %{kind: zone.kind, name: zone.name, rings: Fence.Polygon.rings(polygon)}
+  end
+
+  def zones(_without), do: []
+
+  @doc "Whether a parameter protects people or the vehicle, so that changing it needs a permission of its own."
+  @spec protects?(name :: String.t()) :: boolean()
+  defdelegate protects?(name), to: Protection, as: :parameter?
 
   @doc """
   The names of the rules, in the order in which they are asked. Rates are asked before them

@@ -1,168 +1,156 @@
 defmodule Aerie.Fleet.Alarms do
-  @most 200
-
   @moduledoc """
-  The alarms of a gateway. A pure value.
+  Keeps a gateway's alarms, for all operators together. It looks at the snapshots when they have changed, at most twice
+  a second, and handles events as they come. After a restart it begins with what the vehicles' detectors and the journal
+  still have, and nothing is acknowledged.
 
-  A *condition* is something that is wrong now. Each source tells all of its conditions at once (`put/4`): snapshots,
-  the diagnosis, and what the vehicles' detectors made of their events (`Aerie.Fleet.Alarms.Detected`). So the end of a
-  condition needs no message that could be lost. Each condition has a key, so it is one alarm however often it comes.
-
-  An alarm goes through these states:
-
-  | | not acknowledged | acknowledged |
-  |---|---|---|
-  | the condition holds | `:active`: sounds | `:acknowledged` |
-  | it is over | `:over`: stays in the list, does not sound | removed |
-
-  So nothing disappears before somebody has seen it. At most #{@most} alarms are kept. Beyond that, alarms that are over are dropped first,
-  then the least severe and oldest; `dropped` counts them.
+  Pages are notified of a change by `{:notice, :console_alarms}` of `Aerie.Base.PubSub`, with the summary.
   """
+  use GenServer
 
-  @severities [:critical, :warning, :notice]
-  @rank @severities |> Enum.with_index() |> Map.new()
+  alias Aerie.Base.{Names, Store}
+  alias Aerie.Fleet
+  alias Aerie.Fleet.Diagnosis
+  alias Aerie.Vehicle.Journal
+  alias Aerie.Base.PubSub
+  alias Aerie.Fleet.Alarms.{Conditions, Core, Detected}
 
-  defstruct alarms: %{}, dropped: 0, next: 1
+  @look_ms 500
+  # No notice announces a new diagnosis, or a problem of the gateway itself.
+  @idle_ms 2_000
+  # A gateway that starts is not connected to NATS at once, and that is not an alarm.
+  @settle_us 10_000_000
 
-  @type severity :: :critical | :warning | :notice
-  @typedoc "The kind of condition, and the vehicle, link or other subject that it concerns."
-  @type key :: {kind :: atom(), subject :: term()}
-  @typedoc """
-  `:vehicle` is the one that it is about, and its page's name; the text does not name it again.
-  `:since`: if that is not now.
-  """
-  @type condition :: %{
-          :key => key(),
-          :severity => severity(),
-          :text => String.t(),
-          :vehicle => String.t() | nil,
-          optional(:since) => integer()
-        }
-  @type alarm :: %{
-          id: String.t(),
-          key: key(),
-          severity: severity(),
-          text: String.t(),
-          vehicle: String.t() | nil,
-          source: term(),
-          since: integer(),
-          over: integer() | nil,
-          by: String.t() | nil
-        }
-  @type state :: :active | :acknowledged | :over
-  @type t :: %__MODULE__{alarms: %{key() => alarm()}, dropped: non_neg_integer(), next: pos_integer()}
+  @type alarm :: Core.alarm()
 
-  @doc "No alarm."
-  @spec new() :: t()
-  def new, do: %__MODULE__{}
+  @doc "Whether it holds, is acknowledged, or is over."
+  @spec state(alarm()) :: Core.state()
+  defdelegate state(alarm), to: Core
 
-  @doc "Sets all conditions of a source at `now` (unix microseconds). Conditions that the source no longer names are over."
-  @spec put(t(), source :: term(), [condition()], integer()) :: t()
-  def put(%__MODULE__{} = alarms, source, conditions, now) do
-    keys = MapSet.new(conditions, & &1.key)
+  @doc "Options: `:gateway`; `:look_ms`, 500."
+  @spec start_link(keyword()) :: GenServer.on_start()
+  def start_link(options),
+    do: GenServer.start_link(__MODULE__, options, name: Names.via(options[:gateway], :console_alarms))
 
-    gone =
-      for {key, %{source: ^source, over: nil}} <- alarms.alarms, not MapSet.member?(keys, key), do: key
-
-    alarms = Enum.reduce(gone, alarms, &clear(&2, &1, now))
-    Enum.reduce(conditions, alarms, &raise_alarm(&2, source, &1, now))
-  end
-
-  @doc "Begins a condition at `now`. One that holds already keeps its time; one that got worse has to be acknowledged again."
-  @spec raise_alarm(t(), source :: term(), condition(), integer()) :: t()
-  def raise_alarm(%__MODULE__{} = alarms, source, %{key: key} = condition, now) do
-    since = Map.get(condition, :since, now)
-
-    case alarms.alarms do
-      %{^key => %{over: nil} = alarm} ->
-        worse? = @rank[condition.severity] < @rank[alarm.severity]
-        kept = Map.merge(alarm, Map.take(condition, [:severity, :text]))
-        store(alarms, if(worse?, do: %{kept | by: nil, since: since}, else: kept))
-
-      _new_or_again ->
-        alarm =
-          Map.merge(condition, %{id: "a#{alarms.next}", source: source, since: since, over: nil, by: nil})
-
-        %{alarms | next: alarms.next + 1} |> store(alarm) |> bound()
-    end
-  end
-
-  @doc "Ends a condition."
-  @spec clear(t(), key(), integer()) :: t()
-  def clear(%__MODULE__{} = alarms, key, now) do
-    case alarms.alarms do
-      %{^key => %{over: nil, by: nil} = alarm} -> store(alarms, %{alarm | over: now})
-      %{^key => %{over: nil}} -> %{alarms | alarms: Map.delete(alarms.alarms, key)}
-      _none -> alarms
-    end
-  end
-
-  @doc "Records that `by` has seen the alarms with these ids, or `:all`. Those that are over are removed."
-  @spec acknowledge(t(), [String.t()] | :all, by :: String.t()) :: t()
-  def acknowledge(%__MODULE__{} = alarms, ids, by) do
-    seen? = fn alarm -> ids == :all or alarm.id in ids end
-
-    kept =
-      for {key, alarm} <- alarms.alarms, not (alarm.over != nil and seen?.(alarm)), into: %{} do
-        {key, if(alarm.by == nil and seen?.(alarm), do: %{alarm | by: by}, else: alarm)}
-      end
-
-    %{alarms | alarms: kept}
-  end
-
-  @doc "The state of an alarm."
-  @spec state(alarm()) :: state()
-  def state(%{over: over}) when over != nil, do: :over
-  def state(%{by: by}) when by != nil, do: :acknowledged
-  def state(_alarm), do: :active
-
-  @doc "All alarms: those not acknowledged first, then by severity, the newest first."
-  @spec list(t()) :: [alarm()]
-  def list(%__MODULE__{alarms: alarms}), do: alarms |> Map.values() |> Enum.sort_by(&order/1)
-
-  defp order(alarm), do: {state_rank(state(alarm)), @rank[alarm.severity], -alarm.since, alarm.id}
-
-  defp state_rank(:active), do: 0
-  defp state_rank(:over), do: 1
-  defp state_rank(:acknowledged), do: 2
-
-  @typedoc """
-  What every page shows: the number of active alarms by severity, how many nobody has seen yet, the first of `list/1`, and the severity
-  that sounds.
-  """
-  @type summary :: %{
-          counts: %{severity() => non_neg_integer()},
-          waiting: non_neg_integer(),
-          first: alarm() | nil,
-          sound: severity() | nil
-        }
+  @doc "All alarms in their order, and how many did not fit."
+  @spec list(Names.gateway()) :: {[alarm()], non_neg_integer()}
+  def list(gateway), do: read(gateway, :list, {[], 0})
 
   @doc "The summary for the header of the pages."
-  @spec summary(t()) :: summary()
-  def summary(%__MODULE__{} = alarms) do
-    list = list(alarms)
-    active = Enum.filter(list, &(&1.over == nil))
-    sounding = for %{by: nil, severity: severity} <- active, severity != :notice, do: severity
+  @spec summary(Names.gateway()) :: Core.summary()
+  def summary(gateway), do: read(gateway, :summary, Core.summary(Core.new()))
 
-    %{
-      counts:
-        Map.new(@severities, fn severity -> {severity, Enum.count(active, &(&1.severity == severity))} end),
-      waiting: Enum.count(list, &(&1.by == nil)),
-      first: List.first(list),
-      sound: Enum.min_by(sounding, &@rank[&1], fn -> nil end)
+  defp read(gateway, what, absent),
+    do: Names.read(gateway, :console_alarms, absent, &:ets.lookup_element(&1, what, 2, absent))
+
+  @doc "Records that `by` has seen the alarms with these ids, or `:all`."
+  @spec acknowledge(Names.gateway(), [String.t()] | :all, String.t()) :: :ok
+  def acknowledge(gateway, ids, by),
+    do: GenServer.call(Names.via(gateway, :console_alarms), {:acknowledge, ids, by})
+
+  @impl GenServer
+  def init(options) do
+    gateway = options[:gateway]
+    Process.set_label({:console_alarms, gateway})
+    for topic <- [:vehicles, :links, :events], do: PubSub.subscribe(gateway, topic)
+    table = :ets.new(:console_alarms, [:set, :protected, read_concurrency: true])
+    Names.put_value(gateway, :console_alarms, table)
+    detected = detected(gateway)
+
+    alarms =
+      for event <- Journal.recent(gateway, :all), reduce: Core.new() do
+        alarms -> Detected.told(alarms, event, Map.get(detected, event.vehicle, []))
+      end
+
+    state = %{
+      gateway: gateway,
+      table: table,
+      alarms: alarms,
+      shown: nil,
+      problem_since: System.os_time(:microsecond),
+      timer: nil,
+      look_ms: options[:look_ms] || @look_ms
     }
+
+    {:ok, refresh(state)}
   end
 
-  defp store(alarms, alarm), do: %{alarms | alarms: Map.put(alarms.alarms, alarm.key, alarm)}
+  @impl GenServer
+  def handle_call({:acknowledge, ids, by}, _from, state),
+    do: {:reply, :ok, publish(%{state | alarms: Core.acknowledge(state.alarms, ids, by)})}
 
-  defp bound(%{alarms: alarms} = state) when map_size(alarms) <= @most, do: state
+  @impl GenServer
+  def handle_info({:fleet, :events, event}, state) do
+    if Detected.about?(event) do
+      detected = detected(state.gateway)
+      alarms = Detected.told(state.alarms, event, Map.get(detected, event.vehicle, []))
+      alarms = Detected.put(alarms, detected, Fleet.vehicles(state.gateway), System.os_time(:microsecond))
+      {:noreply, publish(%{state | alarms: alarms})}
+    else
+      {:noreply, soon(state)}
+    end
+  end
 
-  defp bound(%{alarms: alarms} = state) do
-    least =
-      alarms
-      |> Map.values()
-      |> Enum.max_by(&{&1.over != nil, @rank[&1.severity], -&1.since, &1.id})
+  def handle_info({:fleet, _topic, _changed}, state), do: {:noreply, soon(state)}
+  def handle_info(:look, state), do: {:noreply, refresh(state)}
 
-    %{state | alarms: Map.delete(alarms, least.key), dropped: state.dropped + 1}
+  # Changes within `look_ms` of each other are handled together.
+  defp soon(%{timer: {:idle, timer}} = state) do
+    _ = Process.cancel_timer(timer)
+    %{state | timer: {:soon, Process.send_after(self(), :look, state.look_ms)}}
+  end
+
+  defp soon(state), do: state
+
+  defp refresh(%{gateway: gateway} = state) do
+    now = System.os_time(:microsecond)
+    state = %{state | problem_since: problem_since(state, now)}
+    vehicles = Fleet.vehicles(gateway)
+    links = gateway |> Store.links() |> Enum.flat_map(&Conditions.link/1)
+
+    alarms =
+      state.alarms
+      |> Core.put(:vehicles, Enum.flat_map(vehicles, &Conditions.vehicle/1), now)
+      |> Detected.put(detected(gateway), vehicles, now)
+      |> Core.put(:links, links, now)
+      |> Core.put(:gateway, own(gateway, now - state.problem_since > @settle_us), now)
+      |> diagnosed(gateway, now)
+
+    _ = with {_kind, timer} <- state.timer, do: Process.cancel_timer(timer)
+    publish(%{state | alarms: alarms, timer: {:idle, Process.send_after(self(), :look, @idle_ms)}})
+  end
+
+  # What the detectors' committed states have, by vehicle.
+  defp detected(gateway),
+    do:
+      for([id, conditions] <- Journal.states(gateway, %{conditions: :"$2"}), into: %{}, do: {id, conditions})
+
+  # A diagnosis that does not answer changes nothing.
+  defp diagnosed(alarms, gateway, now) do
+    case Diagnosis.Server.fetch(gateway) do
+      {:ok, conditions} -> Core.put(alarms, :diagnosis, Conditions.diagnosed(conditions), now)
+      :error -> alarms
+    end
+  end
+
+  defp own(gateway, settled?) do
+    problem = problem(gateway)
+    identity = MavRouter.Router.identity(gateway)
+    Conditions.gateway(identity, if(settled?, do: problem), Aerie.Control.Policy.Audit.failing(gateway))
+  end
+
+  defp problem(gateway), do: with(%{problem: problem} <- Aerie.Fleet.Bridge.info(gateway), do: problem)
+
+  # Since when events have not been stored, without a break.
+  defp problem_since(%{problem_since: since, gateway: gateway}, now),
+    do: if(problem(gateway) == nil, do: now, else: since)
+
+  defp publish(%{alarms: alarms, shown: alarms} = state), do: state
+
+  defp publish(%{alarms: alarms} = state) do
+    summary = Core.summary(alarms)
+    true = :ets.insert(state.table, list: {Core.list(alarms), alarms.dropped}, summary: summary)
+    PubSub.publish(state.gateway, {:notice, :console_alarms}, summary)
+    %{state | shown: alarms}
   end
 end

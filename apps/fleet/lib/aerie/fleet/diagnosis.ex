@@ -30,6 +30,14 @@ defmodule Aerie.Fleet.Diagnosis do
     end
   end
 
+  @doc "The same as values of JSON."
+  @spec plain(Aerie.Base.Names.gateway()) :: [map()]
+  def plain(gateway), do: Enum.map(list(gateway), &Condition.plain/1)
+
+  @doc "The process that looks, for a supervisor. Options: `:gateway`."
+  @spec child_spec(keyword()) :: Supervisor.child_spec()
+  defdelegate child_spec(options), to: Server
+
   @doc "A diagnosis that has seen no facts."
   @spec new() :: t()
   def new, do: %__MODULE__{}

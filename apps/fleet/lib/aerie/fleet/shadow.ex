@@ -219,6 +219,14 @@ defmodule Aerie.Fleet.Shadow do
   @spec tags(Names.gateway()) :: Tags.tags()
   defdelegate tags(gateway), to: Documents
 
+  @doc "Words as tags: trimmed, sorted, each once."
+  @spec tidy_tags([String.t()]) :: [String.t()]
+  defdelegate tidy_tags(words), to: Tags, as: :tidy
+
+  @doc "Every tag that some vehicle has."
+  @spec all_tags(Tags.tags()) :: [String.t()]
+  defdelegate all_tags(tags), to: Tags, as: :all
+
   @doc "Gives a vehicle these tags in place of those that it has; `[]` takes them away. Otherwise as `update/5`."
   @spec tag(Names.gateway(), String.t(), [String.t()], Roles.source(), via :: String.t()) ::
           :ok | {:error, refusal()}
@@ -264,6 +272,10 @@ defmodule Aerie.Fleet.Shadow do
   @doc "The metrics of the shadow."
   @spec metrics(Names.gateway()) :: [Metrics.metric()]
   def metrics(gateway), do: Metrics.all(gateway, Documents.reports(gateway))
+
+  @doc "Whether these metrics show a counter of the read model."
+  @spec counter?(term()) :: boolean()
+  defdelegate counter?(name), to: Metrics, as: :own?
 
   @doc "The state of a vehicle's fields from this gateway's loop; empty without one."
   @spec report(Names.gateway(), String.t()) :: Aerie.Fleet.Shadow.Reconcile.report()

@@ -1,7 +1,8 @@
 defmodule Aerie.Api.Metrics.Policy do
   @moduledoc "Metric families about the policy for commands and its audit log."
 
-  alias Aerie.Control.Policy.{Audit, Store}
+  alias Aerie.Control.Policy
+  alias Aerie.Control.Policy.Audit
   alias Aerie.Api.Metrics.Text
 
   @doc "The families, from the read model's counters and the state of the log."
@@ -14,7 +15,7 @@ defmodule Aerie.Api.Metrics.Policy do
        "Decisions about commands, by decision and the rule that denied.", Enum.sort(decisions)},
       {"gateway_policy_stale", :gauge,
        "1 while the policy in force is not that of the files, because those have errors.",
-       [{[], match?(%{problem: %{}}, Store.status(gateway))}]},
+       [{[], match?(%{problem: %{}}, Policy.status(gateway))}]},
       {"gateway_audit_failing", :gauge, "1 while the audit log cannot be written.",
        [{[], Audit.failing(gateway) != nil}]},
       {"gateway_audit_records_missed_total", :counter, "Records that the audit log could not take.",

@@ -157,7 +157,7 @@ defmodule Aerie.Api.Rest.Actions do
   def run(:log, _state, request), do: {:ok, 200, ChangeLog.view(), request}
 
   def run(:reload_policy, state, request) do
-    case Policy.Store.reload(state.gateway, "http:" <> state.name) do
+    case Policy.reload(state.gateway, "http:" <> state.name) do
       :ok ->
         {:ok, View.policy(state.gateway)}
 

@@ -9,9 +9,7 @@ defmodule Aerie.Api.Rest.Commands do
   alias Aerie.Base.Json.Object
   alias Aerie.Vehicle.Command.{Result, Types}
   alias Aerie.Control.{Commands, Policy}
-  alias Aerie.Control.CommandExecutor.Offers
-  alias Aerie.Control.Commands.Record
-  alias Aerie.Control.Policy.{Roles, Sources}
+  alias Aerie.Control.Policy.Roles
   alias Aerie.Access.HTTP.{Admission, Error}
 
   @typedoc "The header `Aerie-Signature` (nil: none), and the body as it was sent."
@@ -91,21 +89,13 @@ defmodule Aerie.Api.Rest.Commands do
     subject = "fleet.#{Aerie.Fleet.Bridge.environment(gateway)}.#{vehicle}.cmd.#{object["type"]}"
     envelope = Map.put(object, "vehicle", vehicle)
 
-    with {:ok, policy} <- in_force(gateway),
-         true <- is_binary(object["id"]) || {:error, "a signed command needs an id"},
-         {:ok, source} <- Sources.identify(policy, header, subject, body, System.os_time(:microsecond)) do
+    with true <- is_binary(object["id"]) || {:error, "a signed command needs an id"},
+         {:ok, source} <- Policy.signer(gateway, header, subject, body) do
       {:ok, source}
     else
       {:error, reason} ->
-        Record.turned_away(gateway, envelope, nil, "rest", :signature, reason)
+        Commands.turned_away(gateway, envelope, nil, "rest", :signature, reason)
         {:error, %{Error.new(:forbidden, reason) | details: %{"result" => "denied", "rule" => "signature"}}}
-    end
-  end
-
-  defp in_force(gateway) do
-    case Policy.Store.get(gateway) do
-      nil -> {:error, "the gateway has no policy, so nobody may command anything"}
-      policy -> {:ok, policy}
     end
   end
 
@@ -128,7 +118,7 @@ defmodule Aerie.Api.Rest.Commands do
   def offers(gateway, id, requester) do
     with %{} = vehicle <- Aerie.Fleet.vehicle(gateway, id),
          do: %{
-           "commands" => Enum.map(Types.names(), &offer(&1, Offers.lacks(vehicle, &1, source(requester))))
+           "commands" => Enum.map(Types.names(), &offer(&1, Commands.lacks(vehicle, &1, source(requester))))
          }
   end
 

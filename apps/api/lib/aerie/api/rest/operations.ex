@@ -10,10 +10,9 @@ defmodule Aerie.Api.Rest.Operations do
   alias Aerie.Base.Json
   alias Aerie.Base.Settings.Field
   alias Aerie.Control.Operations
-  alias Aerie.Control.Operations.{Operation, Table}
+  alias Aerie.Control.Operations.Operation
   alias Aerie.Fleet
   alias Aerie.Vehicle.Command.Result
-  import Aerie.Control.Operations.Route, only: [body?: 1]
 
   alias Aerie.Access.Changes.Rights
   alias Aerie.Api.Rest.{Commands, Route}
@@ -54,7 +53,8 @@ defmodule Aerie.Api.Rest.Operations do
         formats(route) ++
           Enum.map(query(operation, route), &parameter/1) ++
           undeclared(operation, route) ++ Enum.map(others, &selected/1),
-      body: if(body?(route), do: with_media(if(bytes?(route), do: [], else: operation.name), route)),
+      body:
+        if(Operation.body?(route), do: with_media(if(bytes?(route), do: [], else: operation.name), route)),
       status: route.status,
       later: result?(operation),
       answer:
@@ -95,7 +95,10 @@ defmodule Aerie.Api.Rest.Operations do
   defp query(operation, %{stream?: true}), do: common(operation)
 
   defp query(operation, route) do
-    own = if body?(route), do: Enum.filter(operation.fields, &(&1.key in route.query)), else: operation.fields
+    own =
+      if Operation.body?(route),
+        do: Enum.filter(operation.fields, &(&1.key in route.query)),
+        else: operation.fields
 
     own =
       for field <- own,
@@ -151,7 +154,7 @@ defmodule Aerie.Api.Rest.Operations do
     }
   end
 
-  defp described?(route), do: body?(route) and not bytes?(route)
+  defp described?(route), do: Operation.body?(route) and not bytes?(route)
 
   defp answer_schema(operation, route) do
     if result?(operation) or bytes?(route),
@@ -186,7 +189,7 @@ defmodule Aerie.Api.Rest.Operations do
 
     [first | others] =
       for {name, index} <- choices,
-          {:ok, one} = Table.fetch(operations, name),
+          one = Enum.find(operations, &(&1.name == name)),
           do: {one, Enum.at(one.routes, index)}
 
     Enum.find(others, first, fn {_operation, route} -> is_map_key(parameters, route.select) end)
@@ -195,13 +198,13 @@ defmodule Aerie.Api.Rest.Operations do
   defp format(%{formats: []}, _parameters, _request), do: {:ok, "json"}
 
   defp format(route, parameters, request) do
-    header = if body?(route), do: "content-type", else: "accept"
+    header = if Operation.body?(route), do: "content-type", else: "accept"
     Format.choose(parameters["format"], Request.header(request, header), route.formats)
   end
 
   defp body(operation, route, request) do
     cond do
-      not body?(route) -> {:ok, "", request}
+      not Operation.body?(route) -> {:ok, "", request}
       # Any web page may send a form.
       not operation.transfer? -> Request.json(request, route.max_bytes)
       true -> Request.bytes(request, route.max_bytes)
@@ -230,7 +233,7 @@ defmodule Aerie.Api.Rest.Operations do
     file? = route.file != nil and (format != "json" or route.formats == [])
     own = if file?, do: [file: {route.file, body}, format: format], else: [required: route.required]
 
-    with {:ok, object} <- if(file? or not body?(route), do: {:ok, %{}}, else: Request.decode(body)) do
+    with {:ok, object} <- if(file? or not Operation.body?(route), do: {:ok, %{}}, else: Request.decode(body)) do
       # null is the same as nothing, also beside a parameter of the query.
       object = Map.reject(object, fn {_key, value} -> value == nil end)
       given = operation |> texts(route, request) |> Map.merge(object) |> Map.merge(route.given)

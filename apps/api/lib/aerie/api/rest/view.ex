@@ -193,7 +193,7 @@ defmodule Aerie.Api.Rest.View do
   @doc "The conditions of `Aerie.Fleet.Diagnosis`, the most serious first."
   @spec diagnosis(term()) :: map()
   def diagnosis(gateway),
-    do: %{conditions: Enum.map(Aerie.Fleet.Diagnosis.list(gateway), &Condition.plain/1)}
+    do: %{conditions: Aerie.Fleet.Diagnosis.plain(gateway)}
 
   @doc "All links with their counters and rates."
   @spec links(term()) :: map()
@@ -216,7 +216,7 @@ defmodule Aerie.Api.Rest.View do
   @doc "Since when the policy is in force, and the errors when it was last read; nil without a policy."
   @spec policy(term()) :: map() | nil
   def policy(gateway) do
-    with %{} = status <- Policy.Store.status(gateway), do: Object.show(@policy, status)
+    with %{} = status <- Policy.status(gateway), do: Object.show(@policy, status)
   end
 
   @doc "Rules of links and clients that were changed at run time, with the configured ones."

@@ -5,7 +5,7 @@ defmodule Aerie.Console.Alarms.OnMount do
   import Phoenix.LiveView
 
   alias Aerie.Base.PubSub
-  alias Aerie.Fleet.Alarms.Server
+  alias Aerie.Fleet.Alarms
   alias Aerie.Console.Clock
   alias Aerie.Console.UI.Age
 
@@ -21,7 +21,7 @@ defmodule Aerie.Console.Alarms.OnMount do
 
     {:cont,
      socket
-     |> assign(:alarms, Server.summary(gateway))
+     |> assign(:alarms, Alarms.summary(gateway))
      |> clock()
      |> attach_hook(:console_alarms, :handle_info, &handle_notice/2)
      |> attach_hook(:console_acknowledge, :handle_event, &asked/3)}
@@ -53,8 +53,8 @@ defmodule Aerie.Console.Alarms.OnMount do
   defp asked("alarm-acknowledge", value, %{assigns: %{user: user, gateway: gateway}} = socket) do
     case value do
       # Those that the page showed: one that came since nobody has seen.
-      %{"alarms" => ids} when is_list(ids) -> Server.acknowledge(gateway, ids, user.name)
-      %{"alarm" => id} when is_binary(id) -> Server.acknowledge(gateway, [id], user.name)
+      %{"alarms" => ids} when is_list(ids) -> Alarms.acknowledge(gateway, ids, user.name)
+      %{"alarm" => id} when is_binary(id) -> Alarms.acknowledge(gateway, [id], user.name)
       _neither -> :ok
     end
 

@@ -3,7 +3,6 @@ defmodule Aerie.Console.Alarms.Page do
   use Aerie.Console, :page
 
   alias Aerie.Fleet.Alarms
-  alias Aerie.Fleet.Alarms.Server
   alias Aerie.Console.Alarms.Strip
   alias Aerie.Console.Clock
   alias Aerie.Console.UI.Age
@@ -17,7 +16,7 @@ defmodule Aerie.Console.Alarms.Page do
   def handle_info(:refresh, socket), do: {:noreply, load(socket)}
 
   defp load(socket) do
-    {list, dropped} = Server.list(socket.assigns.gateway)
+    {list, dropped} = Alarms.list(socket.assigns.gateway)
     now = System.os_time(:microsecond)
     rows = for alarm <- list, do: Map.merge(alarm, %{state: Alarms.state(alarm), age: now - alarm.since})
     assign(socket, rows: rows, dropped: dropped, may?: Strip.may?(socket.assigns.user))

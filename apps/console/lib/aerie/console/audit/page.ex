@@ -7,7 +7,6 @@ defmodule Aerie.Console.Audit.Page do
        costly: ~w(filter older newest verify)}
 
   alias Aerie.Control.Policy.Audit
-  alias Aerie.Control.Policy.Audit.{Reader, Verify}
   alias Aerie.Control.Policy.Roles
   alias Aerie.Console.Clock
   alias Aerie.Access.WorkLimit
@@ -52,7 +51,7 @@ defmodule Aerie.Console.Audit.Page do
     %{gateway: gateway, user: user} = socket.assigns
 
     task =
-      Task.async(fn -> WorkLimit.run(gateway, :read, {:name, user.name}, fn -> Verify.folder(dir) end) end)
+      Task.async(fn -> WorkLimit.run(gateway, :read, {:name, user.name}, fn -> Audit.verify(dir) end) end)
 
     {:noreply, assign(socket, verifying: task.ref, report: nil)}
   end
@@ -115,7 +114,7 @@ defmodule Aerie.Console.Audit.Page do
         decision: filter["decision"]
       }
 
-      task = Task.async(fn -> Reader.page(status.dir, query) end)
+      task = Task.async(fn -> Audit.page(status.dir, query) end)
       assign(socket, reading: task.ref, seen: status.n)
     else
       socket
@@ -193,13 +192,13 @@ defmodule Aerie.Console.Audit.Page do
   defp decisions, do: for(decision <- @decisions, do: {decision, decision})
 
   defp value(nil), do: ""
-  defp value(value), do: Reader.format(value)
+  defp value(value), do: Audit.format(value)
 
   defp more(record) do
     record
     |> Map.drop(@own)
     |> Enum.sort()
-    |> Enum.map_join(", ", fn {key, value} -> "#{key} #{Reader.format(value)}" end)
+    |> Enum.map_join(", ", fn {key, value} -> "#{key} #{Audit.format(value)}" end)
     |> String.slice(0, 300)
   end
 end

@@ -4,7 +4,7 @@ defmodule Aerie.Console.Commands.Catalog do
   user may not give it (`Aerie.Control.CommandExecutor.Offers`). Pure.
   """
 
-  alias Aerie.Control.CommandExecutor.Offers
+  alias Aerie.Control.Commands
   alias Aerie.Control.Policy.Roles
   alias Aerie.Vehicle.Command.{Type, Types}
 
@@ -45,7 +45,7 @@ defmodule Aerie.Console.Commands.Catalog do
   @spec entry(String.t() | Type.t(), vehicle :: map(), Roles.source()) :: entry() | nil
   def entry(%Type{} = type, vehicle, user) do
     {gap, denied} =
-      case Offers.lacks(vehicle, type.name, user) do
+      case Commands.lacks(vehicle, type.name, user) do
         nil -> {nil, nil}
         {:firmware, reason} -> {reason, nil}
         {:permission, _permission, reason} -> {nil, reason}
@@ -66,7 +66,7 @@ defmodule Aerie.Console.Commands.Catalog do
   def locked(commands, vehicle, user) do
     lacking =
       for {name, title} <- commands,
-          {:permission, permission, _reason} <- [Offers.lacks(vehicle, name, user)],
+          {:permission, permission, _reason} <- [Commands.lacks(vehicle, name, user)],
           do: {permission, title}
 
     for permission <- lacking |> Enum.map(&elem(&1, 0)) |> Enum.uniq() do

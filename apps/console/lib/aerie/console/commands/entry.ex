@@ -2,7 +2,7 @@ defmodule Aerie.Console.Commands.Entry do
   @moduledoc "The state of a command in words, with a tone and an icon, so that states differ by more than colour. Pure."
 
   alias Aerie.Vehicle.Command.{Result, Types}
-  alias Aerie.Control.Commands.Recent
+  alias Aerie.Control.Commands
   alias Aerie.Control.Policy.ControlLease
   alias Aerie.Console.Commands.{Catalog, Outcome, Wording}
 
@@ -45,7 +45,7 @@ defmodule Aerie.Console.Commands.Entry do
   }
 
   @doc "How to show a command. `course`: how far the vehicle is with what it completed by beginning it, nil where that is not known."
-  @spec of(Recent.entry(), Outcome.t() | nil) :: t()
+  @spec of(Commands.entry(), Outcome.t() | nil) :: t()
   def of(entry, course \\ nil) do
     {state, tone, label, text, share} = entry |> state() |> with_course(course)
 

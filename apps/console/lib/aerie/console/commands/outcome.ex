@@ -7,7 +7,7 @@ defmodule Aerie.Console.Commands.Outcome do
   ended stays so: `keep/4` keeps it, whatever the vehicle does later (`Aerie.Console.Commands.Courses`).
   """
 
-  alias Aerie.Control.Commands.Recent
+  alias Aerie.Control.Commands
   alias Aerie.Control.Policy.Fence.Earth
   alias Aerie.Vehicle.{Event, Kind}
   alias Aerie.Console.Commands.Catalog
@@ -45,7 +45,9 @@ defmodule Aerie.Console.Commands.Outcome do
   @least_speed 0.5
 
   @doc "The courses of the commands of a vehicle (the latest first) by id; `known` are those of the last time."
-  @spec keep(%{String.t() => t()}, [Recent.entry()], map(), {[Event.t()], integer()}) :: %{String.t() => t()}
+  @spec keep(%{String.t() => t()}, [Commands.entry()], map(), {[Event.t()], integer()}) :: %{
+          String.t() => t()
+        }
   def keep(known, entries, vehicle, {events, now}) do
     for entry <- entries, is_map_key(@words, entry.type), into: %{} do
       before = known[entry.id]
@@ -65,7 +67,7 @@ defmodule Aerie.Console.Commands.Outcome do
   defp dated(course, _before, _entry, _now), do: course
 
   @doc "The course of a command; `later` are the vehicle's commands after it. Nil if it has not begun, or has no course."
-  @spec of(Recent.entry(), later :: [Recent.entry()], vehicle :: map(), [Event.t()]) :: t() | nil
+  @spec of(Commands.entry(), later :: [Commands.entry()], vehicle :: map(), [Event.t()]) :: t() | nil
   def of(%{type: type, result: %{status: :completed}} = entry, later, vehicle, events)
       when is_map_key(@words, type) do
     {going, there} = @words[type]
@@ -168,7 +170,7 @@ defmodule Aerie.Console.Commands.Outcome do
   defp height_left(_entry, _vehicle), do: nil
 
   @doc "The progress of a course: `118 m, 20 s`."
-  @spec progress(Recent.entry(), map()) :: String.t() | nil
+  @spec progress(Commands.entry(), map()) :: String.t() | nil
   def progress(%{type: type} = entry, vehicle) when type in ["goto", "rtl"] do
     case distance(target(entry, vehicle), vehicle) do
       nil -> nil
@@ -211,7 +213,7 @@ defmodule Aerie.Console.Commands.Outcome do
   defp metres(metres), do: :erlang.float_to_binary(metres / 1000, decimals: 1) <> " km"
 
   @doc "Where a command sends the vehicle, `{lat, lon}`; nil if nowhere."
-  @spec target(Recent.entry(), map()) :: {float(), float()} | nil
+  @spec target(Commands.entry(), map()) :: {float(), float()} | nil
   def target(%{type: "goto", params: %{lat: lat, lon: lon}}, _vehicle) when is_number(lat) and is_number(lon),
     do: {lat, lon}
 

@@ -4,7 +4,7 @@ defmodule Aerie.Console.Fleet.Actions do
 
   import Aerie.Console.Fleet.Actions.ControlForms, only: [charge: 1]
 
-  alias Aerie.Control.CommandExecutor.Offers
+  alias Aerie.Control.Commands
   alias Aerie.Control.Policy.Roles
   alias Aerie.Vehicle.Snapshot
   alias Aerie.Console.Commands.Catalog
@@ -120,7 +120,7 @@ defmodule Aerie.Console.Fleet.Actions do
     kinds = kinds(chosen)
 
     for {type, _label, _icon, _key} = action <- types(),
-        Enum.any?(kinds, &(Offers.lacks(&1, type, user) == nil)),
+        Enum.any?(kinds, &(Commands.lacks(&1, type, user) == nil)),
         do: action
   end
 

@@ -62,7 +62,7 @@ defmodule Aerie.Console.Fleet.Page do
        round: 0
      })
      |> subscribe([:vehicles, :links, :leases])
-     |> push_event("map:zones", %{map: @map, zones: Zones.of(Policy.Store.get(socket.assigns.gateway))})
+     |> push_event("map:zones", %{map: @map, zones: Zones.of(Policy.in_force(socket.assigns.gateway))})
      |> read()
      |> assign_view()}
   end

@@ -7,7 +7,6 @@ defmodule Aerie.Console.HTTP.DownloadHandler do
   @behaviour :cowboy_handler
 
   alias Aerie.Control.Policy.Audit
-  alias Aerie.Control.Policy.Audit.Reader
   alias Aerie.Access.HTTP.{Admission, Request}
   alias Aerie.Control.Policy.Roles
   alias Aerie.Access.Session
@@ -60,7 +59,7 @@ defmodule Aerie.Console.HTTP.DownloadHandler do
       {:ok, %{dir: dir}} ->
         request = :cowboy_req.stream_reply(200, headers("application/x-ndjson", "audit.jsonl"), request)
 
-        for {path, bytes} <- Reader.files(dir),
+        for {path, bytes} <- Audit.files(dir),
             bytes > 0,
             do: :cowboy_req.stream_body({:sendfile, 0, bytes, path}, :nofin, request)
 

@@ -2,7 +2,7 @@ defmodule Aerie.Console.Params.Listing do
   @moduledoc "The rows of a vehicle's parameters that a page shows. Pure."
 
   alias Aerie.Control.Params.{File, Metadata, Param, Table}
-  alias Aerie.Control.Policy.Protection
+  alias Aerie.Control.Policy
   alias Aerie.Vehicle.Snapshot
   alias MavCodec.Message.ParamValue
   alias MavCodec.Enums.MavParamType
@@ -107,7 +107,7 @@ defmodule Aerie.Console.Params.Listing do
   @spec cautions([String.t()], map() | nil) :: [String.t()]
   def cautions(names, vehicle) do
     mode = Snapshot.data(vehicle || %{groups: %{}}, :mode)
-    protecting = Enum.filter(names, &Protection.parameter?/1)
+    protecting = Enum.filter(names, &Policy.protects?/1)
 
     [
       protecting != [] && "What protects the vehicle changes: #{listed(protecting)}.",

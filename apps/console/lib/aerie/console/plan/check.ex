@@ -1,14 +1,13 @@
 defmodule Aerie.Console.Plan.Check do
   @moduledoc """
-  Checks a plan while it is drawn: by itself, against its own fence (`Aerie.Control.Mission.OwnFence`), and against the policy for a vehicle.
+  Checks a plan while it is drawn: by itself, against its own fence (`Aerie.Control.Missions.own_fence/2`), and against the policy for a vehicle.
   """
 
-  alias Aerie.Control.Mission.{OwnFence, Review}
-  alias Protocols.Mission.{Onboard, Plan}
+  alias Protocols.Mission.Plan
   alias Aerie.Base.Names
-  alias Aerie.Control.{Missions, Policy}
-  alias Aerie.Vehicle.Firmware
-  alias Aerie.Control.Policy.{Context, Roles}
+  alias Aerie.Control.Mission.Review
+  alias Aerie.Control.Missions
+  alias Aerie.Control.Policy.Roles
   alias Aerie.Console.Plan.Profile
   alias MavCodec.Enums.MavCmd
 
@@ -66,7 +65,7 @@ defmodule Aerie.Console.Plan.Check do
   @doc "Checks the plan against its own fence, and the fence, if it is sent, against the vehicle of a snapshot; nil for none."
   @spec own(Plan.t(), map() | nil, fence_sent? :: boolean()) :: [problem()]
   def own(plan, snapshot, fence_sent?) do
-    for found <- OwnFence.check(plan, OwnFence.vehicle(snapshot, System.os_time(:microsecond))),
+    for found <- Missions.own_fence(plan, snapshot),
         do:
           Map.put(
             Map.delete(found, :breach?),
@@ -78,36 +77,14 @@ defmodule Aerie.Console.Plan.Check do
   @doc "Asks the policy about sending parts of the plan to the vehicle of a snapshot."
   @spec policy(Names.gateway(), Plan.t(), [Missions.kind()], map(), Roles.source()) :: [problem()]
   def policy(gateway, plan, parts, snapshot, user) do
-    protocol = Firmware.of(snapshot.autopilot)
-    context = Context.of(gateway, snapshot, user, System.os_time(:microsecond))
-    vehicle = Map.take(snapshot, [:autopilot, :vehicle_type])
-
     lacking = for part <- parts, reason = Missions.gap(snapshot, part), do: %{bad(nil, reason) | part: part}
-
-    case Policy.Store.get(gateway) do
-      _policy when lacking != [] ->
-        lacking
-
-      nil ->
-        [bad(nil, "the gateway has no policy, so nobody may send a plan")]
-
-      policy ->
-        for {type, part} <- [{0, :mission}, {1, :fence}, {2, :rally}],
-            part in parts,
-            [_ | _] = items <- [Onboard.items(plan, type, protocol)],
-            {:deny, _rule, seq, reason} <- [Review.plan(policy, items, type, vehicle, context)] do
-          %{bad(index(part, seq, protocol), reason) | part: part}
-        end
-    end
+    if lacking == [], do: reviewed(Review.of_parts(gateway, plan, parts, snapshot, user)), else: lacking
   end
 
-  # The vehicle counts home if it is an item.
-  defp index(:mission, seq, protocol) when is_integer(seq) do
-    index = if protocol.home_is_item_0?(), do: seq - 1, else: seq
-    if index >= 0, do: index
-  end
+  defp reviewed({:ok, denied}),
+    do: for({part, index, reason} <- denied, do: %{bad(index, reason) | part: part})
 
-  defp index(_part, _seq, _protocol), do: nil
+  defp reviewed({:error, :no_policy}), do: [bad(nil, "the gateway has no policy, so nobody may send a plan")]
 
   defp bad(index, text), do: %{kind: :bad, part: :mission, index: index, text: text}
   defp warn(index, text), do: %{bad(index, text) | kind: :warn}

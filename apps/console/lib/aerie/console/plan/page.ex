@@ -313,7 +313,7 @@ defmodule Aerie.Console.Plan.Page do
     do: push_event(socket, "map:plan", %{map: @map, plan: MapPayload.payload(draft, problems)})
 
   defp zones(%{assigns: %{gateway: gateway}} = socket),
-    do: push_event(socket, "map:zones", %{map: @map, zones: Zones.of(Policy.Store.get(gateway))})
+    do: push_event(socket, "map:zones", %{map: @map, zones: Zones.of(Policy.in_force(gateway))})
 
   defp imported(%{assigns: %{gateway: gateway, user: user}}, text, format) do
     case WorkLimit.run(gateway, :parse, {:name, user.name}, fn -> Missions.import(text, format) end) do

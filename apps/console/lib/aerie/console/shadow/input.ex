@@ -79,7 +79,7 @@ defmodule Aerie.Console.Shadow.Input do
          do: {:error, "#{String.slice(path, 0, 60)} is not a field: see docs/shadow.md"}
   end
 
-  defp value("tags", text), do: text |> String.split(",") |> Aerie.Fleet.Shadow.Tags.tidy()
+  defp value("tags", text), do: text |> String.split(",") |> Aerie.Fleet.Shadow.tidy_tags()
 
   defp value("home", text) do
     case text |> String.split(",") |> Enum.map(&number(String.trim(&1))) do

@@ -20,7 +20,7 @@ defmodule Aerie.Console.Vehicle.Page do
   alias MavRouter.Link
   alias Aerie.Vehicle.Command.Types
   alias Aerie.Vehicle.Journal
-  alias Aerie.Control.Policy.ControlLeases
+  alias Aerie.Control.Policy
   alias Aerie.Console.Commands.{Courses, Entry, EntryList, Submit}
   alias Aerie.Console.Fleet.Plans
   alias Aerie.Console.Map.Payload
@@ -212,7 +212,7 @@ defmodule Aerie.Console.Vehicle.Page do
 
   # The page may show an earlier lease than there is.
   defp charge_meant?(%{assigns: %{gateway: gateway, view: %View{vehicle: vehicle}}}, event),
-    do: ControlBanner.meant?(event, ControlLeases.of(gateway, vehicle.key))
+    do: ControlBanner.meant?(event, Policy.control_lease(gateway, vehicle.key))
 
   defp charge_meant?(_no_vehicle, _event), do: true
 
@@ -290,7 +290,7 @@ defmodule Aerie.Console.Vehicle.Page do
         socket
         |> assign(
           view: View.new(vehicle, Store.links(gateway), now),
-          lease: ControlLeases.of(gateway, vehicle.key)
+          lease: Policy.control_lease(gateway, vehicle.key)
         )
         |> lives()
         |> part()

@@ -215,6 +215,10 @@ defmodule Aerie.Control.Operations.Operation do
     ]
   end
 
+  @doc "Whether a request by a route has a body."
+  @spec body?(Route.t()) :: boolean()
+  defdelegate body?(route), to: Route
+
   @doc "How long REST waits for the result of a change."
   @spec wait() :: Field.t()
   def wait do

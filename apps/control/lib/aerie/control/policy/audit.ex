@@ -16,7 +16,7 @@ defmodule Aerie.Control.Policy.Audit do
 
   alias Aerie.Base.{Names, Store}
   alias Aerie.Base.Files.{Damaged, Disk, FolderLock}
-  alias Aerie.Control.Policy.Audit.{Log, Refusals, Verify}
+  alias Aerie.Control.Policy.Audit.{Log, Reader, Refusals, Verify}
   alias Aerie.Control.Policy.{Intent, Roles}
 
   require Logger
@@ -119,6 +119,24 @@ defmodule Aerie.Control.Policy.Audit do
     :exit, {:timeout, _call} -> {:error, "the audit log did not answer within #{timeout} ms"}
     :exit, _gone -> {:error, "the audit log does not run"}
   end
+
+  # --- Reading the log, of a gateway that runs or one that does not, by its folder
+
+  @doc "The files of the log with their sizes, the oldest first."
+  @spec files(Path.t()) :: [{Path.t(), non_neg_integer()}]
+  defdelegate files(dir), to: Reader
+
+  @doc "A page of records, the latest first."
+  @spec page(Path.t(), Reader.query()) :: {:ok, Reader.page()} | {:error, String.t()}
+  defdelegate page(dir, query), to: Reader
+
+  @doc "A value of a record for people."
+  @spec format(term()) :: String.t()
+  defdelegate format(value), to: Reader
+
+  @doc "Checks that no record was changed or is missing."
+  @spec verify(Path.t()) :: {:ok, Verify.report()} | {:error, String.t()}
+  defdelegate verify(dir), to: Verify, as: :folder
 
   @impl GenServer
   def init(options) do

@@ -12,6 +12,9 @@ defmodule Aerie.Control.Policy.ControlLeases do
   alias Aerie.Control.Policy.{Intent, ControlLease, Roles}
   alias Aerie.Base.PubSub
 
+  @typedoc "A vehicle by its network and system id."
+  @type vehicle :: Store.vehicle_key()
+
   @doc "The table that the store owns for this module."
   @spec table() :: Store.table()
   def table, do: {:leases, [:set, read_concurrency: true], []}

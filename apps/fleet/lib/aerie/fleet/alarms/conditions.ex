@@ -6,7 +6,7 @@ defmodule Aerie.Fleet.Alarms.Conditions do
   """
 
   alias Aerie.Fleet.Diagnosis.Condition
-  alias Aerie.Fleet.Alarms
+  alias Aerie.Fleet.Alarms.Core
   alias Aerie.Vehicle.Snapshot
 
   # Which conditions of the diagnosis are also alarms, and how severe.
@@ -14,7 +14,7 @@ defmodule Aerie.Fleet.Alarms.Conditions do
   @severities %{error: :critical, warning: :warning}
 
   @doc "Conditions of a vehicle's snapshot."
-  @spec vehicle(map()) :: [Alarms.condition()]
+  @spec vehicle(map()) :: [Core.condition()]
   def vehicle(%{id: id} = vehicle) do
     mode = Snapshot.data(vehicle, :mode)
     flying? = mode[:armed] == true or mode[:in_air] == true
@@ -34,7 +34,7 @@ defmodule Aerie.Fleet.Alarms.Conditions do
   defp silent(_status, _id, _flying?), do: []
 
   @doc "Conditions of a link's snapshot."
-  @spec link(map()) :: [Alarms.condition()]
+  @spec link(map()) :: [Core.condition()]
   def link(%{status: status}) when status in [:up, :idle, :ended, :disabled], do: []
 
   def link(%{id: id, status: status} = link),
@@ -52,7 +52,7 @@ defmodule Aerie.Fleet.Alarms.Conditions do
   Those of the diagnosis' conditions that are alarms: duplicate system ids, overload, damaged frames, a hub that stores
   nothing.
   """
-  @spec diagnosed([Condition.t()]) :: [Alarms.condition()]
+  @spec diagnosed([Condition.t()]) :: [Core.condition()]
   def diagnosed(conditions) do
     for %{name: name, subject: subject, severity: severity, title: title} <- conditions,
         name in @diagnosed,
@@ -73,7 +73,7 @@ defmodule Aerie.Fleet.Alarms.Conditions do
 
   @doc "Conditions of the gateway itself: its ids, and what keeps it from storing events (nil for nothing)."
   @spec gateway(%{:alarm => String.t() | nil, optional(atom()) => term()}, String.t() | nil, String.t() | nil) ::
-          [Alarms.condition()]
+          [Core.condition()]
   def gateway(identity, nats, audit) do
     for {kind, severity, text} <- [
           {:identity, :critical, identity.alarm},

@@ -4,7 +4,7 @@ defmodule Aerie.Fleet.Alarms.Detected do
   (`t:Aerie.Vehicle.Detector.condition/0`), so none outlives its cause, whatever event was lost. Pure.
   """
 
-  alias Aerie.Fleet.Alarms
+  alias Aerie.Fleet.Alarms.Core
   alias Aerie.Vehicle.{Detector, Event, Snapshot}
 
   @source :detected
@@ -13,7 +13,7 @@ defmodule Aerie.Fleet.Alarms.Detected do
   The alarms as the detectors of the vehicles have them at `now`; `detected` are their conditions by vehicle. A vehicle
   that is lost keeps its own. One that only another gateway hears, or that was removed, has none: nothing would end it.
   """
-  @spec put(Alarms.t(), %{String.t() => [Detector.condition()]}, [vehicle :: map()], integer()) :: Alarms.t()
+  @spec put(Core.t(), %{String.t() => [Detector.condition()]}, [vehicle :: map()], integer()) :: Core.t()
   def put(alarms, detected, vehicles, now) do
     conditions =
       for %{id: id} = vehicle <- vehicles,
@@ -21,7 +21,7 @@ defmodule Aerie.Fleet.Alarms.Detected do
           one <- Map.get(detected, id, []),
           do: id |> condition(one) |> Map.put(:text, text(one, vehicle))
 
-    Alarms.put(alarms, @source, conditions, now)
+    Core.put(alarms, @source, conditions, now)
   end
 
   @doc "Whether an event begins or ends an alarm."
@@ -34,7 +34,7 @@ defmodule Aerie.Fleet.Alarms.Detected do
   end
 
   @doc "After an event: an alarm that began and is over already stays until somebody has seen it."
-  @spec told(Alarms.t(), Event.t(), [Detector.condition()]) :: Alarms.t()
+  @spec told(Core.t(), Event.t(), [Detector.condition()]) :: Core.t()
   def told(alarms, %Event{vehicle: vehicle, time: at} = event, detected) do
     subject = if event.type == "failsafe", do: {event.data["type"], event.data["reason"]}
     told = %{type: event.type, subject: subject, since: at, data: event.data}
@@ -43,7 +43,7 @@ defmodule Aerie.Fleet.Alarms.Detected do
       alarms
     else
       condition = condition(vehicle, told)
-      alarms |> Alarms.raise_alarm(@source, condition, at) |> Alarms.clear(condition.key, at)
+      alarms |> Core.raise_alarm(@source, condition, at) |> Core.clear(condition.key, at)
     end
   end
 

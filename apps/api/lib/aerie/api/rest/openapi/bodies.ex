@@ -8,8 +8,7 @@ defmodule Aerie.Api.Rest.OpenAPI.Bodies do
 
   alias Aerie.Api.Rest.{Commands, View}
   alias Aerie.Base.Json.Object
-  alias Aerie.Fleet.{Operations, Shadow}
-  alias Aerie.Vehicle.Command
+  alias Aerie.Vehicle.Command.Types
   alias MavRouter.Endpoints.RulesSchema
 
   @doc "All of them."
@@ -19,8 +18,6 @@ defmodule Aerie.Api.Rest.OpenAPI.Bodies do
       object: %{type: :object},
       nothing: object(%{}),
       rules: RulesSchema.change(),
-      command: %{oneOf: for(type <- Command.Types.all(), do: Command.Schema.envelope(type, type?: true))},
-      result: Command.Schema.result(),
       under_way: under_way()
     }
 
@@ -28,14 +25,11 @@ defmodule Aerie.Api.Rest.OpenAPI.Bodies do
     |> Map.new(fn {name, fields} -> {name, Object.schema(fields)} end)
     |> Map.merge(own)
     |> Map.merge(Aerie.Api.Rest.Operations.schemas())
-    |> Map.merge(Command.Schema.shared())
-    |> Map.merge(Operations.Schema.shared())
-    |> Map.merge(Shadow.Schema.shared())
-    |> Map.put("reported", Shadow.Schema.reported())
+    |> Map.merge(Aerie.Fleet.schemas())
   end
 
   defp answers do
-    types = [{:types, {:list, {:object, Command.Types.fields()}}, nil, "all of them"}]
+    types = [{:types, {:list, {:object, Types.fields()}}, nil, "all of them"}]
     offers = [{:commands, {:list, {:object, Commands.offer_fields()}}, nil, "all of them"}]
 
     Map.merge(View.answers(), %{

@@ -3,7 +3,7 @@ defmodule Aerie.Console.Fleet.Actions.Tagging do
   The dialog for tags: of the vehicles that were selected when it was opened, whatever is selected later. Pure.
   """
 
-  alias Aerie.Fleet.Shadow.Tags
+  alias Aerie.Fleet.Shadow
   alias Aerie.Console.Fleet.Board.Row
 
   @enforce_keys [:ids, :common, :text]
@@ -32,7 +32,7 @@ defmodule Aerie.Console.Fleet.Actions.Tagging do
   @doc "Begins to change them. Tags that only some of the vehicles have stay theirs."
   @spec save(t(), text :: String.t(), [Row.t()]) :: t()
   def save(tagging, text, rows) do
-    words = text |> String.split(",") |> Tags.tidy()
+    words = text |> String.split(",") |> Shadow.tidy_tags()
     left = for row <- rows, row.id in tagging.ids, do: {row.id, words ++ (row.tags -- tagging.common)}
     %{tagging | text: text, error: nil, left: left}
   end

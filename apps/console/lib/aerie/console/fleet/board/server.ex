@@ -6,10 +6,9 @@ defmodule Aerie.Console.Fleet.Board.Server do
   use GenServer
 
   alias Aerie.Base.{Names, Store}
-  alias Aerie.Control.Policy.ControlLeases
+  alias Aerie.Control.Policy
   alias Aerie.Fleet
   alias Aerie.Fleet.Shadow
-  alias Aerie.Fleet.Shadow.Tags
   alias Aerie.Console.Fleet.{Board, Table}
   alias Aerie.Console.Fleet.Board.Row
 
@@ -47,8 +46,8 @@ defmodule Aerie.Console.Fleet.Board.Server do
     now = System.os_time(:microsecond)
     links = Store.links(gateway)
     tags = Shadow.tags(gateway)
-    leases = ControlLeases.all(gateway)
+    leases = Policy.control_leases(gateway)
     rows = for vehicle <- Fleet.vehicles(gateway), do: Row.new(vehicle, links, tags, now, leases)
-    Board.put(board, rows, Tags.all(tags), &Table.cells/1)
+    Board.put(board, rows, Shadow.all_tags(tags), &Table.cells/1)
   end
 end

@@ -5,7 +5,7 @@ defmodule Aerie.Console.Vehicle.Control.Actions do
   """
   use Aerie.Console, :component
 
-  alias Aerie.Control.CommandExecutor.Offers
+  alias Aerie.Control.Commands
   alias Aerie.Vehicle.Firmware.Modes
   alias Aerie.Console.Commands.{Catalog, Panel}
   alias Aerie.Console.Vehicle.View
@@ -119,7 +119,7 @@ defmodule Aerie.Console.Vehicle.Control.Actions do
   @doc "Whether the firmware has the command, with these parameters if they are given, and the user may give it."
   @spec able?(String.t(), map(), params :: map()) :: boolean()
   def able?(name, %{view: view, user: user}, params \\ %{}),
-    do: Offers.lacks(view.vehicle, name, user, params) == nil
+    do: Commands.lacks(view.vehicle, name, user, params) == nil
 
   # What a viewer lacks is a role, which the note of each command would repeat.
   defp locked(_commands, %{user: %{role: :viewer}}), do: []

@@ -1,7 +1,8 @@
 defmodule Aerie.Control.Policy.Drift do
   @moduledoc """
-  How far a velocity leads until the vehicle stands again. It is flown for as long as the gateway repeats it, then until the vehicle's own
-  time-out for set-points that stop, then for a second of reaction; from there the vehicle brakes. An acceleration goes on all that time.
+  How far a velocity leads until the vehicle stands again. It is flown for as long as the gateway repeats it, then until
+  the vehicle's own time-out for set-points that stop (`Aerie.Vehicle.Firmware.Reading`), then for a second of reaction;
+  from there the vehicle brakes. An acceleration goes on all that time.
   """
 
   alias Aerie.Control.Policy.{Context, Intent}

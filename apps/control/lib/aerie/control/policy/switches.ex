@@ -1,14 +1,12 @@
 defmodule Aerie.Control.Policy.Switches do
   @moduledoc """
-  What the channels and buttons that an override or a joystick works do to a vehicle, by its parameters as far as they
-  are known
-  (`Aerie.Vehicle.Services.Switches`). Each effect is judged like the command that does the same: a kill switch needs
-  `terminate`, a mode switch
-  changes the mode.
+  What the channels and buttons that an override or a joystick works do to a vehicle, as its firmware has it
+  (`Aerie.Vehicle.Firmware.Inputs`) and by its parameters as far as they are known (`Aerie.Vehicle.Services.Switches`).
+  Each effect is judged like the command that does the same: a kill switch needs `terminate`, a mode switch changes the
+  mode.
 
-  The four sticks are a pilot's and pass. A channel or button whose effect nobody here knows needs the most, because
-  it may be the one that
-  stops the motors. Vehicles with MSP are not meant: their channels need `receiver`.
+  The four sticks are a pilot's and pass. A channel or button whose effect nobody here knows needs the most, because it
+  may be the one that stops the motors. Vehicles that are steered by channels are not meant: these need `receiver`.
   """
 
   alias Aerie.Control.Policy.{Context, Intent}

@@ -2,10 +2,10 @@ defmodule Aerie.Vehicle.Services.Gcs do
   @moduledoc """
   Which ground station's heartbeats keep a vehicle's failsafe quiet (H5). A pure value.
 
-  The failsafe for a lost ground station waits for heartbeats. ArduPilot's counts those of system `SYSID_MYGCS`
-  (`MAV_GCS_SYSID` to `MAV_GCS_SYSID_HI` since 4.7), PX4's any with MAV_TYPE_GCS. So with two stations on a network the
-  one that the vehicle listens to may be gone while the other is still there, and with a wrong parameter there never was
-  one. This module knows which one counts and whether it is heard, and reports when it falls silent.
+  The failsafe for a lost ground station waits for heartbeats, of any station or of those that parameters name
+  (`Aerie.Vehicle.Firmware.GroundStation`). So with two stations on a network the one that the vehicle listens to may be
+  gone while the other is still there, and with a wrong parameter there never was one. This module knows which one
+  counts and whether it is heard, and reports when it falls silent.
 
   The parameters are read once, one by one, two seconds apart, and again after a reboot; any other PARAM_VALUE that
   comes is used as well. Unknown values are nil.

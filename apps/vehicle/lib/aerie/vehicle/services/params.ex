@@ -1,7 +1,7 @@
 defmodule Aerie.Vehicle.Services.Params do
   @moduledoc """
-  Reads PARAM_VALUE. The field for the value is always a float: ArduPilot converts the number of an integer, others put its bytes
-  there (P2). The capability flags are not reliable, so the autopilot decides.
+  Reads PARAM_VALUE. The field for the value is always a float, into which each firmware puts integers in its way (P2).
+  The capability flags are not reliable, so the firmware decides (`Aerie.Vehicle.Firmware.Traits`).
   """
 
   alias Aerie.Vehicle.Firmware

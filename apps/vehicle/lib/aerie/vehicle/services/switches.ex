@@ -1,8 +1,8 @@
 defmodule Aerie.Vehicle.Services.Switches do
   @moduledoc """
   The parameters of a vehicle on which rules of the policy and adapters depend: what its mode switch, channels and
-  buttons do, whether and for how long it obeys overrides and set-points, and how wide its paths are
-  (`MavCodec.Meaning.Shaping`). A pure value.
+  buttons do (`Aerie.Vehicle.Firmware.Inputs`), whether and for how long it obeys overrides and set-points, and how wide
+  its paths are (`Aerie.Vehicle.Firmware.Room`). A pure value.
 
   They are read once, a few at a time, after those of `Aerie.Vehicle.Services.Gcs`, and again after a reboot; any other
   PARAM_VALUE that comes is used as well.

@@ -1,8 +1,7 @@
 defmodule Aerie.Vehicle.State.HighLatency do
   @moduledoc """
-  HIGH_LATENCY2, the only message that comes by a satellite link (X6): a summary without a heartbeat.
-
-  Only ArduPilot says in it whether the vehicle is armed: it puts the base mode into `custom0`.
+  HIGH_LATENCY2, the only message that comes by a satellite link (X6): a summary without a heartbeat. What firmwares put
+  into it differs (`Aerie.Vehicle.Firmware.Telemetry`).
   """
   @behaviour Aerie.Vehicle.State.Group
 

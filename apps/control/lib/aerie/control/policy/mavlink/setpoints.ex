@@ -1,6 +1,7 @@
 defmodule Aerie.Control.Policy.Mavlink.Setpoints do
   @moduledoc """
-  SET_POSITION_TARGET_GLOBAL_INT and _LOCAL_NED: where they lead, as the vehicle's firmware reads their masks.
+  SET_POSITION_TARGET_GLOBAL_INT and _LOCAL_NED: where they lead, as the vehicle's firmware reads their masks
+  (`setpoints` of `Aerie.Vehicle.Firmware.Reading`).
 
   ArduPilot (`handle_message_set_position_target_*` of GCS_MAVLINK_Copter, _Rover, _Plane, _Sub) takes no notice of a
   position, a velocity or an acceleration of which one axis is masked. With a position and a velocity it flies to the

@@ -4,9 +4,11 @@ defmodule Aerie.Fleet.AsyncAPI.Schemas do
   import Aerie.Base.Json.Schema
 
   alias Aerie.Fleet.AsyncAPI.Requests
+  alias Aerie.Base.Json.Object
   alias Aerie.Fleet.Bridge.Events.Gaps
+  alias Aerie.Fleet.Remote.Message
   alias Aerie.Fleet.Shadow
-  alias Aerie.Vehicle.{Command, Event, Fields, Firmware}
+  alias Aerie.Vehicle.{Command, Event, Fields}
   alias Aerie.Vehicle.State.Groups
 
   @type t :: Aerie.Base.Json.Schema.t()
@@ -24,7 +26,10 @@ defmodule Aerie.Fleet.AsyncAPI.Schemas do
       for group <- Groups.all(),
           do: {"state.#{group.name}", state(group.name, group.title, Fields.Schema.group(group))}
 
-    [{"state.gateway", state(:gateway, "What a gateway says of a vehicle.", gateway())} | groups]
+    [
+      {"state.gateway", state(:gateway, "What a gateway says of a vehicle.", Object.schema(Message.fields()))}
+      | groups
+    ]
   end
 
   defp state(name, title, data) do
@@ -41,22 +46,6 @@ defmodule Aerie.Fleet.AsyncAPI.Schemas do
     described(
       object(properties, [:vehicle, :group, :gateway, :time, :time_boot_ms, :data], open: true),
       title
-    )
-  end
-
-  defp gateway do
-    object(
-      %{
-        network: described(%{type: :string}, "the network that its system id belongs to"),
-        system_id: described(integer(0, 0xFFFFFFFF), "MAVLink system id"),
-        autopilot: %{enum: Enum.sort(Map.keys(Firmware.by_text()))},
-        type: described(%{type: [:string, :null]}, "copter, plane, rover, …"),
-        firmware: %{type: [:string, :null]},
-        status: %{enum: ~w(online stale lost)},
-        silent_s: described(%{type: [:number, :null], minimum: 0}, "how long the vehicle was not heard", "s")
-      },
-      [:network, :system_id, :status],
-      open: true
     )
   end
 

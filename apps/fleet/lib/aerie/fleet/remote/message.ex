@@ -6,9 +6,10 @@ defmodule Aerie.Fleet.Remote.Message do
   `gateway` is what a gateway says of the vehicle: who it is, and whether it is heard.
   """
 
+  alias Aerie.Base.Json.Object
   alias Aerie.Fleet.Bridge
   alias Aerie.Fleet.RemoteTable
-  alias Aerie.Vehicle.{Fields, Firmware}
+  alias Aerie.Vehicle.{Fields, Firmware, Snapshot}
 
   @max_text 256
   @max_list 64
@@ -66,18 +67,21 @@ defmodule Aerie.Fleet.Remote.Message do
     end
   end
 
+  @shown Enum.filter(
+           Snapshot.Fields.of(:whole),
+           &(&1.name in [:network, :system_id, :autopilot, :type, :firmware, :status])
+         )
+  @silent Object.fields([{:silent_s, :number, "s", "how long the vehicle was not heard"}])
+
+  @doc "What a gateway says of a vehicle."
+  @spec fields() :: [Object.t()]
+  def fields, do: @shown ++ @silent
+
   @doc "The facts about a vehicle's snapshot, as `parse/3` reads them, at `now` (unix microseconds)."
-  @spec facts(snapshot :: map(), now :: integer()) :: map()
+  @spec facts(Snapshot.t(), now :: integer()) :: map()
   def facts(snapshot, now) do
-    %{
-      network: snapshot.network,
-      system_id: snapshot.system_id,
-      autopilot: snapshot.autopilot,
-      type: snapshot.vehicle_type,
-      firmware: snapshot.firmware,
-      status: snapshot.status,
-      silent_s: if(snapshot.last_heard, do: max(now - snapshot.last_heard, 0) / 1_000_000)
-    }
+    silent = if snapshot.last_heard, do: max(now - snapshot.last_heard, 0) / 1_000_000
+    @shown |> Object.show(snapshot) |> Map.put(:silent_s, silent)
   end
 
   defp content("gateway", data, time) do

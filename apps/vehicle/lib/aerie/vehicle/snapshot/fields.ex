@@ -13,7 +13,7 @@ defmodule Aerie.Vehicle.Snapshot.Fields do
 
   alias Aerie.Base.Json
   alias Aerie.Base.Json.{Object, Schema}
-  alias Aerie.Vehicle.Fields
+  alias Aerie.Vehicle.{Fields, Firmware}
   alias Aerie.Vehicle.Snapshot
   alias Aerie.Vehicle.Services.{Gcs, Reports, Timesync}
   alias Aerie.Vehicle.Services.Streams.WantedMessage
@@ -92,7 +92,7 @@ defmodule Aerie.Vehicle.Snapshot.Fields do
       {:fc_connected, :boolean, nil, "true while the vehicle is online"},
       {:fc_port, :text, nil, "device or address of the link that last heard it"},
       {:fc_baud, :integer, "1/s", "baud rate of a serial link"},
-      {:autopilot, :text, nil, "ardupilot, px4, …"},
+      {:autopilot, {:one_of, Enum.sort(Map.keys(Firmware.by_text()))}, nil, "its firmware"},
       {:type, :text, nil, "copter, plane, rover, …", :vehicle_type},
       {:armed, :boolean, nil, "as in the group `mode`"},
       {:in_air, :boolean, nil, "as in the group `mode`"},

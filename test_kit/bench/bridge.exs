@@ -8,7 +8,7 @@ Code.require_file("harness.exs", __DIR__)
 defmodule BridgeBench do
   alias Aerie.Base.{Names, PubSub, Store}
   alias Aerie.Fleet.Bridge
-  alias Aerie.Fleet.Bridge.Outbox
+  alias Aerie.Fleet.Bridge.Events.Outbox
   alias Aerie.Vehicle.{Event, Journal}
   alias Bench.{Gateway, Sample}
 

@@ -6,7 +6,7 @@ defmodule Aerie.Gateway do
   Aerie.Gateway                    rest_for_one
   ├─ Aerie.Base.Store             owns the ETS read model and the journal of events
   ├─ Aerie.Base.PubSub            change notices, coalesced
-  ├─ Aerie.Fleet.Bridge.LastPublished      what was published last of each vehicle, over restarts
+  ├─ Aerie.Fleet.Bridge.State.LastPublished      what was published last of each vehicle, over restarts
   ├─ Aerie.Fleet.Bridge.Supervisor       NATS server (embedded mode), connection, outbox
   ├─ MavRouter.Signing.Supervisor      keys, time stamps of signed links
   ├─ MavRouter.Recorder.Supervisor     recordings of vehicles, the last moments of each
@@ -127,7 +127,7 @@ defmodule Aerie.Gateway do
          Policy.ClientHistory.table()
        ]},
       {Aerie.Base.PubSub, []},
-      {Bridge.LastPublished, settings: bridge},
+      {Bridge.State.LastPublished, settings: bridge},
       {Bridge.Supervisor, settings: bridge},
       {Signing.Supervisor, settings: Signing.Settings.from(config), events: Vehicle.Events.External},
       {Recorder.Supervisor, settings: Recorder.Settings.from(config)},

@@ -5,7 +5,8 @@ defmodule Aerie.DiskFormatsTest do
   """
   use ExUnit.Case, async: true
 
-  alias Aerie.Fleet.Bridge.{LastPublished, Outbox}
+  alias Aerie.Fleet.Bridge.Events.Outbox
+  alias Aerie.Fleet.Bridge.State.LastPublished
   alias Aerie.Base.Secret
   alias Aerie.Control.Ledger
   alias Aerie.Vehicle.Command

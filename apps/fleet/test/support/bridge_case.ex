@@ -114,13 +114,13 @@ defmodule Aerie.BridgeCase do
   @spec await(reference(), atom(), (map() -> as_boolean(term())), timeout()) :: map()
   def await(gateway, part, fun, timeout \\ Aerie.Patience.ms()) do
     deadline = System.monotonic_time(:millisecond) + timeout
-    info = gateway |> Bridge.Tables.get() |> info(part)
+    info = gateway |> Bridge.Status.Tables.get() |> info(part)
     if info && fun.(info), do: info, else: await_news(gateway, part, fun, deadline)
   end
 
   # The tables are gone while the bridge restarts.
   defp info(nil, _part), do: nil
-  defp info(tables, part), do: Bridge.Tables.info(tables, part)
+  defp info(tables, part), do: Bridge.Status.Tables.info(tables, part)
 
   defp await_news(gateway, part, fun, deadline) do
     receive do
@@ -149,7 +149,7 @@ defmodule Aerie.BridgeCase do
   @spec await_listening(reference(), [String.t()]) :: :ok
   def await_listening(gateway, vehicles) do
     eventually(fn -> Bridge.Commands.vehicles(gateway) == vehicles end)
-    %{conn: conn} = gateway |> Bridge.Tables.get() |> Bridge.Connection.current()
+    %{conn: conn} = gateway |> Bridge.Status.Tables.get() |> Bridge.Connection.current()
     {:ok, _info} = answered(conn, fn -> Gnat.request(conn, "$JS.API.INFO", "") end)
     :ok
   end
@@ -158,7 +158,7 @@ defmodule Aerie.BridgeCase do
   @spec await_reconnected(reference(), pid()) :: String.t()
   def await_reconnected(gateway, old) do
     eventually(fn ->
-      current = with %{} = tables <- Bridge.Tables.get(gateway), do: Bridge.Connection.current(tables)
+      current = with %{} = tables <- Bridge.Status.Tables.get(gateway), do: Bridge.Connection.current(tables)
       match?(%{streams: :ok, conn: conn} when is_pid(conn), current) and current.conn != old
     end)
 
@@ -292,7 +292,7 @@ defmodule Aerie.BridgeCase do
   @doc "What events of a gateway wait for, for a test that failed."
   @spec waiting(reference()) :: map()
   def waiting(gateway) do
-    tables = Bridge.Tables.get(gateway)
+    tables = Bridge.Status.Tables.get(gateway)
 
     state =
       with pid when is_pid(pid) <- Aerie.Base.Names.whereis(gateway, :bridge_events),
@@ -306,7 +306,7 @@ defmodule Aerie.BridgeCase do
       pending: Journal.pending_size(gateway),
       outbox: outbox(gateway),
       connection: Bridge.Connection.current(tables),
-      problem: Bridge.Tables.problem(tables),
+      problem: Bridge.Status.Tables.problem(tables),
       events: state
     }
   end
@@ -325,7 +325,7 @@ defmodule Aerie.BridgeCase do
   defp outbox(gateway) do
     with pid when is_pid(pid) <- Aerie.Base.Names.whereis(gateway, :bridge_events),
          %{outbox: outbox} when outbox != nil <- :sys.get_state(pid, Aerie.Patience.ms()),
-         do: Bridge.Outbox.stats(outbox)
+         do: Bridge.Events.Outbox.stats(outbox)
   catch
     :exit, _killed -> nil
   end

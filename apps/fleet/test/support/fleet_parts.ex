@@ -5,7 +5,7 @@ defmodule Aerie.FleetParts do
   @spec parts() :: [{:always | :bridge, module(), before :: module() | nil}]
   def parts do
     [
-      {:bridge, Aerie.Fleet.Bridge.LastPublished, MavRouter.Signing.Supervisor},
+      {:bridge, Aerie.Fleet.Bridge.State.LastPublished, MavRouter.Signing.Supervisor},
       {:bridge, Aerie.Fleet.Bridge.Supervisor, MavRouter.Signing.Supervisor},
       {:always, Aerie.Fleet.Client.Supervisor, nil}
     ]

@@ -53,11 +53,22 @@ defmodule Aerie.LinkCase do
   @spec options(module, term, map) :: keyword
   def options(part, gateway, config) do
     config = without_saving(config)
-    settings = part |> Module.split() |> List.replace_at(-1, "Settings") |> Module.concat()
+
+    case part |> Module.split() |> Enum.drop(-1) |> settings() do
+      nil -> [gateway: gateway]
+      settings -> [gateway: gateway, settings: settings.from(config)]
+    end
+  end
+
+  # Those of the part's own folder, or of one above it.
+  defp settings([_root]), do: nil
+
+  defp settings(folder) do
+    settings = Module.concat(folder ++ ["Settings"])
 
     if Code.ensure_loaded?(settings) and function_exported?(settings, :from, 1),
-      do: [gateway: gateway, settings: settings.from(config)],
-      else: [gateway: gateway]
+      do: settings,
+      else: folder |> Enum.drop(-1) |> settings()
   end
 
   @doc "The specification of the client endpoints, as a gateway gives it to its router."

@@ -8,7 +8,8 @@ defmodule Aerie.Config.Preflight do
 
   import Bitwise
 
-  alias Aerie.Fleet.Bridge.{Leaf, Outbox}
+  alias Aerie.Fleet.Bridge.Leaf
+  alias Aerie.Fleet.Bridge.Events.Outbox
   alias Aerie.Base.Files.{Damaged, Format}
   alias Aerie.Config
   alias Aerie.Config.Error

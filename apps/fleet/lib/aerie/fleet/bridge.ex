@@ -19,7 +19,10 @@ defmodule Aerie.Fleet.Bridge do
 
   @behaviour Aerie.Vehicle.Session.Publisher
 
-  alias Aerie.Fleet.Bridge.{LastPublished, Metrics, State, Tables, Token}
+  alias Aerie.Fleet.Bridge.{Metrics, State}
+  alias Aerie.Fleet.Bridge.NatsServer.Token
+  alias Aerie.Fleet.Bridge.State.LastPublished
+  alias Aerie.Fleet.Bridge.Status.Tables
   alias Aerie.Base.{Names, Store}
 
   @typedoc """
@@ -59,7 +62,8 @@ defmodule Aerie.Fleet.Bridge do
   defdelegate publish_state(gateway, vehicle, group, map, at), to: State, as: :put
 
   @doc """
-  The vehicle's state as last published before the gateway was restarted (`Aerie.Fleet.Bridge.LastPublished`), or nil.
+  The vehicle's state as last published before the gateway was restarted (`Aerie.Fleet.Bridge.State.LastPublished`), or
+  nil.
   """
   @impl Aerie.Vehicle.Session.Publisher
   @spec remembered(Names.gateway(), String.t()) :: Aerie.Vehicle.Detector.OfflineChanges.t()

@@ -187,7 +187,7 @@ defmodule Aerie.Fleet.BridgeTest do
       for n <- 1..50, group <- [:position, :mode], do: Bridge.publish_state(gateway, "V", group, %{n: n}, n)
       assert metric(gateway, "gateway_nats_state_superseded_total") == 98
       # Two values and two marks, whatever came.
-      assert :ets.info(Bridge.Tables.get(gateway).values, :size) == 4
+      assert :ets.info(Bridge.Status.Tables.get(gateway).values, :size) == 4
       stop_bridge(gateway)
 
       # Back: the same, with a connection that comes late.
@@ -235,7 +235,7 @@ defmodule Aerie.Fleet.BridgeTest do
       :ok = Bridge.publish_state(gateway, "V", :home, %{n: 2}, 0)
       eventually(fn -> home(conn) == 2 end)
       # As if it had been sent long ago.
-      sent = Bridge.Tables.get(gateway).sent
+      sent = Bridge.Status.Tables.get(gateway).sent
       eventually(fn -> :ets.info(sent, :size) == 1 end)
       [{subject, message, at}] = :ets.tab2list(sent)
       :ets.insert(sent, {subject, message, at - 3_600_000})

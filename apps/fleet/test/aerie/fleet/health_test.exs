@@ -3,7 +3,7 @@ defmodule Aerie.Fleet.HealthTest do
 
   import Aerie.Patience, only: [eventually: 1]
 
-  alias Aerie.Fleet.Bridge.Tables
+  alias Aerie.Fleet.Bridge.Status.Tables
   alias Aerie.Fleet.Health
 
   @moduletag :tmp_dir

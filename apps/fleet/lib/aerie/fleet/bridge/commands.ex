@@ -24,7 +24,8 @@ defmodule Aerie.Fleet.Bridge.Commands do
   use GenServer
 
   alias Aerie.Fleet.Bridge.Commands.{Operation, Request, Workers}
-  alias Aerie.Fleet.Bridge.{Connection, Settings, Tables}
+  alias Aerie.Fleet.Bridge.{Connection, Settings}
+  alias Aerie.Fleet.Bridge.Status.Tables
   alias Aerie.Base.{Json, Names, Store}
   alias Aerie.Control.{Commands, Policy}
   alias Aerie.Fleet.Nats

@@ -9,7 +9,8 @@ defmodule Aerie.Fleet.Bridge.Connection do
   use GenServer
 
   alias Aerie.Fleet.Bridge.Connection.{Machine, Settings}
-  alias Aerie.Fleet.Bridge.{NatsServer, Streams, Tables}
+  alias Aerie.Fleet.Bridge.{NatsServer, Streams}
+  alias Aerie.Fleet.Bridge.Status.Tables
   alias Aerie.Base.Names
   alias Aerie.Fleet.{Bridge, Nats}
   alias Aerie.Base.PubSub

@@ -14,7 +14,9 @@ defmodule Aerie.Fleet.Bridge.Events do
   # Its end writes to the disk.
   use GenServer, shutdown: 30_000
 
-  alias Aerie.Fleet.Bridge.{Connection, NatsServer, Outbox, Settings, Tables}
+  alias Aerie.Fleet.Bridge.{Connection, NatsServer, Settings}
+  alias Aerie.Fleet.Bridge.Events.Outbox
+  alias Aerie.Fleet.Bridge.Status.Tables
   alias Aerie.Vehicle.Journal
   alias Aerie.Fleet.Bridge.Events.{Disk, Gaps, PubAck, Source, StallDetector, Window}
   alias Aerie.Base.Names

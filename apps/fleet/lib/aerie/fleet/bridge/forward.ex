@@ -16,7 +16,9 @@ defmodule Aerie.Fleet.Bridge.Forward do
   """
   use GenServer
 
-  alias Aerie.Fleet.Bridge.{Connection, Message, Readiness, Settings, State, Tables}
+  alias Aerie.Fleet.Bridge.{Connection, Message, Settings, State}
+  alias Aerie.Fleet.Bridge.Status.Readiness
+  alias Aerie.Fleet.Bridge.Status.Tables
   alias Aerie.Fleet.Bridge.Events.{Gaps, PubAck, Window}
   alias Aerie.Fleet.Bridge.Forward.{Hub, Local, Position}
   alias Aerie.Base.{Names, Store}

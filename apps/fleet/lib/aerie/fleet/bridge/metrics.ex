@@ -1,7 +1,7 @@
 defmodule Aerie.Fleet.Bridge.Metrics do
   @moduledoc "The bridge's metrics, to be rendered."
 
-  alias Aerie.Fleet.Bridge.Tables
+  alias Aerie.Fleet.Bridge.Status.Tables
   alias Aerie.Vehicle.Journal
   alias Aerie.Base.Names
 

@@ -15,7 +15,9 @@ defmodule Aerie.Fleet.Bridge.NatsServer do
   use GenServer
 
   alias Aerie.Base.Timing.Backoff
-  alias Aerie.Fleet.Bridge.{Leaf, Tables, Token}
+  alias Aerie.Fleet.Bridge.Leaf
+  alias Aerie.Fleet.Bridge.NatsServer.Token
+  alias Aerie.Fleet.Bridge.Status.Tables
   alias Aerie.Fleet.Bridge.NatsServer.{LogFile, LogLine, OsProcess, Repeats, RestartPolicy, Settings}
   alias Aerie.Base.Files.FolderLock
   alias Aerie.Base.Files.{Disk, Private}

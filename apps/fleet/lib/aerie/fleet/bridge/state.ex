@@ -15,7 +15,8 @@ defmodule Aerie.Fleet.Bridge.State do
   """
   use GenServer
 
-  alias Aerie.Fleet.Bridge.{Connection, Message, Settings, Tables}
+  alias Aerie.Fleet.Bridge.{Connection, Message, Settings}
+  alias Aerie.Fleet.Bridge.Status.Tables
   alias Aerie.Vehicle.Journal
   alias Aerie.Base.Names
   alias Aerie.Fleet.{Bridge, Nats}

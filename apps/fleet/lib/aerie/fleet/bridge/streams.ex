@@ -7,12 +7,13 @@ defmodule Aerie.Fleet.Bridge.Streams do
   | `FLEET_STATE` | `fleet.*.*.state.>` | the last message of each subject |
   | `FLEET_EVENTS` | `fleet.*.*.event.>` | events, up to an age and a size, the oldest go first |
 
-  At a hub each vehicle's events have a stream of their own in the place of the second one (`Aerie.Fleet.Bridge.EventStreams`).
+  At a hub each vehicle's events have a stream of their own in the place of the second one
+  (`Aerie.Fleet.Bridge.Events.VehicleStreams`).
 
-  A missing stream is created. A stream that differs from the configuration is changed on the embedded server; one that is kept in the wrong
-  place, which cannot be changed, is deleted and made again if it has only last values. On another
-  server it is left as it is and the difference is reported, because another gateway or an operator may have set it, except for what keeps vehicles
-  from having an effect on each other (`guarded/2`): that is changed everywhere.
+  A missing stream is created. A stream that differs from the configuration is changed on the embedded server; one that
+  is kept in the wrong place, which cannot be changed, is deleted and made again if it has only last values. On another
+  server it is left as it is and the difference is reported, because another gateway or an operator may have set it,
+  except for what keeps vehicles from having an effect on each other (`guarded/2`): that is changed everywhere.
   """
 
   alias Aerie.Fleet.Bridge.{Message, Settings}
@@ -68,8 +69,8 @@ defmodule Aerie.Fleet.Bridge.Streams do
   end
 
   @doc """
-  When the stream of last values was made; nil if that cannot be learned. If it is a new one, the values in the former are gone, and all that are known
-  have to be published.
+  When the stream of last values was made; nil if that cannot be learned. If it is a new one, the values in the former
+  are gone, and all that are known have to be published.
   """
   @spec state_made_at(Aerie.Fleet.Nats.conn()) :: DateTime.t() | nil
   def state_made_at(conn) do
@@ -107,8 +108,8 @@ defmodule Aerie.Fleet.Bridge.Streams do
   end
 
   @doc """
-  A stream as it is, except for what must be right even if another program made it: roll-up, the size of a message, and the window in which the server
-  looks for copies where messages have no ids.
+  A stream as it is, except for what must be right even if another program made it: roll-up, the size of a message, and
+  the window in which the server looks for copies where messages have no ids.
   """
   @spec guarded(there :: struct(), wanted :: struct()) :: struct()
   def guarded(there, wanted) do

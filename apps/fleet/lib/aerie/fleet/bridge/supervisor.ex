@@ -15,19 +15,10 @@ defmodule Aerie.Fleet.Bridge.Supervisor do
   """
   use Supervisor
 
-  alias Aerie.Fleet.Bridge.{
-    Commands,
-    Connection,
-    EventStreams,
-    Events,
-    Forward,
-    LastPublished,
-    Leaf,
-    NatsServer,
-    Settings,
-    State,
-    Tables
-  }
+  alias Aerie.Fleet.Bridge.{Commands, Connection, Events, Forward, Leaf, NatsServer, Settings, State}
+  alias Aerie.Fleet.Bridge.State.LastPublished
+  alias Aerie.Fleet.Bridge.Status.Tables
+  alias Aerie.Fleet.Bridge.Events.VehicleStreams
 
   alias Aerie.Base.Names
   alias Aerie.Fleet.Bridge
@@ -53,7 +44,7 @@ defmodule Aerie.Fleet.Bridge.Supervisor do
     server = if nats.mode == :embedded, do: [{NatsServer, options}], else: []
     forward = if Leaf.Config.on?(nats.leaf), do: [{Forward, options}], else: []
 
-    apart = if nats.streams.events_per_vehicle, do: [{EventStreams, options}], else: []
+    apart = if nats.streams.events_per_vehicle, do: [{VehicleStreams, options}], else: []
 
     children =
       [{Tables, gateway: options[:gateway]}] ++

@@ -20,7 +20,8 @@ defmodule Aerie.Fleet.Remote.Listener do
   alias Aerie.Base.{Names, Store}
   alias Aerie.Fleet.{Bridge, Nats}
   alias Aerie.Vehicle.Journal
-  alias Aerie.Fleet.Bridge.{Commands, Subscriber}
+  alias Aerie.Fleet.Bridge.Commands
+  alias Aerie.Fleet.Bridge.Connection.Subscriber
   alias Aerie.Fleet.RemoteTable
   alias Aerie.Fleet.Remote.{Message, Settings}
   alias Aerie.Base.PubSub

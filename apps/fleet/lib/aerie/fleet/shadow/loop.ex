@@ -14,7 +14,7 @@ defmodule Aerie.Fleet.Shadow.Loop do
   alias Aerie.Control.Params.LongNames
   alias Aerie.Control.Policy
   alias Aerie.Vehicle.Journal
-  alias Aerie.Fleet.Bridge.LastPublished
+  alias Aerie.Fleet.Bridge.State.LastPublished
   alias Aerie.Fleet.Shadow.{Actuator, Core, Documents, Field, Metrics, Report, Settings}
 
   @tick_ms 1_000

@@ -21,7 +21,7 @@ defmodule Aerie.Fleet.Shadow.Uplink do
   alias Aerie.Base.Files.Private
   alias Aerie.Base.Names
   alias Aerie.Fleet.Bridge
-  alias Aerie.Fleet.Bridge.Subscriber
+  alias Aerie.Fleet.Bridge.Connection.Subscriber
   alias Aerie.Fleet.Nats.KV
   alias Aerie.Control.Policy
   alias Aerie.Control.Policy.{Roles, Sources}

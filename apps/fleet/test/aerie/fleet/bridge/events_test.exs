@@ -1,7 +1,7 @@
 defmodule Aerie.Fleet.Bridge.EventsTest do
   use Aerie.BridgeCase, async: true
 
-  alias Aerie.Fleet.Bridge.Outbox
+  alias Aerie.Fleet.Bridge.Events.Outbox
   alias Aerie.Vehicle.Journal
 
   @moduletag :tmp_dir

@@ -18,7 +18,7 @@ defmodule Aerie.Fleet.Bridge.NatsServerTest do
     eventually(fn ->
       match?(
         %{conn: conn, streams: :ok} when conn != nil,
-        Bridge.Connection.current(Bridge.Tables.get(gateway))
+        Bridge.Connection.current(Bridge.Status.Tables.get(gateway))
       )
     end)
 

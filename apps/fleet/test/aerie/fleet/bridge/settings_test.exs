@@ -115,9 +115,9 @@ defmodule Aerie.Fleet.Bridge.SettingsTest do
   test "metrics have the names, types and help that Prometheus wants" do
     gateway = make_ref()
     start_supervised!({Aerie.Base.Store, [gateway: gateway] ++ Aerie.GatewayCase.plugs(%{})})
-    start_supervised!({Aerie.Fleet.Bridge.Tables, gateway: gateway})
-    tables = Aerie.Fleet.Bridge.Tables.get(gateway)
-    Aerie.Fleet.Bridge.Tables.count(tables, :published, [subject: "state.position"], 3)
+    start_supervised!({Aerie.Fleet.Bridge.Status.Tables, gateway: gateway})
+    tables = Aerie.Fleet.Bridge.Status.Tables.get(gateway)
+    Aerie.Fleet.Bridge.Status.Tables.count(tables, :published, [subject: "state.position"], 3)
     metrics = Metrics.all(gateway, tables)
 
     assert Enum.find(metrics, &(&1.name == "gateway_nats_messages_published_total")).samples == [

@@ -149,7 +149,7 @@ defmodule Aerie.Fleet.Bridge.StorageTest do
   end
 
   defp connection(gateway),
-    do: with(%{conn: conn} <- gateway |> Bridge.Tables.get() |> Bridge.Connection.current(), do: conn)
+    do: with(%{conn: conn} <- gateway |> Bridge.Status.Tables.get() |> Bridge.Connection.current(), do: conn)
 
   defp start_server(dir, limits) do
     conf = Path.join(dir, "server.conf")

@@ -21,7 +21,8 @@ defmodule Aerie.Fleet.Bridge.Commands.Service do
   alias Aerie.Control.Operations.{Operation, Table}
   alias Aerie.Control.Policy
   alias Aerie.Fleet.Bridge.Commands.{Request, Workers}
-  alias Aerie.Fleet.Bridge.{Subscriber, Tables}
+  alias Aerie.Fleet.Bridge.Connection.Subscriber
+  alias Aerie.Fleet.Bridge.Status.Tables
   alias Aerie.Fleet.Nats
   alias Aerie.Vehicle.Command.Error
 

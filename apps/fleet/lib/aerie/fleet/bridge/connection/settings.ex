@@ -2,7 +2,7 @@ defmodule Aerie.Fleet.Bridge.Connection.Settings do
   @moduledoc "The settings of a `Gnat` connection, from the configuration. Secrets are revealed only here."
 
   alias Aerie.Fleet.Bridge
-  alias Aerie.Fleet.Bridge.Token
+  alias Aerie.Fleet.Bridge.NatsServer.Token
   alias Aerie.Base.Secret
 
   # A server that does not read must not hold the client up for ever. The Hex package sets none of these.

@@ -6,7 +6,9 @@ defmodule Aerie.Fleet.Bridge.Events.Disk do
   (nil while it cannot be used), `problem` (its fault, logged once) and `synced_at`.
   """
 
-  alias Aerie.Fleet.Bridge.{Message, Outbox, Tables}
+  alias Aerie.Fleet.Bridge.Message
+  alias Aerie.Fleet.Bridge.Events.Outbox
+  alias Aerie.Fleet.Bridge.Status.Tables
   alias Aerie.Vehicle.Journal
   alias Aerie.Base.Files.FolderLock
 

@@ -8,7 +8,7 @@ defmodule Aerie.Fleet.Bridge.Events.Gaps do
   twice is stored once.
   """
 
-  alias Aerie.Fleet.Bridge.Outbox.Record
+  alias Aerie.Fleet.Bridge.Events.Outbox.Record
   alias Aerie.Base.Json
 
   @type_name "events.lost"

@@ -9,7 +9,7 @@ defmodule Aerie.Fleet.Bridge.Events.Source do
 
   alias Aerie.Fleet.Bridge.Events.{Disk, Gaps, Window}
   alias Aerie.Vehicle.Journal
-  alias Aerie.Fleet.Bridge.Outbox
+  alias Aerie.Fleet.Bridge.Events.Outbox
 
   @doc "Fills the window, up to twice what may be in flight."
   @spec fill(map()) :: map()

@@ -7,7 +7,7 @@ defmodule Aerie.Fleet.Bridge.Events.Window do
   place in the outbox); a confirmation returns the key.
   """
 
-  alias Aerie.Fleet.Bridge.Outbox.Record
+  alias Aerie.Fleet.Bridge.Events.Outbox.Record
 
   @enforce_keys [:max, :ready, :keys]
   defstruct [:max, :ready, :keys, queues: %{}, in_flight: %{}, next_ref: 1]

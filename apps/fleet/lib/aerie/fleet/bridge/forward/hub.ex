@@ -16,7 +16,7 @@ defmodule Aerie.Fleet.Bridge.Forward.Hub do
     end
   end
 
-  @doc "Why the hub refused the leaf node's connection, nil if it did not; `leaf` is what `Aerie.Fleet.Bridge.Tables` has of the connection."
+  @doc "Why the hub refused the leaf node's connection, nil if it did not; `leaf` is what `Aerie.Fleet.Bridge.Status.Tables` has of the connection."
   @spec refusal(map(), now :: integer()) :: String.t() | nil
   def refusal(%{problem: text, connected_at: at}, now) do
     if at == nil or now - at < @refused_ms, do: text

@@ -2,7 +2,7 @@ defmodule Aerie.Fleet.Bridge.Forward.Local do
   @moduledoc "Reads the local stream of events for `Aerie.Fleet.Bridge.Forward`."
 
   alias Aerie.Fleet.Bridge.Events.Gaps
-  alias Aerie.Fleet.Bridge.Outbox.Record
+  alias Aerie.Fleet.Bridge.Events.Outbox.Record
   alias Aerie.Fleet.Nats
   alias Aerie.Fleet.Nats.JetStream
   alias Gnat.Jetstream.API.Stream

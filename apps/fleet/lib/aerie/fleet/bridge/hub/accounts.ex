@@ -22,9 +22,9 @@ defmodule Aerie.Fleet.Bridge.Hub.Accounts do
   subjects of the server's.
 
   Headers pass from one account to another, so the streams and buckets are such that none has an effect on other
-  vehicles: roll-up is off, each vehicle's events have a stream of their own (`Aerie.Fleet.Bridge.EventStreams`), in
-  which it knows its ids, and sizes are limited. What a vehicle can fill is its listed subjects times the size of a
-  message, for which the hub has room (`Aerie.Fleet.Bridge.Hub.Quota`).
+  vehicles: roll-up is off, each vehicle's events have a stream of their own
+  (`Aerie.Fleet.Bridge.Events.VehicleStreams`), in which it knows its ids, and sizes are limited. What a vehicle can
+  fill is its listed subjects times the size of a message, for which the hub has room (`Aerie.Fleet.Bridge.Hub.Quota`).
 
   A vehicle has only the lease of the gateway that acts on it. The hub's gateway answers for the desired state:
   documents aboard and at the hub are kept the same (`Aerie.Fleet.Shadow.Uplink`).

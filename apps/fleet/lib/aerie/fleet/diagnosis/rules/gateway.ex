@@ -3,7 +3,7 @@ defmodule Aerie.Fleet.Diagnosis.Rules.Gateway do
 
   @behaviour Aerie.Fleet.Diagnosis.Rules
 
-  alias Aerie.Fleet.Bridge.Readiness
+  alias Aerie.Fleet.Bridge.Status.Readiness
   alias Aerie.Fleet.Diagnosis.Condition
 
   @impl true

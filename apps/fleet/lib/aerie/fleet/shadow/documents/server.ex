@@ -11,7 +11,7 @@ defmodule Aerie.Fleet.Shadow.Documents.Server do
 
   alias Aerie.Base.Names
   alias Aerie.Fleet.{Bridge, Nats}
-  alias Aerie.Fleet.Bridge.LastPublished
+  alias Aerie.Fleet.Bridge.State.LastPublished
   alias Aerie.Fleet.Shadow.{Buckets, Keys, GatewayLease, LocalStore, Settings}
   alias Aerie.Fleet.Shadow.Documents.Desired
   alias Aerie.Fleet.Shadow.GatewayLease.{Keeper, Numbers, Seal}

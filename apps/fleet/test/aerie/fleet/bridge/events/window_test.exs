@@ -2,7 +2,7 @@ defmodule Aerie.Fleet.Bridge.Events.WindowTest do
   use ExUnit.Case, async: true
 
   alias Aerie.Fleet.Bridge.Events.Window
-  alias Aerie.Fleet.Bridge.Outbox.Record
+  alias Aerie.Fleet.Bridge.Events.Outbox.Record
 
   defp item(vehicle, n),
     do: {{vehicle, n}, %Record{id: "#{vehicle}#{n}", vehicle: vehicle, subject: "s", body: ""}}

@@ -1,4 +1,4 @@
-defmodule Aerie.Fleet.Bridge.Readiness do
+defmodule Aerie.Fleet.Bridge.Status.Readiness do
   @moduledoc "Whether NATS stores events, and if not, why. Pure."
 
   @doc "Why NATS does not store events, from the state of the bridge's parts: the first cause, which explains the others. Nil if it does."

@@ -1,4 +1,4 @@
-defmodule Aerie.Fleet.Bridge.LastPublished.Missing do
+defmodule Aerie.Fleet.Bridge.State.LastPublished.Missing do
   @moduledoc """
   Vehicles that were heard when the gateway stopped, and have not been heard since its restart. Once the time-out for a silent
   vehicle has passed since the start, each gives one `link.lost`, marked as found. A vehicle that was heard by then, or
@@ -40,7 +40,7 @@ defmodule Aerie.Fleet.Bridge.LastPublished.Missing do
   end
 
   defp report(gateway, options, now, since) do
-    found = Aerie.Fleet.Bridge.LastPublished.of(gateway, options.id)
+    found = Aerie.Fleet.Bridge.State.LastPublished.of(gateway, options.id)
     detector = options |> Detector.new() |> Detector.remember(found)
     {detector, events, %{}} = Detector.observe(detector, Observation.new(:unheard, now, nil, since))
 

@@ -1,4 +1,4 @@
-defmodule Aerie.Fleet.Bridge.Token do
+defmodule Aerie.Fleet.Bridge.NatsServer.Token do
   @moduledoc """
   The login of the embedded server: a random token. It is made at the first start and kept in the file `token` beside the
   server's data, so that programs can still log in after a restart. The file `url` has the address with the token. Only

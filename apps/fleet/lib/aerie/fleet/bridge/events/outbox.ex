@@ -1,4 +1,4 @@
-defmodule Aerie.Fleet.Bridge.Outbox do
+defmodule Aerie.Fleet.Bridge.Events.Outbox do
   @moduledoc """
   Events on disk while NATS is away: append at the end, read from the front, acknowledge in any order.
 
@@ -9,7 +9,7 @@ defmodule Aerie.Fleet.Bridge.Outbox do
   If the outbox is full, the oldest file is deleted, and its unacknowledged records are counted as dropped.
   """
 
-  alias Aerie.Fleet.Bridge.Outbox.Record
+  alias Aerie.Fleet.Bridge.Events.Outbox.Record
   alias Aerie.Base.Files.{Format, Private, Raw}
   alias Aerie.Base.Segments
   alias Aerie.Base.Segments.Segment
@@ -31,7 +31,7 @@ defmodule Aerie.Fleet.Bridge.Outbox do
   @type seq :: pos_integer()
   @format {"outbox", 1}
 
-  @doc "Kind and version of its folder, what `Aerie.Fleet.Bridge.LastPublished` keeps there included."
+  @doc "Kind and version of its folder, what `Aerie.Fleet.Bridge.State.LastPublished` keeps there included."
   @spec format() :: Format.kind()
   def format, do: @format
 

@@ -1,4 +1,4 @@
-defmodule Aerie.Fleet.Bridge.Tables do
+defmodule Aerie.Fleet.Bridge.Status.Tables do
   @moduledoc """
   Owns the tables that the bridge's processes share and that must outlive them: state values that wait for NATS, counters,
   and the status of the parts. It does nothing else, so it has no reason to crash.
@@ -11,7 +11,7 @@ defmodule Aerie.Fleet.Bridge.Tables do
   """
   use GenServer
 
-  alias Aerie.Fleet.Bridge.Readiness
+  alias Aerie.Fleet.Bridge.Status.Readiness
   alias Aerie.Base.Names
 
   @type t :: %{values: :ets.table(), sent: :ets.table(), counters: :ets.table(), info: :ets.table()}

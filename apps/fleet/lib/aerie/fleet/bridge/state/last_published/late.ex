@@ -1,4 +1,4 @@
-defmodule Aerie.Fleet.Bridge.LastPublished.Late do
+defmodule Aerie.Fleet.Bridge.State.LastPublished.Late do
   @moduledoc """
   Hands what was published before the restart to detectors that are running already, because the file could not be read
   when they started. A change that was published since the start is not published again as found.

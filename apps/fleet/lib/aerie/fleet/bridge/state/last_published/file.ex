@@ -1,5 +1,5 @@
-defmodule Aerie.Fleet.Bridge.LastPublished.File do
-  @moduledoc "The file of `Aerie.Fleet.Bridge.LastPublished`: JSON, replaced as a whole. An invalid file counts as a missing one."
+defmodule Aerie.Fleet.Bridge.State.LastPublished.File do
+  @moduledoc "The file of `Aerie.Fleet.Bridge.State.LastPublished`: JSON, replaced as a whole. An invalid file counts as a missing one."
 
   alias Aerie.Base.Files.Private
   alias Aerie.Vehicle.Detector.OfflineChanges

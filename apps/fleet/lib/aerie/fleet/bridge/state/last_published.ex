@@ -1,4 +1,4 @@
-defmodule Aerie.Fleet.Bridge.LastPublished do
+defmodule Aerie.Fleet.Bridge.State.LastPublished do
   @moduledoc """
   Keeps on disk what was last published of each vehicle (mode, armed, in the air), so that a restarted gateway can
   detect what changed in between (`Aerie.Vehicle.Detector.OfflineChanges`). It also keeps the epoch, a number that grows
@@ -9,7 +9,8 @@ defmodule Aerie.Fleet.Bridge.LastPublished do
   second before a `kill -9` may be found again, marked as found. Every ten seconds the time is updated at which the
   values still held.
 
-  A vehicle that was not lost and is not heard again gives `link.lost` (`Aerie.Fleet.Bridge.LastPublished.Missing`).
+  A vehicle that was not lost and is not heard again gives `link.lost`
+  (`Aerie.Fleet.Bridge.State.LastPublished.Missing`).
 
   Each start gives an event `gateway.started`, under the gateway's own name. With `nats.mode: off` there is no file and
   no process: the start is reported, the epoch comes from the clock alone, and no offline changes are found.
@@ -17,16 +18,16 @@ defmodule Aerie.Fleet.Bridge.LastPublished do
   The file is `last/vehicles.json` in the outbox's folder. If it is damaged or missing, no offline changes are found.
 
   If another gateway has the folder (one that was killed and has not ended yet, or a second one by mistake), the lock is
-  retried with back-off. Vehicles that were heard meanwhile are compared late (`Aerie.Fleet.Bridge.LastPublished.Late`),
-  and `gateway.started` waits up to ten seconds.
+  retried with back-off. Vehicles that were heard meanwhile are compared late
+  (`Aerie.Fleet.Bridge.State.LastPublished.Late`), and `gateway.started` waits up to ten seconds.
   """
   # Its end writes to the disk.
   use GenServer, shutdown: 30_000
 
   alias Aerie.Base.Timing.Backoff
   alias Aerie.Vehicle.Journal
-  alias Aerie.Fleet.Bridge.LastPublished.File, as: Kept
-  alias Aerie.Fleet.Bridge.LastPublished.{Late, Missing}
+  alias Aerie.Fleet.Bridge.State.LastPublished.File, as: Kept
+  alias Aerie.Fleet.Bridge.State.LastPublished.{Late, Missing}
   alias Aerie.Fleet.Bridge.Settings
   alias Aerie.Base.Files.FolderLock
   alias Aerie.Base.{Names, Store}

@@ -1,4 +1,4 @@
-defmodule Aerie.Fleet.Bridge.Outbox.Record do
+defmodule Aerie.Fleet.Bridge.Events.Outbox.Record do
   @moduledoc """
   One event in the outbox: what is needed to publish it again.
 

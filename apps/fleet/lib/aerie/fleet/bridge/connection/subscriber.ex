@@ -1,4 +1,4 @@
-defmodule Aerie.Fleet.Bridge.Subscriber do
+defmodule Aerie.Fleet.Bridge.Connection.Subscriber do
   @moduledoc """
   A subscription that follows the bridge's connection.
   """

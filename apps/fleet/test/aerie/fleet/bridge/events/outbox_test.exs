@@ -1,8 +1,8 @@
-defmodule Aerie.Fleet.Bridge.OutboxTest do
+defmodule Aerie.Fleet.Bridge.Events.OutboxTest do
   use ExUnit.Case, async: true
 
-  alias Aerie.Fleet.Bridge.Outbox
-  alias Aerie.Fleet.Bridge.Outbox.Record
+  alias Aerie.Fleet.Bridge.Events.Outbox
+  alias Aerie.Fleet.Bridge.Events.Outbox.Record
   alias Aerie.PythonPeer
 
   @moduletag :tmp_dir

@@ -1,4 +1,4 @@
-defmodule Aerie.Fleet.Bridge.EventStreams do
+defmodule Aerie.Fleet.Bridge.Events.VehicleStreams do
   @moduledoc """
   At a hub (`nats.streams.events_per_vehicle`): a stream of its own for each vehicle's events, `FLEET_EVENTS_{vehicle}`.
 
@@ -12,7 +12,8 @@ defmodule Aerie.Fleet.Bridge.EventStreams do
   """
   use GenServer
 
-  alias Aerie.Fleet.Bridge.{Settings, Streams, Subscriber}
+  alias Aerie.Fleet.Bridge.{Settings, Streams}
+  alias Aerie.Fleet.Bridge.Connection.Subscriber
   alias Aerie.Base.Names
   alias Aerie.Fleet.Nats
   alias Aerie.Fleet.Nats.JetStream

@@ -1,9 +1,9 @@
-defmodule Aerie.Fleet.Bridge.LastPublishedTest do
+defmodule Aerie.Fleet.Bridge.State.LastPublishedTest do
   @moduledoc "Lives of a gateway that follow each other: what the next one knows of the last."
   use Aerie.BridgeCase, async: true
 
   alias Aerie.Base.Json
-  alias Aerie.Fleet.Bridge.LastPublished
+  alias Aerie.Fleet.Bridge.State.LastPublished
   alias Aerie.Vehicle.Journal
   alias MavCodec.Messages.Heartbeat
 

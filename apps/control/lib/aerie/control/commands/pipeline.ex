@@ -85,11 +85,10 @@ defmodule Aerie.Control.Commands.Pipeline do
 
   defp perform({:audit, required?}, %{request: request} = core, %{gateway: gateway}) do
     recorded = Audit.append(gateway, Record.decision(request, :allow), core.patience)
-    {:judged, Audit.verdict(recorded, core.intent, required?)}
+    verdict = Audit.verdict(recorded, core.intent, required?)
+    if verdict == :allow, do: Record.allowed(gateway)
+    {:judged, verdict}
   end
-
-  defp perform({:count, decision, rule}, _core, %{gateway: gateway}),
-    do: Record.decided(gateway, decision, rule)
 
   defp perform(:setpoints, %{request: %{change: nil, command: command}, snapshot: snapshot}, %{
          gateway: gateway

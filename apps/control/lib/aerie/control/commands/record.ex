@@ -18,6 +18,7 @@ defmodule Aerie.Control.Commands.Record do
   alias Aerie.Vehicle.Command.{Result, Types}
   alias Aerie.Control.Commands.Metrics
   alias Aerie.Control.Commands.Pipeline.Request
+  alias Aerie.Control.Policy
   alias Aerie.Control.Policy.{Audit, Intent, Roles}
 
   @quiet_ms 5_000
@@ -31,9 +32,11 @@ defmodule Aerie.Control.Commands.Record do
     :telemetry.execute([:aerie, :command, :received], %{count: 1}, %{gateway: gateway, type: type})
   end
 
-  @doc "The policy decided: counted as for MAVLink of clients."
-  @spec decided(Names.gateway(), :allow | :deny, rule :: atom()) :: :ok
-  def decided(gateway, decision, rule) do
+  @doc "The policy allowed a command: counted as for MAVLink of clients."
+  @spec allowed(Names.gateway()) :: :ok
+  def allowed(gateway), do: decided(gateway, :allow, nil)
+
+  defp decided(gateway, decision, rule) do
     _ = Store.count(gateway, {:policy, decision, rule})
     :ok
   end
@@ -68,6 +71,7 @@ defmodule Aerie.Control.Commands.Record do
       Audit.refusal(gateway, request.source, rule, entry)
     end
 
+    if rule in [:audit | Policy.rules()], do: decided(gateway, :deny, rule)
     count(gateway, command.vehicle, command.type, request.source.name, rule, reason)
     Metrics.executed(gateway, command.type, status, nil)
 

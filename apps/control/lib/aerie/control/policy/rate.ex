@@ -1,11 +1,11 @@
 defmodule Aerie.Control.Policy.Rate do
   @moduledoc """
-  How often each source may give each vehicle each type of command: token buckets as data. A value of its own beside the
-  policy, so that reloading the policy does not reset rate limits.
+  How often a source may give a vehicle each type of command: token buckets as data. A value of its own beside the
+  policy, so that reloading the policy does not reset rate limits. `Aerie.Control.Policy.Rate.Table` has those of all
+  sources and vehicles.
 
-  Every rule that names a command has a bucket of it for each source, vehicle and type; all of them must have a token. The
-  number of buckets is bounded: full ones are dropped first, and while there is no room for another one, commands that would
-  need it are refused. Each source has room of its own, which no other one can take.
+  Every rule that names a command has a bucket of it for each type; all of them must have a token. Full buckets are
+  dropped when there are too many; while there is no room for another one, commands that would need it are refused.
   """
 
   alias Aerie.Vehicle.Command.Types
@@ -17,11 +17,8 @@ defmodule Aerie.Control.Policy.Rate do
   # Set-points and sticks come many times a second, and a transfer as fast as the vehicle asks for its parts.
   @streams for(%{group: :manual, name: name} <- Types.all(), do: name) ++ Intent.transfers()
 
-  @max_buckets 20_000
-  # A source has so many while there is room, and so many are kept for it beyond that, up to a limit for all.
-  @max_each 4_000
-  @reserved 500
-  @limit 2 * @max_buckets
+  # More than there are types of commands; those of raw MAVLink have numbers.
+  @max 1_000
 
   defstruct buckets: %{}
 
@@ -79,7 +76,7 @@ defmodule Aerie.Control.Policy.Rate do
   defp rules(policy, source, vehicle, type) do
     for rule <- policy.rates,
         types?(rule.types, type) and names?(rule.sources, source) and names?(rule.vehicles, vehicle),
-        do: {{source, vehicle, type, rule.interval_us, rule.burst}, rule}
+        do: {{type, rule.interval_us, rule.burst}, rule}
   end
 
   @doc "The refusal where there is no room for another bucket of a source."
@@ -98,26 +95,13 @@ defmodule Aerie.Control.Policy.Rate do
   defp names?(names, name), do: name in names
 
   defp room({:ok, buckets}, rate, source, now)
-       when map_size(buckets) > @max_each and map_size(buckets) > map_size(rate.buckets) do
-    if room?(buckets, source) do
-      {:ok, %{rate | buckets: buckets}}
-    else
-      used = Map.filter(buckets, fn {_key, full} -> full > now end)
-
-      if room?(used, source),
-        do: {:ok, %{rate | buckets: used}},
-        else: full(source)
-    end
+       when map_size(buckets) > @max and map_size(buckets) > map_size(rate.buckets) do
+    used = Map.filter(buckets, fn {_key, full} -> full > now end)
+    if map_size(used) <= @max, do: {:ok, %{rate | buckets: used}}, else: full(source)
   end
 
   defp room({:ok, buckets}, rate, _source, _now), do: {:ok, %{rate | buckets: buckets}}
   defp room(deny, _rate, _source, _now), do: deny
-
-  defp room?(buckets, source) do
-    own = Enum.count(buckets, fn {key, _full} -> elem(key, 0) == source end)
-    size = map_size(buckets)
-    size <= @limit and own <= if(size > @max_buckets, do: @reserved, else: @max_each)
-  end
 
   defp wait(full, rule, now), do: full + rule.interval_us - now - rule.burst * rule.interval_us
 

@@ -13,7 +13,7 @@ defmodule Aerie.Control.Policy.Trial do
   alias Aerie.Vehicle.Command
 
   @enforce_keys [:policy]
-  defstruct [:policy, rate: Rate.new(), uploads: %{}, plans: %{}, aboard: %{}, leases: %{}]
+  defstruct [:policy, rates: %{}, uploads: %{}, plans: %{}, aboard: %{}, leases: %{}]
 
   # Clients of one recording; their uploads are few.
   @max_uploads 1_000
@@ -30,7 +30,7 @@ defmodule Aerie.Control.Policy.Trial do
 
   @type t :: %__MODULE__{
           policy: Policy.t(),
-          rate: Rate.t(),
+          rates: %{{source :: String.t(), vehicle :: String.t()} => Rate.t()},
           uploads: %{term() => Mavlink.Upload.t()},
           plans: %{term() => Mavlink.Writing.RawPlan.t() | nil},
           aboard: %{term() => [Protocols.Mission.Item.t()] | nil},
@@ -149,8 +149,10 @@ defmodule Aerie.Control.Policy.Trial do
   defp rate(trial, %{ends_flight?: true}, _asked), do: {:ok, trial}
 
   defp rate(trial, facts, %{source: source, snapshot: %{id: id}, at: at}) do
-    with {:ok, rate} <- Rate.take(trial.rate, trial.policy, source.name, id, facts.type, at),
-         do: {:ok, %{trial | rate: rate}}
+    rate = Map.get(trial.rates, {source.name, id}, Rate.new())
+
+    with {:ok, rate} <- Rate.take(rate, trial.policy, source.name, id, facts.type, at),
+         do: {:ok, %{trial | rates: Map.put(trial.rates, {source.name, id}, rate)}}
   end
 
   defp in_charge(trial, %{control: nil}, _asked), do: {:ok, trial}

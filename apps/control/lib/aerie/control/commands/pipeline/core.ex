@@ -45,7 +45,7 @@ defmodule Aerie.Control.Commands.Pipeline.Core do
 
   @typedoc """
     * `:patience` - how long it waits for ledger and audit log (ms)
-    * `:asked` - what the ledger was asked; `:refusal` - the actions that follow if it does not know the id
+    * `:asked` - what the ledger was asked; `:refusal` - what follows if it does not know the id
     * `:promise` - which gateways do not send it again; nil where no other one can hold the vehicle
     * `:token?` - whether it took a token of its source's rate
   """
@@ -56,7 +56,7 @@ defmodule Aerie.Control.Commands.Pipeline.Core do
           patience: pos_integer(),
           snapshot: map() | nil,
           asked: :known | :admit | nil,
-          refusal: [action()] | nil,
+          refusal: action() | nil,
           sending: Sending.t() | nil,
           promise: :fleet | :gateway | :urgent | nil,
           result: Result.t() | nil,
@@ -97,7 +97,6 @@ defmodule Aerie.Control.Commands.Pipeline.Core do
           | {:ask, :known | :admit}
           | :judge
           | {:audit, required? :: boolean()}
-          | {:count, :allow | :deny, rule :: atom()}
           | :setpoints
           | {:claim, timeout_ms :: pos_integer()}
           | {:sending, :safe | :never}
@@ -127,7 +126,7 @@ defmodule Aerie.Control.Commands.Pipeline.Core do
 
   # Before anything is remembered of it, so that one who may nothing fills neither rates nor the ledger.
   def handle(core, {:seen, _snapshot, {:deny, rule, reason}}, _now),
-    do: refuse(core, :denied, rule, reason, [{:count, :deny, rule}])
+    do: refuse(core, :denied, rule, reason)
 
   # Commands that bring a vehicle down are exempt, so that a stuck key cannot exhaust the rate limit.
   def handle(%{intent: %{ends_flight?: true}} = core, {:seen, snapshot, :allow}, now),
@@ -159,7 +158,7 @@ defmodule Aerie.Control.Commands.Pipeline.Core do
 
   # It is not known yet who holds the vehicle.
   def handle(%{asked: :known, refusal: nil} = core, {:known, _new_or_error}, _now), do: {core, [:holder]}
-  def handle(%{asked: :known} = core, {:known, _new_or_error}, _now), do: {core, core.refusal}
+  def handle(%{asked: :known} = core, {:known, _new_or_error}, _now), do: {core, [core.refusal]}
   def handle(core, {:known, :new}, _now), do: {core, [:judge]}
 
   def handle(core, {:known, {:error, reason}}, _now) do
@@ -169,13 +168,12 @@ defmodule Aerie.Control.Commands.Pipeline.Core do
   end
 
   def handle(core, {:judged, {:audit, required?}}, _now), do: {core, [{:audit, required?}]}
-  def handle(core, {:judged, :allow}, _now), do: {core, [{:count, :allow, nil}, :setpoints]}
+  def handle(core, {:judged, :allow}, _now), do: {core, [:setpoints]}
 
   def handle(core, {:judged, :no_policy}, _now),
     do: refuse(core, :denied, :policy, "the gateway has no policy, so nobody may command anything")
 
-  def handle(core, {:judged, {:deny, rule, reason}}, _now),
-    do: refuse(core, :denied, rule, reason, [{:count, :deny, rule}])
+  def handle(core, {:judged, {:deny, rule, reason}}, _now), do: refuse(core, :denied, rule, reason)
 
   def handle(core, {:setpoints, {:error, reason}}, _now), do: refuse(core, :rejected, :setpoints, reason)
 
@@ -258,12 +256,12 @@ defmodule Aerie.Control.Commands.Pipeline.Core do
   end
 
   # What was admitted keeps its refusal; nothing else is kept.
-  defp refuse(core, status, rule, reason, counted \\ []) do
-    refusal = counted ++ [{:refuse, status, rule, reason, core.asked == :admit}]
+  defp refuse(core, status, rule, reason) do
+    refusal = {:refuse, status, rule, reason, core.asked == :admit}
 
     if core.asked == nil,
       do: {%{core | asked: :known, refusal: refusal}, [{:ask, :known}]},
-      else: {core, refusal}
+      else: {core, [refusal]}
   end
 
   defp repeated(%{token?: true} = core, action), do: {core, [:put_back_token, action]}

@@ -15,11 +15,11 @@ defmodule Aerie.Control.Commands.Pipeline.CoreTest do
 
   test "the usual way asks each part once, and the ledger before and right before it is sent" do
     assert names(play(core("goto"))) ==
-             [:look, :take_token, :holder, :ask, :judge, :audit, :count, :setpoints, :holder, :claim] ++
+             [:look, :take_token, :holder, :ask, :judge, :audit, :setpoints, :holder, :claim] ++
                [:sending, :holder, :commanded, :execute, :announce, :finish]
 
     assert names(play(core("goto", %{shared?: false}))) ==
-             [:look, :take_token, :ask, :judge, :audit, :count, :setpoints, :sending, :commanded, :execute] ++
+             [:look, :take_token, :ask, :judge, :audit, :setpoints, :sending, :commanded, :execute] ++
                [:finish]
   end
 

@@ -202,7 +202,7 @@ defmodule Aerie.System.ReleaseTest do
     {packed, 0} = System.cmd("sh", ["-c", "printf text | xz --stdout"])
 
     code = """
-    {:ok, "text"} = Aerie.Control.Params.Unpack.file("a.xz", Base.decode64!("#{Base.encode64(packed)}"))
+    {:ok, "text"} = Aerie.Control.Params.Metadata.Unpack.file("a.xz", Base.decode64!("#{Base.encode64(packed)}"))
     System.find_executable("xz")
     """
 

@@ -218,7 +218,7 @@ defmodule CommandsBench.Stations do
   alias MavRouter.{Link, Router}
 
   @parts [Store, PubSub, Policy.Supervisor, Router.Supervisor, Aerie.Vehicle.Supervisor, Link.Supervisor] ++
-           [Params.CacheWriter, ReadCache.Supervisor]
+           [Params.Cache.Writer, ReadCache.Supervisor]
   @counted [M.ParamValue.id(), M.FileTransferProtocol.id()]
   # What ground stations wait until they ask for what is missing.
   @silence_ms 1_000

@@ -13,7 +13,8 @@ Code.require_file("harness.exs", __DIR__)
 Code.require_file("../../apps/control/test/support/udp_transfer.ex", __DIR__)
 
 defmodule TransfersBench do
-  alias Aerie.Control.Params.{Download, Fetch, Table}
+  alias Aerie.Control.Params.{Fetch, Table}
+  alias Aerie.Control.Params.Fetch.Download
   alias Aerie.UdpTransfer
   alias Bench.{Gateway, OSProcess, Python, Sample}
 

@@ -15,7 +15,7 @@ defmodule Aerie.Gateway do
   ├─ Aerie.Vehicle.Supervisor      one tree per vehicle, made when its autopilot is first heard
   ├─ Aerie.Fleet.Remote.Supervisor       vehicles of other gateways, and telling them of ours
   ├─ Aerie.Control.Commands.Supervisor     commands: ledger, what is under way
-  ├─ Aerie.Control.Params.CacheWriter           lists of parameters, over restarts
+  ├─ Aerie.Control.Params.Cache.Writer          lists of parameters, over restarts
   ├─ Aerie.Control.ReadCache.Supervisor      answers ground stations that read parameters and plans
   ├─ Aerie.Fleet.Shadow.Supervisor       desired states, which of several gateways acts
   ├─ Aerie.Fleet.Operations.Supervisor   one command or desired state for many vehicles
@@ -143,10 +143,10 @@ defmodule Aerie.Gateway do
        settings: Vehicle.Settings.from(config),
        publisher: Bridge,
        arming: Policy.Arming,
-       loops: [CommandExecutor, TransferExecutor, Shadow.Loop, Params.EventDefinitions]},
+       loops: [CommandExecutor, TransferExecutor, Shadow.Loop, Params.Metadata.EventDefinitions]},
       {Remote.Supervisor, settings: Remote.Settings.from(config)},
       {Commands.Supervisor, settings: Commands.Settings.from(config), gateways: Remote},
-      {Params.CacheWriter, settings: Params.Settings.from(config)},
+      {Params.Cache.Writer, settings: Params.Cache.Settings.from(config)},
       {ReadCache.Supervisor, []},
       {Shadow.Supervisor, settings: Shadow.Settings.from(config)},
       {Operations.Supervisor, []},

@@ -21,7 +21,7 @@ defmodule Aerie.Config.Keys do
     Aerie.Fleet.Remote.Settings,
     Aerie.Control.Commands.Settings,
     Aerie.Control.Policy.Settings,
-    Aerie.Control.Params.Settings,
+    Aerie.Control.Params.Cache.Settings,
     Aerie.Fleet.Shadow.Settings,
     Aerie.Fleet.Client.Settings,
     Aerie.Base.Log.Settings,

@@ -21,21 +21,9 @@ defmodule Aerie.Control.Params do
   alias Aerie.Control.Commands.{Change, Gateways}
   alias Aerie.Vehicle.Command.{Error, Result}
 
-  alias Aerie.Control.Params.{
-    CacheWriter,
-    Component,
-    Diff,
-    Download,
-    Fetch,
-    File,
-    LongNames,
-    Metadata,
-    MetadataReader,
-    Param,
-    Set,
-    SetAll,
-    Table
-  }
+  alias Aerie.Control.Params.{Component, Fetch, File, LongNames, Metadata, Param, Set, Table}
+  alias Aerie.Control.Params.Cache.Writer, as: CacheWriter
+  alias Aerie.Control.Params.Fetch.Download
 
   alias Aerie.Control.Policy.Intent
 
@@ -145,7 +133,7 @@ defmodule Aerie.Control.Params do
   def metadata(gateway, vehicle, options \\ []) do
     with {:ok, snapshot} <- Transfers.vehicle(gateway, vehicle),
          nil <- LongNames.metadata(snapshot),
-         do: MetadataReader.read(gateway, vehicle, options)
+         do: Metadata.Reader.read(gateway, vehicle, options)
   end
 
   @doc "One parameter, read from the vehicle. Neither firmware answers if it does not have the parameter (`:timeout`)."
@@ -273,7 +261,7 @@ defmodule Aerie.Control.Params do
      %{
        lanes: [:params],
        timeout_ms: Transfers.time_ms(length(wired), @set_ms),
-       start: fn context, until -> {:ok, SetAll.new(wired, context.target, until, common(context))} end,
+       start: fn context, until -> {:ok, Set.All.new(wired, context.target, until, common(context))} end,
        details: &%{"set" => &1},
        complete: &Result.remark(&1, remarks)
      }}
@@ -328,17 +316,17 @@ defmodule Aerie.Control.Params do
 
   @doc "How the vehicle (right) differs from a file or another list (left)."
   @spec diff(Names.gateway(), vehicle :: String.t(), binary() | Table.t(), [Transfers.option()]) ::
-          {:ok, Diff.t()} | {:error, Result.t() | [Error.t(), ...]}
+          {:ok, File.Diff.t()} | {:error, Result.t() | [Error.t(), ...]}
   def diff(gateway, vehicle, other, options \\ [])
 
   def diff(gateway, vehicle, text, options) when is_binary(text) do
     with {:ok, entries, _remarks} <- read_file(text, Gateways.vehicle(gateway, vehicle)),
          {:ok, table} <- list(gateway, vehicle, Component.none!(options)),
-         do: {:ok, Diff.diff(entries, table)}
+         do: {:ok, File.Diff.diff(entries, table)}
   end
 
   def diff(gateway, vehicle, %Table{} = other, options) do
-    with {:ok, table} <- list(gateway, vehicle, options), do: {:ok, Diff.diff(other, table)}
+    with {:ok, table} <- list(gateway, vehicle, options), do: {:ok, File.Diff.diff(other, table)}
   end
 
   @doc "The parameters of a file, or errors with their lines."

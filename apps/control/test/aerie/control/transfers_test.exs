@@ -42,8 +42,8 @@ defmodule Aerie.Control.TransfersTest do
       snapshot = Store.vehicle(gateway, "VID-001")
       marked = put_in(table.params["MARKED"], %Params.Param{name: "MARKED", value: 1, type: 6})
       marked = %{marked | order: marked.order ++ ["MARKED"]}
-      Params.CacheWriter.keep(gateway, snapshot, marked)
-      eventually(fn -> Params.CacheWriter.stored(gateway, snapshot) == marked end)
+      Params.Cache.Writer.keep(gateway, snapshot, marked)
+      eventually(fn -> Params.Cache.Writer.stored(gateway, snapshot) == marked end)
       assert {:ok, ^marked} = Params.list(gateway, "VID-001")
       assert {:ok, ^table} = Params.list(gateway, "VID-001", refresh: true)
 

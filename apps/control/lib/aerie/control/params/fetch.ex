@@ -1,7 +1,7 @@
 defmodule Aerie.Control.Params.Fetch do
   @moduledoc """
   Reads the whole list in the best way that the vehicle offers: ArduPilot's parameter file by MAVLink FTP; otherwise, or if that fails,
-  `Aerie.Control.Params.Download`. A vehicle that announces FTP and does not answer is asked for eight seconds; `heard?/1` lets the
+  `Aerie.Control.Params.Fetch.Download`. A vehicle that announces FTP and does not answer is asked for eight seconds; `heard?/1` lets the
   caller remember that.
 
   A stored list (`:stored`) is returned, and nothing else is read, if the vehicle's checksum or `_HASH_CHECK` is still the
@@ -10,12 +10,13 @@ defmodule Aerie.Control.Params.Fetch do
   The checksum of the file is read before and after the file. Only if both are equal does it belong to the list and can later show that
   the list is still right. It is never computed from the bytes, because padding depends on how the file is read.
 
-  Events and actions are those of `Aerie.Control.Params.Download`; `{:progress, _, _}` counts bytes while the file is read, and parameters
+  Events and actions are those of `Aerie.Control.Params.Fetch.Download`; `{:progress, _, _}` counts bytes while the file is read, and parameters
   of a list.
   """
 
   alias Aerie.Control.Ftp.{Client, RoundTrip}
-  alias Aerie.Control.Params.{Cache, Download, Param, Set, Table}
+  alias Aerie.Control.Params.{Cache, Param, Set, Table}
+  alias Aerie.Control.Params.Fetch.Download
   alias Aerie.Vehicle.Firmware
   alias MavCodec.Enums.MavProtocolCapability
   alias MavCodec.Ftp.PackedParams
@@ -49,7 +50,7 @@ defmodule Aerie.Control.Params.Fetch do
   end
 
   @doc """
-  A fetch that has not begun. Options are those of `Aerie.Control.Params.Download.new/3`, and `:file` (whether to try the file: ArduPilot
+  A fetch that has not begun. Options are those of `Aerie.Control.Params.Fetch.Download.new/3`, and `:file` (whether to try the file: ArduPilot
   with the capability FTP), `:stored`, `:defaults` (true: the firmware's defaults with it), `:us` and `:seq` of `Aerie.Control.Ftp.Client.new/4`.
   """
   @spec new({non_neg_integer(), 0..255}, deadline :: integer(), keyword()) :: t()

@@ -24,7 +24,8 @@ defmodule Aerie.Control.Params.Responder do
     * `:fetch` - read the list
   """
 
-  alias Aerie.Control.Params.{FileResponder, Param, Table}
+  alias Aerie.Control.Params.{Param, Table}
+  alias Aerie.Control.Params.Responder.Files
   alias MavCodec.Message.ParamValue
   alias MavCodec.Messages, as: M
   alias Protocols.Params.Listing
@@ -41,7 +42,7 @@ defmodule Aerie.Control.Params.Responder do
     :seen,
     waiting: [],
     again?: false,
-    files: %FileResponder{},
+    files: %Files{},
     opening: %{}
   ]
 
@@ -85,8 +86,8 @@ defmodule Aerie.Control.Params.Responder do
   end
 
   def handle(served, {:station, %M.FileTransferProtocol{} = m, from, now}) do
-    case FileResponder.request(m) do
-      {:open, packet} -> open(%{served | files: FileResponder.ended(served.files, from)}, packet, from, now)
+    case Files.request(m) do
+      {:open, packet} -> open(%{served | files: Files.ended(served.files, from)}, packet, from, now)
       {:more, packet} -> file(served, packet, from)
       :other -> {served, [{:forward, from}]}
     end
@@ -158,7 +159,7 @@ defmodule Aerie.Control.Params.Responder do
     end
   end
 
-  defp stale(served), do: %{served | table: nil, until: nil, files: FileResponder.stale(served.files)}
+  defp stale(served), do: %{served | table: nil, until: nil, files: Files.stale(served.files)}
 
   # Stations that ask for the file wait for a reading as those that ask for the list.
   defp open(served, packet, from, now) do
@@ -174,15 +175,15 @@ defmodule Aerie.Control.Params.Responder do
   defp opened(%{table: %{file_crc: nil}} = served, _packet, from), do: {served, [{:forward, from}]}
 
   defp opened(served, packet, from) do
-    case FileResponder.open(served.files, from, packet, served.table) do
+    case Files.open(served.files, from, packet, served.table) do
       {packets, files} -> {%{served | files: files}, [{:reply, from, packets}]}
       :full -> {served, [{:forward, from}]}
     end
   end
 
   defp file(served, packet, from) do
-    if FileResponder.ours?(served.files, from, packet) do
-      {packets, files} = FileResponder.more(served.files, from, packet)
+    if Files.ours?(served.files, from, packet) do
+      {packets, files} = Files.more(served.files, from, packet)
       {%{served | files: files}, [{:reply, from, packets}]}
     else
       {served, [{:forward, from}]}

@@ -1,7 +1,7 @@
 defmodule Aerie.Control.Params.Set do
   @moduledoc """
   Sets one parameter, or reads it; a set succeeds only when the vehicle has reported the new value (P3). Events, times and `{:send, _}` are
-  those of `Aerie.Control.Params.Download`; the end is `{:done, {:ok, param} | {:error, reason}}`.
+  those of `Aerie.Control.Params.Fetch.Download`; the end is `{:done, {:ok, param} | {:error, reason}}`.
 
   If its type is not given, the parameter is read first: PX4 accepts only the parameter's own type, which also decides the encoding. Then it
   is sent until it is answered. Another value may be a late old one, so the set counts as refused only after the vehicle reported another
@@ -82,7 +82,7 @@ defmodule Aerie.Control.Params.Set do
   def wake_at(%{phase: phase}) when phase in [:idle, :done], do: nil
   def wake_at(set), do: min(set.due, set.deadline)
 
-  @spec handle(t(), Aerie.Control.Params.Download.event()) :: {t(), [action()]}
+  @spec handle(t(), Aerie.Control.Params.Fetch.Download.event()) :: {t(), [action()]}
   def handle(%{phase: :done} = set, _event), do: {set, []}
   def handle(set, {:cancel, _now}), do: finish(set, {:error, :cancelled})
 

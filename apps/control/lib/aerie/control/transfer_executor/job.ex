@@ -3,7 +3,7 @@ defmodule Aerie.Control.TransferExecutor.Job do
   One transfer with a vehicle, as it is given to `Aerie.Control.TransferExecutor`: the machine that carries it out,
   and what it needs for itself meanwhile.
 
-  A machine is a module with `handle(machine, event) -> {machine, actions}` and `wake_at(machine)`, as `Aerie.Control.Params.Download`
+  A machine is a module with `handle(machine, event) -> {machine, actions}` and `wake_at(machine)`, as `Aerie.Control.Params.Fetch.Download`
   describes them; its end is `{:done, result}`, or `{:result, result}` of `Protocols.Mission.Transfer`. One that uses
   files also has `seq(machine)`, the number that the next one begins with.
   """

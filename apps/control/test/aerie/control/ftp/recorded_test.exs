@@ -5,7 +5,7 @@ defmodule Aerie.Control.Ftp.RecordedTest do
 
   alias Aerie.{Flight, LossyLink}
   alias Aerie.Control.Ftp.Client
-  alias Aerie.Control.Params.Unpack
+  alias Aerie.Control.Params.Metadata.Unpack
   alias Aerie.Vehicle.Services.Reports.{Definitions, Names}
   alias MavCodec.Messages.FileTransferProtocol
 

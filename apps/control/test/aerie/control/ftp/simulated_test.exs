@@ -37,9 +37,13 @@ defmodule Aerie.Control.Ftp.SimulatedTest do
       assert (table.hash || table.file_crc) != nil
 
       assert {{:ok, list}, ""} =
-               UdpTransfer.run(socket, Params.Download, Params.Download.new({1, 1}, until, options))
+               UdpTransfer.run(
+                 socket,
+                 Params.Fetch.Download,
+                 Params.Fetch.Download.new({1, 1}, until, options)
+               )
 
-      assert Params.Diff.diff(list, table) == %{changed: [], only_left: [], only_right: []}
+      assert Params.File.Diff.diff(list, table) == %{changed: [], only_left: [], only_right: []}
 
       set = Params.Set.new("MORE_7", -5, {1, 1}, until, options)
       assert {{:ok, %{value: -5}}, ""} = UdpTransfer.run(socket, Params.Set, set)

@@ -1,7 +1,7 @@
 defmodule Aerie.Control.Params.FileTest do
   use ExUnit.Case, async: true
 
-  alias Aerie.Control.Params.{Diff, File, Param, Table}
+  alias Aerie.Control.Params.{File, Param, Table}
   alias MavCodec.Message.ParamValue
 
   @table Table.new([
@@ -25,7 +25,7 @@ defmodule Aerie.Control.Params.FileTest do
   test "what is written is read back, value for value" do
     for format <- [:param, :params] do
       {:ok, entries} = File.parse(File.format(@table, format, {1, 1}))
-      assert Diff.diff(entries, @table) == %{changed: [], only_left: [], only_right: []}
+      assert File.Diff.diff(entries, @table) == %{changed: [], only_left: [], only_right: []}
       if format == :params, do: assert(Enum.map(entries, & &1.type) == [4, 9, 9, 6])
     end
 
@@ -65,7 +65,7 @@ defmodule Aerie.Control.Params.FileTest do
   test "differences: changed, missing on either side; rounding does not count" do
     {:ok, entries} = File.parse("A,6\nB,0.100000\nE,1\nD,-2147483648\n")
 
-    assert Diff.diff(entries, @table) == %{
+    assert File.Diff.diff(entries, @table) == %{
              changed: [{"A", 6, 5}],
              only_left: [{"E", 1}],
              only_right: [{"C", ParamValue.float32(1.0e-30)}]
@@ -73,7 +73,7 @@ defmodule Aerie.Control.Params.FileTest do
 
     # Few digits mean what they say.
     {:ok, entries} = File.parse("B,0\n")
-    assert [{"B", 0, _value}] = Diff.diff(entries, @table).changed
-    assert Diff.diff(@table, @table) == %{changed: [], only_left: [], only_right: []}
+    assert [{"B", 0, _value}] = File.Diff.diff(entries, @table).changed
+    assert File.Diff.diff(@table, @table) == %{changed: [], only_left: [], only_right: []}
   end
 end

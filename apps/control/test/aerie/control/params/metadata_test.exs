@@ -3,7 +3,7 @@ defmodule Aerie.Control.Params.MetadataTest do
 
   alias Aerie.Control.Params
   alias Aerie.LossyLink
-  alias Aerie.Control.Params.{Metadata, MetadataSource, Unpack}
+  alias Aerie.Control.Params.Metadata
   alias MavCodec.Messages, as: M
 
   @moduletag :tmp_dir
@@ -157,12 +157,12 @@ defmodule Aerie.Control.Params.MetadataTest do
   end
 
   test "what unpacks to more than is read is not unpacked", %{tmp_dir: dir} do
-    assert {:ok, "plain"} = Unpack.file("x.json", "plain")
-    assert {:ok, "text"} = Unpack.file("x.json.xz", xz("text", dir))
-    assert {:error, "the vehicle's compressed metadata is damaged"} = Unpack.file("x.xz", "no xz")
+    assert {:ok, "plain"} = Metadata.Unpack.file("x.json", "plain")
+    assert {:ok, "text"} = Metadata.Unpack.file("x.json.xz", xz("text", dir))
+    assert {:error, "the vehicle's compressed metadata is damaged"} = Metadata.Unpack.file("x.xz", "no xz")
     bomb = xz(:binary.copy(<<0>>, 40_000_000), dir)
     assert byte_size(bomb) < 100_000
-    assert {:error, "the metadata has more than" <> _} = Unpack.file("x.xz", bomb)
+    assert {:error, "the metadata has more than" <> _} = Metadata.Unpack.file("x.xz", bomb)
     refute_received {_port, _late}
   end
 
@@ -171,23 +171,23 @@ defmodule Aerie.Control.Params.MetadataTest do
       {v, [{1_000, %M.ComponentMetadata{uri: "mftp://x"}}]}
     end
 
-    source = MetadataSource.new({1, 1}, 60_000_000)
-    assert {:ok, "mftp://x"} = LossyLink.run(MetadataSource, source, nil, answer, loss: 0.3, seed: 2).result
-    run = LossyLink.run(MetadataSource, source, nil, fn v, _m, _now -> {v, []} end)
+    source = Metadata.Source.new({1, 1}, 60_000_000)
+    assert {:ok, "mftp://x"} = LossyLink.run(Metadata.Source, source, nil, answer, loss: 0.3, seed: 2).result
+    run = LossyLink.run(Metadata.Source, source, nil, fn v, _m, _now -> {v, []} end)
     assert {:error, {:failed, _why}} = run.result
     assert length(run.sent) == 5
   end
 
   test "on a fast link a vehicle may stand still for seconds before it is given up" do
-    source = MetadataSource.new({1, 1}, 60_000_000, rtt_us: 5_000)
+    source = Metadata.Source.new({1, 1}, 60_000_000, rtt_us: 5_000)
 
     answer = fn v, %M.CommandLong{command: 512}, _now ->
       {v, [{1_000, %M.ComponentMetadata{uri: "mftp://x"}}]}
     end
 
     asleep = LossyLink.still(7_000_000, answer)
-    assert {:ok, "mftp://x"} = LossyLink.run(MetadataSource, source, nil, asleep).result
-    run = LossyLink.run(MetadataSource, source, nil, fn v, _m, _now -> {v, []} end)
+    assert {:ok, "mftp://x"} = LossyLink.run(Metadata.Source, source, nil, asleep).result
+    run = LossyLink.run(Metadata.Source, source, nil, fn v, _m, _now -> {v, []} end)
     assert {:error, {:failed, _why}} = run.result
     assert {run.at, length(run.sent)} == {8_700_000, 13}
   end

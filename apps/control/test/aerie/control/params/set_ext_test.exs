@@ -3,7 +3,8 @@ defmodule Aerie.Control.Params.SetExtTest do
   use ExUnit.Case, async: true
 
   alias Aerie.{LossyLink, ParamsCamera}
-  alias Aerie.Control.Params.{Download, Set, Table}
+  alias Aerie.Control.Params.{Set, Table}
+  alias Aerie.Control.Params.Fetch.Download
   alias Aerie.Control.TransferExecutor.Outcome
   alias MavCodec.Messages, as: M
 

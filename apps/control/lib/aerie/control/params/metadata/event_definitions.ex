@@ -1,4 +1,4 @@
-defmodule Aerie.Control.Params.EventDefinitions do
+defmodule Aerie.Control.Params.Metadata.EventDefinitions do
   @moduledoc """
   Reads what a vehicle says about its events, when its session sends `:read`, and sends the session
   `{:event_definitions, definitions}`: what is otherwise than in Aerie's own file
@@ -10,7 +10,7 @@ defmodule Aerie.Control.Params.EventDefinitions do
   use GenServer
 
   alias Aerie.Base.Names
-  alias Aerie.Control.Params.MetadataReader
+  alias Aerie.Control.Params.Metadata.Reader
   alias Aerie.Vehicle.Services.Reports
 
   require Logger
@@ -43,7 +43,7 @@ defmodule Aerie.Control.Params.EventDefinitions do
     Process.set_label({:event_definitions_reading, id})
 
     definitions =
-      case MetadataReader.events(gateway, id) do
+      case Reader.events(gateway, id) do
         {:ok, definitions} -> Reports.Names.own(definitions)
         {:error, result} -> refused(id, result)
       end

@@ -1,4 +1,4 @@
-defmodule Aerie.Control.Params.MetadataReader do
+defmodule Aerie.Control.Params.Metadata.Reader do
   @moduledoc """
   Reads what a vehicle says about its parameters, and about its events: COMPONENT_METADATA, the general file, the file of the
   parameters or events, both by MAVLink FTP. The second one is kept by the checksum that the first one names, and read again only if that
@@ -10,7 +10,7 @@ defmodule Aerie.Control.Params.MetadataReader do
   alias Aerie.Control.{Files, Transfers}
   alias Aerie.Vehicle.Command
   alias Aerie.Vehicle.Command.Result
-  alias Aerie.Control.Params.{Metadata, MetadataSource, Unpack}
+  alias Aerie.Control.Params.Metadata
   alias Aerie.Vehicle.Services.Reports.Definitions
   alias MavCodec.CRC
 
@@ -53,7 +53,7 @@ defmodule Aerie.Control.Params.MetadataReader do
         timeout_ms: @source_ms,
         share: :metadata_source,
         start: fn context, until ->
-          {:ok, MetadataSource.new(context.target, until, rtt_us: context.rtt_us)}
+          {:ok, Metadata.Source.new(context.target, until, rtt_us: context.rtt_us)}
         end
       }
 
@@ -65,7 +65,7 @@ defmodule Aerie.Control.Params.MetadataReader do
   defp file(gateway, vehicle, uri, options) do
     with {:ok, path} <- Metadata.path(uri),
          {:ok, packed} <- Files.read(gateway, vehicle, path, [max_bytes: @max_bytes] ++ options),
-         {:ok, text} <- Unpack.file(path, packed),
+         {:ok, text} <- Metadata.Unpack.file(path, packed),
          do: {:ok, packed, text}
   end
 

@@ -1,4 +1,4 @@
-defmodule Aerie.Control.Params.EventDefinitionsTest do
+defmodule Aerie.Control.Params.Metadata.EventDefinitionsTest do
   @moduledoc "A vehicle's own descriptions of its events, from its first EVENT to what the fleet sees (X14)."
   use Aerie.TransferCase, async: true
 
@@ -7,7 +7,7 @@ defmodule Aerie.Control.Params.EventDefinitionsTest do
 
   alias Aerie.Base.Names
   alias Aerie.Vehicle
-  alias Aerie.Control.Params.EventDefinitions
+  alias Aerie.Control.Params.Metadata.EventDefinitions
   alias MavCodec.Messages, as: M
 
   @moduletag :tmp_dir

@@ -1,4 +1,4 @@
-defmodule Aerie.Control.Params.Unpack do
+defmodule Aerie.Control.Params.Metadata.Unpack do
   @moduledoc """
   Metadata that is compressed (T5): `.xz` by the program `xz`, which comes with a release, because OTP has no such decompression. What it may become is bounded, in size,
   memory and time.

@@ -1,4 +1,4 @@
-defmodule Aerie.Control.Params.Settings do
+defmodule Aerie.Control.Params.Cache.Settings do
   @moduledoc "The settings of the parameter lists that the gateway stores."
   use Aerie.Base.Settings
 

@@ -1,4 +1,4 @@
-defmodule Aerie.Control.Params.Download do
+defmodule Aerie.Control.Params.Fetch.Download do
   @moduledoc """
   Reads the whole list of a vehicle with PARAM_REQUEST_LIST (P4), or of another component with PARAM_EXT_REQUEST_LIST (P8). Pure: `handle(download, event) -> {download, actions}`.
 

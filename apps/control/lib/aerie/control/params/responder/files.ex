@@ -1,4 +1,4 @@
-defmodule Aerie.Control.Params.FileResponder do
+defmodule Aerie.Control.Params.Responder.Files do
   @moduledoc """
   ArduPilot's parameter file, served to ground stations by MAVLink FTP from a list that is known to be the vehicle's, as the vehicle serves it
   (`MavCodec.Ftp.PackedParams`). Pure.

@@ -1,6 +1,6 @@
-defmodule Aerie.Control.Params.MetadataSource do
+defmodule Aerie.Control.Params.Metadata.Source do
   @moduledoc """
-  Asks a vehicle where its metadata is (COMPONENT_METADATA, X14). Pure: events and actions are those of `Aerie.Control.Params.Download`; the end is
+  Asks a vehicle where its metadata is (COMPONENT_METADATA, X14). Pure: events and actions are those of `Aerie.Control.Params.Fetch.Download`; the end is
   `{:done, {:ok, uri} | {:error, reason}}`.
   """
 
@@ -27,7 +27,8 @@ defmodule Aerie.Control.Params.MetadataSource do
   def wake_at(%{phase: :asked} = source), do: min(source.due, source.deadline)
   def wake_at(_source), do: nil
 
-  @spec handle(t(), Aerie.Control.Params.Download.event()) :: {t(), [Aerie.Control.Params.Download.action()]}
+  @spec handle(t(), Aerie.Control.Params.Fetch.Download.event()) ::
+          {t(), [Aerie.Control.Params.Fetch.Download.action()]}
   def handle(%{phase: :done} = source, _event), do: {source, []}
   def handle(source, {:cancel, _now}), do: finish(source, {:error, :cancelled})
 

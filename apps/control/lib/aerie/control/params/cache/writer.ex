@@ -1,4 +1,4 @@
-defmodule Aerie.Control.Params.CacheWriter do
+defmodule Aerie.Control.Params.Cache.Writer do
   @moduledoc """
   Stores parameter lists on disk (`Aerie.Control.Params.Cache`), so that they survive restarts. This process writes the files; readers read the
   files directly. Without this process every list is read from the vehicle.

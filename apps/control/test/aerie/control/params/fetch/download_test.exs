@@ -1,8 +1,9 @@
-defmodule Aerie.Control.Params.DownloadTest do
+defmodule Aerie.Control.Params.Fetch.DownloadTest do
   use ExUnit.Case, async: true
 
   alias Aerie.{Flight, LossyLink, ParamsVehicle}
-  alias Aerie.Control.Params.{Download, Table}
+  alias Aerie.Control.Params.Table
+  alias Aerie.Control.Params.Fetch.Download
   alias MavCodec.Messages, as: M
 
   @deadline 300_000_000

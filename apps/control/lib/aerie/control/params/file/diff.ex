@@ -1,4 +1,4 @@
-defmodule Aerie.Control.Params.Diff do
+defmodule Aerie.Control.Params.File.Diff do
   @moduledoc "The differences between two lists of parameters, or between a file and a list."
 
   alias Aerie.Control.Params.{File, Table}

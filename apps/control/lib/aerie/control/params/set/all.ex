@@ -1,6 +1,6 @@
-defmodule Aerie.Control.Params.SetAll do
+defmodule Aerie.Control.Params.Set.All do
   @moduledoc """
-  Sets several parameters one by one (`Aerie.Control.Params.Set`). Pure; events and actions are those of `Aerie.Control.Params.Download`,
+  Sets several parameters one by one (`Aerie.Control.Params.Set`). Pure; events and actions are those of `Aerie.Control.Params.Fetch.Download`,
   with `{:progress, done, total}` after each of them.
 
   If the vehicle refuses one, the others are set nevertheless. If it does not answer, the rest is not tried. The end is
@@ -39,7 +39,8 @@ defmodule Aerie.Control.Params.SetAll do
   def wake_at(%{set: nil}), do: nil
   def wake_at(all), do: Set.wake_at(all.set)
 
-  @spec handle(t(), Aerie.Control.Params.Download.event()) :: {t(), [Aerie.Control.Params.Download.action()]}
+  @spec handle(t(), Aerie.Control.Params.Fetch.Download.event()) ::
+          {t(), [Aerie.Control.Params.Fetch.Download.action()]}
   def handle(%{set: nil} = all, {:start, now}), do: next(all, now)
   def handle(%{set: nil} = all, {:cancel, _now}), do: {all, [{:done, {:error, :cancelled}}]}
   def handle(%{set: nil} = all, _event), do: {all, []}

@@ -148,6 +148,10 @@ defmodule MavRouter.Client do
     :ok
   end
 
+  @doc "How many frames for an endpoint of `endpoints/1` were dropped."
+  @spec dropped(map()) :: non_neg_integer()
+  def dropped(%{counters: counters}), do: Endpoints.Counters.dropped(counters)
+
   @doc """
   The endpoints for clients in the order of their ids, as snapshots of links (`MavRouter.Link.Core.Snapshot`) without peers and
   sources.

@@ -30,6 +30,10 @@ defmodule Aerie.Fleet.Diagnosis do
     end
   end
 
+  @doc "What is shown of a condition."
+  @spec fields() :: [Aerie.Base.Json.Object.t()]
+  defdelegate fields, to: Condition
+
   @doc "The same as values of JSON."
   @spec plain(Aerie.Base.Names.gateway()) :: [map()]
   def plain(gateway), do: Enum.map(list(gateway), &Condition.plain/1)

@@ -219,6 +219,18 @@ defmodule Aerie.Fleet.Shadow do
   @spec tags(Names.gateway()) :: Tags.tags()
   defdelegate tags(gateway), to: Documents
 
+  @doc "Every field that a desired state may have."
+  @spec fields() :: [Field.t()]
+  defdelegate fields, to: Field, as: :all
+
+  @doc "The field of a path."
+  @spec field(String.t()) :: {:ok, Field.t()} | :error
+  defdelegate field(path), to: Field, as: :fetch
+
+  @doc "Values by their paths as a document: `%{\"home.lat\" => 47.1}` is `%{\"home\" => %{\"lat\" => 47.1}}`."
+  @spec nested(%{String.t() => term()}) :: map()
+  defdelegate nested(values), to: Field
+
   @doc "Words as tags: trimmed, sorted, each once."
   @spec tidy_tags([String.t()]) :: [String.t()]
   defdelegate tidy_tags(words), to: Tags, as: :tidy

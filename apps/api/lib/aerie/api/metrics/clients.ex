@@ -4,7 +4,6 @@ defmodule Aerie.Api.Metrics.Clients do
   they are summed by kind; their ids are not labels.
   """
 
-  alias MavRouter.Endpoints.Counters
   alias Aerie.Api.Metrics.Text
 
   @doc """
@@ -30,7 +29,7 @@ defmodule Aerie.Api.Metrics.Clients do
        sums.(& &1.counters.frames_out)},
       {"gateway_client_dropped_frames", :gauge,
        "Frames dropped because clients that are connected now read too slowly.",
-       sums.(&Counters.dropped(&1.counters))},
+       sums.(&MavRouter.Client.dropped/1)},
       {"gateway_client_unread_datagrams", :gauge,
        "Datagrams from clients dropped before they were read, by reason; of the endpoints that there are now.",
        for(

@@ -11,7 +11,7 @@ defmodule Aerie.Api.Rest.Actions do
   alias Aerie.Access.HTTP.Error
 
   alias Aerie.Api.Rest.View.{Recordings, SigningCapability}
-  alias Aerie.Api.Rest.{Routes, RuleChanges, View}
+  alias Aerie.Api.Rest.{Routes, View}
   alias Aerie.Access.HTTP.Request
   alias Aerie.Access.Tickets
 
@@ -177,16 +177,6 @@ defmodule Aerie.Api.Rest.Actions do
   end
 
   def run(:rules, state, request), do: {:ok, 200, View.rules(state.gateway), request}
-
-  def run(:change_rules, state, request) do
-    with {:ok, object, request} <- Request.object(request) do
-      with {:ok, changes} <- RuleChanges.parse(object),
-           :ok <- Router.configure(state.gateway, id(request), changes) do
-        {:ok, View.rules(state.gateway)}
-      end
-      |> answer(200, request)
-    end
-  end
 
   def run(:reset_rules, state, request),
     do: state.gateway |> Router.reset(id(request)) |> answer(204, request)

@@ -234,13 +234,17 @@ defmodule Aerie.Api.Rest.Operations do
     own = if file?, do: [file: {route.file, body}, format: format], else: [required: route.required]
 
     with {:ok, object} <- if(file? or not Operation.body?(route), do: {:ok, %{}}, else: Request.decode(body)) do
-      # null is the same as nothing, also beside a parameter of the query.
-      object = Map.reject(object, fn {_key, value} -> value == nil end)
+      object = given(operation, route, object)
       given = operation |> texts(route, request) |> Map.merge(object) |> Map.merge(route.given)
       options = [more: more(operation), omit: route.omit] ++ own
       Operation.parse(operation, Map.merge(given, path(route, request)), options)
     end
   end
+
+  # A change of the gateway that has a schema of its own says what null means. For all others it is the same as nothing,
+  # also beside a parameter of the query.
+  defp given(%{request: %{}}, %{change: change}, object) when change != nil, do: object
+  defp given(_operation, _route, object), do: Map.reject(object, fn {_key, value} -> value == nil end)
 
   defp more(operation), do: if(result?(operation), do: [Operation.wait()], else: [])
 

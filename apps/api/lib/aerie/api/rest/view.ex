@@ -14,8 +14,6 @@ defmodule Aerie.Api.Rest.View do
   alias Aerie.Control.Policy
   alias Aerie.Fleet
   alias Aerie.Fleet.Shadow
-  alias Aerie.Fleet.Diagnosis.Condition
-  alias MavRouter.Endpoints.Counters
   alias Aerie.Base.Json.Object
   alias Aerie.Vehicle.Snapshot
   alias Aerie.Api.Rest.EventsQuery
@@ -86,7 +84,7 @@ defmodule Aerie.Api.Rest.View do
             {:waiting, :integer, nil, "frames that wait to be sent"},
             {:frames_in, :integer, nil, "good frames received", [:counters, :frames_in]},
             {:frames_out, :integer, nil, "frames sent", [:counters, :frames_out]},
-            {:dropped, :integer, nil, "frames dropped because it reads too slowly", &__MODULE__.dropped/1},
+            {:dropped, :integer, nil, "frames dropped because it reads too slowly", &Client.dropped/1},
             {:denied, :integer, nil, "commands that it may not send", [:counters, :denied]}
           ])
   @clients Object.fields([
@@ -115,7 +113,10 @@ defmodule Aerie.Api.Rest.View do
     vehicle_signing: MavRouter.Signing.fields(),
     events: @events,
     signing_keys: @signing,
-    diagnosis: Object.fields([{:conditions, {:list, {:shown, Condition.fields()}}, nil, "the worst first"}]),
+    diagnosis:
+      Object.fields([
+        {:conditions, {:list, {:shown, Aerie.Fleet.Diagnosis.fields()}}, nil, "the worst first"}
+      ]),
     links: Object.fields([{:links, {:list, {:object, MavRouter.Link.fields()}}, nil, "all of them"}]),
     clients: @clients,
     rules_in_force:
@@ -208,10 +209,6 @@ defmodule Aerie.Api.Rest.View do
   @doc false
   @spec access(map()) :: :read | :full
   def access(endpoint), do: if(endpoint.role == :read_only, do: :read, else: :full)
-
-  @doc false
-  @spec dropped(map()) :: non_neg_integer()
-  def dropped(endpoint), do: Counters.dropped(endpoint.counters)
 
   @doc "Since when the policy is in force, and the errors when it was last read; nil without a policy."
   @spec policy(term()) :: map() | nil

@@ -1,8 +1,6 @@
 defmodule Aerie.Api.Rest.RulesTest do
   use Aerie.APICase, async: true
 
-  alias Aerie.Api.Rest.RuleChanges
-
   test "rules are changed, listed beside the configured ones, and reset" do
     %{gateway: gateway, port: port} = start_server(key: true)
     client = %{url: "udpin:127.0.0.1:0", id: "gcs", rate_limits: %{"ATTITUDE" => 4}}
@@ -47,32 +45,6 @@ defmodule Aerie.Api.Rest.RulesTest do
 
       assert words =~ why
     end
-  end
-
-  test "any input is a rule or an error message, and nothing becomes an atom" do
-    for wrong <- [
-          %{},
-          %{"side" => "client"},
-          %{"unheard of" => 1},
-          %{"role" => "admin"},
-          %{"role" => 7},
-          %{"filter_out" => "RAW_IMU"},
-          %{"filter_out" => %{"block_messages" => "RAW_IMU"}},
-          %{"filter_in" => %{"block_everything" => []}},
-          %{"queue_kb" => "much"},
-          %{"queue_frames" => 0},
-          %{"carry" => "all"},
-          %{"networks" => "main"},
-          %{"networks" => []},
-          %{"sniffer" => "yes"},
-          %{"bytes_per_s" => 1.5},
-          %{"id_offsets" => [1]}
-        ] do
-      assert {:error, %{code: :invalid}} = RuleChanges.parse(wrong)
-    end
-
-    assert {:ok, %{bytes_per_s: nil, networks: ["a"]}} =
-             RuleChanges.parse(%{"bytes_per_s" => nil, "networks" => ["a"]})
   end
 
   defp patch(port, path, object),

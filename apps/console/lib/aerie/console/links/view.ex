@@ -1,7 +1,7 @@
 defmodule Aerie.Console.Links.View do
   @moduledoc "Links, endpoints, routes and rules for the page, from the read model; and a link's history. Pure."
 
-  alias MavRouter.Endpoints.Counters
+  alias MavRouter.Client
 
   @max_rows 200
   @samples 120
@@ -68,7 +68,7 @@ defmodule Aerie.Console.Links.View do
       in: endpoint.rates.frames_in,
       out: endpoint.rates.frames_out,
       bytes_out: endpoint.rates.bytes_out,
-      dropped: Counters.dropped(endpoint.counters),
+      dropped: Client.dropped(endpoint),
       notes: Enum.join(dropped, ", ")
     }
   end

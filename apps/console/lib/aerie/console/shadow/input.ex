@@ -2,7 +2,7 @@ defmodule Aerie.Console.Shadow.Input do
   @moduledoc "The form by which something is desired: which field, as text, for how long. Pure. What is wrong about a value, the shadow itself says."
 
   alias Aerie.Control.Policy.Roles
-  alias Aerie.Fleet.Shadow.Field
+  alias Aerie.Fleet.Shadow
 
   @expiries [
     {"never", ""},
@@ -15,7 +15,7 @@ defmodule Aerie.Console.Shadow.Input do
   @doc "Names of the fields that a user may set; `params.*` and `intervals.*` take a name of their own."
   @spec fields(Roles.source()) :: [String.t()]
   def fields(%{role: :viewer}), do: []
-  def fields(user), do: for(field <- Field.all(), Roles.allowed?(user, field.permission), do: field.name)
+  def fields(user), do: for(field <- Shadow.fields(), Roles.allowed?(user, field.permission), do: field.name)
 
   @doc "For how long something can be desired, as options of a select."
   @spec expiries() :: [{String.t(), String.t()}]
@@ -38,7 +38,7 @@ defmodule Aerie.Console.Shadow.Input do
   def request(form, version) do
     with {:ok, path} <- path(form["field"], form["name"]), {:ok, field} <- field(path) do
       value = value(field.name, String.trim(form["value"] || ""))
-      {:ok, Map.put(common(form, version), "desired", Field.nested(%{path => value}))}
+      {:ok, Map.put(common(form, version), "desired", Shadow.nested(%{path => value}))}
     end
   end
 
@@ -55,7 +55,7 @@ defmodule Aerie.Console.Shadow.Input do
 
   @doc "The request to remove a field."
   @spec removal(String.t(), version :: integer()) :: map()
-  def removal(path, version), do: %{"desired" => Field.nested(%{path => nil}), "version" => version}
+  def removal(path, version), do: %{"desired" => Shadow.nested(%{path => nil}), "version" => version}
 
   defp common(form, version) do
     reason = String.trim(form["reason"] || "")
@@ -75,11 +75,11 @@ defmodule Aerie.Console.Shadow.Input do
   end
 
   defp field(path) do
-    with :error <- Field.fetch(path),
+    with :error <- Shadow.field(path),
          do: {:error, "#{String.slice(path, 0, 60)} is not a field: see docs/shadow.md"}
   end
 
-  defp value("tags", text), do: text |> String.split(",") |> Aerie.Fleet.Shadow.tidy_tags()
+  defp value("tags", text), do: text |> String.split(",") |> Shadow.tidy_tags()
 
   defp value("home", text) do
     case text |> String.split(",") |> Enum.map(&number(String.trim(&1))) do

@@ -2,7 +2,7 @@ defmodule Aerie.Console.Shadow.Parts do
   @moduledoc "The parts of the page of a shadow."
   use Aerie.Console, :component
 
-  alias Aerie.Fleet.Shadow.Field
+  alias Aerie.Fleet.Shadow
   alias Aerie.Console.Shadow.{Input, Rows}
 
   attr :rows, :list, required: true, doc: "`t:Aerie.Console.Shadow.Rows.row/0`"
@@ -40,7 +40,7 @@ defmodule Aerie.Console.Shadow.Parts do
 
   @doc "The form to desire something."
   def desire(assigns) do
-    field = Enum.find(Field.all(), &(&1.name == assigns.form["field"]))
+    field = Enum.find(Shadow.fields(), &(&1.name == assigns.form["field"]))
     assigns = assign(assigns, field: field, named: field != nil and String.ends_with?(field.name, "*"))
 
     ~H"""

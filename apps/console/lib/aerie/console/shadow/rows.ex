@@ -2,7 +2,7 @@ defmodule Aerie.Console.Shadow.Rows do
   @moduledoc "A shadow (`Aerie.Fleet.Shadow.status/2`) as its page shows it: a row for each desired field. Pure."
 
   alias Aerie.Control.Policy.Roles
-  alias Aerie.Fleet.Shadow.Field
+  alias Aerie.Fleet.Shadow
   alias Aerie.Console.Clock
 
   @typedoc """
@@ -46,10 +46,17 @@ defmodule Aerie.Console.Shadow.Rows do
         why: why(status),
         set: set(set),
         expires: set["expires_at"] && Clock.full(set["expires_at"]),
-        able: match?({:ok, _field}, Field.fetch(path)) and Roles.allowed?(user, Field.fetch!(path).permission)
+        able: able?(user, path)
       }
     end
     |> Enum.sort_by(&{&1.state == "converged", &1.path})
+  end
+
+  defp able?(user, path) do
+    case Shadow.field(path) do
+      {:ok, field} -> Roles.allowed?(user, field.permission)
+      :error -> false
+    end
   end
 
   @doc "The value of a path in a nested object."

@@ -9,7 +9,7 @@ defmodule Aerie.Fleet.Shadow.Schema do
   alias Aerie.Fleet.Shadow.{Field, Update}
   alias Aerie.Vehicle.Command
   alias Aerie.Vehicle.Command.Param
-  alias MavRouter.Endpoints.RulesSchema
+  alias MavRouter.Endpoints.RuleChanges
 
   @type t :: Aerie.Base.Json.Schema.t()
 
@@ -21,7 +21,7 @@ defmodule Aerie.Fleet.Shadow.Schema do
   @spec shared() :: %{String.t() => t()}
   def shared do
     %{
-      "message_name" => RulesSchema.message_name(),
+      "message_name" => RuleChanges.message_name(),
       "desired_fields" => desired(&nullable/1),
       "actual_fields" => desired(& &1)
     }

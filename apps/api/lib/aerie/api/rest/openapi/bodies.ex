@@ -9,7 +9,6 @@ defmodule Aerie.Api.Rest.OpenAPI.Bodies do
   alias Aerie.Api.Rest.{Commands, View}
   alias Aerie.Base.Json.Object
   alias Aerie.Vehicle.Command.Types
-  alias MavRouter.Endpoints.RulesSchema
 
   @doc "All of them."
   @spec all() :: %{(atom() | String.t()) => map()}
@@ -17,7 +16,6 @@ defmodule Aerie.Api.Rest.OpenAPI.Bodies do
     own = %{
       object: %{type: :object},
       nothing: object(%{}),
-      rules: RulesSchema.change(),
       under_way: under_way()
     }
 

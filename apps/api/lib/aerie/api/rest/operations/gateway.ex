@@ -4,7 +4,13 @@ defmodule Aerie.Api.Rest.Operations.Gateway do
   over REST only.
   """
 
-  alias Aerie.Api.Rest.Operations.{AddClient, AddLink, ChangeLog, Record, SaveRecording, Sign}
+  alias Aerie.Api.Rest.Operations.{AddClient, AddLink, ChangeLog, ChangeRules, Record, SaveRecording, Sign}
+  alias Aerie.Control.Operations.Operation
 
-  use Aerie.Control.Operations.Table, [AddLink, AddClient, ChangeLog, Record, SaveRecording, Sign]
+  @doc "All of them."
+  @spec all() :: [Operation.t(), ...]
+  def all do
+    for module <- [AddLink, AddClient, ChangeRules, ChangeLog, Record, SaveRecording, Sign],
+        do: %{module.operation() | module: module}
+  end
 end

@@ -43,10 +43,6 @@ defmodule Aerie.Api.Rest.Routes.Gateway do
         answer: nil
       ),
       get("/api/rules", :rules, "The routing rules of links and clients.", answer: :rules_in_force),
-      patch("/api/rules/:id", :change_rules, "Changes the rules of a link or client.",
-        body: :rules,
-        answer: :rules_in_force
-      ),
       delete("/api/rules/:id", :reset_rules, "Restores the configured rules.",
         status: 204,
         answer: nil

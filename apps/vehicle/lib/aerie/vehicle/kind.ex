@@ -1,7 +1,8 @@
 defmodule Aerie.Vehicle.Kind do
   @moduledoc """
   The kind of a vehicle, by MAV_TYPE of its autopilot's heartbeat, never by the component id (R10).
-  ArduPlane with rotors says FIXED_WING there by default: `Aerie.Vehicle.State.Mode` tells it from its other signs.
+  ArduPlane with rotors says FIXED_WING there by default: `Aerie.Vehicle.State.Groups.Mode` tells it from its other
+  signs.
   """
 
   alias MavCodec.Meaning.Heartbeat
@@ -21,7 +22,8 @@ defmodule Aerie.Vehicle.Kind do
     "flapping_wing" => ~w(FLAPPING_WING),
     "kite" => ~w(KITE),
     "vtol" =>
-      ~w(VTOL_TAILSITTER_DUOROTOR VTOL_TAILSITTER_QUADROTOR VTOL_TILTROTOR VTOL_FIXEDROTOR VTOL_TAILSITTER VTOL_TILTWING VTOL_RESERVED5),
+      ~w(VTOL_TAILSITTER_DUOROTOR VTOL_TAILSITTER_QUADROTOR VTOL_TILTROTOR VTOL_FIXEDROTOR VTOL_TAILSITTER
+      VTOL_TILTWING VTOL_RESERVED5),
     "parafoil" => ~w(PARAFOIL),
     "spacecraft" => ~w(SPACECRAFT_ORBITER)
   }

@@ -259,15 +259,15 @@ defmodule Aerie.Vehicle.Core.Frames do
     end
   end
 
-  # See `State.Health`: the parameter may come before the SYS_STATUS that shows it.
+  # See `State.Groups.Health`: the parameter may come before the SYS_STATUS that shows it.
   defp learn({core, actions}, {"FENCE_ENABLE", off, _index}, at) when off == 0 do
-    state = State.put(core.state, :mission, State.Mission.fence_unknown(), at)
+    state = State.put(core.state, :mission, State.Groups.Mission.fence_unknown(), at)
     Effects.check_digest(%{core | state: state}, actions, at)
   end
 
   # Without EXTENDED_SYS_STATE, which comes on request only.
   defp learn({core, actions}, {"Q_ENABLE", on, _index}, _at) when on != 0,
-    do: {%{core | state: struct!(core.state, State.Mode.quadplane(core.state))}, actions}
+    do: {%{core | state: struct!(core.state, State.Groups.Mode.quadplane(core.state))}, actions}
 
   defp learn(acc, _value, _at), do: acc
 

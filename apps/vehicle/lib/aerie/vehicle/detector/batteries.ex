@@ -24,7 +24,7 @@ defmodule Aerie.Vehicle.Detector.Batteries do
   @spec digest(State.t()) :: map()
   def digest(state) do
     group = State.data(state, :battery)
-    first = State.Battery.first(group.batteries || [])
+    first = State.Groups.Battery.first(group.batteries || [])
 
     others =
       for one <- group.batteries || [], one != first, do: Map.take(one, [:id, :remaining, :charge_state])

@@ -9,18 +9,18 @@ defmodule Aerie.Vehicle.State.Groups do
   alias MavCodec.Messages, as: M
 
   @groups [
-    State.Position,
-    State.Attitude,
-    State.Velocity,
-    State.Battery,
-    State.Gps,
-    State.Mode,
-    State.Health,
-    State.Home,
-    State.Mission,
-    State.Rc,
-    State.Operator,
-    State.Link
+    State.Groups.Position,
+    State.Groups.Attitude,
+    State.Groups.Velocity,
+    State.Groups.Battery,
+    State.Groups.Gps,
+    State.Groups.Mode,
+    State.Groups.Health,
+    State.Groups.Home,
+    State.Groups.Mission,
+    State.Groups.Rc,
+    State.Groups.Operator,
+    State.Groups.Link
   ]
 
   @all Enum.map(@groups, & &1.group())

@@ -9,7 +9,8 @@ defmodule Aerie.Vehicle.State.HighLatency do
 
   alias Aerie.Vehicle.Firmware.Modes
   alias Aerie.Vehicle.{Firmware, Kind}
-  alias Aerie.Vehicle.State.{Battery, Group, Value}
+  alias Aerie.Vehicle.State.{Group, Value}
+  alias Aerie.Vehicle.State.Groups.Battery
   alias MavCodec.Enums.{HlFailureFlag, MavModeFlag}
   alias MavCodec.Messages, as: M
 

@@ -1,4 +1,4 @@
-defmodule Aerie.Vehicle.State.Battery do
+defmodule Aerie.Vehicle.State.Groups.Battery do
   @moduledoc """
   The batteries.
 

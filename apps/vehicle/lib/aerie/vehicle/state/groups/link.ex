@@ -1,4 +1,4 @@
-defmodule Aerie.Vehicle.State.Link do
+defmodule Aerie.Vehicle.State.Groups.Link do
   @moduledoc "How the vehicle is heard, from all its frames (`Aerie.Vehicle.Services.Links.Reception`)."
 
   alias Aerie.Vehicle.State.Group

@@ -1,4 +1,4 @@
-defmodule Aerie.Vehicle.State.Position do
+defmodule Aerie.Vehicle.State.Groups.Position do
   @moduledoc "The vehicle's position; GLOBAL_POSITION_INT also has its velocity."
 
   alias Aerie.Vehicle.Firmware

@@ -1,4 +1,4 @@
-defmodule Aerie.Vehicle.State.Gps do
+defmodule Aerie.Vehicle.State.Groups.Gps do
   @moduledoc "The first GNSS receiver."
 
   alias Aerie.Vehicle.State.{Group, Value}

@@ -1,4 +1,4 @@
-defmodule Aerie.Vehicle.State.Mission do
+defmodule Aerie.Vehicle.State.Groups.Mission do
   @moduledoc "Mission progress and fence."
 
   alias Aerie.Vehicle.State.{Group, Value}

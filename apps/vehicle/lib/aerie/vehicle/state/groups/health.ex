@@ -1,4 +1,4 @@
-defmodule Aerie.Vehicle.State.Health do
+defmodule Aerie.Vehicle.State.Groups.Health do
   @moduledoc """
   The health of sensors (SYS_STATUS, which also has a battery), estimator and vibration; and the autopilot's version and
   unique id.
@@ -6,7 +6,8 @@ defmodule Aerie.Vehicle.State.Health do
   import Bitwise
 
   alias Aerie.Vehicle.Firmware
-  alias Aerie.Vehicle.State.{Battery, Group, Mission, Value}
+  alias Aerie.Vehicle.State.{Group, Value}
+  alias Aerie.Vehicle.State.Groups.{Battery, Mission}
   alias MavCodec.Enums.MavSysStatusSensor
   alias MavCodec.Messages, as: M
 

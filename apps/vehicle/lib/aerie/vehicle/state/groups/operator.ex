@@ -1,4 +1,4 @@
-defmodule Aerie.Vehicle.State.Operator do
+defmodule Aerie.Vehicle.State.Groups.Operator do
   @moduledoc "Who is in charge of the vehicle: as the gateway knows it (`Aerie.Vehicle.Core.Services`), and as CONTROL_STATUS says."
   import Bitwise
 

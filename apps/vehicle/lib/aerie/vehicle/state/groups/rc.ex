@@ -1,4 +1,4 @@
-defmodule Aerie.Vehicle.State.Rc do
+defmodule Aerie.Vehicle.State.Groups.Rc do
   @moduledoc "The remote control."
 
   alias Aerie.Vehicle.Firmware

@@ -1,4 +1,4 @@
-defmodule Aerie.Vehicle.State.Mode do
+defmodule Aerie.Vehicle.State.Groups.Mode do
   @moduledoc """
   What the autopilot does: mode, arming and failsafe from HEARTBEAT, landed state from EXTENDED_SYS_STATE, names of modes from
   AVAILABLE_MODES.

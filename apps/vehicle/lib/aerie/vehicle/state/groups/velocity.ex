@@ -1,4 +1,4 @@
-defmodule Aerie.Vehicle.State.Velocity do
+defmodule Aerie.Vehicle.State.Groups.Velocity do
   @moduledoc "The vehicle's velocity, and its throttle."
 
   alias Aerie.Vehicle.State.{Group, Value}

@@ -1,4 +1,4 @@
-defmodule Aerie.Vehicle.State.Home do
+defmodule Aerie.Vehicle.State.Groups.Home do
   @moduledoc "The home position, and the origin of local coordinates."
 
   alias Aerie.Vehicle.State.{Group, Value}

@@ -1,4 +1,4 @@
-defmodule Aerie.Vehicle.State.Attitude do
+defmodule Aerie.Vehicle.State.Groups.Attitude do
   @moduledoc "The vehicle's attitude, from angles or a quaternion."
 
   alias Aerie.Vehicle.State.{Group, Value}

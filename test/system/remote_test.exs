@@ -273,7 +273,7 @@ defmodule Aerie.System.RemoteTest do
        %{hub: hub, companion: companion} do
     shown(hub, "what it is, and a position", &(&1.autopilot == :ardupilot and is_map(&1.groups[:position])))
     stop_gateway(companion)
-    for {id, _name, _what} <- Fleet.RemoteTable.gateways(hub), do: Fleet.RemoteTable.forget(hub, id)
+    for {id, _name, _what} <- Fleet.Remote.Table.gateways(hub), do: Fleet.Remote.Table.forget(hub, id)
     Process.exit(Aerie.Base.Names.whereis(hub, :remote_listener), :kill)
 
     vehicle =

@@ -178,7 +178,7 @@ defmodule Aerie.System.ToolTest do
     assert {_ok, 0} =
              aerie(context, [
                "rpc",
-               ~s|Aerie.Fleet.RemoteTable.put_gateway(:default, "far-1", "gateway-far-1", nil, #{now})|
+               ~s|Aerie.Fleet.Remote.Table.put_gateway(:default, "far-1", "gateway-far-1", nil, #{now})|
              ])
 
     assert {text, 0} = aerie(context, ["status"])

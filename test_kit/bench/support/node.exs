@@ -142,7 +142,7 @@ defmodule BenchNode do
 
   defp position(id) do
     with %{groups: %{position: %{at: at}}} <-
-           Fleet.RemoteTable.vehicle(@gateway, id, System.os_time(:microsecond)),
+           Fleet.Remote.Table.vehicle(@gateway, id, System.os_time(:microsecond)),
          do: div(at, 1000)
   end
 

@@ -121,7 +121,7 @@ defmodule Aerie.Gateway do
        tables: [
          Journal.table(bridge.fleet),
          StreamDemand.table(),
-         Fleet.RemoteTable.table(),
+         Fleet.Remote.Table.table(),
          Commands.Recent.table(),
          Policy.ControlLeases.table(),
          Policy.ClientHistory.table()

@@ -1,7 +1,7 @@
 defmodule Aerie.Fleet do
   @moduledoc """
   All vehicles that this gateway knows of, in one model: those on its own links, and those that other gateways hear
-  (`Aerie.Fleet.RemoteTable`). A vehicle that is heard both ways is one vehicle.
+  (`Aerie.Fleet.Remote.Table`). A vehicle that is heard both ways is one vehicle.
 
   A snapshot is that of `Aerie.Base.Store` with `:via` and `:gateways`; a group that another gateway reported has the
   key `:via` as well, the name of that gateway.
@@ -11,7 +11,8 @@ defmodule Aerie.Fleet do
   """
 
   alias Aerie.Base.{Json, Names, Store}
-  alias Aerie.Fleet.{Operations, RemoteTable, Shadow}
+  alias Aerie.Fleet.{Operations, Shadow}
+  alias Aerie.Fleet.Remote.Table
   alias Aerie.Vehicle.{Command, Snapshot}
 
   @older_us 10_000_000
@@ -20,7 +21,7 @@ defmodule Aerie.Fleet do
   @spec vehicles(Names.gateway()) :: [Snapshot.t()]
   def vehicles(gateway) do
     local = Store.vehicles(gateway)
-    remote = RemoteTable.vehicles(gateway, now())
+    remote = Table.vehicles(gateway, now())
     known = MapSet.new(local, & &1.id)
 
     Enum.map(local, &merge(&1, remote[&1.id])) ++
@@ -30,7 +31,7 @@ defmodule Aerie.Fleet do
   @doc "One vehicle by its id; nil if no gateway knows it."
   @spec vehicle(Names.gateway(), String.t()) :: Snapshot.t() | nil
   def vehicle(gateway, id),
-    do: merge(Store.vehicle(gateway, id), RemoteTable.vehicle(gateway, id, now()))
+    do: merge(Store.vehicle(gateway, id), Table.vehicle(gateway, id, now()))
 
   @doc "The snapshot of a vehicle that may be heard here (local), there (remote), or both."
   @spec merge(local :: Snapshot.t() | nil, remote :: Snapshot.t() | nil) :: Snapshot.t() | nil
@@ -63,12 +64,12 @@ defmodule Aerie.Fleet do
   def schemas do
     envelopes = for type <- Command.Types.all(), do: Command.Schema.envelope(type, type?: true)
 
-    for shared <- [Command.Schema.shared(), Operations.Schema.shared(), Shadow.Schema.shared()],
+    for shared <- [Command.Schema.shared(), Operations.Schema.shared(), Shadow.Document.Schema.shared()],
         named <- shared,
         into: %{
           "command" => %{oneOf: envelopes},
           "result" => Command.Schema.result(),
-          "reported" => Shadow.Schema.reported()
+          "reported" => Shadow.Document.Schema.reported()
         },
         do: named
   end

@@ -12,7 +12,10 @@ defmodule Aerie.DiskFormatsTest do
   alias Aerie.Vehicle.Command
   alias Aerie.Control.Params.Cache
   alias Aerie.Control.Policy.Audit
-  alias Aerie.Fleet.Shadow.{Document, Keys, LocalStore, SealedDocument}
+  alias Aerie.Fleet.Shadow.Document
+  alias Aerie.Fleet.Shadow.Document.Sealed
+  alias Aerie.Fleet.Shadow.Store.LocalStore
+  alias Aerie.Fleet.Shadow.Keys
 
   @moduletag :tmp_dir
   @fixtures Path.expand("../fixtures/disk", __DIR__)
@@ -90,7 +93,7 @@ defmodule Aerie.DiskFormatsTest do
 
         # Sealed before each vehicle had a key of its own.
         assert {:former, %Document{version: 1, fields: %{"mode" => %{value: "GUIDED", actor: "ops"}}}} =
-                 SealedDocument.decode(text, "test", "VID-001", keys)
+                 Sealed.decode(text, "test", "VID-001", keys)
       end
     end
   end

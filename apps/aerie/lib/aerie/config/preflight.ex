@@ -20,7 +20,7 @@ defmodule Aerie.Config.Preflight do
   alias Aerie.Control.Policy.Compile
   alias Aerie.Base.Files.Private
   alias Aerie.Fleet.Replay.Source
-  alias Aerie.Fleet.Shadow.LocalStore
+  alias Aerie.Fleet.Shadow.Store.LocalStore
   alias Aerie.Access.Users
 
   @typedoc "Whether a port that is taken counts as free."

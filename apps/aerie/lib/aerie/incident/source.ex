@@ -10,7 +10,7 @@ defmodule Aerie.Incident.Source do
   alias Aerie.Fleet.Bridge.Message
   alias Aerie.Fleet.Diagnosis
   alias Aerie.Fleet.Shadow
-  alias Aerie.Fleet.Shadow.LocalStore
+  alias Aerie.Fleet.Shadow.Store.LocalStore
   alias Aerie.Vehicle.{Event, Journal}
   alias MavRouter.Recorder
 

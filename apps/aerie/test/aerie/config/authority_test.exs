@@ -471,7 +471,10 @@ defmodule Aerie.Config.AuthorityTest do
   defp shadow(config) do
     settings = Shadow.Settings.from(config)
 
-    Shadow.Core.new("VID-001", settings |> Map.take([:hold_us, :max_tries, :allow_arming]) |> Map.to_list()).allow_arming
+    Shadow.Loop.Core.new(
+      "VID-001",
+      settings |> Map.take([:hold_us, :max_tries, :allow_arming]) |> Map.to_list()
+    ).allow_arming
   end
 
   defp private(dir, name, text) do

@@ -2,7 +2,7 @@ defmodule Aerie.Console.RemoteTest do
   @moduledoc "Each page of a vehicle that only another gateway hears says what is there, and shows what this one knows."
   use Aerie.ConsoleCase, async: true
 
-  alias Aerie.Fleet.RemoteTable
+  alias Aerie.Fleet.Remote.Table
 
   @moduletag :capture_log
   @id "FAR-1"
@@ -11,7 +11,7 @@ defmodule Aerie.Console.RemoteTest do
   setup do
     [console: console] = start_console()
     now = System.os_time(:microsecond)
-    :ok = RemoteTable.configure(console.gateway, %{stale_us: 60_000_000, lost_us: 120_000_000})
+    :ok = Table.configure(console.gateway, %{stale_us: 60_000_000, lost_us: 120_000_000})
 
     facts = %{
       network: "main",
@@ -23,14 +23,14 @@ defmodule Aerie.Console.RemoteTest do
       last_heard: now
     }
 
-    :ok = RemoteTable.put_gateway(console.gateway, @id, @via, facts, now)
+    :ok = Table.put_gateway(console.gateway, @id, @via, facts, now)
 
     for {group, data} <- [
           mode: %{mode: "GUIDED", armed: true, in_air: true, failsafe: false},
           position: %{lat: 47.3, lon: 8.5, alt_rel: 20.0},
           home: %{lat: 47.3, lon: 8.5, alt_msl: 488.0}
         ],
-        do: RemoteTable.put(console.gateway, @id, group, %{data: data, at: now, time_boot_ms: nil, via: @via})
+        do: Table.put(console.gateway, @id, group, %{data: data, at: now, time_boot_ms: nil, via: @via})
 
     %{console: console, now: now, facts: facts}
   end
@@ -102,7 +102,7 @@ defmodule Aerie.Console.RemoteTest do
   test "an emergency, and silence while armed, are also alarms here", %{console: console} = context do
     now = context.now + 1
 
-    RemoteTable.put(console.gateway, @id, :mode, %{
+    Table.put(console.gateway, @id, :mode, %{
       data: %{mode: "RTL", armed: true, in_air: true, failsafe: true},
       at: now,
       time_boot_ms: nil,
@@ -111,7 +111,7 @@ defmodule Aerie.Console.RemoteTest do
 
     {view, _html} = open(console, "/alarms")
     eventually(fn -> has_element?(view, "#alarms td", "Emergency reported by the vehicle") end)
-    RemoteTable.put_gateway(console.gateway, @id, @via, %{context.facts | status: :lost}, now)
+    Table.put_gateway(console.gateway, @id, @via, %{context.facts | status: :lost}, now)
     eventually(fn -> has_element?(view, "#alarms td", "Lost contact while armed") end)
   end
 end

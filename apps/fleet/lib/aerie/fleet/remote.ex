@@ -160,7 +160,7 @@ defmodule Aerie.Fleet.Remote do
   defp there?(gateway, snapshot) do
     match?(
       %{status: status} when status != :lost,
-      Fleet.RemoteTable.vehicle(gateway, snapshot.id, System.os_time(:microsecond))
+      Fleet.Remote.Table.vehicle(gateway, snapshot.id, System.os_time(:microsecond))
     )
   end
 

@@ -12,7 +12,10 @@ defmodule Aerie.Fleet.Shadow do
   alias Aerie.Base.Json
   alias Aerie.Base.Names
   alias Aerie.Control.Policy.{Audit, Roles}
-  alias Aerie.Fleet.Shadow.{Buckets, Document, Documents, Field, Metrics, Plans, Tags, Update}
+  alias Aerie.Fleet.Shadow.{Document, Documents, Metrics, Update}
+  alias Aerie.Fleet.Shadow.Document.{Field, Tags}
+  alias Aerie.Fleet.Shadow.Loop.Plans
+  alias Aerie.Fleet.Shadow.Store.Buckets
 
   # So many fields of a change are in the audit log.
   @noted 32
@@ -290,7 +293,7 @@ defmodule Aerie.Fleet.Shadow do
   defdelegate counter?(name), to: Metrics, as: :own?
 
   @doc "The state of a vehicle's fields from this gateway's loop; empty without one."
-  @spec report(Names.gateway(), String.t()) :: Aerie.Fleet.Shadow.Reconcile.report()
+  @spec report(Names.gateway(), String.t()) :: Aerie.Fleet.Shadow.Loop.Reconcile.report()
   def report(gateway, vehicle) do
     with {fields, _document} <- Documents.reported(gateway, vehicle), do: fields, else: (nil -> %{})
   end

@@ -4,7 +4,7 @@ defmodule Aerie.Fleet.AsyncAPITest do
   alias Aerie.Fleet.AsyncAPI
   alias Aerie.Control.Operations
   alias Aerie.Fleet.Bridge.Hub.Accounts
-  alias Aerie.Fleet.Shadow.Buckets
+  alias Aerie.Fleet.Shadow.Store.Buckets
   alias Aerie.Vehicle.Command
 
   @file_ Path.expand("../../../../../docs/asyncapi.json", __DIR__)

@@ -11,7 +11,7 @@ defmodule Aerie.Fleet.RemoteTest do
   alias Aerie.Fleet.Remote
   alias Aerie.LinkCase
   alias Protocols.Mission.Item
-  alias Aerie.Fleet.RemoteTable, as: Table
+  alias Aerie.Fleet.Remote.Table, as: Table
 
   @moduletag :tmp_dir
   @moduletag :capture_log

@@ -91,7 +91,7 @@ defmodule Aerie.Api.Rest.ShadowTest do
       )
 
     assert {201, _headers, %{"plan" => ^hash}} = post.(plan, "key-of-the-operator-1")
-    assert {:ok, %Protocols.Mission.Plan{}} = Aerie.Fleet.Shadow.Plans.fetch(context.gateway, hash)
+    assert {:ok, %Protocols.Mission.Plan{}} = Aerie.Fleet.Shadow.Loop.Plans.fetch(context.gateway, hash)
     assert {422, _headers, _why} = post.("{}", "key-of-the-operator-1")
     assert {403, _headers, _why} = post.(plan, "key-of-the-wall-00001")
     heightless = %Protocols.Mission.Plan{items: [%Protocols.Mission.Item{command: 16, frame: 0, z: nil}]}

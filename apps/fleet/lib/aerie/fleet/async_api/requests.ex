@@ -16,7 +16,7 @@ defmodule Aerie.Fleet.AsyncAPI.Requests do
   @doc "The schemas of requests, and those that they refer to, by their names."
   @spec schemas() :: [{String.t(), t()}]
   def schemas do
-    shared = [Operations.shared(), Shadow.Schema.shared(), Schema.shared()]
+    shared = [Operations.shared(), Shadow.Document.Schema.shared(), Schema.shared()]
 
     Enum.flat_map(shared, &Map.to_list/1) ++
       for operation <- Fleet.operations(), do: {operation.name, Answers.request_schema(operation)}

@@ -122,8 +122,8 @@ defmodule Aerie.Fleet.AsyncAPI.Schemas do
 
   defp buckets do
     [
-      {"desired", Shadow.Schema.document()},
-      {"reported", Shadow.Schema.reported()},
+      {"desired", Shadow.Document.Schema.document()},
+      {"reported", Shadow.Document.Schema.reported()},
       {"gateway",
        object(
          %{

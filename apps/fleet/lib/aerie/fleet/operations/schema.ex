@@ -48,7 +48,7 @@ defmodule Aerie.Fleet.Operations.Schema do
         %{schema | properties: Map.take(schema.properties, [:type, :params])}
       end
 
-    change = Shadow.Schema.update()
+    change = Shadow.Document.Schema.update()
 
     %{
       "command_of_operation" => %{oneOf: commands},

@@ -7,7 +7,8 @@ defmodule Aerie.Fleet.Remote.Claims do
   alias Aerie.Base.Names
   alias Aerie.Vehicle.Command.Result
   alias Aerie.Fleet.Nats
-  alias Aerie.Fleet.Shadow.{Buckets, Documents}
+  alias Aerie.Fleet.Shadow.Documents
+  alias Aerie.Fleet.Shadow.Store.Buckets
 
   @doc "Claims a command's id (`c:Aerie.Control.Commands.Gateways.claim/4`)."
   @spec claim(Names.gateway(), String.t(), String.t(), pos_integer()) ::

@@ -1,6 +1,6 @@
 defmodule Aerie.Fleet.Remote.Listener do
   @moduledoc """
-  Follows the state of vehicles that other gateways publish, and writes it to `Aerie.Fleet.RemoteTable`.
+  Follows the state of vehicles that other gateways publish, and writes it to `Aerie.Fleet.Remote.Table`.
 
   At each connection it reads the last values that the stream has, so that a vehicle whose gateway is away is shown with
   its age. For vehicles that this gateway's own links hear, it takes only the names of others that hear them. It tells
@@ -22,7 +22,7 @@ defmodule Aerie.Fleet.Remote.Listener do
   alias Aerie.Vehicle.Journal
   alias Aerie.Fleet.Bridge.Commands
   alias Aerie.Fleet.Bridge.Connection.Subscriber
-  alias Aerie.Fleet.RemoteTable
+  alias Aerie.Fleet.Remote.Table
   alias Aerie.Fleet.Remote.{Message, Settings}
   alias Aerie.Base.PubSub
 
@@ -40,11 +40,11 @@ defmodule Aerie.Fleet.Remote.Listener do
   def init(gateway: gateway, settings: settings) do
     Process.set_label({:remote_listener, gateway})
     :ok = PubSub.subscribe(gateway, :bridge)
-    :ok = RemoteTable.configure(gateway, %{stale_us: div(settings.lost_us, 2), lost_us: settings.lost_us})
+    :ok = Table.configure(gateway, %{stale_us: div(settings.lost_us, 2), lost_us: settings.lost_us})
     {:ok, tasks} = Task.Supervisor.start_link()
 
     known =
-      for {id, name, _what} <- RemoteTable.gateways(gateway), reduce: %{} do
+      for {id, name, _what} <- Table.gateways(gateway), reduce: %{} do
         known -> Map.update(known, id, [name], &[name | &1])
       end
 
@@ -149,7 +149,7 @@ defmodule Aerie.Fleet.Remote.Listener do
         spoken(state, id, name, %{facts | last_heard: last}, heard)
 
       {:group, group, data} ->
-        RemoteTable.put(state.gateway, id, group, %{
+        Table.put(state.gateway, id, group, %{
           data: data,
           at: at,
           time_boot_ms: message.time_boot_ms,
@@ -170,7 +170,7 @@ defmodule Aerie.Fleet.Remote.Listener do
   defp clock(state, _name, _message, _how, _now), do: state
 
   defp spoken(state, id, name, facts, heard) do
-    :ok = RemoteTable.put_gateway(state.gateway, id, name, facts, heard)
+    :ok = Table.put_gateway(state.gateway, id, name, facts, heard)
     state
   end
 
@@ -190,7 +190,7 @@ defmodule Aerie.Fleet.Remote.Listener do
 
   defp begin(state, id, name) do
     # Known only by a value until its gateway announces it.
-    :ok = RemoteTable.put_gateway(state.gateway, id, name, nil, 0)
+    :ok = Table.put_gateway(state.gateway, id, name, nil, 0)
     %{state | known: Map.update(state.known, id, [name], &[name | &1])}
   end
 
@@ -198,10 +198,10 @@ defmodule Aerie.Fleet.Remote.Listener do
   defp replace(state, id, name) do
     with true <- Store.claim(state.gateway, {__MODULE__, :replace}, @tick_ms),
          {oldest, %{status: :lost}} <-
-           Enum.min_by(RemoteTable.vehicles(state.gateway, System.os_time(:microsecond)), fn {_id, vehicle} ->
+           Enum.min_by(Table.vehicles(state.gateway, System.os_time(:microsecond)), fn {_id, vehicle} ->
              {vehicle.status != :lost, vehicle.last_heard || 0}
            end) do
-      :ok = RemoteTable.forget(state.gateway, oldest)
+      :ok = Table.forget(state.gateway, oldest)
       {:ok, begin(%{state | known: Map.delete(state.known, oldest)}, id, name)}
     else
       _none_lost -> :full
@@ -217,7 +217,7 @@ defmodule Aerie.Fleet.Remote.Listener do
     # Told before this gateway loses them: from then on it must not answer for them.
     elsewhere =
       for %{id: id} <- vehicles,
-          %{status: status} when status != :lost <- [RemoteTable.vehicle(state.gateway, id, now)],
+          %{status: status} when status != :lost <- [Table.vehicle(state.gateway, id, now)],
           into: MapSet.new(),
           do: id
 

@@ -8,7 +8,7 @@ defmodule Aerie.Fleet.Remote.Message do
 
   alias Aerie.Base.Json.Object
   alias Aerie.Fleet.Bridge
-  alias Aerie.Fleet.RemoteTable
+  alias Aerie.Fleet.Remote.Table
   alias Aerie.Vehicle.{Fields, Firmware, Snapshot}
 
   @max_text 256
@@ -32,7 +32,7 @@ defmodule Aerie.Fleet.Remote.Message do
           epoch: integer() | nil,
           time: integer(),
           time_boot_ms: integer() | nil,
-          content: {:facts, RemoteTable.facts()} | {:group, atom(), map()}
+          content: {:facts, Table.facts()} | {:group, atom(), map()}
         }
 
   @doc "Vehicle and group of a subject; `:error` for what no vehicle's state has."

@@ -8,7 +8,8 @@ defmodule Aerie.Fleet.Shadow.Document do
   """
 
   alias Aerie.Base.Json
-  alias Aerie.Fleet.Shadow.{Field, Update}
+  alias Aerie.Fleet.Shadow.Update
+  alias Aerie.Fleet.Shadow.Document.Field
 
   defstruct vehicle: nil, version: 0, updated_at: nil, fields: %{}, history: []
 

@@ -10,7 +10,9 @@ defmodule Aerie.Fleet.Shadow.Documents do
 
   alias Aerie.Base.Names
   alias Aerie.Fleet.Bridge
-  alias Aerie.Fleet.Shadow.{Buckets, Document, Metrics, Tags}
+  alias Aerie.Fleet.Shadow.{Document, Metrics}
+  alias Aerie.Fleet.Shadow.Document.Tags
+  alias Aerie.Fleet.Shadow.Store.Buckets
 
   # For how long an answer waits to be shown here.
   @shown_ms 1_000
@@ -28,7 +30,7 @@ defmodule Aerie.Fleet.Shadow.Documents do
   def vehicle_heard(documents, vehicle, heard?), do: GenServer.cast(documents, {:heard, vehicle, heard?})
 
   @doc "Sets the state of a vehicle's fields and its reported document, which are shown and published."
-  @spec report(pid(), String.t(), Aerie.Fleet.Shadow.Reconcile.report(), map()) :: :ok
+  @spec report(pid(), String.t(), Aerie.Fleet.Shadow.Loop.Reconcile.report(), map()) :: :ok
   def report(documents, vehicle, fields, reported),
     do: GenServer.cast(documents, {:report, vehicle, fields, reported})
 
@@ -85,11 +87,11 @@ defmodule Aerie.Fleet.Shadow.Documents do
   def document(gateway, vehicle), do: row(gateway, {:document, vehicle}) || Document.new(vehicle)
 
   @doc "The state of a vehicle's fields and its reported document, from this gateway's loop, or nil."
-  @spec reported(Names.gateway(), String.t()) :: {Aerie.Fleet.Shadow.Reconcile.report(), map()} | nil
+  @spec reported(Names.gateway(), String.t()) :: {Aerie.Fleet.Shadow.Loop.Reconcile.report(), map()} | nil
   def reported(gateway, vehicle), do: row(gateway, {:reported, vehicle})
 
   @doc "The state of the fields of all vehicles."
-  @spec reports(Names.gateway()) :: [Aerie.Fleet.Shadow.Reconcile.report()]
+  @spec reports(Names.gateway()) :: [Aerie.Fleet.Shadow.Loop.Reconcile.report()]
   def reports(gateway) do
     with_table(gateway, [], fn table ->
       for [fields] <- :ets.match(table, {{:reported, :_}, {:"$1", :_}}), do: fields

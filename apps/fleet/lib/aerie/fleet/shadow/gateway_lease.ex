@@ -104,7 +104,7 @@ defmodule Aerie.Fleet.Shadow.GatewayLease do
   end
 
   @doc """
-  Whether the owner is the gateway aboard the vehicle, whose leaf node says so at the hub (`Aerie.Fleet.Shadow.Uplink`). It goes on while it is cut
+  Whether the owner is the gateway aboard the vehicle, whose leaf node says so at the hub (`Aerie.Fleet.Shadow.Documents.Uplink`). It goes on while it is cut
   off, so nobody takes its vehicle over.
   """
   @spec aboard?(vehicle :: String.t(), owner :: String.t()) :: boolean()

@@ -1,7 +1,7 @@
 defmodule Aerie.Fleet.Shadow.Loop do
   @moduledoc """
   The third loop of a vehicle's tree: compares the desired state with the vehicle, on every change and once a second, and acts.
-  It runs `Aerie.Fleet.Shadow.Core` with a clock and the vehicle's snapshot, and carries out its actions.
+  It runs `Aerie.Fleet.Shadow.Loop.Core` with a clock and the vehicle's snapshot, and carries out its actions.
 
   It wakes up for events of the vehicle (sent by `Aerie.Vehicle.Events`), for a new document, and once a second. Each attempt is a
   task; at most one of them changes the vehicle. The loop dies with the session and the event loop; a new one reads everything again,
@@ -15,7 +15,10 @@ defmodule Aerie.Fleet.Shadow.Loop do
   alias Aerie.Control.Policy
   alias Aerie.Vehicle.Journal
   alias Aerie.Fleet.Bridge.State.LastPublished
-  alias Aerie.Fleet.Shadow.{Actuator, Core, Documents, Field, Metrics, Report, Settings}
+  alias Aerie.Fleet.Shadow.{Documents, Metrics, Settings}
+  alias Aerie.Fleet.Shadow.Document.Field
+  alias Aerie.Fleet.Shadow.Loop.{Actuator, Core}
+  alias Aerie.Fleet.Shadow.Document.Report
 
   @tick_ms 1_000
   # While nothing is desired of a vehicle, only its reported document is renewed from time to time.

@@ -4,7 +4,7 @@ defmodule Aerie.Fleet.Shadow.Settings do
 
   import Aerie.Base.Settings.Rules
 
-  alias Aerie.Fleet.Shadow.Buckets
+  alias Aerie.Fleet.Shadow.Store.Buckets
 
   part :bridge, Aerie.Fleet.Bridge.Settings
 

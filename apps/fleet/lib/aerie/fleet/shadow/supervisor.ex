@@ -15,7 +15,8 @@ defmodule Aerie.Fleet.Shadow.Supervisor do
 
   alias Aerie.Base.Names
   alias Aerie.Fleet.Bridge.Commands.Service
-  alias Aerie.Fleet.Shadow.{Document, Documents, Metrics, Operations, Settings, Uplink}
+  alias Aerie.Fleet.Shadow.{Document, Documents, Metrics, Operations, Settings}
+  alias Aerie.Fleet.Shadow.Documents.Uplink
 
   @spec start_link(gateway: Names.gateway(), settings: Settings.t()) :: Supervisor.on_start()
   def start_link(options),

@@ -11,7 +11,7 @@ defmodule Aerie.Fleet.Shadow.Update do
 
   alias Aerie.Base.Json
   alias Aerie.Vehicle.Command.Error
-  alias Aerie.Fleet.Shadow.Field
+  alias Aerie.Fleet.Shadow.Document.Field
 
   @enforce_keys [:changes]
   defstruct [:changes, :version, :reason, :expires_at, :token]

@@ -6,7 +6,9 @@ defmodule Aerie.Fleet.Shadow.DocumentTest do
 
   alias Aerie.Vehicle.Command.Error
   alias Aerie.Base.Secret
-  alias Aerie.Fleet.Shadow.{Document, Field, Keys, SealedDocument, Update}
+  alias Aerie.Fleet.Shadow.{Document, Update}
+  alias Aerie.Fleet.Shadow.Document.{Field, Sealed}
+  alias Aerie.Fleet.Shadow.Keys
 
   @now 1_800_000_000_000_000
   @second 1_000_000
@@ -178,20 +180,20 @@ defmodule Aerie.Fleet.Shadow.DocumentTest do
         "expires_in_s" => 10
       })
 
-    text = SealedDocument.encode(document, "prod", key())
-    assert {:ok, ^document} = SealedDocument.decode(text, "prod", "VID-007", key())
-    assert {:error, "its seal does not fit" <> _} = SealedDocument.decode(text, "dev", "VID-007", key())
+    text = Sealed.encode(document, "prod", key())
+    assert {:ok, ^document} = Sealed.decode(text, "prod", "VID-007", key())
+    assert {:error, "its seal does not fit" <> _} = Sealed.decode(text, "dev", "VID-007", key())
 
     assert {:error, "its seal does not fit" <> _} =
-             SealedDocument.decode(text, "prod", "VID-007", key("another"))
+             Sealed.decode(text, "prod", "VID-007", key("another"))
 
-    assert {:error, "its seal does not fit" <> _} = SealedDocument.decode(text, "prod", "VID-008", key())
+    assert {:error, "its seal does not fit" <> _} = Sealed.decode(text, "prod", "VID-008", key())
 
     forged = String.replace(text, "AUTO", "RTL!")
-    assert {:error, "its seal does not fit" <> _} = SealedDocument.decode(forged, "prod", "VID-007", key())
+    assert {:error, "its seal does not fit" <> _} = Sealed.decode(forged, "prod", "VID-007", key())
 
     for junk <- ["", "[]", "{}", ~s({"seal": 1}), <<255>>],
-        do: assert({:error, "it has no seal" <> _} = SealedDocument.decode(junk, "prod", "V", key()))
+        do: assert({:error, "it has no seal" <> _} = Sealed.decode(junk, "prod", "V", key()))
   end
 
   test "a companion's key opens and seals its own vehicle's documents and no other one's" do
@@ -207,24 +209,24 @@ defmodule Aerie.Fleet.Shadow.DocumentTest do
     for {own, other} <- [{"A", "B"}, {"B", "A"}] do
       assert {:ok, _} =
                of.(own)
-               |> SealedDocument.encode("prod", hub)
-               |> SealedDocument.decode("prod", own, aboard.(own))
+               |> Sealed.encode("prod", hub)
+               |> Sealed.decode("prod", own, aboard.(own))
 
       assert {:ok, _} =
                of.(own)
-               |> SealedDocument.encode("prod", aboard.(own))
-               |> SealedDocument.decode("prod", own, hub)
+               |> Sealed.encode("prod", aboard.(own))
+               |> Sealed.decode("prod", own, hub)
 
-      theirs = SealedDocument.encode(of.(other), "prod", hub)
-      assert {:error, "its seal" <> _} = SealedDocument.decode(theirs, "prod", other, aboard.(own))
+      theirs = Sealed.encode(of.(other), "prod", hub)
+      assert {:error, "its seal" <> _} = Sealed.decode(theirs, "prod", other, aboard.(own))
 
       # Whatever is made of what it has: its key in the place of the other's, or of the common one, in the old form too.
       stolen = Secret.new(Keys.derive(common, "prod", own))
 
       for keys <- [aboard.(own), %Keys{common: stolen}, %Keys{common: stolen, own: %{other => stolen}}],
-          seal <- [&SealedDocument.encode/3, &sealed_before/3] do
+          seal <- [&Sealed.encode/3, &sealed_before/3] do
         assert {:error, "its seal" <> _} =
-                 of.(other) |> seal.("prod", keys) |> SealedDocument.decode("prod", other, hub)
+                 of.(other) |> seal.("prod", keys) |> Sealed.decode("prod", other, hub)
       end
     end
 
@@ -235,13 +237,13 @@ defmodule Aerie.Fleet.Shadow.DocumentTest do
   test "documents of earlier versions are read, by the common key of then or the one that is named as the former" do
     document = apply!(Document.new("A"), %{"mode" => "AUTO"})
     before = sealed_before(document, "prod", key("old"))
-    assert {:former, %{version: 1}} = SealedDocument.decode(before, "prod", "A", key("old"))
-    assert {:error, "its seal" <> _} = SealedDocument.decode(before, "prod", "A", key("new"))
+    assert {:former, %{version: 1}} = Sealed.decode(before, "prod", "A", key("old"))
+    assert {:error, "its seal" <> _} = Sealed.decode(before, "prod", "A", key("new"))
     both = %{key("new") | former: Secret.new("old")}
-    assert {:former, %{version: 1}} = SealedDocument.decode(before, "prod", "A", both)
+    assert {:former, %{version: 1}} = Sealed.decode(before, "prod", "A", both)
     # The former key seals nothing of today.
-    today = SealedDocument.encode(document, "prod", key("old"))
-    assert {:error, "its seal" <> _} = SealedDocument.decode(today, "prod", "A", both)
+    today = Sealed.encode(document, "prod", key("old"))
+    assert {:error, "its seal" <> _} = Sealed.decode(today, "prod", "A", both)
   end
 
   test "whatever JSON comes, an update is taken or refused, and never raises" do

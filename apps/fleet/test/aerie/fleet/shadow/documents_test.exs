@@ -4,8 +4,9 @@ defmodule Aerie.Fleet.Shadow.DocumentsTest do
 
   alias Aerie.Base.Store
   alias Aerie.Fleet.Nats
-  alias Aerie.Fleet.Shadow.{Buckets, Document}
-  alias Aerie.Fleet.Shadow.GatewayLease.Seal
+  alias Aerie.Fleet.Shadow.Document
+  alias Aerie.Fleet.Shadow.Store.Buckets
+  alias Aerie.Fleet.Shadow.Store.LeaseSeal
 
   @moduletag :tmp_dir
   @moduletag :capture_log
@@ -336,7 +337,7 @@ defmodule Aerie.Fleet.Shadow.DocumentsTest do
             own: %{id => Aerie.Base.Secret.new(own)}
           }
 
-          match?({:ok, %{version: 1}}, Shadow.SealedDocument.decode(text, "test", id, aboard))
+          match?({:ok, %{version: 1}}, Shadow.Document.Sealed.decode(text, "test", id, aboard))
         end)
       end
 
@@ -548,7 +549,7 @@ defmodule Aerie.Fleet.Shadow.DocumentsTest do
 
       stranger = %Shadow.Keys{common: Aerie.Base.Secret.new("the key of somebody else")}
       now = System.os_time(:millisecond) + 1_000
-      forged = Seal.headers(stranger, "test", {:vehicle, @vehicle}, "ee00", now)
+      forged = LeaseSeal.headers(stranger, "test", {:vehicle, @vehicle}, "ee00", now)
 
       for {value, headers} <- [{"ee00", []}, {"ee00", forged}, {"ee00", named}] do
         before = for g <- [gateway, other], do: {g, refused.(g)}

@@ -27,7 +27,7 @@ defmodule Aerie.Fleet.Bridge.Hub.Accounts do
   fill is its listed subjects times the size of a message, for which the hub has room (`Aerie.Fleet.Bridge.Hub.Quota`).
 
   A vehicle has only the lease of the gateway that acts on it. The hub's gateway answers for the desired state:
-  documents aboard and at the hub are kept the same (`Aerie.Fleet.Shadow.Uplink`).
+  documents aboard and at the hub are kept the same (`Aerie.Fleet.Shadow.Documents.Uplink`).
 
   Events have a subject of their own on the leaf, because the leaf stores them in a stream of its own: the gateway
   forwards them in order (`Aerie.Fleet.Bridge.Forward`).

@@ -11,7 +11,7 @@ defmodule Aerie.Fleet.Bridge.Hub.Quota do
   @mb 1_048_576
   # A stored message beside its body.
   @beside 2 * @kb
-  # A document in fleet_desired and how many it keeps, and one in fleet_reported (`Aerie.Fleet.Shadow.Buckets`).
+  # A document in fleet_desired and how many it keeps, and one in fleet_reported (`Aerie.Fleet.Shadow.Store.Buckets`).
   @document 128 * @kb
   @documents 5
   # The share of the 20 GB in hub.conf for events: of each vehicle and of its gateway.

@@ -4,7 +4,9 @@ defmodule Aerie.Fleet.Shadow.Documents.Desired do
   `Aerie.Fleet.Shadow.Documents.Server`, their only caller.
   """
 
-  alias Aerie.Fleet.Shadow.{Buckets, Document, LocalStore, Metrics, SealedDocument, Tags}
+  alias Aerie.Fleet.Shadow.{Document, Metrics}
+  alias Aerie.Fleet.Shadow.Document.{Sealed, Tags}
+  alias Aerie.Fleet.Shadow.Store.{Buckets, LocalStore}
   alias Aerie.Base.Store
   alias Aerie.Base.PubSub
 
@@ -28,7 +30,7 @@ defmodule Aerie.Fleet.Shadow.Documents.Desired do
 
   defp load_copy(%{kept: kept} = state, vehicle) do
     with text when is_binary(text) <- LocalStore.read(state.dir, vehicle),
-         {kind, %Document{} = document} <- SealedDocument.decode(text, kept.environment, vehicle, kept.keys) do
+         {kind, %Document{} = document} <- Sealed.decode(text, kept.environment, vehicle, kept.keys) do
       :ets.insert(state.table, {{:document, vehicle}, document})
       state = if kind == :former, do: copy(state, document), else: state
       tagged(state, document)
@@ -84,7 +86,7 @@ defmodule Aerie.Fleet.Shadow.Documents.Desired do
   end
 
   defp copy(%{kept: kept} = state, document) do
-    text = SealedDocument.encode(document, kept.environment, kept.keys)
+    text = Sealed.encode(document, kept.environment, kept.keys)
 
     case LocalStore.write(state.dir, document.vehicle, text) do
       :ok -> state
@@ -113,7 +115,7 @@ defmodule Aerie.Fleet.Shadow.Documents.Desired do
   end
 
   defp received(state, vehicle, value, heard_here?) do
-    case SealedDocument.decode(value, state.kept.environment, vehicle, state.kept.keys) do
+    case Sealed.decode(value, state.kept.environment, vehicle, state.kept.keys) do
       {:ok, document} when heard_here? -> accept(state, document)
       {:ok, document} -> tagged(state, document)
       {:former, document} -> former(state, document, heard_here?)

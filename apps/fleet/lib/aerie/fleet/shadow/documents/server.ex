@@ -12,9 +12,12 @@ defmodule Aerie.Fleet.Shadow.Documents.Server do
   alias Aerie.Base.Names
   alias Aerie.Fleet.{Bridge, Nats}
   alias Aerie.Fleet.Bridge.State.LastPublished
-  alias Aerie.Fleet.Shadow.{Buckets, Keys, GatewayLease, LocalStore, Settings}
+  alias Aerie.Fleet.Shadow.{GatewayLease, Settings}
+  alias Aerie.Fleet.Shadow.Store.{Buckets, LocalStore}
+  alias Aerie.Fleet.Shadow.Keys
   alias Aerie.Fleet.Shadow.Documents.Desired
-  alias Aerie.Fleet.Shadow.GatewayLease.{Keeper, Numbers, Seal}
+  alias Aerie.Fleet.Shadow.GatewayLease.{Keeper, Numbers}
+  alias Aerie.Fleet.Shadow.Store.LeaseSeal
   alias Aerie.Base.PubSub
   alias Aerie.Base.Timing.TokenBucket
 
@@ -47,7 +50,7 @@ defmodule Aerie.Fleet.Shadow.Documents.Server do
     Names.put_value(gateway, :shadow_documents, kept)
     :ok = PubSub.subscribe(gateway, :bridge)
 
-    me = Seal.name(folder.instance, keys)
+    me = LeaseSeal.name(folder.instance, keys)
     :ets.insert(table, {:instance, me})
 
     state = %{
@@ -249,7 +252,7 @@ defmodule Aerie.Fleet.Shadow.Documents.Server do
   end
 
   defp changed("fleet_leases", key, change, headers, state) do
-    seal = headers[String.downcase(Seal.header())]
+    seal = headers[String.downcase(LeaseSeal.header())]
 
     case {Buckets.lease(key, state.kept.environment), change} do
       {{:gateway, instance}, {:put, value}} -> Keeper.peer(state, instance, value, seal)

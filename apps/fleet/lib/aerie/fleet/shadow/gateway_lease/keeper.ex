@@ -6,8 +6,10 @@ defmodule Aerie.Fleet.Shadow.GatewayLease.Keeper do
 
   alias Aerie.Base.Store
   alias Aerie.Fleet.Bridge
-  alias Aerie.Fleet.Shadow.{Buckets, GatewayLease, Metrics}
-  alias Aerie.Fleet.Shadow.GatewayLease.{Numbers, Seal}
+  alias Aerie.Fleet.Shadow.{GatewayLease, Metrics}
+  alias Aerie.Fleet.Shadow.Store.Buckets
+  alias Aerie.Fleet.Shadow.GatewayLease.Numbers
+  alias Aerie.Fleet.Shadow.Store.LeaseSeal
 
   require Logger
 
@@ -53,7 +55,7 @@ defmodule Aerie.Fleet.Shadow.GatewayLease.Keeper do
 
   # `:new`, `:same` as before, or `:refused`, which is counted.
   defp read(state, subject, value, seal) do
-    case Seal.read(state.kept.keys, state.kept.environment, subject, value, seal) do
+    case LeaseSeal.read(state.kept.keys, state.kept.environment, subject, value, seal) do
       {:ok, number} ->
         {age, numbers} = Numbers.seen(state.numbers, subject, number)
         state = %{state | numbers: numbers}
@@ -141,7 +143,7 @@ defmodule Aerie.Fleet.Shadow.GatewayLease.Keeper do
 
   defp seal(%{kept: kept} = state, subject, value) do
     {number, numbers} = Numbers.next(state.numbers, subject, System.os_time(:millisecond))
-    seal = Seal.headers(kept.keys, kept.environment, subject, value, number)
+    seal = LeaseSeal.headers(kept.keys, kept.environment, subject, value, number)
     {seal, number, %{state | numbers: numbers}}
   end
 

@@ -10,7 +10,7 @@ defmodule Aerie.Fleet.Shadow.GatewayLease.Numbers do
   Times are milliseconds.
   """
 
-  alias Aerie.Fleet.Shadow.GatewayLease.Seal
+  alias Aerie.Fleet.Shadow.Store.LeaseSeal
 
   @max 4_096
   # What fits into a sign of life beside its name.
@@ -30,7 +30,7 @@ defmodule Aerie.Fleet.Shadow.GatewayLease.Numbers do
           me: String.t(),
           ttl_ms: pos_integer(),
           sent: [{pos_integer(), integer()}],
-          last: %{Seal.subject() => pos_integer()},
+          last: %{LeaseSeal.subject() => pos_integer()},
           first: %{String.t() => integer()},
           proved: MapSet.t(String.t()),
           turn: non_neg_integer()
@@ -40,7 +40,7 @@ defmodule Aerie.Fleet.Shadow.GatewayLease.Numbers do
   def new(me, ttl_ms), do: %__MODULE__{me: me, ttl_ms: ttl_ms}
 
   @doc "The number for what this gateway writes next, by the wall clock unless that was behind."
-  @spec next(t(), Seal.subject(), wall :: integer()) :: {pos_integer(), t()}
+  @spec next(t(), LeaseSeal.subject(), wall :: integer()) :: {pos_integer(), t()}
   def next(numbers, subject, wall) do
     number = max(Map.get(numbers.last, subject, 0) + 1, wall)
     {number, put(numbers, subject, number)}
@@ -54,7 +54,7 @@ defmodule Aerie.Fleet.Shadow.GatewayLease.Numbers do
     do: Enum.filter(numbers.sent, fn {_number, at} -> now - at <= div(numbers.ttl_ms * 3, 2) end)
 
   @doc "What a number says about a sealed word: it is newer than all before, the last one once more, or older."
-  @spec seen(t(), Seal.subject(), pos_integer()) :: {:new | :same | :old, t()}
+  @spec seen(t(), LeaseSeal.subject(), pos_integer()) :: {:new | :same | :old, t()}
   def seen(numbers, subject, number) do
     case numbers.last do
       %{^subject => ^number} -> {:same, numbers}

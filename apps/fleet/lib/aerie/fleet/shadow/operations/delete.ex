@@ -11,9 +11,9 @@ defmodule Aerie.Fleet.Shadow.Operations.Delete do
       meaning: "Clears the desired state.",
       changes?: true,
       transfer?: false,
-      request: Shadow.Schema.delete(),
-      once: Shadow.Schema.version_of_signed(),
-      answer: Shadow.Schema.answers().delete,
+      request: Shadow.Document.Schema.delete(),
+      once: Shadow.Document.Schema.version_of_signed(),
+      answer: Shadow.Document.Schema.answers().delete,
       routes: [delete("/api/vehicles/:id/shadow", "Clears the desired state.", query: [:version])]
     }
   end

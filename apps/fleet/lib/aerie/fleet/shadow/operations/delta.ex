@@ -10,7 +10,7 @@ defmodule Aerie.Fleet.Shadow.Operations.Delta do
       name: "shadow.delta",
       meaning: "What is desired but not yet so.",
       transfer?: false,
-      answer: Shadow.Schema.answers().delta,
+      answer: Shadow.Document.Schema.answers().delta,
       routes: [get("/api/vehicles/:id/shadow/delta", "What is desired but not yet so.")]
     }
   end

@@ -10,7 +10,7 @@ defmodule Aerie.Fleet.Shadow.Operations.Get do
       name: "shadow.get",
       meaning: "What is desired of a vehicle, and what is reported.",
       transfer?: false,
-      answer: Shadow.Schema.answers().get,
+      answer: Shadow.Document.Schema.answers().get,
       routes: [
         get(
           "/api/vehicles/:id/shadow",

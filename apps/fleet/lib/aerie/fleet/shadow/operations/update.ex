@@ -11,9 +11,9 @@ defmodule Aerie.Fleet.Shadow.Operations.Update do
       meaning: "Changes the desired state.",
       changes?: true,
       transfer?: false,
-      request: Shadow.Schema.update(),
-      once: Shadow.Schema.version_of_signed(),
-      answer: Shadow.Schema.answers().update,
+      request: Shadow.Document.Schema.update(),
+      once: Shadow.Document.Schema.version_of_signed(),
+      answer: Shadow.Document.Schema.answers().update,
       routes: [patch("/api/vehicles/:id/shadow", "Changes the desired state.")]
     }
   end

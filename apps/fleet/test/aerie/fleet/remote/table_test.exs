@@ -1,10 +1,10 @@
-defmodule Aerie.Fleet.RemoteTableTest do
+defmodule Aerie.Fleet.Remote.TableTest do
   @moduledoc "Vehicles of other gateways in the model of all vehicles."
   use ExUnit.Case, async: true
 
   alias Aerie.Base.Store
   alias Aerie.Fleet
-  alias Aerie.Fleet.RemoteTable
+  alias Aerie.Fleet.Remote.Table
 
   @now 1_800_000_000_000_000
   @s 1_000_000
@@ -21,39 +21,39 @@ defmodule Aerie.Fleet.RemoteTableTest do
   setup do
     gateway = make_ref()
     start_supervised!({Store, [gateway: gateway] ++ Aerie.GatewayCase.plugs(%{})})
-    :ok = RemoteTable.configure(gateway, %{stale_us: 5 * @s, lost_us: 10 * @s})
+    :ok = Table.configure(gateway, %{stale_us: 5 * @s, lost_us: 10 * @s})
     %{gateway: gateway}
   end
 
   defp group(at, via \\ "g", data \\ %{mode: "AUTO"}), do: %{data: data, at: at, time_boot_ms: nil, via: via}
 
   test "a vehicle is as its gateway says, and stale and lost when that falls silent", %{gateway: gateway} do
-    RemoteTable.put_gateway(gateway, "V", "g", @facts, @now)
-    RemoteTable.put(gateway, "V", :mode, group(@now))
+    Table.put_gateway(gateway, "V", "g", @facts, @now)
+    Table.put(gateway, "V", :mode, group(@now))
 
     assert %{status: :online, via: "g", groups: %{mode: %{via: "g"}}} =
-             RemoteTable.vehicle(gateway, "V", @now + @s)
+             Table.vehicle(gateway, "V", @now + @s)
 
-    assert %{status: :stale} = RemoteTable.vehicle(gateway, "V", @now + 6 * @s)
-    assert %{status: :lost, last_heard: @now} = RemoteTable.vehicle(gateway, "V", @now + 11 * @s)
-    RemoteTable.put_gateway(gateway, "V", "g", %{@facts | status: :lost}, @now)
-    assert %{status: :lost} = RemoteTable.vehicle(gateway, "V", @now)
-    assert RemoteTable.vehicle(gateway, "W", @now) == nil
+    assert %{status: :stale} = Table.vehicle(gateway, "V", @now + 6 * @s)
+    assert %{status: :lost, last_heard: @now} = Table.vehicle(gateway, "V", @now + 11 * @s)
+    Table.put_gateway(gateway, "V", "g", %{@facts | status: :lost}, @now)
+    assert %{status: :lost} = Table.vehicle(gateway, "V", @now)
+    assert Table.vehicle(gateway, "W", @now) == nil
   end
 
   test "of two gateways the one that hears it counts, and an older value does not replace a newer one",
        %{gateway: gateway} do
-    RemoteTable.put_gateway(gateway, "V", "a", %{@facts | status: :lost}, @now)
-    RemoteTable.put_gateway(gateway, "V", "b", @facts, @now - @s)
-    RemoteTable.put(gateway, "V", :mode, group(@now, "b"))
-    RemoteTable.put(gateway, "V", :mode, group(@now - 1, "a"))
+    Table.put_gateway(gateway, "V", "a", %{@facts | status: :lost}, @now)
+    Table.put_gateway(gateway, "V", "b", @facts, @now - @s)
+    Table.put(gateway, "V", :mode, group(@now, "b"))
+    Table.put(gateway, "V", :mode, group(@now - 1, "a"))
 
     assert %{via: "b", gateways: ["a", "b"], groups: %{mode: %{via: "b"}}} =
-             RemoteTable.vehicle(gateway, "V", @now)
+             Table.vehicle(gateway, "V", @now)
 
-    assert %{"V" => %{via: "b"}} = RemoteTable.vehicles(gateway, @now)
-    RemoteTable.forget(gateway, "V")
-    assert RemoteTable.vehicles(gateway, @now) == %{}
+    assert %{"V" => %{via: "b"}} = Table.vehicles(gateway, @now)
+    Table.forget(gateway, "V")
+    assert Table.vehicles(gateway, @now) == %{}
   end
 
   test "heard both ways: the own link until it has lost the vehicle; newer values of the other way are shown" do

@@ -1,7 +1,8 @@
-defmodule Aerie.Fleet.Shadow.Observed do
+defmodule Aerie.Fleet.Shadow.Document.Observed do
   @moduledoc "The actual state of a vehicle in the fields of its desired state, read from its snapshot. Pure."
 
-  alias Aerie.Fleet.Shadow.{Field, Reconcile}
+  alias Aerie.Fleet.Shadow.Document.Field
+  alias Aerie.Fleet.Shadow.Loop.Reconcile
   alias MavCodec.Dialects.All
   alias Aerie.Vehicle.Snapshot
 

@@ -1,8 +1,8 @@
-defmodule Aerie.Fleet.Shadow.HoldsTest do
+defmodule Aerie.Fleet.Shadow.Loop.HoldsTest do
   @moduledoc "Who is in charge of a vehicle."
   use ExUnit.Case, async: true
 
-  alias Aerie.Fleet.Shadow.Holds
+  alias Aerie.Fleet.Shadow.Loop.Holds
 
   @second 1_000_000
 

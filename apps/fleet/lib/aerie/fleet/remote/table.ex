@@ -1,4 +1,4 @@
-defmodule Aerie.Fleet.RemoteTable do
+defmodule Aerie.Fleet.Remote.Table do
   @moduledoc """
   Vehicles that other gateways hear, as they tell it over NATS: a table in the store, which `Aerie.Fleet.Remote.Listener` alone writes.
 

@@ -1,4 +1,4 @@
-defmodule Aerie.Fleet.Shadow.Plans do
+defmodule Aerie.Fleet.Shadow.Loop.Plans do
   @moduledoc """
   Plan files by their hashes: the SHA-256 of a QGroundControl `.plan` file. A desired state refers to a hash. Storing
   a file commands nothing, and nobody can change the file behind a hash.
@@ -10,7 +10,8 @@ defmodule Aerie.Fleet.Shadow.Plans do
   alias Aerie.Base.Names
   alias Aerie.Control.Missions
   alias Protocols.Mission.Plan
-  alias Aerie.Fleet.Shadow.{Buckets, Documents, HubBuckets}
+  alias Aerie.Fleet.Shadow.Documents
+  alias Aerie.Fleet.Shadow.Store.{Buckets, HubBuckets}
 
   # A NATS message has at most a megabyte by default.
   @max_bytes 524_288

@@ -1,20 +1,21 @@
-defmodule Aerie.Fleet.Shadow.Uplink do
+defmodule Aerie.Fleet.Shadow.Documents.Uplink do
   @moduledoc """
   On a leaf node: keeps the vehicle's documents in the hub's buckets and those aboard the same, over every cut.
 
   | what | way |
   |---|---|
-  | the desired document | both ways; what was changed on both sides meanwhile is merged (`Aerie.Fleet.Shadow.Merge`) |
+  | the desired document | both ways; what was changed on both sides meanwhile is merged (`Aerie.Fleet.Shadow.Document.Merge`) |
   | the reported document | to the hub, the last value, at most once a second |
   | who acts on the vehicle | to the hub: `gateway-{vehicle}` while a gateway aboard does (`Aerie.Fleet.Shadow.GatewayLease.aboard?/2`) |
 
-  What the hub desires needs the permissions that its commands would need aboard: those of the source `shadow.hub` of the policy there. Other changes are
-  taken back at the hub, with the reason in the history.
+  What the hub desires needs the permissions that its commands would need aboard: those of the source `shadow.hub` of
+  the policy there. Other changes are taken back at the hub, with the reason in the history.
 
-  Both buckets are written with compare-and-set, the hub's first. The last document that both had is in `hub/` in the shadow's folder,
-  so that a change is recognised after a restart.
+  Both buckets are written with compare-and-set, the hub's first. The last document that both had is in `hub/` in the
+  shadow's folder, so that a change is recognised after a restart.
 
-  The value of its name is why the documents differ, or nil (`Aerie.Fleet.Shadow.Documents.problem/1`). It works for the vehicle of `vehicle_id`: the hub lets nobody read or write other keys.
+  The value of its name is why the documents differ, or nil (`Aerie.Fleet.Shadow.Documents.problem/1`). It works for the
+  vehicle of `vehicle_id`: the hub lets nobody read or write other keys.
   """
   use GenServer
 
@@ -26,20 +27,12 @@ defmodule Aerie.Fleet.Shadow.Uplink do
   alias Aerie.Control.Policy
   alias Aerie.Control.Policy.{Roles, Sources}
 
-  alias Aerie.Fleet.Shadow.{
-    Document,
-    Documents,
-    Field,
-    HubBuckets,
-    LocalStore,
-    Merge,
-    Metrics,
-    SealedDocument,
-    Settings
-  }
+  alias Aerie.Fleet.Shadow.{Document, Documents, Metrics, Settings}
+  alias Aerie.Fleet.Shadow.Document.{Field, Merge, Sealed}
+  alias Aerie.Fleet.Shadow.Store.{HubBuckets, LocalStore}
 
   alias Aerie.Base.PubSub
-  alias Aerie.Fleet.Shadow.GatewayLease.Seal
+  alias Aerie.Fleet.Shadow.Store.LeaseSeal
 
   require Logger
 
@@ -101,7 +94,7 @@ defmodule Aerie.Fleet.Shadow.Uplink do
     do: {:noreply, %{state | reported: body}}
 
   def handle_info({:msg, %{topic: "$KV.fleet_leases." <> _key, body: body} = message}, state) do
-    seal = Map.new(Map.get(message, :headers, []))[String.downcase(Seal.header())]
+    seal = Map.new(Map.get(message, :headers, []))[String.downcase(LeaseSeal.header())]
     {:noreply, work(%{state | owner: who(state, body, seal) || state.owner})}
   end
 
@@ -143,7 +136,7 @@ defmodule Aerie.Fleet.Shadow.Uplink do
       with {:ok, value, _revision} <- KV.get(conn, @reported, state.key), do: value, else: (_none -> nil)
 
     owner =
-      case KV.get_with(conn, @leases, state.lease, Seal.header()) do
+      case KV.get_with(conn, @leases, state.lease, LeaseSeal.header()) do
         {:ok, nil, _seal, _revision} -> :nobody
         {:ok, owner, seal, _revision} -> who(state, owner, seal)
         {:error, _no_answer} -> nil
@@ -163,7 +156,7 @@ defmodule Aerie.Fleet.Shadow.Uplink do
 
   defp number(%{environment: environment, vehicle: vehicle} = state, owner, seal) do
     with %{keys: keys} <- Names.value(state.gateway, :shadow_documents),
-         {:ok, number} <- Seal.read(keys, environment, {:vehicle, vehicle}, owner, seal),
+         {:ok, number} <- LeaseSeal.read(keys, environment, {:vehicle, vehicle}, owner, seal),
          do: number,
          else: (_none -> nil)
   end
@@ -189,7 +182,7 @@ defmodule Aerie.Fleet.Shadow.Uplink do
   defp own(state) do
     name = "gateway-" <> state.vehicle
 
-    header = String.downcase(Seal.header())
+    header = String.downcase(LeaseSeal.header())
 
     with {:ok, present, seal, _revision} <- HubBuckets.get_with(state.conn, @leases, state.lease, header) do
       case {state.owner, present, number(state, present || "", seal)} do
@@ -208,7 +201,7 @@ defmodule Aerie.Fleet.Shadow.Uplink do
     number = max(System.os_time(:millisecond), (before || 0) + 1)
     %{keys: keys} = Names.value(state.gateway, :shadow_documents)
     text = if value == :delete, do: "", else: value
-    seal = Seal.headers(keys, environment, {:vehicle, vehicle}, text, number)
+    seal = LeaseSeal.headers(keys, environment, {:vehicle, vehicle}, text, number)
 
     case HubBuckets.send(state.conn, @leases, state.lease, value, seal) do
       :ok -> %{state | owner: nil}
@@ -227,7 +220,7 @@ defmodule Aerie.Fleet.Shadow.Uplink do
       source = Sources.named(Policy.Store.get(state.gateway), state.source, now)
       {permitted, refused} = Merge.permitted(state.base, aboard, hub, &may?(source, &1, &2))
       merged = Merge.merge(state.base, aboard, permitted, now, refused)
-      seal = &SealedDocument.encode(&1, state.environment, keys)
+      seal = &Sealed.encode(&1, state.environment, keys)
 
       with :ok <- up(state, hub, merged, revision, seal),
            # The hub's document now has all of ours, which is what the next one is compared with if the way back fails.
@@ -278,7 +271,7 @@ defmodule Aerie.Fleet.Shadow.Uplink do
   defp base(dir, keys, state) do
     with text when text != nil <- LocalStore.read(folder(dir), state.vehicle),
          {_kind, %Document{} = document} <-
-           SealedDocument.decode(text, state.environment, state.vehicle, keys) do
+           Sealed.decode(text, state.environment, state.vehicle, keys) do
       document
     else
       _none -> Document.new(state.vehicle)
@@ -288,7 +281,7 @@ defmodule Aerie.Fleet.Shadow.Uplink do
   defp at_hub(state, keys) do
     case HubBuckets.get(state.conn, @desired, state.key) do
       {:ok, text, revision} ->
-        case SealedDocument.decode(text, state.environment, state.vehicle, keys) do
+        case Sealed.decode(text, state.environment, state.vehicle, keys) do
           {:error, why} -> {:error, "the hub's desired state of #{state.vehicle} is not heeded: #{why}"}
           {_kind, document} -> {:ok, document, revision}
         end

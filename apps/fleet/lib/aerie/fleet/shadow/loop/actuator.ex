@@ -1,4 +1,4 @@
-defmodule Aerie.Fleet.Shadow.Actuator do
+defmodule Aerie.Fleet.Shadow.Loop.Actuator do
   @moduledoc """
   Sets one desired field of a vehicle at a time: by `Aerie.Control.Commands`, under the policy like anybody else, with the
   source `shadow`. It has the permissions that the field needs, because the field's author had them.
@@ -10,7 +10,8 @@ defmodule Aerie.Fleet.Shadow.Actuator do
   alias MavRouter.Recorder
   alias Aerie.Vehicle.Command.{Error, Result}
   alias Aerie.Control.Policy.Roles
-  alias Aerie.Fleet.Shadow.{Core, Field, Plans}
+  alias Aerie.Fleet.Shadow.Document.Field
+  alias Aerie.Fleet.Shadow.Loop.{Core, Plans}
   alias Aerie.Vehicle.Services.Streams
   alias MavCodec.Dialects.All
 

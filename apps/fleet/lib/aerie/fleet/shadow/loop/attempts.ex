@@ -1,4 +1,4 @@
-defmodule Aerie.Fleet.Shadow.Attempts do
+defmodule Aerie.Fleet.Shadow.Loop.Attempts do
   @moduledoc """
   The attempts to make a vehicle agree with its desired state, by field: how many, when the next one is due, and when to
   give up. A pure value.
@@ -9,7 +9,7 @@ defmodule Aerie.Fleet.Shadow.Attempts do
   """
 
   alias Aerie.Base.Timing.Backoff
-  alias Aerie.Fleet.Shadow.Field
+  alias Aerie.Fleet.Shadow.Document.Field
 
   defstruct max: 6, fields: %{}
 

@@ -1,8 +1,8 @@
-defmodule Aerie.Fleet.Shadow.Reconcile do
+defmodule Aerie.Fleet.Shadow.Loop.Reconcile do
   @moduledoc """
   Compares the desired with the actual state of a vehicle, and decides what to do next. Pure.
 
-      {actions, report} = Aerie.Fleet.Shadow.Reconcile.reconcile(desired, actual, context)
+      {actions, report} = Aerie.Fleet.Shadow.Loop.Reconcile.reconcile(desired, actual, context)
 
   At most one action changes the vehicle at a time, and only while nobody else is in charge. Stages follow each
   other: parameters, then fence and home, then the mission, then the mode, then arming. The report gives the state of each
@@ -18,7 +18,9 @@ defmodule Aerie.Fleet.Shadow.Reconcile do
   """
 
   alias Aerie.Control.Policy.Intent
-  alias Aerie.Fleet.Shadow.{Attempts, Document, Field, Holds}
+  alias Aerie.Fleet.Shadow.Document
+  alias Aerie.Fleet.Shadow.Document.Field
+  alias Aerie.Fleet.Shadow.Loop.{Attempts, Holds}
 
   @typedoc """
     * `:fields` - the vehicle's values by path; nil or missing: not known
@@ -32,7 +34,7 @@ defmodule Aerie.Fleet.Shadow.Reconcile do
         }
 
   @typedoc """
-    * `:holds` - what holds the shadow off (`Aerie.Fleet.Shadow.Holds.active/2`, and what the gateway adds)
+    * `:holds` - what holds the shadow off (`Aerie.Fleet.Shadow.Loop.Holds.active/2`, and what the gateway adds)
     * `:busy` - the fields that are being set
     * `:allow_arming` - whether the field `armed` may be set
   """

@@ -1,8 +1,9 @@
-defmodule Aerie.Fleet.Shadow.ReconcileTest do
+defmodule Aerie.Fleet.Shadow.Loop.ReconcileTest do
   @moduledoc "What is done about a difference, in which order, and when nothing is."
   use ExUnit.Case, async: true
 
-  alias Aerie.Fleet.Shadow.{Attempts, Core, Document, Reconcile, Update}
+  alias Aerie.Fleet.Shadow.{Document, Update}
+  alias Aerie.Fleet.Shadow.Loop.{Attempts, Core, Reconcile}
 
   @now 1_800_000_000_000_000
   @second 1_000_000
@@ -200,7 +201,13 @@ defmodule Aerie.Fleet.Shadow.ReconcileTest do
         :proper.forall(wishes(), fn wishes ->
           {_core, _vehicle, log} = run(wishes, %{}, 60)
           set = for {actions, _report} <- log, {:set, path, _version, _value} <- actions, do: path
-          stages = for path <- set, stage = Aerie.Fleet.Shadow.Field.fetch!(path).stage, stage > 0, do: stage
+
+          stages =
+            for path <- set,
+                stage = Aerie.Fleet.Shadow.Document.Field.fetch!(path).stage,
+                stage > 0,
+                do: stage
+
           set == Enum.uniq(set) and stages == Enum.sort(stages)
         end)
 
@@ -215,7 +222,7 @@ defmodule Aerie.Fleet.Shadow.ReconcileTest do
           acted =
             for {{actions, _report}, second} <- Enum.with_index(log),
                 {:set, path, _version, _value} <- actions,
-                Aerie.Fleet.Shadow.Field.fetch!(path).permission != :telemetry,
+                Aerie.Fleet.Shadow.Document.Field.fetch!(path).permission != :telemetry,
                 do: second
 
           Enum.all?(acted, fn second ->

@@ -1,8 +1,8 @@
-defmodule Aerie.Fleet.Shadow.GatewayLease.SealTest do
+defmodule Aerie.Fleet.Shadow.Store.LeaseSealTest do
   use ExUnit.Case, async: true
 
   alias Aerie.Base.Secret
-  alias Aerie.Fleet.Shadow.GatewayLease.Seal
+  alias Aerie.Fleet.Shadow.Store.LeaseSeal
   alias Aerie.Fleet.Shadow.Keys
 
   defp hub, do: %Keys{common: Secret.new("the key of the whole fleet")}
@@ -14,14 +14,14 @@ defmodule Aerie.Fleet.Shadow.GatewayLease.SealTest do
     }
 
   defp seal(keys, subject, value, number) do
-    [{"Aerie-Seal", seal}] = Seal.headers(keys, "test", subject, value, number)
+    [{"Aerie-Seal", seal}] = LeaseSeal.headers(keys, "test", subject, value, number)
     seal
   end
 
   test "nothing of what is sealed can be exchanged" do
     seal = seal(hub(), {:vehicle, "A"}, "gw", 5)
-    assert Seal.read(hub(), "test", {:vehicle, "A"}, "gw", seal) == {:ok, 5}
-    assert Seal.read(hub(), "test", {:vehicle, "A"}, "gw", nil) == :unsealed
+    assert LeaseSeal.read(hub(), "test", {:vehicle, "A"}, "gw", seal) == {:ok, 5}
+    assert LeaseSeal.read(hub(), "test", {:vehicle, "A"}, "gw", nil) == :unsealed
 
     for {environment, subject, value} <- [
           {"prod", {:vehicle, "A"}, "gw"},
@@ -29,25 +29,26 @@ defmodule Aerie.Fleet.Shadow.GatewayLease.SealTest do
           {"test", {:gateway, "A"}, "gw"},
           {"test", {:vehicle, "A"}, "evil"}
         ],
-        do: assert(Seal.read(hub(), environment, subject, value, seal) == :forged)
+        do: assert(LeaseSeal.read(hub(), environment, subject, value, seal) == :forged)
 
     "5 " <> mac = seal
     other = %Keys{common: Secret.new("another key altogether")}
 
     for forged <- ["6 " <> mac, mac, "", "5", "5 ", " ", "-5 " <> mac, "5 " <> String.upcase(mac), "x y"],
-        do: assert(Seal.read(hub(), "test", {:vehicle, "A"}, "gw", forged) == :forged)
+        do: assert(LeaseSeal.read(hub(), "test", {:vehicle, "A"}, "gw", forged) == :forged)
 
-    assert Seal.read(other, "test", {:vehicle, "A"}, "gw", seal) == :forged
+    assert LeaseSeal.read(other, "test", {:vehicle, "A"}, "gw", seal) == :forged
   end
 
   test "aboard the key of its own vehicle speaks for that one alone" do
-    name = Seal.name("0123", aboard("A"))
-    assert Seal.name("0123", hub()) == "0123"
+    name = LeaseSeal.name("0123", aboard("A"))
+    assert LeaseSeal.name("0123", hub()) == "0123"
 
     for subject <- [{:gateway, name}, {:vehicle, "A"}],
-        do: assert(Seal.read(hub(), "test", subject, "v", seal(aboard("A"), subject, "v", 1)) == {:ok, 1})
+        do:
+          assert(LeaseSeal.read(hub(), "test", subject, "v", seal(aboard("A"), subject, "v", 1)) == {:ok, 1})
 
     for subject <- [{:gateway, "0123"}, {:gateway, "0123-B"}, {:vehicle, "B"}],
-        do: assert(Seal.read(hub(), "test", subject, "v", seal(aboard("A"), subject, "v", 1)) == :forged)
+        do: assert(LeaseSeal.read(hub(), "test", subject, "v", seal(aboard("A"), subject, "v", 1)) == :forged)
   end
 end

@@ -1,4 +1,4 @@
-defmodule Aerie.Fleet.Shadow.Merge do
+defmodule Aerie.Fleet.Shadow.Document.Merge do
   @moduledoc """
   Brings a vehicle's desired document aboard and that of the hub to one, after a cut in which both may have changed. Pure.
 
@@ -16,7 +16,8 @@ defmodule Aerie.Fleet.Shadow.Merge do
   What the hub may not change aboard is taken back from it first (`permitted/4`), and the result tells so.
   """
 
-  alias Aerie.Fleet.Shadow.{Document, Field}
+  alias Aerie.Fleet.Shadow.Document
+  alias Aerie.Fleet.Shadow.Document.Field
 
   @both "changed aboard and at the hub: the hub's counts for the fields below"
   @refused "refused aboard: the hub may not change these there (policy.sources of the gateway aboard)"

@@ -1,4 +1,4 @@
-defmodule Aerie.Fleet.Shadow.Core do
+defmodule Aerie.Fleet.Shadow.Loop.Core do
   @moduledoc """
   The shadow loop of a vehicle without the process: `compare/2` compares and decides, `done/5` records the outcome of an
   attempt. Times are unix microseconds.
@@ -10,7 +10,10 @@ defmodule Aerie.Fleet.Shadow.Core do
     * `{:report, report}` - the state of the fields has changed
   """
 
-  alias Aerie.Fleet.Shadow.{Attempts, Document, Field, Holds, Observed, Reconcile}
+  alias Aerie.Fleet.Shadow.Document
+  alias Aerie.Fleet.Shadow.Document.Field
+  alias Aerie.Fleet.Shadow.Loop.{Attempts, Holds, Reconcile}
+  alias Aerie.Fleet.Shadow.Document.Observed
 
   @enforce_keys [:vehicle, :holds, :attempts, :allow_arming]
   defstruct [:vehicle, :holds, :attempts, :allow_arming, :document, :boot_ms] ++
@@ -32,7 +35,7 @@ defmodule Aerie.Fleet.Shadow.Core do
   @typedoc """
     * `:snapshot` - the vehicle's snapshot; `:commanded` - who commanded it last (`Aerie.Control.Policy.RecentCommands`)
     * `:holds` - what holds the shadow besides those in charge of the vehicle: another gateway, no NATS, the configuration
-    * `:beside` - see `Aerie.Fleet.Shadow.Observed`
+    * `:beside` - see `Aerie.Fleet.Shadow.Document.Observed`
   """
   @type view :: %{
           now: integer(),

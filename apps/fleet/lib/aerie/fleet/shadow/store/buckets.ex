@@ -1,11 +1,11 @@
-defmodule Aerie.Fleet.Shadow.Buckets do
+defmodule Aerie.Fleet.Shadow.Store.Buckets do
   @moduledoc """
   The shadow's buckets in NATS, read and written with compare-and-set.
 
   | bucket | key | value |
   |---|---|---|
-  | `fleet_desired` | `{env}.{vehicle}` | the desired document (`Aerie.Fleet.Shadow.SealedDocument`) |
-  | `fleet_reported` | `{env}.{vehicle}` | the reported document (`Aerie.Fleet.Shadow.Report`) |
+  | `fleet_desired` | `{env}.{vehicle}` | the desired document (`Aerie.Fleet.Shadow.Document.Sealed`) |
+  | `fleet_reported` | `{env}.{vehicle}` | the reported document (`Aerie.Fleet.Shadow.Document.Report`) |
   | `fleet_leases` | `{env}.gateways.{name}` | the heartbeat of a gateway |
   | | `{env}.vehicles.{vehicle}` | the name of the gateway that acts on it |
   | `fleet_commands` | `{env}.{vehicle}.{id}` | the gateway that sends a command, and what became of it (`Aerie.Fleet.Remote.Claims`) |
@@ -18,8 +18,11 @@ defmodule Aerie.Fleet.Shadow.Buckets do
   alias Aerie.Fleet.Bridge.Streams
   alias Aerie.Fleet.Nats
   alias Aerie.Fleet.Nats.KV
-  alias Aerie.Fleet.Shadow.{Document, Keys, Report, SealedDocument}
-  alias Aerie.Fleet.Shadow.GatewayLease.Seal
+  alias Aerie.Fleet.Shadow.Document
+  alias Aerie.Fleet.Shadow.Document.Sealed
+  alias Aerie.Fleet.Shadow.Document.Report
+  alias Aerie.Fleet.Shadow.Keys
+  alias Aerie.Fleet.Shadow.Store.LeaseSeal
   alias Gnat.Jetstream.API.Stream
 
   @desired "fleet_desired"
@@ -142,7 +145,7 @@ defmodule Aerie.Fleet.Shadow.Buckets do
   def read(conn, kept, vehicle) do
     case KV.get(conn, @desired, "#{kept.environment}.#{vehicle}") do
       {:ok, value, revision} ->
-        case SealedDocument.decode(value, kept.environment, vehicle, kept.keys) do
+        case Sealed.decode(value, kept.environment, vehicle, kept.keys) do
           {:ok, document} -> {:ok, document, revision}
           {:former, document} -> reseal(conn, kept, document, revision)
           {:error, why} -> {:refused, why, revision}
@@ -173,7 +176,7 @@ defmodule Aerie.Fleet.Shadow.Buckets do
   def write(conn, kept, document, revision), do: write(conn, kept, document, revision, timeout: @timeout_ms)
 
   defp write(conn, kept, document, revision, options) do
-    text = SealedDocument.encode(document, kept.environment, kept.keys)
+    text = Sealed.encode(document, kept.environment, kept.keys)
     options = [expected: revision] ++ options
 
     with {:error, reason} <- KV.put(conn, @desired, "#{kept.environment}.#{document.vehicle}", text, options),
@@ -215,10 +218,10 @@ defmodule Aerie.Fleet.Shadow.Buckets do
   # The answer may have come too late, and a client that tries again would make the change twice.
   defp stored?(conn, kept, document) do
     %{environment: environment, keys: keys} = kept
-    text = SealedDocument.encode(document, environment, keys)
+    text = Sealed.encode(document, environment, keys)
 
     # As it is read: times are stored in milliseconds.
-    with {:ok, %{history: history} = ours} <- SealedDocument.decode(text, environment, document.vehicle, keys),
+    with {:ok, %{history: history} = ours} <- Sealed.decode(text, environment, document.vehicle, keys),
          {:ok, found, _revision} <- read(conn, kept, document.vehicle) do
       # Others may have changed it since.
       found == ours or (history != [] and hd(history) in found.history)
@@ -262,7 +265,7 @@ defmodule Aerie.Fleet.Shadow.Buckets do
     with {:ok, value, _revision} <- KV.get(conn, @plans, hash), do: {:ok, value}, else: (_none -> :error)
   end
 
-  @doc "Writes this gateway's heartbeat with its seal (`Aerie.Fleet.Shadow.GatewayLease.Seal`)."
+  @doc "Writes this gateway's heartbeat with its seal (`Aerie.Fleet.Shadow.Store.LeaseSeal`)."
   @spec renew(Nats.conn(), String.t(), instance :: String.t(), value :: binary(), seal :: Nats.headers()) ::
           :ok | {:error, String.t()}
   def renew(conn, environment, instance, value, seal) do
@@ -279,7 +282,7 @@ defmodule Aerie.Fleet.Shadow.Buckets do
           {:ok, String.t() | nil, seal :: String.t() | nil, revision :: non_neg_integer()}
           | {:error, String.t()}
   def owner(conn, environment, vehicle) do
-    with {:error, reason} <- KV.get_with(conn, @leases, owned(environment, vehicle), Seal.header()),
+    with {:error, reason} <- KV.get_with(conn, @leases, owned(environment, vehicle), LeaseSeal.header()),
          do: {:error, Nats.text(reason)}
   end
 

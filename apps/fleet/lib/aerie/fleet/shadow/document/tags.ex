@@ -1,4 +1,4 @@
-defmodule Aerie.Fleet.Shadow.Tags do
+defmodule Aerie.Fleet.Shadow.Document.Tags do
   @moduledoc """
   The tags of all vehicles: words by which people and programs find them and form groups. They are the desired field `tags`, and
   nothing else keeps them. `Aerie.Fleet.Shadow.Documents.Server` notes them beside the documents, so that reading them costs little.

@@ -1,8 +1,9 @@
-defmodule Aerie.Fleet.Shadow.MergeTest do
+defmodule Aerie.Fleet.Shadow.Document.MergeTest do
   @moduledoc "One document from that aboard and that of the hub, whatever was changed where during a cut."
   use ExUnit.Case, async: true
 
-  alias Aerie.Fleet.Shadow.{Document, Merge, Update}
+  alias Aerie.Fleet.Shadow.{Document, Update}
+  alias Aerie.Fleet.Shadow.Document.Merge
 
   @now 1_800_000_000_000_000
 

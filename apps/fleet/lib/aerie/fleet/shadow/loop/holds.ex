@@ -1,4 +1,4 @@
-defmodule Aerie.Fleet.Shadow.Holds do
+defmodule Aerie.Fleet.Shadow.Loop.Holds do
   @moduledoc """
   Operators other than the gateway: while one is in charge, and for a configured time afterwards, the shadow does
   nothing to the vehicle. A pure value.

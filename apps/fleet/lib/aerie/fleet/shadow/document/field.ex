@@ -1,4 +1,4 @@
-defmodule Aerie.Fleet.Shadow.Field do
+defmodule Aerie.Fleet.Shadow.Document.Field do
   @moduledoc """
   One field of a vehicle's desired state: which values are allowed, who may set it, in which order it is reconciled, and when the
   vehicle agrees with it. `all/0` is the table of all fields; validation uses it, and a test compares `docs/shadow.md` with it.

@@ -1,4 +1,4 @@
-defmodule Aerie.Fleet.Shadow.SealedDocument do
+defmodule Aerie.Fleet.Shadow.Document.Sealed do
   @moduledoc """
   Protects desired documents in a bucket that others may write to: a gateway accepts only what a gateway with the same key wrote.
   So access to NATS alone does not allow anybody to command a vehicle by its desired state.
@@ -9,7 +9,8 @@ defmodule Aerie.Fleet.Shadow.SealedDocument do
   """
 
   alias Aerie.Base.Secret
-  alias Aerie.Fleet.Shadow.{Document, Keys}
+  alias Aerie.Fleet.Shadow.Document
+  alias Aerie.Fleet.Shadow.Keys
 
   @context "aerie-shadow-2"
   @former "aerie-shadow-1"

@@ -1,11 +1,13 @@
-defmodule Aerie.Fleet.Shadow.Report do
+defmodule Aerie.Fleet.Shadow.Document.Report do
   @moduledoc """
   The reported document of a vehicle: its state, the state of each desired field, and what holds the shadow off. Pure. Only
   the gateway writes it (Z2); `docs/shadow.md` describes its keys.
   """
 
   alias Aerie.Base.Json
-  alias Aerie.Fleet.Shadow.{Core, Field, Observed}
+  alias Aerie.Fleet.Shadow.Document.Field
+  alias Aerie.Fleet.Shadow.Loop.Core
+  alias Aerie.Fleet.Shadow.Document.Observed
   alias Aerie.Vehicle.Snapshot
 
   # The parts of the health that are states, not measured values that change all the time.

@@ -1,12 +1,13 @@
-defmodule Aerie.Fleet.Shadow.Schema do
+defmodule Aerie.Fleet.Shadow.Document.Schema do
   @moduledoc """
-  JSON Schemas of the shadow's requests, answers and documents, from the table of fields (`Aerie.Fleet.Shadow.Field`). What the schema of a
+  JSON Schemas of the shadow's requests, answers and documents, from the table of fields (`Aerie.Fleet.Shadow.Document.Field`). What the schema of a
   change takes, `Aerie.Fleet.Shadow.Update` takes, but for `expires_at`, which must be in the coming year. Pure.
   """
 
   import Aerie.Base.Json.Schema
 
-  alias Aerie.Fleet.Shadow.{Field, Update}
+  alias Aerie.Fleet.Shadow.Update
+  alias Aerie.Fleet.Shadow.Document.Field
   alias Aerie.Vehicle.Command
   alias Aerie.Vehicle.Command.Param
   alias MavRouter.Endpoints.RuleChanges

@@ -1,4 +1,4 @@
-defmodule Aerie.Fleet.Shadow.UplinkTest do
+defmodule Aerie.Fleet.Shadow.Documents.UplinkTest do
   @moduledoc """
   Desired and reported state between a hub and a companion that is its leaf node: real servers, cut and together again.
   """
@@ -6,7 +6,7 @@ defmodule Aerie.Fleet.Shadow.UplinkTest do
 
   alias Aerie.Control.Policy
   alias Aerie.HubServer
-  alias Aerie.Fleet.Shadow.Plans
+  alias Aerie.Fleet.Shadow.Loop.Plans
 
   @moduletag :tmp_dir
   @moduletag :capture_log

@@ -1,4 +1,4 @@
-defmodule Aerie.Fleet.Shadow.GatewayLease.Seal do
+defmodule Aerie.Fleet.Shadow.Store.LeaseSeal do
   @moduledoc """
   Seals leases and signs of life: a gateway believes only those that a gateway with the same key wrote, so
   access to NATS alone takes no vehicle from anybody.

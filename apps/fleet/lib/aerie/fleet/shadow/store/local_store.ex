@@ -1,4 +1,4 @@
-defmodule Aerie.Fleet.Shadow.LocalStore do
+defmodule Aerie.Fleet.Shadow.Store.LocalStore do
   @moduledoc """
   The shadow's folder on disk, for its owner only: a copy of each desired document, the key that seals them, and the name
   by which this gateway claims vehicles. With `nats.mode: off` the copies are the only storage.

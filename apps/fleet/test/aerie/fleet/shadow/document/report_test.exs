@@ -1,8 +1,10 @@
-defmodule Aerie.Fleet.Shadow.ReportTest do
+defmodule Aerie.Fleet.Shadow.Document.ReportTest do
   @moduledoc "What is in a reported document, and its size."
   use ExUnit.Case, async: true
 
-  alias Aerie.Fleet.Shadow.{Core, Document, Report, Update}
+  alias Aerie.Fleet.Shadow.{Document, Update}
+  alias Aerie.Fleet.Shadow.Loop.Core
+  alias Aerie.Fleet.Shadow.Document.Report
 
   defp document(count, state, why \\ 20) do
     fields =

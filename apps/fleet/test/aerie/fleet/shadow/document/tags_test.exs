@@ -1,8 +1,9 @@
-defmodule Aerie.Fleet.Shadow.TagsTest do
+defmodule Aerie.Fleet.Shadow.Document.TagsTest do
   use Aerie.ShadowCase, async: true
 
   alias Aerie.Base.PubSub
-  alias Aerie.Fleet.Shadow.{Document, Tags}
+  alias Aerie.Fleet.Shadow.Document
+  alias Aerie.Fleet.Shadow.Document.Tags
 
   @moduletag :tmp_dir
   @moduletag :capture_log

@@ -1,4 +1,4 @@
-defmodule Aerie.Fleet.Shadow.HubBuckets do
+defmodule Aerie.Fleet.Shadow.Store.HubBuckets do
   @moduledoc """
   The hub's buckets as a leaf node reaches them: requests on `hub.kv.get.…` and `hub.kv.put.…`, of this vehicle's own keys and of plans
   only (`Aerie.Fleet.Bridge.Hub.Accounts`).

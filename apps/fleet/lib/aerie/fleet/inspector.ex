@@ -69,6 +69,15 @@ defmodule Aerie.Fleet.Inspector do
   @spec last(Names.gateway(), key) :: Frame.t() | nil
   def last(gateway, key), do: read(gateway, nil, &Rows.frame(&1, key))
 
+  @doc "The last message of a row; an error when there is none, or it cannot be read."
+  @spec message(Names.gateway(), key) :: {:ok, struct()} | {:error, term()}
+  def message(gateway, key) do
+    case last(gateway, key) do
+      nil -> {:error, :absent}
+      frame -> MavCodec.decode(frame)
+    end
+  end
+
   @doc """
   How many frames were left out since somebody began to watch: they came too fast, or there were too many different
   ones.

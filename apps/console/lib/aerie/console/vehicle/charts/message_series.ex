@@ -87,8 +87,7 @@ defmodule Aerie.Console.Vehicle.Charts.MessageSeries do
 
   defp message(gateway, {key, at}, now) when is_integer(at) do
     with true <- Series.fresh?(at, now),
-         %MavCodec.Frame{} = frame <- Inspector.last(gateway, key),
-         {:ok, message} <- MavCodec.decode(frame),
+         {:ok, message} <- Inspector.message(gateway, key),
          do: message,
          else: (_none -> nil)
   end

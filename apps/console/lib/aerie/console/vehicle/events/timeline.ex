@@ -40,7 +40,7 @@ defmodule Aerie.Console.Vehicle.Events.Timeline do
   @doc "The line of an event."
   @spec line(Event.t()) :: line()
   def line(%{type: type, data: data} = event) do
-    row = Event.Types.get(type)
+    row = Event.declared(type)
     severity = severity(row, data)
 
     %{

@@ -41,12 +41,7 @@ defmodule MavRouter.Signing do
           {:sign, {String.t(), non_neg_integer | nil} | Scope.t(), iodata}
           | {:secret, Scope.t() | nil, Secret.t()}
 
-  @typedoc """
-  - `policy`, `key`: of the scope that the vehicle belongs to (`main/7`, `main/*`)
-  - `state`: of the last frame that was taken in, `:verified` or `:unsigned`; `:rejected` (none was, yet); `:unknown` (none came)
-  - `unsafe`: frames are taken in that anybody could have sent; `text` tells an operator why (S11)
-  - `verified_at`, `unsigned_at`: unix microseconds or nil; `verified`, `unsigned`, `rejected`: frames
-  """
+  @typedoc "`fields/0` says what is what. `unsafe`: S11; the times are unix microseconds."
   @type status :: %{
           policy: Scope.policy(),
           key: String.t(),

@@ -13,11 +13,11 @@ defmodule Aerie.Console.RemoteTest do
     now = System.os_time(:microsecond)
     :ok = Table.configure(console.gateway, %{stale_us: 60_000_000, lost_us: 120_000_000})
 
-    facts = %{
+    facts = %Aerie.Vehicle.Snapshot{
       network: "main",
       system_id: 1,
       autopilot: :ardupilot,
-      type: "copter",
+      vehicle_type: "copter",
       firmware: "4.6.0",
       status: :online,
       last_heard: now

@@ -44,10 +44,7 @@ defmodule MavRouter.Endpoints.Meter do
     :ok
   end
 
-  @typedoc """
-  `score` (0 to 100), `loss` (0.0 to 1.0), `rtt_ms` and `age_ms` (since the last frame), nil where nothing is known; `group`
-  and whether the link `carries` it, nil without a group.
-  """
+  @typedoc "`MavRouter.Link.fields/0` says what is what; nil where nothing is known, and without a group."
   @type quality :: %{
           score: float,
           loss: float | nil,

@@ -8,12 +8,7 @@ defmodule MavRouter.Recorder.Status do
   alias Aerie.Base.{Names, Store}
   alias MavRouter.Recorder.{Core, Recording, Tables}
 
-  @typedoc """
-  - `state`: `:off`, `:waiting` (for arming, or for a first frame), `:recording`, `:paused` (`reason` says why)
-  - `file`, `size` (bytes), `since` (unix seconds): the file that is being written
-  - `frames`, `bytes`, `files`: written since the gateway's start; `dropped`: frames that could not be written
-  - `errors`, `error`: faults of the disk, and the last one: `%{at: unix seconds, reason: text}`
-  """
+  @typedoc "`fields/0` says what is what; `errors` are faults of the disk, `files` those that were written."
   @type t :: %{
           target: Tables.target(),
           label: String.t(),

@@ -8,7 +8,6 @@ defmodule Aerie.Vehicle.Fields do
   """
 
   alias Aerie.Vehicle.Event
-  alias Aerie.Vehicle.Fields.Round
   alias Aerie.Vehicle.State.{Group, Groups}
 
   @type group :: atom()
@@ -38,12 +37,23 @@ defmodule Aerie.Vehicle.Fields do
 
   @doc "A group's data with rounded numbers. The group is an atom or a string."
   @spec rounded(group() | String.t(), map()) :: map()
-  def rounded(group, data), do: Round.object(data, Map.get(@decimals, group, %{}))
+  def rounded(group, data), do: rounded_by(data, Map.get(@decimals, group, %{}), nil)
 
   @doc "An event's data with rounded numbers."
   @spec event(map()) :: map()
   def event(%{"position" => %{} = position} = data),
-    do: %{Round.object(data, @event) | "position" => rounded(:position, position)}
+    do: %{rounded_by(data, @event, nil) | "position" => rounded(:position, position)}
 
-  def event(data), do: Round.object(data, @event)
+  def event(data), do: rounded_by(data, @event, nil)
+
+  # A field that has no decimals of its own has those of the field above it; 0 gives whole numbers.
+  defp rounded_by(float, _decimals, 0) when is_float(float), do: round(float)
+  defp rounded_by(float, _decimals, n) when is_float(float) and is_integer(n), do: Float.round(float, n)
+
+  defp rounded_by(map, decimals, above) when is_map(map) and not is_struct(map),
+    do:
+      Map.new(map, fn {name, value} -> {name, rounded_by(value, decimals, Map.get(decimals, name, above))} end)
+
+  defp rounded_by(list, decimals, n) when is_list(list), do: Enum.map(list, &rounded_by(&1, decimals, n))
+  defp rounded_by(other, _decimals, _n), do: other
 end

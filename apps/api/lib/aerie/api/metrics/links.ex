@@ -7,6 +7,7 @@ defmodule Aerie.Api.Metrics.Links do
   @counters Object.inside(MavRouter.Link.fields(), :counters)
   @drops for %{metric: nil, name: name} <- @counters, do: name
   @sums Object.metrics(@counters)
+  @quality MavRouter.Link.fields() |> Object.inside(:quality) |> Object.metrics()
   @signing MavRouter.Link.fields() |> Object.inside(:signing) |> Object.metrics()
 
   @doc "The families of these links."
@@ -29,7 +30,7 @@ defmodule Aerie.Api.Metrics.Links do
       {"gateway_link_peers", :gauge, "Peers of the link.", Enum.map(links, &{labels(&1), length(&1.peers)})}
     ] ++
       quality(for %{quality: %{}} = link <- links, do: link) ++
-      sums(@sums, links, & &1.counters) ++
+      sums(@sums, :counter, links, & &1.counters) ++
       [
         {"gateway_link_dropped_total", :counter, "Frames and writes dropped, by reason.",
          for(
@@ -42,30 +43,18 @@ defmodule Aerie.Api.Metrics.Links do
 
   # Only links with a measurement.
   defp quality(links) do
-    gauge = fn name, help, value ->
-      {name, :gauge, help, for(link <- links, x = value.(link.quality), x != nil, do: {labels(link), x})}
-    end
-
-    [
-      gauge.("gateway_link_score", "How good the link is, from 0 to 100.", & &1.score),
-      gauge.(
-        "gateway_link_loss_ratio",
-        "Share of frames lost on it in the last seconds, 0 to 1.",
-        & &1.loss
-      ),
-      gauge.(
-        "gateway_link_round_trip_seconds",
-        "Round-trip time measured on it.",
-        &(&1.rtt_ms && &1.rtt_ms / 1000)
-      ),
-      {"gateway_link_carries", :gauge,
-       "1 while it is the link of its group that carries traffic to vehicles.",
-       for(
-         %{quality: %{group: group} = quality} = link <- links,
-         group != nil,
-         do: {labels(link), quality.carries}
-       )}
-    ]
+    sums(@quality, :gauge, links, & &1.quality) ++
+      [
+        {"gateway_link_round_trip_seconds", :gauge, "Round-trip time measured on it.",
+         for(%{quality: %{rtt_ms: ms}} = link <- links, do: {labels(link), ms && ms / 1000})},
+        {"gateway_link_carries", :gauge,
+         "1 while it is the link of its group that carries traffic to vehicles.",
+         for(
+           %{quality: %{group: group} = quality} = link <- links,
+           group != nil,
+           do: {labels(link), quality.carries}
+         )}
+      ]
   end
 
   # Only links with a key.
@@ -75,12 +64,12 @@ defmodule Aerie.Api.Metrics.Links do
        "1 while the link accepts frames that anybody could have sent (S11).",
        Enum.map(links, &{labels(&1), &1.signing.unsafe})}
 
-    [unsafe | sums(@signing, links, & &1.signing)]
+    [unsafe | sums(@signing, :counter, links, & &1.signing)]
   end
 
-  defp sums(fields, links, counts) do
+  defp sums(fields, kind, links, counts) do
     for {%{name: key}, name, help} <- fields,
-        do: {name, :counter, help, Enum.map(links, &{labels(&1), Map.fetch!(counts.(&1), key)})}
+        do: {name, kind, help, Enum.map(links, &{labels(&1), Map.fetch!(counts.(&1), key)})}
   end
 
   @doc "The name of a message as a label: `global_position_int`, or `unknown`."

@@ -8,7 +8,6 @@ defmodule Aerie.Fleet.Remote.Message do
 
   alias Aerie.Base.Json.Object
   alias Aerie.Fleet.Bridge
-  alias Aerie.Fleet.Remote.Table
   alias Aerie.Vehicle.{Fields, Firmware, Snapshot}
 
   @max_text 256
@@ -32,7 +31,7 @@ defmodule Aerie.Fleet.Remote.Message do
           epoch: integer() | nil,
           time: integer(),
           time_boot_ms: integer() | nil,
-          content: {:facts, Table.facts()} | {:group, atom(), map()}
+          content: {:facts, Snapshot.t()} | {:group, atom(), map()}
         }
 
   @doc "Vehicle and group of a subject; `:error` for what no vehicle's state has."
@@ -86,12 +85,12 @@ defmodule Aerie.Fleet.Remote.Message do
 
   defp content("gateway", data, time) do
     {:facts,
-     %{
+     %Snapshot{
        network: text(data["network"]),
        system_id:
          if(is_integer(data["system_id"]) and data["system_id"] in 0..0xFFFFFFFF, do: data["system_id"]),
        autopilot: Map.get(Firmware.by_text(), data["autopilot"], :generic),
-       type: text(data["type"]),
+       vehicle_type: text(data["type"]),
        firmware: text(data["firmware"]),
        status: Map.get(@statuses, data["status"], :online),
        last_heard: if(is_number(data["silent_s"]), do: time - round(data["silent_s"] * 1_000_000))

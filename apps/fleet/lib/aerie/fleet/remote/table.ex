@@ -2,7 +2,7 @@ defmodule Aerie.Fleet.Remote.Table do
   @moduledoc """
   Vehicles that other gateways hear, as they tell it over NATS: a table in the store, which `Aerie.Fleet.Remote.Listener` alone writes.
 
-      {{id, :gateway, name}, %{heard: us, facts: map}}                 a gateway that hears it, and what it says of it
+      {{id, :gateway, name}, %{heard: us, facts: snapshot}}            a gateway that hears it, and what it says of it
       {{id, :group, group}, %{data, at, time_boot_ms, via}}            the newest value of a group, and whose it is
       {:settings, %{stale_us, lost_us}}
 
@@ -11,17 +11,6 @@ defmodule Aerie.Fleet.Remote.Table do
 
   alias Aerie.Base.{Names, Store}
   alias Aerie.Vehicle.Snapshot
-
-  @typedoc "What a gateway says of a vehicle; what it does not say is nil."
-  @type facts :: %{
-          network: String.t() | nil,
-          system_id: non_neg_integer() | nil,
-          autopilot: Aerie.Vehicle.Firmware.name(),
-          type: String.t() | nil,
-          firmware: String.t() | nil,
-          status: :online | :stale | :lost,
-          last_heard: integer() | nil
-        }
 
   @doc "The table that the store owns for this module."
   @spec table() :: Store.table()
@@ -32,7 +21,8 @@ defmodule Aerie.Fleet.Remote.Table do
   def configure(gateway, settings), do: insert(gateway, {:settings, settings})
 
   @doc "A gateway has given a sign of a vehicle."
-  @spec put_gateway(Names.gateway(), String.t(), name :: String.t(), facts() | nil, heard :: integer()) :: :ok
+  @spec put_gateway(Names.gateway(), String.t(), name :: String.t(), Snapshot.t() | nil, heard :: integer()) ::
+          :ok
   def put_gateway(gateway, id, name, facts, heard),
     do: insert(gateway, {{id, :gateway, name}, %{heard: heard, facts: facts}})
 
@@ -57,7 +47,9 @@ defmodule Aerie.Fleet.Remote.Table do
   end
 
   @doc "Which gateways announced which vehicles: `[{id, name, what}]`."
-  @spec gateways(Names.gateway()) :: [{String.t(), String.t(), %{heard: integer(), facts: facts() | nil}}]
+  @spec gateways(Names.gateway()) :: [
+          {String.t(), String.t(), %{heard: integer(), facts: Snapshot.t() | nil}}
+        ]
   def gateways(gateway) do
     Store.with_table(gateway, :remote_vehicles, [], fn table ->
       :ets.select(table, [{{{:"$1", :gateway, :"$2"}, :"$3"}, [], [{{:"$1", :"$2", :"$3"}}]}])
@@ -93,15 +85,7 @@ defmodule Aerie.Fleet.Remote.Table do
     if rows != [] and limits != nil, do: snapshot(id, rows, limits, now)
   end
 
-  @nothing %{
-    network: nil,
-    system_id: nil,
-    autopilot: :generic,
-    type: nil,
-    firmware: nil,
-    status: :online,
-    last_heard: nil
-  }
+  @nothing %Snapshot{autopilot: :generic, status: :online}
 
   # `key` is nobody's on this gateway's own networks, whose names have no slash.
   defp snapshot(id, rows, limits, now) do
@@ -110,19 +94,15 @@ defmodule Aerie.Fleet.Remote.Table do
     {via, best} = Enum.max_by(gateways, &rank(&1, limits, now), fn -> {nil, %{heard: 0, facts: nil}} end)
     facts = best.facts || @nothing
 
-    %Snapshot{
-      id: id,
-      key: {"nats/#{via}/#{facts.network}", facts.system_id || 0},
-      network: facts.network,
-      system_id: facts.system_id,
-      autopilot: facts.autopilot,
-      vehicle_type: facts.type,
-      firmware: facts.firmware,
-      status: status(facts.status, now - best.heard, limits),
-      last_heard: facts.last_heard || newest(groups),
-      groups: groups,
-      via: via,
-      gateways: Enum.sort(for {name, _what} <- gateways, do: name)
+    %{
+      facts
+      | id: id,
+        key: {"nats/#{via}/#{facts.network}", facts.system_id || 0},
+        status: status(facts.status, now - best.heard, limits),
+        last_heard: facts.last_heard || newest(groups),
+        groups: groups,
+        via: via,
+        gateways: Enum.sort(for {name, _what} <- gateways, do: name)
     }
   end
 

@@ -8,11 +8,11 @@ defmodule Aerie.Fleet.Remote.TableTest do
 
   @now 1_800_000_000_000_000
   @s 1_000_000
-  @facts %{
+  @facts %Aerie.Vehicle.Snapshot{
     network: "main",
     system_id: 1,
     autopilot: :px4,
-    type: "copter",
+    vehicle_type: "copter",
     firmware: nil,
     status: :online,
     last_heard: @now

@@ -42,8 +42,9 @@ defmodule MavRouter.Link.Core.Snapshot do
            {:crc_errors, 1, "1/s", "frames with a wrong checksum"}
          ])
   @quality Object.fields([
-             {:score, 1, nil, "0 to 100, higher is better; the best link of a group carries"},
-             {:loss, 3, "0..1", "ratio of lost frames"},
+             {:score, 1, nil, "how good the link is, from 0 to 100", metric: "gateway_link_score"},
+             {:loss, 3, "0..1", "share of frames lost on it in the last seconds, 0 to 1",
+              metric: "gateway_link_loss_ratio"},
              {:rtt_ms, 1, "ms", "round trip"},
              {:age_ms, 0, "ms", "since the last frame"},
              {:group, :text, nil, "the links that are redundant with it"},

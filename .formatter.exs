@@ -2,6 +2,7 @@
   inputs: [
     "mix.exs",
     "config/*.exs",
+    "apps/project.exs",
     "packages/packages.exs",
     "{apps,packages}/*/{lib,test,bench}/**/*.{ex,exs}",
     "{apps,packages}/*/mix.exs",

@@ -1,18 +1,11 @@
-Code.require_file("../../packages/packages.exs", __DIR__)
+Code.require_file("../project.exs", __DIR__)
 
 defmodule Aerie.MixProject do
   use Mix.Project
 
   def project do
-    [
-      app: :aerie,
-      version: "0.1.0",
-      build_path: "../../_build",
-      config_path: "../../config/config.exs",
-      deps_path: "../../deps",
-      lockfile: "../../mix.lock",
-      elixir: "~> 1.20",
-      elixirc_paths: elixirc_paths(Mix.env()),
+    Aerie.Project.of(:aerie,
+      support: [Path.expand("../../test/support", __DIR__)],
       # What the tests are made of is not what they test; the census is taken by the soak.
       test_coverage: [
         summary: [threshold: 85],
@@ -33,38 +26,24 @@ defmodule Aerie.MixProject do
       # The system tests of the whole gateway stand at the top of the repository; this app depends on all they need.
       test_paths: ["test", "../../test"],
       test_ignore_filters: [~r"/support/", ~r"/browser/", ~r"/install/"],
-      deps: deps()
-    ]
+      deps:
+        [
+          {:mav_codec, in_umbrella: true},
+          {:base, in_umbrella: true},
+          {:msp, in_umbrella: true},
+          {:mav_router, in_umbrella: true},
+          {:vehicle, in_umbrella: true},
+          {:control, in_umbrella: true},
+          {:fleet, in_umbrella: true},
+          {:access, in_umbrella: true},
+          {:api, in_umbrella: true},
+          {:console, in_umbrella: true},
+          # In the checkout only: a release has no simulated vehicles.
+          {:sim_vehicle, in_umbrella: true, runtime: false}
+        ] ++ Aerie.Packages.deps([:telemetry, :nkey])
+    )
   end
 
-  def application do
-    [
-      mod: {Aerie.Application, []},
-      extra_applications: [:logger, :public_key, :fast_yaml] ++ test_applications(Mix.env())
-    ]
-  end
-
-  # PropEr is Debian's, not a dependency that Mix knows; naming it keeps it on the code path of the tests.
-  defp test_applications(:test), do: [:proper]
-  defp test_applications(_env), do: []
-
-  defp elixirc_paths(:test), do: ["lib", Path.expand("../../test/support", __DIR__)]
-  defp elixirc_paths(_env), do: ["lib"]
-
-  defp deps,
-    do:
-      [
-        {:mav_codec, in_umbrella: true},
-        {:base, in_umbrella: true},
-        {:msp, in_umbrella: true},
-        {:mav_router, in_umbrella: true},
-        {:vehicle, in_umbrella: true},
-        {:control, in_umbrella: true},
-        {:fleet, in_umbrella: true},
-        {:access, in_umbrella: true},
-        {:api, in_umbrella: true},
-        {:console, in_umbrella: true},
-        # In the checkout only: a release has no simulated vehicles.
-        {:sim_vehicle, in_umbrella: true, runtime: false}
-      ] ++ Aerie.Packages.deps([:telemetry, :nkey])
+  def application,
+    do: Aerie.Project.application([:logger, :public_key, :fast_yaml], [:proper], mod: {Aerie.Application, []})
 end

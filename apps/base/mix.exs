@@ -1,41 +1,14 @@
-Code.require_file("../../packages/packages.exs", __DIR__)
+Code.require_file("../project.exs", __DIR__)
 
 defmodule Aerie.Base.MixProject do
   use Mix.Project
 
   def project do
-    [
-      app: :base,
-      version: "0.1.0",
-      build_path: "../../_build",
-      config_path: "../../config/config.exs",
-      deps_path: "../../deps",
-      lockfile: "../../mix.lock",
-      elixir: "~> 1.20",
-      elixirc_paths: elixirc_paths(Mix.env()),
-      # What the tests are made of is not what they test.
-      test_coverage: [
-        summary: [threshold: 85],
-        ignore_modules: [~r/^Aerie\.(?!Vehicle|Control|Fleet|Base)\w+$/]
-      ],
-      test_ignore_filters: [~r"/support/", ~r"/fixtures/"],
-      deps: deps()
-    ]
+    Aerie.Project.of(:base,
+      deps: Aerie.Packages.deps([:telemetry])
+    )
   end
 
-  def application do
-    [
-      mod: {Aerie.Base.Application, []},
-      extra_applications: [:logger, :crypto, :cowlib] ++ test_applications(Mix.env())
-    ]
-  end
-
-  # PropEr is Debian's, not a dependency that Mix knows; naming it keeps it on the code path of the tests.
-  defp test_applications(:test), do: [:proper]
-  defp test_applications(_env), do: []
-
-  defp elixirc_paths(:test), do: ["lib", "test/support"]
-  defp elixirc_paths(_env), do: ["lib"]
-
-  defp deps, do: Aerie.Packages.deps([:telemetry])
+  def application,
+    do: Aerie.Project.application([:logger, :crypto, :cowlib], [:proper], mod: {Aerie.Base.Application, []})
 end

@@ -420,14 +420,15 @@ defmodule Aerie.System.MspTest do
     eventually(
       fn ->
         say.(first, sticks.(100))
-        say.(second, sticks.(900))
-        assert throttle.() <= 1100
+        say.(second, sticks.(80))
+        refute throttle.() == 1080
         throttle.() == 1100
       end,
       "the first one's sticks arrive"
     )
 
-    # While it goes on, nobody else steers, by whichever way.
+    # While it goes on, nobody else steers, by whichever way. All throttles are low: a busy machine may hold the sticks
+    # up for so long that they lapse, and a vehicle that flies is not disarmed.
     steering =
       Task.async(fn ->
         Stream.interval(20) |> Enum.each(fn _n -> say.(first, sticks.(100)) end)
@@ -437,7 +438,7 @@ defmodule Aerie.System.MspTest do
              submit(c, :betaflight, "manual_control", %{throttle: 0.9}, other)
 
     assert reason =~ ~r/gcs .*127.0.0.1:\d+.* steers it/
-    say.(second, sticks.(900))
+    say.(second, sticks.(80))
 
     told = fn frames ->
       Enum.any?(frames, fn frame ->

@@ -12,9 +12,8 @@ defmodule Msp.Identity do
   """
 
   alias MavCodec.Msp.Guard
+  alias Msp.Firmware
 
-  @betaflight_minors 40..49
-  @inav_majors 7..9
   @longest 31
   @others %{
     "CLFL" => "Cleanflight",
@@ -34,7 +33,7 @@ defmodule Msp.Identity do
   - `uid`: of the processor, the same after a restart; simulators all have the same one
   """
   @type t :: %__MODULE__{
-          firmware: :betaflight | :inav,
+          firmware: MavCodec.Msp.Messages.firmware(),
           version: {non_neg_integer, non_neg_integer},
           text: String.t(),
           api: {non_neg_integer, non_neg_integer},
@@ -53,39 +52,20 @@ defmodule Msp.Identity do
       {:error, "iNav's port for a video unit, which cannot be controlled: use another port of the vehicle"}
   """
   @spec of({non_neg_integer, non_neg_integer}, binary, map) :: {:ok, t} | {:error, String.t()}
-  def of({major, minor} = api, "BTFL", version) do
-    text = "Betaflight #{release(version)} (API #{dotted(api)})"
+  def of({major, minor} = api, variant, version) do
+    case Enum.find(Firmware.modules(), &(&1.facts().variant == variant)) do
+      nil ->
+        name = Map.get(@others, variant, "a firmware that calls itself #{inspect(printable(variant))}")
+        {:error, "#{name} (MSP API #{major}.#{minor}): not a vehicle that Aerie can use over MSP"}
 
-    if major == 1 and minor in @betaflight_minors,
-      do:
-        {:ok,
-         %__MODULE__{firmware: :betaflight, version: api, text: text, api: api, release: numbers(version)}},
-      else: {:error, "#{text}, which Aerie does not know: it knows API 1.40 to 1.49 (3.5 to 2026.12)"}
-  end
+      firmware ->
+        numbers = numbers(version)
 
-  def of({1, _minor}, "INAV", _version),
-    do: {:error, "iNav's port for a video unit, which cannot be controlled: use another port of the vehicle"}
-
-  def of(api, "INAV", version) do
-    text = "iNav #{release(version)}"
-    {major, minor, _patch} = numbers(version)
-
-    if major in @inav_majors,
-      do:
-        {:ok,
-         %__MODULE__{
-           firmware: :inav,
-           version: {major, minor},
-           text: text,
-           api: api,
-           release: numbers(version)
-         }},
-      else: {:error, "#{text}, which Aerie does not know: it knows iNav 7 to 9"}
-  end
-
-  def of(api, variant, _version) do
-    name = Map.get(@others, variant, "a firmware that calls itself #{inspect(printable(variant))}")
-    {:error, "#{name} (MSP API #{dotted(api)}): not a vehicle that Aerie can use over MSP"}
+        with {:ok, read_by, text} <- firmware.identify(api, release(version), numbers) do
+          name = firmware.facts().name
+          {:ok, %__MODULE__{firmware: name, version: read_by, text: text, api: api, release: numbers}}
+        end
+    end
   end
 
   @doc "The firmware and version by which its messages are read."
@@ -102,5 +82,4 @@ defmodule Msp.Identity do
 
   defp release(%{text: text}) when is_binary(text) and text != "", do: printable(text)
   defp release(version), do: version |> numbers() |> Tuple.to_list() |> Enum.join(".")
-  defp dotted({major, minor}), do: "#{major}.#{minor}"
 end

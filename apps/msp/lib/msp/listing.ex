@@ -9,7 +9,7 @@ defmodule Msp.Listing do
   alias MavCodec.Message.ParamValue
   alias MavCodec.Messages, as: M
   alias MavCodec.Msp.{Frame, Messages, Parser, Trace}
-  alias Msp.Identity
+  alias Msp.{Firmware, Identity}
 
   defstruct parsers: %{}, found: %{}, target: nil
 
@@ -29,7 +29,6 @@ defmodule Msp.Listing do
         }
 
   @about %{1 => "API_VERSION", 2 => "FC_VARIANT", 3 => "FC_VERSION"}
-  @nobody {:betaflight, nil}
 
   @doc "Nothing was read yet."
   @spec new() :: t
@@ -66,7 +65,7 @@ defmodule Msp.Listing do
   defp frame(listing, from, %{direction: direction, id: id} = frame) do
     what = %{request: :request, reply: :reply, error: :refusal}[direction]
 
-    target = if is_map_key(@about, id), do: @nobody, else: listing.target
+    target = if is_map_key(@about, id), do: Firmware.any(), else: listing.target
 
     case target && MavCodec.Msp.decode(frame, target) do
       {:ok, values} -> line(from, what, name(target, id), values)
@@ -91,7 +90,7 @@ defmodule Msp.Listing do
   # After each restart the vehicle is identified again.
   defp learn(%{found: found} = listing, %Frame{direction: :reply, id: id} = frame)
        when is_map_key(@about, id) do
-    case MavCodec.Msp.decode(frame, @nobody) do
+    case MavCodec.Msp.decode(frame, Firmware.any()) do
       {:ok, values} -> recognise(%{listing | found: Map.put(found, @about[id], values)})
       {:error, _damaged} -> listing
     end

@@ -57,7 +57,7 @@ defmodule Msp.Meaning do
     end
   end
 
-  defp parameter({:inav, _version}, "MSP2_COMMON_SET_SETTING", %{payload: payload}) do
+  defp parameter(_target, "MSP2_COMMON_SET_SETTING", %{payload: payload}) do
     case :binary.split(payload, <<0>>) do
       [name, _value] when name != "" and byte_size(name) < 64 ->
         if String.printable?(name), do: name, else: @protects
@@ -68,15 +68,15 @@ defmodule Msp.Meaning do
     end
   end
 
-  defp parameter({:betaflight, _version}, "MSP2_CLI_SETTING", %{payload: payload}) do
+  defp parameter(_target, "MSP2_CLI_SETTING", %{payload: payload}) do
     name = payload |> :binary.split("=") |> hd() |> String.trim() |> String.downcase(:ascii)
     if Line.name?(name), do: name, else: @protects
   end
 
   # A block has several; all of its fields may change.
-  defp parameter({:betaflight, version}, name, _frame) do
+  defp parameter({firmware, version}, name, _frame) do
     fields =
-      for %{block: block} = param when block != nil <- Params.all(:betaflight, version),
+      for %{block: block} = param when block != nil <- Params.all(firmware, version),
           Block.write_name(block) == name,
           do: param.name
 
@@ -84,6 +84,4 @@ defmodule Msp.Meaning do
       do: @protects,
       else: Enum.find(fields, hd(fields), &String.contains?(&1, ["failsafe", "rescue"]))
   end
-
-  defp parameter(_target, _name, _frame), do: @protects
 end

@@ -9,55 +9,17 @@ defmodule Msp.Modes do
 
   import Bitwise
 
+  alias Msp.Firmware
+
   @arm 0
   @failsafe 27
   @acro 0
-  @autopilot 56
-
-  @modes %{
-    betaflight: [
-      {27, "FAILSAFE"},
-      {46, "GPS RESCUE"},
-      {56, "AUTOPILOT"},
-      {12, "PASSTHRU"},
-      {11, "POS HOLD"},
-      {3, "ALTHOLD"},
-      {1, "ANGLE"},
-      {2, "HORIZON"},
-      {55, "CHIRP"},
-      {47, "ACRO TRAINER"},
-      {28, "AIR MODE"},
-      {0, "ACRO"}
-    ],
-    inav: [
-      {27, "FAILSAFE"},
-      {12, "MANUAL"},
-      {36, "NAV LAUNCH"},
-      {10, "NAV RTH"},
-      {28, "NAV WP"},
-      {11, "NAV POSHOLD"},
-      {53, "NAV CRUISE"},
-      {45, "NAV COURSE HOLD"},
-      {3, "NAV ALTHOLD"},
-      {1, "ANGLE"},
-      {2, "HORIZON"},
-      {64, "ANGLE HOLD"},
-      {29, "ACRO AIR"},
-      {0, "ACRO"}
-    ]
-  }
-
-  # MAV_STANDARD_MODE
-  @standard %{
-    betaflight: %{46 => 5, 11 => 1, 3 => 4},
-    inav: %{10 => 5, 11 => 1, 28 => 6, 3 => 4, 53 => 3}
-  }
 
   @type firmware :: MavCodec.Msp.Messages.firmware()
 
   @doc "The modes of a firmware, the first of those whose boxes are on being the mode."
   @spec all(firmware) :: [{number :: byte, name :: String.t()}]
-  def all(firmware), do: Map.fetch!(@modes, firmware)
+  def all(firmware), do: Firmware.of(firmware).modes
 
   @doc "The name of a mode's number."
   @spec name(firmware, byte) :: String.t() | nil
@@ -65,7 +27,7 @@ defmodule Msp.Modes do
 
   @doc "The MAV_STANDARD_MODE of a mode, 0 for a mode without one."
   @spec standard(firmware, byte) :: non_neg_integer
-  def standard(firmware, number), do: Map.get(@standard[firmware], number, 0)
+  def standard(firmware, number), do: Map.get(Firmware.of(firmware).standard, number, 0)
 
   @doc """
   The permanent ids of the boxes that are on.
@@ -87,9 +49,11 @@ defmodule Msp.Modes do
   @doc "What a vehicle in a failsafe does: it returns, or flies a plan, if the box for that is on; else it comes down."
   @spec failsafe_action(firmware, MapSet.t(byte)) :: String.t()
   def failsafe_action(firmware, boxes) do
+    %{returns: home, plan: plan} = Firmware.of(firmware)
+
     cond do
-      %{betaflight: 46, inav: 10}[firmware] in boxes -> "RTH"
-      firmware == :betaflight and @autopilot in boxes -> "AUTOPILOT"
+      home in boxes -> "RTH"
+      plan in boxes -> "AUTOPILOT"
       true -> "landing"
     end
   end

@@ -27,7 +27,7 @@ defmodule Msp.Receiver do
   - What the vehicle does not confirm is not acknowledged as done.
   """
 
-  alias Msp.Modes
+  alias Msp.{Firmware, Modes}
   alias Msp.Receiver.Switches
 
   @centre 1500
@@ -36,8 +36,6 @@ defmodule Msp.Receiver do
   @nudged 1650
   @channels 16
   @msp_override 50
-  @rx_msp_feature 14
-  @inav_msp 2
   # A throttle below that is idle; a vehicle that is higher flies.
   @idle_throttle 1100
   @height 1.0
@@ -97,7 +95,8 @@ defmodule Msp.Receiver do
   """
   @spec source(MavCodec.Msp.Guard.target(), map, MapSet.t(byte), facts) ::
           {:ok, :receiver | :override} | {:error, String.t()}
-  def source({firmware, version}, config, boxes, facts) do
+  def source({name, version}, config, boxes, facts) do
+    firmware = Firmware.of(name)
     override? = @msp_override in boxes
 
     cond do
@@ -113,7 +112,7 @@ defmodule Msp.Receiver do
       facts.armed == :unknown ->
         {:error, "whether it is armed is not known: try again"}
 
-      override? and not hands_back?({firmware, version}) ->
+      override? and not hands_back?({name, version}) ->
         {:error, "Betaflight before 2026.6 keeps the last channels of MSP OVERRIDE for ever if they stop"}
 
       override? ->
@@ -121,23 +120,19 @@ defmodule Msp.Receiver do
 
       true ->
         {:error,
-         "a transmitter is in charge: neither is MSP its receiver (#{setting(firmware)}), nor is MSP OVERRIDE switched on"}
+         "a transmitter is in charge: neither is MSP its receiver (#{firmware.receiver_setting}), nor is MSP OVERRIDE switched on"}
     end
   end
 
   @doc "Whether a vehicle has its own receiver's channels again when overridden ones stop: iNav, and Betaflight from 2026.6."
   @spec hands_back?(MavCodec.Msp.Guard.target()) :: boolean
-  def hands_back?({:betaflight, version}), do: version >= {1, 48}
-  def hands_back?({:inav, _version}), do: true
+  def hands_back?({firmware, version}), do: version >= Firmware.of(firmware).hands_back
 
-  defp receiver?(:betaflight, %{features: features}),
-    do: Bitwise.band(features, Bitwise.bsl(1, @rx_msp_feature)) != 0
+  defp receiver?(%{receiver: {:feature, bit}}, %{features: features}),
+    do: Bitwise.band(features, Bitwise.bsl(1, bit)) != 0
 
-  defp receiver?(:inav, %{receiver_type: type}), do: type == @inav_msp
+  defp receiver?(%{receiver: {:type, msp}}, %{receiver_type: type}), do: type == msp
   defp receiver?(_firmware, _unknown), do: false
-
-  defp setting(:betaflight), do: "feature RX_MSP"
-  defp setting(:inav), do: "receiver_type = MSP"
 
   @doc "Begins with safe channels, for a client. The mode is the first of these that its switches can select."
   @spec new(Modes.firmware(), :receiver | :override, map, from :: term, modes :: [byte], now :: integer) ::
@@ -367,7 +362,7 @@ defmodule Msp.Receiver do
         {%{receiver | pending: nil}, failed(receiver, "its arm switch is off, but it says that it is armed")}
 
       true ->
-        {%{receiver | nudge: receiver.firmware == :inav and facts.failsafe?}, []}
+        {%{receiver | nudge: Firmware.of(receiver.firmware).nudged? and facts.failsafe?}, []}
     end
   end
 

@@ -4,7 +4,7 @@ defmodule Msp.ExchangeTest do
   alias MavCodec.Msp.Frame
   alias Msp.Exchange
 
-  doctest Msp.Arming
+  doctest Msp.Firmware.Arming
   doctest Msp.Identity
   doctest Msp.Modes
 

@@ -20,7 +20,10 @@ defmodule Layers.Firmwares do
       "what a port is called, before there is a vehicle",
     "apps/mav_router/lib/mav_router/link/serial/question.ex" =>
       "what a port answers, before there is a vehicle",
-    "apps/mav_router/lib/mav_router/link/settings.ex" => "a dialect of MAVLink"
+    "apps/mav_router/lib/mav_router/link/settings.ex" => "a dialect of MAVLink",
+    "apps/msp/lib/msp/firmware.ex" => "the list of those that speak MSP",
+    "apps/msp/lib/msp/firmware/" => "the tables of those that speak MSP",
+    "apps/msp/lib/msp/readings/" => "the wire: which of its messages each is asked for, and how often"
   }
 
   @doc "The places that may name one, by their paths."

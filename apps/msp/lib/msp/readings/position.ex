@@ -10,7 +10,7 @@ defmodule Msp.Readings.Position do
   import Msp.Readings.Value
 
   alias MavCodec.Messages, as: M
-  alias Msp.Readings
+  alias Msp.{Firmware, Readings}
 
   @impl Readings
   def polls do
@@ -25,7 +25,8 @@ defmodule Msp.Readings.Position do
     do: %{alt_rel: altitude / 100, climb: v[:vario] && v.vario / 100}
 
   def read(firmware, "RAW_GPS", %{fix: fix, lat: lat, lon: lon} = v, _ids) do
-    fix = gps_fix(firmware, fix)
+    fixes = Firmware.of(firmware).fixes
+    fix = Map.get(fixes, fix, fixes.other)
     found? = fix >= 2
 
     %{
@@ -42,12 +43,6 @@ defmodule Msp.Readings.Position do
   end
 
   def read(_firmware, _name, _values, _ids), do: %{}
-
-  # A mask with Betaflight, of which a fix is a bit; it does not say whether there is a height.
-  defp gps_fix(:betaflight, 0), do: 1
-  defp gps_fix(:betaflight, _mask), do: 3
-  defp gps_fix(:inav, fix) when fix in 0..2, do: fix + 1
-  defp gps_fix(:inav, _other), do: 1
 
   @impl Readings
   def messages("RAW_GPS", readings, context), do: [gps_raw(readings, context) | position(readings, context)]

@@ -10,7 +10,8 @@ defmodule Msp.Readings.Status do
 
   alias MavCodec.Enums.{MavSysStatusSensor, MavType}
   alias MavCodec.Messages, as: M
-  alias Msp.{Arming, Identity, Modes, Readings}
+  alias Msp.{Firmware, Identity, Modes, Readings}
+  alias Msp.Firmware.Arming
 
   # MAV_MODE_FLAG
   @custom 1
@@ -31,26 +32,6 @@ defmodule Msp.Readings.Status do
                  {4, :LASER_POSITION}
                ],
                do: {bit, MavSysStatusSensor.value(:"MAV_SYS_STATUS_SENSOR_#{name}")}
-  @more_sensors %{
-    betaflight: [{5, :"3D_GYRO"}, {6, :OPTICAL_FLOW}],
-    inav: [{5, :OPTICAL_FLOW}, {6, :DIFFERENTIAL_PRESSURE}]
-  }
-  # iNav's platform types, and Betaflight's mixers, which are all copters but for the wings.
-  @types %{
-    betaflight: %{
-      TRICOPTER: [1],
-      QUADROTOR: [2, 3],
-      HEXAROTOR: [7, 10],
-      OCTOROTOR: [11, 12, 13],
-      FIXED_WING: [8, 14]
-    },
-    inav: %{FIXED_WING: [1], HELICOPTER: [2], TRICOPTER: [3], GROUND_ROVER: [4], SURFACE_BOAT: [5]}
-  }
-  @type_numbers (for {firmware, types} <- @types, {name, numbers} <- types, number <- numbers, into: %{} do
-                   {{firmware, number}, MavType.value(:"MAV_TYPE_#{name}")}
-                 end)
-  @quadrotor MavType.value(:MAV_TYPE_QUADROTOR)
-  @multirotor MavType.value(:MAV_TYPE_GENERIC_MULTIROTOR)
   # Its place in BOXIDS says which flag means armed.
   @arm 0
   # SENSOR_STATUS, in the order of the bits of STATUS.
@@ -107,13 +88,12 @@ defmodule Msp.Readings.Status do
   @impl Readings
   def messages(_name, _readings, _context), do: []
 
-  @doc "The MAV_TYPE of a vehicle: by the mixer of Betaflight, by the platform type of iNav."
+  @doc "The MAV_TYPE of a vehicle, by its mixer or its platform type."
   @spec type(Modes.firmware(), non_neg_integer | nil) :: non_neg_integer
   def type(firmware, number) do
-    case @type_numbers do
-      %{{^firmware, ^number} => type} -> type
-      _other -> if firmware == :inav, do: @multirotor, else: @quadrotor
-    end
+    %{types: types, other_type: other} = Firmware.of(firmware)
+    name = Enum.find_value(types, other, fn {name, numbers} -> if number in numbers, do: name end)
+    MavType.value(:"MAV_TYPE_#{name}")
   end
 
   @doc "HEARTBEAT."
@@ -177,7 +157,7 @@ defmodule Msp.Readings.Status do
   end
 
   defp more(firmware) do
-    for {bit, name} <- @more_sensors[firmware],
+    for {bit, name} <- Firmware.of(firmware).sensors,
         do: {bit, MavSysStatusSensor.value(:"MAV_SYS_STATUS_SENSOR_#{name}")}
   end
 end

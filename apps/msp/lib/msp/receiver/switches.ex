@@ -5,10 +5,9 @@ defmodule Msp.Receiver.Switches do
   Each channel is chosen by itself: of its positions the one that switches on what is wanted and as little else as possible.
   """
 
-  alias Msp.Modes
+  alias Msp.{Firmware, Modes}
 
   @arm 0
-  @prearm %{betaflight: 36, inav: 51}
   # A range is from 900 + 25 n µs on, and ends before the last one; receivers have 1000 to 2000.
   @positions Enum.map(0..40, &(1000 + 25 * &1))
   # In the middle of a step, so that rounding on the way changes nothing.
@@ -57,7 +56,7 @@ defmodule Msp.Receiver.Switches do
   defp active?(%{start: first, end: last}, us), do: us >= 900 + 25 * first and us < 900 + 25 * last
 
   defp cost(firmware, boxes, mode, armed?) do
-    prearm = @prearm[firmware]
+    prearm = Firmware.of(firmware).prearm
     modes = for {id, _name} <- Modes.all(firmware), id != @arm, do: id
 
     Enum.sum(

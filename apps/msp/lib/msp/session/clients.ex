@@ -16,7 +16,7 @@ defmodule Msp.Session.Clients do
   @behaviour Msp.Session.Tasks
 
   alias MavCodec.Msp.{Frame, Guard, Parser}
-  alias Msp.{Identity, Meaning, Session}
+  alias Msp.{Firmware, Identity, Meaning, Session}
   alias Msp.Session.{Motors, Output, Tasks}
   alias Msp.Session.Tasks.Armed
 
@@ -268,12 +268,13 @@ defmodule Msp.Session.Clients do
   defp refuse(session, id, frame),
     do: tell(session, id, %{frame | direction: :error, payload: ""})
 
-  # Flags stay, as iNav keeps them: programs number their requests by them. With the lowest one none is answered.
-  defp tell(%{identity: %{firmware: :inav}} = session, _id, %{flags: flags}) when rem(flags, 2) == 1,
-    do: session
-
-  defp tell(session, id, frame),
-    do: update_in(session.clients.told, &[{:client, id, Frame.encode(frame)} | &1])
+  # Flags stay: programs number their requests by them. With the lowest one some firmware answers none.
+  defp tell(session, id, frame) do
+    if rem(frame.flags, 2) == 1 and session.identity != nil and
+         Firmware.of(session.identity.firmware).quiet_flag?,
+       do: session,
+       else: update_in(session.clients.told, &[{:client, id, Frame.encode(frame)} | &1])
+  end
 
   defp update(session, id, fun), do: update_in(session.clients.map, &Map.replace_lazy(&1, id, fun))
 

@@ -12,7 +12,7 @@ defmodule Msp.Session.Commands do
   alias MavCodec.Enums.MavCmd
   alias MavCodec.Messages, as: M
   alias MavCodec.Msp.Messages
-  alias Msp.{Polls, Session}
+  alias Msp.{Firmware, Polls, Session}
   alias Msp.Session.Commands.Places
   alias Msp.Session.{Missions, Motors, Output, Params, Requests, Sticks, Tasks}
   alias Msp.Session.Tasks.Armed
@@ -129,7 +129,7 @@ defmodule Msp.Session.Commands do
   defp command(session, :DO_MOTOR_TEST, command, from, _now), do: Motors.test(session, command, from)
 
   defp command(session, name, command, from, _now) do
-    case message(session.identity.firmware, name, command) do
+    case message(Firmware.of(session.identity.firmware), name, command) do
       nil -> Output.acknowledge(session, command.command, from, :UNSUPPORTED)
       message -> queue(session, message, command.command, from)
     end
@@ -138,7 +138,10 @@ defmodule Msp.Session.Commands do
   defp message(_firmware, :PREFLIGHT_REBOOT_SHUTDOWN, %{param1: 1.0}), do: "REBOOT"
   defp message(_firmware, :PREFLIGHT_CALIBRATION, %{param2: 1.0}), do: "MAG_CALIBRATION"
   defp message(_firmware, :PREFLIGHT_CALIBRATION, %{param5: p}) when p in [1.0, 4.0], do: "ACC_CALIBRATION"
-  defp message(:inav, :PREFLIGHT_STORAGE, %{param1: p, param2: 1.0}) when p != 1.0, do: "WP_MISSION_SAVE"
+
+  defp message(%{missions?: true}, :PREFLIGHT_STORAGE, %{param1: p, param2: 1.0}) when p != 1.0,
+    do: "WP_MISSION_SAVE"
+
   defp message(_firmware, :PREFLIGHT_STORAGE, %{param1: 1.0, param2: p}) when p != 1.0, do: "EEPROM_WRITE"
   defp message(_firmware, _name, _command), do: nil
 

@@ -9,7 +9,7 @@ defmodule Msp.Session.Identifying do
 
   alias MavCodec.Msp.{Frame, Guard}
   alias MavCodec.Sniff
-  alias Msp.{Exchange, Identity, Polls, Session}
+  alias Msp.{Exchange, Firmware, Identity, Polls, Session}
   alias Msp.Readings.Status
   alias Msp.Session.{Clients, Missions, Motors, Params, Reports, Sticks, Tasks}
 
@@ -23,13 +23,6 @@ defmodule Msp.Session.Identifying do
   @type t :: %__MODULE__{}
 
   @identify ["API_VERSION", "FC_VARIANT", "FC_VERSION"]
-  # A vehicle may refuse any of it.
-  @about %{
-    betaflight: ["UID", "NAME", "BOXIDS", "MIXER_CONFIG"],
-    inav: ["UID", "NAME", "BOXIDS", "MSP2_INAV_MIXER"]
-  }
-  # As long as it is not known who is there: what is asked then is the same in all firmware.
-  @nobody {:betaflight, nil}
   @max_heard 4_096
 
   @type outcome :: {:ok, Session.t()} | {:fail, String.t()}
@@ -61,7 +54,7 @@ defmodule Msp.Session.Identifying do
 
   @doc "By which firmware and version messages are read now."
   @spec target(Session.t()) :: Guard.target()
-  def target(%{identity: nil}), do: @nobody
+  def target(%{identity: nil}), do: Firmware.any()
   def target(%{identity: identity}), do: Identity.target(identity)
 
   @doc "What asks is at the line: why that cannot be a vehicle."
@@ -95,7 +88,8 @@ defmodule Msp.Session.Identifying do
     with %{"API_VERSION" => %{api_major: major, api_minor: minor}, "FC_VARIANT" => %{variant: variant}} <-
            found,
          {:ok, identity} <- Identity.of({major, minor}, variant, found["FC_VERSION"]) do
-      {:ok, put_in(%{session | identity: identity}.identifying.todo, @about[identity.firmware])}
+      # A vehicle may refuse any of it.
+      {:ok, put_in(%{session | identity: identity}.identifying.todo, Firmware.of(identity.firmware).about)}
     else
       {:error, text} -> {:fail, text}
       _answers_missing -> {:fail, "it answers, but does not say which firmware it is"}

@@ -15,7 +15,7 @@ defmodule Msp.Session.Missions do
   @behaviour Msp.Session.Tasks
 
   alias MavCodec.Messages, as: M
-  alias Msp.{Mission, Session}
+  alias Msp.{Firmware, Mission, Session}
   alias Msp.Session.{Output, Tasks}
   alias Msp.Session.Tasks.Armed
   alias Protocols.Mission.{Reply, Upload}
@@ -67,7 +67,7 @@ defmodule Msp.Session.Missions do
       is_struct(message, M.MissionAck) ->
         session
 
-      session.identity.firmware != :inav ->
+      not Firmware.of(session.identity.firmware).missions? ->
         acknowledge(session, message, from, :UNSUPPORTED)
 
       message.mission_type != @mission ->

@@ -18,7 +18,7 @@ defmodule Msp.Session.Motors do
   @behaviour Msp.Session.Tasks
 
   alias MavCodec.Msp.Frame
-  alias Msp.{Identity, Session}
+  alias Msp.{Firmware, Identity, Session}
   alias Msp.Session.{Output, Sticks, Tasks}
   alias Msp.Session.Tasks.Armed
 
@@ -82,8 +82,8 @@ defmodule Msp.Session.Motors do
   def found(session), do: look(session, %{what: :found, command: nil, from: nil, bulk: true})
 
   defp look(session, task) do
-    feature = %{betaflight: "FEATURE_CONFIG", inav: "FEATURE"}[session.identity.firmware]
-    Tasks.add(session, Map.merge(task, %{kind: __MODULE__, tries: 0, ask: {feature, %{}}}))
+    features = Firmware.of(session.identity.firmware).features
+    Tasks.add(session, Map.merge(task, %{kind: __MODULE__, tries: 0, ask: {features, %{}}}))
   end
 
   @impl Tasks
@@ -100,15 +100,12 @@ defmodule Msp.Session.Motors do
   def answer(session, %{ask: {_feature, _}} = task, {:ok, %{features: features}}, _now) do
     session = put_in(session.motors.one_way, Bitwise.band(features, Bitwise.bsl(1, @both_ways)) == 0)
 
+    still = Firmware.of(session.identity.firmware).still
+
     cond do
-      not session.motors.one_way ->
-        ended(session, task, "its motors turn both ways")
-
-      session.identity.firmware == :inav ->
-        Tasks.ask_next(session, task, %{tries: 0, ask: {"MSP2_INAV_MISC", %{}}})
-
-      true ->
-        motors(put_in(session.motors.still, @stop), task)
+      not session.motors.one_way -> ended(session, task, "its motors turn both ways")
+      still != nil -> Tasks.ask_next(session, task, %{tries: 0, ask: {still, %{}}})
+      true -> motors(put_in(session.motors.still, @stop), task)
     end
   end
 

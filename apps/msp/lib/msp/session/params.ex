@@ -12,7 +12,7 @@ defmodule Msp.Session.Params do
   alias MavCodec.Message.ParamValue
   alias MavCodec.Messages, as: M
   alias MavCodec.Msp.Params
-  alias Msp.Session
+  alias Msp.{Firmware, Session}
   alias Msp.Params.Line
   alias Msp.Session.{Output, Tasks}
   alias Msp.Session.Tasks.Armed
@@ -122,14 +122,14 @@ defmodule Msp.Session.Params do
     end
   end
 
-  defp first(%{firmware: :inav}, name), do: Settings.first(name)
-
-  defp first(%{firmware: :betaflight, version: version}, name) do
-    param = Enum.find(Params.all(:betaflight, version), &(&1.name == name))
+  defp first(%{firmware: firmware, version: version}, name) do
+    settings? = Firmware.of(firmware).settings?
+    param = if not settings?, do: Enum.find(Params.all(firmware, version), &(&1.name == name))
 
     cond do
-      Params.by_name?(:betaflight, version) and Line.name?(name) -> Lines.first(name, param)
-      param -> Blocks.first(param)
+      settings? -> Settings.first(name)
+      Params.by_name?(firmware, version) and Line.name?(name) -> Lines.first(name, param)
+      param -> Blocks.first(firmware, param)
       true -> nil
     end
   end
@@ -176,7 +176,7 @@ defmodule Msp.Session.Params do
   # A build without a command line has blocks.
   defp one(session, %{stage: :before, by: Lines, param: %{block: block} = param} = task, :refused)
        when block != nil,
-       do: Tasks.ask_next(session, task, Blocks.first(param))
+       do: Tasks.ask_next(session, task, Blocks.first(session.identity.firmware, param))
 
   defp one(session, %{stage: stage} = task, :refused) when stage in [:before, :value],
     do: Answers.refuse(session, task, :unknown, "this firmware does not have it")
@@ -214,6 +214,8 @@ defmodule Msp.Session.Params do
 
   @doc "The settings of a vehicle that was just found are read ahead, once: that takes iNav ten seconds."
   @spec ahead(Session.t()) :: Session.t()
-  def ahead(%{params: %{listing: nil}, identity: %{firmware: :inav}} = session), do: list(session, false)
+  def ahead(%{params: %{listing: nil}, identity: %{firmware: firmware}} = session),
+    do: if(Firmware.of(firmware).settings?, do: list(session, false), else: session)
+
   def ahead(session), do: session
 end

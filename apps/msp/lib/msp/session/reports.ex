@@ -4,7 +4,8 @@ defmodule Msp.Session.Reports do
   vehicle from being armed.
   """
 
-  alias Msp.{Arming, Identity, Modes, Polls, Readings, Session}
+  alias Msp.{Firmware, Identity, Modes, Polls, Readings, Session}
+  alias Msp.Firmware.Arming
   alias Msp.Readings.Status
   alias Msp.Session.{Clients, Missions, Output, Requests, Sticks}
 
@@ -42,10 +43,15 @@ defmodule Msp.Session.Reports do
     if readings == %{}, do: session, else: read(session, name, readings, now)
   end
 
-  # Where Betaflight was armed is its home. Until then its heights are above the sea or above anything, and again from
-  # when it is disarmed: so one counts if it was armed before and after.
-  defp read(%{identity: %{firmware: :betaflight}} = session, "ALTITUDE", height, now) do
+  defp read(session, "ALTITUDE", %{alt_rel: up} = height, now) do
     cond do
+      # Its heights are above its origin, and home is where it was armed, or set.
+      home_told?(session) ->
+        session = read_all(session, %{alt_local: up})
+        height(session, %{height | alt_rel: above_home(session, up)}, now, now)
+
+      # Where it was armed is its home. Until then its heights are above the sea or above anything, and again from when
+      # it is disarmed: so one counts if it was armed before and after.
       not armed?(session) ->
         session |> read_all(%{height | alt_rel: nil}) |> show("ALTITUDE", now)
 
@@ -56,12 +62,6 @@ defmodule Msp.Session.Reports do
       true ->
         put_in(session.reports.height, {height, now})
     end
-  end
-
-  # iNav's are above its origin, and home is where it was armed, or set.
-  defp read(session, "ALTITUDE", %{alt_rel: up} = height, now) do
-    session = read_all(session, %{alt_local: up})
-    height(session, %{height | alt_rel: above_home(session, up)}, now, now)
   end
 
   defp read(session, name, readings, now) do
@@ -82,6 +82,7 @@ defmodule Msp.Session.Reports do
   defp read_all(session, readings), do: %{session | readings: Map.merge(session.readings, readings)}
   defp armed?(%{readings: %{boxes: boxes}}), do: Modes.armed?(boxes)
   defp armed?(_unknown), do: false
+  defp home_told?(session), do: Firmware.of(session.identity.firmware).home_told?
 
   defp above_home(%{readings: %{home: {_lat, _lon, home}, origin_msl: origin}}, up) when origin != nil,
     do: up - (home - origin)
@@ -103,14 +104,18 @@ defmodule Msp.Session.Reports do
   defp places(%{readings: %{home: _, origin_msl: _}} = session, _now), do: session
   defp places(session, now), do: %{session | polls: Polls.soon(session.polls, ["WP"], now)}
 
-  # Where it is armed is home, and its origin may have moved until then.
-  defp confirm(%{identity: %{firmware: :inav}} = session, %{boxes: _known}, was_armed?, now) do
-    if armed?(session) == was_armed?,
-      do: session,
-      else: places(%{session | readings: Map.drop(session.readings, [:home, :origin_msl, :alt_rel])}, now)
+  defp confirm(session, %{boxes: _known}, was_armed?, now) do
+    cond do
+      not home_told?(session) -> confirm_height(session, was_armed?, now)
+      armed?(session) == was_armed? -> session
+      # Where it is armed is home, and its origin may have moved until then.
+      true -> places(%{session | readings: Map.drop(session.readings, [:home, :origin_msl, :alt_rel])}, now)
+    end
   end
 
-  defp confirm(session, %{boxes: _known}, was_armed?, now) do
+  defp confirm(session, _readings, _was_armed?, _now), do: session
+
+  defp confirm_height(session, was_armed?, now) do
     last = put_in(session.reports.height, nil)
 
     case {session.reports.height, armed?(session)} do
@@ -127,8 +132,6 @@ defmodule Msp.Session.Reports do
         if(far?(session.readings, height, at), do: last, else: height(last, height, at, now))
     end
   end
-
-  defp confirm(session, _readings, _was_armed?, _now), do: session
 
   # Nothing gets so far in the time: it was disarmed meanwhile, or its filter still comes down from the height above the
   # sea.

@@ -4,11 +4,9 @@ defmodule Msp.Session.Requests do
   """
 
   alias MavCodec.Messages, as: M
-  alias Msp.{Modes, Polls, Session}
+  alias Msp.{Firmware, Modes, Polls, Session}
 
   @custom_version 8
-  # MAV_PROTOCOL_CAPABILITY_: MAVLINK2 and PARAM_ENCODE_BYTEWISE; MISSION_INT
-  @capabilities %{betaflight: 8192 + 16, inav: 8192 + 16 + 4}
 
   @doc "The message that REQUEST_MESSAGE asks for, and its parameter 2; `:error` for one that is not made on request."
   @spec message(Session.t(), id :: non_neg_integer, index :: non_neg_integer) :: {:ok, [struct]} | :error
@@ -33,7 +31,7 @@ defmodule Msp.Session.Requests do
   @spec identity(Session.t()) :: struct
   def identity(%{identity: identity}) do
     %M.ComponentInformationBasic{
-      vendor_name: if(identity.firmware == :inav, do: "iNav", else: "Betaflight"),
+      vendor_name: Firmware.of(identity.firmware).title,
       model_name: fit(identity.name || "", 31),
       software_version: fit(identity.text, 23),
       serial_number: fit(identity.uid || "", 31)
@@ -46,7 +44,7 @@ defmodule Msp.Session.Requests do
     {major, minor, patch} = identity.release
 
     %M.AutopilotVersion{
-      capabilities: @capabilities[identity.firmware],
+      capabilities: Firmware.of(identity.firmware).capabilities,
       flight_sw_version: :binary.decode_unsigned(<<rem(major, 256), rem(minor, 256), rem(patch, 256), 255>>),
       flight_custom_version: :binary.copy(<<0>>, @custom_version),
       middleware_custom_version: :binary.copy(<<0>>, @custom_version),

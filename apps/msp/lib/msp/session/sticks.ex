@@ -9,7 +9,8 @@ defmodule Msp.Session.Sticks do
 
   alias MavCodec.Messages, as: M
   alias MavCodec.Msp.Frame
-  alias Msp.{Arming, Identity, Modes, Readings, Receiver, Session}
+  alias Msp.{Firmware, Identity, Modes, Readings, Receiver, Session}
+  alias Msp.Firmware.Arming
   alias Msp.Session.{Output, Tasks}
   alias Msp.Session.Tasks.Armed
 
@@ -114,7 +115,7 @@ defmodule Msp.Session.Sticks do
   defp put(session, receiver), do: put_in(session.sticks.receiver, receiver)
 
   defp look(session, want, command, from) do
-    [first | asks] = asks(session.identity.firmware)
+    [first | asks] = asks(Firmware.of(session.identity.firmware))
 
     Tasks.add(session, %{
       kind: __MODULE__,
@@ -305,9 +306,10 @@ defmodule Msp.Session.Sticks do
 
   # --- what the vehicle is configured to be
 
-  defp asks(:betaflight), do: [{"FEATURE_CONFIG", %{}}, {"RX_MAP", %{}}, {"MODE_RANGES", %{}}]
+  defp asks(%{receiver: {:feature, _bit}, features: features}),
+    do: [{features, %{}}, {"RX_MAP", %{}}, {"MODE_RANGES", %{}}]
 
-  defp asks(:inav),
+  defp asks(%{receiver: {:type, _msp}}),
     do: [
       {"MSP2_COMMON_SETTING", %{name_or_index: Msp.Params.Setting.request("receiver_type")}},
       {"RX_MAP", %{}},

@@ -16,7 +16,7 @@ defmodule Msp.Session.Commands.Places do
   alias MavCodec.Enums.{MavCmd, MavFrame}
   alias MavCodec.Messages, as: M
   alias Msp.Readings.Navigation
-  alias Msp.Session
+  alias Msp.{Firmware, Session}
   alias Msp.Session.{Output, Tasks}
   alias Msp.Session.Tasks.Armed
 
@@ -41,10 +41,13 @@ defmodule Msp.Session.Commands.Places do
 
   @doc "The command of a client."
   @spec command(Session.t(), struct, {byte, byte}) :: Session.t()
-  def command(%{identity: %{firmware: firmware}} = session, %{command: command}, from) when firmware != :inav,
-    do: Output.acknowledge(session, command, from, :UNSUPPORTED)
-
   def command(session, %{command: command} = message, from) do
+    if Firmware.of(session.identity.firmware).missions?,
+      do: place(session, message, from),
+      else: Output.acknowledge(session, command, from, :UNSUPPORTED)
+  end
+
+  defp place(session, %{command: command} = message, from) do
     with :ok <- ready(session, command), {:ok, wanted} <- wanted(session, message) do
       if Tasks.room?(session),
         do:

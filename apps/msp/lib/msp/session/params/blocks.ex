@@ -17,31 +17,33 @@ defmodule Msp.Session.Params.Blocks do
     u32: 0..0xFFFFFFFF
   }
 
-  @doc "The first request, for a parameter of the table."
-  @spec first(Params.t()) :: map
-  def first(param), do: %{by: __MODULE__, param: param, ask: {param.block, %{}}, stage: :before}
+  @doc "The first request, for a parameter of a firmware's table."
+  @spec first(Messages.firmware(), Params.t()) :: map
+  def first(firmware, param) do
+    %{by: __MODULE__, param: param, type: type(firmware, param), ask: {param.block, %{}}, stage: :before}
+  end
 
   @impl Msp.Session.Params
   def again(%{param: param}), do: {param.block, %{}}
 
   @impl Msp.Session.Params
-  def read(%{param: param}, values) do
+  def read(%{param: param, type: type}, values) do
     case values[param.field] do
       nil -> {:error, "this build does not have it"}
-      number -> {:ok, values, value(param, number), told(param)}
+      number -> {:ok, values, value(param, number), Answers.type(type, param.high)}
     end
   end
 
   @impl Msp.Session.Params
-  def write(%{param: param, value: value}, values) do
-    with {:ok, number} <- number(param, value) do
+  def write(%{param: param, type: type, value: value}, values) do
+    with {:ok, number} <- number(param, type, value) do
       wanted = Block.put(values, param.field, number)
       {:ok, {Block.write_name(param.block), Block.writing(param.block, wanted)}, wanted}
     end
   end
 
   # As it is on the wire; Betaflight checks no range.
-  defp number(%{low: low, high: high} = param, value) do
+  defp number(%{low: low, high: high} = param, type, value) do
     number = param.base + param.step * value
 
     cond do
@@ -54,7 +56,7 @@ defmodule Msp.Session.Params.Blocks do
       param.values != [] and round(value) not in 0..(length(param.values) - 1) ->
         {:error, "it goes from 0 to #{length(param.values) - 1}"}
 
-      round(number) not in @ranges[type(param)] ->
+      round(number) not in @ranges[type] ->
         {:error, "it does not fit"}
 
       true ->
@@ -68,11 +70,11 @@ defmodule Msp.Session.Params.Blocks do
   def value(param, number), do: div(number - param.base, param.step)
 
   @doc "The type by which clients get it."
-  @spec told(Params.t()) :: Answers.type()
-  def told(param), do: Answers.type(type(param), param.high)
+  @spec told(Messages.firmware(), Params.t()) :: Answers.type()
+  def told(firmware, param), do: Answers.type(type(firmware, param), param.high)
 
-  defp type(param) do
-    {:ok, block} = Messages.fetch(:betaflight, param.block)
+  defp type(firmware, param) do
+    {:ok, block} = Messages.fetch(firmware, param.block)
 
     Enum.find_value(block.reply, fn field ->
       if is_map_key(field, :key) and field.key == param.field, do: field.type

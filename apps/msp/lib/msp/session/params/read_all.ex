@@ -7,7 +7,7 @@ defmodule Msp.Session.Params.ReadAll do
 
   alias MavCodec.Msp.Params
   alias Msp.Params.{Line, Setting}
-  alias Msp.Session
+  alias Msp.{Firmware, Session}
   alias Msp.Session.{Output, Tasks}
   alias Msp.Session.Params.{Answers, Blocks, Lines, Settings}
   alias Protocols.Params.Listing
@@ -16,15 +16,18 @@ defmodule Msp.Session.Params.ReadAll do
 
   @doc "The first request; `tell`: whether the list is reported."
   @spec first(Session.t(), boolean) :: map
-  def first(%{identity: %{firmware: :betaflight}} = session, tell) do
+  def first(session, tell) do
+    if Firmware.of(session.identity.firmware).settings?,
+      do: Map.merge(task(session, tell), %{ask: {"MSP2_COMMON_PG_LIST", %{}}, count: nil, at: 0}),
+      else: blocks(session, tell)
+  end
+
+  defp blocks(session, tell) do
     {fields, named} = session |> rows() |> Enum.split_with(& &1.block)
     [first | blocks] = fields |> Enum.map(& &1.block) |> Enum.uniq()
     names = for row <- named, do: row.name
     Map.merge(task(session, tell), %{ask: {first, %{}}, blocks: blocks, names: names, read: []})
   end
-
-  def first(session, tell),
-    do: Map.merge(task(session, tell), %{ask: {"MSP2_COMMON_PG_LIST", %{}}, count: nil, at: 0})
 
   defp task(session, tell),
     do: %{
@@ -36,7 +39,7 @@ defmodule Msp.Session.Params.ReadAll do
       got: []
     }
 
-  defp rows(session), do: Params.all(:betaflight, session.identity.version)
+  defp rows(%{identity: identity}), do: Params.all(identity.firmware, identity.version)
 
   @doc "The answer to a request of the list."
   @spec answer(Session.t(), Tasks.task(), Tasks.answer()) :: Session.t()
@@ -93,7 +96,7 @@ defmodule Msp.Session.Params.ReadAll do
       for param <- rows(session),
           param.block,
           number = blocks[param.block][param.field],
-          do: {param.name, Blocks.value(param, number), Blocks.told(param)}
+          do: {param.name, Blocks.value(param, number), Blocks.told(session.identity.firmware, param)}
 
     values
     |> Enum.reduce({session, task}, fn value, {session, task} -> got(session, task, value) end)

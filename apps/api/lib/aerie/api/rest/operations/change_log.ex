@@ -57,8 +57,9 @@ defmodule Aerie.Api.Rest.Operations.ChangeLog do
     if level, do: Log.set_level(level)
 
     # An area whose application does not run here has nothing to log.
-    for {area, level} <- areas || %{},
-        do: if(level, do: Log.set_level(area, level), else: Log.reset(area))
+    Enum.each(areas || %{}, fn {area, level} ->
+      if level, do: Log.set_level(area, level), else: Log.reset(area)
+    end)
 
     {:ok, view()}
   end

@@ -65,7 +65,7 @@ defmodule Aerie.Api.Rest.View.Recordings do
 
   @doc "The recording of a link's or vehicle's snapshot, or nil."
   @spec one(map() | nil) :: map() | nil
-  def one(recording), do: recording && Object.show(Recorder.fields(), recording)
+  def one(recording), do: if(recording, do: Object.show(Recorder.fields(), recording))
 
   @doc "The whole state of the recorder: active recordings, content of the rings, files."
   @spec all(term()) :: map() | nil
@@ -90,6 +90,6 @@ defmodule Aerie.Api.Rest.View.Recordings do
   @doc "A recording by its file name, as `{:file, path, bytes}`; nil for any other name."
   @spec download(term(), String.t()) :: {:file, Path.t(), non_neg_integer()} | nil
   def download(gateway, name) do
-    with %{file: path, bytes: bytes} <- Recorder.find(gateway, name), do: {:file, path, bytes}
+    if file = Recorder.find(gateway, name), do: {:file, file.file, file.bytes}
   end
 end

@@ -6,7 +6,8 @@ defmodule Aerie.Gate.FirmwareTest do
 
   use ExUnit.Case, async: true
 
-  alias Aerie.Control.Policy.{Context, Intent, Mavlink}
+  alias Aerie.Control.Policy.{Intent, Mavlink}
+  alias Aerie.Control.Policy.Intent.Context
   alias Aerie.Control.Policy.Rules.Role
   alias Aerie.Vehicle.{Command, Firmware, Protocol, State}
   alias Aerie.Vehicle.Firmware.Modes

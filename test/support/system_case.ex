@@ -236,7 +236,7 @@ defmodule Aerie.SystemCase do
   @doc "A request over NATS, signed if there is a key: the answer, decoded."
   def nats_request(conn, subject, body, nkey \\ nil) do
     body = if is_binary(body), do: body, else: JSON.encode!(body)
-    sign = &Aerie.Control.Policy.Signature.sign(&1, subject, body, DateTime.utc_now())
+    sign = &Aerie.Control.Policy.Roles.Signature.sign(&1, subject, body, DateTime.utc_now())
     headers = for key <- List.wrap(nkey), do: {"Aerie-Signature", sign.(key)}
     options = [headers: headers, receive_timeout: Aerie.Patience.ms()]
     {:ok, %{body: reply}} = Gnat.request(conn, subject, body, options)

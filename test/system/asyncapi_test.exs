@@ -6,7 +6,7 @@ defmodule Aerie.System.AsyncAPITest do
 
   use Aerie.SystemCase, async: true
 
-  alias Aerie.Control.Policy.Signature
+  alias Aerie.Control.Policy.Roles.Signature
   alias Aerie.JsonSchemaCheck
 
   @moduletag :tmp_dir

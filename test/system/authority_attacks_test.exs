@@ -10,7 +10,7 @@ defmodule Aerie.System.AuthorityAttacksTest do
 
   alias Aerie.{CountingVehicle, Program}
   alias Aerie.Base.Store
-  alias Aerie.Control.Policy.ControlLeases
+  alias Aerie.Control.Policy.ControlLease.Holders
   alias MavCodec.Enums.MavCmd
   alias MavRouter.Forward.GroundStations
   alias MavRouter.Tables
@@ -465,7 +465,7 @@ defmodule Aerie.System.AuthorityAttacksTest do
       two = program(c, {:tcp, "operator-tcp"})
       for {program, system} <- [{one, 255}, {two, 250}], do: Program.deliver(program, [station(system)])
       Program.deliver(one, [command("REQUEST_OPERATOR_CONTROL", 255, param1: 1.0)])
-      lease = eventually(fn -> ControlLeases.of(c.gateway, @vehicle) end, "the first one is in charge")
+      lease = eventually(fn -> Holders.of(c.gateway, @vehicle) end, "the first one is in charge")
       {:ok, Map.merge(c, %{one: one, two: two, lease: lease})}
     end
 
@@ -481,7 +481,7 @@ defmodule Aerie.System.AuthorityAttacksTest do
       counts = settle(c)
       assert commands(counts, "COMPONENT_ARM_DISARM", 250) == 0
       assert commands(counts, "COMPONENT_ARM_DISARM", 255) == 0
-      assert ControlLeases.of(c.gateway, @vehicle).holder == c.lease.holder
+      assert Holders.of(c.gateway, @vehicle).holder == c.lease.holder
 
       Program.deliver(c.one, [as_first])
       assert commands(settle(c), "COMPONENT_ARM_DISARM", 255) >= 1
@@ -518,14 +518,14 @@ defmodule Aerie.System.AuthorityAttacksTest do
       take = command("REQUEST_OPERATOR_CONTROL", 250, param1: 1.0)
       arm = command("COMPONENT_ARM_DISARM", 250, param1: 1.0)
       Program.deliver(c.two, [take, arm])
-      assert ControlLeases.of(c.gateway, @vehicle).holder == c.lease.holder
+      assert Holders.of(c.gateway, @vehicle).holder == c.lease.holder
       Program.close(c.one)
 
       lease =
         eventually(
           fn ->
             Program.deliver(c.two, [take])
-            lease = ControlLeases.of(c.gateway, @vehicle)
+            lease = Holders.of(c.gateway, @vehicle)
             if lease.holder != c.lease.holder, do: lease
           end,
           "the second one has taken over"

@@ -10,7 +10,7 @@ defmodule Aerie.System.BeliefsTest do
 
   alias Aerie.Program
   alias Aerie.Base.Names
-  alias Aerie.Control.Policy.ControlLeases
+  alias Aerie.Control.Policy.ControlLease.Holders
   alias Aerie.Vehicle.Core
   alias MavCodec.Messages, as: M
   alias MavRouter.Router
@@ -94,7 +94,7 @@ defmodule Aerie.System.BeliefsTest do
     {params, gcs.failsafe_gcs}
   end
 
-  defp believed("lease", c), do: ControlLeases.of(c.gateway, @vehicle)
+  defp believed("lease", c), do: Holders.of(c.gateway, @vehicle)
 
   defp believed("station", c) do
     for {{id, system, _command, _seq}, n} <- settle(c),

@@ -8,7 +8,7 @@ defmodule Aerie.System.TwoGatewaysTest do
   alias Aerie.{BridgeCase, HubServer}
   alias Aerie.Control.Commands
   alias Aerie.Fleet.{Bridge, Remote}
-  alias Aerie.Control.Policy.Signature
+  alias Aerie.Control.Policy.Roles.Signature
 
   @moduletag :tmp_dir
   @moduletag :capture_log

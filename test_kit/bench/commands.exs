@@ -15,7 +15,8 @@ Code.require_file("harness.exs", __DIR__)
 defmodule CommandsBench do
   alias Aerie.Base.{Names, PubSub, Store}
   alias Aerie.Control.{CommandExecutor, Commands, Ledger, Policy}
-  alias Aerie.Control.Policy.{Audit, Context}
+  alias Aerie.Control.Policy.Audit
+  alias Aerie.Control.Policy.Intent.Context
   alias Aerie.Vehicle.Command
   alias Bench.{Sample, Table}
   alias MavCodec.Messages, as: M
@@ -58,8 +59,13 @@ defmodule CommandsBench do
 
   # A gateway of a store, a policy and a pipeline.
   defp start(dir, section) do
-    tables = [Commands.Recent.table(), Policy.ControlLeases.table(), Policy.ClientHistory.table()]
-    policy = Policy.Settings.from(%{policy: Map.put(section, :audit, %{dir: Path.join(dir, "audit")})})
+    tables = [
+      Commands.Recent.table(),
+      Policy.ControlLease.Holders.table(),
+      Policy.Memory.ClientHistory.table()
+    ]
+
+    policy = Policy.Store.Settings.from(%{policy: Map.put(section, :audit, %{dir: Path.join(dir, "audit")})})
     # More than it keeps of 20 minutes by default.
     ledger = %{dir: Path.join(dir, "ledger"), max_entries: 1_000_000}
     commands = Commands.Settings.from(%{commands: %{ledger: ledger}})
@@ -67,7 +73,7 @@ defmodule CommandsBench do
     for {module, options} <- [
           {Store, [tables: tables]},
           {PubSub, []},
-          {Policy.Supervisor, [settings: policy, read: nil]},
+          {Policy.Store.Supervisor, [settings: policy, read: nil]},
           {Commands.Supervisor, [settings: commands]}
         ],
         do: {:ok, _} = module.start_link([gateway: @gateway] ++ options)
@@ -217,7 +223,14 @@ defmodule CommandsBench.Stations do
   alias MavCodec.Parser
   alias MavRouter.{Link, Router}
 
-  @parts [Store, PubSub, Policy.Supervisor, Router.Supervisor, Aerie.Vehicle.Supervisor, Link.Supervisor] ++
+  @parts [
+           Store,
+           PubSub,
+           Policy.Store.Supervisor,
+           Router.Supervisor,
+           Aerie.Vehicle.Supervisor,
+           Link.Supervisor
+         ] ++
            [Params.Cache.Writer, ReadCache.Supervisor]
   @counted [M.ParamValue.id(), M.FileTransferProtocol.id()]
   # What ground stations wait until they ask for what is missing.

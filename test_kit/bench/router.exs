@@ -285,7 +285,7 @@ defmodule RouterBench.Decision do
   """
 
   alias Aerie.Control.Policy
-  alias Aerie.Control.Policy.MavlinkPolicy
+  alias Aerie.Control.Policy.Clients.MavlinkPolicy
   alias Bench.{Sample, Table}
   alias MavCodec.{Frame, Parser}
   alias MavCodec.Messages, as: M

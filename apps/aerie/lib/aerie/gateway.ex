@@ -10,7 +10,7 @@ defmodule Aerie.Gateway do
   ├─ Aerie.Fleet.Bridge.Supervisor       NATS server (embedded mode), connection, outbox
   ├─ MavRouter.Signing.Supervisor      keys, time stamps of signed links
   ├─ MavRouter.Recorder.Supervisor     recordings of vehicles, the last moments of each
-  ├─ Aerie.Control.Policy.Supervisor       the policy for commands, the audit log
+  ├─ Aerie.Control.Policy.Store.Supervisor       the policy for commands, the audit log
   ├─ MavRouter.Router.Supervisor       routes, client endpoints
   ├─ Aerie.Vehicle.Supervisor      one tree per vehicle, made when its autopilot is first heard
   ├─ Aerie.Fleet.Remote.Supervisor       vehicles of other gateways, and telling them of ours
@@ -123,26 +123,27 @@ defmodule Aerie.Gateway do
          StreamDemand.table(),
          Fleet.Remote.Table.table(),
          Commands.Recent.table(),
-         Policy.ControlLeases.table(),
-         Policy.ClientHistory.table()
+         Policy.ControlLease.Holders.table(),
+         Policy.Memory.ClientHistory.table()
        ]},
       {Aerie.Base.PubSub, []},
       {Bridge.State.LastPublished, settings: bridge},
       {Bridge.Supervisor, settings: bridge},
       {Signing.Supervisor, settings: Signing.Settings.from(config), events: Vehicle.Events.External},
       {Recorder.Supervisor, settings: Recorder.Settings.from(config)},
-      {Policy.Supervisor, settings: Policy.Settings.from(config), read: fn -> policy(read.()) end},
+      {Policy.Store.Supervisor,
+       settings: Policy.Store.Settings.from(config), read: fn -> policy(read.()) end},
       {Router.Supervisor,
        settings: MavRouter.Router.Settings.from(config),
        vehicles: Vehicle.Supervisor,
        requests: Vehicle.Services.Streams,
-       policy: Policy.MavlinkPolicy,
+       policy: Policy.Clients.MavlinkPolicy,
        readings: ReadCache,
        children: [clients]},
       {Vehicle.Supervisor,
        settings: Vehicle.Settings.from(config),
        publisher: Bridge,
-       arming: Policy.Arming,
+       arming: Policy.Clients.Arming,
        loops: [CommandExecutor, TransferExecutor, Shadow.Loop, Params.Metadata.EventDefinitions]},
       {Remote.Supervisor, settings: Remote.Settings.from(config)},
       {Commands.Supervisor, settings: Commands.Settings.from(config), gateways: Remote},
@@ -156,7 +157,7 @@ defmodule Aerie.Gateway do
   end
 
   # Only the policy is read again; everything else of the configuration counts from the start on.
-  defp policy({:ok, config}), do: {:ok, Map.from_struct(Policy.Settings.from(config))}
+  defp policy({:ok, config}), do: {:ok, Map.from_struct(Policy.Store.Settings.from(config))}
   defp policy({:error, errors}), do: {:error, Enum.map(errors, &Config.Error.format/1)}
 
   defp tick(options) do

@@ -6,7 +6,7 @@ defmodule Aerie.PolicyDocTest do
   alias Aerie.Config
   alias Aerie.Control.Policy
   alias Aerie.Vehicle.Command
-  alias Aerie.Control.Policy.Context
+  alias Aerie.Control.Policy.Intent.Context
 
   @moduletag :tmp_dir
   @page Path.expand("../../../../docs/policy.md", __DIR__)

@@ -36,7 +36,7 @@ defmodule Aerie.CommandCase do
       commands: commands(dir, sections)
     }
 
-    for part <- [Policy.Supervisor, Commands.Supervisor], do: start_part(part, gateway, config)
+    for part <- [Policy.Store.Supervisor, Commands.Supervisor], do: start_part(part, gateway, config)
     Names.register(gateway, :commands, @key)
     put_vehicle(gateway)
     gateway

@@ -11,12 +11,12 @@ defmodule Aerie.ControlParts do
     [
       tables: [
         Aerie.Control.Commands.Recent.table(),
-        Aerie.Control.Policy.ControlLeases.table(),
-        Aerie.Control.Policy.ClientHistory.table()
+        Aerie.Control.Policy.ControlLease.Holders.table(),
+        Aerie.Control.Policy.Memory.ClientHistory.table()
       ],
-      policy: Aerie.Control.Policy.MavlinkPolicy,
+      policy: Aerie.Control.Policy.Clients.MavlinkPolicy,
       readings: Aerie.Control.ReadCache,
-      arming: Aerie.Control.Policy.Arming,
+      arming: Aerie.Control.Policy.Clients.Arming,
       loops: [Aerie.Control.CommandExecutor, Aerie.Control.TransferExecutor]
     ]
   end

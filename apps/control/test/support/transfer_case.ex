@@ -27,7 +27,7 @@ defmodule Aerie.TransferCase do
     config = %{policy: Map.merge(%{audit: audit}, policy), commands: CommandCase.commands(dir)}
     config = Map.put(config, :params, %{dir: Path.join(dir, "params")})
 
-    for part <- [Policy.Supervisor, Commands.Supervisor, Params.Cache.Writer],
+    for part <- [Policy.Store.Supervisor, Commands.Supervisor, Params.Cache.Writer],
         do: CommandCase.start_part(part, gateway, config)
 
     {_id, port} = add_link(gateway, "udpin:127.0.0.1:0", id: "radio")

@@ -10,7 +10,7 @@ defmodule Msp.Meaning do
   alias Msp.Params.{Block, Line}
 
   @component 1
-  # A name of `Aerie.Control.Policy.Protection`, of no parameter.
+  # A name of `Aerie.Control.Policy.Intent.Protection`, of no parameter.
   @protects "failsafe_delay"
 
   @commands Map.new(

@@ -20,7 +20,7 @@ defmodule Aerie.Config.Keys do
     Aerie.Fleet.Bridge.Settings,
     Aerie.Fleet.Remote.Settings,
     Aerie.Control.Commands.Settings,
-    Aerie.Control.Policy.Settings,
+    Aerie.Control.Policy.Store.Settings,
     Aerie.Control.Params.Cache.Settings,
     Aerie.Fleet.Shadow.Settings,
     Aerie.Fleet.Client.Settings,

@@ -6,7 +6,8 @@ defmodule Aerie.Upgrade.Obstacles do
 
   alias Aerie.Base.{Names, Store}
   alias Aerie.Control.Commands.Recent
-  alias Aerie.Control.Policy.{ControlLeases, RecentCommands}
+  alias Aerie.Control.Policy.ControlLease.Holders
+  alias Aerie.Control.Policy.Memory.RecentCommands
   alias Aerie.Fleet.Operations
   alias MavRouter.Sharing.TransferLock
 
@@ -58,7 +59,7 @@ defmodule Aerie.Upgrade.Obstacles do
   defp sticks(_other), do: nil
 
   defp in_charge(gateway, key) do
-    case ControlLeases.of(gateway, key) do
+    case Holders.of(gateway, key) do
       %{holder: holder, offered_to: offered} when offered != :anyone -> ["#{holder} is in charge of it"]
       _nobody -> []
     end

@@ -15,7 +15,10 @@ defmodule Aerie.Config.AuthorityTest do
   alias MavRouter.Client
   alias MavRouter.Link.Spec
   alias MavRouter.Link.Server.Egress
-  alias Aerie.Control.Policy.{Audit, Context, Intent, ControlLease, Rate, Signature, Sources}
+  alias Aerie.Control.Policy.{Audit, Intent, ControlLease, Rate}
+  alias Aerie.Control.Policy.Intent.Context
+  alias Aerie.Control.Policy.Roles.Signature
+  alias Aerie.Control.Policy.Roles.Sources
   alias MavRouter.Endpoints.Access
   alias MavRouter.Endpoints.Endpoint
   alias MavRouter.Endpoints.Owner.Filter

@@ -3,7 +3,9 @@ defmodule Aerie.Upgrade.ObstaclesTest do
 
   alias Aerie.CLI.Subcommand
   alias Aerie.Control.Commands.Recent
-  alias Aerie.Control.Policy.{Intent, ControlLeases, RecentCommands, Roles}
+  alias Aerie.Control.Policy.{Intent, Roles}
+  alias Aerie.Control.Policy.ControlLease.Holders
+  alias Aerie.Control.Policy.Memory.RecentCommands
   alias Aerie.Upgrade
   alias Aerie.Vehicle.Command
   alias MavRouter.Sharing.TransferLock
@@ -35,7 +37,7 @@ defmodule Aerie.Upgrade.ObstaclesTest do
     pilot = Roles.principal(:user, "ann", :operator)
 
     {:ok, _lease} =
-      ControlLeases.change(gateway, key, {:take, nil, nil}, pilot, "rest", %{
+      Holders.change(gateway, key, {:take, nil, nil}, pilot, "rest", %{
         required: false,
         take_over: :admin
       })
@@ -43,7 +45,7 @@ defmodule Aerie.Upgrade.ObstaclesTest do
     obstacle(context, "VID-001: ann is in charge of it")
 
     {:ok, _none} =
-      ControlLeases.change(gateway, key, :release, pilot, "rest", %{required: false, take_over: :admin})
+      Holders.change(gateway, key, :release, pilot, "rest", %{required: false, take_over: :admin})
 
     RecentCommands.note(gateway, "VID-001", "olga", %Intent{type: "rc_override", permission: :fly})
     obstacle(context, "VID-001: olga steers it by its sticks")

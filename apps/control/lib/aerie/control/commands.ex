@@ -28,7 +28,8 @@ defmodule Aerie.Control.Commands do
 
   alias Aerie.Control.Commands.Pipeline.Request
 
-  alias Aerie.Control.Policy.{Audit, Context, Roles}
+  alias Aerie.Control.Policy.{Audit, Roles}
+  alias Aerie.Control.Policy.Intent.Context
 
   # A caller from Elixir runs inside the gateway.
   @inside Aerie.Control.Policy.Roles.principal(:gateway, "elixir", :admin)

@@ -167,7 +167,7 @@ defmodule Aerie.Control.Params do
 
   @doc """
   Sets a parameter: `:completed` if the vehicle reported the new value (P3), `:rejected` if it keeps another one. Needs the
-  permission `maintain`, and `protection` for what protects the vehicle (`Aerie.Control.Policy.Protection`). Option `:type`: its MAV_PARAM_TYPE, if known; otherwise the parameter is read first.
+  permission `maintain`, and `protection` for what protects the vehicle (`Aerie.Control.Policy.Intent.Protection`). Option `:type`: its MAV_PARAM_TYPE, if known; otherwise the parameter is read first.
   Option `:was`: the value that the source saw before, for the list of commands and the audit log.
 
   A component that says that it works on it (PARAM_ACK_IN_PROGRESS) is waited for, up to `:timeout_ms`. `:failed` if it says so, or if it accepted the

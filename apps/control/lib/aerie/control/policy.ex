@@ -14,19 +14,13 @@ defmodule Aerie.Control.Policy do
   alias Aerie.Base.{Names, Principal}
   alias Aerie.Vehicle.Command
 
-  alias Aerie.Control.Policy.{
-    Compile,
-    Context,
-    ControlLease,
-    ControlLeases,
-    Fence,
-    Intent,
-    Protection,
-    Rate,
-    Roles
-  }
+  alias Aerie.Control.Policy.{Compile, ControlLease, Fence, Intent, Rate, Roles}
+  alias Aerie.Control.Policy.Intent.Context
+  alias Aerie.Control.Policy.ControlLease.Holders
+  alias Aerie.Control.Policy.Intent.Protection
 
-  alias Aerie.Control.Policy.{Rules, Sources, Store}
+  alias Aerie.Control.Policy.{Rules, Store}
+  alias Aerie.Control.Policy.Roles.Sources
 
   @enforce_keys [:modes, :lease, :audit_required]
   defstruct [
@@ -96,7 +90,7 @@ defmodule Aerie.Control.Policy do
   @spec reload(Names.gateway(), by :: String.t()) :: :ok | {:error, [String.t(), ...]}
   defdelegate reload(gateway, by), to: Store
 
-  @doc "Who signed a message (`Aerie.Control.Policy.Signature`)."
+  @doc "Who signed a message (`Aerie.Control.Policy.Roles.Signature`)."
   @spec signer(Names.gateway(), header :: String.t(), subject :: String.t(), body :: binary()) ::
           {:ok, Roles.source()} | {:error, String.t()}
   def signer(gateway, header, subject, body) do
@@ -107,12 +101,12 @@ defmodule Aerie.Control.Policy do
   end
 
   @doc "Who is in charge of a vehicle; nil for nobody."
-  @spec control_lease(Names.gateway(), ControlLeases.vehicle()) :: ControlLease.t() | nil
-  defdelegate control_lease(gateway, key), to: ControlLeases, as: :of
+  @spec control_lease(Names.gateway(), Holders.vehicle()) :: ControlLease.t() | nil
+  defdelegate control_lease(gateway, key), to: Holders, as: :of
 
   @doc "Who is in charge of each vehicle that somebody has taken."
-  @spec control_leases(Names.gateway()) :: %{ControlLeases.vehicle() => ControlLease.t()}
-  defdelegate control_leases(gateway), to: ControlLeases, as: :all
+  @spec control_leases(Names.gateway()) :: %{Holders.vehicle() => ControlLease.t()}
+  defdelegate control_leases(gateway), to: Holders, as: :all
 
   @doc "The polygons of a policy's zones: of what kind and name, and their rings of `{latitude, longitude}`."
   @spec zones(t() | nil) :: [%{kind: atom(), name: String.t() | nil, rings: [[{float(), float()}]]}]

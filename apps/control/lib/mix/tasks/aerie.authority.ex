@@ -1,14 +1,14 @@
 defmodule Mix.Tasks.Aerie.Authority do
   @shortdoc "Renews the tables of docs/policy.md and docs/security.md"
   @moduledoc """
-  Renews the tables that say who can do what (`Aerie.Control.Policy.Page`).
+  Renews the tables that say who can do what (`Aerie.Control.Policy.Roles.Page`).
 
       mix aerie.authority
   """
   use Mix.Task
 
   alias Aerie.Vehicle.Command.Page, as: Markdown
-  alias Aerie.Control.Policy.Page
+  alias Aerie.Control.Policy.Roles.Page
 
   @docs Path.expand("../../../../../docs", __DIR__)
 

@@ -270,16 +270,16 @@ defmodule Aerie.Control.CommandsTest do
     assert %{status: :completed} = result(land)
 
     done.("hand_over_control", params: %{to: "other"})
-    assert %{holder: "ops", offered_to: "other"} = Policy.ControlLeases.of(gateway, {"main", 7})
+    assert %{holder: "ops", offered_to: "other"} = Policy.ControlLease.Holders.of(gateway, {"main", 7})
     done.("take_control", as: other)
     assert {:denied, "lease"} = gateway |> command("arm") |> rule()
     done.("take_control", params: %{reason: "it drifts"})
 
     assert %{holder: "ops", before: "other", reason: "it drifts"} =
-             Policy.ControlLeases.of(gateway, {"main", 7})
+             Policy.ControlLease.Holders.of(gateway, {"main", 7})
 
     done.("release_control", [])
-    assert Policy.ControlLeases.of(gateway, {"main", 7}) == nil
+    assert Policy.ControlLease.Holders.of(gateway, {"main", 7}) == nil
 
     assert [_first, _second, %{"reason" => "it drifts"}] =
              for(
@@ -298,16 +298,16 @@ defmodule Aerie.Control.CommandsTest do
     task = command(gateway, "take_control", id: "no")
     answer(executing(%{id: "no"}), "no", :failed)
     assert %{status: :failed} = result(task)
-    assert Policy.ControlLeases.of(gateway, {"main", 7}) == nil
+    assert Policy.ControlLease.Holders.of(gateway, {"main", 7}) == nil
     task = command(gateway, "take_control", id: "yes")
     answer(executing(%{id: "yes"}), "yes", :accepted)
     assert %{status: :accepted} = result(task)
-    assert %{holder: "ops"} = Policy.ControlLeases.of(gateway, {"main", 7})
+    assert %{holder: "ops"} = Policy.ControlLease.Holders.of(gateway, {"main", 7})
     # It does not answer, and is let go all the same.
     task = command(gateway, "release_control", id: "off")
     answer(executing(%{id: "off"}), "off", :unknown)
     assert %{status: :unknown} = result(task)
-    assert Policy.ControlLeases.of(gateway, {"main", 7}) == nil
+    assert Policy.ControlLease.Holders.of(gateway, {"main", 7}) == nil
   end
 
   test "what would become of a command, without giving it", %{tmp_dir: dir} do
@@ -368,7 +368,8 @@ defmodule Aerie.Control.CommandsTest do
     Store.remember(gateway, {:setpoints, "VID-007"}, {since, since + 10 * Aerie.Patience.ms()})
 
     eventually(fn ->
-      with ms when is_integer(ms) <- Policy.RecentCommands.setpoints_ms(gateway, "VID-007"), do: ms >= 1_000
+      with ms when is_integer(ms) <- Policy.Memory.RecentCommands.setpoints_ms(gateway, "VID-007"),
+           do: ms >= 1_000
     end)
 
     assert :allow = Commands.check(gateway, [vehicle: "VID-007", type: "set_mode"] ++ offboard)
@@ -485,7 +486,7 @@ defmodule Aerie.Control.CommandsTest do
     {:ok, _} = Aerie.GatewayCase.start_link(%{}, name: :g, with: [])
     dir = #{inspect(dir)}
     config = %{policy: %{audit: %{dir: Path.join(dir, "audit"), max_mb: 8, required: true}}, commands: Aerie.CommandCase.commands(dir)}
-    for part <- [Aerie.Control.Policy.Supervisor, Aerie.Control.Commands.Supervisor], do: {:ok, _} = part.start_link(Aerie.LinkCase.options(part, :g, config))
+    for part <- [Aerie.Control.Policy.Store.Supervisor, Aerie.Control.Commands.Supervisor], do: {:ok, _} = part.start_link(Aerie.LinkCase.options(part, :g, config))
     Aerie.Base.Names.register(:g, :commands, {"main", 7})
     Aerie.CommandCase.put_vehicle(:g)
     for {id, type} <- [{"done", "land"}, {"arm", "arm"}, {"off", "disarm"}, {"drop", "gripper"}] do
@@ -567,7 +568,7 @@ defmodule Aerie.Control.CommandsTest do
 
   test "no policy: nothing may be commanded", %{tmp_dir: dir} do
     gateway = start_commands(dir)
-    :ok = stop_supervised(Policy.Supervisor)
+    :ok = stop_supervised(Policy.Store.Supervisor)
     assert {:denied, "policy"} = gateway |> command("land") |> rule()
   end
 

@@ -3,7 +3,8 @@ defmodule Aerie.Control.PolicyTest do
 
   alias Aerie.Control.Policy
   alias Aerie.Vehicle.Command
-  alias Aerie.Control.Policy.{Context, Roles}
+  alias Aerie.Control.Policy.Roles
+  alias Aerie.Control.Policy.Intent.Context
 
   # Sunday, 22 November 2026, 09:30 UTC
   @now DateTime.to_unix(~U[2026-11-22 09:30:00Z], :microsecond)

@@ -25,7 +25,7 @@ defmodule Aerie.Fleet.Remote do
   alias Aerie.Vehicle.Command
   alias Aerie.Fleet.Bridge.Commands.Operation
   alias Aerie.Vehicle.Command.Result
-  alias Aerie.Control.Policy.Signature
+  alias Aerie.Control.Policy.Roles.Signature
   alias Aerie.Fleet.Shadow.Documents
 
   # A command may go on after its deadline, which is when it is sent at the latest.

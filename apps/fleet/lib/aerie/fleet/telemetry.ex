@@ -19,7 +19,7 @@ defmodule Aerie.Fleet.Telemetry do
 
   ## Links, router, bridge, commands, shadow, ledger, policy and audit log
 
-  See `Aerie.Fleet.Shadow.Metrics`, `Aerie.Control.Commands.Record`, `Aerie.Control.Ledger`, `Aerie.Control.Policy.Audit`, `Aerie.Control.Policy.MavlinkPolicy`, `MavRouter.Link`, `MavRouter.Router`, `MavRouter.Signing`, `MavRouter.Recorder` and `Aerie.Fleet.Bridge`.
+  See `Aerie.Fleet.Shadow.Metrics`, `Aerie.Control.Commands.Record`, `Aerie.Control.Ledger`, `Aerie.Control.Policy.Audit`, `Aerie.Control.Policy.Clients.MavlinkPolicy`, `MavRouter.Link`, `MavRouter.Router`, `MavRouter.Signing`, `MavRouter.Recorder` and `Aerie.Fleet.Bridge`.
 
       :telemetry.attach("log-events", [:aerie, :vehicle, :event], &MyLogger.handle/4, nil)
   """
@@ -59,7 +59,7 @@ defmodule Aerie.Fleet.Telemetry do
     {[:aerie, :recorder, :removed], MavRouter.Recorder},
     {[:aerie, :audit, :failing], Aerie.Control.Policy.Audit},
     {[:aerie, :ledger, :failing], Aerie.Control.Ledger},
-    {[:aerie, :policy, :refused], Aerie.Control.Policy.MavlinkPolicy},
+    {[:aerie, :policy, :refused], Aerie.Control.Policy.Clients.MavlinkPolicy},
     {[:aerie, :command, :received], Aerie.Control.Commands.Record},
     {[:aerie, :command, :refused], Aerie.Control.Commands.Record},
     {[:aerie, :command, :done], Aerie.Control.Commands.Record},

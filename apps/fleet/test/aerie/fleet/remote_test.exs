@@ -26,7 +26,7 @@ defmodule Aerie.Fleet.RemoteTest do
       commands: commands(dir)
     }
 
-    start_part(Policy.Supervisor, gateway, sections)
+    start_part(Policy.Store.Supervisor, gateway, sections)
     options = LinkCase.options(Commands.Supervisor, gateway, sections) ++ [gateways: Remote]
 
     start_supervised!(%{

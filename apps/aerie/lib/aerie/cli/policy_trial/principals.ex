@@ -6,7 +6,8 @@ defmodule Aerie.CLI.PolicyTrial.Principals do
   """
 
   alias Aerie.Control.Policy
-  alias Aerie.Control.Policy.{Roles, Sources}
+  alias Aerie.Control.Policy.Roles
+  alias Aerie.Control.Policy.Roles.Sources
   alias Aerie.Fleet.Replay.PolicyTrial
 
   @type key :: Aerie.Access.Keys.key()

@@ -3,11 +3,11 @@ defmodule Aerie.CLI.PolicyTrial.SingleCommand do
   `aerie policy try --command`: what a policy decides about one command.
 
   `--vehicle` describes the vehicle as far as it is known, with the groups of `GET /api/vehicles/ID`
-  (`Aerie.Control.Policy.Context.parse/3`). Rates are not checked: they depend on what was commanded before.
+  (`Aerie.Control.Policy.Intent.Context.parse/3`). Rates are not checked: they depend on what was commanded before.
   """
 
   alias Aerie.Control.Policy
-  alias Aerie.Control.Policy.Context
+  alias Aerie.Control.Policy.Intent.Context
   alias Aerie.Fleet.Replay.PolicyTrial
   alias Aerie.Vehicle.Command
 

@@ -3,7 +3,7 @@ defmodule Aerie.Api.Rest.Commands do
   Commands over REST: `Aerie.Control.Commands` in the name of a key, and the answer for each outcome.
 
   A key without a role commands as an admin, a key of a file with its role. A program of this machine, which needs no key while
-  none is configured, may only read. A signature replaces the key (`Aerie.Control.Policy.Signature`).
+  none is configured, may only read. A signature replaces the key (`Aerie.Control.Policy.Roles.Signature`).
   """
 
   alias Aerie.Base.Json.Object

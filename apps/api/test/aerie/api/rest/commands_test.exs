@@ -4,7 +4,7 @@ defmodule Aerie.Api.Rest.CommandsTest do
 
   import Aerie.CommandCase, only: [start_commands: 2, answer: 3, executing: 1, refute_submitted: 0]
 
-  alias Aerie.Control.Policy.Signature
+  alias Aerie.Control.Policy.Roles.Signature
 
   @moduletag :tmp_dir
   @moduletag :capture_log

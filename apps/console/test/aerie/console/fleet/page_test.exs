@@ -3,7 +3,7 @@ defmodule Aerie.Console.Fleet.PageTest do
 
   import Aerie.ShadowCase, only: [start_shadow: 2]
 
-  alias Aerie.Control.Policy.ControlLeases
+  alias Aerie.Control.Policy.ControlLease.Holders
   alias Aerie.Fleet.Shadow
   alias Aerie.Vehicle.Firmware.Modes
 
@@ -303,7 +303,7 @@ defmodule Aerie.Console.Fleet.PageTest do
       source = %{name: name, role: role, permissions: []}
 
       {:ok, _lease} =
-        ControlLeases.change(console.gateway, {"main", n}, {:take, nil, nil}, source, "rest", rules)
+        Holders.change(console.gateway, {"main", n}, {:take, nil, nil}, source, "rest", rules)
     end
 
     test "is in the table and beside the buttons, and follows at once", %{console: console} do

@@ -3,7 +3,7 @@ defmodule Aerie.Console.Fleet.SlowLineTest do
   use Aerie.ConsoleCase, async: true
 
   alias Aerie.Control.Commands
-  alias Aerie.Control.Policy.ControlLeases
+  alias Aerie.Control.Policy.ControlLease.Holders
   alias Aerie.Base.Store
   alias Aerie.SlowLine
 
@@ -66,7 +66,7 @@ defmodule Aerie.Console.Fleet.SlowLineTest do
     olga = %{name: "olga", role: :operator, permissions: []}
 
     {:ok, _lease} =
-      ControlLeases.change(c.console.gateway, {"main", 2}, {:take, nil, nil}, olga, "rest", rules)
+      Holders.change(c.console.gateway, {"main", 2}, {:take, nil, nil}, olga, "rest", rules)
 
     tell(script, "alarmed")
     await_line(script, "ok")

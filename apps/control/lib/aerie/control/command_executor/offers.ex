@@ -4,7 +4,8 @@ defmodule Aerie.Control.CommandExecutor.Offers do
   """
 
   alias Aerie.Control.CommandExecutor.Observed
-  alias Aerie.Control.Policy.{Context, Intent, Roles}
+  alias Aerie.Control.Policy.{Intent, Roles}
+  alias Aerie.Control.Policy.Intent.Context
   alias Aerie.Control.Policy.Rules.Role
   alias Aerie.Vehicle.{Command, Firmware, Protocol}
   alias Aerie.Vehicle.Command.Type

@@ -10,7 +10,8 @@ defmodule Aerie.Control.Commands.Change do
   alias Aerie.Base.Names
   alias Aerie.Control.Commands.Gateways
   alias Aerie.Control.{Policy, TransferExecutor}
-  alias Aerie.Control.Policy.{Context, Intent}
+  alias Aerie.Control.Policy.Intent
+  alias Aerie.Control.Policy.Intent.Context
   alias Aerie.Control.Policy.Mavlink.SystemId
   alias Aerie.Control.TransferExecutor.Outcome
   alias Aerie.Vehicle.Command.Result

@@ -3,13 +3,13 @@ defmodule Aerie.Control.Commands.OffboardPrecondition do
   PX4 flies OFFBOARD only while set-points come: they must have come for a second before the mode is requested (X7). Without them PX4 may
   acknowledge the request all the same, so the gateway refuses it at once.
 
-  Set-points of commands and of clients' raw MAVLink are known (`Aerie.Control.Policy.RecentCommands`). A sender whose set-points do not
+  Set-points of commands and of clients' raw MAVLink are known (`Aerie.Control.Policy.Memory.RecentCommands`). A sender whose set-points do not
   pass through the gateway says so with `setpoints_elsewhere`.
   """
 
   alias Aerie.Base.Names
   alias Aerie.Vehicle.{Command, Firmware}
-  alias Aerie.Control.Policy.RecentCommands
+  alias Aerie.Control.Policy.Memory.RecentCommands
   alias Aerie.Control.CommandExecutor.Observed
 
   @wanted_ms 1_000

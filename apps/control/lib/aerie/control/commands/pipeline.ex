@@ -9,7 +9,10 @@ defmodule Aerie.Control.Commands.Pipeline do
   alias Aerie.Control.Commands.{Change, Gateways, OffboardPrecondition, Record}
   alias Aerie.Control.Commands.Pipeline.{Core, Request}
   alias Aerie.Control.Policy.Mavlink.Writing
-  alias Aerie.Control.Policy.{Audit, Context, ControlLeases, RecentCommands}
+  alias Aerie.Control.Policy.Audit
+  alias Aerie.Control.Policy.Intent.Context
+  alias Aerie.Control.Policy.ControlLease.Holders
+  alias Aerie.Control.Policy.Memory.RecentCommands
   alias Aerie.Control.Policy.Rate.Table, as: Rates
   alias Aerie.Vehicle.Command
   alias Aerie.Vehicle.Command.Result
@@ -134,7 +137,7 @@ defmodule Aerie.Control.Commands.Pipeline do
 
   defp perform({:change_lease, change}, %{request: request, snapshot: snapshot}, %{gateway: gateway}) do
     %Policy{lease: rules} = Policy.Store.get(gateway)
-    {:lease, ControlLeases.change(gateway, snapshot.key, change, request.source, request.via, rules)}
+    {:lease, Holders.change(gateway, snapshot.key, change, request.source, request.via, rules)}
   end
 
   defp perform({:announce, result}, core, %{gateway: gateway, gateways: gateways}),
@@ -177,7 +180,7 @@ defmodule Aerie.Control.Commands.Pipeline do
          :allow <- Policy.decide(policy, intent, context),
          :allow <- Writing.entered(policy, gateway, snapshot, intent, context),
          :allow <- review(request.change, gateway, snapshot, policy, context),
-         :allow <- ControlLeases.steer(gateway, snapshot, intent, request.source, hold_us(request.command)) do
+         :allow <- Holders.steer(gateway, snapshot, intent, request.source, hold_us(request.command)) do
       {:audit, policy.audit_required}
     else
       nil -> :no_policy

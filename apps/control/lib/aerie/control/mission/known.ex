@@ -6,7 +6,8 @@ defmodule Aerie.Control.Mission.Known do
 
   alias Aerie.Base.Names
   alias Aerie.Control.Policy
-  alias Aerie.Control.Policy.{Context, Roles}
+  alias Aerie.Control.Policy.Roles
+  alias Aerie.Control.Policy.Intent.Context
   alias Aerie.Control.Policy.Mavlink.{Review, Writing}
   alias Aerie.Control.Policy.Mavlink.Writing.Aboard
   alias Protocols.Mission.Item

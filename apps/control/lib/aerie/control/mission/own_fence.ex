@@ -10,7 +10,7 @@ defmodule Aerie.Control.Mission.OwnFence do
   alias Aerie.Control.Mission.Review
   alias Protocols.Mission.Plan
   alias Aerie.Control.Mission.OwnFence.Area
-  alias Aerie.Control.Policy.Context
+  alias Aerie.Control.Policy.Intent.Context
   alias Aerie.Vehicle.Firmware
 
   # Corners times places that are judged: some tenths of a second.

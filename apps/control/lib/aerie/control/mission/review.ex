@@ -3,7 +3,8 @@ defmodule Aerie.Control.Mission.Review do
 
   alias Aerie.Base.Names
   alias Aerie.Control.Policy
-  alias Aerie.Control.Policy.{Context, Roles}
+  alias Aerie.Control.Policy.Roles
+  alias Aerie.Control.Policy.Intent.Context
   alias Aerie.Control.Policy.Mavlink.Review
   alias Aerie.Vehicle.Firmware
   alias Protocols.Mission.{Onboard, Plan}

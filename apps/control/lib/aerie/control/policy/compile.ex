@@ -8,7 +8,8 @@ defmodule Aerie.Control.Policy.Compile do
   alias Aerie.Vehicle.Command.Types
   alias Aerie.Control.Policy
   alias Aerie.Control.Policy.Compile.Modes
-  alias Aerie.Control.Policy.{Fence, Intent, Settings}
+  alias Aerie.Control.Policy.{Fence, Intent}
+  alias Aerie.Control.Policy.Store.Settings
   alias Aerie.Control.Policy.Rules.{Condition, Window}
   alias Aerie.Base.Settings.Schema
   alias MavCodec.Dialects.All

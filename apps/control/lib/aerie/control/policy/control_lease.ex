@@ -1,8 +1,8 @@
 defmodule Aerie.Control.Policy.ControlLease do
   @moduledoc """
   Who is in charge of a vehicle: one source at a time, by its name; of a client with several programs, one program by
-  its address (`who/1`). A pure value; `Aerie.Control.Policy.ControlLeases` keeps those of a gateway, and the rule
-  `Aerie.Control.Policy.Rules.Lease` asks them.
+  its address (`who/1`). A pure value; `Aerie.Control.Policy.ControlLease.Holders` keeps those of a gateway, and the
+  rule `Aerie.Control.Policy.Rules.Lease` asks them.
 
   | change | who may |
   |---|---|

@@ -4,7 +4,9 @@ defmodule Aerie.Control.Policy.FlightPath do
   for heights and fences judge.
   """
 
-  alias Aerie.Control.Policy.{Context, Drift, Fence, Intent}
+  alias Aerie.Control.Policy.{Fence, Intent}
+  alias Aerie.Control.Policy.Intent.Context
+  alias Aerie.Control.Policy.FlightPath.Drift
   alias Aerie.Control.Policy.Fence.Earth
   alias Aerie.Control.Policy.FlightPath.Volume
   alias Aerie.Vehicle.Firmware.Room

@@ -8,7 +8,9 @@ defmodule Aerie.Control.Policy.Intent do
 
   alias Aerie.Vehicle.Command
   alias Aerie.Vehicle.Command.{Type, Types}
-  alias Aerie.Control.Policy.{Context, ControlLease, Protection}
+  alias Aerie.Control.Policy.ControlLease
+  alias Aerie.Control.Policy.Intent.Context
+  alias Aerie.Control.Policy.Intent.Protection
 
   @enforce_keys [:type, :permission]
   defstruct [

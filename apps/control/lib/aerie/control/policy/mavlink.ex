@@ -19,7 +19,7 @@ defmodule Aerie.Control.Policy.Mavlink do
 
   An item of a mission needs `mission`, and what its command needs if that is more than an operator has. Parameters and
   files that protect a vehicle, and a fence that is removed, need `protection` besides
-  (`Aerie.Control.Policy.Protection`).
+  (`Aerie.Control.Policy.Intent.Protection`).
 
   Items of a mission come one by one: `Aerie.Control.Policy.Mavlink.Upload` remembers where the last one was, so
   that the way from it is judged, and `Aerie.Control.Policy.Mavlink.Writing` all of them.

@@ -5,7 +5,8 @@ defmodule Aerie.Control.Policy.Rules do
   """
 
   alias Aerie.Control.Policy
-  alias Aerie.Control.Policy.{Context, Intent, Rules, Switches}
+  alias Aerie.Control.Policy.{Intent, Rules, Switches}
+  alias Aerie.Control.Policy.Intent.Context
 
   @rules [
     unknown: Rules.Unknown,

@@ -9,7 +9,8 @@ defmodule Aerie.Control.Policy.Switches do
   may be the one that stops the motors. Vehicles that are steered by channels are not meant: these need `receiver`.
   """
 
-  alias Aerie.Control.Policy.{Context, Intent}
+  alias Aerie.Control.Policy.Intent
+  alias Aerie.Control.Policy.Intent.Context
   alias Aerie.Control.Policy.Mavlink.AuxFunctions
   alias Aerie.Control.Policy.Switches.Gestures
   alias Aerie.Vehicle.Firmware

@@ -5,7 +5,7 @@ defmodule Aerie.Control.Mission.ReviewTest do
   alias Protocols.Mission.{Item, Onboard, Plan}
   alias Aerie.Control.Policy
   alias Aerie.Vehicle.Firmware
-  alias Aerie.Control.Policy.Context
+  alias Aerie.Control.Policy.Intent.Context
 
   @vehicle %{autopilot: :px4, vehicle_type: "copter"}
 

@@ -4,7 +4,8 @@ defmodule Aerie.Control.Policy.CompileTest do
 
   alias Aerie.Vehicle.Command.Types
   alias Aerie.Control.Policy
-  alias Aerie.Control.Policy.{Context, Intent, Rate, Roles}
+  alias Aerie.Control.Policy.{Intent, Rate, Roles}
+  alias Aerie.Control.Policy.Intent.Context
   alias Aerie.Vehicle.Firmware.Modes
 
   @now 1_795_514_400_000_000

@@ -3,7 +3,9 @@ defmodule Aerie.Control.Policy.ControlLeaseTest do
 
   alias Aerie.Control.Policy
   alias Aerie.Vehicle.Command
-  alias Aerie.Control.Policy.{Context, ControlLease, ControlLeases}
+  alias Aerie.Control.Policy.ControlLease
+  alias Aerie.Control.Policy.Intent.Context
+  alias Aerie.Control.Policy.ControlLease.Holders
   alias Aerie.Base.PubSub
 
   @now 1_795_000_000_000_000
@@ -87,23 +89,23 @@ defmodule Aerie.Control.Policy.ControlLeaseTest do
       |> Task.async_stream(
         fn n ->
           source = %{@olga | name: "source-#{n}"}
-          {source.name, ControlLeases.change(gateway, @key, {:take, nil, nil}, source, "rest", @rules)}
+          {source.name, Holders.change(gateway, @key, {:take, nil, nil}, source, "rest", @rules)}
         end,
         timeout: Aerie.Patience.ms()
       )
       |> Enum.flat_map(fn {:ok, {name, answer}} -> if match?({:ok, _lease}, answer), do: [name], else: [] end)
 
     assert [name] = taken
-    assert %ControlLease{holder: ^name} = lease = ControlLeases.of(gateway, @key)
+    assert %ControlLease{holder: ^name} = lease = Holders.of(gateway, @key)
     assert_receive {:fleet, :leases, {@key, ^lease}}
     source = %{@olga | name: name}
     # What changes nothing is told to nobody.
-    assert {:ok, ^lease} = ControlLeases.change(gateway, @key, {:take, nil, nil}, source, "rest", @rules)
-    assert {:ok, offered} = ControlLeases.change(gateway, @key, {:offer, :anyone}, source, "rest", @rules)
-    assert ControlLeases.all(gateway) == %{@key => offered}
+    assert {:ok, ^lease} = Holders.change(gateway, @key, {:take, nil, nil}, source, "rest", @rules)
+    assert {:ok, offered} = Holders.change(gateway, @key, {:offer, :anyone}, source, "rest", @rules)
+    assert Holders.all(gateway) == %{@key => offered}
     assert_receive {:fleet, :leases, {@key, ^offered}}
-    assert {:ok, nil} = ControlLeases.change(gateway, @key, :release, source, "rest", @rules)
+    assert {:ok, nil} = Holders.change(gateway, @key, :release, source, "rest", @rules)
     assert_receive {:fleet, :leases, {@key, nil}}
-    assert ControlLeases.of(gateway, @key) == nil
+    assert Holders.of(gateway, @key) == nil
   end
 end

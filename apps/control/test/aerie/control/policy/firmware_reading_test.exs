@@ -7,7 +7,8 @@ defmodule Aerie.Control.Policy.FirmwareReadingTest do
   alias MavCodec.Meaning
   alias Aerie.Vehicle.Command.Types
   alias Aerie.Control.Policy
-  alias Aerie.Control.Policy.{Context, Intent, Mavlink}
+  alias Aerie.Control.Policy.{Intent, Mavlink}
+  alias Aerie.Control.Policy.Intent.Context
   alias MavCodec.Enums.MavCmd
   alias MavCodec.Messages, as: M
 

@@ -9,7 +9,8 @@ defmodule Aerie.Control.Policy.SteeringTest do
 
   alias Aerie.Control.Policy
   alias Aerie.Vehicle.Command
-  alias Aerie.Control.Policy.{Context, Mavlink}
+  alias Aerie.Control.Policy.Mavlink
+  alias Aerie.Control.Policy.Intent.Context
   alias Aerie.Vehicle.Services.Switches
   alias MavCodec.Enums.MavCmd
   alias MavCodec.Messages, as: M

@@ -6,7 +6,8 @@ defmodule Aerie.Control.Policy.SwitchesTest do
   import MavCodec.Test.Wire, only: [decoded: 1]
 
   alias Aerie.Control.Policy
-  alias Aerie.Control.Policy.{Context, Intent, Mavlink, Roles}
+  alias Aerie.Control.Policy.{Intent, Mavlink, Roles}
+  alias Aerie.Control.Policy.Intent.Context
   alias Aerie.Vehicle.Command
   alias Aerie.Vehicle.Services.Switches
   alias MavCodec.Enums.MavCmd

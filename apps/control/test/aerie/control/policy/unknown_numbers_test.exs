@@ -8,7 +8,8 @@ defmodule Aerie.Control.Policy.UnknownNumbersTest do
   import MavCodec.Test.Wire, only: [decoded: 1]
 
   alias Aerie.Control.Policy
-  alias Aerie.Control.Policy.{Context, Intent, Mavlink, Roles}
+  alias Aerie.Control.Policy.{Intent, Mavlink, Roles}
+  alias Aerie.Control.Policy.Intent.Context
   alias MavCodec.Dialects.All
   alias MavCodec.Enums.MavCmd
   alias MavCodec.Messages, as: M

@@ -1,7 +1,7 @@
 defmodule Aerie.Fleet.Replay.PolicyTrial do
   @moduledoc """
   What a policy would have decided about the commands of recorded flights: `Aerie.Fleet.Replay.Commands` finds them,
-  `Aerie.Control.Policy.Trial` decides. A pure value: the same recordings and the same ledger always give the same decisions.
+  `Aerie.Control.Policy.Clients.Trial` decides. A pure value: the same recordings and the same ledger always give the same decisions.
 
   A recording tells the MAVLink ids of a sender only, so `:as` says whose commands they are. Commands of the ledger have their sender's
   name; from its first command on they stand for what the gateway's own ids send. Transfers (parameters, missions, files) are judged by their
@@ -9,7 +9,8 @@ defmodule Aerie.Fleet.Replay.PolicyTrial do
   """
 
   alias Aerie.Control.Policy
-  alias Aerie.Control.Policy.{Intent, Roles, Trial}
+  alias Aerie.Control.Policy.{Intent, Roles}
+  alias Aerie.Control.Policy.Clients.Trial
   alias Aerie.Fleet.Replay.{Commands, Machine, Settings}
   alias Aerie.Vehicle.Command
   alias MavCodec.Frame

@@ -139,7 +139,7 @@ defmodule Aerie.Fleet.Shadow.Loop do
   defp refresh(state, snapshot) do
     %{gateway: gateway, vehicle: %{id: id}} = state = clock(state)
 
-    commanded = Policy.RecentCommands.last(gateway, id)
+    commanded = Policy.Memory.RecentCommands.last(gateway, id)
     state = %{state | plans: still_known(state.plans, commanded, snapshot)}
     beside = beside(state)
 
@@ -205,7 +205,7 @@ defmodule Aerie.Fleet.Shadow.Loop do
       end
 
     in_charge =
-      case Policy.ControlLeases.of(state.gateway, state.vehicle.key) do
+      case Policy.ControlLease.Holders.of(state.gateway, state.vehicle.key) do
         %{holder: holder} when holder != "shadow" ->
           [%{by: "lease", until: nil, why: "#{holder} is in charge of it"}]
 

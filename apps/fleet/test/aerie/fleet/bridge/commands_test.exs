@@ -4,7 +4,7 @@ defmodule Aerie.Fleet.Bridge.CommandsTest do
 
   import Aerie.CommandCase
 
-  alias Aerie.Control.Policy.Signature
+  alias Aerie.Control.Policy.Roles.Signature
 
   @moduletag :tmp_dir
   @moduletag :capture_log

@@ -6,7 +6,8 @@ defmodule Aerie.Fleet.Client.RawMessageTest do
   alias Aerie.Base.Store
   alias Aerie.Control.Policy
   alias MavRouter.Router
-  alias Aerie.Control.Policy.{Audit, MavlinkPolicy}
+  alias Aerie.Control.Policy.Audit
+  alias Aerie.Control.Policy.Clients.MavlinkPolicy
   alias MavCodec.Messages, as: M
 
   @moduletag :tmp_dir
@@ -18,7 +19,10 @@ defmodule Aerie.Fleet.Client.RawMessageTest do
 
     gateway =
       start_parts(%{mavlink: %{system_id: 245, component_id: 191}},
-        options: [policy: MavlinkPolicy, tables: [Policy.ControlLeases.table(), Policy.ClientHistory.table()]]
+        options: [
+          policy: MavlinkPolicy,
+          tables: [Policy.ControlLease.Holders.table(), Policy.Memory.ClientHistory.table()]
+        ]
       )
 
     start_supervised!({Policy.Store, gateway: gateway, policy: policy})

@@ -4,7 +4,7 @@ defmodule Aerie.Fleet.Operations.RequestsTest do
 
   import Aerie.CommandCase
 
-  alias Aerie.Control.Policy.Signature
+  alias Aerie.Control.Policy.Roles.Signature
   alias Aerie.Fleet.Operations
 
   @moduletag :tmp_dir

@@ -2,7 +2,7 @@ defmodule Aerie.Fleet.Shadow.OperationsTest do
   @moduledoc "The shadow by requests to a real nats-server."
   use Aerie.ShadowCase, async: true
 
-  alias Aerie.Control.Policy.Signature
+  alias Aerie.Control.Policy.Roles.Signature
 
   @moduletag :tmp_dir
   @moduletag :capture_log

@@ -1,6 +1,6 @@
 defmodule Aerie.CLI.Subcommand.Nats.Key do
   @moduledoc """
-  `aerie nats-key`: a key by which a program signs commands over NATS (`Aerie.Control.Policy.Signature`). The seed is in the file; what is
+  `aerie nats-key`: a key by which a program signs commands over NATS (`Aerie.Control.Policy.Roles.Signature`). The seed is in the file; what is
   printed is the section of a configuration that lists the public half.
   """
   @behaviour Aerie.CLI.Subcommand

@@ -4,7 +4,7 @@ defmodule Aerie.Control.Policy.Audit.Refusals do
   and then how many more there were. Without that a viewer could push everybody's records out of the log by
   commands that are refused.
 
-  Counted in the caller's process, in `Aerie.Control.Policy.ClientHistory`, so that no flood reaches the process
+  Counted in the caller's process, in `Aerie.Control.Policy.Memory.ClientHistory`, so that no flood reaches the process
   of the log; that one asks once a minute for counts that no further refusal has brought. What is written takes
   an eighth of the log at once, and another one in thirty days: all the rest is for the decisions of those who
   may something.
@@ -12,7 +12,8 @@ defmodule Aerie.Control.Policy.Audit.Refusals do
 
   alias Aerie.Base.Names
   alias Aerie.Base.Timing.TokenBucket
-  alias Aerie.Control.Policy.{ClientHistory, Roles}
+  alias Aerie.Control.Policy.Roles
+  alias Aerie.Control.Policy.Memory.ClientHistory
 
   @minute_us 60_000_000
   # Counts stay until the log's process has asked for them.

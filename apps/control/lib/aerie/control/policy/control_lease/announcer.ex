@@ -1,12 +1,13 @@
 defmodule Aerie.Control.Policy.ControlLease.Announcer do
   @moduledoc """
-  Tells who is in charge of a vehicle (`Aerie.Control.Policy.ControlLeases`): in its state, as the group `operator`, and by the event
+  Tells who is in charge of a vehicle (`Aerie.Control.Policy.ControlLease.Holders`): in its state, as the group `operator`, and by the event
   `operator.changed`. A change does not wait for that.
   """
   use GenServer
 
   alias Aerie.Base.{Names, Store}
-  alias Aerie.Control.Policy.{ControlLease, ControlLeases}
+  alias Aerie.Control.Policy.ControlLease
+  alias Aerie.Control.Policy.ControlLease.Holders
   alias Aerie.Base.PubSub
   alias Aerie.Vehicle.Events.External
 
@@ -21,7 +22,7 @@ defmodule Aerie.Control.Policy.ControlLease.Announcer do
   def init(gateway) do
     Process.set_label({:command_control, gateway})
     :ok = PubSub.subscribe(gateway, :leases)
-    leases = ControlLeases.all(gateway)
+    leases = Holders.all(gateway)
     # The changes while this process was away.
     for {key, lease} <- leases, do: announce(gateway, key, lease)
     {:ok, %{gateway: gateway, holders: Map.new(leases, fn {key, lease} -> {key, lease.holder} end)}}

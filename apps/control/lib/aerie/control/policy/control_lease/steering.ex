@@ -14,7 +14,8 @@ defmodule Aerie.Control.Policy.ControlLease.Steering do
   """
 
   alias Aerie.Base.Names
-  alias Aerie.Control.Policy.{ClientHistory, Intent, ControlLease, Roles}
+  alias Aerie.Control.Policy.{Intent, ControlLease, Roles}
+  alias Aerie.Control.Policy.Memory.ClientHistory
   alias Aerie.Vehicle.Firmware
 
   @until %{

@@ -7,7 +7,8 @@ defmodule Aerie.Control.Policy.FlightPath.Shaping do
   """
 
   alias Aerie.Control.Policy
-  alias Aerie.Control.Policy.{Context, Fence, Intent}
+  alias Aerie.Control.Policy.{Fence, Intent}
+  alias Aerie.Control.Policy.Intent.Context
 
   @doc "The first parameter that does not, in words; nil if all do."
   @spec refused(Policy.t(), Intent.t(), Context.t()) :: String.t() | nil

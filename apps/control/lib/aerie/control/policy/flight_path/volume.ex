@@ -4,7 +4,8 @@ defmodule Aerie.Control.Policy.FlightPath.Volume do
   has it (`Aerie.Vehicle.Firmware.Room`). One that is not known takes the most that any of them would.
   """
 
-  alias Aerie.Control.Policy.{Context, Intent}
+  alias Aerie.Control.Policy.Intent
+  alias Aerie.Control.Policy.Intent.Context
   alias Aerie.Vehicle.Firmware
   alias Aerie.Vehicle.Firmware.Room
 

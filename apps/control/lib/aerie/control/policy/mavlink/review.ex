@@ -10,7 +10,8 @@ defmodule Aerie.Control.Policy.Mavlink.Review do
 
   alias Protocols.Mission.Item
   alias Aerie.Control.Policy
-  alias Aerie.Control.Policy.{Context, FlightPath, Intent, Mavlink}
+  alias Aerie.Control.Policy.{FlightPath, Intent, Mavlink}
+  alias Aerie.Control.Policy.Intent.Context
   alias MavCodec.Enums.MavCmd
   alias MavCodec.Messages.MissionCount
 

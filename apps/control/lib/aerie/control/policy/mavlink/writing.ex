@@ -8,7 +8,9 @@ defmodule Aerie.Control.Policy.Mavlink.Writing do
 
   alias Aerie.Base.Names
   alias Aerie.Control.Policy
-  alias Aerie.Control.Policy.{ClientHistory, Context, Intent, Roles}
+  alias Aerie.Control.Policy.{Intent, Roles}
+  alias Aerie.Control.Policy.Memory.ClientHistory
+  alias Aerie.Control.Policy.Intent.Context
   alias Aerie.Control.Policy.Fence.Kept
   alias Aerie.Control.Policy.FlightPath.Shaping
   alias Aerie.Control.Policy.Mavlink.{Review, Upload}

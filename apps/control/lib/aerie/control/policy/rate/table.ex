@@ -1,12 +1,13 @@
 defmodule Aerie.Control.Policy.Rate.Table do
   @moduledoc """
-  The rates of a gateway's sources (`Aerie.Control.Policy.Rate`), in `Aerie.Control.Policy.ClientHistory`: any process
-  takes a token without waiting for another one.
+  The rates of a gateway's sources (`Aerie.Control.Policy.Rate`), in `Aerie.Control.Policy.Memory.ClientHistory`: any
+  process takes a token without waiting for another one.
   """
 
   alias Aerie.Base.Names
   alias Aerie.Control.Policy
-  alias Aerie.Control.Policy.{ClientHistory, Rate}
+  alias Aerie.Control.Policy.Rate
+  alias Aerie.Control.Policy.Memory.ClientHistory
 
   @typedoc "Raw MAVLink of a source has rates of its own."
   @type kind :: :rate | :command_rate

@@ -12,7 +12,8 @@ defmodule Aerie.Control.Policy.Rules.Role do
 
   alias Aerie.Control.Policy.FlightPath.Shaping
   alias Aerie.Control.Policy
-  alias Aerie.Control.Policy.{Context, Intent, Roles}
+  alias Aerie.Control.Policy.{Intent, Roles}
+  alias Aerie.Control.Policy.Intent.Context
   alias Aerie.Control.Policy.Rules.Role.Pilot
   alias Aerie.Vehicle.Command.Type
   alias Aerie.Vehicle.Firmware

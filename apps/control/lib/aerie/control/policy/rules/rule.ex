@@ -2,7 +2,8 @@ defmodule Aerie.Control.Policy.Rules.Rule do
   @moduledoc "A rule: a pure check of what a command asks for against what is known of its vehicle."
 
   alias Aerie.Control.Policy
-  alias Aerie.Control.Policy.{Context, Intent}
+  alias Aerie.Control.Policy.Intent
+  alias Aerie.Control.Policy.Intent.Context
 
   @doc """
   `{:deny, sentence}`, with the numbers in it. What is not known and needed denies, and the sentence says what it is.

@@ -9,7 +9,8 @@ defmodule Aerie.Control.Policy.Switches.Gestures do
   either end.
   """
 
-  alias Aerie.Control.Policy.{Context, Intent, Switches}
+  alias Aerie.Control.Policy.{Intent, Switches}
+  alias Aerie.Control.Policy.Intent.Context
   alias Aerie.Vehicle.Firmware
 
   # Beyond these a stick counts as far out: of a channel in µs, of an axis in thousandths.

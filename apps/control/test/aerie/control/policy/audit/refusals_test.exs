@@ -2,7 +2,8 @@ defmodule Aerie.Control.Policy.Audit.RefusalsTest do
   use ExUnit.Case, async: true
 
   alias Aerie.Base.Store
-  alias Aerie.Control.Policy.{Audit, ClientHistory, Roles}
+  alias Aerie.Control.Policy.{Audit, Roles}
+  alias Aerie.Control.Policy.Memory.ClientHistory
   alias Aerie.Control.Policy.Audit.{Reader, Refusals}
 
   @minute 60_000_000

@@ -5,7 +5,7 @@ defmodule Aerie.Control.Policy.ControlLease.AnnouncerTest do
 
   alias Aerie.Base.{PubSub, Store}
   alias Aerie.Control.Policy.ControlLease.Announcer
-  alias Aerie.Control.Policy.ControlLeases
+  alias Aerie.Control.Policy.ControlLease.Holders
   alias MavCodec.Messages, as: M
 
   @copter %M.Heartbeat{type: 2, autopilot: 3, base_mode: 81, custom_mode: 4, system_status: 3}
@@ -21,7 +21,7 @@ defmodule Aerie.Control.Policy.ControlLease.AnnouncerTest do
     PubSub.subscribe(gateway, :events)
     source = %{name: "olga", role: :operator, permissions: []}
     rules = %{required: false, take_over: :operator}
-    change = &ControlLeases.change(gateway, {"main", 1}, &1, source, "nats", rules)
+    change = &Holders.change(gateway, {"main", 1}, &1, source, "nats", rules)
     assert {:ok, _lease} = change.({:take, nil, nil})
     assert_receive {:fleet, :events, %{type: "operator.changed", data: data}}
     assert %{"operator" => "olga", "before" => nil, "via" => "nats"} = JSON.decode!(JSON.encode!(data))

@@ -2,7 +2,8 @@ defmodule Aerie.Control.Policy.ControlLease.SteeringTest do
   use ExUnit.Case, async: true
 
   alias Aerie.Base.Store
-  alias Aerie.Control.Policy.{ClientHistory, Intent}
+  alias Aerie.Control.Policy.Intent
+  alias Aerie.Control.Policy.Memory.ClientHistory
   alias Aerie.Control.Policy.ControlLease.Steering
   alias Aerie.Base.Principal
 

@@ -3,7 +3,9 @@ defmodule Aerie.Control.Policy.FlightPath.ShapingTest do
   use ExUnit.Case, async: true
 
   alias Aerie.Control.Policy
-  alias Aerie.Control.Policy.{Context, Intent, Mavlink, Protection}
+  alias Aerie.Control.Policy.{Intent, Mavlink}
+  alias Aerie.Control.Policy.Intent.Context
+  alias Aerie.Control.Policy.Intent.Protection
   alias MavCodec.Meaning.Shaping
   alias MavCodec.Message.Value
   alias MavCodec.Messages, as: M

@@ -4,7 +4,8 @@ defmodule Aerie.Control.Policy.FlightPath.VolumeTest do
 
   alias Aerie.Control.Mission.Review
   alias Aerie.Control.Policy
-  alias Aerie.Control.Policy.{Context, FlightPath, Intent, Mavlink}
+  alias Aerie.Control.Policy.{FlightPath, Intent, Mavlink}
+  alias Aerie.Control.Policy.Intent.Context
   alias Protocols.Mission.Item
   alias Aerie.Vehicle.Command
   alias MavCodec.Enums.MavCmd

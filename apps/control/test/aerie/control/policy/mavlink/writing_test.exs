@@ -5,7 +5,9 @@ defmodule Aerie.Control.Policy.Mavlink.WritingTest do
   alias Aerie.Control.Policy
   alias Aerie.Control.Policy.Fence.Kept
   alias Aerie.Control.Policy.Mavlink.Review
-  alias Aerie.Control.Policy.{Context, Roles, Trial}
+  alias Aerie.Control.Policy.Roles
+  alias Aerie.Control.Policy.Intent.Context
+  alias Aerie.Control.Policy.Clients.Trial
   alias Protocols.Mission.Item
   alias MavCodec.Enums.MavCmd
   alias MavCodec.Messages, as: M

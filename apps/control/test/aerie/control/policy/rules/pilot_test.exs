@@ -2,7 +2,9 @@ defmodule Aerie.Control.Policy.Rules.PilotTest do
   use ExUnit.Case, async: true
 
   alias Aerie.Control.Policy
-  alias Aerie.Control.Policy.{Context, Intent, Mavlink, Protection, Roles}
+  alias Aerie.Control.Policy.{Intent, Mavlink, Roles}
+  alias Aerie.Control.Policy.Intent.Context
+  alias Aerie.Control.Policy.Intent.Protection
   alias MavCodec.Messages, as: M
 
   @vehicle %{autopilot: :ardupilot, vehicle_type: "copter", component: 1}

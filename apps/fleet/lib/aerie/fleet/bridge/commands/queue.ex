@@ -1,7 +1,7 @@
 defmodule Aerie.Fleet.Bridge.Commands.Queue do
   @moduledoc """
   Which request over NATS is worked on, which waits, and which is not even read. Pure: requests are told apart by what they claim
-  (`Aerie.Control.Policy.Sources.claim/3`), which costs microseconds, before they cost a place.
+  (`Aerie.Control.Policy.Roles.Sources.claim/3`), which costs microseconds, before they cost a place.
 
   | lane | requests | limit | beyond it |
   |---|---|---|---|

@@ -7,7 +7,7 @@ defmodule Aerie.Fleet.Bridge.Commands.Request do
 
       {"id": "a1", "params": {"altitude": 20}, "deadline": "2026-11-22T09:00:10Z", "source": "tablet 3"}
 
-      Aerie-Signature: see Aerie.Control.Policy.Signature
+      Aerie-Signature: see Aerie.Control.Policy.Roles.Signature
       Aerie-Deadline, Aerie-Source: in place of the keys of the body
 
   Headers are not signed, so those of a signed command are ignored: its deadline is in its body.
@@ -15,7 +15,8 @@ defmodule Aerie.Fleet.Bridge.Commands.Request do
 
   alias Aerie.Fleet.Bridge.Commands.Operation
   alias Aerie.Control.Policy
-  alias Aerie.Control.Policy.{Roles, Sources}
+  alias Aerie.Control.Policy.Roles
+  alias Aerie.Control.Policy.Roles.Sources
 
   @max_bytes 16_384
 

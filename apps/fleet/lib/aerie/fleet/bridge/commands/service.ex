@@ -5,8 +5,8 @@ defmodule Aerie.Fleet.Bridge.Commands.Service do
   task, once `Aerie.Fleet.Bridge.Commands.Queue` has a place for it.
 
   Reading needs no signature: every user of NATS sees the buckets and events anyway. A change is made in the name of the
-  key that signed the message, as for commands (`Aerie.Control.Policy.Signature`), and has the field without which a
-  copy of it would be another change (`once` of `Aerie.Control.Operations.Operation`).
+  key that signed the message, as for commands (`Aerie.Control.Policy.Roles.Signature`), and has the field without which
+  a copy of it would be another change (`once` of `Aerie.Control.Operations.Operation`).
 
   | what | limit | beyond it |
   |---|---|---|

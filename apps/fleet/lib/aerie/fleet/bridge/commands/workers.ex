@@ -7,7 +7,7 @@ defmodule Aerie.Fleet.Bridge.Commands.Workers do
 
   alias Aerie.Base.Names
   alias Aerie.Control.Policy
-  alias Aerie.Control.Policy.Sources
+  alias Aerie.Control.Policy.Roles.Sources
   alias Aerie.Fleet.Bridge.Commands.{Queue, Request}
   alias Aerie.Fleet.Nats
 

@@ -9,7 +9,7 @@ defmodule Aerie.Fleet.Shadow.Document.Field do
   alias MavCodec.Meaning.Shaping
   alias Aerie.Vehicle.Command.{Error, Param, Type}
   alias Aerie.Control.Params.LongNames
-  alias Aerie.Control.Policy.Protection
+  alias Aerie.Control.Policy.Intent.Protection
   alias MavCodec.Dialects.All
 
   @enforce_keys [:name, :permission, :check, :stage, :meaning]

@@ -25,7 +25,8 @@ defmodule Aerie.Fleet.Shadow.Documents.Uplink do
   alias Aerie.Fleet.Bridge.Connection.Subscriber
   alias Aerie.Fleet.Nats.KV
   alias Aerie.Control.Policy
-  alias Aerie.Control.Policy.{Roles, Sources}
+  alias Aerie.Control.Policy.Roles
+  alias Aerie.Control.Policy.Roles.Sources
 
   alias Aerie.Fleet.Shadow.{Document, Documents, Metrics, Settings}
   alias Aerie.Fleet.Shadow.Document.{Field, Merge, Sealed}

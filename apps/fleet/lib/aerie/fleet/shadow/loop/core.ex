@@ -33,14 +33,15 @@ defmodule Aerie.Fleet.Shadow.Loop.Core do
         }
 
   @typedoc """
-    * `:snapshot` - the vehicle's snapshot; `:commanded` - who commanded it last (`Aerie.Control.Policy.RecentCommands`)
+    * `:snapshot` - the vehicle's snapshot; `:commanded` - the last command
+      (`Aerie.Control.Policy.Memory.RecentCommands`)
     * `:holds` - what holds the shadow besides those in charge of the vehicle: another gateway, no NATS, the configuration
     * `:beside` - see `Aerie.Fleet.Shadow.Document.Observed`
   """
   @type view :: %{
           now: integer(),
           snapshot: map(),
-          commanded: Aerie.Control.Policy.RecentCommands.t() | nil,
+          commanded: Aerie.Control.Policy.Memory.RecentCommands.t() | nil,
           holds: [Holds.hold()],
           beside: Observed.beside()
         }

@@ -14,7 +14,7 @@ defmodule Aerie.Fleet.Shadow.Loop.Holds do
   Changes within ten seconds of a known command are taken for its effect.
   """
 
-  alias Aerie.Control.Policy.RecentCommands
+  alias Aerie.Control.Policy.Memory.RecentCommands
   alias Aerie.Vehicle.Snapshot
 
   defstruct hold_us: 30_000_000, seen: nil, sticks: nil, expected_until: nil, commanded_at: nil, until: %{}

@@ -2,7 +2,8 @@ defmodule Aerie.Fleet.Bridge.Commands.QueueTest do
   use ExUnit.Case, async: true
 
   alias Aerie.Fleet.Bridge.Commands.Queue
-  alias Aerie.Control.Policy.{Signature, Sources}
+  alias Aerie.Control.Policy.Roles.Signature
+  alias Aerie.Control.Policy.Roles.Sources
 
   @second 1_000_000
 

@@ -5,7 +5,7 @@ defmodule Aerie.Control.Policy.Mavlink.Writing.Aboard do
   """
 
   alias Aerie.Base.{Names, Store}
-  alias Aerie.Control.Policy.ClientHistory
+  alias Aerie.Control.Policy.Memory.ClientHistory
   alias Protocols.Mission.Item
 
   @fence 1

@@ -1,13 +1,13 @@
-defmodule Aerie.Control.Policy.MavlinkPolicy do
+defmodule Aerie.Control.Policy.Clients.MavlinkPolicy do
   @moduledoc """
   The policy for raw MAVLink of clients (`MavRouter.Router.Policy`): reads what a message asks for
   (`Aerie.Control.Policy.Mavlink`), decides by the gateway's policy, answers a refusal
   (`Aerie.Control.Policy.Mavlink.Refusal`), and writes it into the audit log.
 
   It runs in the process that received the message and never blocks; rates, uploads and the times of notices are in a
-  table (`Aerie.Control.Policy.ClientHistory`). A refusal that repeats itself (set-points, sticks) is answered each time
-  where its protocol has an answer. The same text comes every 5 s as STATUSTEXT, and says how many were left out;
-  another text comes at once. A record is written every 5 s for each type of command and rule.
+  table (`Aerie.Control.Policy.Memory.ClientHistory`). A refusal that repeats itself (set-points, sticks) is answered
+  each time where its protocol has an answer. The same text comes every 5 s as STATUSTEXT, and says how many were left
+  out; another text comes at once. A record is written every 5 s for each type of command and rule.
 
   Telemetry: `[:aerie, :policy, :refused]` (`count` 1; `gateway`, `vehicle`, `source`, `type`, `rule`), with each
   refusal.
@@ -19,15 +19,11 @@ defmodule Aerie.Control.Policy.MavlinkPolicy do
   alias Aerie.Base.Store
   alias Aerie.Control.Policy
 
-  alias Aerie.Control.Policy.{
-    Audit,
-    ClientHistory,
-    Context,
-    Intent,
-    ControlLeases,
-    Mavlink,
-    RecentCommands
-  }
+  alias Aerie.Control.Policy.{Audit, Intent, Mavlink}
+  alias Aerie.Control.Policy.Memory.ClientHistory
+  alias Aerie.Control.Policy.Intent.Context
+  alias Aerie.Control.Policy.ControlLease.Holders
+  alias Aerie.Control.Policy.Memory.RecentCommands
 
   alias Aerie.Control.Policy.Rate.Table, as: Rates
 
@@ -74,7 +70,7 @@ defmodule Aerie.Control.Policy.MavlinkPolicy do
 
         Policy.in_charge?(policy, @input, %Context{
           source: principal,
-          lease: ControlLeases.of(gateway, key),
+          lease: Holders.of(gateway, key),
           now: now
         })
     end
@@ -133,7 +129,7 @@ defmodule Aerie.Control.Policy.MavlinkPolicy do
                :allow <- Policy.decide(policy, facts, context),
                :allow <- Mavlink.Writing.written(policy, gateway, snapshot, message, facts, context),
                :allow <- Mavlink.Writing.entered(policy, gateway, snapshot, facts, context),
-               :allow <- ControlLeases.steer(gateway, snapshot, facts, source),
+               :allow <- Holders.steer(gateway, snapshot, facts, source),
                :allow <- recorded(gateway, facts, policy.audit_required),
                do: in_charge(policy, gateway, key, facts, {source, snapshot})
 
@@ -213,7 +209,7 @@ defmodule Aerie.Control.Policy.MavlinkPolicy do
     do: {:deny, :lease, "nobody can be in charge of a vehicle that was not heard yet"}
 
   defp in_charge(policy, gateway, key, %{control: change}, {source, _snapshot}) do
-    case ControlLeases.change(gateway, key, change, source, "mavlink", policy.lease) do
+    case Holders.change(gateway, key, change, source, "mavlink", policy.lease) do
       {:ok, _lease} -> :allow
       {:deny, reason} -> {:deny, :lease, reason}
     end

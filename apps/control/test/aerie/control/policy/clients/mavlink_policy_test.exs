@@ -1,4 +1,4 @@
-defmodule Aerie.Control.Policy.MavlinkPolicyTest do
+defmodule Aerie.Control.Policy.Clients.MavlinkPolicyTest do
   use ExUnit.Case, async: true
   use Aerie.LinkCase
 
@@ -6,10 +6,14 @@ defmodule Aerie.Control.Policy.MavlinkPolicyTest do
   alias Aerie.Base.{Names, Store}
   alias Aerie.Control.Policy
   alias MavRouter.{Link, Router}
-  alias Aerie.Control.Policy.{Audit, ClientHistory, ControlLeases, MavlinkPolicy, RecentCommands}
+  alias Aerie.Control.Policy.Audit
+  alias Aerie.Control.Policy.Memory.ClientHistory
+  alias Aerie.Control.Policy.ControlLease.Holders
+  alias Aerie.Control.Policy.Clients.MavlinkPolicy
+  alias Aerie.Control.Policy.Memory.RecentCommands
   alias Aerie.Control.Policy.Audit.Verify
   alias Aerie.Control.Policy.Mavlink.Writing.Aboard
-  alias Aerie.Control.Policy.Trial
+  alias Aerie.Control.Policy.Clients.Trial
   alias MavCodec.Enums.MavCmd
   alias MavCodec.Frame
   alias MavCodec.Messages, as: M
@@ -39,7 +43,7 @@ defmodule Aerie.Control.Policy.MavlinkPolicyTest do
 
     gateway =
       start_parts(%{mavlink: %{system_id: 245, component_id: 191}},
-        options: [policy: MavlinkPolicy, tables: [ControlLeases.table(), ClientHistory.table()]]
+        options: [policy: MavlinkPolicy, tables: [Holders.table(), ClientHistory.table()]]
       )
 
     start_supervised!({Policy.Store, gateway: gateway, policy: policy})
@@ -427,7 +431,7 @@ defmodule Aerie.Control.Policy.MavlinkPolicyTest do
     arm = long("COMPONENT_ARM_DISARM", param1: 1.0)
     say(one, request.(1.0, 0.0))
     assert {%M.CommandAck{command: 32_100, result: 0, target_system: 255}, ""} = acknowledged(one)
-    assert %{holder: "operator 127.0.0.1:" <> _, via: "mavlink"} = ControlLeases.of(c.gateway, {"main", 1})
+    assert %{holder: "operator 127.0.0.1:" <> _, via: "mavlink"} = Holders.of(c.gateway, {"main", 1})
     assert Link.snapshot(c.gateway, "operator").counters.denied == 0
     say(other, request.(1.0, 0.0))
     say(other, arm)
@@ -454,7 +458,7 @@ defmodule Aerie.Control.Policy.MavlinkPolicyTest do
     known(c.gateway, %{operator: %{system: 0, takeover_allowed: false}})
     say(other, request.(0.0, 0.0))
     assert [%M.CommandLong{command: 32_100}] = reached(other, c)
-    assert ControlLeases.of(c.gateway, {"main", 1}) == nil
+    assert Holders.of(c.gateway, {"main", 1}) == nil
   end
 
   test "programs of one client are not each other: one is in charge, and nobody is once it is gone", c do
@@ -468,14 +472,14 @@ defmodule Aerie.Control.Policy.MavlinkPolicyTest do
     assert [%M.CommandAck{command: 400, result: 2} | _] = answers(other, 3)
     assert [] = reached(one, c)
 
-    {"operator", peer} = ControlLeases.of(c.gateway, {"main", 1}).endpoint
+    {"operator", peer} = Holders.of(c.gateway, {"main", 1}).endpoint
     MavRouter.Endpoints.remove(MavRouter.Tables.of(c.gateway), {"operator", peer})
     say(other, take)
 
     assert eventually(fn ->
              match?(
                %{endpoint: {"operator", other}} when other != peer,
-               ControlLeases.of(c.gateway, {"main", 1})
+               Holders.of(c.gateway, {"main", 1})
              )
            end)
   end
@@ -484,7 +488,7 @@ defmodule Aerie.Control.Policy.MavlinkPolicyTest do
     one = client(c.gateway, "operator")
     say(one, %{long("REQUEST_OPERATOR_CONTROL", param1: 1.0) | target_system: 77})
     eventually(fn -> Link.snapshot(c.gateway, "operator").counters.denied == 1 end)
-    assert ControlLeases.all(c.gateway) == %{}
+    assert Holders.all(c.gateway) == %{}
   end
 
   test "a client that is not listed is an operator on this machine and a viewer beyond it, and never more",

@@ -1,11 +1,12 @@
-defmodule Aerie.Control.Policy.Sources do
+defmodule Aerie.Control.Policy.Roles.Sources do
   @moduledoc """
   The senders of commands on interfaces that carry a signature: those whose public nkeys the policy lists. An unknown source
   can command nothing.
   """
 
   alias Aerie.Control.Policy
-  alias Aerie.Control.Policy.{Roles, Signature}
+  alias Aerie.Control.Policy.Roles
+  alias Aerie.Control.Policy.Roles.Signature
 
   @typedoc "`nkey` is public (`U…`); `expires` in unix microseconds, nil for never."
   @type listed :: %{
@@ -17,7 +18,7 @@ defmodule Aerie.Control.Policy.Sources do
         }
 
   @doc """
-  The source of a command by its header `Aerie-Signature` (nil: it has none), as `Aerie.Control.Policy.Signature` describes it. A command
+  The source of a command by its header `Aerie-Signature` (nil: it has none), as `Aerie.Control.Policy.Roles.Signature` describes it. A command
   without a signature comes from nobody, unless the policy has a role for that (`unsigned`).
   """
   @spec identify(

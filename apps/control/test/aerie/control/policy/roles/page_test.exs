@@ -1,4 +1,4 @@
-defmodule Aerie.Control.Policy.PageTest do
+defmodule Aerie.Control.Policy.Roles.PageTest do
   use ExUnit.Case, async: true
 
   test "docs/policy.md and docs/security.md say who can do what as the tables do (mix aerie.authority)" do

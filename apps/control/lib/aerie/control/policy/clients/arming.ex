@@ -1,11 +1,12 @@
-defmodule Aerie.Control.Policy.Arming do
+defmodule Aerie.Control.Policy.Clients.Arming do
   @moduledoc """
   Decides whether a vehicle that asks before it arms may do so (`Aerie.Vehicle.ArmAuthorization`): the policy decides as about
   `arm`, but for roles and rates, because the source of the order to arm is unknown.
   """
 
   alias Aerie.Control.Policy
-  alias Aerie.Control.Policy.{Audit, Context, Intent, ControlLease, Roles}
+  alias Aerie.Control.Policy.{Audit, Intent, ControlLease, Roles}
+  alias Aerie.Control.Policy.Intent.Context
 
   @behaviour Aerie.Vehicle.ArmAuthorization
 

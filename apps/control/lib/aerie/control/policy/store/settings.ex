@@ -1,4 +1,4 @@
-defmodule Aerie.Control.Policy.Settings do
+defmodule Aerie.Control.Policy.Store.Settings do
   @moduledoc """
   Who may command what, where, when and how high: what `Aerie.Control.Policy.compile/1` takes, and the audit log.
   """

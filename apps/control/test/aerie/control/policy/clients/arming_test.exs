@@ -1,11 +1,12 @@
-defmodule Aerie.Control.Policy.ArmingTest do
+defmodule Aerie.Control.Policy.Clients.ArmingTest do
   @moduledoc "A vehicle that asks before it arms (X13), through a link and a session."
   use Aerie.CommandCase, async: true
 
   import Aerie.Flight, only: [frame: 3]
 
   alias Aerie.Vehicle.ArmAuthorization
-  alias Aerie.Control.Policy.{Arming, ControlLeases}
+  alias Aerie.Control.Policy.Clients.Arming
+  alias Aerie.Control.Policy.ControlLease.Holders
   alias Aerie.Vehicle.Core
   alias MavCodec.Messages, as: M
 
@@ -33,7 +34,7 @@ defmodule Aerie.Control.Policy.ArmingTest do
     lease = %{required: true, take_over: :operator}
     gateway = start_commands(dir, policy: [lease: lease])
     assert {:deny, :lease, _reason} = decide(gateway)
-    assert {:ok, _lease} = ControlLeases.change(gateway, @key, {:take, nil, nil}, operator(), "rest", lease)
+    assert {:ok, _lease} = Holders.change(gateway, @key, {:take, nil, nil}, operator(), "rest", lease)
     assert :allow = decide(gateway)
   end
 

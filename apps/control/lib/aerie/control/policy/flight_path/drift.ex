@@ -1,11 +1,12 @@
-defmodule Aerie.Control.Policy.Drift do
+defmodule Aerie.Control.Policy.FlightPath.Drift do
   @moduledoc """
   How far a velocity leads until the vehicle stands again. It is flown for as long as the gateway repeats it, then until
   the vehicle's own time-out for set-points that stop (`Aerie.Vehicle.Firmware.Reading`), then for a second of reaction;
   from there the vehicle brakes. An acceleration goes on all that time.
   """
 
-  alias Aerie.Control.Policy.{Context, Intent}
+  alias Aerie.Control.Policy.Intent
+  alias Aerie.Control.Policy.Intent.Context
   alias Aerie.Vehicle.Firmware
 
   # Age of the position, way of the message, and the lag of the vehicle's controllers.

@@ -1,7 +1,7 @@
-defmodule Aerie.Control.Policy.ProtectionTest do
+defmodule Aerie.Control.Policy.Intent.ProtectionTest do
   use ExUnit.Case, async: true
 
-  alias Aerie.Control.Policy.Protection
+  alias Aerie.Control.Policy.Intent.Protection
   alias MavCodec.Msp.{Params, ShortName}
 
   test "what a rescue and a failsafe of Betaflight do protects it, by the name of each version, whole or short" do

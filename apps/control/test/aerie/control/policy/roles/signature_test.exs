@@ -1,9 +1,10 @@
-defmodule Aerie.Control.Policy.SignatureTest do
+defmodule Aerie.Control.Policy.Roles.SignatureTest do
   use ExUnit.Case, async: true
 
   alias Aerie.Base.Principal
   alias Aerie.Control.Policy
-  alias Aerie.Control.Policy.{Signature, Sources}
+  alias Aerie.Control.Policy.Roles.Signature
+  alias Aerie.Control.Policy.Roles.Sources
 
   @time ~U[2026-11-22 09:30:00Z]
   @now DateTime.to_unix(@time, :microsecond)

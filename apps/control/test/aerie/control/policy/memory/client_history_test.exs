@@ -1,8 +1,8 @@
-defmodule Aerie.Control.Policy.ClientHistoryTest do
+defmodule Aerie.Control.Policy.Memory.ClientHistoryTest do
   use ExUnit.Case, async: true
 
   alias Aerie.Base.Store
-  alias Aerie.Control.Policy.ClientHistory
+  alias Aerie.Control.Policy.Memory.ClientHistory
 
   setup do
     gateway = make_ref()

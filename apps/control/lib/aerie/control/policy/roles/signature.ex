@@ -1,4 +1,4 @@
-defmodule Aerie.Control.Policy.Signature do
+defmodule Aerie.Control.Policy.Roles.Signature do
   @moduledoc """
   Signed commands: an Ed25519 signature by a NATS key (nkey) over the command as it was sent.
 

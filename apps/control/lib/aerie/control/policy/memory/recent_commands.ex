@@ -1,4 +1,4 @@
-defmodule Aerie.Control.Policy.RecentCommands do
+defmodule Aerie.Control.Policy.Memory.RecentCommands do
   @moduledoc """
   Which source commanded a vehicle last, through `Aerie.Control.Commands` or by raw MAVLink. Parts that change vehicles on their own
   initiative, such as the shadow, look here first.

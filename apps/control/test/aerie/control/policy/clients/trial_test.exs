@@ -1,9 +1,10 @@
-defmodule Aerie.Control.Policy.TrialTest do
+defmodule Aerie.Control.Policy.Clients.TrialTest do
   @moduledoc "What a trial carries from command to command; that it decides as the gate does is in `MavlinkPolicyTest`."
   use ExUnit.Case, async: true
 
   alias Aerie.Control.Policy
-  alias Aerie.Control.Policy.{Roles, Trial}
+  alias Aerie.Control.Policy.Roles
+  alias Aerie.Control.Policy.Clients.Trial
   alias Aerie.Vehicle.Command
   alias MavCodec.Enums.MavCmd
   alias MavCodec.Messages, as: M

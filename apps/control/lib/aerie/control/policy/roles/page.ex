@@ -1,4 +1,4 @@
-defmodule Aerie.Control.Policy.Page do
+defmodule Aerie.Control.Policy.Roles.Page do
   @moduledoc """
   The tables of `docs/policy.md` and `docs/security.md` that say who can do what: made from the roles, from `Aerie.Control.Policy.principal/2`
   and from the tables of messages and commands (`MavCodec.Meaning.Messages`, `MavCodec.Meaning.Commands`). `mix aerie.authority` renews

@@ -1,4 +1,4 @@
-defmodule Aerie.Control.Policy.ControlLeases do
+defmodule Aerie.Control.Policy.ControlLease.Holders do
   @moduledoc """
   The leases of a gateway: who is in charge of each vehicle. A table of the store, which any process reads and changes
   without waiting for another. Subscribers of `:leases` (`Aerie.Base.PubSub`) get `{vehicle_key, lease}` of each change,

@@ -1,8 +1,8 @@
-defmodule Aerie.Control.Policy.ContextTest do
+defmodule Aerie.Control.Policy.Intent.ContextTest do
   use ExUnit.Case, async: true
 
   alias Aerie.Control.CommandExecutor.Observed
-  alias Aerie.Control.Policy.Context
+  alias Aerie.Control.Policy.Intent.Context
   alias Aerie.Vehicle.{Firmware, Protocol}
 
   # AUTO with the sub-mode of an external program, as PX4 numbers it.

@@ -1,6 +1,6 @@
-defmodule Aerie.Control.Policy.Trial do
+defmodule Aerie.Control.Policy.Clients.Trial do
   @moduledoc """
-  A policy that is asked about commands of the past, in the order of their times: a pure value. It decides as `Aerie.Control.Policy.MavlinkPolicy`
+  A policy that is asked about commands of the past, in the order of their times: a pure value. It decides as `Aerie.Control.Policy.Clients.MavlinkPolicy`
   and `Aerie.Control.Commands.Pipeline` do, and carries along what a decision depends on besides the vehicle: how often each source commanded,
   the last item of each upload, and who is in charge.
 
@@ -8,7 +8,8 @@ defmodule Aerie.Control.Policy.Trial do
   """
 
   alias Aerie.Control.Policy
-  alias Aerie.Control.Policy.{Context, Intent, ControlLease, Mavlink, Rate, Roles}
+  alias Aerie.Control.Policy.{Intent, ControlLease, Mavlink, Rate, Roles}
+  alias Aerie.Control.Policy.Intent.Context
   alias Aerie.Control.Policy.Mavlink.Writing
   alias Aerie.Vehicle.Command
 

@@ -1,4 +1,4 @@
-defmodule Aerie.Control.Policy.ClientHistory do
+defmodule Aerie.Control.Policy.Memory.ClientHistory do
   @moduledoc """
   What clients did lately, as the policy for raw MAVLink needs it: how often they commanded, the last item of an upload, which refusals
   they were sent. A table of the store, which the clients' processes read and change without waiting for another, so a client with

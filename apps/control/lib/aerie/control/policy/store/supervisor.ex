@@ -1,11 +1,11 @@
-defmodule Aerie.Control.Policy.Supervisor do
+defmodule Aerie.Control.Policy.Store.Supervisor do
   @moduledoc "The policy of a gateway and its audit log. A restart costs nothing: the policy stays in force meanwhile."
 
   use Supervisor
 
   alias Aerie.Base.Names
   alias Aerie.Control.Policy
-  alias Aerie.Control.Policy.Settings
+  alias Aerie.Control.Policy.Store.Settings
 
   @doc "Options: `:gateway`; `:settings`; `:read`, for `Aerie.Control.Policy.Store.reload/2`. A policy that does not compile is an error of the start: no gateway runs without its limits."
   @spec start_link(gateway: Names.gateway(), settings: Settings.t(), read: Policy.Store.reader()) ::

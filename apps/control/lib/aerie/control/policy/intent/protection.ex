@@ -1,4 +1,4 @@
-defmodule Aerie.Control.Policy.Protection do
+defmodule Aerie.Control.Policy.Intent.Protection do
   @moduledoc """
   Which parameters and files of a vehicle protect it: fences, failsafes, arming checks, the safety switch, avoidance, termination
   and parachutes, by the names of ArduPilot, PX4, Betaflight and iNav. Changing them needs the permission `protection` besides `maintain`.

@@ -1,10 +1,11 @@
-defmodule Aerie.Control.Policy.Context do
+defmodule Aerie.Control.Policy.Intent.Context do
   @moduledoc """
   What the rules know: who commands, the time, and the vehicle as it is just now. nil is "not known" everywhere.
   """
 
   alias Aerie.Base.Names
-  alias Aerie.Control.Policy.{ControlLease, ControlLeases, Roles}
+  alias Aerie.Control.Policy.{ControlLease, Roles}
+  alias Aerie.Control.Policy.ControlLease.Holders
   alias Aerie.Vehicle.Firmware
   alias Aerie.Vehicle.Firmware.Modes
   alias Aerie.Vehicle.Snapshot
@@ -89,7 +90,7 @@ defmodule Aerie.Control.Policy.Context do
     do: %{new(%{}, source, now) | autopilot: :generic, vehicle_type: "unknown"}
 
   def of(gateway, snapshot, source, now),
-    do: seen(snapshot, ControlLeases.of(gateway, snapshot.key), source, now)
+    do: seen(snapshot, Holders.of(gateway, snapshot.key), source, now)
 
   @doc "A context of a vehicle's snapshot and of who is in charge of it."
   @spec seen(map(), ControlLease.t() | nil, Roles.source() | nil, now :: integer()) :: t()

@@ -21,7 +21,7 @@ defmodule Aerie.Control.Policy.Clients.MavlinkPolicyTest do
   @patience Aerie.Patience.ms()
   @moduletag :tmp_dir
   @moduletag capture_log: true
-  @flights Path.expand("../../../../../vehicle/test/fixtures", __DIR__)
+  @flights Path.expand("../../../../../../vehicle/test/fixtures", __DIR__)
 
   @fence """
   {"type": "Feature", "properties": {"name": "field"},

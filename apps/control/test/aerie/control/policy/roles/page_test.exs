@@ -11,7 +11,7 @@ defmodule Aerie.Control.Policy.Roles.PageTest do
     unlisted = &Aerie.Control.Policy.principal(policy, Map.put(origin, :local, &1))
     [here, beyond] = Enum.map([true, false], unlisted)
     writes = if :maintain in here.may, do: "writes", else: "writes no"
-    file = Path.expand("../../../../../../config/gateway.example.yaml", __DIR__)
+    file = Path.expand("../../../../../../../config/gateway.example.yaml", __DIR__)
     text = file |> File.read!() |> String.replace(~r/\s*\n\s*#\s*/, " ")
 
     assert text =~

@@ -30,7 +30,7 @@ defmodule Aerie.Control.Policy.Roles.SignatureTest do
 
   # Its values were made with NATS's own library for Python.
   test "the example of docs/commands.md" do
-    page = File.read!(Path.expand("../../../../../../docs/commands.md", __DIR__))
+    page = File.read!(Path.expand("../../../../../../../docs/commands.md", __DIR__))
     [_all, lines] = Regex.run(~r/<!-- signature -->\n```text\n(.+?)```\n<!-- \/signature -->/s, page)
 
     shown =

@@ -12,7 +12,7 @@ defmodule Aerie.Api.Rest.Operations.Record do
       meaning: "Starts or stops recording a link or vehicle.",
       transfer?: false,
       fields: [
-        field(:id, :string, "the link"),
+        field(:id, {:term, &{:ok, &1}, "the id of a link"}, "the link"),
         field(:mode, {:enum, [:always, :armed, :off]}, "when it is recorded", required: true)
       ],
       answer: %{recording: %{type: [:object, :null]}},

@@ -9,8 +9,9 @@ defmodule Aerie.Gate.RefusalsTest do
   @forms [
     ~r/\{:deny, :([a-z_]+)/,
     ~r/\{:stop, :[a-z]+, :([a-z_]+)/,
-    ~r/\{:refuse, :([a-z_]+)/,
+    ~r/\{:refuse, :(?:(?:denied|rejected), :)?([a-z_]+)/,
     ~r/\{:refused, :((?!rejected|failed)[a-z_]+)/,
+    ~r/refuse\(core, :[a-z]+, :([a-z_]+)/,
     ~r/"rule" => "([a-z_]+)"/,
     ~r/unrecorded\(ctx, :([a-z_]+)/,
     ~r/refusal\((?:%\{\}, )?:([a-z_]+), /,

@@ -177,7 +177,7 @@ defmodule Aerie.Fleet.Bridge.Events.OutboxTest do
     dir |> open!() |> append!(1..2)
     [file] = Path.wildcard(dir <> "/*.log")
     whole = File.read!(file)
-    script = Path.expand("../../../peers/sealed_file.py", __DIR__)
+    script = Path.expand("../../../../peers/sealed_file.py", __DIR__)
     peer = PythonPeer.start(script, [Base.encode16(binary_part(whole, 0, byte_size(whole) - 5))])
     sealed = PythonPeer.await(peer, "file ")
     File.rm!(file)

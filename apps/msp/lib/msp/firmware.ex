@@ -6,35 +6,9 @@ defmodule Msp.Firmware do
 
   alias MavCodec.Msp.Messages
 
-  @enforce_keys [
-    :name,
-    :title,
-    :variant,
-    :about,
-    :capabilities,
-    :missions?,
-    :settings?,
-    :quiet_flag?,
-    :features,
-    :modes,
-    :standard,
-    :returns,
-    :plan,
-    :prearm,
-    :arming,
-    :arming_states,
-    :rx_lost,
-    :booting,
-    :sensors,
-    :types,
-    :other_type,
-    :fixes,
-    :home_told?,
-    :receiver,
-    :receiver_setting,
-    :hands_back,
-    :nudged?
-  ]
+  @enforce_keys ~w(name title variant about capabilities missions? settings? quiet_flag? features modes standard returns
+    plan prearm arming arming_states rx_lost booting sensors types other_type fixes home_told? receiver
+    receiver_setting hands_back nudged?)a
   defstruct @enforce_keys ++ [still: nil]
 
   @typedoc """

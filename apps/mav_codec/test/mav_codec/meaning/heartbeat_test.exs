@@ -29,4 +29,11 @@ defmodule MavCodec.Meaning.HeartbeatTest do
     assert vehicle?.(0, 3, 250)
     refute vehicle?.(2, 8, 1)
   end
+
+  test "H2, R10: a vehicle is who says that it has an autopilot and is nothing else" do
+    vehicle? = fn type, autopilot -> Heartbeat.vehicle?(%Heartbeat{type: type, autopilot: autopilot}) end
+    for {type, autopilot} <- [{2, 3}, {1, 12}, {0, 0}, {99, 3}], do: assert(vehicle?.(type, autopilot))
+    refute vehicle?.(2, 8)
+    for not_a_vehicle <- [6, 18, 26, 30, 34], do: refute(vehicle?.(not_a_vehicle, 3))
+  end
 end

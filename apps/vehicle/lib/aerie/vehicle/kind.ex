@@ -5,7 +5,6 @@ defmodule Aerie.Vehicle.Kind do
   signs.
   """
 
-  alias MavCodec.Meaning.Heartbeat
   alias MavCodec.Enums.MavType
 
   @kinds %{
@@ -35,11 +34,6 @@ defmodule Aerie.Vehicle.Kind do
   @doc "The kind of vehicle of a MAV_TYPE; `\"unknown\"` for a generic or unknown one."
   @spec name(integer()) :: String.t()
   def name(type), do: Map.get(@by_type, type, "unknown")
-
-  @doc "Whether a heartbeat with this MAV_TYPE and MAV_AUTOPILOT is that of a vehicle's autopilot (H2, `MavCodec.Meaning.Heartbeat.vehicle?/1`)."
-  @spec vehicle?(integer(), integer(), component :: 0..255) :: boolean()
-  def vehicle?(type, autopilot, component \\ 0),
-    do: Heartbeat.vehicle?(%Heartbeat{type: type, autopilot: autopilot, component: component})
 
   @doc "Whether this kind of vehicle takes off and lands."
   @spec flies?(String.t()) :: boolean()

@@ -60,7 +60,7 @@ defmodule Aerie.Vehicle.Snapshot do
           system_id: non_neg_integer() | nil,
           component: 1..255 | nil,
           mavlink_version: 1 | 2 | nil,
-          autopilot: Aerie.Vehicle.Kind.autopilot() | nil,
+          autopilot: Aerie.Vehicle.Firmware.name() | nil,
           vehicle_type: String.t() | nil,
           type: non_neg_integer() | nil,
           firmware: String.t() | nil,

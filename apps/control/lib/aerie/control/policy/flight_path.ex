@@ -8,7 +8,6 @@ defmodule Aerie.Control.Policy.FlightPath do
   alias Aerie.Control.Policy.Intent.Context
   alias Aerie.Control.Policy.FlightPath.Drift
   alias Aerie.Control.Policy.Fence.Earth
-  alias Aerie.Control.Policy.FlightPath.Volume
   alias Aerie.Vehicle.Firmware.Room
 
   @corners 36
@@ -129,7 +128,7 @@ defmodule Aerie.Control.Policy.FlightPath do
           | {:unknown, String.t()}
   def heights(%{sweep: {:land, _abort}} = facts, context) do
     with {:ok, heights} <- heights(%{facts | sweep: nil}, context) do
-      %{climb: climb} = Volume.room(facts.sweep, %{long: nil, rise: nil}, context)
+      %{climb: climb} = Room.around(facts.sweep, %{long: nil, rise: nil}, context)
       {:ok, heights ++ for({home, msl, given} <- heights, do: {plus(climb, home), plus(climb, msl), given})}
     end
   end
@@ -181,7 +180,7 @@ defmodule Aerie.Control.Policy.FlightPath do
   @spec room(leg(), Intent.sweep(), Context.t()) :: Room.t()
   def room({from, to, _given}, sweep, context) do
     long = from && Earth.distance(Earth.point(from.lat, from.lon), Earth.point(to.lat, to.lon))
-    Volume.room(sweep, %{long: long, rise: to.home}, context)
+    Room.around(sweep, %{long: long, rise: to.home}, context)
   end
 
   @doc "A position so many metres higher."

@@ -81,7 +81,7 @@ defmodule Aerie.Control.Policy.Intent do
           | {:onward, path(), drift()}
 
   @typedoc """
-  What happens at the places of a path, by which `Aerie.Control.Policy.FlightPath.Volume` tells the room that it
+  What happens at the places of a path, by which `Aerie.Vehicle.Firmware.Room` tells the room that it
   takes; a radius that is nil or 0 is the vehicle's own:
 
     * `{:stay, radius}` - it stays there; `{:turns, radius}` - it circles there, whatever it is

@@ -4,8 +4,9 @@ defmodule Aerie.Vehicle.Core.Frames do
   handles it. Actions are newest first.
   """
 
+  alias MavCodec.Meaning.Heartbeat
   alias MavCodec.Message.BootClock
-  alias Aerie.Vehicle.{Collision, Core, Kind, State}
+  alias Aerie.Vehicle.{Collision, Core, State}
   alias Aerie.Vehicle.Services.Params
   alias Aerie.Vehicle.Core.{Collisions, Effects, Reporting, Services, Texts}
   alias Aerie.Vehicle.Detector.Observation
@@ -79,9 +80,10 @@ defmodule Aerie.Vehicle.Core.Frames do
   defp heartbeat(core, actions, link, frame) do
     {:ok, message} = MavCodec.decode(frame)
     known = core.component
+    sender = %Heartbeat{type: message.type, autopilot: message.autopilot, component: frame.component}
 
     cond do
-      not Kind.vehicle?(message.type, message.autopilot, frame.component) or
+      not Heartbeat.vehicle?(sender) or
           (known not in [nil, frame.component] and frame.component != 1) ->
         {core, actions}
 

@@ -19,14 +19,7 @@ defmodule Aerie.Vehicle.Firmware.GroundStation do
     * `:timeout_us` - the silence after which it acts, as long as the parameter is not known
     * `:asks` - the parameters that are read from a vehicle, in this order
   """
-  @type t :: %__MODULE__{
-          listens_to: :any | :ids | :unknown,
-          ids: [{lowest :: String.t(), highest :: String.t() | nil}],
-          enabled: [String.t()],
-          timeout: [String.t()],
-          timeout_us: pos_integer(),
-          asks: [String.t()]
-        }
+  @type t :: %__MODULE__{}
 
   @doc "The names of all its parameters."
   @spec names(t()) :: [String.t()]

@@ -23,7 +23,7 @@ defmodule Aerie.Vehicle.Firmware.Reading do
 
   @typedoc """
     * `:keeps_nan?` - whether it leaves as it is what a command has as NaN; else it makes any number of it
-    * `:long_height` - what the height in COMMAND_LONG is above, which has no frame
+    * `:long_height` - what the height in COMMAND_LONG is above, which has no frame: `:home` or `:msl`
     * `:ignores_frame?` - whether it takes heights as above mean sea level whatever the frame of a command says
     * `:zero_place` - whether latitude and longitude 0 of an item or a take-off are where it is (`:here`) or a place
       (`:there`)
@@ -41,20 +41,5 @@ defmodule Aerie.Vehicle.Firmware.Reading do
     * `:kill_gesture?` - whether sticks in their corners may stop its motors
     * `:steered_by` - whether it is armed and steered by `:commands`, or by `:channels` in the place of its pilot's
   """
-  @type t :: %__MODULE__{
-          keeps_nan?: boolean(),
-          long_height: :home | :msl,
-          ignores_frame?: boolean(),
-          zero_place: :here | :there | :either,
-          guided_items: :obeyed | :stored | :either,
-          plan_whole?: boolean(),
-          mission_start_arms?: boolean(),
-          mode_in_bytes?: boolean(),
-          safety_flag: :switch | :arms,
-          setpoints: %{(String.t() | :any) => [:whole | :driven | :by_axis | :height | :depth, ...]},
-          setpoint_timeout: {String.t(), float()},
-          stays_at_setpoint?: boolean(),
-          kill_gesture?: boolean(),
-          steered_by: :commands | :channels | :either
-        }
+  @type t :: %__MODULE__{}
 end

@@ -3,10 +3,11 @@ defmodule Aerie.Vehicle.Firmware.Room do
   How much room a vehicle of a firmware takes around the places of its way, and how high it may climb there by itself: a
   plane circles where a copter stands, turns before or after a waypoint, and climbs when a landing is aborted.
 
-  Radii that a message leaves open come from the vehicle's parameters (`MavCodec.Meaning.Shaping`); one that is not
-  known is assumed to be larger than people set it.
+  One that is not known takes the most that any of them would. Radii that a message leaves open come from the vehicle's
+  parameters (`MavCodec.Meaning.Shaping`); one that is not known is assumed to be larger than people set it.
   """
 
+  alias Aerie.Vehicle.Firmware
   alias MavCodec.Meaning.Shaping
 
   @typedoc "Metres around a place, what makes it so many, and how many metres above the place it may climb."
@@ -36,6 +37,28 @@ defmodule Aerie.Vehicle.Firmware.Room do
   @entry_m 30
   # Metres that a plane flies for each that it climbs.
   @climb 4
+
+  # How far a curve leaves the straight line between its ends, at most, as a share of that line: its speeds at both
+  # ends together are at most four times its length (`SplineCurve`), which count a seventh.
+  @curve 0.6
+  # Assumed where nothing is known.
+  @curve_m 300
+  @rise_m 120
+
+  @doc "The room of a vehicle at a place. `:long` - how long the way to it is; `:rise` - how high it is above home."
+  @spec around(stop() | nil | :curve | :takeoff, %{long: number() | nil, rise: number() | nil}, map()) :: t()
+  def around(nil, _way, _vehicle), do: none()
+  # Not a vehicle that was heard, but a description that leaves its firmware open.
+  def around(_stop, _way, %{autopilot: nil}), do: none()
+  def around(:curve, way, _vehicle), do: given((way.long || @curve_m) * @curve, "the way there is a curve")
+  def around(:takeoff, way, vehicle), do: around({:takeoff, max(way.rise || @rise_m, 0)}, way, vehicle)
+
+  def around(stop, _way, vehicle) do
+    vehicle.autopilot
+    |> Firmware.rooms()
+    |> Enum.map(& &1.room(stop, vehicle.vehicle_type || "unknown", vehicle.params))
+    |> larger()
+  end
 
   @doc "No room at all."
   @spec none() :: t()

@@ -25,15 +25,5 @@ defmodule Aerie.Vehicle.Firmware.Telemetry do
     * `:height_apart?` - whether the height is in ALTITUDE, because GLOBAL_POSITION_INT cannot leave it out
     * `:arming_texts?` - whether a text "Arming disabled: …" names all that keeps it from being armed
   """
-  @type t :: %__MODULE__{
-          rssi_full: pos_integer(),
-          unknown_current: integer() | nil,
-          high_latency_shift: non_neg_integer(),
-          high_latency_armed?: boolean(),
-          rotor_modes: Range.t() | [],
-          status_flies?: boolean(),
-          detects_landing?: boolean(),
-          height_apart?: boolean(),
-          arming_texts?: boolean()
-        }
+  @type t :: %__MODULE__{}
 end

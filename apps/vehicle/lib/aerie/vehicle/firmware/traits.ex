@@ -25,7 +25,7 @@ defmodule Aerie.Vehicle.Firmware.Traits do
     * `:inputs` - the module of what its channels and buttons do (`Aerie.Vehicle.Firmware.Inputs`); nil: nobody knows
     * `:room` - the module of the room that it takes on its way (`Aerie.Vehicle.Firmware.Room`); nil: the most that any
       firmware takes
-    * `:param_encoding` - how integer parameters are put into PARAM_SET's float (P2)
+    * `:param_encoding` - how integer parameters are put into PARAM_SET's float: `:c_cast` or `:bytewise` (P2)
     * `:param_tables` - whose parameters `MavCodec.Msp.Params` describes, with whole names where MAVLink's are too
       short; nil: the vehicle describes them itself, or nobody does
     * `:command_line` - how the firmware's command line calls it in what it prints; empty: it has none that prints
@@ -37,21 +37,5 @@ defmodule Aerie.Vehicle.Firmware.Traits do
     * `:logs_armed?` - whether it answers questions about its logs while it is armed
     * `:setpoints_before_arming?` - whether it wants set-points before it is armed, and does not keep them (X7)
   """
-  @type t :: %__MODULE__{
-          title: String.t(),
-          mav_autopilot: non_neg_integer() | nil,
-          vendor: String.t() | nil,
-          modes: module() | nil,
-          inputs: module() | nil,
-          room: module() | nil,
-          param_encoding: :c_cast | :bytewise,
-          param_tables: MavCodec.Msp.Messages.firmware() | nil,
-          command_line: [String.t()],
-          param_hash?: boolean(),
-          param_file?: boolean(),
-          fences?: boolean(),
-          any_zone?: boolean(),
-          logs_armed?: boolean(),
-          setpoints_before_arming?: boolean()
-        }
+  @type t :: %__MODULE__{}
 end

@@ -84,7 +84,7 @@ defmodule Aerie.Vehicle.Protocol.Vehicle do
 
   @doc "Whether it can fly at all."
   @spec flies?(t()) :: boolean()
-  def flies?(%{kind: kind}), do: kind not in ["rover", "boat", "sub", "tracker", "spacecraft"]
+  def flies?(%{kind: kind}), do: Aerie.Vehicle.Kind.flies?(kind)
 
   @doc "The steps; an error if the vehicle is known to be on the ground, where the firmwares accept them but nothing moves."
   @spec airborne(t(), steps) :: steps | {:error, String.t()} when steps: term()

@@ -84,15 +84,6 @@ defmodule Aerie.Vehicle.Firmware.ModesTest do
     assert Modes.number(:ardupilot, "copter", "MODE(-1)") == :error
   end
 
-  test "H2, R10: a vehicle is who says that it has an autopilot and is nothing else" do
-    assert Kind.vehicle?(2, 3)
-    assert Kind.vehicle?(1, 12)
-    assert Kind.vehicle?(0, 0)
-    assert Kind.vehicle?(99, 3)
-    refute Kind.vehicle?(2, 8)
-    for not_a_vehicle <- [6, 18, 26, 30, 34], do: refute(Kind.vehicle?(not_a_vehicle, 3))
-  end
-
   test "kinds" do
     assert Enum.map([1, 2, 10, 11, 12, 22, 200], &Kind.name/1) == ~w(plane copter rover boat sub vtol unknown)
     assert Kind.flies?("vtol") and Kind.flies?("unknown") and not Kind.flies?("rover")

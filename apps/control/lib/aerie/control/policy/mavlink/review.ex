@@ -4,7 +4,7 @@ defmodule Aerie.Control.Policy.Mavlink.Review do
   to the next, in order and by each jump, and the way home.
 
   The review assumes straight flight between positions, with the room that a vehicle takes around them
-  (`Aerie.Control.Policy.FlightPath.Volume`). How the vehicle gets to the first position is not known before it
+  (`Aerie.Vehicle.Firmware.Room`). How the vehicle gets to the first position is not known before it
   starts.
   """
 

@@ -1,4 +1,4 @@
-defmodule Aerie.Control.Policy.FlightPath.VolumeTest do
+defmodule Aerie.Control.Policy.FlightPath.RoomTest do
   @moduledoc "The room that vehicles take around places: what they flew outside of a fence is refused (C4)."
   use ExUnit.Case, async: true
 

@@ -60,7 +60,7 @@ defmodule MavRouter.Recorder.Status do
 
   @doc false
   @spec file_name(t) :: String.t() | nil
-  def file_name(%{file: file}), do: file && Path.basename(file)
+  def file_name(%{file: file}), do: with(<<_path::binary>> <- file, do: Path.basename(file))
 
   @doc "The status for a recording's mode and output."
   @spec new(Core.mode(), Recording.Output.t()) :: t

@@ -3,7 +3,9 @@ defmodule Aerie.Api.Rest.OpenAPITest do
 
   alias Aerie.Api.Rest.{OpenAPI, Routes}
   alias Aerie.Api.Rest.OpenAPI.Parameters
+  alias Aerie.Base.Json.Object
   alias Aerie.JsonSchemaCheck
+  alias Aerie.Vehicle.{Fields, Snapshot}
 
   @file_ Path.expand("../../../../../../docs/openapi.json", __DIR__)
 
@@ -67,6 +69,21 @@ defmodule Aerie.Api.Rest.OpenAPITest do
       assert {path, JsonSchemaCheck.errors(schema, answer, document, closed: true)} == {path, []}
       assert action == :openapi or schema != %{"$ref" => "#/components/schemas/object"}
     end
+  end
+
+  test "a field that is declared is in the schemas of REST and NATS, and in docs/telemetry.md" do
+    page = File.read!(Path.expand("../telemetry.md", @file_))
+    rest = Object.schema(Snapshot.Fields.of(:whole)).properties
+    nats = Aerie.Fleet.AsyncAPI.Schemas.all()
+
+    for {group, _title, fields} <- Fields.all(), %{path: [key], meaning: meaning} <- fields do
+      assert is_map_key(rest.groups.properties[group].properties.data.properties, key)
+      assert is_map_key(nats["state.#{group}"].properties.data.properties, key)
+      assert page =~ "| `#{key}` |" and page =~ "| #{meaning} |"
+    end
+
+    for {name, _unit, _meaning} <- Object.rows(Snapshot.Fields.of(:whole) ++ MavRouter.Link.fields()),
+        do: assert(page =~ "| `#{name}` |")
   end
 
   test "the gateway serves it" do

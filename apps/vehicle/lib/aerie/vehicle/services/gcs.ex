@@ -229,7 +229,7 @@ defmodule Aerie.Vehicle.Services.Gcs do
 
   @doc false
   @spec range(map()) :: [non_neg_integer()] | nil
-  def range(%{failsafe_range: range}), do: range && Tuple.to_list(range)
+  def range(%{failsafe_range: range}), do: with({low, high} <- range, do: [low, high])
 
   @doc "For the snapshot."
   @spec show(t(), integer()) :: map()

@@ -657,7 +657,7 @@ defmodule Aerie.System.MspTest do
     links = ["msp:tcp:127.0.0.1:#{Msp.port(sim)}?sysid=7", "udpin:127.0.0.1:0"]
     %{gateway: gateway} = start_gateway(dir, links: links, overrides: %{"timeouts" => patient()})
     vehicle = fn -> Aerie.Base.Store.vehicle(gateway, key(:betaflight)) end
-    eventually(fn -> vehicle.()[:autopilot] == :betaflight end, "it is known")
+    eventually(fn -> match?(%{autopilot: :betaflight}, vehicle.()) end, "it is known")
     {:ok, socket} = :gen_udp.open(0, [:binary, active: false, ip: {127, 0, 0, 1}])
     port = link_port(gateway, "link-2")
 

@@ -26,7 +26,7 @@ defmodule Aerie.Incident.Page do
 
   @typedoc """
   - `flight`: `Aerie.Incident.Flight`; `rows` and `more` of `Aerie.Incident.Timeline`
-  - `conditions`: of the diagnosis; `shadow`: as in `shadow.json`, nil if it is not known
+  - `conditions`: of the diagnosis, with text keys; `shadow`: as in `shadow.json`, nil if it is not known
   - `notes`: what could not be had; `files`: `{name, bytes, what it is}`
   - `plotter`: uPlot's script and style, nil if it is not installed
   """
@@ -183,7 +183,7 @@ defmodule Aerie.Incident.Page do
       "<h2>Diagnosis when this archive was made</h2>\n",
       if(conditions == [], do: "<p class=\"quiet\">Nothing was wrong.</p>\n", else: "<ul>"),
       for condition <- conditions do
-        "<li>#{text("#{condition.severity}")}: #{text("#{condition.subject}")} #{text(condition.id)}: #{text(condition.title)}</li>\n"
+        "<li>#{text(condition["severity"])}: #{text(condition["subject"])} #{text(condition["id"])}: #{text(condition["title"])}</li>\n"
       end,
       if(conditions == [], do: [], else: "</ul>\n")
     ]

@@ -77,7 +77,7 @@ defmodule Aerie.Incident.PageTest do
         version: @hostile,
         flight: flight,
         rows: for(kind <- [:event, :alarm, :command, :refused, :note], do: row(@span.from, kind, @hostile)),
-        conditions: [%{severity: @hostile, subject: @hostile, id: @hostile, title: @hostile}],
+        conditions: [%{"severity" => @hostile, "subject" => @hostile, "id" => @hostile, "title" => @hostile}],
         shadow: %{"desired" => %{(@hostile |> String.replace_invalid()) => "</code><script>"}},
         notes: [@hostile],
         files: [{@hostile, 1, @hostile}]

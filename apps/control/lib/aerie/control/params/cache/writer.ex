@@ -6,7 +6,8 @@ defmodule Aerie.Control.Params.Cache.Writer do
   use GenServer
 
   alias Aerie.Base.{Names, Store}
-  alias Aerie.Control.Params.{Cache, Settings, Table}
+  alias Aerie.Control.Params.{Cache, Table}
+  alias Aerie.Control.Params.Cache.Settings
 
   require Logger
 

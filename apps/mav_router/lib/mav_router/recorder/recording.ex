@@ -3,8 +3,8 @@ defmodule MavRouter.Recorder.Recording do
   The process that writes the frames of one link or vehicle, or saves a ring. Nobody waits for it: frames come through a bounded queue
   (`MavRouter.Recorder.Tap`), and those that it cannot write are dropped and counted.
 
-  `MavRouter.Recorder.Core` decides which frames are recorded. Records are collected (`Buffer`) for half a second or 64 KiB, and whole
-  records are written together (`Output`). So after `kill -9`, or when the disk is full, at most the last record of a file is cut off,
+  `MavRouter.Recorder.Core` decides which frames are recorded. Records are collected for half a second or 64 KiB, and whole records
+  are written together (`Output`). So after `kill -9`, or when the disk is full, at most the last record of a file is cut off,
   and everything before it can be read.
 
   The recording of a vehicle that is always recorded begins with its ring, since the vehicle was heard before the recording started.
@@ -16,7 +16,7 @@ defmodule MavRouter.Recorder.Recording do
 
   alias Aerie.Base.Names
   alias MavRouter.Recorder.{Core, Ring, Status, Tables, Tap}
-  alias MavRouter.Recorder.Recording.{Buffer, Output, RingOverlap}
+  alias MavRouter.Recorder.Recording.Output
   alias MavCodec.Tlog
 
   @second_ms 1_000
@@ -24,6 +24,13 @@ defmodule MavRouter.Recorder.Recording do
   @call_ms 30_000
   # A recording up to a time ends by the clock too, if nothing more comes.
   @grace_ms 2_000
+  # So many bytes are enough for one write.
+  @full 65_536
+  # Frames that come late are at most so many entries of the ring behind.
+  @remembered 256
+  # Records until they are written together. `waiting` are bytes that count as waiting in the queue until then:
+  # collected records still take memory.
+  @empty %{entries: [], bytes: 0, frames: 0, waiting: 0}
 
   @doc """
   Options: `:gateway`, `:target`, `:label`; for a ring that is saved `:until` (unix microseconds of frames) and `:notify` (an
@@ -84,9 +91,10 @@ defmodule MavRouter.Recorder.Recording do
       tap: nil,
       # How many of the frames that the queue dropped are in the output's total.
       counted: 0,
-      buffer: %Buffer{},
+      buffer: @empty,
       flush: nil,
-      past: RingOverlap.none(),
+      # The entries of the ring with which the recording began: the first number that is remembered, and all of them.
+      past: {0, MapSet.new()},
       output: Output.new(gateway, tables, target, Keyword.fetch!(options, :label), former),
       # When the saving of a ring ends if nothing more comes (monotonic ms).
       over_at: nil
@@ -119,10 +127,12 @@ defmodule MavRouter.Recorder.Recording do
 
   def handle_continue({:begin, _former}, state), do: {:noreply, state}
 
-  # The ring, then new frames, which come already: nothing is missing between the two.
+  # The ring, then new frames, which come already: nothing is missing between the two. Frames that are in both have the
+  # number of their entry (`MavRouter.Recorder.Ring.push/5`).
   defp past(%{target: {_kind, key}} = state) do
     entries = Ring.entries(state.tables, key)
-    state = %{state | past: RingOverlap.new(entries)}
+    numbers = for {n, _records, _frames} <- Enum.take(entries, -@remembered), do: n
+    state = %{state | past: {Enum.min(numbers, fn -> 0 end), MapSet.new(numbers)}}
     Enum.reduce(entries, state, fn {_n, records, frames}, state -> collect(state, records, frames) end)
   end
 
@@ -150,10 +160,10 @@ defmodule MavRouter.Recorder.Recording do
 
   @impl GenServer
   def handle_info({:record, _target, size, frames, n}, state) do
-    frames = if RingOverlap.has?(state.past, n), do: [], else: frames
+    frames = if past?(state.past, n), do: [], else: frames
     {core, parts} = Core.frames(state.core, frames)
     state = Enum.reduce(parts, %{state | core: core}, &part/2)
-    state = if Buffer.empty?(state.buffer), do: done(state, size), else: wait(state, size)
+    state = if state.buffer.entries == [], do: done(state, size), else: wait(state, size)
     if over?(state), do: {:stop, :normal, finish(state)}, else: {:noreply, state}
   end
 
@@ -178,6 +188,10 @@ defmodule MavRouter.Recorder.Recording do
   defp finish(state), do: state |> close() |> close_tap() |> publish()
   defp over?(%{core: %{mode: {:until, _at}, on: on}}), do: not on
   defp over?(_state), do: false
+
+  # Frames without a number are in no ring.
+  defp past?(_past, none) when none in [nil, :sent], do: false
+  defp past?({first, numbers}, n), do: n < first or MapSet.member?(numbers, n)
 
   ## What is recorded
 
@@ -220,9 +234,16 @@ defmodule MavRouter.Recorder.Recording do
     if Output.paused?(state.output) do
       %{state | output: Output.dropped(state.output, frames)}
     else
-      state = %{state | buffer: Buffer.add(state.buffer, records, frames)}
-      if Buffer.full?(state.buffer), do: flush_now(state), else: flush_later(state)
+      state = %{state | buffer: add(state.buffer, records, frames)}
+      if state.buffer.bytes >= @full, do: flush_now(state), else: flush_later(state)
     end
+  end
+
+  # Copied, so that they do not keep a link's reads in memory.
+  defp add(buffer, records, frames) do
+    records = IO.iodata_to_binary(records)
+    bytes = buffer.bytes + byte_size(records)
+    %{buffer | entries: [records | buffer.entries], bytes: bytes, frames: buffer.frames + frames}
   end
 
   defp flush_later(%{flush: nil} = state),
@@ -231,12 +252,12 @@ defmodule MavRouter.Recorder.Recording do
   defp flush_later(state), do: state
 
   defp flush_now(state) do
-    if Buffer.empty?(state.buffer), do: state, else: write(drop_timer(state))
+    if state.buffer.entries == [], do: state, else: write(drop_timer(state))
   end
 
   defp write(%{buffer: buffer} = state) do
-    output = Output.write(state.output, Buffer.records(buffer), buffer.frames)
-    done(%{state | output: output, buffer: %Buffer{}}, buffer.waiting)
+    output = Output.write(state.output, Enum.reverse(buffer.entries), buffer.frames)
+    done(%{state | output: output, buffer: @empty}, buffer.waiting)
   end
 
   defp drop_timer(%{flush: nil} = state), do: state
@@ -252,7 +273,7 @@ defmodule MavRouter.Recorder.Recording do
   end
 
   # Bytes leave the queue when they are written or dropped.
-  defp wait(state, size), do: %{state | buffer: Buffer.wait(state.buffer, size)}
+  defp wait(state, size), do: put_in(state.buffer.waiting, state.buffer.waiting + size)
 
   defp done(%{tap: nil} = state, _size), do: state
 

@@ -1,13 +1,20 @@
 defmodule MavRouter.Signing.Alarm do
+  @many 20
+  @window_ms 10_000
+  @quiet_ms 60_000
+
   @moduledoc """
-  Reports bursts of refused frames (`MavRouter.Signing.Alarm.Burst`): telemetry, a counter, a line in the log, and an
-  event `signing.rejected` of the vehicle that they claim to come from, if it is known. It also reports clocks of
-  senders that are far ahead: a line in the log, and the event `signing.clock`.
+  Reports bursts of refused frames: telemetry, a counter, a line in the log, and an event `signing.rejected` of the
+  vehicle that they claim to come from, if it is known. It also reports clocks of senders that are far ahead: a line in
+  the log, and the event `signing.clock`.
+
+  #{@many} refused frames of one source within #{div(@window_ms, 1_000)} s are a burst. It is reported every
+  #{div(@quiet_ms, 1_000)} s while it lasts. Fewer are only counted: PX4 1.18 forwards the frames of other ground
+  stations with garbage for a signature, each of them once a second.
   """
 
   alias Aerie.Base.{Names, Store}
   alias MavRouter.Signing.Audit
-  alias MavRouter.Signing.Alarm.Burst
   alias MavRouter.Signing.Tables
 
   require Logger
@@ -33,16 +40,46 @@ defmodule MavRouter.Signing.Alarm do
     burst =
       case :ets.lookup(tables.bursts, key) do
         [{_key, burst}] -> burst
-        [] -> if :ets.info(tables.bursts, :size) < @max_sources, do: Burst.new()
+        [] -> if :ets.info(tables.bursts, :size) < @max_sources, do: new()
       end
 
     if burst do
-      {burst, verdict} = Burst.add(burst, reason, n, System.monotonic_time(:millisecond))
+      {burst, verdict} = add(burst, reason, n, System.monotonic_time(:millisecond))
       :ets.insert(tables.bursts, {key, burst})
       raise_alarm(verdict, gateway, source, {system, component}, at)
     end
 
     :ok
+  end
+
+  @typedoc "The refused frames of one {link, system, component}; times in monotonic ms."
+  @type burst :: %{
+          since: integer | nil,
+          count: non_neg_integer,
+          reported: integer | nil,
+          reasons: %{atom => pos_integer}
+        }
+
+  @doc "No refused frame yet."
+  @spec new() :: burst
+  def new, do: %{since: nil, count: 0, reported: nil, reasons: %{}}
+
+  @doc """
+  `n` frames were refused for a reason (monotonic ms): `{:alarm, %{reason => count}}` of this window when an alarm is
+  due.
+  """
+  @spec add(burst, atom, pos_integer, integer) :: {burst, :quiet | {:alarm, %{atom => pos_integer}}}
+  def add(burst, reason, n, now) do
+    burst =
+      if burst.since == nil or now - burst.since >= @window_ms,
+        do: %{burst | since: now, count: 0, reasons: %{}},
+        else: burst
+
+    burst = %{burst | count: burst.count + n, reasons: Map.update(burst.reasons, reason, n, &(&1 + n))}
+
+    if burst.count >= @many and (burst.reported == nil or now - burst.reported >= @quiet_ms),
+      do: {%{burst | reported: now}, {:alarm, burst.reasons}},
+      else: {burst, :quiet}
   end
 
   @doc """

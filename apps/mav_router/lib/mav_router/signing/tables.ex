@@ -7,7 +7,7 @@ defmodule MavRouter.Signing.Tables do
   - `:stored` `{{link, scope id}, link id, time stamp, streams}`: what the former process left
   - `:reserved` `{{link, scope id}, time stamp}`: what a later process must not fall behind (S6)
   - `:sources` `{vehicle key, verified_us, unsigned_us, verified, unsigned, rejected}`
-  - `:bursts` `{{link, system, component}, MavRouter.Signing.Alarm.Burst}`
+  - `:bursts` `{{link, system, component}, MavRouter.Signing.Alarm.burst()}`
   - `:announced` `{{link, peer, scope id}, monotonic ms}` (`MavRouter.Signing.Admission.ClockRecovery`)
   - `:waiters` `{vehicle key, pid, reference}`: enrolments that wait for a signed frame
   - `:candidates` `{vehicle key, MavRouter.Signing.Scope}`: keys that vehicles may have been given, not yet proven

@@ -8,11 +8,15 @@ defmodule MavRouter.Link.Transport.WebSocket do
 
   A silent server is pinged every #{div(@ping_ms, 1000)} s, ten times as rarely on a link of high latency; after three pings without
   any answer the connection is closed.
+
+  Its connection strings are `ws://HOST[:PORT][/PATH]` (port 80 unless given) and `wss://…` (port 443). The URL may
+  have a query of its own: options that are not ours are left to the server, and shown to nobody. `wss` takes
+  `ca=FILE`: certificate authorities (PEM) instead of the system's.
   """
   @behaviour MavRouter.Link.Transport
 
-  alias MavRouter.Link.Transport.WebSocket.ConnectionString
   alias Aerie.Base.Net.Address
+  alias MavRouter.Link.Transport.Form
   alias MavRouter.Link.Transport.Net
   alias Aerie.Base.Net.WebSocket.Frames
   alias Aerie.Base.Net.WebSocket.Handshake
@@ -28,13 +32,63 @@ defmodule MavRouter.Link.Transport.WebSocket do
   def traits, do: %{kind: :websocket, framing: :stream, protocol: :tcp}
 
   @impl MavRouter.Link.Transport
-  defdelegate forms(), to: ConnectionString
+  def forms do
+    for {prefix, example, help} <- [
+          {"ws://", "192.168.1.20:8765/", "connect to a WebSocket server"},
+          {"wss://", "agent.example.org/mavlink", "the same with TLS (?ca=FILE: its authority)"}
+        ] do
+      form = Form.address(prefix, example, help, "HOST[:PORT][/PATH]")
+      %{form | options: ["ca"], passes_query: true}
+    end
+  end
 
   @impl MavRouter.Link.Transport
-  defdelegate parse(prefix, rest), to: ConnectionString
+  def parse(prefix, rest) do
+    {authority, path} = authority(rest)
+    tls? = prefix == "wss://"
+
+    with :ok <- no_login(authority),
+         :ok <- path(path),
+         {:ok, fields} <- Form.parse_address(with_port(authority, tls?), false) do
+      {:ok, Map.merge(fields, %{path: path, tls: tls?})}
+    end
+  end
 
   @impl MavRouter.Link.Transport
-  defdelegate option(prefix, name, value), to: ConnectionString
+  def option("wss://", "ca", file) when file != "", do: {:ok, :ca, file}
+
+  def option(_prefix, "ca", _file) do
+    {:error,
+     reason: ~s("ca" is not an option without TLS and a file),
+     expected: "wss://HOST?ca=FILE",
+     example: "wss://agent.example.org/mavlink?ca=/etc/ca.pem"}
+  end
+
+  defp authority(rest) do
+    case String.split(rest, ~r{(?=[/?])}, parts: 2) do
+      [authority] -> {authority, "/"}
+      [authority, "?" <> _ = query] -> {authority, "/" <> query}
+      [authority, path] -> {authority, path}
+    end
+  end
+
+  defp no_login(authority) do
+    if authority =~ "@", do: {:error, "a login is not possible in it"}, else: :ok
+  end
+
+  defp path(path) do
+    cond do
+      path =~ "#" -> {:error, "a WebSocket's URL has no fragment (#)"}
+      path =~ ~r/\A[!-~]*\z/ -> :ok
+      true -> {:error, "its path has characters that are written with % in a URL"}
+    end
+  end
+
+  defp with_port(authority, tls?) do
+    if authority == "" or authority =~ ~r/:[^\]]*\z/,
+      do: authority,
+      else: authority <> if(tls?, do: ":443", else: ":80")
+  end
 
   @impl MavRouter.Link.Transport
   def open(spec) do

@@ -129,6 +129,18 @@ defmodule MavCodec.Sniff do
     }
   end
 
+  @doc """
+  A number of things, for the evidence.
+
+      iex> MavCodec.Sniff.count(1, "frame")
+      "1 frame"
+      iex> MavCodec.Sniff.count(3, "frame")
+      "3 frames"
+  """
+  @spec count(non_neg_integer, String.t()) :: String.t()
+  def count(1, thing), do: "1 #{thing}"
+  def count(n, thing), do: "#{n} #{thing}s"
+
   @doc "A protocol's name for people."
   @spec name(protocol) :: String.t()
   def name(:mavlink2), do: "MAVLink 2"

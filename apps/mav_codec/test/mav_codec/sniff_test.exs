@@ -6,7 +6,6 @@ defmodule MavCodec.SniffTest do
 
   doctest Sniff
   doctest MavCodec.CRC.DvbS2
-  doctest Sniff.Words
 
   @fixtures Path.expand("../../../mav_router/test/fixtures/serial", __DIR__)
   defp fixture(name), do: File.read!(Path.join(@fixtures, name))

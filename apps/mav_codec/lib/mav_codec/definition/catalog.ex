@@ -7,7 +7,7 @@ defmodule MavCodec.Definition.Catalog do
   differ, it has several layouts and the dialect decides which one is on the wire.
   """
 
-  alias MavCodec.Definition.{Document, Enumerations, Error, Facts, Naming, Resolver, Type}
+  alias MavCodec.Definition.{Document, Error, Facts, Naming, Resolver, Type}
   alias MavCodec.Definition.Document.Enumeration
 
   @ranked ["upstream", "ardupilot"]
@@ -83,7 +83,7 @@ defmodule MavCodec.Definition.Catalog do
       end
 
     messages = for {source, _documents} <- sources, message <- messages(source, resolved), do: message
-    enums = Enumerations.merge(for {_source, _file, dialect} <- resolved, enum <- dialect.enums, do: enum)
+    enums = merge_enums(for {_source, _file, dialect} <- resolved, enum <- dialect.enums, do: enum)
     types = messages |> Type.all(MavCodec.Messages) |> Type.with_enums(enums)
     by_name = Enum.group_by(types, & &1.name)
     # Most files include common.xml, so most messages occur many times.
@@ -107,6 +107,38 @@ defmodule MavCodec.Definition.Catalog do
   defp messages(source, resolved) do
     messages = for {^source, _file, dialect} <- resolved, message <- dialect.messages, do: message
     Enum.sort_by(messages, & &1.id)
+  end
+
+  # Enums of one name in several sources become one module. Two sources may name one value differently.
+  defp merge_enums(enums) do
+    enums
+    |> Enum.group_by(& &1.name)
+    |> Enum.sort()
+    |> Enum.map(fn {name, pieces} ->
+      entries = pieces |> Enum.flat_map(& &1.entries) |> Enum.reduce(%{}, &add_entry(&1, &2, name))
+      # If a value has two names, that of the higher-ranking source comes first.
+      entries = entries |> Map.values() |> Enum.sort_by(fn {index, entry} -> {entry.value, index} end)
+
+      {Naming.enum(name),
+       %{hd(pieces) | bitmask: Enum.any?(pieces, & &1.bitmask), entries: Enum.map(entries, &elem(&1, 1))}}
+    end)
+  end
+
+  defp add_entry(entry, entries, enum) do
+    case Map.fetch(entries, entry.name) do
+      :error ->
+        Map.put(entries, entry.name, {map_size(entries), entry})
+
+      {:ok, {_index, %{value: value}}} when value == entry.value ->
+        entries
+
+      {:ok, {_index, first}} ->
+        raise Error,
+          file: entry.file,
+          line: entry.line,
+          reason:
+            "#{entry.name} of enum #{enum} is #{entry.value}, but #{first.value} in #{first.file} of another source"
+    end
   end
 
   defp resolve!(documents, file) do

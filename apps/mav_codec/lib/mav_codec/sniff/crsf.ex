@@ -36,7 +36,7 @@ defmodule MavCodec.Sniff.Crsf do
             units: length(frames),
             bytes: frames |> Enum.map(&elem(&1, 1)) |> Enum.sum(),
             chance: 0.3,
-            evidence: "#{Sniff.Words.count(length(frames), "frame")} (#{Enum.join(kinds, ", ")})"
+            evidence: "#{Sniff.count(length(frames), "frame")} (#{Enum.join(kinds, ", ")})"
           }
         ]
     end

@@ -29,7 +29,7 @@ defmodule MavCodec.Sniff.Mavlink do
       units: length(frames),
       bytes: frames |> Enum.map(&byte_size(&1.bytes)) |> Enum.sum(),
       chance: 0.001,
-      evidence: "#{Sniff.Words.count(length(frames), "frame")} of #{systems(frames)}, #{heartbeats(frames)}",
+      evidence: "#{Sniff.count(length(frames), "frame")} of #{systems(frames)}, #{heartbeats(frames)}",
       heartbeat: Enum.any?(frames, &heartbeat?/1)
     }
   end

@@ -33,7 +33,7 @@ defmodule MavCodec.Sniff.Msp do
       units: length(frames),
       bytes: frames |> Enum.map(&byte_size(Frame.encode(&1))) |> Enum.sum(),
       chance: 0.01,
-      evidence: "#{Sniff.Words.count(length(frames), "message")}, #{answers} of them answers"
+      evidence: "#{Sniff.count(length(frames), "message")}, #{answers} of them answers"
     }
   end
 end

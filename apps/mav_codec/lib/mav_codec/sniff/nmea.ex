@@ -26,7 +26,7 @@ defmodule MavCodec.Sniff.Nmea do
       # Plus the line end of each.
       bytes: sentences |> Enum.map(&(byte_size(elem(&1, 0)) + 2)) |> Enum.sum(),
       chance: 0.02,
-      evidence: "#{Sniff.Words.count(length(sentences), "sentence")} (#{Enum.join(kinds, ", ")})"
+      evidence: "#{Sniff.count(length(sentences), "sentence")} (#{Enum.join(kinds, ", ")})"
     }
   end
 

@@ -19,7 +19,7 @@ defmodule MavCodec.Sniff.Ublox do
             units: length(sizes),
             bytes: Enum.sum(sizes),
             chance: 0.01,
-            evidence: Sniff.Words.count(length(sizes), "message")
+            evidence: Sniff.count(length(sizes), "message")
           }
         ]
     end

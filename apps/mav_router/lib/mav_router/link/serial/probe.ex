@@ -269,7 +269,7 @@ defmodule MavRouter.Link.Serial.Probe do
   end
 
   defp others(%{protocol: :noise, evidence: evidence} = sniffed, n) when n > 0,
-    do: %{sniffed | evidence: "#{evidence}, and no better at #{Sniff.Words.count(n, "other rate")}"}
+    do: %{sniffed | evidence: "#{evidence}, and no better at #{Sniff.count(n, "other rate")}"}
 
   defp others(sniffed, _n), do: sniffed
 

@@ -9,7 +9,8 @@ defmodule Aerie.Fleet.Bridge.Events do
   * If the disk cannot be written, events stay in the journal, which is bounded and counts what it drops. That is logged once
     and retried every half second.
 
-  `Aerie.Fleet.Bridge.Events.Source` brings the events into the window, and `Aerie.Fleet.Bridge.Events.Window` decides what may be in flight.
+  `Aerie.Fleet.Bridge.Events.Stores` brings the events into the window, and `Aerie.Fleet.Bridge.Events.Window` decides
+  what may be in flight.
   """
   # Its end writes to the disk.
   use GenServer, shutdown: 30_000
@@ -18,7 +19,7 @@ defmodule Aerie.Fleet.Bridge.Events do
   alias Aerie.Fleet.Bridge.Events.Outbox
   alias Aerie.Fleet.Bridge.Status.Tables
   alias Aerie.Vehicle.Journal
-  alias Aerie.Fleet.Bridge.Events.{Disk, Gaps, PubAck, Source, StallDetector, Window}
+  alias Aerie.Fleet.Bridge.Events.{Gaps, PubAck, StallDetector, Stores, Window}
   alias Aerie.Base.Names
   alias Aerie.Fleet.Nats
   alias Aerie.Base.PubSub
@@ -74,7 +75,7 @@ defmodule Aerie.Fleet.Bridge.Events do
     }
 
     Process.send_after(self(), :tick, @tick_ms)
-    {:ok, Disk.open(state), {:continue, :start}}
+    {:ok, Stores.open(state), {:continue, :start}}
   end
 
   @impl GenServer
@@ -94,10 +95,10 @@ defmodule Aerie.Fleet.Bridge.Events do
 
   def handle_info(:tick, state) do
     Process.send_after(self(), :tick, @tick_ms)
-    state = if state.outbox == nil, do: Disk.open(state), else: state
+    state = if state.outbox == nil, do: Stores.open(state), else: state
 
     {:noreply,
-     state |> look_again() |> send_overdue() |> pump() |> Disk.sync() |> stalled() |> put_info() |> report()}
+     state |> look_again() |> send_overdue() |> pump() |> Stores.sync() |> stalled() |> put_info() |> report()}
   end
 
   def handle_info({:denied, conn, text}, %{conn: conn} = state), do: {:noreply, %{state | denied: text}}
@@ -123,7 +124,7 @@ defmodule Aerie.Fleet.Bridge.Events do
   def terminate(_reason, state) do
     _ = :telemetry.detach({__MODULE__, state.gateway})
     state = drain(state, now() + @drain_ms)
-    state = Disk.spill(state)
+    state = Stores.spill(state)
     if state.outbox, do: Outbox.close(state.outbox)
   end
 
@@ -186,13 +187,13 @@ defmodule Aerie.Fleet.Bridge.Events do
   end
 
   # All events are moved here: to the disk, or to NATS.
-  defp pump(%{conn: nil} = state), do: Disk.spill(state)
+  defp pump(%{conn: nil} = state), do: Stores.spill(state)
 
   defp pump(state) do
     if Journal.pending_size(state.gateway) > state.spill_above do
-      state |> reset() |> Disk.spill() |> Source.fill() |> send_ready()
+      state |> reset() |> Stores.spill() |> Stores.fill() |> send_ready()
     else
-      state |> Source.fill() |> send_ready()
+      state |> Stores.fill() |> send_ready()
     end
   end
 
@@ -211,8 +212,8 @@ defmodule Aerie.Fleet.Bridge.Events do
     state =
       state.window |> Window.overdue(now() - @answer_ms) |> Enum.sort() |> Enum.reduce(state, &send_again/2)
 
-    if Window.most_tries(state.window) > @patience and Source.journal?(state),
-      do: state |> reset() |> Disk.spill(),
+    if Window.most_tries(state.window) > @patience and Stores.journal?(state),
+      do: state |> reset() |> Stores.spill(),
       else: state
   end
 
@@ -330,7 +331,7 @@ defmodule Aerie.Fleet.Bridge.Events do
   end
 
   defp stalled(state) do
-    waiting? = Source.waiting?(state)
+    waiting? = Stores.waiting?(state)
     stall = StallDetector.check(state.stall, now(), waiting?)
 
     # A restart helps against silence, not against a refusal. A new connection gets its time.

@@ -18,7 +18,7 @@ defmodule Aerie.Fleet.Bridge.NatsServer do
   alias Aerie.Fleet.Bridge.Leaf
   alias Aerie.Fleet.Bridge.NatsServer.Token
   alias Aerie.Fleet.Bridge.Status.Tables
-  alias Aerie.Fleet.Bridge.NatsServer.{LogFile, LogLine, OsProcess, Repeats, RestartPolicy, Settings}
+  alias Aerie.Fleet.Bridge.NatsServer.{LogFile, LogLine, OsProcess, RestartPolicy, Settings}
   alias Aerie.Base.Files.FolderLock
   alias Aerie.Base.Files.{Disk, Private}
   alias Aerie.Base.Names
@@ -76,7 +76,7 @@ defmodule Aerie.Fleet.Bridge.NatsServer do
        started_at: nil,
        up_at: nil,
        log: %LogFile{},
-       repeats: Repeats.new(),
+       repeats: %{},
        backoff: Backoff.new(settings.nats.retry_min_ms, settings.nats.retry_max_ms),
        restarts: 0,
        restart_policy: RestartPolicy.new(),
@@ -242,7 +242,7 @@ defmodule Aerie.Fleet.Bridge.NatsServer do
 
   defp line(line, state) do
     {level, text, fact} = LogLine.parse(line)
-    {left_out, repeats} = Repeats.observe(state.repeats, text, now())
+    {left_out, repeats} = LogLine.observe(state.repeats, text, now())
     fact(fact, log(%{state | repeats: repeats}, level, line, text, left_out))
   end
 

@@ -15,9 +15,10 @@ defmodule Aerie.Fleet.Replay.Machine do
   Only a copy of a text within five seconds is dropped; a live gateway would know it by the link.
   """
 
-  alias Aerie.Fleet.Replay.{Clock, Settings, Stations, Vehicle}
+  alias Aerie.Fleet.Replay.{Clock, Settings, Vehicle}
   alias MavCodec.Meaning.Heartbeat
   alias MavRouter.Forward.Cache.EarlyTexts
+  alias MavRouter.Forward.GroundStations
   alias Aerie.Vehicle.{Core, Options}
   alias Aerie.Vehicle.Services.Timesync
   alias MavCodec.{Frame, Parser, Tlog}
@@ -141,7 +142,7 @@ defmodule Aerie.Fleet.Replay.Machine do
     machine = %{machine | ticks: machine.ticks + 1}
 
     if rem(machine.ticks, @stations_every) == 0,
-      do: each(machine, {:stations, Stations.list(machine.stations)}, now, outputs),
+      do: each(machine, {:stations, stations(machine)}, now, outputs),
       else: {machine, outputs}
   end
 
@@ -203,10 +204,37 @@ defmodule Aerie.Fleet.Replay.Machine do
 
     if Heartbeat.vehicle?(heartbeat),
       do: machine,
-      else: %{machine | stations: Stations.hear(machine.stations, frame, heartbeat, machine.link)}
+      else: %{machine | stations: station(machine.stations, frame, heartbeat, machine.link)}
   end
 
   defp hear(machine, _frame), do: machine
+
+  # As `MavRouter.Forward.GroundStations` in a live gateway, with the same limits.
+  defp station(stations, frame, heartbeat, link) do
+    key = {frame.system, frame.component}
+    stations = if is_map_key(stations, key), do: stations, else: room(stations, frame.at)
+
+    if is_map_key(stations, key) or map_size(stations) < GroundStations.max(),
+      do:
+        Map.put(stations, key, %{
+          system: frame.system,
+          component: frame.component,
+          type: heartbeat.type,
+          via: link,
+          last_heard: frame.at
+        }),
+      else: stations
+  end
+
+  defp room(stations, now) do
+    if map_size(stations) < GroundStations.max(),
+      do: stations,
+      else:
+        Map.filter(stations, fn {_key, station} -> station.last_heard >= now - GroundStations.forget_us() end)
+  end
+
+  # In the order of their ids.
+  defp stations(machine), do: machine.stations |> Enum.sort() |> Enum.map(&elem(&1, 1))
 
   defp admit(%{vehicles: vehicles} = machine, %{system: system}) when is_map_key(vehicles, system),
     do: machine
@@ -287,7 +315,7 @@ defmodule Aerie.Fleet.Replay.Machine do
 
     Map.merge(machine.counts, %{
       vehicles: for({_system, vehicle} <- Enum.sort(machine.vehicles), do: vehicle.options.id),
-      stations: Stations.list(machine.stations),
+      stations: stations(machine),
       from: machine.first,
       to: machine.last,
       duration_us: machine.clock.passed,

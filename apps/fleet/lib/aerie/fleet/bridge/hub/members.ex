@@ -5,7 +5,6 @@ defmodule Aerie.Fleet.Bridge.Hub.Members do
   """
 
   alias Aerie.Base.Settings.Types
-  alias Aerie.Fleet.Bridge.Hub.Host
 
   # The name of the first hub, in policy.sources of the vehicles.
   @first "hub"
@@ -97,7 +96,52 @@ defmodule Aerie.Fleet.Bridge.Hub.Members do
   defp first(_known, _hosts, _wish), do: :ok
 
   defp hosts([], hosts), do: {:ok, hosts |> Enum.reverse() |> Enum.uniq()}
-  defp hosts([text | rest], hosts), do: with({:ok, host} <- Host.parse(text), do: hosts(rest, [host | hosts]))
+  defp hosts([text | rest], hosts), do: with({:ok, host} <- host(text), do: hosts(rest, [host | hosts]))
+
+  # A server's name or address as certificates and addresses have it: lower case, without brackets and without the dot
+  # of the root.
+  defp host(text) do
+    bare = text |> String.replace(~r/\A\[(.*)\]\z/, "\\1") |> String.trim_trailing(".")
+
+    case :inet.parse_strict_address(String.to_charlist(bare)) do
+      {:ok, address} ->
+        if bare =~ "%",
+          do: wrong_host(text, "without a zone (%), because vehicles have other ones"),
+          else: {:ok, address |> :inet.ntoa() |> List.to_string()}
+
+      {:error, _name} ->
+        host_name(text, Types.parse_host(bare))
+    end
+  end
+
+  defp host_name(text, {:ok, name}) do
+    labels = String.split(name, ".")
+
+    cond do
+      Enum.any?(labels, &(byte_size(&1) > 63 or &1 =~ ~r/\A-|-\z/)) ->
+        wrong_host(text, "a part has at most 63 letters, digits, - and _")
+
+      List.last(labels) =~ ~r/\A\d+\z/ ->
+        wrong_host(text, "an IPv4 address has four numbers up to 255")
+
+      true ->
+        {:ok, name}
+    end
+  end
+
+  defp host_name(text, :error) do
+    cond do
+      text =~ "*" -> wrong_host(text, "each server has a name of its own, not a wildcard")
+      text =~ "/" or text =~ ~r/:\d+\z/ -> wrong_host(text, "without a scheme, a port or a path")
+      text =~ ~r/[^\x00-\x7F]/u -> wrong_host(text, "written in ASCII, as xn--…")
+      true -> wrong_host(text, nil)
+    end
+  end
+
+  defp wrong_host(text, why),
+    do:
+      {:error,
+       "--host #{inspect(text)}: expected a name such as hub.example.org or an IP address#{why && ": " <> why}"}
 
   defp without(fleet, names),
     do: %{fleet | "vehicles" => Map.drop(fleet["vehicles"], names), "hubs" => Map.drop(fleet["hubs"], names)}

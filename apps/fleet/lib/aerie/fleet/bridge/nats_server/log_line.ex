@@ -1,5 +1,18 @@
 defmodule Aerie.Fleet.Bridge.NatsServer.LogLine do
-  @moduledoc "Reads a line of nats-server's log. Pure."
+  @quiet_ms 60_000
+
+  @moduledoc """
+  Reads a line of nats-server's log. Pure.
+
+  Lines that only repeat themselves, as while a hub is away, are left out: of those that differ in numbers alone, one in
+  #{div(@quiet_ms, 1000)} s is written, and it says how many were not.
+  """
+
+  # It has few kinds of lines.
+  @most 100
+
+  @typedoc "When a line of each kind was written last, and how many were left out since."
+  @type seen :: %{String.t() => {written_ms :: integer(), left_out :: non_neg_integer()}}
 
   @typedoc """
   * `{:listening, port}` - the server accepts connections on this port
@@ -63,4 +76,17 @@ defmodule Aerie.Fleet.Bridge.NatsServer.LogLine do
 
   # `write /a/long/path: no space left on device`: the cause is at the end.
   defp cause(text), do: text |> String.split(": ") |> List.last()
+
+  @doc "What to write of a line's text: nil for nothing, or how many before it were left out. `seen` begins as `%{}`."
+  @spec observe(seen(), String.t(), now_ms :: integer()) :: {nil | non_neg_integer(), seen()}
+  def observe(seen, text, now) do
+    kind = String.replace(text, ~r/\d+/, "")
+
+    case seen do
+      %{^kind => {at, left_out}} when now - at < @quiet_ms -> {nil, %{seen | kind => {at, left_out + 1}}}
+      %{^kind => {_at, left_out}} -> {left_out, %{seen | kind => {now, 0}}}
+      _new when map_size(seen) >= @most -> {0, %{kind => {now, 0}}}
+      _new -> {0, Map.put(seen, kind, {now, 0})}
+    end
+  end
 end

@@ -18,8 +18,9 @@ defmodule Aerie.Fleet.Bridge.State.LastPublished do
   The file is `last/vehicles.json` in the outbox's folder. If it is damaged or missing, no offline changes are found.
 
   If another gateway has the folder (one that was killed and has not ended yet, or a second one by mistake), the lock is
-  retried with back-off. Vehicles that were heard meanwhile are compared late
-  (`Aerie.Fleet.Bridge.State.LastPublished.Late`), and `gateway.started` waits up to ten seconds.
+  retried with back-off. Then what was published before the restart goes to detectors that are running already, and
+  `gateway.started` waits up to ten seconds. A change that was published since the start is not published again as
+  found.
   """
   # Its end writes to the disk.
   use GenServer, shutdown: 30_000
@@ -27,12 +28,13 @@ defmodule Aerie.Fleet.Bridge.State.LastPublished do
   alias Aerie.Base.Timing.Backoff
   alias Aerie.Vehicle.Journal
   alias Aerie.Fleet.Bridge.State.LastPublished.File, as: Kept
-  alias Aerie.Fleet.Bridge.State.LastPublished.{Late, Missing}
+  alias Aerie.Fleet.Bridge.State.LastPublished.Missing
   alias Aerie.Fleet.Bridge.Settings
   alias Aerie.Base.Files.FolderLock
   alias Aerie.Base.{Names, Store}
   alias MavRouter.Identity
-  alias Aerie.Vehicle.{Detector, Event}
+  alias Aerie.Vehicle.{Detector, Event, Events}
+  alias Aerie.Vehicle.Detector.Observation
 
   require Logger
 
@@ -42,6 +44,14 @@ defmodule Aerie.Fleet.Bridge.State.LastPublished do
   @lock_min_ms 250
   @lock_max_ms 10_000
   @begin_ms 10_000
+  # The value that an event published.
+  @published %{
+    "mode_change" => :mode,
+    "armed" => :armed,
+    "disarmed" => :armed,
+    "takeoff" => :in_air,
+    "landed" => :in_air
+  }
 
   @doc "`:ignore` if the configuration has no NATS, like the bridge itself; the epoch begins all the same."
   @spec start_link(gateway: Names.gateway(), settings: Settings.t()) :: GenServer.on_start()
@@ -195,12 +205,29 @@ defmodule Aerie.Fleet.Bridge.State.LastPublished do
 
     # The same epoch: only this process was restarted, and the file is its own.
     if state.former.epoch != state.epoch,
-      do: Late.notify(state.gateway, compared(state.former), now())
+      do: notify(state.gateway, compared(state.former), now())
 
     begin(state)
     # The next epoch must be greater than both.
     state = %{state | epoch: max(state.epoch, state.former.epoch || 0)}
     state |> check() |> write(now(), false)
+  end
+
+  # To the vehicles that are here, and to those that are heard from now on.
+  defp notify(gateway, found, now) do
+    here = Enum.filter(found, fn {id, _known} -> Journal.state(gateway, id) != nil end)
+    Names.put_value(gateway, :bridge_last_published, found)
+    Enum.each(here, fn {id, known} -> offer(gateway, id, known, now) end)
+
+    for %{key: key} <- Store.vehicles(gateway),
+        events when is_pid(events) <- [Names.whereis(gateway, :events, key)],
+        do: Events.wake(events)
+  end
+
+  defp offer(gateway, id, known, now) do
+    published = for event <- Journal.recent(gateway, id), key = @published[event.type], do: key
+    observation = Observation.new(:published, now, nil, Map.drop(known, published))
+    _full = Journal.offer(gateway, id, observation)
   end
 
   @impl GenServer

@@ -59,6 +59,29 @@ defmodule Aerie.Fleet.Bridge.NatsServer.PartsTest do
     assert {:warning, _, nil} = LogLine.parse(<<255, 0, 1>>)
   end
 
+  test "of lines that differ in numbers alone one a minute is written, and says how many were not" do
+    {written, _seen} =
+      Enum.flat_map_reduce(0..179, %{}, fn second, seen ->
+        text = "Error trying to connect as leafnode to remote server \"hub:7422\" (attempt #{second})"
+        {left_out, seen} = LogLine.observe(seen, text, second * 1000)
+        {List.wrap(left_out), seen}
+      end)
+
+    assert written == [0, 59, 59]
+  end
+
+  test "another line is written at once, and what is remembered stays small" do
+    {0, seen} = LogLine.observe(%{}, "Server is ready", 0)
+    assert {0, seen} = LogLine.observe(seen, "Leafnode connection created", 1)
+
+    seen =
+      for a <- ?a..?z, b <- ?a..?z, reduce: seen do
+        seen -> seen |> LogLine.observe(<<a, b>>, 2) |> elem(1)
+      end
+
+    assert map_size(seen) <= 100
+  end
+
   test "the log on disk stays small", %{tmp_dir: dir} do
     path = Path.join(dir, "log")
     line = String.duplicate("x", 1_000)

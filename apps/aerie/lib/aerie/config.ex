@@ -22,7 +22,7 @@ defmodule Aerie.Config do
       `lines` has the lines of the file's keys
   """
 
-  alias Aerie.Config.{Beside, Environment, Error, Keys, Resolve, Yaml}
+  alias Aerie.Config.{Environment, Error, Keys, Resolve, Yaml}
   alias Aerie.Base.Settings.{Field, Schema}
 
   defstruct Keys.order() ++ [file: nil, given: %{}, lines: %{}, warnings: []]
@@ -179,7 +179,7 @@ defmodule Aerie.Config do
   end
 
   defp build(file, layers, {path, lines}) do
-    file = Beside.expand(file, Keys.fields(), path)
+    file = whole_names(file, Keys.fields(), path)
     raw = Enum.reduce(layers, file, fn {keys, value, _source}, raw -> put(raw, keys, value) end)
     {values, problems} = Schema.validate(Keys.fields(), raw)
     source = &source(&1, layers, path)
@@ -193,6 +193,27 @@ defmodule Aerie.Config do
       problems -> {:error, Enum.map(problems, &error(&1, source, {path, lines}))}
     end
   end
+
+  # A relative name of a file that the gateway only reads (`:file`) begins at the folder of the configuration file, so
+  # that a file and its keys and certificates can be copied together. Its own folders (`:path`) begin at `AERIE_HOME`,
+  # and so does a name from the environment or the command line. Other values are left for the checks.
+  defp whole_names(raw, _fields, nil), do: raw
+
+  defp whole_names(raw, fields, path),
+    do: whole_name(raw, {:section, fields}, Path.dirname(Path.expand(path)))
+
+  defp whole_name(name, :file, folder) when is_binary(name) and name != "", do: Path.absname(name, folder)
+
+  defp whole_name(raw, {:section, fields}, folder) when is_map(raw) do
+    for %Field{type: type} = field <- fields, is_map_key(raw, Field.name(field)), reduce: raw do
+      raw -> Map.update!(raw, Field.name(field), &whole_name(&1, type, folder))
+    end
+  end
+
+  defp whole_name(raw, {:list, type}, folder) when is_list(raw),
+    do: Enum.map(raw, &whole_name(&1, type, folder))
+
+  defp whole_name(raw, _type, _folder), do: raw
 
   # A caller in Elixir that has no value for it.
   defp put(raw, [key], nil) when is_map(raw), do: Map.delete(raw, key)

@@ -4,9 +4,7 @@ defmodule Aerie.Incident.Page do
   uPlot, which stands in the page with the recorded values. A policy in the page lets no other script run. Pure.
   """
 
-  import Aerie.Incident.Html
-
-  alias Aerie.Base.Json
+  alias Aerie.Base.{Json, Printable}
   alias Aerie.Incident.{Flight, Span, Timeline}
 
   @external_resource Path.join(__DIR__, "page.css")
@@ -16,6 +14,7 @@ defmodule Aerie.Incident.Page do
   # State that does not change is published every 30 s; a longer gap is a gap.
   @gap_s 35
   @colours 6
+  @longest 600
   @kinds [
     event: "event",
     alarm: "alarm",
@@ -209,5 +208,32 @@ defmodule Aerie.Incident.Page do
       ),
       ~s(</tbody></table>\n<p class="quiet">Aerie #{text(content.version)}. <code>aerie replay flight.tlog</code> prints the events again.</p>\n)
     ]
+  end
+
+  # Names and status texts come from outside: every text of the page goes through `text/1` or `line/1`.
+  defp text(text) do
+    text
+    |> line()
+    |> String.replace("&", "&amp;")
+    |> String.replace("<", "&lt;")
+    |> String.replace(">", "&gt;")
+    |> String.replace("\"", "&quot;")
+    |> String.replace("'", "&#39;")
+  end
+
+  # On one line, without characters that are not seen, and cut if it is very long.
+  defp line(nil), do: ""
+
+  defp line(text) when is_binary(text) do
+    text = Printable.line(text)
+    if String.length(text) > @longest, do: String.slice(text, 0, @longest) <> " …", else: text
+  end
+
+  defp line(other), do: other |> to_string() |> line()
+
+  # The time of day of unix microseconds, in UTC.
+  defp tenths(us) do
+    clock = us |> DateTime.from_unix!(:microsecond) |> Calendar.strftime("%H:%M:%S")
+    "#{clock}.#{us |> Integer.mod(1_000_000) |> div(100_000)}"
   end
 end

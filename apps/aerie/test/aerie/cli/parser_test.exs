@@ -2,11 +2,11 @@ defmodule Aerie.CLI.ParserTest do
   use ExUnit.Case, async: true
 
   alias Aerie.CLI.{Help, Parser, Subcommand, Subcommands}
-  alias Aerie.CLI.Help.{Completion, Man}
+  alias Aerie.CLI.Help.About
 
   test "every row of the table has a module that does it, help, completion and a place in the man page" do
-    man = Man.page(Subcommands.all(), "1.2.3")
-    bash = Completion.bash(Subcommands.all())
+    {0, man} = About.run(%{name: "man", rows: Subcommands.all()})
+    {0, bash} = About.run(%{name: "completion", rows: Subcommands.all()})
     all = Help.text(Subcommands.all())
 
     for row <- Subcommands.all() do
@@ -78,7 +78,8 @@ defmodule Aerie.CLI.ParserTest do
   @tag :tmp_dir
   test "bash completes commands and options", %{tmp_dir: folder} do
     file = Path.join(folder, "completion")
-    File.write!(file, Completion.bash(Subcommands.all()))
+    {0, script} = About.run(%{name: "completion", rows: Subcommands.all()})
+    File.write!(file, script)
 
     complete = fn words ->
       script = """

@@ -181,8 +181,8 @@ defmodule Aerie.Incident.Page do
     [
       "<h2>Diagnosis when this archive was made</h2>\n",
       if(conditions == [], do: "<p class=\"quiet\">Nothing was wrong.</p>\n", else: "<ul>"),
-      for condition <- conditions do
-        "<li>#{text(condition["severity"])}: #{text(condition["subject"])} #{text(condition["id"])}: #{text(condition["title"])}</li>\n"
+      for %{"severity" => severity, "subject" => subject, "id" => id, "title" => title} <- conditions do
+        "<li>#{text("#{severity}")}: #{text("#{subject}")} #{text(id)}: #{text(title)}</li>\n"
       end,
       if(conditions == [], do: [], else: "</ul>\n")
     ]

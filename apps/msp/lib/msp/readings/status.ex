@@ -32,6 +32,7 @@ defmodule Msp.Readings.Status do
                  {4, :LASER_POSITION}
                ],
                do: {bit, MavSysStatusSensor.value(:"MAV_SYS_STATUS_SENSOR_#{name}")}
+  @generic MavType.value(:MAV_TYPE_GENERIC)
   # Its place in BOXIDS says which flag means armed.
   @arm 0
   # SENSOR_STATUS, in the order of the bits of STATUS.
@@ -93,7 +94,7 @@ defmodule Msp.Readings.Status do
   def type(firmware, number) do
     %{types: types, other_type: other} = Firmware.of(firmware)
     name = Enum.find_value(types, other, fn {name, numbers} -> if number in numbers, do: name end)
-    MavType.value(:"MAV_TYPE_#{name}")
+    MavType.value(:"MAV_TYPE_#{name}") || @generic
   end
 
   @doc "HEARTBEAT."

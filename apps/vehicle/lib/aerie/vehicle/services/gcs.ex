@@ -153,21 +153,24 @@ defmodule Aerie.Vehicle.Services.Gcs do
 
   @doc "The system ids that the failsafe listens to: `{lowest, highest}`, `:any_gcs` for any ground station, or nil."
   @spec listens_to(t()) :: {integer(), integer()} | :any_gcs | nil
-  def listens_to(%{params: params} = gcs) do
-    case station(gcs) do
-      %{listens_to: :any} ->
-        :any_gcs
+  def listens_to(gcs) do
+    station = station(gcs)
+    if station.listens_to == :any, do: :any_gcs, else: ids(station, gcs.params)
+  end
 
-      %{ids: ids} ->
-        Enum.find_value(ids, fn {low, high} ->
-          with id when id != nil <- params[low], do: {trunc(id), max(trunc(id), trunc(params[high] || 0))}
-        end)
-    end
+  defp ids(%{ids: ids}, params) do
+    Enum.find_value(ids, fn {low, high} ->
+      id = params[low]
+      if id != nil, do: {trunc(id), max(trunc(id), trunc(params[high] || 0))}
+    end)
   end
 
   @doc "The ids whose heartbeats keep the failsafe quiet, `:unknown` before they are read, nil if ids do not count."
   @spec obeyed(t()) :: {integer(), integer()} | :unknown | nil
-  def obeyed(gcs), do: if(station(gcs).listens_to == :ids, do: listens_to(gcs) || :unknown)
+  def obeyed(gcs) do
+    station = station(gcs)
+    if station.listens_to == :ids, do: ids(station, gcs.params) || :unknown
+  end
 
   @doc "Whether the failsafe is enabled; nil while that is not known."
   @spec enabled?(t()) :: boolean() | nil

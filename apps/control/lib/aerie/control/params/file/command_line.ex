@@ -42,9 +42,13 @@ defmodule Aerie.Control.Params.File.CommandLine do
 
     alternatives = Enum.map_join(names, "|", &elem(&1, 0))
 
-    with [_all, name | version] <- Regex.run(Regex.compile!("^# (#{alternatives})\\b#{@version}", "m"), text) do
-      {_name, firmware} = List.keyfind(names, name, 0)
-      {firmware, Params.version(Firmware.traits(firmware).param_tables, List.first(version))}
+    case Regex.run(Regex.compile!("^# (#{alternatives})\\b#{@version}", "m"), text) do
+      nil ->
+        nil
+
+      [_all, name | version] ->
+        {_name, firmware} = List.keyfind(names, name, 0)
+        {firmware, Params.version(Firmware.traits(firmware).param_tables, List.first(version))}
     end
   end
 

@@ -94,7 +94,7 @@ defmodule Msp.Readings.Status do
   def type(firmware, number) do
     %{types: types, other_type: other} = Firmware.of(firmware)
     name = Enum.find_value(types, other, fn {name, numbers} -> if number in numbers, do: name end)
-    MavType.value(:"MAV_TYPE_#{name}") || @generic
+    with nil <- MavType.value(:"MAV_TYPE_#{name}"), do: @generic
   end
 
   @doc "HEARTBEAT."

@@ -204,8 +204,9 @@ defmodule Aerie.Fleet.Bridge.State.LastPublished do
     state = read(%{state | started: System.monotonic_time(:microsecond)})
 
     # The same epoch: only this process was restarted, and the file is its own.
-    if state.former.epoch != state.epoch,
-      do: notify(state.gateway, compared(state.former), now())
+    _ =
+      if state.former.epoch != state.epoch,
+        do: notify(state.gateway, compared(state.former), now())
 
     begin(state)
     # The next epoch must be greater than both.

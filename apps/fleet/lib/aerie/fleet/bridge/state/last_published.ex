@@ -223,6 +223,8 @@ defmodule Aerie.Fleet.Bridge.State.LastPublished do
     for %{key: key} <- Store.vehicles(gateway),
         events when is_pid(events) <- [Names.whereis(gateway, :events, key)],
         do: Events.wake(events)
+
+    :ok
   end
 
   defp offer(gateway, id, known, now) do

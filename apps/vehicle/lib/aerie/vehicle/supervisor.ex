@@ -6,8 +6,8 @@ defmodule Aerie.Vehicle.Supervisor do
   Aerie.Vehicle.Supervisor        rest_for_one
   ├─ dynamic supervisor           one Supervisor.Tree (temporary) per {network, system_id}, at most `max_vehicles`
   ├─ Supervisor.TreeRestarter     restarts a tree that died: at once, then with growing delays
-  └─ MavRouter.Identity.Watchdog      asks all loops whether they answer, which is what the gateway's heartbeat
-  vouches for ```
+  └─ MavRouter.Identity.Watchdog  asks all loops whether they answer, which the gateway's heartbeat vouches for
+  ```
 
   The trees are temporary, so that a vehicle whose frames crash its session again and again cannot use up a restart
   budget that all vehicles share; the restarter bounds how often it is started.

@@ -3,6 +3,7 @@ defmodule Aerie.Console.Vehicle.ControlTest do
   use Aerie.VehiclePageCase, async: true
 
   alias Aerie.Base.PubSub
+  alias Aerie.Console.Commands.Courses
   alias Aerie.Control.Commands
 
   @path "/vehicles/VID-007"
@@ -38,6 +39,8 @@ defmodule Aerie.Console.Vehicle.ControlTest do
         ] do
       put(console, position: begins, mode: %{armed: true, in_air: type != "takeoff"})
       complete(console, type, params)
+      # What has ended when it is first looked at is no news.
+      assert %{^type => %{stage: :going}} = Courses.of(console.gateway, "VID-007")
       :ok = PubSub.subscribe(console.gateway, {:commands, "VID-007"})
       put(console, position: there, mode: %{armed: true, in_air: true})
       assert_receive {:fleet, {:commands, "VID-007"}, ^type}

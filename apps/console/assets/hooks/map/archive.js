@@ -37,7 +37,7 @@ async function contents(file) {
   return { type, layers, minzoom: minZoom, maxzoom: maxZoom, bounds };
 }
 
-// It is no module, but sets a global.
+// The package sets a global; it is not a module.
 const script = (path) =>
   globalThis.pmtiles ??
   new Promise((resolve, reject) => {

@@ -39,7 +39,7 @@ defmodule Aerie.Console.Vehicle.ControlTest do
         ] do
       put(console, position: begins, mode: %{armed: true, in_air: type != "takeoff"})
       complete(console, type, params)
-      # What has ended when it is first looked at is no news.
+      # A command that has ended when it is first looked at gives no notice.
       assert %{^type => %{stage: :going}} = Courses.of(console.gateway, "VID-007")
       :ok = PubSub.subscribe(console.gateway, {:commands, "VID-007"})
       put(console, position: there, mode: %{armed: true, in_air: true})

@@ -70,7 +70,7 @@ defmodule Aerie.Fleet.Shadow.GatewayLeaseTest do
     assert GatewayLease.claims(GatewayLease.renewed(lease, 9_000), 15_001) == ["V"]
   end
 
-  test "who does not hear the vehicle claims nothing, and of very many gateways some are forgotten" do
+  test "a gateway that does not hear the vehicle claims nothing, and of very many gateways some are forgotten" do
     lease =
       GatewayLease.new("a", @ttl)
       |> GatewayLease.want("V", true)

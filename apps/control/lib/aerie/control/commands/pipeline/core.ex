@@ -124,7 +124,7 @@ defmodule Aerie.Control.Commands.Pipeline.Core do
   def handle(core, {:seen, nil, _admission}, _now),
     do: refuse(core, :rejected, :vehicle, "there is no vehicle #{core.request.command.vehicle}")
 
-  # Before anything is remembered of it, so that one who may nothing fills neither rates nor the ledger.
+  # Before anything is remembered of it, so that a sender without permissions fills neither rates nor the ledger.
   def handle(core, {:seen, _snapshot, {:deny, rule, reason}}, _now),
     do: refuse(core, :denied, rule, reason)
 

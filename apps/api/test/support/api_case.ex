@@ -3,6 +3,7 @@ defmodule Aerie.APICase do
   use ExUnit.CaseTemplate
 
   alias Aerie.Base.Secret
+  alias Aerie.JsonSchemaCheck
 
   using do
     quote do
@@ -10,6 +11,7 @@ defmodule Aerie.APICase do
     end
   end
 
+  @document Path.expand("../../../../docs/openapi.json", __DIR__)
   @key "a-key-for-the-tests-0123"
 
   @doc "The key that `start_server(key: true)` configures."
@@ -64,7 +66,26 @@ defmodule Aerie.APICase do
     [head, body] = String.split(answer, "\r\n\r\n", parts: 2)
     ["HTTP/1.1 " <> <<status::binary-3, _reason::binary>> | lines] = String.split(head, "\r\n")
     headers = Map.new(lines, fn line -> line |> String.split(": ", parts: 2) |> List.to_tuple() end)
-    {String.to_integer(status), headers, if(body != "" and method != "HEAD", do: JSON.decode!(body))}
+    body = if body != "" and method != "HEAD", do: JSON.decode!(body)
+    if body != nil and status =~ ~r/^2/, do: described!(method, path, status, body)
+    {String.to_integer(status), headers, body}
+  end
+
+  # What is answered is what docs/openapi.json says, whichever test asks.
+  defp described!(method, path, status, body) do
+    method = String.downcase(method)
+    document = @document |> File.read!() |> JSON.decode!()
+    [path | _query] = String.split(path, "?")
+
+    for {template, %{^method => %{"responses" => %{^status => %{"content" => content}}}}} <- document["paths"],
+        %{"application/json" => %{"schema" => schema}} <- [content],
+        path =~ pattern(template),
+        do: assert({method, path, JsonSchemaCheck.errors(schema, body, document)} == {method, path, []})
+  end
+
+  defp pattern(template) do
+    inside = template |> String.replace("{path}", ".+") |> String.replace(~r/{[a-z]+}/, "[^/]+")
+    Regex.compile!("^#{inside}$")
   end
 
   @doc "Sends bytes to the server and returns everything that it answers until it closes."

@@ -13,7 +13,7 @@ defmodule Aerie.Api.Rest.Route do
   | `body` | the name of a schema (`Aerie.Api.Rest.OpenAPI.Bodies`), `{:bytes, media types, name of the one as JSON}`, or nil for none |
   | `query` | names of parameters (`Aerie.Api.Rest.OpenAPI.Parameters`), or `{name, schema, meaning}` |
   | `status` | of the answer; with `later: true` also 202: the command goes on |
-  | `answer` | names of schemas, nil for none, or `{:bytes, media types, names of those as JSON}` |
+  | `answer` | names of schemas, nil for none (`status` is 204), or `{:bytes, media types, names of those as JSON}` |
   """
 
   alias Aerie.Access.Changes.Rights
@@ -31,7 +31,7 @@ defmodule Aerie.Api.Rest.Route do
     query: [],
     status: 200,
     later: false,
-    answer: :object
+    answer: nil
   ]
 
   @type action :: atom() | tuple()

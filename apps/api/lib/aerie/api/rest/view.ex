@@ -100,6 +100,27 @@ defmodule Aerie.Api.Rest.View do
             {:problem, {:object, @problem}, nil,
              "what is wrong with the file, so that the former policy stays"}
           ])
+  @rule Object.fields([
+          {:now, :any, nil, "the rule in force"},
+          {:configured, :any, nil, "the configured one"}
+        ])
+  @ids Object.fields([
+         {:added, {:list, :text}, nil, "those that are new, by their ids"},
+         {:removed, {:list, :text}, nil, "those that were closed"},
+         {:changed, {:list, :text}, nil, "those that were opened again because keys of them changed"}
+       ])
+  @failed Object.fields([
+            {:what, :text, nil, "the link or client"},
+            {:reason, :text, nil, "why it could not be opened"}
+          ])
+  @openapi Object.fields([
+             {:openapi, :text, nil, "the version of OpenAPI"},
+             {:info, {:map, :text}, nil, "what it is, and the version of the gateway"},
+             {:servers, {:list, {:map, :text}}, nil, "where it may be served"},
+             {:security, {:list, {:map, {:list, :text}}}, nil, "the ways to name a key"},
+             {:paths, {:map, :any}, nil, "the methods of each path"},
+             {:components, {:map, {:map, :any}}, nil, "the parts that the paths refer to"}
+           ])
   @resource Object.fields([
               {:path, :text, nil, "its path"},
               {:methods, {:list, :text}, nil, "the methods that it takes"}
@@ -120,8 +141,25 @@ defmodule Aerie.Api.Rest.View do
     links: Object.fields([{:links, {:list, {:object, MavRouter.Link.fields()}}, nil, "all of them"}]),
     clients: @clients,
     rules_in_force:
-      Object.fields([{:changed, {:map, {:map, :any}}, nil, "the rules that differ from the configured ones"}]),
-    policy: @policy
+      Object.fields([
+        {:changed, {:map, {:map, {:object, @rule}}}, nil,
+         "the rules that differ from the configured ones, of each link and client by its id"}
+      ]),
+    policy: @policy,
+    openapi: @openapi,
+    reloaded:
+      Object.fields([
+        {:links, {:object, @ids}, nil, "what became of links"},
+        {:clients, {:object, @ids}, nil, "what became of endpoints for clients"},
+        {:needs_restart, {:list, :text}, nil, "keys that changed and count from the next start on"},
+        {:failed, {:list, {:object, @failed}}, nil, "what could not be opened"}
+      ]),
+    stored_plan: Object.fields([{:plan, :text, nil, "its hash, by which a desired state names it"}]),
+    ticket:
+      Object.fields([
+        {:ticket, :text, nil, "what the WebSocket is opened with"},
+        {:expires_s, :integer, "s", "how long it is valid"}
+      ])
   }
 
   @doc "The fields of the answers by their names."

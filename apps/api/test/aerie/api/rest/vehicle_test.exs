@@ -119,6 +119,7 @@ defmodule Aerie.Api.Rest.VehicleTest do
   describe "events" do
     setup do
       server = start_server()
+      Journal.epoch(server.gateway, 1)
 
       for vehicle <- ["V-2", "V-1"], seq <- 1..5 do
         event = Event.new(vehicle, "armed", seq, @now + seq * 1_000_000, seq, %{"mode" => "AUTO"})
@@ -138,7 +139,7 @@ defmodule Aerie.Api.Rest.VehicleTest do
       assert all == for(seq <- 1..5, vehicle <- ["V-1", "V-2"], do: {vehicle, seq})
       {200, _headers, %{"events" => [first | _]}} = request(port, "GET", "/api/vehicles/V-1/events")
       [event | _] = Journal.recent(gateway, "V-1")
-      assert first == JSON.decode!(Aerie.Fleet.Bridge.Message.event(event))
+      assert first == JSON.decode!(Aerie.Fleet.Bridge.Message.event(event, 1))
     end
 
     test "limit gives the latest ones, since the first ones from then on", %{port: port} do

@@ -116,12 +116,16 @@ defmodule Aerie.Base.Json.Object do
   @doc "The JSON Schema: each field is there, and may be null; later versions may have more."
   @spec schema([t()]) :: Schema.t()
   def schema(fields) do
-    properties =
-      for field <- fields, into: %{} do
-        {field.name, field.type |> schema_of() |> nullable() |> Schema.described(field.meaning, field.unit)}
-      end
-
+    properties = properties(fields)
     Schema.object(properties, Map.keys(properties), open: true)
+  end
+
+  @doc "The JSON Schema of each field by its name."
+  @spec properties([t()]) :: %{atom() => Schema.t()}
+  def properties(fields) do
+    for field <- fields, into: %{} do
+      {field.name, field.type |> schema_of() |> nullable() |> Schema.described(field.meaning, field.unit)}
+    end
   end
 
   # Anything may be null already.

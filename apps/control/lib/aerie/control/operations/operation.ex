@@ -33,8 +33,8 @@ defmodule Aerie.Control.Operations.Operation do
     * `:once` - `{field, when, reason}`: the field without which a copy of a message would be another request; `:signed`
       or `:always`, and what is said if it is missing. Over NATS only
     * `:rules` - further keywords of the request's JSON Schema, for what fields cannot say; `c:run/2` checks them
-    * `:answer` - the properties of what `c:run/2` reads; `:answer_as` names them where several operations have the same
-      ones
+    * `:answer` - the properties of what `c:run/2` answers, or the fields that show it (`Aerie.Base.Json.Object`);
+      `:answer_as` names them where several operations have the same ones
     * `:routes` - how it is asked for over REST
   """
 
@@ -74,7 +74,7 @@ defmodule Aerie.Control.Operations.Operation do
           closed?: boolean(),
           fields: [Field.t()],
           rules: keyword(),
-          answer: %{atom() => Json.Schema.t()},
+          answer: %{atom() => Json.Schema.t()} | [Json.Object.t()],
           routes: [Route.t()]
         }
 
@@ -255,9 +255,10 @@ defmodule Aerie.Control.Operations.Operation do
   @spec answer_name(t()) :: String.t()
   def answer_name(%__MODULE__{name: name, answer_as: as}), do: "answer." <> (as || name)
 
-  @doc "The JSON Schema of what it reads, with further properties."
+  @doc "The JSON Schema of its answer, with further properties."
   @spec answer_schema(t(), more :: map()) :: Json.Schema.t()
   def answer_schema(%__MODULE__{answer: answer}, more \\ %{}) do
+    answer = if is_list(answer), do: Json.Object.properties(answer), else: answer
     properties = Map.merge(more, answer)
     Json.Schema.object(properties, Map.keys(properties), open: true)
   end

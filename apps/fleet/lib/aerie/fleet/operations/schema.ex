@@ -10,6 +10,7 @@ defmodule Aerie.Fleet.Operations.Schema do
 
   @type t :: Aerie.Base.Json.Schema.t()
 
+  @what [command: "command_of_operation", shadow: "change_of_operation"]
   @id "^[A-Za-z0-9_-]{1,32}$"
 
   @doc "The request that begins one."
@@ -27,8 +28,8 @@ defmodule Aerie.Fleet.Operations.Schema do
     await = %{enum: ~w(written converged), default: :written}
 
     what = [
-      command: %{command: ref("command_of_operation"), timeout_s: number(1, 300)},
-      shadow: %{shadow: ref("change_of_operation"), await: await, timeout_s: number(1, 3_600)}
+      command: %{command: ref(@what[:command]), timeout_s: number(1, 300)},
+      shadow: %{shadow: ref(@what[:shadow]), await: await, timeout_s: number(1, 3_600)}
     ]
 
     kinds =
@@ -84,12 +85,16 @@ defmodule Aerie.Fleet.Operations.Schema do
       source: described(%{type: :string}, "who began it"),
       begun_at: %{type: :string, format: :"date-time"},
       done_at: %{type: [:string, :null], format: :"date-time"},
-      what: described(%{type: :object}, "its command, or its change of the desired state"),
+      what: described(what(), "its command, or its change of the desired state"),
       step: %{type: :integer, minimum: 1},
       counts: object(Map.new(~w(waiting under_way ok failed)a, &{&1, count}), [], open: true)
     }
 
     vehicles = if vehicles?, do: %{vehicles: %{type: :object, additionalProperties: vehicle}}, else: %{}
     Map.merge(properties, vehicles)
+  end
+
+  defp what do
+    %{anyOf: for({key, name} <- @what, do: object(%{key => ref(name)}, [key]))}
   end
 end

@@ -14,9 +14,9 @@ defmodule Aerie.Api.Rest.OpenAPI.Bodies do
   @spec all() :: %{(atom() | String.t()) => map()}
   def all do
     own = %{
-      object: %{type: :object},
       nothing: object(%{}),
-      under_way: under_way()
+      under_way: under_way(),
+      cancelling: object(%{id: token(), state: %{const: "cancelling"}}, [:id, :state])
     }
 
     answers()

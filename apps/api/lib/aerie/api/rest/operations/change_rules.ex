@@ -15,7 +15,7 @@ defmodule Aerie.Api.Rest.Operations.ChangeRules do
       meaning: summary,
       transfer?: false,
       request: RuleChanges.schema(),
-      answer: %{changed: %{type: :object, additionalProperties: %{type: :object}}},
+      answer: View.answers().rules_in_force,
       routes: [patch("/api/rules/:id", summary, change: :change_rules)]
     }
   end

@@ -2,8 +2,10 @@ defmodule Aerie.Api.Rest.Operations.Record do
   @moduledoc false
   use Aerie.Control.Operations.Operation
 
-  alias Aerie.Api.Rest.View.Recordings
+  alias Aerie.Base.Json.Object
   alias MavRouter.Recorder
+
+  @answer Object.fields([{:recording, {:object, Recorder.fields()}, nil, "its state; null: it is off"}])
 
   @impl true
   def operation do
@@ -15,7 +17,7 @@ defmodule Aerie.Api.Rest.Operations.Record do
         field(:id, {:term, &{:ok, &1}, "the id of a link"}, "the link"),
         field(:mode, {:enum, [:always, :armed, :off]}, "when it is recorded", required: true)
       ],
-      answer: %{recording: %{type: [:object, :null]}},
+      answer: @answer,
       routes: [
         put("/api/links/:id/recording", "Starts or stops recording a link.", change: :record_link),
         put("/api/vehicles/:id/recording", "Starts or stops recording a vehicle.",
@@ -31,7 +33,7 @@ defmodule Aerie.Api.Rest.Operations.Record do
     target = if link, do: {:link, link}, else: {:vehicle, vehicle}
 
     with :ok <- change(gateway, target, mode),
-         do: {:ok, %{recording: Recordings.one(Recorder.status(gateway, target))}}
+         do: {:ok, Object.show(@answer, %{recording: Recorder.status(gateway, target)})}
   end
 
   defp change(gateway, target, :off), do: Recorder.stop(gateway, target)

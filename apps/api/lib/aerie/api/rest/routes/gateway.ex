@@ -6,7 +6,7 @@ defmodule Aerie.Api.Rest.Routes.Gateway do
 
   import Aerie.Api.Rest.Route
 
-  @bytes {:bytes, ["application/json", "application/octet-stream"], :object}
+  @bytes {:bytes, ["application/octet-stream"], nil}
   @plan {:bytes, ["application/json", "text/plain", "application/octet-stream"], :plan}
 
   @doc "The rows."
@@ -14,7 +14,7 @@ defmodule Aerie.Api.Rest.Routes.Gateway do
   def rows do
     [
       get("/api", :index, "The resources and their methods.", answer: :index),
-      get("/api/openapi", :openapi, "This description."),
+      get("/api/openapi", :openapi, "This description.", answer: :openapi),
       get("/api/status", :status, "The most used state of all vehicles.", answer: :status),
       get("/api/diagnosis", :diagnosis, "What is wrong, and what to do about it.", answer: :diagnosis),
       get("/api/vehicles", :vehicles, "All vehicles.", query: [:tag], answer: :vehicles),
@@ -51,21 +51,27 @@ defmodule Aerie.Api.Rest.Routes.Gateway do
         "/api/config/reload",
         :reload_config,
         "Reads the configuration again and puts in force what can change without a restart.",
-        body: :nothing
+        body: :nothing,
+        answer: :reloaded
       ),
       get("/api/log", :log, "The levels of the log.", answer: "answer.log.change"),
       get("/api/policy", :policy, "The policy in force.", answer: :policy),
-      post("/api/policy/reload", :reload_policy, "Reads the policy and its fences again.", body: :nothing),
+      post("/api/policy/reload", :reload_policy, "Reads the policy and its fences again.",
+        body: :nothing,
+        answer: :policy
+      ),
       post("/api/plans", :store_plan, "Stores a .plan file for desired states.",
         body: @plan,
-        status: 201
+        status: 201,
+        answer: :stored_plan
       ),
       get("/api/commands/types", :command_types, "The commands with their parameters.",
         answer: :command_types
       ),
       post("/api/tickets", :issue_ticket, "Issues a ticket that opens one WebSocket.",
         body: :nothing,
-        status: 201
+        status: 201,
+        answer: :ticket
       )
     ]
   end

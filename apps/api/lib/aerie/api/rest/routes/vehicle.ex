@@ -27,7 +27,8 @@ defmodule Aerie.Api.Rest.Routes.Vehicle do
       post("/api/vehicles/:id/commands", :command, "Gives a command, and waits for its result.",
         query: [:wait],
         body: :command,
-        later: true
+        later: true,
+        answer: :result
       ),
       get(
         "/api/vehicles/:id/commands/:command",
@@ -35,7 +36,10 @@ defmodule Aerie.Api.Rest.Routes.Vehicle do
         "The progress of a command, or its result.",
         answer: [:result, :under_way]
       ),
-      delete("/api/vehicles/:id/commands/:command", :cancel_command, "Cancels a command.", status: 202)
+      delete("/api/vehicles/:id/commands/:command", :cancel_command, "Cancels a command.",
+        status: 202,
+        answer: :cancelling
+      )
     ]
   end
 end

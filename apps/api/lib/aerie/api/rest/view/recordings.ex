@@ -63,10 +63,6 @@ defmodule Aerie.Api.Rest.View.Recordings do
     end
   end
 
-  @doc "The recording of a link's or vehicle's snapshot, or nil."
-  @spec one(map() | nil) :: map() | nil
-  def one(recording), do: if(recording, do: Object.show(Recorder.fields(), recording))
-
   @doc "The whole state of the recorder: active recordings, content of the rings, files."
   @spec all(term()) :: map() | nil
   def all(gateway) do

@@ -38,18 +38,18 @@ defmodule Aerie.Control.Operations.Mission.Forms do
   @doc "A .plan file of QGroundControl as an object. Which items and shapes it may have is in docs/transfers.md."
   @spec schema() :: Aerie.Base.Json.Schema.t()
   def schema do
-    section = %{type: :object}
-
     object(
       %{
         fileType: %{const: "Plan"},
         version: %{const: 1},
-        mission: section,
-        geoFence: section,
-        rallyPoints: section
+        mission: section([:items]),
+        geoFence: section([:polygons, :circles]),
+        rallyPoints: section([:points])
       },
       [:fileType],
       open: true
     )
   end
+
+  defp section(lists), do: object(Map.new(lists, &{&1, %{type: :array}}), [], open: true)
 end

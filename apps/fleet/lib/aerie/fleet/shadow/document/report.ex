@@ -14,6 +14,10 @@ defmodule Aerie.Fleet.Shadow.Document.Report do
   @health [:unhealthy, :ready_to_arm, :arming_checks, :rc_receiver]
   @always ~w(mode armed geofence.enabled home recorder signing)
 
+  @doc "The fields of the health in it."
+  @spec health() :: [atom()]
+  def health, do: @health
+
   @doc "The document without its times. It is published when it differs from the last one."
   @spec document(map(), Core.t(), Observed.beside(), gateway :: String.t()) :: map()
   def document(snapshot, core, beside, gateway) do

@@ -7,8 +7,9 @@ defmodule Aerie.Fleet.Shadow.Document.Schema do
   import Aerie.Base.Json.Schema
 
   alias Aerie.Fleet.Shadow.Update
-  alias Aerie.Fleet.Shadow.Document.Field
-  alias Aerie.Vehicle.Command
+  alias Aerie.Fleet.Shadow.Document.{Field, Report}
+  alias Aerie.Vehicle.{Command, Fields}
+  alias Aerie.Vehicle.State.Groups
   alias Aerie.Vehicle.Command.Param
   alias MavRouter.Endpoints.RuleChanges
 
@@ -153,7 +154,7 @@ defmodule Aerie.Fleet.Shadow.Document.Schema do
       firmware: %{type: [:string, :null]},
       capabilities: described(%{type: [:integer, :null]}, "MAV_PROTOCOL_CAPABILITY flags"),
       links: %{type: :array, items: %{type: :string}},
-      health: object(%{}, [], open: true),
+      health: health(),
       fields: fields(),
       holds: described(%{type: :array, items: hold()}, "what holds the shadow off"),
       omitted_fields:
@@ -169,9 +170,24 @@ defmodule Aerie.Fleet.Shadow.Document.Schema do
     object(Map.merge(loose, own), required, open: true)
   end
 
-  defp loose(%{type: :object} = schema), do: Map.take(schema, [:type, :description])
+  defp loose(%{properties: properties} = schema) do
+    properties = Map.new(properties, fn {name, one} -> {name, loose(one)} end)
+    Map.merge(Map.take(schema, [:description]), object(properties, [], open: true))
+  end
+
+  defp loose(%{additionalProperties: one}), do: %{type: :object, additionalProperties: loose(one)}
   defp loose(%{type: type} = schema), do: schema |> Map.take([:description]) |> Map.put(:type, type)
   defp loose(%{enum: _values} = schema), do: schema |> Map.take([:description]) |> Map.put(:type, :boolean)
+
+  defp health do
+    group = Enum.find(Groups.all(), &(&1.name == :health))
+
+    group
+    |> Fields.Schema.group()
+    |> Map.fetch!(:properties)
+    |> Map.take(Report.health())
+    |> object([], open: true)
+  end
 
   defp fields, do: %{type: :object, additionalProperties: state()}
 
@@ -225,7 +241,8 @@ defmodule Aerie.Fleet.Shadow.Document.Schema do
       delta: %{
         vehicle: token(),
         version: version(),
-        delta: described(%{type: :object}, "the desired values that differ, nested as in a change"),
+        delta:
+          described(%{allOf: [ref("actual_fields")]}, "the desired values that differ, nested as in a change"),
         fields: fields()
       }
     }

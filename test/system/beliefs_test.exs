@@ -11,7 +11,7 @@ defmodule Aerie.System.BeliefsTest do
   alias Aerie.Program
   alias Aerie.Base.Names
   alias Aerie.Control.Policy.ControlLease.Holders
-  alias Aerie.Vehicle.Core
+  alias Aerie.Vehicle.Session.Core
   alias MavCodec.Messages, as: M
   alias MavRouter.Router
 

@@ -52,7 +52,7 @@ defmodule Aerie.System.FloodTest do
       )
 
     assert told(events) == Store.counter(gateway, {:vehicle, id, :events_suppressed})
-    # The budget of `Aerie.Vehicle.Detector.Budget`, whatever time this machine took.
+    # The budget of `Aerie.Vehicle.Events.Detector.Budget`, whatever time this machine took.
     assert told(events) > 0
     assert texts(events) <= 60 + 2 * (System.monotonic_time(:second) - begun + 1)
     types = Enum.frequencies_by(events, & &1["type"])

@@ -100,12 +100,12 @@ defmodule Aerie.System.KillTest do
     # First: what a vehicle that is lost just now adds is not awaited.
     recent =
       for n <- 1..3, name = "VID-00#{n}", into: %{} do
-        {name, for(e <- Aerie.Vehicle.Journal.recent(gateway, name), do: {e.seq, e.id, e.type})}
+        {name, for(e <- Aerie.Vehicle.Events.Journal.recent(gateway, name), do: {e.seq, e.id, e.type})}
       end
 
     eventually(
       fn ->
-        Aerie.Vehicle.Journal.pending_size(gateway) == 0 and
+        Aerie.Vehicle.Events.Journal.pending_size(gateway) == 0 and
           Aerie.Fleet.Bridge.info(gateway).outbox.events == 0
       end,
       "every event is confirmed"

@@ -43,7 +43,7 @@ defmodule Aerie.System.RecorderTest do
           files != [] and Enum.take(files, 1)
         end,
         fn ->
-          events = for event <- Aerie.Vehicle.Journal.recent(gateway, "VID-078"), do: event.type
+          events = for event <- Aerie.Vehicle.Events.Journal.recent(gateway, "VID-078"), do: event.type
           told = {MavRouter.Recorder.list(gateway), MavRouter.Recorder.status(gateway), events}
           "its last moments are saved: #{inspect(told, limit: 200)}"
         end

@@ -7,7 +7,7 @@ defmodule Aerie.System.RemoteTest do
   alias Aerie.{CommandCase, Fleet, HubServer}
   alias Aerie.Control.{Commands, Files, Missions, Params}
   alias Aerie.Fleet.Bridge
-  alias Aerie.Vehicle.Journal
+  alias Aerie.Vehicle.Events.Journal
   alias Aerie.Vehicle.Event
 
   @moduletag :tmp_dir

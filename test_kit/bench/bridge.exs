@@ -9,7 +9,8 @@ defmodule BridgeBench do
   alias Aerie.Base.{Names, PubSub, Store}
   alias Aerie.Fleet.Bridge
   alias Aerie.Fleet.Bridge.Events.Outbox
-  alias Aerie.Vehicle.{Event, Journal}
+  alias Aerie.Vehicle.Event
+  alias Aerie.Vehicle.Events.Journal
   alias Bench.{Gateway, Sample}
 
   @states 50_000

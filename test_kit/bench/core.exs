@@ -1,5 +1,5 @@
-# What a frame costs in the pure core of a vehicle's session (Aerie.Vehicle.Core), its processes, links and store left
-# out.
+# What a frame costs in the pure core of a vehicle's session (Aerie.Vehicle.Session.Core), its processes, links and
+# store left out.
 #
 #     bin/bench core [--frames 20000] [--rates 10,50,200]
 #
@@ -11,7 +11,8 @@
 Code.require_file("harness.exs", __DIR__)
 
 defmodule CoreBench do
-  alias Aerie.Vehicle.{Core, Options, Settings}
+  alias Aerie.Vehicle.{Options, Settings}
+  alias Aerie.Vehicle.Session.Core
   alias Bench.{Sample, Table, TelemetryMix}
 
   @tick_us 100_000

@@ -15,7 +15,7 @@ defmodule ShadowBench do
 
   alias Aerie.Base.Store
   alias Aerie.Fleet.Shadow
-  alias Aerie.Vehicle.Journal
+  alias Aerie.Vehicle.Events.Journal
   alias Bench.{Gateway, Sample, Table}
 
   @gateway :bench

@@ -41,7 +41,7 @@ defmodule Aerie.Gateway do
   alias Aerie.Base.Names.Successor
   alias Aerie.Control.{CommandExecutor, Commands, Params, Policy, ReadCache, TransferExecutor}
   alias Aerie.Fleet.{Bridge, Operations, Remote, Shadow}
-  alias Aerie.Vehicle.Journal
+  alias Aerie.Vehicle.Events.Journal
   alias Aerie.Vehicle.Services.StreamDemand
   alias MavRouter.{Link, Recorder, Router, Signing}
 

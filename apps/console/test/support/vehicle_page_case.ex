@@ -8,7 +8,7 @@ defmodule Aerie.VehiclePageCase do
   import Aerie.ConsoleCase
   import Phoenix.LiveViewTest, except: [conn: 1, conn: 2]
 
-  alias Aerie.Vehicle.Journal
+  alias Aerie.Vehicle.Events.Journal
   alias Aerie.Base.Store
   alias Aerie.Vehicle.Event
   alias Aerie.ConsoleCase

@@ -7,7 +7,7 @@ defmodule Aerie.BridgeCase do
 
   alias Aerie.Base.Store
   alias Aerie.Fleet.Bridge
-  alias Aerie.Vehicle.Journal
+  alias Aerie.Vehicle.Events.Journal
   alias Aerie.Base.PubSub
   alias Aerie.Vehicle.Event
 

@@ -3,7 +3,9 @@ defmodule Aerie.Flight do
   Recorded flights for tests, and what the pure core and detector make of them.
   """
 
-  alias Aerie.Vehicle.{Core, Detector, Options}
+  alias Aerie.Vehicle.Options
+  alias Aerie.Vehicle.Events.Detector
+  alias Aerie.Vehicle.Session.Core
   alias MavCodec.{Frame, Parser, Tlog}
 
   @fixtures Path.expand("../fixtures", __DIR__)

@@ -85,7 +85,7 @@ defmodule Aerie.GatewayCase do
   def plugs(config) do
     own = [
       tables: [
-        Aerie.Vehicle.Journal.table(Aerie.Vehicle.Journal.Settings.from(config)),
+        Aerie.Vehicle.Events.Journal.table(Aerie.Vehicle.Events.Journal.Settings.from(config)),
         Aerie.Vehicle.Services.StreamDemand.table()
       ],
       vehicles: Aerie.Vehicle.Supervisor,

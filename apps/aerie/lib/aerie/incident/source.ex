@@ -11,7 +11,8 @@ defmodule Aerie.Incident.Source do
   alias Aerie.Fleet.Diagnosis
   alias Aerie.Fleet.Shadow
   alias Aerie.Fleet.Shadow.Store.LocalStore
-  alias Aerie.Vehicle.{Event, Journal}
+  alias Aerie.Vehicle.Event
+  alias Aerie.Vehicle.Events.Journal
   alias MavRouter.Recorder
 
   @second 1_000_000

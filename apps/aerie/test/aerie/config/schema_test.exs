@@ -64,7 +64,7 @@ defmodule Aerie.Config.SchemaTest do
   end
 
   test "the state groups are those of a vehicle" do
-    assert Enum.sort(Map.keys(Aerie.Vehicle.Sampling.Settings.groups(%{}))) ==
+    assert Enum.sort(Map.keys(Aerie.Vehicle.State.Sampling.Settings.groups(%{}))) ==
              Enum.sort(Keyword.keys(Aerie.Vehicle.State.Groups.keys()))
   end
 

@@ -37,7 +37,7 @@ defmodule Aerie.Api.EndpointTest do
   test "without NATS a restart can also be seen: an epoch in the status and in events, and gateway.started",
        context do
     event = Aerie.Vehicle.Event.new("VID-001", "armed", 1, 1_763_800_000_000_000, nil, %{"mode" => "AUTO"})
-    Aerie.Vehicle.Journal.commit(context.gateway, "VID-001", 1, [event])
+    Aerie.Vehicle.Events.Journal.commit(context.gateway, "VID-001", 1, [event])
     assert {200, %{"epoch" => epoch}} = json(context.port, "/api/status")
     assert_in_delta epoch, System.os_time(:millisecond), 300_000
     assert {200, %{"events" => shown}} = json(context.port, "/api/events")

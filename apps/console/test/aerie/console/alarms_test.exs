@@ -2,8 +2,9 @@ defmodule Aerie.Console.AlarmsTest do
   use Aerie.ConsoleCase, async: true
 
   alias Aerie.Fleet.Alarms
-  alias Aerie.Vehicle.{Detector, Journal, Options}
-  alias Aerie.Vehicle.Detector.Observation
+  alias Aerie.Vehicle.Options
+  alias Aerie.Vehicle.Events.{Detector, Journal}
+  alias Aerie.Vehicle.Events.Detector.Observation
 
   setup do: {:ok, start_console()}
 

@@ -8,12 +8,12 @@ defmodule Aerie.Control.CommandExecutor do
   """
   use GenServer
 
-  import Aerie.Vehicle.CoreProcess, only: [now: 0]
+  import Aerie.Vehicle.Session.CoreProcess, only: [now: 0]
 
   alias Aerie.Base.{Names, Store}
   alias Aerie.Vehicle.Command
   alias Aerie.Vehicle.Command.Result
-  alias Aerie.Vehicle.CoreProcess
+  alias Aerie.Vehicle.Session.CoreProcess
   alias Aerie.Control.CommandExecutor.{Core, Observed}
   alias MavCodec.Messages.Statustext
 

@@ -10,13 +10,13 @@ defmodule Aerie.Control.TransferExecutor do
   """
   use GenServer
 
-  import Aerie.Vehicle.CoreProcess, only: [now: 0]
+  import Aerie.Vehicle.Session.CoreProcess, only: [now: 0]
 
   alias Aerie.Base.{Names, Store}
   alias Aerie.Vehicle.Firmware
   alias MavRouter.Sharing.TransferLock
   alias Aerie.Vehicle.Command.Result
-  alias Aerie.Vehicle.CoreProcess
+  alias Aerie.Vehicle.Session.CoreProcess
   alias Aerie.Control.TransferExecutor.{Core, Job, Progress}
 
   @typedoc """

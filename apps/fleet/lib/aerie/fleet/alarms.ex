@@ -11,7 +11,7 @@ defmodule Aerie.Fleet.Alarms do
   alias Aerie.Base.{Names, Store}
   alias Aerie.Fleet
   alias Aerie.Fleet.Diagnosis
-  alias Aerie.Vehicle.Journal
+  alias Aerie.Vehicle.Events.Journal
   alias Aerie.Base.PubSub
   alias Aerie.Fleet.Alarms.{Conditions, Core, Detected}
 

@@ -3,8 +3,8 @@ defmodule Aerie.Fleet.Bridge do
   Publishes state and events of vehicles to NATS.
 
   State is fire and forget; while NATS is away, the last value of each subject is kept. Events come from
-  `Aerie.Vehicle.Journal` and are published at least once, even if NATS or the gateway restarts. See the README beside
-  the code.
+  `Aerie.Vehicle.Events.Journal` and are published at least once, even if NATS or the gateway restarts. See the README
+  beside the code.
 
   Telemetry:
 
@@ -66,7 +66,7 @@ defmodule Aerie.Fleet.Bridge do
   nil.
   """
   @impl Aerie.Vehicle.Session.Publisher
-  @spec remembered(Names.gateway(), String.t()) :: Aerie.Vehicle.Detector.OfflineChanges.t()
+  @spec remembered(Names.gateway(), String.t()) :: Aerie.Vehicle.Events.Detector.OfflineChanges.t()
   defdelegate remembered(gateway, vehicle), to: LastPublished, as: :of
 
   @doc "The state of the bridge, or nil if it is not running. Subscribers of `:bridge` get each change."

@@ -5,8 +5,9 @@ defmodule Aerie.Fleet.AlarmsTest do
 
   alias Aerie.Base.{PubSub, Store}
   alias Aerie.Fleet.Alarms
-  alias Aerie.Vehicle.{Detector, Event, Journal, Options}
-  alias Aerie.Vehicle.Detector.Observation
+  alias Aerie.Vehicle.{Event, Options}
+  alias Aerie.Vehicle.Events.{Detector, Journal}
+  alias Aerie.Vehicle.Events.Detector.Observation
 
   setup do
     gateway = Aerie.GatewayCase.start_gateway(%{}, with: [:router])

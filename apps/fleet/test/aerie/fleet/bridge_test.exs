@@ -1,7 +1,7 @@
 defmodule Aerie.Fleet.BridgeTest do
   use Aerie.BridgeCase, async: true
 
-  alias Aerie.Vehicle.Journal
+  alias Aerie.Vehicle.Events.Journal
 
   @moduletag :tmp_dir
   @moduletag :capture_log

@@ -4,7 +4,8 @@ defmodule Aerie.Fleet.PublishedFieldsTest do
   alias Aerie.Fleet.Bridge.Message
   alias Aerie.Vehicle.Snapshot
   alias Aerie.Fleet.Replay
-  alias Aerie.Vehicle.{Event, Fields}
+  alias Aerie.Vehicle.Event
+  alias Aerie.Vehicle.State.Fields
 
   test "everything that a recorded flight publishes is in the table: names, and decimals of every number" do
     {:ok, seen, _summary} = Replay.reduce(flight("arducopter_flight"), [], %{}, &published/2)

@@ -34,7 +34,7 @@ defmodule Aerie.Vehicle.Options do
   * `:read_gcs_parameters` - read which ground station the failsafe listens to
   * `:lost_high_latency_us` - the silence after which it is lost while only high-latency links hear it
   * `:battery_low`, `:battery_critical` - remaining charge (0..1) below which the events occur
-  * `:sampling` - group => settings, see `Aerie.Vehicle.Sampling`
+  * `:sampling` - group => settings, see `Aerie.Vehicle.State.Sampling`
   * `:publisher` - the module of `Aerie.Vehicle.Session.Publisher`, nil for none
   """
   @type t :: %__MODULE__{

@@ -1,6 +1,6 @@
 defmodule Aerie.Vehicle.Session do
   @moduledoc """
-  The process of one vehicle: receives its frames and carries out the actions of `Aerie.Vehicle.Core`.
+  The process of one vehicle: receives its frames and carries out the actions of `Aerie.Vehicle.Session.Core`.
 
   The router sends `{:frames, link_id, [frame]}`, one message per read of a link, or `{:frames, {link_id, peer},
   [frame]}` while several endpoints of a link bring the system.
@@ -16,10 +16,10 @@ defmodule Aerie.Vehicle.Session do
   alias Aerie.Base.{Names, Store}
   alias Aerie.Base.Timing.HostClock
   alias Aerie.Vehicle
-  alias Aerie.Vehicle.Journal
+  alias Aerie.Vehicle.Events.Journal
   alias Aerie.Vehicle.Services.StreamDemand
   alias MavRouter.Identity
-  alias Aerie.Vehicle.ArmAuthorization
+  alias Aerie.Vehicle.Session.ArmAuthorization
   alias MavRouter.Forward.GroundStations
   alias Aerie.Vehicle.Session.Clock
 
@@ -41,7 +41,7 @@ defmodule Aerie.Vehicle.Session do
     snapshot = Store.vehicle(gateway, options.key)
     schedule_tick()
 
-    {core, []} = options |> Vehicle.Core.new(snapshot) |> count_vehicles(gateway)
+    {core, []} = options |> Vehicle.Session.Core.new(snapshot) |> count_vehicles(gateway)
     {link, speed} = recording(gateway, snapshot)
 
     state = %{
@@ -182,7 +182,7 @@ defmodule Aerie.Vehicle.Session do
 
   # At once when it changes, and once a second for a router that was restarted.
   defp obeyed(%{core: core, obeyed: told, ticks: ticks} = state) do
-    case Vehicle.Core.obeyed(core) do
+    case Vehicle.Session.Core.obeyed(core) do
       ^told when rem(ticks, @look_around_ticks) != 0 ->
         state
 
@@ -198,18 +198,18 @@ defmodule Aerie.Vehicle.Session do
 
   defp look_around(state, _now) do
     stations = GroundStations.list(state.gateway, state.options.network)
-    {core, []} = Vehicle.Core.handle(state.core, {:stations, stations})
+    {core, []} = Vehicle.Session.Core.handle(state.core, {:stations, stations})
     {core, []} = count_vehicles(core, state.gateway)
     state = %{state | ticks: state.ticks + 1, core: core}
     if StreamDemand.sweep(state.gateway, state.options.key), do: demand(state, nil), else: state
   end
 
   defp count_vehicles(core, gateway),
-    do: Vehicle.Core.handle(core, {:vehicles, Store.vehicle_count(gateway)})
+    do: Vehicle.Session.Core.handle(core, {:vehicles, Store.vehicle_count(gateway)})
 
   defp demand(state, forwarded) do
     merged = StreamDemand.merged(state.gateway, state.options.key)
-    {core, []} = Vehicle.Core.handle(state.core, {:demand, merged, forwarded})
+    {core, []} = Vehicle.Session.Core.handle(state.core, {:demand, merged, forwarded})
     %{state | core: core}
   end
 
@@ -269,7 +269,7 @@ defmodule Aerie.Vehicle.Session do
       msp: match?(%{spec: %{kind: :msp}}, Store.link(state.gateway, link))
     }
 
-    {core, []} = Vehicle.Core.handle(state.core, {:link, link, configured})
+    {core, []} = Vehicle.Session.Core.handle(state.core, {:link, link, configured})
     %{state | core: core}
   end
 
@@ -285,7 +285,7 @@ defmodule Aerie.Vehicle.Session do
   defp shift(state, _step), do: state
 
   defp step(state, event) do
-    {core, actions} = Vehicle.Core.handle(state.core, event)
+    {core, actions} = Vehicle.Session.Core.handle(state.core, event)
     state = Enum.reduce(actions, %{state | core: core}, &act/2)
     state |> wake(actions) |> alone()
   end
@@ -293,7 +293,7 @@ defmodule Aerie.Vehicle.Session do
   defp alone(%{alone: nil} = state), do: state
 
   defp alone(state) do
-    if Vehicle.Core.Services.requests_held?(state.core) do
+    if Vehicle.Session.Core.Services.requests_held?(state.core) do
       send(state.alone, :alone)
       %{state | alone: nil}
     else
@@ -410,7 +410,7 @@ defmodule Aerie.Vehicle.Session do
   end
 
   defp link(core) do
-    case Vehicle.Core.Services.link(core) do
+    case Vehicle.Session.Core.Services.link(core) do
       {:link, link} -> link
       _any_or_none -> nil
     end

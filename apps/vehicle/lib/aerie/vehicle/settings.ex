@@ -11,7 +11,7 @@ defmodule Aerie.Vehicle.Settings do
   alias Aerie.Base.Settings.Types
 
   part :identity, MavRouter.Identity.Settings
-  part :sampling, Aerie.Vehicle.Sampling.Settings
+  part :sampling, Aerie.Vehicle.State.Sampling.Settings
 
   section ""
 
@@ -129,7 +129,7 @@ defmodule Aerie.Vehicle.Settings do
   @spec publisher(Names.gateway()) :: module() | nil
   def publisher(gateway), do: plug(gateway, :publisher)
 
-  @doc "The gateway's `Aerie.Vehicle.ArmAuthorization`, or nil."
+  @doc "The gateway's `Aerie.Vehicle.Session.ArmAuthorization`, or nil."
   @spec arming(Names.gateway()) :: module() | nil
   def arming(gateway), do: plug(gateway, :arming)
 

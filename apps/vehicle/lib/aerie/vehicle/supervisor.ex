@@ -17,13 +17,13 @@ defmodule Aerie.Vehicle.Supervisor do
 
   alias Aerie.Base.{Names, Store}
   alias Aerie.Vehicle
-  alias Aerie.Vehicle.Journal
+  alias Aerie.Vehicle.Events.Journal
   alias MavRouter.Identity
 
   @doc """
   Options: `:gateway`, `:settings`, `:publisher` (the module of `Aerie.Vehicle.Session.Publisher`; none when absent),
   `:loops` (modules of further processes of each vehicle's tree, which are linked to the others; none when absent),
-  `:arming` (the module of `Aerie.Vehicle.ArmAuthorization`; without one no vehicle that asks may arm).
+  `:arming` (the module of `Aerie.Vehicle.Session.ArmAuthorization`; without one no vehicle that asks may arm).
   """
   @spec start_link(
           gateway: Names.gateway(),

@@ -1,7 +1,7 @@
 defmodule Mix.Tasks.Aerie.Telemetry do
   @shortdoc "Writes docs/telemetry.md from the tables of fields and events"
   @moduledoc """
-  Writes `docs/telemetry.md` from `Aerie.Vehicle.Fields` and `Aerie.Vehicle.Event.Types`. Give a file name to write elsewhere.
+  Writes `docs/telemetry.md` from `Aerie.Vehicle.State.Fields` and `Aerie.Vehicle.Event.Types`. Give a file name to write elsewhere.
 
       mix aerie.telemetry [FILE]
   """

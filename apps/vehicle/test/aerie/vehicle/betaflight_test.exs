@@ -7,7 +7,7 @@ defmodule Aerie.Vehicle.BetaflightTest do
 
   import Aerie.Flight
 
-  alias Aerie.Vehicle.Core
+  alias Aerie.Vehicle.Session.Core
   alias MavCodec.Messages, as: M
 
   @second 1_000_000

@@ -57,7 +57,7 @@ defmodule Aerie.Vehicle.FlightTest do
     end
 
     test "ends with the state that the last messages say", %{run: run} do
-      snapshot = Aerie.Vehicle.Core.snapshot(run.core)
+      snapshot = Aerie.Vehicle.Session.Core.snapshot(run.core)
       assert %{autopilot: :ardupilot, vehicle_type: "copter", firmware: "4.6.3", status: :online} = snapshot
 
       assert %{mode: "RTL", armed: false, in_air: false, landed_state: "ON_GROUND"} =
@@ -117,7 +117,7 @@ defmodule Aerie.Vehicle.FlightTest do
 
     assert modes(events) == ~w(MANUAL GUIDED AUTO HOLD)
     assert for({_, _, %{"seq" => seq}} <- pick(run, ["mission.reached"]), do: seq) == [1, 2, 3, 4]
-    assert Aerie.Vehicle.Core.snapshot(run.core).vehicle_type == "rover"
+    assert Aerie.Vehicle.Session.Core.snapshot(run.core).vehicle_type == "rover"
   end
 
   describe "PX4 1.17" do
@@ -171,7 +171,7 @@ defmodule Aerie.Vehicle.FlightTest do
     test "a home at 95 degrees north is refused and counted" do
       run = frames("px4_refusals") |> run()
       assert {:count, :invalid} in run.actions
-      home = State.data(State.restore(Aerie.Vehicle.Core.snapshot(run.core)), :home)
+      home = State.data(State.restore(Aerie.Vehicle.Session.Core.snapshot(run.core)), :home)
       assert_in_delta home.lat, 47.39, 0.1
     end
   end
@@ -185,13 +185,13 @@ defmodule Aerie.Vehicle.FlightTest do
       frame(%Heartbeat{type: 26, autopilot: 8, base_mode: 0x80, custom_mode: 9}, 1_000_000, component: 154)
 
     run = run([gimbal])
-    assert Aerie.Vehicle.Core.snapshot(run.core).groups[:mode] == nil
+    assert Aerie.Vehicle.Session.Core.snapshot(run.core).groups[:mode] == nil
 
     copter = frame(%Heartbeat{type: 2, autopilot: 3, custom_mode: 4, base_mode: 1}, 1_000_000)
     gcs = frame(%Heartbeat{type: 6, autopilot: 8, base_mode: 0x80, custom_mode: 9}, 1_100_000, component: 190)
     text = frame(%Statustext{severity: 6, text: "from a camera"}, 1_200_000, component: 100)
     run = run([copter, gcs, gimbal, text, copter])
     assert [%{type: "statustext", data: %{"component" => 100}}] = run.events
-    assert %{mode: "GUIDED", armed: false} = Aerie.Vehicle.Core.snapshot(run.core).groups.mode.data
+    assert %{mode: "GUIDED", armed: false} = Aerie.Vehicle.Session.Core.snapshot(run.core).groups.mode.data
   end
 end

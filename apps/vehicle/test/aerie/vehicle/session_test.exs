@@ -6,7 +6,7 @@ defmodule Aerie.Vehicle.SessionTest do
 
   alias Aerie.Base.{Names, Store}
   alias Aerie.Vehicle
-  alias Aerie.Vehicle.Journal
+  alias Aerie.Vehicle.Events.Journal
   alias Aerie.Base.PubSub
   alias MavCodec.Messages, as: M
 

@@ -1,7 +1,7 @@
 defmodule Aerie.Vehicle.StateTest do
   use ExUnit.Case, async: true
 
-  alias Aerie.Vehicle.Detector.{Batteries, Digest}
+  alias Aerie.Vehicle.Events.Detector.{Batteries, Digest}
   alias Aerie.Vehicle.State
   alias MavCodec.Messages, as: M
 

@@ -7,7 +7,7 @@ defmodule Aerie.CLI.Status.View do
 
   alias Aerie.Base.{Names, Store}
   alias Aerie.Fleet
-  alias Aerie.Vehicle.Journal
+  alias Aerie.Vehicle.Events.Journal
 
   defstruct [
     :now,

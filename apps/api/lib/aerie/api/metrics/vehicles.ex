@@ -3,7 +3,8 @@ defmodule Aerie.Api.Metrics.Vehicles do
 
   alias Aerie.Api.Metrics.Text
   alias Aerie.Base.Json.Object
-  alias Aerie.Vehicle.{Fields, Snapshot}
+  alias Aerie.Vehicle.Snapshot
+  alias Aerie.Vehicle.State.Fields
 
   @groups for {group, _title, fields} <- Fields.all(),
               %{path: [key], metric: {name, help}} <- fields,

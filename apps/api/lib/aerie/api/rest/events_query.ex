@@ -15,7 +15,7 @@ defmodule Aerie.Api.Rest.EventsQuery do
 
   @type options :: [limit: pos_integer(), since: integer() | nil]
 
-  @doc "Returns the options for `Aerie.Vehicle.Journal.recent/3`."
+  @doc "Returns the options for `Aerie.Vehicle.Events.Journal.recent/3`."
   @spec parse(%{String.t() => String.t() | nil}) :: {:ok, options()} | {:error, Error.t()}
   def parse(parameters) do
     with :ok <- known(Map.keys(parameters) -- ["limit", "since"]),

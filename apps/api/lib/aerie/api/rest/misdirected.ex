@@ -6,7 +6,7 @@ defmodule Aerie.Api.Rest.Misdirected do
 
   alias Aerie.Base.Names
   alias Aerie.Fleet
-  alias Aerie.Vehicle.Journal
+  alias Aerie.Vehicle.Events.Journal
   alias Aerie.Access.HTTP.Error
 
   @here [:save, :record_vehicle, :vehicle_signing, :sign_vehicle, :vehicle_events]

@@ -9,7 +9,7 @@ defmodule Aerie.Api.Rest.View do
   alias MavRouter.Client
   alias Aerie.Fleet.Bridge.Message
   alias Aerie.Base.Json
-  alias Aerie.Vehicle.Journal
+  alias Aerie.Vehicle.Events.Journal
   alias Aerie.Base.Store
   alias Aerie.Control.Policy
   alias Aerie.Fleet
@@ -210,7 +210,7 @@ defmodule Aerie.Api.Rest.View do
   @doc """
   The latest events of a vehicle, or of `:all`, as in NATS, oldest first; nil if there is no such vehicle. `more` is
   true if there are further events: later ones if `:since` is given, earlier ones otherwise. Options as in
-  `Aerie.Vehicle.Journal.recent/3`.
+  `Aerie.Vehicle.Events.Journal.recent/3`.
   """
   @spec events(term(), String.t() | :all, EventsQuery.options()) :: map() | nil
   def events(gateway, vehicle, options) do

@@ -5,7 +5,8 @@ defmodule Aerie.Api.Rest.OpenAPITest do
   alias Aerie.Api.Rest.OpenAPI.Parameters
   alias Aerie.Base.Json.Object
   alias Aerie.JsonSchemaCheck
-  alias Aerie.Vehicle.{Fields, Snapshot}
+  alias Aerie.Vehicle.Snapshot
+  alias Aerie.Vehicle.State.Fields
 
   @file_ Path.expand("../../../../../../docs/openapi.json", __DIR__)
 

@@ -2,13 +2,13 @@ defmodule Aerie.Api.Rest.VehicleTest do
   @moduledoc "What `/api` shows of a vehicle: its whole snapshot and its latest events."
   use Aerie.APICase, async: true
 
-  alias Aerie.Vehicle.Journal
+  alias Aerie.Vehicle.Events.Journal
   alias Aerie.Base.Store
   alias Aerie.Vehicle.Event
 
   @now 1_763_800_000_000_000
 
-  # Parts as the vehicle's session shows them (`Aerie.Vehicle.Core.Services.show/1`).
+  # Parts as the vehicle's session shows them (`Aerie.Vehicle.Session.Core.Services.show/1`).
   defp dealings do
     %{
       streams: %{

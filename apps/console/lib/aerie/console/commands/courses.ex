@@ -9,7 +9,7 @@ defmodule Aerie.Console.Commands.Courses do
   alias Aerie.Base.{Names, PubSub}
   alias Aerie.Control.Commands
   alias Aerie.Fleet
-  alias Aerie.Vehicle.Journal
+  alias Aerie.Vehicle.Events.Journal
   alias Aerie.Console.Commands.Outcome
 
   # As many as a page shows.

@@ -9,7 +9,8 @@ defmodule Aerie.Console.Commands.Outcome do
 
   alias Aerie.Control.Commands
   alias Aerie.Control.Policy.Fence.Earth
-  alias Aerie.Vehicle.{Event, Kind}
+  alias Aerie.Vehicle.Event
+  alias Aerie.Vehicle.Protocol.Kind
   alias Aerie.Console.Commands.Catalog
   alias Aerie.Console.UI.Age
   alias Aerie.Vehicle.Snapshot

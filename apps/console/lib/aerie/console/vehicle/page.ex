@@ -19,7 +19,7 @@ defmodule Aerie.Console.Vehicle.Page do
   alias Aerie.Fleet.Inspector
   alias MavRouter.Link
   alias Aerie.Vehicle.Command.Types
-  alias Aerie.Vehicle.Journal
+  alias Aerie.Vehicle.Events.Journal
   alias Aerie.Control.Policy
   alias Aerie.Console.Commands.{Courses, Entry, EntryList, Submit}
   alias Aerie.Console.Fleet.Plans

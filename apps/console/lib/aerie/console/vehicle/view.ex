@@ -2,7 +2,7 @@ defmodule Aerie.Console.Vehicle.View do
   @moduledoc "A vehicle's snapshot at one time: its values as text with units, and their ages. Pure."
 
   alias Aerie.Vehicle.Snapshot.Age
-  alias Aerie.Vehicle.Fields
+  alias Aerie.Vehicle.State.Fields
 
   @enforce_keys [:vehicle, :now, :silent_us]
   defstruct [:vehicle, :now, :silent_us]

@@ -2,7 +2,7 @@ defmodule Aerie.Console.Vehicle.PageTest do
   @moduledoc "The page of one vehicle. The store is filled by hand, and the test is the vehicle's executor."
   use Aerie.VehiclePageCase, async: true
 
-  alias Aerie.Vehicle.Journal
+  alias Aerie.Vehicle.Events.Journal
 
   @id "VID-007"
   @path "/vehicles/VID-007"

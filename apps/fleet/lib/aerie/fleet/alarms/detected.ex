@@ -1,11 +1,12 @@
 defmodule Aerie.Fleet.Alarms.Detected do
   @moduledoc """
   The alarms that events of vehicles begin. They hold as long as the vehicle's detector has their condition
-  (`t:Aerie.Vehicle.Detector.condition/0`), so none outlives its cause, whatever event was lost. Pure.
+  (`t:Aerie.Vehicle.Events.Detector.condition/0`), so none outlives its cause, whatever event was lost. Pure.
   """
 
   alias Aerie.Fleet.Alarms.Core
-  alias Aerie.Vehicle.{Detector, Event, Snapshot}
+  alias Aerie.Vehicle.{Event, Snapshot}
+  alias Aerie.Vehicle.Events.Detector
 
   @source :detected
 

@@ -8,7 +8,8 @@ defmodule Aerie.Fleet.AsyncAPI.Schemas do
   alias Aerie.Fleet.Bridge.Events.Gaps
   alias Aerie.Fleet.Remote.Message
   alias Aerie.Fleet.Shadow
-  alias Aerie.Vehicle.{Command, Event, Fields}
+  alias Aerie.Vehicle.{Command, Event}
+  alias Aerie.Vehicle.State.Fields
   alias Aerie.Vehicle.State.Groups
 
   @type t :: Aerie.Base.Json.Schema.t()

@@ -18,7 +18,7 @@ defmodule Aerie.Fleet.Bridge.Events do
   alias Aerie.Fleet.Bridge.{Connection, NatsServer, Settings}
   alias Aerie.Fleet.Bridge.Events.Outbox
   alias Aerie.Fleet.Bridge.Status.Tables
-  alias Aerie.Vehicle.Journal
+  alias Aerie.Vehicle.Events.Journal
   alias Aerie.Fleet.Bridge.Events.{Gaps, PubAck, StallDetector, Stores, Window}
   alias Aerie.Base.Names
   alias Aerie.Fleet.Nats

@@ -13,7 +13,8 @@ defmodule Aerie.Fleet.Bridge.Message do
 
   alias Aerie.Base.Json
   alias Aerie.Fleet.Bridge.Events.Gaps
-  alias Aerie.Vehicle.{Event, Fields}
+  alias Aerie.Vehicle.Event
+  alias Aerie.Vehicle.State.Fields
 
   @max_state_bytes 32_768
 

@@ -2,7 +2,7 @@ defmodule Aerie.Fleet.Bridge.Metrics do
   @moduledoc "The bridge's metrics, to be rendered."
 
   alias Aerie.Fleet.Bridge.Status.Tables
-  alias Aerie.Vehicle.Journal
+  alias Aerie.Vehicle.Events.Journal
   alias Aerie.Base.Names
 
   @typedoc "`samples`: value for each set of labels."

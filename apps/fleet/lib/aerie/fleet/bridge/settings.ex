@@ -15,7 +15,7 @@ defmodule Aerie.Fleet.Bridge.Settings do
   # As a key of REST.
   @shortest 16
 
-  part :fleet, Aerie.Vehicle.Journal.Settings
+  part :fleet, Aerie.Vehicle.Events.Journal.Settings
   part :vehicle, Aerie.Vehicle.Settings
 
   section ""

@@ -17,7 +17,7 @@ defmodule Aerie.Fleet.Bridge.State do
 
   alias Aerie.Fleet.Bridge.{Connection, Message, Settings}
   alias Aerie.Fleet.Bridge.Status.Tables
-  alias Aerie.Vehicle.Journal
+  alias Aerie.Vehicle.Events.Journal
   alias Aerie.Base.Names
   alias Aerie.Fleet.{Bridge, Nats}
 

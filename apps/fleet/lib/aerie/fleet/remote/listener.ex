@@ -19,7 +19,7 @@ defmodule Aerie.Fleet.Remote.Listener do
 
   alias Aerie.Base.{Names, Store}
   alias Aerie.Fleet.{Bridge, Nats}
-  alias Aerie.Vehicle.Journal
+  alias Aerie.Vehicle.Events.Journal
   alias Aerie.Fleet.Bridge.Commands
   alias Aerie.Fleet.Bridge.Connection.Subscriber
   alias Aerie.Fleet.Remote.Table

@@ -2,13 +2,14 @@ defmodule Aerie.Fleet.Remote.Message do
   @moduledoc """
   A message of another gateway about a vehicle's state (`Aerie.Fleet.Bridge.Message`), checked: it came from outside. Pure.
 
-  Only groups and fields of `Aerie.Vehicle.Fields` are taken, and of those only values of the kind that the field has. The group
+  Only groups and fields of `Aerie.Vehicle.State.Fields` are taken, and of those only values of the kind that the field has. The group
   `gateway` is what a gateway says of the vehicle: who it is, and whether it is heard.
   """
 
   alias Aerie.Base.Json.Object
   alias Aerie.Fleet.Bridge
-  alias Aerie.Vehicle.{Fields, Firmware, Snapshot}
+  alias Aerie.Vehicle.{Firmware, Snapshot}
+  alias Aerie.Vehicle.State.Fields
 
   @max_text 256
   @max_list 64

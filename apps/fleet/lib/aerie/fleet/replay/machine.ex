@@ -19,7 +19,8 @@ defmodule Aerie.Fleet.Replay.Machine do
   alias MavCodec.Meaning.Heartbeat
   alias MavRouter.Forward.Cache.EarlyTexts
   alias MavRouter.Forward.GroundStations
-  alias Aerie.Vehicle.{Core, Options}
+  alias Aerie.Vehicle.Options
+  alias Aerie.Vehicle.Session.Core
   alias Aerie.Vehicle.Services.Timesync
   alias MavCodec.{Frame, Parser, Tlog}
   alias MavCodec.Messages, as: M
@@ -28,7 +29,7 @@ defmodule Aerie.Fleet.Replay.Machine do
   @timesync M.Timesync.id()
   # The messages that say what their sender is.
   @heartbeats [M.Heartbeat.id(), M.HighLatency2.id()]
-  # As in `Aerie.Vehicle.Core.Frames`.
+  # As in `Aerie.Vehicle.Session.Core.Frames`.
   @copy_us 5_000_000
   @copies 64
   @stations_every 10

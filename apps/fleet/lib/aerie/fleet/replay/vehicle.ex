@@ -4,7 +4,9 @@ defmodule Aerie.Fleet.Replay.Vehicle do
   live gateway; its actions become outputs.
   """
 
-  alias Aerie.Vehicle.{Core, Detector, Options}
+  alias Aerie.Vehicle.Options
+  alias Aerie.Vehicle.Events.Detector
+  alias Aerie.Vehicle.Session.Core
 
   # As in the journal of a live gateway.
   @max_params 8_192

@@ -13,7 +13,7 @@ defmodule Aerie.Fleet.Shadow.Loop do
   alias Aerie.Base.Timing.HostClock
   alias Aerie.Control.Params.LongNames
   alias Aerie.Control.Policy
-  alias Aerie.Vehicle.Journal
+  alias Aerie.Vehicle.Events.Journal
   alias Aerie.Fleet.Bridge.State.LastPublished
   alias Aerie.Fleet.Shadow.{Documents, Metrics, Settings}
   alias Aerie.Fleet.Shadow.Document.Field

@@ -2,7 +2,7 @@ defmodule Aerie.Fleet.Bridge.EventsTest do
   use Aerie.BridgeCase, async: true
 
   alias Aerie.Fleet.Bridge.Events.Outbox
-  alias Aerie.Vehicle.Journal
+  alias Aerie.Vehicle.Events.Journal
 
   @moduletag :tmp_dir
   @moduletag :capture_log
@@ -148,7 +148,7 @@ defmodule Aerie.Fleet.Bridge.EventsTest do
     # Of one vehicle, one event at a time goes to NATS.
     for n <- 1..10, vehicle = "V\#{n}" do
       events = for seq <- 1..100, do: Aerie.Vehicle.Event.new(vehicle, "statustext", seq, seq, nil, %{"n" => seq})
-      Aerie.Vehicle.Journal.commit(:g, vehicle, :state, events)
+      Aerie.Vehicle.Events.Journal.commit(:g, vehicle, :state, events)
     end
     wait = fn wait ->
       receive do

@@ -8,7 +8,7 @@ defmodule Aerie.Fleet.Bridge.HubCutsTest do
   import Aerie.HubCase
 
   alias Aerie.HubServer
-  alias Aerie.Vehicle.Journal
+  alias Aerie.Vehicle.Events.Journal
   alias Aerie.TestBucket, as: KV
 
   @moduletag :tmp_dir

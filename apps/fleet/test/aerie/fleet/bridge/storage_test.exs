@@ -18,6 +18,7 @@ defmodule Aerie.Fleet.Bridge.StorageTest do
     Application.ensure_all_started(:fleet)
     alias Aerie.Base.PubSub
     alias Aerie.Vehicle.Event
+    alias Aerie.Vehicle.Events.Journal
     disk = #{inspect(disk)}
     config = Aerie.BridgeCase.settings([{"nats.port", 0}, {"nats.store_dir", Path.join(disk, "nats")},
                              {"outbox.dir", #{inspect(Path.join(dir, "outbox"))}}])
@@ -26,11 +27,11 @@ defmodule Aerie.Fleet.Bridge.StorageTest do
     {:ok, _} = Aerie.Fleet.Bridge.Supervisor.start_link(gateway: :g, settings: config)
     await = fn await, fun -> fun.() || (Process.sleep(20); await.(await, fun)) end
     problem = fn -> Aerie.Fleet.Bridge.info(:g).problem end
-    stored = fn -> Aerie.Vehicle.Journal.pending_size(:g) == 0 and Aerie.Fleet.Bridge.info(:g).outbox[:events] == 0 end
+    stored = fn -> Journal.pending_size(:g) == 0 and Aerie.Fleet.Bridge.info(:g).outbox[:events] == 0 end
     commit = fn seqs ->
       for seq <- seqs do
         event = Event.new("A", "statustext", seq, seq, nil, %{"text" => String.duplicate("x", 4000)})
-        Aerie.Vehicle.Journal.commit(:g, "A", :state, [event])
+        Journal.commit(:g, "A", :state, [event])
       end
     end
 

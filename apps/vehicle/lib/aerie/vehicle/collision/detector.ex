@@ -12,7 +12,7 @@ defmodule Aerie.Vehicle.Collision.Detector do
   Boot times are compared within one kind of message (`MavCodec.Message.BootClock` says why), and only jumps to and fro
   count: a clock that does not count milliseconds drifts in one direction. A second link with a delay of up to half a
   minute shows the same boot time earlier, and on its own paths. So boot times that are close and come by separate paths
-  are taken for a delay, unless the positions are too far apart for one vehicle (`Aerie.Vehicle.Core.Frames`).
+  are taken for a delay, unless the positions are too far apart for one vehicle (`Aerie.Vehicle.Session.Core.Frames`).
   """
 
   alias Aerie.Vehicle.Collision.Owner

@@ -2,7 +2,7 @@ defmodule Aerie.Vehicle.Event.Types do
   @moduledoc """
   All event types of a vehicle, one a row: when each occurs, what shows it, the fields of its data, how severe it is, the text
   that people read, and the alarm that it begins or ends. `docs/telemetry.md` (`mix aerie.telemetry`), NATS and the console are
-  made from it. A new event is a row here and a step of a detector (`Aerie.Vehicle.Detector`).
+  made from it. A new event is a row here and a step of a detector (`Aerie.Vehicle.Events.Detector`).
 
   Any field may be null if nothing is known. An event that the vehicle's state shows may also have `position`: where the vehicle
   was then.
@@ -20,7 +20,7 @@ defmodule Aerie.Vehicle.Event.Types do
     * `text` - its text for people. `{name}` is a value of its data, `({name})` the same with spaces for underscores; what is in
       square brackets is left out if that value is not known. nil: the type and its data
     * `begins` - the alarm that it raises: it holds as long as the detector has the condition
-      (`t:Aerie.Vehicle.Detector.condition/0`), so that a lost end leaves no alarm. `over`: what else
+      (`t:Aerie.Vehicle.Events.Detector.condition/0`), so that a lost end leaves no alarm. `over`: what else
       ends it
     * `ends` - the alarm whose end it tells; `:all`: it tells the end of all
   """
@@ -215,7 +215,7 @@ defmodule Aerie.Vehicle.Event.Types do
         "how long after it happened (the event's time) it was received, if that is more than two seconds"}
      ], severity: :data},
     {"events.suppressed", "more events of a type occurred than are published",
-     "`Aerie.Vehicle.Detector.Budget`: of each type 60 at once and two a second, texts by their urgency",
+     "`Aerie.Vehicle.Events.Detector.Budget`: of each type 60 at once and two a second, texts by their urgency",
      [
        {"of", :string, nil, "the type"},
        {"count", :integer, nil, "how many were suppressed"},

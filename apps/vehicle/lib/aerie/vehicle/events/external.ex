@@ -2,11 +2,11 @@ defmodule Aerie.Vehicle.Events.External do
   @moduledoc "Events of a vehicle that other parts of the gateway detect, such as `MavRouter.Signing`."
   @behaviour MavRouter.Signing.Events
 
-  alias Aerie.Vehicle.Journal
+  alias Aerie.Vehicle.Events.Journal
   alias Aerie.Base.Names
   alias MavRouter.Signing
   alias Aerie.Base.Store
-  alias Aerie.Vehicle.Detector.Observation
+  alias Aerie.Vehicle.Events.Detector.Observation
   alias Aerie.Vehicle.Events
 
   @impl Signing.Events

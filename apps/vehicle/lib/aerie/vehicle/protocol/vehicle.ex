@@ -39,7 +39,7 @@ defmodule Aerie.Vehicle.Protocol.Vehicle do
   @type group :: :mode | :in_air | :vtol | :position | :home | :mission
 
   @typedoc """
-    * `:kind` - as `Aerie.Vehicle.Kind.name/1` says: copter, plane, vtol, rover, boat, sub …
+    * `:kind` - as `Aerie.Vehicle.Protocol.Kind.name/1` says: copter, plane, vtol, rover, boat, sub …
     * `:version` - that of MAVLink which it speaks
     * `:us` - system and component that commands are sent from
     * `:mode_names` - number to name, of modes that the vehicle itself named (X4)
@@ -84,7 +84,7 @@ defmodule Aerie.Vehicle.Protocol.Vehicle do
 
   @doc "Whether it can fly at all."
   @spec flies?(t()) :: boolean()
-  def flies?(%{kind: kind}), do: Aerie.Vehicle.Kind.flies?(kind)
+  def flies?(%{kind: kind}), do: Aerie.Vehicle.Protocol.Kind.flies?(kind)
 
   @doc "The steps; an error if the vehicle is known to be on the ground, where the firmwares accept them but nothing moves."
   @spec airborne(t(), steps) :: steps | {:error, String.t()} when steps: term()

@@ -11,5 +11,6 @@ defmodule Aerie.Vehicle.Session.Publisher do
               :ok
 
   @doc "The vehicle's state as last published before the gateway was started, or nil."
-  @callback remembered(Names.gateway(), vehicle :: String.t()) :: Aerie.Vehicle.Detector.OfflineChanges.t()
+  @callback remembered(Names.gateway(), vehicle :: String.t()) ::
+              Aerie.Vehicle.Events.Detector.OfflineChanges.t()
 end

@@ -13,7 +13,8 @@ defmodule Aerie.Vehicle.Snapshot.Fields do
 
   alias Aerie.Base.Json
   alias Aerie.Base.Json.{Object, Schema}
-  alias Aerie.Vehicle.{Fields, Firmware}
+  alias Aerie.Vehicle.Firmware
+  alias Aerie.Vehicle.State.Fields
   alias Aerie.Vehicle.Snapshot
   alias Aerie.Vehicle.Services.{Gcs, Reports, Timesync}
   alias Aerie.Vehicle.Services.Streams.WantedMessage

@@ -1,11 +1,13 @@
 defmodule Aerie.Vehicle.Snapshot.Page do
   @moduledoc """
-  `docs/telemetry.md`, made from `Aerie.Vehicle.Fields`, `Aerie.Vehicle.Snapshot.Fields`, `MavRouter.Link.fields/0` and
-  `Aerie.Vehicle.Event.Types` (`mix aerie.telemetry`), so that the page cannot differ from what is published.
+  `docs/telemetry.md`, made from `Aerie.Vehicle.State.Fields`, `Aerie.Vehicle.Snapshot.Fields`,
+  `MavRouter.Link.fields/0` and `Aerie.Vehicle.Event.Types` (`mix aerie.telemetry`), so that the page cannot
+  differ from what is published.
   """
 
   alias Aerie.Base.Json.Object
-  alias Aerie.Vehicle.{Event, Fields, Snapshot}
+  alias Aerie.Vehicle.{Event, Snapshot}
+  alias Aerie.Vehicle.State.Fields
 
   @doc "The text of the page."
   @spec markdown() :: String.t()
@@ -36,7 +38,7 @@ defmodule Aerie.Vehicle.Snapshot.Page do
     """
     # Telemetry: every field, its unit, its meaning
 
-    <!-- Made by `mix aerie.telemetry` from Aerie.Vehicle.Fields and Aerie.Vehicle.Event.Types: change those, not this page. -->
+    <!-- Made by `mix aerie.telemetry` from Aerie.Vehicle.State.Fields and Aerie.Vehicle.Event.Types: change those, not this page. -->
 
     A field has the same name, unit and number of decimals in NATS, REST and `state.sock`.
 

@@ -10,7 +10,8 @@ defmodule Aerie.Vehicle.State.Flight do
      before. Without a height one that flew still does; whether another one does is not known.
   """
 
-  alias Aerie.Vehicle.{Firmware, Kind, State}
+  alias Aerie.Vehicle.{Firmware, State}
+  alias Aerie.Vehicle.Protocol.Kind
   alias MavCodec.Enums.MavLandedState
 
   @fresh_us 5_000_000

@@ -8,7 +8,7 @@ defmodule Aerie.Vehicle.State.Group do
       type}`, `{:list, :object}` and `{:object, decimals}` of the fields below it, `{:list, :group}` of these and the
       group's own
     * `sampling` - how it is published unless the configuration says otherwise: `{strategy, hz, threshold, refresh_s}`
-      (`Aerie.Vehicle.Sampling`)
+      (`Aerie.Vehicle.State.Sampling`)
     * `messages` - the messages that the module reads, whichever groups they change. `{second, first}`: the second is
       read only while the first has not come for two seconds
   """

@@ -8,7 +8,8 @@ defmodule Aerie.Vehicle.State.HighLatency do
   import Bitwise
 
   alias Aerie.Vehicle.Firmware.Modes
-  alias Aerie.Vehicle.{Firmware, Kind}
+  alias Aerie.Vehicle.Firmware
+  alias Aerie.Vehicle.Protocol.Kind
   alias Aerie.Vehicle.State.{Group, Value}
   alias Aerie.Vehicle.State.Groups.Battery
   alias MavCodec.Enums.{HlFailureFlag, MavModeFlag}

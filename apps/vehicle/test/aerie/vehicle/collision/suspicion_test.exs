@@ -4,7 +4,8 @@ defmodule Aerie.Vehicle.Collision.SuspicionTest do
 
   import Aerie.Flight, only: [frame: 2, frame: 3, options: 1, step: 2]
 
-  alias Aerie.Vehicle.{Core, Detector}
+  alias Aerie.Vehicle.Events.Detector
+  alias Aerie.Vehicle.Session.Core
   alias MavCodec.Messages, as: M
 
   @second 1_000_000

@@ -2,7 +2,7 @@ defmodule Aerie.Vehicle.Firmware.ModesTest do
   use ExUnit.Case, async: true
 
   alias Aerie.Vehicle.Firmware.Modes
-  alias Aerie.Vehicle.Kind
+  alias Aerie.Vehicle.Protocol.Kind
 
   test "names of each firmware" do
     assert Modes.name(:ardupilot, "copter", 81, 4) == "GUIDED"
@@ -92,7 +92,8 @@ defmodule Aerie.Vehicle.Firmware.ModesTest do
   describe "modes that an application brings along" do
     import Aerie.Flight, only: [frame: 2, options: 1, step: 2]
 
-    alias Aerie.Vehicle.{Core, Detector}
+    alias Aerie.Vehicle.Events.Detector
+    alias Aerie.Vehicle.Session.Core
     alias MavCodec.Messages, as: M
 
     @external 4 * 0x10000 + 12 * 0x1000000

@@ -7,7 +7,9 @@ defmodule Aerie.Vehicle.Services.ReportsTest do
 
   import Aerie.Flight, only: [frame: 3, frames: 1, options: 1, pick: 2, run: 1, run: 2, step: 2]
 
-  alias Aerie.Vehicle.{Core, Detector, State}
+  alias Aerie.Vehicle.State
+  alias Aerie.Vehicle.Events.Detector
+  alias Aerie.Vehicle.Session.Core
   alias Aerie.Vehicle.Services.Reports
   alias Aerie.Vehicle.Services.Reports.{Checks, Names}
   alias MavCodec.Messages, as: M

@@ -9,7 +9,7 @@ defmodule Aerie.Vehicle.Session.CapacityTest do
 
   alias Aerie.Base.{Names, Store}
   alias Aerie.Vehicle
-  alias Aerie.Vehicle.Journal
+  alias Aerie.Vehicle.Events.Journal
   alias Aerie.Base.PubSub
   alias Aerie.Vehicle.Session.Capacity
   alias MavCodec.Messages, as: M

@@ -6,7 +6,7 @@ defmodule Aerie.CLI.Subcommand.Running.Tail do
   alias Aerie.CLI.Status.Lines
   alias Aerie.Base.Store
   alias Aerie.Fleet
-  alias Aerie.Vehicle.Journal
+  alias Aerie.Vehicle.Events.Journal
   alias Aerie.Base.PubSub
   alias Aerie.CLI.Output.Columns
 

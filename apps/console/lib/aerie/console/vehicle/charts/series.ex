@@ -1,7 +1,7 @@
 defmodule Aerie.Console.Vehicle.Charts.Series do
   @moduledoc "The fields of a vehicle's state that can be charted, and a sample of chosen ones. Pure."
 
-  alias Aerie.Vehicle.Fields
+  alias Aerie.Vehicle.State.Fields
 
   @max 8
   @fresh_us 5_000_000

@@ -5,7 +5,7 @@ defmodule Aerie.Console.Vehicle.Health.Obstacles do
 
   alias Aerie.Vehicle.Command.Types
   alias Aerie.Vehicle.Firmware.Modes
-  alias Aerie.Vehicle.Kind
+  alias Aerie.Vehicle.Protocol.Kind
   alias Aerie.Console.UI.Age
   alias Aerie.Console.Vehicle.View
   alias Aerie.Console.Vehicle.Health.Arming

@@ -1,6 +1,6 @@
 defmodule Aerie.Control.Policy.Clients.Arming do
   @moduledoc """
-  Decides whether a vehicle that asks before it arms may do so (`Aerie.Vehicle.ArmAuthorization`): the policy decides as about
+  Decides whether a vehicle that asks before it arms may do so (`Aerie.Vehicle.Session.ArmAuthorization`): the policy decides as about
   `arm`, but for roles and rates, because the source of the order to arm is unknown.
   """
 
@@ -8,9 +8,9 @@ defmodule Aerie.Control.Policy.Clients.Arming do
   alias Aerie.Control.Policy.{Audit, Intent, ControlLease, Roles}
   alias Aerie.Control.Policy.Intent.Context
 
-  @behaviour Aerie.Vehicle.ArmAuthorization
+  @behaviour Aerie.Vehicle.Session.ArmAuthorization
 
-  @impl Aerie.Vehicle.ArmAuthorization
+  @impl Aerie.Vehicle.Session.ArmAuthorization
   def decide(gateway, snapshot, now) do
     decision =
       case Policy.Store.get(gateway) do

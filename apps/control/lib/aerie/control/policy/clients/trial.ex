@@ -38,7 +38,7 @@ defmodule Aerie.Control.Policy.Clients.Trial do
           leases: %{String.t() => ControlLease.t() | nil}
         }
 
-  @typedoc "`:snapshot` - of the vehicle at that time (`Aerie.Vehicle.Core.snapshot/1`); `:at` - unix microseconds; `:sender` - who uploads; `:via` - the interface."
+  @typedoc "`:snapshot` - of the vehicle at that time (`Aerie.Vehicle.Session.Core.snapshot/1`); `:at` - unix microseconds; `:sender` - who uploads; `:via` - the interface."
   @type asked :: %{
           snapshot: map(),
           at: integer(),

@@ -62,8 +62,8 @@ defmodule Aerie.Control.Policy.Intent.Context do
         }
 
   @doc """
-  A context of a vehicle's snapshot (`Aerie.Vehicle.Core.snapshot/1`), or of the same groups without their times, as
-  `aerie policy try --vehicle` has them.
+  A context of a vehicle's snapshot (`Aerie.Vehicle.Session.Core.snapshot/1`), or of the same groups without their
+  times, as `aerie policy try --vehicle` has them.
   """
   @spec new(map(), Roles.source() | nil, now :: integer()) :: t()
   def new(groups, source, now) do

@@ -4,10 +4,10 @@ defmodule Aerie.Control.Policy.Clients.ArmingTest do
 
   import Aerie.Flight, only: [frame: 3]
 
-  alias Aerie.Vehicle.ArmAuthorization
+  alias Aerie.Vehicle.Session.ArmAuthorization
   alias Aerie.Control.Policy.Clients.Arming
   alias Aerie.Control.Policy.ControlLease.Holders
-  alias Aerie.Vehicle.Core
+  alias Aerie.Vehicle.Session.Core
   alias MavCodec.Messages, as: M
 
   @moduletag :tmp_dir

@@ -13,7 +13,7 @@ defmodule Aerie.Fleet.Bridge.Events.Stores do
   alias Aerie.Fleet.Bridge.Events.{Gaps, Outbox, Window}
   alias Aerie.Fleet.Bridge.Message
   alias Aerie.Fleet.Bridge.Status.Tables
-  alias Aerie.Vehicle.Journal
+  alias Aerie.Vehicle.Events.Journal
 
   require Logger
 

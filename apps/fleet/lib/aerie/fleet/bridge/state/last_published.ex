@@ -1,8 +1,8 @@
 defmodule Aerie.Fleet.Bridge.State.LastPublished do
   @moduledoc """
   Keeps on disk what was last published of each vehicle (mode, armed, in the air), so that a restarted gateway can
-  detect what changed in between (`Aerie.Vehicle.Detector.OfflineChanges`). It also keeps the epoch, a number that grows
-  with each start; in one epoch a vehicle's `seq` grows by one from event to event.
+  detect what changed in between (`Aerie.Vehicle.Events.Detector.OfflineChanges`). It also keeps the epoch, a number
+  that grows with each start; in one epoch a vehicle's `seq` grows by one from event to event.
 
   A vehicle's values are written when its events have left the journal, because then the stream or the outbox has them.
   So a transition whose event died with the gateway is found after the restart. One that was published in the last half
@@ -26,15 +26,16 @@ defmodule Aerie.Fleet.Bridge.State.LastPublished do
   use GenServer, shutdown: 30_000
 
   alias Aerie.Base.Timing.Backoff
-  alias Aerie.Vehicle.Journal
+  alias Aerie.Vehicle.Events.Journal
   alias Aerie.Fleet.Bridge.State.LastPublished.File, as: Kept
   alias Aerie.Fleet.Bridge.State.LastPublished.Missing
   alias Aerie.Fleet.Bridge.Settings
   alias Aerie.Base.Files.FolderLock
   alias Aerie.Base.{Names, Store}
   alias MavRouter.Identity
-  alias Aerie.Vehicle.{Detector, Event, Events}
-  alias Aerie.Vehicle.Detector.Observation
+  alias Aerie.Vehicle.{Event, Events}
+  alias Aerie.Vehicle.Events.Detector
+  alias Aerie.Vehicle.Events.Detector.Observation
 
   require Logger
 

@@ -8,8 +8,8 @@ defmodule Aerie.Fleet.Shadow.Document.Schema do
 
   alias Aerie.Fleet.Shadow.Update
   alias Aerie.Fleet.Shadow.Document.{Field, Report}
-  alias Aerie.Vehicle.{Command, Fields}
-  alias Aerie.Vehicle.State.Groups
+  alias Aerie.Vehicle.Command
+  alias Aerie.Vehicle.State.{Fields, Groups}
   alias Aerie.Vehicle.Command.Param
   alias MavRouter.Endpoints.RuleChanges
 

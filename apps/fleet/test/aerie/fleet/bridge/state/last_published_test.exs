@@ -4,7 +4,7 @@ defmodule Aerie.Fleet.Bridge.State.LastPublishedTest do
 
   alias Aerie.Base.Json
   alias Aerie.Fleet.Bridge.State.LastPublished
-  alias Aerie.Vehicle.Journal
+  alias Aerie.Vehicle.Events.Journal
   alias MavCodec.Messages.Heartbeat
 
   @moduletag :tmp_dir
@@ -265,9 +265,14 @@ defmodule Aerie.Fleet.Bridge.State.LastPublishedTest do
 
     assert {%{lost: false}, [%{type: "link.restored", seq: 2}, %{type: "disarmed", data: %{"found" => true}}],
             _} =
-             Aerie.Vehicle.Detector.observe(
+             Aerie.Vehicle.Events.Detector.observe(
                told,
-               Aerie.Vehicle.Detector.Observation.new(:state, System.os_time(:microsecond), nil, digest)
+               Aerie.Vehicle.Events.Detector.Observation.new(
+                 :state,
+                 System.os_time(:microsecond),
+                 nil,
+                 digest
+               )
              )
 
     stop_supervised!(gateway)
@@ -353,10 +358,12 @@ defmodule Aerie.Fleet.Bridge.State.LastPublishedTest do
   end
 
   defp detector,
-    do: Aerie.Vehicle.Detector.new(%{id: "A", battery_low: 0.2, battery_critical: 0.1})
+    do: Aerie.Vehicle.Events.Detector.new(%{id: "A", battery_low: 0.2, battery_critical: 0.1})
 
   defp see(gateway, options, digest) do
-    observation = Aerie.Vehicle.Detector.Observation.new(:state, System.os_time(:microsecond), nil, digest)
+    observation =
+      Aerie.Vehicle.Events.Detector.Observation.new(:state, System.os_time(:microsecond), nil, digest)
+
     :ok = Journal.offer(gateway, options.id, observation)
     events = Aerie.Base.Names.whereis(gateway, :events, options.key)
     Aerie.Vehicle.Events.wake(events)

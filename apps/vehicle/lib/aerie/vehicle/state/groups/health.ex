@@ -115,7 +115,7 @@ defmodule Aerie.Vehicle.State.Groups.Health do
     }
   end
 
-  # What was in the way before it was ready is not any more (`Aerie.Vehicle.Core.Reporting`).
+  # What was in the way before it was ready is not any more (`Aerie.Vehicle.Session.Core.Reporting`).
   defp nothing_in_the_way(health, state) do
     if health.ready_to_arm == true and Firmware.telemetry(state.autopilot).arming_texts?,
       do: Map.put(health, :arming_checks, []),

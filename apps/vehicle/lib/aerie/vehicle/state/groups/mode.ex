@@ -6,7 +6,8 @@ defmodule Aerie.Vehicle.State.Groups.Mode do
   import Bitwise
 
   alias Aerie.Vehicle.Firmware.Modes
-  alias Aerie.Vehicle.{Firmware, Kind, State}
+  alias Aerie.Vehicle.{Firmware, State}
+  alias Aerie.Vehicle.Protocol.Kind
   alias Aerie.Vehicle.State.Group
 
   alias MavCodec.Enums.{

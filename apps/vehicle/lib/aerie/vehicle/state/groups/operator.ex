@@ -1,5 +1,5 @@
 defmodule Aerie.Vehicle.State.Groups.Operator do
-  @moduledoc "Who is in charge of the vehicle: as the gateway knows it (`Aerie.Vehicle.Core.Services`), and as CONTROL_STATUS says."
+  @moduledoc "Who is in charge of the vehicle: as the gateway knows it (`Aerie.Vehicle.Session.Core.Services`), and as CONTROL_STATUS says."
   import Bitwise
 
   alias Aerie.Vehicle.State.Group

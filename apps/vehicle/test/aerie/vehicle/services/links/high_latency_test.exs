@@ -3,7 +3,7 @@ defmodule Aerie.Vehicle.Services.Links.HighLatencyTest do
 
   import Aerie.Flight, only: [frame: 2, options: 1]
 
-  alias Aerie.Vehicle.Core
+  alias Aerie.Vehicle.Session.Core
   alias Aerie.Vehicle.Services.Links.HighLatency
   alias MavCodec.Messages, as: M
 

@@ -2,7 +2,7 @@ defmodule Aerie.Fleet.Bridge.State.LastPublished.File do
   @moduledoc "The file of `Aerie.Fleet.Bridge.State.LastPublished`: JSON, replaced as a whole. An invalid file counts as a missing one."
 
   alias Aerie.Base.Files.Private
-  alias Aerie.Vehicle.Detector.OfflineChanges
+  alias Aerie.Vehicle.Events.Detector.OfflineChanges
 
   # 4096 vehicles take half of that.
   @max_bytes 2_097_152

@@ -6,9 +6,10 @@ defmodule Aerie.Fleet.Bridge.State.LastPublished.Missing do
   """
 
   alias Aerie.Base.{Names, Store}
-  alias Aerie.Vehicle.Journal
-  alias Aerie.Vehicle.{Detector, Events, Options, Settings}
-  alias Aerie.Vehicle.Detector.Observation
+  alias Aerie.Vehicle.Events.Journal
+  alias Aerie.Vehicle.{Events, Options, Settings}
+  alias Aerie.Vehicle.Events.Detector
+  alias Aerie.Vehicle.Events.Detector.Observation
   alias Aerie.Vehicle.Services.Links.HighLatency
 
   @type t :: %{String.t() => since :: integer()}

@@ -1,0 +1,59 @@
+defmodule Aerie.Vehicle.State.Fields do
+  @moduledoc """
+  Every field of a vehicle's state with its unit, meaning, source and number of significant decimals, as the groups declare them
+  (`Aerie.Vehicle.State.Groups`). NATS, REST and `state.sock` use these names and units, and round by them when they render
+  (`rounded/2`, `event/1`), never before. `docs/telemetry.md` is made from it.
+
+  Units are SI and degrees. A ratio is 0..1, never per cent; a height says above what.
+  """
+
+  alias Aerie.Vehicle.Event
+  alias Aerie.Vehicle.State.{Group, Groups}
+
+  @type group :: atom()
+
+  all = for group <- Groups.all(), do: {group.name, group.title, group.fields}
+
+  # By atoms and strings, because the position in an event has string keys.
+  decimals =
+    for {group, _title, fields} <- all, into: %{} do
+      named = for %{path: path, decimals: n} when n != nil <- fields, do: {List.last(path), n}
+      {group, Map.new(named ++ Enum.map(named, fn {name, n} -> {Atom.to_string(name), n} end))}
+    end
+
+  @all all
+  @decimals Map.merge(decimals, Map.new(decimals, fn {group, names} -> {Atom.to_string(group), names} end))
+
+  # Seconds, volts and ratios have two decimals; a number without a unit is as the vehicle sent it.
+  @event (for %{fields: fields} <- Event.Types.all(),
+              %{name: name, unit: unit} when unit in ["s", "0..1", "V"] <- fields,
+              into: %{} do
+            {name, 2}
+          end)
+
+  @doc "All groups with a title and their fields, in the order of the documentation."
+  @spec all() :: [{group(), String.t(), [Group.field()]}]
+  def all, do: @all
+
+  @doc "A group's data with rounded numbers. The group is an atom or a string."
+  @spec rounded(group() | String.t(), map()) :: map()
+  def rounded(group, data), do: rounded_by(data, Map.get(@decimals, group, %{}), nil)
+
+  @doc "An event's data with rounded numbers."
+  @spec event(map()) :: map()
+  def event(%{"position" => %{} = position} = data),
+    do: %{rounded_by(data, @event, nil) | "position" => rounded(:position, position)}
+
+  def event(data), do: rounded_by(data, @event, nil)
+
+  # A field that has no decimals of its own has those of the field above it; 0 gives whole numbers.
+  defp rounded_by(float, _decimals, 0) when is_float(float), do: round(float)
+  defp rounded_by(float, _decimals, n) when is_float(float) and is_integer(n), do: Float.round(float, n)
+
+  defp rounded_by(map, decimals, above) when is_map(map) and not is_struct(map),
+    do:
+      Map.new(map, fn {name, value} -> {name, rounded_by(value, decimals, Map.get(decimals, name, above))} end)
+
+  defp rounded_by(list, decimals, n) when is_list(list), do: Enum.map(list, &rounded_by(&1, decimals, n))
+  defp rounded_by(other, _decimals, _n), do: other
+end

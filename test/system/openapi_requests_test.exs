@@ -6,7 +6,7 @@ defmodule Aerie.System.OpenAPIRequestsTest do
 
   use Aerie.SystemCase, async: true
 
-  alias Aerie.Api.Rest.Operations.ChangeLog
+  alias Aerie.Api.Rest.Operations.Log
   alias Aerie.Control.Operations.Operation
   alias Aerie.JsonSchemaSample
 
@@ -61,7 +61,8 @@ defmodule Aerie.System.OpenAPIRequestsTest do
 
     # The log is everybody's.
     if {method, path} == {"patch", "/api/log"},
-      do: with({:ok, _input} <- Operation.parse(%{ChangeLog.operation() | module: ChangeLog}, body), do: nil),
+      do:
+        with({:ok, _input} <- Operation.parse(%{Log.Change.operation() | module: Log.Change}, body), do: nil),
       else: asked(String.to_existing_atom(method), url, body, key)
   end
 

@@ -7,7 +7,7 @@ defmodule Aerie.Api.Rest.Actions do
   alias Aerie.Vehicle.Command.Types
 
   alias Aerie.Api.Rest.{Commands, EventsQuery, OpenAPI, Operations}
-  alias Aerie.Api.Rest.Operations.ChangeLog
+  alias Aerie.Api.Rest.Operations.Log
   alias Aerie.Access.HTTP.Error
 
   alias Aerie.Api.Rest.View.{Recordings, SigningCapability}
@@ -154,7 +154,7 @@ defmodule Aerie.Api.Rest.Actions do
     |> answer(200, request)
   end
 
-  def run(:log, _state, request), do: {:ok, 200, ChangeLog.view(), request}
+  def run(:log, _state, request), do: {:ok, 200, Log.Change.view(), request}
 
   def run(:reload_policy, state, request) do
     case Policy.reload(state.gateway, "http:" <> state.name) do

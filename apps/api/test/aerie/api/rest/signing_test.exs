@@ -2,11 +2,11 @@ defmodule Aerie.Api.Rest.SigningTest do
   use ExUnit.Case, async: true
   use Aerie.APICase
 
-  alias Aerie.Api.Rest.Operations.Sign
+  alias Aerie.Api.Rest.Operations.Signing
   alias Aerie.Control.Operations.Operation
   alias Aerie.Vehicle.Command.Error
 
-  defp parse(object), do: Operation.parse(%{Sign.operation() | module: Sign}, object)
+  defp parse(object), do: Operation.parse(%{Signing.Change.operation() | module: Signing.Change}, object)
 
   defp words(object) do
     assert {:error, errors} = parse(object)
@@ -34,7 +34,7 @@ defmodule Aerie.Api.Rest.SigningTest do
     assert words(%{"action" => "enrol", "link" => 5}) =~ "link: expected a text"
     assert words(%{"action" => "enrol", "component" => 0}) =~ "1 to 255"
     {:ok, input} = parse(%{"action" => "revoke", "key" => "generate"})
-    assert {:error, {:invalid, "key: only the action enrol has one"}} = Sign.run(input, %{})
+    assert {:error, {:invalid, "key: only the action enrol has one"}} = Signing.Change.run(input, %{})
   end
 
   test "the resources list keys by name, refuse to enrol an unknown vehicle, and say if a vehicle has no key" do

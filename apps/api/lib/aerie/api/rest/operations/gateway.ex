@@ -4,13 +4,21 @@ defmodule Aerie.Api.Rest.Operations.Gateway do
   over REST only.
   """
 
-  alias Aerie.Api.Rest.Operations.{AddClient, AddLink, ChangeLog, ChangeRules, Record, SaveRecording, Sign}
+  alias Aerie.Api.Rest.Operations.{Clients, Links, Log, Recordings, Rules, Signing}
   alias Aerie.Control.Operations.Operation
 
   @doc "All of them."
   @spec all() :: [Operation.t(), ...]
   def all do
-    for module <- [AddLink, AddClient, ChangeRules, ChangeLog, Record, SaveRecording, Sign],
+    for module <- [
+          Links.Add,
+          Clients.Add,
+          Rules.Change,
+          Log.Change,
+          Recordings.Set,
+          Recordings.Save,
+          Signing.Change
+        ],
         do: %{module.operation() | module: module}
   end
 end

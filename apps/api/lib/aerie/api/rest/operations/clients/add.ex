@@ -1,4 +1,4 @@
-defmodule Aerie.Api.Rest.Operations.AddClient do
+defmodule Aerie.Api.Rest.Operations.Clients.Add do
   @moduledoc false
   use Aerie.Control.Operations.Operation
 

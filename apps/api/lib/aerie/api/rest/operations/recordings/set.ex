@@ -1,4 +1,4 @@
-defmodule Aerie.Api.Rest.Operations.Record do
+defmodule Aerie.Api.Rest.Operations.Recordings.Set do
   @moduledoc false
   use Aerie.Control.Operations.Operation
 

@@ -1,4 +1,4 @@
-defmodule Aerie.Api.Rest.Operations.SaveRecording do
+defmodule Aerie.Api.Rest.Operations.Recordings.Save do
   @moduledoc false
   use Aerie.Control.Operations.Operation
 

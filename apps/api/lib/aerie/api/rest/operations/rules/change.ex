@@ -1,4 +1,4 @@
-defmodule Aerie.Api.Rest.Operations.ChangeRules do
+defmodule Aerie.Api.Rest.Operations.Rules.Change do
   @moduledoc false
   use Aerie.Control.Operations.Operation
 

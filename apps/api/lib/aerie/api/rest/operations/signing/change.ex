@@ -1,4 +1,4 @@
-defmodule Aerie.Api.Rest.Operations.Sign do
+defmodule Aerie.Api.Rest.Operations.Signing.Change do
   @moduledoc false
   use Aerie.Control.Operations.Operation
 

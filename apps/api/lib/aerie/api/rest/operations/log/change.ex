@@ -1,4 +1,4 @@
-defmodule Aerie.Api.Rest.Operations.ChangeLog do
+defmodule Aerie.Api.Rest.Operations.Log.Change do
   @moduledoc false
   use Aerie.Control.Operations.Operation
 

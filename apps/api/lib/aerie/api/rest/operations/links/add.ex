@@ -1,4 +1,4 @@
-defmodule Aerie.Api.Rest.Operations.AddLink do
+defmodule Aerie.Api.Rest.Operations.Links.Add do
   @moduledoc false
   use Aerie.Control.Operations.Operation
 

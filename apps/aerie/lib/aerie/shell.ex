@@ -24,7 +24,7 @@ defmodule Aerie.Shell do
   alias Aerie.Fleet
   alias Aerie.Fleet.{Inspector, Shadow}
   alias MavRouter.Link
-  alias Aerie.Vehicle.Snapshot.Age
+  alias Aerie.Vehicle.Snapshot
   alias Aerie.Processes
   alias Aerie.Shell.Text
   alias Aerie.CLI.{Ask, Subcommand}
@@ -70,7 +70,7 @@ defmodule Aerie.Shell do
   def v(id) do
     with_vehicle(id, fn vehicle ->
       links = Store.links(@gateway)
-      IO.write(Text.vehicle(vehicle, Age.now(vehicle, links, System.os_time(:microsecond))))
+      IO.write(Text.vehicle(vehicle, Snapshot.now(vehicle, links, System.os_time(:microsecond))))
     end)
   end
 

@@ -4,7 +4,7 @@ defmodule Aerie.Vehicle.Firmware do
   write that folder and add its adapter (`Aerie.Vehicle.Firmware.Adapter`) to the list in this file.
   """
 
-  alias Aerie.Vehicle.Firmware.{GroundStation, Reading, Telemetry, Traits, Unknown}
+  alias Aerie.Vehicle.Firmware.{GroundStation, Modes, Reading, Telemetry, Traits, Unknown}
 
   @typedoc "A firmware by the name that state, NATS and REST have; `:generic` for any that is not in the list."
   @type name :: atom()
@@ -61,6 +61,15 @@ defmodule Aerie.Vehicle.Firmware do
   @doc "Which ground station keeps the failsafe of a firmware on a kind of vehicle quiet."
   @spec ground_station(name() | nil, kind :: String.t()) :: GroundStation.t()
   def ground_station(name, kind), do: of(name).ground_station(kind)
+
+  @doc "The modes of a vehicle (its snapshot) that can be requested: its firmware's, and those that it reported itself."
+  @spec modes(map()) :: [String.t()]
+  def modes(%{autopilot: firmware, vehicle_type: kind, memory: memory}),
+    do: Modes.all(firmware, kind) ++ Enum.sort(Map.values(memory[:mode_names] || %{}))
+
+  @doc "The mode to be set first, if a vehicle refuses to be armed in this one; nil if it does not, or tells by itself."
+  @spec arm_first(map(), mode :: String.t() | nil) :: String.t() | nil
+  def arm_first(%{autopilot: firmware, vehicle_type: kind}, mode), do: Modes.arm_first(firmware, kind, mode)
 
   @doc "The name of a firmware for people."
   @spec title(name()) :: String.t()

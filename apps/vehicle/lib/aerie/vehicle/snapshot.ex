@@ -19,6 +19,8 @@ defmodule Aerie.Vehicle.Snapshot do
     * `:heard_here?` - that the gateway in `:via` holds the vehicle, although this one hears it as well
   """
 
+  alias Aerie.Vehicle.Protocol.Kind
+
   # At most 32 keys with __struct__: the BEAM keeps a larger map as a tree.
   defstruct [
     :id,
@@ -93,5 +95,30 @@ defmodule Aerie.Vehicle.Snapshot do
       %{^group => %{data: data}} -> data
       _unheard -> %{}
     end
+  end
+
+  @doc "Whether it takes off and lands."
+  @spec flies?(t()) :: boolean()
+  def flies?(%{vehicle_type: kind}), do: Kind.flies?(kind)
+
+  @doc """
+  Microseconds since the vehicle was last heard, at `now` (unix microseconds); nil if it never was. `links` are the
+  gateway's link snapshots.
+  """
+  @spec silent_us(t(), links :: [map()], now :: integer()) :: non_neg_integer() | nil
+  def silent_us(%{last_heard: nil}, _links, _now), do: nil
+  def silent_us(%{last_heard: heard} = vehicle, links, now), do: max(now(vehicle, links, now) - heard, 0)
+
+  @doc """
+  The time (unix microseconds) that the ages of a vehicle's state refer to: `now`, or for a vehicle that is heard only
+  from recordings the last frame that was played.
+  """
+  @spec now(t(), links :: [map()], now :: integer()) :: integer()
+  def now(%{links: ids}, links, now) do
+    own = for link <- links, link.id in ids, do: link
+
+    if own != [] and Enum.all?(own, &match?(%{spec: %{recorded: true}}, &1)),
+      do: own |> Enum.map(&(&1.last_heard || 0)) |> Enum.max(),
+      else: now
   end
 end

@@ -6,7 +6,6 @@ defmodule Aerie.CLI.Status.Lines do
 
   import Aerie.CLI.Status.Format
 
-  alias Aerie.Vehicle.Snapshot.Age
   alias Aerie.CLI.Status.View
   alias Aerie.Vehicle.Snapshot
 
@@ -104,7 +103,7 @@ defmodule Aerie.CLI.Status.Lines do
        groundspeed: rounded(Snapshot.data(vehicle, :velocity)[:groundspeed], 1),
        battery: rounded(Snapshot.data(vehicle, :battery)[:remaining], 2),
        gps: Snapshot.data(vehicle, :gps)[:fix_name],
-       age: seconds(Age.silent_us(vehicle, view.links, view.now))
+       age: seconds(Snapshot.silent_us(vehicle, view.links, view.now))
      ]}
   end
 

@@ -6,7 +6,6 @@ defmodule Aerie.CLI.Status.Table do
 
   import Aerie.CLI.Status.Format
 
-  alias Aerie.Vehicle.Snapshot.Age
   alias Aerie.CLI.Output.Columns
   alias Aerie.CLI.Status.View
   alias Aerie.Vehicle.Snapshot
@@ -215,7 +214,7 @@ defmodule Aerie.CLI.Status.Table do
   end
 
   defp silence(%{status: :lost}, _view), do: "LOST"
-  defp silence(vehicle, view), do: age(Age.silent_us(vehicle, view.links, view.now))
+  defp silence(vehicle, view), do: age(Snapshot.silent_us(vehicle, view.links, view.now))
 
   defp vehicle_style(%{status: :lost}), do: :red
   defp vehicle_style(%{status: :stale}), do: :yellow

@@ -56,7 +56,7 @@ defmodule Aerie.Api.Metrics.Vehicles do
   end
 
   defp silent(vehicle, links, now) do
-    with us when is_integer(us) <- Snapshot.Age.silent_us(vehicle, links, now), do: us / 1_000_000
+    with us when is_integer(us) <- Snapshot.silent_us(vehicle, links, now), do: us / 1_000_000
   end
 
   # The last report of a lost vehicle says nothing about now.

@@ -7,7 +7,7 @@ defmodule Aerie.Console.Commands.Form do
   """
 
   alias Aerie.Vehicle.Command.{Error, Param, Type}
-  alias Aerie.Vehicle.Firmware.Modes
+  alias Aerie.Vehicle.Firmware
 
   @max_text 256
   @max_items 64
@@ -86,9 +86,7 @@ defmodule Aerie.Console.Commands.Form do
   defp text(list) when is_list(list), do: Enum.map_join(list, ", ", &text/1)
   defp text(other), do: to_string(other)
 
-  defp suggestions("set_mode", :mode, %{autopilot: autopilot, vehicle_type: kind} = vehicle),
-    do: Modes.all(autopilot, kind) ++ Enum.sort(Map.values(vehicle.memory[:mode_names] || %{}))
-
+  defp suggestions("set_mode", :mode, %{} = vehicle), do: Firmware.modes(vehicle)
   defp suggestions(_type, _param, _vehicle), do: []
 
   @doc "The parameters of a command from the texts of its form."

@@ -10,7 +10,6 @@ defmodule Aerie.Console.Commands.Outcome do
   alias Aerie.Control.Commands
   alias Aerie.Control.Policy.Fence.Earth
   alias Aerie.Vehicle.Event
-  alias Aerie.Vehicle.Protocol.Kind
   alias Aerie.Console.Commands.Catalog
   alias Aerie.Console.UI.Age
   alias Aerie.Vehicle.Snapshot
@@ -132,7 +131,7 @@ defmodule Aerie.Console.Commands.Outcome do
 
   # A flying vehicle continues to land at home, which an event reports.
   defp arrived?(%{type: "rtl"} = entry, vehicle) do
-    not Kind.flies?(vehicle.vehicle_type) and
+    not Snapshot.flies?(vehicle) and
       near?(distance(target(entry, vehicle), vehicle), vehicle.vehicle_type)
   end
 

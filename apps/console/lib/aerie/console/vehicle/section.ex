@@ -2,7 +2,7 @@ defmodule Aerie.Console.Vehicle.Section do
   @moduledoc "The chosen section of a vehicle's page, from the page's assigns."
   use Aerie.Console, :component
 
-  alias Aerie.Vehicle.Firmware.Modes
+  alias Aerie.Vehicle.Firmware
   alias Aerie.Console.Commands.{Catalog, EntryList, Form, Panel}
   alias Aerie.Console.Map.Tiles
 
@@ -20,7 +20,7 @@ defmodule Aerie.Console.Vehicle.Section do
       view={@view}
       user={@user}
       inputs={@inputs}
-      modes={modes(@view.vehicle)}
+      modes={Firmware.modes(@view.vehicle)}
       target={@target}
       answer={@answer}
       obstacles={@obstacles}
@@ -87,9 +87,4 @@ defmodule Aerie.Console.Vehicle.Section do
     <LinkTable.links view={@view} rows={@link_rows} />
     """
   end
-
-  defp modes(vehicle),
-    do:
-      Modes.all(vehicle.autopilot, vehicle.vehicle_type) ++
-        Enum.sort(Map.values(vehicle.memory[:mode_names] || %{}))
 end

@@ -1,13 +1,13 @@
 defmodule Aerie.Console.Vehicle.View do
   @moduledoc "A vehicle's snapshot at one time: its values as text with units, and their ages. Pure."
 
-  alias Aerie.Vehicle.Snapshot.Age
+  alias Aerie.Vehicle.Snapshot
   alias Aerie.Vehicle.State.Fields
 
   @enforce_keys [:vehicle, :now, :silent_us]
   defstruct [:vehicle, :now, :silent_us]
 
-  @typedoc "`:now` is the time that ages refer to (`Aerie.Vehicle.Snapshot.Age.now/3`), `:silent_us` the time since the vehicle was heard."
+  @typedoc "`:now` is the time that ages refer to (`Aerie.Vehicle.Snapshot.now/3`), `:silent_us` the time since the vehicle was heard."
   @type t :: %__MODULE__{vehicle: map(), now: integer(), silent_us: non_neg_integer() | nil}
   @type path :: [atom()]
 
@@ -21,8 +21,8 @@ defmodule Aerie.Console.Vehicle.View do
   def new(vehicle, links, now) do
     %__MODULE__{
       vehicle: vehicle,
-      now: Age.now(vehicle, links, now),
-      silent_us: Age.silent_us(vehicle, links, now)
+      now: Snapshot.now(vehicle, links, now),
+      silent_us: Snapshot.silent_us(vehicle, links, now)
     }
   end
 

@@ -18,7 +18,6 @@ defmodule Aerie.Vehicle.Snapshot.Fields do
   alias Aerie.Vehicle.Snapshot
   alias Aerie.Vehicle.Services.{Gcs, Reports, Timesync}
   alias Aerie.Vehicle.Services.Streams.WantedMessage
-  alias Aerie.Vehicle.Snapshot.Age
   alias Aerie.Vehicle.State.Groups
 
   @typedoc """
@@ -141,7 +140,7 @@ defmodule Aerie.Vehicle.Snapshot.Fields do
   @spec show(Snapshot.t(), form(), context()) :: %{atom() => term()}
   def show(vehicle, form, %{links: links, now: now} = context) do
     heard_by = for id <- vehicle.links, link = links[id], do: link
-    context = Map.put(context, :clock, Age.now(vehicle, heard_by, now))
+    context = Map.put(context, :clock, Snapshot.now(vehicle, heard_by, now))
     Map.new(of(form), &{&1.name, value(&1, vehicle, context)})
   end
 

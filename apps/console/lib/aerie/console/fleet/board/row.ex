@@ -5,7 +5,6 @@ defmodule Aerie.Console.Fleet.Board.Row do
 
   alias Aerie.Control.Policy.ControlLease
   alias Aerie.Base.Store
-  alias Aerie.Vehicle.Snapshot.Age
   alias Aerie.Console.Fleet.Board.Problems
   alias Aerie.Console.Map.Payload
   alias Aerie.Vehicle.{Firmware, Snapshot}
@@ -121,7 +120,7 @@ defmodule Aerie.Console.Fleet.Board.Row do
       height: height(Snapshot.data(vehicle, :position)[:alt_rel]),
       speed: rounded(Snapshot.data(vehicle, :velocity)[:groundspeed], 1),
       link: quality(own),
-      silent_us: seconds(Age.silent_us(vehicle, own, now)),
+      silent_us: seconds(Snapshot.silent_us(vehicle, own, now)),
       via: vehicle.via,
       order: order(vehicle.id),
       on_map: Payload.row(vehicle),

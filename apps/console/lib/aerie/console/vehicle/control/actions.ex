@@ -6,7 +6,7 @@ defmodule Aerie.Console.Vehicle.Control.Actions do
   use Aerie.Console, :component
 
   alias Aerie.Control.Commands
-  alias Aerie.Vehicle.Firmware.Modes
+  alias Aerie.Vehicle.Firmware
   alias Aerie.Console.Commands.{Catalog, Panel}
   alias Aerie.Console.Vehicle.View
   alias Aerie.Console.Vehicle.Control.Target
@@ -48,7 +48,7 @@ defmodule Aerie.Console.Vehicle.Control.Actions do
       assign(assigns,
         armed: View.get(assigns.view, [:mode, :armed]),
         in_air: View.get(assigns.view, [:mode, :in_air]),
-        first: arm_first(assigns.view),
+        first: Firmware.arm_first(assigns.view.vehicle, View.get(assigns.view, [:mode, :mode])),
         able: for({name, _title} <- @flight, able?(name, assigns), do: name),
         modes: for(mode <- assigns.modes, able?("set_mode", assigns, %{mode: mode}), do: mode),
         locked: locked(@flight, assigns)
@@ -78,9 +78,6 @@ defmodule Aerie.Console.Vehicle.Control.Actions do
     </section>
     """
   end
-
-  defp arm_first(%{vehicle: vehicle} = view),
-    do: Modes.arm_first(vehicle.autopilot, vehicle.vehicle_type, View.get(view, [:mode, :mode]))
 
   attr :view, View, required: true
   attr :target, :map, required: true

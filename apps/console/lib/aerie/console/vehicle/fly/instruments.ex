@@ -12,7 +12,7 @@ defmodule Aerie.Console.Vehicle.Fly.Instruments do
     climb: {:velocity, :climb}
   ]
 
-  @doc "The values of a vehicle's snapshot, whose ages refer to `Aerie.Vehicle.Snapshot.Age.now/3`."
+  @doc "The values of a vehicle's snapshot, whose ages refer to `Aerie.Vehicle.Snapshot.now/3`."
   @spec sample(map(), integer()) :: map()
   def sample(vehicle, now) do
     for({name, path} <- @values, into: %{}, do: {name, value(vehicle, path, now)})

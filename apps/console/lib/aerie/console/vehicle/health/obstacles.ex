@@ -4,8 +4,7 @@ defmodule Aerie.Console.Vehicle.Health.Obstacles do
   """
 
   alias Aerie.Vehicle.Command.Types
-  alias Aerie.Vehicle.Firmware.Modes
-  alias Aerie.Vehicle.Protocol.Kind
+  alias Aerie.Vehicle.{Firmware, Snapshot}
   alias Aerie.Console.UI.Age
   alias Aerie.Console.Vehicle.View
   alias Aerie.Console.Vehicle.Health.Arming
@@ -21,7 +20,7 @@ defmodule Aerie.Console.Vehicle.Health.Obstacles do
       status: vehicle.status,
       armed: View.get(view, [:mode, :armed]),
       in_air: View.get(view, [:mode, :in_air]),
-      flies?: Kind.flies?(vehicle.vehicle_type)
+      flies?: Snapshot.flies?(vehicle)
     }
 
     reception(state, view) ++
@@ -49,7 +48,7 @@ defmodule Aerie.Console.Vehicle.Health.Obstacles do
 
   defp own("arm", _state, %{vehicle: vehicle} = view, arming) do
     mode = View.get(view, [:mode, :mode])
-    first = Modes.arm_first(vehicle.autopilot, vehicle.vehicle_type, mode)
+    first = Firmware.arm_first(vehicle, mode)
 
     texts([first && "It cannot be armed in #{mode}.", arming.ready == false && "It is not ready to arm."]) ++
       Enum.map(arming.reasons, &"Not ready: #{&1}.")

@@ -8,7 +8,7 @@ defmodule Aerie.Console.Commands.Outcome do
   """
 
   alias Aerie.Control.Commands
-  alias Aerie.Control.Policy.Fence.Earth
+  alias Aerie.Base.Geo.Earth
   alias Aerie.Vehicle.Event
   alias Aerie.Console.Commands.Catalog
   alias Aerie.Console.UI.Age

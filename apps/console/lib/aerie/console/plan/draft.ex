@@ -296,14 +296,14 @@ defmodule Aerie.Console.Plan.Draft do
   end
 
   defp reshaped({:circle, {x, y} = centre, _radius}, 1, _position, place) do
-    metres = Aerie.Control.Policy.Fence.Earth.distance(point({x / 1.0e7, y / 1.0e7}), point(place))
+    metres = Aerie.Base.Geo.Earth.distance(point({x / 1.0e7, y / 1.0e7}), point(place))
     radius({:circle, centre, 1.0}, max(metres, 1.0))
   end
 
   defp reshaped({:circle, _old, radius}, _centre, position, _place), do: {:ok, {:circle, position, radius}}
   defp reshaped(_polygon, nil, _position, _place), do: {:error, "which corner?"}
 
-  defp point({lat, lon}), do: Aerie.Control.Policy.Fence.Earth.point(lat, lon)
+  defp point({lat, lon}), do: Aerie.Base.Geo.Earth.point(lat, lon)
 
   defp radius(shape, nil), do: {:ok, shape}
 

@@ -2,7 +2,7 @@ defmodule Aerie.Console.Plan.Profile do
   @moduledoc "The height profile of a mission along its path, for a drawing. Pure. The ground elevation is not known."
 
   alias Protocols.Mission.{Item, Plan}
-  alias Aerie.Control.Policy.Fence.Earth
+  alias Aerie.Base.Geo.Earth
   alias Aerie.Control.Policy.Mavlink.Commands
 
   # Frames with heights above mean sea level; in the others they are above home, or above the ground.

@@ -7,7 +7,8 @@ defmodule Aerie.Control.Policy.Fence do
   the way before it first comes back does not count.
   """
 
-  alias Aerie.Control.Policy.Fence.{Earth, GeoJson, Zone}
+  alias Aerie.Base.Geo.Earth
+  alias Aerie.Control.Policy.Fence.{GeoJson, Zone}
 
   @enforce_keys [:zones]
   defstruct @enforce_keys

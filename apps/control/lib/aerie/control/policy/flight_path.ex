@@ -7,7 +7,7 @@ defmodule Aerie.Control.Policy.FlightPath do
   alias Aerie.Control.Policy.{Fence, Intent}
   alias Aerie.Control.Policy.Intent.Context
   alias Aerie.Control.Policy.FlightPath.Drift
-  alias Aerie.Control.Policy.Fence.Earth
+  alias Aerie.Base.Geo.Earth
   alias Aerie.Vehicle.Firmware.Room
 
   @corners 36

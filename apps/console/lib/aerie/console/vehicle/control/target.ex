@@ -1,7 +1,7 @@
 defmodule Aerie.Console.Vehicle.Control.Target do
   @moduledoc "A position on the map to which a vehicle may be sent: the command for it, and the distance. Pure."
 
-  alias Aerie.Control.Policy.Fence.Earth
+  alias Aerie.Base.Geo.Earth
   alias Aerie.Console.Vehicle.View
 
   # A vehicle that is sent somewhere at the height of the ground would scrape it.

@@ -8,7 +8,7 @@ defmodule Aerie.Control.Policy.Fence.Kept do
   """
 
   alias Aerie.Control.Policy.Fence.Polygon
-  alias Aerie.Control.Policy.Fence.Earth
+  alias Aerie.Base.Geo.Earth
   alias Protocols.Mission.{Item, Onboard, Plan}
   alias Aerie.Vehicle.Firmware
 

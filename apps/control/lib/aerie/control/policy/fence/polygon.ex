@@ -9,7 +9,7 @@ defmodule Aerie.Control.Policy.Fence.Polygon do
   longitude the error is at most `L² · tan(latitude) / 8R`: 3 cm on 1 km and 3.4 m on 10 km at 60°.
   """
 
-  alias Aerie.Control.Policy.Fence.Earth
+  alias Aerie.Base.Geo.Earth
 
   @enforce_keys [:centre, :north, :east, :box, :edges]
   defstruct @enforce_keys

@@ -4,7 +4,8 @@ defmodule Aerie.Control.Policy.Fence.Zone do
   of them. `reference` says what `floor` and `ceiling` are metres above: `:home` or `:msl` (mean sea level).
   """
 
-  alias Aerie.Control.Policy.Fence.{Earth, Polygon}
+  alias Aerie.Base.Geo.Earth
+  alias Aerie.Control.Policy.Fence.Polygon
 
   @enforce_keys [:name, :kind, :polygons]
   defstruct [:name, :kind, :polygons, :floor, :ceiling, reference: :home]

@@ -1,7 +1,8 @@
 defmodule Aerie.Control.Policy.Fence.GeoJsonTest do
   use ExUnit.Case, async: true
 
-  alias Aerie.Control.Policy.Fence.{Earth, GeoJson, Zone}
+  alias Aerie.Base.Geo.Earth
+  alias Aerie.Control.Policy.Fence.{GeoJson, Zone}
 
   @square [[[8.0, 47.0], [8.1, 47.0], [8.1, 47.1], [8.0, 47.1], [8.0, 47.0]]]
 

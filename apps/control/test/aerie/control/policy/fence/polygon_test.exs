@@ -1,7 +1,8 @@
 defmodule Aerie.Control.Policy.Fence.PolygonTest do
   use ExUnit.Case, async: true
 
-  alias Aerie.Control.Policy.Fence.{Earth, Polygon}
+  alias Aerie.Base.Geo.Earth
+  alias Aerie.Control.Policy.Fence.Polygon
 
   @oracle Path.expand("../../../../fixtures/fence_oracle.json", __DIR__)
 

@@ -1,4 +1,4 @@
-defmodule Aerie.Control.Policy.Fence.Earth do
+defmodule Aerie.Base.Geo.Earth do
   @moduledoc """
   Points on the WGS 84 ellipsoid as vectors from its centre, in metres. Vectors have no antimeridian and no poles, so
   nothing that is built on them needs a special case for either.

@@ -254,6 +254,9 @@ defmodule SimVehicle.Server do
     end
   end
 
+  # Version 1 has no mission_type: a fence would be a mission in it.
+  defp version(%{options: %{mavlink: :both}}, %{mission_type: type}, _seq) when type != 0, do: 2
+
   defp version(%{options: %{mavlink: :both}} = state, message, seq),
     do: if(version_1?(state, message), do: 1 + rem(seq, 2), else: 2)
 

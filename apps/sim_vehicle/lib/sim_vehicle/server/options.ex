@@ -30,7 +30,8 @@ defmodule SimVehicle.Server.Options do
     camera:
       {nil,
        "nil, or the component id of a camera with parameters of its own, 2..255 (`SimVehicle.Vehicle.Camera`)"},
-    mavlink: {2, "protocol version that is spoken, 1, 2, or :both: one frame in each"},
+    mavlink:
+      {2, "protocol version that is spoken, 1, 2, or :both: frames in turn, what 1 does not have in 2"},
     key: {nil, "nil, or the 32 bytes of the signing key that it has from the start"},
     signed_at: {nil, "nil (GPS time), or the time stamp that the clock of its signatures begins with"},
     secure:

@@ -16,7 +16,7 @@ defmodule Protocols.Mission.Responder do
     * `{:vehicle, message, now}` - a message of the vehicle, for any receiver
     * `{:read, type, result, now}` - the plan was read: a result of `Protocols.Mission.Transfer` with items
     * `{:unread, type, now}` - reading the plan failed
-    * `{:changing, type, now}` - the gateway itself starts to change the plan
+    * `{:written, type, now}` - the gateway knows of a write that the vehicle's messages may not have shown yet
     * `{:rebooted, now}`
 
   Actions:
@@ -51,6 +51,7 @@ defmodule Protocols.Mission.Responder do
               items: tuple(),
               opaque_id: pos_integer() | nil,
               version: pos_integer(),
+              read_at: integer(),
               total: integer() | nil
             }
           },
@@ -63,17 +64,13 @@ defmodule Protocols.Mission.Responder do
           {:station, struct(), station(), integer()}
           | {:vehicle, struct(), integer()}
           | {:read, 0..2, Result.t(), integer()}
-          | {:unread | :changing, 0..2, integer()}
+          | {:unread | :written, 0..2, integer()}
           | {:rebooted, integer()}
   @type action :: {:reply, struct()} | {:forward, struct(), station()} | {:fetch, 0..2}
 
   @doc "The state before anything is known about the vehicle's plans."
   @spec new(module()) :: t()
   def new(protocol), do: %__MODULE__{protocol: protocol}
-
-  @doc "Whether the copy of a plan is known to be right."
-  @spec fresh?(t(), 0..2) :: boolean()
-  def fresh?(served, type), do: is_map_key(served.plans, type)
 
   @doc "Handles an event."
   @spec handle(t(), event()) :: {t(), [action()]}
@@ -142,7 +139,7 @@ defmodule Protocols.Mission.Responder do
     {%{served | fetching: fetching}, for({from, message} <- waiting, do: {:forward, message, from})}
   end
 
-  def handle(served, {:changing, type, now}), do: {forget(served, type, now), []}
+  def handle(served, {:written, type, now}), do: {forget(served, type, now), []}
   def handle(served, {:rebooted, now}), do: {forget(served, @all, now), []}
 
   def handle(served, {:vehicle, %M.MissionCurrent{} = m, now}) do
@@ -179,7 +176,8 @@ defmodule Protocols.Mission.Responder do
 
   defp known_again(served, type, result, now) do
     version = served.version + 1
-    plan = %{items: List.to_tuple(result.items), opaque_id: result.opaque_id, version: version, total: nil}
+    known = Map.take(result, [:opaque_id, :read_at])
+    plan = Map.merge(known, %{items: List.to_tuple(result.items), version: version, total: nil})
     {waiting, fetching} = Map.pop(served.fetching, type, %{})
     served = %{served | plans: Map.put(served.plans, type, plan), fetching: fetching, version: version}
 

@@ -8,6 +8,8 @@ defmodule Protocols.Mission.ResponderTest do
   @gcs {255, 190}
   @other {254, 190}
 
+  defp fresh?(served, type), do: is_map_key(served.plans, type)
+
   defp items(count, salt \\ 0),
     do: for(n <- 1..count//1, do: %Item{command: 16, frame: 3, x: n, y: salt, z: 10.0})
 
@@ -77,7 +79,7 @@ defmodule Protocols.Mission.ResponderTest do
     assert {_served, [{:reply, %M.MissionItemInt{}}]} =
              station(served, %M.MissionRequestInt{seq: 1, mission_type: 1}, @other, 3)
 
-    assert Responder.fresh?(served, 1) and not Responder.fresh?(served, 0)
+    assert fresh?(served, 1) and not fresh?(served, 0)
   end
 
   test "if it cannot be read the vehicle is asked by the stations themselves" do
@@ -99,13 +101,13 @@ defmodule Protocols.Mission.ResponderTest do
           %M.MissionWritePartialList{}
         ] do
       {served, [{:forward, ^message, @other}]} = station(served(), message, @other)
-      refute Responder.fresh?(served, 0)
+      refute fresh?(served, 0)
     end
 
     # Another type's plan, and what writes nothing, does not.
     for message <- [%M.MissionCount{count: 2, mission_type: 1}, %M.MissionSetCurrent{seq: 1}] do
       {served, [{:forward, _message, _from}]} = station(served(), message)
-      assert Responder.fresh?(served, 0)
+      assert fresh?(served, 0)
     end
   end
 
@@ -117,7 +119,7 @@ defmodule Protocols.Mission.ResponderTest do
           %M.MissionCount{count: 4, target_system: 250},
           %M.MissionCount{count: 3, opaque_id: 79}
         ],
-        do: refute(Responder.fresh?(vehicle(served(), message), 0))
+        do: refute(fresh?(vehicle(served(), message), 0))
 
     for message <- [
           %M.MissionCurrent{mission_id: 77, fence_id: 5},
@@ -127,28 +129,28 @@ defmodule Protocols.Mission.ResponderTest do
           %M.Heartbeat{},
           %M.HomePosition{latitude: 5, longitude: 5}
         ],
-        do: assert(Responder.fresh?(vehicle(served(), message), 0))
+        do: assert(fresh?(vehicle(served(), message), 0))
 
     {rebooted, []} = Responder.handle(served(), {:rebooted, 1})
-    refute Responder.fresh?(rebooted, 0)
-    {changing, []} = Responder.handle(served(), {:changing, 0, 1})
-    refute Responder.fresh?(changing, 0)
+    refute fresh?(rebooted, 0)
+    {changing, []} = Responder.handle(served(), {:written, 0, 1})
+    refute fresh?(changing, 0)
   end
 
   test "without ids the total tells" do
     {served, []} = read(Responder.new(Firmware.Ardupilot.Adapter), 0, items(3), nil, 0)
     served = vehicle(served, %M.MissionCurrent{total: 2})
-    assert Responder.fresh?(vehicle(served, %M.MissionCurrent{total: 2}), 0)
-    refute Responder.fresh?(vehicle(served, %M.MissionCurrent{total: 5}), 0)
+    assert fresh?(vehicle(served, %M.MissionCurrent{total: 2}), 0)
+    refute fresh?(vehicle(served, %M.MissionCurrent{total: 5}), 0)
   end
 
   test "ArduPilot's item 0 is home: another one makes the mission stale" do
     home = %Item{command: 16, frame: 0, x: -353_632_610, y: 1_491_652_299, z: 584.09}
     served = served(Firmware.Ardupilot.Adapter, [home | items(2)])
     same = %M.HomePosition{latitude: -353_632_609, longitude: 1_491_652_299, altitude: 584_090}
-    assert Responder.fresh?(vehicle(served, same), 0)
-    refute Responder.fresh?(vehicle(served, %{same | latitude: -353_632_000}), 0)
-    refute Responder.fresh?(vehicle(served, %{same | altitude: 586_000}), 0)
+    assert fresh?(vehicle(served, same), 0)
+    refute fresh?(vehicle(served, %{same | latitude: -353_632_000}), 0)
+    refute fresh?(vehicle(served, %{same | altitude: 586_000}), 0)
   end
 
   test "a station never gets items of two plans" do
@@ -252,7 +254,7 @@ defmodule Protocols.Mission.ResponderTest do
     {served, [{:fetch, 0}]} = station(Responder.new(Firmware.Px4.Adapter), %M.MissionRequestList{}, @gcs, 10)
     {served, [{:forward, _, _}]} = station(served, %M.MissionCount{count: 1}, @other, 20)
     {served, [{:fetch, 0}]} = read(served, 0, items(3), 1, 30, 11)
-    refute Responder.fresh?(served, 0)
+    refute fresh?(served, 0)
     {_served, [{:reply, %M.MissionCount{count: 2}}]} = read(served, 0, items(2), 2, 50, 31)
   end
 

@@ -21,7 +21,7 @@ defmodule Aerie.Control.Mission.Known do
 
   def note(answer, gateway, %{key: key}, type, items) do
     whole? = match?({:ok, %Result{status: status}} when status in [:completed, :accepted], answer)
-    Aboard.put(gateway, key, type, :sent, if(whole?, do: items))
+    Aboard.sent(gateway, key, type, if(whole?, do: items))
     answer
   end
 

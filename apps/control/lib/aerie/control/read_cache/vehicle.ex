@@ -35,7 +35,7 @@ defmodule Aerie.Control.ReadCache.Vehicle do
   def init(gateway: gateway, key: key) do
     Process.set_label({:read_cache, key})
     {:ok, tasks} = Task.Supervisor.start_link()
-    for type <- Map.keys(@kinds), do: Aboard.put(gateway, key, type, :read, nil)
+    for type <- Map.keys(@kinds), do: Aboard.forget(gateway, key, type)
 
     state = %{
       gateway: gateway,
@@ -118,12 +118,19 @@ defmodule Aerie.Control.ReadCache.Vehicle do
   defp learn(type, state) do
     state = known(state)
 
-    if state.vehicle == nil or Mission.Responder.fresh?(state.plans, type),
-      do: {:noreply, state},
-      else:
-        {:noreply,
-         event(state, :plans, {:station, %M.MissionRequestList{mission_type: type}, @nobody, now()})}
+    plan = state.plans && state.plans.plans[type]
+
+    cond do
+      state.vehicle == nil -> {:noreply, state}
+      plan == nil -> {:noreply, read(state, type)}
+      published?(state.gateway, state.key, type, plan) -> {:noreply, state}
+      # It was written since, which the vehicle's messages have not shown yet.
+      true -> {:noreply, state |> event(:plans, {:written, type, now()}) |> read(type)}
+    end
   end
+
+  defp read(state, type),
+    do: event(state, :plans, {:station, %M.MissionRequestList{mission_type: type}, @nobody, now()})
 
   @impl GenServer
   def handle_info({:frames, frames}, state), do: {:noreply, Enum.reduce(frames, state, &receive_frame/2)}
@@ -178,7 +185,7 @@ defmodule Aerie.Control.ReadCache.Vehicle do
 
   defp begun(%{vehicle: %{autopilot: autopilot}} = state) do
     protocol = Firmware.of(autopilot)
-    for type <- Map.keys(@kinds), do: Aboard.put(state.gateway, state.key, type, :read, nil)
+    for type <- Map.keys(@kinds), do: Aboard.forget(state.gateway, state.key, type)
     # A new fence is compared with it, for those without the permission to take it away.
     if protocol.traits().fences?, do: GenServer.cast(self(), {:learn, @fence})
 
@@ -195,7 +202,7 @@ defmodule Aerie.Control.ReadCache.Vehicle do
         event(state, :params, {:vehicle, message, now()})
 
       {:ok, %M.MissionAck{mission_type: type, type: error} = message} when error != 0 and type in 0..2 ->
-        Aboard.put(state.gateway, state.key, type, :sent, nil)
+        Aboard.unsent(state.gateway, state.key, type)
         event(state, :plans, {:vehicle, message, now()})
 
       {:ok, message} ->
@@ -220,14 +227,18 @@ defmodule Aerie.Control.ReadCache.Vehicle do
   # What the vehicle has, for the policy.
   defp publish(%{gateway: gateway, key: key, plans: before} = state, after_) do
     for type <- Map.keys(@kinds), before.plans[type] != after_.plans[type] do
-      plan = after_.plans[type]
-      Aboard.put(gateway, key, type, :read, plan && Tuple.to_list(plan.items))
+      with false <- published?(gateway, key, type, after_.plans[type]), do: Aboard.forget(gateway, key, type)
     end
 
     if is_map_key(before.plans, @fence) and not is_map_key(after_.plans, @fence),
       do: relearn(state),
       else: state
   end
+
+  defp published?(_gateway, _key, _type, nil), do: false
+
+  defp published?(gateway, key, type, plan),
+    do: Aboard.read(gateway, key, type, Tuple.to_list(plan.items), plan.read_at)
 
   # The next fence is compared with it. The more often nobody wrote it, the later.
   defp relearn(%{relearned: n} = state) do

@@ -77,6 +77,35 @@ defmodule Aerie.Control.Mission.KnownTest do
     end)
   end
 
+  test "what was read before a write through the gateway is not taken", %{tmp_dir: dir} do
+    {gateway, _port} = start(dir)
+    now = System.monotonic_time(:microsecond)
+    [old, new] = for metres <- [500, 400], do: Onboard.items(square(metres), @fence, Firmware.of(:ardupilot))
+    read = &Aboard.read(gateway, {"main", 1}, @fence, &1, &2)
+
+    assert read.(old, now - 1)
+    assert Aboard.items(gateway, {"main", 1}, @fence) == {:ok, old}
+    Aboard.sent(gateway, {"main", 1}, @fence, new)
+    assert Aboard.items(gateway, {"main", 1}, @fence) == :unknown
+    refute read.(old, now)
+    assert Aboard.items(gateway, {"main", 1}, @fence) == :unknown
+    Aboard.forget(gateway, {"main", 1}, @fence)
+    refute read.(old, now)
+    assert read.(new, System.monotonic_time(:microsecond))
+    assert Aboard.items(gateway, {"main", 1}, @fence) == {:ok, new}
+  end
+
+  test "the read cache reads again what it had read before the write", %{tmp_dir: dir} do
+    {gateway, port} = start(dir)
+    start_supervised!({Aerie.Control.ReadCache.Supervisor, gateway: gateway})
+    fly(gateway, port, firmware: :ardupilot)
+    assert {:ok, %Result{status: :completed}} = upload(gateway, square(500), :admin)
+    read?(gateway, 4)
+    # The vehicle's own messages show none of it.
+    Aboard.sent(gateway, {"main", 1}, @fence, [])
+    read?(gateway, 4)
+  end
+
   for firmware <- [:ardupilot, :px4] do
     test "#{firmware}: only by one that keeps as much", %{tmp_dir: dir} do
       {gateway, port} = start(dir, %{clients: [%{role: :operator}]})

@@ -81,7 +81,7 @@ defmodule Aerie.Control.Policy.Mavlink.Writing do
   end
 
   defp sent(decision, gateway, {key, type}, items) do
-    Aboard.put(gateway, key, type, :sent, items)
+    if items, do: Aboard.sent(gateway, key, type, items), else: Aboard.unsent(gateway, key, type)
     decision
   end
 

@@ -829,8 +829,7 @@ defmodule Aerie.Control.Policy.Clients.MavlinkPolicyTest do
       snapshot = %{snapshot | key: key, id: "VID-#{elem(key, 1)}"}
       Store.put_vehicle(gateway, key, snapshot)
       # A trial knows of no plan that was aboard before.
-      Aboard.put(gateway, key, 1, :read, [])
-      Aboard.put(gateway, key, 0, :sent, [])
+      Aboard.sent(gateway, key, 0, [])
 
       asked = %{
         snapshot: snapshot,
@@ -844,6 +843,8 @@ defmodule Aerie.Control.Policy.Clients.MavlinkPolicyTest do
         Enum.map_reduce(frames, Trial.new(policy), fn frame, trial ->
           {:ok, message} = MavCodec.decode(frame)
           {judged, trial} = Trial.message(trial, message, asked)
+          # Nor of one that was written meanwhile, which a gateway reads again.
+          true = Aboard.read(gateway, key, 1, [], System.monotonic_time(:microsecond))
           live = MavlinkPolicy.decide(gateway, sender, key, frame)
 
           case judged do

@@ -48,6 +48,12 @@ defmodule Aerie.Base.Json do
     end
   end
 
+  @doc "A number for people: without a fraction that says nothing."
+  @spec number(number()) :: String.t()
+  def number(n) when is_integer(n), do: Integer.to_string(n)
+  def number(n) when trunc(n) == n, do: n |> trunc() |> Integer.to_string()
+  def number(n), do: :erlang.float_to_binary(n, [:short])
+
   @doc "A value from outside as an error shows it: as JSON, `max` characters at most."
   @spec shown(term(), pos_integer()) :: String.t()
   def shown(value, max) do

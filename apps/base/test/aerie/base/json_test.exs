@@ -86,4 +86,8 @@ defmodule Aerie.Base.JsonTest do
     assert HostClock.step(now, now - 3_600_000_000) == -3_600_000_000
     assert HostClock.step(now, now + 500_000) == 500_000
   end
+
+  test "numbers are written as people write them" do
+    assert Enum.map([5, 5.0, 0.1, 1.0e-5], &Json.number/1) == ["5", "5", "0.1", "1.0e-5"]
+  end
 end

@@ -90,7 +90,7 @@ defmodule Aerie.Control.Commands do
   end
 
   defp take(given, {:error, errors}, gateway, source, options) do
-    Record.turned_away(gateway, given, source, via(options), :malformed, Error.text(errors))
+    Record.turned_away(gateway, given, source, via(options), :malformed, Enum.join(errors, "; "))
     {:error, errors}
   end
 

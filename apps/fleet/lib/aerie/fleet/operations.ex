@@ -54,7 +54,7 @@ defmodule Aerie.Fleet.Operations do
 
   @doc "A refusal in words."
   @spec text(refusal()) :: String.t()
-  def text({:malformed, errors}), do: Error.text(errors)
+  def text({:malformed, errors}), do: Enum.join(errors, "; ")
   def text({_kind, text}), do: text
 
   defp permitted(%{role: :viewer}), do: {:error, {:role, "a viewer changes nothing"}}

@@ -254,7 +254,7 @@ defmodule Aerie.Fleet.Shadow do
 
   @doc "The text of a refusal."
   @spec text(refusal()) :: String.t()
-  def text({:malformed, errors}), do: Error.text(errors)
+  def text({:malformed, errors}), do: Enum.join(errors, "; ")
   def text({_kind, text}), do: text
 
   defp desired(document) do

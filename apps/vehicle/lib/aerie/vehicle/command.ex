@@ -102,6 +102,10 @@ defmodule Aerie.Vehicle.Command do
   @spec id() :: String.t()
   def id, do: Base.url_encode64(:crypto.strong_rand_bytes(12), padding: false)
 
+  @doc "Checks the parameters of a type before there is a command, for a form."
+  @spec check(Type.t(), term()) :: {:ok, %{atom() => term()}} | {:error, [Error.t(), ...]}
+  defdelegate check(type, params), to: Type
+
   @doc "The row of the command's type."
   @spec type(t()) :: Type.t()
   def type(%__MODULE__{type: name}), do: Types.fetch!(name)

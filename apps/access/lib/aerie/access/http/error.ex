@@ -196,7 +196,7 @@ defmodule Aerie.Access.HTTP.Error do
   def malformed(errors) do
     plain = for error <- errors, do: error |> Map.from_struct() |> Map.take([:key, :expected, :got])
     details = %{"result" => "rejected", "rule" => "malformed", "errors" => plain}
-    %{new(:invalid, Command.Error.text(errors)) | details: details}
+    %{new(:invalid, Enum.join(errors, "; ")) | details: details}
   end
 
   @doc "The error for a well-formed request that is not possible."

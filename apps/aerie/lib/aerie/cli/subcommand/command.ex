@@ -2,7 +2,7 @@ defmodule Aerie.CLI.Subcommand.Command do
   @moduledoc "`aerie cmd`: one command, one result (`Aerie.Control.Commands`)."
   @behaviour Aerie.CLI.Subcommand
 
-  alias Aerie.Vehicle.Command.{Error, Result, Types}
+  alias Aerie.Vehicle.Command.{Result, Types}
   alias Aerie.Control.Commands
   alias Aerie.Fleet
   alias Aerie.Base.Json
@@ -67,7 +67,7 @@ defmodule Aerie.CLI.Subcommand.Command do
 
   def answer({:error, %Result{} = result}, options), do: answer({:ok, result}, options)
   def answer({:pending, id}, _options), do: {1, "command #{id} is under way\n"}
-  def answer({:error, errors}, _options), do: {:error, Error.text(errors)}
+  def answer({:error, errors}, _options), do: {:error, Enum.join(errors, "; ")}
 
   defp command_text(%{reason: reason, status: status, details: details}) do
     removed = if details["removed"], do: "removed: #{details["removed"]}"

@@ -6,7 +6,7 @@ defmodule Aerie.Console.Commands.Catalog do
 
   alias Aerie.Control.Commands
   alias Aerie.Control.Policy.Roles
-  alias Aerie.Vehicle.Command.{Type, Types}
+  alias Aerie.Vehicle.Command.Types
 
   @titles [
     flight: "Flight",
@@ -22,7 +22,7 @@ defmodule Aerie.Console.Commands.Catalog do
   @stream ~w(rc_override manual_control)
 
   @typedoc "`:gap`: why the firmware lacks it; `:denied`: why the user may not give it; both nil for a command that can be given."
-  @type entry :: %{type: Type.t(), title: String.t(), gap: String.t() | nil, denied: String.t() | nil}
+  @type entry :: %{type: map(), title: String.t(), gap: String.t() | nil, denied: String.t() | nil}
 
   @doc "The groups with their commands. `search`: words that all have to occur in name, group or meaning."
   @spec groups(vehicle :: map(), Roles.source(), search :: String.t()) :: [{String.t(), [entry()]}]
@@ -42,8 +42,8 @@ defmodule Aerie.Console.Commands.Catalog do
   end
 
   @doc "One command by its name, or nil."
-  @spec entry(String.t() | Type.t(), vehicle :: map(), Roles.source()) :: entry() | nil
-  def entry(%Type{} = type, vehicle, user) do
+  @spec entry(String.t() | map(), vehicle :: map(), Roles.source()) :: entry() | nil
+  def entry(%{name: _name} = type, vehicle, user) do
     {gap, denied} =
       case Commands.lacks(vehicle, type.name, user) do
         nil -> {nil, nil}

@@ -2,11 +2,12 @@ defmodule Aerie.Console.Commands.Form do
   @moduledoc """
   The form of a command, made from its row of `Aerie.Vehicle.Command.Types`, and the parameters from a browser's input. Pure.
 
-  A form describes each parameter, but only `Aerie.Vehicle.Command.Type.check/2` validates values: input that cannot be read as a
+  A form describes each parameter, but only `Aerie.Vehicle.Command.check/2` validates values: input that cannot be read as a
   number is passed to it as text.
   """
 
-  alias Aerie.Vehicle.Command.{Error, Param, Type}
+  alias Aerie.Base.Json
+  alias Aerie.Vehicle.Command
   alias Aerie.Vehicle.Firmware
 
   @max_text 256
@@ -27,7 +28,6 @@ defmodule Aerie.Console.Commands.Form do
     * `:input` - the kind of control; a boolean with one allowed value is a `:tick`
     * `:value` - the initial text
     * `:suggestions` - texts to choose from; other input is allowed
-    * `:expected` - the allowed values in words
   """
   @type field :: %{
           name: String.t(),
@@ -40,8 +40,7 @@ defmodule Aerie.Console.Commands.Form do
           max: String.t() | nil,
           unit: String.t() | nil,
           required: boolean(),
-          meaning: String.t(),
-          expected: String.t()
+          meaning: String.t()
         }
 
   @typedoc "Errors by the names of fields, and errors about several fields."
@@ -50,8 +49,8 @@ defmodule Aerie.Console.Commands.Form do
   @doc """
   The fields of a command for a vehicle (its snapshot, for suggestions); `given` are texts that replace the defaults.
   """
-  @spec fields(Type.t(), vehicle :: map() | nil, %{String.t() => String.t()}) :: [field()]
-  def fields(%Type{} = type, vehicle \\ nil, given \\ %{}),
+  @spec fields(map(), vehicle :: map() | nil, %{String.t() => String.t()}) :: [field()]
+  def fields(type, vehicle \\ nil, given \\ %{}),
     do: for(param <- type.params, do: field(param, suggestions(type.name, param.name, vehicle), given))
 
   defp field(param, suggestions, given) do
@@ -68,8 +67,7 @@ defmodule Aerie.Console.Commands.Form do
       max: bound(param, param.max),
       unit: param.unit || (param.items && param.items.unit),
       required: param.required,
-      meaning: param.meaning,
-      expected: Param.expected(param)
+      meaning: param.meaning
     }
   end
 
@@ -77,12 +75,12 @@ defmodule Aerie.Console.Commands.Form do
   defp input(%{type: type}), do: type
 
   defp bound(%{type: type}, number) when type in [:number, :integer] and is_number(number),
-    do: Param.format(number)
+    do: Json.number(number)
 
   defp bound(_param, _none), do: nil
 
   defp text(nil), do: ""
-  defp text(number) when is_number(number), do: Param.format(number)
+  defp text(number) when is_number(number), do: Json.number(number)
   defp text(list) when is_list(list), do: Enum.map_join(list, ", ", &text/1)
   defp text(other), do: to_string(other)
 
@@ -90,15 +88,15 @@ defmodule Aerie.Console.Commands.Form do
   defp suggestions(_type, _param, _vehicle), do: []
 
   @doc "The parameters of a command from the texts of its form."
-  @spec read(Type.t(), term()) :: {:ok, %{String.t() => term()}} | {:error, errors()}
-  def read(%Type{} = type, texts) when is_map(texts) do
+  @spec read(map(), term()) :: {:ok, %{String.t() => term()}} | {:error, errors()}
+  def read(type, texts) when is_map(texts) do
     given =
       for param <- type.params,
           {:ok, value} <- [value(param, texts)],
           into: %{},
           do: {Atom.to_string(param.name), value}
 
-    case Type.check(type, given) do
+    case Command.check(type, given) do
       {:ok, _checked} -> {:ok, given}
       {:error, errors} -> {:error, sorted(errors)}
     end
@@ -154,7 +152,7 @@ defmodule Aerie.Console.Commands.Form do
   # `channels[3]` belongs to the field `channels`.
   defp top(name), do: name |> String.split("[") |> hd()
 
-  defp message(%Error{got: nil} = error), do: "expected #{error.expected}"
-  defp message(%Error{got: "nothing"} = error), do: "expected #{error.expected}"
+  defp message(%{got: nil} = error), do: "expected #{error.expected}"
+  defp message(%{got: "nothing"} = error), do: "expected #{error.expected}"
   defp message(error), do: "expected #{error.expected}, got #{error.got}"
 end

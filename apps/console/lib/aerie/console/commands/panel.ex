@@ -89,7 +89,7 @@ defmodule Aerie.Console.Commands.Panel do
   defp verdict_text({:deny, _rule, reason}),
     do: "The policy refuses it: #{Aerie.Console.Commands.Entry.advice(reason)}"
 
-  defp verdict_text({:error, errors}), do: "Not complete: #{Aerie.Vehicle.Command.Error.text(errors)}"
+  defp verdict_text({:error, errors}), do: "Not complete: #{Enum.join(errors, "; ")}"
 
   attr :field, :map, required: true
   attr :error, :string, default: nil

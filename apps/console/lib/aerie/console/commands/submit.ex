@@ -8,7 +8,7 @@ defmodule Aerie.Console.Commands.Submit do
   and the answer is its result.
   """
 
-  alias Aerie.Vehicle.Command.{Error, Result, Types}
+  alias Aerie.Vehicle.Command.{Result, Types}
   alias Aerie.Base.Names
   alias Aerie.Control.Commands
   alias Aerie.Control.Policy.Roles
@@ -28,7 +28,7 @@ defmodule Aerie.Console.Commands.Submit do
       case Commands.submit(gateway, envelope, user, via: "console", wait_ms: 0) do
         {:pending, _id} -> :under_way
         {:ok, result} -> state(result)
-        {:error, errors} -> {:done, :rejected, Entry.advice(Error.text(errors))}
+        {:error, errors} -> {:done, :rejected, Entry.advice(Enum.join(errors, "; "))}
       end
     else
       :error -> {:done, :rejected, "this command does not exist"}

@@ -4,7 +4,8 @@ defmodule Aerie.Console.Commands.Wording do
   commands has it by default, and what only programs compare (digests), is left out. Pure.
   """
 
-  alias Aerie.Vehicle.Command.{Param, Types}
+  alias Aerie.Base.Json
+  alias Aerie.Vehicle.Command.Types
 
   @above %{"home" => "above home", "msl" => "above mean sea level", "terrain" => "above the ground"}
   # Names of parameters whose value says enough.
@@ -63,7 +64,7 @@ defmodule Aerie.Console.Commands.Wording do
   defp one({name, value}) when name in @plain, do: value |> value() |> String.replace("_", " ")
   defp one({name, value}), do: "#{String.replace(name, "_", " ")} #{value(value)}"
 
-  defp value(number) when is_float(number), do: number |> Float.round(7) |> Param.format()
+  defp value(number) when is_float(number), do: number |> Float.round(7) |> Json.number()
   defp value(list) when is_list(list), do: Enum.map_join(list, " ", &value/1)
   defp value(true), do: "yes"
   defp value(false), do: "no"

@@ -15,7 +15,6 @@ defmodule Aerie.Console.Params.Page do
 
   alias Aerie.Control.{Commands, Params}
   alias Aerie.Fleet
-  alias Aerie.Vehicle.Command.Error
   alias Aerie.Control.Policy.Roles
   alias Aerie.Base.PubSub
   alias Aerie.Console.Commands.{Entry, EntryList}
@@ -172,7 +171,7 @@ defmodule Aerie.Console.Params.Page do
          socket |> assign(file: file, filter: %{socket.assigns.filter | only: "differs"}) |> relist()}
 
       {:ok, {:error, errors}} ->
-        {:noreply, put_flash(socket, :error, Error.text(errors))}
+        {:noreply, put_flash(socket, :error, Enum.join(errors, "; "))}
 
       {:busy, seconds} ->
         {:noreply, put_flash(socket, :error, "Too many files at once: try again in #{seconds} s.")}
@@ -265,7 +264,7 @@ defmodule Aerie.Console.Params.Page do
   defp answered({:ok, _result}, socket), do: {:noreply, push_patch(socket, to: path(socket))}
 
   defp answered({:error, errors}, socket),
-    do: {:noreply, put_flash(socket, :error, "Not set: #{Error.text(errors)}")}
+    do: {:noreply, put_flash(socket, :error, "Not set: #{Enum.join(errors, "; ")}")}
 
   defp vehicles(%{assigns: %{gateway: gateway, vehicle: id, component: component}} = socket) do
     vehicle = id && Fleet.vehicle(gateway, id)

@@ -11,7 +11,7 @@ defmodule Aerie.Console.Plan.Transfer do
   alias Aerie.Control.Missions
   alias Aerie.Fleet
   alias Aerie.Vehicle.Firmware
-  alias Aerie.Vehicle.Command.{Error, Result}
+  alias Aerie.Vehicle.Command.Result
   alias Protocols.Mission.Plan
 
   @kinds Missions.kinds()
@@ -150,7 +150,7 @@ defmodule Aerie.Console.Plan.Transfer do
 
   defp failed({:pending, _id}), do: {:error, "it is still under way"}
   defp failed({_ok_or_error, %Result{} = result}), do: {:error, sentence(result)}
-  defp failed({:error, errors}), do: {:error, Error.text(errors)}
+  defp failed({:error, errors}), do: {:error, Enum.join(errors, "; ")}
 
   defp sentence(%Result{status: status, reason: nil}), do: Atom.to_string(status)
   defp sentence(%Result{status: status, reason: reason}), do: "#{status}: #{reason}"

@@ -30,7 +30,7 @@ defmodule Aerie.Fleet.Bridge.Commands do
   alias Aerie.Control.{Commands, Policy}
   alias Aerie.Fleet.Nats
   alias Aerie.Vehicle.Command
-  alias Aerie.Vehicle.Command.{Error, Result}
+  alias Aerie.Vehicle.Command.Result
   alias Aerie.Control.Commands.Record
   alias Aerie.Control.Policy.Intent
   alias Aerie.Base.PubSub
@@ -251,7 +251,7 @@ defmodule Aerie.Fleet.Bridge.Commands do
 
       {:error, errors} ->
         request.envelope
-        |> refusal(:malformed, Error.text(errors))
+        |> refusal(:malformed, Enum.join(errors, "; "))
         |> Map.put("errors", for(error <- errors, do: Map.take(plain(error), ["key", "expected", "got"])))
     end
   end

@@ -7,7 +7,7 @@ defmodule Aerie.Fleet.Operations.Work do
   alias Aerie.Base.Names
   alias Aerie.Control.Commands
   alias Aerie.Fleet.Shadow
-  alias Aerie.Vehicle.Command.{Error, Result}
+  alias Aerie.Vehicle.Command.Result
   alias Aerie.Fleet.Operations.{Core, Request}
   alias Aerie.Control.Policy.Roles
 
@@ -28,7 +28,7 @@ defmodule Aerie.Fleet.Operations.Work do
       {:ok, %{status: status} = result} when status in [:accepted, :completed] -> ok(status, result.reason)
       {:ok, %Result{status: status, reason: reason}} -> failed(status, reason)
       {:pending, _id} -> failed(:unknown, "it is under way for somebody else")
-      {:error, errors} -> failed(:rejected, Error.text(errors))
+      {:error, errors} -> failed(:rejected, Enum.join(errors, "; "))
     end
   end
 

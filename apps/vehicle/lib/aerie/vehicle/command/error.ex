@@ -32,7 +32,8 @@ defmodule Aerie.Vehicle.Command.Error do
   def message(%{got: nil} = error), do: "#{error.key}: expected #{error.expected}"
   def message(error), do: "#{error.key}: expected #{error.expected}, got #{error.got}"
 
-  @doc "Several errors as one text."
-  @spec text([t()]) :: String.t()
-  def text(errors), do: Enum.map_join(errors, "; ", &message/1)
+  # So that `Enum.join/2` makes one text of several.
+  defimpl String.Chars do
+    defdelegate to_string(error), to: Aerie.Vehicle.Command.Error, as: :message
+  end
 end

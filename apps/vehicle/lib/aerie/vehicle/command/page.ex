@@ -4,6 +4,7 @@ defmodule Aerie.Vehicle.Command.Page do
   `<!-- NAME -->` and `<!-- /NAME -->`; the prose around them is written by hand.
   """
 
+  alias Aerie.Base.Json
   alias Aerie.Vehicle.Command.{Param, Refusal, Result, Type, Types}
 
   @groups [
@@ -70,7 +71,7 @@ defmodule Aerie.Vehicle.Command.Page do
 
   defp default(%{required: true}), do: "must be given"
   defp default(%{default: nil}), do: ""
-  defp default(%{default: value}) when is_number(value), do: Param.format(value)
+  defp default(%{default: value}) when is_number(value), do: Json.number(value)
   defp default(%{default: value}), do: "#{value}"
 
   defp results do

@@ -131,12 +131,6 @@ defmodule Aerie.Vehicle.Command.Param do
 
   defp range(param) do
     unit = if param.unit, do: " (#{param.unit})", else: ""
-    "from #{format(param.min)} to #{format(param.max)}#{unit}"
+    "from #{Json.number(param.min)} to #{Json.number(param.max)}#{unit}"
   end
-
-  @doc "A number without an exponent and without a fraction that says nothing."
-  @spec format(number()) :: String.t()
-  def format(n) when is_integer(n), do: Integer.to_string(n)
-  def format(n) when trunc(n) == n, do: n |> trunc() |> Integer.to_string()
-  def format(n), do: :erlang.float_to_binary(n, [:short])
 end

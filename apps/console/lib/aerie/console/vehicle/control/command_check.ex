@@ -9,7 +9,7 @@ defmodule Aerie.Console.Vehicle.Control.CommandCheck do
 
   @doc "The answer for the page's assigns: `:allow`, or why not; nil while the command is not complete."
   @spec of(map()) ::
-          :allow | {:deny, atom(), String.t()} | {:error, [Aerie.Vehicle.Command.Error.t(), ...]} | nil
+          :allow | {:deny, atom(), String.t()} | {:error, [Exception.t(), ...]} | nil
   def of(%{section: "commands", command: name, view: %View{}} = assigns) when is_binary(name) do
     case Form.read(Types.fetch!(name), assigns.form) do
       {:ok, params} -> check(assigns, name, params)

@@ -1,6 +1,7 @@
 defmodule Aerie.Console.Vehicle.Events.Timeline do
   @moduledoc "A vehicle's events and texts as lines that can be filtered by severity. Pure."
 
+  alias Aerie.Base.Json
   alias Aerie.Vehicle.Event
 
   @max 200
@@ -148,7 +149,7 @@ defmodule Aerie.Console.Vehicle.Events.Timeline do
   defp label(name), do: name |> to_string() |> String.replace(["_", "."], " ")
 
   defp format(number) when is_float(number),
-    do: number |> Float.round(3) |> Aerie.Vehicle.Command.Param.format()
+    do: number |> Float.round(3) |> Json.number()
 
   defp format(list) when is_list(list), do: Enum.map_join(list, " ", &format/1)
   defp format(nil), do: "unknown"

@@ -83,7 +83,7 @@ defmodule Aerie.Fleet.Bridge.Commands.Operation do
       "id" => short(id),
       "result" => "rejected",
       "rule" => "malformed",
-      "reason" => Error.text(errors),
+      "reason" => Enum.join(errors, "; "),
       "errors" => shown
     }
   end

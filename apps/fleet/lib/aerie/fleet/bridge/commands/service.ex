@@ -24,7 +24,6 @@ defmodule Aerie.Fleet.Bridge.Commands.Service do
   alias Aerie.Fleet.Bridge.Connection.Subscriber
   alias Aerie.Fleet.Bridge.Status.Tables
   alias Aerie.Fleet.Nats
-  alias Aerie.Vehicle.Command.Error
 
   @enforce_keys [:gateway, :name, :operations, :subject, :max_bytes]
   defstruct [:gateway, :name, :operations, :subject, :queue_group, :max_bytes, :dropped, :workers, :conn]
@@ -180,9 +179,9 @@ defmodule Aerie.Fleet.Bridge.Commands.Service do
 
   defp body({:error, refused}, _operation, _object), do: refusal(refused)
 
-  defp refusal({rule, [_ | _] = errors}), do: refusal(rule, Error.text(errors))
+  defp refusal({rule, [_ | _] = errors}), do: refusal(rule, Enum.join(errors, "; "))
   defp refusal({rule, reason}), do: refusal(rule, reason)
-  defp refusal(errors), do: refusal(:malformed, Error.text(errors))
+  defp refusal(errors), do: refusal(:malformed, Enum.join(errors, "; "))
   defp refusal(rule, reason), do: %{"result" => "refused", "rule" => Atom.to_string(rule), "reason" => reason}
 
   # A message without a reply subject is ignored; a client without an answer asks again.

@@ -8,7 +8,7 @@ defmodule Aerie.Fleet.Shadow.Loop.Actuator do
   alias Aerie.Control.{Commands, Missions, Params}
   alias Aerie.Vehicle.Enrolment
   alias MavRouter.Recorder
-  alias Aerie.Vehicle.Command.{Error, Result}
+  alias Aerie.Vehicle.Command.Result
   alias Aerie.Control.Policy.Roles
   alias Aerie.Fleet.Shadow.Document.Field
   alias Aerie.Fleet.Shadow.Loop.{Core, Plans}
@@ -94,7 +94,7 @@ defmodule Aerie.Fleet.Shadow.Loop.Actuator do
   defp answer({:ok, %{status: status}}) when status in [:completed, :accepted], do: :done
   defp answer({:ok, result}), do: {:refused, reason(result)}
   defp answer({:pending, id}), do: {:refused, "the command #{id} is still under way"}
-  defp answer({:error, errors}), do: {:refused, Error.text(errors)}
+  defp answer({:error, errors}), do: {:refused, Enum.join(errors, "; ")}
 
   defp reason(result), do: result.reason || Atom.to_string(result.status)
 

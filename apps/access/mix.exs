@@ -5,8 +5,6 @@ defmodule Aerie.Access.MixProject do
 
   def project do
     Aerie.Project.of(:access,
-      # Most of it is tested by whole pages and requests: apps/console/test/aerie/console/access, apps/api.
-      test_coverage: [summary: [threshold: 15]],
       deps:
         [
           {:base, in_umbrella: true},

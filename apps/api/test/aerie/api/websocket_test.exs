@@ -1,6 +1,7 @@
 defmodule Aerie.Api.WebSocketTest do
   use Aerie.APICase, async: true
 
+  alias Aerie.Access.KeyRing
   alias Aerie.Base.Store
   alias MavRouter.Router
   alias MavRouter.Endpoints.Endpoint
@@ -208,6 +209,22 @@ defmodule Aerie.Api.WebSocketTest do
       {{2, answer}, _operator} = WSClient.recv(operator)
       frame = MavCodec.Frame.from_bytes(answer, nil)
       assert {:ok, %MavCodec.Messages.CommandAck{command: 246, result: 2}} = MavCodec.decode(frame)
+    end
+
+    @tag :tmp_dir
+    @tag capture_log: true
+    test "ends with its key", %{tmp_dir: dir} do
+      c = start(config: %{console: %{enabled: false, dir: dir}})
+      {:ok, wall} = KeyRing.make(c.gateway, "wall", "viewer", "", "ann")
+      {:ok, other} = KeyRing.make(c.gateway, "other", "viewer", "", "ann")
+      client = open(c, "/", headers: [{"x-aerie-key", wall}])
+      stays = open(c, "/", [headers: [{"x-aerie-key", other}]], 2)
+      :ok = KeyRing.revoke(c.gateway, "wall", "ann")
+      assert {{8, <<1008::16, "the key was revoked">>}, _client} = WSClient.recv(client)
+      assert {401, _body} = WSClient.open(c.ws, "/", headers: [{"x-aerie-key", wall}])
+      # The other one still serves, until it is sent what it does not take.
+      :ok = WSClient.send(stays, "hello", 1)
+      assert {{8, <<1003::16, _words::binary>>}, _client} = WSClient.recv(stays)
     end
 
     test "pages: the gateway's own and the configured ones; no others, not even with a valid ticket" do

@@ -6,18 +6,16 @@ defmodule Aerie.Console.Access.ChangesTest do
 
   alias Aerie.Control.Policy.Audit
   alias Aerie.Api.Rest.Routes
-  alias Aerie.Access.KeyRing
   alias Aerie.Access.Changes
-  alias Aerie.Access.{Sessions, Users}
+  alias Aerie.Access.Sessions
 
   @moduletag :tmp_dir
   @lib Path.expand("../../../../lib/aerie", __DIR__)
-  @by %{name: "console:admin", from: "192.0.2.7"}
 
   setup %{tmp_dir: dir} do
     [console: console] = start_console()
     start_supervised!({Audit, gateway: console.gateway, dir: Path.join(dir, "audit"), max_bytes: 8_000_000})
-    {:ok, console: console, gateway: console.gateway}
+    {:ok, console: console}
   end
 
   defp records(dir, type), do: for(%{"type" => ^type} = record <- Aerie.CommandCase.audit(dir), do: record)
@@ -28,62 +26,6 @@ defmodule Aerie.Console.Access.ChangesTest do
       records = records(dir, type)
       if length(records) >= n, do: records
     end)
-  end
-
-  # A function that changes something comes here with its record, or the test fails.
-  test "users: each change, who made it, from where, and no password", %{gateway: gateway, tmp_dir: dir} do
-    changes = %{
-      add: {fn -> Users.add(gateway, "ann", "viewer", "the-password-of-ann", @by) end, %{"role" => "viewer"}},
-      set_role:
-        {fn -> Users.set_role(gateway, "ann", "operator", @by) end,
-         %{"role" => "operator", "before" => "viewer"}},
-      set_permissions:
-        {fn -> Users.set_permissions(gateway, "ann", ["receiver"], @by) end,
-         %{"action" => "permissions", "permissions" => ["receiver"], "before" => []}},
-      set_password:
-        {fn -> Users.set_password(gateway, "ann", "another-password", @by) end, %{"action" => "password"}},
-      remove: {fn -> Users.remove(gateway, "ann", @by) end, %{"action" => "remove", "before" => "operator"}}
-    }
-
-    reads =
-      [:start_link, :list, :find, :check, :busy, :same, :name, :file, :read, :any?, :child_spec, :init] ++
-        [:handle_call, :format_status, :code_change, :handle_cast, :handle_info, :terminate]
-
-    assert names(Users) -- reads == Enum.sort(Map.keys(changes))
-
-    for {name, n} <- Enum.with_index([:add, :set_role, :set_permissions, :set_password, :remove], 1) do
-      {change, said} = changes[name]
-      assert :ok = change.()
-      record = dir |> recorded("user", n) |> List.last()
-      assert %{"source" => "console:admin", "from" => "192.0.2.7", "user" => "ann"} = record
-      assert Map.take(record, Map.keys(said)) == said
-    end
-
-    assert {:error, _none} = Users.remove(gateway, "ann", @by)
-    assert length(records(dir, "user")) == 5
-    refute text(dir) =~ "password-of-ann"
-    refute text(dir) =~ "pbkdf2"
-  end
-
-  test "keys: each change, and not the key", %{gateway: gateway, tmp_dir: dir} do
-    changes = [:make, :revoke]
-
-    reads =
-      [:start_link, :nobody, :admit, :list, :child_spec, :init, :handle_call, :code_change] ++
-        [:handle_cast, :handle_info, :terminate]
-
-    assert names(KeyRing) -- reads == changes
-    {:ok, key} = KeyRing.make(gateway, "wall", "viewer", "2099-12-31", @by)
-    :ok = KeyRing.revoke(gateway, "wall", @by)
-
-    assert [
-             %{"action" => "make", "key" => "wall", "role" => "viewer", "expires" => "2100-01-01" <> _},
-             revoked
-           ] =
-             recorded(dir, "key", 2)
-
-    assert %{"action" => "revoke", "source" => "console:admin", "from" => "192.0.2.7"} = revoked
-    refute text(dir) =~ key
   end
 
   test "sign-ins, good and failed, and sign-outs, with the address; what was typed in vain is not kept", %{
@@ -114,15 +56,6 @@ defmodule Aerie.Console.Access.ChangesTest do
     # Those that follow are counted.
     late = System.monotonic_time(:microsecond) + 120_000_000
     assert [%{"count" => 1}] = Audit.Refusals.due(console.gateway, late)
-  end
-
-  test "a page's change has the user and the address" do
-    assert Changes.user(%{user: %{name: "ann"}, peer: {192, 0, 2, 7}}) == %{
-             name: "console:ann",
-             from: "192.0.2.7"
-           }
-
-    assert Changes.user(%{user: %{name: "ann"}}) == %{name: "console:ann", from: nil}
   end
 
   test "what /api changes is recorded by its route, unless something else does" do

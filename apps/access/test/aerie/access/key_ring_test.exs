@@ -1,10 +1,10 @@
-defmodule Aerie.Console.Access.KeyRingTest do
-  use Aerie.ConsoleCase, async: true
+defmodule Aerie.Access.KeyRingTest do
+  use ExUnit.Case, async: true
 
+  import Aerie.Patience, only: [eventually: 1]
   import ExUnit.CaptureLog
 
   alias Aerie.Access.{KeyRing, Keys}
-  alias Aerie.WSClient
 
   @moduletag :tmp_dir
   @policy %{keys: KeyRing.nobody(), origins: [], ports: [], hosts: []}
@@ -82,20 +82,5 @@ defmodule Aerie.Console.Access.KeyRingTest do
     assert text =~ "console/keys"
     assert KeyRing.list(gateway) == []
     assert {:error, _gone} = KeyRing.make(make_ref(), "wall", "viewer", "", "ann")
-  end
-
-  @tag capture_log: true
-  test "a WebSocket ends with its key" do
-    [console: console] = start_console(config: %{websocket: %{port: 0}})
-    {:ok, text} = KeyRing.make(console.gateway, "wall", "viewer", "", "ann")
-    {:ok, other} = KeyRing.make(console.gateway, "other", "viewer", "", "ann")
-    port = Aerie.Api.WebSocket.port(console.gateway)
-    open = fn key -> WSClient.open(port, "/", headers: [{"x-aerie-key", key}]) end
-    assert %WSClient{} = client = open.(text)
-    assert %WSClient{} = stays = open.(other)
-    :ok = KeyRing.revoke(console.gateway, "wall", "ann")
-    assert {{8, <<1008::16, "the key was revoked">>}, _client} = WSClient.recv(client)
-    assert {401, _body} = open.(text)
-    assert {{:closed, :timeout}, _client} = WSClient.recv(stays, 50)
   end
 end

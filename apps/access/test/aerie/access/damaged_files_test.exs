@@ -1,11 +1,10 @@
-defmodule Aerie.Console.DamagedFilesTest do
-  @moduledoc "What the console keeps is damaged: it starts, the files are set aside and named, and nobody gets in who did not before."
+defmodule Aerie.Access.DamagedFilesTest do
+  @moduledoc "A damaged file is set aside and named, its process starts, and nobody gets in who did not before."
   use ExUnit.Case, async: true
 
   import ExUnit.CaptureLog
 
-  alias Aerie.Access.{KeyRing, Keys}
-  alias Aerie.Access.{Secret, Users}
+  alias Aerie.Access.{KeyRing, Keys, Secret, Users}
 
   @moduletag :tmp_dir
   @garbage [<<0, 255, 1>>, "", "{", String.duplicate("x", 70_000)]

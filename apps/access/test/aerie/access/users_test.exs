@@ -1,10 +1,10 @@
-defmodule Aerie.Console.UsersTest do
-  use Aerie.ConsoleCase, async: true
+defmodule Aerie.Access.UsersTest do
+  use ExUnit.Case, async: true
 
   import Bitwise
 
   alias Aerie.Control.Policy.Roles
-  alias Aerie.Access.Users
+  alias Aerie.Access.{Users, WorkLimit}
   alias Aerie.Access.Users.Password
 
   @moduletag :tmp_dir
@@ -14,6 +14,13 @@ defmodule Aerie.Console.UsersTest do
     File.write!(file, text)
     File.chmod!(file, mode)
     Users.read(file)
+  end
+
+  defp start(dir) do
+    gateway = make_ref()
+    start_supervised!({WorkLimit, gateway: gateway})
+    start_supervised!({Users, gateway: gateway, file: Users.file(dir)})
+    gateway
   end
 
   @stored Password.hash("the-right-password", 1_000)
@@ -68,9 +75,8 @@ defmodule Aerie.Console.UsersTest do
     assert error =~ "chmod 600"
   end
 
-  test "changes are on the disk for their owner only, and a restart finds them" do
-    [console: console] = start_console(users: false)
-    gateway = console.gateway
+  test "changes are on the disk for their owner only, and a restart finds them", %{tmp_dir: dir} do
+    gateway = start(dir)
     assert :ok = Users.add(gateway, "ann", "viewer", "a-password-of-ann", "boss")
 
     assert {:error, "there already is a user ann"} =
@@ -81,20 +87,24 @@ defmodule Aerie.Console.UsersTest do
     assert {:error, "expected the role" <> _} = Users.set_role(gateway, "ann", "boss")
     assert {:error, "a name has" <> _} = Users.add(gateway, "../ann", "viewer", "a-password-of-ann", "boss")
 
-    file = Users.file(console.dir)
+    file = Users.file(dir)
     assert (File.stat!(file).mode &&& 0o777) == 0o600
     assert {:ok, [%{name: "ann", role: :operator}]} = Users.read(file)
     assert {:ok, %{name: "ann"}} = Users.check(gateway, "ann", "a-password-of-ann", {:name, "ann"})
     assert :error = Users.check(gateway, "ann", "a-password-of-bob", {:name, "ann"})
+    stop_supervised!(Users)
+    start_supervised!({Users, gateway: gateway, file: file})
+    assert {:ok, %{name: "ann"}} = Users.check(gateway, "ann", "a-password-of-ann", {:name, "ann"})
     assert :ok = Users.remove(gateway, "ann")
     assert Users.list(gateway) == []
   end
 
-  test "a change that cannot be written does not hold" do
-    [console: console] = start_console()
-    File.mkdir!(Users.file(console.dir) <> ".new")
-    assert {:error, error} = Users.set_role(console.gateway, "viewer", "admin")
+  test "a change that cannot be written does not hold", %{tmp_dir: dir} do
+    {:ok, [_ann]} = users(dir, ~s({"users": [{"name": "ann", "role": "viewer", "password": "#{@stored}"}]}))
+    gateway = start(dir)
+    File.mkdir!(Users.file(dir) <> ".new")
+    assert {:error, error} = Users.set_role(gateway, "ann", "admin")
     assert error =~ "users.json"
-    assert Users.find(console.gateway, "viewer").role == :viewer
+    assert Users.find(gateway, "ann").role == :viewer
   end
 end

@@ -7,7 +7,7 @@ defmodule Aerie.Control.Missions do
       plan) {:ok, %{plan: plan}} = Aerie.Control.Missions.download(gateway, "VID-001", :mission)
 
   A plan (`Protocols.Mission.Plan`) has all three; each kind is sent and read separately. The policy judges every item
-  before the first one is sent (`Aerie.Control.Mission.Review`), and the plan is read back afterwards. The options are
+  before the first one is sent (`Aerie.Control.Mission.Known`), and the plan is read back afterwards. The options are
   those of `t:Aerie.Control.Transfers.option/0`.
   """
 
@@ -57,6 +57,14 @@ defmodule Aerie.Control.Missions do
   @doc "Why the firmware of a vehicle has no plans of this kind; nil if it has, or may have."
   @spec gap(vehicle :: map(), kind()) :: String.t() | nil
   def gap(%{autopilot: autopilot}, kind), do: Firmware.of(autopilot).plan_gap(@kinds[kind])
+
+  @doc """
+  What the policy has against the parts of a plan for the vehicle of a snapshot, if `source` sends them: the part, the
+  number of the item there (nil: the part as a whole), and the reason.
+  """
+  @spec refused(Names.gateway(), Plan.t(), [kind()], map(), source :: map()) ::
+          {:ok, [{kind(), non_neg_integer() | nil, String.t()}]} | {:error, :no_policy}
+  defdelegate refused(gateway, plan, parts, snapshot, source), to: Known
 
   @doc "Reads a kind of plan from the vehicle."
   @spec download(Names.gateway(), vehicle :: String.t(), kind(), [Transfers.option()]) ::

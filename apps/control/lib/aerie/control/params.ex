@@ -279,15 +279,38 @@ defmodule Aerie.Control.Params do
 
     with {:ok, entries, remarks} <- read_file(text, Gateways.vehicle(gateway, vehicle)),
          {:ok, table} <- list(gateway, vehicle, Keyword.take(options, [:progress])),
-         :ok <- present(entries, table, unknown) do
-      differ =
-        for entry <- entries, param = table.params[entry.name], not File.says?(entry, param.value) do
-          %{entry | type: param.type}
-        end
-
+         {differ, missing} = differing(entries, table),
+         :ok <- if(unknown == :skip, do: :ok, else: in_table(missing, table)) do
       set_all(gateway, vehicle, differ, options, remarks)
     end
   end
+
+  @doc "The entries of a file that differ from a list, with the types of that, and the names that the list lacks."
+  @spec differing([File.entry()], Table.t()) :: {[File.entry()], missing :: [String.t()]}
+  def differing(entries, table) do
+    {known, missing} = Enum.split_with(entries, &is_map_key(table.params, &1.name))
+
+    differing =
+      for entry <- known,
+          param = table.params[entry.name],
+          not File.says?(entry, param.value),
+          do: %{entry | type: param.type}
+
+    {differing, Enum.map(missing, & &1.name)}
+  end
+
+  @doc "Whether an entry of a file says the value of a parameter."
+  @spec says?(File.entry(), Param.t()) :: boolean()
+  def says?(entry, param), do: File.says?(entry, param.value)
+
+  @doc "Whether two values are the same for a vehicle, which has floats of 32 bits."
+  @spec same?(number() | nil, number() | nil) :: boolean()
+  defdelegate same?(one, other), to: Param
+
+  @doc "Whether a parameter differs from its default; nil if the vehicle does not tell it."
+  @spec changed?(Param.t()) :: boolean() | nil
+  def changed?(%{default: nil}), do: nil
+  def changed?(%{value: value, default: default}), do: not Param.same?(value, default)
 
   @doc """
   The parameters as a file: `:param` for Mission Planner and MAVProxy, `:params` for QGroundControl, `:txt` for the command lines and configurators of
@@ -296,11 +319,22 @@ defmodule Aerie.Control.Params do
   @spec save(Names.gateway(), vehicle :: String.t(), :param | :params | :txt, [Transfers.option()]) ::
           {:ok, String.t()} | {:error, Result.t()}
   def save(gateway, vehicle, format, options \\ []) do
-    with {:ok, %{system_id: system, component: component} = snapshot} <- Transfers.vehicle(gateway, vehicle),
+    with {:ok, snapshot} <- Transfers.vehicle(gateway, vehicle),
          {:ok, format} <- format(format, snapshot),
          {:ok, table} <- list(gateway, vehicle, Component.none!(options)),
-         do: {:ok, File.format(table, format, {system, component || 1})}
+         do: {:ok, text(table, format, snapshot)}
   end
+
+  @doc "A list that was read as a file; `snapshot` is nil for a vehicle that is gone."
+  @spec text(Table.t(), :param | :params | {:txt, term()}, map() | nil) :: String.t()
+  def text(table, format, snapshot) do
+    vehicle = snapshot || %{system_id: 1, component: 1}
+    File.format(table, format, {vehicle.system_id, vehicle.component || 1})
+  end
+
+  @doc "Cancels a read."
+  @spec cancel(Names.gateway(), vehicle :: String.t(), id :: String.t()) :: :ok | {:error, String.t()}
+  defdelegate cancel(gateway, vehicle, id), to: Transfers
 
   defp format(:txt, snapshot) do
     release = LongNames.release(snapshot)
@@ -404,10 +438,6 @@ defmodule Aerie.Control.Params do
     with {:error, [error]} <- checked,
          do: {:error, Result.new(Aerie.Vehicle.Command.id(), :rejected, Exception.message(error))}
   end
-
-  defp present(_entries, _table, :skip), do: :ok
-
-  defp present(entries, table, :refuse), do: entries |> Enum.map(& &1.name) |> in_table(table)
 
   # Neither firmware answers for a parameter that it does not have. A name that is not in a list that was read before is looked
   # up in the list as it is now: a parameter may have been added since.

@@ -1,10 +1,8 @@
 defmodule Aerie.Console.Params.Listing do
   @moduledoc "The rows of a vehicle's parameters that a page shows. Pure."
 
-  alias Aerie.Control.Params.{File, Metadata, Param, Table}
-  alias Aerie.Control.Policy
+  alias Aerie.Control.{Params, Policy}
   alias Aerie.Vehicle.Snapshot
-  alias MavCodec.Message.ParamValue
   alias MavCodec.Enums.MavParamType
 
   @max 200
@@ -27,7 +25,7 @@ defmodule Aerie.Console.Params.Listing do
           type: String.t(),
           exact: boolean(),
           file: String.t() | nil,
-          about: Metadata.t() | nil
+          about: map() | nil
         }
 
   @typedoc "`:search`: words that all have to occur in the name or the short description; `:only`: `\"all\"`, `\"changed\"`, or `\"differs\"` from the file."
@@ -45,14 +43,14 @@ defmodule Aerie.Console.Params.Listing do
   At most #{@max} rows in the order of their names, and the total number. `entries` are those of an opened file, `about` what the vehicle says about
   its parameters, by name.
   """
-  @spec rows(Table.t(), [File.entry()], %{String.t() => Metadata.t()}, filter()) ::
+  @spec rows(map(), [map()], %{String.t() => map()}, filter()) ::
           {[row()], count :: non_neg_integer()}
   def rows(table, entries, about, filter) do
     file = Map.new(entries, &{&1.name, &1})
     words = filter.search |> String.upcase() |> String.split()
 
     found =
-      for param <- Table.sorted(table),
+      for {_name, param} <- Enum.sort(table.params),
           text = String.upcase("#{param.name} #{about[param.name][:short]}"),
           Enum.all?(words, &String.contains?(text, &1)),
           row = row(param, file[param.name], about[param.name]),
@@ -67,39 +65,25 @@ defmodule Aerie.Console.Params.Listing do
   defp shown?(_all, _row), do: true
 
   @doc "The row of a parameter, with its value in a file and what the vehicle says about it; nil for none."
-  @spec row(Param.t(), File.entry() | nil, Metadata.t() | nil) :: row()
+  @spec row(map(), map() | nil, map() | nil) :: row()
   def row(param, entry, about) do
     %{
       name: param.name,
       value: text(param.value),
       default: param.default && text(param.default),
-      changed: if(param.default != nil, do: not ParamValue.same?(param.value, param.default)),
+      changed: Params.changed?(param),
       type: type(param.type),
       exact: param.exact,
-      file: if(entry != nil and not File.says?(entry, param.value), do: text(entry.value)),
+      file: if(entry != nil and not Params.says?(entry, param), do: text(entry.value)),
       about: about
     }
-  end
-
-  @doc "The entries of a file that differ from the vehicle's values, and the names that the vehicle does not have."
-  @spec differing([File.entry()], Table.t()) :: {[File.entry()], missing :: [String.t()]}
-  def differing(entries, table) do
-    {known, missing} = Enum.split_with(entries, &is_map_key(table.params, &1.name))
-
-    differing =
-      for entry <- known,
-          param = table.params[entry.name],
-          not File.says?(entry, param.value),
-          do: %{entry | type: param.type}
-
-    {differing, Enum.map(missing, & &1.name)}
   end
 
   @doc """
   What a button that sets parameters applies to: the vehicle, its component (nil: the autopilot), and what the operator sees there: the value
   that a parameter has, or the entries of a file that would be set.
   """
-  @spec target(vehicle :: String.t(), 1..255 | nil, String.t() | [File.entry()]) :: String.t()
+  @spec target(vehicle :: String.t(), 1..255 | nil, String.t() | [map()]) :: String.t()
   def target(vehicle, component, seen),
     do: Enum.join([vehicle, component || "autopilot", :erlang.phash2(seen)], " ")
 
@@ -153,7 +137,7 @@ defmodule Aerie.Console.Params.Listing do
   # The shortest decimal that gives this float.
   defp short(number, digits) when digits <= 9 do
     rounded = "~.#{digits}e" |> :io_lib.format([number]) |> IO.iodata_to_binary() |> String.to_float()
-    if ParamValue.same?(rounded, number), do: rounded, else: short(number, digits + 1)
+    if Params.same?(rounded, number), do: rounded, else: short(number, digits + 1)
   end
 
   defp short(number, _digits), do: number

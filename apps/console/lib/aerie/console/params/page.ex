@@ -190,15 +190,8 @@ defmodule Aerie.Console.Params.Page do
         %{assigns: %{table: %{} = table, component: nil, vehicle: id, gateway: gateway}} = socket
       )
       when format in ~w(param params) do
-    vehicle = Fleet.vehicle(gateway, id) || %{system_id: nil, component: nil}
-
-    text =
-      Params.File.format(
-        table,
-        if(format == "param", do: :param, else: :params),
-        {vehicle.system_id || 1, vehicle.component || 1}
-      )
-
+    kind = if format == "param", do: :param, else: :params
+    text = Params.text(table, kind, Fleet.vehicle(gateway, id))
     {:noreply, push_event(socket, "params:file", %{name: "#{id}.#{format}", text: text})}
   end
 
@@ -230,7 +223,7 @@ defmodule Aerie.Console.Params.Page do
         %{"type" => "load", "id" => press} = event,
         %{assigns: %{table: %{} = table, file: %{} = file}} = socket
       ) do
-    {differing, _missing} = Listing.differing(file.entries, table)
+    {differing, _missing} = Params.differing(file.entries, table)
     %{gateway: gateway, vehicle: id} = socket.assigns
 
     if meant(event, socket, differing) == :ok,
@@ -308,7 +301,7 @@ defmodule Aerie.Console.Params.Page do
 
   defp relist(%{assigns: %{table: table, file: file, about: about, filter: filter}} = socket) do
     {rows, total} = Listing.rows(table, entries(file), about, filter)
-    {differing, missing} = Listing.differing(entries(file), table)
+    {differing, missing} = Params.differing(entries(file), table)
     assign(socket, rows: rows, total: total, differing: differing, missing: missing)
   end
 

@@ -5,9 +5,7 @@ defmodule Aerie.Console.Params.Reading do
   """
 
   alias Aerie.Base.Names
-  alias Aerie.Control.{Params, Transfers}
-  alias Aerie.Vehicle.Command.Result
-  alias Aerie.Control.Params.{Metadata, Table}
+  alias Aerie.Control.Params
 
   @enforce_keys [:ref, :id, :vehicle, :what]
   defstruct [:ref, :id, :vehicle, :what, :progress]
@@ -47,17 +45,14 @@ defmodule Aerie.Console.Params.Reading do
   defp read(gateway, vehicle, {:list, component}, options),
     do: Params.list(gateway, vehicle, [component: component] ++ options)
 
-  @typep read :: Table.t() | %{String.t() => Metadata.t()}
-
-  @spec answer({:ok, read()} | {:error, Result.t()}) :: {:ok, read()} | {:error, String.t()}
   defp answer({:ok, read}), do: {:ok, read}
 
-  defp answer({:error, %Result{status: status, reason: reason}}),
+  defp answer({:error, %{status: status, reason: reason}}),
     do: {:error, reason || Atom.to_string(status)}
 
   @doc "Cancels reading."
   @spec cancel(t(), Names.gateway()) :: :ok | {:error, String.t()}
-  def cancel(reading, gateway), do: Transfers.cancel(gateway, reading.vehicle, reading.id)
+  def cancel(reading, gateway), do: Params.cancel(gateway, reading.vehicle, reading.id)
 
   @doc "The progress, 0..1, or nil."
   @spec share(t()) :: float() | nil

@@ -5,7 +5,6 @@ defmodule Aerie.Console.Plan.Check do
 
   alias Protocols.Mission.Plan
   alias Aerie.Base.Names
-  alias Aerie.Control.Mission.Review
   alias Aerie.Control.Missions
   alias Aerie.Control.Policy.Roles
   alias Aerie.Console.Plan.Profile
@@ -78,7 +77,7 @@ defmodule Aerie.Console.Plan.Check do
   @spec policy(Names.gateway(), Plan.t(), [Missions.kind()], map(), Roles.source()) :: [problem()]
   def policy(gateway, plan, parts, snapshot, user) do
     lacking = for part <- parts, reason = Missions.gap(snapshot, part), do: %{bad(nil, reason) | part: part}
-    if lacking == [], do: reviewed(Review.of_parts(gateway, plan, parts, snapshot, user)), else: lacking
+    if lacking == [], do: reviewed(Missions.refused(gateway, plan, parts, snapshot, user)), else: lacking
   end
 
   defp reviewed({:ok, denied}),

@@ -1,6 +1,7 @@
 defmodule Aerie.Console.Params.ListingTest do
   use ExUnit.Case, async: true
 
+  alias Aerie.Control.Params
   alias Aerie.Control.Params.{Param, Table}
   alias Aerie.Console.Params.Listing
 
@@ -46,9 +47,9 @@ defmodule Aerie.Console.Params.ListingTest do
 
   test "a file: what differs, and what the vehicle does not have" do
     {:ok, entries} =
-      Aerie.Control.Params.parse("RTL_ALT,1500\nATC_RAT_P,0.135000\nANGLE_MAX,3000\nNO_SUCH,1\n")
+      Params.parse("RTL_ALT,1500\nATC_RAT_P,0.135000\nANGLE_MAX,3000\nNO_SUCH,1\n")
 
-    assert {[%{name: "RTL_ALT", value: 1500, type: 4}], ["NO_SUCH"]} = Listing.differing(entries, @table)
+    assert {[%{name: "RTL_ALT", value: 1500, type: 4}], ["NO_SUCH"]} = Params.differing(entries, @table)
 
     assert {[%{name: "RTL_ALT", file: "1500"}], 1} =
              Listing.rows(@table, entries, %{}, %{@all | only: "differs"})

@@ -1,7 +1,7 @@
 defmodule Aerie.Control.Mission.Known do
   @moduledoc """
-  What a vehicle has of a plan that the gateway sends: the policy judges by it what may take its place, and where a
-  mission leads that is begun (`Aerie.Control.Policy.Mavlink.Writing.Aboard`).
+  The policy's review of a plan that somebody draws or sends, and what the vehicle has of it: the policy judges by that
+  what may take its place, and where a mission leads that is begun (`Aerie.Control.Policy.Mavlink.Writing.Aboard`).
   """
 
   alias Aerie.Base.Names
@@ -10,7 +10,8 @@ defmodule Aerie.Control.Mission.Known do
   alias Aerie.Control.Policy.Intent.Context
   alias Aerie.Control.Policy.Mavlink.{Review, Writing}
   alias Aerie.Control.Policy.Mavlink.Writing.Aboard
-  alias Protocols.Mission.Item
+  alias Protocols.Mission.{Item, Onboard, Plan}
+  alias Aerie.Vehicle.Firmware
   alias Aerie.Vehicle.Command.Result
 
   @fence 1
@@ -59,4 +60,35 @@ defmodule Aerie.Control.Mission.Known do
   end
 
   defp replaced(_context, _vehicle, _items, _type, _read), do: :allow
+
+  @doc "The refusals of `Aerie.Control.Missions.refused/5`."
+  @spec refused(Names.gateway(), Plan.t(), [Plan.kind()], map(), Roles.source()) ::
+          {:ok, [{Plan.kind(), non_neg_integer() | nil, String.t()}]} | {:error, :no_policy}
+  def refused(gateway, plan, parts, snapshot, source) do
+    case Policy.in_force(gateway) do
+      nil ->
+        {:error, :no_policy}
+
+      policy ->
+        protocol = Firmware.of(snapshot.autopilot)
+        vehicle = Map.take(snapshot, [:autopilot, :vehicle_type])
+        context = Context.of(gateway, snapshot, source, System.os_time(:microsecond))
+
+        {:ok,
+         for {type, part} <- [{0, :mission}, {1, :fence}, {2, :rally}],
+             part in parts,
+             [_ | _] = items <- [Onboard.items(plan, type, protocol)],
+             {:deny, _rule, seq, reason} <- [Review.plan(policy, items, type, vehicle, context)] do
+           {part, index(part, seq, protocol), reason}
+         end}
+    end
+  end
+
+  # The vehicle counts home if it is an item.
+  defp index(:mission, seq, protocol) when is_integer(seq) do
+    index = if protocol.home_is_item_0?(), do: seq - 1, else: seq
+    if index >= 0, do: index
+  end
+
+  defp index(_part, _seq, _protocol), do: nil
 end

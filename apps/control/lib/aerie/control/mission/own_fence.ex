@@ -7,7 +7,7 @@ defmodule Aerie.Control.Mission.OwnFence do
   them.
   """
 
-  alias Aerie.Control.Mission.Review
+  alias Aerie.Control.Policy.Mavlink.Review
   alias Protocols.Mission.Plan
   alias Aerie.Control.Mission.OwnFence.Area
   alias Aerie.Control.Policy.Intent.Context

@@ -40,6 +40,10 @@ defmodule Aerie.Control.Params.Param do
   @spec pack(t()) :: MavCodec.Ftp.PackedParams.param()
   def pack(param), do: {param.name, param.type, param.value, param.default}
 
+  @doc "Whether two values are the same for a vehicle."
+  @spec same?(number() | nil, number() | nil) :: boolean()
+  defdelegate same?(one, other), to: MavCodec.Message.ParamValue
+
   @doc "The parameter as NATS and REST show it."
   @spec plain(t()) :: %{atom() => String.t() | number() | boolean() | nil}
   def plain(%{value: nil} = param),

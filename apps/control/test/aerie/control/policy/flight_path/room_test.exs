@@ -2,7 +2,7 @@ defmodule Aerie.Control.Policy.FlightPath.RoomTest do
   @moduledoc "The room that vehicles take around places: what they flew outside of a fence is refused (C4)."
   use ExUnit.Case, async: true
 
-  alias Aerie.Control.Mission.Review
+  alias Aerie.Control.Policy.Mavlink.Review
   alias Aerie.Control.Policy
   alias Aerie.Control.Policy.{FlightPath, Intent, Mavlink}
   alias Aerie.Control.Policy.Intent.Context

@@ -1,7 +1,7 @@
-defmodule Aerie.Control.Mission.ReviewTest do
+defmodule Aerie.Control.Policy.Mavlink.ReviewTest do
   use ExUnit.Case, async: true
 
-  alias Aerie.Control.Mission.Review
+  alias Aerie.Control.Policy.Mavlink.Review
   alias Protocols.Mission.{Item, Onboard, Plan}
   alias Aerie.Control.Policy
   alias Aerie.Vehicle.Firmware

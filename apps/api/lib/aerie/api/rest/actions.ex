@@ -3,11 +3,9 @@ defmodule Aerie.Api.Rest.Actions do
 
   alias Aerie.Control.Policy
   alias Aerie.Fleet.Shadow
-  alias MavRouter.{Client, Link, Router}
   alias Aerie.Vehicle.Command.Types
 
   alias Aerie.Api.Rest.{Commands, EventsQuery, OpenAPI, Operations}
-  alias Aerie.Api.Rest.Operations.Log
   alias Aerie.Access.HTTP.Error
 
   alias Aerie.Api.Rest.View.{Recordings, SigningCapability}
@@ -37,8 +35,6 @@ defmodule Aerie.Api.Rest.Actions do
   def run(:vehicles, state, request),
     do: {:ok, 200, View.vehicles(state.gateway, Request.parameters(request)["tag"]), request}
 
-  def run(:links, state, request), do: {:ok, 200, View.links(state.gateway), request}
-
   def run(:vehicle, state, request), do: answer(vehicle(state, request), 200, request)
 
   def run(what, state, request) when what in [:events, :vehicle_events] do
@@ -49,8 +45,6 @@ defmodule Aerie.Api.Rest.Actions do
     end
     |> answer(200, request)
   end
-
-  def run(:signing, state, request), do: {:ok, 200, View.signing(state.gateway), request}
 
   def run(:signing_capability, state, request),
     do: {:ok, 200, SigningCapability.of(state.gateway), request}
@@ -84,11 +78,6 @@ defmodule Aerie.Api.Rest.Actions do
     |> found(Error.new(:not_found, "no recording has this name; see /api/recorder"))
     |> answer(200, request)
   end
-
-  def run(:clients, state, request), do: {:ok, 200, View.clients(state.gateway), request}
-
-  def run(:remove_client, state, request),
-    do: state.gateway |> Client.remove(id(request)) |> answer(204, request)
 
   def run(:command_types, _state, request), do: {:ok, 200, %{types: Types.plain()}, request}
 
@@ -128,12 +117,6 @@ defmodule Aerie.Api.Rest.Actions do
       |> found(Error.new(:not_found, "the gateway has no policy"))
       |> answer(200, request)
 
-  def run(:remove_link, state, request) do
-    if Link.get(state.gateway, id(request)),
-      do: state.gateway |> Link.stop(id(request)) |> answer(204, request),
-      else: answer({:error, Error.new(:not_found, "no link has this id; see /api/links")}, 204, request)
-  end
-
   def run(:reload_config, %{reload: nil}, request),
     do:
       answer(
@@ -154,8 +137,6 @@ defmodule Aerie.Api.Rest.Actions do
     |> answer(200, request)
   end
 
-  def run(:log, _state, request), do: {:ok, 200, Log.Change.view(), request}
-
   def run(:reload_policy, state, request) do
     case Policy.reload(state.gateway, "http:" <> state.name) do
       :ok ->
@@ -175,11 +156,6 @@ defmodule Aerie.Api.Rest.Actions do
     with {:ok, text, request} <- Request.bytes(request, Shadow.max_plan_bytes()),
          do: state |> store_plan(text) |> answer(201, request)
   end
-
-  def run(:rules, state, request), do: {:ok, 200, View.rules(state.gateway), request}
-
-  def run(:reset_rules, state, request),
-    do: state.gateway |> Router.reset(id(request)) |> answer(204, request)
 
   defp id(request), do: :cowboy_req.binding(:id, request)
   defp command(request), do: :cowboy_req.binding(:command, request)
@@ -206,6 +182,5 @@ defmodule Aerie.Api.Rest.Actions do
   defp found(object, _error), do: {:ok, object}
 
   defp answer({:ok, object}, status, request), do: {:ok, status, object, request}
-  defp answer(:ok, status, request), do: {:ok, status, nil, request}
   defp answer({:error, error}, _status, request), do: {:error, Error.from(error), request}
 end

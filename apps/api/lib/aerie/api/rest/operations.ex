@@ -58,7 +58,11 @@ defmodule Aerie.Api.Rest.Operations do
       status: route.status,
       later: result?(operation),
       answer:
-        if(result?(operation), do: :result, else: choices |> Enum.flat_map(&answers/1) |> with_media(route))
+        cond do
+          result?(operation) -> :result
+          route.status == 204 -> nil
+          true -> choices |> Enum.flat_map(&answers/1) |> with_media(route)
+        end
     }
   end
 
@@ -157,7 +161,7 @@ defmodule Aerie.Api.Rest.Operations do
   defp described?(route), do: Operation.body?(route) and not bytes?(route)
 
   defp answer_schema(operation, route) do
-    if result?(operation) or bytes?(route),
+    if result?(operation) or bytes?(route) or route.status == 204,
       do: %{},
       else: %{Operation.answer_name(operation) => Operation.answer_schema(operation)}
   end
@@ -166,7 +170,7 @@ defmodule Aerie.Api.Rest.Operations do
 
   @doc "Answers a request for one of the operations of a row."
   @spec run([choice(), ...], map(), :cowboy_req.req()) ::
-          {:ok, 200 | 202 | 206, map() | {:text, String.t(), iodata(), String.t()} | :sent, :cowboy_req.req()}
+          {:ok, 200..299, map() | {:text, String.t(), iodata(), String.t()} | :sent | nil, :cowboy_req.req()}
           | {:error, Error.t(), :cowboy_req.req()}
   def run(choices, state, request) do
     parameters = Request.parameters(request)
@@ -316,6 +320,7 @@ defmodule Aerie.Api.Rest.Operations do
   defp answered({:ok, {:file, name, text}}, _status, %{format: format}, request),
     do: {:ok, 200, {:text, Format.type(format), text, name}, request}
 
+  defp answered(:ok, status, _context, request), do: {:ok, status, nil, request}
   defp answered({:ok, object}, status, _context, request), do: {:ok, status, object, request}
   defp answered({:error, error}, _status, _context, request), do: {:error, Error.from(error), request}
 

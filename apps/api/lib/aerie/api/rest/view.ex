@@ -6,7 +6,6 @@ defmodule Aerie.Api.Rest.View do
   that routes have.
   """
 
-  alias MavRouter.Client
   alias Aerie.Fleet.Bridge.Message
   alias Aerie.Base.Json
   alias Aerie.Vehicle.Events.Journal
@@ -19,10 +18,7 @@ defmodule Aerie.Api.Rest.View do
   alias Aerie.Api.Rest.EventsQuery
   alias Aerie.Api.Rest.View.Recordings
 
-  links = fn names -> Enum.filter(MavRouter.Link.fields(), &(&1.name in names)) end
-
-  @link links.([:id, :network, :status, :text])
-  @endpoint links.([:id, :url, :status, :text, :port])
+  @link Enum.filter(MavRouter.Link.fields(), &(&1.name in [:id, :network, :status, :text]))
   @nats Object.fields([
           {:connected, :boolean, nil, "whether there is a connection"},
           {:url, :text, nil, "the server"},
@@ -60,37 +56,6 @@ defmodule Aerie.Api.Rest.View do
             {:events, {:list, {:shown, @event}}, nil, "oldest first"},
             {:more, :boolean, nil, "whether there are more"}
           ])
-  @key Object.fields([
-         {:key, :text, nil, "its name"},
-         {:network, :text, nil, "network of the vehicles that it is for"},
-         {:system, :any, nil, "system id of the vehicle that it is for, or any"},
-         {:policy, :text, nil, "required, accept_unsigned or off"},
-         {:source, :text, nil, "where it is from"},
-         {:error, :text, nil, "why it cannot be used"},
-         {:unsafe, :boolean, nil, "whether frames are taken in that anybody could have sent"}
-       ])
-  @signing Object.fields([
-             {:keys, {:list, {:object, @key}}, nil, "the keys, without themselves"},
-             {:pending, {:list, :text}, nil, "vehicles that were sent a key and have not proven it yet"},
-             {:not_stored, :text, nil, "why time stamps could not be stored"}
-           ])
-  @client Object.fields([
-            {:id, :text, nil, "its name", :owner},
-            {:kind, :text, nil, "how it is connected"},
-            {:peer, :text, nil, "its address"},
-            {:networks, {:list, :text}, nil, "the networks that it sees"},
-            {:access, {:one_of, [:read, :full]}, nil, "whether it may send", &__MODULE__.access/1},
-            {:since, :time, nil, "since when it is connected"},
-            {:waiting, :integer, nil, "frames that wait to be sent"},
-            {:frames_in, :integer, nil, "good frames received", [:counters, :frames_in]},
-            {:frames_out, :integer, nil, "frames sent", [:counters, :frames_out]},
-            {:dropped, :integer, nil, "frames dropped because it reads too slowly", &Client.dropped/1},
-            {:denied, :integer, nil, "commands that it may not send", [:counters, :denied]}
-          ])
-  @clients Object.fields([
-             {:endpoints, {:list, {:object, @endpoint}}, nil, "where clients connect"},
-             {:clients, {:list, {:object, @client}}, nil, "those that are connected"}
-           ])
   @problem Object.fields([
              {:time, :time, nil, "when it was read", :at},
              {:errors, {:list, :text}, nil, "what is wrong with it"}
@@ -100,10 +65,6 @@ defmodule Aerie.Api.Rest.View do
             {:problem, {:object, @problem}, nil,
              "what is wrong with the file, so that the former policy stays"}
           ])
-  @rule Object.fields([
-          {:now, :any, nil, "the rule in force"},
-          {:configured, :any, nil, "the configured one"}
-        ])
   @ids Object.fields([
          {:added, {:list, :text}, nil, "those that are new, by their ids"},
          {:removed, {:list, :text}, nil, "those that were closed"},
@@ -133,17 +94,9 @@ defmodule Aerie.Api.Rest.View do
     vehicle: Snapshot.Fields.of(:whole),
     vehicle_signing: MavRouter.Signing.fields(),
     events: @events,
-    signing_keys: @signing,
     diagnosis:
       Object.fields([
         {:conditions, {:list, {:shown, Aerie.Fleet.Diagnosis.fields()}}, nil, "the worst first"}
-      ]),
-    links: Object.fields([{:links, {:list, {:object, MavRouter.Link.fields()}}, nil, "all of them"}]),
-    clients: @clients,
-    rules_in_force:
-      Object.fields([
-        {:changed, {:map, {:map, {:object, @rule}}}, nil,
-         "the rules that differ from the configured ones, of each link and client by its id"}
       ]),
     policy: @policy,
     openapi: @openapi,
@@ -225,36 +178,14 @@ defmodule Aerie.Api.Rest.View do
       }
   end
 
-  @doc "All signing keys by name, without the keys themselves, and the vehicles whose key is not confirmed."
-  @spec signing(term()) :: map()
-  def signing(gateway), do: Object.show(@signing, MavRouter.Signing.list(gateway))
-
   @doc "The conditions of `Aerie.Fleet.Diagnosis`, the most serious first."
   @spec diagnosis(term()) :: map()
   def diagnosis(gateway),
     do: %{conditions: Aerie.Fleet.Diagnosis.plain(gateway)}
-
-  @doc "All links with their counters and rates."
-  @spec links(term()) :: map()
-  def links(gateway),
-    do: %{links: Enum.map(MavRouter.Link.list(gateway), &Object.show(MavRouter.Link.fields(), &1))}
-
-  @doc "The endpoints for clients, and all clients, each with its counters."
-  @spec clients(term()) :: map()
-  def clients(gateway),
-    do: Object.show(@clients, %{endpoints: Client.endpoints(gateway), clients: Client.list(gateway)})
-
-  @doc false
-  @spec access(map()) :: :read | :full
-  def access(endpoint), do: if(endpoint.role == :read_only, do: :read, else: :full)
 
   @doc "Since when the policy is in force, and the errors when it was last read; nil without a policy."
   @spec policy(term()) :: map() | nil
   def policy(gateway) do
     with %{} = status <- Policy.status(gateway), do: Object.show(@policy, status)
   end
-
-  @doc "Rules of links and clients that were changed at run time, with the configured ones."
-  @spec rules(term()) :: map()
-  def rules(gateway), do: %{changed: Json.plain(MavRouter.Router.changes(gateway))}
 end

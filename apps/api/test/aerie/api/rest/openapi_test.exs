@@ -61,7 +61,9 @@ defmodule Aerie.Api.Rest.OpenAPITest do
     {:ok, "radio"} = MavRouter.Link.start(gateway, "udpin:127.0.0.1:0", id: "radio")
     document = JSON.decode!(File.read!(@file_))
 
-    for %{method: "GET", action: action, path: path} <- Routes.all(), is_atom(action), path not in @nothing do
+    for %{method: "GET", action: action, path: path} <- Routes.all(),
+        is_atom(action) or not String.contains?(path, ":id"),
+        path not in @nothing do
       {200, _headers, answer} = request(port, "GET", String.replace(path, ":id", "VID-001"))
 
       %{"responses" => %{"200" => %{"content" => %{"application/json" => %{"schema" => schema}}}}} =

@@ -101,10 +101,17 @@ defmodule Aerie.Control.Operations.Operation do
           max_bytes: pos_integer() | nil
         }
 
-  @typedoc "`:file` is the text of a file in the context's format, `:bytes` one of any kind."
+  @typedoc """
+  `:ok`: it is done, and there is nothing else to say. `:file` is the text of a file in the context's format, `:bytes`
+  one of any kind.
+  """
   @type answer ::
-          {:ok,
-           map() | {:file, name :: String.t(), iodata()} | {:bytes, iodata(), name :: String.t()} | Result.t()}
+          :ok
+          | {:ok,
+             map()
+             | {:file, name :: String.t(), iodata()}
+             | {:bytes, iodata(), name :: String.t()}
+             | Result.t()}
           | {:pending, id :: String.t()}
           | {:error,
              Result.t() | [Error.t(), ...] | {reason :: atom(), String.t() | Error.t() | [Error.t(), ...]}}

@@ -11,12 +11,20 @@ defmodule Aerie.Api.Rest.Operations.Gateway do
   @spec all() :: [Operation.t(), ...]
   def all do
     for module <- [
+          Links.List,
           Links.Add,
+          Links.Remove,
+          Clients.List,
           Clients.Add,
+          Clients.Remove,
+          Rules.List,
           Rules.Change,
+          Rules.Reset,
+          Log.Get,
           Log.Change,
           Recordings.Set,
           Recordings.Save,
+          Signing.List,
           Signing.Change
         ],
         do: %{module.operation() | module: module}

@@ -22,31 +22,16 @@ defmodule Aerie.Api.Rest.Routes.Gateway do
         query: [:limit, :since],
         answer: :events
       ),
-      get("/api/signing", :signing, "Signed links and vehicles.", answer: :signing_keys),
       get(
         "/api/signing/capability",
         :signing_capability,
         "Which vehicles can sign, and by which links they can be given a key.",
         answer: :signing_capability
       ),
-      get("/api/links", :links, "All links.", answer: :links),
-      delete("/api/links/:id", :remove_link, "Closes and forgets a link.", status: 204, answer: nil),
       get("/api/recorder", :recorder, "What is being recorded, and the recordings on disk.",
         answer: :recorder
       ),
       get("/api/recordings/:name", :download, "A recording.", answer: @bytes),
-      get("/api/clients", :clients, "Endpoints for clients, and the clients that are connected.",
-        answer: :clients
-      ),
-      delete("/api/clients/:id", :remove_client, "Removes an endpoint, or disconnects a client.",
-        status: 204,
-        answer: nil
-      ),
-      get("/api/rules", :rules, "The routing rules of links and clients.", answer: :rules_in_force),
-      delete("/api/rules/:id", :reset_rules, "Restores the configured rules.",
-        status: 204,
-        answer: nil
-      ),
       post(
         "/api/config/reload",
         :reload_config,
@@ -54,7 +39,6 @@ defmodule Aerie.Api.Rest.Routes.Gateway do
         body: :nothing,
         answer: :reloaded
       ),
-      get("/api/log", :log, "The levels of the log.", answer: "answer.log.change"),
       get("/api/policy", :policy, "The policy in force.", answer: :policy),
       post("/api/policy/reload", :reload_policy, "Reads the policy and its fences again.",
         body: :nothing,

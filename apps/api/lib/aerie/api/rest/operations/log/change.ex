@@ -2,6 +2,7 @@ defmodule Aerie.Api.Rest.Operations.Log.Change do
   @moduledoc false
   use Aerie.Control.Operations.Operation
 
+  alias Aerie.Api.Rest.Operations.Log.Get
   alias Aerie.Base.Log
 
   @levels Map.new(Log.level_names(), &{Atom.to_string(&1), &1})
@@ -15,20 +16,14 @@ defmodule Aerie.Api.Rest.Operations.Log.Change do
       closed?: true,
       fields: [field(:level, {:enum, Log.level_names()}, "the level of everything"), areas()],
       rules: [minProperties: 1],
-      answer: %{
-        level: level(),
-        areas: %{type: :object, additionalProperties: level()},
-        levels: %{type: :array, items: level()},
-        known_areas: %{type: :array, items: %{type: :string}}
-      },
+      answer: Get.operation().answer,
+      answer_as: "log",
       routes: [patch("/api/log", "Changes the levels of the log.", change: :change_log)]
     }
   end
 
-  defp level, do: %{enum: Log.level_names()}
-
   defp areas do
-    schema = object(Map.new(Log.areas(), &{&1, nullable(level())}))
+    schema = object(Map.new(Log.areas(), &{&1, nullable(%{enum: Log.level_names()})}))
     names = fn names -> Enum.join(names, ", ") end
 
     words =
@@ -53,7 +48,7 @@ defmodule Aerie.Api.Rest.Operations.Log.Change do
   def run(%{level: nil, areas: nil}, _context),
     do: {:error, {:invalid, "nothing to change; give level or areas"}}
 
-  def run(%{level: level, areas: areas}, _context) do
+  def run(%{level: level, areas: areas}, context) do
     if level, do: Log.set_level(level)
 
     # An area whose application does not run here has nothing to log.
@@ -61,10 +56,6 @@ defmodule Aerie.Api.Rest.Operations.Log.Change do
       if level, do: Log.set_level(area, level), else: Log.reset(area)
     end)
 
-    {:ok, view()}
+    Get.run(%{}, context)
   end
-
-  @doc "The levels as an answer."
-  @spec view() :: map()
-  def view, do: Map.merge(Log.levels(), %{levels: Log.level_names(), known_areas: Log.areas()})
 end

@@ -10,6 +10,7 @@ defmodule Aerie.System.ToolInsideTest do
 
   alias Aerie.{CLI, Shell}
   alias Aerie.CLI.{Gateway, Parser}
+  alias Aerie.CommandCase
 
   @moduletag :tmp_dir
   @moduletag :capture_log
@@ -108,7 +109,84 @@ defmodule Aerie.System.ToolInsideTest do
     assert {text, 2} = aerie(["rpc", "raise \"no\""])
     assert text =~ "no"
 
+    operations(id, folder)
     shell(id)
+  end
+
+  # What is made of operations does what REST does, and is recorded as well.
+  defp operations(id, folder) do
+    add = ["link", "add", "udpin:127.0.0.1:0", "--id", "spare", "--label", "the spare one"]
+    assert {text, 2} = aerie(add, "n\n")
+    assert text =~ "link add udpin:127.0.0.1:0: are you sure?" and text =~ "not done"
+    assert {text, 0} = aerie(add, "y\n")
+    assert text =~ ~s("id": "spare")
+    assert %{label: "the spare one", high_latency: false} = MavRouter.Link.get(:default, "spare")
+    assert {"there is already a link spare", 2} = aerie(add ++ ["--yes"])
+    assert {text, 2} = aerie(["link", "add", "replay:flight.tlog", "--id", "a b", "--yes"])
+    assert text =~ "url: expected another connection string" and text =~ "id: expected 1 to 64 letters"
+    assert {json, 0} = aerie(["link", "list"])
+    assert ["link-1", "spare"] = for(link <- JSON.decode!(json)["links"], do: link["id"])
+    assert {"done\n", 0} = aerie(["link", "remove", "spare", "--yes"])
+    assert {"no link has this id; see /api/links", 2} = aerie(["link", "remove", "spare", "--yes"])
+
+    assert {_answer, 0} =
+             aerie(["client", "add", "tcpin:127.0.0.1:0", "--id", "gcs", "--networks", ~s(["main"]), "--yes"])
+
+    assert {json, 0} = aerie(["client", "list"])
+    assert %{"endpoints" => endpoints, "clients" => _connected} = JSON.decode!(json)
+    assert "gcs" in for(endpoint <- endpoints, do: endpoint["id"])
+    change = ["rules", "change", "gcs", "role=read_only", ~s(rate_limits={"ATTITUDE": 4}), "--yes"]
+    assert {json, 0} = aerie(change)
+    assert %{"changed" => %{"gcs" => %{"role" => %{"now" => "read_only"}}}} = JSON.decode!(json)
+    assert {^json, 0} = aerie(["rules", "list"])
+    assert {"done\n", 0} = aerie(["rules", "reset", "gcs", "--yes"])
+
+    assert {"{}", 0} =
+             with({json, 0} <- aerie(["rules", "list"]), do: {JSON.encode!(JSON.decode!(json)["changed"]), 0})
+
+    assert {"done\n", 0} = aerie(["client", "remove", "gcs", "--yes"])
+
+    recorded =
+      eventually(
+        fn ->
+          changes = for %{"type" => "change"} = record <- CommandCase.audit(folder), do: record
+          if List.last(changes)["action"] == "remove_client", do: changes
+        end,
+        "the changes are recorded"
+      )
+
+    assert for(%{"source" => "aerie"} = record <- recorded, do: {record["action"], record["target"]}) == [
+             {"add_link", "spare"},
+             {"remove_link", "spare"},
+             {"add_client", "gcs"},
+             {"change_rules", "gcs"},
+             {"reset_rules", "gcs"},
+             {"remove_client", "gcs"}
+           ]
+
+    # The log is everybody's: nothing is changed of it.
+    assert {json, 0} = aerie(["log", "get"])
+    assert %{"level" => _now, "known_areas" => [_ | _]} = JSON.decode!(json)
+    assert {text, 2} = aerie(["log", "change", "--level", "loud", "--yes"])
+    assert text =~ "level: expected one of debug, info"
+    assert {json, 0} = aerie(["signing", "list"])
+    assert %{"keys" => []} = JSON.decode!(json)
+    assert {_no_key, 2} = aerie(["signing", "change", id, "revoke", "--yes"])
+    assert {text, 2} = aerie(["signing", "change", id, "revoke", "--component", "256", "--yes"])
+    assert text =~ "component: expected an integer from 1 to 255"
+    assert {"rejected: there is no vehicle nobody\n", 1} = aerie(["files", "list", "nobody", "/"])
+    assert {json, 0} = aerie(["files", "list", id, "/", "--timeout", "60"])
+    assert JSON.decode!(json) == %{"path" => "/", "entries" => []}
+    remove = ["files", "remove", id, "/nowhere"]
+    assert {text, 2} = aerie(remove, "no\n")
+    assert text =~ "files remove #{id} /nowhere: are you sure?"
+    assert {"rejected: the vehicle has no such file\n", 1} = aerie(remove ++ ["--yes"])
+    assert {json, 0} = aerie(["operation", "list"])
+    assert JSON.decode!(json) == %{"operations" => []}
+    assert {text, 2} = aerie(["operation", "begin", "tag=survey", ~s(command={"type": "fly_away"}), "--yes"])
+    assert text =~ "command.type"
+    assert {json, 0} = aerie(["shadow", "get", id])
+    assert %{"vehicle" => ^id} = JSON.decode!(json)
   end
 
   # The examples of the shell in docs/operating.md.

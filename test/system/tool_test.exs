@@ -92,6 +92,14 @@ defmodule Aerie.System.ToolTest do
     assert text =~ "FILE"
     records(context)
     missions(context)
+    assert {json, 0} = aerie(context, ["link", "list"])
+    assert "radio" in for(link <- JSON.decode!(json)["links"], do: link["id"])
+    assert {text, 2} = aerie(context, ["client", "add", "tcpin:127.0.0.1:0"])
+    assert text =~ "there is nobody to confirm it"
+    assert {text, 0} = aerie(context, ["shadow", "get", "sim-001"])
+    assert %{"vehicle" => "sim-001"} = JSON.decode!(text)
+    assert {text, 0} = aerie(context, ["log", "change", "--level", "info"], "y\n")
+    assert text =~ ~s("level": "info")
 
     assert {text, 0} = aerie(context, ["user", "add", "ann", "--role", "viewer"], "a long enough password\n")
     assert text =~ "added ann"

@@ -16,7 +16,8 @@ defmodule Aerie.CLI.Subcommands do
 
   @doc "All of them."
   @spec all() :: [Subcommand.t()]
-  def all, do: starting() ++ looking() ++ commanding() ++ keeping() ++ scripting()
+  def all,
+    do: starting() ++ looking() ++ commanding() ++ Subcommand.Operation.rows() ++ keeping() ++ scripting()
 
   @doc "The one of this name."
   @spec fetch(String.t()) :: {:ok, Subcommand.t()} | :error
@@ -37,7 +38,7 @@ defmodule Aerie.CLI.Subcommands do
         more:
           "NATS is embedded unless --nats or the configuration names a server. Without --link, --replay and --config, three simulated vehicles " <>
             "fly (in a checkout; a release has none), and UDP port 14550 is open for real ones. Ctrl-C stops it.",
-        terms: {"STRING is one of:", MavRouter.Link.Transport.help()}
+        terms: Options.terms()
       },
       %Subcommand{
         name: "daemon",

@@ -60,6 +60,10 @@ defmodule Aerie.CLI.Start.Options do
   @spec all() :: [Aerie.CLI.Subcommand.option()]
   def all, do: @all
 
+  @doc "What their values may be (`t:Aerie.CLI.Subcommand.t/0`)."
+  @spec terms() :: {String.t(), [{String.t(), String.t()}]}
+  def terms, do: {"STRING is one of:", MavRouter.Link.Transport.help()}
+
   @doc "Checks the options that were given: the struct, or what is wrong and what is expected."
   @spec check(%{atom() => term()}) :: {:ok, t()} | {:error, String.t()}
   def check(given) do

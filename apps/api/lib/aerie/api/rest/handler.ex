@@ -55,7 +55,12 @@ defmodule Aerie.Api.Rest.Handler do
     with {:ok, requester} <- Admission.decide(state.policy, facts),
          {:ok, route} <- Routes.find(resource, method),
          :ok <- Admission.may(requester, route.role),
-         :ok <- Misdirected.check(route.change || route.action, state.gateway, request) do
+         :ok <-
+           Misdirected.check(
+             route.change || route.action,
+             state.gateway,
+             :cowboy_req.binding(:id, request, nil)
+           ) do
       route.action
       |> Actions.run(Map.merge(state, %{name: requester.name, requester: requester}), request)
       |> recorded(route, %{name: "http:" <> requester.name, from: Changes.place(facts.peer)}, state.gateway)

@@ -12,17 +12,15 @@ defmodule Aerie.Api.Rest.Misdirected do
   @here [:save, :record_vehicle, :vehicle_signing, :sign_vehicle, :vehicle_events]
 
   @doc "Whether the request may be answered here, by what it changes or asks for."
-  @spec check(term(), Names.gateway(), :cowboy_req.req()) :: :ok | {:error, Error.t()}
-  def check(action, gateway, request) when action in @here do
-    id = :cowboy_req.binding(:id, request)
-
+  @spec check(term(), Names.gateway(), vehicle :: String.t() | nil) :: :ok | {:error, Error.t()}
+  def check(action, gateway, id) when action in @here do
     case Fleet.vehicle(gateway, id) do
       %{via: via} when via != nil -> unless_known(action, gateway, id, via)
       _heard_here_or_nowhere -> :ok
     end
   end
 
-  def check(_action, _gateway, _request), do: :ok
+  def check(_action, _gateway, _id), do: :ok
 
   defp unless_known(:vehicle_events, gateway, id, via),
     do: if(Journal.recent(gateway, id, limit: 1) == [], do: {:error, Error.misdirected(via)}, else: :ok)

@@ -66,7 +66,9 @@ defmodule Aerie.Api.Rest.Operations do
     }
   end
 
-  defp all, do: Fleet.operations() ++ Gateway.all()
+  @doc "All operations."
+  @spec all() :: [Operation.t()]
+  def all, do: Fleet.operations() ++ Gateway.all()
 
   defp role(_operation, %{change: change}) when change != nil, do: Rights.least(change)
   defp role(operation, _route), do: if(operation.changes?, do: :operator, else: :viewer)
@@ -126,10 +128,12 @@ defmodule Aerie.Api.Rest.Operations do
     is_map_key(route.given, name) or name in named(route) or (name == "path" and route.path =~ "[...]")
   end
 
-  # The id of a vehicle is not a field.
-  defp named(%{path: "/api/vehicles/:id" <> path}), do: named(path)
-  defp named(%{path: path}), do: named(path)
-  defp named(path), do: for([":" <> name] <- Regex.scan(~r{:[a-z]+}, path), do: name)
+  @doc "The fields that the path of a route names. The id of a vehicle is not a field."
+  @spec named(%{:path => String.t(), optional(atom()) => term()}) :: [String.t()]
+  def named(%{path: path}) do
+    path = String.replace_prefix(path, "/api/vehicles/:id", "")
+    for [":" <> name] <- Regex.scan(~r{:[a-z]+}, path), do: name
+  end
 
   @doc "The schemas of bodies and answers, by the names that the rows have."
   @spec schemas() :: %{String.t() => Json.Schema.t()}

@@ -8,7 +8,7 @@ defmodule Aerie.Api.Rest.Operations.Clients.Remove do
 
     %Operation{
       name: "client.remove",
-      meaning: summary,
+      meaning: "Removes an endpoint for clients, or a client.",
       transfer?: false,
       fields: [field(:id, {:bytes, 512}, "the endpoint or client", required: true)],
       routes: [delete("/api/clients/:id", summary, change: :remove_client, status: 204)]

@@ -10,7 +10,7 @@ defmodule Aerie.Api.Rest.Operations.Links.Remove do
 
     %Operation{
       name: "link.remove",
-      meaning: summary,
+      meaning: "Removes a link.",
       transfer?: false,
       fields: [field(:id, {:bytes, 512}, "the link", required: true)],
       routes: [delete("/api/links/:id", summary, change: :remove_link, status: 204)]

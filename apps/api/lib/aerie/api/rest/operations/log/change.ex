@@ -11,7 +11,7 @@ defmodule Aerie.Api.Rest.Operations.Log.Change do
   def operation do
     %Operation{
       name: "log.change",
-      meaning: "Changes the levels of the log. A restart brings the configured level back.",
+      meaning: "Changes the levels of the log until the next start.",
       transfer?: false,
       closed?: true,
       fields: [field(:level, {:enum, Log.level_names()}, "the level of everything"), areas()],

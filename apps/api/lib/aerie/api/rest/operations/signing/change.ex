@@ -14,7 +14,7 @@ defmodule Aerie.Api.Rest.Operations.Signing.Change do
 
     %Operation{
       name: "signing.change",
-      meaning: summary,
+      meaning: "Changes the signing key of a vehicle.",
       transfer?: false,
       closed?: true,
       fields: [

@@ -105,7 +105,7 @@ defmodule Aerie.Fleet.Shadow.Loop do
           state.core ||
             Core.new(state.vehicle.id, Map.to_list(Map.take(settings, [:hold_us, :max_tries, :allow_arming])))
 
-        %{
+        contact(%{
           state
           | documents: documents,
             settings: settings,
@@ -113,7 +113,7 @@ defmodule Aerie.Fleet.Shadow.Loop do
             core: core,
             heard?: nil,
             reported: nil
-        }
+        })
     end
   end
 
@@ -126,6 +126,14 @@ defmodule Aerie.Fleet.Shadow.Loop do
     case Store.vehicle(state.gateway, state.vehicle.key) do
       nil -> state
       snapshot -> state |> note_contact(snapshot.status != :lost) |> refresh(snapshot)
+    end
+  end
+
+  # At once: until then nobody knows which gateway may command the vehicle.
+  defp contact(state) do
+    case Store.vehicle(state.gateway, state.vehicle.key) do
+      nil -> state
+      snapshot -> note_contact(state, snapshot.status != :lost)
     end
   end
 

@@ -580,6 +580,19 @@ defmodule Aerie.Fleet.Shadow.DocumentsTest do
       assert mine?.() and theirs?.()
     end
 
+    test "nobody is known to hold a vehicle before its loop says whether it is heard", context do
+      documents = documents(context.gateway)
+      Documents.join(documents, "VID-008")
+      # Leases are renewed, and authorities recorded, at any time.
+      send(documents, :renew)
+      _done = :sys.get_state(documents, Aerie.Patience.ms())
+      assert {:unknown, _why} = Documents.holder(context.gateway, "VID-008")
+      assert {:held, "gateway", _why} = Documents.authority(context.gateway, "VID-008")
+
+      Documents.vehicle_heard(documents, "VID-008", true)
+      eventually(fn -> Documents.holder(context.gateway, "VID-008") == :alone end)
+    end
+
     test "an orderly end, and not hearing the vehicle any more, give it to the other one at once", context do
       %{gateway: gateway, other: other} = context
       join(other)

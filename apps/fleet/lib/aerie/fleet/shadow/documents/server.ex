@@ -66,6 +66,7 @@ defmodule Aerie.Fleet.Shadow.Documents.Server do
       # Vehicles whose lease in the bucket is not what it should be.
       repairs: MapSet.new(),
       loops: %{},
+      contact: %{},
       reports: %{},
       rates: %{},
       conn: nil,
@@ -130,11 +131,13 @@ defmodule Aerie.Fleet.Shadow.Documents.Server do
     Process.monitor(loop)
     state = Desired.load(%{state | loops: Map.put(state.loops, vehicle, loop)}, vehicle)
     send(loop, {:desired, Desired.known(state, vehicle)})
-    {:noreply, Keeper.authorities(state)}
+    # Which gateway may act is not known before the loop says whether the vehicle is heard.
+    {:noreply, state}
   end
 
   def handle_cast({:heard, vehicle, heard?}, state) do
-    state = %{state | lease: GatewayLease.want(state.lease, vehicle, heard?)}
+    lease = GatewayLease.want(state.lease, vehicle, heard?)
+    state = %{state | lease: lease, contact: Map.put(state.contact, vehicle, heard?)}
 
     {:noreply, if(heard?, do: state |> Keeper.claim() |> Keeper.authorities(), else: give_up(state, vehicle))}
   end
@@ -290,7 +293,9 @@ defmodule Aerie.Fleet.Shadow.Documents.Server do
     lease = GatewayLease.want(state.lease, vehicle, false)
     state = give_up(%{state | lease: lease}, vehicle)
     for what <- [:document, :reported, :authority, :holder], do: :ets.delete(state.table, {what, vehicle})
-    %{state | loops: Map.delete(state.loops, vehicle), reports: Map.delete(state.reports, vehicle)}
+
+    [:loops, :contact, :reports]
+    |> Enum.reduce(state, fn part, state -> Map.update!(state, part, &Map.delete(&1, vehicle)) end)
   end
 
   defp give_up(state, vehicle) do

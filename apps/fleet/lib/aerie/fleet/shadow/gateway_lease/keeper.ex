@@ -222,7 +222,8 @@ defmodule Aerie.Fleet.Shadow.GatewayLease.Keeper do
   @doc "Records who may act; loops read this before they act."
   @spec authorities(state()) :: state()
   def authorities(state) do
-    vehicles = Map.keys(state.loops)
+    # Nothing is known of a vehicle whose loop has not said yet whether it is heard.
+    vehicles = for {vehicle, _heard?} <- state.contact, is_map_key(state.loops, vehicle), do: vehicle
     rows = for vehicle <- vehicles, do: {{:authority, vehicle}, may_act(state, vehicle)}
     holders = for vehicle <- vehicles, do: {{:holder, vehicle}, held(state, vehicle)}
     :ets.insert(state.table, rows ++ holders)

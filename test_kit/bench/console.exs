@@ -57,7 +57,7 @@ defmodule ConsoleBench do
     gateway = make_ref()
     off = [{"nats.mode", "off"}, {"sockets.enabled", false}, {"websocket.enabled", false}, {"http.port", 0}]
     Gateway.whole(gateway, Gateway.config(dir, off), true)
-    {:ok, secret} = Access.Secret.load(gateway, Path.join(dir, "console"))
+    {:ok, secret} = Access.Session.secret(gateway, Path.join(dir, "console"))
     session = Phoenix.LiveView.Cookie.with_csrf(Access.Session.of_launch(gateway))
     cookie = Access.Session.cookie(secret) <> "=" <> Phoenix.LiveView.Token.sign(secret, "cookie", session)
     %{gateway: gateway, port: Aerie.Api.Endpoint.port(gateway), cookie: cookie}

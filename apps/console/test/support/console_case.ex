@@ -68,7 +68,7 @@ defmodule Aerie.ConsoleCase do
     )
 
     port = Aerie.Api.Endpoint.port(gateway)
-    {:ok, secret} = Aerie.Access.Secret.load(make_ref(), dir)
+    {:ok, secret} = Aerie.Access.Session.secret(make_ref(), dir)
     policy = %{keys: [], origins: [], ports: [], hosts: []}
 
     [

@@ -1,20 +1,45 @@
 defmodule Aerie.Access.Session do
   @moduledoc """
-  The signed cookie's statement of who is signed in, and who that is now. Pure, except for looking a user up.
+  The signed cookie's statement of who is signed in, and who that is now.
 
-  A session is open as long as its `"id"` is listed (`Aerie.Access.Sessions`). It belongs either to a user (`"user"`, and `"stamp"`,
-  which another password, role or permission invalidates), for a month, or to the address that `bin/run` prints (`"launch"`): an admin, for a day.
+  A session is open as long as its `"id"` is listed (`Aerie.Access.Sessions`). It belongs either to a user (`"user"`,
+  and `"stamp"`, which another password, role or permission invalidates), for a month, or to the address that `bin/run`
+  prints (`"launch"`): an admin, for a day.
   """
 
   alias Aerie.Base.Names
   alias Aerie.Control.Policy.Roles
-  alias Aerie.Access.{Sessions, Users}
+  alias Aerie.Access.{PrivateFile, Sessions, Users}
   alias Phoenix.LiveView.Cookie
 
   @launch_s 24 * 3600
   @user_s 30 * 24 * 3600
   @themes ~w(dark light)
   @theme_cookie "aerie_theme"
+
+  @secret_bytes 32
+
+  @doc "The secret that signs sessions: in a file of a folder, made if there is none, so that a restart ends no session."
+  @spec secret(Names.gateway(), Path.t()) :: {:ok, binary()} | {:error, String.t()}
+  def secret(gateway, dir) do
+    path = Path.join(dir, "secret")
+
+    case File.read(path) do
+      {:ok, <<_::binary-size(@secret_bytes)>> = secret} -> {:ok, secret}
+      {:error, :enoent} -> new_secret(path)
+      _damaged -> another_secret(gateway, path)
+    end
+  end
+
+  defp another_secret(gateway, path) do
+    with {:ok, nil} <- PrivateFile.set_aside(gateway, path, "everybody has to sign in again", nil),
+         do: new_secret(path)
+  end
+
+  defp new_secret(path) do
+    secret = :crypto.strong_rand_bytes(@secret_bytes)
+    with :ok <- PrivateFile.write(path, secret), do: {:ok, secret}
+  end
 
   @doc "The name of the cookie. Cookies ignore ports, so two gateways on one machine need different names."
   @spec cookie(secret :: binary()) :: String.t()

@@ -4,7 +4,7 @@ defmodule Aerie.Access.DamagedFilesTest do
 
   import ExUnit.CaptureLog
 
-  alias Aerie.Access.{KeyRing, Keys, Secret, Users}
+  alias Aerie.Access.{KeyRing, Keys, Session, Users}
 
   @moduletag :tmp_dir
   @garbage [<<0, 255, 1>>, "", "{", String.duplicate("x", 70_000)]
@@ -63,9 +63,12 @@ defmodule Aerie.Access.DamagedFilesTest do
 
   test "the secret: everybody signs in again", %{tmp_dir: dir} do
     path = file(dir, "secret", "short")
-    assert capture_log(fn -> assert {:ok, <<_::256>>} = Secret.load(make_ref(), dir) end) =~ "sign in again"
+
+    assert capture_log(fn -> assert {:ok, <<_::256>>} = Session.secret(make_ref(), dir) end) =~
+             "sign in again"
+
     assert [_one] = kept(path)
-    assert {:ok, secret} = Secret.load(make_ref(), dir)
+    assert {:ok, secret} = Session.secret(make_ref(), dir)
     assert File.read!(path) == secret
   end
 end

@@ -2,7 +2,7 @@ defmodule Aerie.Console.HTTP.Routes do
   @moduledoc "What the console serves: pages, signing in and out, downloads, assets and map tiles."
 
   alias Aerie.Access.HTTP.Admission
-  alias Aerie.Access.{Secret, Session}
+  alias Aerie.Access.Session
   alias Aerie.Base.Names
   alias Aerie.Console.{Assets, Layout, SignIn, Supervisor}
   alias Aerie.Console.HTTP.{DownloadHandler, PageHandler, Router}
@@ -17,7 +17,7 @@ defmodule Aerie.Console.HTTP.Routes do
   @spec serve(Names.gateway(), map(), (-> [Configuration.section()]) | nil, Admission.policy()) ::
           {:ok, [{module(), keyword()}], [tuple()]} | {:error, String.t()}
   def serve(gateway, settings, configuration, policy) do
-    with {:ok, secret} <- Secret.load(gateway, settings.dir) do
+    with {:ok, secret} <- Session.secret(gateway, settings.dir) do
       {:ok, [{Supervisor, gateway: gateway, settings: settings, configuration: configuration}],
        routes(gateway, policy, secret)}
     end

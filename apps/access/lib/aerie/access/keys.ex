@@ -25,8 +25,8 @@ defmodule Aerie.Access.Keys do
 
   alias Aerie.Vehicle.Command.Type
   alias Aerie.Control.Policy.Roles
-  alias Aerie.Base.Secret
-  alias Aerie.Access.PrivateFile
+  alias Aerie.Base.{Principal, Secret}
+  alias Aerie.Access.{Principals, PrivateFile}
 
   @shortest 16
   @longest 512
@@ -39,9 +39,6 @@ defmodule Aerie.Access.Keys do
           permissions: [Type.permission()],
           until: integer() | nil
         }
-
-  @typedoc "The owner of a key: a name for the log and the list of clients."
-  @type owner :: %{name: String.t(), role: Roles.role() | nil, permissions: [Type.permission()]}
 
   @doc "The smallest number of characters of a key."
   @spec shortest() :: pos_integer()
@@ -96,8 +93,9 @@ defmodule Aerie.Access.Keys do
     with {:ok, fields} <- fields(words, %{}), do: {:ok, new(name, digest(text), fields)}
   end
 
-  @doc "The owner of a presented key, or `:unknown`. `now` in unix microseconds."
-  @spec check([key()], term(), now :: integer()) :: {:ok, owner()} | {:error, :unknown | {:expired, Date.t()}}
+  @doc "Whose key was presented, or `:unknown`. `now` in unix microseconds."
+  @spec check([key()], term(), now :: integer()) ::
+          {:ok, Principal.t()} | {:error, :unknown | {:expired, Date.t()}}
   def check(keys, presented, now \\ System.os_time(:microsecond))
 
   def check(keys, presented, now) when is_binary(presented) and byte_size(presented) <= @longest do
@@ -112,7 +110,7 @@ defmodule Aerie.Access.Keys do
     case found do
       nil -> {:error, :unknown}
       %{until: until} when until != nil and now >= until -> {:error, {:expired, day(until)}}
-      key -> {:ok, Map.take(key, [:name, :role, :permissions])}
+      key -> {:ok, Principals.of(key)}
     end
   end
 

@@ -7,9 +7,8 @@ defmodule Aerie.Access.Session do
   prints (`"launch"`): an admin, for a day.
   """
 
-  alias Aerie.Base.Names
-  alias Aerie.Control.Policy.Roles
-  alias Aerie.Access.{PrivateFile, Sessions, Users}
+  alias Aerie.Access.{Principals, PrivateFile, Sessions, Users}
+  alias Aerie.Base.{Names, Principal}
   alias Phoenix.LiveView.Cookie
 
   @launch_s 24 * 3600
@@ -67,7 +66,7 @@ defmodule Aerie.Access.Session do
   def of_launch(gateway), do: %{"launch" => true, "id" => Sessions.open(gateway, nil, @launch_s)}
 
   @doc "The signed-in user, or nil."
-  @spec user(Names.gateway(), map(), now :: integer()) :: Roles.source() | nil
+  @spec user(Names.gateway(), map(), now :: integer()) :: Principal.t() | nil
   def user(gateway, session, now \\ System.system_time(:second)) do
     with {:ok, owner} <- Sessions.owner(gateway, session["id"], now),
          do: of(gateway, owner, session),
@@ -76,15 +75,13 @@ defmodule Aerie.Access.Session do
 
   defp of(gateway, name, %{"user" => name, "stamp" => stamp}) when name != nil do
     case Users.find(gateway, name) do
-      %{role: role} = user -> if stamp(user) == stamp, do: source(name, role, user.permissions)
+      %{} = user -> if stamp(user) == stamp, do: Principals.of(user)
       nil -> nil
     end
   end
 
-  defp of(_gateway, nil, %{"launch" => _signed}), do: source("local", :admin)
+  defp of(_gateway, nil, %{"launch" => _signed}), do: Principals.of(:printed_address)
   defp of(_gateway, _owner, _session), do: nil
-
-  defp source(name, role, permissions \\ []), do: Roles.principal(:user, name, role, permissions)
 
   defp stamp(%{password: stored, role: role, permissions: permissions}) do
     may = Enum.map_join([role | permissions], ",", &Atom.to_string/1)

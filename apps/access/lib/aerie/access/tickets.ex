@@ -8,7 +8,7 @@ defmodule Aerie.Access.Tickets do
   """
   use GenServer
 
-  alias Aerie.Base.Names
+  alias Aerie.Base.{Names, Principal}
 
   @life_ms 30_000
   @most 1_000
@@ -21,14 +21,14 @@ defmodule Aerie.Access.Tickets do
   end
 
   @doc "Issues a ticket; returns it with its validity in seconds."
-  @spec issue(Names.gateway(), requester :: term()) ::
+  @spec issue(Names.gateway(), Principal.t()) ::
           {:ok, String.t(), pos_integer()} | {:error, :too_many | :unavailable}
-  def issue(gateway, requester) do
+  def issue(gateway, principal) do
     ticket = Base.url_encode64(:crypto.strong_rand_bytes(24), padding: false)
 
     with {table, clock} <- Names.value(gateway, :tickets),
          now = clock.(),
-         :ok <- add(table, now, {digest(ticket), requester, now + @life_ms}) do
+         :ok <- add(table, now, {digest(ticket), principal, now + @life_ms}) do
       {:ok, ticket, div(@life_ms, 1000)}
     else
       nil -> {:error, :unavailable}
@@ -50,13 +50,13 @@ defmodule Aerie.Access.Tickets do
     ArgumentError -> {:error, :unavailable}
   end
 
-  @doc "Uses up a ticket and returns the key's owner for whom it was issued."
-  @spec redeem(Names.gateway(), String.t()) :: {:ok, requester :: term()} | :error
+  @doc "Uses up a ticket; gives the principal that it was issued to."
+  @spec redeem(Names.gateway(), String.t()) :: {:ok, Principal.t()} | :error
   def redeem(gateway, ticket) when byte_size(ticket) <= 100 do
     with {table, clock} <- Names.value(gateway, :tickets),
-         [{_digest, requester, until}] <- take(table, digest(ticket)),
+         [{_digest, principal, until}] <- take(table, digest(ticket)),
          true <- until > clock.() do
-      {:ok, requester}
+      {:ok, principal}
     else
       _none_or_expired -> :error
     end

@@ -2,7 +2,7 @@ defmodule Aerie.Access.KeysTest do
   use ExUnit.Case, async: true
 
   alias Aerie.Access.Keys
-  alias Aerie.Base.Secret
+  alias Aerie.Base.{Principal, Secret}
 
   @moduletag :tmp_dir
 
@@ -14,7 +14,7 @@ defmodule Aerie.Access.KeysTest do
   end
 
   defp name(keys, presented) do
-    {:ok, %{name: name, role: nil, permissions: []}} = Keys.check(keys, presented)
+    {:ok, %Principal{kind: :key, name: name, role: nil, permissions: []}} = Keys.check(keys, presented)
     name
   end
 
@@ -31,13 +31,14 @@ defmodule Aerie.Access.KeysTest do
 
     {:ok, keys} = Keys.load(%{key: nil, keys_file: path})
     at = fn time -> DateTime.to_unix(time, :microsecond) end
-    olga = %{name: "olga", role: :operator, permissions: [:force_disarm, :terminate]}
-    assert Keys.check(keys, "0123456789abcdef", at.(~U[2026-11-22 23:59:59Z])) == {:ok, olga}
+
+    assert {:ok, %{name: "olga", role: :operator, permissions: [:force_disarm, :terminate]}} =
+             Keys.check(keys, "0123456789abcdef", at.(~U[2026-11-22 23:59:59Z]))
 
     assert Keys.check(keys, "0123456789abcdef", at.(~U[2026-11-23 00:00:00Z])) ==
              {:error, {:expired, ~D[2026-11-22]}}
 
-    assert Keys.check(keys, "victor's secret key") == {:ok, %{name: "victor", role: :viewer, permissions: []}}
+    assert {:ok, %{name: "victor", role: :viewer, may: []}} = Keys.check(keys, "victor's secret key")
     assert Keys.check(keys, "sha256:" <> digest) == {:error, :unknown}
 
     for {fields, words} <- [

@@ -1,7 +1,9 @@
 defmodule Aerie.Access.TicketsTest do
   use ExUnit.Case, async: true
 
-  alias Aerie.Access.Tickets
+  alias Aerie.Access.{Principals, Tickets}
+
+  @alice Principals.of(%{name: "alice", digest: "", role: :operator, permissions: [:terminate], until: nil})
 
   defp start_tickets do
     gateway = make_ref()
@@ -10,10 +12,10 @@ defmodule Aerie.Access.TicketsTest do
     {gateway, clock}
   end
 
-  test "a ticket is valid once, and names its owner" do
+  test "a ticket is valid once, and stands for whom it was issued to" do
     {gateway, _clock} = start_tickets()
-    {:ok, ticket, 30} = Tickets.issue(gateway, "alice")
-    assert Tickets.redeem(gateway, ticket) == {:ok, "alice"}
+    {:ok, ticket, 30} = Tickets.issue(gateway, @alice)
+    assert Tickets.redeem(gateway, ticket) == {:ok, @alice}
     assert Tickets.redeem(gateway, ticket) == :error
     assert Tickets.redeem(gateway, "x") == :error
     assert Tickets.redeem(gateway, String.duplicate("x", 5000)) == :error
@@ -22,13 +24,13 @@ defmodule Aerie.Access.TicketsTest do
 
   test "a ticket expires, and the number of unused ones is limited" do
     {gateway, clock} = start_tickets()
-    {:ok, ticket, _seconds} = Tickets.issue(gateway, "alice")
+    {:ok, ticket, _seconds} = Tickets.issue(gateway, @alice)
     :atomics.put(clock, 1, 30_000)
     assert Tickets.redeem(gateway, ticket) == :error
 
-    for _ <- 1..1000, do: assert({:ok, _ticket, _seconds} = Tickets.issue(gateway, "alice"))
-    assert Tickets.issue(gateway, "alice") == {:error, :too_many}
+    for _ <- 1..1000, do: assert({:ok, _ticket, _seconds} = Tickets.issue(gateway, @alice))
+    assert Tickets.issue(gateway, @alice) == {:error, :too_many}
     :atomics.put(clock, 1, 60_000)
-    assert {:ok, _ticket, _seconds} = Tickets.issue(gateway, "alice")
+    assert {:ok, _ticket, _seconds} = Tickets.issue(gateway, @alice)
   end
 end

@@ -5,7 +5,6 @@ defmodule Aerie.Console.RightsTest do
   alias Aerie.Base.Store
   alias Aerie.CommandCase
   alias MavRouter.{Client, Link, Router}
-  alias Aerie.Access.HTTP.Admission
   alias Aerie.Api.Rest.{OpenAPI, Routes}
   alias Aerie.Console
   alias Aerie.Access.Changes.Rights
@@ -186,12 +185,5 @@ defmodule Aerie.Console.RightsTest do
           {Console.Settings.Page, "revoke-key", :revoke_key}
         ],
         do: assert({page, event, page.__console__().events[event]} == {page, event, Rights.least(change)})
-  end
-
-  test "a key without a role is an admin's, and a program of this machine at most an operator" do
-    facts = %{peer: {127, 0, 0, 1}, forwarded: false, host: "127.0.0.1", origin: nil, key: nil}
-
-    assert {:ok, %{may: :operator, role: :viewer}} =
-             Admission.decide(%{keys: [], origins: [], ports: [], hosts: []}, facts)
   end
 end

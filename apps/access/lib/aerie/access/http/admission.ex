@@ -12,9 +12,9 @@ defmodule Aerie.Access.HTTP.Admission do
   """
 
   alias Aerie.Base.Net.Address
-  alias Aerie.Vehicle.Command.Type
+  alias Aerie.Base.Principal
   alias Aerie.Control.Policy.Roles
-  alias Aerie.Access.Keys
+  alias Aerie.Access.{Keys, Principals}
   alias Aerie.Access.HTTP.Error
 
   @typedoc """
@@ -42,41 +42,30 @@ defmodule Aerie.Access.HTTP.Admission do
           hosts: [String.t()]
         }
 
-  @typedoc """
-  The requester: the owner of a key, or a program of this machine (`local`). `may`: the role in which it changes the gateway
-  (`Aerie.Api.Rest.Routes`). Any user of this machine may be behind `local`, so it is never more than an operator there, and nobody who may
-  command vehicles.
-  """
-  @type requester :: %{
-          name: String.t(),
-          role: Roles.role() | nil,
-          permissions: [Type.permission()],
-          may: Roles.role()
-        }
-
-  @doc "The requester, or why access is refused."
-  @spec decide(policy(), facts()) :: {:ok, requester()} | {:error, Error.t()}
+  @doc "Whose request it is, or why access is refused."
+  @spec decide(policy(), facts()) :: {:ok, Principal.t()} | {:error, Error.t()}
   def decide(policy, facts) do
     with :ok <- origin(policy, facts), do: key(policy, facts)
   end
 
-  @doc "Whether somebody may do what needs a role."
-  @spec may(requester(), least :: Roles.role()) :: :ok | {:error, Error.t()}
-  def may(%{may: role} = requester, least) do
+  @doc "Whether somebody may change what needs a role."
+  @spec may(Principal.t(), least :: Roles.role()) :: :ok | {:error, Error.t()}
+  def may(principal, least) do
+    role = Principals.role(principal)
+
     if Roles.at_least?(role, least),
       do: :ok,
-      else: {:error, Error.new(:forbidden, refusal(requester, least))}
+      else: {:error, Error.new(:forbidden, refusal(principal, role, least))}
   end
 
-  # No key has this name (`Aerie.Access.KeyRing`), and no program is called so while there are keys.
-  defp refusal(%{name: "local"}, least),
+  defp refusal(%{kind: :client}, _role, least),
     do:
       "this needs the role #{least}, and while no key is configured programs of this machine are operators at most. Make a key in the " <>
         "console (Settings, Keys of programs; bin/run prints its address), or set api.key or api.keys_file, and send it as X-Aerie-Key"
 
-  defp refusal(%{name: name, may: :viewer}, _least), do: "the key #{name} may only read (role=viewer)"
+  defp refusal(%{name: name}, :viewer, _least), do: "the key #{name} may only read (role=viewer)"
 
-  defp refusal(%{name: name, may: role}, least),
+  defp refusal(%{name: name}, role, least),
     do: "the key #{name} has the role #{role}; this needs #{least}"
 
   @doc "Whether a page of this origin may use the server. A request without an origin comes from no page."
@@ -100,7 +89,7 @@ defmodule Aerie.Access.HTTP.Admission do
     {name, _port} = split(host)
 
     if address(name) != nil or name in own_names() or name in policy.hosts or
-         match?({:ok, _owner}, Keys.check(policy.keys, facts.key)),
+         match?({:ok, _principal}, Keys.check(policy.keys, facts.key)),
        do: :ok,
        else:
          {:error,
@@ -127,14 +116,14 @@ defmodule Aerie.Access.HTTP.Admission do
 
   defp key(%{keys: []}, facts) do
     if Address.loopback?(facts.peer) and not facts.forwarded and local_name?(facts.host),
-      do: {:ok, %{name: "local", role: :viewer, permissions: [], may: :operator}},
+      do: {:ok, Principals.of(:program)},
       else:
         {:error, Error.new(:forbidden, "no key is configured, so only this machine has access; set api.key")}
   end
 
   defp key(%{keys: keys}, facts) do
     case Keys.check(keys, facts.key) do
-      {:ok, owner} -> {:ok, Map.put(owner, :may, owner.role || :admin)}
+      {:ok, principal} -> {:ok, principal}
       {:error, {:expired, day}} -> unauthorized("this key was good until #{day}")
       {:error, :unknown} when facts.key == nil -> unauthorized("the header X-Aerie-Key is missing")
       {:error, :unknown} -> unauthorized("this key is unknown")

@@ -1,7 +1,7 @@
 defmodule Aerie.Access.HTTP.AdmissionTest do
   use ExUnit.Case, async: true
 
-  alias Aerie.Access.Keys
+  alias Aerie.Access.{Keys, Principals}
   alias Aerie.Base.Secret
   alias Aerie.Access.HTTP.Admission
 
@@ -47,7 +47,7 @@ defmodule Aerie.Access.HTTP.AdmissionTest do
 
   describe "with a key" do
     test "the key gives access, from anywhere and by any name" do
-      assert {:ok, %{name: "api.key", role: nil, may: :admin}} =
+      assert {:ok, %{kind: :key, name: "api.key", role: nil}} =
                decide(keyed(), %{peer: {10, 0, 0, 2}, host: "gw.example", key: "the-right-key-of-all"})
     end
 
@@ -55,6 +55,45 @@ defmodule Aerie.Access.HTTP.AdmissionTest do
       assert code(decide(keyed(), %{})) == :unauthorized
       assert code(decide(keyed(), %{key: "the-right-key-of-al"})) == :unauthorized
       assert code(decide(keyed(), %{key: ""})) == :unauthorized
+    end
+  end
+
+  describe "a change of the gateway" do
+    test "needs a role: a key's own, an admin's of a key without one, an operator's at most without a key" do
+      {:ok, program} = decide(@open, %{})
+      {:ok, bare} = decide(keyed(), %{key: "the-right-key-of-all"})
+      viewer = Principals.of(%{name: "wall", digest: "", role: :viewer, permissions: [], until: nil})
+      pilot = Principals.of(%{name: "pia", digest: "", role: :pilot, permissions: [], until: nil})
+      for least <- [:viewer, :operator, :admin], do: assert(Admission.may(bare, least) == :ok)
+      assert Admission.may(program, :operator) == :ok
+      assert Admission.may(viewer, :viewer) == :ok
+
+      for {who, least, words} <- [
+            {program, :admin, "while no key is configured programs of this machine are operators at most"},
+            {viewer, :operator, "the key wall may only read (role=viewer)"},
+            {pilot, :admin, "the key pia has the role pilot; this needs admin"}
+          ] do
+        assert {:error, %{code: :forbidden, message: message}} = Admission.may(who, least)
+        assert message =~ words
+      end
+    end
+  end
+
+  describe "what needs no key" do
+    test "is answered for a host name of the gateway, an address, or with a key" do
+      {:ok, own} = :inet.gethostname()
+      host = fn policy, changes -> Admission.host(policy, Map.merge(@local, changes)) end
+      named = %{keyed() | hosts: ["gw.example"]}
+
+      for name <- [nil, "localhost:4000", "#{own}.local", "GW.example:80", "192.0.2.7", "[2001:db8::7]:4000"],
+          do: assert(host.(named, %{host: name}) == :ok)
+
+      assert {:error, %{code: :forbidden}} = host.(named, %{host: "evil.example"})
+
+      assert {:error, %{code: :forbidden}} =
+               host.(named, %{host: "evil.example", key: "another-key-than-that"})
+
+      assert host.(named, %{host: "evil.example", key: "the-right-key-of-all"}) == :ok
     end
   end
 

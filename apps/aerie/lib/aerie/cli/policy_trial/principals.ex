@@ -5,12 +5,13 @@ defmodule Aerie.CLI.PolicyTrial.Principals do
   of them. Names of the ledger are those of `policy.sources`, of keys of `api.keys_file`, and of the gateway's own parts.
   """
 
+  alias Aerie.Access
   alias Aerie.Control.Policy
   alias Aerie.Control.Policy.Roles
   alias Aerie.Control.Policy.Roles.Sources
   alias Aerie.Fleet.Replay.PolicyTrial
 
-  @type key :: Aerie.Access.Keys.key()
+  @type key :: Access.Keys.key()
 
   @doc "The function for `t:Aerie.Fleet.Replay.PolicyTrial.sender/0`; `as` is the word of `--as`, nil for none. `now` is for keys that expire."
   @spec as(String.t() | nil, Policy.t(), [key()], now :: integer()) ::
@@ -64,8 +65,7 @@ defmodule Aerie.CLI.PolicyTrial.Principals do
 
   defp key(nil, _at), do: nil
   defp key(%{until: until}, at) when until != nil and at >= until, do: nil
-  # As over REST, a key without a role is an admin's.
-  defp key(key, _at), do: Roles.principal(:key, key.name, key.role || :admin, key.permissions)
+  defp key(key, _at), do: key |> Access.Principals.of() |> Access.Principals.commanding()
 
   defp own(name, _policy) when name in ["elixir", "bin/aerie"], do: Roles.principal(:gateway, name, :admin)
   defp own("shadow", _policy), do: Roles.principal(:gateway, "shadow", :operator)

@@ -25,7 +25,7 @@ defmodule Aerie.Api.Rest.Actions do
            | nil, :cowboy_req.req()}
           | {:error, Error.t(), :cowboy_req.req()}
 
-  @doc "Runs an action. `state` has the gateway, the requester (`t:Aerie.Access.HTTP.Admission.requester/0`) and its name."
+  @doc "Runs an action. `state` has the gateway, the requester, and as whom that one commands (`:source`)."
   @spec run(atom() | tuple(), map(), :cowboy_req.req()) :: result()
   def run(:index, _state, request), do: {:ok, 200, %{resources: Routes.index()}, request}
   def run(:openapi, _state, request), do: {:ok, 200, OpenAPI.document(), request}
@@ -83,7 +83,7 @@ defmodule Aerie.Api.Rest.Actions do
 
   def run(:vehicle_commands, state, request) do
     state.gateway
-    |> Commands.offers(id(request), state.requester)
+    |> Commands.offers(id(request), state.source)
     |> found(unknown_vehicle())
     |> answer(200, request)
   end
@@ -94,7 +94,7 @@ defmodule Aerie.Api.Rest.Actions do
       wait = Request.parameters(request)["wait"]
       signed = %{header: Request.header(request, "aerie-signature"), body: body}
 
-      case Commands.submit(state.gateway, id(request), object, wait, state.requester, signed) do
+      case Commands.submit(state.gateway, id(request), object, wait, state.source, signed) do
         {:ok, status, %{"id" => command} = body} -> {:ok, status, body, located(request, command)}
         {:error, error} -> {:error, error, request}
       end
@@ -105,7 +105,7 @@ defmodule Aerie.Api.Rest.Actions do
     do: state.gateway |> Commands.state(id(request), command(request)) |> answer(200, request)
 
   def run(:cancel_command, state, request) do
-    state.gateway |> Commands.cancel(id(request), command(request), state.requester) |> answer(202, request)
+    state.gateway |> Commands.cancel(id(request), command(request), state.source) |> answer(202, request)
   end
 
   def run({:operation, choices}, state, request), do: Operations.run(choices, state, request)
@@ -126,7 +126,7 @@ defmodule Aerie.Api.Rest.Actions do
       )
 
   def run(:reload_config, state, request) do
-    case state.reload.("http:" <> state.name) do
+    case state.reload.("http:" <> state.source.name) do
       {:ok, report} ->
         {:ok, report}
 
@@ -138,7 +138,7 @@ defmodule Aerie.Api.Rest.Actions do
   end
 
   def run(:reload_policy, state, request) do
-    case Policy.reload(state.gateway, "http:" <> state.name) do
+    case Policy.reload(state.gateway, "http:" <> state.source.name) do
       :ok ->
         {:ok, View.policy(state.gateway)}
 
@@ -168,10 +168,10 @@ defmodule Aerie.Api.Rest.Actions do
 
   defp unknown_vehicle, do: Error.new(:not_found, "no vehicle has this name; see /api/vehicles")
 
-  defp store_plan(%{gateway: gateway, requester: requester}, text) do
-    work = fn -> Shadow.put_plan(gateway, text, Commands.source(requester)) end
+  defp store_plan(%{gateway: gateway, source: source}, text) do
+    work = fn -> Shadow.put_plan(gateway, text, source) end
 
-    case WorkLimit.run(gateway, :parse, {:name, requester.name}, work) do
+    case WorkLimit.run(gateway, :parse, {:name, source.name}, work) do
       {:ok, {:ok, hash}} -> {:ok, %{"plan" => hash}}
       {:ok, {:error, refusal}} -> {:error, Error.from(refusal)}
       {:busy, seconds} -> {:error, Error.busy(seconds)}

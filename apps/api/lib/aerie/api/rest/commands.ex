@@ -2,15 +2,14 @@ defmodule Aerie.Api.Rest.Commands do
   @moduledoc """
   Commands over REST: `Aerie.Control.Commands` in the name of a key, and the answer for each outcome.
 
-  A key without a role commands as an admin, a key of a file with its role. A program of this machine, which needs no key while
-  none is configured, may only read. A signature replaces the key (`Aerie.Control.Policy.Roles.Signature`).
+  `Aerie.Access.Principals` says as whom somebody commands. A signature replaces the key (`Aerie.Control.Policy.Roles.Signature`).
   """
 
   alias Aerie.Base.Json.Object
   alias Aerie.Vehicle.Command.{Result, Types}
   alias Aerie.Control.{Commands, Policy}
   alias Aerie.Control.Policy.Roles
-  alias Aerie.Access.HTTP.{Admission, Error}
+  alias Aerie.Access.HTTP.Error
 
   @typedoc "The header `Aerie-Signature` (nil: none), and the body as it was sent."
   @type signed :: %{header: String.t() | nil, body: binary()}
@@ -22,12 +21,12 @@ defmodule Aerie.Api.Rest.Commands do
   Gives a command and waits for its result for at most `wait` seconds (a text from the query): 200 with the result, 202 while it is under way, or the
   error that corresponds to its result.
   """
-  @spec submit(term(), String.t(), map(), String.t() | nil, Admission.requester(), signed()) ::
+  @spec submit(term(), String.t(), map(), String.t() | nil, Roles.source(), signed()) ::
           {:ok, 200 | 202, map()} | {:error, Error.t()}
-  def submit(gateway, vehicle, object, wait, requester, signed) do
+  def submit(gateway, vehicle, object, wait, source, signed) do
     with {:ok, wait_ms} <- wait_ms(wait),
          :ok <- same(object, vehicle),
-         {:ok, source} <- who(gateway, vehicle, object, requester, signed) do
+         {:ok, source} <- who(gateway, vehicle, object, source, signed) do
       options = [via: "rest", wait_ms: wait_ms]
 
       case Commands.submit(gateway, Map.put(object, "vehicle", vehicle), source, options) do
@@ -72,9 +71,9 @@ defmodule Aerie.Api.Rest.Commands do
   end
 
   @doc "Cancels a command."
-  @spec cancel(term(), String.t(), String.t(), Admission.requester()) :: {:ok, map()} | {:error, Error.t()}
-  def cancel(gateway, vehicle, id, requester) do
-    case Commands.cancel(gateway, vehicle, id, source(requester), "rest") do
+  @spec cancel(term(), String.t(), String.t(), Roles.source()) :: {:ok, map()} | {:error, Error.t()}
+  def cancel(gateway, vehicle, id, source) do
+    case Commands.cancel(gateway, vehicle, id, source, "rest") do
       :ok -> {:ok, %{"id" => id, "state" => "cancelling"}}
       {:error, :unknown, reason} -> {:error, Error.new(:not_found, reason)}
       {:error, :role, reason} -> {:error, Error.new(:forbidden, reason)}
@@ -83,9 +82,9 @@ defmodule Aerie.Api.Rest.Commands do
   end
 
   # The signer of a command is its source, whichever key the request has. The sender chooses the id, so a copy has the same one.
-  defp who(_gateway, _vehicle, _object, requester, %{header: nil}), do: {:ok, source(requester)}
+  defp who(_gateway, _vehicle, _object, source, %{header: nil}), do: {:ok, source}
 
-  defp who(gateway, vehicle, object, _requester, %{header: header, body: body}) do
+  defp who(gateway, vehicle, object, _source, %{header: header, body: body}) do
     subject = "fleet.#{Aerie.Fleet.Bridge.environment(gateway)}.#{vehicle}.cmd.#{object["type"]}"
     envelope = Map.put(object, "vehicle", vehicle)
 
@@ -114,11 +113,11 @@ defmodule Aerie.Api.Rest.Commands do
   Each command of the table, and why it need not be offered: `lacks` is `firmware` or `permission`, null if it may be
   given. Whether it would be carried out now is another matter. nil: there is no such vehicle.
   """
-  @spec offers(term(), vehicle :: String.t(), Admission.requester()) :: map() | nil
-  def offers(gateway, id, requester) do
+  @spec offers(term(), vehicle :: String.t(), Roles.source()) :: map() | nil
+  def offers(gateway, id, source) do
     with %{} = vehicle <- Aerie.Fleet.vehicle(gateway, id),
          do: %{
-           "commands" => Enum.map(Types.names(), &offer(&1, Commands.lacks(vehicle, &1, source(requester))))
+           "commands" => Enum.map(Types.names(), &offer(&1, Commands.lacks(vehicle, &1, source)))
          }
   end
 
@@ -129,11 +128,6 @@ defmodule Aerie.Api.Rest.Commands do
 
   defp offer(type, {:permission, permission, reason}),
     do: %{"type" => type, "lacks" => "permission", "permission" => permission, "reason" => reason}
-
-  @doc "The source of a command."
-  @spec source(Admission.requester()) :: Roles.source()
-  def source(requester),
-    do: Roles.principal(:key, requester.name, requester.role || :admin, requester.permissions)
 
   @doc "How long to wait for a result, from the query's text."
   @spec wait_ms(String.t() | nil) :: {:ok, non_neg_integer()} | {:error, Error.t()}

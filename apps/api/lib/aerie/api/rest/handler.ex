@@ -12,7 +12,7 @@ defmodule Aerie.Api.Rest.Handler do
   alias Aerie.Access.Changes
   alias Aerie.Access.HTTP.{Admission, Error, Request}
   alias Aerie.Api.Rest.{Actions, Misdirected, Routes}
-  alias Aerie.Access.KeyRing
+  alias Aerie.Access.{KeyRing, Principals}
 
   @json "application/json; charset=utf-8"
   @binary "application/octet-stream"
@@ -62,7 +62,7 @@ defmodule Aerie.Api.Rest.Handler do
              :cowboy_req.binding(:id, request, nil)
            ) do
       route.action
-      |> Actions.run(Map.merge(state, %{name: requester.name, requester: requester}), request)
+      |> Actions.run(with_requester(state, requester), request)
       |> recorded(route, %{name: "http:" <> requester.name, from: Changes.place(facts.peer)}, state.gateway)
     else
       {:error, error} ->
@@ -72,6 +72,9 @@ defmodule Aerie.Api.Rest.Handler do
         {:error, error, request}
     end
   end
+
+  defp with_requester(state, requester),
+    do: Map.merge(state, %{requester: requester, source: Principals.commanding(requester)})
 
   # What was changed is in the audit log, as for the console.
   defp recorded({:ok, _status, body, request} = answer, %{change: change}, by, gateway) do

@@ -15,7 +15,7 @@ defmodule Aerie.Api.Rest.Operations do
   alias Aerie.Vehicle.Command.Result
 
   alias Aerie.Access.Changes.Rights
-  alias Aerie.Api.Rest.{Commands, Route}
+  alias Aerie.Api.Rest.Route
   alias Aerie.Api.Rest.Operations.{Format, LogDownload}
   alias Aerie.Api.Rest.Operations.Gateway
   alias Aerie.Access.HTTP.{Error, Request}
@@ -221,7 +221,7 @@ defmodule Aerie.Api.Rest.Operations do
 
   # Files that are parsed cost more than a request.
   defp input(operation, %{method: "PUT", formats: [_ | _]} = route, format, body, state, request) do
-    asker = {:name, state.requester.name}
+    asker = {:name, state.source.name}
 
     case WorkLimit.run(state.gateway, :parse, asker, fn -> read(operation, route, format, body, request) end) do
       {:ok, result} -> result
@@ -284,14 +284,14 @@ defmodule Aerie.Api.Rest.Operations do
   end
 
   defp context(state, format, input, request) do
-    source = Commands.source(state.requester)
+    source = state.source
 
     %{
       gateway: state.gateway,
       vehicle: :cowboy_req.binding(:id, request),
       source: source,
       via: "rest",
-      by: "http:" <> state.requester.name,
+      by: "http:" <> source.name,
       options: [as: source, via: "rest"] ++ Operation.options(input),
       format: format,
       max_bytes: nil

@@ -22,7 +22,7 @@ defmodule Aerie.Api.WebSocket.Handler do
   alias Aerie.Base.{Names, PubSub, Store}
   alias Aerie.Base.Net.Address
   alias Aerie.Access.HTTP.{Admission, Error, Request}
-  alias Aerie.Access.{KeyRing, Tickets}
+  alias Aerie.Access.{KeyRing, Principals, Tickets}
   alias Aerie.Api.WebSocket.Capacity
 
   @ping_ms 20_000
@@ -38,7 +38,9 @@ defmodule Aerie.Api.WebSocket.Handler do
          :ok <- reserve(request, gateway) do
       {address, port} = :cowboy_req.peer(request)
       text = "#{requester.name}@#{Address.format(address, port)}"
-      options = if requester.may == :viewer, do: Keyword.put(options, :role, :read_only), else: options
+
+      options =
+        if Principals.role(requester) == :viewer, do: Keyword.put(options, :role, :read_only), else: options
 
       state = %{
         gateway: gateway,
@@ -167,10 +169,8 @@ defmodule Aerie.Api.WebSocket.Handler do
   end
 
   # A program of this machine, without any key, is judged by `policy.clients` like any other client.
-  defp principal(%{name: "local", role: :viewer, may: :operator}), do: nil
-
-  defp principal(owner),
-    do: struct!(%Principal{kind: :key, name: owner.name}, Map.take(owner, [:role, :permissions]))
+  defp principal(%Principal{kind: :client}), do: nil
+  defp principal(key), do: key
 
   @impl :cowboy_websocket
   def websocket_handle({:binary, bytes}, state),

@@ -64,7 +64,12 @@ defmodule Aerie.Fleet do
   def schemas do
     envelopes = for type <- Command.Types.all(), do: Command.Schema.envelope(type, type?: true)
 
-    for shared <- [Command.Schema.shared(), Operations.Schema.shared(), Shadow.Document.Schema.shared()],
+    for shared <- [
+          Command.Schema.shared(),
+          Aerie.Control.Operations.shared(),
+          Operations.Schema.shared(),
+          Shadow.Document.Schema.shared()
+        ],
         named <- shared,
         into: %{
           "command" => %{oneOf: envelopes},

@@ -5,6 +5,7 @@ defmodule Protocols.Mission.Item do
   """
 
   alias MavCodec.Enums.{MavCmd, MavFrame}
+  alias MavCodec.Meaning
   alias MavCodec.Messages, as: M
 
   @unset 0x7FFFFFFF
@@ -45,6 +46,11 @@ defmodule Protocols.Mission.Item do
   @spec place?(command :: integer(), frame :: integer()) :: boolean()
   def place?(_command, @mission), do: false
   def place?(command, _frame), do: MavCmd.location?(command) != false
+
+  @doc "Whether the vehicle flies to the place of an item. Both firmwares take 0, 0 for the present position."
+  @spec flown?(t()) :: boolean()
+  def flown?(%{x: x, y: y, command: command}),
+    do: is_integer(x) and is_integer(y) and {x, y} != {0, 0} and Meaning.Commands.place?(command)
 
   @doc "Whether an item whose command has a place says how high that is, whatever its frame."
   @spec height?(t()) :: boolean()

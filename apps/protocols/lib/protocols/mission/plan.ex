@@ -52,6 +52,10 @@ defmodule Protocols.Mission.Plan do
           rally_others: [Item.t()]
         }
 
+  @doc "The largest numbers of polygons, of circles, and of rally points that can be stored in a file."
+  @spec limits() :: %{zones: pos_integer(), rally: pos_integer()}
+  def limits, do: %{zones: 200, rally: 500}
+
   @doc "What a plan has of a kind."
   @spec part(t(), kind()) :: map()
   def part(plan, kind), do: Map.take(plan, @parts[kind])

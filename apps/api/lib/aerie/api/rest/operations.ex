@@ -9,7 +9,6 @@ defmodule Aerie.Api.Rest.Operations do
 
   alias Aerie.Base.Json
   alias Aerie.Base.Settings.Field
-  alias Aerie.Control.Operations
   alias Aerie.Control.Operations.Operation
   alias Aerie.Fleet
   alias Aerie.Vehicle.Command.Result
@@ -138,7 +137,7 @@ defmodule Aerie.Api.Rest.Operations do
   @doc "The schemas of bodies and answers, by the names that the rows have."
   @spec schemas() :: %{String.t() => Json.Schema.t()}
   def schemas do
-    for operation <- all(), route <- operation.routes, reduce: Operations.shared() do
+    for operation <- all(), route <- operation.routes, reduce: %{} do
       schemas ->
         schemas
         |> Map.merge(if(described?(route), do: body_schema(operation, route), else: %{}))

@@ -6,7 +6,6 @@ defmodule Aerie.Api.Rest.View do
   that routes have.
   """
 
-  alias Aerie.Fleet.Bridge.Message
   alias Aerie.Base.Json
   alias Aerie.Vehicle.Events.Journal
   alias Aerie.Base.Store
@@ -15,6 +14,7 @@ defmodule Aerie.Api.Rest.View do
   alias Aerie.Fleet.Shadow
   alias Aerie.Base.Json.Object
   alias Aerie.Vehicle.Snapshot
+  alias Aerie.Vehicle.State.Fields
   alias Aerie.Api.Rest.EventsQuery
   alias Aerie.Api.Rest.View.Recordings
 
@@ -173,7 +173,7 @@ defmodule Aerie.Api.Rest.View do
 
     if found != [] or vehicle == :all or Fleet.vehicle(gateway, vehicle) != nil,
       do: %{
-        events: Enum.map(shown, &Message.event_object(&1, Journal.epoch(gateway))),
+        events: Enum.map(shown, &Fields.event(&1, Journal.epoch(gateway))),
         more: length(found) > limit
       }
   end

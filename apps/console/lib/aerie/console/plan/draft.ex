@@ -1,7 +1,7 @@
 defmodule Aerie.Console.Plan.Draft do
   @undo 100
   @max_items 2_000
-  @limits Protocols.Mission.File.QgcPlan.limits()
+  @limits Protocols.Mission.Plan.limits()
 
   @moduledoc """
   A plan that is being drawn: the plan, the part that is edited, the selection, and the undo history. A pure value.

@@ -2,6 +2,7 @@ defmodule Aerie.Console.Plan.MapPayload do
   @moduledoc "A draft as the map draws it: the payload of `map:plan`. Pure."
 
   alias Aerie.Console.Plan.{Check, Draft, Kinds}
+  alias Protocols.Mission.Item
 
   @doc "The payload without `map`."
   @spec payload(Draft.t(), [Check.problem()]) :: map()
@@ -52,9 +53,8 @@ defmodule Aerie.Console.Plan.MapPayload do
   defp picked?(_draft, _part, _index), do: false
 
   # Both firmwares take 0, 0 for the present position.
-  defp item_place(%{x: x, y: y, command: command})
-       when is_integer(x) and is_integer(y) and {x, y} != {0, 0} do
-    if Aerie.Control.Policy.Mavlink.Commands.place?(command) or command in Kinds.looks(),
+  defp item_place(%{x: x, y: y} = item) when is_integer(x) and is_integer(y) and {x, y} != {0, 0} do
+    if Item.flown?(item) or item.command in Kinds.looks(),
       do: place({x, y}),
       else: %{lat: nil}
   end

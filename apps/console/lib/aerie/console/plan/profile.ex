@@ -3,7 +3,6 @@ defmodule Aerie.Console.Plan.Profile do
 
   alias Protocols.Mission.{Item, Plan}
   alias Aerie.Base.Geo.Earth
-  alias Aerie.Control.Policy.Mavlink.Commands
 
   # Frames with heights above mean sea level; in the others they are above home, or above the ground.
   @msl [0, 5]
@@ -16,7 +15,7 @@ defmodule Aerie.Console.Plan.Profile do
   @spec points(Plan.t()) :: [point()]
   def points(%Plan{} = plan) do
     home = with {_position, altitude} <- plan.home, do: altitude
-    placed = for {item, index} <- Enum.with_index(plan.items), place?(item), do: {item, index}
+    placed = for {item, index} <- Enum.with_index(plan.items), Item.flown?(item), do: {item, index}
 
     {points, _last} =
       Enum.map_reduce(placed, {nil, 0.0}, fn {item, index}, {from, metres} ->
@@ -33,9 +32,6 @@ defmodule Aerie.Console.Plan.Profile do
   @spec metres([point()]) :: float()
   def metres([]), do: 0.0
   def metres(points), do: List.last(points).metres
-
-  defp place?(%Item{x: x, y: y, command: command}),
-    do: is_integer(x) and is_integer(y) and {x, y} != {0, 0} and Commands.place?(command)
 
   defp height(%{z: nil}, _home), do: nil
   defp height(%{frame: frame}, nil) when frame in @msl, do: nil

@@ -71,27 +71,12 @@ defmodule Aerie.Fleet.Bridge.Message do
 
   defp with_origin(body, nil), do: body
 
+  defp with_origin(body, %{epoch: nil, gateway: gateway}), do: Map.put(body, "gateway", gateway)
+
   defp with_origin(body, %{epoch: epoch, gateway: gateway}),
-    do: Map.put(with_epoch(epoch, body), "gateway", gateway)
+    do: Map.merge(body, %{"gateway" => gateway, "epoch" => epoch})
 
   @doc "Body of an event."
   @spec event(Event.t(), pos_integer() | nil) :: String.t()
-  def event(%Event{} = event, epoch \\ nil), do: event |> event_object(epoch) |> Json.encode!()
-
-  @doc "The body of an event as a map; REST uses it too."
-  @spec event_object(Event.t(), pos_integer() | nil) :: map()
-  def event_object(%Event{} = event, epoch) do
-    with_epoch(epoch, %{
-      "id" => event.id,
-      "vehicle" => event.vehicle,
-      "type" => event.type,
-      "seq" => event.seq,
-      "time" => Json.time(event.time),
-      "time_boot_ms" => event.vehicle_time_ms,
-      "data" => Json.plain(Fields.event(event.data))
-    })
-  end
-
-  defp with_epoch(nil, body), do: body
-  defp with_epoch(epoch, body), do: Map.put(body, "epoch", epoch)
+  def event(%Event{} = event, epoch \\ nil), do: event |> Fields.event(epoch) |> Json.encode!()
 end

@@ -17,9 +17,9 @@ defmodule Protocols.Mission.File.QgcPlan do
   alias Aerie.Base.Files.Text
 
   @max_bytes 4 * 1024 * 1024
-  @max_zones 200
+  @max_zones Plan.limits().zones
   @max_corners 2_000
-  @max_rally 500
+  @max_rally Plan.limits().rally
   @sections ["mission", "geoFence", "rallyPoints"]
   # Hand-written names, without capitals and the plural's s.
   @misspelt %{
@@ -36,10 +36,6 @@ defmodule Protocols.Mission.File.QgcPlan do
     2 => ["polygons", "circles", "breachReturn", "others"]
   }
   @advice "open it in a current QGroundControl and save it again"
-
-  @doc "The largest numbers of polygons, of circles, and of rally points in a file."
-  @spec limits() :: %{zones: pos_integer(), rally: pos_integer()}
-  def limits, do: %{zones: @max_zones, rally: @max_rally}
 
   @doc "The plan of a text, or an error that says where."
   @spec read(binary()) :: {:ok, Plan.t()} | {:error, String.t()}

@@ -2,11 +2,12 @@ defmodule Aerie.Vehicle.State.Fields do
   @moduledoc """
   Every field of a vehicle's state with its unit, meaning, source and number of significant decimals, as the groups declare them
   (`Aerie.Vehicle.State.Groups`). NATS, REST and `state.sock` use these names and units, and round by them when they render
-  (`rounded/2`, `event/1`), never before. `docs/telemetry.md` is made from it.
+  (`rounded/2`, `event/2`), never before. `docs/telemetry.md` is made from it.
 
   Units are SI and degrees. A ratio is 0..1, never per cent; a height says above what.
   """
 
+  alias Aerie.Base.Json
   alias Aerie.Vehicle.Event
   alias Aerie.Vehicle.State.{Group, Groups}
 
@@ -39,12 +40,26 @@ defmodule Aerie.Vehicle.State.Fields do
   @spec rounded(group() | String.t(), map()) :: map()
   def rounded(group, data), do: rounded_by(data, Map.get(@decimals, group, %{}), nil)
 
-  @doc "An event's data with rounded numbers."
-  @spec event(map()) :: map()
-  def event(%{"position" => %{} = position} = data),
+  @doc "An event as NATS and REST have it. The `epoch` says which start of the gateway numbered it; nil for none."
+  @spec event(Event.t(), epoch :: pos_integer() | nil) :: %{String.t() => term()}
+  def event(%Event{} = event, epoch) do
+    shown = %{
+      "id" => event.id,
+      "vehicle" => event.vehicle,
+      "type" => event.type,
+      "seq" => event.seq,
+      "time" => Json.time(event.time),
+      "time_boot_ms" => event.vehicle_time_ms,
+      "data" => event.data |> event_data() |> Json.plain()
+    }
+
+    if epoch, do: Map.put(shown, "epoch", epoch), else: shown
+  end
+
+  defp event_data(%{"position" => %{} = position} = data),
     do: %{rounded_by(data, @event, nil) | "position" => rounded(:position, position)}
 
-  def event(data), do: rounded_by(data, @event, nil)
+  defp event_data(data), do: rounded_by(data, @event, nil)
 
   # A field that has no decimals of its own has those of the field above it; 0 gives whole numbers.
   defp rounded_by(float, _decimals, 0) when is_float(float), do: round(float)

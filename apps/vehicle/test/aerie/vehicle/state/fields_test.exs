@@ -70,17 +70,28 @@ defmodule Aerie.Vehicle.State.FieldsTest do
 
     assert %{"lat" => 47.3977418} = Fields.rounded("position", %{"lat" => 47.39774182})
 
-    assert Fields.event(%{
-             "remaining" => 0.3600000143051147,
-             "duration" => 1.23456,
-             "to" => 0.135000005,
-             "position" => %{"lat" => 47.12345678901, "alt_rel" => 9.9999999}
-           }) == %{
-             "remaining" => 0.36,
-             "duration" => 1.23,
-             "to" => 0.135000005,
-             "position" => %{"lat" => 47.1234568, "alt_rel" => 10.0}
-           }
+    data = %{
+      "remaining" => 0.3600000143051147,
+      "duration" => 1.23456,
+      "to" => 0.135000005,
+      "position" => %{"lat" => 47.12345678901, "alt_rel" => 9.9999999}
+    }
+
+    event = Event.new("VID-001", "armed", 1, 1_000_000, 5, data)
+
+    assert %{
+             "epoch" => 3,
+             "time" => "1970-01-01T00:00:01.000Z",
+             "time_boot_ms" => 5,
+             "data" => %{
+               "remaining" => 0.36,
+               "duration" => 1.23,
+               "to" => 0.135000005,
+               "position" => %{"lat" => 47.1234568, "alt_rel" => 10.0}
+             }
+           } = Fields.event(event, 3)
+
+    refute is_map_key(Fields.event(event, nil), "epoch")
   end
 
   test "any number that a vehicle may send can be rounded, and stays within half of the last decimal" do

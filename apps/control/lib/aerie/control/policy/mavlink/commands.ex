@@ -20,10 +20,6 @@ defmodule Aerie.Control.Policy.Mavlink.Commands do
   # Forces a reboot while it is armed.
   @force_reboot Enum.map(RebootShutdownConditions.all(), &elem(&1, 1)) -- [0]
 
-  @doc "Whether a mission item of this command is a place to which the vehicle flies."
-  @spec place?(non_neg_integer()) :: boolean()
-  defdelegate place?(command), to: Meaning.Commands
-
   @doc "A command by its name, or by its number if it has no row."
   @spec name(non_neg_integer()) :: String.t()
   def name(command) do

@@ -174,6 +174,15 @@ defmodule Aerie.System.ToolInsideTest do
     assert {_no_key, 2} = aerie(["signing", "change", id, "revoke", "--yes"])
     assert {text, 2} = aerie(["signing", "change", id, "revoke", "--component", "256", "--yes"])
     assert text =~ "component: expected an integer from 1 to 255"
+    assert {json, 0} = aerie(["event", "list", id, "--limit", "1"])
+    assert %{"events" => [%{"vehicle" => ^id}], "more" => true} = JSON.decode!(json)
+    assert {json, 0} = aerie(["event", "list", "--since", "2026-01-01T00:00:00Z"])
+    assert "gateway.started" in for(event <- JSON.decode!(json)["events"], do: event["type"])
+
+    assert {"limit: expected an integer from 1 to 1000, got \"0\"", 2} =
+             aerie(["event", "list", "--limit", "0"])
+
+    assert {"no vehicle has this name; see /api/vehicles", 2} = aerie(["event", "list", "nobody"])
     assert {"rejected: there is no vehicle nobody\n", 1} = aerie(["files", "list", "nobody", "/"])
     assert {json, 0} = aerie(["files", "list", id, "/", "--timeout", "60"])
     assert JSON.decode!(json) == %{"path" => "/", "entries" => []}

@@ -37,9 +37,6 @@ defmodule Aerie.CLI.Subcommand.Operation do
     {required, optional} = Enum.split_with(fields(operation), & &1.required)
     named = for name <- places(operation, route), do: {argument(name), "its #{name}"}
 
-    vehicle =
-      if vehicle?(route), do: [{"VEHICLE", "its name in the fleet, as aerie status shows it"}], else: []
-
     yes = if changes?(operation, route), do: [{:yes, :boolean, nil, "do not ask for confirmation"}], else: []
 
     %Subcommand{
@@ -48,7 +45,7 @@ defmodule Aerie.CLI.Subcommand.Operation do
       where: :gateway,
       module: __MODULE__,
       arguments:
-        vehicle ++
+        vehicle(operation) ++
           named ++ for(field <- required, do: {argument(field.key), meaning(field)}) ++ pairs(operation),
       options: Enum.map(optional, &option/1) ++ yes,
       terms: terms(operation.request)
@@ -87,7 +84,17 @@ defmodule Aerie.CLI.Subcommand.Operation do
   defp words(%{type: type}), do: type |> List.wrap() |> Enum.reject(&(&1 == :null)) |> Enum.join(" or ")
   defp words(_schema), do: "object"
 
-  defp vehicle?(route), do: String.starts_with?(route.path, "/api/vehicles/:id")
+  # By one path of some, all vehicles are meant without it.
+  defp vehicle(%{routes: routes}) do
+    meaning = "its name in the fleet, as aerie status shows it"
+
+    case Enum.split_with(routes, &String.starts_with?(&1.path, "/api/vehicles/:id")) do
+      {[], _of_gateway} -> []
+      {_of_vehicle, []} -> [{"VEHICLE", meaning}]
+      _both -> [{"[VEHICLE]", meaning <> "; all if left out"}]
+    end
+  end
+
   defp changes?(operation, route), do: operation.changes? or route.change != nil
 
   defp argument(key), do: key |> to_string() |> String.upcase()

@@ -2,18 +2,15 @@ defmodule Aerie.Api.Rest.Actions do
   @moduledoc "What the methods of `Aerie.Api.Rest.Routes` do: read the request, call Aerie's public functions, answer."
 
   alias Aerie.Control.Policy
-  alias Aerie.Fleet.Shadow
   alias Aerie.Vehicle.Command.Types
 
-  alias Aerie.Api.Rest.{Commands, EventsQuery, OpenAPI, Operations}
+  alias Aerie.Api.Rest.{Commands, OpenAPI, Operations}
   alias Aerie.Access.HTTP.Error
 
   alias Aerie.Api.Rest.View.{Recordings, SigningCapability}
   alias Aerie.Api.Rest.{Routes, View}
   alias Aerie.Access.HTTP.Request
   alias Aerie.Access.Tickets
-
-  alias Aerie.Access.WorkLimit
 
   @typedoc "A body is an object, a file as `{:file, path, bytes}`, text or bytes as `{:text, content_type, text, name}`, nothing, or `:sent` already."
   @type result ::
@@ -36,15 +33,6 @@ defmodule Aerie.Api.Rest.Actions do
     do: {:ok, 200, View.vehicles(state.gateway, Request.parameters(request)["tag"]), request}
 
   def run(:vehicle, state, request), do: answer(vehicle(state, request), 200, request)
-
-  def run(what, state, request) when what in [:events, :vehicle_events] do
-    vehicle = if what == :events, do: :all, else: id(request)
-
-    with {:ok, options} <- EventsQuery.parse(Request.parameters(request)) do
-      state.gateway |> View.events(vehicle, options) |> found(unknown_vehicle())
-    end
-    |> answer(200, request)
-  end
 
   def run(:signing_capability, state, request),
     do: {:ok, 200, SigningCapability.of(state.gateway), request}
@@ -152,11 +140,6 @@ defmodule Aerie.Api.Rest.Actions do
     |> answer(200, request)
   end
 
-  def run(:store_plan, state, request) do
-    with {:ok, text, request} <- Request.bytes(request, Shadow.max_plan_bytes()),
-         do: state |> store_plan(text) |> answer(201, request)
-  end
-
   defp id(request), do: :cowboy_req.binding(:id, request)
   defp command(request), do: :cowboy_req.binding(:command, request)
 
@@ -167,16 +150,6 @@ defmodule Aerie.Api.Rest.Actions do
   defp vehicle(state, request), do: state.gateway |> View.vehicle(id(request)) |> found(unknown_vehicle())
 
   defp unknown_vehicle, do: Error.new(:not_found, "no vehicle has this name; see /api/vehicles")
-
-  defp store_plan(%{gateway: gateway, source: source}, text) do
-    work = fn -> Shadow.put_plan(gateway, text, source) end
-
-    case WorkLimit.run(gateway, :parse, {:name, source.name}, work) do
-      {:ok, {:ok, hash}} -> {:ok, %{"plan" => hash}}
-      {:ok, {:error, refusal}} -> {:error, Error.from(refusal)}
-      {:busy, seconds} -> {:error, Error.busy(seconds)}
-    end
-  end
 
   defp found(nil, error), do: {:error, error}
   defp found(object, _error), do: {:ok, object}

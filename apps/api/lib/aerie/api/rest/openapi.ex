@@ -122,6 +122,7 @@ defmodule Aerie.Api.Rest.OpenAPI do
   defp answer(schema),
     do: %{description: "Done.", content: %{"application/json" => %{schema: schema(schema)}}}
 
+  defp schema(%{} = schema), do: schema
   defp schema([name]), do: schema(name)
   defp schema(names) when is_list(names), do: %{anyOf: Enum.map(names, &schema/1)}
   defp schema(name), do: %{"$ref": "#/components/schemas/#{name}"}

@@ -52,14 +52,14 @@ defmodule Aerie.Api.Rest.Operations do
         formats(route) ++
           Enum.map(query(operation, route), &parameter/1) ++
           undeclared(operation, route) ++ Enum.map(others, &selected/1),
-      body:
-        if(Operation.body?(route), do: with_media(if(bytes?(route), do: [], else: operation.name), route)),
+      body: if(Operation.body?(route), do: described_body(operation, route)),
       status: route.status,
       later: result?(operation),
       answer:
         cond do
           result?(operation) -> :result
           route.status == 204 -> nil
+          Operation.body?(route) -> [Operation.answer_name(operation)]
           true -> choices |> Enum.flat_map(&answers/1) |> with_media(route)
         end
     }
@@ -74,6 +74,13 @@ defmodule Aerie.Api.Rest.Operations do
 
   # What is changed aboard is carried out like a command.
   defp result?(operation), do: operation.transfer? and operation.changes?
+
+  # A body that is a field as a whole.
+  defp described_body(operation, route) do
+    if bytes?(route),
+      do: {:bytes, route.media, Enum.find(operation.fields, &(&1.key == route.file)).schema},
+      else: with_media(operation.name, route)
+  end
 
   defp with_media(name, %{media: []}), do: name
   defp with_media([], %{media: media}), do: {:bytes, media, nil}
@@ -164,7 +171,7 @@ defmodule Aerie.Api.Rest.Operations do
   defp described?(route), do: Operation.body?(route) and not bytes?(route)
 
   defp answer_schema(operation, route) do
-    if result?(operation) or bytes?(route) or route.status == 204,
+    if result?(operation) or (bytes?(route) and not Operation.body?(route)) or route.status == 204,
       do: %{},
       else: %{Operation.answer_name(operation) => Operation.answer_schema(operation)}
   end
@@ -184,7 +191,7 @@ defmodule Aerie.Api.Rest.Operations do
          {:ok, body, request} <- body(operation, route, request),
          {:ok, input} <- input(operation, route, format, body, state, request) do
       request = if input[:timeout], do: Request.patient(request, ceil(input.timeout * 1000)), else: request
-      act(operation, route, input, context(state, format, input, request), request)
+      act(operation, route, input, context(state, route, format, input, request), request)
     else
       {:error, %Error{} = error, request} -> {:error, error, request}
       {:error, error} -> {:error, Error.from(error), request}
@@ -213,7 +220,7 @@ defmodule Aerie.Api.Rest.Operations do
     cond do
       not Operation.body?(route) -> {:ok, "", request}
       # Any web page may send a form.
-      not operation.transfer? -> Request.json(request, route.max_bytes)
+      not operation.transfer? and route.file == nil -> Request.json(request, route.max_bytes)
       true -> Request.bytes(request, route.max_bytes)
     end
   end
@@ -255,7 +262,7 @@ defmodule Aerie.Api.Rest.Operations do
 
   defp more(operation), do: if(result?(operation), do: [Operation.wait()], else: [])
 
-  # The parameters of the query that the operation has; others are left alone.
+  # The parameters of the query that the operation has; others are left alone, or refused if it says so.
   defp texts(_operation, %{change: change}, _request) when change != nil, do: %{}
 
   defp texts(operation, route, request) do
@@ -265,10 +272,10 @@ defmodule Aerie.Api.Rest.Operations do
             field.key not in route.omit,
             do: Field.name(field)
 
-    for {name, <<text::binary>>} <- Request.parameters(request),
-        name in names,
+    for {name, text} <- Request.parameters(request),
+        operation.closed? or (text != nil and name in names),
         into: %{},
-        do: {name, {:text, text}}
+        do: {name, {:text, text || ""}}
   end
 
   defp path(route, request) do
@@ -282,12 +289,13 @@ defmodule Aerie.Api.Rest.Operations do
         do: {name, :cowboy_req.bindings(request)[String.to_existing_atom(name)]}
   end
 
-  defp context(state, format, input, request) do
+  defp context(state, route, format, input, request) do
     source = state.source
 
     %{
       gateway: state.gateway,
-      vehicle: :cowboy_req.binding(:id, request),
+      # The id in another path is a field.
+      vehicle: if("id" not in named(route), do: :cowboy_req.binding(:id, request, nil)),
       source: source,
       via: "rest",
       by: "http:" <> source.name,

@@ -14,8 +14,6 @@ defmodule Aerie.Api.Rest.View do
   alias Aerie.Fleet.Shadow
   alias Aerie.Base.Json.Object
   alias Aerie.Vehicle.Snapshot
-  alias Aerie.Vehicle.State.Fields
-  alias Aerie.Api.Rest.EventsQuery
   alias Aerie.Api.Rest.View.Recordings
 
   @link Enum.filter(MavRouter.Link.fields(), &(&1.name in [:id, :network, :status, :text]))
@@ -42,20 +40,6 @@ defmodule Aerie.Api.Rest.View do
               {:identity, {:object, @identity}, nil, "as what the gateway sends"},
               {:recorder, {:shown, Recordings.status_fields()}, nil, "what is being recorded"}
             ])
-  @event Object.fields([
-           {:id, :text, nil, "of two events with one id, the second is a copy"},
-           {:vehicle, :text, nil, "the vehicle's id"},
-           {:type, :text, nil, "type of the event"},
-           {:epoch, :integer, nil, "the start of the gateway that it is of"},
-           {:seq, :integer, nil, "1, 2, 3 … for each vehicle in an epoch"},
-           {:time, :time, nil, "when the gateway received what shows it"},
-           {:time_boot_ms, :integer, "ms", "the vehicle's own clock"},
-           {:data, {:map, :any}, nil, "the fields of its type"}
-         ])
-  @events Object.fields([
-            {:events, {:list, {:shown, @event}}, nil, "oldest first"},
-            {:more, :boolean, nil, "whether there are more"}
-          ])
   @problem Object.fields([
              {:time, :time, nil, "when it was read", :at},
              {:errors, {:list, :text}, nil, "what is wrong with it"}
@@ -93,7 +77,6 @@ defmodule Aerie.Api.Rest.View do
     vehicles: @vehicles,
     vehicle: Snapshot.Fields.of(:whole),
     vehicle_signing: MavRouter.Signing.fields(),
-    events: @events,
     diagnosis:
       Object.fields([
         {:conditions, {:list, {:shown, Aerie.Fleet.Diagnosis.fields()}}, nil, "the worst first"}
@@ -107,7 +90,6 @@ defmodule Aerie.Api.Rest.View do
         {:needs_restart, {:list, :text}, nil, "keys that changed and count from the next start on"},
         {:failed, {:list, {:object, @failed}}, nil, "what could not be opened"}
       ]),
-    stored_plan: Object.fields([{:plan, :text, nil, "its hash, by which a desired state names it"}]),
     ticket:
       Object.fields([
         {:ticket, :text, nil, "what the WebSocket is opened with"},
@@ -158,24 +140,6 @@ defmodule Aerie.Api.Rest.View do
   def vehicle(gateway, id) do
     with %{} = vehicle <- Fleet.vehicle(gateway, id),
          do: Snapshot.Fields.show(vehicle, :whole, context(gateway))
-  end
-
-  @doc """
-  The latest events of a vehicle, or of `:all`, as in NATS, oldest first; nil if there is no such vehicle. `more` is
-  true if there are further events: later ones if `:since` is given, earlier ones otherwise. Options as in
-  `Aerie.Vehicle.Events.Journal.recent/3`.
-  """
-  @spec events(term(), String.t() | :all, EventsQuery.options()) :: map() | nil
-  def events(gateway, vehicle, options) do
-    limit = options[:limit]
-    found = Journal.recent(gateway, vehicle, Keyword.put(options, :limit, limit + 1))
-    shown = if options[:since], do: Enum.take(found, limit), else: Enum.take(found, -limit)
-
-    if found != [] or vehicle == :all or Fleet.vehicle(gateway, vehicle) != nil,
-      do: %{
-        events: Enum.map(shown, &Fields.event(&1, Journal.epoch(gateway))),
-        more: length(found) > limit
-      }
   end
 
   @doc "The conditions of `Aerie.Fleet.Diagnosis`, the most serious first."

@@ -8,7 +8,7 @@ defmodule Aerie.Api.Rest.OpenAPI.Parameters do
   @doc "The names of those in queries; `format` with the forms that a resource has."
   @spec all() :: [atom()]
   def all,
-    do: ~w(limit since wait format version tag)a
+    do: ~w(wait format version tag)a
 
   @doc "Name, schema and meaning of one in a query."
   @spec in_query(atom() | {:format, [String.t()]} | {atom() | String.t(), map(), String.t()}) ::
@@ -21,13 +21,6 @@ defmodule Aerie.Api.Rest.OpenAPI.Parameters do
     {schema, meaning} = query(name)
     {name, schema, meaning}
   end
-
-  defp query(:limit), do: {Map.put(integer(1, 1000), :default, 100), "How many, the latest ones."}
-
-  defp query(:since),
-    do:
-      {%{anyOf: [time(), number(0, 253_402_300_799)]},
-       "Only those after this time: ISO 8601 with its offset, or unix seconds."}
 
   defp query(:wait),
     do: {integer(0, 20), "How many seconds to wait for the result; then 202, and the command goes on."}

@@ -4,7 +4,7 @@ defmodule Aerie.Api.Rest.Operations.Gateway do
   over REST only.
   """
 
-  alias Aerie.Api.Rest.Operations.{Clients, Links, Log, Recordings, Rules, Signing}
+  alias Aerie.Api.Rest.Operations.{Clients, Events, Links, Log, Plans, Recordings, Rules, Signing}
   alias Aerie.Control.Operations.Operation
 
   @doc "All of them."
@@ -25,7 +25,9 @@ defmodule Aerie.Api.Rest.Operations.Gateway do
           Recordings.Set,
           Recordings.Save,
           Signing.List,
-          Signing.Change
+          Signing.Change,
+          Events.List,
+          Plans.Store
         ],
         do: %{module.operation() | module: module}
   end

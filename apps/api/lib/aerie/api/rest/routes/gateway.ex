@@ -7,7 +7,6 @@ defmodule Aerie.Api.Rest.Routes.Gateway do
   import Aerie.Api.Rest.Route
 
   @bytes {:bytes, ["application/octet-stream"], nil}
-  @plan {:bytes, ["application/json", "text/plain", "application/octet-stream"], :plan}
 
   @doc "The rows."
   @spec rows() :: [Aerie.Api.Rest.Route.t()]
@@ -18,10 +17,6 @@ defmodule Aerie.Api.Rest.Routes.Gateway do
       get("/api/status", :status, "The most used state of all vehicles.", answer: :status),
       get("/api/diagnosis", :diagnosis, "What is wrong, and what to do about it.", answer: :diagnosis),
       get("/api/vehicles", :vehicles, "All vehicles.", query: [:tag], answer: :vehicles),
-      get("/api/events", :events, "The latest events of all vehicles.",
-        query: [:limit, :since],
-        answer: :events
-      ),
       get(
         "/api/signing/capability",
         :signing_capability,
@@ -43,11 +38,6 @@ defmodule Aerie.Api.Rest.Routes.Gateway do
       post("/api/policy/reload", :reload_policy, "Reads the policy and its fences again.",
         body: :nothing,
         answer: :policy
-      ),
-      post("/api/plans", :store_plan, "Stores a .plan file for desired states.",
-        body: @plan,
-        status: 201,
-        answer: :stored_plan
       ),
       get("/api/commands/types", :command_types, "The commands with their parameters.",
         answer: :command_types

@@ -11,10 +11,6 @@ defmodule Aerie.Api.Rest.Routes.Vehicle do
   def rows do
     [
       get("/api/vehicles/:id", :vehicle, "Everything that is known of a vehicle.", answer: :vehicle),
-      get("/api/vehicles/:id/events", :vehicle_events, "The latest events of a vehicle.",
-        query: [:limit, :since],
-        answer: :events
-      ),
       get("/api/vehicles/:id/signing", :vehicle_signing, "The signing state of a vehicle.",
         answer: :vehicle_signing
       ),

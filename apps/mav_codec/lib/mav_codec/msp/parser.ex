@@ -14,11 +14,13 @@ defmodule MavCodec.Msp.Parser do
   what waits: a flight controller's command line echoes a request as `$M<` or `$X<` and no more.
   """
 
+  import Bitwise
+
   alias MavCodec.CRC.DvbS2
-  alias MavCodec.Msp.{Frame, Sums}
+  alias MavCodec.Msp.Frame
 
   defstruct buffer: "",
-            sums: %Sums{},
+            sums: <<0, 0>>,
             counters: %{frames: 0, skipped: 0, checksum: 0, oversize: 0, expired: 0}
 
   @typedoc """
@@ -35,7 +37,11 @@ defmodule MavCodec.Msp.Parser do
           expired: non_neg_integer
         }
 
-  @type t :: %__MODULE__{buffer: binary, sums: Sums.t(), counters: counters}
+  @typedoc """
+  `sums`: XOR and CRC-8 up to each byte of the buffer, so that the check of any part of it takes the same time. Without
+  them bytes that look like many long frames would be summed up again for each.
+  """
+  @type t :: %__MODULE__{buffer: binary, sums: binary, counters: counters}
 
   @doc "A parser that has read nothing."
   @spec new() :: t
@@ -44,7 +50,7 @@ defmodule MavCodec.Msp.Parser do
   @doc "The frames that `bytes` complete, in their order."
   @spec push(t, binary) :: {[Frame.t()], t}
   def push(%__MODULE__{buffer: buffer, sums: sums} = parser, bytes) do
-    scan(%{parser | buffer: buffer <> bytes, sums: Sums.append(sums, bytes)}, 0, [])
+    scan(%{parser | buffer: buffer <> bytes, sums: sum_up(bytes, sums)}, 0, [])
   end
 
   @doc "Gives up the frame whose rest did not come, and returns those that began inside it."
@@ -100,7 +106,29 @@ defmodule MavCodec.Msp.Parser do
 
   defp finish(%{buffer: buffer, sums: sums} = parser, at, frames) do
     rest = :binary.copy(binary_part(buffer, at, byte_size(buffer) - at))
-    {Enum.reverse(frames), %{parser | buffer: rest, sums: Sums.drop(sums, at)}}
+    {Enum.reverse(frames), %{parser | buffer: rest, sums: drop_sums(sums, at)}}
+  end
+
+  defp sum_up(bytes, sums),
+    do: sum_up(bytes, sums, :binary.at(sums, byte_size(sums) - 2), :binary.last(sums))
+
+  defp sum_up(<<byte, rest::binary>>, sums, xor, crc) do
+    xor = bxor(xor, byte)
+    crc = DvbS2.next(crc, byte)
+    sum_up(rest, <<sums::binary, xor, crc>>, xor, crc)
+  end
+
+  defp sum_up(<<>>, sums, _xor, _crc), do: sums
+
+  defp drop_sums(sums, 0), do: sums
+  defp drop_sums(sums, count), do: :binary.copy(binary_part(sums, 2 * count, byte_size(sums) - 2 * count))
+
+  # The sums of the bytes from `from` to before `to`.
+  defp xor(sums, from, to), do: bxor(:binary.at(sums, 2 * from), :binary.at(sums, 2 * to))
+
+  defp crc(sums, from, to) do
+    before = :binary.at(sums, 2 * from + 1)
+    bxor(:binary.at(sums, 2 * to + 1), DvbS2.zeros(before, to - from))
   end
 
   # {:frame, what the header says, bytes before the payload, size of the payload, bytes of checksums}
@@ -143,17 +171,17 @@ defmodule MavCodec.Msp.Parser do
   defp head(_other), do: :none
 
   defp checks({:v1, _, _, _}, sums, start, skip, size),
-    do: <<Sums.xor(sums, start + 3, start + skip + size)>>
+    do: <<xor(sums, start + 3, start + skip + size)>>
 
   defp checks({:v2, _, _, _}, sums, start, skip, size),
-    do: <<Sums.crc(sums, start + 3, start + skip + size)>>
+    do: <<crc(sums, start + 3, start + skip + size)>>
 
   # The CRC leaves out the size of a jumbo frame, which stands between the inner header and the payload.
   defp checks({:v2_over_v1, _, _, _}, sums, start, skip, size) do
     payload = start + skip
-    header = Sums.crc(sums, start + 5, start + 10)
-    crc = Bitwise.bxor(DvbS2.zeros(header, size), Sums.crc(sums, payload, payload + size))
-    <<crc, Bitwise.bxor(Sums.xor(sums, start + 3, payload + size), crc)>>
+    header = crc(sums, start + 5, start + 10)
+    crc = bxor(DvbS2.zeros(header, size), crc(sums, payload, payload + size))
+    <<crc, bxor(xor(sums, start + 3, payload + size), crc)>>
   end
 
   defp frame({form, letter, id, flags}, payload),

@@ -3,7 +3,7 @@ defmodule MavCodec.Tlog.Damage do
   Bytes of a tlog that are not a record and were skipped.
 
     * `kind` - `:damaged`: records follow; `:cut_off`: the file ends here, in the middle of a record (the recorder was
-      killed, the disk was full); `:untimed`: records with impossible times (`MavCodec.Tlog.Stamp`); `:raw`: the file is not a tlog
+      killed, the disk was full); `:untimed`: records with impossible times (`MavCodec.Tlog.Decoder`); `:raw`: the file is not a tlog
     * `offset` - of the first byte in the file; `bytes` - how many
   """
 

@@ -6,8 +6,13 @@ defmodule MavCodec.Tlog.Decoder do
   (time, magic) or the end of the data follows it. Anything else is damage: the search continues at the next byte, and the
   skipped bytes are reported as one `MavCodec.Tlog.Damage` before the next frame.
 
-  Times are those of `MavCodec.Tlog.Stamp`. Records before the first possible time are skipped, and so are all of a file whose
-  times are in nanoseconds.
+  What is written before a frame is not always a time: the recorder may have no clock yet (its time begins in 1970), the
+  clock is set meanwhile, or the bytes are damaged.
+
+    * From 2000 to 2100 it is a time, and so is what is at most a day from the time before.
+    * A recorder whose clock went back to 1970 still tells how much later a record is: time goes on by that.
+    * Anything else is damaged, and the record gets the time of the one before. Records after 2100 before the first possible
+      time are skipped, and so are all of a file whose times are in nanoseconds.
 
   A file that begins with frames without times is a raw log: one `MavCodec.Tlog.Damage` of the kind `:raw` stands for all of it.
   """
@@ -15,6 +20,8 @@ defmodule MavCodec.Tlog.Decoder do
   alias MavCodec.{Frame, Tlog}
   alias MavCodec.Parser.{Candidate, Known}
 
+  @year_2000 946_684_800_000_000
+  @year_2100 4_102_444_800_000_000
   @day 86_400_000_000
   # The end of a raw log's frame can look like a time. After this many records a file is known to have times.
   @undecided 16
@@ -30,7 +37,7 @@ defmodule MavCodec.Tlog.Decoder do
           offset: non_neg_integer(),
           skipped: non_neg_integer(),
           taken: non_neg_integer(),
-          stamp: Tlog.Stamp.t() | nil,
+          stamp: {time :: non_neg_integer(), written :: non_neg_integer()} | nil,
           untimed: boolean(),
           raw: boolean()
         }
@@ -95,16 +102,26 @@ defmodule MavCodec.Tlog.Decoder do
   defp take(at, data, size, extra, items, decoder, mode) do
     <<bytes::binary-size(^size), rest::binary>> = data
 
-    case Tlog.Stamp.next(decoder.stamp, at) do
+    case time(decoder.stamp, at) do
       nil ->
         records(rest, items, %{decoder | skipped: decoder.skipped + 8 + size, untimed: true}, mode)
 
-      stamp ->
+      time ->
         items = damage(items, decoder, :damaged)
-        frame = Frame.from_bytes(bytes, extra, stamp.time)
-        records(rest, [frame | items], taken(decoder, stamp, 8 + size), mode)
+        frame = Frame.from_bytes(bytes, extra, time)
+        records(rest, [frame | items], taken(decoder, {time, at}, 8 + size), mode)
     end
   end
+
+  # The time of a record, by what is written and by the record before.
+  defp time(nil, at), do: if(at <= @year_2100, do: at)
+  defp time(_before, at) when at in @year_2000..@year_2100, do: at
+  defp time({time, _written}, at) when abs(at - time) <= @day, do: at
+
+  defp time({time, written}, at) when at < @year_2000 and written < @year_2000 and abs(at - written) <= @day,
+    do: max(time + at - written, 0)
+
+  defp time({time, _written}, _damaged), do: time
 
   defp taken(decoder, stamp, size) do
     offset = decoder.offset + decoder.skipped + size

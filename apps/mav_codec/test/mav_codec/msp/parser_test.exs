@@ -3,7 +3,7 @@ defmodule MavCodec.Msp.ParserTest do
 
   import MavCodec.Test.Msp, only: [frame: 0, let: 2, noise: 0]
 
-  alias MavCodec.Msp.{Frame, Parser, Sums}
+  alias MavCodec.Msp.{Frame, Parser}
   alias MavCodec.Test.MspTranscript
 
   doctest MavCodec.CRC.DvbS2
@@ -179,22 +179,6 @@ defmodule MavCodec.Msp.ParserTest do
     {_frames, _parser} = parse(pieces(bytes, [1000]))
     {:reductions, behind} = Process.info(self(), :reductions)
     behind - before
-  end
-
-  test "sums of any part are those of its bytes" do
-    holds(
-      :proper.forall({:proper_types.binary(), :proper_types.binary(), :proper_types.binary()}, fn {a, b, c} ->
-        sums = Enum.reduce([a, b, c], %Sums{}, &Sums.append(&2, &1))
-        dropped = Sums.drop(sums, byte_size(a))
-        from = byte_size(a)
-        to = from + byte_size(b)
-        crc = MavCodec.CRC.DvbS2.of(b)
-        xor = b |> :binary.bin_to_list() |> Enum.reduce(0, &Bitwise.bxor/2)
-
-        {Sums.crc(sums, from, to), Sums.xor(sums, from, to)} == {crc, xor} and
-          {Sums.crc(dropped, 0, to - from), Sums.xor(dropped, 0, to - from)} == {crc, xor}
-      end)
-    )
   end
 
   for firmware <- [:betaflight, :inav] do

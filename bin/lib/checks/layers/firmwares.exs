@@ -18,8 +18,7 @@ defmodule Layers.Firmwares do
     "apps/mav_codec/lib/mav_codec/sniff/text.ex" => "what a port prints, before there is a vehicle",
     "apps/mav_router/lib/mav_router/link/serial/finding.ex" =>
       "what a port is called, before there is a vehicle",
-    "apps/mav_router/lib/mav_router/link/serial/question.ex" =>
-      "what a port answers, before there is a vehicle",
+    "apps/mav_router/lib/mav_router/link/serial/probe.ex" => "what a port answers, before there is a vehicle",
     "apps/mav_router/lib/mav_router/link/settings.ex" => "a dialect of MAVLink",
     "apps/msp/lib/msp/firmware.ex" => "the list of those that speak MSP",
     "apps/msp/lib/msp/firmware/" => "the tables of those that speak MSP",

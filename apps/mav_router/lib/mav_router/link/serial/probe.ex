@@ -13,13 +13,13 @@ defmodule MavRouter.Link.Serial.Probe do
   - A silent port gets five seconds in all, one that is not silent gets all rates.
 
   It never writes to the port, unless it searches for a flight controller with MSP, which only answers (`msp:auto`): then
-  it asks one question (`MavRouter.Link.Serial.Question`) at each rate, once nothing came at any of them for
-  #{div(@quiet_ms, 1000)} s. Some radios bring a heartbeat every ten seconds.
+  it asks one question at each rate, once nothing came at any of them for #{div(@quiet_ms, 1000)} s. Some radios bring a
+  heartbeat every ten seconds. The question is which firmware it has (FC_VARIANT), which all of them have answered since
+  before MSP had versions.
   """
 
-  alias MavRouter.Link.Serial.{Finding, Question}
-  alias MavCodec.Sniff
-  alias MavCodec.Parser
+  alias MavCodec.{Msp, Parser, Sniff}
+  alias MavRouter.Link.Serial.Finding
 
   # Heartbeats come once a second.
   @window_ms 1_200
@@ -32,6 +32,8 @@ defmodule MavRouter.Link.Serial.Probe do
   @max_buffer 4_096
   @sure 0.95
   @text 0.6
+  @fc_variant 2
+  @vehicles %{"BTFL" => "Betaflight", "INAV" => "iNav"}
 
   @enforce_keys [:port, :bauds, :started]
   defstruct [
@@ -141,7 +143,7 @@ defmodule MavRouter.Link.Serial.Probe do
   defp take(%{ask: true} = probe, bytes, now) do
     probe = %{probe | quiet: now, count: probe.count + byte_size(bytes), buffer: keep(probe.buffer, bytes)}
 
-    case Question.answer(probe.buffer, probe.port.path, probe.baud) do
+    case answer(probe.buffer, probe.port.path, probe.baud) do
       nil -> probe
       %{condition: :vehicle} = finding -> %{probe | outcome: {:hit, finding, ""}}
       finding -> %{probe | outcome: {:over, finding}}
@@ -193,7 +195,7 @@ defmodule MavRouter.Link.Serial.Probe do
       {probe, [read(probe, now)]}
     else
       probe = %{probe | asked: true, deadline: now + @answer_ms}
-      {probe, [{:write, Question.bytes()}, read(probe, now)]}
+      {probe, [{:write, question()}, read(probe, now)]}
     end
   end
 
@@ -279,4 +281,58 @@ defmodule MavRouter.Link.Serial.Probe do
   defp fail(probe, reason) do
     {%{probe | outcome: {:over, Finding.failed(probe.port.path, reason)}, phase: :closed}, [:close]}
   end
+
+  # The same bytes in every firmware.
+  defp question, do: %Msp.Frame{id: @fc_variant} |> Msp.Frame.encode() |> IO.iodata_to_binary()
+
+  # What the bytes that came say of the port; nil if they do not answer.
+  defp answer(bytes, path, baud) do
+    {frames, parser} = Msp.Parser.push(Msp.Parser.new(), bytes)
+
+    cond do
+      reply = Enum.find(frames, &match?(%{id: @fc_variant, direction: :reply}, &1)) ->
+        variant(reply.payload, path, baud)
+
+      # A command line sends back what can be printed of it.
+      Enum.any?(frames, &match?(%{id: @fc_variant, direction: :request}, &1)) or
+          Msp.Parser.pending(parser) == "$M<" ->
+        finding(
+          path,
+          baud,
+          :other_protocol,
+          "our own question comes back",
+          "its command line is open, or the line is looped back"
+        )
+
+      Sniff.classify(bytes).heartbeat ->
+        finding(
+          path,
+          baud,
+          :other_protocol,
+          "it speaks MAVLink",
+          "its connection string is serial:auto or DEVICE,BAUD"
+        )
+
+      true ->
+        nil
+    end
+  end
+
+  defp variant(<<variant::binary-size(4), _::binary>>, path, baud) when is_map_key(@vehicles, variant),
+    do: finding(path, baud, :vehicle, "answers as #{@vehicles[variant]}", nil)
+
+  defp variant(other, path, baud) do
+    name = for <<byte <- binary_slice(other, 0, 8)>>, byte in 33..126, into: "", do: <<byte>>
+    finding(path, baud, :other_protocol, ~s(answers as "#{name}"), "neither Betaflight nor iNav")
+  end
+
+  defp finding(path, baud, condition, evidence, advice),
+    do: %Finding{
+      path: path,
+      condition: condition,
+      protocol: :msp1,
+      baud: baud,
+      evidence: evidence,
+      advice: advice
+    }
 end

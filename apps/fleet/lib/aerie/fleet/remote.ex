@@ -8,6 +8,9 @@ defmodule Aerie.Fleet.Remote do
   vehicle is lost, the answer is `failed` with the rule `unreachable` at once, and nothing was sent. Parameters and
   plans go the same way, on the subjects that `Aerie.Fleet.Bridge.Commands.Operation` answers.
 
+  Before a command is sent anywhere, its id is claimed in the bucket `fleet_commands`, where all gateways of a NATS
+  server see which of them sends it, and later what became of it.
+
   The lease of the shadow says which gateway holds a vehicle:
 
   | gateway | holds a vehicle |
@@ -21,12 +24,12 @@ defmodule Aerie.Fleet.Remote do
   alias Aerie.Base.Names
   alias Aerie.Fleet
   alias Aerie.Fleet.{Bridge, Nats}
-  alias Aerie.Fleet.Remote.Claims
   alias Aerie.Vehicle.Command
   alias Aerie.Fleet.Bridge.Commands.Operation
   alias Aerie.Vehicle.Command.Result
   alias Aerie.Control.Policy.Roles.Signature
   alias Aerie.Fleet.Shadow.Documents
+  alias Aerie.Fleet.Shadow.Store.Buckets
 
   # A command may go on after its deadline, which is when it is sent at the latest.
   @after_deadline_ms 300_000
@@ -48,10 +51,66 @@ defmodule Aerie.Fleet.Remote do
   defdelegate holder(gateway, vehicle), to: Documents
 
   @impl Aerie.Control.Commands.Gateways
-  defdelegate claim(gateway, vehicle, id, timeout_ms), to: Claims
+  def claim(gateway, vehicle, id, timeout_ms) do
+    case Documents.nats(gateway) do
+      {conn, environment} ->
+        value = JSON.encode!(%{"by" => Documents.instance(gateway)})
+
+        case Buckets.claim_command(conn, environment, {vehicle, id}, value, timeout_ms) do
+          :ok -> :ok
+          {:taken, text} -> taken(text, id, Documents.instance(gateway))
+          error -> error
+        end
+
+      nil ->
+        {:error, "NATS is away"}
+    end
+  end
+
+  # Our own claim, of a command that our ledger has and knows as not sent.
+  defp taken(text, id, me) do
+    case JSON.decode(text) do
+      {:ok, %{"by" => ^me} = claim} when not is_map_key(claim, "result") ->
+        :ok
+
+      {:ok, %{"by" => by} = claim} when is_binary(by) ->
+        {:taken, %{by: by, result: claimed_result(claim, id)}}
+
+      _other ->
+        {:taken, %{by: "unnamed", result: nil}}
+    end
+  end
+
+  defp claimed_result(%{"result" => word} = claim, id) when is_binary(word) do
+    with {:ok, status} <- Result.status(word) do
+      reason = if is_binary(claim["reason"]), do: claim["reason"]
+      Result.new(id, status, reason, %{"gateway" => claim["by"]})
+    else
+      :error -> nil
+    end
+  end
+
+  defp claimed_result(_claim, _id), do: nil
 
   @impl Aerie.Control.Commands.Gateways
-  defdelegate done(gateway, vehicle, result), to: Claims
+  def done(gateway, vehicle, result) do
+    _ =
+      with {conn, environment} <- Documents.nats(gateway) do
+        claim = %{
+          "by" => Documents.instance(gateway),
+          "result" => Atom.to_string(result.status),
+          "reason" => result.reason && String.slice(result.reason, 0, 256)
+        }
+
+        Nats.pub(
+          conn,
+          Buckets.command_subject(environment, {vehicle, result.id}),
+          JSON.encode_to_iodata!(claim)
+        )
+      end
+
+    :ok
+  end
 
   @impl Aerie.Control.Commands.Gateways
   def submit(gateway, snapshot, command, request, progress) do

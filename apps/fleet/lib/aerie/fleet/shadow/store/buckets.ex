@@ -8,7 +8,7 @@ defmodule Aerie.Fleet.Shadow.Store.Buckets do
   | `fleet_reported` | `{env}.{vehicle}` | the reported document (`Aerie.Fleet.Shadow.Document.Report`) |
   | `fleet_leases` | `{env}.gateways.{name}` | the heartbeat of a gateway |
   | | `{env}.vehicles.{vehicle}` | the name of the gateway that acts on it |
-  | `fleet_commands` | `{env}.{vehicle}.{id}` | the gateway that sends a command, and what became of it (`Aerie.Fleet.Remote.Claims`) |
+  | `fleet_commands` | `{env}.{vehicle}.{id}` | the gateway that sends a command, and what became of it (`Aerie.Fleet.Remote`) |
   | `fleet_plans` | SHA-256 of the file | a `.plan` file |
 
   Sizes, ages, history and copies are in the configuration (`shadow.buckets`, `nats.streams.replicas`). A bucket that differs is changed on

@@ -17,7 +17,7 @@ defmodule Aerie.Control.TransferExecutor do
   alias MavRouter.Sharing.TransferLock
   alias Aerie.Vehicle.Command.Result
   alias Aerie.Vehicle.Session.CoreProcess
-  alias Aerie.Control.TransferExecutor.{Core, Job, Progress}
+  alias Aerie.Control.TransferExecutor.{Core, Job}
 
   @typedoc """
   A transfer: the lanes that it uses, the function that makes its machine (`t:Aerie.Control.TransferExecutor.Job.t/0`),
@@ -106,7 +106,7 @@ defmodule Aerie.Control.TransferExecutor do
         {result, acc}
 
       {^ref, {:progress, progress}} ->
-        tell.(Progress.plain(progress))
+        tell.(plain(progress))
         follow(ref, tell, acc, fun)
 
       {^ref, event} ->
@@ -116,6 +116,36 @@ defmodule Aerie.Control.TransferExecutor do
         {{:error, :lost}, acc}
     end
   end
+
+  # `progress` (0..1 or nil) and `text` as the progress of commands has them, with `phase`, `done` and `total`.
+  defp plain({:waiting, whose}),
+    do: %{
+      "progress" => nil,
+      "text" => "waits: " <> waits(whose),
+      "phase" => "waiting",
+      "done" => 0,
+      "total" => nil
+    }
+
+  defp plain({done, total}), do: plain(%{phase: :reading, done: done, total: total})
+
+  defp plain(%{phase: phase, done: done, total: total}) do
+    # The size of a generated file is not known in advance.
+    share = if total > 0, do: Float.round(min(done / total, 1.0), 3)
+
+    %{
+      "progress" => share,
+      "text" => "#{phase}: #{done} of #{total}",
+      "phase" => Atom.to_string(phase),
+      "done" => done,
+      "total" => total
+    }
+  end
+
+  defp waits(nil), do: "another transfer with the vehicle is under way"
+
+  defp waits({system, component}),
+    do: "the ground station #{system}/#{component} has a transfer with the vehicle"
 
   @doc "Cancels a transfer, for all its callers."
   @spec cancel(Names.gateway(), Store.vehicle_key(), id :: String.t()) :: :ok | {:error, String.t()}

@@ -4,8 +4,14 @@ defmodule Aerie.Control.Policy.Rules.Role do
   of a vehicle that may be flying changes where it returns to and what its heights are measured from: that needs
   `protection` as well. A vehicle with MSP is armed and steered by channels in the place of its pilot's, which needs
   `receiver`; `motors` is for turning its motors. One whose firmware is not known may be such a vehicle, but `rtl` and
-  `hold` do not need it there. `pilot` opens some of what needs `maintain` or `protection`
-  (`Aerie.Control.Policy.Rules.Role.Pilot`).
+  `hold` do not need it there. `pilot` opens some of what needs `maintain` or `protection`:
+
+  | what | as far as |
+  |---|---|
+  | heights and speeds of a flight, by parameters | the bounds of `MavCodec.Meaning.Pilot`, and limits of the policy |
+  | moving home in flight | fence and limits allow its place |
+  | removing the vehicle's fence, or replacing it | the policy has no limits, which it may stand for |
+  | erasing the vehicle's logs | always |
   """
 
   @behaviour Aerie.Control.Policy.Rules.Rule
@@ -14,13 +20,15 @@ defmodule Aerie.Control.Policy.Rules.Role do
   alias Aerie.Control.Policy
   alias Aerie.Control.Policy.{Intent, Roles}
   alias Aerie.Control.Policy.Intent.Context
-  alias Aerie.Control.Policy.Rules.Role.Pilot
   alias Aerie.Vehicle.Command.Type
   alias Aerie.Vehicle.Firmware
+  alias MavCodec.Meaning.Pilot
 
   @by_channels ~w(arm set_mode rtl hold rc_override manual_control)
   # What holds a vehicle or brings it home is not kept from one that has not said yet what it is.
   @unknown @by_channels -- ~w(rtl hold)
+  # The permissions in whose place `pilot` may be.
+  @instead [:maintain, :protection]
 
   @impl Aerie.Control.Policy.Rules.Rule
   def check(policy, facts, %{source: source} = context) do
@@ -43,7 +51,7 @@ defmodule Aerie.Control.Policy.Rules.Role do
         limited(policy, facts) ++ aloft(facts, context) ++ by_channels(facts, context)
 
     lacking = Enum.reject(needed, &Roles.allowed?(source, &1))
-    opens? = lacking != [] and Pilot.opens?(policy, facts, lacking)
+    opens? = lacking != [] and lacking -- @instead == [] and pilot_may?(policy, facts)
 
     with [permission | _more] <- if(opens? and Roles.allowed?(source, :pilot), do: [], else: lacking) do
       {permission,
@@ -54,12 +62,21 @@ defmodule Aerie.Control.Policy.Rules.Role do
     end
   end
 
+  defp pilot_may?(_policy, %{type: "set_parameter", also: [], sets: [_ | _] = sets}),
+    do: Enum.all?(sets, fn {name, value} -> Pilot.within?(name, value) end)
+
+  defp pilot_may?(_policy, %{type: type}) when type in ["set_home", "erase_logs"], do: true
+  defp pilot_may?(policy, %{type: "fence_upload"}), do: not limits?(policy)
+  defp pilot_may?(_policy, _another), do: false
+
+  defp limits?(policy),
+    do: Enum.any?([policy.fence, policy.max_altitude, policy.min_altitude, policy.max_altitude_msl])
+
   defp shaping(nil), do: :ok
   defp shaping(why), do: {:deny, "set_parameter needs the permission protection: #{why}"}
 
   # What a vehicle believes of where it is, and of its battery, leads it around a fence and a limit.
-  defp limited(%{fence: nil, max_altitude: nil, min_altitude: nil, max_altitude_msl: nil}, _facts), do: []
-  defp limited(_policy, %{type: "sensor_input"}), do: [:inputs]
+  defp limited(policy, %{type: "sensor_input"}), do: if(limits?(policy), do: [:inputs], else: [])
   defp limited(_policy, _facts), do: []
 
   defp aloft(%{type: type}, context) when type in ["set_home", "set_origin"] do

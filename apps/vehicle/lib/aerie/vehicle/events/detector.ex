@@ -13,7 +13,7 @@ defmodule Aerie.Vehicle.Events.Detector do
 
   alias Aerie.Base.Json
   alias Aerie.Vehicle.{Event, Options}
-  alias Aerie.Vehicle.Events.Detector.{Batteries, Budget, Changes, Emitter, Failsafe, Losses}
+  alias Aerie.Vehicle.Events.Detector.{Batteries, Budget, Changes, Failsafe, Losses}
   alias Aerie.Vehicle.Events.Detector.{Observation, OfflineChanges, StatusTexts, Step, TextConditions}
   alias Aerie.Vehicle.Events.Detector.Failsafe.Px4Reports
 
@@ -125,7 +125,7 @@ defmodule Aerie.Vehicle.Events.Detector do
     facts = Map.put(facts(detector), :where, where(observation))
     {failsafe, steps} = Failsafe.due(detector.failsafe, now, facts)
     moment = %{at: now, boot_ms: nil, where: nil, received: now}
-    {detector, before} = Emitter.emit(%{detector | failsafe: failsafe}, steps, moment)
+    {detector, before} = Step.emit(%{detector | failsafe: failsafe}, steps, moment)
     {detector, events, params} = step(detector, observation, known)
     {detector, before ++ events, params}
   end
@@ -314,7 +314,7 @@ defmodule Aerie.Vehicle.Events.Detector do
 
   defp steps(:gcs, detector, _already_reported), do: {detector, []}
 
-  defp emit({detector, steps}, observation), do: Emitter.emit(detector, steps, moment(observation))
+  defp emit({detector, steps}, observation), do: Step.emit(detector, steps, moment(observation))
 
   defp moment(%{at: at, boot_ms: boot_ms, received: received} = observation),
     do: %{at: at, boot_ms: boot_ms, where: place(observation), received: received}

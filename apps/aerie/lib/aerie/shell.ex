@@ -87,9 +87,9 @@ defmodule Aerie.Shell do
         # Two networks may each have a vehicle with this id; the links tell which one it is.
         of = fn ->
           for(
-            %{key: {link, :in, _s, _c, id} = key} = row <- Inspector.rows(@gateway, system: vehicle.system_id),
+            %{key: {link, :in, _s, _c, _id} = key, name: ^wanted} = row <-
+              Inspector.rows(@gateway, system: vehicle.system_id),
             link in vehicle.links,
-            Inspector.Fields.name(id) == wanted,
             do: {key, row}
           )
         end

@@ -2,7 +2,7 @@ defmodule Aerie.Shell.Text do
   @moduledoc "What `Aerie.Shell` prints, as text. Pure: from snapshots, rows and samples."
 
   alias Aerie.CLI.Status.Format
-  alias Aerie.Fleet.Inspector.Fields
+  alias Aerie.Fleet.Inspector
   alias Aerie.CLI.Output.Columns
   alias Aerie.Processes.{Busiest, Restarts, Tree}
   alias MavCodec.Frame
@@ -24,20 +24,21 @@ defmodule Aerie.Shell.Text do
   end
 
   @doc "The last message of a row as one line."
-  @spec message(Aerie.Fleet.Inspector.key(), Frame.t()) :: String.t()
-  def message({_link, _way, system, component, id}, frame) do
-    fields = for field <- Fields.of(frame) || [], do: "#{field.name}=#{value(field.value)}"
-    Enum.join(["#{system}/#{component}", Fields.name(id) | fields], " ")
+  @spec message(Inspector.key(), Frame.t()) :: String.t()
+  def message({_link, _way, system, component, _id}, frame) do
+    shown = Inspector.show(frame)
+    fields = for field <- shown.fields || [], do: "#{field.name}=#{value(field.value)}"
+    Enum.join(["#{system}/#{component}", shown.name | fields], " ")
   end
 
   @doc "Rows of `Aerie.Fleet.Inspector.rows/2`."
-  @spec trace([Aerie.Fleet.Inspector.row()]) :: iodata()
+  @spec trace([Inspector.row()]) :: iodata()
   def trace([]), do: "nothing went over it\n"
 
   def trace(rows) do
     lines =
-      for %{key: {_link, way, system, component, id}, hz: hz, count: count} <- rows,
-          do: [way, "#{system}/#{component}", Fields.name(id), Float.round(hz * 1.0, 1), count]
+      for %{key: {_link, way, system, component, _id}, name: name, hz: hz, count: count} <- rows,
+          do: [way, "#{system}/#{component}", name, Float.round(hz * 1.0, 1), count]
 
     Columns.render(~w(WAY FROM MESSAGE PER-SECOND COUNT), lines)
   end

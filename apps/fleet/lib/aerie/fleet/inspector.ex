@@ -8,8 +8,7 @@ defmodule Aerie.Fleet.Inspector do
 
   It looks only while somebody watches (`watch/1`, until that process ends): without watchers the links pay nothing. It
   gets frames by the recorder's taps, so it never makes a link wait: what it cannot take at once is left out and counted
-  (`skipped`). Nothing is decoded but what somebody asks for, in the process of the caller
-  (`Aerie.Fleet.Inspector.Fields`).
+  (`skipped`). Nothing is decoded but what somebody asks for, in the process of the caller (`show/1`).
 
   What a link sends is seen as far as the recorder sees it (`recorder.sent`); without a recorder there is
   nothing to see. Passwords and keys (`MavCodec.Signing.Redact`) are never shown (S9).
@@ -17,7 +16,9 @@ defmodule Aerie.Fleet.Inspector do
   use GenServer
 
   alias Aerie.Base.{Names, Store}
-  alias Aerie.Fleet.Inspector.Rows
+  alias Aerie.Control.Policy.Roles
+  alias Aerie.Fleet.Client.RawMessage
+  alias Aerie.Fleet.Inspector.{Fields, Rows}
   alias MavRouter.Recorder.{Tables, Tap}
   alias MavCodec.Frame
 
@@ -31,8 +32,11 @@ defmodule Aerie.Fleet.Inspector do
           {link :: String.t(), :in | :out, system :: non_neg_integer, component :: 0..255,
            id :: non_neg_integer}
 
-  @typedoc "`hz` is the mean of the last seconds; `at` is in unix microseconds, nil where the frame has no time."
-  @type row :: %{key: key, count: pos_integer, hz: float, at: integer | nil}
+  @typedoc """
+  `name` is that of the message, `\"#300\"` for an unknown one; `hz` the mean of the last seconds; `at` in unix
+  microseconds, nil where the frame has no time.
+  """
+  @type row :: %{key: key, name: String.t(), count: pos_integer, hz: float, at: integer | nil}
 
   @doc "Options: `:gateway`; `:every_ms` between two measurements of the rates, for tests."
   @spec start_link(keyword) :: GenServer.on_start()
@@ -68,6 +72,15 @@ defmodule Aerie.Fleet.Inspector do
   @doc "The last frame of a row; nil when there is none."
   @spec last(Names.gateway(), key) :: Frame.t() | nil
   def last(gateway, key), do: read(gateway, nil, &Rows.frame(&1, key))
+
+  @doc "A frame for people: its name, its fields (nil for an unknown message), and its bytes in hexadecimal."
+  @spec show(Frame.t()) :: %{name: String.t(), fields: [Fields.field()] | nil, hex: String.t()}
+  def show(frame), do: %{name: Fields.name(frame.id), fields: Fields.of(frame), hex: Fields.hex(frame.bytes)}
+
+  @doc "Sends a message in the name of somebody, like one of a client, and gives what was answered."
+  @spec send(Names.gateway(), Roles.source(), struct(), network :: String.t() | :all) ::
+          {:ok, RawMessage.result()} | {:error, String.t()}
+  defdelegate send(gateway, source, message, network), to: RawMessage
 
   @doc "The last message of a row; an error when there is none, or it cannot be read."
   @spec message(Names.gateway(), key) :: {:ok, struct()} | {:error, term()}

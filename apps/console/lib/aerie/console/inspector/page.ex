@@ -1,7 +1,7 @@
 defmodule Aerie.Console.Inspector.Page do
   @moduledoc """
   All messages on the links, live: their rates, and the fields and bytes of the chosen one. Messages can be sent like those of a
-  client (`Aerie.Fleet.Client.RawMessage`).
+  client (`Aerie.Fleet.Inspector.send/4`).
   """
   use Aerie.Console,
       {:page,
@@ -10,10 +10,9 @@ defmodule Aerie.Console.Inspector.Page do
 
   import Aerie.Console.Inspector.Parts
 
-  alias Aerie.Fleet.Client.RawMessage
   alias Aerie.Base.Store
   alias Aerie.Fleet.Inspector
-  alias Aerie.Fleet.Inspector.{Compose, Fields}
+  alias Aerie.Fleet.Inspector.Compose
   alias Aerie.Control.Policy.Roles
   alias Aerie.Console.Inspector.Rows
   alias Aerie.Console.UI.Age
@@ -102,7 +101,7 @@ defmodule Aerie.Console.Inspector.Page do
         source = %{user | name: "console:" <> user.name}
 
         task =
-          Task.async(fn -> RawMessage.send(gateway, source, message, network(params["network"], socket)) end)
+          Task.async(fn -> Inspector.send(gateway, source, message, network(params["network"], socket)) end)
 
         {:noreply, assign(socket, compose: compose(name, fields, %{}), sending: {task.ref, name})}
 
@@ -157,7 +156,8 @@ defmodule Aerie.Console.Inspector.Page do
     %{
       outcome: outcome,
       text: nil,
-      answers: for(frame <- answers, do: {Fields.name(frame.id), Fields.of(frame) || []})
+      answers:
+        for(frame <- answers, %{name: name, fields: fields} = Inspector.show(frame), do: {name, fields || []})
     }
   end
 
@@ -199,7 +199,7 @@ defmodule Aerie.Console.Inspector.Page do
       case Inspector.last(gateway, key) do
         # The message has been silent for a minute; its last values stay, marked as gone.
         nil -> if match?(%{key: ^key}, last), do: %{last | gone?: true}, else: nil
-        frame -> %{key: key, frame: frame, fields: Fields.of(frame), gone?: false}
+        frame -> frame |> Inspector.show() |> Map.merge(%{key: key, frame: frame, gone?: false})
       end
 
     assign(socket, :detail, detail)

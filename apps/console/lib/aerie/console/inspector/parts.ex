@@ -2,7 +2,7 @@ defmodule Aerie.Console.Inspector.Parts do
   @moduledoc "The parts of the inspector's page."
   use Aerie.Console, :component
 
-  alias Aerie.Fleet.Inspector.{Compose, Fields}
+  alias Aerie.Fleet.Inspector.Compose
   alias Aerie.Console.UI.Age
 
   attr :filter, :map, required: true
@@ -37,7 +37,7 @@ defmodule Aerie.Console.Inspector.Parts do
     ~H"""
     <section class="card" id="message" aria-label="The chosen message">
       <div class="spread">
-        <h2 class="mono">{Fields.name(@detail.frame.id)}</h2>
+        <h2 class="mono">{@detail.name}</h2>
         <.button kind="quiet" icon="x" label="Close" phx-click="close" />
       </div>
       <.stale :if={@detail.gone?}>Not received for a minute</.stale>
@@ -52,7 +52,7 @@ defmodule Aerie.Console.Inspector.Parts do
         <:col :let={field} label="Type"><span class="muted">{field.type}</span></:col>
       </.data_table>
       <h3>Bytes ({byte_size(@detail.frame.bytes)})</h3>
-      <pre class="hex">{Fields.hex(@detail.frame.bytes)}</pre>
+      <pre class="hex">{@detail.hex}</pre>
     </section>
     """
   end

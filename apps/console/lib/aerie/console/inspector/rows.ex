@@ -2,7 +2,6 @@ defmodule Aerie.Console.Inspector.Rows do
   @moduledoc "The rows of the inspector as the page shows them: named, filtered, sorted, bounded. Pure."
 
   alias Aerie.Fleet.Inspector
-  alias Aerie.Fleet.Inspector.Fields
 
   @max_rows 200
 
@@ -52,9 +51,8 @@ defmodule Aerie.Console.Inspector.Rows do
           {[row()], non_neg_integer()}
   def rows(rows, filter, networks, vehicles, sort, now) do
     shown =
-      for %{key: {link, direction, system, component, id} = key} = row <- rows,
+      for %{key: {link, direction, system, component, id} = key, name: name} = row <- rows,
           network = Map.get(networks, link, "?"),
-          name = Fields.name(id),
           same?(link, filter["link"]) and same?(Atom.to_string(direction), filter["direction"]) and
             same?("#{network}/#{system}", filter["vehicle"]) and same?("#{component}", filter["component"]) and
             named?(name, id, filter["text"]) do

@@ -154,7 +154,8 @@ defmodule Aerie.Console.Inspector.PageTest do
   end
 
   test "rows are bounded, and keep their order" do
-    rows = for system <- 1..300, do: %{key: {"radio", :in, system, 1, 0}, count: 1, hz: 1.0, at: 5}
+    row = %{name: "HEARTBEAT", count: 1, hz: 1.0, at: 5}
+    rows = for system <- 1..300, do: Map.put(row, :key, {"radio", :in, system, 1, 0})
     assert {shown, 100} = Rows.rows(rows, Rows.all(), %{"radio" => "main"}, %{}, {:name, :asc}, 10)
     assert Enum.map(shown, &elem(&1.key, 2)) == Enum.to_list(1..200)
 

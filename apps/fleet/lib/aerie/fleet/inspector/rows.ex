@@ -5,6 +5,7 @@ defmodule Aerie.Fleet.Inspector.Rows do
   """
 
   alias Aerie.Fleet.Inspector
+  alias Aerie.Fleet.Inspector.Fields
   alias MavCodec.Frame
 
   @max_rows 8_192
@@ -104,7 +105,7 @@ defmodule Aerie.Fleet.Inspector.Rows do
     # The key itself cannot be both a pattern and a variable.
     for [key, count, at, rate] <-
           :ets.select(table, [{pattern, [], [[{:element, 1, :"$_"}, :"$1", :"$2", :"$3"]]}]),
-        do: %{key: key, count: count, hz: rate || 0.0, at: at}
+        do: %{key: key, name: Fields.name(elem(key, 4)), count: count, hz: rate || 0.0, at: at}
   end
 
   @doc "See `Aerie.Fleet.Inspector.last/2`."

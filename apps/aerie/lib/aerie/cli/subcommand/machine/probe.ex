@@ -108,11 +108,12 @@ defmodule Aerie.CLI.Subcommand.Machine.Probe do
       found: for(finding <- link[:diagnosis] || [], do: Link.Serial.Finding.format(finding)),
       vehicles: for(v <- Store.vehicles(gateway), do: vehicle(v)),
       messages:
-        for %{key: {_link, :in, system, component, id}, hz: hz, count: count} <- Inspector.rows(gateway) do
+        for %{key: {_link, :in, system, component, _id}, name: name, hz: hz, count: count} <-
+              Inspector.rows(gateway) do
           %{
             system: system,
             component: component,
-            name: Inspector.Fields.name(id),
+            name: name,
             hz: Float.round(hz * 1.0, 1),
             count: count
           }

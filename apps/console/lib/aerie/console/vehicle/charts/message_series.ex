@@ -8,18 +8,14 @@ defmodule Aerie.Console.Vehicle.Charts.MessageSeries do
   alias Aerie.Fleet.Inspector
   alias Aerie.Fleet.Inspector.Compose
   alias Aerie.Console.Vehicle.Charts.Series
-  alias MavCodec.Dialects.All
 
   @max_elements 16
 
   @doc "The sorted names of the messages heard from the vehicle of a snapshot."
   @spec names(Names.gateway(), map()) :: [String.t()]
   def names(gateway, vehicle) do
-    names =
-      for %{key: {_link, :in, _system, _component, id}} <- rows(gateway, vehicle),
-          name = All.name(id),
-          do: name
-
+    # One that no dialect has is a number.
+    names = for %{name: name} <- rows(gateway, vehicle), not String.starts_with?(name, "#"), do: name
     names |> Enum.uniq() |> Enum.sort()
   end
 
@@ -54,7 +50,7 @@ defmodule Aerie.Console.Vehicle.Charts.MessageSeries do
       label: String.replace(key, ".", " "),
       unit: field.units || "",
       meaning: "as #{name} has it",
-      path: {:message, All.message_id(name), field.key, index}
+      path: {:message, name, field.key, index}
     }
   end
 
@@ -65,13 +61,12 @@ defmodule Aerie.Console.Vehicle.Charts.MessageSeries do
   def sample(gateway, vehicle, series, now) do
     latest = Enum.sort_by(rows(gateway, vehicle), &(&1.at || 0))
 
-    keys =
-      Map.new(latest, fn %{key: {_link, _in, _system, _component, id} = key, at: at} -> {id, {key, at}} end)
+    keys = Map.new(latest, &{&1.name, {&1.key, &1.at}})
 
     messages =
-      for id <- series |> Enum.map(&elem(&1.path, 1)) |> Enum.uniq(),
+      for name <- series |> Enum.map(&elem(&1.path, 1)) |> Enum.uniq(),
           into: %{},
-          do: {id, message(gateway, keys[id], now)}
+          do: {name, message(gateway, keys[name], now)}
 
     Map.new(series, &{&1.key, value(messages, &1.path)})
   end
@@ -94,8 +89,8 @@ defmodule Aerie.Console.Vehicle.Charts.MessageSeries do
 
   defp message(_gateway, _not_heard, _now), do: nil
 
-  defp value(messages, {:message, id, field, index}) do
-    with %{} = message <- messages[id],
+  defp value(messages, {:message, name, field, index}) do
+    with %{} = message <- messages[name],
          number when is_number(number) <- element(Map.get(message, field), index),
          do: number,
          else: (_none -> nil)

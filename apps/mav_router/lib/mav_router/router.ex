@@ -215,6 +215,15 @@ defmodule MavRouter.Router do
   @spec configure(Names.gateway(), String.t(), map | keyword) :: :ok | {:error, Aerie.Base.Error.t()}
   defdelegate configure(gateway, id, changes), to: Rules, as: :change
 
+  @doc "As `configure/3`, for changes as a program writes them (`rules_schema/0`)."
+  @spec change_rules(Names.gateway(), String.t(), map) ::
+          :ok | {:error, Aerie.Base.Error.t() | {:invalid, String.t()}}
+  defdelegate change_rules(gateway, id, object), to: Rules, as: :write
+
+  @doc "The JSON schema of changes of rules."
+  @spec rules_schema() :: Aerie.Base.Json.Schema.t()
+  defdelegate rules_schema, to: Rules, as: :schema
+
   @doc "Whether a client that restricts itself to these networks can ever see something; the error names those that there are."
   @spec known_networks(Names.gateway(), [String.t()]) :: :ok | {:error, Aerie.Base.Error.t()}
   def known_networks(gateway, names) do

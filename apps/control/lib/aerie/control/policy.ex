@@ -108,6 +108,14 @@ defmodule Aerie.Control.Policy do
   @spec control_leases(Names.gateway()) :: %{Holders.vehicle() => ControlLease.t()}
   defdelegate control_leases(gateway), to: Holders, as: :all
 
+  @doc "A refusal with a page's own advice in place of the commands that take charge of a vehicle."
+  @spec reworded(String.t(), take_over :: String.t(), take_first :: String.t()) :: String.t()
+  def reworded(reason, take_over, take_first) do
+    reason
+    |> String.replace(ControlLease.take_over(), take_over)
+    |> String.replace(ControlLease.take_first(), take_first)
+  end
+
   @doc "The polygons of a policy's zones: of what kind and name, and their rings of `{latitude, longitude}`."
   @spec zones(t() | nil) :: [%{kind: atom(), name: String.t() | nil, rings: [[{float(), float()}]]}]
   def zones(%__MODULE__{fence: %{zones: zones}}) do

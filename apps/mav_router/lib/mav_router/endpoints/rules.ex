@@ -11,7 +11,7 @@ defmodule MavRouter.Endpoints.Rules do
   alias Aerie.Base.Store
   alias Aerie.Base.Names
   alias MavRouter.Endpoints
-  alias MavRouter.Endpoints.Owner
+  alias MavRouter.Endpoints.{Owner, RuleChanges}
   alias MavRouter.Endpoints.Owner.SavedRules
   alias MavRouter.Endpoints.Owner.RuleKeys
   alias MavRouter.Tables
@@ -27,6 +27,19 @@ defmodule MavRouter.Endpoints.Rules do
          :ok <- networks(tables, owner, changes[:networks]),
          :ok <- carriers(tables, changes[:carry] || %{}) do
       put(gateway, tables, owner, Map.merge(SavedRules.changes(gateway, id), changes))
+    end
+  end
+
+  @doc "The schema of what `write/3` takes."
+  @spec schema() :: RuleChanges.t()
+  defdelegate schema, to: RuleChanges
+
+  @doc "Changes rules as a program writes them, by the keys of the configuration."
+  @spec write(Names.gateway(), String.t(), map) :: :ok | {:error, Error.t() | {:invalid, String.t()}}
+  def write(gateway, id, object) do
+    case RuleChanges.parse(object) do
+      {:ok, changes} -> change(gateway, id, changes)
+      {:error, words} -> {:error, {:invalid, words}}
     end
   end
 

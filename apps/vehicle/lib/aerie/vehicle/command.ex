@@ -106,9 +106,24 @@ defmodule Aerie.Vehicle.Command do
   @spec check(Type.t(), term()) :: {:ok, %{atom() => term()}} | {:error, [Error.t(), ...]}
   defdelegate check(type, params), to: Type
 
-  @doc "The row of the command's type."
-  @spec type(t()) :: Type.t()
+  @doc "The rows of all types, in an order for people."
+  @spec types() :: [Type.t()]
+  defdelegate types, to: Types, as: :all
+
+  @doc "What is shown of a row."
+  @spec type_fields() :: [Json.Object.t()]
+  defdelegate type_fields, to: Types, as: :fields
+
+  @doc "The row of a command's type, or of a name from outside; nil if there is none of this name."
+  @spec type(t() | term()) :: Type.t() | nil
   def type(%__MODULE__{type: name}), do: Types.fetch!(name)
+
+  def type(name) do
+    case Types.fetch(name) do
+      {:ok, type} -> type
+      :error -> nil
+    end
+  end
 
   @doc """
   What the command says, as 64 hexadecimal digits: vehicle, type, parameters and who gave it. Two envelopes with

@@ -20,6 +20,7 @@ defmodule Aerie.Vehicle.Snapshot do
   """
 
   alias Aerie.Vehicle.Protocol.Kind
+  alias Aerie.Vehicle.Snapshot.Fields
 
   # At most 32 keys with __struct__: the BEAM keeps a larger map as a tree.
   defstruct [
@@ -96,6 +97,14 @@ defmodule Aerie.Vehicle.Snapshot do
       _unheard -> %{}
     end
   end
+
+  @doc "What is shown of a vehicle in a form."
+  @spec fields(Fields.form()) :: [Aerie.Base.Json.Object.t()]
+  defdelegate fields(form), to: Fields, as: :of
+
+  @doc "A vehicle in a form. What is not known is null; a value that no longer comes stays, with its age."
+  @spec show(t(), Fields.form(), Fields.context()) :: %{atom() => term()}
+  defdelegate show(vehicle, form, context), to: Fields
 
   @doc "Whether it takes off and lands."
   @spec flies?(t()) :: boolean()

@@ -10,7 +10,7 @@ defmodule Aerie.Api.Metrics.Vehicles do
               %{path: [key], metric: {name, help}} <- fields,
               do: {group, key, name, help}
   @parts for part <- [:gcs, :clock, :high_latency],
-             {field, name, help} <- :whole |> Snapshot.Fields.of() |> Object.inside(part) |> Object.metrics(),
+             {field, name, help} <- :whole |> Snapshot.fields() |> Object.inside(part) |> Object.metrics(),
              do: {part, field, name, help}
 
   @doc "The families of these vehicles, heard on these links, at a unix time in microseconds."

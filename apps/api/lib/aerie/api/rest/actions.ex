@@ -2,7 +2,6 @@ defmodule Aerie.Api.Rest.Actions do
   @moduledoc "What the methods of `Aerie.Api.Rest.Routes` do: read the request, call Aerie's public functions, answer."
 
   alias Aerie.Control.Policy
-  alias Aerie.Vehicle.Command.Types
 
   alias Aerie.Api.Rest.{Commands, OpenAPI, Operations}
   alias Aerie.Access.HTTP.Error
@@ -67,7 +66,7 @@ defmodule Aerie.Api.Rest.Actions do
     |> answer(200, request)
   end
 
-  def run(:command_types, _state, request), do: {:ok, 200, %{types: Types.plain()}, request}
+  def run(:command_types, _state, request), do: {:ok, 200, %{types: Commands.types()}, request}
 
   def run(:vehicle_commands, state, request) do
     state.gateway

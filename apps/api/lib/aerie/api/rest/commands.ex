@@ -6,7 +6,8 @@ defmodule Aerie.Api.Rest.Commands do
   """
 
   alias Aerie.Base.Json.Object
-  alias Aerie.Vehicle.Command.{Result, Types}
+  alias Aerie.Vehicle.Command
+  alias Aerie.Vehicle.Command.Result
   alias Aerie.Control.{Commands, Policy}
   alias Aerie.Control.Policy.Roles
   alias Aerie.Access.HTTP.Error
@@ -105,6 +106,10 @@ defmodule Aerie.Api.Rest.Commands do
             {:reason, :text, nil, "a sentence for people"}
           ])
 
+  @doc "The table of commands: for forms, and for programs that want to know what can be commanded."
+  @spec types() :: [map()]
+  def types, do: for(type <- Command.types(), do: Object.show(Command.type_fields(), type))
+
   @doc "The fields of an offer."
   @spec offer_fields() :: [Object.t()]
   def offer_fields, do: @fields
@@ -117,7 +122,8 @@ defmodule Aerie.Api.Rest.Commands do
   def offers(gateway, id, source) do
     with %{} = vehicle <- Aerie.Fleet.vehicle(gateway, id),
          do: %{
-           "commands" => Enum.map(Types.names(), &offer(&1, Commands.lacks(vehicle, &1, source)))
+           "commands" =>
+             for(%{name: name} <- Command.types(), do: offer(name, Commands.lacks(vehicle, name, source)))
          }
   end
 

@@ -30,7 +30,7 @@ defmodule Aerie.Api.Rest.View do
             ])
   @vehicles Object.fields([
               {:timestamp, 3, "s", "unix time of the answer"},
-              {:vehicles, {:list, {:shown, Snapshot.Fields.of(:listed)}}, nil, "one object for each"}
+              {:vehicles, {:list, {:shown, Snapshot.fields(:listed)}}, nil, "one object for each"}
             ])
   @status @vehicles ++
             Object.fields([
@@ -75,7 +75,7 @@ defmodule Aerie.Api.Rest.View do
     index: Object.fields([{:resources, {:list, {:object, @resource}}, nil, "all of them"}]),
     status: @status,
     vehicles: @vehicles,
-    vehicle: Snapshot.Fields.of(:whole),
+    vehicle: Snapshot.fields(:whole),
     vehicle_signing: MavRouter.Signing.fields(),
     diagnosis:
       Object.fields([
@@ -109,7 +109,7 @@ defmodule Aerie.Api.Rest.View do
     Object.show(@status, %{
       timestamp: context.now / 1_000_000,
       epoch: Journal.epoch(gateway),
-      vehicles: for(vehicle <- Fleet.vehicles(gateway), do: Snapshot.Fields.show(vehicle, :listed, context)),
+      vehicles: for(vehicle <- Fleet.vehicles(gateway), do: Snapshot.show(vehicle, :listed, context)),
       links:
         for(
           {_id, link} <- Enum.sort(context.links),
@@ -139,7 +139,7 @@ defmodule Aerie.Api.Rest.View do
   @spec vehicle(term(), String.t()) :: map() | nil
   def vehicle(gateway, id) do
     with %{} = vehicle <- Fleet.vehicle(gateway, id),
-         do: Snapshot.Fields.show(vehicle, :whole, context(gateway))
+         do: Snapshot.show(vehicle, :whole, context(gateway))
   end
 
   @doc "The conditions of `Aerie.Fleet.Diagnosis`, the most serious first."

@@ -6,7 +6,7 @@ defmodule Aerie.Console.Commands.Catalog do
 
   alias Aerie.Control.Commands
   alias Aerie.Control.Policy.Roles
-  alias Aerie.Vehicle.Command.Types
+  alias Aerie.Vehicle.Command
 
   @titles [
     flight: "Flight",
@@ -32,7 +32,7 @@ defmodule Aerie.Console.Commands.Catalog do
     for {group, title} <- @titles,
         entries =
           for(
-            type <- Types.all(),
+            type <- Command.types(),
             type.group == group,
             found?(type, title, words),
             do: entry(type, vehicle, user)
@@ -55,7 +55,7 @@ defmodule Aerie.Console.Commands.Catalog do
   end
 
   def entry(name, vehicle, user) do
-    with {:ok, type} <- Types.fetch(name), do: entry(type, vehicle, user), else: (:error -> nil)
+    with %{} = type <- Command.type(name), do: entry(type, vehicle, user)
   end
 
   @doc """

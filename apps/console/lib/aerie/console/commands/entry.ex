@@ -1,9 +1,10 @@
 defmodule Aerie.Console.Commands.Entry do
   @moduledoc "The state of a command in words, with a tone and an icon, so that states differ by more than colour. Pure."
 
-  alias Aerie.Vehicle.Command.{Result, Types}
+  alias Aerie.Vehicle.Command
+  alias Aerie.Vehicle.Command.Result
   alias Aerie.Control.Commands
-  alias Aerie.Control.Policy.ControlLease
+  alias Aerie.Control.Policy
   alias Aerie.Console.Commands.{Catalog, Outcome, Wording}
 
   @typedoc """
@@ -64,7 +65,7 @@ defmodule Aerie.Console.Commands.Entry do
       label: label,
       text: text,
       share: share,
-      cancel: entry.result == nil and cancel?(Types.fetch(entry.type))
+      cancel: entry.result == nil and cancel?(Command.type(entry.type))
     }
   end
 
@@ -107,11 +108,13 @@ defmodule Aerie.Console.Commands.Entry do
 
   @doc "A refusal's reason with what to do on these pages, where the policy names a command."
   @spec advice(String.t()) :: String.t()
-  def advice(reason) do
-    reason
-    |> String.replace(ControlLease.take_over(), "take over under “in charge”")
-    |> String.replace(ControlLease.take_first(), "needs somebody in charge: take charge first")
-  end
+  def advice(reason),
+    do:
+      Policy.reworded(
+        reason,
+        "take over under “in charge”",
+        "needs somebody in charge: take charge first"
+      )
 
   # The meaning of an uncertain end is shown beside it.
   defp meaning(:accepted), do: "The vehicle accepted it. Its state does not show whether it acted."
@@ -120,8 +123,8 @@ defmodule Aerie.Console.Commands.Entry do
   defp meaning(_status), do: nil
 
   # Transfers are in the list too, but not in the table of commands. All of them can be cancelled.
-  defp cancel?({:ok, type}), do: type.cancel?
-  defp cancel?(:error), do: true
+  defp cancel?(nil), do: true
+  defp cancel?(type), do: type.cancel?
 
   @doc "Whether a command has no result yet."
   @spec under_way?(t()) :: boolean()

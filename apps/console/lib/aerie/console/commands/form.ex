@@ -1,6 +1,6 @@
 defmodule Aerie.Console.Commands.Form do
   @moduledoc """
-  The form of a command, made from its row of `Aerie.Vehicle.Command.Types`, and the parameters from a browser's input. Pure.
+  The form of a command, made from its row (`Aerie.Vehicle.Command.type/1`), and the parameters from a browser's input. Pure.
 
   A form describes each parameter, but only `Aerie.Vehicle.Command.check/2` validates values: input that cannot be read as a
   number is passed to it as text.

@@ -8,7 +8,8 @@ defmodule Aerie.Console.Commands.Submit do
   and the answer is its result.
   """
 
-  alias Aerie.Vehicle.Command.{Result, Types}
+  alias Aerie.Vehicle.Command
+  alias Aerie.Vehicle.Command.Result
   alias Aerie.Base.Names
   alias Aerie.Control.Commands
   alias Aerie.Control.Policy.Roles
@@ -21,7 +22,7 @@ defmodule Aerie.Console.Commands.Submit do
   @spec give(Names.gateway(), vehicle :: String.t(), Roles.source(), event :: map()) ::
           state() | {:invalid, String.t(), Form.errors()}
   def give(gateway, vehicle, user, %{"id" => id, "type" => name} = event) do
-    with {:ok, type} <- Types.fetch(name),
+    with %{} = type <- Command.type(name),
          {:ok, params} <- Form.read(type, Map.merge(event, fields(event))) do
       envelope = %{"id" => id, "vehicle" => vehicle, "type" => name, "params" => params}
 
@@ -31,7 +32,7 @@ defmodule Aerie.Console.Commands.Submit do
         {:error, errors} -> {:done, :rejected, Entry.advice(Enum.join(errors, "; "))}
       end
     else
-      :error -> {:done, :rejected, "this command does not exist"}
+      nil -> {:done, :rejected, "this command does not exist"}
       {:error, errors} -> {:invalid, name, errors}
     end
   end

@@ -5,7 +5,7 @@ defmodule Aerie.Console.Commands.Wording do
   """
 
   alias Aerie.Base.Json
-  alias Aerie.Vehicle.Command.Types
+  alias Aerie.Vehicle.Command
 
   @above %{"home" => "above home", "msl" => "above mean sea level", "terrain" => "above the ground"}
   # Names of parameters whose value says enough.
@@ -25,7 +25,7 @@ defmodule Aerie.Console.Commands.Wording do
   end
 
   defp default?(type, {name, value}) do
-    with {:ok, %{params: params}} <- Types.fetch(type),
+    with %{params: params} <- Command.type(type),
          %{default: default} when default != nil <- Enum.find(params, &(Atom.to_string(&1.name) == name)),
          do: default == value,
          else: (_without -> value == nil)

@@ -18,7 +18,7 @@ defmodule Aerie.Console.Vehicle.Page do
   alias Aerie.Fleet
   alias Aerie.Fleet.Inspector
   alias MavRouter.Link
-  alias Aerie.Vehicle.Command.Types
+  alias Aerie.Vehicle.Command
   alias Aerie.Vehicle.Events.Journal
   alias Aerie.Control.Policy
   alias Aerie.Console.Commands.{Courses, Entry, EntryList, Submit}
@@ -97,7 +97,7 @@ defmodule Aerie.Console.Vehicle.Page do
     series =
       params |> Map.get("f", "") |> String.split(",", trim: true) |> Series.choose(&MessageSeries.choose/1)
 
-    command = if match?({:ok, _type}, Types.fetch(params["c"])), do: params["c"]
+    command = if Command.type(params["c"]), do: params["c"]
     # When another command is chosen, its form starts with the defaults.
     form = if command == socket.assigns.command, do: socket.assigns.form, else: %{}
     errors = if command == socket.assigns.command, do: socket.assigns.errors, else: @no_errors

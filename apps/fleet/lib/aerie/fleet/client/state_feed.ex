@@ -78,7 +78,7 @@ defmodule Aerie.Fleet.Client.StateFeed do
   defp lines(gateway) do
     context = %{now: System.os_time(:microsecond), links: Map.new(Store.links(gateway), &{&1.id, &1})}
     vehicles = with [] <- Fleet.vehicles(gateway), do: [%Snapshot{}]
-    line = &[&1 |> Snapshot.Fields.show(:short, context) |> Json.encode_to_iodata!(), ?\n]
+    line = &[&1 |> Snapshot.show(:short, context) |> Json.encode_to_iodata!(), ?\n]
     vehicles |> Enum.map(line) |> IO.iodata_to_binary()
   end
 

@@ -68,7 +68,7 @@ defmodule Aerie.Fleet.Remote.Message do
   end
 
   @shown Enum.filter(
-           Snapshot.Fields.of(:whole),
+           Snapshot.fields(:whole),
            &(&1.name in [:network, :system_id, :autopilot, :type, :firmware, :status])
          )
   @silent Object.fields([{:silent_s, :number, "s", "how long the vehicle was not heard"}])

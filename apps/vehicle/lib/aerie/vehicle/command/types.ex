@@ -74,10 +74,6 @@ defmodule Aerie.Vehicle.Command.Types do
   @spec fields() :: [Object.t()]
   def fields, do: @fields
 
-  @doc "The table as JSON has it: for forms, and for programs that want to know what can be commanded."
-  @spec plain() :: [%{atom() => term()}]
-  def plain, do: Enum.map(@all, &Object.show(@fields, &1))
-
   @doc false
   @spec rules(Type.t()) :: [String.t()]
   def rules(%Type{rules: rules}), do: Enum.map(rules, &Type.rule_text/1)

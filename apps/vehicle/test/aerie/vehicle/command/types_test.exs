@@ -1,6 +1,7 @@
 defmodule Aerie.Vehicle.Command.TypesTest do
   use ExUnit.Case, async: true
 
+  alias Aerie.Base.Json.Object
   alias Aerie.Vehicle.Command.{Param, Type, Types}
 
   # What an operator expects to find, by the names the field uses.
@@ -62,7 +63,9 @@ defmodule Aerie.Vehicle.Command.TypesTest do
   end
 
   test "the table is JSON, and complete" do
-    rows = Types.plain() |> JSON.encode!() |> JSON.decode!()
+    rows =
+      for type <- Types.all(), do: Types.fields() |> Object.show(type) |> JSON.encode!() |> JSON.decode!()
+
     assert Enum.map(rows, & &1["name"]) == Types.names()
     takeoff = Enum.find(rows, &(&1["name"] == "takeoff"))
 

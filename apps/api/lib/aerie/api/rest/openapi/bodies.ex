@@ -8,7 +8,7 @@ defmodule Aerie.Api.Rest.OpenAPI.Bodies do
 
   alias Aerie.Api.Rest.{Commands, View}
   alias Aerie.Base.Json.Object
-  alias Aerie.Vehicle.Command.Types
+  alias Aerie.Vehicle.Command
 
   @doc "All of them."
   @spec all() :: %{(atom() | String.t()) => map()}
@@ -27,7 +27,7 @@ defmodule Aerie.Api.Rest.OpenAPI.Bodies do
   end
 
   defp answers do
-    types = [{:types, {:list, {:object, Types.fields()}}, nil, "all of them"}]
+    types = [{:types, {:list, {:object, Command.type_fields()}}, nil, "all of them"}]
     offers = [{:commands, {:list, {:object, Commands.offer_fields()}}, nil, "all of them"}]
 
     Map.merge(View.answers(), %{

@@ -3,7 +3,7 @@ defmodule Aerie.Api.Rest.OpenAPI.Parameters do
 
   import Aerie.Base.Json.Schema
 
-  alias Aerie.Control.Operations.Fields
+  alias Aerie.Fleet
 
   @doc "The names of those in queries; `format` with the forms that a resource has."
   @spec all() :: [atom()]
@@ -31,9 +31,18 @@ defmodule Aerie.Api.Rest.OpenAPI.Parameters do
   @doc "The schema of one in a path."
   @spec in_path(path :: String.t(), name :: String.t()) :: map()
   def in_path("/api/vehicles/" <> _rest, "id"), do: token()
-  def in_path("/api/vehicles/:id/params/:name", "name"), do: Fields.name()
+  def in_path("/api/vehicles/:id/params/:name", "name"), do: param_name()
   # Behind a slash.
   def in_path(_path, "path"), do: bytes(238)
   def in_path(_path, "log"), do: integer(0, 0xFFFF)
   def in_path(_path, _name), do: %{type: :string, minLength: 1}
+
+  defp param_name do
+    [schema] =
+      for %{name: "params.get", fields: fields} <- Fleet.operations(),
+          %{key: :name, schema: schema} <- fields,
+          do: schema
+
+    schema
+  end
 end

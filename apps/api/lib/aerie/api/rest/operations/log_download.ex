@@ -17,7 +17,7 @@ defmodule Aerie.Api.Rest.Operations.LogDownload do
           {:ok, 200 | 206, :sent, :cowboy_req.req()} | {:error, Error.t() | Aerie.Vehicle.Command.Result.t()}
 
   @doc "Answers with the log whose id is in the path."
-  @spec run({Aerie.Base.Names.gateway(), String.t()}, [Aerie.Control.{atom(), term()}], :cowboy_req.req()) ::
+  @spec run({Aerie.Base.Names.gateway(), String.t()}, keyword(), :cowboy_req.req()) ::
           result()
   def run({gateway, vehicle}, options, request) do
     with {:ok, id} <- id(:cowboy_req.binding(:log, request)),

@@ -3,7 +3,6 @@ defmodule Aerie.Console.Fleet.Board.Row do
   A vehicle as a row of the table. Pure. Numbers are rounded as they are shown, so that changes that are not visible are not sent.
   """
 
-  alias Aerie.Control.Policy.ControlLease
   alias Aerie.Base.Store
   alias Aerie.Console.Fleet.Board.Problems
   alias Aerie.Console.Map.Payload
@@ -92,7 +91,7 @@ defmodule Aerie.Console.Fleet.Board.Row do
   microseconds.
   """
   @spec new(map(), [map()], %{String.t() => [String.t()]}, integer(), %{
-          Store.vehicle_key() => ControlLease.t()
+          Store.vehicle_key() => map()
         }) ::
           t()
   def new(vehicle, links, tags, now, leases \\ %{}) do

@@ -1,7 +1,7 @@
 defmodule Aerie.Console.Vehicle.Control.CommandCheck do
   @moduledoc "The policy's and the firmware's answer to the command that is being prepared on a vehicle's page, before it is sent."
 
-  alias Aerie.Vehicle.Command.Types
+  alias Aerie.Vehicle.Command
   alias Aerie.Control.Commands
   alias Aerie.Console.Commands.Form
   alias Aerie.Console.Vehicle.View
@@ -11,14 +11,14 @@ defmodule Aerie.Console.Vehicle.Control.CommandCheck do
   @spec of(map()) ::
           :allow | {:deny, atom(), String.t()} | {:error, [Exception.t(), ...]} | nil
   def of(%{section: "commands", command: name, view: %View{}} = assigns) when is_binary(name) do
-    case Form.read(Types.fetch!(name), assigns.form) do
+    case Form.read(Command.type(name), assigns.form) do
       {:ok, params} -> check(assigns, name, params)
       {:error, _incomplete} -> nil
     end
   end
 
   def of(%{target: %{} = target} = assigns) do
-    case Form.read(Types.fetch!("goto"), Target.fields(target)) do
+    case Form.read(Command.type("goto"), Target.fields(target)) do
       {:ok, params} ->
         check(assigns, "goto", params)
 

@@ -1,5 +1,5 @@
 defmodule Aerie.Console.Vehicle.Control.ControlBanner do
-  @moduledoc "Shows who is in charge of a vehicle (`Aerie.Control.Policy.ControlLease`), with forms to take, take over, hand over and release it."
+  @moduledoc "Shows who is in charge of a vehicle (`Aerie.Control.Policy.control_lease/2`), with forms to take, take over, hand over and release it."
   use Aerie.Console, :component
 
   alias Aerie.Console.Clock
@@ -46,7 +46,7 @@ defmodule Aerie.Console.Vehicle.Control.ControlBanner do
   end
 
   @doc "Whether a press was made while this one was in charge. Other commands do not depend on it."
-  @spec meant?(event :: map(), Aerie.Control.Policy.ControlLease.t() | nil) :: boolean()
+  @spec meant?(event :: map(), map() | nil) :: boolean()
   def meant?(%{"type" => type} = event, lease)
       when type in ~w(take_control hand_over_control release_control),
       do: event["holder"] == holder(lease)

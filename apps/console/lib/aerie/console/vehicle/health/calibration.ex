@@ -1,7 +1,7 @@
 defmodule Aerie.Console.Vehicle.Health.Calibration do
   @moduledoc "The sensors that a firmware calibrates, and the positions, from the table of commands."
 
-  alias Aerie.Vehicle.Command.Types
+  alias Aerie.Vehicle.Command
   alias Aerie.Console.Vehicle.Control.Actions
 
   @commands ~w(calibrate calibrate_position calibrate_accept calibrate_cancel)
@@ -24,5 +24,5 @@ defmodule Aerie.Console.Vehicle.Health.Calibration do
   @spec command?(String.t()) :: boolean()
   def command?(name), do: name in @commands
 
-  defp values(type, name), do: Enum.find(Types.fetch!(type).params, &(&1.name == name)).values
+  defp values(type, name), do: Enum.find(Command.type(type).params, &(&1.name == name)).values
 end

@@ -3,7 +3,7 @@ defmodule Aerie.Console.Vehicle.Health.Obstacles do
   What a vehicle's state says against a command that the policy allows: the policy does not know whether the vehicle can do it. Pure.
   """
 
-  alias Aerie.Vehicle.Command.Types
+  alias Aerie.Vehicle.Command
   alias Aerie.Vehicle.{Firmware, Snapshot}
   alias Aerie.Console.UI.Age
   alias Aerie.Console.Vehicle.View
@@ -28,7 +28,7 @@ defmodule Aerie.Console.Vehicle.Health.Obstacles do
       own(type, state, view, arming)
   end
 
-  defp moves?(type), do: match?({:ok, %{moves_vehicle?: true}}, Types.fetch(type))
+  defp moves?(type), do: match?(%{moves_vehicle?: true}, Command.type(type))
 
   defp reception(%{status: :lost}, view),
     do: ["The vehicle is lost: not heard for #{Age.text(view.silent_us)}."]

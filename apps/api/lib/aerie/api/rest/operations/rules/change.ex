@@ -3,7 +3,6 @@ defmodule Aerie.Api.Rest.Operations.Rules.Change do
   use Aerie.Control.Operations.Operation
 
   alias Aerie.Api.Rest.Operations.Rules
-  alias MavRouter.Endpoints.RuleChanges
   alias MavRouter.Router
 
   @impl true
@@ -14,7 +13,7 @@ defmodule Aerie.Api.Rest.Operations.Rules.Change do
       name: "rules.change",
       meaning: summary,
       transfer?: false,
-      request: RuleChanges.schema(),
+      request: Router.rules_schema(),
       answer: Rules.List.operation().answer,
       answer_as: "rules",
       routes: [patch("/api/rules/:id", summary, change: :change_rules)]
@@ -24,10 +23,6 @@ defmodule Aerie.Api.Rest.Operations.Rules.Change do
   @impl true
   def run(%{object: object}, %{gateway: gateway} = context) do
     {id, object} = Map.pop(object, "id")
-
-    case RuleChanges.parse(object) do
-      {:ok, changes} -> with :ok <- Router.configure(gateway, id, changes), do: Rules.List.run(%{}, context)
-      {:error, words} -> {:error, {:invalid, words}}
-    end
+    with :ok <- Router.change_rules(gateway, id, object), do: Rules.List.run(%{}, context)
   end
 end

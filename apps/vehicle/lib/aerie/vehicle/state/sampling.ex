@@ -20,7 +20,7 @@ defmodule Aerie.Vehicle.State.Sampling do
   in `Aerie.Vehicle.State.Sampling.Settings`, which also has the defaults.
   """
 
-  alias Aerie.Vehicle.State.Sampling.{Aggregate, Change, Settings, Threshold, Time}
+  alias Aerie.Vehicle.State.Sampling.{Aggregate, Gate, Settings, Time}
   alias Aerie.Vehicle.State
 
   @type data :: map()
@@ -33,7 +33,7 @@ defmodule Aerie.Vehicle.State.Sampling do
   @doc "The publications due at `now` without a new value."
   @callback expire(term(), integer()) :: {term(), [sample()]}
 
-  @strategies %{time: Time, change: Change, threshold: Threshold, aggregate: Aggregate}
+  @strategies %{time: Time, change: Gate, threshold: Gate, aggregate: Aggregate}
 
   @type t :: %{State.group() => {module(), term()}}
 
@@ -66,11 +66,5 @@ defmodule Aerie.Vehicle.State.Sampling do
           {%{samplers | group => {module, sampler}}, Enum.map(samples, &{group, &1}) ++ due}
       end
     end)
-  end
-
-  @doc "The refresh time of a group's settings (us), nil for never."
-  @spec refresh_us(map()) :: pos_integer() | nil
-  def refresh_us(settings) do
-    if settings.refresh_s > 0, do: round(settings.refresh_s * 1_000_000)
   end
 end

@@ -187,8 +187,8 @@ defmodule Aerie.Vehicle.State.SamplingTest do
     samplers = Sampling.new(%{position: %{hz: 5.0}})
     assert Enum.sort(Map.keys(samplers)) == Enum.sort(Keyword.keys(Aerie.Vehicle.State.Groups.keys()))
     assert {Sampling.Time, %{period_us: 200_000}} = samplers.position
-    assert {Sampling.Change, _} = samplers.mode
-    assert {Sampling.Threshold, {[remaining: _], _}} = samplers.battery
+    assert {Sampling.Gate, %{limits: nil}} = samplers.mode
+    assert {Sampling.Gate, %{limits: [remaining: _]}} = samplers.battery
   end
 
   describe "properties" do

@@ -1,31 +1,43 @@
 defmodule Aerie.Vehicle.State.Sampling.Gate do
   @moduledoc """
-  Passes values that matter, at most once per period, and one that does not when the last one was too long ago.
+  Publishes a value that matters, at most once per period. If the period is not over yet, the value is held until then,
+  and dropped if a later one does not matter any more. One that does not matter is published when the last one was too
+  long ago.
+
+  Without a `threshold` every value that differs from the last one matters. With it, one in which a number named there
+  has changed by at least that amount, or has become known or unknown. A name that the group does not have is ignored.
   """
+  @behaviour Aerie.Vehicle.State.Sampling
 
-  defstruct [:period_us, :refresh_us, :last, :last_at, :held]
+  alias Aerie.Vehicle.State
+  alias Aerie.Vehicle.State.Sampling
 
-  @type t :: %__MODULE__{
-          period_us: pos_integer(),
-          refresh_us: pos_integer() | nil,
-          last: map() | nil,
-          last_at: integer() | nil,
-          held: {integer(), map()} | nil
-        }
+  # 0.58 - 0.57 is a little less than 0.01 in floating point.
+  @rounding 1.0e-9
 
-  @spec new(pos_integer(), pos_integer() | nil) :: t()
-  def new(period_us, refresh_us), do: %__MODULE__{period_us: period_us, refresh_us: refresh_us}
+  @enforce_keys [:period_us, :refresh_us, :limits]
+  defstruct [:period_us, :refresh_us, :limits, :last, :last_at, :held]
 
-  @doc "A value; `matters?.(last, value)` says whether it is to be passed."
-  @spec push(t(), integer(), map(), (map(), map() -> boolean())) :: {t(), [{integer(), map()}]}
-  def push(%{last: nil} = gate, at, data, _matters?), do: give(gate, at, at, data)
+  @impl Sampling
+  def new(group, settings, period_us) do
+    refresh_us = if settings.refresh_s > 0, do: round(settings.refresh_s * 1_000_000)
+    %__MODULE__{period_us: period_us, refresh_us: refresh_us, limits: limits(group, settings)}
+  end
 
-  def push(gate, at, data, matters?) do
-    early = at - gate.last_at < gate.period_us
+  defp limits(_group, %{strategy: :change}), do: nil
+
+  defp limits(group, %{strategy: :threshold, threshold: named}),
+    do: for(key <- State.keys(group), amount = named[Atom.to_string(key)], do: {key, amount - @rounding})
+
+  @impl Sampling
+  def push(%{last: nil} = gate, at, data), do: give(gate, at, at, data)
+
+  def push(gate, at, data) do
+    early? = at - gate.last_at < gate.period_us
 
     cond do
-      matters?.(gate.last, data) ->
-        if early, do: {%{gate | held: {at, data}}, []}, else: give(gate, at, at, data)
+      matters?(gate.limits, gate.last, data) ->
+        if early?, do: {%{gate | held: {at, data}}, []}, else: give(gate, at, at, data)
 
       gate.refresh_us != nil and at - gate.last_at >= gate.refresh_us ->
         give(gate, at, at, data)
@@ -35,13 +47,22 @@ defmodule Aerie.Vehicle.State.Sampling.Gate do
     end
   end
 
-  @spec expire(t(), integer()) :: {t(), [{integer(), map()}]}
-  def expire(%{held: nil} = gate, _now), do: {gate, []}
-
+  @impl Sampling
   def expire(%{held: {at, data}} = gate, now) when now - gate.last_at >= gate.period_us,
     do: give(gate, now, at, data)
 
   def expire(gate, _now), do: {gate, []}
 
   defp give(gate, now, at, data), do: {%{gate | last: data, last_at: now, held: nil}, [{at, data}]}
+
+  defp matters?(nil, last, now), do: last != now
+  defp matters?(limits, last, now), do: Enum.any?(limits, &moved?(&1, last, now))
+
+  defp moved?({key, amount}, last, now) do
+    case {Map.get(last, key), Map.get(now, key)} do
+      {same, same} -> false
+      {a, b} when is_number(a) and is_number(b) -> abs(a - b) >= amount
+      _known_or_not -> true
+    end
+  end
 end

@@ -10,7 +10,7 @@ defmodule Aerie.Vehicle.Events do
 
   alias Aerie.Base.{Names, Store}
   alias Aerie.Vehicle
-  alias Aerie.Vehicle.Events.Journal
+  alias Aerie.Vehicle.Events.{Detector, Journal}
   alias MavRouter.Identity
 
   @spec start_link(gateway: Names.gateway(), options: Vehicle.Options.t()) :: GenServer.on_start()
@@ -39,7 +39,7 @@ defmodule Aerie.Vehicle.Events do
   # The detector of a new gateway: it compares the state with what was published before the restart.
   defp first(gateway, options) do
     published = if options.publisher, do: options.publisher.remembered(gateway, options.id)
-    options |> Vehicle.Events.Detector.new() |> Vehicle.Events.Detector.remember(published)
+    options |> Detector.new() |> Detector.remember(published)
   end
 
   @impl GenServer
@@ -66,7 +66,7 @@ defmodule Aerie.Vehicle.Events do
   defp step(state, {n, observation}, detector) do
     before = detector.budget.suppressed
     known = &Journal.param(state.gateway, state.id, &1)
-    {detector, events, params} = Vehicle.Events.Detector.observe(detector, observation, known)
+    {detector, events, params} = Detector.observe(detector, observation, known)
     detector = %{detector | done: n}
     Journal.commit(state.gateway, state.id, detector, events, params)
 

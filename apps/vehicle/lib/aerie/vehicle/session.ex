@@ -17,11 +17,11 @@ defmodule Aerie.Vehicle.Session do
   alias Aerie.Base.Timing.HostClock
   alias Aerie.Vehicle
   alias Aerie.Vehicle.Events.Journal
+  alias Aerie.Vehicle.Services.Links.HighLatency
   alias Aerie.Vehicle.Services.StreamDemand
-  alias MavRouter.Identity
-  alias Aerie.Vehicle.Session.ArmAuthorization
+  alias Aerie.Vehicle.Session.{ArmAuthorization, Capacity, Clock, Core, Output}
   alias MavRouter.Forward.GroundStations
-  alias Aerie.Vehicle.Session.Clock
+  alias MavRouter.Identity
 
   @tick_ms 100
   @grid_ms 10
@@ -41,7 +41,7 @@ defmodule Aerie.Vehicle.Session do
     snapshot = Store.vehicle(gateway, options.key)
     schedule_tick()
 
-    {core, []} = options |> Vehicle.Session.Core.new(snapshot) |> count_vehicles(gateway)
+    {core, []} = options |> Core.new(snapshot) |> count_vehicles(gateway)
     {link, speed} = recording(gateway, snapshot)
 
     state = %{
@@ -53,7 +53,7 @@ defmodule Aerie.Vehicle.Session do
       host: HostClock.offset(),
       live?: snapshot != nil and Enum.any?(snapshot.links, &(link_speed(gateway, &1) == :live)),
       speeds: %{},
-      output: Vehicle.Session.Output.new(gateway, options),
+      output: Output.new(gateway, options),
       events: nil,
       alone: nil,
       listeners: %{},
@@ -122,8 +122,8 @@ defmodule Aerie.Vehicle.Session do
 
   def handle_info({:high_latency, on?}, state) do
     target = {state.options.system_id, state.core.component || 1}
-    message = Vehicle.Services.Links.HighLatency.control(target, on?)
-    {:noreply, %{state | output: Vehicle.Session.Output.send(state.output, message, state.core.version)}}
+    message = HighLatency.control(target, on?)
+    {:noreply, %{state | output: Output.send(state.output, message, state.core.version)}}
   end
 
   # The executor or the transfers want frames with these ids, texts, reports and reboots, and with `:snapshots` among
@@ -150,7 +150,7 @@ defmodule Aerie.Vehicle.Session do
 
   def handle_info({:transmit, messages}, state) do
     version = state.core.version
-    output = Enum.reduce(messages, state.output, &Vehicle.Session.Output.send(&2, &1, version))
+    output = Enum.reduce(messages, state.output, &Output.send(&2, &1, version))
     {:noreply, %{state | output: output}}
   end
 
@@ -182,7 +182,7 @@ defmodule Aerie.Vehicle.Session do
 
   # At once when it changes, and once a second for a router that was restarted.
   defp obeyed(%{core: core, obeyed: told, ticks: ticks} = state) do
-    case Vehicle.Session.Core.obeyed(core) do
+    case Core.obeyed(core) do
       ^told when rem(ticks, @look_around_ticks) != 0 ->
         state
 
@@ -198,18 +198,18 @@ defmodule Aerie.Vehicle.Session do
 
   defp look_around(state, _now) do
     stations = GroundStations.list(state.gateway, state.options.network)
-    {core, []} = Vehicle.Session.Core.handle(state.core, {:stations, stations})
+    {core, []} = Core.handle(state.core, {:stations, stations})
     {core, []} = count_vehicles(core, state.gateway)
     state = %{state | ticks: state.ticks + 1, core: core}
     if StreamDemand.sweep(state.gateway, state.options.key), do: demand(state, nil), else: state
   end
 
   defp count_vehicles(core, gateway),
-    do: Vehicle.Session.Core.handle(core, {:vehicles, Store.vehicle_count(gateway)})
+    do: Core.handle(core, {:vehicles, Store.vehicle_count(gateway)})
 
   defp demand(state, forwarded) do
     merged = StreamDemand.merged(state.gateway, state.options.key)
-    {core, []} = Vehicle.Session.Core.handle(state.core, {:demand, merged, forwarded})
+    {core, []} = Core.handle(state.core, {:demand, merged, forwarded})
     %{state | core: core}
   end
 
@@ -265,11 +265,11 @@ defmodule Aerie.Vehicle.Session do
 
   defp configured(state, link) do
     configured = %{
-      high_latency: Vehicle.Services.Links.HighLatency.link?(state.gateway, link),
+      high_latency: HighLatency.link?(state.gateway, link),
       msp: match?(%{spec: %{kind: :msp}}, Store.link(state.gateway, link))
     }
 
-    {core, []} = Vehicle.Session.Core.handle(state.core, {:link, link, configured})
+    {core, []} = Core.handle(state.core, {:link, link, configured})
     %{state | core: core}
   end
 
@@ -285,7 +285,7 @@ defmodule Aerie.Vehicle.Session do
   defp shift(state, _step), do: state
 
   defp step(state, event) do
-    {core, actions} = Vehicle.Session.Core.handle(state.core, event)
+    {core, actions} = Core.handle(state.core, event)
     state = Enum.reduce(actions, %{state | core: core}, &act/2)
     state |> wake(actions) |> alone()
   end
@@ -293,7 +293,7 @@ defmodule Aerie.Vehicle.Session do
   defp alone(%{alone: nil} = state), do: state
 
   defp alone(state) do
-    if Vehicle.Session.Core.Services.requests_held?(state.core) do
+    if Core.Services.requests_held?(state.core) do
       send(state.alone, :alone)
       %{state | alone: nil}
     else
@@ -340,16 +340,16 @@ defmodule Aerie.Vehicle.Session do
   end
 
   defp act({:publish, group, sample, at}, state) do
-    Vehicle.Session.Output.publish(state.output, group, sample, at)
+    Output.publish(state.output, group, sample, at)
     state
   end
 
   defp act({:send, message, version}, state) do
-    %{state | output: Vehicle.Session.Output.send(state.output, message, version, link(state.core))}
+    %{state | output: Output.send(state.output, message, version, link(state.core))}
   end
 
   defp act({:send, message, version, link}, state) do
-    %{state | output: Vehicle.Session.Output.send(state.output, message, version, link)}
+    %{state | output: Output.send(state.output, message, version, link)}
   end
 
   defp act({:authorise_arming, {system, component}}, state) do
@@ -370,12 +370,12 @@ defmodule Aerie.Vehicle.Session do
   end
 
   defp act(:withhold, state) do
-    Vehicle.Session.Output.withhold(state.output)
+    Output.withhold(state.output)
     state
   end
 
   defp act({:heartbeat, version}, state) do
-    %{state | output: Vehicle.Session.Output.heartbeat(state.output, version, link(state.core))}
+    %{state | output: Output.heartbeat(state.output, version, link(state.core))}
   end
 
   defp act({:other_vehicle, paths}, state) do
@@ -391,7 +391,7 @@ defmodule Aerie.Vehicle.Session do
   defp act({:status, old, new}, state) do
     metadata = %{gateway: state.gateway, vehicle: state.options.id, old: old, new: new}
     :telemetry.execute([:aerie, :vehicle, :status], %{count: 1}, metadata)
-    Vehicle.Session.Capacity.note(state.gateway, state.options.key, new)
+    Capacity.note(state.gateway, state.options.key, new)
     state
   end
 
@@ -410,7 +410,7 @@ defmodule Aerie.Vehicle.Session do
   end
 
   defp link(core) do
-    case Vehicle.Session.Core.Services.link(core) do
+    case Core.Services.link(core) do
       {:link, link} -> link
       _any_or_none -> nil
     end

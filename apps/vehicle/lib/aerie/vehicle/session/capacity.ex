@@ -14,7 +14,7 @@ defmodule Aerie.Vehicle.Session.Capacity do
 
   alias Aerie.Base.{Names, Store}
   alias Aerie.Vehicle
-  alias Aerie.Vehicle.Events.Journal
+  alias Aerie.Vehicle.Events.{Detector, Journal}
   alias Aerie.Vehicle.Events.Detector.Observation
 
   require Logger
@@ -75,11 +75,11 @@ defmodule Aerie.Vehicle.Session.Capacity do
   def report(gateway, {network, system} = key, by, lost_ms) do
     settings = Vehicle.Settings.of(gateway)
     options = Vehicle.Options.new(settings, key)
-    detector = Journal.state(gateway, options.id) || Vehicle.Events.Detector.new(options)
+    detector = Journal.state(gateway, options.id) || Detector.new(options)
     data = %{"by" => Vehicle.Options.id(settings, by), "lost_s" => Float.round(lost_ms / 1000, 1)}
     external = %{type: "displaced", data: data}
     observation = Observation.new(:external, System.os_time(:microsecond), nil, external)
-    {detector, [event], _params} = Vehicle.Events.Detector.observe(detector, observation)
+    {detector, [event], _params} = Detector.observe(detector, observation)
     Journal.commit(gateway, options.id, detector, [event])
     Vehicle.Events.committed(gateway, options.id, event)
     Store.count(gateway, {:vehicles, :displaced})

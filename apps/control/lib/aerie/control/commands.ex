@@ -14,7 +14,7 @@ defmodule Aerie.Control.Commands do
   alias Aerie.Control.{CommandExecutor, Ledger, Policy, TransferExecutor}
   alias Aerie.Control.CommandExecutor.Offers
   alias Aerie.Vehicle.Command
-  alias Aerie.Vehicle.Command.{Error, Result}
+  alias Aerie.Vehicle.Command.{Error, Refusal, Result}
 
   alias Aerie.Control.Commands.{
     Change,
@@ -90,7 +90,7 @@ defmodule Aerie.Control.Commands do
   end
 
   defp take(given, {:error, errors}, gateway, source, options) do
-    Record.turned_away(gateway, given, source, via(options), :malformed, Enum.join(errors, "; "))
+    Record.turned_away(gateway, given, source, via(options), {:deny, :malformed, Enum.join(errors, "; ")})
     {:error, errors}
   end
 
@@ -159,7 +159,7 @@ defmodule Aerie.Control.Commands do
     {source, fields} = Keyword.pop(fields, :as, @inside)
 
     with {:ok, command} <- Command.new(fields),
-         {:policy, %Policy{} = policy} <- {:policy, Policy.Store.get(gateway)},
+         {:policy, %Policy{} = policy} <- {:policy, Policy.in_force(gateway)},
          %{} = snapshot <- Gateways.vehicle(gateway, command.vehicle),
          context = Context.of(gateway, snapshot, source, System.os_time(:microsecond)),
          :allow <- Policy.decide(policy, command, context),
@@ -167,10 +167,11 @@ defmodule Aerie.Control.Commands do
          :ok <- setpoints(gateway, command, snapshot) do
       :allow
     else
-      nil -> {:deny, :vehicle, "there is no vehicle #{fields[:vehicle]}"}
-      {:policy, nil} -> {:deny, :policy, "the gateway has no policy, so nobody may command anything"}
+      nil -> Refusal.deny(:no_vehicle, id: fields[:vehicle])
+      {:policy, nil} -> Refusal.deny(:no_policy)
       {:gap, reason} -> {:deny, :firmware, reason}
       {:error, reason} when is_binary(reason) -> {:deny, :firmware, reason}
+      {:deny, :setpoints, reason} -> {:deny, :firmware, reason}
       denied_or_malformed -> denied_or_malformed
     end
   end
@@ -219,7 +220,7 @@ defmodule Aerie.Control.Commands do
       do: :ok,
       else:
         {:error, :role,
-         "cancelling #{job.type} needs the permission #{permission}, which #{source.name} does not have"}
+         Refusal.text(:cancel_needs, command: job.type, permission: permission, source: source.name)}
   end
 
   @doc "The state of a command: under way with its last progress, its result, or unknown."
@@ -254,8 +255,8 @@ defmodule Aerie.Control.Commands do
   defdelegate lacks(vehicle, type, source, params \\ %{}), to: Offers
 
   @doc "Records a command that was refused before it was known who sent it: `envelope` is as it came."
-  @spec turned_away(Names.gateway(), map(), Roles.source() | nil, String.t(), atom(), String.t()) :: :ok
-  defdelegate turned_away(gateway, envelope, who, via, rule, reason), to: Record
+  @spec turned_away(Names.gateway(), map(), Roles.source() | nil, String.t(), Refusal.denial()) :: :ok
+  defdelegate turned_away(gateway, envelope, who, via, denial), to: Record
 
   @doc "Whether the metrics of commands show a counter of the read model."
   @spec counter?(term()) :: boolean()

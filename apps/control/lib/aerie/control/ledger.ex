@@ -6,7 +6,7 @@ defmodule Aerie.Control.Ledger do
   |---|---|
   | a new id | `:new`: execute it |
   | the same command again | `:in_flight`, or `{:stored, result}` |
-  | another command with that id | `{:refused, reason}` |
+  | another command with that id | `{:deny, :id, reason}` |
   | a new id, for which there is no room | `{:error, reason}` |
   | after a kill: a command that was not sent | `:new` again, because nothing happened |
   | after a kill: a command that may have been sent | `{:stored, %Result{status: :unknown}}`, and it is never sent again |
@@ -31,7 +31,7 @@ defmodule Aerie.Control.Ledger do
   alias Aerie.Base.Files.{Damaged, Disk, FolderLock}
   alias Aerie.Base.Names
   alias Aerie.Vehicle.Command
-  alias Aerie.Vehicle.Command.Result
+  alias Aerie.Vehicle.Command.{Refusal, Result}
   alias Aerie.Control.Ledger.{Core, Journal}
 
   require Logger
@@ -60,12 +60,12 @@ defmodule Aerie.Control.Ledger do
 
   @doc "Admits a command. This and the steps below wait for `timeout` milliseconds at most."
   @spec admit(Names.gateway(), Command.t(), timeout :: pos_integer()) ::
-          :new | :in_flight | {:stored, Result.t()} | {:refused, String.t()} | {:error, String.t()}
+          :new | :in_flight | {:stored, Result.t()} | Refusal.denial() | {:error, String.t()}
   def admit(gateway, command, timeout \\ @call_ms), do: call(gateway, {:admit, command}, timeout)
 
   @doc "What `admit/3` would say of a command's id, without admitting it."
   @spec known(Names.gateway(), Command.t(), timeout :: pos_integer()) ::
-          :new | :in_flight | {:stored, Result.t()} | {:refused, String.t()} | {:error, String.t()}
+          :new | :in_flight | {:stored, Result.t()} | Refusal.denial() | {:error, String.t()}
   def known(gateway, command, timeout \\ @call_ms), do: call(gateway, {:known, command}, timeout)
 
   @doc "The state of an id, or nil."
@@ -74,12 +74,12 @@ defmodule Aerie.Control.Ledger do
 
   @doc "Records that the command is about to be sent. Send it as soon as this returns `:ok`."
   @spec sending(Names.gateway(), String.t(), :safe | :never, timeout :: pos_integer()) ::
-          :ok | {:refused, String.t()} | {:error, String.t()}
+          :ok | Refusal.denial() | {:error, String.t()}
   def sending(gateway, id, retry, timeout \\ @call_ms), do: call(gateway, {:sending, id, retry}, timeout)
 
   @doc "Records the result."
   @spec finish(Names.gateway(), Result.t(), timeout :: pos_integer()) ::
-          :ok | {:refused, String.t()} | {:error, String.t()}
+          :ok | Refusal.denial() | {:error, String.t()}
   def finish(gateway, result, timeout \\ @call_ms), do: call(gateway, {:finish, result}, timeout)
 
   @doc """

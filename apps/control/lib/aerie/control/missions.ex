@@ -63,7 +63,7 @@ defmodule Aerie.Control.Missions do
   number of the item there (nil: the part as a whole), and the reason.
   """
   @spec refused(Names.gateway(), Plan.t(), [kind()], map(), source :: map()) ::
-          {:ok, [{kind(), non_neg_integer() | nil, String.t()}]} | {:error, :no_policy}
+          {:ok, [{kind(), non_neg_integer() | nil, String.t()}]} | {:error, String.t()}
   defdelegate refused(gateway, plan, parts, snapshot, source), to: Known
 
   @doc "Reads a kind of plan from the vehicle."
@@ -305,16 +305,7 @@ defmodule Aerie.Control.Missions do
     read = fn -> read(gateway, snapshot.id, kind) end
 
     with :allow <- Known.review(policy, context, {gateway, snapshot}, items, @kinds[kind], read),
-         do: if(kind == :fence and not force, do: breach(plan, snapshot), else: :allow)
-  end
-
-  defp breach(plan, snapshot) do
-    findings = own_fence(plan, snapshot)
-
-    case Enum.find(findings, & &1.breach?) do
-      nil -> :allow
-      %{text: text} -> {:deny, :geofence, "#{text}; force sends it nevertheless"}
-    end
+         do: if(kind == :fence and not force, do: OwnFence.breach(own_fence(plan, snapshot)), else: :allow)
   end
 
   defp now, do: System.os_time(:microsecond)

@@ -64,18 +64,8 @@ defmodule Aerie.Control.Policy do
   @typedoc "What a client that sends raw MAVLink may do: one by its id, all others by nil."
   @type client :: %{id: String.t() | nil, role: Roles.role(), permissions: [Command.Type.permission()]}
 
-  @type rule ::
-          :unknown
-          | :number
-          | :role
-          | :lease
-          | :window
-          | :condition
-          | :battery
-          | :mode
-          | :altitude
-          | :geofence
-          | :disarmed
+  @typedoc "A rule of `Aerie.Vehicle.Command.Refusal`."
+  @type rule :: atom()
   @type decision :: :allow | {:deny, rule(), reason :: String.t()}
 
   @doc "The policy that a gateway asks; nil: it has none, so nobody may command anything."
@@ -90,14 +80,15 @@ defmodule Aerie.Control.Policy do
   @spec reload(Names.gateway(), by :: String.t()) :: :ok | {:error, [String.t(), ...]}
   defdelegate reload(gateway, by), to: Store
 
-  @doc "Who signed a message (`Aerie.Control.Policy.Roles.Signature`)."
-  @spec signer(Names.gateway(), header :: String.t(), subject :: String.t(), body :: binary()) ::
-          {:ok, Roles.source()} | {:error, String.t()}
-  def signer(gateway, header, subject, body) do
-    case in_force(gateway) do
-      nil -> {:error, "the gateway has no policy, so nobody may command anything"}
-      policy -> Sources.identify(policy, header, subject, body, System.os_time(:microsecond))
-    end
+  @doc """
+  Who signed a message (`Aerie.Control.Policy.Roles.Signature`). A command has an `id` that its sender chose, so that a
+  copy has the same one.
+  """
+  @spec signer(Names.gateway(), header :: String.t(), subject :: String.t(), body :: binary(), id :: term()) ::
+          {:ok, Roles.source()} | {:deny, rule(), String.t()}
+  def signer(gateway, header, subject, body, id \\ "") do
+    with :ok <- Sources.identified(id),
+         do: gateway |> in_force() |> Sources.identify(header, subject, body, System.os_time(:microsecond))
   end
 
   @doc "Who is in charge of a vehicle; nil for nobody."
@@ -107,14 +98,6 @@ defmodule Aerie.Control.Policy do
   @doc "Who is in charge of each vehicle that somebody has taken."
   @spec control_leases(Names.gateway()) :: %{Holders.vehicle() => ControlLease.t()}
   defdelegate control_leases(gateway), to: Holders, as: :all
-
-  @doc "A refusal with a page's own advice in place of the commands that take charge of a vehicle."
-  @spec reworded(String.t(), take_over :: String.t(), take_first :: String.t()) :: String.t()
-  def reworded(reason, take_over, take_first) do
-    reason
-    |> String.replace(ControlLease.take_over(), take_over)
-    |> String.replace(ControlLease.take_first(), take_first)
-  end
 
   @doc "The polygons of a policy's zones: of what kind and name, and their rings of `{latitude, longitude}`."
   @spec zones(t() | nil) :: [%{kind: atom(), name: String.t() | nil, rings: [[{float(), float()}]]}]

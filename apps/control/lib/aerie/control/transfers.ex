@@ -10,7 +10,7 @@ defmodule Aerie.Control.Transfers do
   alias Aerie.Base.{Names, Store}
   alias Aerie.Control.{Commands, TransferExecutor}
   alias Aerie.Vehicle.Command
-  alias Aerie.Vehicle.Command.{Error, Result}
+  alias Aerie.Vehicle.Command.{Error, Refusal, Result}
   alias Aerie.Control.Commands.{Change, Gateways}
   alias Aerie.Control.Policy.Roles
   alias Aerie.Control.TransferExecutor.Outcome
@@ -62,10 +62,10 @@ defmodule Aerie.Control.Transfers do
   def vehicle(gateway, id) do
     case Gateways.vehicle(gateway, id) do
       nil ->
-        {:error, Result.new(Command.id(), :rejected, "there is no vehicle #{id}", %{"rule" => "vehicle"})}
+        {:error, Refusal.result(Command.id(), Refusal.deny(:no_vehicle, id: id))}
 
       %{via: via} when via != nil ->
-        {:error, Result.new(Command.id(), :rejected, Gateways.only(via), %{"rule" => "elsewhere"})}
+        {:error, Refusal.result(Command.id(), Refusal.deny(:elsewhere, via: via))}
 
       snapshot ->
         {:ok, snapshot}
@@ -149,7 +149,7 @@ defmodule Aerie.Control.Transfers do
   @spec cancel(Names.gateway(), String.t(), id :: String.t()) :: :ok | {:error, String.t()}
   def cancel(gateway, vehicle, id) do
     case Store.vehicle(gateway, vehicle) do
-      nil -> {:error, "there is no vehicle #{vehicle}"}
+      nil -> {:error, Refusal.text(:no_vehicle, id: vehicle)}
       %{key: key} -> TransferExecutor.cancel(gateway, key, id)
     end
   end

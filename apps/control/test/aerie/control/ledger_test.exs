@@ -42,7 +42,7 @@ defmodule Aerie.Control.LedgerTest do
     assert {:stored, %Result{status: :accepted, reason: "ACCEPTED", details: %{"retries" => 0}}} =
              Ledger.admit(gateway, command("a"))
 
-    assert {:refused, _text} = Ledger.admit(gateway, command("a", "disarm"))
+    assert {:deny, :id, _text} = Ledger.admit(gateway, command("a", "disarm"))
     assert Bitwise.band(File.stat!(Path.join(dir, "ledger")).mode, 0o777) == 0o600
   end
 
@@ -80,7 +80,7 @@ defmodule Aerie.Control.LedgerTest do
     for n <- (done + 1)..sent//1 do
       assert {:stored, %Result{status: status, reason: reason}} = Ledger.admit(gateway, command("c#{n}"))
       assert status == :completed or reason =~ "is not sent again"
-      assert {:refused, _text} = Ledger.sending(gateway, "c#{n}", :never)
+      assert {:deny, :ledger, _text} = Ledger.sending(gateway, "c#{n}", :never)
     end
 
     # At most one was under way.
@@ -160,7 +160,7 @@ defmodule Aerie.Control.LedgerTest do
         {gateway, _pid} = start(dir)
         assert %{damaged: 1, entries: 3} = Ledger.status(gateway)
         assert {:stored, %Result{}} = Ledger.admit(gateway, command("b"))
-        assert {:refused, reason} = Ledger.admit(gateway, issued(command("d"), -1))
+        assert {:deny, :id, reason} = Ledger.admit(gateway, issued(command("d"), -1))
         assert reason =~ "may have been executed"
         stop_supervised!(gateway)
       end)
@@ -202,7 +202,7 @@ defmodule Aerie.Control.LedgerTest do
         capture_log(fn ->
           {gateway, _pid} = start(dir)
           # The resent envelope, and what a client sends next.
-          assert {:refused, reason} = Ledger.admit(gateway, before)
+          assert {:deny, :id, reason} = Ledger.admit(gateway, before)
           assert reason =~ "may have been executed"
           assert :new = Ledger.admit(gateway, issued(command("b#{n}"), 1))
           assert Ledger.problem(gateway) == nil
@@ -216,7 +216,7 @@ defmodule Aerie.Control.LedgerTest do
 
       # That holds after further restarts.
       {gateway, _pid} = start(dir)
-      assert {:refused, _reason} = Ledger.admit(gateway, before)
+      assert {:deny, :id, _reason} = Ledger.admit(gateway, before)
       stop_supervised!(gateway)
     end
   end
@@ -237,7 +237,7 @@ defmodule Aerie.Control.LedgerTest do
         end)
 
         assert {:error, "" <> _} = Ledger.sending(gateway, "a", :never)
-        assert {:refused, _text} = Ledger.sending(gateway, "a", :never)
+        assert {:deny, :ledger, _text} = Ledger.sending(gateway, "a", :never)
         assert {:error, _reason} = Ledger.admit(gateway, command("b"))
         assert %{failing: "" <> _} = Ledger.status(gateway)
         :sys.replace_state(pid, fn state -> %{state | journal: %{state.journal | file: file, path: path}} end)

@@ -26,7 +26,7 @@ defmodule Aerie.Fleet.Remote do
   alias Aerie.Fleet.{Bridge, Nats}
   alias Aerie.Vehicle.Command
   alias Aerie.Fleet.Bridge.Commands.Operation
-  alias Aerie.Vehicle.Command.Result
+  alias Aerie.Vehicle.Command.{Refusal, Result}
   alias Aerie.Control.Policy.Roles.Signature
   alias Aerie.Fleet.Shadow.Documents
   alias Aerie.Fleet.Shadow.Store.Buckets
@@ -128,8 +128,7 @@ defmodule Aerie.Fleet.Remote do
     text = body |> Map.merge(%{"id" => id, "source" => who}) |> Map.merge(limit) |> JSON.encode!()
 
     if byte_size(text) > Operation.max_bytes() do
-      {:error,
-       Result.new(id, :failed, "it is larger than what NATS carries: ask its gateway", %{"rule" => "size"})}
+      {:error, Result.new(id, :failed, Refusal.text(:request_large), %{"rule" => "size"})}
     else
       case ask(
              gateway,
@@ -264,10 +263,8 @@ defmodule Aerie.Fleet.Remote do
     end
   end
 
-  defp result({:unreachable, why}, id, _snapshot) do
-    why = "the vehicle cannot be reached, nothing was sent: #{why}"
-    Result.new(id, :failed, why, %{"rule" => "unreachable"})
-  end
+  defp result({:unreachable, why}, id, _snapshot),
+    do: Refusal.result(id, Refusal.deny(:unreachable, why: why))
 
   defp result({:unknown, why}, id, _snapshot), do: Result.new(id, :unknown, why)
 

@@ -10,7 +10,7 @@ defmodule Aerie.Vehicle.Command do
   """
 
   alias Aerie.Base.Json
-  alias Aerie.Vehicle.Command.{Deadline, Error, Type, Types}
+  alias Aerie.Vehicle.Command.{Deadline, Error, Refusal, Type, Types}
 
   @enforce_keys [:id, :vehicle, :type, :source, :issued_at, :deadline]
   defstruct [:id, :vehicle, :type, :source, :sender, :issued_at, :deadline, params: %{}]
@@ -105,6 +105,10 @@ defmodule Aerie.Vehicle.Command do
   @doc "Checks the parameters of a type before there is a command, for a form."
   @spec check(Type.t(), term()) :: {:ok, %{atom() => term()}} | {:error, [Error.t(), ...]}
   defdelegate check(type, params), to: Type
+
+  @doc "A refusal's text for the console's pages, which have a form in place of `take_control`."
+  @spec on_pages(String.t()) :: String.t()
+  defdelegate on_pages(text), to: Refusal.Policy
 
   @doc "The rows of all types, in an order for people."
   @spec types() :: [Type.t()]

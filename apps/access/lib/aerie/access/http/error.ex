@@ -9,7 +9,6 @@ defmodule Aerie.Access.HTTP.Error do
 
   alias Aerie.Vehicle.Command
   alias Aerie.Vehicle.Command.Result
-  alias Aerie.Control.Commands.Gateways
 
   @enforce_keys [:status, :code, :message]
   defstruct [:status, :code, :message, headers: %{}, details: %{}]
@@ -189,7 +188,10 @@ defmodule Aerie.Access.HTTP.Error do
   @doc "The answer for what only the gateway `via` has, which hears the vehicle."
   @spec misdirected(via :: String.t()) :: t()
   def misdirected(via),
-    do: %{new(:misdirected, Gateways.only(via)) | details: %{"rule" => "elsewhere", "gateway" => via}}
+    do: %{
+      new(:misdirected, Command.Refusal.text(:elsewhere, via: via))
+      | details: %{"rule" => "elsewhere", "gateway" => via}
+    }
 
   @doc "The answer for an invalid command, with all its errors."
   @spec malformed([Command.Error.t(), ...]) :: t()

@@ -58,8 +58,11 @@ defmodule Aerie.CLI.PolicyTrial.Principals do
   @spec named(String.t(), Policy.t(), [key()], at :: integer()) :: Roles.source() | nil
   def named(name, policy, keys, at) do
     case Sources.named(policy, name, at) do
-      {:ok, source} -> source
-      {:error, _unlisted_or_expired} -> key(Enum.find(keys, &(&1.name == name)), at) || own(name, policy)
+      {:ok, source} ->
+        source
+
+      {:deny, :signature, _unlisted_or_expired} ->
+        key(Enum.find(keys, &(&1.name == name)), at) || own(name, policy)
     end
   end
 

@@ -82,20 +82,16 @@ defmodule Aerie.Api.Rest.Commands do
     end
   end
 
-  # The signer of a command is its source, whichever key the request has. The sender chooses the id, so a copy has the same one.
+  # The signer of a command is its source, whichever key the request has.
   defp who(_gateway, _vehicle, _object, source, %{header: nil}), do: {:ok, source}
 
   defp who(gateway, vehicle, object, _source, %{header: header, body: body}) do
     subject = "fleet.#{Aerie.Fleet.Bridge.environment(gateway)}.#{vehicle}.cmd.#{object["type"]}"
     envelope = Map.put(object, "vehicle", vehicle)
 
-    with true <- is_binary(object["id"]) || {:error, "a signed command needs an id"},
-         {:ok, source} <- Policy.signer(gateway, header, subject, body) do
-      {:ok, source}
-    else
-      {:error, reason} ->
-        Commands.turned_away(gateway, envelope, nil, "rest", :signature, reason)
-        {:error, %{Error.new(:forbidden, reason) | details: %{"result" => "denied", "rule" => "signature"}}}
+    with {:deny, _signature_or_policy, reason} <- Policy.signer(gateway, header, subject, body, object["id"]) do
+      Commands.turned_away(gateway, envelope, nil, "rest", {:deny, :signature, reason})
+      {:error, %{Error.new(:forbidden, reason) | details: %{"result" => "denied", "rule" => "signature"}}}
     end
   end
 

@@ -4,7 +4,6 @@ defmodule Aerie.Console.Commands.Entry do
   alias Aerie.Vehicle.Command
   alias Aerie.Vehicle.Command.Result
   alias Aerie.Control.Commands
-  alias Aerie.Control.Policy
   alias Aerie.Console.Commands.{Catalog, Outcome, Wording}
 
   @typedoc """
@@ -91,8 +90,7 @@ defmodule Aerie.Console.Commands.Entry do
     {result.status, tone, label, reason(result) || meaning(result.status), nil}
   end
 
-  defp reason(%{reason: nil}), do: nil
-  defp reason(%{reason: reason}), do: advice(reason)
+  defp reason(%{reason: reason}), do: reason && Command.on_pages(reason)
 
   @doc "A result's tone and word."
   @spec result(Result.status()) :: {:good | :plain | :bad | :unsure, String.t()}
@@ -105,16 +103,6 @@ defmodule Aerie.Console.Commands.Entry do
   def badge(:plain), do: "plain"
   def badge(:bad), do: "bad"
   def badge(:unsure), do: "warn"
-
-  @doc "A refusal's reason with what to do on these pages, where the policy names a command."
-  @spec advice(String.t()) :: String.t()
-  def advice(reason),
-    do:
-      Policy.reworded(
-        reason,
-        "take over under “in charge”",
-        "needs somebody in charge: take charge first"
-      )
 
   # The meaning of an uncertain end is shown beside it.
   defp meaning(:accepted), do: "The vehicle accepted it. Its state does not show whether it acted."

@@ -87,7 +87,7 @@ defmodule Aerie.Console.Commands.Panel do
   defp verdict_text({:deny, :firmware, reason}), do: "The vehicle cannot do it: #{reason}"
 
   defp verdict_text({:deny, _rule, reason}),
-    do: "The policy refuses it: #{Aerie.Console.Commands.Entry.advice(reason)}"
+    do: "The policy refuses it: #{Aerie.Vehicle.Command.on_pages(reason)}"
 
   defp verdict_text({:error, errors}), do: "Not complete: #{Enum.join(errors, "; ")}"
 

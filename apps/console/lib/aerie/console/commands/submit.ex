@@ -13,7 +13,7 @@ defmodule Aerie.Console.Commands.Submit do
   alias Aerie.Base.Names
   alias Aerie.Control.Commands
   alias Aerie.Control.Policy.Roles
-  alias Aerie.Console.Commands.{Entry, Form}
+  alias Aerie.Console.Commands.Form
 
   @typedoc "What became of a command, with a text for a page."
   @type state :: :under_way | {:done, Result.status(), text :: String.t() | nil}
@@ -29,7 +29,7 @@ defmodule Aerie.Console.Commands.Submit do
       case Commands.submit(gateway, envelope, user, via: "console", wait_ms: 0) do
         {:pending, _id} -> :under_way
         {:ok, result} -> state(result)
-        {:error, errors} -> {:done, :rejected, Entry.advice(Enum.join(errors, "; "))}
+        {:error, errors} -> {:done, :rejected, Enum.join(errors, "; ")}
       end
     else
       nil -> {:done, :rejected, "this command does not exist"}
@@ -49,5 +49,5 @@ defmodule Aerie.Console.Commands.Submit do
 
   @doc "The state of a command that has its result."
   @spec state(Result.t()) :: state()
-  def state(%{status: status, reason: reason}), do: {:done, status, reason && Entry.advice(reason)}
+  def state(%{status: status, reason: reason}), do: {:done, status, reason && Command.on_pages(reason)}
 end

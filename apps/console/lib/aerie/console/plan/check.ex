@@ -83,7 +83,7 @@ defmodule Aerie.Console.Plan.Check do
   defp reviewed({:ok, denied}),
     do: for({part, index, reason} <- denied, do: %{bad(index, reason) | part: part})
 
-  defp reviewed({:error, :no_policy}), do: [bad(nil, "the gateway has no policy, so nobody may send a plan")]
+  defp reviewed({:error, reason}), do: [bad(nil, reason)]
 
   defp bad(index, text), do: %{kind: :bad, part: :mission, index: index, text: text}
   defp warn(index, text), do: %{bad(index, text) | kind: :warn}

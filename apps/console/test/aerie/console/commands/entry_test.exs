@@ -67,7 +67,7 @@ defmodule Aerie.Console.Commands.EntryTest do
   test "a refusal because another one is in charge names the form of these pages" do
     lease = %Aerie.Control.Policy.ControlLease{holder: "ann", via: "console", since: 1_795_000_000_000_000}
 
-    assert {:deny, reason} =
+    assert {:deny, :lease, reason} =
              Aerie.Control.Policy.Rules.Lease.check(
                %{lease: %{required: false}},
                %{control: nil, ends_flight?: false, permission: :fly},

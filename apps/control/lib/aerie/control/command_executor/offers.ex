@@ -31,7 +31,7 @@ defmodule Aerie.Control.CommandExecutor.Offers do
          nil <- Role.lacking(@unlimited, Intent.named(type), context) do
       nil
     else
-      {permission, reason} -> {:permission, permission, reason}
+      {permission, {:deny, :role, reason}} -> {:permission, permission, reason}
       reason -> {:firmware, reason}
     end
   end

@@ -95,9 +95,4 @@ defmodule Aerie.Control.Commands.Gateways do
   """
   @spec reached_by(Aerie.Vehicle.Snapshot.t(), gateway :: String.t()) :: Aerie.Vehicle.Snapshot.t()
   def reached_by(snapshot, name), do: %{snapshot | via: name, heard_here?: true}
-
-  @doc "Why a gateway does not do something to a vehicle that it reaches by another one."
-  @spec only(via :: String.t()) :: String.t()
-  def only(via),
-    do: "not available for a remote vehicle: it is heard by the gateway #{via}; ask that one (docs/fleet.md)"
 end

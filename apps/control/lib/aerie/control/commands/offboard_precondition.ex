@@ -8,14 +8,15 @@ defmodule Aerie.Control.Commands.OffboardPrecondition do
   """
 
   alias Aerie.Base.Names
+  alias Aerie.Vehicle.Command.Refusal
   alias Aerie.Vehicle.{Command, Firmware}
   alias Aerie.Control.Policy.Memory.RecentCommands
   alias Aerie.Control.CommandExecutor.Observed
 
   @wanted_ms 1_000
 
-  @doc "Whether a command may be sent to the vehicle of a snapshot as far as set-points are concerned; an error says what is missing."
-  @spec check(Names.gateway(), Command.t(), map()) :: :ok | {:error, String.t()}
+  @doc "Whether a command may be sent to the vehicle of a snapshot as far as set-points are concerned."
+  @spec check(Names.gateway(), Command.t(), map()) :: :ok | Refusal.denial()
   def check(_gateway, %{params: %{setpoints_elsewhere: true}}, _snapshot), do: :ok
 
   def check(gateway, command, snapshot) do
@@ -26,11 +27,6 @@ defmodule Aerie.Control.Commands.OffboardPrecondition do
 
   defp check_stream(ms) when is_integer(ms) and ms >= @wanted_ms, do: :ok
 
-  defp check_stream(ms) do
-    since = if ms, do: "they have come for #{ms} ms", else: "none come"
-
-    {:error,
-     "the mode needs set-points at 2 Hz or more for a second before, and #{since}: send setpoint_velocity or another one first, " <>
-       "or say setpoints_elsewhere if they do not come through this gateway"}
-  end
+  defp check_stream(nil), do: Refusal.deny(:setpoints, since: Refusal.text(:setpoints_none))
+  defp check_stream(ms), do: Refusal.deny(:setpoints, since: Refusal.text(:setpoints_since, ms: ms))
 end

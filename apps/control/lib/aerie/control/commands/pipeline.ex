@@ -143,8 +143,8 @@ defmodule Aerie.Control.Commands.Pipeline do
   defp perform({:announce, result}, core, %{gateway: gateway, gateways: gateways}),
     do: gateways.done(gateway, core.request.command.vehicle, result)
 
-  defp perform({:refuse, status, rule, reason, stored?}, %{request: request} = core, %{gateway: gateway}) do
-    result = Record.refused(gateway, request, status, rule, reason)
+  defp perform({:refuse, denial, stored?}, %{request: request} = core, %{gateway: gateway}) do
+    result = Record.refused(gateway, request, denial)
     _ = if stored?, do: Ledger.finish(gateway, result, core.patience)
     {:done, result}
   end

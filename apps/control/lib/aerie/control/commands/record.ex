@@ -15,7 +15,7 @@ defmodule Aerie.Control.Commands.Record do
 
   alias Aerie.Base.{Names, Store}
   alias Aerie.Vehicle.Command
-  alias Aerie.Vehicle.Command.{Result, Types}
+  alias Aerie.Vehicle.Command.{Refusal, Result, Types}
   alias Aerie.Control.Commands.Metrics
   alias Aerie.Control.Commands.Pipeline.Request
   alias Aerie.Control.Policy
@@ -62,37 +62,32 @@ defmodule Aerie.Control.Commands.Record do
   end
 
   @doc "A command is not carried out; gives its result."
-  @spec refused(Names.gateway(), Request.t(), Result.status(), rule :: atom(), String.t()) :: Result.t()
-  def refused(gateway, %{command: command} = request, status, rule, reason) do
+  @spec refused(Names.gateway(), Request.t(), Refusal.denial()) :: Result.t()
+  def refused(gateway, %{command: command} = request, {:deny, rule, reason} = denial) do
+    result = Refusal.result(command.id, denial)
     flood? = rule in @floods and not Audit.Refusals.nobody?(request.source)
 
     if not flood? or Store.claim(gateway, {__MODULE__, rule, request.source.name}, @quiet_ms) do
-      entry = decision(request, :deny, %{"rule" => rule, "reason" => reason, "result" => status})
+      entry = decision(request, :deny, %{"rule" => rule, "reason" => reason, "result" => result.status})
       Audit.refusal(gateway, request.source, rule, entry)
     end
 
     if rule in [:audit | Policy.rules()], do: decided(gateway, :deny, rule)
     count(gateway, command.vehicle, command.type, request.source.name, rule, reason)
-    Metrics.executed(gateway, command.type, status, nil)
-
-    Result.new(command.id, status, reason, %{
-      "vehicle" => command.vehicle,
-      "type" => command.type,
-      "rule" => Atom.to_string(rule)
-    })
+    Metrics.executed(gateway, command.type, result.status, nil)
+    %{result | details: Map.merge(result.details, %{"vehicle" => command.vehicle, "type" => command.type})}
   end
 
-  @doc "Records a malformed message or one from a sender without rights: `rule` is `:malformed`, `:signature` or `:size`."
+  @doc "Records a malformed message or one from a sender without rights: the rule is `malformed`, `signature` or `size`."
   @spec turned_away(
           Names.gateway(),
           map(),
           who :: Roles.source() | String.t() | nil,
           via :: String.t(),
-          rule :: atom(),
-          String.t()
+          Refusal.denial()
         ) ::
           :ok
-  def turned_away(gateway, envelope, who, via, rule, reason) do
+  def turned_away(gateway, envelope, who, via, {:deny, rule, reason}) do
     type = type(envelope["type"])
     received(gateway, type)
     vehicle = if Store.vehicle(gateway, to_string_or_none(envelope["vehicle"])), do: envelope["vehicle"]

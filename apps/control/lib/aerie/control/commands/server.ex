@@ -8,7 +8,7 @@ defmodule Aerie.Control.Commands.Server do
   use GenServer
 
   alias Aerie.Vehicle.Command
-  alias Aerie.Vehicle.Command.Result
+  alias Aerie.Vehicle.Command.{Refusal, Result}
   alias Aerie.Control.Commands.{Pipeline, Recent, Record, Settings}
   alias Aerie.Control.Commands.Pipeline.{Core, Request}
   alias Aerie.Base.Names
@@ -54,8 +54,7 @@ defmodule Aerie.Control.Commands.Server do
       {:pending, id}
 
     :exit, {:noproc, _call} ->
-      reason = "the gateway takes no commands just now; nothing was sent"
-      {:ok, Result.new(id, :denied, reason, %{"rule" => "unavailable"})}
+      {:ok, Refusal.result(id, Refusal.deny(:takes_none))}
 
     :exit, _gone ->
       {:ok, Result.new(id, :unknown, "the gateway's commands were restarted before its end was known")}
@@ -124,10 +123,10 @@ defmodule Aerie.Control.Commands.Server do
         {:noreply, join(state, job, request, from)}
 
       %{^id => _other} ->
-        refuse(request, :id, "the id #{id} belongs to another command", state)
+        refuse(request, Refusal.deny(:id_under_way, id: id), state)
 
       _new when state.draining != nil ->
-        refuse(request, :unavailable, "the gateway is stopping; nothing was sent", state)
+        refuse(request, Refusal.deny(:stopping), state)
 
       _new ->
         admit(request, digest, from, state)
@@ -214,12 +213,9 @@ defmodule Aerie.Control.Commands.Server do
       state = %{state | tasks: Map.put(state.tasks, task.ref, command.id)}
       {:noreply, join(state, job, request, from)}
     else
-      reason =
-        if map_size(state.jobs) < most,
-          do: "#{own} commands of #{request.source.name} are under way, as many as one may have; try again",
-          else: "#{map_size(state.jobs)} commands are under way, as many as there may be; try again"
-
-      refuse(request, :busy, reason, state)
+      if map_size(state.jobs) < most,
+        do: refuse(request, Refusal.deny(:busy_source, n: own, source: request.source.name), state),
+        else: refuse(request, Refusal.deny(:busy, n: map_size(state.jobs)), state)
     end
   end
 
@@ -235,12 +231,8 @@ defmodule Aerie.Control.Commands.Server do
     put_in(state.jobs[id], %{job | waiting: waiting})
   end
 
-  defp refuse(request, rule, reason, state) do
-    {:reply,
-     {:ok,
-      Record.refused(state.gateway, request, if(rule == :id, do: :rejected, else: :denied), rule, reason)},
-     state}
-  end
+  defp refuse(request, denial, state),
+    do: {:reply, {:ok, Record.refused(state.gateway, request, denial)}, state}
 
   defp ended(state, task, result) do
     {id, tasks} = Map.pop!(state.tasks, task)

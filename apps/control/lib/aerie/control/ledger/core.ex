@@ -11,7 +11,7 @@ defmodule Aerie.Control.Ledger.Core do
   """
 
   alias Aerie.Vehicle.Command
-  alias Aerie.Vehicle.Command.Result
+  alias Aerie.Vehicle.Command.{Refusal, Result}
 
   # Envelopes may be 10 minutes old, with 5 more until their deadline; the rest is a margin for clocks.
   @keep_us 20 * 60 * 1_000_000
@@ -52,10 +52,10 @@ defmodule Aerie.Control.Ledger.Core do
 
   @doc """
   Admits a command: `:new`, or what is known about its id. `:in_flight`: the same command is under way; `{:stored, result}`:
-  it has ended; `{:refused, reason}`: another command has the id; `{:error, reason}`: the ledger is full.
+  it has ended; `{:deny, :id, reason}`: another command has the id; `{:error, reason}`: the ledger is full.
   """
   @spec admit(t(), Command.t(), now :: integer()) ::
-          {:new | :in_flight | {:stored, Result.t()} | {:refused | :error, String.t()}, [line()], t()}
+          {:new | :in_flight | {:stored, Result.t()} | Refusal.denial() | {:error, String.t()}, [line()], t()}
   def admit(core, command, now) do
     core = forget(core, now)
     digest = Command.digest(command)
@@ -67,7 +67,7 @@ defmodule Aerie.Control.Ledger.Core do
   end
 
   @doc "What `admit/3` would say of a command's id, without admitting it."
-  @spec known(t(), Command.t()) :: :new | :in_flight | {:stored, Result.t()} | {:refused, String.t()}
+  @spec known(t(), Command.t()) :: :new | :in_flight | {:stored, Result.t()} | Refusal.denial()
   def known(core, command), do: known(core, command, Command.digest(command))
 
   defp known(core, %{id: id} = command, digest) do
@@ -79,12 +79,10 @@ defmodule Aerie.Control.Ledger.Core do
         :in_flight
 
       %{^id => _other} ->
-        {:refused, "the id #{id} was used for another command; every command needs an id of its own"}
+        Refusal.deny(:id_used, id: id)
 
       _unknown when core.blind != nil and command.issued_at <= core.blind ->
-        {:refused,
-         "the ledger was damaged after #{id} was issued, so the command may have been executed already; look at the vehicle, and give " <>
-           "a new command with a new id"}
+        Refusal.deny(:ledger_blind, id: id)
 
       _unknown ->
         :new
@@ -110,7 +108,7 @@ defmodule Aerie.Control.Ledger.Core do
   safe on disk before it is sent.
   """
   @spec sending(t(), String.t(), :safe | :never, now :: integer()) ::
-          {:ok | {:refused, String.t()}, [line()], t()}
+          {:ok | Refusal.denial(), [line()], t()}
   def sending(core, id, retry, now) do
     case core.entries do
       %{^id => %{state: :received} = entry} ->
@@ -120,28 +118,28 @@ defmodule Aerie.Control.Ledger.Core do
         {:ok, [], core}
 
       %{^id => %{state: :sent}} ->
-        {{:refused, "#{id} was sent already and must not be sent twice"}, [], core}
+        {Refusal.deny(:sent_already, id: id), [], core}
 
       %{^id => _done} ->
-        {{:refused, "#{id} has its result already"}, [], core}
+        {Refusal.deny(:ended_already, id: id), [], core}
 
       _unknown ->
-        {{:refused, "#{id} is not in the ledger"}, [], core}
+        {Refusal.deny(:not_in_ledger, id: id), [], core}
     end
   end
 
   @doc "Records a result. A result is final, except `unknown`, which a later observation of the vehicle may replace."
-  @spec finish(t(), Result.t(), now :: integer()) :: {:ok | {:refused, String.t()}, [line()], t()}
+  @spec finish(t(), Result.t(), now :: integer()) :: {:ok | Refusal.denial(), [line()], t()}
   def finish(core, %Result{id: id} = result, now) do
     case core.entries do
       %{^id => %{state: %Result{status: status}}} when status != :unknown ->
-        {{:refused, "#{id} has its result already"}, [], core}
+        {Refusal.deny(:ended_already, id: id), [], core}
 
       %{^id => entry} ->
         {:ok, [done(result, now)], ended(core, id, entry, result)}
 
       _unknown ->
-        {{:refused, "#{id} is not in the ledger"}, [], core}
+        {Refusal.deny(:not_in_ledger, id: id), [], core}
     end
   end
 

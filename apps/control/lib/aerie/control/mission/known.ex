@@ -12,7 +12,7 @@ defmodule Aerie.Control.Mission.Known do
   alias Aerie.Control.Policy.Mavlink.Writing.Aboard
   alias Protocols.Mission.{Item, Onboard, Plan}
   alias Aerie.Vehicle.Firmware
-  alias Aerie.Vehicle.Command.Result
+  alias Aerie.Vehicle.Command.{Refusal, Result}
 
   @fence 1
 
@@ -50,8 +50,7 @@ defmodule Aerie.Control.Mission.Known do
     else
       with :unknown <- Aboard.items(gateway, snapshot.key, @fence),
            {:error, _result} <- read.() do
-        {:deny, :role, nil,
-         "fence_upload needs the permission protection, because the fence aboard could not be read"}
+        {:deny, :role, nil, Refusal.text(:fence_unread)}
       else
         {:ok, %{items: old}} -> Writing.kept(items, old)
         {:ok, old} -> Writing.kept(items, old)
@@ -63,11 +62,11 @@ defmodule Aerie.Control.Mission.Known do
 
   @doc "The refusals of `Aerie.Control.Missions.refused/5`."
   @spec refused(Names.gateway(), Plan.t(), [Plan.kind()], map(), Roles.source()) ::
-          {:ok, [{Plan.kind(), non_neg_integer() | nil, String.t()}]} | {:error, :no_policy}
+          {:ok, [{Plan.kind(), non_neg_integer() | nil, String.t()}]} | {:error, String.t()}
   def refused(gateway, plan, parts, snapshot, source) do
     case Policy.in_force(gateway) do
       nil ->
-        {:error, :no_policy}
+        {:error, Refusal.text(:no_policy_for_plans)}
 
       policy ->
         protocol = Firmware.of(snapshot.autopilot)

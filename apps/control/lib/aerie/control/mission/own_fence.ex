@@ -11,6 +11,7 @@ defmodule Aerie.Control.Mission.OwnFence do
   alias Protocols.Mission.Plan
   alias Aerie.Control.Mission.OwnFence.Area
   alias Aerie.Control.Policy.Intent.Context
+  alias Aerie.Vehicle.Command.Refusal
   alias Aerie.Vehicle.Firmware
 
   # Corners times places that are judged: some tenths of a second.
@@ -55,6 +56,15 @@ defmodule Aerie.Control.Mission.OwnFence do
       flying?: context.in_air == true,
       fenced?: match?(%{health: %{data: %{fence_enabled: true}}}, snapshot.groups)
     }
+  end
+
+  @doc "Whether a fence may be sent: not one that the vehicle would breach at once."
+  @spec breach([finding()]) :: :allow | Refusal.denial()
+  def breach(findings) do
+    case Enum.find(findings, & &1.breach?) do
+      nil -> :allow
+      %{text: text} -> Refusal.deny(:breach, how: text)
+    end
   end
 
   @doc """

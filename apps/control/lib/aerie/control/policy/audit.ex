@@ -18,6 +18,7 @@ defmodule Aerie.Control.Policy.Audit do
   alias Aerie.Base.Files.{Damaged, Disk, FolderLock}
   alias Aerie.Control.Policy.Audit.{Log, Reader, Refusals, Verify}
   alias Aerie.Control.Policy.{Intent, Roles}
+  alias Aerie.Vehicle.Command.Refusal
 
   require Logger
 
@@ -104,12 +105,9 @@ defmodule Aerie.Control.Policy.Audit do
 
   @doc "Whether a command may go on, given the result of recording its decision."
   @spec verdict({:ok, pos_integer()} | {:error, String.t()}, Intent.t(), required? :: boolean()) ::
-          :allow | {:deny, :audit, String.t()}
-  def verdict({:error, reason}, %{ends_flight?: false} = facts, true) do
-    {:deny, :audit,
-     "#{Intent.label(facts)} must be recorded, and the audit log cannot be written (#{reason}). Make room or mend the folder; " <>
-       "policy.audit.required: false lets commands pass unrecorded"}
-  end
+          :allow | Refusal.denial()
+  def verdict({:error, error}, %{ends_flight?: false} = facts, true),
+    do: Refusal.deny(:unaudited, command: Intent.label(facts), error: error)
 
   def verdict(_recorded, _facts, _required?), do: :allow
 

@@ -12,6 +12,7 @@ defmodule Aerie.Control.Policy.ControlLease do
   """
 
   alias Aerie.Control.Policy.Roles
+  alias Aerie.Vehicle.Command.Refusal
 
   @enforce_keys [:holder, :via, :since]
   defstruct [:holder, :via, :since, :reason, :offered_to, :before, :endpoint]
@@ -53,7 +54,7 @@ defmodule Aerie.Control.Policy.ControlLease do
 
   @doc "The lease after a change, nil for nobody in charge, or why the source may not change it."
   @spec change(t() | nil, change(), Roles.source(), via :: String.t(), rules(), now :: integer()) ::
-          {:ok, t() | nil} | {:deny, String.t()}
+          {:ok, t() | nil} | Refusal.denial()
   def change(lease, change, source, via, rules, now) do
     changed(lease, change, %{name: who(source), source: source, via: via, now: now}, rules)
   end
@@ -71,24 +72,26 @@ defmodule Aerie.Control.Policy.ControlLease do
         {:ok, taken}
 
       rules.take_over == :admin and who.source.role != :admin ->
-        {:deny, "#{in_charge(lease)}; only an admin may take over (policy.lease.take_over)"}
+        Refusal.deny(:take_over_admin, holder: lease.holder, since: since(lease))
 
       reason == nil ->
-        {:deny, "#{in_charge(lease)}; taking over needs a reason"}
+        Refusal.deny(:take_over_reason, holder: lease.holder, since: since(lease))
 
       true ->
         {:ok, %{taken | reason: reason}}
     end
   end
 
-  defp changed(nil, _offer_or_release, _who, _rules), do: {:deny, "nobody is in charge"}
+  defp changed(nil, _offer_or_release, _who, _rules), do: Refusal.deny(:nobody_in_charge)
 
   defp changed(%{holder: name} = lease, {:offer, to}, %{name: name}, _rules),
     do: {:ok, %{lease | offered_to: to}}
 
   defp changed(%{holder: name}, :release, %{name: name}, _rules), do: {:ok, nil}
   defp changed(_lease, :release, %{source: %{role: :admin}}, _rules), do: {:ok, nil}
-  defp changed(lease, _offer_or_release, _who, _rules), do: {:deny, in_charge(lease)}
+
+  defp changed(lease, _offer_or_release, _who, _rules),
+    do: Refusal.deny(:in_charge, holder: lease.holder, since: since(lease))
 
   defp taken(who, offer) do
     %__MODULE__{
@@ -100,18 +103,7 @@ defmodule Aerie.Control.Policy.ControlLease do
     }
   end
 
-  @doc "The lease as a sentence."
-  @spec in_charge(t()) :: String.t()
-  def in_charge(lease) do
-    time = lease.since |> DateTime.from_unix!(:microsecond) |> Calendar.strftime("%H:%M:%S")
-    "#{lease.holder} is in charge of the vehicle (since #{time} UTC)"
-  end
-
-  @doc "Advice after a refusal. The console has a text of its own."
-  @spec take_over() :: String.t()
-  def take_over, do: "take_control takes over"
-
-  @doc "The same where nobody is in charge."
-  @spec take_first() :: String.t()
-  def take_first, do: "needs take_control first"
+  @doc "Since what time of the day, UTC."
+  @spec since(t()) :: String.t()
+  def since(lease), do: lease.since |> DateTime.from_unix!(:microsecond) |> Calendar.strftime("%H:%M:%S")
 end

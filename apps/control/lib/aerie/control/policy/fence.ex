@@ -9,6 +9,7 @@ defmodule Aerie.Control.Policy.Fence do
 
   alias Aerie.Base.Geo.Earth
   alias Aerie.Control.Policy.Fence.{GeoJson, Zone}
+  alias Aerie.Vehicle.Command.Refusal
 
   @enforce_keys [:zones]
   defstruct @enforce_keys
@@ -92,25 +93,25 @@ defmodule Aerie.Control.Policy.Fence do
   defp heights(zone), do: ", #{limits(zone)} #{above(zone)}"
 
   @doc "Whether a position is allowed. `what` is what the sentence calls it: `the target`."
-  @spec check_position(t(), position(), String.t()) :: :ok | {:deny, String.t()}
+  @spec check_position(t(), position(), String.t()) :: :ok | Refusal.denial()
   def check_position(fence, position, what) do
     place = place(position)
 
     case fence.zones |> violations(place) |> Enum.sort() |> List.first() do
       nil -> :ok
-      {:exclusion, n} -> {:deny, inside(Enum.at(fence.zones, n), position, place, what)}
-      :outside -> {:deny, outside(fence.zones, position, place, what)}
+      {:exclusion, n} -> inside(Enum.at(fence.zones, n), position, place, what)
+      :outside -> outside(inclusions(fence.zones), position, place, what)
     end
   end
 
   @doc "Whether the straight way (a great circle, with a steady climb) from one position to another is allowed."
-  @spec check_way(t(), position(), position(), String.t()) :: :ok | {:deny, String.t()}
+  @spec check_way(t(), position(), position(), String.t()) :: :ok | Refusal.denial()
   def check_way(fence, from, to, what) do
     {start, stop} = {place(from), place(to)}
     length = Earth.distance(start.point, stop.point)
 
     if length > @max_way do
-      {:deny, "#{what} is #{km(length)} long; ways of more than #{km(@max_way)} are not judged"}
+      Refusal.deny(:way_long, place: what, length: km(length), most: km(@max_way))
     else
       shares = Enum.flat_map(fence.zones, &Zone.crossings(&1, start, stop))
 
@@ -127,7 +128,7 @@ defmodule Aerie.Control.Policy.Fence do
   says why the vehicle needs it.
   """
   @spec check_room(t(), position() | nil, position(), room(), String.t()) ::
-          :ok | {:deny, String.t()}
+          :ok | Refusal.denial()
   def check_room(_fence, _from, _to, %{metres: metres}, _what) when metres == 0, do: :ok
 
   def check_room(fence, from, to, room, what) do
@@ -140,16 +141,25 @@ defmodule Aerie.Control.Policy.Fence do
 
     case Enum.find(widest ++ near, fn {metres, _zone} -> metres < room.metres end) do
       nil -> :ok
-      {metres, zone} -> {:deny, cramped(metres, zone, to, room, what)}
+      {metres, zone} -> cramped(metres, zone, to, room, what)
     end
   end
 
   defp level?(zone, start, stop),
     do: Zone.band?(zone, start) or Zone.band?(zone, stop) or start.home != stop.home or start.msl != stop.msl
 
-  defp cramped(metres, zone, to, room, what) do
-    "#{what} #{at(to)} needs #{metres(room.metres)} around it, because #{room.why}; " <>
-      "the border of the #{zone.kind} zone \"#{zone.name}\" is #{metres(metres)} away"
+  defp cramped(metres, %{kind: kind, name: zone}, to, room, what) do
+    place = "#{what} #{at(to)}"
+    needed = metres(room.metres)
+
+    Refusal.deny(:room,
+      place: place,
+      metres: needed,
+      why: room.why,
+      kind: kind,
+      zone: zone,
+      away: metres(metres)
+    )
   end
 
   @doc "Whether a zone of it has a floor or a ceiling."
@@ -182,14 +192,19 @@ defmodule Aerie.Control.Policy.Fence do
   end
 
   defp way({:outside, share}, zones, length, what) do
-    {:deny, "#{what} (#{metres(length)}) leaves #{named(inclusions(zones))} after #{metres(share * length)}"}
+    zones = named(inclusions(zones))
+
+    Refusal.deny(:way_leaves,
+      place: what,
+      length: metres(length),
+      zones: zones,
+      after: metres(share * length)
+    )
   end
 
   defp way({{:exclusion, n}, share}, zones, length, what) do
-    zone = Enum.at(zones, n)
-
-    {:deny,
-     "#{what} (#{metres(length)}) enters the exclusion zone \"#{zone.name}\" after #{metres(share * length)}"}
+    %{name: zone} = Enum.at(zones, n)
+    Refusal.deny(:way_enters, place: what, length: metres(length), zone: zone, after: metres(share * length))
   end
 
   defp way(_excused, _zones, _length, _what), do: :ok
@@ -221,20 +236,21 @@ defmodule Aerie.Control.Policy.Fence do
   defp inclusions(zones), do: Enum.filter(zones, &(&1.kind == :inclusion))
 
   defp inside(zone, position, place, what) do
-    "#{what} #{at(position)} is in the exclusion zone \"#{zone.name}\", #{far(zone, place)} inside its border" <>
-      band(zone, place)
+    what = "#{what} #{at(position)}"
+    deep = far(zone, place)
+    Refusal.deny(:place_inside, place: what, zone: zone.name, metres: deep, band: band(zone, place))
   end
 
-  defp outside(zones, position, place, what) do
-    inclusions = inclusions(zones)
+  defp outside(inclusions, position, place, what) do
+    what = "#{what} #{at(position)}"
 
     case Enum.filter(inclusions, &Zone.over?(&1, place.point)) do
       [] ->
         nearest = Enum.min_by(inclusions, &Zone.distance(&1, place.point))
-        "#{what} #{at(position)} is #{far(nearest, place)} outside #{named([nearest])}"
+        Refusal.deny(:place_outside, place: what, metres: far(nearest, place), zone: named([nearest]))
 
       [zone | _] ->
-        "#{what} #{at(position)} is outside the heights of #{named([zone])}#{band(zone, place)}"
+        Refusal.deny(:place_height, place: what, zone: named([zone]), band: band(zone, place))
     end
   end
 

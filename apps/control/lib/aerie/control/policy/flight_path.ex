@@ -8,10 +8,10 @@ defmodule Aerie.Control.Policy.FlightPath do
   alias Aerie.Control.Policy.Intent.Context
   alias Aerie.Control.Policy.FlightPath.Drift
   alias Aerie.Base.Geo.Earth
+  alias Aerie.Vehicle.Command.Refusal
   alias Aerie.Vehicle.Firmware.Room
 
   @corners 36
-  @anywhere "where it leads, nobody can tell"
 
   @typedoc """
   `{from, to}` is a straight way; `from` nil: only the place counts. `given`: what its height was given above, or `:same`.
@@ -45,7 +45,7 @@ defmodule Aerie.Control.Policy.FlightPath do
   @spec legs(Intent.t(), Context.t()) :: {:ok, [leg()]} | {:unknown, String.t()}
   def legs(%{path: :none}, _context), do: {:ok, []}
   def legs(%{path: {:level, _height}}, _context), do: {:ok, []}
-  def legs(%{path: :anywhere}, _context), do: {:unknown, @anywhere}
+  def legs(%{path: :anywhere}, _context), do: {:unknown, Refusal.text(:anywhere)}
   def legs(%{path: {:unknown, why}}, _context), do: {:unknown, why}
   def legs(%{path: {:all, paths}} = facts, context), do: all(paths, &legs(%{facts | path: &1}, context))
 
@@ -159,7 +159,7 @@ defmodule Aerie.Control.Policy.FlightPath do
   end
 
   def heights(%{path: {:level, {above, _} = height}}, context), do: {:ok, [level(height, above, context)]}
-  def heights(%{path: :anywhere}, _context), do: {:unknown, @anywhere}
+  def heights(%{path: :anywhere}, _context), do: {:unknown, Refusal.text(:anywhere)}
   def heights(%{path: {:unknown, why}}, _context), do: {:unknown, why}
   def heights(%{path: {:all, paths}} = facts, context), do: all(paths, &heights(%{facts | path: &1}, context))
 
@@ -218,7 +218,7 @@ defmodule Aerie.Control.Policy.FlightPath do
 
   defp position(%{lat: lat, lon: lon}, _context)
        when is_number(lat) and is_number(lon) and (abs(lat) > 90 or abs(lon) > 180),
-       do: {:unknown, "#{lat}, #{lon} is not a place on earth"}
+       do: {:unknown, Refusal.text(:nowhere, lat: lat, lon: lon)}
 
   defp position(%{lat: lat, lon: lon, height: height}, context) when is_number(lat) and is_number(lon) do
     here = with {:ok, here} <- here(context), do: here, else: (_unknown -> %{home: nil, msl: nil})
@@ -255,7 +255,7 @@ defmodule Aerie.Control.Policy.FlightPath do
   defp turned(:north, north, east, _context), do: {:ok, {north, east}}
 
   defp turned(:body, _ahead, _right, %{position: %{heading: nil}}),
-    do: {:unknown, "the vehicle's heading is not known"}
+    do: {:unknown, Refusal.text(:heading)}
 
   defp turned(:body, ahead, right, %{position: %{heading: heading}}) do
     {north, east, _down} = Drift.turned({ahead, right, 0}, heading * :math.pi() / 180)
@@ -276,7 +276,7 @@ defmodule Aerie.Control.Policy.FlightPath do
   end
 
   # Local coordinates begin where the vehicle was when it first knew its place, which is not its home any more when that was moved.
-  defp origins(%{home: nil, origin: nil}), do: {:unknown, "the vehicle's home is not known"}
+  defp origins(%{home: nil, origin: nil}), do: {:unknown, Refusal.text(:home)}
 
   defp origins(%{home: home, origin: origin}),
     do: {:ok, [origin, home] |> Enum.reject(&is_nil/1) |> Enum.uniq()}

@@ -8,7 +8,7 @@ defmodule Aerie.Control.Policy.Rate do
   dropped when there are too many; while there is no room for another one, commands that would need it are refused.
   """
 
-  alias Aerie.Vehicle.Command.Types
+  alias Aerie.Vehicle.Command.{Refusal, Types}
   alias Aerie.Control.Policy
   alias Aerie.Control.Policy.Intent
   alias Aerie.Control.Policy.Mavlink.Wording
@@ -49,14 +49,14 @@ defmodule Aerie.Control.Policy.Rate do
           type :: String.t(),
           now :: integer()
         ) ::
-          {:ok, t()} | {:deny, :rate, String.t()}
+          {:ok, t()} | Refusal.denial()
   def take(rate, policy, source, vehicle, type, now) do
     policy
     |> rules(source, vehicle, type)
     |> Enum.reduce_while({:ok, rate.buckets}, fn {key, rule}, {:ok, buckets} ->
       case TokenBucket.take(buckets[key], now, rule.interval_us, rule.burst) do
         {:ok, full} -> {:cont, {:ok, Map.put(buckets, key, full)}}
-        :none -> {:halt, {:deny, :rate, text(rule, source, vehicle, type, wait(buckets[key], rule, now))}}
+        :none -> {:halt, refused(rule, source, vehicle, type, wait(buckets[key], rule, now))}
       end
     end)
     |> room(rate, source, now)
@@ -80,9 +80,8 @@ defmodule Aerie.Control.Policy.Rate do
   end
 
   @doc "The refusal where there is no room for another bucket of a source."
-  @spec full(source :: String.t()) :: {:deny, :rate, String.t()}
-  def full(source),
-    do: {:deny, :rate, "#{source} commanded too many vehicles just now to be counted; try again in a moment"}
+  @spec full(source :: String.t()) :: Refusal.denial()
+  def full(source), do: Refusal.deny(:rate_uncounted, source: source)
 
   @doc "When all buckets are full again: until then a rate is worth keeping. `now` without any."
   @spec full_at(t(), now :: integer()) :: integer()
@@ -105,11 +104,10 @@ defmodule Aerie.Control.Policy.Rate do
 
   defp wait(full, rule, now), do: full + rule.interval_us - now - rule.burst * rule.interval_us
 
-  defp text(rule, source, vehicle, type, wait_us) do
-    per_minute = Float.round(60_000_000 / rule.interval_us, 1)
-
-    "#{source} may command #{named(type)} of #{vehicle} #{whole(per_minute)} times a minute, #{rule.burst} at once; the next one is " <>
-      "allowed in #{whole(Float.ceil(wait_us / 1_000_000, 1))} s"
+  defp refused(rule, source, vehicle, type, wait_us) do
+    rate = "#{whole(Float.round(60_000_000 / rule.interval_us, 1))} times a minute, #{rule.burst} at once"
+    wait = whole(Float.ceil(wait_us / 1_000_000, 1))
+    Refusal.deny(:rate, source: source, command: named(type), vehicle: vehicle, rate: rate, seconds: wait)
   end
 
   # A command without a name in the table has that of its MAV_CMD.

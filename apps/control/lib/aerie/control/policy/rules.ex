@@ -40,11 +40,7 @@ defmodule Aerie.Control.Policy.Rules do
     facts = Switches.judge(facts, context, Rules.Mode.limits?(policy))
 
     Enum.find_value(@rules, :allow, fn {name, rule} ->
-      with true <- name in names, {:deny, reason} <- rule.check(policy, facts, context) do
-        {:deny, name, reason}
-      else
-        _allowed -> nil
-      end
+      if name in names, do: with(:ok <- rule.check(policy, facts, context), do: nil)
     end)
   end
 end

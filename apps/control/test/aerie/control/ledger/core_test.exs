@@ -26,7 +26,7 @@ defmodule Aerie.Control.Ledger.CoreTest do
     core = Core.new(10, 3600)
     {:new, core, file} = core |> Core.admit(command("a"), @now) |> step([])
     {:in_flight, core, file} = core |> Core.admit(command("a"), @now) |> step(file)
-    assert {{:refused, text}, [], _core} = Core.admit(core, command("a", "disarm"), @now)
+    assert {{:deny, :id, text}, [], _core} = Core.admit(core, command("a", "disarm"), @now)
     assert text =~ "the id a was used for another command"
     {:ok, core, file} = core |> Core.sending("a", :never, @now) |> step(file)
     result = Result.new("a", :completed, nil, %{"ms" => 120})
@@ -36,9 +36,9 @@ defmodule Aerie.Control.Ledger.CoreTest do
 
     for core <- [core, reborn(file, core)] do
       assert {{:stored, ^result}, [], _core} = Core.admit(core, later, @now)
-      assert {{:refused, _used}, [], _core} = Core.admit(core, command("a", "disarm"), @now)
+      assert {{:deny, :id, _used}, [], _core} = Core.admit(core, command("a", "disarm"), @now)
 
-      assert {{:refused, "a has its result already"}, [], _core} =
+      assert {{:deny, :ledger, "a has its result already"}, [], _core} =
                Core.finish(core, Result.new("a", :failed), @now)
     end
   end
@@ -47,11 +47,11 @@ defmodule Aerie.Control.Ledger.CoreTest do
     {:new, _records, core} = Core.new(10, 3600) |> Core.admit(command("a"), @now)
     {:ok, [_record], core} = Core.sending(core, "a", :never, @now)
 
-    assert {{:refused, "a was sent already and must not be sent twice"}, [], _core} =
+    assert {{:deny, :ledger, "a was sent already and must not be sent twice"}, [], _core} =
              Core.sending(core, "a", :never, @now)
 
     assert {:ok, [], _core} = Core.sending(core, "a", :safe, @now)
-    assert {{:refused, "b is not in the ledger"}, [], _core} = Core.sending(core, "b", :never, @now)
+    assert {{:deny, :ledger, "b is not in the ledger"}, [], _core} = Core.sending(core, "b", :never, @now)
   end
 
   test "after a restart: what was not sent is forgotten, what may have been sent is unknown" do
@@ -65,7 +65,7 @@ defmodule Aerie.Control.Ledger.CoreTest do
     for core <- [core, reborn(file, core)] do
       assert {:new, _records, _core} = Core.admit(core, command("waits"), @now)
       assert {{:stored, %{status: :unknown}}, [], _core} = Core.admit(core, command("sent"), @now)
-      assert {{:refused, _text}, [], _core} = Core.sending(core, "sent", :never, @now)
+      assert {{:deny, :ledger, _text}, [], _core} = Core.sending(core, "sent", :never, @now)
       # Who looked at the vehicle knows better.
       assert {:ok, _records, core} = Core.finish(core, Result.new("sent", :completed), @now)
       assert {{:stored, %{status: :completed}}, [], _core} = Core.admit(core, command("sent"), @now)

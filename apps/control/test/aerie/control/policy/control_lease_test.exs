@@ -28,7 +28,7 @@ defmodule Aerie.Control.Policy.ControlLeaseTest do
     # Again: since then, and no longer offered.
     assert change(lease(offered_to: "omar"), {:take, nil, nil}, @olga) == {:ok, lease()}
 
-    assert {:deny, "olga is in charge of the vehicle (since " <> rest} =
+    assert {:deny, :lease, "olga is in charge of the vehicle (since " <> rest} =
              change(lease(), {:take, nil, nil}, @omar)
 
     assert rest =~ "taking over needs a reason"
@@ -37,20 +37,20 @@ defmodule Aerie.Control.Policy.ControlLeaseTest do
              change(lease(), {:take, "lost her", nil}, @omar)
 
     assert change(lease(), {:offer, "omar"}, @olga) == {:ok, lease(offered_to: "omar")}
-    assert {:deny, _} = change(lease(), {:offer, "omar"}, @omar)
+    assert {:deny, :lease, _} = change(lease(), {:offer, "omar"}, @omar)
     assert {:ok, %{holder: "omar", reason: nil}} = change(lease(offered_to: "omar"), {:take, nil, nil}, @omar)
-    assert {:deny, _} = change(lease(offered_to: "omar"), {:take, nil, nil}, @ada)
+    assert {:deny, :lease, _} = change(lease(offered_to: "omar"), {:take, nil, nil}, @ada)
     assert {:ok, %{holder: "ada"}} = change(lease(offered_to: :anyone), {:take, nil, nil}, @ada)
 
     admins = %{@rules | take_over: :admin}
-    assert {:deny, reason} = change(lease(), {:take, "lost her", nil}, @omar, admins)
+    assert {:deny, :lease, reason} = change(lease(), {:take, "lost her", nil}, @omar, admins)
     assert reason =~ "only an admin may take over"
     assert {:ok, %{holder: "ada"}} = change(lease(), {:take, "lost her", nil}, @ada, admins)
 
     assert change(lease(), :release, @olga) == {:ok, nil}
     assert change(lease(), :release, @ada) == {:ok, nil}
-    assert {:deny, _} = change(lease(), :release, @omar)
-    assert change(nil, :release, @ada) == {:deny, "nobody is in charge"}
+    assert {:deny, :lease, _} = change(lease(), :release, @omar)
+    assert change(nil, :release, @ada) == {:deny, :lease, "nobody is in charge"}
   end
 
   test "the rule: one commands; what holds it or brings it down, and asking for messages, is free" do

@@ -41,7 +41,7 @@ defmodule Aerie.Control.Policy.FenceTest do
            ~s|the target 47.005000, 8.005000 is in the exclusion zone "tower", 100 m inside its border (up to 600 m above mean sea level; its height above mean sea level is not known)|},
           {at(47.005, 8.005, 20, 601), :ok}
         ] do
-      expected = if expected == :ok, do: :ok, else: {:deny, expected}
+      expected = if expected == :ok, do: :ok, else: {:deny, :geofence, expected}
       assert Fence.check_position(fence, position, "the target") == expected
     end
   end
@@ -78,7 +78,7 @@ defmodule Aerie.Control.Policy.FenceTest do
           assert Fence.check_way(fence, from, to, "the way") == :ok
 
         text ->
-          assert {:deny, got} = Fence.check_way(fence, from, to, "the way")
+          assert {:deny, :geofence, got} = Fence.check_way(fence, from, to, "the way")
           assert got =~ text
       end
     end

@@ -30,8 +30,7 @@ defmodule Aerie.Fleet.Bridge.Commands do
   alias Aerie.Control.{Commands, Policy}
   alias Aerie.Fleet.Nats
   alias Aerie.Vehicle.Command
-  alias Aerie.Vehicle.Command.Result
-  alias Aerie.Control.Commands.Record
+  alias Aerie.Vehicle.Command.{Refusal, Result}
   alias Aerie.Control.Policy.Intent
   alias Aerie.Base.PubSub
 
@@ -196,17 +195,14 @@ defmodule Aerie.Fleet.Bridge.Commands do
            :ok <- admitted(server, request, Request.signature(message)) do
         obey(gateway, server, message.topic, request)
       else
-        {:refused, envelope, {rule, reason}} -> turn_away(gateway, envelope, rule, reason)
+        {:refused, envelope, denial} -> turn_away(gateway, envelope, denial)
         {:busy, number} -> busy(number)
       end
 
     reply(tables, message, body)
   end
 
-  defp busy(number) do
-    reason = "#{number} commands over NATS are under way, which is the limit; try again"
-    refusal(%{}, :busy, reason)
-  end
+  defp busy(number), do: refusal(%{}, Refusal.deny(:busy_nats, n: number))
 
   # An unsigned one has its place already.
   defp admitted(_server, _request, nil), do: :ok
@@ -251,22 +247,21 @@ defmodule Aerie.Fleet.Bridge.Commands do
 
       {:error, errors} ->
         request.envelope
-        |> refusal(:malformed, Enum.join(errors, "; "))
+        |> refusal({:deny, :malformed, Enum.join(errors, "; ")})
         |> Map.put("errors", for(error <- errors, do: Map.take(plain(error), ["key", "expected", "got"])))
     end
   end
 
   defp plain(error), do: %{"key" => error.key, "expected" => error.expected, "got" => error.got}
 
-  defp turn_away(gateway, envelope, rule, reason) do
-    Record.turned_away(gateway, envelope, nil, "nats", rule, reason)
-    refusal(envelope, rule, reason)
+  defp turn_away(gateway, envelope, denial) do
+    Commands.turned_away(gateway, envelope, nil, "nats", denial)
+    refusal(envelope, denial)
   end
 
-  defp refusal(envelope, rule, reason) do
+  defp refusal(envelope, denial) do
     id = with id when not is_binary(id) or byte_size(id) > 64 <- envelope["id"], do: nil
-    result = if rule in [:malformed, :size], do: "rejected", else: "denied"
-    %{"id" => id, "result" => result, "rule" => Atom.to_string(rule), "reason" => reason}
+    Result.plain(Refusal.result(id, denial))
   end
 
   defp reply(_tables, %{reply_to: nil}, _body), do: :ok

@@ -161,7 +161,7 @@ defmodule Aerie.Fleet.Shadow.LeasedCommandsTest do
   end
 
   # Before it was admitted a refusal is not kept.
-  defp done({:refuse, _rule, _why}, id, _holding, gateway, world) do
+  defp done({:refuse, _denial}, id, _holding, gateway, world) do
     admitted? = is_map_key(gateway.ledger, id)
     put(world, if(admitted?, do: ledger(gateway, id, :done), else: gateway))
   end

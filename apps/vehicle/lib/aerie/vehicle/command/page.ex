@@ -86,8 +86,8 @@ defmodule Aerie.Vehicle.Command.Page do
   defp refusals do
     table(
       ["rule", "said by", "HTTP", "means", "what to do"],
-      for {rule, by, http, means, fix} <- Refusal.table() do
-        ["`#{rule}`", by, if(http, do: "#{http}", else: "of the result"), means, fix]
+      for row <- Refusal.table() do
+        ["`#{row.rule}`", row.by, if(row.http, do: "#{row.http}", else: "of the result"), row.means, row.fix]
       end
     )
   end

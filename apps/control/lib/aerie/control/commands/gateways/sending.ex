@@ -15,6 +15,8 @@ defmodule Aerie.Control.Commands.Gateways.Sending do
   Times are milliseconds of a clock that never jumps.
   """
 
+  alias Aerie.Vehicle.Command.Refusal
+
   @again_ms 50
 
   @enforce_keys [:until, :relayed?]
@@ -48,7 +50,7 @@ defmodule Aerie.Control.Commands.Gateways.Sending do
           | :claim
           | {:send, :fleet | :gateway | :urgent}
           | {:known, term()}
-          | {:refuse, rule :: :holder | :claim, String.t()}
+          | {:refuse, Refusal.denial()}
 
   @spec new(until :: integer(), relayed? :: boolean(), urgent? :: boolean()) :: t()
   def new(until, relayed?, urgent? \\ false),
@@ -66,7 +68,7 @@ defmodule Aerie.Control.Commands.Gateways.Sending do
       {:other, name} -> other(state, name)
       {:unknown, _why} when now < state.until -> {state, {:again, @again_ms}}
       {:unknown, _why} when state.urgent? -> {%{state | stage: :held}, :go_on}
-      {:unknown, why} -> over(state, {:refuse, :holder, why})
+      {:unknown, why} -> refused(state, Refusal.deny(:holder_unknown, unknown: why))
     end
   end
 
@@ -74,8 +76,8 @@ defmodule Aerie.Control.Commands.Gateways.Sending do
     case lease(holder, now) do
       {:ok, lease} -> {%{state | stage: :claiming, lease: lease}, :claim}
       _lost when state.urgent? -> {%{state | stage: :claiming, lease: nil}, :claim}
-      {:other, name} -> over(state, {:refuse, :holder, "the gateway #{name} has taken the vehicle over"})
-      {:unknown, why} -> over(state, {:refuse, :holder, why})
+      {:other, name} -> refused(state, Refusal.deny(:taken_over, name: name))
+      {:unknown, why} -> refused(state, Refusal.deny(:holder_unknown, unknown: why))
     end
   end
 
@@ -92,26 +94,25 @@ defmodule Aerie.Control.Commands.Gateways.Sending do
     do: {%{state | stage: :claimed}, :go_on}
 
   def handle(%{stage: :claiming} = state, {:claimed, {:error, why}}),
-    do: over(state, {:refuse, :claim, "its id could not be claimed where other gateways see it (#{why})"})
+    do: refused(state, Refusal.deny(:unclaimed, error: why))
 
   def handle(%{stage: :claimed} = state, {:holder, holder, now}) do
     case lease(holder, now) do
       {:ok, :alone} -> over(state, {:send, :gateway})
       {:ok, _until} -> over(state, {:send, :fleet})
       _lost when state.urgent? -> over(state, {:send, :urgent})
-      _lost -> over(state, {:refuse, :holder, "this gateway lost the vehicle's lease before it was sent"})
+      _lost -> refused(state, Refusal.deny(:holder_lost))
     end
   end
 
-  defp other(%{relayed?: true} = state, name),
-    do: over(state, {:refuse, :holder, "the gateway #{name} holds the vehicle now; ask again"})
-
+  defp other(%{relayed?: true} = state, name), do: refused(state, Refusal.deny(:held, name: name))
   defp other(state, name), do: over(state, {:pass_on, name})
 
   defp lease(:alone, _now), do: {:ok, :alone}
   defp lease({:mine, until}, now) when now < until, do: {:ok, until}
-  defp lease({:mine, _until}, _now), do: {:unknown, "the lease was not renewed before it ended"}
+  defp lease({:mine, _until}, _now), do: {:unknown, Refusal.text(:lease_ended)}
   defp lease(other_or_unknown, _now), do: other_or_unknown
 
+  defp refused(state, denial), do: over(state, {:refuse, denial})
   defp over(state, action), do: {%{state | stage: :over}, action}
 end

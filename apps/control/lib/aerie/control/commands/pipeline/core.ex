@@ -15,7 +15,7 @@ defmodule Aerie.Control.Commands.Pipeline.Core do
   """
 
   alias Aerie.Vehicle.Command
-  alias Aerie.Vehicle.Command.Result
+  alias Aerie.Vehicle.Command.{Refusal, Result}
   alias Aerie.Control.Commands.Gateways
   alias Aerie.Control.Commands.Gateways.Sending
   alias Aerie.Control.Commands.Pipeline.Request
@@ -66,26 +66,24 @@ defmodule Aerie.Control.Commands.Pipeline.Core do
   @typedoc "`us`: the time of day (unix microseconds); `ms`: of a clock that never jumps."
   @type now :: %{us: integer(), ms: integer()}
 
-  @type denial :: {:deny, rule :: atom(), reason :: String.t()}
-
   @type event ::
           :start
           | :waited
-          | {:seen, snapshot :: map() | nil, :allow | denial()}
-          | {:token, :ok | denial()}
+          | {:seen, snapshot :: map() | nil, :allow | Refusal.denial()}
+          | {:token, :ok | Refusal.denial()}
           | {:holder, Sending.holder()}
-          | {:known, :new | :in_flight | {:stored, Result.t()} | {:refused | :error, String.t()}}
-          | {:judged, {:audit, required? :: boolean()} | :allow | :no_policy | denial()}
-          | {:setpoints, :ok | {:error, String.t()}}
+          | {:known, :new | :in_flight | {:stored, Result.t()} | Refusal.denial() | {:error, String.t()}}
+          | {:judged, {:audit, required? :: boolean()} | :allow | :no_policy | Refusal.denial()}
+          | {:setpoints, :ok | Refusal.denial()}
           | {:claimed, :ok | {:taken, map()} | {:error, String.t()}}
-          | {:sending, :ok | {:refused | :error, String.t()}}
+          | {:sending, :ok | Refusal.denial() | {:error, String.t()}}
           | {:result, Result.t()}
-          | {:lease, {:ok, ControlLease.t() | nil} | {:deny, String.t()}}
+          | {:lease, {:ok, ControlLease.t() | nil} | Refusal.denial()}
 
   @typedoc """
     * `:look` - finds the vehicle, and whether its sender may do anything like it
     * `{:ask, :known | :admit}` - asks the ledger whether it knows the id, and `:admit` that it keeps the command if not
-    * `{:refuse, status, rule, reason, stored?}` - ends it, as the result of its id if `stored?`
+    * `{:refuse, denial, stored?}` - ends it, as the result of its id if `stored?`
     * `{:answer, result}` - ends a repetition; `{:finish, result}` - ends a command that was admitted
   """
   @type action ::
@@ -105,7 +103,7 @@ defmodule Aerie.Control.Commands.Pipeline.Core do
           | :pass_on
           | {:change_lease, ControlLease.change()}
           | {:announce, Result.t()}
-          | {:refuse, Result.status(), rule :: atom(), reason :: String.t(), stored? :: boolean()}
+          | {:refuse, Refusal.denial(), stored? :: boolean()}
           | {:answer, Result.t()}
           | {:finish, Result.t()}
 
@@ -122,18 +120,17 @@ defmodule Aerie.Control.Commands.Pipeline.Core do
   def handle(core, :start, _now), do: {core, [:look]}
 
   def handle(core, {:seen, nil, _admission}, _now),
-    do: refuse(core, :rejected, :vehicle, "there is no vehicle #{core.request.command.vehicle}")
+    do: refuse(core, Refusal.deny(:no_vehicle, id: core.request.command.vehicle))
 
   # Before anything is remembered of it, so that a sender without permissions fills neither rates nor the ledger.
-  def handle(core, {:seen, _snapshot, {:deny, rule, reason}}, _now),
-    do: refuse(core, :denied, rule, reason)
+  def handle(core, {:seen, _snapshot, {:deny, _rule, _reason} = denial}, _now), do: refuse(core, denial)
 
   # Commands that bring a vehicle down are exempt, so that a stuck key cannot exhaust the rate limit.
   def handle(%{intent: %{ends_flight?: true}} = core, {:seen, snapshot, :allow}, now),
     do: find_holder(%{core | snapshot: snapshot}, now)
 
   def handle(core, {:seen, snapshot, :allow}, _now), do: {%{core | snapshot: snapshot}, [:take_token]}
-  def handle(core, {:token, {:deny, rule, reason}}, _now), do: refuse(core, :denied, rule, reason)
+  def handle(core, {:token, {:deny, :rate, _reason} = denial}, _now), do: refuse(core, denial)
   def handle(core, {:token, :ok}, now), do: find_holder(%{core | token?: true}, now)
 
   def handle(core, {:holder, holder}, now) do
@@ -144,7 +141,7 @@ defmodule Aerie.Control.Commands.Pipeline.Core do
       {_same, {:again, _ms}} -> {%{core | asked: :known}, [{:ask, :known}]}
       {sending, :claim} -> {%{core | sending: sending}, [{:claim, claim_ms(core, sending)}]}
       {_over, {:send, promise}} -> send_off(%{core | promise: promise})
-      {_over, {:refuse, rule, why}} -> refuse(core, :denied, rule, unsent(why))
+      {_over, {:refuse, denial}} -> refuse(core, denial)
     end
   end
 
@@ -153,8 +150,8 @@ defmodule Aerie.Control.Commands.Pipeline.Core do
   def handle(core, {:known, {:stored, result}}, _now), do: repeated(core, {:answer, result})
   def handle(core, {:known, :in_flight}, _now), do: repeated(core, {:answer, lost(core.request.command)})
 
-  def handle(core, {:known, {:refused, reason}}, _now),
-    do: repeated(core, {:refuse, :rejected, :id, reason, false})
+  def handle(core, {:known, {:deny, :id, _reason} = denial}, _now),
+    do: repeated(core, {:refuse, denial, false})
 
   # It is not known yet who holds the vehicle.
   def handle(%{asked: :known, refusal: nil} = core, {:known, _new_or_error}, _now), do: {core, [:holder]}
@@ -164,22 +161,19 @@ defmodule Aerie.Control.Commands.Pipeline.Core do
   def handle(core, {:known, {:error, reason}}, _now) do
     if unrecorded?(core),
       do: {core, [:judge]},
-      else: {core, [{:refuse, :denied, :ledger, unrecorded(core, reason), false}]}
+      else: {core, [{:refuse, unrecorded(core, reason), false}]}
   end
 
   def handle(core, {:judged, {:audit, required?}}, _now), do: {core, [{:audit, required?}]}
   def handle(core, {:judged, :allow}, _now), do: {core, [:setpoints]}
 
-  def handle(core, {:judged, :no_policy}, _now),
-    do: refuse(core, :denied, :policy, "the gateway has no policy, so nobody may command anything")
-
-  def handle(core, {:judged, {:deny, rule, reason}}, _now), do: refuse(core, :denied, rule, reason)
-
-  def handle(core, {:setpoints, {:error, reason}}, _now), do: refuse(core, :rejected, :setpoints, reason)
+  def handle(core, {:judged, :no_policy}, _now), do: refuse(core, Refusal.deny(:no_policy))
+  def handle(core, {:judged, {:deny, _rule, _reason} = denial}, _now), do: refuse(core, denial)
+  def handle(core, {:setpoints, {:deny, :setpoints, _reason} = denial}, _now), do: refuse(core, denial)
 
   def handle(%{request: %{command: command}} = core, {:setpoints, :ok}, now) do
     cond do
-      Command.expired?(command, now.us) -> refuse(core, :expired, :deadline, late())
+      Command.expired?(command, now.us) -> refuse(core, Refusal.deny(:late))
       core.sending == nil -> {core, [{:sending, Request.retry(core.request)}]}
       true -> {core, [:holder]}
     end
@@ -189,20 +183,21 @@ defmodule Aerie.Control.Commands.Pipeline.Core do
     case Sending.handle(core.sending, {:claimed, claimed}) do
       {sending, :go_on} -> {%{core | sending: sending}, [{:sending, Request.retry(core.request)}]}
       {_over, {:known, claim}} -> finish(core, claimed_result(core, claim))
-      {_over, {:refuse, rule, why}} -> refuse(core, :denied, rule, unsent(why))
+      {_over, {:refuse, denial}} -> refuse(core, denial)
     end
   end
 
   def handle(core, {:sending, :ok}, _now), do: held(core)
 
-  def handle(core, {:sending, {kind, reason}}, _now) do
-    cond do
-      # It is unknown whether it was done before.
-      kind == :refused and Request.retry(core.request) == :never -> refuse(core, :denied, :ledger, reason)
-      unrecorded?(core) -> held(core)
-      true -> refuse(core, :denied, :ledger, unrecorded(core, reason))
-    end
+  def handle(core, {:sending, {:deny, :ledger, reason} = denial}, now) do
+    # It is unknown whether it was done before.
+    if Request.retry(core.request) == :never,
+      do: refuse(core, denial),
+      else: handle(core, {:sending, {:error, reason}}, now)
   end
+
+  def handle(core, {:sending, {:error, reason}}, _now),
+    do: if(unrecorded?(core), do: held(core), else: refuse(core, unrecorded(core, reason)))
 
   def handle(%{snapshot: %{via: via} = snapshot} = core, {:result, result}, _now) when via != nil do
     if again?(core, result),
@@ -221,8 +216,8 @@ defmodule Aerie.Control.Commands.Pipeline.Core do
 
   def handle(core, {:lease, {:ok, _lease}}, _now), do: done(core, core.result)
 
-  def handle(core, {:lease, {:deny, reason}}, _now),
-    do: done(core, Result.new(core.request.command.id, :denied, reason, %{"rule" => "lease"}))
+  def handle(core, {:lease, {:deny, :lease, _reason} = denial}, _now),
+    do: done(core, Refusal.result(core.request.command.id, denial))
 
   @doc "The result of a command whose task died."
   @spec lost(Command.t()) :: Result.t()
@@ -245,10 +240,10 @@ defmodule Aerie.Control.Commands.Pipeline.Core do
   defp admit(%{request: %{command: command, change: change}, snapshot: snapshot} = core, now) do
     cond do
       match?(%{remote_request: nil}, change) and snapshot.via != nil ->
-        refuse(core, :rejected, :elsewhere, Gateways.only(snapshot.via))
+        refuse(core, Refusal.deny(:elsewhere, via: snapshot.via))
 
       Command.expired?(command, now.us) ->
-        refuse(core, :expired, :deadline, late())
+        refuse(core, Refusal.deny(:late))
 
       true ->
         {%{core | asked: :admit}, [{:ask, :admit}]}
@@ -256,8 +251,8 @@ defmodule Aerie.Control.Commands.Pipeline.Core do
   end
 
   # What was admitted keeps its refusal; nothing else is kept.
-  defp refuse(core, status, rule, reason) do
-    refusal = {:refuse, status, rule, reason, core.asked == :admit}
+  defp refuse(core, denial) do
+    refusal = {:refuse, denial, core.asked == :admit}
 
     if core.asked == nil,
       do: {%{core | asked: :known, refusal: refusal}, [{:ask, :known}]},
@@ -269,12 +264,8 @@ defmodule Aerie.Control.Commands.Pipeline.Core do
 
   defp unrecorded?(core), do: core.intent.ends_flight? or not core.settings.ledger_required?
 
-  defp unrecorded(core, reason) do
-    "#{core.request.command.type} must be kept from being done twice, and the ledger cannot be written (#{reason})"
-  end
-
-  defp unsent(why), do: why <> "; nothing was sent"
-  defp late, do: "its deadline passed before it was sent"
+  defp unrecorded(core, error),
+    do: Refusal.deny(:unrecorded, command: core.request.command.type, error: error)
 
   defp claim_ms(core, %{lease: lease, urgent?: urgent?}) when lease == :alone or urgent?,
     do: min(@alone_ms, core.patience)

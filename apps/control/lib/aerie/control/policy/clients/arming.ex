@@ -7,6 +7,7 @@ defmodule Aerie.Control.Policy.Clients.Arming do
   alias Aerie.Control.Policy
   alias Aerie.Control.Policy.{Audit, Intent, ControlLease, Roles}
   alias Aerie.Control.Policy.Intent.Context
+  alias Aerie.Vehicle.Command.Refusal
 
   @behaviour Aerie.Vehicle.Session.ArmAuthorization
 
@@ -14,7 +15,7 @@ defmodule Aerie.Control.Policy.Clients.Arming do
   def decide(gateway, snapshot, now) do
     decision =
       case Policy.Store.get(gateway) do
-        nil -> {:deny, :policy, "the gateway has no policy"}
+        nil -> Refusal.deny(:no_policy_to_arm)
         policy -> verdict(policy, Context.of(gateway, snapshot, nil, now))
       end
 

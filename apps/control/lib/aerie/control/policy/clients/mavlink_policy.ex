@@ -205,14 +205,9 @@ defmodule Aerie.Control.Policy.Clients.MavlinkPolicy do
   # The gateway itself keeps who is in charge; a vehicle that also does so is asked in the client's name (X15).
   defp in_charge(_policy, _gateway, _key, %{control: nil}, _whose), do: :allow
 
-  defp in_charge(_policy, _gateway, _key, _facts, {_source, nil}),
-    do: {:deny, :lease, "nobody can be in charge of a vehicle that was not heard yet"}
-
-  defp in_charge(policy, gateway, key, %{control: change}, {source, _snapshot}) do
-    case Holders.change(gateway, key, change, source, "mavlink", policy.lease) do
-      {:ok, _lease} -> :allow
-      {:deny, reason} -> {:deny, :lease, reason}
-    end
+  defp in_charge(policy, gateway, key, %{control: change}, {source, snapshot}) do
+    heard = if snapshot, do: key
+    with {:ok, _lease} <- Holders.change(gateway, heard, change, source, "mavlink", policy.lease), do: :allow
   end
 
   defp conclude(:allow, gateway, entry, {%module{} = message, frame, key, snapshot, _source})

@@ -159,10 +159,11 @@ defmodule Aerie.Control.Policy.Clients.Trial do
   defp in_charge(trial, %{control: nil}, _asked), do: {:ok, trial}
 
   defp in_charge(trial, %{control: change}, %{snapshot: %{id: id}} = asked) do
-    case ControlLease.change(trial.leases[id], change, asked.source, asked.via, trial.policy.lease, asked.at) do
-      {:ok, lease} -> {:ok, %{trial | leases: Map.put(trial.leases, id, lease)}}
-      {:deny, reason} -> {:deny, :lease, reason}
-    end
+    lease = trial.leases[id]
+
+    with {:ok, lease} <-
+           ControlLease.change(lease, change, asked.source, asked.via, trial.policy.lease, asked.at),
+         do: {:ok, %{trial | leases: Map.put(trial.leases, id, lease)}}
   end
 
   defp lacking(:allow, _context), do: []

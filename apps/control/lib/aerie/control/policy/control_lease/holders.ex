@@ -11,6 +11,7 @@ defmodule Aerie.Control.Policy.ControlLease.Holders do
   alias MavRouter.Router
   alias Aerie.Control.Policy.{Intent, ControlLease, Roles}
   alias Aerie.Base.PubSub
+  alias Aerie.Vehicle.Command.Refusal
 
   @typedoc "A vehicle by its network and system id."
   @type vehicle :: Store.vehicle_key()
@@ -36,7 +37,7 @@ defmodule Aerie.Control.Policy.ControlLease.Holders do
 
   @doc "Whether a source may steer a vehicle with MSP: see `Aerie.Control.Policy.ControlLease.Steering`."
   @spec steer(Names.gateway(), map() | nil, Intent.t(), Roles.source(), hold_us :: non_neg_integer()) ::
-          :allow | {:deny, :lease, String.t()}
+          :allow | Refusal.denial()
   defdelegate steer(gateway, snapshot, facts, source, hold_us \\ 0), to: ControlLease.Steering, as: :claim
 
   defp row(gateway, key),
@@ -47,17 +48,20 @@ defmodule Aerie.Control.Policy.ControlLease.Holders do
   def all(gateway), do: Map.new(Store.with_table(gateway, :leases, [], &:ets.tab2list/1))
 
   @doc """
-  Changes who is in charge (`Aerie.Control.Policy.ControlLease.change/6`). If several take it at once, one succeeds.
+  Changes who is in charge (`Aerie.Control.Policy.ControlLease.change/6`). If several take it at once, one succeeds;
+  nobody can be in charge of a vehicle that was not heard yet (nil).
   """
   @spec change(
           Names.gateway(),
-          Store.vehicle_key(),
+          Store.vehicle_key() | nil,
           ControlLease.change(),
           Roles.source(),
           String.t(),
           ControlLease.rules()
         ) ::
-          {:ok, ControlLease.t() | nil} | {:deny, String.t()}
+          {:ok, ControlLease.t() | nil} | Refusal.denial()
+  def change(_gateway, nil, _change, _source, _via, _rules), do: Refusal.deny(:unheard)
+
   def change(gateway, key, change, source, via, rules) do
     before = row(gateway, key)
 

@@ -16,6 +16,7 @@ defmodule Aerie.Control.Policy.ControlLease.Steering do
   alias Aerie.Base.Names
   alias Aerie.Control.Policy.{Intent, ControlLease, Roles}
   alias Aerie.Control.Policy.Memory.ClientHistory
+  alias Aerie.Vehicle.Command.Refusal
   alias Aerie.Vehicle.Firmware
 
   @until %{
@@ -35,7 +36,7 @@ defmodule Aerie.Control.Policy.ControlLease.Steering do
   long the gateway repeats its sticks.
   """
   @spec claim(Names.gateway(), map() | nil, Intent.t(), Roles.source(), hold_us :: non_neg_integer()) ::
-          :allow | {:deny, :lease, String.t()}
+          :allow | Refusal.denial()
   def claim(gateway, snapshot, facts, source, hold_us \\ 0)
 
   def claim(gateway, %{autopilot: firmware, key: key}, %{type: type}, source, hold_us) do
@@ -65,7 +66,7 @@ defmodule Aerie.Control.Policy.ControlLease.Steering do
         put(who, max(before, now + @sticks_us))
 
       {other, name, _until} when other != who ->
-        {:keep, {:deny, :lease, refusal(type, name)}}
+        {:keep, Refusal.deny(:steered, command: type, name: name)}
 
       _own_or_none ->
         put(who, until)
@@ -78,11 +79,8 @@ defmodule Aerie.Control.Policy.ControlLease.Steering do
 
   defp update(gateway, key, now, fun) do
     with :full <- ClientHistory.update(gateway, {@owner, :steers, key}, now, fun),
-         do: {:deny, :lease, "too many vehicles are steered at once"}
+         do: Refusal.deny(:steered_many)
   end
-
-  defp refusal(type, name),
-    do: "#{type}: #{name} steers it, until it has sent nothing for a while; anyone who may can disarm it"
 
   defp now, do: System.monotonic_time(:microsecond)
 end

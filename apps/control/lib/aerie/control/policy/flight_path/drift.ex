@@ -7,6 +7,7 @@ defmodule Aerie.Control.Policy.FlightPath.Drift do
 
   alias Aerie.Control.Policy.Intent
   alias Aerie.Control.Policy.Intent.Context
+  alias Aerie.Vehicle.Command.Refusal
   alias Aerie.Vehicle.Firmware
 
   # Age of the position, way of the message, and the lag of the vehicle's controllers.
@@ -33,7 +34,7 @@ defmodule Aerie.Control.Policy.FlightPath.Drift do
 
       if Enum.all?(corners, fn {x, y, z} -> abs(x) < @far_m and abs(y) < @far_m and abs(z) < @far_m end),
         do: {:ok, for(turn <- turns, do: Enum.map(corners, &turned(&1, turn)))},
-        else: {:unknown, "where it leads is too far to be judged"}
+        else: {:unknown, Refusal.text(:too_far)}
     end
   end
 
@@ -61,7 +62,7 @@ defmodule Aerie.Control.Policy.FlightPath.Drift do
 
   defp turns(:north, _context), do: {:ok, [0.0]}
   defp turns(:any, _context), do: {:ok, for(n <- 0..(@turns - 1), do: n * 2 * :math.pi() / @turns)}
-  defp turns(:body, %{position: %{heading: nil}}), do: {:unknown, "the vehicle's heading is not known"}
+  defp turns(:body, %{position: %{heading: nil}}), do: {:unknown, Refusal.text(:heading)}
   defp turns(:body, %{position: %{heading: heading}}), do: {:ok, [heading * :math.pi() / 180]}
 
   @doc "An offset ahead and to the right, turned to the north and the east."

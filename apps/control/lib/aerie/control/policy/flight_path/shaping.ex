@@ -9,15 +9,15 @@ defmodule Aerie.Control.Policy.FlightPath.Shaping do
   alias Aerie.Control.Policy
   alias Aerie.Control.Policy.{Fence, Intent}
   alias Aerie.Control.Policy.Intent.Context
+  alias Aerie.Vehicle.Command.Refusal
 
-  @doc "The first parameter that does not, in words; nil if all do."
-  @spec refused(Policy.t(), Intent.t(), Context.t()) :: String.t() | nil
-  def refused(policy, facts, context) do
-    if limited?(policy),
-      do:
-        Enum.find_value(facts.sets, fn {name, value} ->
-          wrong(MavCodec.Meaning.Shaping.get(name), {name, value}, policy, context)
-        end)
+  @doc "Whether all parameters do; the refusal of the first that does not."
+  @spec check(Policy.t(), Intent.t(), Context.t()) :: :ok | Refusal.denial()
+  def check(policy, facts, context) do
+    (limited?(policy) &&
+       Enum.find_value(facts.sets, fn {name, value} ->
+         wrong(MavCodec.Meaning.Shaping.get(name), {name, value}, policy, context)
+       end)) || :ok
   end
 
   @doc "Whether a policy limits where vehicles fly."
@@ -28,7 +28,7 @@ defmodule Aerie.Control.Policy.FlightPath.Shaping do
   defp wrong(nil, _set, _policy, _context), do: nil
 
   defp wrong(:unknown, {name, _value}, _policy, _context),
-    do: "#{name} may shape the path of the vehicle, and it is not known how"
+    do: Refusal.deny(:shape_unknown, name: name)
 
   defp wrong(row, {name, value}, policy, context) do
     within? =
@@ -40,9 +40,7 @@ defmodule Aerie.Control.Policy.FlightPath.Shaping do
         :path -> false
       end
 
-    if not within?,
-      do:
-        "#{name} is #{row.meaning}, and #{value} is not known to keep the vehicle within its fence and its limits"
+    if not within?, do: Refusal.deny(:shape_beyond, name: name, meaning: row.meaning, value: value)
   end
 
   # A fence with heights may have another limit at each place.

@@ -6,6 +6,7 @@ defmodule Aerie.Control.Policy.Intent.Context do
   alias Aerie.Base.Names
   alias Aerie.Control.Policy.{ControlLease, Roles}
   alias Aerie.Control.Policy.ControlLease.Holders
+  alias Aerie.Vehicle.Command.Refusal
   alias Aerie.Vehicle.Firmware
   alias Aerie.Vehicle.Firmware.Modes
   alias Aerie.Vehicle.Snapshot
@@ -246,12 +247,12 @@ defmodule Aerie.Control.Policy.Intent.Context do
 
   @doc "The vehicle's position, or why there is none that counts."
   @spec position(t()) :: {:ok, map()} | {:unknown, String.t()}
-  def position(%{position: nil}), do: {:unknown, "the vehicle's position is not known"}
+  def position(%{position: nil}), do: {:unknown, Refusal.text(:position)}
   def position(%{position: %{at: nil} = position}), do: {:ok, position}
 
   def position(%{position: %{at: at} = position, now: now}) do
     if now - at <= @fresh_us,
       do: {:ok, position},
-      else: {:unknown, "the vehicle's last position is #{div(now - at, 1_000_000)} s old"}
+      else: {:unknown, Refusal.text(:position_old, seconds: div(now - at, 1_000_000))}
   end
 end

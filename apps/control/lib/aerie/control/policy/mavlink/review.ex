@@ -12,13 +12,13 @@ defmodule Aerie.Control.Policy.Mavlink.Review do
   alias Aerie.Control.Policy
   alias Aerie.Control.Policy.{FlightPath, Intent, Mavlink}
   alias Aerie.Control.Policy.Intent.Context
+  alias Aerie.Vehicle.Command.Refusal
   alias MavCodec.Enums.MavCmd
   alias MavCodec.Messages.MissionCount
 
   @rtl MavCmd.value(:MAV_CMD_NAV_RETURN_TO_LAUNCH)
   @tag MavCmd.value(:MAV_CMD_JUMP_TAG)
   @jump_tag MavCmd.value(:MAV_CMD_DO_JUMP_TAG)
-  @landing MavCmd.value(:MAV_CMD_DO_LAND_START)
   @landing MavCmd.value(:MAV_CMD_DO_LAND_START)
   @max_legs 20_000
   @jump MavCmd.value(:MAV_CMD_DO_JUMP)
@@ -100,7 +100,7 @@ defmodule Aerie.Control.Policy.Mavlink.Review do
 
     if here == nil and context.in_air != false and starts != [] do
       {:unknown, why} = Context.position(context)
-      {:deny, :geofence, nil, "a fence or a limit of height applies to the way to its mission, and #{why}"}
+      {:deny, :geofence, nil, Refusal.text(:way_to_mission_unknown, unknown: why)}
     else
       fly(for(seq <- starts, do: {seq, here, seq}), %{}, flight)
     end
@@ -126,7 +126,7 @@ defmodule Aerie.Control.Policy.Mavlink.Review do
         fly(to_do, done, plan)
 
       map_size(done) >= @max_legs ->
-        {:deny, :geofence, seq, "the mission has more ways than can be judged; use fewer jumps"}
+        {:deny, :geofence, seq, Refusal.text(:ways_many)}
 
       true ->
         case step(next, items[seq], plan) do
@@ -202,18 +202,10 @@ defmodule Aerie.Control.Policy.Mavlink.Review do
   defp facts(path, what), do: %Intent{type: "mission_upload", permission: :mission, path: path, what: what}
 
   defp decide(policy, facts, context, seq) do
-    case Policy.decide(policy, facts, context) do
-      :allow -> :allow
-      {:deny, rule, reason} -> {:deny, rule, seq, reason}
-    end
+    with {:deny, rule, reason} <- Policy.decide(policy, facts, context), do: {:deny, rule, seq, reason}
   end
 
   defp first(values, fun) do
-    Enum.find_value(values, :allow, fn value ->
-      case fun.(value) do
-        :allow -> nil
-        refusal -> refusal
-      end
-    end)
+    Enum.find_value(values, :allow, fn value -> with(:allow <- fun.(value), do: nil) end)
   end
 end

@@ -15,6 +15,7 @@ defmodule Aerie.Control.Policy.Mavlink.Writing do
   alias Aerie.Control.Policy.FlightPath.Shaping
   alias Aerie.Control.Policy.Mavlink.{Review, Upload}
   alias Aerie.Control.Policy.Mavlink.Writing.{Aboard, RawPlan}
+  alias Aerie.Vehicle.Command.Refusal
   alias Aerie.Vehicle.Firmware
   alias Protocols.Mission.Item
   alias MavCodec.Messages.{MissionClearAll, MissionCount}
@@ -75,7 +76,7 @@ defmodule Aerie.Control.Policy.Mavlink.Writing do
         case ClientHistory.update(gateway, {{:vehicle, key}, :raw_plan, {type, part}}, now, step) do
           {decision, :same} -> decision
           {decision, sent} -> sent(decision, gateway, {key, type}, sent)
-          :full -> {:deny, :rate, "too many plans are written just now to be judged"}
+          :full -> Refusal.deny(:plans_many)
         end
     end
   end
@@ -163,10 +164,7 @@ defmodule Aerie.Control.Policy.Mavlink.Writing do
   def kept(new, old) do
     if Kept.by?(new, old),
       do: :allow,
-      else:
-        {:deny, :role, nil,
-         "fence_upload needs the permission protection: " <>
-           "the new fence does not keep the vehicle everywhere where the one aboard does"}
+      else: {:deny, :role, nil, Refusal.text(:fence_smaller)}
   end
 
   @doc "Judges a command by which a vehicle begins its mission, or goes on with it at another item."
@@ -191,9 +189,7 @@ defmodule Aerie.Control.Policy.Mavlink.Writing do
         :allow
 
       :unknown ->
-        {:deny, rule(policy),
-         "a fence or a limit of height applies to #{facts.type}, and the mission aboard is not known; " <>
-           "the gateway reads it now: try again in a moment"}
+        {:deny, rule(policy), Refusal.text(:mission_aboard_unknown, command: facts.type)}
     end
   end
 

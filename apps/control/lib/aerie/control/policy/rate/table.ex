@@ -8,6 +8,7 @@ defmodule Aerie.Control.Policy.Rate.Table do
   alias Aerie.Control.Policy
   alias Aerie.Control.Policy.Rate
   alias Aerie.Control.Policy.Memory.ClientHistory
+  alias Aerie.Vehicle.Command.Refusal
 
   @typedoc "Raw MAVLink of a source has rates of its own."
   @type kind :: :rate | :command_rate
@@ -21,7 +22,7 @@ defmodule Aerie.Control.Policy.Rate.Table do
           vehicle :: String.t(),
           type :: String.t()
         ) ::
-          :ok | {:deny, :rate, String.t()}
+          :ok | Refusal.denial()
   def take(gateway, policy, kind, source, vehicle, type) do
     answer =
       update(gateway, kind, source, vehicle, &Rate.take(&1, policy, source, vehicle, type, &2))

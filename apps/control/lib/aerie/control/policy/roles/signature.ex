@@ -17,6 +17,8 @@ defmodule Aerie.Control.Policy.Roles.Signature do
   A signature counts for a minute. Within that a message that is sent again has the same id, and gets the stored result.
   """
 
+  alias Aerie.Vehicle.Command.Refusal
+
   @old_us 60_000_000
   @ahead_us 5_000_000
   @max_header 512
@@ -34,14 +36,12 @@ defmodule Aerie.Control.Policy.Roles.Signature do
   question. `now` is in unix microseconds.
   """
   @spec verify(header :: String.t(), subject :: String.t(), body :: binary(), now :: integer()) ::
-          {:ok, public :: String.t()} | {:error, String.t()}
+          {:ok, public :: String.t()} | Refusal.denial()
   def verify(header, subject, body, now) do
     with {:ok, {key, public, at, signature}} <- read(header, now) do
       if Nkey.verify(public, bytes(subject, at, body), signature),
         do: {:ok, key},
-        else:
-          {:error,
-           "the signature does not fit: the command, its subject or its time was changed, or another key signed it"}
+        else: Refusal.deny(:signature)
     end
   end
 
@@ -49,7 +49,7 @@ defmodule Aerie.Control.Policy.Roles.Signature do
   The public nkey that a header names, if it is well-formed and its time counts: what can be known without the work of
   checking the signature.
   """
-  @spec claim(header :: String.t(), now :: integer()) :: {:ok, public :: String.t()} | {:error, String.t()}
+  @spec claim(header :: String.t(), now :: integer()) :: {:ok, public :: String.t()} | Refusal.denial()
   def claim(header, now) do
     with {:ok, {key, _public, _at, _signature}} <- read(header, now), do: {:ok, key}
   end
@@ -62,25 +62,20 @@ defmodule Aerie.Control.Policy.Roles.Signature do
          {:ok, :user, public} <- Nkey.from_public(key) do
       {:ok, {key, public, at, signature}}
     else
-      {:error, "the " <> _ = reason} ->
-        {:error, reason}
-
-      _malformed ->
-        {:error,
-         "the header Aerie-Signature is not a public nkey of a user (U…), a time and a signature in base64url"}
+      {:deny, :signature, _reason} = denial -> denial
+      _malformed -> Refusal.deny(:signature_malformed)
     end
   end
 
-  defp read(_long, _now), do: {:error, "the header Aerie-Signature is longer than #{@max_header} bytes"}
+  defp read(_long, _now), do: Refusal.deny(:signature_long, most: @max_header)
 
   defp fresh(at, now) do
     cond do
       now - at > @old_us ->
-        {:error,
-         "the signature is #{div(now - at, 1_000_000)} s old; it counts for #{div(@old_us, 1_000_000)} s"}
+        Refusal.deny(:signature_old, seconds: div(now - at, 1_000_000), most: div(@old_us, 1_000_000))
 
       at - now > @ahead_us ->
-        {:error, "the signature's time is #{div(at - now, 1_000_000)} s ahead of the gateway's clock"}
+        Refusal.deny(:signature_ahead, seconds: div(at - now, 1_000_000))
 
       true ->
         :ok

@@ -7,6 +7,7 @@ defmodule Aerie.Control.Policy.Roles.Sources do
   alias Aerie.Control.Policy
   alias Aerie.Control.Policy.Roles
   alias Aerie.Control.Policy.Roles.Signature
+  alias Aerie.Vehicle.Command.Refusal
 
   @typedoc "`nkey` is public (`U…`); `expires` in unix microseconds, nil for never."
   @type listed :: %{
@@ -22,15 +23,15 @@ defmodule Aerie.Control.Policy.Roles.Sources do
   without a signature comes from nobody, unless the policy has a role for that (`unsigned`).
   """
   @spec identify(
-          Policy.t(),
+          Policy.t() | nil,
           header :: String.t() | nil,
           subject :: String.t(),
           body :: binary(),
           now :: integer()
         ) ::
-          {:ok, Roles.source()} | {:error, String.t()}
-  def identify(%{unsigned: nil}, nil, _subject, _body, _now),
-    do: {:error, "the command is not signed, and unsigned commands may do nothing here (policy.unsigned)"}
+          {:ok, Roles.source()} | Refusal.denial()
+  def identify(nil, _header, _subject, _body, _now), do: Refusal.deny(:no_policy)
+  def identify(%{unsigned: nil}, nil, _subject, _body, _now), do: Refusal.deny(:unsigned)
 
   def identify(%{unsigned: role}, nil, _subject, _body, _now),
     do: {:ok, Roles.principal(:stranger, "unsigned", role)}
@@ -40,6 +41,10 @@ defmodule Aerie.Control.Policy.Roles.Sources do
          {:ok, listed} <- listed(policy, key, now),
          do: {:ok, Roles.principal(:key, listed.name, listed.role, listed.permissions)}
   end
+
+  @doc "Whether a signed command has an id."
+  @spec identified(id :: term()) :: :ok | Refusal.denial()
+  def identified(id), do: if(is_binary(id), do: :ok, else: Refusal.deny(:signature_without_id))
 
   @doc """
   What a request claims to be, before anything is spent on it: by a listed key, without a signature where that may do something, or what is
@@ -64,24 +69,24 @@ defmodule Aerie.Control.Policy.Roles.Sources do
   def fresh?(header, now), do: match?({:ok, _key}, Signature.claim(header, now))
 
   @doc "The source of a name: who is meant by it where something else than a signature proves it."
-  @spec named(Policy.t() | nil, String.t(), now :: integer()) :: {:ok, Roles.source()} | {:error, String.t()}
+  @spec named(Policy.t() | nil, String.t(), now :: integer()) :: {:ok, Roles.source()} | Refusal.denial()
   def named(policy, name, now) do
     listed = Enum.find((policy && policy.sources) || [], &(&1.name == name))
 
-    with {:ok, listed} <- valid(listed, "policy.sources has nobody called #{name}", now),
+    with {:ok, listed} <- valid(listed, Refusal.deny(:nobody_called, name: name), now),
          do: {:ok, Roles.principal(:key, listed.name, listed.role, listed.permissions)}
   end
 
   defp listed(policy, key, now) do
     policy.sources
     |> Enum.find(&(&1.nkey == key))
-    |> valid("the key #{key} is not one of policy.sources", now)
+    |> valid(Refusal.deny(:key_unlisted, key: key), now)
   end
 
-  defp valid(nil, unknown, _now), do: {:error, unknown}
+  defp valid(nil, unknown, _now), do: unknown
 
   defp valid(%{expires: expires, name: name}, _unknown, now) when expires != nil and now >= expires,
-    do: {:error, "the key of #{name} was good until #{day(expires - 1)}"}
+    do: Refusal.deny(:key_expired, name: name, day: day(expires - 1))
 
   defp valid(listed, _unknown, _now), do: {:ok, listed}
 

@@ -8,6 +8,7 @@ defmodule Aerie.Control.Policy.Rules.Altitude do
   @behaviour Aerie.Control.Policy.Rules.Rule
 
   alias Aerie.Control.Policy.{FlightPath, Intent}
+  alias Aerie.Vehicle.Command.Refusal
 
   @impl Aerie.Control.Policy.Rules.Rule
   def check(%{max_altitude: nil, min_altitude: nil, max_altitude_msl: nil}, _facts, _context), do: :ok
@@ -16,7 +17,7 @@ defmodule Aerie.Control.Policy.Rules.Altitude do
   def check(policy, facts, context) do
     case FlightPath.heights(facts, context) do
       {:ok, heights} -> Enum.find_value(heights, :ok, &refused(policy, facts, &1, context))
-      {:unknown, why} -> {:deny, "a limit of altitude applies to #{Intent.label(facts)}, and #{why}"}
+      {:unknown, why} -> Refusal.deny(:heights_unknown, command: Intent.label(facts), unknown: why)
     end
   end
 
@@ -38,7 +39,7 @@ defmodule Aerie.Control.Policy.Rules.Altitude do
 
     Enum.find_value(limits, fn {limit, side, height, above} ->
       (limit != nil and not within?(side, height, limit)) &&
-        {:deny, text(side, height, limit, above, facts, given)}
+        beyond(facts.what, "#{bound(side)} #{metres(limit)}", above, height, given)
     end)
   end
 
@@ -51,19 +52,15 @@ defmodule Aerie.Control.Policy.Rules.Altitude do
   defp within?(:max, height, limit), do: height <= limit
   defp within?(:min, height, limit), do: height >= limit
 
-  defp text(side, nil, limit, above, facts, given) do
-    why =
-      case given do
-        :terrain -> "it is given above the ground"
-        :own -> "the vehicle's height is not known"
-        _home_or_msl -> "the height of its home is not known"
-      end
+  defp beyond(place, limit, above, nil, given),
+    do: Refusal.deny(:height_unknown, place: place, limit: limit, above: above, unknown: unknown(given))
 
-    "#{facts.what} must be #{bound(side)} #{metres(limit)} #{above}; how high it is, is not known, because #{why}"
-  end
+  defp beyond(place, limit, above, height, _given),
+    do: Refusal.deny(:height, place: place, height: metres(height), above: above, limit: limit)
 
-  defp text(side, height, limit, above, facts, _given),
-    do: "#{facts.what} is #{metres(height)} #{above}; #{bound(side)} #{metres(limit)} is allowed"
+  defp unknown(:terrain), do: Refusal.text(:above_ground)
+  defp unknown(:own), do: Refusal.text(:own_height)
+  defp unknown(_home_or_msl), do: Refusal.text(:home_height)
 
   defp bound(:max), do: "at most"
   defp bound(:min), do: "at least"

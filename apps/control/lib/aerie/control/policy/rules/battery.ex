@@ -7,6 +7,7 @@ defmodule Aerie.Control.Policy.Rules.Battery do
   @behaviour Aerie.Control.Policy.Rules.Rule
 
   alias Aerie.Control.Policy.Intent
+  alias Aerie.Vehicle.Command.Refusal
 
   @types ~w(takeoff arm)
 
@@ -19,18 +20,13 @@ defmodule Aerie.Control.Policy.Rules.Battery do
       else: :ok
   end
 
-  defp charge(floor, type, context) do
-    case context.battery do
-      nil ->
-        {:deny, "#{type} needs #{percent(floor)} of the battery's charge; how much is left is not known"}
+  defp charge(floor, command, %{battery: nil}),
+    do: Refusal.deny(:battery_unknown, command: command, floor: percent(floor))
 
-      left when left < floor ->
-        {:deny, "#{type} needs #{percent(floor)} of the battery's charge; #{percent(left)} is left"}
+  defp charge(floor, command, %{battery: left}) when left < floor,
+    do: Refusal.deny(:battery_low, command: command, floor: percent(floor), left: percent(left))
 
-      _enough ->
-        :ok
-    end
-  end
+  defp charge(_floor, _command, _enough), do: :ok
 
   # Not rounded up: 29.9 % is not 30 %.
   defp percent(share),

@@ -7,6 +7,7 @@ defmodule Aerie.Control.Policy.Rules.Condition do
   @behaviour Aerie.Control.Policy.Rules.Rule
 
   alias Aerie.Control.Policy.Intent
+  alias Aerie.Vehicle.Command.Refusal
 
   @typedoc "What must be so; nil: either."
   @type condition :: %{armed: boolean() | nil, in_air: boolean() | nil}
@@ -36,14 +37,10 @@ defmodule Aerie.Control.Policy.Rules.Condition do
   defp state(_facts, _what, must, must), do: :ok
 
   defp state(facts, what, must, nil),
-    do:
-      {:deny,
-       "#{Intent.label(facts)} is allowed only while the vehicle is #{word(what, must)}; whether it is, is not known"}
+    do: Refusal.deny(:condition_unknown, command: Intent.label(facts), state: word(what, must))
 
   defp state(facts, what, must, is),
-    do:
-      {:deny,
-       "#{Intent.label(facts)} is allowed only while the vehicle is #{word(what, must)}; it is #{word(what, is)}"}
+    do: Refusal.deny(:condition, command: Intent.label(facts), state: word(what, must), is: word(what, is))
 
   defp word(:armed, true), do: "armed"
   defp word(:armed, false), do: "disarmed"

@@ -7,12 +7,11 @@ defmodule Aerie.Control.Policy.Rules.Disarmed do
   @behaviour Aerie.Control.Policy.Rules.Rule
 
   alias Aerie.Control.Policy.Intent
+  alias Aerie.Vehicle.Command.Refusal
 
   @impl Aerie.Control.Policy.Rules.Rule
   def check(_policy, %{stored?: true} = facts, %{armed: false}),
-    do:
-      {:deny,
-       "the vehicle is disarmed, and #{Intent.label(facts)} would move it as soon as it is armed: arm it first"}
+    do: Refusal.deny(:disarmed, command: Intent.label(facts))
 
   def check(_policy, _facts, _context), do: :ok
 end

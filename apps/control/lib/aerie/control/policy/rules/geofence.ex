@@ -4,6 +4,7 @@ defmodule Aerie.Control.Policy.Rules.Geofence do
   @behaviour Aerie.Control.Policy.Rules.Rule
 
   alias Aerie.Control.Policy.{Fence, FlightPath, Intent}
+  alias Aerie.Vehicle.Command.Refusal
 
   @impl Aerie.Control.Policy.Rules.Rule
   def check(%{fence: nil}, _facts, _context), do: :ok
@@ -21,7 +22,7 @@ defmodule Aerie.Control.Policy.Rules.Geofence do
         Enum.find_value(targets, :ok, &refused(policy.fence, &1, facts.sweep, context))
 
       {:unknown, why} ->
-        {:deny, "a fence applies to #{Intent.label(facts)}, and #{why}"}
+        Refusal.deny(:place_unknown, command: Intent.label(facts), unknown: why)
     end
   end
 

@@ -8,6 +8,7 @@ defmodule Aerie.Control.Policy.Rules.Lease do
   @behaviour Aerie.Control.Policy.Rules.Rule
 
   alias Aerie.Control.Policy.{Intent, ControlLease}
+  alias Aerie.Vehicle.Command.Refusal
 
   @impl Aerie.Control.Policy.Rules.Rule
   def check(policy, %{control: change}, context) when change != nil do
@@ -20,15 +21,11 @@ defmodule Aerie.Control.Policy.Rules.Lease do
   def check(_policy, %{permission: :telemetry}, _context), do: :ok
   def check(%{lease: %{required: false}}, _facts, %{lease: nil}), do: :ok
 
-  def check(_policy, facts, %{lease: nil}),
-    do:
-      {:deny,
-       "nobody is in charge of the vehicle; #{Intent.label(facts)} #{ControlLease.take_first()} " <>
-         "(policy.lease.required)"}
+  def check(_policy, facts, %{lease: nil}), do: Refusal.deny(:nobody_took_it, command: Intent.label(facts))
 
   def check(_policy, _facts, %{lease: lease, source: source}) do
     if source != nil and ControlLease.who(source) == lease.holder,
       do: :ok,
-      else: {:deny, "#{ControlLease.in_charge(lease)}; #{ControlLease.take_over()}"}
+      else: Refusal.deny(:in_charge_of_all, holder: lease.holder, since: ControlLease.since(lease))
   end
 end

@@ -14,6 +14,7 @@ defmodule Aerie.Control.Policy.Rules.Mode do
   @behaviour Aerie.Control.Policy.Rules.Rule
 
   alias Aerie.Control.Policy.{Intent, Switches}
+  alias Aerie.Vehicle.Command.Refusal
   alias Aerie.Vehicle.Firmware.Modes
 
   @typedoc "Names in capitals. A mode that is not in `transitions` may be left for any other."
@@ -31,14 +32,14 @@ defmodule Aerie.Control.Policy.Rules.Mode do
   defp limited(policy, %{mode: nil, standard_mode: nil} = facts, context) do
     case Switches.modes(facts, context) do
       {:ok, names} -> wanted(policy.modes, Enum.map(names, &known_as(&1, context)), facts, context)
-      {:unknown, why} -> {:deny, "#{Intent.label(facts)}: #{why}, and modes are limited (policy.modes)"}
+      {:unknown, why} -> Refusal.deny(:mode_switched, command: Intent.label(facts), unknown: why)
     end
   end
 
   defp limited(policy, %{mode: nil, standard_mode: name} = facts, context) do
     case context.standard_modes do
       %{^name => mode} -> wanted(policy.modes, [known_as(mode, context)], facts, context)
-      _unknown -> {:deny, "which of its modes the standard mode #{name} is for this vehicle is not known"}
+      _unknown -> Refusal.deny(:mode_standard, mode: name)
     end
   end
 
@@ -51,10 +52,10 @@ defmodule Aerie.Control.Policy.Rules.Mode do
     Enum.find_value(names, :ok, fn name ->
       cond do
         nameless?(name, context) ->
-          {:deny, "what the mode #{name} does is not known, and modes are limited (policy.modes)"}
+          Refusal.deny(:mode_unknown, mode: name)
 
         named?(modes.denied, name, context) ->
-          {:deny, "the mode #{name} is not allowed (modes.denied)"}
+          Refusal.deny(:mode_denied, mode: name)
 
         facts.type == "mission_upload" ->
           nil
@@ -67,8 +68,7 @@ defmodule Aerie.Control.Policy.Rules.Mode do
 
   defp transition(transitions, _wanted, _context) when transitions == %{}, do: :ok
 
-  defp transition(_transitions, wanted, %{mode: nil}),
-    do: {:deny, "whether the mode may change to #{wanted} depends on the vehicle's mode, which is not known"}
+  defp transition(_transitions, wanted, %{mode: nil}), do: Refusal.deny(:mode_change_unknown, mode: wanted)
 
   defp transition(transitions, wanted, context) do
     mode = known_as(context.mode, context)
@@ -78,7 +78,7 @@ defmodule Aerie.Control.Policy.Rules.Mode do
 
     case Enum.reject(allowed, &(wanted == mode or named?(&1, wanted, context))) do
       [] -> :ok
-      [to | _] -> {:deny, "from #{mode} the mode may change to #{listed(to)}, not to #{wanted}"}
+      [to | _] -> Refusal.deny(:mode_change, from: mode, allowed: listed(to), mode: wanted)
     end
   end
 

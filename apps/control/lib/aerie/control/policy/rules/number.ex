@@ -7,8 +7,11 @@ defmodule Aerie.Control.Policy.Rules.Number do
   @behaviour Aerie.Control.Policy.Rules.Rule
 
   alias Aerie.Control.Policy.Intent
+  alias Aerie.Vehicle.Command.Refusal
 
   @impl Aerie.Control.Policy.Rules.Rule
   def check(_policy, %{number: nil}, _context), do: :ok
-  def check(_policy, facts, _context), do: {:deny, "#{Intent.label(facts)}: #{facts.number}"}
+
+  def check(_policy, facts, _context),
+    do: Refusal.deny(:number, command: Intent.label(facts), wrong: facts.number)
 end

@@ -20,7 +20,7 @@ defmodule Aerie.Control.Policy.Rules.Role do
   alias Aerie.Control.Policy
   alias Aerie.Control.Policy.{Intent, Roles}
   alias Aerie.Control.Policy.Intent.Context
-  alias Aerie.Vehicle.Command.Type
+  alias Aerie.Vehicle.Command.{Refusal, Type}
   alias Aerie.Vehicle.Firmware
   alias MavCodec.Meaning.Pilot
 
@@ -33,18 +33,13 @@ defmodule Aerie.Control.Policy.Rules.Role do
   @impl Aerie.Control.Policy.Rules.Rule
   def check(policy, facts, %{source: source} = context) do
     case lacking(policy, facts, context) do
-      nil ->
-        if Roles.allowed?(source, :protection),
-          do: :ok,
-          else: shaping(Shaping.refused(policy, facts, context))
-
-      {_permission, reason} ->
-        {:deny, reason}
+      nil -> if Roles.allowed?(source, :protection), do: :ok, else: Shaping.check(policy, facts, context)
+      {_permission, denial} -> denial
     end
   end
 
-  @doc "The first permission that a source lacks, and the refusal in words; nil if it has all."
-  @spec lacking(Policy.t() | map(), Intent.t(), Context.t()) :: {Type.permission(), String.t()} | nil
+  @doc "The first permission that a source lacks, and the refusal; nil if it has all."
+  @spec lacking(Policy.t() | map(), Intent.t(), Context.t()) :: {Type.permission(), Refusal.denial()} | nil
   def lacking(policy, facts, %{source: source} = context) do
     needed =
       [facts.permission | facts.also] ++
@@ -54,9 +49,9 @@ defmodule Aerie.Control.Policy.Rules.Role do
     opens? = lacking != [] and lacking -- @instead == [] and pilot_may?(policy, facts)
 
     with [permission | _more] <- if(opens? and Roles.allowed?(source, :pilot), do: [], else: lacking) do
-      {permission,
-       "#{Intent.label(facts)} needs the permission #{permission}#{if opens?, do: " or pilot"}" <>
-         guards(facts, permission) <> why(permission, source) <> because(facts, permission)}
+      needed = "#{permission}#{if opens?, do: " or pilot"}#{guards(facts, permission)}"
+      held = "#{held(permission, source)}#{because(facts, permission)}"
+      {permission, Refusal.deny(:permission, command: Intent.label(facts), permission: needed, held: held)}
     else
       [] -> nil
     end
@@ -71,9 +66,6 @@ defmodule Aerie.Control.Policy.Rules.Role do
 
   defp limits?(policy),
     do: Enum.any?([policy.fence, policy.max_altitude, policy.min_altitude, policy.max_altitude_msl])
-
-  defp shaping(nil), do: :ok
-  defp shaping(why), do: {:deny, "set_parameter needs the permission protection: #{why}"}
 
   # What a vehicle believes of where it is, and of its battery, leads it around a fence and a limit.
   defp limited(policy, %{type: "sensor_input"}), do: if(limits?(policy), do: [:inputs], else: [])
@@ -105,11 +97,11 @@ defmodule Aerie.Control.Policy.Rules.Role do
   defp guards(%{label: nil}, _lacking), do: ""
   defp guards(_facts, lacking), do: with(text when text != "" <- Roles.guards(lacking), do: " (#{text})")
 
-  defp why(_lacking, nil), do: ", and nobody is signed in"
+  defp held(_lacking, nil), do: Refusal.text(:nobody_signed_in)
 
-  defp why(lacking, source) do
+  defp held(lacking, %{name: name, role: role}) do
     if lacking in Roles.own(),
-      do: ", which no role includes; #{source.name} (#{source.role}) was not given it",
-      else: "; #{source.name} is #{source.role}, which does not include it"
+      do: Refusal.text(:not_given, source: name, role: role),
+      else: Refusal.text(:not_in_role, source: name, role: role)
   end
 end

@@ -4,9 +4,8 @@ defmodule Aerie.Control.Policy.Rules.Rule do
   alias Aerie.Control.Policy
   alias Aerie.Control.Policy.Intent
   alias Aerie.Control.Policy.Intent.Context
+  alias Aerie.Vehicle.Command.Refusal
 
-  @doc """
-  `{:deny, sentence}`, with the numbers in it. What is not known and needed denies, and the sentence says what it is.
-  """
-  @callback check(Policy.t(), Intent.t(), Context.t()) :: :ok | {:deny, String.t()}
+  @doc "What is not known and needed denies, and the text says what it is."
+  @callback check(Policy.t(), Intent.t(), Context.t()) :: :ok | Refusal.denial()
 end

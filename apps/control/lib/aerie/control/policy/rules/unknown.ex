@@ -7,14 +7,14 @@ defmodule Aerie.Control.Policy.Rules.Unknown do
 
   @behaviour Aerie.Control.Policy.Rules.Rule
 
+  alias Aerie.Vehicle.Command.Refusal
+
   @impl Aerie.Control.Policy.Rules.Rule
   def check(_policy, %{unknown: nil}, _context), do: :ok
   def check(%{unknown: :maintain}, _facts, _context), do: :ok
 
-  def check(policy, %{unknown: what}, _context) do
-    if what in policy.open, do: :ok, else: {:deny, text(what) <> ", and policy.open does not open it"}
-  end
+  def check(policy, %{unknown: what}, _context), do: if(what in policy.open, do: :ok, else: unlisted(what))
 
-  defp text({:command, id}), do: "the gateway does not know the command #{id} (MAV_CMD)"
-  defp text({:message, id}), do: "the gateway does not know the message #{id}"
+  defp unlisted({:command, id}), do: Refusal.deny(:command_unlisted, id: id)
+  defp unlisted({:message, id}), do: Refusal.deny(:message_unlisted, id: id)
 end

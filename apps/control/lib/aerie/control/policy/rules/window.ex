@@ -8,6 +8,7 @@ defmodule Aerie.Control.Policy.Rules.Window do
   @behaviour Aerie.Control.Policy.Rules.Rule
 
   alias Aerie.Control.Policy.Intent
+  alias Aerie.Vehicle.Command.Refusal
 
   @days {:mon, :tue, :wed, :thu, :fri, :sat, :sun}
 
@@ -32,8 +33,8 @@ defmodule Aerie.Control.Policy.Rules.Window do
         :ok
 
       windows ->
-        {:deny,
-         "#{Intent.label(facts)} is allowed #{Enum.map_join(windows, " or ", &text/1)} only; it is #{clock(now)}"}
+        open = Enum.map_join(windows, " or ", &text/1)
+        Refusal.deny(:window, command: Intent.label(facts), windows: open, now: clock(now))
     end
   end
 

@@ -9,8 +9,8 @@ defmodule Aerie.Control.Commands.Gateways.SendingTest do
     assert {state, :claim} = Sending.handle(state, {:holder, {:mine, 500}, 499})
     assert {state, :go_on} = Sending.handle(state, {:claimed, :ok})
     assert {_over, {:send, :fleet}} = Sending.handle(state, {:holder, {:mine, 900}, 501})
-    assert {_over, {:refuse, :holder, _}} = Sending.handle(state, {:holder, {:mine, 500}, 500})
-    assert {_over, {:refuse, :holder, _}} = Sending.handle(state, {:holder, {:other, "b"}, 1})
+    assert {_over, {:refuse, {:deny, :holder, _}}} = Sending.handle(state, {:holder, {:mine, 500}, 500})
+    assert {_over, {:refuse, {:deny, :holder, _}}} = Sending.handle(state, {:holder, {:other, "b"}, 1})
   end
 
   test "a claim of another gateway or one that failed ends it; a gateway that is alone needs no claim" do
@@ -22,7 +22,7 @@ defmodule Aerie.Control.Commands.Gateways.SendingTest do
 
     assert {_over, {:known, :them}} = Sending.handle(held.({:mine, 500}), {:claimed, {:taken, :them}})
 
-    assert {_over, {:refuse, :claim, _}} =
+    assert {_over, {:refuse, {:deny, :claim, _}}} =
              Sending.handle(held.({:mine, 500}), {:claimed, {:error, "no"}})
 
     assert {_over, {:known, :them}} = Sending.handle(held.(:alone), {:claimed, {:taken, :them}})
@@ -58,14 +58,14 @@ defmodule Aerie.Control.Commands.Gateways.SendingTest do
     assert {_over, {:pass_on, "b"}} =
              Sending.handle(Sending.new(1_000, false), {:holder, {:other, "b"}, 0})
 
-    assert {_over, {:refuse, :holder, _}} =
+    assert {_over, {:refuse, {:deny, :holder, _}}} =
              Sending.handle(Sending.new(1_000, true), {:holder, {:other, "b"}, 0})
 
     state = Sending.new(1_000, false)
     assert {^state, {:again, _ms}} = Sending.handle(state, {:holder, {:unknown, "why"}, 999})
     assert {^state, {:again, _ms}} = Sending.handle(state, {:holder, {:mine, 10}, 999})
 
-    assert {_over, {:refuse, :holder, "why"}} =
+    assert {_over, {:refuse, {:deny, :holder, "why; nothing was sent"}}} =
              Sending.handle(state, {:holder, {:unknown, "why"}, 1_000})
   end
 end

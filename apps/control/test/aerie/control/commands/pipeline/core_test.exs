@@ -48,7 +48,7 @@ defmodule Aerie.Control.Commands.Pipeline.CoreTest do
     done = play(core("goto"), %{holder: [unknown, unknown]})
     assert [:ask, :holder, :wait, :holder, :ask | _more] = Enum.drop_while(names(done), &(&1 != :ask))
     done = play(core("goto"), %{holder: List.duplicate(unknown, 500)})
-    assert {{:refuse, :denied, :holder, "NATS is away; nothing was sent", false}, nil} = List.last(done)
+    assert {{:refuse, {:deny, :holder, "NATS is away; nothing was sent"}, false}, nil} = List.last(done)
   end
 
   test "passed on in vain: what brings a vehicle down is given here, everything else is not" do
@@ -104,7 +104,7 @@ defmodule Aerie.Control.Commands.Pipeline.CoreTest do
       # What was admitted keeps its refusal.
       refusal_kept: fn done, _core ->
         case List.last(done) do
-          {{:refuse, _status, _rule, _reason, stored?}, nil} -> stored? == :judge in names(done)
+          {{:refuse, _denial, stored?}, nil} -> stored? == :judge in names(done)
           _other_end -> true
         end
       end
@@ -139,7 +139,7 @@ defmodule Aerie.Control.Commands.Pipeline.CoreTest do
       Enum.any?(before, fn
         {{:sending, _retry}, :ok} -> true
         {{:sending, _retry}, {:error, _why}} -> unrecorded?
-        {{:sending, _retry}, {:refused, _why}} -> unrecorded? and repeatable?
+        {{:sending, _retry}, {:deny, :ledger, _why}} -> unrecorded? and repeatable?
         _other -> false
       end)
   end
@@ -164,17 +164,22 @@ defmodule Aerie.Control.Commands.Pipeline.CoreTest do
       look: one_of([{8, {snapshot(), :allow}}, {1, {nil, :allow}}, {1, {snapshot(), {:deny, :role, "no"}}}]),
       take_token: one_of([{8, :ok}, {1, {:deny, :rate, "no"}}, {1, :late}]),
       holder: one_of(mine ++ [{1, {:other, "b"}}, {1, {:unknown, "why"}}]),
-      known: one_of([{4, :new}, {1, {:refused, "used"}}, {1, {:error, "full"}}, {1, :in_flight}]),
+      known: one_of([{4, :new}, {1, {:deny, :id, "used"}}, {1, {:error, "full"}}, {1, :in_flight}]),
       admit:
-        one_of([{8, :new}, {1, {:refused, "used"}}, {1, {:error, "full"}}, {1, {:stored, result.(:failed)}}]),
+        one_of([
+          {8, :new},
+          {1, {:deny, :id, "used"}},
+          {1, {:error, "full"}},
+          {1, {:stored, result.(:failed)}}
+        ]),
       judge: one_of([{8, {:audit, true}}, {1, :no_policy}, {1, {:deny, :altitude, "no"}}]),
       audit: one_of([{8, :allow}, {1, {:deny, :audit, "no"}}, {1, :late}]),
-      setpoints: one_of([{8, :ok}, {1, {:error, "none come"}}]),
+      setpoints: one_of([{8, :ok}, {1, {:deny, :setpoints, "none come"}}]),
       claim: one_of([{8, :ok}, {1, {:taken, %{by: "b", result: nil}}}, {1, {:error, "NATS is away"}}]),
-      sending: one_of([{8, :ok}, {1, {:refused, "sent"}}, {1, {:error, "full"}}]),
+      sending: one_of([{8, :ok}, {1, {:deny, :ledger, "sent"}}, {1, {:error, "full"}}]),
       execute: one_of([{2, result.(:completed)}, {1, result.(:failed)}]),
       pass_on: one_of([{1, result.(:completed)}, {1, result.(:unknown)}]),
-      change_lease: one_of([{2, {:ok, nil}}, {1, {:deny, "nobody is in charge"}}])
+      change_lease: one_of([{2, {:ok, nil}}, {1, {:deny, :lease, "nobody is in charge"}}])
     }
 
     types = :proper_types.oneof(~w(goto land gripper force_disarm take_control release_control))

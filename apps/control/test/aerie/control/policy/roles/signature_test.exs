@@ -68,7 +68,8 @@ defmodule Aerie.Control.Policy.Roles.SignatureTest do
           {"#{public} #{at} #{Base.url_encode64(:binary.copy(<<0>>, 64), padding: false)}", @subject, @body},
           {"#{public} #{at} #{String.duplicate("A", 86)}", @subject, @body}
         ] do
-      assert {:error, "the signature does not fit" <> _} = Signature.verify(header, subject, body, @now)
+      assert {:deny, :signature, "the signature does not fit" <> _} =
+               Signature.verify(header, subject, body, @now)
     end
 
     for header <- [
@@ -80,12 +81,13 @@ defmodule Aerie.Control.Policy.Roles.SignatureTest do
           "SUAB #{at} #{signature}",
           String.duplicate("x", 600)
         ] do
-      assert {:error, "the header Aerie-Signature" <> _} = Signature.verify(header, @subject, @body, @now)
+      assert {:deny, :signature, "the header Aerie-Signature" <> _} =
+               Signature.verify(header, @subject, @body, @now)
     end
 
     random =
       :proper.forall({:proper_types.binary(), :proper_types.binary()}, fn {header, body} ->
-        match?({:error, _}, Signature.verify(header, @subject, body, @now))
+        match?({:deny, :signature, _}, Signature.verify(header, @subject, body, @now))
       end)
 
     assert :proper.quickcheck(random, [:quiet, numtests: 200]) == true, inspect(:proper.counterexample())
@@ -98,23 +100,25 @@ defmodule Aerie.Control.Policy.Roles.SignatureTest do
     assert {:ok, _key} = Signature.verify(header, @subject, @body, @now - 5_000_000)
 
     assert Signature.verify(header, @subject, @body, @now + 61_500_000) ==
-             {:error, "the signature is 61 s old; it counts for 60 s"}
+             {:deny, :signature, "the signature is 61 s old; it counts for 60 s"}
 
     assert Signature.verify(header, @subject, @body, @now - 6_000_000) ==
-             {:error, "the signature's time is 6 s ahead of the gateway's clock"}
+             {:deny, :signature, "the signature's time is 6 s ahead of the gateway's clock"}
   end
 
   test "who is not listed, or not any more, or does not sign, commands nothing; unless the policy says otherwise" do
     key = Nkey.generate(:user)
     header = Signature.sign(key, @subject, @body, @time)
     stranger = policy(%{})
-    assert {:error, text} = Sources.identify(stranger, header, @subject, @body, @now)
+    assert {:deny, :signature, text} = Sources.identify(stranger, header, @subject, @body, @now)
     assert text == "the key #{key.public} is not one of policy.sources"
-    assert {:error, "the command is not signed" <> _} = Sources.identify(stranger, nil, @subject, @body, @now)
+
+    assert {:deny, :signature, "the command is not signed" <> _} =
+             Sources.identify(stranger, nil, @subject, @body, @now)
 
     until = fn day -> policy(%{sources: [%{name: "olga", nkey: key.public, expires: day}]}) end
 
-    assert {:error, "the key of olga was good until 2026-11-21"} =
+    assert {:deny, :signature, "the key of olga was good until 2026-11-21"} =
              Sources.identify(until.("2026-11-21"), header, @subject, @body, @now)
 
     assert {:ok, %{role: :operator}} = Sources.identify(until.("2026-11-22"), header, @subject, @body, @now)
@@ -125,7 +129,7 @@ defmodule Aerie.Control.Policy.Roles.SignatureTest do
              Sources.identify(open, nil, @subject, @body, @now)
 
     # A wrong signature is not an unsigned command.
-    assert {:error, _reason} = Sources.identify(open, header <> "x", @subject, @body, @now)
+    assert {:deny, :signature, _reason} = Sources.identify(open, header <> "x", @subject, @body, @now)
   end
 
   test "sources that cannot be are refused with their key" do

@@ -9,7 +9,7 @@ defmodule Aerie.Fleet.Bridge.Commands.Operation do
   alias Aerie.Control.Operations
   alias Aerie.Control.Operations.Operation
   alias Aerie.Control.Policy.Roles
-  alias Aerie.Vehicle.Command.{Error, Result}
+  alias Aerie.Vehicle.Command.{Error, Refusal, Result}
 
   # A message of NATS is a mebibyte at most by default.
   @max_bytes 1_000_000
@@ -96,9 +96,7 @@ defmodule Aerie.Fleet.Bridge.Commands.Operation do
     if IO.iodata_length(body) <= @max_bytes do
       reply
     else
-      reason =
-        "the reply has #{IO.iodata_length(body)} bytes, more than the #{@max_bytes} that NATS carries; ask over REST"
-
+      reason = Refusal.text(:reply_large, bytes: IO.iodata_length(body), most: @max_bytes)
       %{"id" => short(id), "result" => "failed", "rule" => "size", "reason" => reason}
     end
   end

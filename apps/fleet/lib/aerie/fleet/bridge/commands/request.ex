@@ -17,11 +17,11 @@ defmodule Aerie.Fleet.Bridge.Commands.Request do
   alias Aerie.Control.Policy
   alias Aerie.Control.Policy.Roles
   alias Aerie.Control.Policy.Roles.Sources
+  alias Aerie.Vehicle.Command.Refusal
 
   @max_bytes 16_384
 
   @type t :: %{vehicle: String.t(), type: String.t(), envelope: map(), source: Roles.source()}
-  @type refusal :: {rule :: :size | :malformed | :signature | :policy, reason :: String.t()}
 
   @doc "The largest body in bytes."
   @spec max_bytes() :: pos_integer()
@@ -47,7 +47,7 @@ defmodule Aerie.Fleet.Bridge.Commands.Request do
 
   @doc "Reads a message at `now` (unix microseconds). A refusal comes with what could be read of the envelope."
   @spec read(Aerie.Fleet.Nats.message(), Policy.t() | nil, now :: integer()) ::
-          {:ok, t()} | {:refused, map(), refusal()}
+          {:ok, t()} | {:refused, map(), Refusal.denial()}
   def read(%{topic: topic, body: body} = message, policy, now) do
     {vehicle, type} = subject(topic)
     headers = Map.new(message[:headers] || [])
@@ -55,14 +55,14 @@ defmodule Aerie.Fleet.Bridge.Commands.Request do
 
     # The signature first: a forged body is not even parsed, but for its id.
     with {:size, :ok} <- {:size, short(body, max_bytes(type))},
-         {:who, {:ok, source}} <- {:who, identify(policy, signature(message), topic, body, now)},
+         {:who, {:ok, source}} <- {:who, Sources.identify(policy, signature(message), topic, body, now)},
          {:object, {:ok, given}} <- {:object, decode(body, max_bytes(type))},
          named = Map.merge(given, named),
          {:ok, envelope} <- envelope(given, named, headers) do
       {:ok, %{vehicle: vehicle, type: type, envelope: envelope, source: source}}
     else
-      {:who, {:refused, rule, reason}} -> {:refused, Map.merge(id(body), named), {rule, reason}}
-      {_unread, {:refused, rule, reason}} -> {:refused, named, {rule, reason}}
+      {:who, denial} -> {:refused, Map.merge(id(body), named), denial}
+      {_unread, denial} -> {:refused, named, denial}
       refused -> refused
     end
   end
@@ -77,32 +77,19 @@ defmodule Aerie.Fleet.Bridge.Commands.Request do
   # No command has a dot in its name.
   defp max_bytes(type), do: if(String.contains?(type, "."), do: Operation.max_bytes(), else: @max_bytes)
 
-  defp short(body, max) when byte_size(body) > max,
-    do: {:refused, :size, "the body has more than #{max} bytes"}
-
+  defp short(body, max) when byte_size(body) > max, do: Refusal.deny(:body_large, most: max)
   defp short(_body, _max), do: :ok
 
   @doc "The object that a body of at most `max` bytes is."
-  @spec decode(binary(), max :: pos_integer()) :: {:ok, map()} | {:refused, :size | :malformed, String.t()}
+  @spec decode(binary(), max :: pos_integer()) :: {:ok, map()} | Refusal.denial()
   def decode(body, max) do
     with :ok <- short(body, max),
          {:ok, %{} = object} <- JSON.decode(body) do
       {:ok, object}
     else
-      {:refused, _size, _reason} = refused -> refused
-      _other -> {:refused, :malformed, "the body is not a JSON object"}
+      {:deny, :size, _reason} = denial -> denial
+      _other -> Refusal.deny(:no_object)
     end
-  end
-
-  @doc "Who signed a message, or who may do without a signature."
-  @spec identify(Policy.t() | nil, String.t() | nil, subject :: String.t(), binary(), now :: integer()) ::
-          {:ok, Roles.source()} | {:refused, :policy | :signature, String.t()}
-  def identify(nil, _header, _topic, _body, _now),
-    do: {:refused, :policy, "the gateway has no policy, so nobody may command anything"}
-
-  def identify(policy, header, topic, body, now) do
-    with {:error, reason} <- Sources.identify(policy, header, topic, body, now),
-         do: {:refused, :signature, reason}
   end
 
   defp envelope(given, named, headers) do
@@ -110,11 +97,10 @@ defmodule Aerie.Fleet.Bridge.Commands.Request do
 
     cond do
       other != [] ->
-        {:refused, named, {:malformed, "#{hd(other)}: the subject names another one than the body"}}
+        {:refused, named, Refusal.deny(:another_subject, key: hd(other))}
 
       headers["aerie-signature"] != nil and headers["aerie-deadline"] != nil ->
-        {:refused, named,
-         {:malformed, "Aerie-Deadline is not signed: the deadline of a signed command is in its body"}}
+        {:refused, named, Refusal.deny(:deadline_unsigned)}
 
       true ->
         # Every command needs an id of the sender: without one a copy of it would be another command.

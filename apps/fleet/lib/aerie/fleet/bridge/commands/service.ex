@@ -24,6 +24,7 @@ defmodule Aerie.Fleet.Bridge.Commands.Service do
   alias Aerie.Fleet.Bridge.Connection.Subscriber
   alias Aerie.Fleet.Bridge.Status.Tables
   alias Aerie.Fleet.Nats
+  alias Aerie.Vehicle.Command.Refusal
 
   @enforce_keys [:gateway, :name, :operations, :subject, :max_bytes]
   defstruct [:gateway, :name, :operations, :subject, :queue_group, :max_bytes, :dropped, :workers, :conn]
@@ -88,7 +89,7 @@ defmodule Aerie.Fleet.Bridge.Commands.Service do
 
     _ =
       if message,
-        do: reply(message, refusal(:unavailable, "a fault of the gateway ended its work on the request"))
+        do: reply(message, refusal(Refusal.deny(:request_broken)))
 
     {:noreply, %{state | workers: workers}}
   end
@@ -106,12 +107,12 @@ defmodule Aerie.Fleet.Bridge.Commands.Service do
 
     with :error <- Table.fetch(operations, area <> "." <> action) do
       actions = for %{name: name} <- operations, do: String.replace_prefix(name, area <> ".", "")
-      {:refused, :malformed, "the last word of the subject must be one of #{Enum.join(actions, ", ")}"}
+      Refusal.deny(:no_action, actions: Enum.join(actions, ", "))
     end
   end
 
   defp work(_state, _server, message, :busy, number),
-    do: reply(message, refusal(:busy, "#{number} requests are under way, as many as there may be; try again"))
+    do: reply(message, refusal(Refusal.deny(:busy_requests, n: number)))
 
   defp work(state, server, message, _phase, _number), do: reply(message, answer(state, server, message))
 
@@ -125,11 +126,8 @@ defmodule Aerie.Fleet.Bridge.Commands.Service do
          :ok <- once(operation.once, signature, object) do
       operation |> run(state.gateway, message, object, source) |> body(operation, object)
     else
-      {:refused, rule, reason} ->
-        refusal(rule, reason)
-
-      {:busy, number} ->
-        refusal(:busy, "#{number} requests are under way, as many as there may be; try again")
+      {:busy, number} -> refusal(Refusal.deny(:busy_requests, n: number))
+      denial -> refusal(denial)
     end
   end
 
@@ -140,7 +138,7 @@ defmodule Aerie.Fleet.Bridge.Commands.Service do
   defp source(%{changes?: false}, _gateway, _signature, _message), do: {:ok, nil}
 
   defp source(_changes, gateway, signature, %{topic: topic, body: body}),
-    do: Request.identify(Policy.Store.get(gateway), signature, topic, body, System.os_time(:microsecond))
+    do: Policy.signer(gateway, signature, topic, body)
 
   defp admitted(_server, source, signature) when source == nil or signature == nil, do: :ok
   defp admitted(server, _source, signature), do: GenServer.call(server, {:verified, signature}, :infinity)
@@ -149,7 +147,7 @@ defmodule Aerie.Fleet.Bridge.Commands.Service do
   defp once({key, :always, reason}, _signature, object), do: given(object[key], reason)
   defp once(_copies_are_harmless, _signature, _object), do: :ok
 
-  defp given(nil, reason), do: {:refused, :malformed, reason}
+  defp given(nil, reason), do: {:deny, :malformed, reason}
   defp given(_value, _reason), do: :ok
 
   defp run(operation, gateway, message, object, source) do
@@ -179,10 +177,12 @@ defmodule Aerie.Fleet.Bridge.Commands.Service do
 
   defp body({:error, refused}, _operation, _object), do: refusal(refused)
 
-  defp refusal({rule, [_ | _] = errors}), do: refusal(rule, Enum.join(errors, "; "))
-  defp refusal({rule, reason}), do: refusal(rule, reason)
-  defp refusal(errors), do: refusal(:malformed, Enum.join(errors, "; "))
-  defp refusal(rule, reason), do: %{"result" => "refused", "rule" => Atom.to_string(rule), "reason" => reason}
+  defp refusal({rule, [_ | _] = errors}), do: refusal({:deny, rule, Enum.join(errors, "; ")})
+  defp refusal({rule, reason}), do: refusal({:deny, rule, reason})
+  defp refusal([_ | _] = errors), do: refusal({:malformed, errors})
+
+  defp refusal({:deny, rule, reason}),
+    do: %{"result" => "refused", "rule" => Atom.to_string(rule), "reason" => reason}
 
   # A message without a reply subject is ignored; a client without an answer asks again.
   defp reply(%{reply_to: nil}, _body), do: :ok

@@ -243,7 +243,7 @@ defmodule Aerie.Fleet.Shadow.Documents.Uplink do
   defp may?({:ok, source}, path, value),
     do: Enum.all?(Field.permissions(path, value), &Roles.allowed?(source, &1))
 
-  defp may?({:error, _nobody}, _path, _value), do: false
+  defp may?({:deny, _rule, _nobody}, _path, _value), do: false
 
   defp refuse(_state, _source, []), do: :ok
 
@@ -251,7 +251,7 @@ defmodule Aerie.Fleet.Shadow.Documents.Uplink do
     why =
       case source do
         {:ok, source} -> "#{source.name} lacks the permissions for it"
-        {:error, nobody} -> nobody <> " (shadow.hub)"
+        {:deny, :signature, nobody} -> nobody <> " (shadow.hub)"
       end
 
     text = "what the hub desires of #{Enum.join(paths, ", ")} is refused: #{why}"

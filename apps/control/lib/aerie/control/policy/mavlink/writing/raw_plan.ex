@@ -9,6 +9,7 @@ defmodule Aerie.Control.Policy.Mavlink.Writing.RawPlan do
   """
 
   alias Protocols.Mission.{Item, Transfer}
+  alias Aerie.Vehicle.Command.Refusal
   alias MavCodec.Messages, as: M
 
   @fence 1
@@ -57,10 +58,10 @@ defmodule Aerie.Control.Policy.Mavlink.Writing.RawPlan do
   def take(plan, %M.MissionCount{count: count} = message, aboard, now) do
     cond do
       count > Transfer.limit() ->
-        {:deny, "a plan of #{count} items; at most #{Transfer.limit()} are taken"}
+        {:deny, Refusal.text(:plan_long, n: count, most: Transfer.limit())}
 
       length(begun(plan, now).counts) > @most_begun ->
-        {:deny, "too many uploads were begun and not finished; begin again in #{@given_up_s} s"}
+        {:deny, Refusal.text(:uploads_begun, seconds: @given_up_s)}
 
       true ->
         counted(%{begun(plan, now) | count: count}, plan, message, aboard)
@@ -76,11 +77,10 @@ defmodule Aerie.Control.Policy.Mavlink.Writing.RawPlan do
       {:ok, %{plan | next: first, part: first..last}}
     else
       :unknown ->
-        {:deny,
-         "the items aboard beside it are not known; the gateway reads them now: try again, or send the plan whole"}
+        {:deny, Refusal.text(:items_beside_unknown)}
 
       false ->
-        {:deny, "it is not a part of the plan aboard; send the plan whole"}
+        {:deny, Refusal.text(:not_a_part)}
     end
   end
 
@@ -93,18 +93,16 @@ defmodule Aerie.Control.Policy.Mavlink.Writing.RawPlan do
 
     cond do
       seq >= (plan.count || Transfer.limit()) ->
-        {:deny, "mission item #{seq} is beyond the end of the plan"}
+        {:deny, Refusal.text(:item_beyond, seq: seq)}
 
       plan.part != nil and (seq not in plan.part or seq > plan.next) ->
-        {:deny, "mission item #{seq} is not due; the partial write goes on with item #{plan.next}"}
+        {:deny, Refusal.text(:item_not_due, seq: seq, next: plan.next)}
 
       Map.get(plan.sent, seq, item) != item ->
-        {:deny, "mission item #{seq} came before with another content; begin the upload again"}
+        {:deny, Refusal.text(:item_differs, seq: seq)}
 
       Map.get(plan.earlier, seq, item) != item ->
-        {:deny,
-         "the vehicle may still wait for the rest of an upload with another item #{seq}; " <>
-           "begin again in #{@given_up_s} s"}
+        {:deny, Refusal.text(:item_awaited, seq: seq, seconds: @given_up_s)}
 
       true ->
         next = if seq == plan.next, do: seq + 1, else: plan.next
@@ -132,9 +130,7 @@ defmodule Aerie.Control.Policy.Mavlink.Writing.RawPlan do
         {:ok, %{new | before: plan.before}}
 
       :unknown ->
-        {:deny,
-         "fence_upload needs the permission protection while the fence aboard is not known; " <>
-           "the gateway reads it now: try again"}
+        {:deny, Refusal.text(:fence_unknown)}
     end
   end
 
@@ -151,9 +147,7 @@ defmodule Aerie.Control.Policy.Mavlink.Writing.RawPlan do
         {:ok, %{new | flown: plan.flown}}
 
       :unknown ->
-        {:deny,
-         "the vehicle flies its mission, and the one aboard is not known; the gateway reads it now: " <>
-           "try again, or hold the vehicle first"}
+        {:deny, Refusal.text(:flown_unknown)}
     end
   end
 

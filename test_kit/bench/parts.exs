@@ -14,8 +14,8 @@ defmodule PartsBench do
   alias Aerie.Base.Store
   alias Aerie.Fleet.Bridge.Message
   alias Bench.{Gateway, OSProcess, Sample, Vehicles}
-  alias Aerie.Console.Fleet.Table
-  alias Aerie.Console.Fleet.Board.Row
+  alias Aerie.Console.Pages.Fleet.Table
+  alias Aerie.Console.Pages.Fleet.Board.Row
 
   @gateway :bench
   @settle_s 5

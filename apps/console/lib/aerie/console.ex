@@ -2,7 +2,7 @@ defmodule Aerie.Console do
   @moduledoc """
   The console: pages for operators. `console/README.md` describes how it is put together.
 
-      defmodule Aerie.Console.Links.Page do
+      defmodule Aerie.Console.Pages.Links.Page do
         use Aerie.Console, {:page, events: [viewer: ~w(sort)], changes: [remove_link: ~w(remove)]}
 
         @impl Phoenix.LiveView

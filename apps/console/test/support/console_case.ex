@@ -251,7 +251,7 @@ defmodule Aerie.ConsoleCase do
   @doc "Has a page of the fleet read the store now, and not at the next notice."
   @spec refresh_fleet(Phoenix.LiveViewTest.View.t()) :: String.t()
   def refresh_fleet(%{pid: pid, conn: %{session: %{"gateway" => gateway}}} = view) do
-    _news = Console.Fleet.Board.Server.news(gateway, nil, :now)
+    _news = Console.Pages.Fleet.Board.Server.news(gateway, nil, :now)
     send(pid, :refresh)
     Phoenix.LiveViewTest.render(view)
   end

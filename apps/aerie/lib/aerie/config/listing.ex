@@ -7,7 +7,7 @@ defmodule Aerie.Config.Listing do
   alias Aerie.Config
   alias Aerie.Config.Keys
   alias Aerie.Base.Settings.{Field, Schema}
-  alias Aerie.Console.Settings.Configuration
+  alias Aerie.Console.Pages.Settings.Configuration
 
   # The name of a key ends with its unit.
   @units [

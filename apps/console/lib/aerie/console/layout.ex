@@ -2,7 +2,7 @@ defmodule Aerie.Console.Layout do
   @moduledoc "The frame of every page: the document, and in it the header, the navigation and messages."
   use Aerie.Console, :component
 
-  import Aerie.Console.Alarms.Strip
+  import Aerie.Console.Pages.Alarms.Strip
 
   alias Aerie.Console.Assets
 

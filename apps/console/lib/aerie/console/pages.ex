@@ -4,7 +4,7 @@ defmodule Aerie.Console.Pages do
   (`use Aerie.Console, {:page, role: …}`).
   """
 
-  alias Aerie.Console
+  alias Aerie.Console.Pages
   alias Aerie.Control.Policy.Roles
 
   @typedoc """
@@ -25,20 +25,20 @@ defmodule Aerie.Console.Pages do
         }
 
   rows = [
-    {"/", Console.Fleet.Page, "Fleet", "map", "f", true},
-    {"/vehicles/:id", Console.Vehicle.Page, nil, nil, nil, false},
-    {"/vehicles/:id/shadow", Console.Shadow.Page, nil, nil, nil, false},
-    {"/vehicles/:id/:section", Console.Vehicle.Page, nil, nil, nil, false},
-    {"/plan", Console.Plan.Page, "Plan", "plan", "p", true},
-    {"/params", Console.Params.Page, "Parameters", "params", "m", false},
-    {"/alarms", Console.Alarms.Page, "Alarms", "bell", "a", true},
-    {"/links", Console.Links.Page, "Links", "link", "l", false},
-    {"/inspector", Console.Inspector.Page, "Inspector", "inspector", "i", false},
-    {"/recordings", Console.Recordings.Page, "Recordings", "record", "r", false},
-    {"/diagnosis", Console.Diagnosis.Page, "Diagnosis", "diagnosis", "d", false},
-    {"/system", Console.System.Page, "System", "system", "y", false},
-    {"/audit", Console.Audit.Page, "Audit", "audit", "u", false},
-    {"/settings", Console.Settings.Page, "Settings", "settings", "s", false}
+    {"/", Pages.Fleet.Page, "Fleet", "map", "f", true},
+    {"/vehicles/:id", Pages.Vehicle.Page, nil, nil, nil, false},
+    {"/vehicles/:id/shadow", Pages.Shadow.Page, nil, nil, nil, false},
+    {"/vehicles/:id/:section", Pages.Vehicle.Page, nil, nil, nil, false},
+    {"/plan", Pages.Plan.Page, "Plan", "plan", "p", true},
+    {"/params", Pages.Params.Page, "Parameters", "params", "m", false},
+    {"/alarms", Pages.Alarms.Page, "Alarms", "bell", "a", true},
+    {"/links", Pages.Links.Page, "Links", "link", "l", false},
+    {"/inspector", Pages.Inspector.Page, "Inspector", "inspector", "i", false},
+    {"/recordings", Pages.Recordings.Page, "Recordings", "record", "r", false},
+    {"/diagnosis", Pages.Diagnosis.Page, "Diagnosis", "diagnosis", "d", false},
+    {"/system", Pages.System.Page, "System", "system", "y", false},
+    {"/audit", Pages.Audit.Page, "Audit", "audit", "u", false},
+    {"/settings", Pages.Settings.Page, "Settings", "settings", "s", false}
   ]
 
   @rows for {path, page, label, icon, key, main} <- rows,

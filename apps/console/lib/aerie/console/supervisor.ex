@@ -23,7 +23,7 @@ defmodule Aerie.Console.Supervisor do
   alias Aerie.{Access, Console}
   alias Aerie.Fleet.Alarms
   alias Aerie.Console.Assets
-  alias Aerie.Console.Settings.Configuration
+  alias Aerie.Console.Pages.Settings.Configuration
 
   @spec start_link(keyword()) :: Supervisor.on_start()
   def start_link(options) do
@@ -47,7 +47,7 @@ defmodule Aerie.Console.Supervisor do
         {Access.Launch, gateway: gateway, file: Path.join(dir, "url")},
         {Alarms, gateway: gateway},
         {Aerie.Fleet.Inspector, gateway: gateway},
-        {Console.Fleet.Board.Server, gateway: gateway},
+        {Console.Pages.Fleet.Board.Server, gateway: gateway},
         {Console.Commands.Courses, gateway: gateway},
         {DynamicSupervisor, name: pages(gateway), max_children: max_pages}
       ],

@@ -21,7 +21,7 @@ defmodule Aerie.Console.RefreshTest.Routes do
   use Phoenix.Router, helpers: false
   import Phoenix.LiveView.Router
 
-  alias Aerie.Console.Alarms
+  alias Aerie.Console.Pages.Alarms
   alias Aerie.Console.SignIn.OnMount
 
   live_session :test, on_mount: [OnMount, Alarms.OnMount] do

@@ -168,21 +168,21 @@ defmodule Aerie.Console.RightsTest do
 
   test "the events of the console's pages have the roles of the same table" do
     for {page, event, change} <- [
-          {Console.Links.Page, "add", :add_link},
-          {Console.Links.Page, "remove", :remove_link},
-          {Console.Links.Page, "restart", :restart_link},
-          {Console.Links.Page, "remove-client", :remove_client},
-          {Console.Links.Page, "reset", :reset_rules},
-          {Console.Recordings.Page, "save", :save},
-          {Console.Recordings.Page, "play", :play_recording},
-          {Console.Recordings.Page, "stop", :remove_link},
-          {Console.Recordings.Page, "delete", :delete_recording},
-          {Console.Settings.Page, "add", :change_users},
-          {Console.Settings.Page, "change-role", :change_users},
-          {Console.Settings.Page, "change-password", :change_users},
-          {Console.Settings.Page, "remove", :change_users},
-          {Console.Settings.Page, "add-key", :make_key},
-          {Console.Settings.Page, "revoke-key", :revoke_key}
+          {Console.Pages.Links.Page, "add", :add_link},
+          {Console.Pages.Links.Page, "remove", :remove_link},
+          {Console.Pages.Links.Page, "restart", :restart_link},
+          {Console.Pages.Links.Page, "remove-client", :remove_client},
+          {Console.Pages.Links.Page, "reset", :reset_rules},
+          {Console.Pages.Recordings.Page, "save", :save},
+          {Console.Pages.Recordings.Page, "play", :play_recording},
+          {Console.Pages.Recordings.Page, "stop", :remove_link},
+          {Console.Pages.Recordings.Page, "delete", :delete_recording},
+          {Console.Pages.Settings.Page, "add", :change_users},
+          {Console.Pages.Settings.Page, "change-role", :change_users},
+          {Console.Pages.Settings.Page, "change-password", :change_users},
+          {Console.Pages.Settings.Page, "remove", :change_users},
+          {Console.Pages.Settings.Page, "add-key", :make_key},
+          {Console.Pages.Settings.Page, "revoke-key", :revoke_key}
         ],
         do: assert({page, event, page.__console__().events[event]} == {page, event, Rights.least(change)})
   end

@@ -3,7 +3,8 @@ defmodule Aerie.Console.HTTP.Router do
   use Phoenix.Router, helpers: false
   import Phoenix.LiveView.Router
 
-  alias Aerie.Console.{Alarms, Frame, Layout, Pages}
+  alias Aerie.Console.{Frame, Layout, Pages}
+  alias Aerie.Console.Pages.Alarms
   alias Aerie.Console.SignIn.OnMount
 
   live_session :console, on_mount: [OnMount, Frame, Alarms.OnMount], layout: {Layout, :app} do

@@ -7,7 +7,7 @@ defmodule Aerie.Console.HTTP.Routes do
   alias Aerie.Console.{Assets, Layout, SignIn, Supervisor}
   alias Aerie.Console.HTTP.{DownloadHandler, PageHandler, Router}
   alias Aerie.Console.Map.Tiles
-  alias Aerie.Console.Settings.Configuration
+  alias Aerie.Console.Pages.Settings.Configuration
   alias Phoenix.LiveView.Server
 
   @doc """

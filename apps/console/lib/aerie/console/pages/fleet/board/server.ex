@@ -1,0 +1,53 @@
+defmodule Aerie.Console.Pages.Fleet.Board.Server do
+  @moduledoc """
+  Reads all vehicles and renders their rows once for all pages of the fleet: when a page asks, and not more often than ten times a second.
+  While nobody asks, it does nothing.
+  """
+  use GenServer
+
+  alias Aerie.Base.{Names, Store}
+  alias Aerie.Control.Policy
+  alias Aerie.Fleet
+  alias Aerie.Fleet.Shadow
+  alias Aerie.Console.Pages.Fleet.{Board, Table}
+  alias Aerie.Console.Pages.Fleet.Board.Row
+
+  # Pages that heard the same notice ask within this time.
+  @fresh_ms 100
+
+  @doc "Options: `:gateway`."
+  @spec start_link(keyword()) :: GenServer.on_start()
+  def start_link(options),
+    do: GenServer.start_link(__MODULE__, options, name: Names.via(options[:gateway], :console_board))
+
+  @doc """
+  What the calling page has not seen yet. `:now` reads the vehicles again even if that was done just before, for a change that the
+  page knows of. Exits if the server is gone, as a page without rows has nothing to show.
+  """
+  @spec news(Names.gateway(), Board.seen(), :now | :recent) :: Board.news()
+  def news(gateway, seen, age \\ :recent),
+    do: GenServer.call(Names.via(gateway, :console_board), {:news, seen, age}, :infinity)
+
+  @impl GenServer
+  def init(options) do
+    Process.set_label({:console_board, options[:gateway]})
+    {:ok, %{gateway: options[:gateway], board: Board.new(), read: nil}}
+  end
+
+  @impl GenServer
+  def handle_call({:news, seen, age}, _from, state) do
+    now = System.monotonic_time(:millisecond)
+    fresh? = age == :recent and state.read != nil and now - state.read < @fresh_ms
+    state = if fresh?, do: state, else: %{state | board: read(state), read: now}
+    {:reply, Board.news(state.board, seen), state}
+  end
+
+  defp read(%{gateway: gateway, board: board}) do
+    now = System.os_time(:microsecond)
+    links = Store.links(gateway)
+    tags = Shadow.tags(gateway)
+    leases = Policy.control_leases(gateway)
+    rows = for vehicle <- Fleet.vehicles(gateway), do: Row.new(vehicle, links, tags, now, leases)
+    Board.put(board, rows, Shadow.all_tags(tags), &Table.cells/1)
+  end
+end

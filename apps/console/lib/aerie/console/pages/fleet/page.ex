@@ -1,0 +1,380 @@
+defmodule Aerie.Console.Pages.Fleet.Page do
+  @moduledoc """
+  The page of all vehicles: a map beside a table. Filter, order and the part that a phone shows are in the address.
+
+  The map gets all changes, at most five times a second. For up to 50 vehicles the table is rendered as often, for more
+  vehicles less often, because nobody reads 200 rows five times a second; a change of a vehicle's state still shows at
+  once.
+  """
+  use Aerie.Console,
+      {:page,
+       events: [
+         viewer:
+           ~w(select all none again pointer sort_now filter flag sort plans map_select map_follow map_menu map_escape)
+       ],
+       costly: ~w(all filter flag sort sort_now plans)}
+
+  import Aerie.Console.Pages.Fleet.{Actions, Table, Toolbar}
+  import Aerie.Console.Map, only: [map: 1]
+
+  alias Aerie.Control.{Commands, Policy}
+  alias Aerie.Fleet.Shadow
+  alias Aerie.Base.PubSub
+
+  alias Aerie.Console.Pages.Fleet.{Address, Board, Filter, OnMap, Order, Plans, Selection}
+  alias Aerie.Console.Commands.{Batch, Submit}
+  alias Aerie.Console.Pages.Fleet.Actions.ControlForms
+  alias Aerie.Console.Pages.Fleet.Sequence
+  alias Aerie.Console.Pages.Fleet.Actions.Tagging
+
+  alias Aerie.Console.Map.{Tiles, Zones}
+
+  @map "fleet-map"
+  @rows_each_time 50
+  @changed "The selection changed; nothing was sent."
+  # Desired states take ten changes a second from one user.
+  @tag_again_ms 200
+
+  @impl Phoenix.LiveView
+  def mount(_params, _session, socket) do
+    {:ok,
+     socket
+     |> assign(page_title: "Fleet", view: "map", filter: %Filter{}, order: {"id", :asc}, follow: nil)
+     |> assign(
+       selection: %Selection{},
+       sequence: %Sequence{},
+       hand: false,
+       batch: nil,
+       tagging: nil,
+       plans: %Plans{},
+       rows: [],
+       all: [],
+       words: []
+     )
+     |> put_private(:fleet, %{
+       seen: nil,
+       rows: %{},
+       sent: %{},
+       homes: nil,
+       plans: [],
+       counts: %{},
+       current: %{},
+       round: 0
+     })
+     |> subscribe([:vehicles, :links, :leases])
+     |> push_event("map:zones", %{map: @map, zones: Zones.of(Policy.in_force(socket.assigns.gateway))})
+     |> read()
+     |> assign_view()}
+  end
+
+  @impl Phoenix.LiveView
+  def handle_params(params, _uri, %{assigns: %{filter: filter, order: order}} = socket) do
+    view = if params["view"] == "table", do: "table", else: "map"
+    socket = assign(socket, filter: Filter.parse(params), order: Order.parse(params["sort"]), view: view)
+    same? = {socket.assigns.filter, socket.assigns.order} == {filter, order}
+    {:noreply, if(same?, do: assign_view(socket), else: sort(socket))}
+  end
+
+  @impl Phoenix.LiveView
+  def handle_info(:refresh, socket) do
+    before = states(socket.assigns.all)
+    socket = read(socket, :recent)
+    socket = if due?(socket) or states(socket.assigns.all) != before, do: assign_view(socket), else: socket
+    {:noreply, update_private(socket, &%{&1 | round: &1.round + 1})}
+  end
+
+  def handle_info({:fleet, :leases, _change}, socket), do: {:noreply, socket |> read() |> assign_view()}
+
+  def handle_info({:plan, id, ref, message}, socket) do
+    {:noreply, socket |> update(:plans, &Plans.update(&1, id, ref, message)) |> tell_plans()}
+  end
+
+  def handle_info({:submit, press}, %{assigns: %{batch: %{press: press} = batch}} = socket) do
+    case Batch.next(batch) do
+      nil ->
+        {:noreply, socket}
+
+      entry ->
+        send(self(), {:submit, press})
+        {:noreply, assign(socket, :batch, Batch.put(batch, entry.id, submit(socket, batch, entry)))}
+    end
+  end
+
+  def handle_info({:submit, _earlier}, socket), do: {:noreply, socket}
+
+  def handle_info(:tag, %{assigns: %{tagging: %{left: [{id, words} | left]} = tagging} = assigns} = socket) do
+    case Shadow.tag(assigns.gateway, id, words, assigns.user, "console") do
+      :ok when left == [] ->
+        {:noreply, socket |> assign(:tagging, nil) |> read() |> assign_view()}
+
+      :ok ->
+        send(self(), :tag)
+        {:noreply, assign(socket, :tagging, %{tagging | left: left})}
+
+      {:error, {:rate, _text}} ->
+        Process.send_after(self(), :tag, @tag_again_ms)
+        {:noreply, socket}
+
+      {:error, refusal} ->
+        {:noreply, assign(socket, :tagging, %{tagging | left: [], error: "#{id}: #{Shadow.text(refusal)}"})}
+    end
+  end
+
+  # The dialog was closed: vehicles that were left keep their tags.
+  def handle_info(:tag, socket), do: {:noreply, socket}
+
+  def handle_info({:fleet, {:commands, vehicle}, id}, %{assigns: %{batch: batch, gateway: gateway}} = socket) do
+    with %{} <- Batch.find(batch, id),
+         {:ok, result} <- Commands.state(gateway, vehicle, id) do
+      PubSub.unsubscribe(gateway, {:commands, vehicle})
+      {:noreply, assign(socket, :batch, Batch.put(batch, id, Submit.state(result)))}
+    else
+      _other_or_under_way -> {:noreply, socket}
+    end
+  end
+
+  @impl Phoenix.LiveView
+  def handle_event("select", %{"id" => id, "how" => how}, socket) do
+    %{selection: selection, rows: rows} = socket.assigns
+
+    {:noreply,
+     select(socket, id, fn ->
+       case how do
+         "only" -> Selection.only(selection, id)
+         "range" -> Selection.range(selection, id, ids(rows))
+         _toggle -> Selection.toggle(selection, id)
+       end
+     end)}
+  end
+
+  def handle_event("map_select", %{"id" => id} = value, socket) do
+    how = if value["add"] == true, do: :toggle, else: :only
+    {:noreply, select(socket, id, fn -> apply(Selection, how, [socket.assigns.selection, id]) end)}
+  end
+
+  def handle_event("all", _value, %{assigns: %{selection: selection, rows: rows}} = socket),
+    do: {:noreply, assign(socket, :selection, Selection.all(selection, ids(rows)))}
+
+  def handle_event(none, _value, socket) when none in ["none", "map_escape"],
+    do: {:noreply, assign(socket, :selection, %Selection{})}
+
+  # The browser kept the selection of an earlier page.
+  def handle_event("again", %{"ids" => ids}, socket) when is_list(ids) do
+    known = Selection.among(%Selection{ids: MapSet.new(ids)}, ids(socket.assigns.all))
+    {:noreply, assign(socket, :selection, %Selection{ids: MapSet.new(known)})}
+  end
+
+  def handle_event("pointer", %{"over" => over} = event, socket) do
+    shown = if is_list(event["ids"]), do: event["ids"], else: []
+    sequence = Sequence.adopt(socket.assigns.sequence, shown)
+    {:noreply, socket |> assign(hand: over == true, sequence: sequence) |> assign_view()}
+  end
+
+  def handle_event("sort_now", _value, socket), do: {:noreply, sort(socket)}
+
+  def handle_event("filter", value, socket),
+    do: {:noreply, patch(socket, filter: %{Filter.parse(value) | flags: socket.assigns.filter.flags})}
+
+  def handle_event("flag", %{"flag" => name}, socket),
+    do: {:noreply, patch(socket, filter: Filter.toggle(socket.assigns.filter, name))}
+
+  def handle_event("sort", %{"by" => column}, socket),
+    do: {:noreply, patch(socket, order: Order.press(socket.assigns.order, column))}
+
+  def handle_event("map_follow", %{"id" => id}, socket) do
+    {:noreply, assign(socket, :follow, Enum.find(ids(socket.assigns.all), &(&1 == id)))}
+  end
+
+  def handle_event("map_menu", _place, socket), do: {:noreply, socket}
+
+  # The missions of those that are selected, on the map.
+  def handle_event("plans", event, socket) do
+    %{assigns: %{gateway: gateway}, private: %{fleet: %{counts: counts}}} = socket
+
+    {:noreply,
+     meant(socket, event, fn chosen ->
+       socket |> update(:plans, &Plans.toggle(&1, gateway, ids(chosen), counts)) |> tell_plans()
+     end)}
+  end
+
+  def handle_event("command", %{"type" => _type} = event, %{assigns: %{rows: rows} = assigns} = socket) do
+    {:noreply,
+     meant(socket, event, fn chosen ->
+       case Selection.summary(assigns.selection, ids(chosen), ids(rows)) do
+         {_seen, nil} -> command(socket, event, chosen)
+         {_seen, hidden} -> put_flash(socket, :error, "Nothing was sent: #{Selection.hidden_refusal(hidden)}")
+       end
+     end)}
+  end
+
+  def handle_event("close_batch", _value, socket) do
+    forget(socket.assigns.gateway, socket.assigns.batch)
+    {:noreply, assign(socket, :batch, nil)}
+  end
+
+  def handle_event("tag", event, socket),
+    do: {:noreply, meant(socket, event, &assign(socket, :tagging, Tagging.new(&1)))}
+
+  def handle_event("close_tags", _value, socket), do: {:noreply, assign(socket, :tagging, nil)}
+
+  def handle_event("save_tags", %{"tags" => text}, %{assigns: %{tagging: %{left: []} = tagging}} = socket)
+      when is_binary(text) do
+    send(self(), :tag)
+    {:noreply, assign(socket, :tagging, Tagging.save(tagging, text, socket.assigns.all))}
+  end
+
+  def handle_event("save_tags", _value, socket), do: {:noreply, socket}
+
+  # A press is for the vehicles that its operator saw: what is selected by now may be others.
+  defp meant(%{assigns: %{all: all, selection: selection}} = socket, event, act) do
+    chosen = Enum.filter(all, &(&1.id in selection.ids))
+
+    cond do
+      not Selection.meant?(event, ids(chosen)) ->
+        put_flash(socket, :error, @changed)
+
+      not ControlForms.meant?(event, chosen) ->
+        put_flash(socket, :error, "Who is in charge changed; nothing was sent.")
+
+      chosen == [] ->
+        socket
+
+      true ->
+        act.(chosen)
+    end
+  end
+
+  defp command(socket, event, chosen) do
+    %{gateway: gateway, batch: last, user: user} = socket.assigns
+
+    case Batch.new(event, ControlForms.concerned(event["type"], chosen, user.name)) do
+      {:ok, %{press: press} = batch} when last == nil or last.press != press ->
+        forget(gateway, last)
+        for entry <- batch.entries, do: PubSub.subscribe(gateway, {:commands, entry.vehicle})
+        send(self(), {:submit, press})
+        socket |> clear_flash() |> assign(:batch, batch)
+
+      _twice_or_wrong ->
+        socket
+    end
+  end
+
+  defp submit(%{assigns: %{gateway: gateway, user: user}}, batch, entry) do
+    with {:invalid, _type, errors} <- Submit.give(gateway, entry.vehicle, user, Batch.event(batch, entry)),
+         do: {:done, :rejected, Submit.text(errors)}
+  end
+
+  defp forget(_gateway, nil), do: :ok
+
+  defp forget(gateway, batch),
+    do: Enum.each(batch.entries, &PubSub.unsubscribe(gateway, {:commands, &1.vehicle}))
+
+  defp select(socket, id, change) do
+    if Enum.any?(socket.assigns.all, &(&1.id == id)), do: assign(socket, :selection, change.()), else: socket
+  end
+
+  defp patch(socket, changes) do
+    %{filter: filter, order: order, view: view} = Map.merge(socket.assigns, Map.new(changes))
+    push_patch(socket, to: Address.of(filter, order, view), replace: true)
+  end
+
+  # Takes what is new on the board and updates the map.
+  defp read(%{assigns: %{gateway: gateway}, private: %{fleet: fleet}} = socket, age \\ :now) do
+    news = Board.Server.news(gateway, fleet.seen, age)
+    known = for row <- news.rows, into: fleet.rows, do: {row.id, row}
+    all = Enum.map(news.ids, &Map.fetch!(known, &1))
+
+    socket
+    |> update_private(&%{&1 | seen: news.seen, rows: Map.take(known, news.ids)})
+    |> assign(all: all, words: news.words)
+    |> OnMap.push_vehicles(@map, all)
+    |> missions(all)
+  end
+
+  # How many items each mission has, and which one is flown to.
+  defp missions(%{assigns: %{plans: plans, gateway: gateway}} = socket, rows) do
+    counts = Map.new(rows, &{&1.id, &1.mission.total})
+
+    current =
+      for %{id: id, mission: %{current: number}} when number != nil <- rows, into: %{}, do: {id, number}
+
+    socket
+    |> update_private(&Map.merge(&1, %{counts: counts, current: current}))
+    |> assign(:plans, Plans.keep(plans, gateway, counts))
+    |> tell_plans()
+  end
+
+  defp tell_plans(%{assigns: %{plans: plans}, private: %{fleet: %{plans: sent, current: current}}} = socket) do
+    case Plans.payload(plans, current) do
+      ^sent ->
+        socket
+
+      payload ->
+        socket
+        |> update_private(&%{&1 | plans: payload})
+        |> push_event("map:plans", %{map: @map, plans: payload})
+    end
+  end
+
+  # The order the user chose.
+  defp sort(%{assigns: %{sequence: sequence}} = socket),
+    do: put_rows(socket, Sequence.sort(sequence, ids(sorted(socket)), now_ms()))
+
+  # Filters and sorts the rows for the table, but for those that keep their places.
+  defp assign_view(%{assigns: %{all: all, hand: hand} = assigns} = socket) do
+    selection = Selection.keep(assigns.selection, ids(all))
+    held? = hand or Selection.size(selection) > 0
+    sequence = Sequence.follow(assigns.sequence, ids(sorted(socket)), ids(all), held?, now_ms())
+    socket |> assign(:selection, selection) |> put_rows(sequence)
+  end
+
+  # A table that disappears takes the hand along.
+  defp put_rows(%{assigns: %{hand: hand}} = socket, sequence) do
+    rows = for id <- sequence.ids, row = socket.private.fleet.rows[id], do: row
+    assign(socket, sequence: sequence, rows: rows, hand: hand and rows != [])
+  end
+
+  defp sorted(%{assigns: %{all: all, filter: filter, order: order}}),
+    do: all |> Enum.filter(&Filter.shows?(filter, &1)) |> Order.sort(order)
+
+  defp now_ms, do: System.monotonic_time(:millisecond)
+
+  defp due?(%{assigns: %{rows: rows}, private: %{fleet: %{round: round}}}),
+    do: rem(round, max(1, div(length(rows), @rows_each_time))) == 0
+
+  defp states(rows), do: for(row <- rows, do: {row.id, row.state, row.mode, row.problems, row.holder})
+
+  defp update_private(socket, change), do: put_private(socket, :fleet, change.(socket.private.fleet))
+
+  defp ids(rows), do: Enum.map(rows, & &1.id)
+
+  @impl Phoenix.LiveView
+  def render(assigns) do
+    ~H"""
+    <div class="fleet" data-view={@view}>
+      <h1 class="visually-hidden">Fleet</h1>
+      <div class="fleet-tabs">
+        <.tabs label="Map or table">
+          <:tab patch={Address.of(@filter, @order, "map")} current={@view == "map"} icon="map">Map</:tab>
+          <:tab patch={Address.of(@filter, @order, "table")} current={@view == "table"} icon="list">Table ({length(@all)})</:tab>
+        </.tabs>
+      </div>
+      <.map id="fleet-map" class="fleet-map" label="Map of all vehicles" tiles={Tiles.description(@gateway)} selected={Selection.among(@selection, ids(@all))} follow={@follow} />
+      <section class="fleet-list" aria-label="Vehicles">
+        <.toolbar filter={@filter} all={@all} words={@words} />
+        <.status all={@all} shown={length(@rows)} selected={Selection.size(@selection)} sequence={@sequence} now={now_ms()} />
+        <.empty :if={@all == []} icon="vehicle" title="No vehicle has been heard yet">
+          Vehicles appear by themselves when their first heartbeat arrives. <.link navigate="/links">Links</.link> shows what is connected.
+        </.empty>
+        <.empty :if={@all != [] and @rows == []} icon="filter" title="No vehicle matches">
+          <:action><.button patch={Address.of(%Filter{}, @order, @view)}>Show all {length(@all)}</.button></:action>
+        </.empty>
+        <.vehicles :if={@rows != []} rows={@rows} order={@order} selection={@selection} filter={@filter} />
+        <.actions selection={@selection} all={@all} rows={@rows} user={@user} plans={@plans} />
+      </section>
+      <.results batch={@batch} plans={@plans} />
+      <.tag_dialog :if={@tagging} tagging={@tagging} words={@words} />
+    </div>
+    """
+  end
+end

@@ -1,0 +1,81 @@
+defmodule Aerie.Console.Pages.Fleet.Selection do
+  @moduledoc """
+  The selected vehicles. Pure. `anchor` is where a range with Shift begins: the vehicle that was last selected or deselected by itself.
+  """
+
+  defstruct ids: MapSet.new(), anchor: nil
+
+  @type t :: %__MODULE__{ids: MapSet.t(String.t()), anchor: String.t() | nil}
+
+  @doc "Selects only this vehicle."
+  @spec only(t(), String.t()) :: t()
+  def only(_selection, id), do: %__MODULE__{ids: MapSet.new([id]), anchor: id}
+
+  @doc "Adds this vehicle, or removes it."
+  @spec toggle(t(), String.t()) :: t()
+  def toggle(selection, id) do
+    ids = if id in selection.ids, do: MapSet.delete(selection.ids, id), else: MapSet.put(selection.ids, id)
+    %{selection | ids: ids, anchor: id}
+  end
+
+  @doc "Selects only the vehicles from the anchor to this one in the table's order. Without an anchor in the table, only this one."
+  @spec range(t(), String.t(), [String.t()]) :: t()
+  def range(selection, id, order) do
+    from = Enum.find_index(order, &(&1 == selection.anchor))
+    to = Enum.find_index(order, &(&1 == id))
+
+    if from && to,
+      do: %{selection | ids: order |> Enum.slice(min(from, to)..max(from, to)//1) |> MapSet.new()},
+      else: only(selection, id)
+  end
+
+  @doc "Selects all of these, or none if all are selected."
+  @spec all(t(), [String.t()]) :: t()
+  def all(selection, ids) do
+    if ids != [] and Enum.all?(ids, &(&1 in selection.ids)),
+      do: %__MODULE__{},
+      else: %{selection | ids: MapSet.new(ids)}
+  end
+
+  @doc "Removes vehicles that no longer exist."
+  @spec keep(t(), [String.t()]) :: t()
+  def keep(selection, ids) do
+    known = MapSet.new(ids)
+    anchor = if selection.anchor in known, do: selection.anchor
+    %{selection | ids: MapSet.intersection(selection.ids, known), anchor: anchor}
+  end
+
+  @doc "The number of selected vehicles."
+  @spec size(t()) :: non_neg_integer()
+  def size(selection), do: MapSet.size(selection.ids)
+
+  @doc """
+  Whether a press was made for the vehicles that are selected now (`ids`). The browser may show an earlier selection than the server has.
+  """
+  @spec meant?(event :: map(), [String.t()]) :: boolean()
+  def meant?(%{"ids" => meant}, ids) when is_list(meant), do: Enum.sort(meant) == Enum.sort(ids)
+  def meant?(_event, _ids), do: false
+
+  @doc "The selected vehicles in words, and those of them that the table does not list, nil for none. `all` and `listed`: ids."
+  @spec summary(t(), all :: [String.t()], listed :: [String.t()]) :: {String.t() | nil, String.t() | nil}
+  def summary(selection, all, listed) do
+    listed = MapSet.new(listed)
+    {seen, hidden} = selection |> among(all) |> Enum.split_with(&(&1 in listed))
+
+    {if(seen != [], do: names(seen)),
+     if(hidden != [], do: "#{length(hidden)} selected, not in this list: #{names(hidden)}")}
+  end
+
+  @doc "Why nothing is done with such a selection, and what to do."
+  @spec hidden_refusal(hidden :: String.t()) :: String.t()
+  def hidden_refusal(hidden), do: "#{hidden}. Clear the filter or the selection first."
+
+  @doc "Vehicles in a few words."
+  @spec names([String.t()]) :: String.t()
+  def names(ids) when length(ids) <= 3, do: Enum.join(ids, ", ")
+  def names(ids), do: "#{length(ids)} vehicles (#{ids |> Enum.take(3) |> Enum.join(", ")} …)"
+
+  @doc "The selected vehicles of a list, in its order."
+  @spec among(t(), [String.t()]) :: [String.t()]
+  def among(selection, ids), do: Enum.filter(ids, &(&1 in selection.ids))
+end

@@ -1,0 +1,187 @@
+defmodule Aerie.Console.Pages.Fleet.Table do
+  @moduledoc """
+  The table of vehicles. The hook `FleetTable` selects with mouse and keyboard: arrows move, Space selects, Shift a range, Ctrl+A all,
+  Escape none, Enter opens.
+  """
+  use Aerie.Console, :component
+
+  alias Aerie.Vehicle.Firmware
+  alias Aerie.Console.Pages.Fleet.Filter
+  alias Aerie.Console.Pages.Fleet.Board.Row
+
+  attr :rows, :list, required: true
+  attr :order, :any, required: true
+  attr :selection, :map, required: true
+  attr :filter, Filter, required: true
+
+  @doc "The table. Its rows are keyed by vehicle, so that a row that moves is not rendered again."
+  def vehicles(assigns) do
+    first = assigns.selection.anchor || List.first(assigns.rows).id
+    assigns = assign(assigns, :first, first)
+
+    ~H"""
+    <div class="table-box fleet-table" id="fleet-table" phx-hook="FleetTable">
+      <table class="table" role="grid" aria-label="Vehicles" aria-multiselectable="true">
+        <colgroup><col :for={name <- ~w(check name state problems mode battery gps height speed link)} class={"fleet-col-#{name}"} /></colgroup>
+        <thead>
+          <tr>
+            <th scope="col" class="fleet-check">
+              <input type="checkbox" aria-label="Select all that are shown" checked={all?(@rows, @selection)} phx-click="all" />
+            </th>
+            <.head order={@order} by="id" label="Vehicle" />
+            <.head order={@order} by="state" label="State" />
+            <.head order={@order} by="problems" label="Alarms" />
+            <.head order={@order} by="mode" label="Mode" />
+            <.head order={@order} by="battery" label="Battery" />
+            <.head order={@order} by="gps" label="GPS" />
+            <.head order={@order} by="height" label="Height" number />
+            <.head order={@order} by="speed" label="Speed" number />
+            <.head order={@order} by="link" label="Link" number />
+          </tr>
+        </thead>
+        <tbody>
+          <tr
+            :for={row <- @rows}
+            :key={row.id}
+            id={"vehicle-#{row.id}"}
+            data-id={row.id}
+            class={[row.status != :online && "fleet-old", not Filter.shows?(@filter, row) && "fleet-left"]}
+            title={if(not Filter.shows?(@filter, row), do: "No longer matches the filter")}
+            aria-selected={if row.id in @selection.ids, do: "true", else: "false"}
+            tabindex={if row.id == @first, do: "0", else: "-1"}
+          >
+            <td class="fleet-check"><input type="checkbox" tabindex="-1" aria-label={"Select #{row.id}"} checked={row.id in @selection.ids} /></td>
+            {row.cells}
+          </tr>
+        </tbody>
+      </table>
+    </div>
+    """
+  end
+
+  @doc """
+  The cells of a vehicle's row beside the first one, which says whether it is selected. They are the same for everyone who looks. What is in a
+  cell is one text, so that it costs little to hand them to many pages.
+  """
+  @spec cells(Row.t()) :: Phoenix.LiveView.Rendered.t()
+  def cells(%Row{} = row) do
+    assigns = %{row: row, __changed__: nil}
+
+    ~H"""
+    <th scope="row" data-label="Vehicle" class="fleet-name">{flat(name(assigns))}</th>
+    <td data-label="State" class="fleet-state">{flat(state(assigns))}</td>
+    <td data-label="Alarms" class="fleet-problems" title={Enum.map_join(@row.problems, ", ", &elem(&1, 1))}>{flat(problems(assigns))}</td>
+    <td data-label="Mode" class="fleet-mode" title={@row.mode}>{mode(@row.mode)}</td>
+    <td data-label="Battery">{flat(battery(assigns))}</td>
+    <td data-label="GPS" class={gps(@row.fix)}>{fix(@row)}</td>
+    <td data-label="Height" class="number">{unit(@row.height, "m")}</td>
+    <td data-label="Speed" class="number">{unit(@row.speed, "m/s")}</td>
+    <td data-label="Link" class={["number", weak(@row.link)]}>{unit(@row.link, "%")}</td>
+    """
+  end
+
+  defp name(assigns) do
+    ~H"""
+    <div class="fleet-line">
+      <.link navigate={"/vehicles/#{URI.encode(@row.id, &URI.char_unreserved?/1)}"} tabindex="-1">{@row.id}</.link>
+      <.badge :if={@row.holder} kind="info" title={"In charge: #{@row.holder}"}><.icon name="lock" />{@row.holder}</.badge>
+    </div>
+    <div class="fleet-line muted" title={Enum.join(@row.tags, ", ")}>
+      <span class="fleet-kind" title={kind_of(@row)}>{kind_of(@row)}</span>
+      <span :if={@row.via} class="fleet-via">via {@row.via}</span>
+      <span :for={tag <- @row.tags} class="badge">{tag}</span>
+    </div>
+    """
+  end
+
+  defp kind_of(row), do: "#{row.kind} #{Firmware.title(row.autopilot)} #{row.firmware}"
+
+  defp state(assigns),
+    do: ~H"<.badge kind={kind(@row.state)}>{word(@row)}</.badge><.age us={@row.silent_us} />"
+
+  # The worst one, and how many more: a row keeps its height whatever is wrong.
+  defp problems(assigns) do
+    ~H"""
+    <div :if={@row.problems != []} class="fleet-worst">
+      <.badge :for={{severity, text} <- Enum.take(@row.problems, 1)} kind={Atom.to_string(severity)}>{text}</.badge>
+      <.badge :if={length(@row.problems) > 1}>+{length(@row.problems) - 1}</.badge>
+    </div>
+    """
+  end
+
+  # AUTO_LOITER and AUTO_LAND must not look alike: a name that is too long goes on in the next line.
+  defp mode(nil), do: "–"
+
+  defp mode(name) do
+    parts =
+      for part <- String.split(name, "_"),
+          do: part |> Phoenix.HTML.html_escape() |> Phoenix.HTML.Safe.to_iodata()
+
+    {:safe, parts |> Enum.intersperse("_<wbr>") |> IO.iodata_to_binary()}
+  end
+
+  defp battery(assigns),
+    do: ~H[<.meter value={@row.battery} label="Battery" kind={charged(@row.battery)} text={charge(@row)} />]
+
+  defp flat(rendered), do: {:safe, rendered |> Phoenix.HTML.Safe.to_iodata() |> IO.iodata_to_binary()}
+
+  attr :order, :any, required: true
+  attr :by, :string, required: true
+  attr :label, :string, required: true
+  attr :number, :boolean, default: false
+
+  defp head(assigns) do
+    ~H"""
+    <th scope="col" class={@number && "number"} aria-sort={sorted(@order, @by)}>
+      <button type="button" class="sort" phx-click="sort" phx-value-by={@by}>
+        {@label}<.icon :if={elem(@order, 0) == @by} name={if elem(@order, 1) == :asc, do: "chevron-up", else: "chevron-down"} />
+      </button>
+    </th>
+    """
+  end
+
+  defp sorted({by, :asc}, by), do: "ascending"
+  defp sorted({by, :desc}, by), do: "descending"
+  defp sorted(_order, _by), do: nil
+
+  defp all?(rows, selection), do: Enum.all?(rows, &(&1.id in selection.ids))
+
+  defp kind(:lost), do: "bad"
+  defp kind(:failsafe), do: "bad"
+  defp kind(:stale), do: "warn"
+  defp kind(:armed), do: "ok"
+  defp kind(:disarmed), do: "plain"
+
+  defp word(%{state: :armed, in_air: true}), do: "in air"
+  defp word(%{armed: nil, state: :disarmed}), do: "unknown"
+  defp word(%{state: state}), do: Atom.to_string(state)
+
+  defp charged(nil), do: nil
+  defp charged(left) when left <= 0.15, do: "bad"
+  defp charged(left) when left <= 0.3, do: "warn"
+  defp charged(_left), do: "ok"
+
+  # Many vehicles report only the voltage.
+  defp charge(%{battery: nil, voltage: volts}) when is_number(volts), do: "#{volts} V"
+  defp charge(_row), do: nil
+
+  defp fix(%{fix: nil}), do: "–"
+  defp fix(%{fix: fix}) when fix < 2, do: "none"
+  defp fix(%{fix: fix, satellites: n}), do: "#{fix_name(fix)}#{if n, do: " · #{n}"}"
+
+  defp fix_name(2), do: "2D"
+  defp fix_name(3), do: "3D"
+  defp fix_name(4), do: "DGPS"
+  defp fix_name(5), do: "RTK ~"
+  defp fix_name(6), do: "RTK"
+  defp fix_name(_static_or_ppp), do: "fix"
+
+  defp gps(fix) when is_integer(fix) and fix < 3, do: "fleet-bad"
+  defp gps(_fix), do: nil
+
+  defp weak(score) when is_integer(score) and score < 30, do: "fleet-bad"
+  defp weak(_score), do: nil
+
+  defp unit(nil, _unit), do: "–"
+  defp unit(number, unit), do: "#{number} #{unit}"
+end

@@ -1,0 +1,70 @@
+defmodule Aerie.Console.Pages.Fleet.Toolbar do
+  @moduledoc "The search and the filters above the table."
+  use Aerie.Console, :component
+
+  alias Aerie.Console.Pages.Fleet.{Filter, Sequence}
+  alias Aerie.Console.UI.Age
+
+  attr :filter, :map, required: true
+  attr :all, :list, required: true
+  attr :words, :list, required: true
+
+  @doc "Search and filters."
+  def toolbar(assigns) do
+    ~H"""
+    <form id="fleet-filter" class="fleet-filter" phx-change="filter" phx-submit="filter" role="search">
+      <.field id="fleet-search" type="search" name="q" label="Search" label_hidden placeholder="Search" value={@filter.search} phx-debounce="150" autocomplete="off" />
+      <.field id="fleet-type" type="select" name="type" label="Type" label_hidden value={@filter.type} options={options("All types", @filter.type, Enum.map(@all, & &1.kind))} />
+      <.field
+        id="fleet-firmware"
+        type="select"
+        name="firmware"
+        label="Firmware"
+        label_hidden
+        value={@filter.firmware}
+        options={options("All firmware", @filter.firmware, Enum.map(@all, &Atom.to_string(&1.autopilot)))}
+      />
+      <.field id="fleet-tag" type="select" name="tag" label="Tag" label_hidden value={@filter.tag} options={options("All tags", @filter.tag, @words)} />
+      <div class="fleet-flags" role="group" aria-label="Only those that are">
+        <.button :for={{name, label} <- Filter.flags()} small phx-click="flag" phx-value-flag={name} aria-pressed={pressed(@filter, name)}>{label}</.button>
+      </div>
+    </form>
+    """
+  end
+
+  attr :all, :list, required: true
+  attr :shown, :integer, required: true
+  attr :selected, :integer, required: true
+  attr :sequence, Sequence, required: true
+  attr :now, :integer, required: true, doc: "as of `Sequence`"
+
+  @doc "One line that is always there: the number of matching vehicles, whether anybody is heard, and how old the order of rows is that keep their places."
+  def status(assigns) do
+    ~H"""
+    <div class="fleet-status">
+      <p class="fleet-count muted" aria-live="polite">{count(@shown, length(@all), @selected)}</p>
+      <span :if={@all != [] and Enum.all?(@all, &(&1.status != :online))} class="fleet-bad" role="status"><.icon name="clock" /> No vehicle is heard. What you see is what was last known.</span>
+      <span :if={@sequence.differs} class="fleet-order muted">
+        Order from {Age.text((@now - @sequence.at) * 1000)} ago
+        <.button small phx-click="sort_now">Sort now</.button>
+      </span>
+    </div>
+    """
+  end
+
+  defp pressed(filter, name),
+    do: if(Enum.any?(filter.flags, &(Atom.to_string(&1) == name)), do: "true", else: "false")
+
+  # The chosen value stays in the list when its last vehicle has gone.
+  defp options(all, chosen, values) do
+    values = [chosen | values] |> Enum.reject(&is_nil/1) |> Enum.uniq() |> Enum.sort()
+    [{all, ""} | Enum.map(values, &{&1, &1})]
+  end
+
+  defp count(all, all, 0), do: "#{all} #{vehicles(all)}"
+  defp count(shown, all, 0), do: "#{shown} of #{all} #{vehicles(all)}"
+  defp count(shown, all, selected), do: count(shown, all, 0) <> ", #{selected} selected"
+
+  defp vehicles(1), do: "vehicle"
+  defp vehicles(_n), do: "vehicles"
+end

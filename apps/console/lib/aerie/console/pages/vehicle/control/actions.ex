@@ -1,0 +1,127 @@
+defmodule Aerie.Console.Pages.Vehicle.Control.Actions do
+  @moduledoc """
+  The commands that are always in reach (hold, return, land), and those of every flight: arm, take off, modes. Commands that the firmware lacks,
+  or the user may not give, are left out.
+  """
+  use Aerie.Console, :component
+
+  alias Aerie.Control.Commands
+  alias Aerie.Vehicle.Firmware
+  alias Aerie.Console.Commands.{Catalog, Panel}
+  alias Aerie.Console.Pages.Vehicle.View
+  alias Aerie.Console.Pages.Vehicle.Control.Target
+
+  @flight [{"arm", "Arm"}, {"disarm", "Disarm"}, {"takeoff", "Take off"}, {"set_mode", "Set mode"}]
+  @always [
+    {"hold", "Hold", "hold", "H"},
+    {"rtl", "Return", "rtl", "R"},
+    {"land", "Land", "land", "L"}
+  ]
+
+  attr :view, View, required: true
+  attr :user, :map, required: true
+
+  @doc "The bar below every section, with the keys that are held down: H, R, L."
+  def bar(assigns) do
+    assigns =
+      assign(assigns,
+        actions: for({name, _, _, _} = action <- @always, able?(name, assigns), do: action),
+        locked: locked(for({name, title, _, _} <- @always, do: {name, title}), assigns)
+      )
+
+    ~H"""
+    <p :for={text <- @locked} class="muted locked"><.icon name="lock" /> {text}</p>
+    <div :if={@actions != []} class="vehicle-bar" role="group" aria-label="Always in reach">
+      <.hold_button :for={{name, label, icon, key} <- @actions} id={"action-#{name}"} event="command" icon={icon} kind="plain" shortcut={key} phx-value-type={name}>{label}</.hold_button>
+    </div>
+    """
+  end
+
+  attr :view, View, required: true
+  attr :user, :map, required: true
+  attr :inputs, :map, required: true, doc: "texts of the fields: `takeoff`, `mode`"
+  attr :modes, :list, required: true
+
+  @doc "Arm or disarm, take off, change the mode."
+  def flight(assigns) do
+    assigns =
+      assign(assigns,
+        armed: View.get(assigns.view, [:mode, :armed]),
+        in_air: View.get(assigns.view, [:mode, :in_air]),
+        first: Firmware.arm_first(assigns.view.vehicle, View.get(assigns.view, [:mode, :mode])),
+        able: for({name, _title} <- @flight, able?(name, assigns), do: name),
+        modes: for(mode <- assigns.modes, able?("set_mode", assigns, %{mode: mode}), do: mode),
+        locked: locked(@flight, assigns)
+      )
+
+    ~H"""
+    <section class="card" aria-labelledby="flight-title">
+      <h2 id="flight-title">Control</h2>
+      <p :if={@able == [] and @locked == []} class="muted"><.icon name="eye" /> {watches(@user)}</p>
+      <p :for={text <- @locked} class="muted locked"><.icon name="lock" /> {text}</p>
+      <div class="controls">
+        <.hold_button :if={"arm" in @able and @armed != true} id="action-arm" event="command" icon="arm" phx-value-type="arm">Arm</.hold_button>
+        <div :if={"arm" in @able and "set_mode" in @able and @armed == false and @first != nil} class="control">
+          <p class="hint">It cannot be armed in {View.get(@view, [:mode, :mode])}.</p>
+          <.hold_button id="action-arm-first" event="command" kind="plain" phx-value-type="set_mode" phx-value-mode={@first}>Set {@first} first</.hold_button>
+        </div>
+        <.hold_button :if={"disarm" in @able and @armed != false} id="action-disarm" event="command" icon="stop" kind="plain" phx-value-type="disarm">Disarm</.hold_button>
+        <form :if={"takeoff" in @able and @in_air != true} id="takeoff-form" class="control" phx-change="input" phx-auto-recover="ignore" phx-submit="noop">
+          <.field id="takeoff-altitude" name="altitude" label="Take-off height" unit="m" inputmode="decimal" autocomplete="off" value={@inputs["altitude"]} />
+          <.hold_button id="action-takeoff" event="command" icon="takeoff" kind={if @in_air == false, do: "primary", else: "plain"} phx-value-type="takeoff">Take off</.hold_button>
+        </form>
+        <form :if={"set_mode" in @able and @modes != []} id="mode-form" class="control" phx-change="input" phx-auto-recover="ignore" phx-submit="noop">
+          <.field id="mode-choice" name="mode" type="select" label="Mode" options={[{"choose", ""} | Enum.map(@modes, &{&1, &1})]} value={@inputs["mode"]} />
+          <.hold_button id="action-mode" event="command" kind="plain" phx-value-type="set_mode" disabled={@inputs["mode"] in [nil, ""]} reason="Choose a mode">Set mode</.hold_button>
+        </form>
+      </div>
+    </section>
+    """
+  end
+
+  attr :view, View, required: true
+  attr :target, :map, required: true
+  attr :answer, :any, required: true
+  attr :obstacles, :list, required: true
+
+  @doc "A position that was clicked on the map, with the policy's answer, before anything is sent."
+  def target(assigns) do
+    ~H"""
+    <section class="card goto-panel" aria-labelledby="goto-title">
+      <div class="spread">
+        <h2 id="goto-title">Go to a place</h2>
+        <.button kind="quiet" small={true} icon="x" label="Cancel" phx-click="aim_end" />
+      </div>
+      <p class="mono">{View.number(@target.lat, 6)}, {View.number(@target.lon, 6)}<span :if={far(@target, @view)}>, {far(@target, @view)} away</span></p>
+      <form id="goto-form" class="control" phx-change="aim_altitude" phx-auto-recover="ignore" phx-submit="noop">
+        <.field id="goto-altitude" name="altitude" label="Height above home" unit="m" inputmode="decimal" autocomplete="off" value={@target.altitude} />
+        <input :for={{name, text} <- place(@target)} type="hidden" name={name} value={text} />
+        <.hold_button id="action-goto" event="command" icon="goto" phx-value-type="goto" disabled={@answer != :allow} reason="It would be refused: see below">Go there</.hold_button>
+      </form>
+      <Panel.answer answer={@answer} obstacles={@obstacles} />
+    </section>
+    """
+  end
+
+  defp place(target), do: target |> Target.fields() |> Map.delete("altitude") |> Enum.sort()
+
+  defp far(target, view) do
+    case Target.distance(target, view) do
+      nil -> nil
+      metres when metres < 1000 -> "#{round(metres)} m"
+      metres -> "#{View.number(metres / 1000, 1)} km"
+    end
+  end
+
+  @doc "Whether the firmware has the command, with these parameters if they are given, and the user may give it."
+  @spec able?(String.t(), map(), params :: map()) :: boolean()
+  def able?(name, %{view: view, user: user}, params \\ %{}),
+    do: Commands.lacks(view.vehicle, name, user, params) == nil
+
+  # What a viewer lacks is a role, which the note of each command would repeat.
+  defp locked(_commands, %{user: %{role: :viewer}}), do: []
+  defp locked(commands, %{view: view, user: user}), do: Catalog.locked(commands, view.vehicle, user)
+
+  defp watches(%{role: :viewer, name: name}), do: "#{name} can only watch this vehicle."
+  defp watches(_user), do: "The firmware of this vehicle has none of these commands here."
+end

@@ -1,0 +1,55 @@
+defmodule Aerie.Console.Pages.Vehicle.Header do
+  @moduledoc "The header above every section of a vehicle's page: name, reception, present action, problems."
+  use Aerie.Console, :component
+
+  alias Aerie.Vehicle.Firmware
+  alias Aerie.Console.UI
+  alias Aerie.Console.Pages.Vehicle.View
+
+  attr :view, View, required: true
+
+  @doc "The header."
+  def header(assigns) do
+    assigns = assign(assigns, vehicle: assigns.view.vehicle, status: assigns.view.vehicle.status)
+
+    ~H"""
+    <header class="vehicle-head" data-status={@status}>
+      <h1>{@vehicle.id}</h1>
+      <span class="muted">{@vehicle.vehicle_type}, {firmware(@vehicle)}</span>
+      <.badge :if={@vehicle.via} kind="info" class="vehicle-via">via {@vehicle.via}</.badge>
+      <.badge kind={kind(@status)} class="vehicle-status">{status(@status)}</.badge>
+      <.badge kind={armed_kind(View.get(@view, [:mode, :armed]))} class="vehicle-armed">{armed(View.get(@view, [:mode, :armed]))}</.badge>
+      <.badge class="vehicle-mode">{View.get(@view, [:mode, :mode]) || "mode unknown"}</.badge>
+      <.badge :if={View.get(@view, [:mode, :in_air]) == true} kind="info" class="vehicle-air">in the air</.badge>
+      <.badge :if={View.get(@view, [:mode, :in_air]) == false} class="vehicle-air">on the ground</.badge>
+      <.badge :for={{tone, text} <- View.warnings(@view)} kind={Atom.to_string(tone)}><.icon name="alert" />{text}</.badge>
+      <span class="vehicle-elsewhere">
+        <.link navigate={"/params?" <> URI.encode_query(vehicle: @vehicle.id)}>Parameters</.link>
+        <.link navigate={"/plan?" <> URI.encode_query(vehicle: @vehicle.id)}>Plan</.link>
+        <.link navigate={"/vehicles/" <> URI.encode(@vehicle.id, &URI.char_unreserved?/1) <> "/shadow"}>Shadow</.link>
+      </span>
+    </header>
+    <p :if={@status == :lost} class="notice bad" role="alert">
+      <.icon name="link-off" />
+      <span><strong>Vehicle lost.</strong> Not heard for {UI.Age.text(@view.silent_us)}. Last known values. Commands are refused until it is heard.</span>
+    </p>
+    <.stale :if={@status == :stale}>Not heard for {UI.Age.text(@view.silent_us)}.</.stale>
+    """
+  end
+
+  defp firmware(%{autopilot: autopilot, firmware: firmware}),
+    do: Enum.join([Firmware.title(autopilot) | List.wrap(firmware)], " ")
+
+  defp status(status), do: Atom.to_string(status)
+
+  defp kind(:online), do: "ok"
+  defp kind(:stale), do: "warn"
+  defp kind(:lost), do: "bad"
+
+  defp armed(true), do: "ARMED"
+  defp armed(false), do: "disarmed"
+  defp armed(_unknown), do: "armed state unknown"
+
+  defp armed_kind(true), do: "warn"
+  defp armed_kind(_other), do: "plain"
+end

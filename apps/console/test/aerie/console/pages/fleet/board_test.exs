@@ -1,0 +1,102 @@
+defmodule Aerie.Console.Pages.Fleet.BoardTest do
+  use Aerie.ConsoleCase, async: true
+
+  alias Aerie.Base.{Names, Store}
+  alias Aerie.Console.Pages.Fleet.{Board, Table}
+  alias Aerie.Console.Pages.Fleet.Board.Row
+
+  defp row(id, fields \\ []) do
+    fields = Keyword.merge([id: id, network: "main", system_id: 1, kind: "copter", autopilot: :px4], fields)
+    struct!(Row, Keyword.merge([status: :online, state: :armed], fields))
+  end
+
+  # Each rendering is told to the test.
+  defp put(board, rows) do
+    Board.put(board, rows, [], fn row ->
+      send(self(), {:rendered, row.id})
+      {:cells, row.speed}
+    end)
+  end
+
+  defp rendered do
+    receive do
+      {:rendered, id} -> [id | rendered()]
+    after
+      0 -> []
+    end
+  end
+
+  test "a row is rendered when what its cells show has changed, and told when anything has" do
+    board = put(Board.new(), [row("A", speed: 1.0, on_map: ["A", 1.0]), row("B")])
+    assert rendered() == ["A", "B"]
+    news = Board.news(board, nil)
+    assert {news.ids, length(news.rows)} == {["A", "B"], 2}
+
+    moved = put(board, [row("A", speed: 1.0, on_map: ["A", 2.0]), row("B")])
+    assert rendered() == []
+    assert [%{id: "A", on_map: ["A", 2.0], cells: {:cells, 1.0}}] = Board.news(moved, news.seen).rows
+
+    faster = put(moved, [row("A", speed: 2.0, on_map: ["A", 2.0]), row("B")])
+    assert rendered() == ["A"]
+    assert [%{id: "A", cells: {:cells, 2.0}}] = Board.news(faster, Board.news(moved, nil).seen).rows
+    assert Board.news(faster, Board.news(faster, nil).seen).rows == []
+  end
+
+  test "a page with another board gets all, and vehicles that are gone are not among the ids" do
+    board = Board.new() |> put([row("A"), row("B")]) |> put([row("B")])
+
+    assert %{ids: ["B"], rows: [%{id: "B"}]} =
+             Board.news(board, Board.news(put(Board.new(), [row("A")]), nil).seen)
+
+    assert %{ids: ["B"], rows: []} = Board.news(board, Board.news(board, nil).seen)
+  end
+
+  test "news, applied as a page does, give all rows" do
+    rows = :proper_types.list({:proper_types.oneof(~w(A B C)), :proper_types.range(1, 3)})
+
+    property =
+      :proper.forall(:proper_types.list({rows, :proper_types.boolean()}), fn steps ->
+        {board, {_seen, known}} =
+          Enum.reduce(steps, {Board.new(), {nil, %{}}}, fn {rows, ask?}, {board, page} ->
+            rows = for {id, speed} <- Map.new(rows), do: row(id, speed: speed)
+            board = Board.put(board, rows, [], & &1.speed)
+            {board, if(ask?, do: applied(page, board), else: page)}
+          end)
+
+        {_seen, known} = applied({nil, known}, board)
+        known == Map.new(board.rows, fn {id, {_changed, row}} -> {id, row} end)
+      end)
+
+    assert :proper.quickcheck(property, [:quiet, {:numtests, 200}]) == true, inspect(:proper.counterexample())
+  end
+
+  defp applied({seen, known}, board) do
+    news = Board.news(board, seen)
+    {news.seen, known |> Map.merge(Map.new(news.rows, &{&1.id, &1})) |> Map.take(news.ids)}
+  end
+
+  test "a page goes on when the board is started again, and shows what is there then" do
+    [console: console] = start_console()
+    put_vehicle(console, "V1")
+    {:ok, view, _html} = live(conn(console), "/")
+    board = GenServer.whereis(Names.via(console.gateway, :console_board))
+    monitor = Process.monitor(board)
+    Process.exit(board, :kill)
+    assert_receive {:DOWN, ^monitor, :process, ^board, :killed}
+    :ok = Store.delete_vehicle(console.gateway, {"main", :erlang.phash2("V1", 200) + 1})
+    put_vehicle(console, "V2")
+    eventually(fn -> GenServer.whereis(Names.via(console.gateway, :console_board)) not in [nil, board] end)
+
+    # The page dies with the board if it asks in this moment, and a browser joins again.
+    view = if Process.alive?(view.pid), do: view, else: elem(live(conn(console), "/"), 1)
+    html = refresh_fleet(view)
+    assert html =~ "vehicle-V2"
+    refute html =~ "vehicle-V1"
+  end
+
+  test "the cells are those of the table", %{} do
+    html = row("V1", mode: "AUTO", speed: 3.0) |> Table.cells() |> Phoenix.LiveViewTest.rendered_to_string()
+    assert html =~ "AUTO"
+    assert html =~ "3.0 m/s"
+  end
+end

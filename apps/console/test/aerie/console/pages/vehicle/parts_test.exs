@@ -1,0 +1,197 @@
+defmodule Aerie.Console.Pages.Vehicle.PartsTest do
+  @moduledoc "What the vehicle's page shows, out of snapshots and events made by hand."
+  use ExUnit.Case, async: true
+
+  alias Aerie.Vehicle.Event
+  alias Aerie.Console.Pages.Vehicle.View
+  alias Aerie.Console.Pages.Vehicle.Health.Arming
+  alias Aerie.Console.Pages.Vehicle.Fly.Instruments
+  alias Aerie.Console.Pages.Vehicle.LinkTable.Links
+  alias Aerie.Console.Pages.Vehicle.Charts.Series
+  alias Aerie.Console.Pages.Vehicle.Events.Timeline
+
+  @now 1_800_000_000_000_000
+  defp vehicle(groups, more \\ %{}),
+    do:
+      Map.merge(
+        %{
+          id: "VID-001",
+          system_id: 7,
+          links: [],
+          groups: Map.new(groups, fn {name, data} -> {name, %{at: @now, data: data}} end)
+        },
+        more
+      )
+
+  defp event(type, data, age_s \\ 0), do: Event.new("VID-001", type, 1, @now - age_s * 1_000_000, nil, data)
+
+  test "instruments show the present or nothing" do
+    groups = [
+      attitude: %{roll: 1.23456, pitch: -2.0, yaw: -90.0},
+      velocity: %{groundspeed: 5, airspeed: nil, climb: :nan}
+    ]
+
+    assert %{
+             vehicle: "VID-001",
+             roll: 1.235,
+             pitch: -2.0,
+             heading: 270.0,
+             speed: 5.0,
+             airspeed: nil,
+             climb: nil,
+             height: nil
+           } =
+             Instruments.sample(vehicle(groups), @now)
+
+    assert %{roll: nil, heading: nil, speed: nil} = Instruments.sample(vehicle(groups), @now + 3_000_001)
+    assert %{heading: 12.5} = Instruments.sample(vehicle([position: %{heading: 12.5}] ++ groups), @now)
+  end
+
+  test "numbers as text: as many decimals as are asked for, and no minus before a zero" do
+    groups = [velocity: %{groundspeed: 8.567, climb: -0.004}]
+    view = %View{vehicle: vehicle(groups), now: @now, silent_us: 0}
+    assert View.text(view, [:velocity, :groundspeed], %{decimals: 1}) == "8.6 m/s"
+    assert View.text(view, [:velocity, :climb]) == "0.00 m/s"
+    assert View.text(view, [:velocity, :airspeed]) == "–"
+    assert View.number(-0.6, 0) == "-1"
+    assert View.number(-0.06, 1) == "-0.1"
+  end
+
+  test "series: numbers of the state, by keys from outside" do
+    keys = Enum.map(Series.all(), & &1.key)
+    assert keys == Enum.uniq(keys)
+
+    for key <- ~w(position.alt_rel battery.voltage health.ekf.compass health.vibration.z rc.channels.18),
+        do: assert(key in keys)
+
+    refute "mode.mode" in keys
+
+    chosen =
+      Series.choose([
+        "battery.voltage",
+        "no.such",
+        "health.vibration.z",
+        "health.ekf.compass",
+        "battery.voltage"
+      ])
+
+    assert ["battery.voltage", "health.vibration.z", "health.ekf.compass"] == Enum.map(chosen, & &1.key)
+    assert length(Series.choose(keys)) == Series.max()
+
+    vehicle = vehicle(battery: %{voltage: 12.1}, health: %{vibration: [1, 2, 3.5], ekf: nil})
+
+    assert %{"battery.voltage" => 12.1, "health.vibration.z" => 3.5, "health.ekf.compass" => nil} ==
+             Series.sample(vehicle, chosen, @now)
+
+    assert %{"battery.voltage" => nil} = Series.sample(vehicle, chosen, @now + 6_000_000)
+  end
+
+  test "what keeps it from arming: checks, texts of the last half minute, sensors" do
+    events = [
+      event("statustext", %{"text" => "PreArm: old complaint", "severity" => 2}, 60),
+      event("statustext", %{"text" => "PreArm: Compass not calibrated", "severity" => 2}, 20),
+      event("statustext", %{"text" => "hello", "severity" => 6}),
+      event("statustext", %{"text" => "PreArm: no map", "severity" => 2, "component" => 191}),
+      event("statustext", %{"text" => "Arm: Throttle too high", "severity" => 2})
+    ]
+
+    health = %{
+      ready_to_arm: false,
+      unhealthy: ["3d_gyro", "gps"],
+      arming_checks: [%{name: "check_no_rc", id: "1"}]
+    }
+
+    assert %{
+             ready: false,
+             reasons: [
+               "check no rc",
+               "Throttle too high",
+               "Compass not calibrated",
+               "3D gyro is unhealthy",
+               "gps is unhealthy"
+             ]
+           } = Arming.of(vehicle(health: health, mode: %{armed: false}), events, @now)
+
+    assert %{reasons: []} = Arming.of(vehicle(health: health, mode: %{armed: true}), events, @now)
+    assert %{ready: nil, reasons: []} = Arming.of(vehicle([]), [], @now)
+  end
+
+  test "the time line: newest first, by severity and text" do
+    events = [
+      event("statustext", %{"text" => "EKF3 IMU0 is using GPS", "severity" => 6}),
+      event("mode_change", %{"from" => nil, "to" => "GUIDED"}),
+      event("failsafe", %{
+        "type" => "battery",
+        "reason" => "critical_battery_level",
+        "action" => "rtl",
+        "text" => nil
+      }),
+      event("battery.low", %{"remaining" => 0.2, "voltage" => nil}),
+      event("param_changed", %{"name" => "RTL_ALT", "from" => 1500.0, "to" => 2000})
+    ]
+
+    assert [
+             "RTL_ALT: 1500 → 2000",
+             "battery low: 20 %",
+             "failsafe: critical battery level → rtl",
+             "mode unknown → GUIDED",
+             "EKF3 IMU0 is using GPS"
+           ] ==
+             events |> Timeline.lines() |> Enum.map(& &1.text)
+
+    assert ["battery.low", "failsafe"] == events |> Timeline.lines("warning") |> Enum.map(& &1.type)
+    assert ["failsafe"] == events |> Timeline.lines("error") |> Enum.map(& &1.type)
+    assert ["mode_change"] == events |> Timeline.lines("all", "guided") |> Enum.map(& &1.type)
+    assert [%{tone: :bad, name: "critical"}] = Timeline.lines(events, "error")
+    assert length(Timeline.lines(List.duplicate(hd(events), 300))) == 200
+  end
+
+  test "each type of event has a text, whatever of its data is missing" do
+    for %{type: type, fields: fields} <- Event.Types.all() do
+      assert %{text: text} = Timeline.line(event(type, %{}))
+      assert is_binary(text)
+      assert Timeline.line(event(type, Map.new(fields, &{&1.name, nil}))).text =~ ~r/\w|^$/u
+    end
+  end
+
+  test "a text leaves out what is not known, and takes values as they are" do
+    for {type, data, text} <- [
+          {"mission.reached", %{"seq" => 3, "total" => 8}, "item 3 of 8 reached"},
+          {"mission.reached", %{"seq" => 3}, "item 3 reached"},
+          {"armed", %{"reason" => "rc_switch"}, "armed (rc switch)"},
+          {"armed", %{}, "armed"},
+          {"gcs.lost", %{"system" => 255}, "ground station 255 lost"},
+          {"signing.failed", %{"reason" => "no_answer", "by" => "ann_b"},
+           "signing key not changed (no answer) by ann_b"},
+          {"param_changed", %{"name" => "A_{to}", "from" => nil, "to" => 1.5}, "A_{to}: unknown → 1.5"},
+          {"link.lost", %{"silent_s" => 10.4}, "contact lost for 10 s"},
+          {"battery.low", %{"remaining" => 0.2, "voltage" => 11.1}, "battery low: 20 %"},
+          {"battery.low", %{"voltage" => 11.1}, "battery low: 11.1 V"}
+        ],
+        do: assert(Timeline.line(event(type, data)).text == text)
+  end
+
+  test "links: loss of this vehicle's frames by each, all components together" do
+    links = [
+      %{
+        id: "a",
+        url: "udpin:0.0.0.0:14550",
+        label: nil,
+        status: :up,
+        text: "listening",
+        quality: %{rtt_ms: 20, score: 90.0, carries: true},
+        sources: %{
+          {7, 1} => %{received: 90, lost: 5},
+          {7, 100} => %{received: 5, lost: 0},
+          {8, 1} => %{received: 1, lost: 99}
+        }
+      },
+      %{id: "b", url: "serial:/dev/ttyUSB0", label: "radio", status: :idle, text: "", sources: %{}}
+    ]
+
+    assert [
+             %{id: "b", url: "radio", latest: true, loss: nil, round_trip_ms: nil},
+             %{id: "a", latest: false, loss: 0.05, received: 95, lost: 5, round_trip_ms: 20, carries: true}
+           ] = Links.of(vehicle([], %{links: ["b", "gone", "a"]}), links)
+  end
+end

@@ -17,7 +17,7 @@ defmodule Aerie.CLI.Subcommand.Operation do
   alias Aerie.Vehicle.Command.Result
 
   # These areas have subcommands of their own.
-  @own ~w(params mission recording)
+  @own ~w(command params mission recording)
   @pairs "NAME=VALUE"
 
   @doc "Their rows. Those that give or take the bytes of files are not among them."

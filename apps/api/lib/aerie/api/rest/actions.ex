@@ -75,19 +75,6 @@ defmodule Aerie.Api.Rest.Actions do
     |> answer(200, request)
   end
 
-  # Waits for the result for at most 20 seconds.
-  def run(:command, state, request) do
-    with {:ok, object, body, request} <- Request.object_and_body(request) do
-      wait = Request.parameters(request)["wait"]
-      signed = %{header: Request.header(request, "aerie-signature"), body: body}
-
-      case Commands.submit(state.gateway, id(request), object, wait, state.source, signed) do
-        {:ok, status, %{"id" => command} = body} -> {:ok, status, body, located(request, command)}
-        {:error, error} -> {:error, error, request}
-      end
-    end
-  end
-
   def run(:look_at_command, state, request),
     do: state.gateway |> Commands.state(id(request), command(request)) |> answer(200, request)
 
@@ -141,10 +128,6 @@ defmodule Aerie.Api.Rest.Actions do
 
   defp id(request), do: :cowboy_req.binding(:id, request)
   defp command(request), do: :cowboy_req.binding(:command, request)
-
-  # The path is made from checked values.
-  defp located(request, command),
-    do: :cowboy_req.set_resp_header("location", "/api/vehicles/#{id(request)}/commands/#{command}", request)
 
   defp vehicle(state, request), do: state.gateway |> View.vehicle(id(request)) |> found(unknown_vehicle())
 

@@ -23,8 +23,8 @@ defmodule Aerie.Api.Rest.Operations do
   # A transfer ends by itself.
   @longest_ms 86_400_000
 
-  @typedoc "An operation's name, and which of its routes is meant. A compiled table cannot have its functions."
-  @type choice :: {name :: String.t(), route :: non_neg_integer()}
+  @typedoc "An operation's module, and which of its routes is meant. A compiled table cannot have its functions."
+  @type choice :: {module(), route :: non_neg_integer()}
 
   @doc "A row for each method of each path. The first of several operations is meant unless the query selects another."
   @spec routes() :: [Route.t()]
@@ -44,7 +44,7 @@ defmodule Aerie.Api.Rest.Operations do
     %Route{
       method: route.method,
       path: route.path,
-      action: {:operation, for({one, _route, index} <- choices, do: {one.name, index})},
+      action: {:operation, for({one, _route, index} <- choices, do: {one.module, index})},
       change: route.change,
       role: role(operation, route),
       summary: route.summary,
@@ -73,6 +73,7 @@ defmodule Aerie.Api.Rest.Operations do
   defp role(operation, _route), do: if(operation.changes?, do: :operator, else: :viewer)
 
   # What is changed aboard is carried out like a command.
+  defp result?(%{answer: :result}), do: true
   defp result?(operation), do: operation.transfer? and operation.changes?
 
   # A body that is a field as a whole.
@@ -95,7 +96,9 @@ defmodule Aerie.Api.Rest.Operations do
   defp formats(%{formats: []}), do: []
   defp formats(%{formats: formats}), do: [{:format, formats}]
 
-  defp parameter(field), do: {field.key, Field.schema(%{field | required: true, doc: ""}), sentence(field)}
+  defp parameter(field),
+    do: {field.key, %{field | required: true} |> Field.schema() |> Map.delete(:description), sentence(field)}
+
   defp selected({_operation, route, _index}), do: {route.select, %{type: :string}, route.summary}
 
   defp sentence(%{doc: doc, unit: unit}) do
@@ -191,7 +194,9 @@ defmodule Aerie.Api.Rest.Operations do
          {:ok, body, request} <- body(operation, route, request),
          {:ok, input} <- input(operation, route, format, body, state, request) do
       request = if input[:timeout], do: Request.patient(request, ceil(input.timeout * 1000)), else: request
-      act(operation, route, input, context(state, route, format, input, request), request)
+      signed = %{header: Request.header(request, "aerie-signature"), body: body}
+      context = state |> context(route, format, input, request) |> Map.put(:signed, signed)
+      act(operation, route, input, context, request)
     else
       {:error, %Error{} = error, request} -> {:error, error, request}
       {:error, error} -> {:error, Error.from(error), request}
@@ -199,11 +204,9 @@ defmodule Aerie.Api.Rest.Operations do
   end
 
   defp choose(choices, parameters) do
-    operations = all()
-
     [first | others] =
-      for {name, index} <- choices,
-          one = Enum.find(operations, &(&1.name == name)),
+      for {module, index} <- choices,
+          one = %{module.operation() | module: module},
           do: {one, Enum.at(one.routes, index)}
 
     Enum.find(others, first, fn {_operation, route} -> is_map_key(parameters, route.select) end)
@@ -263,17 +266,16 @@ defmodule Aerie.Api.Rest.Operations do
   defp more(operation), do: if(result?(operation), do: [Operation.wait()], else: [])
 
   # The parameters of the query that the operation has; others are left alone, or refused if it says so.
-  defp texts(_operation, %{change: change}, _request) when change != nil, do: %{}
-
   defp texts(operation, route, request) do
+    # A change of the gateway has its fields in the body.
+    own = if route.change, do: [], else: operation.fields ++ Operation.common(operation)
+
     names =
       Enum.map(route.query, &Atom.to_string/1) ++
-        for field <- operation.fields ++ Operation.common(operation) ++ more(operation),
-            field.key not in route.omit,
-            do: Field.name(field)
+        for field <- own ++ more(operation), field.key not in route.omit, do: Field.name(field)
 
     for {name, text} <- Request.parameters(request),
-        operation.closed? or (text != nil and name in names),
+        (operation.closed? and route.change == nil) or (text != nil and name in names),
         into: %{},
         do: {name, {:text, text || ""}}
   end

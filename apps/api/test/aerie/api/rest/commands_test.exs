@@ -114,7 +114,12 @@ defmodule Aerie.Api.Rest.CommandsTest do
     assert {404, %{"rule" => "vehicle"}} =
              context |> ask("POST", "/api/vehicles/VID-009/commands", %{"type" => "arm"}) |> reply()
 
-    assert {422, _body} = context |> ask("POST", @path <> "?wait=600", %{"type" => "arm"}) |> reply()
+    # Left out, the gateway makes an id; null is an error.
+    assert {422, %{"errors" => [%{"key" => "id", "got" => "nothing"}]}} =
+             post.(%{"type" => "arm", "id" => nil}, ops)
+
+    assert {422, %{"errors" => [%{"key" => "wait", "expected" => "an integer from 0 to 20"}]}} =
+             context |> ask("POST", @path <> "?wait=600", %{"type" => "arm"}) |> reply()
 
     grip = %{"type" => "gripper", "id" => "g", "params" => %{"action" => "grab"}}
     task = ask(context, "POST", @path, grip)

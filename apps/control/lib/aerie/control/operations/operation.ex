@@ -33,8 +33,8 @@ defmodule Aerie.Control.Operations.Operation do
     * `:once` - `{field, when, reason}`: the field without which a copy of a message would be another request; `:signed`
       or `:always`, and what is said if it is missing. Over NATS only
     * `:rules` - further keywords of the request's JSON Schema, for what fields cannot say; `c:run/2` checks them
-    * `:answer` - the properties of what `c:run/2` answers, or the fields that show it (`Aerie.Base.Json.Object`);
-      `:answer_as` names them where several operations have the same ones
+    * `:answer` - the properties of what `c:run/2` answers, or the fields that show it (`Aerie.Base.Json.Object`), or
+      `:result`, that of a command; `:answer_as` names them where several operations have the same ones
     * `:routes` - how it is asked for over REST
   """
 
@@ -74,7 +74,7 @@ defmodule Aerie.Control.Operations.Operation do
           closed?: boolean(),
           fields: [Field.t()],
           rules: keyword(),
-          answer: %{atom() => Json.Schema.t()} | [Json.Object.t()],
+          answer: %{atom() => Json.Schema.t()} | [Json.Object.t()] | :result,
           routes: [Route.t()]
         }
 
@@ -89,16 +89,18 @@ defmodule Aerie.Control.Operations.Operation do
     * `:format` - the form of a file that is read or sent (`Aerie.Control.Operations.Route`); `"json"` unless REST
       chose another
     * `:max_bytes` - the most that an answer can have; nil: whatever the operation allows
+    * `:signed` - over REST the header `Aerie-Signature` (nil: none) and the body as it was sent
   """
   @type context :: %{
-          gateway: Names.gateway(),
-          vehicle: String.t() | nil,
-          source: Roles.source() | nil,
-          via: String.t(),
-          by: String.t() | nil,
-          options: [Transfers.option()],
-          format: String.t(),
-          max_bytes: pos_integer() | nil
+          :gateway => Names.gateway(),
+          :vehicle => String.t() | nil,
+          :source => Roles.source() | nil,
+          :via => String.t(),
+          :by => String.t() | nil,
+          :options => [Transfers.option()],
+          :format => String.t(),
+          :max_bytes => pos_integer() | nil,
+          optional(:signed) => %{header: String.t() | nil, body: binary()}
         }
 
   @typedoc """
@@ -155,8 +157,18 @@ defmodule Aerie.Control.Operations.Operation do
   @spec parse(t(), map(), keyword()) :: {:ok, input()} | {:error, [Error.t(), ...] | {:invalid, Error.t()}}
   def parse(operation, given, options \\ [])
 
-  def parse(%__MODULE__{request: %{}}, given, _options),
-    do: {:ok, %{object: Map.new(given, fn {key, value} -> {key, plain(value)} end)}}
+  def parse(%__MODULE__{request: %{}}, given, options) do
+    more = Keyword.get(options, :more, [])
+    {own, object} = Map.split(given, Enum.map(more, &Field.name/1))
+
+    case Schema.validate(more, own) do
+      {input, []} ->
+        {:ok, Map.put(input, :object, Map.new(object, fn {key, value} -> {key, plain(value)} end))}
+
+      {_input, problems} ->
+        {:error, Enum.map(problems, &error/1)}
+    end
+  end
 
   def parse(%__MODULE__{} = operation, given, options) do
     format = Keyword.get(options, :format, "json")
@@ -229,7 +241,7 @@ defmodule Aerie.Control.Operations.Operation do
   @doc "How long REST waits for the result of a change."
   @spec wait() :: Field.t()
   def wait do
-    meaning = "how long to wait for the result; then 202, and the change goes on"
+    meaning = "how long to wait for the result; then 202, and it goes on"
     Field.field(:wait, {:integer, 0, @max_wait_s}, meaning, default: @max_wait_s, unit: "s")
   end
 

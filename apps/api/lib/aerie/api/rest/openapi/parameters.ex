@@ -8,7 +8,7 @@ defmodule Aerie.Api.Rest.OpenAPI.Parameters do
   @doc "The names of those in queries; `format` with the forms that a resource has."
   @spec all() :: [atom()]
   def all,
-    do: ~w(wait format version tag)a
+    do: ~w(format version tag)a
 
   @doc "Name, schema and meaning of one in a query."
   @spec in_query(atom() | {:format, [String.t()]} | {atom() | String.t(), map(), String.t()}) ::
@@ -21,9 +21,6 @@ defmodule Aerie.Api.Rest.OpenAPI.Parameters do
     {schema, meaning} = query(name)
     {name, schema, meaning}
   end
-
-  defp query(:wait),
-    do: {integer(0, 20), "How many seconds to wait for the result; then 202, and the command goes on."}
 
   defp query(:version), do: {%{type: :integer, minimum: 0}, "The version that this is meant for."}
   defp query(:tag), do: {%{type: :string}, "Only vehicles with this tag."}

@@ -4,7 +4,7 @@ defmodule Aerie.Api.Rest.Operations.Gateway do
   over REST only.
   """
 
-  alias Aerie.Api.Rest.Operations.{Clients, Events, Links, Log, Plans, Recordings, Rules, Signing}
+  alias Aerie.Api.Rest.Operations.{Clients, Commands, Events, Links, Log, Plans, Recordings, Rules, Signing}
   alias Aerie.Control.Operations.Operation
 
   @doc "All of them."
@@ -27,7 +27,8 @@ defmodule Aerie.Api.Rest.Operations.Gateway do
           Signing.List,
           Signing.Change,
           Events.List,
-          Plans.Store
+          Plans.Store,
+          Commands.Give
         ],
         do: %{module.operation() | module: module}
   end

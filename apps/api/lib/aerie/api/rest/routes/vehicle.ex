@@ -20,12 +20,6 @@ defmodule Aerie.Api.Rest.Routes.Vehicle do
         "Which commands this key may give to the vehicle.",
         answer: :offers
       ),
-      post("/api/vehicles/:id/commands", :command, "Gives a command, and waits for its result.",
-        query: [:wait],
-        body: :command,
-        later: true,
-        answer: :result
-      ),
       get(
         "/api/vehicles/:id/commands/:command",
         :look_at_command,

@@ -18,7 +18,7 @@ defmodule Aerie.Fleet.Inspector do
   alias Aerie.Base.{Names, Store}
   alias Aerie.Control.Policy.Roles
   alias Aerie.Fleet.Client.RawMessage
-  alias Aerie.Fleet.Inspector.{Fields, Rows}
+  alias Aerie.Fleet.Inspector.{Compose, Fields, Rows}
   alias MavRouter.Recorder.{Tables, Tap}
   alias MavCodec.Frame
 
@@ -76,6 +76,19 @@ defmodule Aerie.Fleet.Inspector do
   @doc "A frame for people: its name, its fields (nil for an unknown message), and its bytes in hexadecimal."
   @spec show(Frame.t()) :: %{name: String.t(), fields: [Fields.field()] | nil, hex: String.t()}
   def show(frame), do: %{name: Fields.name(frame.id), fields: Fields.of(frame), hex: Fields.hex(frame.bytes)}
+
+  @doc "The names of all messages, sorted."
+  @spec message_names() :: [String.t()]
+  defdelegate message_names, to: Compose, as: :names
+
+  @doc "The fields of a message by its name; empty for an unknown one."
+  @spec message_fields(String.t()) :: [map]
+  defdelegate message_fields(name), to: Compose, as: :fields
+
+  @doc "The message of a name and the texts of its fields, or what is wrong with each."
+  @spec compose(String.t(), %{String.t() => String.t()}) ::
+          {:ok, struct} | {:error, %{String.t() => String.t()}}
+  defdelegate compose(name, texts), to: Compose, as: :message
 
   @doc "Sends a message in the name of somebody, like one of a client, and gives what was answered."
   @spec send(Names.gateway(), Roles.source(), struct(), network :: String.t() | :all) ::

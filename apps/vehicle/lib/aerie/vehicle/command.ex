@@ -10,7 +10,7 @@ defmodule Aerie.Vehicle.Command do
   """
 
   alias Aerie.Base.Json
-  alias Aerie.Vehicle.Command.{Deadline, Error, Refusal, Type, Types}
+  alias Aerie.Vehicle.Command.{Deadline, Error, Refusal, Result, Type, Types}
 
   @enforce_keys [:id, :vehicle, :type, :source, :issued_at, :deadline]
   defstruct [:id, :vehicle, :type, :source, :sender, :issued_at, :deadline, params: %{}]
@@ -168,8 +168,10 @@ defmodule Aerie.Vehicle.Command do
   @spec expired?(t(), now :: integer()) :: boolean()
   def expired?(command, now), do: now >= command.deadline
 
-  @doc "The envelope as NATS and REST have it; `parse/2` reads it back."
-  @spec plain(t()) :: %{String.t() => term()}
+  @doc "The envelope, which `parse/2` reads back, or a result, as NATS and REST have it."
+  @spec plain(t() | Result.t()) :: %{String.t() => term()}
+  def plain(%Result{} = result), do: Result.plain(result)
+
   def plain(command) do
     %{
       "id" => command.id,

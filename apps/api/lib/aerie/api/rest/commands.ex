@@ -5,7 +5,6 @@ defmodule Aerie.Api.Rest.Commands do
 
   alias Aerie.Base.Json.Object
   alias Aerie.Vehicle.Command
-  alias Aerie.Vehicle.Command.Result
   alias Aerie.Control.Commands
   alias Aerie.Control.Policy.Roles
   alias Aerie.Access.HTTP.Error
@@ -15,7 +14,7 @@ defmodule Aerie.Api.Rest.Commands do
   def state(gateway, vehicle, id) do
     case Commands.state(gateway, vehicle, id) do
       {:ok, result} ->
-        {:ok, Map.put(Result.plain(result), "state", "done")}
+        {:ok, Map.put(Command.plain(result), "state", "done")}
 
       {:under_way, job} ->
         {:ok,

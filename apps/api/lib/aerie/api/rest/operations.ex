@@ -11,7 +11,7 @@ defmodule Aerie.Api.Rest.Operations do
   alias Aerie.Base.Settings.Field
   alias Aerie.Control.Operations.Operation
   alias Aerie.Fleet
-  alias Aerie.Vehicle.Command.Result
+  alias Aerie.Vehicle.Command
 
   alias Aerie.Access.Changes.Rights
   alias Aerie.Api.Rest.Route
@@ -314,12 +314,16 @@ defmodule Aerie.Api.Rest.Operations do
     end
   end
 
-  defp act(operation, route, input, context, request),
-    do: input |> operation.module.run(context) |> answered(route.status, context, request)
+  defp act(operation, route, input, context, request) do
+    case {operation.module.run(input, context), result?(operation)} do
+      {{:ok, result}, true} -> ended(result, context, request)
+      {answer, _result?} -> answered(answer, route.status, context, request)
+    end
+  end
 
-  defp answered({:ok, %Result{} = result}, _status, context, request) do
+  defp ended(result, context, request) do
     case Error.of_result(result) do
-      nil -> {:ok, 200, Result.plain(result), located(request, context.vehicle, result.id)}
+      nil -> {:ok, 200, Command.plain(result), located(request, context.vehicle, result.id)}
       error -> {:error, error, request}
     end
   end

@@ -2,7 +2,6 @@ defmodule Aerie.Console.Commands.Entry do
   @moduledoc "The state of a command in words, with a tone and an icon, so that states differ by more than colour. Pure."
 
   alias Aerie.Vehicle.Command
-  alias Aerie.Vehicle.Command.Result
   alias Aerie.Control.Commands
   alias Aerie.Console.Commands.{Catalog, Outcome, Wording}
 
@@ -23,7 +22,7 @@ defmodule Aerie.Console.Commands.Entry do
           at: integer(),
           done_at: integer() | nil,
           going: boolean(),
-          state: :pending | :progress | Result.status(),
+          state: :pending | :progress | atom(),
           tone: :busy | :going | :good | :plain | :bad | :unsure,
           label: String.t(),
           text: String.t() | nil,
@@ -93,7 +92,7 @@ defmodule Aerie.Console.Commands.Entry do
   defp reason(%{reason: reason}), do: reason && Command.on_pages(reason)
 
   @doc "A result's tone and word."
-  @spec result(Result.status()) :: {:good | :plain | :bad | :unsure, String.t()}
+  @spec result(atom()) :: {:good | :plain | :bad | :unsure, String.t()}
   def result(status), do: Map.fetch!(@results, status)
 
   @doc "The kind of badge for a tone."

@@ -9,14 +9,13 @@ defmodule Aerie.Console.Commands.Submit do
   """
 
   alias Aerie.Vehicle.Command
-  alias Aerie.Vehicle.Command.Result
   alias Aerie.Base.Names
   alias Aerie.Control.Commands
   alias Aerie.Control.Policy.Roles
   alias Aerie.Console.Commands.Form
 
   @typedoc "What became of a command, with a text for a page."
-  @type state :: :under_way | {:done, Result.status(), text :: String.t() | nil}
+  @type state :: :under_way | {:done, atom(), text :: String.t() | nil}
 
   @doc "Gives the command. `{:invalid, type, errors}`: its parameters are wrong."
   @spec give(Names.gateway(), vehicle :: String.t(), Roles.source(), event :: map()) ::
@@ -48,6 +47,6 @@ defmodule Aerie.Console.Commands.Submit do
     do: Enum.join(Enum.map(fields, fn {name, text} -> "#{name}: #{text}" end) ++ general, "; ")
 
   @doc "The state of a command that has its result."
-  @spec state(Result.t()) :: state()
+  @spec state(map()) :: state()
   def state(%{status: status, reason: reason}), do: {:done, status, reason && Command.on_pages(reason)}
 end

@@ -17,20 +17,24 @@ defmodule Aerie.Fleet.Inspector.Compose do
   @spec names(module) :: [String.t()]
   def names(dialect \\ All), do: dialect.ids() |> Enum.map(&dialect.name/1) |> Enum.sort()
 
-  @doc "The fields of a message in the order of its definition; nil for an unknown name."
-  @spec fields(String.t(), module) :: [Field.t()] | nil
+  @doc """
+  The fields of a message in the order of its definition; empty for an unknown name. Each has the names of its enum's
+  values to choose from.
+  """
+  @spec fields(String.t(), module) :: [map]
   def fields(name, dialect \\ All) do
-    with module when module != nil <- module(name, dialect), do: module.fields()
+    module = module(name, dialect)
+
+    for field <- if(module, do: module.fields(), else: []),
+        do: field |> Map.from_struct() |> Map.put(:choices, choices(field))
   end
 
   defp module(name, dialect) do
     with id when id != nil <- dialect.message_id(name), do: dialect.module_for(id)
   end
 
-  @doc "The names of an enum's values, for a list to choose from."
-  @spec choices(Field.t()) :: [{String.t(), integer}]
-  def choices(%Field{enum: nil}), do: []
-  def choices(%Field{enum: enum}), do: for({name, value} <- enum.all(), do: {Atom.to_string(name), value})
+  defp choices(%Field{enum: nil}), do: []
+  defp choices(%Field{enum: enum}), do: for({name, value} <- enum.all(), do: {Atom.to_string(name), value})
 
   @doc "The struct, or what is wrong with each field by its name (`\"message\"`: with the name of the message)."
   @spec message(String.t(), %{String.t() => String.t()}, module) ::

@@ -93,10 +93,10 @@ defmodule Aerie.Fleet.Inspector.ComposeTest do
 
     for name <- names do
       assert [_ | _] = fields = Compose.fields(name)
-      for field <- fields, do: assert(is_list(Compose.choices(field)))
+      for field <- fields, do: assert(is_list(field.choices))
       assert {:ok, %_module{}} = Compose.message(name, %{})
     end
 
-    assert Compose.fields("NO_SUCH") == nil
+    assert Compose.fields("NO_SUCH") == []
   end
 end

@@ -14,7 +14,7 @@ defmodule Aerie.Api.Rest.Operations.LogDownload do
   @max_waiting 50_000
 
   @type result ::
-          {:ok, 200 | 206, :sent, :cowboy_req.req()} | {:error, Error.t() | Aerie.Vehicle.Command.Result.t()}
+          {:ok, 200 | 206, :sent, :cowboy_req.req()} | {:error, Error.t() | map()}
 
   @doc "Answers with the log whose id is in the path."
   @spec run({Aerie.Base.Names.gateway(), String.t()}, keyword(), :cowboy_req.req()) ::

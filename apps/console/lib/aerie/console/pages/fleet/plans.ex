@@ -6,7 +6,6 @@ defmodule Aerie.Console.Pages.Fleet.Plans do
 
   alias Aerie.Base.Names
   alias Aerie.Control.Missions
-  alias Aerie.Vehicle.Command.Result
   alias Protocols.Mission.Plan
   alias Aerie.Console.Pages.Plan.MapPayload
 
@@ -90,7 +89,7 @@ defmodule Aerie.Console.Pages.Fleet.Plans do
   defp updated(entry, {kind, {:ok, %{plan: plan}}}),
     do: %{entry | plan: Plan.put_part(entry.plan, kind, plan)}
 
-  defp updated(entry, {kind, {:error, %Result{reason: reason, status: status}}}),
+  defp updated(entry, {kind, {:error, %{reason: reason, status: status}}}),
     do: %{entry | errors: entry.errors ++ ["#{kind}: #{reason || status}"]}
 
   @doc "The payload of `map:plans`. `current`: the number of the item that each vehicle flies to."

@@ -12,7 +12,6 @@ defmodule Aerie.Console.Pages.Inspector.Page do
 
   alias Aerie.Base.Store
   alias Aerie.Fleet.Inspector
-  alias Aerie.Fleet.Inspector.Compose
   alias Aerie.Control.Policy.Roles
   alias Aerie.Console.Pages.Inspector.Rows
   alias Aerie.Console.UI.Age
@@ -74,7 +73,7 @@ defmodule Aerie.Console.Pages.Inspector.Page do
     fields = fields(params)
 
     errors =
-      case Compose.message(name, fields) do
+      case Inspector.compose(name, fields) do
         {:ok, _message} -> %{}
         {:error, errors} -> errors
       end
@@ -96,7 +95,7 @@ defmodule Aerie.Console.Pages.Inspector.Page do
       ) do
     fields = fields(params)
 
-    case Compose.message(name, fields) do
+    case Inspector.compose(name, fields) do
       {:ok, message} ->
         source = %{user | name: "console:" <> user.name}
 
@@ -125,7 +124,7 @@ defmodule Aerie.Console.Pages.Inspector.Page do
   end
 
   defp compose(name, texts, errors),
-    do: %{name: name, fields: Compose.fields(name) || [], texts: texts, errors: errors}
+    do: %{name: name, fields: Inspector.message_fields(name), texts: texts, errors: errors}
 
   @impl Phoenix.LiveView
   def handle_info(:refresh, socket), do: {:noreply, socket |> watch() |> load()}

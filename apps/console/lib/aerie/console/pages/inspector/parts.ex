@@ -2,7 +2,7 @@ defmodule Aerie.Console.Pages.Inspector.Parts do
   @moduledoc "The parts of the inspector's page."
   use Aerie.Console, :component
 
-  alias Aerie.Fleet.Inspector.Compose
+  alias Aerie.Fleet.Inspector
   alias Aerie.Console.UI.Age
 
   attr :filter, :map, required: true
@@ -96,7 +96,7 @@ defmodule Aerie.Console.Pages.Inspector.Parts do
         <span>The policy checks commands sent here, and the audit log records them. Prefer the vehicle's page for commands.</span>
       </p>
       <form id="compose-form" class="stack" phx-change="composed" phx-submit="send" phx-auto-recover="ignore" autocomplete="off">
-        <.field id="compose-message" name="message" label="Message" type="select" value={@compose.name} options={Compose.names()} errors={List.wrap(@compose.errors["message"])} />
+        <.field id="compose-message" name="message" label="Message" type="select" value={@compose.name} options={Inspector.message_names()} errors={List.wrap(@compose.errors["message"])} />
         <.field id="compose-network" name="network" label="Network" type="select" options={[{"all", ""} | Enum.map(@networks, &{&1, &1})]} />
         <div :for={field <- @compose.fields} :key={field.name}>
           <.field
@@ -107,11 +107,11 @@ defmodule Aerie.Console.Pages.Inspector.Parts do
             unit={field.units}
             hint={hint(field)}
             errors={List.wrap(@compose.errors[field.name])}
-            list={Compose.choices(field) != [] && "choices-#{field.name}"}
+            list={field.choices != [] && "choices-#{field.name}"}
             spellcheck="false"
           />
-          <datalist :if={Compose.choices(field) != []} id={"choices-#{field.name}"}>
-            <option :for={{name, value} <- Enum.take(Compose.choices(field), 300)} value={name}>{value}</option>
+          <datalist :if={field.choices != []} id={"choices-#{field.name}"}>
+            <option :for={{name, value} <- Enum.take(field.choices, 300)} value={name}>{value}</option>
           </datalist>
         </div>
         <.button type="submit" kind="primary" icon="upload" disabled={@sending?}>{if @sending?, do: "Sending …", else: "Send"}</.button>

@@ -11,7 +11,6 @@ defmodule Aerie.Console.Pages.Plan.Transfer do
   alias Aerie.Control.Missions
   alias Aerie.Fleet
   alias Aerie.Vehicle.Firmware
-  alias Aerie.Vehicle.Command.Result
   alias Protocols.Mission.Plan
 
   @kinds Missions.kinds()
@@ -96,8 +95,8 @@ defmodule Aerie.Console.Pages.Plan.Transfer do
     sent = Plan.contents(plan, kind)
 
     case Missions.upload(gateway, vehicle, kind, plan, options) do
-      {:ok, %Result{status: :completed} = result} -> {:ok, "#{sent}, verified" <> remarks(result)}
-      {:ok, %Result{status: :accepted} = result} -> {:ok, "#{sent}, on board" <> remarks(result)}
+      {:ok, %{status: :completed} = result} -> {:ok, "#{sent}, verified" <> remarks(result)}
+      {:ok, %{status: :accepted} = result} -> {:ok, "#{sent}, on board" <> remarks(result)}
       other -> failed(other)
     end
   end
@@ -127,7 +126,7 @@ defmodule Aerie.Console.Pages.Plan.Transfer do
 
   defp run({:remove, %{digest: digest} = seen}, gateway, vehicle, kind, _plan, options) do
     with {:ok, %{digest: ^digest}} <- aboard(gateway, vehicle, kind, Keyword.delete(options, :id)),
-         {:ok, %Result{status: :completed}} <- Missions.clear(gateway, vehicle, kind, options) do
+         {:ok, %{status: :completed}} <- Missions.clear(gateway, vehicle, kind, options) do
       {:ok, "removed: #{seen.text}"}
     else
       {:ok, %{text: text}} -> {:error, "not removed: meanwhile #{text} on board"}
@@ -149,11 +148,11 @@ defmodule Aerie.Console.Pages.Plan.Transfer do
   defp remarks(_result), do: ""
 
   defp failed({:pending, _id}), do: {:error, "it is still under way"}
-  defp failed({_ok_or_error, %Result{} = result}), do: {:error, sentence(result)}
+  defp failed({_ok_or_error, %{} = result}), do: {:error, sentence(result)}
   defp failed({:error, errors}), do: {:error, Enum.join(errors, "; ")}
 
-  defp sentence(%Result{status: status, reason: nil}), do: Atom.to_string(status)
-  defp sentence(%Result{status: status, reason: reason}), do: "#{status}: #{reason}"
+  defp sentence(%{status: status, reason: nil}), do: Atom.to_string(status)
+  defp sentence(%{status: status, reason: reason}), do: "#{status}: #{reason}"
 
   @doc "The name of a part."
   @spec label(Missions.kind()) :: String.t()

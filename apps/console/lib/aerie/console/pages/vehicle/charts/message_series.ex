@@ -6,7 +6,6 @@ defmodule Aerie.Console.Pages.Vehicle.Charts.MessageSeries do
 
   alias Aerie.Base.Names
   alias Aerie.Fleet.Inspector
-  alias Aerie.Fleet.Inspector.Compose
   alias Aerie.Console.Pages.Vehicle.Charts.Series
 
   @max_elements 16
@@ -22,10 +21,10 @@ defmodule Aerie.Console.Pages.Vehicle.Charts.MessageSeries do
   @doc "The series of a message by its name; `[]` for an unknown name."
   @spec of_message(String.t()) :: [Series.t()]
   def of_message(name) do
-    case name |> fields() |> Enum.reject(&(&1.type == :char)) do
-      [] -> []
-      fields -> Enum.flat_map(fields, &series(name, &1))
-    end
+    for %{type: type} = field <- Inspector.message_fields(name),
+        type != :char,
+        one <- series(name, field),
+        do: one
   end
 
   @doc "The series of a key from outside, or nil."
@@ -34,8 +33,6 @@ defmodule Aerie.Console.Pages.Vehicle.Charts.MessageSeries do
     [name | _field] = String.split(key, ".")
     Enum.find(of_message(name), &(&1.key == key))
   end
-
-  defp fields(name), do: Compose.fields(name) || []
 
   defp series(name, %{length: nil} = field), do: [one(name, field, nil)]
 

@@ -13,44 +13,34 @@ defmodule Aerie.Access.HTTP.Error do
   @enforce_keys [:status, :code, :message]
   defstruct [:status, :code, :message, headers: %{}, details: %{}]
 
-  @typedoc """
-  * `bad_request` (400) - malformed HTTP or JSON
-  * `unauthorized` (401) - no key, or an unknown one
-  * `forbidden` (403) - a web page of another server; without a configured key: a request from another machine
-  * `not_found` (404), `method_not_allowed` (405), `conflict` (409, the id is taken, or the present state forbids it)
-  * `too_large` (413), `unsupported_media_type` (415), `range` (416, it begins after the end)
-  * `misdirected` (421) - only the gateway that hears the vehicle has it: the message and `GET /api/vehicles/ID` (`via`)
-    name that one
-  * `upgrade_required` (426) - plain HTTP where a WebSocket is served
-  * `invalid` (422) - well-formed but not possible
-  * `too_many` (429) - a limit is reached
-  * `unavailable` (503) - the part that would answer does not run
+  # What a status means, and the codes that have it; the first one for a rule of `Aerie.Vehicle.Command.Refusal`.
+  @table [
+    {400, "Malformed HTTP or JSON.", [:bad_request]},
+    {401, "No key, or an unknown one.", [:unauthorized]},
+    {403, "The key, the page or the machine may not, or the policy denies it.", [:forbidden]},
+    {404, "There is no such thing.", [:not_found]},
+    {405, "The resource does not take this method.", [:method_not_allowed]},
+    {409, "The id is taken, or the present state forbids it.", [:conflict, :cancelled]},
+    {410, "The command's deadline has passed.", [:expired]},
+    {413, "The body is too large.", [:too_large]},
+    {415, "The body has another type.", [:unsupported_media_type]},
+    {416, "The range begins after the end.", [:range]},
+    {421,
+     "Another gateway hears the vehicle, and only that one has this: " <>
+       "ask the one that `via` of GET /api/vehicles/{id} names.", [:misdirected]},
+    {422, "Well-formed but not possible.", [:invalid]},
+    {426, "Plain HTTP where a WebSocket is served.", [:upgrade_required]},
+    {429, "A limit is reached.", [:too_many]},
+    {502, "The vehicle did not do it.", [:failed]},
+    {503, "The part that would answer does not run.", [:unavailable]},
+    {504, "The vehicle did not answer; it may have done it.", [:timeout, :outcome_unknown]}
+  ]
+  @statuses for {status, _meaning, codes} <- @table, code <- codes, into: %{}, do: {code, status}
+  @meanings Map.new(@table, fn {status, meaning, _codes} -> {status, meaning} end)
+  @by_status Map.new(@table, fn {status, _meaning, [code | _]} -> {status, code} end)
 
-  For commands (`of_result/1`):
-
-  * `expired` (410) - its deadline passed; `cancelled` (409)
-  * `failed` (502) - the vehicle did not do it; `timeout` (504), `outcome_unknown` (504) - it may have done it
-  """
-  @type code ::
-          :bad_request
-          | :unauthorized
-          | :forbidden
-          | :not_found
-          | :method_not_allowed
-          | :conflict
-          | :too_large
-          | :unsupported_media_type
-          | :range
-          | :misdirected
-          | :invalid
-          | :upgrade_required
-          | :too_many
-          | :unavailable
-          | :expired
-          | :cancelled
-          | :failed
-          | :timeout
-          | :outcome_unknown
+  @typedoc "For programs; one of `codes/0`."
+  @type code :: atom()
 
   @typedoc "`details` are beside `error` in the answer."
   @type t :: %__MODULE__{
@@ -60,47 +50,6 @@ defmodule Aerie.Access.HTTP.Error do
           headers: map(),
           details: map()
         }
-
-  @statuses %{
-    bad_request: 400,
-    unauthorized: 401,
-    forbidden: 403,
-    not_found: 404,
-    method_not_allowed: 405,
-    conflict: 409,
-    too_large: 413,
-    unsupported_media_type: 415,
-    range: 416,
-    misdirected: 421,
-    invalid: 422,
-    upgrade_required: 426,
-    too_many: 429,
-    unavailable: 503,
-    expired: 410,
-    cancelled: 409,
-    failed: 502,
-    timeout: 504,
-    outcome_unknown: 504
-  }
-
-  @meanings %{
-    400 => "Malformed HTTP or JSON.",
-    401 => "No key, or an unknown one.",
-    403 => "The key, the page or the machine may not, or the policy denies it.",
-    404 => "There is no such thing.",
-    405 => "The resource does not take this method.",
-    409 => "The id is taken, or the present state forbids it.",
-    410 => "The command's deadline has passed.",
-    413 => "The body is too large.",
-    415 => "The body has another type.",
-    421 =>
-      "Another gateway hears the vehicle, and only that one has this: ask the one that `via` of GET /api/vehicles/{id} names.",
-    422 => "Well-formed but not possible.",
-    429 => "A limit is reached.",
-    502 => "The vehicle did not do it.",
-    503 => "The part that would answer does not run.",
-    504 => "The vehicle did not answer; it may have done it."
-  }
 
   @doc "The codes of all errors."
   @spec codes() :: [code()]
@@ -164,15 +113,6 @@ defmodule Aerie.Access.HTTP.Error do
     timeout: :timeout,
     unknown: :outcome_unknown,
     expired: :expired
-  }
-  @by_status %{
-    403 => :forbidden,
-    404 => :not_found,
-    409 => :conflict,
-    421 => :misdirected,
-    422 => :invalid,
-    429 => :too_many,
-    503 => :unavailable
   }
 
   @doc "The answer for a command that was not done, with its result as details; nil for one that was."

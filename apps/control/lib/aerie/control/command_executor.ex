@@ -12,7 +12,7 @@ defmodule Aerie.Control.CommandExecutor do
 
   alias Aerie.Base.{Names, Store}
   alias Aerie.Vehicle.Command
-  alias Aerie.Vehicle.Command.Result
+  alias Aerie.Vehicle.Command.{Refusal, Result}
   alias Aerie.Vehicle.Session.CoreProcess
   alias Aerie.Control.CommandExecutor.{Core, Observed}
   alias MavCodec.Messages.Statustext
@@ -52,12 +52,11 @@ defmodule Aerie.Control.CommandExecutor do
 
   defp call(gateway, key, id, request) do
     case Names.whereis(gateway, :commands, key) do
-      nil -> Result.new(id, :rejected, "the vehicle is not known")
+      nil -> Refusal.result(id, Refusal.ended(:vehicle_unknown))
       pid -> GenServer.call(pid, request, :infinity)
     end
   catch
-    :exit, _reason ->
-      Result.new(id, :unknown, "the vehicle's processes were restarted before its end was known")
+    :exit, _reason -> Refusal.result(id, Refusal.ended(:lost))
   end
 
   @impl GenServer
@@ -88,13 +87,13 @@ defmodule Aerie.Control.CommandExecutor do
         state = if known?, do: state, else: put_in(state.callers[command.id], {from, progress, still?})
         {:noreply, step(state, {:submit, command, until, now}, from)}
 
-      {:error, reason} ->
-        {:reply, Result.new(command.id, :rejected, reason), state}
+      refused ->
+        {:reply, Refusal.result(command.id, refused), state}
     end
   end
 
   def handle_call({:cancel, id}, _from, %{core: nil} = state),
-    do: {:reply, {:error, "no command with the id #{id} is being carried out"}, state}
+    do: {:reply, {:error, Refusal.text(:no_command, id: id)}, state}
 
   def handle_call({:cancel, id}, from, state) do
     {core, actions} = Core.handle(state.core, {:cancel, id, now()})
@@ -147,10 +146,10 @@ defmodule Aerie.Control.CommandExecutor do
   defp ready(state) do
     case Store.vehicle(state.gateway, state.options.key) do
       nil ->
-        {:error, "the vehicle has not been heard yet"}
+        Refusal.ended(:vehicle_unheard)
 
       %{status: :lost} ->
-        {:error, "the vehicle is lost"}
+        Refusal.ended(:vehicle_lost)
 
       %{autopilot: autopilot} = snapshot ->
         us = {state.options.own_system, state.options.own_component}
@@ -239,7 +238,7 @@ defmodule Aerie.Control.CommandExecutor do
   end
 
   defp act({:duplicate, id}, state, from) do
-    GenServer.reply(from, Result.new(id, :rejected, "a command with this id is being carried out"))
+    GenServer.reply(from, Refusal.result(id, Refusal.ended(:carried_out)))
     state
   end
 
@@ -260,8 +259,7 @@ defmodule Aerie.Control.CommandExecutor do
   defp withheld(state, _id, nil), do: state
 
   defp withheld(state, id, from) do
-    reason = "another gateway may hold the vehicle now; no more was sent"
-    GenServer.reply(from, Result.new(id, :unknown, reason))
+    GenServer.reply(from, Refusal.result(id, Refusal.ended(:holder_changed)))
     put_in(state.callers[id], {nil, nil, fn -> false end})
   end
 end

@@ -14,7 +14,7 @@ defmodule Aerie.Control.Logs do
   alias Aerie.Base.Names
   alias Aerie.Control.Transfers
   alias Aerie.Vehicle.Command
-  alias Aerie.Vehicle.Command.Result
+  alias Aerie.Vehicle.Command.{Refusal, Result}
   alias Aerie.Control.Logs.{Download, List}
   alias Aerie.Control.Transfers.{InOrder, Spool}
   alias Aerie.Vehicle.{Firmware, Snapshot}
@@ -34,7 +34,7 @@ defmodule Aerie.Control.Logs do
     with {:ok, found} <- entries(gateway, vehicle, id, options) do
       case found do
         [entry] -> {:ok, entry}
-        [] -> refused(options, "the vehicle has no log #{id}")
+        [] -> refused(options, Refusal.deny(:no_log, id: id))
       end
     end
   end
@@ -49,7 +49,7 @@ defmodule Aerie.Control.Logs do
     with {:ok, now} <- entry(gateway, vehicle, entry.id, options) do
       if now.time == entry.time and now.size >= entry.size,
         do: {:ok, now},
-        else: refused(options, "log #{entry.id} is another one than before; list the logs again")
+        else: refused(options, Refusal.deny(:another_log, id: entry.id))
     end
   end
 
@@ -142,6 +142,5 @@ defmodule Aerie.Control.Logs do
 
   defp silent(result, _snapshot), do: result
 
-  defp refused(options, reason),
-    do: {:error, Result.new(options[:id] || Command.id(), :rejected, reason, %{"rule" => "log"})}
+  defp refused(options, denial), do: {:error, Refusal.result(options[:id] || Command.id(), denial)}
 end

@@ -15,7 +15,7 @@ defmodule Aerie.Control.TransferExecutor do
   alias Aerie.Base.{Names, Store}
   alias Aerie.Vehicle.Firmware
   alias MavRouter.Sharing.TransferLock
-  alias Aerie.Vehicle.Command.Result
+  alias Aerie.Vehicle.Command.{Refusal, Result}
   alias Aerie.Vehicle.Session.CoreProcess
   alias Aerie.Control.TransferExecutor.{Core, Job}
 
@@ -61,8 +61,8 @@ defmodule Aerie.Control.TransferExecutor do
   folds what it reads; gives its result and what was folded. When the calling process ends, so does the transfer,
   unless others wait for the same. With `yields` it makes way for others.
 
-  Errors beside those of the machines: `{:unavailable, text}` (the vehicle is not known, is lost, or is reached only by links of high
-  latency), `:full` (as many wait as may), `:taken` (one with that id is under way), `:waited` (others were under way for too long), `:yielded` (it
+  Errors beside those of the machines: `:vehicle_unknown`, `:vehicle_unheard`, `:vehicle_lost`, `:high_latency` (no other links reach it),
+  `:full` (as many wait as may), `:taken` (one with that id is under way), `:waited` (others were under way for too long), `:yielded` (it
   made way for another one), `:lost` (the vehicle's processes were restarted).
   """
   @spec run(
@@ -90,7 +90,7 @@ defmodule Aerie.Control.TransferExecutor do
 
     case Names.whereis(gateway, :transfers, key) do
       nil ->
-        {{:error, {:unavailable, "the vehicle is not known"}}, acc}
+        {{:error, :vehicle_unknown}, acc}
 
       pid ->
         ref = Process.monitor(pid)
@@ -152,7 +152,7 @@ defmodule Aerie.Control.TransferExecutor do
   def cancel(gateway, key, id) do
     GenServer.call(Names.via(gateway, :transfers, key), {:cancel, id})
   catch
-    :exit, _gone -> {:error, "no transfer with the id #{id} is under way"}
+    :exit, _gone -> {:error, Refusal.text(:no_transfer, id: id)}
   end
 
   @impl GenServer
@@ -175,7 +175,7 @@ defmodule Aerie.Control.TransferExecutor do
   def handle_call({:cancel, id}, _from, state) do
     if Core.known?(state.core, id),
       do: {:reply, :ok, step(state, {:cancel, id, now()})},
-      else: {:reply, {:error, "no transfer with the id #{id} is under way"}, state}
+      else: {:reply, {:error, Refusal.text(:no_transfer, id: id)}, state}
   end
 
   @impl GenServer
@@ -187,7 +187,7 @@ defmodule Aerie.Control.TransferExecutor do
         {:noreply, submitted(%{state | core: core}, actions, {pid, ref}, job.id)}
 
       {:error, reason} ->
-        send(pid, {ref, {:done, {:error, {:unavailable, reason}}}})
+        send(pid, {ref, {:done, {:error, reason}}})
         {:noreply, state}
     end
   end
@@ -245,13 +245,13 @@ defmodule Aerie.Control.TransferExecutor do
   defp facts(state) do
     case Store.vehicle(state.gateway, state.options.key) do
       nil ->
-        {:error, "the vehicle has not been heard yet"}
+        {:error, :vehicle_unheard}
 
       %{status: :lost} ->
-        {:error, "the vehicle is lost"}
+        {:error, :vehicle_lost}
 
       %{high_latency: %{only?: true}} ->
-        {:error, "the vehicle is reached only by links of high latency"}
+        {:error, :high_latency}
 
       snapshot ->
         {:ok,

@@ -9,7 +9,7 @@ defmodule Aerie.Vehicle.Protocol do
   """
 
   alias Aerie.Vehicle.Command
-  alias Aerie.Vehicle.Command.Type
+  alias Aerie.Vehicle.Command.{Refusal, Type}
   alias Aerie.Vehicle.Protocol.{Step, Vehicle}
 
   @type plan :: [Step.t(), ...]
@@ -89,7 +89,7 @@ defmodule Aerie.Vehicle.Protocol do
   defp armed(protocol, type, %{armed: false} = vehicle) do
     if Type.taken_disarmed?(type, protocol.traits().setpoints_before_arming?, vehicle.kind),
       do: :ok,
-      else: {:error, "it is disarmed, and #{type.name} would move it as soon as it is armed: arm it first"}
+      else: {:error, Refusal.text(:stored, command: type.name)}
   end
 
   defp armed(_protocol, _type, _armed), do: :ok

@@ -30,7 +30,7 @@ defmodule Aerie.Control.CommandExecutor.Core do
   """
 
   alias Aerie.Vehicle.{Command, Firmware, Protocol}
-  alias Aerie.Vehicle.Command.Result
+  alias Aerie.Vehicle.Command.{Refusal, Result}
   alias Aerie.Vehicle.Protocol.Mavlink.Version
   alias Aerie.Vehicle.Protocol.Vehicle
   alias Aerie.Control.Policy.Intent
@@ -120,10 +120,10 @@ defmodule Aerie.Control.CommandExecutor.Core do
   defp event({core, actions}, {:submit, command, until, now}) do
     cond do
       now >= until ->
-        refuse({core, actions}, command, :expired, "its deadline has passed")
+        refuse({core, actions}, command, Refusal.ended(:expired))
 
       map_size(core.jobs) >= most(command) ->
-        refuse({core, actions}, command, :rejected, "#{most(command)} commands wait for this vehicle already")
+        refuse({core, actions}, command, Refusal.ended(:waiting_many, n: most(command)))
 
       true ->
         planned({core, actions}, command, until, now)
@@ -178,7 +178,7 @@ defmodule Aerie.Control.CommandExecutor.Core do
       {:ok, [%{stream: %{}} = step]} ->
         case Version.refusal(core.protocol.encode(step, 0, core.vehicle), core.vehicle.version) do
           nil -> stream({core, actions}, command, step, until, now)
-          reason -> refuse({core, actions}, command, :rejected, reason)
+          reason -> refuse({core, actions}, command, {:rejected, reason})
         end
 
       {:ok, steps} ->
@@ -191,14 +191,14 @@ defmodule Aerie.Control.CommandExecutor.Core do
         Steps.turns({%{core | lanes: Turns.push(core.lanes, Job.key(job), Job.id(job))}, actions}, now)
 
       {_gap_or_error, reason} ->
-        refuse({core, actions}, command, :rejected, reason)
+        refuse({core, actions}, command, {:rejected, reason})
     end
   end
 
   # The replaced command is abandoned, because the next acknowledgement cannot be attributed.
   defp seize({core, actions}, job, now) do
     {quiet?, ids, lanes} = Turns.seize(core.lanes, Job.key(job))
-    reason = job.command.type <> " took its place"
+    {:unknown, reason} = replaced = Refusal.ended(:replaced, command: job.command.type)
     ambiguous? = quiet? or Enum.any?(ids, &awaited?(core, Map.fetch!(core.jobs, &1), now))
 
     {core, actions} =
@@ -206,7 +206,7 @@ defmodule Aerie.Control.CommandExecutor.Core do
         case Map.fetch!(core.jobs, id) do
           %{phase: :refused} = other -> Steps.finish(acc, other, other.refusal, now)
           %{sends: 0} = other -> Steps.finish(acc, other, {:cancelled, reason}, now)
-          other -> Steps.finish(acc, other, {:unknown, reason}, now)
+          other -> Steps.finish(acc, other, replaced, now)
         end
       end)
 
@@ -219,7 +219,7 @@ defmodule Aerie.Control.CommandExecutor.Core do
 
   defp most(command), do: if(Intent.of(command).ends_flight?, do: @max_jobs + @reserve, else: @max_jobs)
 
-  defp refuse({core, actions}, command, status, reason) do
+  defp refuse({core, actions}, command, {status, reason}) do
     details = %{"ms" => 0, "sent" => 0, "acknowledged" => false}
     {core, [{:result, Result.new(command.id, status, reason, details)} | actions]}
   end
@@ -227,7 +227,7 @@ defmodule Aerie.Control.CommandExecutor.Core do
   # --- Cancelling
 
   defp cancel(acc, %{phase: phase} = job, now) when phase in [:queued, :turn],
-    do: acc |> Steps.finish(job, {:cancelled, "cancelled before it was sent"}, now) |> Steps.turns(now)
+    do: acc |> Steps.finish(job, Refusal.ended(:cancelled_waiting), now) |> Steps.turns(now)
 
   defp cancel(acc, %{phase: :refused} = job, now),
     do: acc |> Steps.finish(job, job.refusal, now) |> Steps.turns(now)
@@ -235,7 +235,7 @@ defmodule Aerie.Control.CommandExecutor.Core do
   defp cancel({core, actions} = acc, job, now) do
     case core.protocol.cancel(Job.step(job), core.vehicle) do
       [] ->
-        {core, [{:not_cancelled, Job.id(job), "it cannot be cancelled"} | actions]}
+        {core, [{:not_cancelled, Job.id(job), Refusal.text(:not_cancellable)} | actions]}
 
       {:error, reason} ->
         {core, [{:not_cancelled, Job.id(job), reason} | actions]}
@@ -262,9 +262,9 @@ defmodule Aerie.Control.CommandExecutor.Core do
   defp stream({core, actions}, command, step, until, now) do
     {repeater, given_back} = Repeater.start(core.repeater, command, step, until, now)
     note = if step.note, do: "; " <> step.note, else: ""
-    reason = "it is repeated #{step.stream.hz} times a second for #{step.stream.ms} ms" <> note
+    {status, reason} = Refusal.ended(:repeated, hz: step.stream.hz, ms: step.stream.ms, note: note)
     details = %{"ms" => 0, "sent" => 1, "acknowledged" => false}
-    result = {:result, Result.new(command.id, :accepted, reason, details)}
+    result = {:result, Result.new(command.id, status, reason, details)}
 
     {core, actions} = release({%{core | repeater: repeater}, actions}, given_back)
     {core, actions} = repeat({core, actions}, now)
@@ -297,7 +297,7 @@ defmodule Aerie.Control.CommandExecutor.Core do
   defp cancel_stream({core, actions}, id) do
     case Repeater.stop(core.repeater, id) do
       {ended, repeater} -> release({%{core | repeater: repeater}, actions}, ended)
-      nil -> {core, [{:not_cancelled, id, "no command with this id is being carried out"} | actions]}
+      nil -> {core, [{:not_cancelled, id, Refusal.text(:no_such_command)} | actions]}
     end
   end
 end

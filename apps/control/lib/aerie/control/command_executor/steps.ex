@@ -4,7 +4,7 @@ defmodule Aerie.Control.CommandExecutor.Steps do
   takes and gives the core with the actions so far, the latest first.
   """
 
-  alias Aerie.Vehicle.Command.Result
+  alias Aerie.Vehicle.Command.{Refusal, Result}
   alias Aerie.Vehicle.Protocol
   alias Aerie.Vehicle.Protocol.Mavlink.Version
   alias Aerie.Control.CommandExecutor.{Core, Ending, Job, Repeater, Timing, Turns, Verdict}
@@ -14,7 +14,6 @@ defmodule Aerie.Control.CommandExecutor.Steps do
   # Time that comes in a larger jump than this is time in which the gateway, or its machine, stood still.
   @stall 100_000
   @longest_stall 2_000_000
-  @ambiguous "the acknowledgement may belong to the command it replaced"
 
   # --- Turns: what waits for its lane and may be sent now
 
@@ -47,7 +46,7 @@ defmodule Aerie.Control.CommandExecutor.Steps do
 
   defp turn({core, _actions} = acc, job, now) do
     cond do
-      now >= job.until -> finish(acc, job, {:expired, expired(job)}, now)
+      now >= job.until -> finish(acc, job, expired(job), now)
       # While it waited the vehicle may have changed its mode.
       job.done == 0 -> plan_again(acc, job, Protocol.plan(core.protocol, job.command, core.vehicle), now)
       true -> transmit(acc, job, now)
@@ -68,8 +67,8 @@ defmodule Aerie.Control.CommandExecutor.Steps do
 
   defp plan_again(acc, job, {_gap_or_error, reason}, now), do: finish(acc, job, {:rejected, reason}, now)
 
-  defp expired(%{done: 0}), do: "its deadline passed while it waited"
-  defp expired(job), do: "its deadline passed after #{job.done} of its steps; the last one was not sent"
+  defp expired(%{done: 0}), do: Refusal.ended(:expired_waiting)
+  defp expired(job), do: Refusal.ended(:expired_between, done: job.done)
 
   # --- Sending
 
@@ -130,7 +129,7 @@ defmodule Aerie.Control.CommandExecutor.Steps do
   def answer(acc, %{accepted_at: nil} = job, :accepted, now) do
     case Job.step(job) do
       %{confirm: nil} when job.ambiguous? ->
-        finish(acc, %{job | accepted_at: now}, {:unknown, @ambiguous}, now)
+        finish(acc, %{job | accepted_at: now}, Refusal.ended(:ambiguous), now)
 
       %{confirm: nil} ->
         step_done(acc, %{job | accepted_at: now}, :accepted, nil, now)
@@ -176,7 +175,7 @@ defmodule Aerie.Control.CommandExecutor.Steps do
         refused(acc, job, {status, reason}, 0, now)
 
       job.ambiguous? ->
-        finish(acc, job, {:unknown, @ambiguous}, now)
+        finish(acc, job, Refusal.ended(:ambiguous), now)
 
       true ->
         explain(acc, job, {status, reason}, now)
@@ -186,7 +185,7 @@ defmodule Aerie.Control.CommandExecutor.Steps do
   def answer(acc, job, {:failed, reason}, now), do: acc |> idle(job) |> finish(job, {:failed, reason}, now)
 
   def answer(acc, job, :cancelled, now),
-    do: acc |> idle(job) |> finish(job, {:cancelled, "the vehicle stopped"}, now)
+    do: acc |> idle(job) |> finish(job, Refusal.ended(:cancelled_vehicle), now)
 
   def answer(acc, job, :done, now), do: acc |> idle(job) |> step_done(job, :completed, nil, now)
 
@@ -240,14 +239,13 @@ defmodule Aerie.Control.CommandExecutor.Steps do
           finish(acc, job, job.refusal, now)
 
         Job.sent?(job) ->
-          reason = "the vehicle rebooted before the end was known"
-          finish(acc, %{job | phase: :given_up}, {:unknown, reason}, now)
+          finish(acc, %{job | phase: :given_up}, Refusal.ended(:rebooted_unknown), now)
 
         job.done > 0 ->
-          finish(acc, job, {:failed, "the vehicle rebooted before the last step was sent"}, now)
+          finish(acc, job, Refusal.ended(:rebooted_between), now)
 
         true ->
-          finish(acc, job, {:cancelled, "the vehicle rebooted while it waited"}, now)
+          finish(acc, job, Refusal.ended(:rebooted_waiting), now)
       end
     end)
   end
@@ -262,7 +260,7 @@ defmodule Aerie.Control.CommandExecutor.Steps do
   @doc "The next step of a job."
   @spec due(Core.acc(), Job.t(), now :: integer()) :: Core.acc()
   def due(acc, %{phase: phase} = job, now) when phase in [:queued, :turn],
-    do: finish(acc, job, {:expired, expired(job)}, now)
+    do: finish(acc, job, expired(job), now)
 
   # The vehicle's answers from the time when the gateway stood still have yet to be read, so the wait is extended once by the same time.
   def due(acc, %{due: due, prolonged: prolonged} = job, now) when now - due > @stall and due != prolonged do
@@ -287,7 +285,7 @@ defmodule Aerie.Control.CommandExecutor.Steps do
   def due(acc, %{phase: :instead} = job, now) do
     if now < job.until,
       do: transmit(acc, %{job | sends: 0}, now),
-      else: finish(acc, job, {:expired, "its deadline passed before it could be sent in the other form"}, now)
+      else: finish(acc, job, Refusal.ended(:expired_form), now)
   end
 
   # PX4 looks for a cancellation from time to time, and then at the last command only that it got.
@@ -299,7 +297,7 @@ defmodule Aerie.Control.CommandExecutor.Steps do
   end
 
   def due(acc, %{phase: :cancelling} = job, now),
-    do: finish(acc, %{job | phase: :given_up}, {:unknown, "cancel was sent; the vehicle did not answer"}, now)
+    do: finish(acc, %{job | phase: :given_up}, Refusal.ended(:cancel_unanswered), now)
 
   def due(acc, %{phase: :refused} = job, now), do: finish(acc, job, job.refusal, now)
   def due(acc, job, now), do: evaluate(acc, job, now)
@@ -311,7 +309,7 @@ defmodule Aerie.Control.CommandExecutor.Steps do
 
       # The next summary of a vehicle behind a link of high latency may be minutes away.
       {:unknown, _reason} when core.rtt == :high_latency and job.accepted_at != nil and tl(job.steps) == [] ->
-        step_done(acc, job, :accepted, "its state will show it with its next summary", now)
+        step_done(acc, job, :accepted, Refusal.text(:shown_later), now)
 
       verdict ->
         finish(acc, %{job | phase: :given_up}, verdict, now)

@@ -16,7 +16,7 @@ defmodule Aerie.Control.CommandExecutor.Verdict do
   | none | is not heard, or could not show it | `unknown` |
   """
 
-  alias Aerie.Vehicle.Command.Result
+  alias Aerie.Vehicle.Command.{Refusal, Result}
   alias Aerie.Vehicle.Protocol.{Condition, Vehicle}
   alias Aerie.Control.CommandExecutor.Job
 
@@ -28,9 +28,9 @@ defmodule Aerie.Control.CommandExecutor.Verdict do
   def of(%{steps: [%{confirm: condition} | _others]} = job, _vehicle, _margin)
       when condition in [nil, :told] do
     cond do
-      job.refusal != nil -> {:unknown, "a repetition was refused: " <> elem(job.refusal, 1)}
-      answered?(job) -> {:timeout, "the vehicle accepted it but did not report the end"}
-      true -> {:unknown, "no acknowledgement came"}
+      job.refusal != nil -> Refusal.ended(:repetition_refused, why: elem(job.refusal, 1))
+      answered?(job) -> Refusal.ended(:no_end)
+      true -> Refusal.ended(:unacknowledged)
     end
   end
 
@@ -40,10 +40,10 @@ defmodule Aerie.Control.CommandExecutor.Verdict do
 
     cond do
       seen == nil or seen <= since ->
-        {:unknown, first(job) <> ", and its state was not heard since"}
+        Refusal.ended(:state_unheard, answer: first(job))
 
       Job.met?(job, vehicle) ->
-        {:completed, unless_answered(job)}
+        if answered?(job), do: {:completed, nil}, else: Refusal.ended(:shown)
 
       true ->
         not_shown(job, condition, Condition.describe(condition, vehicle))
@@ -54,16 +54,16 @@ defmodule Aerie.Control.CommandExecutor.Verdict do
 
   defp not_shown(job, condition, words) do
     if answered?(job) and Condition.immediate?(condition),
-      do: {:failed, "the vehicle accepted it, but " <> words},
-      else: {:timeout, first(job) <> ", and " <> words}
+      do: Refusal.ended(:not_shown, state: words),
+      else: Refusal.ended(:not_shown_yet, answer: first(job), state: words)
   end
 
   defp answered?(%{accepted_at: at}), do: at != nil
-  defp first(%{refusal: {_status, reason}}), do: "a repetition was refused (#{reason})"
-  defp first(job), do: if(answered?(job), do: "the vehicle accepted it", else: "no acknowledgement came")
 
-  defp unless_answered(job),
-    do: if(answered?(job), do: nil, else: "no acknowledgement came; its state shows it")
+  defp first(%{refusal: {_status, reason}}), do: Refusal.text(:refused_again, why: reason)
+
+  defp first(job),
+    do: if(answered?(job), do: Refusal.text(:was_accepted), else: Refusal.text(:unacknowledged))
 
   @doc "Whether waiting for the state may tell more than what is known now."
   @spec observable?(Job.t()) :: boolean()

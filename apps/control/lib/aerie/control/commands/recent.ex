@@ -8,7 +8,7 @@ defmodule Aerie.Control.Commands.Recent do
       {{:under_way, id}, entry}     {{:done, n}, entry}
   """
 
-  alias Aerie.Vehicle.Command.Result
+  alias Aerie.Vehicle.Command.{Refusal, Result}
   alias Aerie.Base.{Names, Store}
   alias Aerie.Base.PubSub
 
@@ -92,8 +92,7 @@ defmodule Aerie.Control.Commands.Recent do
     ids =
       Store.with_table(gateway, :commands, [], &:ets.select(&1, [{{{:under_way, :"$1"}, :_}, [], [:"$1"]}]))
 
-    reason = "the gateway's commands were restarted before its end was known"
-    Enum.each(ids, &done(gateway, Result.new(&1, :unknown, reason)))
+    Enum.each(ids, &done(gateway, Refusal.result(&1, Refusal.ended(:commands_restarted))))
   end
 
   defp put(gateway, key, entry) do

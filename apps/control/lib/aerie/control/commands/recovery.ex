@@ -11,7 +11,7 @@ defmodule Aerie.Control.Commands.Recovery do
   alias Aerie.Base.{Names, Store}
   alias Aerie.Control.Ledger
   alias Aerie.Vehicle.{Command, Firmware, Protocol}
-  alias Aerie.Vehicle.Command.Result
+  alias Aerie.Vehicle.Command.{Refusal, Result}
   alias Aerie.Control.Commands.Record
   alias Aerie.Vehicle.Protocol.Condition
   alias Aerie.Control.CommandExecutor.Observed
@@ -104,29 +104,18 @@ defmodule Aerie.Control.Commands.Recovery do
   end
 
   defp verdict(state, command, :shown, _heard) do
-    reason = "the gateway was stopped while the command was under way; the vehicle's state shows it now"
-    finish(state, command, :completed, reason)
+    finish(state, command, Refusal.ended(:shown_after_stop))
   end
 
   defp verdict(state, command, verdict, heard) do
-    if verdict == :cannot_tell or now() - heard > @settle_us do
-      what =
-        if verdict == :cannot_tell,
-          do: "nothing of the vehicle's state can show it",
-          else: "the vehicle's state does not show it"
-
-      finish(
-        state,
-        command,
-        :unknown,
-        "the gateway was stopped while the command was under way, and #{what}; it is not sent again"
-      )
-    else
-      {command, heard}
+    cond do
+      verdict == :cannot_tell -> finish(state, command, Refusal.ended(:unshowable_after_stop))
+      now() - heard > @settle_us -> finish(state, command, Refusal.ended(:not_shown_after_stop))
+      true -> {command, heard}
     end
   end
 
-  defp finish(state, command, status, reason) do
+  defp finish(state, command, {status, reason}) do
     details = %{"vehicle" => command.vehicle, "type" => command.type, "interrupted" => true}
     result = Result.new(command.id, status, reason, details)
     _ = Ledger.finish(state.gateway, result)

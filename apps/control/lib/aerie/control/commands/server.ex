@@ -57,7 +57,7 @@ defmodule Aerie.Control.Commands.Server do
       {:ok, Refusal.result(id, Refusal.deny(:takes_none))}
 
     :exit, _gone ->
-      {:ok, Result.new(id, :unknown, "the gateway's commands were restarted before its end was known")}
+      {:ok, Refusal.result(id, Refusal.ended(:commands_restarted))}
   end
 
   @doc """
@@ -192,7 +192,7 @@ defmodule Aerie.Control.Commands.Server do
 
   # The ledger knows that it was sent; the next life looks after it.
   defp unknown(%{request: %{command: %{id: id}}}),
-    do: Result.new(id, :unknown, "the gateway ended before the end was known")
+    do: Refusal.result(id, Refusal.ended(:gateway_ended))
 
   defp drained(%{draining: {_pid, _tag} = from, jobs: jobs} = state) when jobs == %{} do
     GenServer.reply(from, [])

@@ -227,8 +227,7 @@ defmodule Aerie.Control.Ledger.Core do
 
   # The command is kept, so that its outcome can be observed.
   defp interrupt(core, id, entry) do
-    reason = "the gateway was stopped while the command was under way; it is not sent again"
-    put(core, id, %{entry | state: Result.new(id, :unknown, reason)})
+    put(core, id, %{entry | state: Refusal.result(id, Refusal.ended(:gateway_stopped))})
   end
 
   defp sent(core, id, entry) do

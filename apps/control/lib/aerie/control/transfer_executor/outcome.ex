@@ -5,8 +5,12 @@ defmodule Aerie.Control.TransferExecutor.Outcome do
   The machines decide whether the vehicle did what was asked; this module turns their reasons into a status and a sentence.
   """
 
-  alias Aerie.Vehicle.Command.Result
+  alias Aerie.Vehicle.Command.{Refusal, Result}
   alias Protocols.Mission
+
+  # What machines and the executor give, by the names of its texts.
+  @ends ~w(vehicle_unknown vehicle_unheard vehicle_lost high_latency yielded waited lost deadline no_answer rebooted
+           changing changed damaged too_large bad_path)a
 
   @type failure :: {Result.status(), String.t() | nil, details :: map()}
 
@@ -14,7 +18,7 @@ defmodule Aerie.Control.TransferExecutor.Outcome do
   The value of a success, or status, reason and details. A plan that was sent or cleared always has the latter.
   """
   @spec of(term()) :: {:ok, term()} | failure()
-  def of({:ok, :unverified}), do: {:accepted, "the vehicle has no checksums by which to compare it", %{}}
+  def of({:ok, :unverified}), do: failure(Refusal.ended(:unverified))
   def of({:ok, value}), do: {:ok, value}
   def of({:error, reason}), do: error(reason)
   def of(%Mission.Result{status: :completed, on_board: :read} = result), do: {:ok, result}
@@ -33,69 +37,45 @@ defmodule Aerie.Control.TransferExecutor.Outcome do
   end
 
   defp error(text) when is_binary(text), do: {:rejected, text, %{}}
-  defp error({:unavailable, text}), do: {:rejected, text, %{}}
   defp error({:invalid, text}), do: {:rejected, text, %{}}
-  defp error({:refused, text}) when is_binary(text), do: {:rejected, "the vehicle refused it: #{text}", %{}}
-
-  defp error({:refused, value}),
-    do: {:rejected, "the vehicle keeps the value #{value}", %{"value" => value}}
-
-  defp error({:silent, component}),
-    do:
-      {:timeout, "component #{component} does not answer: it is not there, or it has no such parameter", %{}}
+  defp error({:failed, text}), do: {:failed, text, %{}}
+  defp error({:refused, text}) when is_binary(text), do: failure(Refusal.ended(:refused, why: text))
+  defp error({:refused, value}), do: failure(Refusal.ended(:keeps, value: value), %{"value" => value})
+  defp error({:silent, component}), do: failure(Refusal.ended(:silent, component: component))
 
   defp error({:not_set, verdict, shown}) do
     {status, text} = not_set(verdict)
 
     case shown do
-      {:keeps, value} -> {status, "#{text}; it keeps #{kept(value)}", %{"value" => value}}
-      :not_shown when verdict == :accepted -> {:accepted, "it accepted the value, and does not show it", %{}}
+      {:keeps, value} -> {status, "#{text}; #{kept(value)}", %{"value" => value}}
+      :not_shown when verdict == :accepted -> failure(Refusal.ended(:value_not_shown))
       :not_shown -> {status, text, %{}}
     end
   end
 
-  defp error({:missing, n}), do: {:failed, "#{n} of them never came", %{"missing" => n}}
-
-  defp error({:too_many, n}),
-    do: {:failed, "the vehicle says that it has #{n}, more than are read", %{}}
-
-  defp error({:failed, text}), do: {:failed, text, %{}}
-
-  defp error(:full),
-    do: {:denied, "as many transfers wait for this vehicle as may; try again", %{"rule" => "busy"}}
-
-  defp error(:taken), do: {:rejected, "a transfer with this id is under way", %{"rule" => "id"}}
-
-  defp error(:yielded),
-    do: {:expired, "it made way for another transfer with the vehicle; try again", %{}}
-
-  defp error(:waited),
-    do: {:expired, "other transfers with the vehicle were under way until it had to begin", %{}}
-
-  defp error(:lost),
-    do: {:unknown, "the vehicle's processes were restarted before its end was known", %{}}
-
+  defp error({:missing, n}), do: failure(Refusal.ended(:missing, n: n), %{"missing" => n})
+  defp error({:too_many, n}), do: failure(Refusal.ended(:too_many, n: n))
+  defp error(:full), do: failure(Refusal.deny(:transfers_many))
+  defp error(:taken), do: failure(Refusal.deny(:transfer_under_way))
+  defp error(:file_not_found), do: failure(Refusal.deny(:no_file))
   defp error(:cancelled), do: {:cancelled, nil, %{}}
-  defp error(:deadline), do: {:timeout, "its deadline passed before its end", %{}}
-  defp error(:no_answer), do: {:timeout, "the vehicle does not answer", %{}}
-  defp error(:rebooted), do: {:failed, "the vehicle rebooted", %{}}
-  defp error(:changing), do: {:failed, "the list changed each time that it was read", %{}}
-  defp error(:changed), do: {:failed, "the file changed while it was read", %{}}
-  defp error(:damaged), do: {:failed, "the vehicle's checksum is not that of what was written", %{}}
-  defp error(:too_large), do: {:rejected, "it is larger than what is read", %{}}
-  defp error(:bad_path), do: {:rejected, "the path is empty, longer than 239 bytes, or has a NUL", %{}}
-  defp error(:file_not_found), do: {:rejected, "the vehicle has no such file", %{"rule" => "file"}}
+  defp error(reason) when reason in @ends, do: failure(Refusal.ended(reason))
 
   # MAVLink FTP's own name for it.
   defp error(reason) when is_atom(reason),
-    do: {:failed, "the vehicle refused it: " <> String.replace(Atom.to_string(reason), "_", " "), %{}}
+    do: {:failed, Refusal.text(:refused, why: String.replace(Atom.to_string(reason), "_", " ")), %{}}
 
   defp error({reason, _errno}) when is_atom(reason), do: error(reason)
 
-  defp not_set(:unsupported), do: {:rejected, "the component does not support this value"}
-  defp not_set(:failed), do: {:failed, "the component failed to set it"}
-  defp not_set(:accepted), do: {:failed, "the component accepted the value and does not have it"}
+  defp failure(end_or_denial, more \\ %{}) do
+    %{status: status, reason: reason, details: details} = Refusal.result(nil, end_or_denial)
+    {status, reason, Map.merge(details, more)}
+  end
 
-  defp kept(nil), do: "no number"
-  defp kept(value), do: "#{value}"
+  defp not_set(:unsupported), do: Refusal.ended(:unsupported)
+  defp not_set(:failed), do: Refusal.ended(:not_set)
+  defp not_set(:accepted), do: Refusal.ended(:not_kept)
+
+  defp kept(nil), do: Refusal.text(:keeps_none)
+  defp kept(value), do: Refusal.text(:keeps_value, value: value)
 end

@@ -10,7 +10,7 @@ defmodule Aerie.Vehicle.Command.Refusal do
   The caller gives a reason, and a value for each `%{hole}` of its text. A test reads all these calls.
   """
 
-  alias Aerie.Vehicle.Command.Refusal.{Commands, Policy, Unknown}
+  alias Aerie.Vehicle.Command.Refusal.{Commands, Policy, Unknown, Vehicle}
   alias Aerie.Vehicle.Command.Result
 
   @table for {rule, by, status, http, means, fix, texts} <- Policy.rules() ++ Commands.rules(),
@@ -25,9 +25,11 @@ defmodule Aerie.Vehicle.Command.Refusal do
     |> Enum.with_index(&if rem(&2, 2) == 1, do: String.to_atom(&1), else: &1)
   end
 
-  @texts Map.new(Enum.flat_map(@table, & &1.texts) ++ Unknown.texts(), fn {reason, text} ->
-           {reason, pieces.(text)}
-         end)
+  @ends for {status, texts} <- Vehicle.ends(), {reason, _text} <- texts, into: %{}, do: {reason, status}
+  @texts Enum.flat_map(@table, & &1.texts)
+         |> Enum.concat(Enum.flat_map(Vehicle.ends(), &elem(&1, 1)))
+         |> Enum.concat(Unknown.texts())
+         |> Map.new(fn {reason, text} -> {reason, pieces.(text)} end)
 
   @typedoc "What is counted, and what a program may compare."
   @type rule :: atom()
@@ -58,10 +60,16 @@ defmodule Aerie.Vehicle.Command.Refusal do
     |> Enum.map_join(&if is_atom(&1), do: Keyword.fetch!(values, &1), else: &1)
   end
 
-  @doc "The result of what was refused."
-  @spec result(id :: String.t() | nil, denial()) :: Result.t()
+  @doc "The end of a command or a transfer, for a reason that is not a refusal by a rule."
+  @spec ended(reason :: atom(), keyword()) :: {Result.status(), String.t()}
+  def ended(reason, values \\ []), do: {Map.fetch!(@ends, reason), text(reason, values)}
+
+  @doc "The result of what was refused, or has ended."
+  @spec result(id :: String.t() | nil, denial() | {Result.status(), String.t()}) :: Result.t()
   def result(id, {:deny, rule, text}),
     do: Result.new(id, Map.fetch!(@statuses, rule), text, %{"rule" => Atom.to_string(rule)})
+
+  def result(id, {status, text}), do: Result.new(id, status, text)
 
   @doc "The HTTP status of a rule by its name; nil if the result decides it."
   @spec http(String.t() | nil) :: 400..599 | nil

@@ -12,6 +12,7 @@ defmodule Aerie.Vehicle.Protocol.Mavlink do
   Parameters that are not given are sent as MAVLink declares them: their default, or 0 (C9).
   """
 
+  alias Aerie.Vehicle.Command.Refusal
   alias Aerie.Vehicle.Protocol.{Step, Vehicle}
   alias MavCodec.Enums.{MavCmd, MavResult}
   alias MavCodec.Messages, as: M
@@ -202,7 +203,7 @@ defmodule Aerie.Vehicle.Protocol.Mavlink do
     do: {:progress, if(share <= 100, do: share / 100), nil}
 
   defp answer(%{result: @cancelled}, _step, _frames), do: :cancelled
-  defp answer(%{result: @busy}, _step, _frames), do: {:busy, "the vehicle answered TEMPORARILY_REJECTED"}
+  defp answer(%{result: @busy}, _step, _frames), do: {:busy, Refusal.text(:answered_busy)}
 
   # A repeated answer to the previous form.
   defp answer(%{result: @long_only}, %{forms: [{:long, _command, _params}]}, _frames), do: :ignore
@@ -212,14 +213,14 @@ defmodule Aerie.Vehicle.Protocol.Mavlink do
 
   defp answer(%{result: result}, step, frames) when result in [@long_only, @int_only, @other_frame] do
     case other_forms(result, step.forms, frames) do
-      [] -> {:refused, :rejected, "the vehicle answered #{name(result)}, and there is no other way to say it"}
+      [] -> {:refused, :rejected, Refusal.text(:answered_form, result: name(result))}
       forms -> {:instead, %{step | forms: forms}}
     end
   end
 
   defp answer(%{result: result} = ack, _step, _frames) do
     status = if result in @rejections, do: :rejected, else: :failed
-    {:refused, status, "the vehicle answered #{name(result)}#{more(ack)}"}
+    {:refused, status, Refusal.text(:answered, result: name(result), code: more(ack))}
   end
 
   # Some commands have reasons of their own.

@@ -4,6 +4,8 @@ defmodule Aerie.Vehicle.Protocol.Vehicle do
   value that the owner of the state fills in. nil means "not known".
   """
 
+  alias Aerie.Vehicle.Command.Refusal
+
   @enforce_keys [:system, :autopilot, :kind]
   defstruct [
     :system,
@@ -89,12 +91,12 @@ defmodule Aerie.Vehicle.Protocol.Vehicle do
   @doc "The steps; an error if the vehicle is known to be on the ground, where the firmwares accept them but nothing moves."
   @spec airborne(t(), steps) :: steps | {:error, String.t()} when steps: term()
   def airborne(vehicle, steps),
-    do: if(vehicle.in_air == false and flies?(vehicle), do: {:error, "it is on the ground"}, else: steps)
+    do: if(vehicle.in_air == false and flies?(vehicle), do: {:error, Refusal.text(:on_ground)}, else: steps)
 
   @doc "Height above mean sea level of a height with its reference; `{:error, reason}` if the height of home is not known."
   @spec msl(t(), float(), String.t()) :: {:ok, float()} | {:error, String.t()}
   def msl(_vehicle, altitude, "msl"), do: {:ok, altitude}
   def msl(%{home: %{alt_msl: home}}, altitude, "home") when is_number(home), do: {:ok, home + altitude}
-  def msl(_vehicle, _altitude, "home"), do: {:error, "the height of its home is not known yet"}
-  def msl(_vehicle, _altitude, "terrain"), do: {:error, "it takes no heights above the ground below"}
+  def msl(_vehicle, _altitude, "home"), do: {:error, Refusal.text(:home_height_unknown)}
+  def msl(_vehicle, _altitude, "terrain"), do: {:error, Refusal.text(:no_terrain)}
 end

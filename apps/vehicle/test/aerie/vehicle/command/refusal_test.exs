@@ -2,6 +2,7 @@ defmodule Aerie.Vehicle.Command.RefusalTest do
   use ExUnit.Case, async: true
 
   alias Aerie.Vehicle.Command.Refusal
+  alias Aerie.Vehicle.Command.Refusal.{Unknown, Vehicle}
 
   @apps Path.expand("../../../../..", __DIR__)
 
@@ -12,7 +13,10 @@ defmodule Aerie.Vehicle.Command.RefusalTest do
   end
 
   test "no reason and no rule has two rows" do
-    reasons = for row <- Refusal.table(), {reason, _text} <- row.texts, do: reason
+    rows =
+      Enum.map(Refusal.table(), & &1.texts) ++ Enum.map(Vehicle.ends(), &elem(&1, 1)) ++ [Unknown.texts()]
+
+    reasons = rows |> Enum.concat() |> Keyword.keys()
     assert reasons == Enum.uniq(reasons)
     rules = Enum.map(Refusal.table(), & &1.rule)
     assert rules == Enum.uniq(rules)
@@ -43,8 +47,14 @@ defmodule Aerie.Vehicle.Command.RefusalTest do
     {_ast, found} =
       Macro.prewalk(ast, [], fn
         {{:., _, [{:__aliases__, _, names}, called]}, _, arguments} = node, found
-        when called in [:deny, :text] ->
-          if List.last(names) == :Refusal, do: {node, [call(file, arguments) | found]}, else: {node, found}
+        when called in [:deny, :text, :ended] ->
+          if List.last(names) == :Refusal and not match?([{:reason, _, nil}], arguments),
+            do: {node, [call(file, arguments) | found]},
+            else: {node, found}
+
+        # What machines give, by their own names for it.
+        {:@, _, [{:ends, _, [{:sigil_w, _, [{:<<>>, _, [names]}, ~c"a"]}]}]} = node, found ->
+          {node, Enum.map(String.split(names), &{file, String.to_atom(&1), []}) ++ found}
 
         node, found ->
           {node, found}

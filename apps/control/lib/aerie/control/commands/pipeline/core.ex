@@ -222,7 +222,7 @@ defmodule Aerie.Control.Commands.Pipeline.Core do
   @doc "The result of a command whose task died."
   @spec lost(Command.t()) :: Result.t()
   def lost(command) do
-    complete(Result.new(command.id, :unknown, "a fault in the gateway interrupted the command"), command)
+    complete(Refusal.result(command.id, Refusal.ended(:interrupted)), command)
   end
 
   defp find_holder(%{settings: %{shared?: false}} = core, now), do: admit(core, now)
@@ -275,8 +275,7 @@ defmodule Aerie.Control.Commands.Pipeline.Core do
   defp claimed_result(_core, %{result: %Result{} = result}), do: result
 
   defp claimed_result(core, %{by: by}) do
-    reason = "the gateway #{by} had this command, and what became of it is not known here"
-    Result.new(core.request.command.id, :unknown, reason)
+    Refusal.result(core.request.command.id, Refusal.ended(:of_another_gateway, by: by))
   end
 
   defp held(%{sending: nil} = core), do: send_off(core)

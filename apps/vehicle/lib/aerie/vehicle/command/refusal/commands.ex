@@ -41,6 +41,7 @@ defmodule Aerie.Vehicle.Command.Refusal.Commands do
     {:vehicle, "commands", :rejected, 404, "there is no such vehicle", "see `GET /api/vehicles`",
      no_vehicle: "there is no vehicle %{id}"},
     {:id, "ledger", :rejected, 409, "the id was used for another command", "use another id",
+     transfer_under_way: "a transfer with this id is under way",
      id_under_way: "the id %{id} belongs to another command",
      id_used: "the id %{id} was used for another command; every command needs an id of its own",
      ledger_blind:
@@ -51,6 +52,7 @@ defmodule Aerie.Vehicle.Command.Refusal.Commands do
     {:busy, "commands", :denied, 429,
      "too many commands or transfers are under way (`commands.max_in_flight`, or [over NATS](#floods))",
      "try again",
+     transfers_many: "as many transfers wait for this vehicle as may; try again",
      busy_nats: "%{n} commands over NATS are under way, which is the limit; try again",
      busy_requests: "%{n} requests are under way, as many as there may be; try again",
      busy: "%{n} commands are under way, as many as there may be; try again",
@@ -93,9 +95,12 @@ defmodule Aerie.Vehicle.Command.Refusal.Commands do
      "its id could not be claimed where the other gateways see it; nothing was sent",
      "see [several gateways](#several-gateways)",
      unclaimed: "its id could not be claimed where other gateways see it (%{error})" <> @unsent},
-    {:file, "the vehicle", :rejected, 404, "the vehicle has no such file", "list the folder", []},
+    {:file, "the vehicle", :rejected, 404, "the vehicle has no such file", "list the folder",
+     no_file: "the vehicle has no such file"},
     {:log, "the vehicle", :rejected, 404, "the vehicle has no such log, or another one with its id",
-     "list the logs", []},
+     "list the logs",
+     no_log: "the vehicle has no log %{id}",
+     another_log: "log %{id} is another one than before; list the logs again"},
     {:metadata, "the vehicle", :failed, nil, "what the vehicle says of itself cannot be read",
      "nothing: this firmware says it wrongly", []}
   ]

@@ -4,6 +4,7 @@ defmodule Aerie.Vehicle.Protocol.Mavlink.Version do
   extension fields (F2, F9), and a message about a fence that lost its `mission_type` is one about the mission (W4).
   """
 
+  alias Aerie.Vehicle.Command.Refusal
   alias MavCodec.Message
 
   @plans %{1 => "fence", 2 => "rally points"}
@@ -14,8 +15,7 @@ defmodule Aerie.Vehicle.Protocol.Mavlink.Version do
     Enum.find_value(messages, fn message ->
       lost = Message.unsayable(message, version)
 
-      if lost,
-        do: "this vehicle speaks MAVLink 1, which has no #{lost(message, lost)}; set its port to MAVLink 2"
+      if lost, do: Refusal.text(:mavlink_1, lacking: lost(message, lost))
     end)
   end
 

@@ -13,7 +13,6 @@ defmodule Aerie.Control.Logs do
 
   alias Aerie.Base.Names
   alias Aerie.Control.Transfers
-  alias Aerie.Vehicle.Command
   alias Aerie.Vehicle.Command.{Refusal, Result}
   alias Aerie.Control.Logs.{Download, List}
   alias Aerie.Control.Transfers.{InOrder, Spool}
@@ -34,7 +33,7 @@ defmodule Aerie.Control.Logs do
     with {:ok, found} <- entries(gateway, vehicle, id, options) do
       case found do
         [entry] -> {:ok, entry}
-        [] -> refused(options, Refusal.deny(:no_log, id: id))
+        [] -> Transfers.error(Refusal.deny(:no_log, id: id), options)
       end
     end
   end
@@ -49,7 +48,7 @@ defmodule Aerie.Control.Logs do
     with {:ok, now} <- entry(gateway, vehicle, entry.id, options) do
       if now.time == entry.time and now.size >= entry.size,
         do: {:ok, now},
-        else: refused(options, Refusal.deny(:another_log, id: entry.id))
+        else: Transfers.error(Refusal.deny(:another_log, id: entry.id), options)
     end
   end
 
@@ -141,6 +140,4 @@ defmodule Aerie.Control.Logs do
   end
 
   defp silent(result, _snapshot), do: result
-
-  defp refused(options, denial), do: {:error, Refusal.result(options[:id] || Command.id(), denial)}
 end

@@ -19,7 +19,7 @@ defmodule Aerie.Control.Missions do
   alias Aerie.Control.Transfers
   alias Protocols.Mission
   alias Aerie.Vehicle.Firmware
-  alias Aerie.Vehicle.Command.{Error, Result}
+  alias Aerie.Vehicle.Command.{Error, Refusal, Result}
   alias Aerie.Control.Mission.{Known, OwnFence}
   alias Protocols.Mission.{Item, Onboard, Plan, Transfer}
   alias Msp.Mission.Mwp
@@ -81,15 +81,12 @@ defmodule Aerie.Control.Missions do
        %{plan: plan, items: result.items, opaque_id: result.opaque_id, digest: Plan.digest(result.items)}}
     else
       {:ok, %{"plan" => plan} = answer} -> outcome(plan, answer, type, protocol(gateway, vehicle))
-      {:ok, _other} -> no_plan("its gateway reported no mission")
+      {:ok, _other} -> no_plan(Refusal.text(:no_mission))
       error -> error
     end
   end
 
-  defp no_plan(text),
-    do:
-      {:error,
-       Result.new(Aerie.Vehicle.Command.id(), :failed, "what the vehicle has is not a valid plan: #{text}")}
+  defp no_plan(text), do: Transfers.error(Refusal.ended(:no_plan, why: text))
 
   # Another gateway's answer (`plain/2`).
   defp outcome(plan, answer, type, protocol) do
@@ -117,7 +114,7 @@ defmodule Aerie.Control.Missions do
       {result, nil} = Transfers.read(gateway, snapshot, transfer, options)
       result
     else
-      {:gap, reason} -> {:error, Result.new(Aerie.Vehicle.Command.id(), :rejected, reason)}
+      {:gap, reason} -> Transfers.error({:rejected, reason})
       {:error, result} -> {:error, result}
     end
   end

@@ -19,7 +19,7 @@ defmodule Aerie.Control.Params do
   alias Aerie.Base.Names
   alias Aerie.Control.Transfers
   alias Aerie.Control.Commands.{Change, Gateways}
-  alias Aerie.Vehicle.Command.{Error, Result}
+  alias Aerie.Vehicle.Command.{Error, Refusal, Result}
 
   alias Aerie.Control.Params.{Component, Fetch, File, LongNames, Metadata, Param, Set, Table}
   alias Aerie.Control.Params.Cache.Writer, as: CacheWriter
@@ -62,14 +62,7 @@ defmodule Aerie.Control.Params do
 
   defp remote_answer({:ok, value}), do: {:ok, value}
 
-  defp remote_answer(:error),
-    do:
-      {:error,
-       Result.new(
-         Aerie.Vehicle.Command.id(),
-         :failed,
-         "the vehicle's gateway did not answer with a parameter"
-       )}
+  defp remote_answer(:error), do: Transfers.error(Refusal.ended(:no_parameter))
 
   defp list_of_component(gateway, vehicle, component, options) do
     with {:ok, snapshot} <- Transfers.vehicle(gateway, vehicle),
@@ -341,9 +334,7 @@ defmodule Aerie.Control.Params do
 
     if File.prints?(release),
       do: {:ok, {:txt, release}},
-      else:
-        {:error,
-         Result.new(Aerie.Vehicle.Command.id(), :rejected, "only Betaflight and iNav have a command line")}
+      else: Transfers.error(Refusal.ended(:no_command_line))
   end
 
   defp format(format, _snapshot), do: {:ok, format}
@@ -435,8 +426,7 @@ defmodule Aerie.Control.Params do
 
   # A read gives a result, whatever is wrong.
   defp readable(checked) do
-    with {:error, [error]} <- checked,
-         do: {:error, Result.new(Aerie.Vehicle.Command.id(), :rejected, Exception.message(error))}
+    with {:error, [error]} <- checked, do: Transfers.error({:rejected, Exception.message(error)})
   end
 
   # Neither firmware answers for a parameter that it does not have. A name that is not in a list that was read before is looked

@@ -61,16 +61,15 @@ defmodule Aerie.Control.Transfers do
   @spec vehicle(Names.gateway(), String.t()) :: {:ok, map()} | {:error, Result.t()}
   def vehicle(gateway, id) do
     case Gateways.vehicle(gateway, id) do
-      nil ->
-        {:error, Refusal.result(Command.id(), Refusal.deny(:no_vehicle, id: id))}
-
-      %{via: via} when via != nil ->
-        {:error, Refusal.result(Command.id(), Refusal.deny(:elsewhere, via: via))}
-
-      snapshot ->
-        {:ok, snapshot}
+      nil -> error(Refusal.deny(:no_vehicle, id: id))
+      %{via: via} when via != nil -> error(Refusal.deny(:elsewhere, via: via))
+      snapshot -> {:ok, snapshot}
     end
   end
+
+  @doc "The result of what was refused or has ended before there was a transfer."
+  @spec error(Refusal.denial() | {Result.status(), String.t()}, [option()]) :: {:error, Result.t()}
+  def error(ended, options \\ []), do: {:error, Refusal.result(options[:id] || Command.id(), ended)}
 
   @doc """
   Asks the gateway that hears a vehicle to read something, and gives its answer; `:here` for one that is not to be

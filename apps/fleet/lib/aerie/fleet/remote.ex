@@ -150,15 +150,15 @@ defmodule Aerie.Fleet.Remote do
 
   # The other gateway's answer, or why there is none: nothing was sent, or nobody knows what became of it.
   defp ask(_gateway, %{status: :lost} = snapshot, _id, _what, _body, _timeout, _progress),
-    do: {:unreachable, "nothing was heard of it over NATS for a while; its gateway was #{snapshot.via}"}
+    do: Refusal.deny(:unheard_over_nats, via: snapshot.via)
 
   defp ask(gateway, snapshot, id, what, body, timeout, progress) do
     case Bridge.connection(gateway) do
-      nil -> {:unreachable, "NATS is away, and the vehicle is heard by the gateway #{snapshot.via}"}
+      nil -> Refusal.deny(:nats_away, via: snapshot.via)
       conn -> ask(gateway, conn, snapshot, {id, what, body, timeout}, progress)
     end
   catch
-    :exit, _gone -> {:unknown, "the connection to NATS was lost while it was under way"}
+    :exit, _gone -> Refusal.ended(:nats_lost_meanwhile)
   end
 
   defp ask(gateway, conn, snapshot, {id, what, body, timeout}, progress) do
@@ -177,7 +177,7 @@ defmodule Aerie.Fleet.Remote do
         end
 
       {:error, _lost} ->
-        {:unreachable, "the connection to NATS is lost"}
+        Refusal.deny(:nats_lost)
     end
   end
 
@@ -192,16 +192,15 @@ defmodule Aerie.Fleet.Remote do
         answer(answer, snapshot)
 
       {:DOWN, ^ref, :process, _pid, _reason} ->
-        {:unknown, "the connection to NATS was lost while it was under way"}
+        Refusal.ended(:nats_lost_meanwhile)
     after
       @look_ms ->
         cond do
           not there?(gateway, snapshot) ->
-            {:unknown, "the gateway #{snapshot.via} fell silent while it was under way"}
+            Refusal.ended(:gateway_silent, via: snapshot.via)
 
           until != nil and now() >= until ->
-            {:unknown,
-             "the gateway #{snapshot.via} reported no progress for #{div(@idle_ms, 60_000)} minutes"}
+            Refusal.ended(:no_progress, via: snapshot.via, minutes: div(@idle_ms, 60_000))
 
           true ->
             wait(task, gateway, snapshot, progress, until)
@@ -225,15 +224,15 @@ defmodule Aerie.Fleet.Remote do
   defp answer({:ok, %{body: text}}, snapshot) do
     case JSON.decode(text) do
       {:ok, %{"result" => word} = answer} when is_binary(word) -> {:ok, answer}
-      _other -> {:unknown, "the gateway #{snapshot.via} answered without a result"}
+      _other -> Refusal.ended(:no_result, via: snapshot.via)
     end
   end
 
   defp answer({:error, :no_responders}, snapshot),
-    do: {:unreachable, "no gateway listens for it; it was heard by #{snapshot.via}"}
+    do: Refusal.deny(:nobody_listens, via: snapshot.via)
 
   defp answer({:error, _timeout_or_lost}, snapshot),
-    do: {:unknown, "the gateway #{snapshot.via} did not answer in time"}
+    do: Refusal.ended(:no_answer_in_time, via: snapshot.via)
 
   defp body(command, %{source: source, via: via}) do
     command
@@ -259,14 +258,11 @@ defmodule Aerie.Fleet.Remote do
         Result.new(id, status, reason(answer["reason"]), Map.put(details, "gateway", snapshot.via))
 
       :error ->
-        Result.new(id, :unknown, "the gateway #{snapshot.via} answered without a result")
+        Refusal.result(id, Refusal.ended(:no_result, via: snapshot.via))
     end
   end
 
-  defp result({:unreachable, why}, id, _snapshot),
-    do: Refusal.result(id, Refusal.deny(:unreachable, why: why))
-
-  defp result({:unknown, why}, id, _snapshot), do: Result.new(id, :unknown, why)
+  defp result(refused_or_ended, id, _snapshot), do: Refusal.result(id, refused_or_ended)
 
   defp reason(text) when is_binary(text), do: String.slice(text, 0, @max_text)
   defp reason(_none), do: nil

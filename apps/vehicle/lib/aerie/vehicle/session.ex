@@ -358,7 +358,7 @@ defmodule Aerie.Vehicle.Session do
         state
 
       snapshot ->
-        decision = may_arm(Vehicle.Settings.arming(state.gateway), state.gateway, snapshot)
+        decision = ArmAuthorization.decision(Vehicle.Settings.arming(state.gateway), state.gateway, snapshot)
         answers = ArmAuthorization.answers(decision, system, component)
         Enum.reduce(answers, state, &act({:send, &1, &2.core.version}, &2))
     end
@@ -394,9 +394,6 @@ defmodule Aerie.Vehicle.Session do
     Capacity.note(state.gateway, state.options.key, new)
     state
   end
-
-  defp may_arm(nil, _gateway, _snapshot), do: {:deny, :policy, "the gateway has no policy"}
-  defp may_arm(module, gateway, snapshot), do: module.decide(gateway, snapshot, System.os_time(:microsecond))
 
   defp wake(state, actions) do
     if Enum.any?(actions, &match?({:observe, _observation}, &1)) do

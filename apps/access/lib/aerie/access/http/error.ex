@@ -127,11 +127,10 @@ defmodule Aerie.Access.HTTP.Error do
 
   @doc "The answer for what only the gateway `via` has, which hears the vehicle."
   @spec misdirected(via :: String.t()) :: t()
-  def misdirected(via),
-    do: %{
-      new(:misdirected, Command.Refusal.text(:elsewhere, via: via))
-      | details: %{"rule" => "elsewhere", "gateway" => via}
-    }
+  def misdirected(via) do
+    {:deny, :elsewhere, message} = Command.Refusal.deny(:elsewhere, via: via)
+    %{new(:misdirected, message) | details: %{"rule" => "elsewhere", "gateway" => via}}
+  end
 
   @doc "The answer for an invalid command, with all its errors."
   @spec malformed([Command.Error.t(), ...]) :: t()

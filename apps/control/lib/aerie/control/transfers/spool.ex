@@ -5,8 +5,8 @@ defmodule Aerie.Control.Transfers.Spool do
   complete file is compared with it as well.
   """
 
-  alias Aerie.Vehicle.Command
-  alias Aerie.Vehicle.Command.Result
+  alias Aerie.Control.Transfers
+  alias Aerie.Vehicle.Command.{Refusal, Result}
   alias Aerie.Control.Ftp.Ranges
   alias Aerie.Base.Files.Private
   alias MavCodec.CRC
@@ -68,8 +68,7 @@ defmodule Aerie.Control.Transfers.Spool do
     else
       _ = File.rm(part)
 
-      {:error,
-       Result.new(Command.id(), :failed, "its checksum is not the vehicle's; it is removed: read it again")}
+      Transfers.error(Refusal.ended(:file_damaged))
     end
   end
 
@@ -105,8 +104,5 @@ defmodule Aerie.Control.Transfers.Spool do
   defp ended(_result, error, _part, _path, _whole) when error != nil, do: failed(error)
   defp ended({:error, result}, nil, _part, _path, _whole), do: {:error, result}
 
-  defp failed(reason),
-    do:
-      {:error,
-       Result.new(Command.id(), :failed, "the file cannot be written here: #{:file.format_error(reason)}")}
+  defp failed(reason), do: Transfers.error(Refusal.ended(:no_file_here, error: :file.format_error(reason)))
 end

@@ -6,6 +6,7 @@ defmodule Aerie.Vehicle.Session.ArmAuthorization do
   """
 
   alias Aerie.Base.Names
+  alias Aerie.Vehicle.Command.Refusal
   alias MavCodec.Enums.{MavCmd, MavResult}
   alias MavCodec.Messages.CommandAck
 
@@ -17,11 +18,15 @@ defmodule Aerie.Vehicle.Session.ArmAuthorization do
   # For so long it may arm.
   @window_s 10
 
-  @typedoc "The decision; a refusal names the rule and the reason."
-  @type decision :: :allow | {:deny, rule :: atom(), reason :: String.t()}
+  @type decision :: :allow | Refusal.denial()
 
   @doc "Decides whether a vehicle may arm now."
   @callback decide(Names.gateway(), snapshot :: map(), now_us :: integer()) :: decision()
+
+  @doc "The decision of the module that has it; nil: there is none."
+  @spec decision(module() | nil, Names.gateway(), snapshot :: map()) :: decision()
+  def decision(nil, _gateway, _snapshot), do: Refusal.deny(:no_policy_to_arm)
+  def decision(module, gateway, snapshot), do: module.decide(gateway, snapshot, System.os_time(:microsecond))
 
   @doc "The command by which a vehicle asks."
   @spec request() :: non_neg_integer()

@@ -1,25 +1,49 @@
 defmodule Aerie.Vehicle.Command.RefusalTest do
   use ExUnit.Case, async: true
 
-  alias Aerie.Vehicle.Command.Refusal
+  alias Aerie.Vehicle.Command.{Refusal, Result}
   alias Aerie.Vehicle.Command.Refusal.{Unknown, Vehicle}
 
   @apps Path.expand("../../../../..", __DIR__)
+  # `:unknown` is also what is not known of a vehicle.
+  @statuses Enum.map(Result.table(), &elem(&1, 0)) -- [:unknown]
 
-  test "each call gives a reason of the table and a value for each of its holes; each text is said by somebody" do
-    calls = calls()
-    assert Enum.reject(calls, fn {_file, reason, values} -> values == holes(reason) end) == []
-    assert Map.keys(Refusal.texts()) -- Enum.map(calls, fn {_file, reason, _values} -> reason end) == []
+  setup_all do
+    files = Path.wildcard(Path.join(@apps, "{vehicle,control,fleet,access,api,console,aerie}/lib/**/*.ex"))
+
+    %{
+      sources:
+        for(
+          file <- files,
+          do: {Path.relative_to(file, @apps), file |> File.read!() |> Code.string_to_quoted!()}
+        )
+    }
+  end
+
+  test "each call gives a reason of the table and a value for each of its holes; each text is said by somebody",
+       %{sources: sources} do
+    calls = for {file, ast} <- sources, call <- found(ast, &call/1), do: {file, call}
+    assert Enum.reject(calls, fn {_file, {reason, values}} -> values == holes(reason) end) == []
+    assert Map.keys(Refusal.texts()) -- Enum.map(calls, fn {_file, {reason, _values}} -> reason end) == []
+  end
+
+  # A firmware's own are in its folder, those of plans beside their transfer.
+  test "no refusal and no end has its text beside the table", %{sources: sources} do
+    beside =
+      for {file, ast} <- sources,
+          not String.contains?(file, ["/firmware/", "/refusal/"]),
+          text <- found(ast, &beside/1),
+          do: {file, text}
+
+    assert beside == []
   end
 
   test "no reason and no rule has two rows" do
     rows =
       Enum.map(Refusal.table(), & &1.texts) ++ Enum.map(Vehicle.ends(), &elem(&1, 1)) ++ [Unknown.texts()]
 
-    reasons = rows |> Enum.concat() |> Keyword.keys()
-    assert reasons == Enum.uniq(reasons)
-    rules = Enum.map(Refusal.table(), & &1.rule)
-    assert rules == Enum.uniq(rules)
+    for names <- [rows |> Enum.concat() |> Keyword.keys(), Enum.map(Refusal.table(), & &1.rule)],
+        do: assert(names == Enum.uniq(names))
   end
 
   test "a value is not read as a hole" do
@@ -27,46 +51,42 @@ defmodule Aerie.Vehicle.Command.RefusalTest do
              {:deny, :number, "%{wrong}: no number"}
   end
 
-  defp holes(reason),
-    do:
-      Refusal.texts()
-      |> Map.get(reason, [:no_such_reason])
-      |> Enum.filter(&is_atom/1)
-      |> Enum.uniq()
-      |> Enum.sort()
+  defp found(ast, what), do: ast |> Macro.prewalker() |> Enum.flat_map(what)
 
-  defp calls do
-    for file <- Path.wildcard(Path.join(@apps, "*/lib/**/*.ex")),
-        text = File.read!(file),
-        text =~ "Refusal.",
-        call <- text |> Code.string_to_quoted!() |> calls(Path.relative_to(file, @apps)),
-        do: call
+  # A reason with its values. Those that are not written there are nothing that a test can read, and fit no text.
+  defp call({{:., _, [{:__aliases__, _, names}, called]}, _, [reason | values]})
+       when called in [:deny, :text, :ended],
+       do: if(List.last(names) == :Refusal, do: List.wrap(given(reason, values)), else: [])
+
+  # What machines give, by their own names for it.
+  defp call({:@, _, [{:ends, _, [{:sigil_w, _, [{:<<>>, _, [names]}, ~c"a"]}]}]}),
+    do: for(name <- String.split(names), do: {String.to_atom(name), []})
+
+  defp call(_other), do: []
+
+  defp given({:reason, _, nil}, []), do: nil
+  defp given(reason, []), do: {reason, []}
+
+  defp given(reason, [values]),
+    do: {reason, Keyword.keyword?(values) && values |> Keyword.keys() |> Enum.sort()}
+
+  defp holes(reason) do
+    Refusal.texts()
+    |> Map.get(reason, [:no_such_reason])
+    |> Enum.filter(&is_atom/1)
+    |> Enum.uniq()
+    |> Enum.sort()
   end
 
-  defp calls(ast, file) do
-    {_ast, found} =
-      Macro.prewalk(ast, [], fn
-        {{:., _, [{:__aliases__, _, names}, called]}, _, arguments} = node, found
-        when called in [:deny, :text, :ended] ->
-          if List.last(names) == :Refusal and not match?([{:reason, _, nil}], arguments),
-            do: {node, [call(file, arguments) | found]},
-            else: {node, found}
+  defp beside({:{}, _, [:deny | values]}), do: Enum.filter(values, &text?/1)
+  defp beside({status, text}) when status in @statuses, do: Enum.filter([text], &text?/1)
 
-        # What machines give, by their own names for it.
-        {:@, _, [{:ends, _, [{:sigil_w, _, [{:<<>>, _, [names]}, ~c"a"]}]}]} = node, found ->
-          {node, Enum.map(String.split(names), &{file, String.to_atom(&1), []}) ++ found}
+  defp beside({{:., _, [_module, :new]}, _, [_id, status, text | _]}) when status in [:unknown | @statuses],
+    do: Enum.filter([text], &text?/1)
 
-        node, found ->
-          {node, found}
-      end)
+  defp beside(_other), do: []
 
-    found
-  end
-
-  # Values that are not written there are nothing that a test can read, and fit no text.
-  defp call(file, [reason]), do: {file, reason, []}
-
-  defp call(file, [reason, values]),
-    do:
-      {file, reason, if(Keyword.keyword?(values), do: values |> Keyword.keys() |> Enum.sort(), else: values)}
+  defp text?({:<>, _, [text, _more]}), do: text != ""
+  defp text?({operator, _, _}), do: operator == :<<>>
+  defp text?(value), do: is_binary(value)
 end

@@ -8,7 +8,6 @@ defmodule Aerie.Control.Params.Metadata.Reader do
   alias Aerie.Base.Files.Private
   alias Aerie.Base.Names
   alias Aerie.Control.{Files, Transfers}
-  alias Aerie.Vehicle.Command
   alias Aerie.Vehicle.Command.Result
   alias Aerie.Control.Params.Metadata
   alias Aerie.Vehicle.Services.Reports.Definitions
@@ -39,7 +38,7 @@ defmodule Aerie.Control.Params.Metadata.Reader do
     end
     |> case do
       {:error, reason} when is_binary(reason) ->
-        {:error, Result.new(options[:id] || Command.id(), :failed, reason, %{"rule" => "metadata"})}
+        Transfers.error({:deny, :metadata, reason}, options)
 
       answer ->
         answer

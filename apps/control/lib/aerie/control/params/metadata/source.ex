@@ -5,6 +5,7 @@ defmodule Aerie.Control.Params.Metadata.Source do
   """
 
   alias Aerie.Control.Ftp.RoundTrip
+  alias Aerie.Vehicle.Command.Refusal
   alias MavCodec.Enums.MavCmd
   alias MavCodec.Messages, as: M
 
@@ -42,8 +43,7 @@ defmodule Aerie.Control.Params.Metadata.Source do
 
   def handle(%{phase: :asked, sent: sent, due: due, since: since} = source, {:tick, now})
       when now >= due and sent >= @sends and now - since >= @silence,
-      do:
-        finish(source, {:error, {:failed, "the vehicle does not say where metadata is (COMPONENT_METADATA)"}})
+      do: finish(source, {:error, Refusal.ended(:no_metadata)})
 
   def handle(%{phase: :asked, due: due} = source, {:tick, now}) when now >= due, do: ask(source, now)
   def handle(source, _other), do: {source, []}

@@ -9,6 +9,7 @@ defmodule Aerie.Control.Params.Set.All do
 
   alias Aerie.Control.Params.{Message, Set}
   alias Aerie.Control.Policy.Mavlink.SystemId
+  alias Aerie.Vehicle.Command.Refusal
 
   @shown 20
 
@@ -88,9 +89,10 @@ defmodule Aerie.Control.Params.Set.All do
     first = refused |> Enum.reverse() |> Enum.take(@shown)
     shown = Enum.map_join(first, "; ", fn {name, why} -> "#{name}: #{reason_text(why)}" end)
 
-    {all, [{:done, {:error, {:failed, "#{length(refused)} of #{all.total} were not set: #{shown}"}}}]}
+    {:failed, _text} = failed = Refusal.ended(:not_all_set, n: length(refused), of: all.total, shown: shown)
+    {all, [{:done, {:error, failed}}]}
   end
 
   defp reason_text(reason) when is_binary(reason), do: reason
-  defp reason_text(value), do: "the vehicle keeps #{value}"
+  defp reason_text(value), do: Refusal.text(:keeps_of_many, value: value)
 end

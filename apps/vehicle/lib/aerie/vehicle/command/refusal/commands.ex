@@ -5,6 +5,7 @@ defmodule Aerie.Vehicle.Command.Refusal.Commands do
   """
 
   @unsent "; nothing was sent"
+  @unreachable "the vehicle cannot be reached, nothing was sent: "
 
   @rules [
     {:policy, "commands", :denied, 503, "the gateway has no policy",
@@ -84,7 +85,11 @@ defmodule Aerie.Vehicle.Command.Refusal.Commands do
        "not available for a remote vehicle: it is heard by the gateway %{via}; ask that one (docs/fleet.md)"},
     {:unreachable, "remote", :failed, nil,
      "the gateway that hears the vehicle cannot be reached; nothing was sent", "try again",
-     unreachable: "the vehicle cannot be reached, nothing was sent: %{why}"},
+     unheard_over_nats:
+       @unreachable <> "nothing was heard of it over NATS for a while; its gateway was %{via}",
+     nats_away: @unreachable <> "NATS is away, and the vehicle is heard by the gateway %{via}",
+     nats_lost: @unreachable <> "the connection to NATS is lost",
+     nobody_listens: @unreachable <> "no gateway listens for it; it was heard by %{via}"},
     {:holder, "ownership", :denied, 503, "another gateway holds the vehicle or may hold it; nothing was sent",
      "see [several gateways](#several-gateways)",
      holder_unknown: "%{unknown}" <> @unsent,

@@ -25,6 +25,8 @@ defmodule Aerie.Vehicle.Command.Refusal.Unknown do
     refused_again: "a repetition was refused (%{why})",
     was_accepted: "the vehicle accepted it",
     keeps_value: "it keeps %{value}",
+    keeps_of_many: "the vehicle keeps %{value}",
+    no_mission: "its gateway reported no mission",
     keeps_none: "it keeps no number",
     setpoints_none: "none come",
     setpoints_since: "they have come for %{ms} ms",

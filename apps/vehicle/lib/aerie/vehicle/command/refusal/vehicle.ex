@@ -36,7 +36,8 @@ defmodule Aerie.Vehicle.Command.Refusal.Vehicle do
       stored: "it is disarmed, and %{command} would move it as soon as it is armed: arm it first",
       on_ground: "it is on the ground",
       home_height_unknown: "the height of its home is not known yet",
-      no_terrain: "it takes no heights above the ground below"
+      no_terrain: "it takes no heights above the ground below",
+      no_command_line: "only Betaflight and iNav have a command line"
     ],
     failed: [
       answered: "the vehicle answered %{result}%{code}",
@@ -49,7 +50,13 @@ defmodule Aerie.Vehicle.Command.Refusal.Vehicle do
       changed: "the file changed while it was read",
       damaged: "the vehicle's checksum is not that of what was written",
       not_set: "the component failed to set it",
-      not_kept: "the component accepted the value and does not have it"
+      not_kept: "the component accepted the value and does not have it",
+      not_all_set: "%{n} of %{of} were not set: %{shown}",
+      no_metadata: "the vehicle does not say where metadata is (COMPONENT_METADATA)",
+      no_plan: "what the vehicle has is not a valid plan: %{why}",
+      no_parameter: "the vehicle's gateway did not answer with a parameter",
+      file_damaged: "its checksum is not the vehicle's; it is removed: read it again",
+      no_file_here: "the file cannot be written here: %{error}"
     ],
     cancelled: [
       cancelled_waiting: "cancelled before it was sent",
@@ -80,6 +87,11 @@ defmodule Aerie.Vehicle.Command.Refusal.Vehicle do
       not_shown_after_stop: @stopped <> ", and the vehicle's state does not show it; it is not sent again",
       unshowable_after_stop:
         @stopped <> ", and nothing of the vehicle's state can show it; it is not sent again",
+      no_result: "the gateway %{via} answered without a result",
+      no_answer_in_time: "the gateway %{via} did not answer in time",
+      no_progress: "the gateway %{via} reported no progress for %{minutes} minutes",
+      gateway_silent: "the gateway %{via} fell silent while it was under way",
+      nats_lost_meanwhile: "the connection to NATS was lost while it was under way",
       of_another_gateway: "the gateway %{by} had this command, and what became of it is not known here"
     ],
     expired: [

@@ -161,12 +161,12 @@ defmodule Aerie.Control.Operations.Operation do
     more = Keyword.get(options, :more, [])
     {own, object} = Map.split(given, Enum.map(more, &Field.name/1))
 
-    case Schema.validate(more, own) do
+    case read(more, own) do
       {input, []} ->
         {:ok, Map.put(input, :object, Map.new(object, fn {key, value} -> {key, plain(value)} end))}
 
-      {_input, problems} ->
-        {:error, Enum.map(problems, &error/1)}
+      {_input, errors} ->
+        {:error, errors}
     end
   end
 
@@ -183,18 +183,29 @@ defmodule Aerie.Control.Operations.Operation do
         %{field | required: field.required or field.key in required}
       end
 
-    known = Enum.map(fields, &Field.name/1)
-    {given, unknown} = given |> Map.reject(fn {_key, value} -> value == nil end) |> Map.split(known)
-    unknown = if closed?(operation), do: unknown, else: %{}
+    given = Map.reject(given, fn {_key, value} -> value == nil end)
 
-    case Schema.validate(fields, given) do
-      {input, []} when unknown == %{} ->
+    case read(fields, given, closed?: closed?(operation)) do
+      {input, []} ->
         input = Map.merge(Map.new(omit, &{&1, nil}), input)
         prepare(operation.module, if(file, do: Map.put(input, file, bytes), else: input), format)
 
-      {_input, problems} ->
-        {:error, Enum.take(Enum.map(problems, &error/1) ++ unknown(unknown, known), @max_errors)}
+      {_input, errors} ->
+        {:error, errors}
     end
+  end
+
+  @doc """
+  Reads values by their fields: the values, which are only of use without errors. `closed?: true`: no others may be
+  there.
+  """
+  @spec read([Field.t()], map(), closed?: boolean()) :: {input(), [Error.t()]}
+  def read(fields, given, options \\ []) do
+    known = Enum.map(fields, &Field.name/1)
+    {given, unknown} = Map.split(given, known)
+    unknown = if options[:closed?], do: unknown, else: %{}
+    {input, problems} = Schema.validate(fields, given)
+    {input, Enum.take(Enum.map(problems, &error/1) ++ unknown(unknown, known), @max_errors)}
   end
 
   defp closed?(operation), do: operation.transfer? or operation.closed?

@@ -5,25 +5,22 @@ defmodule Aerie.Fleet.Operations.Request do
       {"id": "roll-7", "tag": "survey", "command": {"type": "rtl"}, "step": 5, "pause_s": 10, "halt_ratio": 0.2}
       {"vehicles": ["VID-001", "VID-002"], "shadow": {"desired": {"params": {"FENCE_ALT_MAX": 80}}}, "await": "converged"}
 
-  | key | meaning | left out |
-  |---|---|---|
-  | `id` | the same id is the same operation | one is made; over NATS it must be there, where a request may come twice |
-  | `vehicles`, or `tag` | which: at most 2,000 ids, or all with a tag when it begins | one of them must be there |
-  | `command`, or `shadow` | a command's `type` and `params`, or a change of the desired state (docs/shadow.md) without `version` | one of them must be there |
-  | `step` | how many at once, 1 to 100 | 20 |
-  | `pause_s` | between two steps, 0 to 3,600 | 0 |
-  | `halt_ratio` | the share of failures beyond which nothing begins any more, 0 to 1 | 1: go on |
-  | `await` | of a shadow: `written`, or `converged` | `written` |
-  | `timeout_s` | how long a vehicle may take to converge, 1 to 3,600, or a command until it is sent, 1 to 300 | 60 for a shadow, 5 more for each field and 600 for a plan; 10 for a command |
+  Of `vehicles` and `tag`, and of `command` and `shadow`, exactly one must be there. Without `timeout_s` a shadow has 60
+  seconds, 5 more for each field and 600 for a plan, and a command 10. `fields/0` has the rest.
   """
 
-  alias Aerie.Base.Json
+  import Aerie.Base.Json.Schema, only: [number: 2, ref: 1, token: 0]
+  import Aerie.Base.Settings.Field, only: [field: 4]
+
+  alias Aerie.Base.Settings.Field
+  alias Aerie.Control.Operations.Operation
   alias Aerie.Vehicle.Command
   alias Aerie.Vehicle.Command.Error
   alias Aerie.Fleet.Shadow.Update
 
-  @keys ~w(id vehicles tag command shadow step pause_s halt_ratio await timeout_s)
   @max_vehicles 2_000
+  @id "1 to 32 letters, digits, - and _"
+  @longest %{command: 300, shadow: 3_600}
 
   @enforce_keys [:id, :targets, :what, :plan, :timeout_ms]
   defstruct [:id, :targets, :what, :plan, :timeout_ms, await: :written]
@@ -41,36 +38,73 @@ defmodule Aerie.Fleet.Operations.Request do
   @spec max_vehicles() :: pos_integer()
   def max_vehicles, do: @max_vehicles
 
+  @doc "The longest `timeout_s` of a command or shadow."
+  @spec longest_s(:command | :shadow) :: pos_integer()
+  def longest_s(what), do: Map.fetch!(@longest, what)
+
+  @doc "The fields of a request. What is asked for is checked by those that do it."
+  @spec fields() :: [Field.t()]
+  def fields do
+    most = %{type: :array, minItems: 1, maxItems: @max_vehicles, items: token()}
+    id = %{type: :string, pattern: "^[A-Za-z0-9_-]{1,32}$"}
+    any = fn words -> {:term, &{:ok, &1}, words} end
+
+    [
+      field(:id, {:term, &id/1, @id}, "the same id is the same operation; one is made if left out",
+        schema: id
+      ),
+      field(:vehicles, {:term, &vehicles/1, "a list of 1 to #{@max_vehicles} ids"}, "which ones",
+        schema: most
+      ),
+      field(:tag, {:text, 1, 64}, "all vehicles that have it when the operation begins", []),
+      field(:command, any.("an object with a type"), "a command's type and params",
+        schema: ref("command_of_operation")
+      ),
+      field(:shadow, any.("an object"), "a change of the desired state, without its version",
+        schema: ref("change_of_operation")
+      ),
+      field(:step, {:integer, 1, 100}, "how many at once", default: 20),
+      field(:pause_s, {:number, 0, 3_600}, "between two steps", default: 0, unit: "s"),
+      field(:halt_ratio, {:number, 0, 1}, "the share of failures beyond which no more begin; 1: all begin",
+        default: 1
+      ),
+      field(:await, {:enum, [:written, :converged]}, "what a shadow waits for", default: :written),
+      field(
+        :timeout_s,
+        {:number, 1, @longest.shadow},
+        "how long a vehicle may take to converge, or a command until it is sent",
+        unit: "s",
+        schema: number(1, @longest.shadow)
+      )
+    ]
+  end
+
+  defp id(<<id::binary>>) when byte_size(id) <= 32, do: if(Command.token?(id), do: {:ok, id}, else: :error)
+  defp id(_other), do: :error
+
+  defp vehicles([_ | _] = ids) when length(ids) <= @max_vehicles,
+    do: if(Enum.all?(ids, &(is_binary(&1) and Command.token?(&1))), do: {:ok, Enum.uniq(ids)}, else: :error)
+
+  defp vehicles(_other), do: :error
+
   @doc "Reads an operation at `now` (unix microseconds), or says all that is wrong with it."
   @spec parse(term(), now :: integer()) :: {:ok, t()} | {:error, [Error.t(), ...]}
   def parse(%{} = object, now) do
-    checks = [
-      id: id(object),
-      targets: targets(object),
-      what: what(object, now),
-      step: number(object, "step", 1..100, 20, &is_integer/1),
-      pause_s: number(object, "pause_s", 0..3_600, 0, &is_number/1),
-      halt_ratio: number(object, "halt_ratio", 0..1, 1, &is_number/1),
-      await: await(object),
-      timeout_s: timeout_s(object)
-    ]
+    {got, errors} = Operation.read(fields(), object, closed?: true)
+    which = one_of(object, "vehicles", "tag") ++ one_of(object, "command", "shadow")
+    {what, wrong} = if which == [], do: what(object, now), else: {nil, which}
 
-    unknown =
-      for key <- Map.keys(object),
-          key not in @keys,
-          do: Error.new(Error.key(key), "one of #{Enum.join(@keys, ", ")}", :unknown)
+    errors = errors ++ wrong ++ await(object) ++ timeout_s(object)
 
-    case unknown ++ Enum.flat_map(checks, fn {_name, check} -> errors(check) end) do
+    case Enum.uniq_by(errors, & &1.key) do
       [] ->
-        got = Map.new(checks, fn {name, {:ok, value}} -> {name, value} end)
-
         {:ok,
          %__MODULE__{
-           id: got.id,
-           targets: got.targets,
-           what: got.what,
+           id: got.id || Command.id(),
+           targets: if(got.tag, do: {:tag, got.tag}, else: {:vehicles, got.vehicles}),
+           what: what,
            plan: %{step: got.step, pause_ms: round(got.pause_s * 1000), halt_ratio: got.halt_ratio / 1},
-           timeout_ms: round(got.timeout_s * 1000),
+           timeout_ms: round((got.timeout_s || usual_s(what)) * 1000),
            await: got.await
          }}
 
@@ -81,95 +115,61 @@ defmodule Aerie.Fleet.Operations.Request do
 
   def parse(other, _now), do: {:error, [Error.new("operation", "an object", other)]}
 
-  defp errors({:ok, _value}), do: []
-  defp errors({:error, errors}), do: List.wrap(errors)
-
-  defp id(%{"id" => id}) when is_binary(id) do
-    if byte_size(id) <= 32 and Command.token?(id), do: {:ok, id}, else: wrong_id(id)
-  end
-
-  defp id(%{"id" => id}), do: wrong_id(id)
-  defp id(_none), do: {:ok, Command.id()}
-
-  defp wrong_id(id), do: {:error, Error.new("id", "1 to 32 letters, digits, - and _", id)}
-
-  defp targets(%{"vehicles" => _both, "tag" => _given}),
-    do: {:error, Error.new("tag", "either vehicles or a tag", :rule)}
-
-  defp targets(%{"vehicles" => [_ | _] = ids}) when length(ids) <= @max_vehicles do
-    case Enum.reject(ids, &(is_binary(&1) and Command.token?(&1))) do
-      [] -> {:ok, {:vehicles, Enum.uniq(ids)}}
-      [odd | _more] -> {:error, Error.new("vehicles", "ids of vehicles", odd)}
+  defp one_of(object, first, second) do
+    case {is_map_key(object, first), is_map_key(object, second)} do
+      {true, true} -> [Error.new(second, "either #{first} or #{second}", :rule)]
+      {false, false} -> [Error.new(first, "#{first} or #{second}", :missing)]
+      _one -> []
     end
   end
 
-  defp targets(%{"vehicles" => other}),
-    do: {:error, Error.new("vehicles", "a list of 1 to #{@max_vehicles} ids", other)}
-
-  defp targets(%{"tag" => tag}) do
-    if Json.text?(tag, 1, 64),
-      do: {:ok, {:tag, tag}},
-      else: {:error, Error.new("tag", "a text of 1 to 64 characters", tag)}
-  end
-
-  defp targets(_none), do: {:error, Error.new("vehicles", "vehicles, or a tag", :missing)}
-
-  defp what(%{"command" => _both, "shadow" => _given}, _now),
-    do: {:error, Error.new("shadow", "either a command or a shadow", :rule)}
-
   defp what(%{"command" => %{"params" => params}}, _now) when params != nil and not is_map(params),
-    do: {:error, Error.new("command.params", "an object", params)}
+    do: {nil, [Error.new("command.params", "an object", params)]}
 
   # As a command for a vehicle that any name may be; each is parsed again with its own.
   defp what(%{"command" => %{"type" => type} = command}, _now) do
+    params = Map.get(command, "params") || %{}
+
     with [] <- Map.keys(command) -- ["type", "params"],
-         {:ok, _command} <- Command.new(vehicle: "V", type: type, params: Map.get(command, "params") || %{}) do
-      {:ok, {:command, type, Map.get(command, "params") || %{}}}
+         {:ok, _command} <- Command.new(vehicle: "V", type: type, params: params) do
+      {{:command, type, params}, []}
     else
-      {:error, errors} -> {:error, for(error <- errors, do: %{error | key: "command." <> error.key})}
-      [key | _more] -> {:error, Error.new("command." <> Error.key(key), "only type and params", :unknown)}
+      {:error, errors} -> {nil, below("command", errors)}
+      [key | _more] -> {nil, [Error.new("command." <> Error.key(key), "only type and params", :unknown)]}
     end
   end
 
-  defp what(%{"command" => other}, _now), do: {:error, Error.new("command", "an object with a type", other)}
+  defp what(%{"command" => other}, _now), do: {nil, [Error.new("command", "an object with a type", other)]}
 
   defp what(%{"shadow" => %{"version" => _one}}, _now),
-    do: {:error, Error.new("shadow.version", "no version: each vehicle has another", :rule)}
+    do: {nil, [Error.new("shadow.version", "no version: each vehicle has another", :rule)]}
 
   defp what(%{"shadow" => shadow}, now) do
     case Update.parse(shadow, now) do
-      {:ok, _update} -> {:ok, {:shadow, shadow}}
-      {:error, errors} -> {:error, for(error <- errors, do: %{error | key: "shadow." <> error.key})}
+      {:ok, _update} -> {{:shadow, shadow}, []}
+      {:error, errors} -> {nil, below("shadow", errors)}
     end
   end
 
-  defp what(_none, _now), do: {:error, Error.new("command", "a command, or a shadow", :missing)}
-
-  defp number(object, key, first..last//_step, absent, kind?) do
-    case Map.get(object, key, absent) do
-      value when value >= first and value <= last and is_number(value) ->
-        if kind?.(value), do: {:ok, value}, else: {:error, Error.new(key, "a whole number", value)}
-
-      other ->
-        {:error, Error.new(key, "a number from #{first} to #{last}", other)}
-    end
-  end
-
-  # By a slow radio a field takes seconds, and a plan minutes.
-  defp timeout_s(%{"shadow" => shadow} = object) do
-    desired = if is_map(shadow) and is_map(shadow["desired"]), do: shadow["desired"], else: %{}
-    fields = for {_name, value} <- desired, do: if(is_map(value), do: map_size(value), else: 1)
-    plans = Enum.count(desired, fn {_name, value} -> is_map(value) and is_map_key(value, "plan") end)
-    number(object, "timeout_s", 1..3_600, min(60 + 5 * Enum.sum(fields) + 600 * plans, 3_600), &is_number/1)
-  end
-
-  defp timeout_s(object), do: number(object, "timeout_s", 1..300, 10, &is_number/1)
+  defp below(key, errors), do: for(error <- errors, do: %{error | key: key <> "." <> error.key})
 
   defp await(%{"await" => _any, "command" => _given}),
-    do: {:error, Error.new("await", "nothing: a command has its own end", :rule)}
+    do: [Error.new("await", "nothing: a command has its own end", :rule)]
 
-  defp await(%{"await" => "written"}), do: {:ok, :written}
-  defp await(%{"await" => "converged"}), do: {:ok, :converged}
-  defp await(%{"await" => other}), do: {:error, Error.new("await", "written or converged", other)}
-  defp await(_none), do: {:ok, :written}
+  defp await(_object), do: []
+
+  defp timeout_s(%{"timeout_s" => seconds, "command" => _given})
+       when is_number(seconds) and seconds > @longest.command and seconds <= @longest.shadow,
+       do: [Error.new("timeout_s", "a number from 1 to #{@longest.command}", seconds)]
+
+  defp timeout_s(_object), do: []
+
+  # By a slow radio a field takes seconds, and a plan minutes.
+  defp usual_s({:command, _type, _params}), do: 10
+
+  defp usual_s({:shadow, %{"desired" => desired}}) do
+    fields = for {_name, value} <- desired, do: if(is_map(value), do: map_size(value), else: 1)
+    plans = Enum.count(desired, fn {_name, value} -> is_map(value) and is_map_key(value, "plan") end)
+    min(60 + 5 * Enum.sum(fields) + 600 * plans, @longest.shadow)
+  end
 end

@@ -16,25 +16,14 @@ defmodule Aerie.Fleet.Operations.Schema do
   @doc "The request that begins one."
   @spec request() :: t()
   def request do
-    common = %{
-      id: described(id_schema(), "the same id is the same operation"),
-      step: Map.put(integer(1, 100), :default, 20),
-      pause_s: Map.put(number(0, 3_600), :default, 0),
-      halt_ratio: Map.put(number(0, 1), :default, 1)
-    }
-
-    vehicles = %{type: :array, minItems: 1, maxItems: Request.max_vehicles(), items: token()}
-    tag = described(text(64), "all vehicles that have it when the operation begins")
-    await = %{enum: ~w(written converged), default: :written}
-
-    what = [
-      command: %{command: ref(@what[:command]), timeout_s: number(1, 300)},
-      shadow: %{shadow: ref(@what[:shadow]), await: await, timeout_s: number(1, 3_600)}
-    ]
+    # None of them may be null.
+    all = Map.new(Request.fields(), &{&1.key, %{&1 | required: true}})
 
     kinds =
-      for {kind, properties} <- what, {target, schema} <- [vehicles: vehicles, tag: tag] do
-        common |> Map.merge(properties) |> Map.put(target, schema) |> object([kind, target])
+      for {what, own} <- [command: [], shadow: [:await]], target <- [:vehicles, :tag] do
+        fields = Map.update!(all, :timeout_s, &%{&1 | schema: number(1, Request.longest_s(what))})
+        keys = [:id, :step, :pause_s, :halt_ratio, :timeout_s, what, target] ++ own
+        object(Map.new(keys, &{&1, Field.schema(fields[&1])}), [what, target])
       end
 
     %{oneOf: kinds}

@@ -8,7 +8,6 @@ defmodule Aerie.Api.MixProject do
       test_coverage: [summary: [threshold: 85], ignore_modules: [~r/Case$/, Aerie.WSClient]],
       deps:
         [
-          {:mav_codec, in_umbrella: true},
           {:base, in_umbrella: true},
           {:mav_router, in_umbrella: true},
           {:vehicle, in_umbrella: true},

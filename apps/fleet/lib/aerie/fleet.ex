@@ -13,7 +13,9 @@ defmodule Aerie.Fleet do
   alias Aerie.Base.{Json, Names, Store}
   alias Aerie.Fleet.{Operations, Shadow}
   alias Aerie.Fleet.Remote.Table
-  alias Aerie.Vehicle.{Command, Snapshot}
+  alias Aerie.Vehicle.{Command, Event, Snapshot}
+  alias Aerie.Vehicle.Events.Journal
+  alias Aerie.Vehicle.State.Fields
 
   @older_us 10_000_000
 
@@ -51,6 +53,18 @@ defmodule Aerie.Fleet do
   end
 
   defp now, do: System.os_time(:microsecond)
+
+  @doc "The latest events of a vehicle, or of `:all`, oldest first."
+  @spec events(Names.gateway(), String.t() | :all, keyword()) :: [Event.t()]
+  defdelegate events(gateway, vehicle, options \\ []), to: Journal, as: :recent
+
+  @doc "An event as NATS and REST have it."
+  @spec show_event(Names.gateway(), Event.t()) :: %{String.t() => term()}
+  def show_event(gateway, event), do: Fields.event(event, epoch(gateway))
+
+  @doc "Which start of the gateway numbers its events: it grows with each."
+  @spec epoch(Names.gateway()) :: pos_integer() | nil
+  defdelegate epoch(gateway), to: Journal
 
   @doc "What can be asked for besides commands: of vehicles, their desired state, and operations on many of them."
   @spec operations() :: [Aerie.Control.Operations.Operation.t()]

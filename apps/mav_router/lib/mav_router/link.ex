@@ -128,6 +128,13 @@ defmodule MavRouter.Link do
   @spec fields :: [Aerie.Base.Json.Object.t()]
   defdelegate fields, to: MavRouter.Link.Core.Snapshot
 
+  @doc "The name of a message that links count by its id: `global_position_int`, or `unknown`."
+  @spec message_name(non_neg_integer | :other) :: String.t()
+  def message_name(id) do
+    name = if is_integer(id), do: MavCodec.Dialects.All.name(id)
+    String.downcase(name || "unknown")
+  end
+
   @doc "The snapshots of all links (`MavRouter.Link.Core.Snapshot`), at most a quarter of a second old."
   @spec list(Names.gateway()) :: [map]
   def list(gateway), do: Store.Links.all(gateway)

@@ -34,7 +34,7 @@ defmodule Aerie.Api.Metrics do
   end
 
   defp sent(counters) do
-    samples = for {{:sent, id}, n} <- counters, is_integer(id), do: {Links.message_name(id), n}
+    samples = for {{:sent, id}, n} <- counters, is_integer(id), do: {MavRouter.Link.message_name(id), n}
 
     {"gateway_mavlink_messages_sent_total", :counter, "Messages that the gateway itself sent.",
      samples |> sum_by_name() |> Enum.map(fn {name, n} -> {[type: name], n} end)}

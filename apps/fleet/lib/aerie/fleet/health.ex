@@ -60,9 +60,13 @@ defmodule Aerie.Fleet.Health do
      }}
   end
 
+  @doc "Whether the processes that the gateway's own heartbeat needs answer, and which do not."
+  @spec heartbeat(Names.gateway()) :: %{alive: boolean(), silent: [{atom(), term()}]}
+  def heartbeat(gateway), do: Identity.status(gateway)
+
   # A process that has never answered counts as well: a gateway that has just started is not ready yet.
   defp silent(gateway) do
-    for {role, nil} <- Identity.status(gateway).silent,
+    for {role, nil} <- heartbeat(gateway).silent,
         do:
           "#{role} does not answer, so the gateway sends no heartbeat: if this lasts, restart it and keep its log"
   end

@@ -21,6 +21,8 @@ defmodule Aerie.Vehicle.Snapshot do
 
   alias Aerie.Vehicle.Protocol.Kind
   alias Aerie.Vehicle.Snapshot.Fields
+  alias Aerie.Vehicle.State
+  alias Aerie.Vehicle.State.Group
 
   # At most 32 keys with __struct__: the BEAM keeps a larger map as a tree.
   defstruct [
@@ -97,6 +99,10 @@ defmodule Aerie.Vehicle.Snapshot do
       _unheard -> %{}
     end
   end
+
+  @doc "The groups of the state with a title and their fields, in the order of the documentation."
+  @spec groups() :: [{atom(), String.t(), [Group.field()]}]
+  defdelegate groups, to: State.Fields, as: :all
 
   @doc "What is shown of a vehicle in a form."
   @spec fields(Fields.form()) :: [Aerie.Base.Json.Object.t()]

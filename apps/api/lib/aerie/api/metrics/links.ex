@@ -72,19 +72,8 @@ defmodule Aerie.Api.Metrics.Links do
         do: {name, kind, help, Enum.map(links, &{labels(&1), Map.fetch!(counts.(&1), key)})}
   end
 
-  @doc "The name of a message as a label: `global_position_int`, or `unknown`."
-  @spec message_name(non_neg_integer() | :other) :: String.t()
-  def message_name(:other), do: "unknown"
-
-  def message_name(id) do
-    case MavCodec.Dialects.All.name(id) do
-      nil -> "unknown"
-      name -> String.downcase(name)
-    end
-  end
-
   defp received(links) do
-    for(link <- links, {id, n} <- link.counters.messages, do: {message_name(id), n})
+    for(link <- links, {id, n} <- link.counters.messages, do: {MavRouter.Link.message_name(id), n})
     |> Enum.reduce(%{}, fn {name, n}, sums -> Map.update(sums, name, n, &(&1 + n)) end)
     |> Enum.sort()
     |> Enum.map(fn {name, n} -> {[type: name], n} end)

@@ -4,9 +4,8 @@ defmodule Aerie.Api.Metrics.Vehicles do
   alias Aerie.Api.Metrics.Text
   alias Aerie.Base.Json.Object
   alias Aerie.Vehicle.Snapshot
-  alias Aerie.Vehicle.State.Fields
 
-  @groups for {group, _title, fields} <- Fields.all(),
+  @groups for {group, _title, fields} <- Snapshot.groups(),
               %{path: [key], metric: {name, help}} <- fields,
               do: {group, key, name, help}
   @parts for part <- [:gcs, :clock, :high_latency],

@@ -7,7 +7,6 @@ defmodule Aerie.Api.Rest.View do
   """
 
   alias Aerie.Base.Json
-  alias Aerie.Vehicle.Events.Journal
   alias Aerie.Base.Store
   alias Aerie.Control.Policy
   alias Aerie.Fleet
@@ -108,7 +107,7 @@ defmodule Aerie.Api.Rest.View do
 
     Object.show(@status, %{
       timestamp: context.now / 1_000_000,
-      epoch: Journal.epoch(gateway),
+      epoch: Fleet.epoch(gateway),
       vehicles: for(vehicle <- Fleet.vehicles(gateway), do: Snapshot.show(vehicle, :listed, context)),
       links:
         for(

@@ -9,7 +9,6 @@ defmodule Aerie.Console.Commands.Courses do
   alias Aerie.Base.{Names, PubSub}
   alias Aerie.Control.Commands
   alias Aerie.Fleet
-  alias Aerie.Vehicle.Events.Journal
   alias Aerie.Console.Commands.Outcome
 
   # As many as a page shows.
@@ -63,7 +62,7 @@ defmodule Aerie.Console.Commands.Courses do
         if not is_map_key(courses, id), do: PubSub.subscribe(gateway, {:commands, id})
         known = Map.get(courses, id, %{})
         entries = Commands.recent(gateway, id, @commands)
-        seen = {Journal.recent(gateway, id), System.os_time(:microsecond)}
+        seen = {Fleet.events(gateway, id), System.os_time(:microsecond)}
         new = Outcome.keep(known, entries, vehicle, seen)
         for {command, %{stage: :going}} <- known, ended?(new[command]), do: tell(gateway, id, command)
         look(%{state | courses: Map.put(courses, id, new)}, new)

@@ -1,8 +1,7 @@
 defmodule Aerie.Console.Pages.System.Figures do
   @moduledoc "Memory, processor time, the nearest limit of its virtual machine, NATS, versions."
 
-  alias Aerie.Fleet.Bridge
-  alias MavRouter.Identity
+  alias Aerie.Fleet.{Bridge, Health}
 
   @type t :: %{atom() => term()}
 
@@ -27,7 +26,7 @@ defmodule Aerie.Console.Pages.System.Figures do
       ],
       nats: Bridge.info(gateway),
       nats_off?: Bridge.off?(gateway),
-      identity: Identity.status(gateway)
+      identity: Health.heartbeat(gateway)
     }
   end
 

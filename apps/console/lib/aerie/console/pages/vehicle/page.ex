@@ -19,7 +19,6 @@ defmodule Aerie.Console.Pages.Vehicle.Page do
   alias Aerie.Fleet.Inspector
   alias MavRouter.Link
   alias Aerie.Vehicle.Command
-  alias Aerie.Vehicle.Events.Journal
   alias Aerie.Control.Policy
   alias Aerie.Console.Commands.{Courses, Entry, EntryList, Submit}
   alias Aerie.Console.Pages.Fleet.Plans
@@ -83,7 +82,7 @@ defmodule Aerie.Console.Pages.Vehicle.Page do
         listening: false,
         heard: [],
         message: "",
-        events: Journal.recent(gateway, id)
+        events: Fleet.events(gateway, id)
       )
       |> subscribe([{:vehicle, id}, {:commands, id}, :links, :events, :leases])
 

@@ -2,7 +2,6 @@ defmodule Aerie.Console.Pages.Vehicle.View do
   @moduledoc "A vehicle's snapshot at one time: its values as text with units, and their ages. Pure."
 
   alias Aerie.Vehicle.Snapshot
-  alias Aerie.Vehicle.State.Fields
 
   @enforce_keys [:vehicle, :now, :silent_us]
   defstruct [:vehicle, :now, :silent_us]
@@ -11,7 +10,7 @@ defmodule Aerie.Console.Pages.Vehicle.View do
   @type t :: %__MODULE__{vehicle: map(), now: integer(), silent_us: non_neg_integer() | nil}
   @type path :: [atom()]
 
-  @fields for {group, _title, fields} <- Fields.all(),
+  @fields for {group, _title, fields} <- Snapshot.groups(),
               field <- fields,
               into: %{},
               do: {[group | field.path], field}

@@ -5,8 +5,6 @@ defmodule Aerie.Api.Rest.Operations.Events.List do
   alias Aerie.Access.HTTP.Error
   alias Aerie.Base.Json.Object
   alias Aerie.Fleet
-  alias Aerie.Vehicle.Events.Journal
-  alias Aerie.Vehicle.State.Fields
 
   # The end of year 9999, the last one that ISO 8601 writes with four digits.
   @last_s 253_402_300_799
@@ -61,11 +59,11 @@ defmodule Aerie.Api.Rest.Operations.Events.List do
 
   @impl true
   def run(%{limit: limit, since: since}, %{gateway: gateway, vehicle: vehicle}) do
-    found = Journal.recent(gateway, vehicle || :all, limit: limit + 1, since: since)
+    found = Fleet.events(gateway, vehicle || :all, limit: limit + 1, since: since)
     shown = if since, do: Enum.take(found, limit), else: Enum.take(found, -limit)
 
     with :ok <- if(found == [] and vehicle != nil, do: known(gateway, vehicle), else: :ok) do
-      events = Enum.map(shown, &Fields.event(&1, Journal.epoch(gateway)))
+      events = Enum.map(shown, &Fleet.show_event(gateway, &1))
       {:ok, %{events: events, more: length(found) > limit}}
     end
   end
@@ -77,7 +75,7 @@ defmodule Aerie.Api.Rest.Operations.Events.List do
         {:error, {:unknown, "no vehicle has this name; see /api/vehicles"}}
 
       %{via: via} when via != nil ->
-        if Journal.recent(gateway, vehicle, limit: 1) == [], do: {:error, Error.misdirected(via)}, else: :ok
+        if Fleet.events(gateway, vehicle, limit: 1) == [], do: {:error, Error.misdirected(via)}, else: :ok
 
       _heard_here ->
         :ok

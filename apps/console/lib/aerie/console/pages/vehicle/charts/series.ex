@@ -1,7 +1,7 @@
 defmodule Aerie.Console.Pages.Vehicle.Charts.Series do
   @moduledoc "The fields of a vehicle's state that can be charted, and a sample of chosen ones. Pure."
 
-  alias Aerie.Vehicle.State.Fields
+  alias Aerie.Vehicle.Snapshot
 
   @max 8
   @fresh_us 5_000_000
@@ -66,7 +66,7 @@ defmodule Aerie.Console.Pages.Vehicle.Charts.Series do
   end
 
   fields =
-    for {group, _title, fields} <- Fields.all(),
+    for {group, _title, fields} <- Snapshot.groups(),
         %{path: path, decimals: decimals} = field when decimals != nil <- fields,
         hd(path) not in [:batteries, :arming_checks],
         do: {group, field}

@@ -9,7 +9,7 @@ defmodule MavCodec do
       MavCodec.encode(%MavCodec.Messages.Heartbeat{type: 6}, system: 237, component: 191, seq: 7)
 
   `MavCodec.Parser` reads, `MavCodec.Frame.Encoder` writes and counts, `MavCodec.Signing` signs and verifies,
-  `MavCodec.Tlog.Reader` and `MavCodec.Tlog.Writer` read and write recordings.
+  `MavCodec.Tlog.Reader` reads recordings, and `MavCodec.Tlog` makes their records.
   """
 
   alias MavCodec.{Dialects, Message}

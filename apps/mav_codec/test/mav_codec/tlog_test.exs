@@ -113,17 +113,11 @@ defmodule MavCodec.TlogTest do
     test "what was written is read", %{tmp_dir: dir} do
       path = Path.join(dir, "a.tlog")
       frames = for i <- 0..999, do: frame(attitude(seq: rem(i, 256)), @at + i)
-      {:ok, writer} = Tlog.Writer.open(path)
-      :ok = Tlog.Writer.write(writer, frames)
-      :ok = Tlog.Writer.write(writer, frame(heartbeat(), @at + 1000))
-      :ok = Tlog.Writer.sync(writer)
-      :ok = Tlog.Writer.close(writer)
+      File.write!(path, Tlog.records(frames ++ [frame(heartbeat(), @at + 1000)]))
       assert File.stat!(path).size == Enum.sum(Enum.map(frames, &(byte_size(&1.bytes) + 8))) + 29
       assert path |> Tlog.Reader.stream!() |> Enum.to_list() == frames ++ [frame(heartbeat(), @at + 1000)]
 
-      {:ok, writer} = Tlog.Writer.open(path, append: true)
-      :ok = Tlog.Writer.write(writer, %{frame(heartbeat()) | at: nil})
-      :ok = Tlog.Writer.close(writer)
+      File.write!(path, Tlog.records([%{frame(heartbeat()) | at: nil}]), [:append])
       assert path |> Tlog.Reader.frames!() |> Enum.count() == 1002
       assert [%Frame{at: at}] = path |> Tlog.Reader.frames!() |> Enum.take(-1)
       assert at > @at - 1_000_000_000_000_000
@@ -142,8 +136,6 @@ defmodule MavCodec.TlogTest do
     end
 
     test "errors are those of the file", %{tmp_dir: dir} do
-      assert {:error, :enoent} = Tlog.Writer.open(Path.join([dir, "none", "a.tlog"]))
-
       assert_raise File.Error, fn ->
         dir |> Path.join("none.tlog") |> Tlog.Reader.frames!() |> Enum.to_list()
       end
@@ -156,7 +148,7 @@ defmodule MavCodec.TlogTest do
     test "the key of a recorded SETUP_SIGNING does not get into a log" do
       {frames, _} = Parser.push(Parser.new(), Captures.read("arducopter_signed_tx.bin"), @at)
       assert Enum.any?(frames, &(:binary.match(&1.bytes, @key) != :nomatch))
-      log = frames |> Tlog.Writer.records() |> IO.iodata_to_binary()
+      log = frames |> Tlog.records() |> IO.iodata_to_binary()
       assert :binary.match(log, @key) == :nomatch
       read = decode(log)
       assert length(read) == 100
@@ -165,7 +157,7 @@ defmodule MavCodec.TlogTest do
       assert key == :binary.copy(<<0xFF>>, 32)
       assert time > 0
       assert Enum.count(read, &Frame.signed?/1) > 0
-      stripped = frames |> Tlog.Writer.records(signatures: false) |> IO.iodata_to_binary() |> decode()
+      stripped = frames |> Tlog.records(signatures: false) |> IO.iodata_to_binary() |> decode()
       assert length(stripped) == 100
       refute Enum.any?(stripped, &Frame.signed?/1)
     end

@@ -45,7 +45,7 @@ defmodule Msp.RerunTest do
   # Through the format of the file, in which times of day stand before the frames.
   defp recording(line) do
     frames = line.recorded |> Enum.reverse() |> Enum.map(&%{&1 | at: 1_700_000_000_000_000})
-    bytes = frames |> Tlog.Writer.records(signatures: false) |> IO.iodata_to_binary()
+    bytes = frames |> Tlog.records(signatures: false) |> IO.iodata_to_binary()
     {items, decoder} = Tlog.Decoder.push(Tlog.Decoder.new(), bytes)
     assert Tlog.Decoder.finish(decoder) == []
     items

@@ -192,7 +192,7 @@ defmodule Aerie.Incident.Recordings do
 
   # The writer cuts signatures off, and removes the key of SETUP_SIGNING.
   defp take(frame, state, device) do
-    record = IO.iodata_to_binary(Tlog.Writer.records([frame], signatures: false))
+    record = IO.iodata_to_binary(Tlog.records([frame], signatures: false))
     bytes = state.bytes + byte_size(record)
     if bytes > state.room, do: throw({:recordings, too_large(state.want)})
     state = %{state | frames: state.frames + 1, bytes: bytes, held: [state.held, record]}

@@ -19,7 +19,7 @@ defmodule Aerie.CLI.MspTest do
   defp file(dir, whats) do
     frames = for what <- whats, frame <- frames(what), do: frame
     path = Path.join(dir, "line.tlog")
-    File.write!(path, Tlog.Writer.records(frames, signatures: false))
+    File.write!(path, Tlog.records(frames, signatures: false))
     path
   end
 

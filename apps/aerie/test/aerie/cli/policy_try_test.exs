@@ -6,7 +6,7 @@ defmodule Aerie.CLI.PolicyTryTest do
 
   alias Aerie.Control.Ledger.Journal
   alias Aerie.StandardError
-  alias MavCodec.Tlog.Writer
+  alias MavCodec.Tlog
 
   @moduletag :tmp_dir
   @flights Path.expand("../../../../vehicle/test/fixtures", __DIR__)
@@ -17,7 +17,7 @@ defmodule Aerie.CLI.PolicyTryTest do
     Enum.sort_by(Aerie.Flight.frames(name) ++ sent, & &1.at)
   end
 
-  defp bytes(name), do: name |> frames() |> Writer.records() |> IO.iodata_to_binary()
+  defp bytes(name), do: name |> frames() |> Tlog.records() |> IO.iodata_to_binary()
 
   defp put(dir, name, bytes) do
     path = Path.join([dir, "of a flight", name])
@@ -223,7 +223,7 @@ defmodule Aerie.CLI.PolicyTryTest do
 
   test "the commands of a ledger, with the names of their senders", %{tmp_dir: dir} do
     [first | _] = frames = frames("arducopter_flight")
-    put(dir, "flight.tlog", Writer.records(frames))
+    put(dir, "flight.tlog", Tlog.records(frames))
     at = first.at + 60_000_000
 
     envelope = fn vehicle, source ->

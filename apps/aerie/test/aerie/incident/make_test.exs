@@ -67,7 +67,7 @@ defmodule Aerie.Incident.MakeTest do
       )
 
   defp record(c, label, frames) do
-    write(c, label, frames, IO.iodata_to_binary(Tlog.Writer.records(frames)))
+    write(c, label, frames, IO.iodata_to_binary(Tlog.records(frames)))
   end
 
   # Written when the last frame came, whatever time it is where the test runs.
@@ -232,7 +232,7 @@ defmodule Aerie.Incident.MakeTest do
 
   test "damaged files cost what is damaged in them, and are named", c do
     frames = for n <- 0..9, do: beat(n)
-    bytes = IO.iodata_to_binary(Tlog.Writer.records(frames))
+    bytes = IO.iodata_to_binary(Tlog.records(frames))
     write(c, "main-VID-001", frames, bytes <> String.duplicate("noise ", 20))
     File.mkdir_p!(Path.join(c.tmp_dir, "ledger"))
     File.write!(Path.join(c.tmp_dir, "ledger/ledger"), "nonsense\n")

@@ -22,7 +22,7 @@ defmodule Aerie.Fleet.ReplayTest do
   # The result as bytes: equal ones are equal in every detail.
   defp exact({:ok, flight}), do: :erlang.term_to_binary(flight, [:deterministic])
 
-  defp tlog(frames), do: frames |> Tlog.Writer.records() |> IO.iodata_to_binary()
+  defp tlog(frames), do: frames |> Tlog.records() |> IO.iodata_to_binary()
   defp play(frames, options \\ []), do: Replay.run({:chunks, [tlog(frames)]}, options)
   defp types({:ok, flight}), do: Enum.map(flight.events, & &1.type)
 

@@ -224,7 +224,7 @@ defmodule MavRouter.Recorder.Recording do
   defp part(:close, state), do: close(state)
 
   defp part(frames, state),
-    do: collect(state, Tlog.Writer.records(frames, signatures: false), length(frames))
+    do: collect(state, Tlog.records(frames, signatures: false), length(frames))
 
   ## From the queue to the file
 

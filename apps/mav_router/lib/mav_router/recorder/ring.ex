@@ -19,7 +19,7 @@ defmodule MavRouter.Recorder.Ring do
   @spec push(Tables.t(), Settings.t(), key, [Frame.t(), ...], integer) :: pos_integer
   def push(tables, settings, key, frames, now) do
     # Copied, so that a few frames do not keep a link's read in memory.
-    records = frames |> Tlog.Writer.records(signatures: false) |> IO.iodata_to_binary()
+    records = frames |> Tlog.records(signatures: false) |> IO.iodata_to_binary()
     size = byte_size(records) + @overhead
     [n, bytes] = :ets.update_counter(tables.rings, key, [{2, 1}, {3, size}], {key, 0, 0})
     :ets.insert(tables.ring, {{key, n}, now, size, records, length(frames)})

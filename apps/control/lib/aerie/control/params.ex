@@ -339,21 +339,6 @@ defmodule Aerie.Control.Params do
 
   defp format(format, _snapshot), do: {:ok, format}
 
-  @doc "How the vehicle (right) differs from a file or another list (left)."
-  @spec diff(Names.gateway(), vehicle :: String.t(), binary() | Table.t(), [Transfers.option()]) ::
-          {:ok, File.Diff.t()} | {:error, Result.t() | [Error.t(), ...]}
-  def diff(gateway, vehicle, other, options \\ [])
-
-  def diff(gateway, vehicle, text, options) when is_binary(text) do
-    with {:ok, entries, _remarks} <- read_file(text, Gateways.vehicle(gateway, vehicle)),
-         {:ok, table} <- list(gateway, vehicle, Component.none!(options)),
-         do: {:ok, File.Diff.diff(entries, table)}
-  end
-
-  def diff(gateway, vehicle, %Table{} = other, options) do
-    with {:ok, table} <- list(gateway, vehicle, options), do: {:ok, File.Diff.diff(other, table)}
-  end
-
   @doc "The parameters of a file, or errors with their lines."
   @spec parse(binary()) :: {:ok, [File.entry()]} | {:error, [Error.t(), ...]}
   def parse(text), do: with({:error, errors} <- File.parse(text), do: wrong(errors))

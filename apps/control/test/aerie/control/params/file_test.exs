@@ -1,6 +1,7 @@
 defmodule Aerie.Control.Params.FileTest do
   use ExUnit.Case, async: true
 
+  alias Aerie.Control.Params
   alias Aerie.Control.Params.{File, Param, Table}
   alias MavCodec.Message.ParamValue
 
@@ -25,7 +26,8 @@ defmodule Aerie.Control.Params.FileTest do
   test "what is written is read back, value for value" do
     for format <- [:param, :params] do
       {:ok, entries} = File.parse(File.format(@table, format, {1, 1}))
-      assert File.Diff.diff(entries, @table) == %{changed: [], only_left: [], only_right: []}
+      assert Params.differing(entries, @table) == {[], []}
+      assert Enum.map(entries, & &1.name) == Enum.sort(Map.keys(@table.params))
       if format == :params, do: assert(Enum.map(entries, & &1.type) == [4, 9, 9, 6])
     end
 
@@ -62,18 +64,12 @@ defmodule Aerie.Control.Params.FileTest do
     assert :proper.quickcheck(property, [:quiet, numtests: 500]) == true, inspect(:proper.counterexample())
   end
 
-  test "differences: changed, missing on either side; rounding does not count" do
+  test "what differs of a vehicle, and what it does not have; rounding does not count" do
     {:ok, entries} = File.parse("A,6\nB,0.100000\nE,1\nD,-2147483648\n")
-
-    assert File.Diff.diff(entries, @table) == %{
-             changed: [{"A", 6, 5}],
-             only_left: [{"E", 1}],
-             only_right: [{"C", ParamValue.float32(1.0e-30)}]
-           }
+    assert {[%{name: "A", value: 6}], ["E"]} = Params.differing(entries, @table)
 
     # Few digits mean what they say.
     {:ok, entries} = File.parse("B,0\n")
-    assert [{"B", 0, _value}] = File.Diff.diff(entries, @table).changed
-    assert File.Diff.diff(@table, @table) == %{changed: [], only_left: [], only_right: []}
+    assert {[%{name: "B", value: 0}], []} = Params.differing(entries, @table)
   end
 end

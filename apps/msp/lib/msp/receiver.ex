@@ -84,10 +84,6 @@ defmodule Msp.Receiver do
         }
   @type effect :: {:done | :failed, command :: term, String.t() | nil} | {:say, String.t()} | :stop
 
-  @doc "How often channels are sent, in us: 25 times a second."
-  @spec period_us() :: pos_integer
-  def period_us, do: @period_us
-
   @doc """
   Whether the session may send channels: as the receiver, or in place of another one. `config`: `features` of Betaflight, `receiver_type` of iNav; `lost?`:
   whether the vehicle misses its receiver, nil if it does not say. One that is armed, or may be, has to have MSP as its

@@ -4,8 +4,8 @@ defmodule Aerie.Config.Example do
   commented out, so that the unchanged file means the defaults. `mix aerie.config.example` writes it.
   """
 
-  alias Aerie.Config.{Environment, Keys}
-  alias Aerie.Base.Settings.{Field, Schema}
+  alias Aerie.Config.Keys
+  alias Aerie.Base.Settings.Field
 
   @head """
   # Aerie gateway: every key with its meaning and default. Made from the schema by `mix aerie.config.example`.
@@ -76,11 +76,4 @@ defmodule Aerie.Config.Example do
   end
 
   defp indent(above), do: String.duplicate("  ", length(above))
-
-  @doc "The environment variable of each key, for documentation."
-  @spec variables() :: [{String.t(), String.t()}]
-  def variables do
-    for {path, _field} <- Schema.leaves(Keys.fields()),
-        do: {Enum.join(path, "."), Environment.name(path)}
-  end
 end

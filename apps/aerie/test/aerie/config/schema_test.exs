@@ -56,7 +56,7 @@ defmodule Aerie.Config.SchemaTest do
   test "every key has a variable of its own and a meaning" do
     names = for {path, _} <- Schema.leaves(Keys.fields()), do: Environment.name(path)
     assert Enum.uniq(names) == names
-    assert {"nats.url", "AERIE_NATS_URL"} in Example.variables()
+    assert "AERIE_NATS_URL" in names
 
     for {path, field} <- Schema.leaves(Keys.fields()), not match?(["sampling", "groups" | _], path) do
       assert String.length(field.doc) > 4, Enum.join(path, ".")

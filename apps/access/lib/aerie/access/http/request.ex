@@ -81,22 +81,6 @@ defmodule Aerie.Access.HTTP.Request do
     request
   end
 
-  @doc "Checks that an object has only known keys."
-  @spec known(map(), [String.t()]) :: :ok | {:error, Error.t()}
-  def known(object, known) do
-    case Map.keys(object) -- known do
-      [] -> :ok
-      [key | _] -> unknown(key, known)
-    end
-  end
-
-  @doc "Refuses an unknown key."
-  @spec unknown(String.t(), [String.t()]) :: {:error, Error.t()}
-  def unknown(key, known) do
-    known = known |> Enum.sort() |> Enum.join(", ")
-    Error.invalid("#{inspect(String.slice(key, 0, 64))} is an unknown key; known are #{known}")
-  end
-
   # Any web page may send forms anywhere without a CORS preflight, so forms are never accepted.
   defp json?(request) do
     case String.split(header(request, "content-type") || "", ";", parts: 2) do

@@ -92,13 +92,6 @@ defmodule Aerie.Control.Params.Cache do
     end
   end
 
-  @doc "Deletes a vehicle's list."
-  @spec delete(Path.t(), key()) :: :ok
-  def delete(dir, key) do
-    _ = File.rm(path(dir, key))
-    :ok
-  end
-
   # A hash, because a network's name may have any characters; the key itself is in the file.
   defp path(dir, key) do
     name = :crypto.hash(:sha256, JSON.encode!(plain_key(key)))

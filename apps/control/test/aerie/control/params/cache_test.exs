@@ -18,8 +18,6 @@ defmodule Aerie.Control.Params.CacheTest do
     assert Cache.load(dir, @key) == {:ok, @table}
     assert Cache.load(dir, {:uid, "1"}) == :none
     assert Bitwise.band(File.stat!(file(dir)).mode, 0o777) == 0o600
-    assert Cache.delete(dir, @key) == :ok
-    assert Cache.load(dir, @key) == :none
   end
 
   test "beyond a number of files the oldest goes", %{tmp_dir: dir} do

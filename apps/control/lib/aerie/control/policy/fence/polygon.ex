@@ -32,10 +32,6 @@ defmodule Aerie.Control.Policy.Fence.Polygon do
         }
   @typep edge :: {float(), float(), float(), float()}
 
-  @doc "The largest distance of a corner from the middle, in metres."
-  @spec max_radius() :: pos_integer()
-  def max_radius, do: @max_radius
-
   @doc """
   The area of a GeoJSON Polygon: rings of positions, the first is the border, the others are holes. The last position of a
   ring may repeat the first.

@@ -149,16 +149,15 @@ defmodule MavRouter.Recorder do
     :exit, _reason -> Error.new({:unavailable, "the recorder is not running"})
   end
 
-  @doc "The beginning of the names of a target's files: its network, and its link or vehicle."
-  @spec label(Names.gateway(), Tables.target()) :: String.t()
-  def label(gateway, {:link, id}) do
+  # The beginning of the names of a target's files: its network, and its link or vehicle.
+  defp label(gateway, {:link, id}) do
     case Store.link(gateway, id) do
       %{network: network} -> "#{network}-#{id}"
       nil -> id
     end
   end
 
-  def label(gateway, {_kind, {network, system} = key}) do
+  defp label(gateway, {_kind, {network, system} = key}) do
     case Store.vehicle(gateway, key) do
       %{id: id} -> "#{network}-#{id}"
       nil -> "#{network}-#{system}"

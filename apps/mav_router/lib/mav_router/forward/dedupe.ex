@@ -70,9 +70,8 @@ defmodule MavRouter.Forward.Dedupe do
     with [{_hash, _from, count, last}] <- :ets.lookup(table, hash), do: {count, last}, else: ([] -> nil)
   end
 
-  @doc "The hash by which bytes are remembered: two independent ones of 32 bits, apart for each scope."
-  @spec hash(binary, scope) :: non_neg_integer
-  def hash(bytes, scope),
+  # The hash by which bytes are remembered: two independent ones of 32 bits, apart for each scope.
+  defp hash(bytes, scope),
     do: Bitwise.bor(Bitwise.bsl(:erlang.crc32(bytes), 32), :erlang.phash2({scope, bytes}, 4_294_967_296))
 
   # The newer of the two follows from the number of turns, by time or because a table was full.

@@ -75,9 +75,7 @@ defmodule MavRouter.Forward.Gate do
 
   defp sort(frames, delivery), do: of_client(frames, delivery)
 
-  @doc "The principal of an endpoint."
-  @spec principal(Delivery.t()) :: Principal.t()
-  def principal(%{gateway: gateway, tables: %{policy: policy}, path: path}) do
+  defp principal(%{gateway: gateway, tables: %{policy: policy}, path: path}) do
     if policy, do: policy.principal(gateway, path), else: anybody(path)
   end
 

@@ -24,7 +24,6 @@ defmodule MavRouter.Forward.Source do
   alias MavRouter.Forward.Delivery
   alias MavRouter.Endpoints.Counters
   alias MavRouter.Forward.Table
-  alias MavRouter.Forward.Table.Path
   alias MavRouter.Forward.Reach
   alias MavRouter.Forward.GroundStations
   alias MavRouter.Endpoints.Owner.Renumber
@@ -262,14 +261,11 @@ defmodule MavRouter.Forward.Source do
       sees?(path, to, source.system, tables)
   end
 
-  @doc """
-  Whether an endpoint sees the frames of a system that another one brings: they share a network, and no network that comes
-  earlier in the endpoint's list has a system that it sees under the same id.
-  """
-  @spec sees?(Path.t(), Path.t(), non_neg_integer, Tables.t()) :: boolean
-  def sees?(%{networks: [network]}, %{networks: [network]}, _system, _tables), do: true
+  # Whether an endpoint sees the frames of a system that another one brings: they share a network, and no network that
+  # comes earlier in the endpoint's list has a system that it sees under the same id.
+  defp sees?(%{networks: [network]}, %{networks: [network]}, _system, _tables), do: true
 
-  def sees?(path, to, system, tables) do
+  defp sees?(path, to, system, tables) do
     case Enum.split_while(to.networks, &(&1 not in path.networks)) do
       {_all, []} -> false
       {[], _shared} -> true

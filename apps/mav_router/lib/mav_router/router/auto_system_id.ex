@@ -76,10 +76,9 @@ defmodule MavRouter.Router.AutoSystemId do
     end
   end
 
-  @doc "The system id for these autopilots: theirs if it is one, a hub's otherwise."
-  @spec system([Store.vehicle_key()]) :: pos_integer
-  def system([{_network, system}]), do: system
-  def system(_several), do: elem(Identity.default_ids(), 0)
+  # The system id for these autopilots: theirs if it is one, a hub's otherwise.
+  defp system([{_network, system}]), do: system
+  defp system(_several), do: elem(Identity.default_ids(), 0)
 
   defp notify(gateway, system, keys) do
     case keys do

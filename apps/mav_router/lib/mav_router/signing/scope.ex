@@ -101,9 +101,8 @@ defmodule MavRouter.Signing.Scope do
   defp source(%{key_env: name}) when is_binary(name), do: {"environment variable #{name}", {:env, name}}
   defp source(_neither), do: {nil, nil}
 
-  @doc "The scope under a new generation."
-  @spec renewed(t) :: t
-  def renewed(scope), do: %{scope | generation: System.unique_integer()}
+  # The scope under a new generation.
+  defp renewed(scope), do: %{scope | generation: System.unique_integer()}
 
   @doc "Whether unsigned frames are taken in although there is a key."
   @spec unsafe?(t) :: boolean

@@ -3,7 +3,6 @@ defmodule Aerie.Access.HTTP.Request do
 
   alias Aerie.Access.HTTP.{Admission, Error}
 
-  @max_body 16_384
   @forwarded ~w(forwarded x-forwarded-for x-forwarded-proto x-forwarded-host x-real-ip)
 
   @doc "The facts that decide access."
@@ -35,26 +34,6 @@ defmodule Aerie.Access.HTTP.Request do
     Map.new(:cowboy_req.parse_qs(request), fn {name, value} -> {name, if(is_binary(value), do: value)} end)
   catch
     :exit, {:request_error, :qs, _reason} -> %{}
-  end
-
-  @doc "The body as a JSON object of at most #{@max_body} bytes."
-  @spec object(:cowboy_req.req()) :: {:ok, map(), :cowboy_req.req()} | {:error, Error.t(), :cowboy_req.req()}
-  def object(request) do
-    with {:ok, object, _text, request} <- object_and_body(request), do: {:ok, object, request}
-  end
-
-  @doc "Like `object/1`, with the bytes of the body as they were signed."
-  @spec object_and_body(:cowboy_req.req()) ::
-          {:ok, map(), binary(), :cowboy_req.req()} | {:error, Error.t(), :cowboy_req.req()}
-  def object_and_body(request) do
-    with :ok <- json?(request),
-         {:ok, text, request} <- body(request, @max_body),
-         {:ok, object} <- decode(text) do
-      {:ok, object, text, request}
-    else
-      {:error, error} -> {:error, error, request}
-      {:error, error, request} -> {:error, error, request}
-    end
   end
 
   @doc "The bytes of a body that says that it is JSON, up to a number of them."

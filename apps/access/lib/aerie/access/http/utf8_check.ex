@@ -27,9 +27,7 @@ defmodule Aerie.Access.HTTP.Utf8Check do
     end
   end
 
-  @doc "Whether a request's path, query and headers are text. Pure."
-  @spec check(binary(), binary(), %{binary() => binary()}) :: :ok | {:error, Error.t()}
-  def check(path, query, headers) do
+  defp check(path, query, headers) do
     cond do
       not text?(path) -> refuse("the path is not percent-encoded UTF-8")
       not text?(query) -> refuse("the query is not percent-encoded UTF-8")

@@ -11,8 +11,7 @@ defmodule Aerie.Access.HTTP.RequestTest do
     def init(request, state) do
       {object, request} =
         case :cowboy_req.path(request) do
-          "/object" -> answer(Request.object(request))
-          "/bytes" -> answer(Request.json(request, 20))
+          "/json" -> request |> Request.json(20) |> object()
           "/facts" -> {inspect(Map.put(Request.facts(request), :query, Request.parameters(request))), request}
           "/long" -> {String.duplicate("the same again ", 100), request}
         end
@@ -23,8 +22,14 @@ defmodule Aerie.Access.HTTP.RequestTest do
       end
     end
 
-    defp answer({:ok, body, request}), do: {inspect(body), request}
-    defp answer({:error, error, request}), do: {error, request}
+    defp object({:error, error, request}), do: {error, request}
+
+    defp object({:ok, body, request}) do
+      case Request.decode(body) do
+        {:ok, object} -> {inspect(object), request}
+        {:error, error} -> {error, request}
+      end
+    end
   end
 
   setup do
@@ -106,21 +111,17 @@ defmodule Aerie.Access.HTTP.RequestTest do
   end
 
   test "a body is JSON, an object, and of a size", %{port: port} do
-    assert {200, _headers, ~s(%{"a" => 1})} = ask(port, "POST", "/object", [@json], ~s({"a": 1}))
-    assert {200, _headers, ~s("[1, 2]")} = ask(port, "POST", "/bytes", [@json], "[1, 2]")
+    assert {200, _headers, ~s(%{"a" => 1})} = ask(port, "POST", "/json", [@json], ~s({"a": 1}))
 
-    for {path, headers, body, status, words} <- [
-          {"/object", [], ~s({"a": 1}), 415, "must be application/json"},
-          {"/object", [{"content-type", "application/x-www-form-urlencoded"}], "a=1", 415,
-           "must be application/json"},
-          {"/object", [@json], "[1]", 400, "must be a JSON object"},
-          {"/object", [@json], "{", 400, "is not JSON"},
-          {"/object", [@json], String.duplicate(" ", 16_385), 413, "at most 16384 bytes"},
-          {"/bytes", [], "[1]", 415, "must be application/json"},
-          {"/bytes", [@json], String.duplicate("1", 21), 413, "at most 20 bytes"},
-          {"/bytes", [@json, {"transfer-encoding", "chunked"}], @chunk, 413, "at most 20 bytes"}
+    for {headers, body, status, words} <- [
+          {[], ~s({"a": 1}), 415, "must be application/json"},
+          {[{"content-type", "application/x-www-form-urlencoded"}], "a=1", 415, "must be application/json"},
+          {[@json], "[1]", 400, "must be a JSON object"},
+          {[@json], "{", 400, "is not JSON"},
+          {[@json], String.duplicate("1", 21), 413, "at most 20 bytes"},
+          {[@json, {"transfer-encoding", "chunked"}], @chunk, 413, "at most 20 bytes"}
         ] do
-      assert {^status, answered, text} = ask(port, "POST", path, headers, body)
+      assert {^status, answered, text} = ask(port, "POST", "/json", headers, body)
       assert text =~ words
       assert %{"error" => %{"code" => _, "message" => _}} = JSON.decode!(text)
       assert answered["connection"] == "close"

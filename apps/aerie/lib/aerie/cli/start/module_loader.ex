@@ -22,9 +22,8 @@ defmodule Aerie.CLI.Start.ModuleLoader do
     :ignore
   end
 
-  @doc "Starts loading. Returns the pid of the loading process, which ends when all modules are loaded."
-  @spec load(Names.gateway()) :: pid()
-  def load(gateway) do
+  # Starts loading. Returns the pid of the loading process, which ends when all modules are loaded.
+  defp load(gateway) do
     {:ok, pid} =
       Task.start(fn ->
         Process.set_label(:module_loader)

@@ -45,9 +45,8 @@ defmodule Aerie.Fleet.Operations.Work do
     end
   end
 
-  @doc "The id of an operation's command for a vehicle: an operation that comes twice commands nobody twice."
-  @spec command_id(String.t(), String.t()) :: String.t()
-  def command_id(operation, vehicle) do
+  # The id of an operation's command for a vehicle: an operation that comes twice commands nobody twice.
+  defp command_id(operation, vehicle) do
     <<short::binary-18, _rest::binary>> = :crypto.hash(:sha256, [operation, 0, vehicle])
     "op-" <> Base.url_encode64(short)
   end

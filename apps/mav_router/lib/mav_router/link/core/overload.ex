@@ -14,17 +14,14 @@ defmodule MavRouter.Link.Core.Overload do
   @typedoc "`since`: unix microseconds; `datagrams` (or frames): dropped so far; `last`: monotonic ms of the last drop"
   @type t :: %__MODULE__{since: integer, datagrams: pos_integer, last: integer}
 
-  @doc "So many datagrams or frames were dropped; whether an overload begins with them."
-  @spec dropped(t | nil, pos_integer, {mono :: integer, at :: integer}) :: {:begins | :lasts, t}
-  def dropped(nil, n, {mono, at}), do: {:begins, %__MODULE__{since: at, datagrams: n, last: mono}}
+  # So many datagrams or frames were dropped; whether an overload begins with them.
+  defp dropped(nil, n, {mono, at}), do: {:begins, %__MODULE__{since: at, datagrams: n, last: mono}}
 
-  def dropped(%__MODULE__{} = overload, n, {mono, _at}),
+  defp dropped(%__MODULE__{} = overload, n, {mono, _at}),
     do: {:lasts, %{overload | datagrams: overload.datagrams + n, last: mono}}
 
-  @doc "Whether it is over."
-  @spec over?(t | nil, mono :: integer) :: boolean
-  def over?(nil, _mono), do: false
-  def over?(%__MODULE__{last: last}, mono), do: mono - last >= @quiet_ms
+  defp over?(nil, _mono), do: false
+  defp over?(%__MODULE__{last: last}, mono), do: mono - last >= @quiet_ms
 
   # For `MavRouter.Link.Core`: its actions.
 

@@ -151,9 +151,8 @@ defmodule Aerie.Vehicle.Services.Gcs do
 
   defp station(gcs), do: Firmware.ground_station(gcs.autopilot, gcs.kind)
 
-  @doc "The system ids that the failsafe listens to: `{lowest, highest}`, `:any_gcs` for any ground station, or nil."
-  @spec listens_to(t()) :: {integer(), integer()} | :any_gcs | nil
-  def listens_to(gcs) do
+  # The system ids that the failsafe listens to: `{lowest, highest}`, `:any_gcs` for any ground station, or nil.
+  defp listens_to(gcs) do
     station = station(gcs)
     if station.listens_to == :any, do: :any_gcs, else: ids(station, gcs.params)
   end
@@ -176,9 +175,8 @@ defmodule Aerie.Vehicle.Services.Gcs do
   @spec enabled?(t()) :: boolean() | nil
   def enabled?(gcs), do: with(value when value != nil <- first(gcs, station(gcs).enabled), do: value > 0)
 
-  @doc "The silence after which the failsafe acts (us)."
-  @spec timeout_us(t()) :: pos_integer()
-  def timeout_us(gcs) do
+  # The silence after which the failsafe acts (us).
+  defp timeout_us(gcs) do
     station = station(gcs)
     seconds = first(gcs, station.timeout)
     if seconds != nil and seconds > 0, do: round(seconds * 1_000_000), else: station.timeout_us

@@ -36,9 +36,8 @@ defmodule Aerie.CLI.Subcommand.Machine.Config do
     Config.load(file(request))
   end
 
-  @doc "Its file: an argument, an option, or AERIE_CONFIG."
-  @spec file(Aerie.CLI.Subcommand.request()) :: Path.t() | nil
-  def file(%{arguments: arguments, options: options, folder: folder}) do
+  # Its file: an argument, an option, or AERIE_CONFIG.
+  defp file(%{arguments: arguments, options: options, folder: folder}) do
     case arguments["FILE"] || options[:config] || System.get_env("AERIE_CONFIG", "") do
       "" -> nil
       file -> Path.expand(file, folder)

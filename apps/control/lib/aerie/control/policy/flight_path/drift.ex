@@ -38,9 +38,8 @@ defmodule Aerie.Control.Policy.FlightPath.Drift do
     end
   end
 
-  @doc "For how long it is flown before the vehicle brakes."
-  @spec seconds(Intent.drift(), Context.t()) :: float()
-  def seconds(drift, context), do: drift.hold + timeout(context) + @reaction_s
+  # For how long it is flown before the vehicle brakes.
+  defp seconds(drift, context), do: drift.hold + timeout(context) + @reaction_s
 
   defp timeout(context) do
     {name, default} = Firmware.reading(context.autopilot).setpoint_timeout

@@ -93,9 +93,8 @@ defmodule Aerie.Control.Policy.Mavlink.Request do
     end
   end
 
-  @doc "A parameter as a number, 0 if it is not one."
-  @spec number(t(), 1..7) :: number()
-  def number(request, index), do: Place.number(request.params[index])
+  # A parameter as a number, 0 if it is not one.
+  defp number(request, index), do: Place.number(request.params[index])
 
   # What happens at its place, and which of its parameters say more about it.
   @sweeps for {names, sweep} <- [

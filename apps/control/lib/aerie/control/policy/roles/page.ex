@@ -50,9 +50,8 @@ defmodule Aerie.Control.Policy.Roles.Page do
     Markdown.table(["parameter", "is", "bounds"], rows)
   end
 
-  @doc "The parameters that shape paths, and how many metres one counts that is not known."
-  @spec shaping() :: String.t()
-  def shaping do
+  # The parameters that shape paths, and how many metres one counts that is not known.
+  defp shaping do
     rows = Enum.group_by(Shaping.all(), &{&1.shapes, &1.meaning, &1.assumed})
 
     table =

@@ -23,10 +23,6 @@ defmodule Aerie.Fleet.Bridge.Commands.Request do
 
   @type t :: %{vehicle: String.t(), type: String.t(), envelope: map(), source: Roles.source()}
 
-  @doc "The largest body in bytes."
-  @spec max_bytes() :: pos_integer()
-  def max_bytes, do: @max_bytes
-
   @doc "Vehicle and type of a subject."
   @spec subject(String.t()) :: {vehicle :: String.t(), type :: String.t()}
   def subject(topic) do

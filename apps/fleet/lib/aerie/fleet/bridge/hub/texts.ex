@@ -36,9 +36,8 @@ defmodule Aerie.Fleet.Bridge.Hub.Texts do
     """
   end
 
-  @doc "A server's addresses, each with a port."
-  @spec urls([String.t()], :inet.port_number()) :: [String.t()]
-  def urls(hosts, port), do: for(host <- hosts, do: "tls://#{address(host)}:#{port}")
+  # A server's addresses, each with a port.
+  defp urls(hosts, port), do: for(host <- hosts, do: "tls://#{address(host)}:#{port}")
 
   defp address(host), do: if(String.contains?(host, ":"), do: "[#{host}]", else: host)
 

@@ -90,9 +90,8 @@ defmodule Aerie.Vehicle.Session.Core.Timers do
   defp shifted_other(%{collision: nil} = other_vehicle, _step), do: other_vehicle
   defp shifted_other(other_vehicle, step), do: update_in(other_vehicle.collision.at, &(&1 + step))
 
-  @doc "Handles the deadlines before `now`. Actions are newest first."
-  @spec expire(Core.t(), [Core.action()], integer()) :: {Core.t(), [Core.action()]}
-  def expire(core, actions, now) do
+  # Handles the deadlines before `now`. Actions are newest first.
+  defp expire(core, actions, now) do
     {texts, done} = Texts.expire(core.texts, now)
     {samplers, samples} = Sampling.expire(core.samplers, now)
     {core, actions} = Reporting.texts({core, actions}, done)

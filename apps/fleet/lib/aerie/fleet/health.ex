@@ -61,7 +61,11 @@ defmodule Aerie.Fleet.Health do
   end
 
   @doc "Whether the processes that the gateway's own heartbeat needs answer, and which do not."
-  @spec heartbeat(Names.gateway()) :: %{alive: boolean(), silent: [{atom(), term()}]}
+  @spec heartbeat(Names.gateway()) :: %{
+          alive: boolean(),
+          silent: [{atom(), term()}],
+          deadman_ms: pos_integer() | nil
+        }
   def heartbeat(gateway), do: Identity.status(gateway)
 
   # A process that has never answered counts as well: a gateway that has just started is not ready yet.

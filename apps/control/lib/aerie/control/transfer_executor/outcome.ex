@@ -68,7 +68,7 @@ defmodule Aerie.Control.TransferExecutor.Outcome do
   defp error({reason, _errno}) when is_atom(reason), do: error(reason)
 
   defp failure(end_or_denial, more \\ %{}) do
-    %{status: status, reason: reason, details: details} = Refusal.result(nil, end_or_denial)
+    %{status: status, reason: reason, details: details} = Refusal.result("", end_or_denial)
     {status, reason, Map.merge(details, more)}
   end
 

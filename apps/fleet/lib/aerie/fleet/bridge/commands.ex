@@ -261,7 +261,7 @@ defmodule Aerie.Fleet.Bridge.Commands do
 
   defp refusal(envelope, denial) do
     id = with id when not is_binary(id) or byte_size(id) > 64 <- envelope["id"], do: nil
-    Result.plain(Refusal.result(id, denial))
+    "" |> Refusal.result(denial) |> Result.plain() |> Map.put("id", id)
   end
 
   defp reply(_tables, %{reply_to: nil}, _body), do: :ok

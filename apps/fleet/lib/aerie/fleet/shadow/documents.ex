@@ -11,6 +11,7 @@ defmodule Aerie.Fleet.Shadow.Documents do
   alias Aerie.Base.Names
   alias Aerie.Fleet.Bridge
   alias Aerie.Fleet.Shadow.{Document, Metrics}
+  alias Aerie.Vehicle.Command.Refusal
   alias Aerie.Fleet.Shadow.Document.Tags
   alias Aerie.Fleet.Shadow.Store.Buckets
 
@@ -66,10 +67,10 @@ defmodule Aerie.Fleet.Shadow.Documents do
       {:mine, until, wall} ->
         if System.os_time(:millisecond) < wall,
           do: {:mine, until},
-          else: {:unknown, "its lease has to be renewed"}
+          else: {:unknown, Refusal.text(:lease_due)}
 
       nil ->
-        {:unknown, "it is not known yet which gateway holds the vehicle"}
+        {:unknown, Refusal.text(:holder_not_known)}
 
       other ->
         other

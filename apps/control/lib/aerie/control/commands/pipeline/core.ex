@@ -122,6 +122,10 @@ defmodule Aerie.Control.Commands.Pipeline.Core do
   def handle(core, {:seen, nil, _admission}, _now),
     do: refuse(core, Refusal.deny(:no_vehicle, id: core.request.command.vehicle))
 
+  def handle(core, {asked, {:deny, _rule, _reason} = denial}, _now)
+      when asked in [:token, :judged, :setpoints],
+      do: refuse(core, denial)
+
   # Before anything is remembered of it, so that a sender without permissions fills neither rates nor the ledger.
   def handle(core, {:seen, _snapshot, {:deny, _rule, _reason} = denial}, _now), do: refuse(core, denial)
 
@@ -130,7 +134,6 @@ defmodule Aerie.Control.Commands.Pipeline.Core do
     do: find_holder(%{core | snapshot: snapshot}, now)
 
   def handle(core, {:seen, snapshot, :allow}, _now), do: {%{core | snapshot: snapshot}, [:take_token]}
-  def handle(core, {:token, {:deny, :rate, _reason} = denial}, _now), do: refuse(core, denial)
   def handle(core, {:token, :ok}, now), do: find_holder(%{core | token?: true}, now)
 
   def handle(core, {:holder, holder}, now) do
@@ -168,8 +171,6 @@ defmodule Aerie.Control.Commands.Pipeline.Core do
   def handle(core, {:judged, :allow}, _now), do: {core, [:setpoints]}
 
   def handle(core, {:judged, :no_policy}, _now), do: refuse(core, Refusal.deny(:no_policy))
-  def handle(core, {:judged, {:deny, _rule, _reason} = denial}, _now), do: refuse(core, denial)
-  def handle(core, {:setpoints, {:deny, :setpoints, _reason} = denial}, _now), do: refuse(core, denial)
 
   def handle(%{request: %{command: command}} = core, {:setpoints, :ok}, now) do
     cond do

@@ -7,6 +7,7 @@ defmodule Aerie.Fleet.Shadow.GatewayLease.Keeper do
   alias Aerie.Base.Store
   alias Aerie.Fleet.Bridge
   alias Aerie.Fleet.Shadow.{GatewayLease, Metrics}
+  alias Aerie.Vehicle.Command.Refusal
   alias Aerie.Fleet.Shadow.Store.Buckets
   alias Aerie.Fleet.Shadow.GatewayLease.Numbers
   alias Aerie.Fleet.Shadow.Store.LeaseSeal
@@ -265,19 +266,16 @@ defmodule Aerie.Fleet.Shadow.GatewayLease.Keeper do
   # The other users of our own server are known once the lease was requested.
   defp unheld(state, vehicle, true) do
     if state.conn != nil and MapSet.member?(state.lease.wanted, vehicle),
-      do: {:unknown, "the lease of the vehicle is being asked for"},
+      do: {:unknown, Refusal.text(:lease_asked_for)},
       else: :alone
   end
 
-  defp unheld(%{conn: nil}, _vehicle, false),
-    do:
-      {:unknown,
-       "NATS is away or has no room for the buckets, so another gateway may hold the vehicle (shadow.without_nats: act, for the only gateway that hears it)"}
+  defp unheld(%{conn: nil}, _vehicle, false), do: {:unknown, Refusal.text(:holder_without_nats)}
 
   defp unheld(state, vehicle, false) do
     if MapSet.member?(state.lease.wanted, vehicle),
-      do: {:unknown, "it is not known yet which gateway holds the vehicle"},
-      else: {:unknown, "this gateway does not hear the vehicle, so it does not hold it"}
+      do: {:unknown, Refusal.text(:holder_not_known)},
+      else: {:unknown, Refusal.text(:not_heard_here)}
   end
 
   # nil, an atom, is greater than any number, and means without end.

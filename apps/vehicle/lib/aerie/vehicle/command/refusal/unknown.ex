@@ -17,6 +17,13 @@ defmodule Aerie.Vehicle.Command.Refusal.Unknown do
     anywhere: "where it leads, nobody can tell",
     nowhere: "%{lat}, %{lon} is not a place on earth",
     too_far: "where it leads is too far to be judged",
+    holder_not_known: "it is not known yet which gateway holds the vehicle",
+    holder_without_nats:
+      "NATS is away or has no room for the buckets, so another gateway may hold the vehicle " <>
+        "(shadow.without_nats: act, for the only gateway that hears it)",
+    not_heard_here: "this gateway does not hear the vehicle, so it does not hold it",
+    lease_asked_for: "the lease of the vehicle is being asked for",
+    lease_due: "its lease has to be renewed",
     lease_ended: "the lease was not renewed before it ended",
     no_command: "no command with the id %{id} is being carried out",
     no_such_command: "no command with this id is being carried out",

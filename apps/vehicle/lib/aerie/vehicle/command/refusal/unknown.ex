@@ -1,7 +1,7 @@
 defmodule Aerie.Vehicle.Command.Refusal.Unknown do
   @moduledoc """
-  What is not known, or cannot be judged (`Aerie.Vehicle.Command.Refusal`): a part of other texts, and the texts of
-  plans that clients write, which are refused by the rule that they cannot be judged by.
+  What is not known, or cannot be judged or cancelled (`Aerie.Vehicle.Command.Refusal`): parts of other texts, and those
+  about plans that clients write, which are refused by the rule that cannot judge them.
   """
 
   @reads "the gateway reads it now: try again"

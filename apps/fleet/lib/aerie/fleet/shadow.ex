@@ -203,15 +203,8 @@ defmodule Aerie.Fleet.Shadow do
 
     _ =
       with {:role, why} <- refusal do
-        entry = %{
-          "type" => "desired",
-          "decision" => "deny",
-          "rule" => "role",
-          "reason" => why,
-          "vehicle" => vehicle
-        }
-
-        Audit.refusal(gateway, source, :role, Map.merge(entry, %{"source" => source.name, "via" => via}))
+        entry = %{"type" => "desired", "vehicle" => vehicle, "source" => source.name, "via" => via}
+        Audit.refusal(gateway, source, {:deny, :role, why}, entry)
       end
 
     metadata = %{gateway: gateway, vehicle: vehicle, actor: source.name, via: via, reason: text(refusal)}

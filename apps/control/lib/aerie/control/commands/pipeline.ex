@@ -87,7 +87,7 @@ defmodule Aerie.Control.Commands.Pipeline do
   defp perform(:judge, core, environment), do: {:judged, judge(core, environment)}
 
   defp perform({:audit, required?}, %{request: request} = core, %{gateway: gateway}) do
-    recorded = Audit.append(gateway, Record.decision(request, :allow), core.patience)
+    recorded = Audit.append(gateway, Record.decision(request), core.patience)
     verdict = Audit.verdict(recorded, core.intent, required?)
     if verdict == :allow, do: Record.allowed(gateway)
     {:judged, verdict}

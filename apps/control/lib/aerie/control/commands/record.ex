@@ -41,24 +41,21 @@ defmodule Aerie.Control.Commands.Record do
     :ok
   end
 
-  @doc "A decision as the audit log has it."
-  @spec decision(Request.t(), :allow | :deny, map()) :: map()
-  def decision(%{command: command} = request, decision, more \\ %{}) do
-    Map.merge(
-      %{
-        "type" => "decision",
-        "decision" => decision,
-        "id" => command.id,
-        "vehicle" => command.vehicle,
-        "command" => command.type,
-        "params" => Command.plain(command)["params"],
-        "source" => request.source.name,
-        "role" => request.source.role,
-        "via" => request.via,
-        "says" => request.says
-      },
-      more
-    )
+  @doc "A decision as the audit log has it: a command is allowed, unless it says otherwise."
+  @spec decision(Request.t()) :: map()
+  def decision(%{command: command} = request) do
+    %{
+      "type" => "decision",
+      "decision" => "allow",
+      "id" => command.id,
+      "vehicle" => command.vehicle,
+      "command" => command.type,
+      "params" => Command.plain(command)["params"],
+      "source" => request.source.name,
+      "role" => request.source.role,
+      "via" => request.via,
+      "says" => request.says
+    }
   end
 
   @doc "A command is not carried out; gives its result."
@@ -68,8 +65,7 @@ defmodule Aerie.Control.Commands.Record do
     flood? = rule in @floods and not Audit.Refusals.nobody?(request.source)
 
     if not flood? or Store.claim(gateway, {__MODULE__, rule, request.source.name}, @quiet_ms) do
-      entry = decision(request, :deny, %{"rule" => rule, "reason" => reason, "result" => result.status})
-      Audit.refusal(gateway, request.source, rule, entry)
+      Audit.refusal(gateway, request.source, denial, Map.put(decision(request), "result", result.status))
     end
 
     if rule in [:audit | Policy.rules()], do: decided(gateway, :deny, rule)
@@ -82,30 +78,21 @@ defmodule Aerie.Control.Commands.Record do
   @spec turned_away(
           Names.gateway(),
           map(),
-          who :: Roles.source() | String.t() | nil,
+          Roles.source() | nil,
           via :: String.t(),
           Refusal.denial()
         ) ::
           :ok
-  def turned_away(gateway, envelope, who, via, {:deny, rule, reason}) do
+  def turned_away(gateway, envelope, source, via, {:deny, rule, reason} = denial) do
     type = type(envelope["type"])
     received(gateway, type)
-    vehicle = if Store.vehicle(gateway, to_string_or_none(envelope["vehicle"])), do: envelope["vehicle"]
-
-    source = if is_binary(who), do: %{name: who, role: :operator}, else: who
+    vehicle = envelope["vehicle"]
+    vehicle = if is_binary(vehicle) and Store.vehicle(gateway, vehicle) != nil, do: vehicle
     name = source && source.name
 
     if Audit.Refusals.nobody?(source) or Store.claim(gateway, {__MODULE__, rule, name, via}, @quiet_ms) do
-      Audit.refusal(gateway, source, rule, %{
-        "type" => "decision",
-        "decision" => "deny",
-        "rule" => rule,
-        "reason" => reason,
-        "vehicle" => vehicle,
-        "command" => type,
-        "source" => name,
-        "via" => via
-      })
+      entry = %{"type" => "decision", "vehicle" => vehicle, "command" => type, "source" => name, "via" => via}
+      Audit.refusal(gateway, source, denial, entry)
     end
 
     count(gateway, vehicle, type, name, rule, reason)
@@ -153,7 +140,4 @@ defmodule Aerie.Control.Commands.Record do
   # Client-supplied names must not become metric labels.
   defp type(name),
     do: if(name in Intent.raw() or match?({:ok, _type}, Types.fetch(name)), do: name, else: "unknown")
-
-  defp to_string_or_none(vehicle) when is_binary(vehicle), do: vehicle
-  defp to_string_or_none(_other), do: ""
 end

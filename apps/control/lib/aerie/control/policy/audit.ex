@@ -76,9 +76,15 @@ defmodule Aerie.Control.Policy.Audit do
 
   @doc """
   A refusal, for callers that must not wait. Those of somebody who may nothing are counted and summed up
-  (`Aerie.Control.Policy.Audit.Refusals`).
+  (`Aerie.Control.Policy.Audit.Refusals`), by their rule or another word.
   """
-  @spec refusal(Names.gateway(), Roles.source() | nil, rule :: atom(), %{String.t() => term()}) :: :ok
+  @spec refusal(Names.gateway(), Roles.source() | nil, Refusal.denial() | atom(), %{String.t() => term()}) ::
+          :ok
+  def refusal(gateway, source, {:deny, rule, reason}, entry) do
+    denied = %{"decision" => "deny", "rule" => rule, "reason" => reason}
+    refusal(gateway, source, rule, Map.merge(entry, denied))
+  end
+
   def refusal(gateway, source, rule, entry) do
     if Refusals.nobody?(source) do
       now = System.monotonic_time(:microsecond)

@@ -34,10 +34,8 @@ defmodule Aerie.Control.Policy.Clients.Arming do
     do: Audit.note(gateway, Map.put(entry, "decision", "allow"))
 
   # A vehicle may ask as often as it likes.
-  defp recorded({:deny, rule, reason}, gateway, snapshot, entry) do
-    entry = Map.merge(entry, %{"decision" => "deny", "rule" => rule, "reason" => reason})
-    Audit.refusal(gateway, Roles.principal(:vehicle, snapshot.id, :viewer), rule, entry)
-  end
+  defp recorded(denial, gateway, snapshot, entry),
+    do: Audit.refusal(gateway, Roles.principal(:vehicle, snapshot.id, :viewer), denial, entry)
 
   # In the name of the lease's holder: the rule only asks whether a lease is required.
   defp verdict(policy, context) do

@@ -110,9 +110,9 @@ defmodule Aerie.Control.Transfers do
     options = Keyword.put_new_lazy(options, :yields, fn -> transfer[:share] != nil and viewer?(options) end)
     {result, acc} = TransferExecutor.run(gateway, snapshot.key, id, transfer, options, tell, acc, fun)
 
-    case Outcome.of(result) do
+    case Outcome.of(result, id) do
       {:ok, value} -> {{:ok, value}, acc}
-      {status, reason, details} -> {{:error, Result.new(id, status, reason, details)}, acc}
+      {:ended, result} -> {{:error, result}, acc}
     end
   end
 

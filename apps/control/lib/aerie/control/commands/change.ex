@@ -60,7 +60,7 @@ defmodule Aerie.Control.Commands.Change do
       unfolded = fn _event, acc -> acc end
       {result, nil} = TransferExecutor.run(gateway, snapshot.key, id, transfer, options, tell, nil, unfolded)
       complete = Map.get(transfer, :complete, & &1)
-      result |> Outcome.of() |> result(id, transfer) |> renamed.() |> complete.()
+      result |> Outcome.of(id) |> result(id, transfer) |> renamed.() |> complete.()
     else
       {:gap, lacking} -> Result.new(id, :rejected, lacking)
     end
@@ -68,7 +68,7 @@ defmodule Aerie.Control.Commands.Change do
 
   defp result({:ok, value}, id, %{details: details}), do: Result.new(id, :completed, nil, details.(value))
   defp result({:ok, _value}, id, _transfer), do: Result.new(id, :completed)
-  defp result({status, reason, details}, id, _transfer), do: Result.new(id, status, reason, details)
+  defp result({:ended, result}, _id, _transfer), do: result
 
   # A vehicle that has the new system id answers nothing that the old one was asked.
   defp renaming(gateway, snapshot, sets, id) do

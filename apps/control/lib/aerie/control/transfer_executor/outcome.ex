@@ -12,17 +12,22 @@ defmodule Aerie.Control.TransferExecutor.Outcome do
   @ends ~w(vehicle_unknown vehicle_unheard vehicle_lost high_latency yielded waited lost deadline no_answer rebooted
            changing changed damaged too_large bad_path)a
 
-  @type failure :: {Result.status(), String.t() | nil, details :: map()}
-
   @doc """
-  The value of a success, or status, reason and details. A plan that was sent or cleared always has the latter.
+  The value of a success, or the result of what has the id. A plan that was sent or cleared always has the latter.
   """
-  @spec of(term()) :: {:ok, term()} | failure()
-  def of({:ok, :unverified}), do: failure(Refusal.ended(:unverified))
-  def of({:ok, value}), do: {:ok, value}
-  def of({:error, reason}), do: error(reason)
-  def of(%Mission.Result{status: :completed, on_board: :read} = result), do: {:ok, result}
-  def of(%Mission.Result{} = result), do: {result.status, result.reason, details(result)}
+  @spec of(term(), id :: String.t()) :: {:ok, term()} | {:ended, Result.t()}
+  def of({:ok, :unverified}, id), do: {:ended, Refusal.result(id, Refusal.ended(:unverified))}
+  def of({:ok, value}, _id), do: {:ok, value}
+
+  def of({:error, reason}, id) do
+    result = Refusal.result(id, ended(reason))
+    {:ended, %{result | details: Map.merge(result.details, found(reason))}}
+  end
+
+  def of(%Mission.Result{status: :completed, on_board: :read} = result, _id), do: {:ok, result}
+
+  def of(%Mission.Result{} = result, id),
+    do: {:ended, Result.new(id, result.status, result.reason, details(result))}
 
   defp details(result) do
     %{
@@ -36,41 +41,38 @@ defmodule Aerie.Control.TransferExecutor.Outcome do
     }
   end
 
-  defp error(text) when is_binary(text), do: {:rejected, text, %{}}
-  defp error({:invalid, text}), do: {:rejected, text, %{}}
-  defp error({:failed, text}), do: {:failed, text, %{}}
-  defp error({:refused, text}) when is_binary(text), do: failure(Refusal.ended(:refused, why: text))
-  defp error({:refused, value}), do: failure(Refusal.ended(:keeps, value: value), %{"value" => value})
-  defp error({:silent, component}), do: failure(Refusal.ended(:silent, component: component))
+  defp found({:refused, value}) when not is_binary(value), do: %{"value" => value}
+  defp found({:not_set, _verdict, {:keeps, value}}), do: %{"value" => value}
+  defp found({:missing, n}), do: %{"missing" => n}
+  defp found(_other), do: %{}
 
-  defp error({:not_set, verdict, shown}) do
+  defp ended(text) when is_binary(text), do: {:rejected, text}
+  defp ended({:invalid, text}), do: {:rejected, text}
+  defp ended({:failed, text}), do: {:failed, text}
+  defp ended({:refused, text}) when is_binary(text), do: Refusal.ended(:refused, why: text)
+  defp ended({:refused, value}), do: Refusal.ended(:keeps, value: value)
+  defp ended({:silent, component}), do: Refusal.ended(:silent, component: component)
+  defp ended({:not_set, :accepted, :not_shown}), do: Refusal.ended(:value_not_shown)
+  defp ended({:not_set, verdict, :not_shown}), do: not_set(verdict)
+
+  defp ended({:not_set, verdict, {:keeps, value}}) do
     {status, text} = not_set(verdict)
-
-    case shown do
-      {:keeps, value} -> {status, "#{text}; #{kept(value)}", %{"value" => value}}
-      :not_shown when verdict == :accepted -> failure(Refusal.ended(:value_not_shown))
-      :not_shown -> {status, text, %{}}
-    end
+    {status, "#{text}; #{kept(value)}"}
   end
 
-  defp error({:missing, n}), do: failure(Refusal.ended(:missing, n: n), %{"missing" => n})
-  defp error({:too_many, n}), do: failure(Refusal.ended(:too_many, n: n))
-  defp error(:full), do: failure(Refusal.deny(:transfers_many))
-  defp error(:taken), do: failure(Refusal.deny(:transfer_under_way))
-  defp error(:file_not_found), do: failure(Refusal.deny(:no_file))
-  defp error(:cancelled), do: {:cancelled, nil, %{}}
-  defp error(reason) when reason in @ends, do: failure(Refusal.ended(reason))
+  defp ended({:missing, n}), do: Refusal.ended(:missing, n: n)
+  defp ended({:too_many, n}), do: Refusal.ended(:too_many, n: n)
+  defp ended(:full), do: Refusal.deny(:transfers_many)
+  defp ended(:taken), do: Refusal.deny(:transfer_under_way)
+  defp ended(:file_not_found), do: Refusal.deny(:no_file)
+  defp ended(:cancelled), do: {:cancelled, nil}
+  defp ended(reason) when reason in @ends, do: Refusal.ended(reason)
 
   # MAVLink FTP's own name for it.
-  defp error(reason) when is_atom(reason),
-    do: {:failed, Refusal.text(:refused, why: String.replace(Atom.to_string(reason), "_", " ")), %{}}
+  defp ended(reason) when is_atom(reason),
+    do: {:failed, Refusal.text(:refused, why: String.replace(Atom.to_string(reason), "_", " "))}
 
-  defp error({reason, _errno}) when is_atom(reason), do: error(reason)
-
-  defp failure(end_or_denial, more \\ %{}) do
-    %{status: status, reason: reason, details: details} = Refusal.result("", end_or_denial)
-    {status, reason, Map.merge(details, more)}
-  end
+  defp ended({reason, _errno}) when is_atom(reason), do: ended(reason)
 
   defp not_set(:unsupported), do: Refusal.ended(:unsupported)
   defp not_set(:failed), do: Refusal.ended(:not_set)

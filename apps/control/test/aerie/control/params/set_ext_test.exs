@@ -61,7 +61,9 @@ defmodule Aerie.Control.Params.SetExtTest do
       )
 
     assert nobody.result == {:error, {:silent, 1}}
-    assert {:timeout, "component 1 does not answer" <> _why, %{}} = Outcome.of(nobody.result)
+
+    assert {:ended, %{status: :timeout, reason: "component 1 does not answer" <> _}} =
+             Outcome.of(nobody.result, "a")
   end
 
   test "a value is set when the component shows it" do
@@ -158,10 +160,13 @@ defmodule Aerie.Control.Params.SetExtTest do
 
   test "a refusal has the component's words and the value that stands" do
     assert {:error, {:not_set, :unsupported, {:keeps, 1}}} = error = set("CAM_MODE", 9).result
-    assert {:rejected, text, %{"value" => 1}} = Outcome.of(error)
+    assert {:ended, %{status: :rejected, reason: text, details: %{"value" => 1}}} = Outcome.of(error, "a")
     assert text == "the component does not support this value; it keeps 1"
     assert {:error, {:not_set, :failed, {:keeps, "base64:" <> _}}} = error = set("CAM_SERIAL", "x").result
-    assert {:failed, "the component failed to set it" <> _, _details} = Outcome.of(error)
+
+    assert {:ended, %{status: :failed, reason: "the component failed to set it" <> _}} =
+             Outcome.of(error, "a")
+
     # Of the wrong type.
     assert {:error, {:not_set, :failed, {:keeps, 1}}} = set("CAM_MODE", 2, [], type: 3).result
   end
@@ -175,7 +180,9 @@ defmodule Aerie.Control.Params.SetExtTest do
     start = Set.new("CAM_ISO", 3, {1, 1}, @deadline, encoding: :extended)
     result = LossyLink.run(Set, start, ParamsCamera.new(), keeps).result
     assert result == {:error, {:not_set, :accepted, {:keeps, 0x01000200}}}
-    assert {:failed, "the component accepted the value and does not have it" <> _, _} = Outcome.of(result)
+
+    assert {:ended, %{status: :failed, reason: "the component accepted the value and does not have it" <> _}} =
+             Outcome.of(result, "a")
 
     shows_nothing = fn
       camera, %M.ParamExtSet{} = m, now -> ParamsCamera.answer(camera, m, now)
@@ -184,7 +191,7 @@ defmodule Aerie.Control.Params.SetExtTest do
 
     start = Set.new("CAM_ISO", 3, {1, 1}, @deadline, encoding: :extended, type: 5)
     result = LossyLink.run(Set, start, ParamsCamera.new(), shows_nothing).result
-    assert {:accepted, "it accepted the value" <> _, %{}} = Outcome.of(result)
+    assert {:ended, %{status: :accepted, reason: "it accepted the value" <> _}} = Outcome.of(result, "a")
   end
 
   test "on a fast link a component may stand still for seconds before it is given up" do

@@ -65,7 +65,7 @@ defmodule Aerie.Vehicle.Command.Refusal do
   def ended(reason, values \\ []), do: {Map.fetch!(@ends, reason), text(reason, values)}
 
   @doc "The result of what was refused, or has ended."
-  @spec result(id :: String.t(), denial() | {Result.status(), String.t()}) :: Result.t()
+  @spec result(id :: String.t(), denial() | {Result.status(), String.t() | nil}) :: Result.t()
   def result(id, {:deny, rule, text}),
     do: Result.new(id, Map.fetch!(@statuses, rule), text, %{"rule" => Atom.to_string(rule)})
 

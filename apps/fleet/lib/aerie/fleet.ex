@@ -10,7 +10,7 @@ defmodule Aerie.Fleet do
   report a group, the one on the vehicle's way counts unless it is ten seconds older.
   """
 
-  alias Aerie.Base.{Json, Names, Store}
+  alias Aerie.Base.{Names, Store}
   alias Aerie.Fleet.{Operations, Shadow}
   alias Aerie.Fleet.Remote.Table
   alias Aerie.Vehicle.{Command, Event, Snapshot}
@@ -62,6 +62,10 @@ defmodule Aerie.Fleet do
   @spec show_event(Names.gateway(), Event.t()) :: %{String.t() => term()}
   def show_event(gateway, event), do: Fields.event(event, epoch(gateway))
 
+  @doc "An event as people read it."
+  @spec describe_event(Event.t()) :: %{severity: 0..7, text: String.t()}
+  defdelegate describe_event(event), to: Event.Text, as: :of
+
   @doc "Which start of the gateway numbers its events: it grows with each."
   @spec epoch(Names.gateway()) :: pos_integer() | nil
   defdelegate epoch(gateway), to: Journal
@@ -74,7 +78,7 @@ defmodule Aerie.Fleet do
         Shadow.Operations.all() ++ Operations.Requests.all()
 
   @doc "The schemas of commands and their results, and those that the schemas of operations refer to, by their names."
-  @spec schemas() :: %{String.t() => Json.Schema.t()}
+  @spec schemas() :: %{String.t() => map()}
   def schemas do
     envelopes = for type <- Command.Types.all(), do: Command.Schema.envelope(type, type?: true)
 

@@ -31,10 +31,6 @@ defmodule Aerie.Vehicle.Event do
 
   @types Aerie.Vehicle.Event.Types.names()
 
-  @doc "What is declared of a type: its severity, its text, its fields; nil for an unknown one."
-  @spec declared(String.t()) :: Aerie.Vehicle.Event.Types.t() | nil
-  defdelegate declared(type), to: Aerie.Vehicle.Event.Types, as: :get
-
   @doc "An event with its id."
   @spec new(String.t(), String.t(), pos_integer(), integer(), non_neg_integer() | nil, map()) :: t()
   def new(vehicle, type, seq, time, vehicle_time_ms, data) when type in @types do

@@ -9,7 +9,6 @@ defmodule Aerie.Console.Commands.Outcome do
 
   alias Aerie.Control.Commands
   alias Aerie.Base.Geo.Earth
-  alias Aerie.Vehicle.Event
   alias Aerie.Console.Commands.Catalog
   alias Aerie.Console.UI.Age
   alias Aerie.Vehicle.Snapshot
@@ -45,7 +44,7 @@ defmodule Aerie.Console.Commands.Outcome do
   @least_speed 0.5
 
   @doc "The courses of the commands of a vehicle (the latest first) by id; `known` are those of the last time."
-  @spec keep(%{String.t() => t()}, [Commands.entry()], map(), {[Event.t()], integer()}) :: %{
+  @spec keep(%{String.t() => t()}, [Commands.entry()], map(), {[map()], integer()}) :: %{
           String.t() => t()
         }
   def keep(known, entries, vehicle, {events, now}) do
@@ -67,7 +66,7 @@ defmodule Aerie.Console.Commands.Outcome do
   defp dated(course, _before, _entry, _now), do: course
 
   @doc "The course of a command; `later` are the vehicle's commands after it. Nil if it has not begun, or has no course."
-  @spec of(Commands.entry(), later :: [Commands.entry()], vehicle :: map(), [Event.t()]) :: t() | nil
+  @spec of(Commands.entry(), later :: [Commands.entry()], vehicle :: map(), [map()]) :: t() | nil
   def of(%{type: type, result: %{status: :completed}} = entry, later, vehicle, events)
       when is_map_key(@words, type) do
     {going, there} = @words[type]

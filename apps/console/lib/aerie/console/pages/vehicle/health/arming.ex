@@ -3,8 +3,6 @@ defmodule Aerie.Console.Pages.Vehicle.Health.Arming do
   What prevents a vehicle from arming: PX4's failing checks, ArduPilot's pre-arm texts, unhealthy sensors. Pure.
   """
 
-  alias Aerie.Vehicle.Event
-
   # ArduPilot repeats failing checks every 30 seconds.
   @fresh_us 40_000_000
   @complaint ~r/\A(?:pre-?arm|arm|preflight fail)\s*:\s*(.+)\z/i
@@ -13,7 +11,7 @@ defmodule Aerie.Console.Pages.Vehicle.Health.Arming do
   @type t :: %{ready: boolean() | nil, armed: boolean() | nil, reasons: [String.t()]}
 
   @doc "From a vehicle's snapshot and its latest events."
-  @spec of(map(), [Event.t()], now :: integer()) :: t()
+  @spec of(map(), [map()], now :: integer()) :: t()
   def of(vehicle, events, now) do
     health = data(vehicle, :health)
     armed = data(vehicle, :mode)[:armed]

@@ -64,15 +64,6 @@ defmodule Aerie.Access.HTTP.Error do
   def new(code, message, headers \\ %{}),
     do: %__MODULE__{status: Map.fetch!(@statuses, code), code: code, message: message, headers: headers}
 
-  @codes %{
-    unknown: :not_found,
-    exists: :conflict,
-    conflict: :conflict,
-    limit: :too_many,
-    invalid: :invalid,
-    unavailable: :unavailable
-  }
-
   # Why an operation was not carried out, as those say it that it asks.
   @reasons %{
     busy: :too_many,
@@ -84,6 +75,8 @@ defmodule Aerie.Access.HTTP.Error do
     unavailable: :unavailable,
     unknown: :not_found
   }
+  # Why the gateway below refuses it.
+  @codes Map.merge(@reasons, %{exists: :conflict, limit: :too_many})
 
   @doc "The answer for an error of the gateway or of an operation; an answer is returned unchanged."
   @spec from(

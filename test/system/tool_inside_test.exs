@@ -174,6 +174,17 @@ defmodule Aerie.System.ToolInsideTest do
     assert {_no_key, 2} = aerie(["signing", "change", id, "revoke", "--yes"])
     assert {text, 2} = aerie(["signing", "change", id, "revoke", "--component", "256", "--yes"])
     assert text =~ "component: expected an integer from 1 to 255"
+    {:ok, %{id: given}} = Aerie.Control.Commands.submit(:default, vehicle: id, type: "hold")
+    assert {json, 0} = aerie(["command", "get", id, given])
+    assert %{"id" => ^given, "state" => "done"} = JSON.decode!(json)
+    assert {"no command of this vehicle has this id", 2} = aerie(["command", "get", id, "none"])
+    assert {text, 2} = aerie(["command", "cancel", id, given], "n\n")
+    assert text =~ "command cancel #{id} #{given}: are you sure?"
+    assert {_not_under_way, 2} = aerie(["command", "cancel", id, given, "--yes"])
+    assert {json, 0} = aerie(["command", "list", id])
+    assert %{"lacks" => nil} = Enum.find(JSON.decode!(json)["commands"], &(&1["type"] == "arm"))
+    assert {json, 0} = aerie(["command", "types"])
+    assert "takeoff" in for(type <- JSON.decode!(json)["types"], do: type["name"])
     assert {json, 0} = aerie(["event", "list", id, "--limit", "1"])
     assert %{"events" => [%{"vehicle" => ^id}], "more" => true} = JSON.decode!(json)
     assert {json, 0} = aerie(["event", "list", "--since", "2026-01-01T00:00:00Z"])

@@ -16,8 +16,8 @@ defmodule Aerie.CLI.Subcommand.Operation do
   alias Aerie.Control.Operations.Operation
   alias Aerie.Vehicle.Command.Result
 
-  # These areas have subcommands of their own.
-  @own ~w(command params mission recording)
+  # These areas have subcommands of their own, and giving a command is `aerie cmd`.
+  @own ~w(params mission recording)
   @pairs "NAME=VALUE"
 
   @doc "Their rows. Those that give or take the bytes of files are not among them."
@@ -26,7 +26,8 @@ defmodule Aerie.CLI.Subcommand.Operation do
 
   defp all do
     for operation <- Operations.all(),
-        hd(String.split(operation.name, ".")) not in @own,
+        [area, _action] <- [String.split(operation.name, ".")],
+        area not in @own,
         %{media: []} = route <- Enum.take(operation.routes, 1),
         do: {operation, route}
   end

@@ -3,7 +3,7 @@ defmodule Aerie.Api.Rest.Actions do
 
   alias Aerie.Control.Policy
 
-  alias Aerie.Api.Rest.{Commands, OpenAPI, Operations}
+  alias Aerie.Api.Rest.{OpenAPI, Operations}
   alias Aerie.Access.HTTP.Error
 
   alias Aerie.Api.Rest.View.{Recordings, SigningCapability}
@@ -66,22 +66,6 @@ defmodule Aerie.Api.Rest.Actions do
     |> answer(200, request)
   end
 
-  def run(:command_types, _state, request), do: {:ok, 200, %{types: Commands.types()}, request}
-
-  def run(:vehicle_commands, state, request) do
-    state.gateway
-    |> Commands.offers(id(request), state.source)
-    |> found(unknown_vehicle())
-    |> answer(200, request)
-  end
-
-  def run(:look_at_command, state, request),
-    do: state.gateway |> Commands.state(id(request), command(request)) |> answer(200, request)
-
-  def run(:cancel_command, state, request) do
-    state.gateway |> Commands.cancel(id(request), command(request), state.source) |> answer(202, request)
-  end
-
   def run({:operation, choices}, state, request), do: Operations.run(choices, state, request)
 
   def run(:policy, state, request),
@@ -127,8 +111,6 @@ defmodule Aerie.Api.Rest.Actions do
   end
 
   defp id(request), do: :cowboy_req.binding(:id, request)
-  defp command(request), do: :cowboy_req.binding(:command, request)
-
   defp vehicle(state, request), do: state.gateway |> View.vehicle(id(request)) |> found(unknown_vehicle())
 
   defp unknown_vehicle, do: Error.new(:not_found, "no vehicle has this name; see /api/vehicles")

@@ -59,7 +59,7 @@ defmodule Aerie.Api.Rest.Operations do
         cond do
           result?(operation) -> :result
           route.status == 204 -> nil
-          Operation.body?(route) -> [Operation.answer_name(operation)]
+          Operation.body?(route) -> names(operation)
           true -> choices |> Enum.flat_map(&answers/1) |> with_media(route)
         end
     }
@@ -89,7 +89,10 @@ defmodule Aerie.Api.Rest.Operations do
 
   # What has no form as JSON is bytes.
   defp answers({operation, route, _index}),
-    do: if(bytes?(route), do: [], else: [Operation.answer_name(operation)])
+    do: if(bytes?(route), do: [], else: names(operation))
+
+  defp names(%{answer: [name | _] = names}) when is_atom(name), do: names
+  defp names(operation), do: [Operation.answer_name(operation)]
 
   defp bytes?(route), do: route.media != [] and route.formats == []
 
@@ -172,6 +175,8 @@ defmodule Aerie.Api.Rest.Operations do
   end
 
   defp described?(route), do: Operation.body?(route) and not bytes?(route)
+
+  defp answer_schema(%{answer: [name | _]}, _route) when is_atom(name), do: %{}
 
   defp answer_schema(operation, route) do
     if result?(operation) or (bytes?(route) and not Operation.body?(route)) or route.status == 204,

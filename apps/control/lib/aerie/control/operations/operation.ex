@@ -33,8 +33,9 @@ defmodule Aerie.Control.Operations.Operation do
     * `:once` - `{field, when, reason}`: the field without which a copy of a message would be another request; `:signed`
       or `:always`, and what is said if it is missing. Over NATS only
     * `:rules` - further keywords of the request's JSON Schema, for what fields cannot say; `c:run/2` checks them
-    * `:answer` - the properties of what `c:run/2` answers, or the fields that show it (`Aerie.Base.Json.Object`), or
-      `:result`, that of a command; `:answer_as` names them where several operations have the same ones
+    * `:answer` - the properties of what `c:run/2` answers, or the fields that show it (`Aerie.Base.Json.Object`), the
+      names of schemas of the interface, or `:result`, that of a command
+    * `:answer_as` - names the answer where several operations have the same one
     * `:routes` - how it is asked for over REST
   """
 
@@ -74,7 +75,7 @@ defmodule Aerie.Control.Operations.Operation do
           closed?: boolean(),
           fields: [Field.t()],
           rules: keyword(),
-          answer: %{atom() => Json.Schema.t()} | [Json.Object.t()] | :result,
+          answer: %{atom() => Json.Schema.t()} | [Json.Object.t()] | [atom(), ...] | :result,
           routes: [Route.t()]
         }
 

@@ -6,17 +6,15 @@ defmodule Aerie.Api.Rest.OpenAPI.Bodies do
 
   import Aerie.Base.Json.Schema
 
-  alias Aerie.Api.Rest.{Commands, View}
+  alias Aerie.Api.Rest.View
   alias Aerie.Base.Json.Object
-  alias Aerie.Vehicle.Command
 
   @doc "All of them."
   @spec all() :: %{(atom() | String.t()) => map()}
   def all do
     own = %{
       nothing: object(%{}),
-      under_way: under_way(),
-      cancelling: object(%{id: token(), state: %{const: "cancelling"}}, [:id, :state])
+      under_way: under_way()
     }
 
     answers()
@@ -27,12 +25,7 @@ defmodule Aerie.Api.Rest.OpenAPI.Bodies do
   end
 
   defp answers do
-    types = [{:types, {:list, {:object, Command.type_fields()}}, nil, "all of them"}]
-    offers = [{:commands, {:list, {:object, Commands.offer_fields()}}, nil, "all of them"}]
-
     Map.merge(View.answers(), %{
-      command_types: Object.fields(types),
-      offers: Object.fields(offers),
       recorder: View.Recordings.fields(),
       signing_capability: View.SigningCapability.fields()
     })

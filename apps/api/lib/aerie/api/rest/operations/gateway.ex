@@ -1,7 +1,7 @@
 defmodule Aerie.Api.Rest.Operations.Gateway do
   @moduledoc """
   What can be asked of the gateway itself, each declared in one file (`Aerie.Control.Operations.Operation`). It is asked
-  over REST only.
+  over REST and from the command line.
   """
 
   alias Aerie.Api.Rest.Operations.{Clients, Commands, Events, Links, Log, Plans, Recordings, Rules, Signing}
@@ -10,26 +10,26 @@ defmodule Aerie.Api.Rest.Operations.Gateway do
   @doc "All of them."
   @spec all() :: [Operation.t(), ...]
   def all do
-    for module <- [
-          Links.List,
-          Links.Add,
-          Links.Remove,
-          Clients.List,
-          Clients.Add,
-          Clients.Remove,
-          Rules.List,
-          Rules.Change,
-          Rules.Reset,
-          Log.Get,
-          Log.Change,
-          Recordings.Set,
-          Recordings.Save,
-          Signing.List,
-          Signing.Change,
-          Events.List,
-          Plans.Store,
-          Commands.Give
-        ],
+    for module <-
+          [
+            Links.List,
+            Links.Add,
+            Links.Remove,
+            Clients.List,
+            Clients.Add,
+            Clients.Remove,
+            Rules.List,
+            Rules.Change,
+            Rules.Reset,
+            Log.Get,
+            Log.Change,
+            Recordings.Set,
+            Recordings.Save,
+            Signing.List,
+            Signing.Change,
+            Events.List,
+            Plans.Store
+          ] ++ Commands.modules(),
         do: %{module.operation() | module: module}
   end
 end

@@ -39,9 +39,6 @@ defmodule Aerie.Api.Rest.Routes.Gateway do
         body: :nothing,
         answer: :policy
       ),
-      get("/api/commands/types", :command_types, "The commands with their parameters.",
-        answer: :command_types
-      ),
       post("/api/tickets", :issue_ticket, "Issues a ticket that opens one WebSocket.",
         body: :nothing,
         status: 201,

@@ -19,6 +19,7 @@ defmodule Aerie.Vehicle.Snapshot do
     * `:heard_here?` - that the gateway in `:via` holds the vehicle, although this one hears it as well
   """
 
+  alias Aerie.Base.Geo.Earth
   alias Aerie.Vehicle.Protocol.Kind
   alias Aerie.Vehicle.Snapshot.Fields
   alias Aerie.Vehicle.State
@@ -111,6 +112,17 @@ defmodule Aerie.Vehicle.Snapshot do
   @doc "A vehicle in a form. What is not known is null; a value that no longer comes stays, with its age."
   @spec show(t(), Fields.form(), Fields.context()) :: %{atom() => term()}
   defdelegate show(vehicle, form, context), to: Fields
+
+  @doc "The metres over the ground from the vehicle to a place in degrees; nil if one of both is not known."
+  @spec distance(t(), {lat :: number(), lon :: number()} | nil) :: float() | nil
+  def distance(vehicle, {lat, lon}) do
+    with %{lat: own_lat, lon: own_lon} when is_number(own_lat) and is_number(own_lon) <-
+           data(vehicle, :position),
+         do: Earth.distance(Earth.point(own_lat, own_lon), Earth.point(lat, lon)),
+         else: (_unknown -> nil)
+  end
+
+  def distance(_vehicle, nil), do: nil
 
   @doc "Whether it takes off and lands."
   @spec flies?(t()) :: boolean()

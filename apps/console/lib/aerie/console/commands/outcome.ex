@@ -8,7 +8,6 @@ defmodule Aerie.Console.Commands.Outcome do
   """
 
   alias Aerie.Control.Commands
-  alias Aerie.Base.Geo.Earth
   alias Aerie.Console.Commands.Catalog
   alias Aerie.Console.UI.Age
   alias Aerie.Vehicle.Snapshot
@@ -131,11 +130,11 @@ defmodule Aerie.Console.Commands.Outcome do
   # A flying vehicle continues to land at home, which an event reports.
   defp arrived?(%{type: "rtl"} = entry, vehicle) do
     not Snapshot.flies?(vehicle) and
-      near?(distance(target(entry, vehicle), vehicle), vehicle.vehicle_type)
+      near?(Snapshot.distance(vehicle, target(entry, vehicle)), vehicle.vehicle_type)
   end
 
   defp arrived?(%{type: "goto"} = entry, vehicle) do
-    near?(distance(target(entry, vehicle), vehicle), vehicle.vehicle_type) and
+    near?(Snapshot.distance(vehicle, target(entry, vehicle)), vehicle.vehicle_type) and
       height_left(entry, vehicle) in [nil, 0]
   end
 
@@ -171,7 +170,7 @@ defmodule Aerie.Console.Commands.Outcome do
   @doc "The progress of a course: `118 m, 20 s`."
   @spec progress(Commands.entry(), map()) :: String.t() | nil
   def progress(%{type: type} = entry, vehicle) when type in ["goto", "rtl"] do
-    case distance(target(entry, vehicle), vehicle) do
+    case Snapshot.distance(vehicle, target(entry, vehicle)) do
       nil -> nil
       metres -> metres(metres) <> time(metres, Snapshot.data(vehicle, :velocity)[:groundspeed])
     end
@@ -224,16 +223,4 @@ defmodule Aerie.Console.Commands.Outcome do
   end
 
   def target(_entry, _vehicle), do: nil
-
-  defp distance({lat, lon}, vehicle) do
-    case Snapshot.data(vehicle, :position) do
-      %{lat: own_lat, lon: own_lon} when is_number(own_lat) and is_number(own_lon) ->
-        Earth.distance(Earth.point(own_lat, own_lon), Earth.point(lat, lon))
-
-      _unknown ->
-        nil
-    end
-  end
-
-  defp distance(nil, _vehicle), do: nil
 end

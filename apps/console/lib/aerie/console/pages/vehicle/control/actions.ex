@@ -6,7 +6,7 @@ defmodule Aerie.Console.Pages.Vehicle.Control.Actions do
   use Aerie.Console, :component
 
   alias Aerie.Control.Commands
-  alias Aerie.Vehicle.Firmware
+  alias Aerie.Vehicle.{Firmware, Snapshot}
   alias Aerie.Console.Commands.{Catalog, Panel}
   alias Aerie.Console.Pages.Vehicle.View
   alias Aerie.Console.Pages.Vehicle.Control.Target
@@ -106,7 +106,7 @@ defmodule Aerie.Console.Pages.Vehicle.Control.Actions do
   defp place(target), do: target |> Target.fields() |> Map.delete("altitude") |> Enum.sort()
 
   defp far(target, view) do
-    case Target.distance(target, view) do
+    case Snapshot.distance(view.vehicle, {target.lat, target.lon}) do
       nil -> nil
       metres when metres < 1000 -> "#{round(metres)} m"
       metres -> "#{View.number(metres / 1000, 1)} km"

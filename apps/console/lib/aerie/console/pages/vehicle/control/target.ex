@@ -1,7 +1,6 @@
 defmodule Aerie.Console.Pages.Vehicle.Control.Target do
-  @moduledoc "A position on the map to which a vehicle may be sent: the command for it, and the distance. Pure."
+  @moduledoc "A position on the map to which a vehicle may be sent and the command for it. Pure."
 
-  alias Aerie.Base.Geo.Earth
   alias Aerie.Console.Pages.Vehicle.View
 
   # A vehicle that is sent somewhere at the height of the ground would scrape it.
@@ -50,12 +49,4 @@ defmodule Aerie.Console.Pages.Vehicle.Control.Target do
       "lon" => View.number(target.lon, 7),
       "altitude" => target.altitude
     }
-
-  @doc "The distance from the vehicle in metres over the ground; nil if its position is not known."
-  @spec distance(t(), View.t()) :: float() | nil
-  def distance(target, view) do
-    with lat when is_number(lat) <- View.get(view, [:position, :lat]),
-         lon when is_number(lon) <- View.get(view, [:position, :lon]),
-         do: Earth.distance(Earth.point(lat, lon), Earth.point(target.lat, target.lon))
-  end
 end

@@ -448,7 +448,8 @@ defmodule Aerie.System.MspTest do
 
     heard(second, MavCodec.Parser.new(), told, [])
     assert throttle.() == 1100
-    # But may disarm it.
+    # But may disarm it: its height is known, so that it is not taken for flying.
+    eventually(fn -> data(c.gateway, :position, key(:betaflight))[:alt_rel] end, "its height is known")
     assert %{status: :completed} = submit(c, :betaflight, "disarm", %{}, other)
     Task.shutdown(steering, :brutal_kill)
     refute armed.()

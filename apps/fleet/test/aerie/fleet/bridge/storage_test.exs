@@ -49,13 +49,22 @@ defmodule Aerie.Fleet.Bridge.StorageTest do
     File.rm!(Path.join(disk, "filler"))
     :file.close(file)
     await.(await, fn -> problem.() == nil end)
-    url = URI.parse(Aerie.Fleet.Bridge.login_url(:g))
-    {:ok, conn} = Gnat.start_link(%{host: url.host, port: url.port, token: url.userinfo, connection_timeout: 60_000})
-    await.(await, fn ->
-      with {:ok, %{state: state}} <- Gnat.Jetstream.API.Stream.info(conn, "FLEET_EVENTS"),
-           do: state.messages == 40 and stored.(),
-           else: (_late -> false)
-    end)
+    # The server may be restarted under a connection.
+    Process.flag(:trap_exit, true)
+    messages = fn ->
+      url = URI.parse(Aerie.Fleet.Bridge.login_url(:g))
+      login = %{host: url.host, port: url.port, token: url.userinfo, connection_timeout: 60_000}
+      try do
+        with {:ok, conn} <- Gnat.start_link(login) do
+          info = Gnat.Jetstream.API.Stream.info(conn, "FLEET_EVENTS")
+          :ok = Gnat.stop(conn)
+          with {:ok, %{state: state}} <- info, do: state.messages
+        end
+      catch
+        :exit, _gone -> nil
+      end
+    end
+    await.(await, fn -> stored.() and messages.() == 40 end)
     IO.puts("restarts \#{Aerie.Fleet.Bridge.info(:g).server.restarts} \#{System.pid()}")
     Process.sleep(:infinity)
     """

@@ -126,7 +126,9 @@ defmodule Aerie.APICase do
       status: :online,
       last_heard: now,
       links: ["radio"],
-      groups: %{position: %{at: now, time_boot_ms: 5, data: %{lat: 47.1, lon: :nan, alt_rel: 3.5}}}
+      groups: %{
+        position: %{at: now, time_boot_ms: 5, data: %{lat: 47.1, lon: :nan, alt_msl: nil, alt_rel: 3.5}}
+      }
     })
   end
 

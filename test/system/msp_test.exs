@@ -448,9 +448,12 @@ defmodule Aerie.System.MspTest do
 
     heard(second, MavCodec.Parser.new(), told, [])
     assert throttle.() == 1100
-    # But may disarm it: its height is known, so that it is not taken for flying.
-    eventually(fn -> data(c.gateway, :position, key(:betaflight))[:alt_rel] end, "its height is known")
-    assert %{status: :completed} = submit(c, :betaflight, "disarm", %{}, other)
+    # But may disarm it. On a busy machine its height may be so old that it is taken for flying.
+    eventually(
+      fn -> submit(c, :betaflight, "disarm", %{}, other).status == :completed end,
+      "somebody else disarms it"
+    )
+
     Task.shutdown(steering, :brutal_kill)
     refute armed.()
   end

@@ -250,7 +250,8 @@ defmodule Aerie.System.ToolTest do
   defp tried(context, path) do
     policy = Path.join(context.folder, "a policy.yaml")
     names = ~s(vehicles: [{id: sim-001, system_id: 1}]\n)
-    File.write!(policy, names <> "policy: {conditions: [{types: [hold], armed: false}]}\n")
+    # Never: nobody knows whether it was armed by the time that it was told to hold.
+    File.write!(policy, names <> "policy: {conditions: [{types: [hold], armed: false, in_air: true}]}\n")
 
     words = [
       "policy",

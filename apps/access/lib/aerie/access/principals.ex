@@ -13,7 +13,7 @@ defmodule Aerie.Access.Principals do
   A ticket stands for the principal that it was issued to. Over a WebSocket `policy.clients` says what a key without a
   role and a program without a key may do.
 
-  Without a key a program of this machine gets in only while there is none. Any user of the machine may be behind it, so
+  Without a key a program of this machine gets in only while no keys exist. Any user of the machine may be behind it, so
   it is never more than an operator, and nobody who may command vehicles.
   """
 

@@ -18,7 +18,7 @@ defmodule Aerie.Access.Session do
 
   @secret_bytes 32
 
-  @doc "The secret that signs sessions: in a file of a folder, made if there is none, so that a restart ends no session."
+  @doc "The secret that signs sessions: in a file of a folder, made if the file is missing, so that a restart ends no session."
   @spec secret(Names.gateway(), Path.t()) :: {:ok, binary()} | {:error, String.t()}
   def secret(gateway, dir) do
     path = Path.join(dir, "secret")

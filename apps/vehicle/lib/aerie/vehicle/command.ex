@@ -118,7 +118,7 @@ defmodule Aerie.Vehicle.Command do
   @spec type_fields() :: [Json.Object.t()]
   defdelegate type_fields, to: Types, as: :fields
 
-  @doc "The row of a command's type, or of a name from outside; nil if there is none of this name."
+  @doc "The row of a command's type, or of a name from outside; nil if no command has this name."
   @spec type(t() | term()) :: Type.t() | nil
   def type(%__MODULE__{type: name}), do: Types.fetch!(name)
 

@@ -18,7 +18,7 @@ defmodule Aerie.Vehicle.Command.Refusal do
   @rules for row <- @table, {reason, _text} <- row.texts, into: %{}, do: {reason, row.rule}
   @statuses Map.new(@table, &{&1.rule, &1.status})
   @http Map.new(@table, &{Atom.to_string(&1.rule), &1.http})
-  # Words and holes in turn, the holes as atoms.
+  # Words and holes in turn; the holes of these texts become atoms when this is compiled.
   pieces = fn text ->
     text
     |> String.split(["%{", "}"])

@@ -23,7 +23,7 @@ defmodule Aerie.Vehicle.Session.ArmAuthorization do
   @doc "Decides whether a vehicle may arm now."
   @callback decide(Names.gateway(), snapshot :: map(), now_us :: integer()) :: decision()
 
-  @doc "The decision of the module that has it; nil: there is none."
+  @doc "The decision of a module; without one (nil) the vehicle may not arm."
   @spec decision(module() | nil, Names.gateway(), snapshot :: map()) :: decision()
   def decision(nil, _gateway, _snapshot), do: Refusal.deny(:no_policy_to_arm)
   def decision(module, gateway, snapshot), do: module.decide(gateway, snapshot, System.os_time(:microsecond))

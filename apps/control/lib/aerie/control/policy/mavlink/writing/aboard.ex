@@ -27,7 +27,9 @@ defmodule Aerie.Control.Policy.Mavlink.Writing.Aboard do
   @spec unsent(Names.gateway(), Store.vehicle_key(), 0..2) :: :ok
   def unsent(gateway, key, type), do: change(gateway, {key, type, :sent}, fn _before -> nil end)
 
-  @doc "Whether the items that were read, beginning at `read_at` (monotonic µs), are taken: nobody has written since."
+  @doc """
+  Takes the items that were read, beginning at `read_at` (monotonic µs); false if somebody has written a plan since.
+  """
   @spec read(Names.gateway(), Store.vehicle_key(), 0..2, [Item.t()], integer()) :: boolean()
   def read(gateway, key, type, items, read_at) do
     change(gateway, {key, type, :read}, fn

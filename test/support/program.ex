@@ -6,7 +6,7 @@ defmodule Aerie.Program do
   use GenServer
 
   alias Aerie.Patience
-  alias MavRouter.Router
+  alias MavRouter.{Link, Router}
   alias Aerie.WSClient
 
   @typedoc "How it is connected: UDP (its own address, the gateway's port), TCP, a WebSocket with headers, `mavlink.sock`."
@@ -65,7 +65,7 @@ defmodule Aerie.Program do
   defp frames_in(program) do
     %{gateway: gateway, way: way, port: port} = :sys.get_state(program)
 
-    case Enum.find(Router.endpoints(gateway), &same?(&1, way, port)) do
+    case Enum.find(Router.endpoints(gateway), &(same?(&1, way, port) and to?(&1, way, gateway))) do
       nil -> 0
       endpoint -> endpoint.counters.frames_in
     end
@@ -74,6 +74,12 @@ defmodule Aerie.Program do
   defp same?(%{kind: :unix}, {:unix, _path}, _port), do: true
   defp same?(%{peer: peer}, _way, port) when is_binary(peer), do: String.ends_with?(peer, ":#{port}")
   defp same?(_other, _way, _port), do: false
+
+  # A UDP and a TCP program may have the same port at their end.
+  defp to?(%{kind: :link, owner: owner}, way, gateway) when elem(way, 0) in [:udp, :tcp],
+    do: List.last(Tuple.to_list(way)) == Link.snapshot(gateway, owner).port
+
+  defp to?(%{kind: kind}, way, _gateway), do: kind == elem(way, 0)
 
   @impl GenServer
   def init({gateway, way}) do

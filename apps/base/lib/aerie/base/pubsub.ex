@@ -10,7 +10,7 @@ defmodule Aerie.Base.PubSub do
   | `:links`        | ids of the links that changed               | coalesced, once per tick |
   | `{:link, id}`   | its id: it changed, or is gone              | coalesced, once per tick |
   | `:events`       | an event of a vehicle                       | at once                  |
-  | `:journal`      | `:pending`: events wait for their acknowledgement | at once            |
+  | `:journal`      | `:pending`: events wait, or what is kept of a vehicle changed | at once            |
   | `:bridge`       | `{part, info}`: the NATS side changed       | at once                  |
   | `:leases`       | `{key, lease}`: who is in charge of a vehicle changed, nil for nobody | at once |
   | `{:commands, vehicle}` | the id of a command of this vehicle that began, went on or ended | at once |

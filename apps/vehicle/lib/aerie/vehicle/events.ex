@@ -63,14 +63,15 @@ defmodule Aerie.Vehicle.Events do
     %{state | detector: detector}
   end
 
-  defp step(state, {n, observation}, detector) do
-    before = detector.budget.suppressed
+  defp step(state, {n, observation}, former) do
     known = &Journal.param(state.gateway, state.id, &1)
-    {detector, events, params} = Detector.observe(detector, observation, known)
+    {detector, events, params} = Detector.observe(former, observation, known)
     detector = %{detector | done: n}
     Journal.commit(state.gateway, state.id, detector, events, params)
+    # What is kept over a restart may change without an event.
+    if events == [] and kept(detector) != kept(former), do: Journal.wake(state.gateway)
 
-    suppressed = detector.budget.suppressed - before
+    suppressed = detector.budget.suppressed - former.budget.suppressed
 
     _ =
       if suppressed > 0,
@@ -80,6 +81,9 @@ defmodule Aerie.Vehicle.Events do
     if events != [], do: tell_shadow(state)
     detector
   end
+
+  defp kept(%{last: last} = detector),
+    do: {Map.take(last, Detector.OfflineChanges.keys()), detector.published, detector.lost}
 
   # The shadow loop looks at the vehicle once a second anyway: this one is so that it hears at once of who is in charge.
   defp tell_shadow(state) do

@@ -7,7 +7,9 @@ defmodule Aerie.Fleet.Bridge.State.LastPublished do
   A vehicle's values are written when its events have left the journal, because then the stream or the outbox has them.
   So a transition whose event died with the gateway is found after the restart. One that was published in the last half
   second before a `kill -9` may be found again, marked as found. Every ten seconds the time is updated at which the
-  values still held.
+  values still held, in place and without a sync: a power cut may lose half a minute of it, and nothing else.
+
+  The process looks half a second after a notice of the journal, and again while events wait; else every ten seconds.
 
   A vehicle that was not lost and is not heard again gives `link.lost`
   (`Aerie.Fleet.Bridge.State.LastPublished.Missing`).
@@ -31,7 +33,7 @@ defmodule Aerie.Fleet.Bridge.State.LastPublished do
   alias Aerie.Fleet.Bridge.State.LastPublished.Missing
   alias Aerie.Fleet.Bridge.Settings
   alias Aerie.Base.Files.FolderLock
-  alias Aerie.Base.{Names, Store}
+  alias Aerie.Base.{Names, PubSub, Store}
   alias MavRouter.Identity
   alias Aerie.Vehicle.{Event, Events}
   alias Aerie.Vehicle.Events.Detector
@@ -40,7 +42,8 @@ defmodule Aerie.Fleet.Bridge.State.LastPublished do
   require Logger
 
   @look_ms 500
-  @refresh_us 10_000_000
+  @refresh_ms 10_000
+  @refresh_us @refresh_ms * 1_000
   @max_vehicles 4096
   @lock_min_ms 250
   @lock_max_ms 10_000
@@ -109,10 +112,13 @@ defmodule Aerie.Fleet.Bridge.State.LastPublished do
       epoch: nil,
       vehicles: %{},
       written_at: nil,
-      problem: nil
+      problem: nil,
+      timer: nil,
+      waiting?: false
     }
 
-    Process.send_after(self(), :look, @look_ms)
+    :ok = PubSub.subscribe(gateway, :journal)
+    state = look_in(state, @look_ms)
 
     case FolderLock.acquire(state.dir) do
       :ok ->
@@ -178,11 +184,13 @@ defmodule Aerie.Fleet.Bridge.State.LastPublished do
 
   @impl GenServer
   def handle_info(:look, state) do
-    Process.send_after(self(), :look, @look_ms)
     up_us = System.monotonic_time(:microsecond) - state.started
     unheard = Missing.check(state.unheard, state.gateway, state.settings.vehicle, now(), up_us)
-    {:noreply, check(%{state | unheard: unheard})}
+    {:noreply, again_later(check(%{state | unheard: unheard}))}
   end
+
+  # Something was committed.
+  def handle_info({:fleet, :journal, :pending}, state), do: {:noreply, look_in(state, @look_ms)}
 
   def handle_info(:lock, state) do
     case FolderLock.acquire(state.dir) do
@@ -197,6 +205,30 @@ defmodule Aerie.Fleet.Bridge.State.LastPublished do
   end
 
   def handle_info(_message, state), do: {:noreply, state}
+
+  # A timer that fires earlier stays.
+  defp look_in(%{timer: timer} = state, ms) do
+    left = timer && Process.read_timer(timer)
+
+    if is_integer(left) and left <= ms do
+      state
+    else
+      _ = timer && Process.cancel_timer(timer)
+      %{state | timer: Process.send_after(self(), :look, ms)}
+    end
+  end
+
+  # Nobody tells when an acknowledgement comes, and when a vehicle has been missing for long enough.
+  defp again_later(%{unheard: unheard, problem: nil, waiting?: false} = state) when unheard == %{},
+    do: look_in(state, next_refresh(state))
+
+  defp again_later(state), do: look_in(state, @look_ms)
+
+  # Bounded, because the clock may have been set.
+  defp next_refresh(%{written_at: nil}), do: @refresh_ms
+
+  defp next_refresh(%{written_at: at}),
+    do: div(at + @refresh_us - now(), 1_000) |> Kernel.+(1) |> max(@look_ms) |> min(@refresh_ms)
 
   defp late(state) do
     Logger.notice("changes during a restart will be found again: #{state.dir} is free")
@@ -251,20 +283,33 @@ defmodule Aerie.Fleet.Bridge.State.LastPublished do
           into: %{},
           do: {vehicle, kept(known, state.vehicles[vehicle], last, lost != false, now)}
 
-    vehicles = state.vehicles |> Map.merge(told) |> bounded()
+    # Nothing newer is known of the others.
+    former = Map.new(state.vehicles, fn {id, known} -> {id, Map.delete(known, :held)} end)
+    vehicles = former |> Map.merge(told) |> bounded()
+    state = %{state | waiting?: Enum.any?(waiting)}
 
-    if changed?(state, vehicles, now),
-      do: write(%{state | vehicles: vehicles}, now, false),
-      else: state
+    cond do
+      state.written_at == nil or values(vehicles) != values(state.vehicles) ->
+        write(%{state | vehicles: vehicles}, now, false)
+
+      vehicles != state.vehicles and now - state.written_at >= @refresh_us ->
+        refresh(%{state | vehicles: vehicles}, now)
+
+      true ->
+        state
+    end
   end
 
   defp detectors, do: %{__struct__: Detector, last: :"$2", published: :"$3", lost: :"$4"}
 
   # The values of a vehicle that is lost, or that has sent none since the restart, hold as of the time it was heard.
+  # Those of the others still hold (`held`).
   defp kept(known, before, last, lost, now) do
-    same? = before != nil and map_size(Map.drop(before, [:since, :lost])) == map_size(known)
-    since = if same? and (lost or last == %{}), do: before.since, else: now
-    Map.merge(known, %{since: since, lost: lost})
+    same? = before != nil and map_size(Map.drop(before, [:since, :lost, :held])) == map_size(known)
+
+    if same? and (lost or last == %{}),
+      do: Map.merge(known, %{since: before.since, lost: lost}),
+      else: Map.merge(known, %{since: now, lost: lost, held: true})
   end
 
   # Vehicles of recordings do not really fly.
@@ -287,19 +332,18 @@ defmodule Aerie.Fleet.Bridge.State.LastPublished do
     vehicles |> Enum.sort_by(fn {_id, known} -> -known.since end) |> Enum.take(@max_vehicles) |> Map.new()
   end
 
-  defp changed?(%{written_at: nil}, _vehicles, _now), do: true
+  defp values(vehicles), do: Map.new(vehicles, fn {id, known} -> {id, Map.delete(known, :since)} end)
 
-  defp changed?(state, vehicles, now) do
-    values = &Map.new(&1, fn {id, known} -> {id, Map.delete(known, :since)} end)
-
-    values.(vehicles) != values.(state.vehicles) or
-      (vehicles != state.vehicles and now - state.written_at >= @refresh_us)
+  defp refresh(%{file: file} = state, now) when file != nil do
+    if Kept.hold(file, now) == :ok, do: %{state | written_at: now}, else: write(state, now, false)
   end
+
+  defp refresh(state, now), do: %{state | written_at: now}
 
   defp write(%{file: nil} = state, now, _ended), do: %{state | written_at: now}
 
   defp write(state, now, ended) do
-    case Kept.write(state.file, %{epoch: state.epoch, ended: ended, vehicles: state.vehicles}) do
+    case Kept.write(state.file, %{epoch: state.epoch, ended: ended, vehicles: state.vehicles}, now) do
       :ok -> %{state | written_at: now, problem: nil}
       {:error, reason} -> problem(state, reason)
     end

@@ -4,6 +4,7 @@ defmodule Aerie.Fleet.Bridge.State.LastPublishedTest do
 
   alias Aerie.Base.Json
   alias Aerie.Fleet.Bridge.State.LastPublished
+  alias Aerie.Fleet.Bridge.State.LastPublished.File, as: Kept
   alias Aerie.Vehicle.Events.Journal
   alias MavCodec.Messages.Heartbeat
 
@@ -174,6 +175,59 @@ defmodule Aerie.Fleet.Bridge.State.LastPublishedTest do
     :ok = Journal.ack(gateway, [event.id])
     look(memory)
     assert kept(dir)["vehicles"]["A"]["armed"] == false
+  end
+
+  test "a notice of the journal brings a look, for a change with an event or without one", %{tmp_dir: dir} do
+    gateway = start_memory(dir)
+    options = Aerie.Vehicle.Options.new(config(dir).vehicle, {"main", 7})
+    Store.put_vehicle(gateway, options.key, %{id: options.id, key: options.key, links: []})
+    start_supervised!({Aerie.Vehicle.Events, gateway: gateway, options: options})
+    # Where a vehicle is found is no event.
+    see(gateway, options, %{armed: true, in_air: true, mode: "AUTO"})
+    assert types(gateway, options.id) == []
+    eventually(fn -> match?(%{"armed" => true}, kept(dir)["vehicles"][options.id]) end)
+
+    see(gateway, options, %{armed: false, in_air: true, mode: "AUTO"})
+    Journal.ack(gateway, for(event <- Journal.pending(gateway), do: event.id))
+    eventually(fn -> match?(%{"armed" => false}, kept(dir)["vehicles"][options.id]) end)
+  end
+
+  test "the time at which values still hold is updated in place, not for what waits or is lost", %{
+    tmp_dir: dir
+  } do
+    file = Path.join(dir, "outbox/last/vehicles.json")
+    gateway = start_memory(dir)
+    memory = Aerie.Base.Names.whereis(gateway, :bridge_last_published)
+
+    for id <- ["A", "B", "C"],
+        do: Journal.commit(gateway, id, %{detector() | vehicle: id, last: %{armed: true}}, [])
+
+    look(memory)
+    :ok = Journal.commit(gateway, "B", %{detector() | vehicle: "B", last: %{armed: true}, lost: true}, [])
+    event = Event.new("C", "disarmed", 1, 1, nil, %{})
+    :ok = Journal.commit(gateway, "C", %{detector() | vehicle: "C", last: %{armed: false}}, [event])
+    look(memory)
+    written = File.stat!(file)
+    before = Kept.read(file).vehicles
+
+    # As if ten seconds had passed.
+    :sys.replace_state(memory, &%{&1 | written_at: &1.written_at - 10_000_000})
+    at = System.os_time(:microsecond)
+    look(memory)
+    assert %{inode: inode, size: size, mode: mode} = File.stat!(file)
+    assert {inode, size, mode} == {written.inode, written.size, written.mode}
+
+    assert %{"A" => %{since: since, armed: true}, "B" => %{lost: true} = b, "C" => %{armed: true} = c} =
+             Kept.read(file).vehicles
+
+    assert since >= at and since > before["A"].since
+    assert {b, c} == {before["B"], before["C"]}
+
+    # A file that was removed is made again, whole.
+    File.rm!(file)
+    :sys.replace_state(memory, &%{&1 | written_at: &1.written_at - 10_000_000})
+    look(memory)
+    assert %{"A" => %{armed: true}} = Kept.read(file).vehicles
   end
 
   test "a vehicle of a recording is not kept", %{tmp_dir: dir} do

@@ -15,6 +15,12 @@ defmodule MavRouter.Endpoints.Output do
   # that packs datagrams itself (PX4) puts fewer into one.
   @many 64
 
+  # From so many datagrams of one size on, one write that the kernel cuts up (UDP_SEGMENT of Linux) costs less than one
+  # for each: six take less time than two. Receivers see no difference.
+  @few 3
+  @udp 17
+  @segment 103
+
   @typedoc "What is needed of an endpoint: an `MavRouter.Forward.Table.Path`, or an `Endpoint`."
   @type path :: %{
           :out => Endpoint.out(),
@@ -47,18 +53,19 @@ defmodule MavRouter.Endpoints.Output do
       end)
 
     # A datagram that failed is not taken apart to count its frames: the whole batch counts as lost.
-    if good do
-      Counters.add(path.counters, :frames_out, batch.n)
-      Counters.add(path.counters, :bytes_out, bytes)
-    else
-      Counters.add(path.counters, :failed, batch.n)
-    end
-
+    if good, do: sent(path.counters, batch.n, bytes), else: Counters.add(path.counters, :failed, batch.n)
     batch
   end
 
   defp write_out(%{out: {:udp, socket, to}} = path, batch) do
-    Enum.each(batch.frames, &datagram(socket, to, &1.bytes, 1, path.counters))
+    batch = Batch.sized(batch)
+
+    Enum.each(batch.sized, fn {size, datagrams, n} ->
+      if n >= @few and segments(socket, to, size, datagrams),
+        do: sent(path.counters, n, n * size),
+        else: Enum.each(datagrams, &datagram(socket, to, &1, 1, path.counters))
+    end)
+
     batch
   end
 
@@ -112,12 +119,20 @@ defmodule MavRouter.Endpoints.Output do
   end
 
   defp datagram(socket, to, bytes, n, counters) do
-    if write(socket, to, bytes) do
-      Counters.add(counters, :frames_out, n)
-      Counters.add(counters, :bytes_out, byte_size(bytes))
-    else
-      Counters.add(counters, :failed, n)
-    end
+    if write(socket, to, bytes),
+      do: sent(counters, n, byte_size(bytes)),
+      else: Counters.add(counters, :failed, n)
+  end
+
+  defp sent(counters, n, bytes) do
+    Counters.add(counters, :frames_out, n)
+    Counters.add(counters, :bytes_out, bytes)
+  end
+
+  # False when nothing was sent: by a system or an interface that does not cut up datagrams, or for want of room.
+  defp segments(socket, to, size, datagrams) do
+    cut = %{level: @udp, type: @segment, data: <<size::16-native>>}
+    :socket.sendmsg(socket, %{addr: to, iov: datagrams, ctrl: [cut]}, [], 0) == :ok
   end
 
   # With a time-out of 0 a kernel without room says so at once.
@@ -136,8 +151,7 @@ defmodule MavRouter.Endpoints.Output do
       Counters.dropped(path.counters, class, n)
     else
       send(pid, if(tag == nil, do: {:forward, bytes, class}, else: {:forward, tag, bytes, class}))
-      Counters.add(path.counters, :frames_out, n)
-      Counters.add(path.counters, :bytes_out, IO.iodata_length(bytes))
+      sent(path.counters, n, IO.iodata_length(bytes))
     end
 
     :ok

@@ -8,14 +8,17 @@ defmodule MavRouter.Endpoints.Output.Batch do
 
   # Fits into an Ethernet frame with IPv6 and a tunnel or two, and into mavlink-router's buffer (1,120).
   @datagram 1_024
+  # As many datagrams as every Linux cuts out of one write.
+  @segments 64
 
   @enforce_keys [:frames, :n]
-  defstruct [:frames, :n, :datagrams, :runs]
+  defstruct [:frames, :n, :datagrams, :sized, :runs]
 
   @type t :: %__MODULE__{
           frames: [Frame.t()],
           n: pos_integer,
           datagrams: [binary] | nil,
+          sized: [{size :: pos_integer, [binary], pos_integer}] | nil,
           runs: [{TrafficClass.class(), [binary], pos_integer}] | nil
         }
 
@@ -47,6 +50,20 @@ defmodule MavRouter.Endpoints.Output.Batch do
 
   defp datagram([one]), do: one
   defp datagram(many), do: many |> :lists.reverse() |> :erlang.iolist_to_binary()
+
+  @doc "Fills in the runs of frames of one size, of at most #{@segments} frames each."
+  @spec sized(t) :: t
+  def sized(%__MODULE__{sized: nil} = batch), do: %{batch | sized: sizes(batch.frames, [])}
+  def sized(batch), do: batch
+
+  defp sizes([], done), do: :lists.reverse(done)
+  defp sizes([%Frame{bytes: bytes} | rest], done), do: sizes(rest, byte_size(bytes), [bytes], 1, done)
+
+  defp sizes([%Frame{bytes: bytes} | rest], size, run, n, done)
+       when byte_size(bytes) == size and n < @segments,
+       do: sizes(rest, size, [bytes | run], n + 1, done)
+
+  defp sizes(frames, size, run, n, done), do: sizes(frames, [{size, :lists.reverse(run), n} | done])
 
   @doc "Fills in the runs of one class."
   @spec classed(t) :: t

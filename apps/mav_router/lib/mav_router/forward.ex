@@ -136,7 +136,9 @@ defmodule MavRouter.Forward do
   # To vehicles only. Clients learn what a vehicle says without the secret itself; what other clients say they
   # do not hear.
   defp secret(:all, frame, %{source: source, path: path} = delivery) do
-    vehicles = for {relation, to} <- source.vehicles, relation == :own or vehicle?(to), do: {relation, to}
+    vehicles =
+      for {relation, paths} <- source.vehicles,
+          do: {relation, Enum.filter(paths, &(relation == :own or vehicle?(&1)))}
 
     groups =
       for {group, relation, paths} <- source.groups, do: {group, relation, Enum.filter(paths, &vehicle?/1)}
@@ -200,15 +202,15 @@ defmodule MavRouter.Forward do
   defp to_vehicles(_batch, %{scope: :clients}), do: :ok
 
   defp to_vehicles(batch, %{scope: :cleared, source: source} = delivery) do
-    _batch = source.vehicles |> Enum.map(&elem(&1, 1)) |> emit_all(batch, delivery)
+    _batch = source.vehicles |> Enum.flat_map(&elem(&1, 1)) |> emit_all(batch, delivery)
     for {group, _relation, paths} <- source.groups, do: to_group({group, paths}, batch.frames, delivery)
   end
 
   # A vehicle's telemetry is not for other vehicles.
   defp to_vehicles(batch, %{source: source} = delivery) do
-    for {relation, to} <- source.vehicles,
+    for {relation, paths} <- source.vehicles,
         [_ | _] = frames <- [passing(relation, batch.frames, delivery)],
-        do: _ = emit(to, Batch.new(frames), delivery)
+        do: emit_all(paths, Batch.new(frames), delivery)
 
     for {group, relation, paths} <- source.groups,
         [_ | _] = frames <- [passing(relation, batch.frames, delivery)],
@@ -284,7 +286,11 @@ defmodule MavRouter.Forward do
     case forwarding.paths do
       %{^key => %{side: :vehicle} = to} ->
         delivery.scope == :related and
-          Reach.passes?(Reach.relation(source, path, to, tables), frame, forwarding.between)
+          Reach.passes?(
+            Reach.relation(source, path, to, Reach.near(source, path, tables)),
+            frame,
+            forwarding.between
+          )
 
       _client_or_gone ->
         true

@@ -19,6 +19,8 @@ defmodule MavRouter.Forward.Reach do
   alias MavCodec.Meaning.Messages
   alias MavCodec.Meaning.Heartbeat
   alias MavCodec.MessageId
+  alias MavRouter.Endpoints.Endpoint
+  alias MavRouter.Forward.GroundStations
   alias MavRouter.Forward.Table.Path
   alias MavRouter.Routes
   alias MavRouter.Forward.Source
@@ -32,14 +34,37 @@ defmodule MavRouter.Forward.Reach do
 
   @type relation :: :own | :part | :listener | :vehicle | :station | :stranger
 
+  @typedoc "Endpoints that bring a source's system, and those of vehicles that take it for their ground station."
+  @type near :: %{own: MapSet.t(Endpoint.key()), stations: MapSet.t(Endpoint.key())}
+
+  @doc """
+  What the relations of a source on a link are worked out from, once for all receivers. `stations?`: with the stations,
+  which the relations of a vehicle need anyway.
+  """
+  @spec near(Source.t(), Path.t(), Tables.t(), boolean) :: near
+  def near(source, from, tables, stations? \\ false) do
+    obeyed_by =
+      if source.vehicle or stations?,
+        do: GroundStations.obeyed_by(tables, from.networks, source.system),
+        else: []
+
+    %{
+      own: brought(for(network <- from.networks, do: {network, source.system}), tables),
+      stations: brought(obeyed_by, tables)
+    }
+  end
+
+  defp brought(systems, tables),
+    do: for(system <- systems, key <- Routes.endpoints(tables, system), into: MapSet.new(), do: key)
+
   @doc "How a source on a link is related to an endpoint on the side of vehicles."
-  @spec relation(Source.t(), Path.t(), Path.t(), Tables.t()) :: relation
-  def relation(%{vehicle: vehicle?} = source, from, to, tables) do
-    own? = Enum.any?(from.networks, &Routes.on_endpoint?(tables, {&1, source.system}, to.key))
+  @spec relation(Source.t(), Path.t(), Path.t(), near) :: relation
+  def relation(%{vehicle: vehicle?}, from, to, near) do
+    own? = to.key in near.own
 
     cond do
       vehicle? and to.heard_vehicle != true and own? -> :own
-      vehicle? and station?(source, to, tables) -> :station
+      vehicle? and station?(to, near) -> :station
       vehicle? and to.heard_vehicle != true -> :listener
       vehicle? -> :vehicle
       own? and (from.parts or from.commands) -> :part
@@ -48,9 +73,8 @@ defmodule MavRouter.Forward.Reach do
   end
 
   @doc "Whether a vehicle at an endpoint takes the system of a source for its ground station."
-  @spec station?(Source.t(), Path.t(), Tables.t()) :: boolean
-  def station?(%{obeyed_by: vehicles}, to, tables),
-    do: Enum.any?(vehicles, &Routes.on_endpoint?(tables, &1, to.key))
+  @spec station?(Path.t(), near) :: boolean
+  def station?(to, near), do: to.key in near.stations
 
   @doc "Whether a frame gets through. `between` is `router.between_vehicles`."
   @spec passes?(relation, Frame.t(), between :: atom) :: boolean

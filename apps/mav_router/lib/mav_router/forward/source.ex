@@ -6,11 +6,10 @@ defmodule MavRouter.Forward.Source do
   | field | |
   |---|---|
   | `receivers` | paths of clients and sniffers, which get its broadcasts (R1) |
-  | `vehicles` | paths on the side of vehicles, with the sender's relation to each (`MavRouter.Forward.Reach`) |
+  | `vehicles` | paths on the side of vehicles, by the sender's relation to them (`MavRouter.Forward.Reach`) |
   | `groups` | the same for groups of redundant links, of which one carries |
   | `heartbeat_receivers` | paths of other vehicles, which get a vehicle's heartbeats and nothing else |
   | `vehicle` | it is part of a vehicle whose autopilot is heard by the same endpoint |
-  | `obeyed_by` | vehicles that take its system for their ground station (`MavRouter.Forward.GroundStations`) |
   | `redundant` | other endpoints bring it too, so its frames are checked for duplicates |
   | `collided` | it is another vehicle with an id that was taken (`MavRouter.Routes.Collisions`), or a claim |
   | `standing` | what its endpoint is to the vehicle with its id (`MavRouter.Forward.Holders`) |
@@ -25,7 +24,6 @@ defmodule MavRouter.Forward.Source do
   alias MavRouter.Endpoints.Counters
   alias MavRouter.Forward.Table
   alias MavRouter.Forward.Reach
-  alias MavRouter.Forward.GroundStations
   alias MavRouter.Endpoints.Owner.Renumber
   alias MavRouter.Routes
   alias MavRouter.Forward.Holders
@@ -50,7 +48,6 @@ defmodule MavRouter.Forward.Source do
     vehicles: [],
     groups: [],
     heartbeat_receivers: [],
-    obeyed_by: [],
     redundant: false,
     collided: false,
     standing: :free,
@@ -173,8 +170,7 @@ defmodule MavRouter.Forward.Source do
     others = path.networks |> Enum.flat_map(&elsewhere(tables, path, source, &1)) |> Enum.uniq()
     claimed? = Enum.any?(path.networks, &Holders.claimed?(tables, {&1, source.system}, delivery.now))
 
-    obeyed_by = GroundStations.obeyed_by(tables, path.networks, source.system)
-    source = %{source | vehicle: vehicle?(source, path, tables), obeyed_by: obeyed_by}
+    source = %{source | vehicle: vehicle?(source, path, tables)}
 
     {all, heartbeats} =
       cond do
@@ -193,22 +189,19 @@ defmodule MavRouter.Forward.Source do
 
     all = for {_key, to} <- all, receives?.(to), do: to
 
-    heartbeats =
-      for {_key, to} <- heartbeats,
-          receives?.(to),
-          not Reach.station?(source, to, tables),
-          do: to
-
+    heartbeats = for {_key, to} <- heartbeats, receives?.(to), do: to
     {vehicles, clients} = Enum.split_with(all, &(&1.side == :vehicle and not &1.sniffer))
-    related = for to <- vehicles, do: {Reach.relation(source, path, to, tables), to}
+    # In a crowd there are none of either, and nothing to look up.
+    near = if vehicles != [] or heartbeats != [], do: Reach.near(source, path, tables, heartbeats != [])
+    related = for to <- vehicles, do: {Reach.relation(source, path, to, near), to}
     {grouped, single} = Enum.split_with(related, fn {_relation, to} -> to.group != nil end)
 
     %{
       source
       | receivers: clients,
-        vehicles: single,
+        vehicles: single |> Enum.group_by(&elem(&1, 0), &elem(&1, 1)) |> Enum.to_list(),
         groups: grouped |> Enum.group_by(fn {_relation, to} -> to.group end) |> Enum.map(&group(&1, source)),
-        heartbeat_receivers: heartbeats,
+        heartbeat_receivers: Enum.reject(heartbeats, &Reach.station?(&1, near)),
         redundant: rivals(others, path, forwarding) != [] or claimed?
     }
   end

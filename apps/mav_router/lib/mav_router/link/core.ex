@@ -374,8 +374,7 @@ defmodule MavRouter.Link.Core do
   defp sample(core, mono) do
     counters = counters(core)
     seen = {counters, map_size(core.peers.map), Snapshot.text(core, mono)}
-    moving? = Enum.any?(Rates.per_second(core.rates), fn {_name, rate} -> rate != 0.0 end)
-    actions = if moving? or seen != core.sampled, do: [:publish_snapshot], else: []
+    actions = if Rates.any?(core.rates) or seen != core.sampled, do: [:publish_snapshot], else: []
     {words, damage} = DamageLog.check(core.damage, counters, mono)
     core = %{core | rates: Rates.sample(core.rates, counters, mono), sampled: seen, damage: damage}
     {core, if(words, do: [{:warn, words} | actions], else: actions)}

@@ -50,9 +50,8 @@ defmodule MavRouter.Link.Core.Counters do
             {:denied, :integer, nil, "commands of endpoints that may not send them"},
             {:withheld, :integer, nil, "heartbeats and measurements withheld from vehicles"}
           ])
-  @sums Enum.map(@fields, & &1.name)
 
-  defstruct Enum.map(@sums, &{&1, 0}) ++ [messages: %{}]
+  defstruct Enum.map(@fields, &{&1.name, 0}) ++ [messages: %{}]
 
   @type t :: %__MODULE__{messages: %{(non_neg_integer | :other) => pos_integer}}
 
@@ -67,12 +66,9 @@ defmodule MavRouter.Link.Core.Counters do
   @doc "Adds the sums that `more` has; its other keys are ignored."
   @spec merge(t, map) :: t
   def merge(%__MODULE__{} = counters, more) do
-    Enum.reduce(@sums, counters, fn name, counters ->
-      case more do
-        %{^name => n} when is_integer(n) and n != 0 -> add(counters, name, n)
-        _none -> counters
-      end
-    end)
+    for {name, n} when is_integer(n) and n != 0 <- more, is_map_key(counters, name), reduce: counters do
+      counters -> add(counters, name, n)
+    end
   end
 
   @doc "Counts frames by message id."

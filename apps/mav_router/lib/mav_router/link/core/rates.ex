@@ -23,6 +23,11 @@ defmodule MavRouter.Link.Core.Rates do
     %__MODULE__{samples: [{now, Map.take(counters, @names)} | inside ++ Enum.take(before, 1)]}
   end
 
+  @doc "Whether any rate is above 0."
+  @spec any?(t) :: boolean
+  def any?(%__MODULE__{samples: [{_now, newest} | _] = samples}), do: elem(List.last(samples), 1) != newest
+  def any?(%__MODULE__{samples: []}), do: false
+
   @doc "Rates per second over about the last second: #{Enum.map_join(@names, ", ", &"`#{&1}`")}."
   @spec per_second(t) :: %{atom => float}
   def per_second(%__MODULE__{samples: [{now, newest} | _] = samples}) do

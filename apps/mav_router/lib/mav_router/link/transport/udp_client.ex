@@ -67,7 +67,7 @@ defmodule MavRouter.Link.Transport.UdpClient do
     datagrams = Enum.map([{{address, port}, bytes} | Net.drain(socket)], &scoped(&1, conn.to))
 
     {datagrams, shed, backlog} =
-      Net.take(socket, conn.backlog, datagrams, :erlang.monotonic_time(:millisecond))
+      Net.take(conn.sender, conn.backlog, datagrams, :erlang.monotonic_time(:millisecond))
 
     {reads, heard} = Enum.flat_map_reduce(datagrams, %{conn | backlog: backlog}, &hear/2)
     events = Net.events(reads, shed, backlog)
@@ -114,7 +114,7 @@ defmodule MavRouter.Link.Transport.UdpClient do
   def direct(%{sender: sender, to: {address, port}}, :remote), do: {:udp, sender, Net.sockaddr(address, port)}
 
   @impl MavRouter.Link.Transport
-  def kernel_dropped(conn), do: Net.kernel_dropped(conn.socket)
+  def kernel_dropped(conn), do: Net.kernel_dropped(conn.sender)
 
   @impl MavRouter.Link.Transport
   def close(conn), do: Net.udp_close(conn.socket, conn.sender)

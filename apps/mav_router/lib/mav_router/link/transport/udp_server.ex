@@ -78,9 +78,9 @@ defmodule MavRouter.Link.Transport.UdpServer do
   def handle(%{socket: socket, resting?: true} = conn, {:udp_passive, socket}), do: {[], conn}
   def handle(conn, message), do: Net.udp_message(conn, message)
 
-  defp received(%{socket: socket} = conn, datagrams) do
+  defp received(conn, datagrams) do
     now = :erlang.monotonic_time(:millisecond)
-    {reads, shed, backlog} = Net.take(socket, conn.backlog, datagrams, now)
+    {reads, shed, backlog} = Net.take(conn.sender, conn.backlog, datagrams, now)
     gathering = Gathering.read(conn.gathering, datagrams, now)
     {Net.events(reads, shed, backlog), rest(%{conn | backlog: backlog, gathering: gathering})}
   end
@@ -119,7 +119,7 @@ defmodule MavRouter.Link.Transport.UdpServer do
   def direct(%{sender: sender}, {address, port}), do: {:udp, sender, Net.sockaddr(address, port)}
 
   @impl MavRouter.Link.Transport
-  def kernel_dropped(conn), do: Net.kernel_dropped(conn.socket)
+  def kernel_dropped(conn), do: Net.kernel_dropped(conn.sender)
 
   @impl MavRouter.Link.Transport
   def drop(conn, _peer), do: conn

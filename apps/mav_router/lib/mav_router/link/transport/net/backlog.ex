@@ -18,7 +18,7 @@ defmodule MavRouter.Link.Transport.Net.Backlog do
   It is fair to senders (`MavRouter.Link.Transport.Net.Senders`). It first keeps those of the datagrams read at a time
   whose senders had been heard for a minute when the overload began, then those of senders heard for five seconds, then
   those of new ones: hundreds of strangers take nothing from a vehicle that was there before. Among equals each sender
-  keeps as many as the others that have so many, its newest.
+  keeps its newest heartbeat, by which a vehicle is known, then as many others as those that have so many, its newest.
   """
 
   alias MavRouter.Link.Transport.Net.Senders
@@ -181,8 +181,8 @@ defmodule MavRouter.Link.Transport.Net.Backlog do
 
   defp new?({{rank, _round, _i}, _datagram}), do: rank == 0
 
-  # In the order in which to keep them: by the rank of their senders, each sender's newest before any other's second
-  # newest.
+  # In the order in which to keep them: by the rank of their senders, the newest heartbeat of each, then each sender's
+  # newest before any other's second newest.
   defp ranked(datagrams, backlog) do
     {ranked, _rounds} =
       datagrams
@@ -190,12 +190,19 @@ defmodule MavRouter.Link.Transport.Net.Backlog do
       |> Enum.with_index()
       |> Enum.map_reduce(%{}, fn {datagram, i}, rounds ->
         sender = Senders.of(datagram)
-        {rank, round} = Map.get_lazy(rounds, sender, fn -> {rank(backlog, sender), 0} end)
-        {{{rank, round, i}, datagram}, Map.put(rounds, sender, {rank, round + 1})}
+        {rank, round, beat?} = Map.get_lazy(rounds, sender, fn -> {rank(backlog, sender), 0, false} end)
+
+        if not beat? and heartbeat?(datagram),
+          do: {{{rank, -1, i}, datagram}, Map.put(rounds, sender, {rank, round, true})},
+          else: {{{rank, round, i}, datagram}, Map.put(rounds, sender, {rank, round + 1, beat?})}
       end)
 
     Enum.sort_by(ranked, fn {{rank, round, i}, _datagram} -> {-rank, round, i} end)
   end
+
+  defp heartbeat?({_address, <<0xFD, _::48, 0::24, _::binary>>}), do: true
+  defp heartbeat?({_address, <<0xFE, _::32, 0, _::binary>>}), do: true
+  defp heartbeat?(_other), do: false
 
   defp rank(%{began: began, senders: senders}, sender) do
     since = Senders.since(senders, sender)

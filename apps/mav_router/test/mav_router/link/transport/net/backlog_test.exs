@@ -230,6 +230,18 @@ defmodule MavRouter.Link.Transport.Net.BacklogTest do
     assert heard.shed > 10_000
   end
 
+  test "the newest heartbeat of each sender is kept first, but of one that says nothing else no second one" do
+    beat = fn sender, n -> {sender, <<0xFD, 9, 0, 0, n, 1, 1, 0::24, 0>>} end
+    old = fn sender, n -> {sender, <<0xFE, 9, n, 1, 1, 0, 0>>} end
+    other = fn sender, n -> {sender, <<0xFD, 9, 0, 0, n, 1, 1, 30::24-little, 0>>} end
+    quiet = [beat.(:quiet, 1), old.(:old, 1), other.(:old, 2)]
+    loud = for n <- 3..60, do: beat.(:loud, n)
+    read = quiet ++ loud ++ for n <- 61..100, do: other.(:busy, n)
+    backlog = %{Backlog.new() | measured: 0, began: 0, shed: 200, keep: {5, 101}}
+    assert {kept, _discarded, _backlog} = Backlog.take(backlog, read)
+    assert kept == [beat.(:quiet, 1), old.(:old, 1), beat.(:loud, 59), beat.(:loud, 60), other.(:busy, 100)]
+  end
+
   test "systems behind one address are senders of their own" do
     frame = fn system -> {:router, <<0xFD, 9, 0, 0, 0, system, 1>>} end
     backlog = %{Backlog.new() | measured: 0}

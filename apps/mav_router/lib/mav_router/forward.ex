@@ -286,15 +286,16 @@ defmodule MavRouter.Forward do
     case forwarding.paths do
       %{^key => %{side: :vehicle} = to} ->
         delivery.scope == :related and
-          Reach.passes?(
-            Reach.relation(source, path, to, Reach.near(source, path, tables)),
-            frame,
-            forwarding.between
-          )
+          Reach.passes?(relation(source, path, to, tables), frame, forwarding.between)
 
       _client_or_gone ->
         true
     end
+  end
+
+  defp relation(source, path, to, tables) do
+    own? = Enum.any?(path.networks, &Routes.on_endpoint?(tables, {&1, source.system}, to.key))
+    Reach.relation(source, path, to, own?, tables)
   end
 
   defp send_by(frame, system, keys, %{path: path} = delivery) do

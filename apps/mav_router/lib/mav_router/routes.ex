@@ -117,13 +117,21 @@ defmodule MavRouter.Routes do
     end
   end
 
-  @doc "The systems that an endpoint brings, with their networks."
+  @doc "The systems that an endpoint brings, with their networks; forgotten ones may be among them."
   @spec heard_by(Tables.t(), Endpoint.key()) :: [{String.t(), non_neg_integer}]
-  def heard_by(tables, {link, peer}) do
-    tables.heard_by
-    |> :ets.select([{{{link, peer, :"$1", :"$2", :_}}, [], [{{:"$1", :"$2"}}]}])
-    |> Enum.uniq()
+  def heard_by(tables, {link, peer}), do: tables.heard_by |> :ets.select(brought(link, peer)) |> Enum.uniq()
+
+  @doc "The same of an endpoint that has no more than `most` routes."
+  @spec heard_by(Tables.t(), Endpoint.key(), pos_integer) :: [{String.t(), non_neg_integer}] | :many
+  def heard_by(tables, {link, peer}, most) do
+    case :ets.select(tables.heard_by, brought(link, peer), most) do
+      {found, :"$end_of_table"} -> found
+      :"$end_of_table" -> []
+      {_found, _more} -> :many
+    end
   end
+
+  defp brought(link, peer), do: [{{{link, peer, :"$1", :"$2", :_}}, [], [{{:"$1", :"$2"}}]}]
 
   @doc "Whether a component is heard by an endpoint."
   @spec talks?(Tables.t(), {String.t(), non_neg_integer, 0..255}, Endpoint.key()) :: boolean

@@ -86,6 +86,16 @@ defmodule MavRouter.Forward.GroundStations do
     for {network, _system} = vehicle <- found, network in networks, do: vehicle
   end
 
+  @doc "Whether a vehicle takes a system, which is not its own, for its station."
+  @spec obeys?(Tables.t(), vehicle, non_neg_integer()) :: boolean()
+        when vehicle: {network :: String.t(), system :: non_neg_integer()}
+  def obeys?(%{obeyed: table}, {_network, own} = vehicle, system) do
+    case :ets.lookup(table, vehicle) do
+      [{_vehicle, low, high, _at}] -> system != own and low <= system and system <= high
+      [] -> false
+    end
+  end
+
   @doc "Forgets vehicles of which nobody has told anything for a minute: they have no session any more."
   @spec sweep(Tables.t(), now :: integer()) :: non_neg_integer()
   def sweep(%{obeyed: table}, now),

@@ -19,7 +19,6 @@ defmodule MavRouter.Forward.Reach do
   alias MavCodec.Meaning.Messages
   alias MavCodec.Meaning.Heartbeat
   alias MavCodec.MessageId
-  alias MavRouter.Endpoints.Endpoint
   alias MavRouter.Forward.GroundStations
   alias MavRouter.Forward.Table.Path
   alias MavRouter.Routes
@@ -31,40 +30,16 @@ defmodule MavRouter.Forward.Reach do
   @heartbeat Heartbeat.id()
   @authorization MavCodec.Enums.MavCmd.value(:MAV_CMD_ARM_AUTHORIZATION_REQUEST)
   @heard [:telemetry, :presence, :question, :answer]
+  @few 16
 
   @type relation :: :own | :part | :listener | :vehicle | :station | :stranger
 
-  @typedoc "Endpoints that bring a source's system, and those of vehicles that take it for their ground station."
-  @type near :: %{own: MapSet.t(Endpoint.key()), stations: MapSet.t(Endpoint.key())}
-
-  @doc """
-  What the relations of a source on a link are worked out from, once for all receivers. `stations?`: with the stations,
-  which the relations of a vehicle need anyway.
-  """
-  @spec near(Source.t(), Path.t(), Tables.t(), boolean) :: near
-  def near(source, from, tables, stations? \\ false) do
-    obeyed_by =
-      if source.vehicle or stations?,
-        do: GroundStations.obeyed_by(tables, from.networks, source.system),
-        else: []
-
-    %{
-      own: brought(for(network <- from.networks, do: {network, source.system}), tables),
-      stations: brought(obeyed_by, tables)
-    }
-  end
-
-  defp brought(systems, tables),
-    do: for(system <- systems, key <- Routes.endpoints(tables, system), into: MapSet.new(), do: key)
-
-  @doc "How a source on a link is related to an endpoint on the side of vehicles."
-  @spec relation(Source.t(), Path.t(), Path.t(), near) :: relation
-  def relation(%{vehicle: vehicle?}, from, to, near) do
-    own? = to.key in near.own
-
+  @doc "How a source on a link is related to an endpoint of vehicles; `own?`: that one brings its system as well."
+  @spec relation(Source.t(), Path.t(), Path.t(), boolean, Tables.t()) :: relation
+  def relation(%{vehicle: vehicle?} = source, from, to, own?, tables) do
     cond do
       vehicle? and to.heard_vehicle != true and own? -> :own
-      vehicle? and station?(to, near) -> :station
+      vehicle? and station?(source, from, to, tables) -> :station
       vehicle? and to.heard_vehicle != true -> :listener
       vehicle? -> :vehicle
       own? and (from.parts or from.commands) -> :part
@@ -73,8 +48,18 @@ defmodule MavRouter.Forward.Reach do
   end
 
   @doc "Whether a vehicle at an endpoint takes the system of a source for its ground station."
-  @spec station?(Path.t(), near) :: boolean
-  def station?(to, near), do: to.key in near.stations
+  @spec station?(Source.t(), Path.t(), Path.t(), Tables.t()) :: boolean
+  def station?(%{system: system}, %{networks: networks}, to, tables) do
+    # There may be hundreds of vehicles, or of systems behind an endpoint; hardly ever both.
+    vehicles =
+      with :many <- Routes.heard_by(tables, to.key, @few),
+           do: GroundStations.obeyed_by(tables, networks, system)
+
+    Enum.any?(vehicles, fn {network, _system} = vehicle ->
+      network in networks and GroundStations.obeys?(tables, vehicle, system) and
+        Routes.on_endpoint?(tables, vehicle, to.key)
+    end)
+  end
 
   @doc "Whether a frame gets through. `between` is `router.between_vehicles`."
   @spec passes?(relation, Frame.t(), between :: atom) :: boolean

@@ -189,11 +189,14 @@ defmodule MavRouter.Forward.Source do
 
     all = for {_key, to} <- all, receives?.(to), do: to
 
-    heartbeats = for {_key, to} <- heartbeats, receives?.(to), do: to
+    heartbeats =
+      for {_key, to} <- heartbeats,
+          receives?.(to),
+          not Reach.station?(source, path, to, tables),
+          do: to
+
     {vehicles, clients} = Enum.split_with(all, &(&1.side == :vehicle and not &1.sniffer))
-    # In a crowd there are none of either, and nothing to look up.
-    near = if vehicles != [] or heartbeats != [], do: Reach.near(source, path, tables, heartbeats != [])
-    related = for to <- vehicles, do: {Reach.relation(source, path, to, near), to}
+    related = related(vehicles, source, delivery)
     {grouped, single} = Enum.split_with(related, fn {_relation, to} -> to.group != nil end)
 
     %{
@@ -201,9 +204,16 @@ defmodule MavRouter.Forward.Source do
       | receivers: clients,
         vehicles: single |> Enum.group_by(&elem(&1, 0), &elem(&1, 1)) |> Enum.to_list(),
         groups: grouped |> Enum.group_by(fn {_relation, to} -> to.group end) |> Enum.map(&group(&1, source)),
-        heartbeat_receivers: Enum.reject(heartbeats, &Reach.station?(&1, near)),
+        heartbeat_receivers: heartbeats,
         redundant: rivals(others, path, forwarding) != [] or claimed?
     }
+  end
+
+  defp related([], _source, _delivery), do: []
+
+  defp related(vehicles, source, %{tables: tables, path: path}) do
+    own = Enum.flat_map(path.networks, &Routes.endpoints(tables, {&1, source.system}))
+    for to <- vehicles, do: {Reach.relation(source, path, to, to.key in own, tables), to}
   end
 
   # One of the group's links carries, so what reaches one of them must be allowed to reach each.

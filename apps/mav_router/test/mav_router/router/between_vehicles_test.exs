@@ -54,6 +54,17 @@ defmodule MavRouter.Router.BetweenVehiclesTest do
       assert %{"v5" => [^beat]} = got(all)
     end
 
+    test "H5: nor does it reach a router with many vehicles of which one takes the id for its station's", c do
+      [router, v200] = all = for {name, n} <- [{"router", 5}, {"v200", 200}], do: vehicle(c.gateway, name, n)
+      say(router, for(n <- 6..26, do: attitude(n, 1)))
+      got(all)
+      say(v200, heartbeat(200, seq: 9))
+      assert %{"router" => [_beat]} = got(all)
+      GroundStations.obeyed(c.gateway, {"main", 26}, {200, 200})
+      say(v200, heartbeat(200, seq: 10))
+      assert %{"router" => []} = got(all)
+    end
+
     test "H5: redundant links and telemetry of a team carry no such heartbeat either" do
       gateway = start_parts(%{router: %{between_vehicles: :all}})
       v5 = vehicle(gateway, "v5", 5, group: "pair")

@@ -23,9 +23,8 @@ defmodule Aerie.Vehicle.Session do
   alias MavRouter.Forward.GroundStations
   alias MavRouter.Identity
 
-  @tick_ms 100
   @grid_ms 10
-  @look_around_ticks 10
+  @look_around_ms 1_000
 
   @spec start_link(gateway: Names.gateway(), options: Vehicle.Options.t()) :: GenServer.on_start()
   def start_link(arguments) do
@@ -39,8 +38,6 @@ defmodule Aerie.Vehicle.Session do
     # A sender of frames may have cached that there is no session.
     Names.changed()
     snapshot = Store.vehicle(gateway, options.key)
-    schedule_tick()
-
     {core, []} = options |> Core.new(snapshot) |> count_vehicles(gateway)
     {link, speed} = recording(gateway, snapshot)
 
@@ -60,6 +57,8 @@ defmodule Aerie.Vehicle.Session do
       obeyed: nil,
       ticks: 0
     }
+
+    schedule_tick(state)
 
     # A collision that the last session knew of has to be detected again.
     MavRouter.Routes.Collisions.put(gateway, options.key, [])
@@ -95,7 +94,7 @@ defmodule Aerie.Vehicle.Session do
   def handle_info({:link_reconnected, link}, state), do: {:noreply, step(state, {:link_reconnected, link})}
 
   def handle_info({:timeout, _timer, {:tick, due}}, state) do
-    schedule_tick()
+    schedule_tick(state)
     handle_info({:tick, due}, state)
   end
 
@@ -174,35 +173,40 @@ defmodule Aerie.Vehicle.Session do
   # Not :timer.send_interval/2: all ticks would pass through its one process, a thousand a second for a hundred
   # vehicles. Those of all vehicles come at full hundredths of a second, so that they wake the machine a hundred times a
   # second, not ten times for each.
-  defp schedule_tick do
-    now = System.monotonic_time(:millisecond)
-    at = now + @tick_ms - Integer.mod(now + @tick_ms, @grid_ms)
+  defp schedule_tick(state) do
+    at = System.monotonic_time(:millisecond) + tick_ms(state)
+    at = at - Integer.mod(at, @grid_ms)
     :erlang.start_timer(at, self(), {:tick, at * 1_000}, abs: true)
   end
 
-  # At once when it changes, and once a second for a router that was restarted.
-  defp obeyed(%{core: core, obeyed: told, ticks: ticks} = state) do
-    case Core.obeyed(core) do
-      ^told when rem(ticks, @look_around_ticks) != 0 ->
-        state
+  defp tick_ms(state), do: div(Core.tick_us(state.core), 1_000)
 
-      ids ->
-        GroundStations.obeyed(state.gateway, state.options.key, ids)
-        %{state | obeyed: ids}
+  # At once when it changes, and once a second for a router that was restarted.
+  defp obeyed(%{core: core, obeyed: told} = state) do
+    ids = Core.obeyed(core)
+
+    if ids != told or look_around?(state) do
+      GroundStations.obeyed(state.gateway, state.options.key, ids)
+      %{state | obeyed: ids}
+    else
+      state
     end
   end
 
   # Once a second: what other processes have written to the tables.
-  defp look_around(%{ticks: ticks} = state, _now) when rem(ticks, @look_around_ticks) != 0,
-    do: %{state | ticks: ticks + 1}
-
   defp look_around(state, _now) do
-    stations = GroundStations.list(state.gateway, state.options.network)
-    {core, []} = Core.handle(state.core, {:stations, stations})
-    {core, []} = count_vehicles(core, state.gateway)
-    state = %{state | ticks: state.ticks + 1, core: core}
-    if StreamDemand.sweep(state.gateway, state.options.key), do: demand(state, nil), else: state
+    if look_around?(state) do
+      stations = GroundStations.list(state.gateway, state.options.network)
+      {core, []} = Core.handle(state.core, {:stations, stations})
+      {core, []} = count_vehicles(core, state.gateway)
+      state = %{state | ticks: state.ticks + 1, core: core}
+      if StreamDemand.sweep(state.gateway, state.options.key), do: demand(state, nil), else: state
+    else
+      %{state | ticks: state.ticks + 1}
+    end
   end
+
+  defp look_around?(%{ticks: ticks} = state), do: rem(ticks, div(@look_around_ms, tick_ms(state))) == 0
 
   defp count_vehicles(core, gateway),
     do: Core.handle(core, {:vehicles, Store.vehicle_count(gateway)})

@@ -178,6 +178,10 @@ defmodule Aerie.Vehicle.Session.Core do
   @spec obeyed(t()) :: {integer(), integer()} | :unknown | nil
   def obeyed(core), do: Gcs.obeyed(core.gcs)
 
+  @doc "The time between two ticks (microseconds)."
+  @spec tick_us(t()) :: pos_integer()
+  def tick_us(core), do: SnapshotSchedule.tick_us(core.shown)
+
   @doc "One step."
   @spec handle(t(), event()) :: {t(), [action()]}
   def handle(core, {:link, link, %{high_latency: configured?} = facts}) do

@@ -732,6 +732,14 @@ defmodule Aerie.Vehicle.Session.CoreTest do
              Enum.find(run.actions, &match?({:snapshot, _}, &1))
   end
 
+  test "deadlines of more than 200 vehicles are checked less often than ten times a second, but four times at least" do
+    ticks = for vehicles <- [1, 200, 400, 2_000], do: Core.tick_us(step(start(), {:vehicles, vehicles}).core)
+    assert ticks == [100_000, 100_000, 200_000, 250_000]
+    # Silent since 10 s: stale after three seconds. The check at 12.9 s is the last one before.
+    silent = fn n, at -> statuses(start() |> beat(10) |> step({:vehicles, n}) |> tick(12.9) |> tick(at)) end
+    assert {silent.(200, 13.0), silent.(400, 13.0), silent.(400, 13.1)} == {[:stale], [], [:stale]}
+  end
+
   test "the link group has the rates" do
     run = start() |> beat(10) |> beat(10.5) |> beat(11.0) |> tick(12.1)
     assert %{status: :online, frames_per_s: rate, links: ["a"]} = Core.snapshot(run.core).groups.link.data

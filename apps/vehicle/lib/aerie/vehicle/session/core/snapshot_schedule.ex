@@ -1,6 +1,7 @@
 defmodule Aerie.Vehicle.Session.Core.SnapshotSchedule do
   @moduledoc """
-  How often a vehicle's snapshot is written to the store, and what it shows of `Aerie.Vehicle.Session.Core.Services`. A pure value.
+  How often a vehicle's snapshot is written to the store and its deadlines are checked, and what the snapshot shows of
+  `Aerie.Vehicle.Session.Core.Services`. A pure value.
   """
 
   alias Aerie.Vehicle.{Snapshot, State}
@@ -12,6 +13,9 @@ defmodule Aerie.Vehicle.Session.Core.SnapshotSchedule do
   @each_us 1_000
   @longest_us 50_000
   @many_us 250
+  # Ten times a second, of more than two hundred vehicles less often: their ticks cost more than what they say.
+  @tick_us 100_000
+  @longest_tick_us 250_000
   @view_us 400_000
   # How long a collision is shown after its last sign.
   @collision_us 60_000_000
@@ -31,6 +35,10 @@ defmodule Aerie.Vehicle.Session.Core.SnapshotSchedule do
   @spec vehicles(t(), non_neg_integer()) :: t()
   def vehicles(shown, n),
     do: %{shown | every_us: (max(n, 1) * @each_us) |> min(@longest_us) |> max(n * @many_us)}
+
+  @doc "The time between two checks of a vehicle's deadlines (microseconds), two of its snapshots."
+  @spec tick_us(t()) :: pos_integer()
+  def tick_us(%{every_us: every}), do: (2 * every) |> max(@tick_us) |> min(@longest_tick_us)
 
   @doc "The next one is due at once."
   @spec due(t()) :: t()

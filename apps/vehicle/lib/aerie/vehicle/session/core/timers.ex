@@ -9,8 +9,6 @@ defmodule Aerie.Vehicle.Session.Core.Timers do
   alias Aerie.Vehicle.Session.Core.{Collisions, Effects, Reporting, Services, SnapshotSchedule, Texts}
   alias Aerie.Vehicle.Services.Links.Reception
 
-  # Deadlines are checked ten times a second.
-  @period_us 100_000
   # How long after the last observation the detector learns that there was none since.
   @quiet_us 3_000_000
 
@@ -29,7 +27,10 @@ defmodule Aerie.Vehicle.Session.Core.Timers do
     do: if(due?(core, now) or now < core.expired_at, do: expire(core, [], now), else: {core, []})
 
   defp due?(%{expired_at: nil}, _at), do: true
-  defp due?(core, at), do: at - core.expired_at >= @period_us or overdue?(Texts.deadline(core.texts), at)
+
+  defp due?(core, at),
+    do:
+      at - core.expired_at >= SnapshotSchedule.tick_us(core.shown) or overdue?(Texts.deadline(core.texts), at)
 
   defp overdue?(nil, _at), do: false
   defp overdue?(deadline, at), do: at >= deadline

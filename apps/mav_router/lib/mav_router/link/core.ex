@@ -316,7 +316,7 @@ defmodule MavRouter.Link.Core do
   # Every received byte comes through here.
   defp read(core, reads, {mono, at}) do
     {deliveries, changes, peers} = Peers.read(core.peers, reads, mono, at)
-    core = note_senders(%{core | peers: peers}, deliveries, mono, at)
+    core = note_senders(core, peers, deliveries, mono, at)
 
     if changes == [] do
       {core, deliver(deliveries)}
@@ -328,16 +328,16 @@ defmodule MavRouter.Link.Core do
 
   defp replay(core, records, {mono, at}) do
     {deliveries, peers} = Peers.replay(core.peers, records, mono)
-    {note_senders(%{core | peers: peers}, deliveries, mono, at), deliver(deliveries)}
+    {note_senders(core, peers, deliveries, mono, at), deliver(deliveries)}
   end
 
-  defp note_senders(core, [], _mono, _at), do: core
+  defp note_senders(core, peers, [], _mono, _at), do: %{core | peers: peers}
 
-  defp note_senders(core, deliveries, mono, at) do
+  defp note_senders(core, peers, deliveries, mono, at) do
     counters =
-      Enum.reduce(deliveries, core.counters, fn {_peer, frames}, c -> Counters.messages(c, frames) end)
+      for {_peer, frames} <- deliveries, reduce: core.counters, do: (c -> Counters.messages(c, frames))
 
-    %{core | counters: counters, heard: mono, last_heard: at}
+    %{core | peers: peers, counters: counters, heard: mono, last_heard: at}
   end
 
   defp deliver([{peer, frames}]), do: [{:deliver, peer, frames}]

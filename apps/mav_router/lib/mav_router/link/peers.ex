@@ -326,9 +326,15 @@ defmodule MavRouter.Link.Peers do
   end
 
   defp counted(stats) do
-    stats
-    |> Map.take([:crc_errors, :resync_bytes, :unknown_ids, :incompatible, :lost])
-    |> Map.merge(%{bytes_in: stats.bytes, frames_in: stats.frames})
+    %{
+      bytes_in: stats.bytes,
+      frames_in: stats.frames,
+      crc_errors: stats.crc_errors,
+      resync_bytes: stats.resync_bytes,
+      unknown_ids: stats.unknown_ids,
+      incompatible: stats.incompatible,
+      lost: stats.lost
+    }
   end
 
   defp text({address, port}), do: Address.format(address, port)

@@ -155,7 +155,7 @@ defmodule MavRouter.Link.Server do
 
   def handle_info(message, state) do
     case state.transport.handle(state.conn, message) do
-      {events, conn} -> {:noreply, Enum.reduce(events, %{state | conn: conn}, &event/2)}
+      {events, conn} -> {:noreply, events(events, %{state | conn: conn})}
       :unknown -> {:noreply, ignore(state, message)}
     end
   end
@@ -216,6 +216,9 @@ defmodule MavRouter.Link.Server do
   end
 
   defp opened(state, {:error, reason}), do: step(state, {:failed, reason})
+
+  defp events([], state), do: state
+  defp events([event | rest], state), do: events(rest, event(event, state))
 
   # Events of the transport go through the core, unless an earlier one of them ended the connection.
   defp event(_event, %{conn: nil} = state), do: state

@@ -32,8 +32,8 @@ defmodule MavRouter.Link.Core.Rates do
   @spec per_second(t) :: %{atom => float}
   def per_second(%__MODULE__{samples: [{now, newest} | _] = samples}) do
     {then, oldest} = List.last(samples)
-    seconds = max(now - then, 1) / 1000
-    Map.new(@names, &{&1, Float.round((newest[&1] - oldest[&1]) / seconds, 1)})
+    tenths = 10_000 / max(now - then, 1)
+    Map.new(newest, fn {name, n} -> {name, round((n - Map.fetch!(oldest, name)) * tenths) / 10} end)
   end
 
   def per_second(%__MODULE__{samples: []}), do: Map.new(@names, &{&1, 0.0})

@@ -213,10 +213,12 @@ defmodule MavRouter.Link.Transport.Net do
   @doc "Datagrams, and how many were discarded, as events of a transport."
   @spec events([{term, binary}], Backlog.discarded(), Backlog.t()) :: [MavRouter.Link.Transport.event()]
   def events(reads, discarded, backlog) do
-    counts = for {name, n} when n > 0 <- Map.to_list(discarded), do: {:count, name, n}
     reads = if reads == [], do: [], else: [{:read, reads}]
-    counts ++ reads ++ if(Backlog.timed?(backlog), do: [:passed_on], else: [])
+    counts(discarded) ++ reads ++ if(Backlog.timed?(backlog), do: [:passed_on], else: [])
   end
+
+  defp counts(%{shed: 0, shed_new: 0}), do: []
+  defp counts(discarded), do: for({name, n} when n > 0 <- Map.to_list(discarded), do: {:count, name, n})
 
   @doc "What was read last has been passed on by `now`, as `c:MavRouter.Link.Transport.passed_on/2`."
   @spec passed_on(conn, integer) :: conn when conn: %{:backlog => Backlog.t(), optional(atom) => term}

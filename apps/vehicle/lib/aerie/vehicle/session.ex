@@ -161,10 +161,9 @@ defmodule Aerie.Vehicle.Session do
   defp hand_over(listeners, _frames) when listeners == %{}, do: :ok
 
   defp hand_over(listeners, frames) do
-    Enum.each(listeners, fn {pid, {_monitor, ids}} ->
-      wanted = Enum.filter(frames, &(&1.id in ids))
-      if wanted != [], do: send(pid, {:frames, wanted})
-    end)
+    for {pid, {_monitor, ids}} <- Map.to_list(listeners),
+        [_ | _] = wanted <- [for(frame <- frames, :lists.member(frame.id, ids), do: frame)],
+        do: send(pid, {:frames, wanted})
   end
 
   defp notify(%{listeners: listeners}, what),
@@ -315,7 +314,11 @@ defmodule Aerie.Vehicle.Session do
       })
 
     Store.put_vehicle(state.gateway, key, snapshot)
-    for {pid, {_monitor, ids}} <- state.listeners, :snapshots in ids, do: send(pid, {:snapshot, snapshot})
+
+    for {pid, {_monitor, ids}} <- Map.to_list(state.listeners),
+        :lists.member(:snapshots, ids),
+        do: send(pid, {:snapshot, snapshot})
+
     state
   end
 
@@ -400,7 +403,7 @@ defmodule Aerie.Vehicle.Session do
   end
 
   defp wake(state, actions) do
-    if Enum.any?(actions, &match?({:observe, _observation}, &1)) do
+    if List.keymember?(actions, :observe, 0) do
       # Both restart together, so this pid stays valid.
       events = state.events || Names.whereis(state.gateway, :events, state.options.key)
       if events, do: Vehicle.Events.wake(events)
@@ -417,5 +420,5 @@ defmodule Aerie.Vehicle.Session do
     end
   end
 
-  defp monotonic, do: System.monotonic_time(:microsecond)
+  defp monotonic, do: :erlang.monotonic_time(:microsecond)
 end

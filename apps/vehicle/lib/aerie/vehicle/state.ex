@@ -101,10 +101,14 @@ defmodule Aerie.Vehicle.State do
     with {fields, changes} when is_list(fields) <- Groups.reader(id).read(message, state, at) do
       state = %{state | sources: Map.put(state.sources, id, at)}
       state = if fields == [], do: state, else: struct!(state, fields)
-      state = Enum.reduce(changes, state, &merge(&2, &1, at))
-      fly(state, id, Keyword.keys(changes), at)
+      merge_all(changes, state, [], id, at)
     end
   end
+
+  defp merge_all([], state, groups, id, at), do: fly(state, id, Enum.reverse(groups), at)
+
+  defp merge_all([{group, _keys} = change | rest], state, groups, id, at),
+    do: merge_all(rest, merge(state, change, at), [group | groups], id, at)
 
   defp fly(state, id, groups, at) when id in @flight do
     {state, groups} =
@@ -151,23 +155,6 @@ defmodule Aerie.Vehicle.State do
     %{state | landed: landed, sources: sources, groups: groups}
   end
 
-  # State for the next message besides the groups.
-  @memory [
-    :landed,
-    :quadplane,
-    :liftoff,
-    :origin,
-    :sources,
-    :boot_ms,
-    :high_latency,
-    :gimbal_manager,
-    :silent_batteries,
-    :base_mode,
-    :mode_names,
-    :standard_modes,
-    :modes_seq
-  ]
-
   @doc "Whether a MAV_TYPE and a MAV_AUTOPILOT are those of another vehicle."
   @spec other?(t(), integer(), integer()) :: boolean()
   def other?(state, type, autopilot),
@@ -175,7 +162,24 @@ defmodule Aerie.Vehicle.State do
 
   @doc "The part of a snapshot that only `restore/1` needs."
   @spec memory(t()) :: map()
-  def memory(state), do: Map.take(state, @memory)
+  def memory(state) do
+    # Not Map.take/2: a snapshot is written for nearly each frame.
+    %{
+      landed: state.landed,
+      quadplane: state.quadplane,
+      liftoff: state.liftoff,
+      origin: state.origin,
+      sources: state.sources,
+      boot_ms: state.boot_ms,
+      high_latency: state.high_latency,
+      gimbal_manager: state.gimbal_manager,
+      silent_batteries: state.silent_batteries,
+      base_mode: state.base_mode,
+      mode_names: state.mode_names,
+      standard_modes: state.standard_modes,
+      modes_seq: state.modes_seq
+    }
+  end
 
   @doc "The state that a snapshot shows."
   @spec restore(Aerie.Vehicle.Snapshot.t()) :: t()

@@ -25,11 +25,14 @@ defmodule Aerie.Base.Timing.HostClock do
   defp offset(0, {_apart, offset}), do: offset
 
   defp offset(tries, best) do
-    before = System.monotonic_time(:microsecond)
-    unix = System.os_time(:microsecond)
-    gap = System.monotonic_time(:microsecond) - before
-    best = min(best || {gap, unix - before}, {gap, unix - before})
-    if gap <= @at_once_us, do: unix - before, else: offset(tries - 1, best)
+    # Erlang's own: each vehicle asks with each of its frames.
+    before = :erlang.monotonic_time(:microsecond)
+    unix = :os.system_time(:microsecond)
+    gap = :erlang.monotonic_time(:microsecond) - before
+
+    if gap <= @at_once_us,
+      do: unix - before,
+      else: offset(tries - 1, min(best || {gap, unix - before}, {gap, unix - before}))
   end
 
   @doc "By how much the clock was set between two looks at it (microseconds, forward is positive); 0 when it was not."

@@ -57,7 +57,7 @@ defmodule Aerie.Vehicle.State.Sampling do
   @doc "The publications due at `now`."
   @spec expire(t(), integer()) :: {t(), [{State.group(), sample()}]}
   def expire(samplers, now) do
-    Enum.reduce(samplers, {samplers, []}, fn {group, {module, sampler}}, {samplers, due} ->
+    List.foldl(Map.to_list(samplers), {samplers, []}, fn {group, {module, sampler}}, {samplers, due} ->
       case module.expire(sampler, now) do
         {^sampler, []} ->
           {samplers, due}

@@ -47,6 +47,8 @@ defmodule Aerie.Vehicle.Services.Links.Reception do
 
   @doc "The links that the vehicle is heard on, the latest first."
   @spec links(t()) :: [term()]
+  def links(%{links: links}) when map_size(links) < 2, do: Map.keys(links)
+
   def links(reception) do
     reception.links |> Enum.sort_by(fn {link, at} -> {-(at || 0), link} end) |> Enum.map(&elem(&1, 0))
   end

@@ -117,7 +117,7 @@ defmodule Aerie.Vehicle.Session.Core.Timers do
   @doc "Notes when the detector was last given something by these actions, newest first."
   @spec observed(Core.t(), [Core.action()]) :: Core.t()
   def observed(core, actions) do
-    case Enum.find(actions, &match?({:observe, _observation}, &1)) do
+    case List.keyfind(actions, :observe, 0) do
       nil -> core
       {:observe, %{kind: :quiet}} -> %{core | observed_at: nil}
       {:observe, %{at: at}} -> %{core | observed_at: at}

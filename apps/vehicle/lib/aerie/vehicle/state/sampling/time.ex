@@ -27,7 +27,7 @@ defmodule Aerie.Vehicle.State.Sampling.Time do
     end
   end
 
-  defp whole?(data), do: not Enum.any?(data, fn {_field, value} -> value == nil end)
+  defp whole?(data), do: not :lists.member(nil, Map.values(data))
 
   @impl Sampling
   def expire(%{ends: ends} = sampler, now) when ends == nil or now < ends, do: {sampler, []}

@@ -51,6 +51,11 @@ defmodule Aerie.Umbrella.MixProject do
         )
     end
 
+    apply(Aerie.CLI.Start.ModuleLoader, :pack, [
+      Path.join(release.path, "lib/aerie-#{release.version}/priv/code.zip"),
+      Path.join(release.version_path, "consolidated")
+    ])
+
     for {source, target} <- [
           {"bin/aerie", "bin/aerie"},
           {"bin/lib/attend.sh", "bin/lib/attend.sh"},

@@ -14,7 +14,9 @@ for ebin <- Enum.map(:code.get_path(), &List.to_string/1), String.starts_with?(e
   if File.dir?(priv), do: File.cp_r!(priv, Path.join(target, "priv"), dereference_symlinks: true)
 end
 
-File.cp_r!(Path.join(build, "consolidated"), Path.join(folder, "consolidated"))
+consolidated = Path.join(folder, "consolidated")
+File.cp_r!(Path.join(build, "consolidated"), consolidated)
+:ok = Aerie.CLI.Start.ModuleLoader.pack(Path.join(folder, "lib/aerie/priv/code.zip"), consolidated)
 
 # As users run it, whatever it was compiled for.
 config = Config.Reader.read!("config/config.exs", env: :prod, target: Mix.target())

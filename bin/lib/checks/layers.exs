@@ -60,7 +60,7 @@ defmodule Layers do
           do: name
 
     for module <- modules,
-        not String.starts_with?(module, ["Mix.Tasks.", "Inspect.", "String.Chars."]),
+        not String.starts_with?(module, ["Mix.Tasks.", "Inspect.", "JSON.Encoder.", "String.Chars."]),
         not named?(module, prefixes) or named?(module, others),
         do: "apps/#{app}: the module #{module} is named like one of another app"
   end

@@ -64,6 +64,20 @@ defmodule Aerie.Console.Map.Payload do
     end
   end
 
+  defmodule Encoded do
+    @moduledoc "Rows that are JSON already, so that they are encoded once for all pages."
+    defstruct [:json]
+
+    defimpl JSON.Encoder do
+      def encode(%{json: json}, _encoder), do: json
+    end
+  end
+
+  @doc "A list of rows, each of which is JSON already."
+  @spec encoded([binary()]) :: struct()
+  def encoded(rows),
+    do: %Encoded{json: IO.iodata_to_binary(["[", Enum.intersperse(rows, ","), "]"])}
+
   @doc "Where a vehicle's home is drawn, to about a metre: vehicles that stand together share one symbol. Nil where it is not known."
   @spec home(map()) :: [float()] | nil
   def home(%{groups: %{home: %{data: %{lat: lat, lon: lon}}}}) when is_number(lat) and is_number(lon),

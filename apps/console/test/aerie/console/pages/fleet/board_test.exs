@@ -26,7 +26,7 @@ defmodule Aerie.Console.Pages.Fleet.BoardTest do
     end
   end
 
-  test "a row is rendered when what its cells show has changed, and told when anything has" do
+  test "a row is rendered and told when what it shows has changed; the map hears of the rest" do
     board = put(Board.new(), [row("A", speed: 1.0, on_map: ["A", 1.0]), row("B")])
     assert rendered() == ["A", "B"]
     news = Board.news(board, nil)
@@ -34,12 +34,88 @@ defmodule Aerie.Console.Pages.Fleet.BoardTest do
 
     moved = put(board, [row("A", speed: 1.0, on_map: ["A", 2.0]), row("B")])
     assert rendered() == []
-    assert [%{id: "A", on_map: ["A", 2.0], cells: {:cells, 1.0}}] = Board.news(moved, news.seen).rows
+    assert Board.news(moved, news.seen).rows == []
+    assert drawn(moved, news.seen) == %{"all" => false, "vehicles" => [["A", 2.0]], "gone" => []}
 
     faster = put(moved, [row("A", speed: 2.0, on_map: ["A", 2.0]), row("B")])
     assert rendered() == ["A"]
     assert [%{id: "A", cells: {:cells, 2.0}}] = Board.news(faster, Board.news(moved, nil).seen).rows
     assert Board.news(faster, Board.news(faster, nil).seen).rows == []
+    assert Board.drawn(faster, Board.news(faster, nil).seen) == nil
+  end
+
+  test "a page hears what is urgent before the rest, and the rest afterwards" do
+    board = put(Board.new(), [row("A", speed: 1.0), row("B", mode: "AUTO")])
+    %{seen: seen} = Board.news(board, nil)
+    board = put(board, [row("A", speed: 2.0), row("B", mode: "AUTO")])
+    assert %{rows: [], seen: seen} = Board.news(board, seen, :urgent)
+    board = put(board, [row("A", speed: 2.0), row("B", mode: "LAND")])
+    assert %{rows: [%{id: "B"}], seen: seen} = Board.news(board, seen, :urgent)
+    assert %{rows: [], seen: seen} = Board.news(board, seen, :urgent)
+    assert %{rows: [%{id: "A"}, %{id: "B"}]} = Board.news(board, seen, :all)
+
+    # Nobody can show ids without their rows.
+    board = put(board, [row("A", speed: 3.0), row("B", mode: "LAND"), row("C")])
+    assert Board.news(board, seen, :urgent).rows |> Enum.map(& &1.id) == ["A", "B", "C"]
+  end
+
+  test "a page hears of homes and missions when they have changed" do
+    board = put(Board.new(), [row("A", home: [1.0, 2.0], mission: %{total: 3, current: 1})])
+
+    assert %{places: %{homes: [[1.0, 2.0]], missions: %{"A" => %{total: 3, current: 1}}}, seen: seen} =
+             Board.news(board, nil)
+
+    assert Board.news(board, seen).places == nil
+    assert %{places: %{homes: []}} = board |> put([row("A")]) |> Board.news(seen)
+  end
+
+  # As the browser reads it.
+  defp drawn(board, seen), do: with(%{} = payload <- Board.drawn(board, seen), do: decoded(payload))
+  defp decoded(payload), do: payload |> JSON.encode!() |> JSON.decode!()
+
+  test "payloads of the map, applied as the map does, give what is drawn, however often a page asks" do
+    place = :proper_types.oneof([nil, ["x", 1], ["x", 2]])
+    rows = :proper_types.list({:proper_types.oneof(~w(A B C)), place})
+
+    property =
+      :proper.forall(
+        :proper_types.list({rows, :proper_types.boolean(), :proper_types.range(1, 8)}),
+        fn steps ->
+          Enum.reduce_while(steps, {Board.new(), {nil, %{}}}, fn {rows, ask?, again},
+                                                                 {board, {seen, fleet}} ->
+            rows = Map.new(rows)
+            board = if again == 1, do: Board.new(), else: board
+
+            board =
+              Board.put(
+                board,
+                for({id, place} <- rows, do: row(id, on_map: place && [id | place])),
+                [],
+                & &1.speed
+              )
+
+            expected = for {id, [_ | _] = place} <- rows, into: %{}, do: {id, [id | place]}
+            fleet = if ask?, do: draw(fleet, drawn(board, seen)), else: fleet
+
+            cond do
+              not ask? -> {:cont, {board, {seen, fleet}}}
+              fleet == expected -> {:cont, {board, {Board.news(board, seen).seen, fleet}}}
+              true -> {:halt, {:differs, fleet, expected}}
+            end
+          end)
+          |> then(&(not match?({:differs, _fleet, _expected}, &1)))
+        end
+      )
+
+    assert :proper.quickcheck(property, [:quiet, {:numtests, 300}]) == true, inspect(:proper.counterexample())
+  end
+
+  # update() of assets/hooks/map/vehicles.js
+  defp draw(fleet, nil), do: fleet
+
+  defp draw(fleet, %{"all" => all?, "vehicles" => rows, "gone" => gone}) do
+    fleet = if all?, do: %{}, else: Map.drop(fleet, gone)
+    Map.merge(fleet, Map.new(rows, &{hd(&1), &1}))
   end
 
   test "a page with another board gets all, and vehicles that are gone are not among the ids" do

@@ -21,25 +21,26 @@ defmodule Aerie.Console.Pages.Fleet.Board.Server do
     do: GenServer.start_link(__MODULE__, options, name: Names.via(options[:gateway], :console_board))
 
   @doc """
-  What the calling page has not seen yet. `:now` reads the vehicles again even if that was done just before, for a change that the
+  What the calling page has not seen yet (`Board.news/3`), and what its map has not (`:drawn`, `Board.drawn/2`). `:now` reads the vehicles again even if that was done just before, for a change that the
   page knows of. Exits if the server is gone, as a page without rows has nothing to show.
   """
-  @spec news(Names.gateway(), Board.seen(), :now | :recent) :: Board.news()
-  def news(gateway, seen, age \\ :recent),
-    do: GenServer.call(Names.via(gateway, :console_board), {:news, seen, age}, :infinity)
+  @spec news(Names.gateway(), Board.seen(), :now | :recent, :all | :urgent) :: map()
+  def news(gateway, seen, age \\ :recent, which \\ :all),
+    do: GenServer.call(Names.via(gateway, :console_board), {:news, seen, age, which}, :infinity)
 
   @impl GenServer
   def init(options) do
     Process.set_label({:console_board, options[:gateway]})
-    {:ok, %{gateway: options[:gateway], board: Board.new(), read: nil}}
+    {:ok, %{gateway: options[:gateway], board: Board.new(), read: nil, drawn: %{}}}
   end
 
   @impl GenServer
-  def handle_call({:news, seen, age}, _from, state) do
+  def handle_call({:news, seen, age, which}, _from, state) do
     now = System.monotonic_time(:millisecond)
     fresh? = age == :recent and state.read != nil and now - state.read < @fresh_ms
-    state = if fresh?, do: state, else: %{state | board: read(state), read: now}
-    {:reply, Board.news(state.board, seen), state}
+    state = if fresh?, do: state, else: %{state | board: read(state), read: now, drawn: %{}}
+    state = update_in(state.drawn, &Map.put_new_lazy(&1, seen, fn -> Board.drawn(state.board, seen) end))
+    {:reply, state.board |> Board.news(seen, which) |> Map.put(:drawn, state.drawn[seen]), state}
   end
 
   defp read(%{gateway: gateway, board: board}) do

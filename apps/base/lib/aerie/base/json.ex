@@ -12,7 +12,7 @@ defmodule Aerie.Base.Json do
   @doc "A value that `JSON.encode!/1` takes."
   @spec plain(term()) :: term()
   def plain(map) when is_map(map) and not is_struct(map),
-    do: Map.new(map, fn {key, value} -> {name(key), plain(value)} end)
+    do: Map.new(for {key, value} <- Map.to_list(map), do: {name(key), plain(value)})
 
   def plain(list) when is_list(list), do: Enum.map(list, &plain/1)
   def plain(odd) when odd in [:nan, :infinity, :neg_infinity], do: nil
@@ -29,10 +29,26 @@ defmodule Aerie.Base.Json do
   @spec encode_to_iodata!(term()) :: iodata()
   def encode_to_iodata!(value), do: JSON.encode_to_iodata!(value, &encode/2)
 
-  @doc "The encoder of `encode!/1`, for one that has more to say."
+  @doc "The encoder of `encode!/1`, for one that has more to say. Protocols are asked only for what is rare."
   @spec encode(term(), (term(), term() -> iodata())) :: iodata()
   def encode(number, _encoder) when is_float(number), do: decimal(number)
+  def encode(number, _encoder) when is_integer(number), do: Integer.to_string(number)
+  def encode(nil, _encoder), do: "null"
+  def encode(text, _encoder) when is_binary(text), do: :json.encode_binary(text)
+  def encode(map, _encoder) when map == %{}, do: "{}"
+
+  def encode(map, encoder) when is_non_struct_map(map) do
+    [[_comma | first] | rest] =
+      for {key, value} <- Map.to_list(map), do: [?,, key(key), ?: | encoder.(value, encoder)]
+
+    [?{, first, rest, ?}]
+  end
+
   def encode(value, encoder), do: JSON.protocol_encode(value, encoder)
+
+  # Atoms are names in the code: there is nothing to escape.
+  defp key(key) when is_atom(key), do: [?", Atom.to_string(key), ?"]
+  defp key(key), do: key |> to_string() |> :json.encode_binary()
 
   # What is read as the same number again. Numbers beyond all units keep their exponent.
   defp decimal(number) do

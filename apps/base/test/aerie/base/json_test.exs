@@ -18,6 +18,21 @@ defmodule Aerie.Base.JsonTest do
              ["a"]
   end
 
+  test "all that JSON has is written as the standard encoder writes it" do
+    value = %{
+      "text" => "a\"b\\c\nä\u2028",
+      1 => [],
+      a: %{},
+      b: %{c: [nil, true, :online, -7, %{"d\"" => 0.5}]},
+      at: ~U[2026-11-30 09:41:32.587Z]
+    }
+
+    assert Json.encode!(value) == JSON.encode!(value)
+    assert Json.encode!(%{}) == "{}"
+    # A struct without an encoder is not written as its fields.
+    assert_raise Protocol.UndefinedError, fn -> Json.encode!(Secret.new("x")) end
+  end
+
   test "numbers are written as people write them, and read as the same" do
     for {number, text} <- [
           {1000.0, "1000.0"},

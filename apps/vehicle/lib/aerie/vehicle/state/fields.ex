@@ -67,7 +67,10 @@ defmodule Aerie.Vehicle.State.Fields do
 
   defp rounded_by(map, decimals, above) when is_map(map) and not is_struct(map),
     do:
-      Map.new(map, fn {name, value} -> {name, rounded_by(value, decimals, Map.get(decimals, name, above))} end)
+      Map.new(
+        for {name, value} <- Map.to_list(map),
+            do: {name, rounded_by(value, decimals, Map.get(decimals, name, above))}
+      )
 
   defp rounded_by(list, decimals, n) when is_list(list), do: Enum.map(list, &rounded_by(&1, decimals, n))
   defp rounded_by(other, _decimals, _n), do: other

@@ -6,8 +6,9 @@ defmodule MavRouter.Link.Transport.Net do
 
   # Messages between two renewals of `active`: enough that a busy socket rarely waits, few enough to bound the mailbox.
   @active 256
-  # Datagrams handled at one wake-up.
+  # Datagrams handled at one wake-up, and in an overload.
   @batch 128
+  @many 8_192
   @buffer 65_536
   # Datagrams that the socket reads from the kernel at a time; the default of 5 costs almost twice the time per datagram.
   @read_packets 64
@@ -169,9 +170,8 @@ defmodule MavRouter.Link.Transport.Net do
 
   defp drain_scoped(handle, room, reads) do
     case :socket.recvfrom(handle, @buffer, [], :nowait) do
-      {:ok, {%{addr: address, port: port} = source, bytes}} ->
-        from = {Address.with_scope(address, Map.get(source, :scope_id, 0)), port}
-        drain_scoped(handle, room - 1, [{from, bytes} | reads])
+      {:ok, {source, bytes}} ->
+        drain_scoped(handle, room - 1, [{from(source), bytes} | reads])
 
       # The network's answer to something sent before.
       {:error, :econnrefused} ->
@@ -181,6 +181,38 @@ defmodule MavRouter.Link.Transport.Net do
         Enum.reverse(reads)
     end
   end
+
+  @doc """
+  What waits in the kernel, by the second handle, in order; in an overload up to #{@many}, so that what is discarded is
+  chosen of all. Then the calling process has a higher priority until what it read is passed on (`passed_on/2`): with
+  hundreds of sessions that want to run, it would get the turn of one for each few datagrams.
+  """
+  @spec read(:socket.socket() | nil, Backlog.t()) :: [{{:inet.ip_address(), :inet.port_number()}, binary}]
+  def read(nil, _backlog), do: []
+
+  def read(handle, backlog) do
+    if Backlog.strained?(backlog) do
+      _ = Process.flag(:priority, :high)
+      reads = read(handle, @many, [])
+      if reads == [], do: Process.flag(:priority, :normal)
+      reads
+    else
+      read(handle, @batch, [])
+    end
+  end
+
+  defp read(_handle, 0, reads), do: Enum.reverse(reads)
+
+  defp read(handle, room, reads) do
+    case :socket.recvfrom(handle, @buffer, [], 0) do
+      {:ok, {source, bytes}} -> read(handle, room - 1, [{from(source), bytes} | reads])
+      {:error, :econnrefused} -> read(handle, room - 1, reads)
+      {:error, _nothing_more} -> Enum.reverse(reads)
+    end
+  end
+
+  defp from(%{addr: address, port: port, scope_id: scope}), do: {Address.with_scope(address, scope), port}
+  defp from(%{addr: address, port: port}), do: {address, port}
 
   @doc "Has the calling process look for datagrams by the second handle."
   @spec look(:socket.socket()) :: :ok
@@ -222,7 +254,10 @@ defmodule MavRouter.Link.Transport.Net do
 
   @doc "What was read last has been passed on by `now`, as `c:MavRouter.Link.Transport.passed_on/2`."
   @spec passed_on(conn, integer) :: conn when conn: %{:backlog => Backlog.t(), optional(atom) => term}
-  def passed_on(conn, now), do: %{conn | backlog: Backlog.passed(conn.backlog, now)}
+  def passed_on(conn, now) do
+    _ = Process.flag(:priority, :normal)
+    %{conn | backlog: Backlog.passed(conn.backlog, now)}
+  end
 
   defp waiting(sender) do
     {:message_queue_len, messages} = Process.info(self(), :message_queue_len)
@@ -291,6 +326,9 @@ defmodule MavRouter.Link.Transport.Net do
   @doc "Closes a UDP socket and its second handle."
   @spec udp_close(:gen_udp.socket(), :socket.socket() | nil) :: :ok
   def udp_close(socket, sender) do
+    # What was read last (`read/2`) may not have been passed on.
+    _ = Process.flag(:priority, :normal)
+
     # Only in this order: `:socket.close/1` makes the shared descriptor blocking, and a driver that still reads from it
     # would block a scheduler, and with it the whole VM, until the next datagram.
     :ok = :gen_udp.close(socket)

@@ -59,20 +59,30 @@ defmodule MavRouter.Link.Transport.UdpServer do
 
   @impl MavRouter.Link.Transport
   def handle(%{socket: socket} = conn, {:udp, socket, address, port, bytes}) do
-    received(conn, [{{address, port}, bytes} | Net.drain(socket)])
+    {events, conn} = received(conn, [{{address, port}, bytes} | Net.drain(socket)])
+    {events, rest(conn)}
   end
 
   def handle(%{sender: sender, scoped?: true} = conn, {:"$socket", sender, :select, _ref}) do
     with %{resting?: false} <- conn, [_ | _] = datagrams <- Net.drain_scoped(sender) do
-      received(conn, datagrams)
+      {events, conn} = received(conn, datagrams)
+      {events, rest(conn)}
     else
       _later_or_nothing -> {[], conn}
     end
   end
 
+  # Past the driver, which takes two calls and a message more for what has waited anyway.
   def handle(%{socket: socket} = conn, {:gathered, socket}) do
-    _ = listen(conn)
-    {[], %{conn | resting?: false}}
+    case Net.read(conn.sender, conn.backlog) do
+      [] ->
+        _ = listen(conn)
+        {[], %{conn | resting?: false}}
+
+      datagrams ->
+        {events, conn} = received(conn, datagrams)
+        {Enum.uniq(events ++ [:passed_on]), rest(conn, listen: true)}
+    end
   end
 
   def handle(%{socket: socket, resting?: true} = conn, {:udp_passive, socket}), do: {[], conn}
@@ -82,19 +92,21 @@ defmodule MavRouter.Link.Transport.UdpServer do
     now = :erlang.monotonic_time(:millisecond)
     {reads, shed, backlog} = Net.take(conn.sender, conn.backlog, datagrams, now)
     gathering = Gathering.read(conn.gathering, datagrams, now)
-    {Net.events(reads, shed, backlog), rest(%{conn | backlog: backlog, gathering: gathering})}
+    {Net.events(reads, shed, backlog), %{conn | backlog: backlog, gathering: gathering}}
   end
 
   # What comes meanwhile waits in the kernel.
-  defp rest(%{resting?: true} = conn), do: conn
+  defp rest(conn, options \\ [])
+  defp rest(%{resting?: true} = conn, []), do: conn
 
-  defp rest(%{socket: socket, gathering: gathering} = conn) do
-    case Gathering.wait_ms(gathering) do
+  defp rest(%{socket: socket} = conn, options) do
+    case if(Backlog.strained?(conn.backlog), do: 1, else: Gathering.wait_ms(conn.gathering)) do
       0 ->
-        conn
+        _ = if options[:listen], do: listen(conn)
+        %{conn | resting?: false}
 
       ms ->
-        _ = :inet.setopts(socket, active: false)
+        _ = if not conn.resting?, do: :inet.setopts(socket, active: false)
         _timer = :erlang.send_after(ms, self(), {:gathered, socket})
         %{conn | resting?: true}
     end

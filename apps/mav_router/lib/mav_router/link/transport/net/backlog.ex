@@ -32,6 +32,10 @@ defmodule MavRouter.Link.Transport.Net.Backlog do
   # Fewer datagrams than this are not a backlog.
   @some 64
   @many 256
+  # What is read beyond one batch was left by a link whose time others took. It keeps an eighth of that, up to another
+  # batch: at the pace of the few that it kept before, it would keep fewer and fewer.
+  @batch 128
+  @most_of 8
 
   # How long a sender was heard before the overload, for each rank.
   @known_ms [5_000, 60_000]
@@ -140,6 +144,10 @@ defmodule MavRouter.Link.Transport.Net.Backlog do
   defp relieved(%{strained: at} = backlog, true, now) when now - at < @relief_ms, do: backlog
   defp relieved(backlog, true, _now), do: %{backlog | strained: nil, began: nil}
 
+  @doc "Whether an overload has begun and is not over."
+  @spec strained?(t) :: boolean
+  def strained?(%__MODULE__{strained: at}), do: at != nil
+
   @doc "Whether to say when the datagrams taken last have been passed on (`passed/2`): while some wait."
   @spec timed?(t) :: boolean
   def timed?(backlog), do: backlog.waiting > some(backlog)
@@ -157,7 +165,7 @@ defmodule MavRouter.Link.Transport.Net.Backlog do
     backlog = noted(backlog, datagrams)
     n = length(datagrams)
     # The same part of each read, so that what is kept is not of one moment; rounded up.
-    keep = ceil(n * keep / of)
+    keep = n |> Kernel.*(keep) |> Kernel./(of) |> ceil() |> max(min(div(n - @batch, @most_of), @batch))
     {kept, lost} = datagrams |> ranked(backlog) |> Enum.split(keep)
 
     # Senders that were there before, if they are few, do not pay for a pace that was low for a moment. Where very

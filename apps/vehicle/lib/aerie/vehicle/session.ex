@@ -24,6 +24,7 @@ defmodule Aerie.Vehicle.Session do
   alias MavRouter.Identity
 
   @grid_ms 10
+  @late_us 250_000
   @look_around_ms 1_000
 
   @spec start_link(gateway: Names.gateway(), options: Vehicle.Options.t()) :: GenServer.on_start()
@@ -58,7 +59,7 @@ defmodule Aerie.Vehicle.Session do
       ticks: 0
     }
 
-    schedule_tick(state)
+    schedule_tick(state, 0)
 
     # A collision that the last session knew of has to be detected again.
     MavRouter.Routes.Collisions.put(gateway, options.key, [])
@@ -94,7 +95,7 @@ defmodule Aerie.Vehicle.Session do
   def handle_info({:link_reconnected, link}, state), do: {:noreply, step(state, {:link_reconnected, link})}
 
   def handle_info({:timeout, _timer, {:tick, due}}, state) do
-    schedule_tick(state)
+    schedule_tick(state, monotonic() - due)
     handle_info({:tick, due}, state)
   end
 
@@ -171,9 +172,10 @@ defmodule Aerie.Vehicle.Session do
 
   # Not :timer.send_interval/2: all ticks would pass through its one process, a thousand a second for a hundred
   # vehicles. Those of all vehicles come at full hundredths of a second, so that they wake the machine a hundred times a
-  # second, not ten times for each.
-  defp schedule_tick(state) do
-    at = System.monotonic_time(:millisecond) + tick_ms(state)
+  # second, not ten times for each. After a tick that came late the next one waits as long: sessions that cannot run
+  # leave the processor to frames.
+  defp schedule_tick(state, late_us) do
+    at = System.monotonic_time(:millisecond) + max(tick_ms(state), div(min(late_us, @late_us), 1_000))
     at = at - Integer.mod(at, @grid_ms)
     :erlang.start_timer(at, self(), {:tick, at * 1_000}, abs: true)
   end

@@ -210,7 +210,7 @@ defmodule MavRouter.Forward do
   defp to_vehicles(batch, %{source: source} = delivery) do
     for {relation, paths} <- source.vehicles,
         [_ | _] = frames <- [passing(relation, batch.frames, delivery)],
-        do: emit_all(paths, Batch.new(frames), delivery)
+        do: _ = emit_all(paths, Batch.new(frames), delivery)
 
     for {group, relation, paths} <- source.groups,
         [_ | _] = frames <- [passing(relation, batch.frames, delivery)],

@@ -61,8 +61,10 @@ defmodule MavRouter.Signing.Admission do
 
     for {stream, {last, true}} <- acc.newest, do: :ets.insert(tables.newest, {stream, last})
 
-    for {_id, {scope, system}} <- acc.behind,
-        do: ClockRecovery.refused(gateway, tables, origin, scope, system)
+    if acc.behind != %{} do
+      for {_id, {scope, system}} <- acc.behind,
+          do: ClockRecovery.refused(gateway, tables, origin, scope, system)
+    end
 
     if acc.counts != [], do: count(gateway, tables, origin, acc.counts, List.last(frames).at)
     # Last, so that an enrolment that ends by a frame finds it in the vehicle's state.
@@ -184,12 +186,7 @@ defmodule MavRouter.Signing.Admission do
   defp add(counts, system, what), do: [{system, what, 1} | counts]
 
   defp count(gateway, tables, origin, counts, at) do
-    sums =
-      Enum.reduce(counts, %{}, fn {system, what, n}, sums ->
-        Map.update(sums, {system, what}, n, &(&1 + n))
-      end)
-
-    Enum.each(sums, fn {{system, what}, n} ->
+    Enum.each(sums(counts), fn {system, what, n} ->
       key = {origin.network, system}
 
       case what do
@@ -207,6 +204,15 @@ defmodule MavRouter.Signing.Admission do
           _ = Store.count(gateway, {:signing, origin.id, :unsigned}, n)
       end
     end)
+  end
+
+  # Nearly always there is one.
+  defp sums([_one] = counts), do: counts
+
+  defp sums(counts) do
+    counts
+    |> Enum.group_by(fn {system, what, _n} -> {system, what} end, &elem(&1, 2))
+    |> Enum.map(fn {{system, what}, numbers} -> {system, what, Enum.sum(numbers)} end)
   end
 
   defp count_heard(tables, key, time, counter, n, at) do

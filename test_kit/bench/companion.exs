@@ -1,12 +1,11 @@
 # What the gateway costs aboard a vehicle: one vehicle on a serial port (a pseudo terminal), the embedded nats-server,
 # the defaults of bin/run, its output in a file.
 #
-#     bin/bench companion [--rates 0,10,50] [--seconds 60] [--rounds 3]
+#     bin/bench companion [--rates 0,10,50] [--seconds 60]
 #
-# The first table, for each number of frames a second (0: no vehicle): CPU of the gateway's VM and of nats-server in
+# The table, for each number of frames a second (0: no vehicle): CPU of the gateway's VM and of nats-server in
 # per cent of one core, their memory (proportional set size, MB), and what they write to the disk (MB an hour) after 15
-# s of settling. The second one, of so many rounds: seconds until /readyz says ready, CPU seconds until the gateway is
-# quiet (less than 5 % of a core for a second), and seconds from `kill -9` in flight until the vehicle is online again.
+# s of settling. What its start costs: `bin/bench start`.
 
 Code.require_file("harness.exs", __DIR__)
 
@@ -30,25 +29,11 @@ defmodule CompanionBench do
     for rate <- Bench.Options.numbers(options[:rates]),
         do: running(Path.join(dir, "rate-#{rate}"), load, rate, options[:seconds])
 
-    IO.puts("")
-    Table.head(["round", "ready s", "CPU s until quiet", "online again after kill -9 s"])
-
-    with_vehicle(load, 50, fn url ->
-      for round <- 1..options[:rounds], do: restart(Path.join(dir, "restarts"), url, round)
-    end)
-
     Table.machine()
   end
 
-  # A vehicle that sends so many frames a second.
-  defp with_vehicle(load, rate, fun) do
-    vehicle = Port.open({:spawn_executable, load}, [:binary, :exit_status, args: ["#{rate}"]])
-    fun.(OSProcess.line(vehicle, "/dev/") <> ",115200")
-    Port.close(vehicle)
-  end
-
   defp running(dir, load, rate, seconds) do
-    with_vehicle(load, rate, fn url ->
+    BinRun.with_vehicle(load, rate, fn url ->
       gateway = BinRun.start(dir, url)
       BinRun.until(gateway, if(rate > 0, do: :online, else: :ready))
       # First pages, indexes and journals are written once.
@@ -68,21 +53,7 @@ defmodule CompanionBench do
       Table.row([rate] ++ cpu ++ memory ++ written)
     end)
   end
-
-  defp restart(dir, url, round) do
-    gateway = BinRun.start(dir, url)
-    ready = BinRun.until(gateway, :ready)
-    cpu = BinRun.quiet(gateway)
-    BinRun.until(gateway, :online)
-    BinRun.kill(gateway)
-    again = BinRun.start(dir, url)
-    online = BinRun.until(again, :online)
-    BinRun.kill(again)
-    Table.row([round, seconds(ready), Float.round(cpu, 2), seconds(online)])
-  end
-
-  defp seconds(ms), do: Float.round(ms / 1000, 2)
 end
 
-options = Bench.Options.read(__ENV__.file, rates: "0,10,50", seconds: 60, rounds: 3)
+options = Bench.Options.read(__ENV__.file, rates: "0,10,50", seconds: 60)
 Bench.Gateway.in_folder("companion", &CompanionBench.main(&1, options))

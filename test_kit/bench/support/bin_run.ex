@@ -6,12 +6,26 @@ defmodule Bench.BinRun do
   @root Path.expand("../../..", __DIR__)
   # Less than this of a core is quiet.
   @quiet_part 0.05
+  # The environment of a plain shell.
+  @plain for name <- ~w(MIX_ENV MIX_BUILD_PATH AERIE_CODE ERL_AFLAGS), do: {name, nil}
 
   @type t :: %{port: port(), config: Path.t(), dir: Path.t(), http: :inet.port_number(), started: integer()}
 
-  @doc "Starts it with one link; the folder keeps what an earlier one wrote."
-  @spec start(Path.t(), String.t()) :: t()
-  def start(dir, url) do
+  @doc "A vehicle that sends so many frames a second (`load`: the compiled `serial_load`), for the time of `fun`."
+  @spec with_vehicle(Path.t(), non_neg_integer(), (String.t() -> result)) :: result when result: term()
+  def with_vehicle(load, rate, fun) do
+    vehicle = Port.open({:spawn_executable, load}, [:binary, :exit_status, args: ["#{rate}"]])
+    result = fun.(OSProcess.line(vehicle, "/dev/") <> ",115200")
+    Port.close(vehicle)
+    result
+  end
+
+  @doc """
+  Starts it with one link; the folder keeps what an earlier one wrote. Options: `:program`, the `bin/aerie` of a
+  release; `:sim`, how many simulated vehicles it has besides.
+  """
+  @spec start(Path.t(), String.t(), keyword()) :: t()
+  def start(dir, url, options \\ []) do
     File.mkdir_p!(dir)
     config = Path.join(dir, "gateway.yaml")
     http = OSProcess.free_port(:gen_tcp)
@@ -21,16 +35,24 @@ defmodule Bench.BinRun do
     mavlink: {local_addr: "127.0.0.1:#{OSProcess.free_port(:gen_udp)}"}
     links: [{id: autopilot, url: "#{url}"}]
     http: {port: #{http}}
+    shell: {dir: "#{dir}/shell"}
     #{files(dir)}
     """)
 
     started = System.monotonic_time(:microsecond)
-    command = ~s(exec "$0" --config "$1" >>"$2" 2>&1)
-    arguments = ["-c", command, Path.join(@root, "bin/run"), config, output(dir)]
-    # As from a plain shell.
-    env = for name <- [~c"MIX_ENV", ~c"MIX_BUILD_PATH", ~c"AERIE_CODE", ~c"ERL_AFLAGS"], do: {name, false}
+    {program, subcommand} = program(options)
+    command = ~s(exec "$0" #{subcommand} --config "$1" --sim #{options[:sim] || 0} >>"$2" 2>&1)
+    arguments = ["-c", command, program, config, output(dir)]
+    env = for {name, nil} <- @plain, do: {String.to_charlist(name), false}
     port = Port.open({:spawn_executable, "/bin/sh"}, [:binary, :exit_status, args: arguments, env: env])
     %{port: port, config: config, dir: dir, http: http, started: started}
+  end
+
+  defp program(options) do
+    case options[:program] do
+      release when release in [nil, ""] -> {Path.join(@root, "bin/run"), ""}
+      release -> {release, "start"}
+    end
   end
 
   @doc "The part of a configuration file that keeps all files below a folder."
@@ -104,9 +126,17 @@ defmodule Bench.BinRun do
     }
   end
 
+  @doc "The value of an expression in it, as text."
+  @spec rpc(t(), String.t()) :: String.t()
+  def rpc(gateway, expression) do
+    words = ["rpc", expression, "--dir", Path.join(gateway.dir, "shell")]
+    {text, 0} = System.cmd(Path.join(@root, "bin/aerie"), words, env: @plain)
+    String.trim(text)
+  end
+
   # The VM, not the scripts around it.
   defp vm(gateway) do
-    {pids, _status} = System.cmd("pgrep", ["-f", "Application.*:aerie.*#{gateway.config}"])
+    {pids, _status} = System.cmd("pgrep", ["-f", "(Application.*:aerie|-aerie start).*#{gateway.config}"])
     pids |> String.split() |> Enum.max_by(&OSProcess.number(&1, "status", "VmRSS"), fn -> nil end)
   end
 

@@ -16,16 +16,20 @@ defmodule MavCodec.Definition.Generator.Dialects do
       @impl MavCodec.Dialect
       def crc_extra(id), do: unquote(by_id(entries, fn _type, _index, layout -> layout.crc_extra end))
 
+      # A function as a value: the compiler would join the types of all messages in each clause.
       @impl MavCodec.Dialect
       def decode(id, payload) do
+        case decoder(id) do
+          nil -> {:error, %MavCodec.Message.DecodeError{id: id, dialect: __MODULE__}}
+          decoder -> {:ok, decoder.(payload)}
+        end
+      end
+
+      defp decoder(id) do
         unquote(
-          by_id(
-            entries,
-            fn type, index, _layout ->
-              quote(do: {:ok, unquote(type.module).unquote(Messages.decoder(index))(payload)})
-            end,
-            quote(do: {:error, %MavCodec.Message.DecodeError{id: id, dialect: __MODULE__}})
-          )
+          by_id(entries, fn type, index, _layout ->
+            quote(do: &(unquote(type.module).unquote(Messages.decoder(index)) / 1))
+          end)
         )
       end
 
@@ -53,12 +57,7 @@ defmodule MavCodec.Definition.Generator.Dialects do
       def ids, do: unquote(Enum.map(entries, fn {type, _} -> type.id end))
 
       @impl MavCodec.Dialect
-      def encoder(module) do
-        case unquote(Macro.escape(Map.new(entries, &encoder/1))) do
-          %{^module => encoder} -> encoder
-          _unknown -> nil
-        end
-      end
+      def encoder(module), do: unquote(choice(quote(do: module), Enum.map(entries, &encoder/1)))
 
       @impl MavCodec.Dialect
       def layout(module) do
@@ -70,13 +69,16 @@ defmodule MavCodec.Definition.Generator.Dialects do
     end
   end
 
-  defp by_id(entries, value, otherwise \\ nil) do
-    clauses =
-      for {type, index} <- entries do
-        {:->, [], [[type.id], value.(type, index, Enum.at(type.layouts, index))]}
-      end
+  defp by_id(entries, value) do
+    choice(
+      quote(do: id),
+      for({type, index} <- entries, do: {type.id, value.(type, index, Enum.at(type.layouts, index))})
+    )
+  end
 
-    {:case, [], [quote(do: id), [do: clauses ++ [{:->, [], [[quote(do: _)], otherwise]}]]]}
+  defp choice(subject, pairs) do
+    clauses = for {key, value} <- pairs, do: {:->, [], [[key], value]}
+    {:case, [], [subject, [do: clauses ++ [{:->, [], [[quote(do: _)], nil]}]]]}
   end
 
   defp targets(%{target_system: nil, target_component: nil}), do: nil
@@ -84,6 +86,6 @@ defmodule MavCodec.Definition.Generator.Dialects do
 
   defp encoder({type, index}) do
     layout = Enum.at(type.layouts, index)
-    {type.module, {type.id, layout.crc_extra, layout.min, index}}
+    {type.module, Macro.escape({type.id, layout.crc_extra, layout.min, index})}
   end
 end

@@ -49,7 +49,13 @@ defmodule Phoenix.LiveView.Cowboy.Socket do
       peer_data: Page.peer(request)
     }
 
-    options = %{compress: true, max_frame_size: server.max_frame, idle_timeout: server.idle_ms + 30_000}
+    options = %{
+      compress: true,
+      # A third of the work of the usual 6, for a fifth more bytes (rows of a map of 200 vehicles).
+      deflate_opts: %{level: 3},
+      max_frame_size: server.max_frame,
+      idle_timeout: server.idle_ms + 30_000
+    }
 
     {:cowboy_websocket, request, %{server: server, info: info, channels: %{}, budget: {0, 0}, heard: now()},
      options}

@@ -77,5 +77,5 @@ defmodule Aerie.Console.Pages.Fleet.Selection do
 
   @doc "The selected vehicles of a list, in its order."
   @spec among(t(), [String.t()]) :: [String.t()]
-  def among(selection, ids), do: Enum.filter(ids, &(&1 in selection.ids))
+  def among(selection, ids), do: Enum.filter(ids, &MapSet.member?(selection.ids, &1))
 end

@@ -47,10 +47,10 @@ defmodule Aerie.Console.Pages.Fleet.Table do
             data-id={row.id}
             class={[row.status != :online && "fleet-old", not Filter.shows?(@filter, row) && "fleet-left"]}
             title={if(not Filter.shows?(@filter, row), do: "No longer matches the filter")}
-            aria-selected={if row.id in @selection.ids, do: "true", else: "false"}
+            aria-selected={if MapSet.member?(@selection.ids, row.id), do: "true", else: "false"}
             tabindex={if row.id == @first, do: "0", else: "-1"}
           >
-            <td class="fleet-check"><input type="checkbox" tabindex="-1" aria-label={"Select #{row.id}"} checked={row.id in @selection.ids} /></td>
+            <td class="fleet-check"><input type="checkbox" tabindex="-1" aria-label={"Select #{row.id}"} checked={MapSet.member?(@selection.ids, row.id)} /></td>
             {row.cells}
           </tr>
         </tbody>
@@ -144,7 +144,7 @@ defmodule Aerie.Console.Pages.Fleet.Table do
   defp sorted({by, :desc}, by), do: "descending"
   defp sorted(_order, _by), do: nil
 
-  defp all?(rows, selection), do: Enum.all?(rows, &(&1.id in selection.ids))
+  defp all?(rows, selection), do: Enum.all?(rows, &MapSet.member?(selection.ids, &1.id))
 
   defp kind(:lost), do: "bad"
   defp kind(:failsafe), do: "bad"

@@ -97,7 +97,7 @@ defmodule BenchNode do
 
     dropped =
       for %{counters: counters} <- links,
-          name <- ~w(kernel_dropped shed unclaimed overload)a,
+          name <- ~w(kernel_dropped shed shed_new unclaimed overload)a,
           do: Map.fetch!(counters, name)
 
     counted = %{received: Enum.sum(telemetry), dropped: Enum.sum(dropped)}

@@ -38,7 +38,8 @@ defmodule Aerie.Vehicle.Session.Core.SnapshotSchedule do
 
   @doc "The time between two checks of a vehicle's deadlines (microseconds), two of its snapshots."
   @spec tick_us(t()) :: pos_integer()
-  def tick_us(%{every_us: every}), do: (2 * every) |> max(@tick_us) |> min(@longest_tick_us)
+  def tick_us(%{every_us: every}) when is_integer(every),
+    do: (2 * every) |> max(@tick_us) |> min(@longest_tick_us)
 
   @doc "The next one is due at once."
   @spec due(t()) :: t()

@@ -165,6 +165,8 @@ defmodule Aerie.Vehicle.Session do
     for {pid, {_monitor, ids}} <- Map.to_list(listeners),
         [_ | _] = wanted <- [for(frame <- frames, :lists.member(frame.id, ids), do: frame)],
         do: send(pid, {:frames, wanted})
+
+    :ok
   end
 
   defp notify(%{listeners: listeners}, what),

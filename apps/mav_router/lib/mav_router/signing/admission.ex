@@ -61,10 +61,8 @@ defmodule MavRouter.Signing.Admission do
 
     for {stream, {last, true}} <- acc.newest, do: :ets.insert(tables.newest, {stream, last})
 
-    if acc.behind != %{} do
-      for {_id, {scope, system}} <- acc.behind,
-          do: ClockRecovery.refused(gateway, tables, origin, scope, system)
-    end
+    for {_id, {scope, system}} <- Map.to_list(acc.behind),
+        do: ClockRecovery.refused(gateway, tables, origin, scope, system)
 
     if acc.counts != [], do: count(gateway, tables, origin, acc.counts, List.last(frames).at)
     # Last, so that an enrolment that ends by a frame finds it in the vehicle's state.

@@ -16,10 +16,11 @@ const selected = (page, ids) => until(page, (ids) => [...document.querySelectorA
 const order = () => [...document.querySelectorAll("#fleet-table tbody tr")].map((row) => row.dataset.id).join();
 const answered = (page) => page.waitForSelector("#fleet-table:not([data-phx-ref-lock])");
 const steady = (page) => page.waitForSelector("html:not(.gateway-lost)");
-// Where each row is, and each of its cells.
+// Where each row is in its box, and each of its cells. A click scrolls the box to what it clicks, on a busy machine also further than it has to.
 const places = (page) => page.evaluate(() => JSON.stringify([...document.querySelectorAll("#fleet-table tbody tr")].map((row) => {
+  const { scrollLeft, scrollTop } = document.querySelector("#fleet-table");
   const { x, y, width, height } = row.getBoundingClientRect();
-  return [row.dataset.id, x, y, width, height, ...[...row.children].map((cell) => Math.round(cell.getBoundingClientRect().x))];
+  return [row.dataset.id, x + scrollLeft, y + scrollTop, width, height, ...[...row.children].map((cell) => Math.round(cell.getBoundingClientRect().x + scrollLeft))];
 })));
 // How a press on Hold came to nothing: by the gateway, or in the page.
 const refused = (page) => until(page, (text) => {

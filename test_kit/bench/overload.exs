@@ -1,5 +1,5 @@
 # What a hub receives when vehicles say more than it can read: 1, 2, 5 and 10 times what the machine just holds, alone
-# and beside busy loops that want the processors as well.
+# and beside busy loops that compete for the processors.
 #
 #     bin/bench overload [--vehicles 200] [--times 1,2,5,10] [--loops 0,8] [--rate 0] [--seconds 8]
 #

@@ -34,6 +34,7 @@ defmodule StartBench do
     ready = BinRun.until(gateway, :ready)
     cpu = BinRun.quiet(gateway)
     BinRun.until(gateway, :online)
+    # The flight whose memory and modules are measured: a duration, not a wait for something.
     Process.sleep(15_000)
     %{vm: vm, nats: nats} = BinRun.usage(gateway)
     modules = BinRun.rpc(gateway, "length(:code.all_loaded())")

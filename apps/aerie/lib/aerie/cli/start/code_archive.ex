@@ -46,7 +46,7 @@ defmodule Aerie.CLI.Start.CodeArchive do
     stripped
   end
 
-  @doc "Puts the archive into the code path; `:none` if there is none, as in tests, or a damaged one."
+  @doc "Puts the archive into the code path; `:none` without a file, as in tests, or with a damaged one."
   @spec open(Path.t(), charlist()) :: :ok | :none
   def open(path, name \\ @file_name) do
     with {:ok, <<sum::32, zip::binary>>} <- File.read(path),

@@ -4,7 +4,7 @@ defmodule Aerie.Console.Pages.Fleet.Board do
   `Aerie.Console.Pages.Fleet.Board.Server` keeps it.
 
   A row that looks as before is kept with its cells, so that it is rendered once however many pages show it, and a page
-  hears only which rows have changed since it last asked. What the map draws of a vehicle is encoded once as well.
+  hears only which rows have changed since it last asked. What the map draws of a vehicle is also encoded once.
   """
 
   alias Aerie.Console.Map.Payload

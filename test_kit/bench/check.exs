@@ -82,7 +82,7 @@ defmodule CheckBench do
   defp measure(name, options, figures) do
     before = Reference.us()
     # As from a plain shell.
-    env = for name <- ~w(MIX_ENV MIX_BUILD_PATH AERIE_CODE ERL_AFLAGS), do: {name, nil}
+    env = for name <- ~w(MIX_ENV MIX_BUILD_PATH AERIE_CODE), do: {name, nil}
     {output, status} = System.cmd(@bench, [name | options], env: env, stderr_to_stdout: true)
     if status != 0, do: raise("bin/bench #{name} ended with status #{status}:\n#{output}")
     reference = (before + Reference.us()) / 2

@@ -7,7 +7,7 @@ defmodule Bench.BinRun do
   # Less than this of a core is quiet.
   @quiet_part 0.05
   # The environment of a plain shell.
-  @plain for name <- ~w(MIX_ENV MIX_BUILD_PATH AERIE_CODE ERL_AFLAGS), do: {name, nil}
+  @plain for name <- ~w(MIX_ENV MIX_BUILD_PATH AERIE_CODE), do: {name, nil}
 
   @type t :: %{port: port(), config: Path.t(), dir: Path.t(), http: :inet.port_number(), started: integer()}
 

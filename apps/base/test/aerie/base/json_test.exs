@@ -84,6 +84,18 @@ defmodule Aerie.Base.JsonTest do
   test "times are UTC with milliseconds" do
     assert Json.time(1_700_000_000_123_456) == "2023-11-14T22:13:20.123Z"
     assert Json.time(nil) == nil
+
+    # As the calendar has it, also on leap days and where its years have other than four digits.
+    for us <- [
+          0,
+          951_782_400_000_000,
+          4_107_542_399_999_999,
+          253_402_300_799_999_999,
+          -1,
+          -62_167_219_200_000_001
+        ],
+        time = us |> DateTime.from_unix!(:microsecond) |> DateTime.truncate(:millisecond),
+        do: assert(Json.time(us) == DateTime.to_iso8601(time))
   end
 
   test "a secret shows nowhere but where it is handed over" do

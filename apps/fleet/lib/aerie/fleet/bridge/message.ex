@@ -58,23 +58,27 @@ defmodule Aerie.Fleet.Bridge.Message do
   @spec state(String.t(), String.t(), map(), non_neg_integer() | nil, integer(), origin() | nil) ::
           String.t()
   def state(vehicle, group, data, time_boot_ms, at, origin \\ nil) do
-    body = %{
-      "vehicle" => vehicle,
-      "group" => group,
-      "time" => Json.time(at),
-      "time_boot_ms" => time_boot_ms,
-      "data" => Json.plain(Fields.rounded(group, data))
-    }
-
-    body |> with_origin(origin) |> Json.encode!()
+    IO.iodata_to_binary([
+      ~s({"data":),
+      Json.encode_to_iodata!(Fields.plain(group, data)),
+      origin(origin),
+      ~s(,"group":"),
+      group,
+      ~s(","time":"),
+      Json.time(at),
+      ~s(","time_boot_ms":),
+      Json.encode_to_iodata!(time_boot_ms),
+      ~s(,"vehicle":),
+      Json.encode_to_iodata!(vehicle),
+      ?}
+    ])
   end
 
-  defp with_origin(body, nil), do: body
+  defp origin(nil), do: []
+  defp origin(%{epoch: nil, gateway: gateway}), do: [~s(,"gateway":), Json.encode_to_iodata!(gateway)]
 
-  defp with_origin(body, %{epoch: nil, gateway: gateway}), do: Map.put(body, "gateway", gateway)
-
-  defp with_origin(body, %{epoch: epoch, gateway: gateway}),
-    do: Map.merge(body, %{"gateway" => gateway, "epoch" => epoch})
+  defp origin(%{epoch: epoch} = origin),
+    do: [~s(,"epoch":), Integer.to_string(epoch) | origin(%{origin | epoch: nil})]
 
   @doc "Body of an event."
   @spec event(Event.t(), pos_integer() | nil) :: String.t()

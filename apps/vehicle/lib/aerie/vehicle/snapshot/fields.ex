@@ -175,7 +175,7 @@ defmodule Aerie.Vehicle.Snapshot.Fields do
   defp group(name, group, now) do
     @group_fields
     |> Object.show(Map.put(group, :age, max(now - group.at, 0) / 1_000_000))
-    |> Map.put(:data, Json.plain(Fields.rounded(name, group.data)))
+    |> Map.put(:data, Fields.plain(name, group.data))
   end
 
   # The latest link first: its device or address, and its baud rate.

@@ -2,7 +2,7 @@ defmodule Aerie.Vehicle.State.Fields do
   @moduledoc """
   Every field of a vehicle's state with its unit, meaning, source and number of significant decimals, as the groups declare them
   (`Aerie.Vehicle.State.Groups`). NATS, REST and `state.sock` use these names and units, and round by them when they render
-  (`rounded/2`, `event/2`), never before. `docs/telemetry.md` is made from it.
+  (`plain/2`, `event/2`), never before. `docs/telemetry.md` is made from it.
 
   Units are SI and degrees. A ratio is 0..1, never per cent; a height says above what.
   """
@@ -36,9 +36,9 @@ defmodule Aerie.Vehicle.State.Fields do
   @spec all() :: [{group(), String.t(), [Group.field()]}]
   def all, do: @all
 
-  @doc "A group's data with rounded numbers. The group is an atom or a string."
-  @spec rounded(group() | String.t(), map()) :: map()
-  def rounded(group, data), do: rounded_by(data, Map.get(@decimals, group, %{}), nil)
+  @doc "A group's data as JSON has it (`Json.plain/1`), with rounded numbers. The group is an atom or a string."
+  @spec plain(group() | String.t(), map()) :: map()
+  def plain(group, data), do: plain_by(data, Map.get(@decimals, group, %{}), nil)
 
   @doc "An event as NATS and REST have it. The `epoch` says which start of the gateway numbered it; nil for none."
   @spec event(Event.t(), epoch :: pos_integer() | nil) :: %{String.t() => term()}
@@ -50,28 +50,24 @@ defmodule Aerie.Vehicle.State.Fields do
       "seq" => event.seq,
       "time" => Json.time(event.time),
       "time_boot_ms" => event.vehicle_time_ms,
-      "data" => event.data |> event_data() |> Json.plain()
+      "data" => event_data(event.data)
     }
 
     if epoch, do: Map.put(shown, "epoch", epoch), else: shown
   end
 
   defp event_data(%{"position" => %{} = position} = data),
-    do: %{rounded_by(data, @event, nil) | "position" => rounded(:position, position)}
+    do: %{plain_by(data, @event, nil) | "position" => plain(:position, position)}
 
-  defp event_data(data), do: rounded_by(data, @event, nil)
+  defp event_data(data), do: plain_by(data, @event, nil)
 
   # A field that has no decimals of its own has those of the field above it; 0 gives whole numbers.
-  defp rounded_by(float, _decimals, 0) when is_float(float), do: round(float)
-  defp rounded_by(float, _decimals, n) when is_float(float) and is_integer(n), do: Float.round(float, n)
+  defp plain_by(float, _decimals, 0) when is_float(float), do: round(float)
+  defp plain_by(float, _decimals, n) when is_float(float) and is_integer(n), do: Float.round(float, n)
 
-  defp rounded_by(map, decimals, above) when is_map(map) and not is_struct(map),
-    do:
-      Map.new(
-        for {name, value} <- Map.to_list(map),
-            do: {name, rounded_by(value, decimals, Map.get(decimals, name, above))}
-      )
+  defp plain_by(map, decimals, above) when is_non_struct_map(map),
+    do: Json.plain(map, &plain_by(&2, decimals, Map.get(decimals, &1, above)))
 
-  defp rounded_by(list, decimals, n) when is_list(list), do: Enum.map(list, &rounded_by(&1, decimals, n))
-  defp rounded_by(other, _decimals, _n), do: other
+  defp plain_by(list, decimals, n) when is_list(list), do: for(item <- list, do: plain_by(item, decimals, n))
+  defp plain_by(other, _decimals, _n), do: Json.plain(other)
 end

@@ -49,26 +49,26 @@ defmodule Aerie.Vehicle.State.FieldsTest do
   end
 
   test "numbers are rounded to their decimals, in groups, lists and nested fields" do
-    assert Fields.rounded(:position, %{heading: 90.2170000000073, lat: 47.39774189999998, alt_rel: nil}) ==
+    assert Fields.plain(:position, %{heading: 90.2170000000073, lat: 47.39774189999998, alt_rel: nil}) ==
              %{heading: 90.22, lat: 47.3977419, alt_rel: nil}
 
-    assert Fields.rounded("battery", %{
+    assert Fields.plain("battery", %{
              remaining: 0.5700000000000001,
              batteries: [%{id: 0, voltage: 12.599999}]
            }) ==
              %{remaining: 0.57, batteries: [%{id: 0, voltage: 12.6}]}
 
-    assert Fields.rounded(:health, %{ekf: %{flags: 831, velocity: 0.01234567}, vibration: [1.23456, nil]}) ==
+    assert Fields.plain(:health, %{ekf: %{flags: 831, velocity: 0.01234567}, vibration: [1.23456, nil]}) ==
              %{ekf: %{flags: 831, velocity: 0.012}, vibration: [1.23, nil]}
 
     # A mean of whole numbers is a whole number, and so are those beside it.
-    assert Fields.rounded(:gps, %{satellites: 9.6, min: %{hdop: 0.7000001}, samples: 5}) ==
+    assert Fields.plain(:gps, %{satellites: 9.6, min: %{hdop: 0.7000001}, samples: 5}) ==
              %{satellites: 10, min: %{hdop: 0.7}, samples: 5}
 
-    assert Fields.rounded(:mode, %{mode: "AUTO", armed: true}) == %{mode: "AUTO", armed: true}
-    assert Fields.rounded("of the future", %{x: 0.1 + 0.2}) == %{x: 0.1 + 0.2}
+    assert Fields.plain(:mode, %{mode: "AUTO", armed: true}) == %{mode: "AUTO", armed: true}
+    assert Fields.plain("of the future", %{x: 0.1 + 0.2}) == %{x: 0.1 + 0.2}
 
-    assert %{"lat" => 47.3977418} = Fields.rounded("position", %{"lat" => 47.39774182})
+    assert %{"lat" => 47.3977418} = Fields.plain("position", %{"lat" => 47.39774182})
 
     data = %{
       "remaining" => 0.3600000143051147,
@@ -97,13 +97,13 @@ defmodule Aerie.Vehicle.State.FieldsTest do
   test "any number that a vehicle may send can be rounded, and stays within half of the last decimal" do
     property =
       :proper.forall(:proper_types.float(), fn x ->
-        %{alt_rel: rounded} = Fields.rounded(:position, %{alt_rel: x})
+        %{alt_rel: rounded} = Fields.plain(:position, %{alt_rel: x})
         abs(rounded - x) <= max(0.005000001, abs(x) * 1.0e-15)
       end)
 
     assert :proper.quickcheck(property, [:quiet, numtests: 500]) == true, inspect(:proper.counterexample())
 
     for x <- [1.7e308, -1.7e308, 5.0e-324, -0.0],
-        do: assert(is_float(Fields.rounded(:position, %{lat: x}).lat))
+        do: assert(is_float(Fields.plain(:position, %{lat: x}).lat))
   end
 end

@@ -238,6 +238,8 @@ defmodule MavCodec.Parser do
   @doc "The counters since the start."
   @spec stats(t()) :: stats()
   def stats(%__MODULE__{scanner: scanner} = parser) do
+    sources = Sources.stats(parser.sources)
+
     %{
       frames: parser.frames,
       bytes: parser.bytes,
@@ -247,8 +249,8 @@ defmodule MavCodec.Parser do
       unknown_ids: parser.unknown,
       incompatible: scanner.incompatible,
       signed: parser.signed,
-      lost: Sources.lost(parser.sources),
-      sources: Sources.stats(parser.sources)
+      lost: Sources.lost(sources),
+      sources: sources
     }
   end
 end

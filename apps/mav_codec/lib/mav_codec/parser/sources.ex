@@ -83,11 +83,8 @@ defmodule MavCodec.Parser.Sources do
     end)
   end
 
-  @doc "Frames lost, over all sources whose loss can be known."
-  @spec lost(t()) :: non_neg_integer()
-  def lost(sources) do
-    for {_, {loss, true, first, _next, count}} <- sources, reduce: 0 do
-      sum -> sum + hand_over(loss, first, count).lost
-    end
-  end
+  @doc "Frames lost, over all sources whose loss can be known, by their `stats/1`."
+  @spec lost(%{optional(key()) => map()}) :: non_neg_integer()
+  def lost(stats),
+    do: for({_key, %{ratio: ratio, lost: n}} <- stats, ratio != nil, reduce: 0, do: (sum -> sum + n))
 end

@@ -53,8 +53,12 @@ defmodule MavRouter.Forward.Gate do
 
   @doc "The frames that go on, in their order: a delivery for each run of frames of one scope."
   @spec sort(Delivery.t()) :: [Delivery.t()]
-  def sort(%{frames: frames} = delivery),
-    do: for({scope, frames} <- sort(frames, delivery), do: %{delivery | scope: scope, frames: frames})
+  def sort(%{frames: frames} = delivery), do: frames |> sort(delivery) |> deliveries(delivery)
+
+  defp deliveries([], _delivery), do: []
+
+  defp deliveries([{scope, frames} | rest], delivery),
+    do: [%{delivery | scope: scope, frames: frames} | deliveries(rest, delivery)]
 
   defp sort(frames, %{path: %{role: :read_only}}), do: [{:clients, frames}]
   defp sort(frames, %{source: %{standing: :claim}}), do: [{:clients, frames}]

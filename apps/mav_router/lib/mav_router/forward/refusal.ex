@@ -39,6 +39,8 @@ defmodule MavRouter.Forward.Refusal do
   @doc "Frames to all: what a client or a stranger said, and an order of a vehicle, that did not reach every vehicle."
   @spec of_broadcast([Frame.t()], Delivery.t()) :: :ok
   def of_broadcast(_frames, %{scope: :cleared}), do: :ok
+  # It was for nobody else, as is nearly all that a vehicle says.
+  def of_broadcast(_frames, %{source: %{vehicles: [], groups: [], heartbeat_receivers: []}}), do: :ok
 
   # Telemetry of a vehicle is not for other vehicles, which is not worth a line in the log.
   def of_broadcast(frames, %{source: %{vehicle: vehicle?}} = delivery) do

@@ -334,11 +334,11 @@ defmodule MavRouter.Link.Core do
   defp note_senders(core, peers, [], _mono, _at), do: %{core | peers: peers}
 
   defp note_senders(core, peers, deliveries, mono, at) do
-    counters =
-      for {_peer, frames} <- deliveries, reduce: core.counters, do: (c -> Counters.messages(c, frames))
-
-    %{core | peers: peers, counters: counters, heard: mono, last_heard: at}
+    %{core | peers: peers, counters: messages(deliveries, core.counters), heard: mono, last_heard: at}
   end
+
+  defp messages([], counters), do: counters
+  defp messages([{_peer, frames} | rest], counters), do: messages(rest, Counters.messages(counters, frames))
 
   defp deliver([{peer, frames}]), do: [{:deliver, peer, frames}]
   defp deliver(deliveries), do: for({peer, frames} <- deliveries, do: {:deliver, peer, frames})

@@ -68,6 +68,7 @@ defmodule MavRouter.Link.Server do
       # The transport's watch while the link is down (`c:MavRouter.Link.Transport.watch/1`), as of the last attempt.
       watched: nil,
       conn: nil,
+      origin: origin(spec),
       router_cache: nil,
       sessions: [],
       quality: nil,
@@ -282,10 +283,8 @@ defmodule MavRouter.Link.Server do
   end
 
   defp act({:deliver, peer, frames}, state) do
-    spec = state.spec
-    source = source(spec, peer)
-    if state.home == Store, do: MavRouter.Recorder.link_frames(state.gateway, spec.id, frames)
-    {outcome, cache} = Router.deliver(state.gateway, source, frames, state.router_cache)
+    if state.home == Store, do: MavRouter.Recorder.link_frames(state.gateway, state.spec.id, frames)
+    {outcome, cache} = Router.deliver(state.gateway, %{state.origin | peer: peer}, frames, state.router_cache)
     now = mono()
     egress = state.egress |> Egress.radio(peer, frames, now) |> Egress.note_requests(peer, frames, now)
     sessions = if outcome.sessions == [], do: state.sessions, else: outcome.sessions
@@ -345,11 +344,11 @@ defmodule MavRouter.Link.Server do
     end
   end
 
-  defp source(spec, peer) do
+  defp origin(spec) do
     %{
       id: spec.id,
       network: spec.network,
-      peer: peer,
+      peer: nil,
       trust: MavRouter.Signing.trust(spec),
       high_latency: Map.get(spec.options, :high_latency, false)
     }

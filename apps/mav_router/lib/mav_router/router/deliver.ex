@@ -57,7 +57,7 @@ defmodule MavRouter.Router.Deliver do
           forwarding: forwarding,
           path: path,
           now: :erlang.monotonic_time(:millisecond),
-          secure: origin[:trust] == :secure,
+          secure: match?(%{trust: :secure}, origin),
           sender: path.owner
         })
     end
@@ -161,11 +161,18 @@ defmodule MavRouter.Router.Deliver do
       |> HeartbeatLearner.read()
 
     # The gate parts them by whom they may reach.
-    for run <- Gate.sort(delivery), do: run |> Sharing.pass() |> Forward.frames()
+    :ok = delivery |> Gate.sort() |> forward()
 
     if delivery.source === before,
       do: {delivery, cache},
       else: {delivery, Cache.put_source(cache, key, delivery.source)}
+  end
+
+  defp forward([]), do: :ok
+
+  defp forward([run | rest]) do
+    _ = run |> Sharing.pass() |> Forward.frames()
+    forward(rest)
   end
 
   # While several endpoints bring a system, its session gets the endpoint with the frames.

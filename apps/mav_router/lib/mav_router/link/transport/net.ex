@@ -308,6 +308,11 @@ defmodule MavRouter.Link.Transport.Net do
 
   def sockaddr(address, port), do: %{family: :inet, addr: address, port: port}
 
+  @doc "The same for many datagrams: that of IPv4 as every system has it, of which `:socket` encodes nothing for each."
+  @spec encoded(:inet.ip_address(), :inet.port_number()) :: map
+  def encoded({a, b, c, d}, port), do: %{family: 2, addr: <<port::16, a, b, c, d, 0::64>>}
+  def encoded(address, port), do: sockaddr(address, port)
+
   @doc "Writes one datagram, by the second handle if there is one. It is not an error if nobody listens there."
   @spec udp_write(:gen_udp.socket(), :socket.socket() | nil, :inet.ip_address(), :inet.port_number(), iodata) ::
           :ok | :busy | {:error, term}

@@ -111,7 +111,7 @@ defmodule MavRouter.Link.Transport.UdpClient do
 
   @impl MavRouter.Link.Transport
   def direct(%{sender: nil}, _peer), do: nil
-  def direct(%{sender: sender, to: {address, port}}, :remote), do: {:udp, sender, Net.sockaddr(address, port)}
+  def direct(%{sender: sender, to: {address, port}}, :remote), do: {:udp, sender, Net.encoded(address, port)}
 
   @impl MavRouter.Link.Transport
   def kernel_dropped(conn), do: Net.kernel_dropped(conn.sender)

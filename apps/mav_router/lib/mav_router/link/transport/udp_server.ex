@@ -128,7 +128,7 @@ defmodule MavRouter.Link.Transport.UdpServer do
 
   @impl MavRouter.Link.Transport
   def direct(%{sender: nil}, _peer), do: nil
-  def direct(%{sender: sender}, {address, port}), do: {:udp, sender, Net.sockaddr(address, port)}
+  def direct(%{sender: sender}, {address, port}), do: {:udp, sender, Net.encoded(address, port)}
 
   @impl MavRouter.Link.Transport
   def kernel_dropped(conn), do: Net.kernel_dropped(conn.sender)

@@ -50,18 +50,18 @@ defmodule MavRouter.Link.Transport.Net.Gathering do
   defp busy?(%{on?: true} = gathering), do: gathering.datagrams >= @go_on and gathering.changes >= @go_on
 
   defp note(gathering, datagrams) do
-    {n, changes, last} =
-      Enum.reduce(datagrams, {0, 0, gathering.last}, fn
-        {last, _bytes}, {n, changes, last} -> {n + 1, changes, last}
-        {sender, _bytes}, {n, changes, _last} -> {n + 1, changes + 1, sender}
-      end)
-
-    %{
+    note(datagrams, gathering.datagrams, gathering.changes, gathering.last, %{
       gathering
-      | reads: gathering.reads + 1,
-        datagrams: gathering.datagrams + n,
-        changes: gathering.changes + changes,
-        last: last
-    }
+      | reads: gathering.reads + 1
+    })
   end
+
+  defp note([], n, changes, last, gathering),
+    do: %{gathering | datagrams: n, changes: changes, last: last}
+
+  defp note([{last, _bytes} | rest], n, changes, last, gathering),
+    do: note(rest, n + 1, changes, last, gathering)
+
+  defp note([{sender, _bytes} | rest], n, changes, _last, gathering),
+    do: note(rest, n + 1, changes + 1, sender, gathering)
 end

@@ -79,3 +79,28 @@ node_install_pages() {
   fi
   warn "the gateway runs without its console, whose JavaScript packages are missing. To fix it: bin/setup"
 }
+
+# node_install_beside COMMAND ...: one of the above beside what the script does next, because neither the toolchain nor
+# the compiler needs these packages. The end of the script ends it.
+node_beside=
+node_install_beside() {
+  node_complete pages && return 0
+  (
+    # A terminal may show the compiler's progress in this line.
+    [ ! -t 2 ] || {
+      step() { printf '\r%-80s\n' "==> $*" >&2 || true; }
+      warn() { printf '\r%-80s\n' "warning: $*" >&2 || true; }
+    }
+    "$@"
+  ) &
+  node_beside=$!
+  trap 'kill "$node_beside" 2>/dev/null && wait "$node_beside" || true' EXIT
+}
+
+# Returns when node_install_beside has ended.
+node_await() {
+  [ -n "$node_beside" ] || return 0
+  wait "$node_beside" || true
+  node_beside=
+  trap - EXIT
+}

@@ -30,7 +30,7 @@ defmodule Aerie.System.SetupTest do
   end
 
   defp script(root, text) do
-    sources = for name <- ~w(common toolchain code), do: ". \"$0/bin/lib/#{name}.sh\"\n"
+    sources = for name <- ~w(common toolchain node code), do: ". \"$0/bin/lib/#{name}.sh\"\n"
     path = Path.join(root, "programs") <> ":" <> System.get_env("PATH")
 
     {["-c", "#{sources}#{text}", root],
@@ -252,6 +252,72 @@ defmodule Aerie.System.SetupTest do
       assert text =~ "error: "
       refute text =~ "waiting for it"
       refute File.exists?(Path.join(root, ".toolchain"))
+    end
+  end
+
+  describe "the console's packages" do
+    setup %{root: root} do
+      File.write!(Path.join(root, "package-lock.json"), "{}")
+      program(root, "node", "exit 0\n")
+      # Comes to its end when the compiler has begun, which comes to its end after it.
+      program(
+        root,
+        "npm",
+        ~S(mkdir -p node_modules; read -r _ <"$AERIE_ROOT/compiling"; echo >"$AERIE_ROOT/npm")
+      )
+
+      program(root, "mix", ~S(echo >"$AERIE_ROOT/compiling"; read -r _ <"$AERIE_ROOT/npm"))
+      for name <- ~w(compiling npm), do: {_text, 0} = System.cmd("mkfifo", [Path.join(root, name)])
+      :ok
+    end
+
+    test "are installed while it compiles, and once", %{root: root} do
+      call =
+        "node_install_beside node_install_pages; compile_quietly prod; node_await; node_has pages && echo there"
+
+      assert {text, 0} = bash(root, call)
+      assert text == "==> node: installing the packages of package-lock.json into node_modules/\nthere\n"
+      assert bash(root, "node_install_beside node_install_pages; node_await; echo on") == {"on\n", 0}
+    end
+
+    test "that cannot be had do not keep a gateway from its start", %{root: root} do
+      program(root, "npm", "echo npm error code ENOTFOUND >&2; exit 1\n")
+      assert {text, 0} = bash(root, "node_install_beside node_install_pages; node_await; echo on")
+      assert text =~ "the name of the server is not found"
+      assert text =~ "the gateway runs without its console"
+      assert String.ends_with?(text, "\non\n")
+    end
+
+    test "are given up when the compiler fails, and when SIGTERM ends the script", %{root: root} do
+      program(root, "npm", @endless)
+
+      begun = fn ->
+        for file <- ~w(pid child), path = Path.join(root, "programs/npm.#{file}"), reduce: true do
+          all -> all and match?({:ok, <<_, _::binary>>}, File.read(path))
+        end
+      end
+
+      ended = fn ->
+        for file <- ~w(pid child) do
+          path = Path.join(root, "programs/npm.#{file}")
+          pid = path |> File.read!() |> String.trim()
+          refute File.exists?("/proc/#{pid}"), "npm's #{file} goes on"
+          File.rm!(path)
+        end
+      end
+
+      program(root, "mix", ~S(read -r _ <"$AERIE_ROOT/compiling"; exit 7))
+      {port, _pid} = start(root, "node_install_beside node_install_pages; compile_quietly prod; node_await")
+      eventually(begun, "npm runs")
+      {"", 0} = System.cmd("sh", ["-c", ~S(echo >"$0/compiling"), root])
+      assert {_text, 1} = output(port)
+      ended.()
+
+      {port, pid} = start(root, "node_install_beside node_install_pages; compile_quietly prod; node_await")
+      eventually(begun, "npm runs again")
+      {_output, 0} = System.cmd("kill", ["#{pid}"])
+      assert {_text, 143} = output(port)
+      ended.()
     end
   end
 

@@ -18,7 +18,8 @@ defmodule Aerie.Console.Frame do
   end
 
   defp frame(%{assigns: %{user: user, path: path}} = socket) do
-    assigns = %{entries: Pages.entries(user.role), path: path, __changed__: nil}
+    entries = Pages.entries(user.role)
+    assigns = %{entries: entries, path: path, csrf_token: socket.assigns.csrf_token, __changed__: nil}
     assign(socket, :frame, %{nav: nav(assigns), menu: menu(assigns), help: help(assigns)})
   end
 
@@ -33,6 +34,12 @@ defmodule Aerie.Console.Frame do
   defp menu(assigns) do
     ~H"""
     <.nav_link :for={entry <- @entries} :if={not entry.main} entry={entry} path={@path} class="phone-only" />
+    <button type="button" data-action="theme"><.icon name="contrast" /> Dark or light</button>
+    <button type="button" data-action="help"><.icon name="keyboard" /> Keyboard shortcuts <kbd>?</kbd></button>
+    <form action="/sign-out" method="post">
+      <input type="hidden" name="_csrf_token" value={@csrf_token} />
+      <button type="submit"><.icon name="sign-out" /> Sign out</button>
+    </form>
     """
   end
 

@@ -2,8 +2,6 @@ defmodule Aerie.Console.Layout do
   @moduledoc "The frame of every page: the document, and in it the header, the navigation and messages."
   use Aerie.Console, :component
 
-  import Aerie.Console.Pages.Alarms.Strip
-
   alias Aerie.Console.Assets
 
   @doc """
@@ -77,7 +75,7 @@ defmodule Aerie.Console.Layout do
       <header class="top">
         <.link navigate="/" class="brand" aria-label="Aerie, to the fleet"><.logo /><span>Aerie</span></.link>
         <p :if={@connecting} class="badge warn" role="status">Connecting…, values of {@connecting}</p>
-        <.alarm_strip alarms={@alarms} age={@alarm_age} user={@user} />
+        {@alarm_strip}
         <span id="clock" class="clock wide-only" title="All times are UTC">{@clock}</span>
         <details class="menu" id="user-menu" phx-mounted={JS.ignore_attributes("open")}>
           <summary aria-label={"#{@user.name}, #{@user.role}: account and look"}>
@@ -86,12 +84,6 @@ defmodule Aerie.Console.Layout do
           <div class="menu-list">
             <p class="menu-head">{@user.name} <.badge>{@user.role}</.badge> <span class="clock phone-only">{@clock}</span></p>
             {@frame.menu}
-            <button type="button" data-action="theme"><.icon name="contrast" /> Dark or light</button>
-            <button type="button" data-action="help"><.icon name="keyboard" /> Keyboard shortcuts <kbd>?</kbd></button>
-            <form action="/sign-out" method="post">
-              <input type="hidden" name="_csrf_token" value={@csrf_token} />
-              <button type="submit"><.icon name="sign-out" /> Sign out</button>
-            </form>
           </div>
         </details>
       </header>

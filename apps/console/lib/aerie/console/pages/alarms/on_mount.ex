@@ -1,12 +1,13 @@
 defmodule Aerie.Console.Pages.Alarms.OnMount do
-  @moduledoc "Gives every page the summary of the alarms (`@alarms`), the time (`@clock`) and the age of the first alarm (`@alarm_age`); handles *Acknowledge*."
+  @moduledoc "Gives every page the summary of the alarms (`@alarms`), the time (`@clock`) and the strip of alarms (`@alarm_strip`); handles *Acknowledge*."
 
   import Phoenix.Component
   import Phoenix.LiveView
 
   alias Aerie.Base.PubSub
   alias Aerie.Fleet.Alarms
-  alias Aerie.Console.Clock
+  alias Aerie.Console.{Clock, Part}
+  alias Aerie.Console.Pages.Alarms.Strip
   alias Aerie.Console.UI.Age
 
   @tick_ms 1_000
@@ -44,9 +45,13 @@ defmodule Aerie.Console.Pages.Alarms.OnMount do
   defp tick, do: Process.send_after(self(), :console_clock, @tick_ms)
 
   # Texts, so that what looks the same is not sent again.
-  defp clock(%{assigns: %{alarms: %{first: first}}} = socket) do
+  defp clock(%{assigns: %{user: user, alarms: %{first: first} = alarms}} = socket) do
     now = System.os_time(:microsecond)
-    assign(socket, clock: Clock.minute(now), alarm_age: first && Age.text(now - first.since))
+    strip = %{alarms: alarms, age: first && Age.text(now - first.since), user: user}
+
+    socket
+    |> assign(:clock, Clock.minute(now))
+    |> Part.keep(:alarm_strip, &Strip.alarm_strip/1, strip)
   end
 
   # `Aerie.Console.SignIn.OnMount` has already refused anybody below an operator.

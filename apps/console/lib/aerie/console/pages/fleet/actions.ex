@@ -19,9 +19,12 @@ defmodule Aerie.Console.Pages.Fleet.Actions do
 
   @doc "Hold, return and land for the selection, who is in charge of it, its plans on the map and its tags. It takes the same room without a selection."
   def actions(assigns) do
-    chosen = Enum.filter(assigns.all, &MapSet.member?(assigns.selection.ids, &1.id))
+    chosen = Selection.chosen(assigns.selection, assigns.all)
     ids = Enum.map(chosen, & &1.id)
-    {seen, hidden} = Selection.summary(assigns.selection, ids, Enum.map(assigns.rows, & &1.id))
+
+    {seen, hidden} =
+      Selection.summary(assigns.selection, ids, if(ids != [], do: Enum.map(assigns.rows, & &1.id), else: []))
+
     assigns = assign(assigns, chosen: chosen, value: %{ids: ids}, seen: seen, hidden: hidden)
     assigns = assign(assigns, able: able(chosen, assigns.user), locked: locked(chosen, assigns.user))
 

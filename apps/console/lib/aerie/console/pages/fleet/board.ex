@@ -1,9 +1,9 @@
 defmodule Aerie.Console.Pages.Fleet.Board do
   @moduledoc """
-  The rows of all vehicles with their rendered cells, for all pages of the fleet. Pure;
+  The rows of all vehicles with their lines of the table, for all pages of the fleet. Pure;
   `Aerie.Console.Pages.Fleet.Board.Server` keeps it.
 
-  A row that looks as before is kept with its cells, so that it is rendered once however many pages show it, and a page
+  A row that looks as before is kept with its line, so that it is rendered once however many pages show it, and a page
   hears only which rows have changed since it last asked. What the map draws of a vehicle is also encoded once.
   """
 
@@ -16,7 +16,7 @@ defmodule Aerie.Console.Pages.Fleet.Board do
     version: 0,
     ids: [],
     rows: %{},
-    words: [],
+    choices: %{tags: [], kinds: [], autopilots: []},
     homes: [],
     missions: %{},
     # The versions with the last change.
@@ -35,14 +35,15 @@ defmodule Aerie.Console.Pages.Fleet.Board do
           | nil
 
   @typedoc """
-  `:rows` are those that a page has not seen yet; `:ids` are all, in their order; `:words` are the tags of all vehicles.
+  `:rows` are those that a page has not seen yet; `:ids` are all, in their order; `:choices` are the tags, kinds and
+  autopilots of all vehicles.
   `:places` has the homes and the missions by vehicle, `nil` if they are as the page saw them.
   """
   @type news :: %{
           seen: seen(),
           ids: [String.t()],
           rows: [Row.t()],
-          words: [String.t()],
+          choices: %{tags: [String.t()], kinds: [String.t()], autopilots: [atom()]},
           places: %{homes: [[float()]], missions: %{String.t() => map()}} | nil
         }
 
@@ -50,11 +51,15 @@ defmodule Aerie.Console.Pages.Fleet.Board do
   @spec new() :: t()
   def new, do: %__MODULE__{id: make_ref()}
 
-  @doc "Takes the rows of all vehicles. `render` makes the cells of one."
+  @doc "Takes the rows of all vehicles, and all tags. `render` makes the line of one."
   @spec put(t(), [Row.t()], [String.t()], (Row.t() -> term())) :: t()
-  def put(%__MODULE__{version: version, rows: known} = board, rows, words, render) do
+  def put(%__MODULE__{version: version, rows: known} = board, rows, tags, render) do
     version = version + 1
     ids = Enum.map(rows, & &1.id)
+
+    [kinds, autopilots] =
+      for field <- [:kind, :autopilot], do: rows |> Enum.map(&Map.fetch!(&1, field)) |> Enum.uniq()
+
     homes = Payload.homes(Enum.map(rows, & &1.home))
     missions = Map.new(rows, &{&1.id, &1.mission})
     rows = Map.new(rows, &{&1.id, keep(known[&1.id], &1, version, render)})
@@ -67,7 +72,7 @@ defmodule Aerie.Console.Pages.Fleet.Board do
       | version: version,
         ids: ids,
         rows: rows,
-        words: words,
+        choices: %{tags: tags, kinds: Enum.sort(kinds), autopilots: Enum.sort(autopilots)},
         homes: homes,
         missions: missions,
         listed: if(ids != board.ids, do: version, else: board.listed),
@@ -93,14 +98,14 @@ defmodule Aerie.Console.Pages.Fleet.Board do
     row = %{row | on_map: nil, home: nil, mission: nil}
 
     cond do
-      before != nil and %{row | cells: before.cells} == before ->
+      before != nil and %{row | line: before.line} == before ->
         {changed, before}
 
       before != nil and urgent(before) == urgent(row) ->
-        {%{changed | row: version}, %{row | cells: render.(row)}}
+        {%{changed | row: version}, %{row | line: render.(row)}}
 
       true ->
-        {%{changed | row: version, urgent: version}, %{row | cells: render.(row)}}
+        {%{changed | row: version, urgent: version}, %{row | line: render.(row)}}
     end
   end
 
@@ -120,7 +125,7 @@ defmodule Aerie.Console.Pages.Fleet.Board do
       end
 
     places = if rest == 0 or board.placed > rest, do: Map.take(board, [:homes, :missions])
-    %{seen: {id, rows, version, version}, ids: board.ids, rows: new, words: board.words, places: places}
+    %{seen: {id, rows, version, version}, ids: board.ids, rows: new, choices: board.choices, places: places}
   end
 
   defp changed(board, what, since),

@@ -62,6 +62,8 @@ defmodule Aerie.Console.Pages.Fleet.Filter do
 
   @doc "Whether the filter shows a vehicle."
   @spec shows?(t(), Row.t()) :: boolean()
+  def shows?(%__MODULE__{search: "", type: nil, firmware: nil, tag: nil, flags: []}, _row), do: true
+
   def shows?(filter, row) do
     Enum.all?(filter.flags, &flag?(&1, row)) and filter.type in [nil, row.kind] and
       filter.firmware in [nil, Atom.to_string(row.autopilot)] and

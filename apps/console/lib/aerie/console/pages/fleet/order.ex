@@ -28,8 +28,10 @@ defmodule Aerie.Console.Pages.Fleet.Order do
 
   @doc "The rows in order."
   @spec sort([Row.t()], t()) :: [Row.t()]
+  def sort(rows, {"id", :asc}), do: Enum.sort_by(rows, & &1.order)
+
   def sort(rows, {column, direction}) do
-    rows = Enum.sort_by(rows, & &1.order)
+    rows = sort(rows, {"id", :asc})
     {known, unknown} = Enum.split_with(rows, &(value(&1, column) != nil))
     # Stable in both directions.
     Enum.sort_by(known, &value(&1, column), direction) ++ unknown

@@ -51,10 +51,11 @@ defmodule Aerie.Console.Pages.Fleet.Page do
        plans: %Plans{},
        rows: [],
        all: [],
-       words: []
+       choices: %{}
      )
      |> put_private(:fleet, %{
        seen: nil,
+       ids: [],
        rows: %{},
        plans: [],
        counts: %{},
@@ -70,7 +71,12 @@ defmodule Aerie.Console.Pages.Fleet.Page do
   @impl Phoenix.LiveView
   def handle_params(params, _uri, %{assigns: %{filter: filter, order: order}} = socket) do
     view = if params["view"] == "table", do: "table", else: "map"
-    socket = assign(socket, filter: Filter.parse(params), order: Order.parse(params["sort"]), view: view)
+
+    socket =
+      socket
+      |> assign(filter: Filter.parse(params), order: Order.parse(params["sort"]), view: view)
+      |> tools()
+
     same? = {socket.assigns.filter, socket.assigns.order} == {filter, order}
     {:noreply, if(same?, do: assign_view(socket), else: sort(socket))}
   end
@@ -231,7 +237,7 @@ defmodule Aerie.Console.Pages.Fleet.Page do
 
   # A press is for the vehicles that its operator saw: what is selected by now may be others.
   defp meant(%{assigns: %{all: all, selection: selection}} = socket, event, act) do
-    chosen = Enum.filter(all, &(&1.id in selection.ids))
+    chosen = Selection.chosen(selection, all)
 
     cond do
       not Selection.meant?(event, ids(chosen)) ->
@@ -289,21 +295,21 @@ defmodule Aerie.Console.Pages.Fleet.Page do
     socket
     |> update_private(&%{&1 | seen: news.seen})
     |> put_all(news)
-    |> assign(words: news.words)
+    |> assign(choices: news.choices)
+    |> tools()
     |> OnMap.push_vehicles(@map, news)
     |> missions(news.places)
   end
 
-  defp put_all(%{private: %{fleet: fleet}} = socket, %{ids: ids, rows: rows}) do
-    if rows == [] and length(ids) == map_size(fleet.rows) do
-      socket
-    else
-      known = for row <- rows, into: fleet.rows, do: {row.id, row}
+  defp put_all(%{private: %{fleet: %{ids: ids}}} = socket, %{ids: ids, rows: []}), do: socket
 
-      socket
-      |> update_private(&%{&1 | rows: Map.take(known, ids)})
-      |> assign(all: Enum.map(ids, &Map.fetch!(known, &1)))
-    end
+  defp put_all(%{private: %{fleet: fleet}} = socket, %{ids: ids, rows: rows}) do
+    known = for row <- rows, into: fleet.rows, do: {row.id, row}
+    known = if ids == fleet.ids, do: known, else: Map.take(known, ids)
+
+    socket
+    |> update_private(&%{&1 | ids: ids, rows: known})
+    |> assign(all: Enum.map(ids, &Map.fetch!(known, &1)))
   end
 
   # How many items each mission has, and which one is flown to.
@@ -342,10 +348,11 @@ defmodule Aerie.Console.Pages.Fleet.Page do
     do: put_rows(socket, Sequence.sort(sequence, ids(sorted(socket)), now_ms()))
 
   # Filters and sorts the rows for the table, but for those that keep their places.
-  defp assign_view(%{assigns: %{all: all, hand: hand} = assigns} = socket) do
-    selection = Selection.keep(assigns.selection, ids(all))
+  defp assign_view(%{assigns: %{hand: hand} = assigns} = socket) do
+    known = socket.private.fleet.ids
+    selection = Selection.keep(assigns.selection, known)
     held? = hand or Selection.size(selection) > 0
-    sequence = Sequence.follow(assigns.sequence, ids(sorted(socket)), ids(all), held?, now_ms())
+    sequence = Sequence.follow(assigns.sequence, ids(sorted(socket)), known, held?, now_ms())
     socket |> assign(:selection, selection) |> put_rows(sequence)
   end
 
@@ -380,7 +387,7 @@ defmodule Aerie.Console.Pages.Fleet.Page do
       </div>
       <.map id="fleet-map" class="fleet-map" label="Map of all vehicles" tiles={Tiles.description(@gateway)} selected={Selection.among(@selection, ids(@all))} follow={@follow} />
       <section class="fleet-list" aria-label="Vehicles">
-        <.toolbar filter={@filter} all={@all} words={@words} />
+        {@tools}
         <.status all={@all} shown={length(@rows)} selected={Selection.size(@selection)} sequence={@sequence} now={now_ms()} />
         <.empty :if={@all == []} icon="vehicle" title="No vehicle has been heard yet">
           Vehicles appear by themselves when their first heartbeat arrives. <.link navigate="/links">Links</.link> shows what is connected.
@@ -388,11 +395,11 @@ defmodule Aerie.Console.Pages.Fleet.Page do
         <.empty :if={@all != [] and @rows == []} icon="filter" title="No vehicle matches">
           <:action><.button patch={Address.of(%Filter{}, @order, @view)}>Show all {length(@all)}</.button></:action>
         </.empty>
-        <.vehicles :if={@rows != []} rows={@rows} order={@order} selection={@selection} filter={@filter} />
+        <.vehicles :if={@rows != []} rows={@rows} heads={@heads} selection={@selection} filter={@filter} />
         <.actions selection={@selection} all={@all} rows={@rows} user={@user} plans={@plans} />
       </section>
       <.results batch={@batch} plans={@plans} />
-      <.tag_dialog :if={@tagging} tagging={@tagging} words={@words} />
+      <.tag_dialog :if={@tagging} tagging={@tagging} words={@choices.tags} />
     </div>
     """
   end

@@ -3,6 +3,8 @@ defmodule Aerie.Console.Pages.Fleet.Selection do
   The selected vehicles. Pure. `anchor` is where a range with Shift begins: the vehicle that was last selected or deselected by itself.
   """
 
+  alias Aerie.Console.Pages.Fleet.Board.Row
+
   defstruct ids: MapSet.new(), anchor: nil
 
   @type t :: %__MODULE__{ids: MapSet.t(String.t()), anchor: String.t() | nil}
@@ -39,10 +41,13 @@ defmodule Aerie.Console.Pages.Fleet.Selection do
 
   @doc "Removes vehicles that no longer exist."
   @spec keep(t(), [String.t()]) :: t()
-  def keep(selection, ids) do
-    known = MapSet.new(ids)
-    anchor = if selection.anchor in known, do: selection.anchor
-    %{selection | ids: MapSet.intersection(selection.ids, known), anchor: anchor}
+  def keep(%{ids: selected, anchor: anchor} = selection, ids) do
+    if anchor == nil and MapSet.size(selected) == 0 do
+      selection
+    else
+      known = MapSet.new(ids)
+      %{selection | ids: MapSet.intersection(selected, known), anchor: if(anchor in known, do: anchor)}
+    end
   end
 
   @doc "The number of selected vehicles."
@@ -77,5 +82,13 @@ defmodule Aerie.Console.Pages.Fleet.Selection do
 
   @doc "The selected vehicles of a list, in its order."
   @spec among(t(), [String.t()]) :: [String.t()]
-  def among(selection, ids), do: Enum.filter(ids, &MapSet.member?(selection.ids, &1))
+  def among(selection, ids), do: chosen(selection, ids, & &1)
+
+  @doc "The rows of the selected vehicles."
+  @spec chosen(t(), [Row.t()]) :: [Row.t()]
+  def chosen(selection, rows), do: chosen(selection, rows, & &1.id)
+
+  # Usually none is selected.
+  defp chosen(%{ids: ids}, items, id),
+    do: if(MapSet.size(ids) > 0, do: Enum.filter(items, &MapSet.member?(ids, id.(&1))), else: [])
 end

@@ -31,7 +31,7 @@ defmodule Aerie.Console.Pages.Fleet.Sequence do
   end
 
   def follow(%{ids: ids, at: at} = sequence, sorted, _all, false, now) do
-    if now - at >= @again_ms or Enum.sort(ids) != Enum.sort(sorted),
+    if now - at >= @again_ms or (ids != sorted and Enum.sort(ids) != Enum.sort(sorted)),
       do: sort(sequence, sorted, now),
       else: %{sequence | differs: false}
   end

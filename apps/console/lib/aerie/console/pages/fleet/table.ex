@@ -10,7 +10,7 @@ defmodule Aerie.Console.Pages.Fleet.Table do
   alias Aerie.Console.Pages.Fleet.Board.Row
 
   attr :rows, :list, required: true
-  attr :order, :any, required: true
+  attr :heads, :any, required: true, doc: "of `heads/1`"
   attr :selection, :map, required: true
   attr :filter, Filter, required: true
 
@@ -22,37 +22,22 @@ defmodule Aerie.Console.Pages.Fleet.Table do
     ~H"""
     <div class="table-box fleet-table" id="fleet-table" phx-hook="FleetTable">
       <table class="table" role="grid" aria-label="Vehicles" aria-multiselectable="true">
-        <colgroup><col :for={name <- ~w(check name state problems mode battery gps height speed link)} class={"fleet-col-#{name}"} /></colgroup>
+        <colgroup>
+          <col class="fleet-col-check" /><col class="fleet-col-name" /><col class="fleet-col-state" />
+          <col class="fleet-col-problems" /><col class="fleet-col-mode" /><col class="fleet-col-battery" />
+          <col class="fleet-col-gps" /><col class="fleet-col-height" /><col class="fleet-col-speed" />
+          <col class="fleet-col-link" />
+        </colgroup>
         <thead>
           <tr>
             <th scope="col" class="fleet-check">
               <input type="checkbox" aria-label="Select all that are shown" checked={all?(@rows, @selection)} phx-click="all" />
             </th>
-            <.head order={@order} by="id" label="Vehicle" />
-            <.head order={@order} by="state" label="State" />
-            <.head order={@order} by="problems" label="Alarms" />
-            <.head order={@order} by="mode" label="Mode" />
-            <.head order={@order} by="battery" label="Battery" />
-            <.head order={@order} by="gps" label="GPS" />
-            <.head order={@order} by="height" label="Height" number />
-            <.head order={@order} by="speed" label="Speed" number />
-            <.head order={@order} by="link" label="Link" number />
+            {@heads}
           </tr>
         </thead>
         <tbody>
-          <tr
-            :for={row <- @rows}
-            :key={row.id}
-            id={"vehicle-#{row.id}"}
-            data-id={row.id}
-            class={[row.status != :online && "fleet-old", not Filter.shows?(@filter, row) && "fleet-left"]}
-            title={if(not Filter.shows?(@filter, row), do: "No longer matches the filter")}
-            aria-selected={if MapSet.member?(@selection.ids, row.id), do: "true", else: "false"}
-            tabindex={if row.id == @first, do: "0", else: "-1"}
-          >
-            <td class="fleet-check"><input type="checkbox" tabindex="-1" aria-label={"Select #{row.id}"} checked={MapSet.member?(@selection.ids, row.id)} /></td>
-            {row.cells}
-          </tr>
+          <.marked :for={row <- @rows} :key={row.id} row={row} first={row.id == @first} selected={MapSet.member?(@selection.ids, row.id)} left={not Filter.shows?(@filter, row)} />
         </tbody>
       </table>
     </div>
@@ -60,13 +45,35 @@ defmodule Aerie.Console.Pages.Fleet.Table do
   end
 
   @doc """
-  The cells of a vehicle's row beside the first one, which says whether it is selected. They are the same for everyone who looks. What is in a
-  cell is one text, so that it costs little to hand them to many pages.
+  A vehicle's row as it looks to everyone who has not marked it. What is in a cell is one text, so that it costs little to hand it to many pages.
   """
-  @spec cells(Row.t()) :: Phoenix.LiveView.Rendered.t()
-  def cells(%Row{} = row) do
-    assigns = %{row: row, __changed__: nil}
+  @spec line(Row.t()) :: Phoenix.LiveView.Rendered.t()
+  def line(%Row{} = row) do
+    cells = cells(%{row: row, __changed__: nil})
+    tr(%{row: row, cells: cells, first: false, selected: false, left: false, __changed__: nil})
+  end
 
+  # The cells are the last part of the board's line.
+  defp marked(%{row: row, first: false, selected: false, left: false}), do: row.line
+  defp marked(%{row: row} = assigns), do: assigns |> assign(:cells, List.last(row.line.dynamic)) |> tr()
+
+  defp tr(assigns) do
+    ~H"""
+    <tr
+      id={"vehicle-#{@row.id}"}
+      data-id={@row.id}
+      class={[@row.status != :online && "fleet-old", @left && "fleet-left"]}
+      title={if(@left, do: "No longer matches the filter")}
+      aria-selected={if @selected, do: "true", else: "false"}
+      tabindex={if @first, do: "0", else: "-1"}
+    >
+      <td class="fleet-check"><input type="checkbox" tabindex="-1" aria-label={"Select #{@row.id}"} checked={@selected} /></td>
+      {@cells}
+    </tr>
+    """
+  end
+
+  defp cells(assigns) do
     ~H"""
     <th scope="row" data-label="Vehicle" class="fleet-name">{flat(name(assigns))}</th>
     <td data-label="State" class="fleet-state">{flat(state(assigns))}</td>
@@ -124,6 +131,23 @@ defmodule Aerie.Console.Pages.Fleet.Table do
     do: ~H[<.meter value={@row.battery} label="Battery" kind={charged(@row.battery)} text={charge(@row)} />]
 
   defp flat(rendered), do: {:safe, rendered |> Phoenix.HTML.Safe.to_iodata() |> IO.iodata_to_binary()}
+
+  attr :order, :any, required: true
+
+  @doc "The heads of the columns."
+  def heads(assigns) do
+    ~H"""
+    <.head order={@order} by="id" label="Vehicle" />
+    <.head order={@order} by="state" label="State" />
+    <.head order={@order} by="problems" label="Alarms" />
+    <.head order={@order} by="mode" label="Mode" />
+    <.head order={@order} by="battery" label="Battery" />
+    <.head order={@order} by="gps" label="GPS" />
+    <.head order={@order} by="height" label="Height" number />
+    <.head order={@order} by="speed" label="Speed" number />
+    <.head order={@order} by="link" label="Link" number />
+    """
+  end
 
   attr :order, :any, required: true
   attr :by, :string, required: true

@@ -3,18 +3,27 @@ defmodule Aerie.Console.Pages.Fleet.Toolbar do
   use Aerie.Console, :component
 
   alias Aerie.Console.Pages.Fleet.{Filter, Sequence}
+  alias Aerie.Console.Pages.Fleet.Table
+  alias Aerie.Console.Part
   alias Aerie.Console.UI.Age
 
+  @doc "What stands above the rows and seldom changes: search and filters (`@tools`), heads of the columns (`@heads`)."
+  @spec tools(Phoenix.LiveView.Socket.t()) :: Phoenix.LiveView.Socket.t()
+  def tools(%{assigns: %{filter: filter, order: order, choices: choices}} = socket) do
+    socket
+    |> Part.keep(:tools, &toolbar/1, %{filter: filter, choices: choices})
+    |> Part.keep(:heads, &Table.heads/1, %{order: order})
+  end
+
   attr :filter, :map, required: true
-  attr :all, :list, required: true
-  attr :words, :list, required: true
+  attr :choices, :map, required: true, doc: "of `Aerie.Console.Pages.Fleet.Board.news/3`"
 
   @doc "Search and filters."
   def toolbar(assigns) do
     ~H"""
     <form id="fleet-filter" class="fleet-filter" phx-change="filter" phx-submit="filter" role="search">
       <.field id="fleet-search" type="search" name="q" label="Search" label_hidden placeholder="Search" value={@filter.search} phx-debounce="150" autocomplete="off" />
-      <.field id="fleet-type" type="select" name="type" label="Type" label_hidden value={@filter.type} options={options("All types", @filter.type, Enum.map(@all, & &1.kind))} />
+      <.field id="fleet-type" type="select" name="type" label="Type" label_hidden value={@filter.type} options={options("All types", @filter.type, @choices.kinds)} />
       <.field
         id="fleet-firmware"
         type="select"
@@ -22,9 +31,9 @@ defmodule Aerie.Console.Pages.Fleet.Toolbar do
         label="Firmware"
         label_hidden
         value={@filter.firmware}
-        options={options("All firmware", @filter.firmware, Enum.map(@all, &Atom.to_string(&1.autopilot)))}
+        options={options("All firmware", @filter.firmware, Enum.map(@choices.autopilots, &Atom.to_string/1))}
       />
-      <.field id="fleet-tag" type="select" name="tag" label="Tag" label_hidden value={@filter.tag} options={options("All tags", @filter.tag, @words)} />
+      <.field id="fleet-tag" type="select" name="tag" label="Tag" label_hidden value={@filter.tag} options={options("All tags", @filter.tag, @choices.tags)} />
       <div class="fleet-flags" role="group" aria-label="Only those that are">
         <.button :for={{name, label} <- Filter.flags()} small phx-click="flag" phx-value-flag={name} aria-pressed={pressed(@filter, name)}>{label}</.button>
       </div>

@@ -14,7 +14,7 @@ defmodule Aerie.Console.Pages.Fleet.BoardTest do
   defp put(board, rows) do
     Board.put(board, rows, [], fn row ->
       send(self(), {:rendered, row.id})
-      {:cells, row.speed}
+      {:line, row.speed}
     end)
   end
 
@@ -39,7 +39,7 @@ defmodule Aerie.Console.Pages.Fleet.BoardTest do
 
     faster = put(moved, [row("A", speed: 2.0, on_map: ["A", 2.0]), row("B")])
     assert rendered() == ["A"]
-    assert [%{id: "A", cells: {:cells, 2.0}}] = Board.news(faster, Board.news(moved, nil).seen).rows
+    assert [%{id: "A", line: {:line, 2.0}}] = Board.news(faster, Board.news(moved, nil).seen).rows
     assert Board.news(faster, Board.news(faster, nil).seen).rows == []
     assert Board.drawn(faster, Board.news(faster, nil).seen) == nil
   end
@@ -170,8 +170,8 @@ defmodule Aerie.Console.Pages.Fleet.BoardTest do
     refute html =~ "vehicle-V1"
   end
 
-  test "the cells are those of the table", %{} do
-    html = row("V1", mode: "AUTO", speed: 3.0) |> Table.cells() |> Phoenix.LiveViewTest.rendered_to_string()
+  test "the line is that of the table", %{} do
+    html = row("V1", mode: "AUTO", speed: 3.0) |> Table.line() |> Phoenix.LiveViewTest.rendered_to_string()
     assert html =~ "AUTO"
     assert html =~ "3.0 m/s"
   end

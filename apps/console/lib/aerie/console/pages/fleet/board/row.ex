@@ -36,7 +36,7 @@ defmodule Aerie.Console.Pages.Fleet.Board.Row do
     :on_map,
     :home,
     :mission,
-    :cells,
+    :line,
     problems: [],
     holder: nil,
     tags: []
@@ -51,7 +51,7 @@ defmodule Aerie.Console.Pages.Fleet.Board.Row do
     * `:order` - the id's place among ids, where VID-9 comes before VID-10
     * `:on_map` - the row of `Aerie.Console.Map.Payload`; `:home` - its position there; both nil where not known
     * `:mission` - how many items it has (`:total`), and the number of the one that is flown to, counted from 1 (`:current`)
-    * `:cells` - the rendered cells (`Aerie.Console.Pages.Fleet.Board`)
+    * `:line` - the rendered row (`Aerie.Console.Pages.Fleet.Board`)
     * `:holder` - who is in charge; nil for nobody
     * `:tags` - sorted
   """
@@ -80,7 +80,7 @@ defmodule Aerie.Console.Pages.Fleet.Board.Row do
           on_map: Payload.row() | nil,
           home: [float()] | nil,
           mission: %{total: term(), current: integer() | nil},
-          cells: term(),
+          line: term(),
           problems: [Problems.problem()],
           holder: String.t() | nil,
           tags: [String.t()]

@@ -49,6 +49,6 @@ defmodule Aerie.Console.Pages.Fleet.Board.Server do
     tags = Shadow.tags(gateway)
     leases = Policy.control_leases(gateway)
     rows = for vehicle <- Fleet.vehicles(gateway), do: Row.new(vehicle, links, tags, now, leases)
-    Board.put(board, rows, Shadow.all_tags(tags), &Table.cells/1)
+    Board.put(board, rows, Shadow.all_tags(tags), &Table.line/1)
   end
 end

@@ -162,9 +162,10 @@ defmodule Aerie.Vehicle.Session do
   defp hand_over(listeners, _frames) when listeners == %{}, do: :ok
 
   defp hand_over(listeners, frames) do
-    for {pid, {_monitor, ids}} <- Map.to_list(listeners),
-        [_ | _] = wanted <- [for(frame <- frames, :lists.member(frame.id, ids), do: frame)],
-        do: send(pid, {:frames, wanted})
+    for {pid, {_monitor, ids}} <- Map.to_list(listeners) do
+      wanted = for frame <- frames, :lists.member(frame.id, ids), do: frame
+      if wanted != [], do: send(pid, {:frames, wanted})
+    end
 
     :ok
   end
@@ -177,7 +178,7 @@ defmodule Aerie.Vehicle.Session do
   # second, not ten times for each. After a tick that came late the next one waits as long: sessions that cannot run
   # leave the processor to frames.
   defp schedule_tick(state, late_us) do
-    at = System.monotonic_time(:millisecond) + max(tick_ms(state), div(min(late_us, @late_us), 1_000))
+    at = :erlang.monotonic_time(:millisecond) + max(tick_ms(state), div(min(late_us, @late_us), 1_000))
     at = at - Integer.mod(at, @grid_ms)
     :erlang.start_timer(at, self(), {:tick, at * 1_000}, abs: true)
   end
@@ -293,9 +294,11 @@ defmodule Aerie.Vehicle.Session do
 
   defp step(state, event) do
     {core, actions} = Core.handle(state.core, event)
-    state = Enum.reduce(actions, %{state | core: core}, &act/2)
-    state |> wake(actions) |> alone()
+    %{state | core: core} |> act_all(actions) |> wake(actions) |> alone()
   end
+
+  defp act_all(state, []), do: state
+  defp act_all(state, [action | actions]), do: action |> act(state) |> act_all(actions)
 
   defp alone(%{alone: nil} = state), do: state
 
@@ -311,11 +314,11 @@ defmodule Aerie.Vehicle.Session do
   defp act({:snapshot, snapshot}, state) do
     key = state.options.key
 
-    snapshot =
-      Map.merge(snapshot, %{
-        signing: MavRouter.Signing.vehicle(state.gateway, key),
+    snapshot = %{
+      snapshot
+      | signing: MavRouter.Signing.vehicle(state.gateway, key),
         recording: MavRouter.Recorder.summary(state.gateway, {:vehicle, key})
-      })
+    }
 
     Store.put_vehicle(state.gateway, key, snapshot)
 

@@ -27,6 +27,7 @@ defmodule Aerie.Vehicle.Services.Gcs do
 
   defstruct autopilot: :generic,
             kind: "unknown",
+            station: nil,
             params: %{},
             asked: %{},
             next: nil,
@@ -35,6 +36,7 @@ defmodule Aerie.Vehicle.Services.Gcs do
             quiet: nil
 
   @typedoc """
+  - `station`: which one counts, by the vehicle's firmware and kind; every tick asks for it
   - `asked`: how often each parameter was requested since the vehicle's boot
   - `heard`: `{time, system}` of the last heartbeat that keeps the failsafe quiet
   - `quiet`: whether the failsafe is kept quiet; nil before the first such heartbeat. A loss
@@ -54,7 +56,9 @@ defmodule Aerie.Vehicle.Services.Gcs do
   @doc "The vehicle's firmware and kind, which decide which parameters count."
   @spec vehicle(t(), atom(), String.t()) :: t()
   def vehicle(%{autopilot: autopilot, kind: kind} = gcs, autopilot, kind), do: gcs
-  def vehicle(gcs, autopilot, kind), do: %{gcs | autopilot: autopilot, kind: kind}
+
+  def vehicle(gcs, autopilot, kind),
+    do: %{gcs | autopilot: autopilot, kind: kind, station: Firmware.ground_station(autopilot, kind)}
 
   @doc "The value of any parameter."
   @spec param(t(), String.t(), number()) :: t()
@@ -149,7 +153,8 @@ defmodule Aerie.Vehicle.Services.Gcs do
       end
   end
 
-  defp station(gcs), do: Firmware.ground_station(gcs.autopilot, gcs.kind)
+  defp station(%{station: nil} = gcs), do: Firmware.ground_station(gcs.autopilot, gcs.kind)
+  defp station(%{station: station}), do: station
 
   # The system ids that the failsafe listens to: `{lowest, highest}`, `:any_gcs` for any ground station, or nil.
   defp listens_to(gcs) do

@@ -219,19 +219,7 @@ defmodule Aerie.Vehicle.Session.Core do
   end
 
   def handle(core, {:frames, path, frames}) do
-    link = Collision.Owner.link(path)
-
-    {core, actions} =
-      Enum.reduce(frames, {%{core | path: path}, []}, fn frame, {core, actions} ->
-        {core, actions} = Timers.before(core, actions, frame.at)
-        owner = Collision.Owner.seen(core.owner, path, frame.at)
-        core = %{core | now: max(core.now || frame.at, frame.at), owner: owner}
-
-        if Collision.Owner.other?(owner, path, frame.at),
-          do: Collisions.other_vehicle(core, actions, frame),
-          else: Frames.frame(core, actions, link, frame)
-      end)
-
+    {core, actions} = frames(core, [], frames, path, Collision.Owner.link(path))
     # Once for all of them: nobody would see those in between.
     {core, actions} = Effects.show({core, actions}, core.now)
 
@@ -267,6 +255,21 @@ defmodule Aerie.Vehicle.Session.Core do
   def handle(core, {:shift, step}) do
     {core, actions} = Timers.shift(core, [], step)
     {core, Enum.reverse(actions)}
+  end
+
+  defp frames(core, actions, [], _path, _link), do: {core, actions}
+
+  defp frames(core, actions, [%{at: at} = frame | frames], path, link) do
+    {core, actions} = Timers.before(core, actions, at)
+    owner = Collision.Owner.seen(core.owner, path, at)
+    core = %{core | now: max(core.now || at, at), owner: owner, path: path}
+
+    {core, actions} =
+      if Collision.Owner.other?(owner, path, at),
+        do: Collisions.other_vehicle(core, actions, frame),
+        else: Frames.frame(core, actions, link, frame)
+
+    frames(core, actions, frames, path, link)
   end
 
   defp own(options), do: {options.own_system, options.own_component}

@@ -57,14 +57,18 @@ defmodule Aerie.Vehicle.State.Sampling do
   @doc "The publications due at `now`."
   @spec expire(t(), integer()) :: {t(), [{State.group(), sample()}]}
   def expire(samplers, now) do
-    List.foldl(Map.to_list(samplers), {samplers, []}, fn {group, {module, sampler}}, {samplers, due} ->
-      case module.expire(sampler, now) do
-        {^sampler, []} ->
-          {samplers, due}
+    changed =
+      for {group, {module, sampler}} <- Map.to_list(samplers),
+          {next, samples} = module.expire(sampler, now),
+          next != sampler,
+          do: {group, {module, next}, samples}
 
-        {sampler, samples} ->
-          {%{samplers | group => {module, sampler}}, Enum.map(samples, &{group, &1}) ++ due}
-      end
-    end)
+    expired(changed, samplers, [])
   end
+
+  # Mostly there is none.
+  defp expired([], samplers, due), do: {samplers, due}
+
+  defp expired([{group, sampler, samples} | rest], samplers, due),
+    do: expired(rest, %{samplers | group => sampler}, Enum.map(samples, &{group, &1}) ++ due)
 end

@@ -34,14 +34,22 @@ defmodule Aerie.Vehicle.Session.Core.Effects do
 
   @type acc :: {Core.t(), [Core.action()]}
 
-  @doc "A group was updated: publishes what its sampler gives."
+  @doc "Groups were updated: publishes what their samplers give."
+  @spec samples(acc(), [State.group()], integer()) :: acc()
+  def samples(acc, [], _at), do: acc
+  def samples(acc, [group | groups], at), do: acc |> sample(group, at) |> samples(groups, at)
+
+  @doc "A group was updated."
   @spec sample(acc(), State.group(), integer()) :: acc()
   def sample({core, actions}, group, at) do
     {samplers, samples} = Sampling.push(core.samplers, group, at, State.data(core.state, group))
-
-    {%{core | samplers: samplers, dirty: true},
-     Enum.reduce(samples, actions, &[publish(core, group, &1) | &2])}
+    {%{core | samplers: samplers, dirty: true}, published(samples, actions, core, group)}
   end
+
+  defp published([], actions, _core, _group), do: actions
+
+  defp published([sample | rest], actions, core, group),
+    do: published(rest, [publish(core, group, sample) | actions], core, group)
 
   @doc "A sample as an action."
   @spec publish(Core.t(), State.group(), Sampling.sample()) :: Core.action()

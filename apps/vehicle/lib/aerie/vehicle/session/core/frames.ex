@@ -257,7 +257,7 @@ defmodule Aerie.Vehicle.Session.Core.Frames do
 
       {state, groups} ->
         {core, actions} = Collisions.reading(%{core | state: state}, actions, {id, message}, at)
-        {core, actions} = Enum.reduce(groups, {core, actions}, &Effects.sample(&2, &1, at))
+        {core, actions} = Effects.samples({core, actions}, groups, at)
         Effects.changed(core, actions, id, message, at)
     end
   end

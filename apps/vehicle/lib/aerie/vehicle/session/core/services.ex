@@ -189,7 +189,7 @@ defmodule Aerie.Vehicle.Session.Core.Services do
   def expire({core, actions}, now) do
     # None of this is for a high-latency link (X6), and requests only go to a vehicle that is heard.
     reachable = link(core) != :none
-    ask = core.status == :online and requests?(core, now)
+    ask = reachable and core.status == :online and not only_high_latency?(core, now)
 
     {core, actions}
     |> streams(now, ask)
@@ -230,6 +230,9 @@ defmodule Aerie.Vehicle.Session.Core.Services do
         core
     end
   end
+
+  # Mostly. Which links are asked need not be known then.
+  defp clock({%{timesync: %{next: next}}, _actions} = acc, now, true) when next != nil and now < next, do: acc
 
   defp clock({core, actions}, now, true) do
     {timesync, requests} = Timesync.expire(core.timesync, now, asked_links(core, now))
@@ -342,5 +345,6 @@ defmodule Aerie.Vehicle.Session.Core.Services do
 
   defp target(core), do: {core.options.system_id, core.component}
 
+  defp sent(_core, []), do: []
   defp sent(core, messages), do: messages |> Enum.map(&{:send, &1, core.version}) |> Enum.reverse()
 end

@@ -82,9 +82,14 @@ defmodule Aerie.Vehicle.Session.Core.SnapshotSchedule do
       links: Reception.links(core.reception),
       groups: state.groups,
       collision: collision(core),
+      streams: view.streams,
+      clock: view.clock,
+      gcs: view.gcs,
+      params: view.params,
+      reports: view.reports,
+      high_latency: view.high_latency,
       memory: State.memory(state)
     }
-    |> Map.merge(view)
   end
 
   defp collision(%{other_vehicle: %{collision: %{at: at} = collision}, now: now})

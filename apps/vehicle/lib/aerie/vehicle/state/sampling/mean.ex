@@ -33,32 +33,31 @@ defmodule Aerie.Vehicle.State.Sampling.Mean do
   end
 
   defp sums([], sums), do: sums
-  defp sums([{key, value} | rest], sums), do: sums(rest, sum(sums, key, value))
-
-  @spec result(t()) :: map()
-  def result(mean), do: Map.merge(mean.last, Map.new(mean.sums, fn {key, sum} -> {key, value(key, sum)} end))
 
   # Angles are added relative to the first one, so equal angles give exactly that angle.
-  defp sum(sums, key, value) when is_number(value) and key in @angles do
+  defp sums([{key, value} | rest], sums) when is_number(value) and key in @angles do
     case sums do
       %{^key => {first, x, y}} ->
         turn = (value - first) * @radian
-        %{sums | key => {first, x + :math.cos(turn), y + :math.sin(turn)}}
+        sums(rest, %{sums | key => {first, x + :math.cos(turn), y + :math.sin(turn)}})
 
       _first ->
-        Map.put(sums, key, {value, 1.0, 0.0})
+        sums(rest, Map.put(sums, key, {value, 1.0, 0.0}))
     end
   end
 
   # A running mean never leaves the range of its values, as a sum divided at the end might by rounding.
-  defp sum(sums, key, value) when is_number(value) do
+  defp sums([{key, value} | rest], sums) when is_number(value) do
     case sums do
-      %{^key => {mean, n}} -> %{sums | key => {mean + (value - mean) / (n + 1), n + 1}}
-      _first -> Map.put(sums, key, {value, 1})
+      %{^key => {mean, n}} -> sums(rest, %{sums | key => {mean + (value - mean) / (n + 1), n + 1}})
+      _first -> sums(rest, Map.put(sums, key, {value, 1}))
     end
   end
 
-  defp sum(sums, _key, _value), do: sums
+  defp sums([_no_number | rest], sums), do: sums(rest, sums)
+
+  @spec result(t()) :: map()
+  def result(mean), do: Map.merge(mean.last, Map.new(mean.sums, fn {key, sum} -> {key, value(key, sum)} end))
 
   defp value(_key, {mean, _n}), do: mean
 

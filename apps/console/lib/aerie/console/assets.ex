@@ -1,7 +1,8 @@
 defmodule Aerie.Console.Assets do
   @moduledoc """
-  The scripts, styles and images of the pages, in memory: Aerie's own (`assets/`) and those of npm packages. They are read once at start, so that a
-  page never mixes two versions.
+  The scripts, styles and images of the pages, in memory: Aerie's own (`assets/`) and those of npm packages. They are
+  read once at start, so that a page never mixes two versions. Large ones wait in their open files until somebody
+  wants them; then they are kept compressed.
 
   Their addresses contain a hash of all of them, `/assets/HASH/console.js`, so that browsers may cache them for ever and
   modules find each other by relative paths.
@@ -32,8 +33,13 @@ defmodule Aerie.Console.Assets do
     ".woff2" => "font/woff2"
   }
 
-  @typedoc "`gzip` is nil if compression does not make it smaller."
-  @type asset :: %{type: String.t(), etag: String.t(), plain: binary(), gzip: binary() | nil}
+  # Larger ones wait in their files.
+  @small 131_072
+  # A slow processor needs seconds for the largest one.
+  @pack_ms 60_000
+
+  @typedoc "`gzip` is nil if compression does not make it smaller; `plain` is nil if it was large and does."
+  @type asset :: %{type: String.t(), etag: String.t(), plain: binary() | nil, gzip: binary() | nil}
 
   @doc "Options: `:gateway`."
   @spec start_link(keyword()) :: GenServer.on_start()
@@ -67,19 +73,13 @@ defmodule Aerie.Console.Assets do
   @doc "An asset by its name; only assets that were found at start exist."
   @spec find(Names.gateway(), String.t()) :: asset() | nil
   def find(gateway, name) do
-    Names.read(gateway, :console_assets, nil, fn {table, _hash, _styles, _missing} ->
-      with %{gzip: :later} = asset <- :ets.lookup_element(table, name, 2, nil) do
-        asset = %{asset | gzip: smaller(asset.plain)}
-        :ets.insert(table, {name, asset})
-        asset
-      end
-    end)
-  end
+    found =
+      Names.read(gateway, :console_assets, nil, fn {table, _hash, _styles, _missing} ->
+        :ets.lookup_element(table, name, 2, nil)
+      end)
 
-  # Images are compressed already.
-  defp smaller(plain) do
-    gzip = :zlib.gzip(plain)
-    if byte_size(gzip) < byte_size(plain) * 9 / 10, do: gzip
+    with %{gzip: :later} <- found,
+         do: GenServer.call(Names.via(gateway, :console_assets), {:pack, name}, @pack_ms)
   end
 
   @doc "The content of an asset by its name, also where no gateway runs."
@@ -95,7 +95,7 @@ defmodule Aerie.Console.Assets do
     {found, missing} = files()
 
     for {name, source} <- found do
-      target = Path.join([release, "priv/console", packed(name)])
+      target = Path.join([release, "priv/console", target(name)])
       File.mkdir_p!(Path.dirname(target))
       File.cp!(source, target)
     end
@@ -103,19 +103,20 @@ defmodule Aerie.Console.Assets do
     missing
   end
 
-  defp packed("npm/" <> name) do
+  defp target("npm/" <> name) do
     [package, file] = String.split(name, "/", parts: 2)
     {^package, folder, _files} = List.keyfind(@npm, package, 0)
     Path.join(["node_modules", package, folder, file])
   end
 
-  defp packed(name), do: Path.join("assets", name)
+  defp target(name), do: Path.join("assets", name)
 
   @impl GenServer
   def init(options) do
     {found, missing} = files()
-    table = :ets.new(:console_assets, [:set, :public, read_concurrency: true])
-    rows = for {name, path} <- found, do: {name, asset(name, File.read!(path))}
+    table = :ets.new(:console_assets, [:set, :protected, read_concurrency: true])
+    assets = for {name, path} <- found, do: {name, asset(name, path)}
+    rows = for {name, {asset, _file}} <- assets, do: {name, asset}
     true = :ets.insert(table, rows)
 
     hash = for({name, asset} <- rows, do: [name, asset.etag]) |> digest()
@@ -123,16 +124,46 @@ defmodule Aerie.Console.Assets do
     first = ~w(css/tokens.css css/base.css css/ui.css)
     styles = first ++ Enum.sort(names -- first)
     Names.put_value(options[:gateway], :console_assets, {table, hash, styles, missing})
-    {:ok, table}
+    large = for {name, {_asset, file}} when file != nil <- assets, into: %{}, do: {name, file}
+    {:ok, %{table: table, large: large}, :hibernate}
   end
 
-  defp asset(name, plain),
-    do: %{
-      type: Map.fetch!(@types, Path.extname(name)),
-      etag: ~s("#{digest(plain)}"),
-      plain: plain,
-      gzip: :later
-    }
+  defp asset(name, path) do
+    plain = File.read!(path)
+    type = Map.fetch!(@types, Path.extname(name))
+    asset = %{type: type, etag: ~s("#{digest(plain)}"), plain: plain, gzip: :later}
+
+    if byte_size(plain) > @small,
+      do: {%{asset | plain: nil}, {File.open!(path, [:raw, :binary]), byte_size(plain)}},
+      else: {asset, nil}
+  end
+
+  @impl GenServer
+  def handle_call({:pack, name}, _from, %{table: table, large: large} = state) do
+    # Another request may have packed it in the meantime.
+    asset = :ets.lookup_element(table, name, 2)
+    asset = if asset.gzip == :later, do: packed(asset, large[name]), else: asset
+    if asset, do: :ets.insert(table, {name, asset})
+    {:reply, asset, state, :hibernate}
+  end
+
+  defp packed(asset, nil), do: %{asset | gzip: smaller(asset.plain)}
+
+  # Nothing is found if the disk is gone.
+  defp packed(asset, {file, size}) do
+    with {:ok, plain} <- :file.pread(file, 0, size) do
+      gzip = smaller(plain)
+      %{asset | gzip: gzip, plain: if(gzip == nil, do: plain)}
+    else
+      _unreadable -> nil
+    end
+  end
+
+  # Images are compressed already.
+  defp smaller(plain) do
+    gzip = :zlib.gzip(plain)
+    if byte_size(gzip) < byte_size(plain) * 9 / 10, do: gzip
+  end
 
   defp digest(data) do
     <<short::binary-9, _rest::binary>> = :crypto.hash(:sha256, data)

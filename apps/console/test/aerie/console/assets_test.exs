@@ -70,4 +70,19 @@ defmodule Aerie.Console.AssetsTest do
         ],
         do: assert(get(console, Assets.path(console.gateway, "npm/" <> name)).status == 200)
   end
+
+  @tag :node
+  test "a large one is what its file was at start, for every client, and kept compressed", %{console: console} do
+    name = "npm/world-atlas/countries-10m.json"
+    {:ok, content} = Assets.read(name)
+    path = Assets.path(console.gateway, name)
+
+    answers =
+      for _client <- 1..3, do: Task.async(fn -> get(console, path, %{}, [{"accept-encoding", "gzip"}]) end)
+
+    for %{body: body} <- Task.await_many(answers, 60_000), do: assert(:zlib.gunzip(body) == content)
+    assert get(console, path).body == content
+    assert %{plain: nil, gzip: gzip} = Assets.find(console.gateway, name)
+    assert byte_size(gzip) < byte_size(content) / 3
+  end
 end

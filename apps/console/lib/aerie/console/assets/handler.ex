@@ -48,7 +48,7 @@ defmodule Aerie.Console.Assets.Handler do
         :cowboy_req.reply(200, Map.put(headers, "content-encoding", "gzip"), asset.gzip, request)
 
       true ->
-        :cowboy_req.reply(200, headers, asset.plain, request)
+        :cowboy_req.reply(200, headers, asset.plain || :zlib.gunzip(asset.gzip), request)
     end
   end
 end

@@ -15,7 +15,8 @@ defmodule MavCodec.Msp.Messages do
             {firmware, Definition.parse!(File.read!(Path.join(@folder, file)))}
           end)
   @by_id Map.new(@tables, fn {firmware, messages} -> {firmware, Map.new(messages, &{&1.id, &1})} end)
-  @by_name Map.new(@tables, fn {firmware, messages} -> {firmware, Map.new(messages, &{&1.name, &1})} end)
+  # Only ids: each of these tables is in memory by itself.
+  @ids Map.new(@tables, fn {firmware, messages} -> {firmware, Map.new(messages, &{&1.name, &1.id})} end)
 
   # The compiler would take the whole of a table as its type, and compare it wherever a message is used: minutes for some modules.
   # `Function.identity/1` hides it.
@@ -28,7 +29,8 @@ defmodule MavCodec.Msp.Messages do
 
   @doc "All messages of a firmware, by id."
   @spec all(firmware) :: [Message.t()]
-  def all(firmware), do: @tables |> Function.identity() |> Map.fetch!(firmware)
+  def all(firmware),
+    do: @by_id |> Function.identity() |> Map.fetch!(firmware) |> Map.values() |> Enum.sort_by(& &1.id)
 
   @doc """
   A message by its id or its name.
@@ -43,5 +45,8 @@ defmodule MavCodec.Msp.Messages do
   def fetch(firmware, id) when is_integer(id),
     do: @by_id |> Function.identity() |> Map.fetch!(firmware) |> Map.fetch(id)
 
-  def fetch(firmware, name), do: @by_name |> Function.identity() |> Map.fetch!(firmware) |> Map.fetch(name)
+  def fetch(firmware, name) do
+    ids = @ids |> Function.identity() |> Map.fetch!(firmware)
+    with {:ok, id} <- Map.fetch(ids, name), do: fetch(firmware, id)
+  end
 end

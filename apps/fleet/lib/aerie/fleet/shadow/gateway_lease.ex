@@ -2,10 +2,12 @@ defmodule Aerie.Fleet.Shadow.GatewayLease do
   @moduledoc """
   Decides which of several gateways that hear a vehicle acts on it. A pure value; `Aerie.Fleet.Shadow.Documents` reads and writes the bucket.
 
-  Each gateway renews one heartbeat, however many vehicles it has. Each vehicle has an owner, written with
-  compare-and-set. An owner acts only within `ttl_ms` of its last confirmed renewal, counted from when it was sent;
-  another gateway takes over when it has seen no renewal for one and a half times `ttl_ms`. Each counts by its own monotonic clock, so
-  clocks need not agree, and no two act at once.
+  Each gateway renews one heartbeat, however many vehicles it has. A gateway that is alone (`alone?/2`) need not
+  write while nobody else writes: another one writes before it acts, and gives those it finds the full time from
+  then on. Each vehicle has an owner, written with compare-and-set. An owner acts only within `ttl_ms` of its last
+  confirmed renewal, counted from when it was sent; another gateway takes over when it has seen no renewal for one
+  and a half times `ttl_ms`. Each counts by its own monotonic clock, so clocks need not agree, and no two act at
+  once.
 
   Times are milliseconds.
   """
@@ -28,6 +30,8 @@ defmodule Aerie.Fleet.Shadow.GatewayLease do
         }
 
   @max_peers 256
+  # Twice as long as a write may be on its way.
+  @lone_ttl_ms 4_000
 
   @spec new(me :: String.t(), ttl_ms :: pos_integer()) :: t()
   def new(me, ttl_ms), do: %__MODULE__{me: me, ttl_ms: ttl_ms}
@@ -102,6 +106,14 @@ defmodule Aerie.Fleet.Shadow.GatewayLease do
       _never_seen -> false
     end
   end
+
+  @doc """
+  Whether no other gateway has been seen for so long that none can act by what it saw before: after three times
+  `ttl_ms` its own lease has ended. Not with leases so short that the first write of another one may take longer than half of them.
+  """
+  @spec alone?(t(), now :: integer()) :: boolean()
+  def alone?(%{ttl_ms: ttl} = lease, now),
+    do: ttl >= @lone_ttl_ms and Enum.all?(lease.peers, fn {_id, seen} -> now - seen > 3 * ttl end)
 
   @doc """
   Whether the owner is the gateway aboard the vehicle, whose leaf node says so at the hub (`Aerie.Fleet.Shadow.Documents.Uplink`). It goes on while it is cut

@@ -2,7 +2,7 @@ defmodule Aerie.Fleet.Shadow.DocumentsTest do
   @moduledoc "Desired documents in a real nats-server, on disk, and among gateways; the test is the loop."
   use Aerie.ShadowCase, async: true
 
-  alias Aerie.Base.Store
+  alias Aerie.Base.{Names, Store}
   alias Aerie.Fleet.Nats
   alias Aerie.Fleet.Shadow.Document
   alias Aerie.Fleet.Shadow.Store.Buckets
@@ -342,6 +342,28 @@ defmodule Aerie.Fleet.Shadow.DocumentsTest do
       end
 
       eventually(fn -> Documents.document(gateway, @vehicle).version == 1 end)
+    end
+
+    test "alone on its own server a gateway keeps the lease without writing, until another one writes", %{
+      tmp_dir: dir
+    } do
+      %{gateway: gateway, conn: conn} = with_nats(dir, [{"shadow.lease_s", 4}])
+      sign = "test.gateways.#{Documents.instance(gateway)}"
+      revision = fn key -> conn |> Nats.KV.get("fleet_leases", key) |> elem(2) end
+
+      until = fn ->
+        %{table: table} = Names.value(gateway, :shadow_documents)
+        table |> :ets.lookup_element({:authority, @vehicle}, 2) |> elem(1)
+      end
+
+      eventually(fn -> revision.(sign) > revision.("test.vehicles.#{@vehicle}") end)
+      {signed, held} = {revision.(sign), until.()}
+      eventually(fn -> until.() > held + 2_000 end)
+      assert revision.(sign) == signed
+
+      :ok = Nats.KV.put(conn, "fleet_leases", "test.gateways.other", "{}")
+      eventually(fn -> revision.(sign) > signed end)
+      assert Documents.authority(gateway, @vehicle) == :mine
     end
 
     test "a killed documents comes back with the document and the lease", %{tmp_dir: dir} do

@@ -30,6 +30,19 @@ defmodule Aerie.Fleet.Shadow.GatewayLeaseTest do
     assert GatewayLease.claims(GatewayLease.peer(other, "a", 15_001), 15_002) == []
   end
 
+  test "it is alone once none of the others can act by what it saw before" do
+    lease = GatewayLease.new("a", @ttl)
+    assert GatewayLease.alone?(lease, 0)
+    lease = GatewayLease.peer(lease, "b", 0)
+    refute GatewayLease.alone?(lease, 3 * @ttl)
+    assert GatewayLease.alone?(lease, 3 * @ttl + 1)
+    # An owner that was never heard may be there.
+    wanted = "a" |> GatewayLease.new(@ttl) |> GatewayLease.want("V", true)
+    refute wanted |> GatewayLease.owner("V", "b", 0) |> GatewayLease.alone?(1)
+    # So short that a first write may come too late.
+    refute "a" |> GatewayLease.new(3_000) |> GatewayLease.alone?(0)
+  end
+
   test "after a gap it owns nothing until the bucket says so" do
     lease =
       GatewayLease.new("a", @ttl)

@@ -63,6 +63,8 @@ defmodule Aerie.Fleet.Shadow.Documents.Server do
       names: %{},
       lease: GatewayLease.new(me, settings.lease_ms),
       numbers: Numbers.new(me, settings.lease_ms),
+      # The seal of this gateway's last sign of life.
+      sign: nil,
       # Vehicles whose lease in the bucket is not what it should be.
       repairs: MapSet.new(),
       loops: %{},
@@ -195,7 +197,7 @@ defmodule Aerie.Fleet.Shadow.Documents.Server do
 
   defp disconnected(state) do
     Enum.each(state.watchers, &Process.exit(&1, :kill))
-    Desired.away(%{state | conn: nil, watchers: []})
+    Desired.away(%{state | conn: nil, watchers: [], sign: nil})
   end
 
   defp begin(state, conn) do

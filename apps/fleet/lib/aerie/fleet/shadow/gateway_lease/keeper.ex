@@ -124,14 +124,29 @@ defmodule Aerie.Fleet.Shadow.GatewayLease.Keeper do
   defp lives?(lease, vehicle, other),
     do: not GatewayLease.aboard?(vehicle, other) and not GatewayLease.gone?(lease, other, monotonic())
 
-  @doc "Writes this gateway's sign of life."
+  @doc """
+  Writes this gateway's sign of life. On a server of its own it only reads while no other gateway is there and its last
+  sign is still the last word in the bucket, because the signs would be most of what an idle companion writes to flash.
+  """
   @spec renew(state()) :: {:ok | {:error, String.t()}, state()}
-  def renew(%{kept: kept, lease: %{me: me}} = state) do
+  def renew(state) do
+    own_server? = state.settings.bridge.nats.mode == :embedded
+
+    if own_server? and GatewayLease.alone?(state.lease, monotonic()) and last_word?(state),
+      do: {:ok, state},
+      else: sign(state)
+  end
+
+  defp last_word?(%{sign: nil}), do: false
+  defp last_word?(%{sign: seal, conn: conn}), do: Buckets.last_seal(conn) == seal
+
+  defp sign(%{kept: kept, lease: %{me: me}} = state) do
     {echo, numbers} = Numbers.echo(state.numbers)
     value = JSON.encode!(%{"gateway" => state.name, "seen" => echo})
-    {seal, number, state} = seal(%{state | numbers: numbers}, {:gateway, me}, value)
+    {[{_header, sign}] = seal, number, state} = seal(%{state | numbers: numbers}, {:gateway, me}, value)
     state = %{state | numbers: Numbers.sent(state.numbers, number, monotonic())}
-    {Buckets.renew(state.conn, kept.environment, me, value, seal), state}
+    result = Buckets.renew(state.conn, kept.environment, me, value, seal)
+    {result, %{state | sign: if(result == :ok, do: sign)}}
   end
 
   @doc "This gateway's sign of life, sent at `sent_at`, was confirmed."

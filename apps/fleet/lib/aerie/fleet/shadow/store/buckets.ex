@@ -273,6 +273,14 @@ defmodule Aerie.Fleet.Shadow.Store.Buckets do
     conn |> KV.put(@leases, key, value, timeout: @timeout_ms, headers: seal) |> written()
   end
 
+  @doc "The seal of the last word in the bucket of leases, nil if it has none or is not known."
+  @spec last_seal(Nats.conn()) :: String.t() | nil
+  def last_seal(conn) do
+    with {:ok, _value, seal, _revision} <- KV.get_with(conn, @leases, ">", LeaseSeal.header()),
+         do: seal,
+         else: (_unknown -> nil)
+  end
+
   # No revision was expected, so a race is not lost.
   defp written(:ok), do: :ok
   defp written({:error, reason}), do: {:error, Nats.text(reason)}

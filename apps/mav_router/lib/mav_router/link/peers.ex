@@ -314,14 +314,16 @@ defmodule MavRouter.Link.Peers do
 
   defp sum(sums, more, sign \\ 1)
   defp sum(sums, nil, _sign), do: sums
-  defp sum(sums, more, sign), do: Enum.reduce(more, sums, fn {name, n}, sums -> add(sums, name, sign * n) end)
+  # As a list, because a link does it at every tick, and Enum takes several calls for each key of a map.
+  defp sum(sums, more, sign), do: more |> Map.to_list() |> add(sums, sign)
 
-  defp add(sums, _name, 0), do: sums
+  defp add([], sums, _sign), do: sums
+  defp add([{_name, 0} | rest], sums, sign), do: add(rest, sums, sign)
 
-  defp add(sums, name, n) do
+  defp add([{name, n} | rest], sums, sign) do
     case sums do
-      %{^name => before} -> %{sums | name => before + n}
-      _new -> Map.put(sums, name, n)
+      %{^name => before} -> add(rest, %{sums | name => before + sign * n}, sign)
+      _new -> add(rest, Map.put(sums, name, sign * n), sign)
     end
   end
 

@@ -65,11 +65,14 @@ defmodule MavRouter.Link.Core.Counters do
 
   @doc "Adds the sums that `more` has; its other keys are ignored."
   @spec merge(t, map) :: t
-  def merge(%__MODULE__{} = counters, more) do
-    for {name, n} when is_integer(n) and n != 0 <- more, is_map_key(counters, name), reduce: counters do
-      counters -> add(counters, name, n)
-    end
-  end
+  def merge(%__MODULE__{} = counters, more), do: more |> Map.to_list() |> merged(counters)
+
+  defp merged([], counters), do: counters
+
+  defp merged([{name, n} | rest], counters) when is_integer(n) and n != 0 and is_map_key(counters, name),
+    do: merged(rest, add(counters, name, n))
+
+  defp merged([_other | rest], counters), do: merged(rest, counters)
 
   @doc "Counts frames by message id."
   @spec messages(t, [%{id: non_neg_integer}]) :: t

@@ -139,7 +139,9 @@ defmodule Phoenix.LiveView.Channel do
 
   defp render(state) do
     {actions, view} = View.refresh(state.view)
-    act(actions, nil, %{state | view: view, dirty?: false, rendered: now()})
+    # What sent nothing does not keep the next one waiting.
+    rendered = if actions == [], do: state.rendered, else: now()
+    act(actions, nil, %{state | view: view, dirty?: false, rendered: rendered})
   end
 
   defp act([:stop | _rest], _ref, state), do: {:stop, {:shutdown, :left}, state}

@@ -131,6 +131,11 @@ defmodule Aerie.Console.Pages.Fleet.Board do
   defp changed(board, what, since),
     do: for({_id, {%{^what => at}, row}} when at > since <- board.rows, do: row)
 
+  @doc "The version that a page has on its map, on which `drawn/2` depends: 0 for that of another board, nil for none."
+  @spec on_map(t(), seen()) :: non_neg_integer() | nil
+  def on_map(_board, nil), do: nil
+  def on_map(board, seen), do: board |> since(seen) |> elem(2)
+
   @doc "The payload of `map:vehicles` without `map` for a page that has seen something; nil if nothing has changed."
   @spec drawn(t(), seen()) :: map() | nil
   def drawn(%__MODULE__{left: {before, left, gone}} = board, seen) do

@@ -60,7 +60,8 @@ defmodule Aerie.Console.Pages.Fleet.Page do
        plans: [],
        counts: %{},
        current: %{},
-       round: 0
+       # Pages that opened together, after a restart, read the numbers at different times.
+       round: :rand.uniform(@most_rounds)
      })
      |> subscribe([:vehicles, :links, :leases])
      |> push_event("map:zones", %{map: @map, zones: Zones.of(Policy.in_force(socket.assigns.gateway))})

@@ -52,7 +52,9 @@ defmodule Aerie.Console.Pages.Fleet.BoardTest do
     board = put(board, [row("A", speed: 2.0), row("B", mode: "LAND")])
     assert %{rows: [%{id: "B"}], seen: seen} = Board.news(board, seen, :urgent)
     assert %{rows: [], seen: seen} = Board.news(board, seen, :urgent)
-    assert %{rows: [%{id: "A"}, %{id: "B"}]} = Board.news(board, seen, :all)
+    assert %{rows: [%{id: "A"}, %{id: "B"}]} = news = Board.news(board, seen, :all)
+    # However late a page hears of the rows, its map is as new as that of the others.
+    assert Board.on_map(board, seen) == Board.on_map(board, news.seen)
 
     # Nobody can show ids without their rows.
     board = put(board, [row("A", speed: 3.0), row("B", mode: "LAND"), row("C")])

@@ -12,8 +12,10 @@ defmodule Aerie.Console.Pages.Fleet.Board.Server do
   alias Aerie.Console.Pages.Fleet.{Board, Table}
   alias Aerie.Console.Pages.Fleet.Board.Row
 
-  # Pages that heard the same notice ask within this time.
-  @fresh_ms 100
+  # Not more often than this; for pages that heard the same notice not again within the time of a notice, however
+  # late they ask, because what is read between two notices would be old at the next one.
+  @again_ms 100
+  @fresh_ms 200
 
   @doc "Options: `:gateway`."
   @spec start_link(keyword()) :: GenServer.on_start()
@@ -37,10 +39,12 @@ defmodule Aerie.Console.Pages.Fleet.Board.Server do
   @impl GenServer
   def handle_call({:news, seen, age, which}, _from, state) do
     now = System.monotonic_time(:millisecond)
-    fresh? = age == :recent and state.read != nil and now - state.read < @fresh_ms
+    on_map = Board.on_map(state.board, seen)
+    enough = if on_map == state.board.version, do: @again_ms, else: @fresh_ms
+    fresh? = age == :recent and state.read != nil and now - state.read < enough
     state = if fresh?, do: state, else: %{state | board: read(state), read: now, drawn: %{}}
-    state = update_in(state.drawn, &Map.put_new_lazy(&1, seen, fn -> Board.drawn(state.board, seen) end))
-    {:reply, state.board |> Board.news(seen, which) |> Map.put(:drawn, state.drawn[seen]), state}
+    state = update_in(state.drawn, &Map.put_new_lazy(&1, on_map, fn -> Board.drawn(state.board, seen) end))
+    {:reply, state.board |> Board.news(seen, which) |> Map.put(:drawn, state.drawn[on_map]), state}
   end
 
   defp read(%{gateway: gateway, board: board}) do

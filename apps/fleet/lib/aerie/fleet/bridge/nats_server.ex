@@ -26,6 +26,11 @@ defmodule Aerie.Fleet.Bridge.NatsServer do
 
   require Logger
 
+  # Fifths of a second until it is killed.
+  @stop_tries 15
+  # On so few processors the server gets one. With more, Go's scheduler wakes further threads for each message, which
+  # is half of the system calls of an idle server.
+  @few 4
   # A server that was up for this long was healthy: its end is a new fault, so the pauses start over.
   @healthy_ms 5_000
   # It gets TERM, is killed after three seconds, and on a busy machine gone some seconds later. The VM must not leave
@@ -156,7 +161,7 @@ defmodule Aerie.Fleet.Bridge.NatsServer do
          {:ok, token} <- Token.fetch(state.nats),
          {:ok, seed} <- Leaf.Config.seed(state.nats.leaf),
          :ok <- write(conf, state |> settings(tcp_port, token) |> Map.put(:seed, seed)) do
-      port = OsProcess.start(program, ["-c", conf])
+      port = OsProcess.start(program, ["-c", conf], @stop_tries, scheduling())
       log = LogFile.open(Path.join(state.nats.store_dir, "nats-server.log"))
       started_at = now()
       state = %{state | port: port, tcp_port: tcp_port, log: log, started_at: started_at}
@@ -164,6 +169,12 @@ defmodule Aerie.Fleet.Bridge.NatsServer do
     else
       {:error, problem} -> problem(state, problem)
     end
+  end
+
+  defp scheduling do
+    if System.schedulers_online() <= @few and System.get_env("GOMAXPROCS") == nil,
+      do: [{~c"GOMAXPROCS", ~c"1"}],
+      else: []
   end
 
   defp program(binary) do

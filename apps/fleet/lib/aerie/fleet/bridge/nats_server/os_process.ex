@@ -37,15 +37,17 @@ defmodule Aerie.Fleet.Bridge.NatsServer.OsProcess do
 
   @doc """
   Starts `program` with `args`. The caller gets `{port, {:data, {:eol | :noeol, line}}}` for its output and
-  `{port, {:exit_status, status}}` at its end. `tries`: fifths of a second from TERM to KILL.
+  `{port, {:exit_status, status}}` at its end. `tries`: fifths of a second from TERM to KILL;
+  `env`: variables besides this VM's.
   """
-  @spec start(Path.t(), [String.t()], tries :: pos_integer()) :: port()
-  def start(program, args, tries \\ 15) do
+  @spec start(Path.t(), [String.t()], tries :: pos_integer(), env :: [{charlist(), charlist()}]) :: port()
+  def start(program, args, tries \\ 15, env \\ []) do
     Port.open({:spawn_executable, "/bin/sh"}, [
       :binary,
       :exit_status,
       :hide,
       line: 4096,
+      env: env,
       args: ["-c", @script, "aerie-nats", "#{tries}", program | args]
     ])
   end

@@ -152,6 +152,12 @@ defmodule Aerie.Fleet.Bridge.NatsServer.PartsTest do
       assert OsProcess.stop(port) == :ok
     end
 
+    test "has the variables that it is given" do
+      port = OsProcess.start("/bin/sh", ["-c", "echo $GIVEN"], 15, [{~c"GIVEN", ~c"this"}])
+      assert_receive {^port, {:data, {:eol, "this"}}}
+      assert_receive {^port, {:exit_status, 0}}
+    end
+
     test "that ignores TERM is killed" do
       port = OsProcess.start("/bin/sh", ["-c", "trap '' TERM; echo ready; while :; do sleep 0.05; done"])
       assert_receive {^port, {:data, {:eol, "ready"}}}

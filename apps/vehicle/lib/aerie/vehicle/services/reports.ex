@@ -194,9 +194,10 @@ defmodule Aerie.Vehicle.Services.Reports do
 
   @doc "Whether events are missing."
   @spec missing?(t()) :: boolean()
-  def missing?(reports),
-    do:
-      Enum.any?(reports.components, fn {_component, %{sequence: sequence}} -> Sequence.waiting?(sequence) end)
+  def missing?(%{components: components}) when components == %{}, do: false
+
+  def missing?(%{components: components}),
+    do: Enum.any?(components, fn {_component, %{sequence: sequence}} -> Sequence.waiting?(sequence) end)
 
   @doc "The requests to a vehicle's components that are due at `now`."
   @spec requests(t(), system :: non_neg_integer(), integer()) :: {t(), [struct()]}

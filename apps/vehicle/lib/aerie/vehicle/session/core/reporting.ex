@@ -76,8 +76,8 @@ defmodule Aerie.Vehicle.Session.Core.Reporting do
 
   defp ask?(%{options: options, status: status} = core, now),
     do:
-      options.request_streams and status == :online and Services.requests?(core, now) and
-        Reports.missing?(core.reports) and not Collisions.suspected?(core, now)
+      options.request_streams and status == :online and Reports.missing?(core.reports) and
+        Services.requests?(core, now) and not Collisions.suspected?(core, now)
 
   defp ask(core, actions, now) do
     {reports, requests} = Reports.requests(core.reports, core.options.system_id, now)

@@ -52,16 +52,18 @@ defmodule Aerie.Vehicle.Services.Streams.Arbiter.Check do
   end
 
   defp messages(arbiter, now) do
-    Enum.reduce(arbiter.messages, arbiter, fn
+    due =
+      for {id, %{next: next} = wanted} <- Map.to_list(arbiter.messages),
+          next == nil or now >= next,
+          do: {id, wanted}
+
+    Enum.reduce(due, arbiter, fn
       {_id, %{next: nil} = wanted}, arbiter ->
         begin(arbiter, wanted, now)
 
-      {id, %{next: next} = wanted}, arbiter when now >= next ->
+      {id, wanted}, arbiter ->
         # A request that is still queued cannot have had an effect.
         if {:set, id} in arbiter.queue, do: arbiter, else: evaluate(arbiter, wanted, now)
-
-      _later, arbiter ->
-        arbiter
     end)
   end
 

@@ -60,8 +60,7 @@ defmodule Aerie.Console.Pages.Fleet.Page do
        plans: [],
        counts: %{},
        current: %{},
-       # Pages that opened together, after a restart, read the numbers at different times.
-       round: :rand.uniform(@most_rounds)
+       round: 0
      })
      |> subscribe([:vehicles, :links, :leases])
      |> push_event("map:zones", %{map: @map, zones: Zones.of(Policy.in_force(socket.assigns.gateway))})
@@ -91,7 +90,7 @@ defmodule Aerie.Console.Pages.Fleet.Page do
     socket =
       if due? or not :erts_debug.same(socket.assigns.all, before), do: assign_view(socket), else: socket
 
-    {:noreply, update_private(socket, &%{&1 | round: &1.round + 1})}
+    {:noreply, update_private(socket, &%{&1 | round: next(&1.round)})}
   end
 
   def handle_info({:fleet, :leases, _change}, socket), do: {:noreply, socket |> read() |> assign_view()}
@@ -370,6 +369,10 @@ defmodule Aerie.Console.Pages.Fleet.Page do
 
   defp due?(%{assigns: %{rows: rows}, private: %{fleet: %{round: round}}}),
     do: rem(round, rows |> length() |> div(@rows_each_time) |> max(1) |> min(@most_rounds)) == 0
+
+  # Pages that opened together, after a restart, read the numbers at different times from then on.
+  defp next(0), do: :rand.uniform(@most_rounds)
+  defp next(round), do: round + 1
 
   defp update_private(socket, change), do: put_private(socket, :fleet, change.(socket.private.fleet))
 

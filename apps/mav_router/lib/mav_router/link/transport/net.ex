@@ -183,9 +183,9 @@ defmodule MavRouter.Link.Transport.Net do
   end
 
   @doc """
-  What waits in the kernel, by the second handle, in order; in an overload up to #{@many}, so that what is discarded is
-  chosen of all. Then the calling process has a higher priority until what it read is passed on (`passed_on/2`): with
-  hundreds of sessions that want to run, it would get the turn of one for each few datagrams.
+  What waits in the kernel, by the second handle, in order; in an overload all of it (up to #{@many}), so that what is
+  discarded is chosen of all. Then the calling process has a higher priority until what it read is passed on
+  (`passed_on/2`): with hundreds of sessions that want to run, it would get the turn of one for each few datagrams.
   """
   @spec read(:socket.socket() | nil, Backlog.t()) :: [{{:inet.ip_address(), :inet.port_number()}, binary}]
   def read(nil, _backlog), do: []
@@ -193,11 +193,19 @@ defmodule MavRouter.Link.Transport.Net do
   def read(handle, backlog) do
     if Backlog.strained?(backlog) do
       _ = Process.flag(:priority, :high)
-      reads = read(handle, @many, [])
+      reads = read(handle, all(handle), [])
       if reads == [], do: Process.flag(:priority, :normal)
       reads
     else
       read(handle, @batch, [])
+    end
+  end
+
+  # What comes while it reads is left: it could read, and discard, for ever.
+  defp all(handle) do
+    case kernel(handle) do
+      {0, _dropped} -> @many
+      {bytes, _dropped} -> min(div(bytes, @datagram_bytes) + 1, @many)
     end
   end
 
@@ -258,6 +266,20 @@ defmodule MavRouter.Link.Transport.Net do
     _ = Process.flag(:priority, :normal)
     %{conn | backlog: Backlog.passed(conn.backlog, now)}
   end
+
+  @doc "Has the kernel hold as many unread datagrams as `Backlog.room/1` says, if it said another number before."
+  @spec fit(:socket.socket() | nil, Backlog.t(), Backlog.t()) :: :ok
+  def fit(nil, _before, _now), do: :ok
+
+  def fit(handle, before, now) do
+    bytes = recbuf(Backlog.room(now))
+    _ = if bytes != recbuf(Backlog.room(before)), do: :socket.setopt(handle, {:socket, :rcvbuf}, bytes)
+    :ok
+  end
+
+  # Linux takes twice what it is asked for.
+  defp recbuf(:most), do: @recbuf
+  defp recbuf(room), do: min(div(room * @datagram_bytes, 2), @recbuf)
 
   defp waiting(sender) do
     {:message_queue_len, messages} = Process.info(self(), :message_queue_len)

@@ -91,6 +91,7 @@ defmodule MavRouter.Link.Transport.UdpServer do
   defp received(conn, datagrams) do
     now = :erlang.monotonic_time(:millisecond)
     {reads, shed, backlog} = Net.take(conn.sender, conn.backlog, datagrams, now)
+    :ok = Net.fit(conn.sender, conn.backlog, backlog)
     gathering = Gathering.read(conn.gathering, datagrams, now)
     {Net.events(reads, shed, backlog), %{conn | backlog: backlog, gathering: gathering}}
   end

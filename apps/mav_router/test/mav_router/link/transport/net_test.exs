@@ -2,6 +2,7 @@ defmodule MavRouter.Link.Transport.NetTest do
   use ExUnit.Case, async: true
 
   alias MavRouter.Link.Transport.Net
+  alias MavRouter.Link.Transport.Net.Backlog
 
   @loopback {127, 0, 0, 1}
 
@@ -23,6 +24,23 @@ defmodule MavRouter.Link.Transport.NetTest do
       assert {:error, _closed} = Net.udp_write(socket, sender, @loopback, port, "hello")
       forget()
     end
+  end
+
+  test "in an overload the kernel has room for less, and afterwards for as much as before" do
+    {:ok, socket} = Net.udp(@loopback, 0)
+    sender = Net.sender(socket)
+    bytes = fn -> socket |> :inet.getopts([:recbuf]) |> elem(1) |> Keyword.fetch!(:recbuf) end
+    usual = bytes.()
+    strained = %{Backlog.new() | strained: 0}
+
+    for {keep, factor} <- [{1, 1}, {512, 2}] do
+      :ok = Net.fit(sender, Backlog.new(), %{strained | keep: {keep, 5_000}})
+      assert bytes.() == min(factor * 1_024 * 832, usual)
+    end
+
+    :ok = Net.fit(sender, strained, Backlog.new())
+    assert bytes.() == usual
+    Net.udp_close(socket, sender)
   end
 
   test "a UDP socket with a second handle whose process is killed" do

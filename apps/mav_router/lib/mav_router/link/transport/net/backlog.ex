@@ -6,7 +6,7 @@ defmodule MavRouter.Link.Transport.Net.Backlog do
 
   A socket keeps the oldest datagrams and drops the newest, so a link that does not keep up would show a state that is
   seconds old for as long as the overload lasts. Instead, when what waits would take half a second to read at the pace
-  of the last #{@every_ms} ms, datagrams are discarded until a tenth of a second is left. A burst, or a machine that
+  of the last #{@every_ms} ms, datagrams are discarded until a quarter of a second is left. A burst, or a machine that
   was busy for a moment, is not an overload: discarding begins when this has lasted for a second, and the overload
   ends when for two seconds no more waited than those that are left.
 
@@ -24,7 +24,7 @@ defmodule MavRouter.Link.Transport.Net.Backlog do
   alias MavRouter.Link.Transport.Net.Senders
 
   @late_ms 500
-  @keep_ms 100
+  @keep_ms 250
   @patience_ms 1_000
   @relief_ms 2_000
   # So many are discarded in the time in which one is passed on.
@@ -36,6 +36,12 @@ defmodule MavRouter.Link.Transport.Net.Backlog do
   # batch: at the pace of the few that it kept before, it would keep fewer and fewer.
   @batch 128
   @most_of 8
+  # And of that, a few of each sender that was heard before: one frame that wakes its vehicle's session costs as much
+  # as these.
+  @each 4
+  # The kernel's room in an overload: so many times what is kept, and never less.
+  @choice 4
+  @least 1_024
 
   # How long a sender was heard before the overload, for each rank.
   @known_ms [5_000, 60_000]
@@ -148,6 +154,15 @@ defmodule MavRouter.Link.Transport.Net.Backlog do
   @spec strained?(t) :: boolean
   def strained?(%__MODULE__{strained: at}), do: at != nil
 
+  @doc """
+  For how many datagrams the kernel is to have room: in an overload for #{@choice} times as many as are kept of them,
+  and at least #{@least}. What more it held would only be read to be discarded, which a gateway without a processor of
+  its own would do all the time.
+  """
+  @spec room(t) :: pos_integer | :most
+  def room(%__MODULE__{strained: nil}), do: :most
+  def room(%__MODULE__{keep: {keep, _of}}), do: max(@choice * keep, @least)
+
   @doc "Whether to say when the datagrams taken last have been passed on (`passed/2`): while some wait."
   @spec timed?(t) :: boolean
   def timed?(backlog), do: backlog.waiting > some(backlog)
@@ -164,48 +179,61 @@ defmodule MavRouter.Link.Transport.Net.Backlog do
   def take(%__MODULE__{shed: shed, keep: {keep, of}} = backlog, datagrams) do
     backlog = noted(backlog, datagrams)
     n = length(datagrams)
+    {groups, known, new} = groups(datagrams, backlog)
+    left = n - @batch
+    least = max(min(div(left, @most_of), @batch), min(@each * known, left))
     # The same part of each read, so that what is kept is not of one moment; rounded up.
-    keep = n |> Kernel.*(keep) |> Kernel./(of) |> ceil() |> max(min(div(n - @batch, @most_of), @batch))
-    {kept, lost} = datagrams |> ranked(backlog) |> Enum.split(keep)
+    keep = n |> Kernel.*(keep) |> Kernel./(of) |> ceil() |> max(least) |> min(n)
 
     # Senders that were there before, if they are few, do not pay for a pace that was low for a moment. Where very
     # many wait it was low for longer.
     extra = if of <= @many, do: n, else: keep
-    {more, lost} = lost |> Enum.split(min(extra, max(div(n + 3, 4) - keep, 0))) |> known()
-    kept = for {_order, datagram} <- Enum.sort_by(more ++ kept, fn {{_, _, i}, _} -> -i end), do: datagram
-    new = Enum.count(lost, &new?/1)
-    lost = length(lost)
-
-    {kept, %{shed: lost - new, shed_new: new}, counted(%{backlog | shed: max(shed - n, 0)}, n - lost, lost)}
+    most = keep + min(extra, max(div(n + 3, 4) - keep, 0))
+    kept = max(keep, min(most, n - new))
+    lost = n - kept
+    lost_new = min(new, lost)
+    backlog = counted(%{backlog | shed: max(shed - n, 0)}, kept, lost)
+    {first(groups, kept), %{shed: lost - lost_new, shed_new: lost_new}, backlog}
   end
 
   defp counted(backlog, kept, lost),
     do: %{backlog | done: backlog.done + kept, lost: backlog.lost + lost, reads: backlog.reads + 1}
 
-  defp known({more, lost}) do
-    {new, known} = Enum.split_with(more, &new?/1)
-    {known, new ++ lost}
-  end
-
-  defp new?({{rank, _round, _i}, _datagram}), do: rank == 0
-
-  # In the order in which to keep them: by the rank of their senders, the newest heartbeat of each, then each sender's
-  # newest before any other's second newest.
-  defp ranked(datagrams, backlog) do
-    {ranked, _rounds} =
+  # Groups to keep one before the other: by the rank of their senders, the newest heartbeat of each, then each sender's
+  # newest before any other's second newest. Within a group the oldest is first. Sorting them all costs more than to
+  # read them.
+  defp groups(datagrams, backlog) do
+    {groups, rounds, new, _i} =
       datagrams
       |> Enum.reverse()
-      |> Enum.with_index()
-      |> Enum.map_reduce(%{}, fn {datagram, i}, rounds ->
+      |> Enum.reduce({%{}, %{}, 0, 0}, fn datagram, {groups, rounds, new, i} ->
         sender = Senders.of(datagram)
-        {rank, round, beat?} = Map.get_lazy(rounds, sender, fn -> {rank(backlog, sender), 0, false} end)
+        {rank, round, beat?} = Map.get_lazy(rounds, sender, fn -> {-rank(backlog, sender), 0, false} end)
+        new = if rank == 0, do: new + 1, else: new
 
-        if not beat? and heartbeat?(datagram),
-          do: {{{rank, -1, i}, datagram}, Map.put(rounds, sender, {rank, round, true})},
-          else: {{{rank, round, i}, datagram}, Map.put(rounds, sender, {rank, round + 1, beat?})}
+        {key, noted} =
+          if not beat? and heartbeat?(datagram),
+            do: {{rank, -1}, {rank, round, true}},
+            else: {{rank, round}, {rank, round + 1, beat?}}
+
+        groups = Map.update(groups, key, [{i, datagram}], &[{i, datagram} | &1])
+        {groups, Map.put(rounds, sender, noted), new, i - 1}
       end)
 
-    Enum.sort_by(ranked, fn {{rank, round, i}, _datagram} -> {-rank, round, i} end)
+    known = Enum.count(rounds, &match?({_sender, {rank, _round, _beat?}} when rank < 0, &1))
+    {groups |> Enum.sort() |> Enum.map(&elem(&1, 1)), known, new}
+  end
+
+  # So many of the first groups, of the last of them the newest, in the order in which they came.
+  defp first(groups, kept) do
+    groups
+    |> Enum.flat_map_reduce(kept, fn
+      _group, 0 -> {:halt, 0}
+      group, room -> with(group = Enum.take(group, -room), do: {group, room - length(group)})
+    end)
+    |> elem(0)
+    |> List.keysort(0)
+    |> Enum.map(&elem(&1, 1))
   end
 
   defp heartbeat?({_address, <<0xFD, _::48, 0::24, _::binary>>}), do: true

@@ -24,7 +24,8 @@ defmodule Aerie.Vehicle.Session do
   alias MavRouter.Identity
 
   @grid_ms 10
-  @late_us 250_000
+  @late 4
+  @rest_ms 1_000
   @look_around_ms 1_000
 
   @spec start_link(gateway: Names.gateway(), options: Vehicle.Options.t()) :: GenServer.on_start()
@@ -175,10 +176,11 @@ defmodule Aerie.Vehicle.Session do
 
   # Not :timer.send_interval/2: all ticks would pass through its one process, a thousand a second for a hundred
   # vehicles. Those of all vehicles come at full hundredths of a second, so that they wake the machine a hundred times a
-  # second, not ten times for each. After a tick that came late the next one waits as long: sessions that cannot run
-  # leave the processor to frames.
+  # second, not ten times for each. After a tick that came late the next one waits four times as long: sessions that
+  # cannot run leave the processor to frames.
   defp schedule_tick(state, late_us) do
-    at = :erlang.monotonic_time(:millisecond) + max(tick_ms(state), div(min(late_us, @late_us), 1_000))
+    ms = max(tick_ms(state), min(@late * div(late_us, 1_000), @rest_ms))
+    at = :erlang.monotonic_time(:millisecond) + ms
     at = at - Integer.mod(at, @grid_ms)
     :erlang.start_timer(at, self(), {:tick, at * 1_000}, abs: true)
   end

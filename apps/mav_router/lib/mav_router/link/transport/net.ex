@@ -363,9 +363,15 @@ defmodule MavRouter.Link.Transport.Net do
     :ok
   end
 
-  @doc "The facts of a UDP socket for the link's snapshot."
-  @spec udp_info(:gen_udp.socket()) :: MavRouter.Link.Transport.info()
-  def udp_info(socket), do: Map.put(local(socket), :warning, short_buffer(socket))
+  @doc "The facts of a UDP socket and its second handle for the link's snapshot."
+  @spec udp_info(:gen_udp.socket(), :socket.socket() | nil) :: MavRouter.Link.Transport.info()
+  def udp_info(socket, sender) do
+    warnings = Enum.reject([short_buffer(socket), uncounted(sender)], &is_nil/1)
+    Map.put(local(socket), :warning, if(warnings != [], do: Enum.join(warnings, "; ")))
+  end
+
+  defp uncounted(nil), do: "what the kernel drops is not counted: the socket cannot be opened twice"
+  defp uncounted(_sender), do: nil
 
   @doc """
   The options of a link's TCP sockets; a half-open connection is noticed within half a minute, on a link of high latency

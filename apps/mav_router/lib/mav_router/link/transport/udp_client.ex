@@ -58,7 +58,7 @@ defmodule MavRouter.Link.Transport.UdpClient do
 
     with :ok <- :inet.setopts(conn.socket, active: Net.active()) do
       conn = %{conn | sender: Net.sender(conn.socket)}
-      {:ok, conn, Map.put(Net.udp_info(conn.socket), :peer, Address.format(address, port))}
+      {:ok, conn, Map.put(Net.udp_info(conn.socket, conn.sender), :peer, Address.format(address, port))}
     end
   end
 

@@ -51,7 +51,7 @@ defmodule MavRouter.Link.Transport.UdpServer do
       sender != nil and match?({:ok, {address, _port}} when tuple_size(address) == 8, :inet.sockname(socket))
 
     conn = %{conn | sender: sender, scoped?: scoped?}
-    with :ok <- listen(conn), do: {:ok, conn, Net.udp_info(socket)}
+    with :ok <- listen(conn), do: {:ok, conn, Net.udp_info(socket, sender)}
   end
 
   defp listen(%{scoped?: true, sender: sender}), do: Net.look(sender)

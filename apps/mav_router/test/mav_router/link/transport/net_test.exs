@@ -67,7 +67,9 @@ defmodule MavRouter.Link.Transport.NetTest do
     assert Net.short(2 * 1024 * 1024, {:unix, :darwin}) == nil
 
     {:ok, small} = Net.udp(@loopback, 0, recbuf: 8_192)
-    assert %{local: "127.0.0.1:" <> _, warning: "the " <> _} = Net.udp_info(small)
+    assert %{local: "127.0.0.1:" <> _, warning: "the " <> _ = short} = Net.udp_info(small, Net.sender(small))
+    assert %{warning: both} = Net.udp_info(small, nil)
+    assert both == short <> "; what the kernel drops is not counted: the socket cannot be opened twice"
     :gen_udp.close(small)
     assert Net.short_buffer(small) == nil
   end

@@ -6,13 +6,13 @@
 # Every vehicle says its frames from a socket of its own, as in `hub`; a higher load is the same vehicles at a higher
 # rate. --rate is the rate of one time (frames/s of a vehicle); 0 looks for the highest at which no more than 1 % is
 # lost. The load runs at a higher priority where that is allowed (root): vehicles do not slow down because a gateway's
-# machine is busy.
+# machine is busy. Linux with autogroups ignores that: there the load has a share like each loop, and may say less.
 #
 # Columns: times what the machine holds; busy loops; frames other than heartbeats that were sent and received in a
 # second, the part that was lost and the part of it that was counted as dropped; age of a frame when its vehicle's state
-# is shown, as in `hub`; CPU of the gateway per frame received, and per datagram discarded (what it used beyond what its
-# frames cost at one time without loops; frames that are read together cost less, so it may be 0). Then a plot, for
-# docs/hub.md, and the line that `bin/bench --check` reads.
+# is shown, as in `hub`; CPU of the gateway in per cent of a core, per frame received, and per datagram discarded (what
+# it used beyond what its frames cost at one time without loops; frames that are read together cost less, so it may be
+# 0). Then a plot, for docs/hub.md, and the line that `bin/bench --check` reads.
 
 Code.require_file("harness.exs", __DIR__)
 
@@ -35,7 +35,8 @@ defmodule OverloadBench do
       "lost",
       "counted",
       "p50 / p99 / max ms",
-      "CPU us/frame",
+      "CPU",
+      "us/frame",
       "us/discarded"
     ])
 
@@ -103,6 +104,7 @@ defmodule OverloadBench do
       "#{Float.round(lost * 100 / sent, 1)} %",
       "#{min(round(report["dropped"] * 100 / max(lost, 1)), 100)} %",
       report["store"],
+      "#{round(found.cpu * 100 / found.seconds)} %",
       Float.round(us, 1),
       discarded && Float.round(discarded, 1)
     ])

@@ -78,7 +78,7 @@ defmodule PartsBench do
           {"store: read a vehicle's snapshot", fn -> Store.vehicle(@gateway, vehicle.key) end},
           {"NATS: the text of a state group", fn -> text.(group) end},
           {"console: a row of the fleet's table", fn -> Row.new(vehicle, [], %{}, now, %{}) end},
-          {"console: its rendered cells", fn -> Table.cells(row) end}
+          {"console: its rendered line", fn -> Table.line(row) end}
         ] do
       repeated = fn -> Enum.each(1..@times, fn _time -> fun.() end) end
       best = Task.async(fn -> Enum.min(for _round <- 1..@rounds, do: Sample.cost(repeated)) end)

@@ -201,7 +201,7 @@ defmodule MavRouter.Link.Transport.Net do
     end
   end
 
-  # What comes while it reads is left: it could read, and discard, for ever.
+  # What arrives during the read waits for the next one: otherwise the link could read and discard for ever.
   defp all(handle) do
     case kernel(handle) do
       {0, _dropped} -> @many
@@ -330,7 +330,7 @@ defmodule MavRouter.Link.Transport.Net do
 
   def sockaddr(address, port), do: %{family: :inet, addr: address, port: port}
 
-  @doc "The same for many datagrams: that of IPv4 as every system has it, of which `:socket` encodes nothing for each."
+  @doc "The same in the form of the system's own structure for IPv4, which `:socket` need not encode for each datagram."
   @spec encoded(:inet.ip_address(), :inet.port_number()) :: map
   def encoded({a, b, c, d}, port), do: %{family: 2, addr: <<port::16, a, b, c, d, 0::64>>}
   def encoded(address, port), do: sockaddr(address, port)

@@ -38,7 +38,7 @@ defmodule Aerie.Vehicle.State.Fields do
 
   @doc "A group's data as JSON has it (`Json.plain/1`), with rounded numbers. The group is an atom or a string."
   @spec plain(group() | String.t(), map()) :: map()
-  def plain(group, data), do: plain_by(data, Map.get(@decimals, group, %{}), nil)
+  def plain(group, data), do: object(data, Map.get(@decimals, group, %{}), nil)
 
   @doc "An event as NATS and REST have it. The `epoch` says which start of the gateway numbered it; nil for none."
   @spec event(Event.t(), epoch :: pos_integer() | nil) :: %{String.t() => term()}
@@ -57,17 +57,18 @@ defmodule Aerie.Vehicle.State.Fields do
   end
 
   defp event_data(%{"position" => %{} = position} = data),
-    do: %{plain_by(data, @event, nil) | "position" => plain(:position, position)}
+    do: %{object(data, @event, nil) | "position" => plain(:position, position)}
 
-  defp event_data(data), do: plain_by(data, @event, nil)
+  defp event_data(data), do: object(data, @event, nil)
 
   # A field that has no decimals of its own has those of the field above it; 0 gives whole numbers.
+  defp object(map, decimals, above),
+    do: Json.plain(map, &plain_by(&2, decimals, Map.get(decimals, &1, above)))
+
   defp plain_by(float, _decimals, 0) when is_float(float), do: round(float)
   defp plain_by(float, _decimals, n) when is_float(float) and is_integer(n), do: Float.round(float, n)
 
-  defp plain_by(map, decimals, above) when is_non_struct_map(map),
-    do: Json.plain(map, &plain_by(&2, decimals, Map.get(decimals, &1, above)))
-
+  defp plain_by(map, decimals, above) when is_non_struct_map(map), do: object(map, decimals, above)
   defp plain_by(list, decimals, n) when is_list(list), do: for(item <- list, do: plain_by(item, decimals, n))
   defp plain_by(other, _decimals, _n), do: Json.plain(other)
 end

@@ -66,7 +66,7 @@ defmodule Aerie.Vehicle.State.Sampling do
     expired(changed, samplers, [])
   end
 
-  # Mostly there is none.
+  # On most ticks nothing is due.
   defp expired([], samplers, due), do: {samplers, due}
 
   defp expired([{group, sampler, samples} | rest], samplers, due),

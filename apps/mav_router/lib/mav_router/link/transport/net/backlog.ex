@@ -161,7 +161,7 @@ defmodule MavRouter.Link.Transport.Net.Backlog do
   """
   @spec room(t) :: pos_integer | :most
   def room(%__MODULE__{strained: nil}), do: :most
-  def room(%__MODULE__{keep: {keep, _of}}), do: max(@choice * keep, @least)
+  def room(%__MODULE__{keep: {keep, _of}}) when is_integer(keep), do: max(@choice * keep, @least)
 
   @doc "Whether to say when the datagrams taken last have been passed on (`passed/2`): while some wait."
   @spec timed?(t) :: boolean

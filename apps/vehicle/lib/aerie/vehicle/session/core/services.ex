@@ -231,7 +231,7 @@ defmodule Aerie.Vehicle.Session.Core.Services do
     end
   end
 
-  # Mostly. Which links are asked need not be known then.
+  # On most ticks no request is due, so the links to ask need not be worked out.
   defp clock({%{timesync: %{next: next}}, _actions} = acc, now, true) when next != nil and now < next, do: acc
 
   defp clock({core, actions}, now, true) do

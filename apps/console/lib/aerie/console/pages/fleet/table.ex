@@ -45,7 +45,8 @@ defmodule Aerie.Console.Pages.Fleet.Table do
   end
 
   @doc """
-  A vehicle's row as it looks to everyone who has not marked it. What is in a cell is one text, so that it costs little to hand it to many pages.
+  A vehicle's row on every page where it is not selected. Each cell is a single text, which is cheap to hand to many
+  pages.
   """
   @spec line(Row.t()) :: Phoenix.LiveView.Rendered.t()
   def line(%Row{} = row) do

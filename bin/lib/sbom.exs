@@ -151,13 +151,16 @@ defmodule Sbom do
   defp npm(root, release) do
     locked = root |> Path.join("package-lock.json") |> File.read!() |> JSON.decode!()
 
-    for path <- Path.wildcard(Path.join(release, "lib/console-*/priv/console/node_modules/*")) do
-      name = Path.basename(path)
+    # A package may be in the folder of its scope: @scope/name.
+    for folder <- Path.wildcard(Path.join(release, "lib/console-*/priv/console/node_modules")),
+        path <- Path.wildcard(folder <> "/*") ++ Path.wildcard(folder <> "/@*/*"),
+        name = Path.relative_to(path, folder),
+        String.starts_with?(name, "@") == String.contains?(name, "/") do
       %{"version" => version, "license" => licence, "integrity" => "sha512-" <> hash} = locked["packages"]["node_modules/#{name}"]
       content = hash |> Base.decode64!() |> Base.encode16(case: :lower)
 
       "library"
-      |> component(name, version, "pkg:npm/#{name}@#{version}", licence, [Path.relative_to(path, release)], "licences/npm/#{name}")
+      |> component(name, version, "pkg:npm/#{String.replace(name, "@", "%40")}@#{version}", licence, [Path.relative_to(path, release)], "licences/npm/#{name}")
       |> Map.put("hashes", [%{"alg" => "SHA-512", "content" => content}])
     end
   end

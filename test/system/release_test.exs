@@ -180,9 +180,13 @@ defmodule Aerie.System.ReleaseTest do
           do: place["location"]
 
     there =
-      for pattern <- ~w(lib/* usr/lib/*/* erts-*/bin/* lib/console-*/priv/console/node_modules/*),
+      for pattern <-
+            ~w(lib/* usr/lib/*/* erts-*/bin/* lib/console-*/priv/console/node_modules/*) ++
+              ["lib/console-*/priv/console/node_modules/@*/*"],
           path <- Path.wildcard(Path.join(context.release, pattern)),
           not String.ends_with?(path, ".elf"),
+          # The folder of a scope is not a package.
+          not String.starts_with?(Path.basename(path), "@"),
           do: Path.relative_to(path, context.release)
 
     assert Enum.sort(Enum.uniq(listed)) == Enum.sort(["bin/nats-server", "bin/xz" | there])

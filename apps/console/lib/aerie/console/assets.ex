@@ -15,6 +15,7 @@ defmodule Aerie.Console.Assets do
 
   @checkout Path.expand("../../..", __DIR__)
   @npm [
+    {"@fontsource-variable/inter", "files", ~w(inter-latin-wght-normal.woff2)},
     {"phoenix", "priv/static", ~w(phoenix.mjs)},
     {"phoenix_live_view", "priv/static", ~w(phoenix_live_view.esm.js)},
     {"pmtiles", "dist", ~w(pmtiles.js)},
@@ -65,6 +66,10 @@ defmodule Aerie.Console.Assets do
   def missing(gateway),
     do: Names.read(gateway, :console_assets, [], fn {_table, _hash, _styles, missing} -> missing end)
 
+  @doc "The font's name. Pages ask for it before the style sheets do, so that texts keep their widths."
+  @spec font() :: String.t()
+  def font, do: "npm/@fontsource-variable/inter/inter-latin-wght-normal.woff2"
+
   @doc "The hash in the addresses."
   @spec version(Names.gateway()) :: String.t() | nil
   def version(gateway),
@@ -103,10 +108,12 @@ defmodule Aerie.Console.Assets do
     missing
   end
 
+  # The name of a package may have a folder.
   defp target("npm/" <> name) do
-    [package, file] = String.split(name, "/", parts: 2)
-    {^package, folder, _files} = List.keyfind(@npm, package, 0)
-    Path.join(["node_modules", package, folder, file])
+    {package, folder, _files} =
+      Enum.find(@npm, fn {package, _folder, _files} -> String.starts_with?(name, package <> "/") end)
+
+    Path.join(["node_modules", package, folder, String.replace_prefix(name, package <> "/", "")])
   end
 
   defp target(name), do: Path.join("assets", name)

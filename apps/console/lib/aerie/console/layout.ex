@@ -20,6 +20,7 @@ defmodule Aerie.Console.Layout do
         <meta name="color-scheme" content="dark light" />
         <.live_title default="Aerie" suffix=" · Aerie">{@page_title}</.live_title>
         <link rel="icon" href={Assets.path(@gateway, "icon.svg")} type="image/svg+xml" />
+        <link rel="preload" href={Assets.path(@gateway, Assets.font())} as="font" type="font/woff2" crossorigin />
         <link :for={style <- Assets.styles(@gateway)} rel="stylesheet" href={Assets.path(@gateway, style)} phx-track-static />
         <script :if={@live} type="module" src={Assets.path(@gateway, "console.js")} phx-track-static></script>
       </head>

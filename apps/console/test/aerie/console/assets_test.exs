@@ -69,6 +69,12 @@ defmodule Aerie.Console.AssetsTest do
           "maplibre-gl/maplibre-gl.mjs"
         ],
         do: assert(get(console, Assets.path(console.gateway, "npm/" <> name)).status == 200)
+
+    font = get(console, Assets.path(console.gateway, Assets.font()))
+    assert font.headers["content-type"] == "font/woff2"
+
+    assert get(console, "/sign-in").body =~
+             ~s(rel="preload" href="#{Assets.path(console.gateway, Assets.font())}")
   end
 
   @tag :node

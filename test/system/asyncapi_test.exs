@@ -130,6 +130,7 @@ defmodule Aerie.System.AsyncAPITest do
 
     ask.("operation.get", %{"id" => "op1"}, "answer.operation")
     ask.("operation.list", %{}, "answer.operation.list")
+    ask.("operation.readiness", %{"vehicle" => @vehicle}, "answer.operation.readiness")
     ask.("operation.stop", %{"id" => "none"}, "refused")
     eventually(fn -> data(gateway, :mode, @key)[:in_air] == false end, "it has landed")
 

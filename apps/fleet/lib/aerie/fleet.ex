@@ -10,49 +10,37 @@ defmodule Aerie.Fleet do
   report a group, the one on the vehicle's way counts unless it is ten seconds older.
   """
 
-  alias Aerie.Base.{Names, Store}
+  alias Aerie.Base.Names
   alias Aerie.Fleet.{Operations, Shadow}
-  alias Aerie.Fleet.Remote.Table
+  alias Aerie.Fleet.Operations.Readiness
+  alias Aerie.Fleet.Remote.Merge
   alias Aerie.Vehicle.{Command, Event, Snapshot}
   alias Aerie.Vehicle.Events.Journal
   alias Aerie.Vehicle.State.Fields
 
-  @older_us 10_000_000
-
   @doc "All vehicles, those on this gateway's links first."
   @spec vehicles(Names.gateway()) :: [Snapshot.t()]
-  def vehicles(gateway) do
-    local = Store.vehicles(gateway)
-    remote = Table.vehicles(gateway, now())
-    known = MapSet.new(local, & &1.id)
-
-    Enum.map(local, &merge(&1, remote[&1.id])) ++
-      for({id, vehicle} <- Enum.sort(remote), id not in known, do: vehicle)
-  end
+  defdelegate vehicles(gateway), to: Merge
 
   @doc "One vehicle by its id; nil if no gateway knows it."
   @spec vehicle(Names.gateway(), String.t()) :: Snapshot.t() | nil
-  def vehicle(gateway, id),
-    do: merge(Store.vehicle(gateway, id), Table.vehicle(gateway, id, now()))
+  defdelegate vehicle(gateway, id), to: Merge
 
   @doc "The snapshot of a vehicle that may be heard here (local), there (remote), or both."
   @spec merge(local :: Snapshot.t() | nil, remote :: Snapshot.t() | nil) :: Snapshot.t() | nil
-  def merge(nil, remote), do: remote
-  def merge(local, nil), do: local
+  defdelegate merge(local, remote), to: Merge
 
-  def merge(%{status: :lost} = local, %{status: status} = remote) when status != :lost,
-    do: %{remote | groups: groups(remote.groups, local.groups)}
+  @doc """
+  Whether a vehicle is ready to take off, point by point (`Aerie.Vehicle.Snapshot.Readiness`), as somebody sees it who
+  may be in charge of it; nil if no gateway knows it.
+  """
+  @spec readiness(Names.gateway(), String.t(), viewer :: String.t() | nil | :anybody) :: Readiness.t() | nil
+  defdelegate readiness(gateway, id, viewer \\ :anybody), to: Readiness, as: :of
 
-  def merge(local, remote),
-    do: %{local | gateways: remote.gateways, groups: groups(local.groups, remote.groups)}
-
-  defp groups(first, second) do
-    Map.merge(first, second, fn _group, one, other ->
-      if other.at > one.at + @older_us, do: other, else: one
-    end)
-  end
-
-  defp now, do: System.os_time(:microsecond)
+  @doc "The same of vehicles that were read already, by their ids."
+  @spec readinesses(Names.gateway(), [Snapshot.t()], viewer :: String.t() | nil | :anybody) ::
+          %{String.t() => Readiness.t()}
+  defdelegate readinesses(gateway, vehicles, viewer \\ :anybody), to: Readiness, as: :all
 
   @doc "The latest events of a vehicle, or of `:all`, oldest first."
   @spec events(Names.gateway(), String.t() | :all, keyword()) :: [Event.t()]

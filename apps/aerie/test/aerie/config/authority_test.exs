@@ -74,6 +74,7 @@ defmodule Aerie.Config.AuthorityTest do
       {"policy.geofence_file", %{}, fence(dir, "inclusion"), fence(dir, "exclusion"),
        &decide(&1, "goto", %{"lat" => 47.0005, "lon" => 8.0005, "altitude" => 50})},
       {"policy.takeoff_battery", %{}, 0.2, 0.3, takeoff},
+      {"policy.ready_battery", %{}, 0.2, 0.3, &compiled(&1).ready_battery},
       {"policy.modes.denied", %{}, ["ACRO"], ["RTL"], &decide(&1, "set_mode", %{"mode" => "ACRO"})},
       {"policy.modes.transitions", %{}, %{"STABILIZE" => ["ACRO"]}, %{"STABILIZE" => ["RTL"]},
        &decide(&1, "set_mode", %{"mode" => "ACRO"})},

@@ -291,5 +291,21 @@ defmodule Aerie.Fleet.Shadow do
     with {fields, _document} <- Documents.reported(gateway, vehicle), do: fields, else: (nil -> %{})
   end
 
+  @doc """
+  The states of those of these fields that are wanted of a vehicle; `:unseen`: wanted, and no loop of this gateway
+  reports it.
+  """
+  @spec wanted(Names.gateway(), String.t(), [String.t()]) :: %{String.t() => atom()}
+  def wanted(gateway, vehicle, paths) do
+    case gateway |> Documents.document(vehicle) |> Document.live(now()) |> Map.take(paths) do
+      none when none == %{} ->
+        %{}
+
+      wanted ->
+        report = report(gateway, vehicle)
+        Map.new(wanted, fn {path, _entry} -> {path, get_in(report, [path, :state]) || :unseen} end)
+    end
+  end
+
   defp now, do: System.os_time(:microsecond)
 end

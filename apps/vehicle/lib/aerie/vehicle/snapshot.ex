@@ -21,7 +21,7 @@ defmodule Aerie.Vehicle.Snapshot do
 
   alias Aerie.Base.Geo.Earth
   alias Aerie.Vehicle.Protocol.Kind
-  alias Aerie.Vehicle.Snapshot.Fields
+  alias Aerie.Vehicle.Snapshot.{Arming, Fields, Readiness}
   alias Aerie.Vehicle.State
   alias Aerie.Vehicle.State.Group
 
@@ -112,6 +112,24 @@ defmodule Aerie.Vehicle.Snapshot do
   @doc "A vehicle in a form. What is not known is null; a value that no longer comes stays, with its age."
   @spec show(t(), Fields.form(), Fields.context()) :: %{atom() => term()}
   defdelegate show(vehicle, form, context), to: Fields
+
+  @type readiness :: Readiness.t()
+
+  @doc "What prevents it from arming, by its snapshot and its latest events."
+  @spec arming(t(), [Aerie.Vehicle.Event.t()], now :: integer()) :: Arming.t()
+  defdelegate arming(vehicle, events, now), to: Arming, as: :of
+
+  @doc "A sensor's name for people: `3d_gyro` is `3D gyro`."
+  @spec sensor(String.t()) :: String.t()
+  defdelegate sensor(name), to: Arming
+
+  @doc "Whether it is ready to take off, point by point, by its snapshot and what is known beside it."
+  @spec readiness(t(), Readiness.beside()) :: Readiness.t()
+  defdelegate readiness(vehicle, beside), to: Readiness, as: :of
+
+  @doc "What is shown of that."
+  @spec readiness_fields() :: [Aerie.Base.Json.Object.t()]
+  defdelegate readiness_fields, to: Readiness.Points, as: :fields
 
   @doc "The metres over the ground from the vehicle to a place in degrees; nil if one of both is not known."
   @spec distance(t(), {lat :: number(), lon :: number()} | nil) :: float() | nil

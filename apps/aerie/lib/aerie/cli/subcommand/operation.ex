@@ -35,7 +35,9 @@ defmodule Aerie.CLI.Subcommand.Operation do
   defp name(operation), do: String.replace(operation.name, ".", " ")
 
   defp row(operation, route) do
-    {required, optional} = Enum.split_with(fields(operation), & &1.required)
+    {required, optional} =
+      operation |> fields() |> Enum.reject(&(&1.key in route.omit)) |> Enum.split_with(& &1.required)
+
     named = for name <- places(operation, route), do: {argument(name), "its #{name}"}
 
     yes = if changes?(operation, route), do: [{:yes, :boolean, nil, "do not ask for confirmation"}], else: []

@@ -103,12 +103,13 @@ defmodule Aerie.Api.Rest.View do
   @doc "The whole status: one object per vehicle, one per link, NATS, and the gateway's identity."
   @spec status(term()) :: map()
   def status(gateway) do
-    context = context(gateway)
+    vehicles = Fleet.vehicles(gateway)
+    context = context(gateway, vehicles)
 
     Object.show(@status, %{
       timestamp: context.now / 1_000_000,
       epoch: Fleet.epoch(gateway),
-      vehicles: for(vehicle <- Fleet.vehicles(gateway), do: Snapshot.show(vehicle, :listed, context)),
+      vehicles: for(vehicle <- vehicles, do: Snapshot.show(vehicle, :listed, context)),
       links:
         for(
           {_id, link} <- Enum.sort(context.links),
@@ -120,9 +121,13 @@ defmodule Aerie.Api.Rest.View do
     })
   end
 
-  defp context(gateway) do
-    links = Map.new(Store.links(gateway), &{&1.id, &1})
-    %{now: System.os_time(:microsecond), links: links, tags: Shadow.tags(gateway)}
+  defp context(gateway, vehicles) do
+    %{
+      now: System.os_time(:microsecond),
+      links: Map.new(Store.links(gateway), &{&1.id, &1}),
+      tags: Shadow.tags(gateway),
+      readiness: Fleet.readinesses(gateway, vehicles)
+    }
   end
 
   @doc "All vehicles, as in `status/1`; only those with a tag unless it is nil."
@@ -138,7 +143,7 @@ defmodule Aerie.Api.Rest.View do
   @spec vehicle(term(), String.t()) :: map() | nil
   def vehicle(gateway, id) do
     with %{} = vehicle <- Fleet.vehicle(gateway, id),
-         do: Snapshot.show(vehicle, :whole, context(gateway))
+         do: Snapshot.show(vehicle, :whole, context(gateway, [vehicle]))
   end
 
   @doc "The conditions of `Aerie.Fleet.Diagnosis`, the most serious first."

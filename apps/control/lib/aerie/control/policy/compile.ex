@@ -62,6 +62,7 @@ defmodule Aerie.Control.Policy.Compile do
            min_altitude: section.min_altitude,
            max_altitude_msl: section.max_altitude_msl,
            takeoff_battery: section.takeoff_battery,
+           ready_battery: section.ready_battery,
            fence: fence,
            modes: modes,
            conditions: conditions |> Enum.concat() |> Enum.into(Condition.defaults()),

@@ -8,6 +8,7 @@ defmodule Aerie.Fleet.Operations.Requests do
     Aerie.Fleet.Operations.Requests.List,
     Aerie.Fleet.Operations.Requests.Begin,
     Aerie.Fleet.Operations.Requests.Get,
-    Aerie.Fleet.Operations.Requests.Stop
+    Aerie.Fleet.Operations.Requests.Stop,
+    Aerie.Fleet.Operations.Requests.Readiness
   ]
 end

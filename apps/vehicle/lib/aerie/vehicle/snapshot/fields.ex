@@ -16,18 +16,21 @@ defmodule Aerie.Vehicle.Snapshot.Fields do
   alias Aerie.Vehicle.Firmware
   alias Aerie.Vehicle.State.Fields
   alias Aerie.Vehicle.Snapshot
+  alias Aerie.Vehicle.Snapshot.Readiness
+  alias Aerie.Vehicle.Snapshot.Readiness.Points
   alias Aerie.Vehicle.Services.{Gcs, Reports, Timesync}
   alias Aerie.Vehicle.Services.Streams.WantedMessage
   alias Aerie.Vehicle.State.Groups
 
   @typedoc """
   `:now` - unix microseconds; `:links` - the snapshots of the gateway's links by id; `:tags` - the tags of all
-  vehicles by id, which the short form does not need
+  vehicles by id and `:readiness` - their readiness, which the short form does not need
   """
   @type context :: %{
           required(:now) => integer(),
           required(:links) => %{optional(term()) => map()},
-          optional(:tags) => %{String.t() => [String.t()]}
+          optional(:tags) => %{String.t() => [String.t()]},
+          optional(:readiness) => %{String.t() => Readiness.t()}
         }
   @type form :: :short | :listed | :whole
 
@@ -102,7 +105,9 @@ defmodule Aerie.Vehicle.Snapshot.Fields do
   listed = [
     {:recording, {:object, MavRouter.Recorder.fields()}, nil, "how it is recorded (recordings.md):"},
     {:tags, {:list, :text}, nil, "words that people gave it (shadow.md)"},
-    {:gateways, {:list, :text}, nil, "the other gateways that report it"}
+    {:gateways, {:list, :text}, nil, "the other gateways that report it"},
+    {:readiness, {:one_of, Points.states()}, nil,
+     "whether it is ready to take off, with reasons in `GET /api/vehicles/ID/readiness` (fleet.md)"}
   ]
 
   whole = [
@@ -155,6 +160,8 @@ defmodule Aerie.Vehicle.Snapshot.Fields do
 
   defp value(%{name: :mode}, vehicle, _at), do: text(Snapshot.data(vehicle, :mode)[:mode])
   defp value(%{name: :tags}, vehicle, at), do: Map.get(at.tags, vehicle.id, [])
+
+  defp value(%{name: :readiness}, vehicle, at), do: get_in(at, [:readiness, vehicle.id, :state])
 
   defp value(%{name: :ages}, vehicle, at),
     do: Map.new(@part_names, &{&1, age(vehicle.groups[&1][:at], at.clock)})

@@ -4,14 +4,15 @@ defmodule Aerie.Console.Pages.Vehicle.Health do
 
   import Aerie.Console.Pages.Vehicle.GroupCard
 
+  alias Aerie.Vehicle.Snapshot
   alias Aerie.Console.Commands.EntryList
   alias Aerie.Console.Pages.Vehicle.View
   alias Aerie.Console.Pages.Vehicle.Control.Actions
-  alias Aerie.Console.Pages.Vehicle.Health.{Arming, Calibration}
+  alias Aerie.Console.Pages.Vehicle.Health.Calibration
 
   attr :view, View, required: true
   attr :user, :map, required: true
-  attr :arming, :map, required: true, doc: "`t:Aerie.Console.Pages.Vehicle.Health.Arming.t/0`"
+  attr :arming, :map, required: true, doc: "of `Aerie.Vehicle.Snapshot.arming/3`"
   attr :calibrations, :list, required: true, doc: "lives of calibrations"
   attr :workshop, :string, required: true, doc: "why the vehicle may not be calibrated now, nil if it may"
   attr :now, :integer, required: true
@@ -45,7 +46,7 @@ defmodule Aerie.Console.Pages.Vehicle.Health do
         <h2 id="sensors-title">Sensors</h2>
         <p :if={@sensors == nil} class="muted">Not reported by the vehicle</p>
         <p :if={@sensors == []}><.badge kind="ok">all healthy</.badge></p>
-        <ul :if={@sensors not in [nil, []]} class="reasons"><li :for={name <- @sensors} :key={name}><.icon name="alert" /> {Arming.sensor(name)}</li></ul>
+        <ul :if={@sensors not in [nil, []]} class="reasons"><li :for={name <- @sensors} :key={name}><.icon name="alert" /> {Snapshot.sensor(name)}</li></ul>
         <dl class="facts">
           <div class="fact"><dt>Vibration</dt><dd>{View.text(@view, [:health, :vibration])}</dd></div>
           <div class="fact"><dt>Clipping</dt><dd>{View.text(@view, [:health, :clipping])}</dd></div>

@@ -18,7 +18,7 @@ defmodule Aerie.Console.Pages.Vehicle.Page do
   alias Aerie.Fleet
   alias Aerie.Fleet.Inspector
   alias MavRouter.Link
-  alias Aerie.Vehicle.Command
+  alias Aerie.Vehicle.{Command, Snapshot}
   alias Aerie.Control.Policy
   alias Aerie.Console.Commands.{Courses, Entry, EntryList, Submit}
   alias Aerie.Console.Pages.Fleet.Plans
@@ -26,7 +26,6 @@ defmodule Aerie.Console.Pages.Vehicle.Page do
 
   alias Aerie.Console.Pages.Vehicle.Header
   alias Aerie.Console.Pages.Vehicle.Control.{Actions, CommandCheck, ControlBanner}
-  alias Aerie.Console.Pages.Vehicle.Health.Arming
   alias Aerie.Console.Pages.Vehicle.Fly.Instruments
   alias Aerie.Console.Pages.Vehicle.LinkTable.Links
   alias Aerie.Console.Pages.Vehicle.{Section, Sections}
@@ -256,7 +255,7 @@ defmodule Aerie.Console.Pages.Vehicle.Page do
 
     obstacles =
       with %View{} = view <- type && assigns.view,
-           do: Obstacles.of(type, view, Arming.of(view.vehicle, assigns.events, view.now)),
+           do: Obstacles.of(type, view, Snapshot.arming(view.vehicle, assigns.events, view.now)),
            else: (_none -> [])
 
     assign(socket, answer: CommandCheck.of(assigns), obstacles: obstacles)

@@ -2,12 +2,12 @@ defmodule Aerie.Console.Pages.Vehicle.Section do
   @moduledoc "The chosen section of a vehicle's page, from the page's assigns."
   use Aerie.Console, :component
 
-  alias Aerie.Vehicle.Firmware
+  alias Aerie.Vehicle.{Firmware, Snapshot}
   alias Aerie.Console.Commands.{Catalog, EntryList, Form, Panel}
   alias Aerie.Console.Map.Tiles
 
   alias Aerie.Console.Pages.Vehicle.{Charts, Events, Fly, Health, LinkTable}
-  alias Aerie.Console.Pages.Vehicle.Health.{Arming, Calibration}
+  alias Aerie.Console.Pages.Vehicle.Health.Calibration
   alias Aerie.Console.Pages.Vehicle.Control.CommandCheck
   alias Aerie.Console.Pages.Vehicle.Sections
   alias Aerie.Console.Pages.Vehicle.Events.Timeline
@@ -74,7 +74,7 @@ defmodule Aerie.Console.Pages.Vehicle.Section do
     <Health.health
       view={@view}
       user={@user}
-      arming={Arming.of(@view.vehicle, @events, @now)}
+      arming={Snapshot.arming(@view.vehicle, @events, @now)}
       workshop={CommandCheck.workshop(assigns)}
       calibrations={Enum.filter(@lives, &Calibration.command?(&1.name))}
       now={@now}

@@ -2,9 +2,8 @@ defmodule Aerie.Console.Pages.Vehicle.PartsTest do
   @moduledoc "What the vehicle's page shows, out of snapshots and events made by hand."
   use ExUnit.Case, async: true
 
-  alias Aerie.Vehicle.Event
+  alias Aerie.Vehicle.{Event, Snapshot}
   alias Aerie.Console.Pages.Vehicle.View
-  alias Aerie.Console.Pages.Vehicle.Health.Arming
   alias Aerie.Console.Pages.Vehicle.Fly.Instruments
   alias Aerie.Console.Pages.Vehicle.LinkTable.Links
   alias Aerie.Console.Pages.Vehicle.Charts.Series
@@ -110,10 +109,10 @@ defmodule Aerie.Console.Pages.Vehicle.PartsTest do
                "3D gyro is unhealthy",
                "gps is unhealthy"
              ]
-           } = Arming.of(vehicle(health: health, mode: %{armed: false}), events, @now)
+           } = Snapshot.arming(vehicle(health: health, mode: %{armed: false}), events, @now)
 
-    assert %{reasons: []} = Arming.of(vehicle(health: health, mode: %{armed: true}), events, @now)
-    assert %{ready: nil, reasons: []} = Arming.of(vehicle([]), [], @now)
+    assert %{reasons: []} = Snapshot.arming(vehicle(health: health, mode: %{armed: true}), events, @now)
+    assert %{ready: nil, reasons: []} = Snapshot.arming(vehicle([]), [], @now)
   end
 
   test "the time line: newest first, by severity and text" do

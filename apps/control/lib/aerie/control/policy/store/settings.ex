@@ -36,6 +36,14 @@ defmodule Aerie.Control.Policy.Store.Settings do
           "Share of its charge that a battery must have for arming, and for whatever may make the vehicle take off.",
           example: "0.3"
 
+  setting :ready_battery,
+          {:number, 0, 1},
+          """
+          Share of its charge below which a vehicle is shown as not ready (docs/fleet.md). No command is refused for it
+          alone.
+          """,
+          default: 0.4
+
   setting :modes, {:section, mode_fields()}, "Which modes may be asked for."
 
   setting :conditions,

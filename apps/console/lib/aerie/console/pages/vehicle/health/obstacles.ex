@@ -7,14 +7,13 @@ defmodule Aerie.Console.Pages.Vehicle.Health.Obstacles do
   alias Aerie.Vehicle.{Firmware, Snapshot}
   alias Aerie.Console.UI.Age
   alias Aerie.Console.Pages.Vehicle.View
-  alias Aerie.Console.Pages.Vehicle.Health.Arming
 
   @in_flight ~w(goto orbit set_altitude set_yaw hold land rtl)
   @missions ~w(mission_start resume)
   @calming ~w(hold rtl land disarm force_disarm terminate)
 
   @doc "In words, the most important first; `[]` if nothing is known against it."
-  @spec of(String.t(), View.t(), Arming.t()) :: [String.t()]
+  @spec of(String.t(), View.t(), arming :: map()) :: [String.t()]
   def of(type, %View{vehicle: vehicle} = view, arming) do
     state = %{
       status: vehicle.status,

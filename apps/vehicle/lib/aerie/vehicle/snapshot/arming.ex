@@ -1,4 +1,4 @@
-defmodule Aerie.Console.Pages.Vehicle.Health.Arming do
+defmodule Aerie.Vehicle.Snapshot.Arming do
   @moduledoc """
   What prevents a vehicle from arming: PX4's failing checks, ArduPilot's pre-arm texts, unhealthy sensors. Pure.
   """

@@ -66,6 +66,8 @@ defmodule Aerie.Vehicle.Snapshot.Readiness do
   defp check(:link, %{status: :lost}, _beside), do: {:not_ready, "It is lost."}
   defp check(:link, %{status: :stale}, _beside), do: {:not_ready, "It is not heard at present."}
 
+  defp check(:link, %{collision: %{}}, _beside), do: {:not_ready, "Others send under its id."}
+
   defp check(:link, %{high_latency: %{only?: true}}, _beside),
     do: {:check, "Only slow links reach it, such as a satellite's."}
 
@@ -129,7 +131,10 @@ defmodule Aerie.Vehicle.Snapshot.Readiness do
   end
 
   defp check(:arming, vehicle, %{events: events, clock: clock}) do
+    failsafe? = Snapshot.data(vehicle, :mode)[:failsafe] == true
+
     case Arming.of(vehicle, events, clock) do
+      _any when failsafe? -> {:not_ready, "It reports a failsafe or an emergency."}
       %{armed: true} -> {:check, "It is armed."}
       %{ready: false, reasons: []} -> {:not_ready, "Its arming checks fail; it does not say which."}
       %{ready: false, reasons: reasons} -> {:not_ready, sentence(reasons)}

@@ -100,6 +100,7 @@ defmodule Aerie.Vehicle.Snapshot.ReadinessTest do
     late = vehicle(:px4, [], %{last_heard: @now - 3_500_000})
     assert %{state: :check, text: "It was last heard 3 s ago."} = point(of(late), :link)
     assert state(of(%{late | status: :lost}), :link) == :not_ready
+    assert state(of(vehicle(:px4, [], %{collision: %{at: @now}})), :link) == :not_ready
     assert state(of(vehicle(:px4, [], %{high_latency: %{only?: true}})), :link) == :check
   end
 
@@ -148,6 +149,7 @@ defmodule Aerie.Vehicle.Snapshot.ReadinessTest do
 
     assert state(of(vehicle(:inav, health: %{ready_to_arm: nil})), :arming) == :unknown
     assert state(of(vehicle(:px4, mode: %{armed: true})), :arming) == :check
+    assert state(of(vehicle(:px4, mode: %{failsafe: true})), :arming) == :not_ready
   end
 
   test "a mode in which it cannot be armed is named with the one to set, and one in the air is not ready" do

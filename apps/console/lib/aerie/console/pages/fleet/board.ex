@@ -110,7 +110,7 @@ defmodule Aerie.Console.Pages.Fleet.Board do
   end
 
   # What a page shows at once.
-  defp urgent(row), do: {row.state, row.mode, row.problems, row.holder}
+  defp urgent(row), do: {row.state, row.mode, row.problems, row.readiness, row.holder}
 
   @doc "What a page has not seen yet: of all rows, or of those with something `:urgent` unless vehicles came or went."
   @spec news(t(), seen(), :all | :urgent) :: news()

@@ -5,14 +5,15 @@ defmodule Aerie.Console.Pages.Fleet.Filter do
 
   alias Aerie.Console.Pages.Fleet.Board.Row
 
-  @flags ~w(armed air stale problem)a
+  @flags ~w(armed air unready stale problem)a
   @max 64
 
   defstruct search: "", type: nil, firmware: nil, tag: nil, flags: []
 
   @typedoc """
     * `:search` - words, each of which must occur in the id, the mode, the type or a tag, or be the system id
-    * `:flags` - `:armed`, `:air` (in the air), `:stale` (stale or lost), `:problem`; all must apply
+    * `:flags` - `:armed`, `:air` (in the air), `:unready` (on the ground, not ready or unknown), `:stale` (stale
+      or lost), `:problem`; all must apply
   """
   @type t :: %__MODULE__{
           search: String.t(),
@@ -24,7 +25,14 @@ defmodule Aerie.Console.Pages.Fleet.Filter do
 
   @doc "The flags with their labels."
   @spec flags() :: [{String.t(), String.t()}]
-  def flags, do: [{"armed", "Armed"}, {"air", "In air"}, {"stale", "Stale"}, {"problem", "Has problems"}]
+  def flags,
+    do: [
+      {"armed", "Armed"},
+      {"air", "In air"},
+      {"unready", "Not ready"},
+      {"stale", "Stale"},
+      {"problem", "Has problems"}
+    ]
 
   @doc "The filter in an address. Unknown parameters are ignored."
   @spec parse(map()) :: t()
@@ -73,6 +81,7 @@ defmodule Aerie.Console.Pages.Fleet.Filter do
 
   defp flag?(:armed, row), do: row.armed == true
   defp flag?(:air, row), do: row.in_air == true
+  defp flag?(:unready, row), do: row.readiness in [:not_ready, :unknown]
   defp flag?(:stale, row), do: row.status != :online
   defp flag?(:problem, row), do: row.problems != []
 

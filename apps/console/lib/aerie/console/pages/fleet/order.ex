@@ -48,6 +48,10 @@ defmodule Aerie.Console.Pages.Fleet.Order do
   defp value(row, "age"), do: row.silent_us
 
   # The worst first.
+  defp value(%{readiness: state} = row, "problems") when state in [:not_ready, :unknown, :check],
+    do: {Enum.find_index([:not_ready, :unknown, :check], &(&1 == state)), List.first(row.open)}
+
   defp value(%{problems: []}, "problems"), do: nil
-  defp value(%{problems: [{severity, text} | _]}, "problems"), do: {severity != :bad, text}
+  defp value(%{problems: [{:bad, text} | _]}, "problems"), do: {0, text}
+  defp value(%{problems: [{:warn, text} | _]}, "problems"), do: {1, text}
 end

@@ -78,7 +78,7 @@ defmodule Aerie.Console.Pages.Fleet.Table do
     ~H"""
     <th scope="row" data-label="Vehicle" class="fleet-name">{flat(name(assigns))}</th>
     <td data-label="State" class="fleet-state">{flat(state(assigns))}</td>
-    <td data-label="Alarms" class="fleet-problems" title={Enum.map_join(@row.problems, ", ", &elem(&1, 1))}>{flat(problems(assigns))}</td>
+    <td data-label={if @row.readiness, do: "Readiness", else: "Alarms"} class="fleet-problems" title={wrong(@row)}>{flat(problems(assigns))}</td>
     <td data-label="Mode" class="fleet-mode" title={@row.mode}>{mode(@row.mode)}</td>
     <td data-label="Battery">{flat(battery(assigns))}</td>
     <td data-label="GPS" class={gps(@row.fix)}>{fix(@row)}</td>
@@ -106,6 +106,19 @@ defmodule Aerie.Console.Pages.Fleet.Table do
 
   defp state(assigns),
     do: ~H"<.badge kind={kind(@row.state)}>{word(@row)}</.badge><.age us={@row.silent_us} />"
+
+  defp wrong(%{readiness: nil, problems: problems}), do: Enum.map_join(problems, ", ", &elem(&1, 1))
+  defp wrong(%{open: open}), do: Enum.join(open, "\n")
+
+  # Before it is armed: whether it is ready, and how much is not.
+  defp problems(%{row: %{readiness: state}} = assigns) when state != nil do
+    ~H"""
+    <div class="fleet-worst">
+      <.readiness state={@row.readiness} />
+      <.badge :if={@row.open != []}>{length(@row.open)}</.badge>
+    </div>
+    """
+  end
 
   # The worst one, and how many more: a row keeps its height whatever is wrong.
   defp problems(assigns) do
@@ -140,7 +153,7 @@ defmodule Aerie.Console.Pages.Fleet.Table do
     ~H"""
     <.head order={@order} by="id" label="Vehicle" />
     <.head order={@order} by="state" label="State" />
-    <.head order={@order} by="problems" label="Alarms" />
+    <.head order={@order} by="problems" label="Ready, alarms" />
     <.head order={@order} by="mode" label="Mode" />
     <.head order={@order} by="battery" label="Battery" />
     <.head order={@order} by="gps" label="GPS" />

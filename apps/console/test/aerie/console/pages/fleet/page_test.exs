@@ -47,6 +47,28 @@ defmodule Aerie.Console.Pages.Fleet.PageTest do
     assert html =~ "2 vehicles"
   end
 
+  test "a row on the ground has its readiness in place of alarms, with every reason", %{console: console} do
+    ground = [mode: %{armed: false, in_air: false}, health: %{ready_to_arm: true}]
+    booted = %{time_boot_ms: 60_000, memory: %{mode_names: %{}}}
+    put_vehicle(console, "READY", ground, booted)
+    put_vehicle(console, "LOW", ground ++ [battery: %{remaining: 0.2}, gps: %{satellites: 6}], booted)
+    put_vehicle(console, "FLIES", [], booted)
+    view = open(console)
+
+    cell = fn id -> view |> element("#vehicle-#{id} td.fleet-problems") |> render() end
+    assert cell.("READY") =~ ~r/ready ready.*●.*Ready/s
+
+    assert cell.("LOW") =~
+             ~r/title="Battery: 20 % left; 40 % are wanted\.\nGPS: 6 satellites.*✕.*Not ready.*2/s
+
+    refute cell.("FLIES") =~ "ready"
+
+    view |> element("button[phx-value-flag=unready]") |> render_click()
+    assert_patch(view, "/?unready=1")
+    assert shown(view) == ["LOW"]
+    assert console |> open("/?sort=problems") |> shown() == ["LOW", "FLIES", "READY"]
+  end
+
   @tag :chromium
   test "nothing of a row is cut, whatever the firmware calls its modes", %{console: console} do
     modes =
@@ -70,6 +92,7 @@ defmodule Aerie.Console.Pages.Fleet.PageTest do
         })
 
       groups = Map.update(groups, :mode, %{mode: mode}, &Map.put(&1, :mode, mode))
+      groups = if rem(n, 5) == 0, do: put_in(groups.mode[:armed], false), else: groups
       status = Enum.at([:online, :stale, :lost], rem(n, 3))
       fields = %{key: {"main", n}, system_id: n, status: status, links: ["radio"]}
       put_vehicle(console, "V#{n}", Map.to_list(groups), fields)

@@ -145,6 +145,7 @@ defmodule Aerie.Console.Pages.Fleet.RowsTest do
             {%{"armed" => "1", "air" => "1"}, false},
             {%{"stale" => "1"}, false},
             {%{"problem" => "1"}, true},
+            {%{"unready" => "1"}, false},
             {%{"type" => "copter"}, true},
             {%{"type" => "plane"}, false},
             {%{"firmware" => "ardupilot"}, false},
@@ -169,6 +170,25 @@ defmodule Aerie.Console.Pages.Fleet.RowsTest do
       assert ids(Order.sort(rows, {"id", :asc})) == ["7", "VID-2", "VID-9", "VID-10"]
       assert ids(Order.sort(rows, {"battery", :asc})) == ["VID-10", "VID-2", "7", "VID-9"]
       assert ids(Order.sort(rows, {"battery", :desc})) == ["VID-2", "VID-10", "7", "VID-9"]
+    end
+
+    test "by alarms puts first what is not ready, and what is well last both ways" do
+      rows = [
+        row("well"),
+        row("check", readiness: :check, open: ["Mode: It cannot be armed in LAND."]),
+        row("warned", problems: [warn: "battery 25 %"]),
+        row("ready", readiness: :ready),
+        row("unready", readiness: :not_ready, open: ["GPS: No position."])
+      ]
+
+      assert ids(Order.sort(rows, {"problems", :asc})) == ~w(unready warned check ready well)
+      assert ids(Order.sort(rows, {"problems", :desc})) == ~w(check warned unready ready well)
+      shown = fn state -> Filter.shows?(Filter.parse(%{"unready" => "1"}), row("x", readiness: state)) end
+
+      assert for(state <- [:ready, :check, :not_ready, :unknown, nil], shown.(state), do: state) == [
+               :not_ready,
+               :unknown
+             ]
     end
 
     test "by state puts first who needs somebody" do

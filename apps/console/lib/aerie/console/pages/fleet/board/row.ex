@@ -37,6 +37,8 @@ defmodule Aerie.Console.Pages.Fleet.Board.Row do
     :home,
     :mission,
     :line,
+    :readiness,
+    open: [],
     problems: [],
     holder: nil,
     tags: []
@@ -52,6 +54,7 @@ defmodule Aerie.Console.Pages.Fleet.Board.Row do
     * `:on_map` - the row of `Aerie.Console.Map.Payload`; `:home` - its position there; both nil where not known
     * `:mission` - how many items it has (`:total`), and the number of the one that is flown to, counted from 1 (`:current`)
     * `:line` - the rendered row (`Aerie.Console.Pages.Fleet.Board`)
+    * `:readiness` - whether it is ready to take off, and in `:open` what is not, in words; nil while it is armed
     * `:holder` - who is in charge; nil for nobody
     * `:tags` - sorted
   """
@@ -81,24 +84,34 @@ defmodule Aerie.Console.Pages.Fleet.Board.Row do
           home: [float()] | nil,
           mission: %{total: term(), current: integer() | nil},
           line: term(),
+          readiness: :ready | :check | :not_ready | :unknown | nil,
+          open: [String.t()],
           problems: [Problems.problem()],
           holder: String.t() | nil,
           tags: [String.t()]
         }
 
   @doc """
-  The row of a snapshot. `links`: snapshots of links; `tags`: the tags of all vehicles by id; `leases`: who is in charge, by key; `now`: unix
-  microseconds.
+  The row of a snapshot. `links`: snapshots of links; `tags`: the tags of all vehicles by id; `leases`:
+  who is in charge, by key; `readiness`: of those that are not armed, by id; `now`: unix microseconds.
   """
-  @spec new(map(), [map()], %{String.t() => [String.t()]}, integer(), %{
-          Store.vehicle_key() => map()
-        }) ::
+  @spec new(
+          map(),
+          [map()],
+          %{String.t() => [String.t()]},
+          integer(),
+          %{
+            Store.vehicle_key() => map()
+          },
+          %{String.t() => map()}
+        ) ::
           t()
-  def new(vehicle, links, tags, now, leases \\ %{}) do
+  def new(vehicle, links, tags, now, leases \\ %{}, readiness \\ %{}) do
     own = for link <- links, link.id in vehicle.links, do: link
     mode = Snapshot.data(vehicle, :mode)
     battery = Snapshot.data(vehicle, :battery)
     gps = Snapshot.data(vehicle, :gps)
+    readiness = if mode[:armed] != true, do: readiness[vehicle.id]
 
     %__MODULE__{
       id: vehicle.id,
@@ -125,6 +138,8 @@ defmodule Aerie.Console.Pages.Fleet.Board.Row do
       on_map: Payload.row(vehicle),
       home: Payload.home(vehicle),
       mission: mission(vehicle, Snapshot.data(vehicle, :mission)),
+      readiness: readiness && readiness.state,
+      open: open(readiness),
       problems: Problems.of(vehicle),
       holder: with(%{holder: name} <- leases[vehicle.key], do: name),
       tags: Map.get(tags, vehicle.id, [])
@@ -147,6 +162,11 @@ defmodule Aerie.Console.Pages.Fleet.Board.Row do
       :nomatch -> [id]
     end
   end
+
+  defp open(nil), do: []
+
+  defp open(%{points: points}),
+    do: for(%{state: state, title: title, text: text} when state != :ready <- points, do: "#{title}: #{text}")
 
   defp text(mode) when is_binary(mode), do: mode
   defp text(_unknown), do: nil

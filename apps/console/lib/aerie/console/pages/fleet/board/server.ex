@@ -9,6 +9,7 @@ defmodule Aerie.Console.Pages.Fleet.Board.Server do
   alias Aerie.Control.Policy
   alias Aerie.Fleet
   alias Aerie.Fleet.Shadow
+  alias Aerie.Vehicle.Snapshot
   alias Aerie.Console.Pages.Fleet.{Board, Table}
   alias Aerie.Console.Pages.Fleet.Board.Row
 
@@ -16,6 +17,7 @@ defmodule Aerie.Console.Pages.Fleet.Board.Server do
   # late they ask, because what is read between two notices would be old at the next one.
   @again_ms 100
   @fresh_ms 200
+  @ready_ms 1_000
 
   @doc "Options: `:gateway`."
   @spec start_link(keyword()) :: GenServer.on_start()
@@ -33,7 +35,7 @@ defmodule Aerie.Console.Pages.Fleet.Board.Server do
   @impl GenServer
   def init(options) do
     Process.set_label({:console_board, options[:gateway]})
-    {:ok, %{gateway: options[:gateway], board: Board.new(), read: nil, drawn: %{}}}
+    {:ok, %{gateway: options[:gateway], board: Board.new(), read: nil, drawn: %{}, ready: {nil, %{}}}}
   end
 
   @impl GenServer
@@ -42,17 +44,29 @@ defmodule Aerie.Console.Pages.Fleet.Board.Server do
     on_map = Board.on_map(state.board, seen)
     enough = if on_map == state.board.version, do: @again_ms, else: @fresh_ms
     fresh? = age == :recent and state.read != nil and now - state.read < enough
-    state = if fresh?, do: state, else: %{state | board: read(state), read: now, drawn: %{}}
+    state = if fresh?, do: state, else: read(state, now, age)
     state = update_in(state.drawn, &Map.put_new_lazy(&1, on_map, fn -> Board.drawn(state.board, seen) end))
     {:reply, state.board |> Board.news(seen, which) |> Map.put(:drawn, state.drawn[on_map]), state}
   end
 
-  defp read(%{gateway: gateway, board: board}) do
+  defp read(%{gateway: gateway, board: board} = state, at, age) do
     now = System.os_time(:microsecond)
     links = Store.links(gateway)
     tags = Shadow.tags(gateway)
     leases = Policy.control_leases(gateway)
-    rows = for vehicle <- Fleet.vehicles(gateway), do: Row.new(vehicle, links, tags, now, leases)
-    Board.put(board, rows, Shadow.all_tags(tags), &Table.line/1)
+    vehicles = Fleet.vehicles(gateway)
+    {_then, readiness} = ready = ready(state, vehicles, at, age)
+    rows = for vehicle <- vehicles, do: Row.new(vehicle, links, tags, now, leases, readiness)
+    board = Board.put(board, rows, Shadow.all_tags(tags), &Table.line/1)
+    %{state | board: board, read: at, drawn: %{}, ready: ready}
+  end
+
+  # It costs more than a row, and nobody needs it more often.
+  defp ready(%{gateway: gateway, ready: {then, known}}, vehicles, at, age) do
+    if age == :recent and then != nil and at - then < @ready_ms do
+      {then, known}
+    else
+      {at, Fleet.readinesses(gateway, Enum.reject(vehicles, &Snapshot.data(&1, :mode)[:armed]))}
+    end
   end
 end

@@ -68,7 +68,8 @@ defmodule Aerie.SystemCase do
       "outbox" => dir.("outbox"),
       "console" => dir.("console"),
       "params" => dir.("params"),
-      "shadow" => dir.("shadow")
+      "shadow" => dir.("shadow"),
+      "tracks" => dir.("tracks")
     }
   end
 

@@ -23,7 +23,7 @@ defmodule Aerie.System.DamagedStartTest do
             unquote(damage) != :folder or not (path =~ "/nats/" or Path.basename(path) == "owner"),
             do: path
 
-      assert Enum.count(files, &(Path.basename(&1) == "FORMAT")) == 2
+      assert Enum.count(files, &(Path.basename(&1) == "FORMAT")) == 3
       Enum.each(files, &damage(&1, unquote(damage)))
       %{gateway: gateway} = start(folder)
 
@@ -35,8 +35,12 @@ defmodule Aerie.System.DamagedStartTest do
         "a diagnosis"
       )
 
-      for dir <- ~w(outbox shadow),
-          do: assert(File.read!(Path.join([folder, dir, "FORMAT"])) == "aerie-#{dir} 1\n")
+      for dir <- ~w(outbox shadow tracks),
+          do:
+            eventually(
+              fn -> File.read(Path.join([folder, dir, "FORMAT"])) == {:ok, "aerie-#{dir} 1\n"} end,
+              dir
+            )
     end
   end
 

@@ -17,7 +17,7 @@ defmodule Aerie.System.SupervisionTest do
 
   test "every killed process, supervisors included, restarts without ending the gateway", %{tmp_dir: folder} do
     top = fly(folder, "survey").gateway |> top() |> children([]) |> Enum.uniq()
-    assert length(top) == 17
+    assert length(top) == 18
 
     for {paths, n} <- top |> Enum.chunk_every(@per_gateway) |> Enum.with_index() do
       run = fly(folder, "top-#{n}")

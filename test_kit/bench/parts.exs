@@ -13,6 +13,7 @@ Code.require_file("harness.exs", __DIR__)
 defmodule PartsBench do
   alias Aerie.Base.Store
   alias Aerie.Fleet.Bridge.Message
+  alias Aerie.Fleet.Tracks
   alias Bench.{Gateway, OSProcess, Sample, Vehicles}
   alias Aerie.Console.Pages.Fleet.Table
   alias Aerie.Console.Pages.Fleet.Board.Row
@@ -65,6 +66,14 @@ defmodule PartsBench do
         do: Bench.Table.row([kind, round(cost)])
   end
 
+  # Each is the first one of a minute, which is the most that a second costs.
+  defp second(now) do
+    samples =
+      for vehicle <- Aerie.Fleet.vehicles(@gateway), do: {vehicle.id, Tracks.Sample.of(vehicle, [], now)}
+
+    Tracks.Core.handle(Tracks.Core.new(), {:tick, div(now, 1000), samples})
+  end
+
   defp steps do
     Bench.Table.head(["step", "us", "reductions"])
     [vehicle | _others] = Store.vehicles(@gateway)
@@ -78,7 +87,8 @@ defmodule PartsBench do
           {"store: read a vehicle's snapshot", fn -> Store.vehicle(@gateway, vehicle.key) end},
           {"NATS: the text of a state group", fn -> text.(group) end},
           {"console: a row of the fleet's table", fn -> Row.new(vehicle, [], %{}, now, %{}) end},
-          {"console: its rendered line", fn -> Table.line(row) end}
+          {"console: its rendered line", fn -> Table.line(row) end},
+          {"tracks: a second of all vehicles", fn -> second(now) end}
         ] do
       repeated = fn -> Enum.each(1..@times, fn _time -> fun.() end) end
       best = Task.async(fn -> Enum.min(for _round <- 1..@rounds, do: Sample.cost(repeated)) end)

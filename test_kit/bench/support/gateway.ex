@@ -27,7 +27,7 @@ defmodule Bench.Gateway do
   @doc "The configuration with `more` keys."
   @spec config(Path.t(), [{String.t(), term()}]) :: Aerie.Config.t()
   def config(folder, more \\ []) do
-    dirs = ~w(outbox recorder signing policy.audit commands.ledger params shadow sockets console)
+    dirs = ~w(outbox recorder signing policy.audit commands.ledger params shadow sockets console tracks)
 
     Aerie.Config.default(
       for(name <- dirs, do: {name <> ".dir", Path.join(folder, name)}) ++

@@ -58,6 +58,7 @@ defmodule Aerie.Config do
           vehicles: [vehicle()],
           signing: map(),
           recorder: map(),
+          tracks: map(),
           nats: map(),
           outbox: map(),
           sampling: %{:groups => %{atom() => group()}, optional(atom()) => term()},

@@ -20,7 +20,8 @@ defmodule Aerie.Gateway do
   ├─ Aerie.Fleet.Shadow.Supervisor       desired states, which of several gateways acts
   ├─ Aerie.Fleet.Operations.Supervisor   one command or desired state for many vehicles
   ├─ MavRouter.Link.Supervisor         one tree per physical link
-  └─ Aerie.Fleet.Client.Supervisor       unix sockets of programs on this machine
+  ├─ Aerie.Fleet.Client.Supervisor       unix sockets of programs on this machine
+  └─ Aerie.Fleet.Tracks.Server       where all vehicles were
   ```
 
   A child depends only on those before it, and a restart also restarts those after it. The app's README says what each
@@ -121,10 +122,10 @@ defmodule Aerie.Gateway do
        tables: [
          Journal.table(bridge.fleet),
          StreamDemand.table(),
-         Fleet.Remote.Table.table(),
          Commands.Recent.table(),
          Policy.ControlLease.Holders.table(),
          Policy.Memory.ClientHistory.table()
+         | Fleet.Parts.tables()
        ]},
       {Aerie.Base.PubSub, []},
       {Bridge.State.LastPublished, settings: bridge},
@@ -151,9 +152,8 @@ defmodule Aerie.Gateway do
       {ReadCache.Supervisor, []},
       {Shadow.Supervisor, settings: Shadow.Settings.from(config)},
       {Operations.Supervisor, []},
-      {Link.Supervisor, settings: Link.Settings.from(config)},
-      {Aerie.Fleet.Client.Supervisor, settings: Aerie.Fleet.Client.Settings.from(config)}
-    ]
+      {Link.Supervisor, settings: Link.Settings.from(config)}
+    ] ++ Fleet.Parts.last(config)
   end
 
   # Only the policy is read again; everything else of the configuration counts from the start on.

@@ -11,7 +11,7 @@ defmodule Aerie.Fleet do
   """
 
   alias Aerie.Base.Names
-  alias Aerie.Fleet.{Operations, Shadow}
+  alias Aerie.Fleet.{Operations, Shadow, Tracks}
   alias Aerie.Fleet.Operations.Readiness
   alias Aerie.Fleet.Remote.Merge
   alias Aerie.Vehicle.{Command, Event, Snapshot}
@@ -57,6 +57,18 @@ defmodule Aerie.Fleet do
   @doc "Which start of the gateway numbers its events: it grows with each."
   @spec epoch(Names.gateway()) :: pos_integer() | nil
   defdelegate epoch(gateway), to: Journal
+
+  @doc "Where vehicles were (`Aerie.Fleet.Tracks.Reader.read/6`). Times are unix microseconds."
+  @spec tracks(
+          Names.gateway(),
+          [String.t()] | :all,
+          from :: integer(),
+          to :: integer(),
+          step_s :: pos_integer(),
+          keyword()
+        ) ::
+          {:ok, Tracks.Reader.answer()} | {:error, String.t()}
+  defdelegate tracks(gateway, ids, from, to, step_s, options \\ []), to: Tracks.Reader, as: :read
 
   @doc "What can be asked for besides commands: of vehicles, their desired state, and operations on many of them."
   @spec operations() :: [Aerie.Control.Operations.Operation.t()]

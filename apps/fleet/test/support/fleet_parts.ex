@@ -15,7 +15,7 @@ defmodule Aerie.FleetParts do
   @spec plugs(map()) :: keyword()
   def plugs(_config),
     do: [
-      tables: [Aerie.Fleet.Remote.Table.table()],
+      tables: Aerie.Fleet.Parts.tables(),
       publisher: Aerie.Fleet.Bridge,
       loops: [Aerie.Fleet.Shadow.Loop]
     ]

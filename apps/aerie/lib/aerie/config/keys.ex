@@ -17,20 +17,16 @@ defmodule Aerie.Config.Keys do
     Aerie.Vehicle.Settings,
     Aerie.Vehicle.State.Sampling.Settings,
     Aerie.Vehicle.Events.Journal.Settings,
-    Aerie.Fleet.Bridge.Settings,
-    Aerie.Fleet.Remote.Settings,
     Aerie.Control.Commands.Settings,
     Aerie.Control.Policy.Store.Settings,
     Aerie.Control.Params.Cache.Settings,
-    Aerie.Fleet.Shadow.Settings,
-    Aerie.Fleet.Client.Settings,
     Aerie.Base.Log.Settings,
     Aerie.Api.Settings,
     Aerie.Node.Settings
   ]
 
   # The order of the example file.
-  @order ~w(vehicle_id environment network mavlink links clients router vehicles signing recorder nats outbox remote sampling events
+  @order ~w(vehicle_id environment network mavlink links clients router vehicles signing recorder nats outbox remote tracks sampling events
             commands policy params shadow http console api websocket sockets shell serial timeouts limits log)a
 
   # Sections that belong to several parts.
@@ -42,7 +38,7 @@ defmodule Aerie.Config.Keys do
 
   @doc "The parts with settings."
   @spec parts() :: [module()]
-  def parts, do: @parts
+  def parts, do: @parts ++ Aerie.Fleet.Parts.settings()
 
   @doc "The top-level keys and sections, in the order of the example file."
   @spec order() :: [atom()]
@@ -51,7 +47,7 @@ defmodule Aerie.Config.Keys do
   @doc "All keys."
   @spec fields() :: [Field.t()]
   def fields do
-    @parts
+    parts()
     |> Settings.fields(@docs)
     |> Enum.sort_by(fn field -> Enum.find_index(@order, &(&1 == field.key)) end)
   end

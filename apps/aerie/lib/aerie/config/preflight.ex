@@ -21,6 +21,7 @@ defmodule Aerie.Config.Preflight do
   alias Aerie.Base.Files.Private
   alias Aerie.Fleet.Replay.Source
   alias Aerie.Fleet.Shadow.Store.LocalStore
+  alias Aerie.Fleet.Tracks
   alias Aerie.Access.Users
 
   @typedoc "Whether a port that is taken counts as free."
@@ -146,10 +147,11 @@ defmodule Aerie.Config.Preflight do
   end
 
   # This version must not use files of a newer one.
-  defp formats(%Config{outbox: outbox, shadow: shadow, commands: %{ledger: ledger}} = config) do
+  defp formats(%Config{outbox: outbox, shadow: shadow, tracks: tracks, commands: %{ledger: ledger}} = config) do
     for {key, {:error, text}} <- [
           {"outbox.dir", Format.check(outbox.dir, Outbox.format())},
           {"shadow.dir", Format.check(shadow.dir, LocalStore.format())},
+          {"tracks.dir", Format.check(tracks.dir, Tracks.Files.format())},
           {"commands.ledger.dir", Journal.check(ledger.dir)}
         ],
         do: error(config, key, "a folder that this version of Aerie can read", text)

@@ -36,5 +36,8 @@ defmodule Aerie.Gateway.Counters do
 
   @doc "All of them."
   @spec all() :: [term()]
-  def all, do: Policy.counters() ++ Commands.Metrics.counters() ++ @clients ++ @drops
+  def all,
+    do:
+      Policy.counters() ++
+        Commands.Metrics.counters() ++ Aerie.Fleet.Tracks.Metrics.counters() ++ @clients ++ @drops
 end

@@ -53,6 +53,7 @@ defmodule Aerie.Config.AuthorityTest do
     websocket.port websocket.max_clients
     sockets.dir sockets.state_hz sockets.max_clients
     shell.dir
+    tracks.enabled tracks.dir tracks.keep_h tracks.max_mb
   )
 
   @now 1_795_514_400_000_000

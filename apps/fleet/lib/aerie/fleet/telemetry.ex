@@ -17,9 +17,9 @@ defmodule Aerie.Fleet.Telemetry do
   | `[:aerie, :vehicle, :displaced]` | `lost_ms` | `vehicle`, `network`, `system`, `by` | it was lost and made room for another vehicle |
   | `[:aerie, :vehicle, :restart]` | `count` (1) | `network`, `system` | a vehicle's process tree died and was restarted |
 
-  ## Links, router, bridge, commands, shadow, ledger, policy and audit log
+  ## Links, router, bridge, commands, shadow, tracks, ledger, policy and audit log
 
-  See `Aerie.Fleet.Shadow.Metrics`, `Aerie.Control.Commands.Record`, `Aerie.Control.Ledger`, `Aerie.Control.Policy.Audit`, `Aerie.Control.Policy.Clients.MavlinkPolicy`, `MavRouter.Link`, `MavRouter.Router`, `MavRouter.Signing`, `MavRouter.Recorder` and `Aerie.Fleet.Bridge`.
+  See `Aerie.Fleet.Shadow.Metrics`, `Aerie.Fleet.Tracks.Metrics`, `Aerie.Control.Commands.Record`, `Aerie.Control.Ledger`, `Aerie.Control.Policy.Audit`, `Aerie.Control.Policy.Clients.MavlinkPolicy`, `MavRouter.Link`, `MavRouter.Router`, `MavRouter.Signing`, `MavRouter.Recorder` and `Aerie.Fleet.Bridge`.
 
       :telemetry.attach("log-events", [:aerie, :vehicle, :event], &MyLogger.handle/4, nil)
   """
@@ -66,6 +66,7 @@ defmodule Aerie.Fleet.Telemetry do
     {[:aerie, :shadow, :updated], Aerie.Fleet.Shadow.Metrics},
     {[:aerie, :shadow, :refused], Aerie.Fleet.Shadow.Metrics},
     {[:aerie, :shadow, :set], Aerie.Fleet.Shadow.Metrics},
+    {[:aerie, :tracks, :failing], Aerie.Fleet.Tracks.Metrics},
     {[:aerie, :audit, :writing], Aerie.Control.Policy.Audit},
     {[:aerie, :bridge, :server, :up], Aerie.Fleet.Bridge},
     {[:aerie, :bridge, :server, :down], Aerie.Fleet.Bridge},

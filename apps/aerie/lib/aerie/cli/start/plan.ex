@@ -14,6 +14,7 @@ defmodule Aerie.CLI.Start.Plan do
   @apart %{
     "outbox" => %{"dir" => "var/replay/outbox"},
     "shadow" => %{"dir" => "var/replay/shadow"},
+    "tracks" => %{"dir" => "var/replay/tracks"},
     "commands" => %{"ledger" => %{"dir" => "var/replay/ledger"}},
     "policy" => %{"audit" => %{"dir" => "var/replay/audit"}}
   }

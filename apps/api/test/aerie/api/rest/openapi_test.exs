@@ -51,8 +51,9 @@ defmodule Aerie.Api.Rest.OpenAPITest do
         do: assert({kind, name} in used)
   end
 
-  # What a gateway without NATS, policy, keys and commands has nothing to say of.
-  @nothing ~w(/api/policy /api/vehicles/:id/signing /api/vehicles/:id/commands/:command /api/recordings/:name)
+  # What a gateway without NATS, policy, tracks, keys and commands has nothing to say of.
+  @nothing ~w(/api/tracks /api/policy /api/vehicles/:id/signing /api/vehicles/:id/commands/:command
+              /api/recordings/:name)
 
   @tag :tmp_dir
   test "what is read is described to the last field, and nothing is described that is not there", c do

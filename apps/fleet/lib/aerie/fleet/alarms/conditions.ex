@@ -10,7 +10,7 @@ defmodule Aerie.Fleet.Alarms.Conditions do
   alias Aerie.Vehicle.Snapshot
 
   # Which conditions of the diagnosis are also alarms, and how severe.
-  @diagnosed [:two_vehicles_one_id, :overload, :noisy_link, :hub_not_confirming]
+  @diagnosed [:two_vehicles_one_id, :overload, :noisy_link, :hub_not_confirming, :tracks_failing]
   @severities %{error: :critical, warning: :warning}
 
   @doc "Conditions of a vehicle's snapshot."
@@ -50,7 +50,7 @@ defmodule Aerie.Fleet.Alarms.Conditions do
 
   @doc """
   Those of the diagnosis' conditions that are alarms: duplicate system ids, overload, damaged frames, a hub that stores
-  nothing.
+  nothing, tracks that cannot be written.
   """
   @spec diagnosed([Condition.t()]) :: [Core.condition()]
   def diagnosed(conditions) do

@@ -12,6 +12,7 @@ defmodule Aerie.Fleet.Diagnosis.Observations do
   | `:identity` | `MavRouter.Router.identity/1` |
   | `:nats`, `:nats_off?` | `Aerie.Fleet.Bridge.info/1` |
   | `:recorder` | `MavRouter.Recorder.status/1` or nil |
+  | `:tracks` | `Aerie.Fleet.Tracks.Metrics.status/1` |
   | `:audit` | why the audit log cannot be written, or nil |
   | `:ledger` | why no command is admitted, or nil (`Aerie.Control.Ledger.problem/1`) |
   | `:damaged` | files that were set aside (`Aerie.Base.Files.Damaged.list/1`) |
@@ -24,7 +25,7 @@ defmodule Aerie.Fleet.Diagnosis.Observations do
   alias Aerie.Base.Timing.HostClock
   alias Aerie.Base.Files.Damaged
   alias Aerie.Control.{Ledger, Policy}
-  alias Aerie.Fleet.Bridge
+  alias Aerie.Fleet.{Bridge, Tracks}
   alias MavRouter.{Client, Recorder, Router, Signing}
 
   @type t :: %{atom() => term()}
@@ -44,6 +45,7 @@ defmodule Aerie.Fleet.Diagnosis.Observations do
       nats: Bridge.info(gateway),
       nats_off?: Bridge.off?(gateway),
       recorder: Recorder.status(gateway),
+      tracks: Tracks.Metrics.status(gateway),
       audit: Policy.Audit.failing(gateway),
       ledger: Ledger.problem(gateway),
       damaged: Damaged.list(gateway),

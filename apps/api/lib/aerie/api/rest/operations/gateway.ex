@@ -4,7 +4,19 @@ defmodule Aerie.Api.Rest.Operations.Gateway do
   over REST and from the command line.
   """
 
-  alias Aerie.Api.Rest.Operations.{Clients, Commands, Events, Links, Log, Plans, Recordings, Rules, Signing}
+  alias Aerie.Api.Rest.Operations.{
+    Clients,
+    Commands,
+    Events,
+    Links,
+    Log,
+    Plans,
+    Recordings,
+    Rules,
+    Signing,
+    Tracks
+  }
+
   alias Aerie.Control.Operations.Operation
 
   @doc "All of them."
@@ -28,7 +40,8 @@ defmodule Aerie.Api.Rest.Operations.Gateway do
             Signing.List,
             Signing.Change,
             Events.List,
-            Plans.Store
+            Plans.Store,
+            Tracks.Get
           ] ++ Commands.modules(),
         do: %{module.operation() | module: module}
   end

@@ -12,6 +12,7 @@ defmodule Aerie.Fleet.Diagnosis.Rules.Gateway do
       own_ids_taken: "an autopilot has the gateway's own ids, so the gateway ignores it",
       clock_jump: "this machine's clock was set",
       recordings_stopped: "recordings cannot be written: the disk is full or does not work",
+      tracks_failing: "tracks cannot be written, so the console's replay has a gap",
       audit_failing: "the audit log cannot be written, so commands are denied",
       ledger_failing: "the ledger fails, so no command is accepted",
       files_damaged: "files of the gateway were damaged, and set aside",
@@ -31,6 +32,7 @@ defmodule Aerie.Fleet.Diagnosis.Rules.Gateway do
       identity(facts),
       clock(facts),
       recorder(facts),
+      tracks(facts),
       audit(facts),
       ledger(facts),
       damaged(facts),
@@ -84,6 +86,16 @@ defmodule Aerie.Fleet.Diagnosis.Rules.Gateway do
 
   defp free(%{free: bytes}) when is_integer(bytes), do: ["#{div(bytes, 1_048_576)} MB are free"]
   defp free(_unknown), do: []
+
+  defp tracks(%{tracks: %{problem: problem, dir: dir}}) when is_binary(problem) do
+    new(:tracks_failing, :warning, "tracks cannot be written, so the console's replay has a gap",
+      evidence: [problem],
+      mend:
+        "Free space on the disk of #{dir}, set tracks.dir to another folder, or switch them off (tracks.enabled: off)."
+    )
+  end
+
+  defp tracks(_facts), do: []
 
   defp audit(%{audit: nil}), do: []
 

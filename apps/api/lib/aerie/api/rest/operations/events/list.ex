@@ -3,11 +3,10 @@ defmodule Aerie.Api.Rest.Operations.Events.List do
   use Aerie.Control.Operations.Operation
 
   alias Aerie.Access.HTTP.Error
+  alias Aerie.Api.Rest.Operations.Time
   alias Aerie.Base.Json.Object
   alias Aerie.Fleet
 
-  # The end of year 9999, the last one that ISO 8601 writes with four digits.
-  @last_s 253_402_300_799
   @event Object.fields([
            {:id, :text, nil, "of two events with one id, the second is a copy"},
            {:vehicle, :text, nil, "the vehicle's id"},
@@ -26,35 +25,20 @@ defmodule Aerie.Api.Rest.Operations.Events.List do
 
   @impl true
   def operation do
+    since = Time.field(:since, "only those after this time")
+
     %Operation{
       name: "event.list",
       meaning: "Lists the latest events of a vehicle, or of all.",
       transfer?: false,
       closed?: true,
-      fields: [field(:limit, {:integer, 1, 1000}, "how many, the latest ones", default: 100), since()],
+      fields: [field(:limit, {:integer, 1, 1000}, "how many, the latest ones", default: 100), since],
       answer: @answer,
       routes: [
         get("/api/events", "The latest events of all vehicles."),
         get("/api/vehicles/:id/events", "The latest events of a vehicle.")
       ]
     }
-  end
-
-  defp since do
-    words = "a time such as 2026-11-22T10:15:00Z, or unix seconds"
-    meaning = "only those after this time: ISO 8601 with its offset, or unix seconds"
-    schema = %{anyOf: [time(), number(0, @last_s)]}
-    field(:since, {:term, &read_since/1, words}, meaning, schema: schema)
-  end
-
-  defp read_since(text) do
-    with {:error, _no_date} <- DateTime.from_iso8601(text),
-         {seconds, ""} when seconds >= 0 and seconds <= @last_s <- Float.parse(text) do
-      {:ok, round(seconds * 1_000_000)}
-    else
-      {:ok, time, _offset} -> {:ok, DateTime.to_unix(time, :microsecond)}
-      _neither -> :error
-    end
   end
 
   @impl true

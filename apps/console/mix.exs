@@ -23,5 +23,6 @@ defmodule Aerie.Console.MixProject do
     )
   end
 
-  def application, do: Aerie.Project.application([:logger, :cowboy], [:proper, :inets])
+  def application,
+    do: Aerie.Project.application([:logger, :cowboy, :crypto, :ssl, :public_key], [:proper, :inets])
 end

@@ -1,5 +1,5 @@
 // The hook of `Aerie.Console.Map.map/1`; the README in lib/aerie/console/map describes attributes and events.
-import { described } from "./map/archive.js";
+import { Base, offered } from "./map/base.js";
 import { Coastlines } from "./map/coastlines.js";
 import { bounds } from "./map/geo.js";
 import { graticule } from "./map/graticule.js";
@@ -33,8 +33,9 @@ export default {
     this.build();
     if (!document.createElement("canvas").getContext("webgl2")) return this.fail(NO_WEBGL);
     try {
-      const library = await import(npm("maplibre-gl/maplibre-gl.mjs"));
-      const tiles = await described(JSON.parse(this.el.dataset.tiles || "null"), library);
+      const [library, offer] = await Promise.all([import(npm("maplibre-gl/maplibre-gl.mjs")), offered()]);
+      this.base = new Base(this, library, offer);
+      const tiles = await this.base.tiles();
       if (!this.gone) this.open(library, tiles);
     } catch (error) {
       console.error(error);
@@ -106,8 +107,8 @@ export default {
     });
     map.touchZoomRotate.disableRotation();
     map.addControl(new ScaleControl({ maxWidth: 120 }), "bottom-left");
-    if (tiles?.attribution) this.say(tiles.attribution, this.child("map-attribution"));
     map.on("error", ({ error }) => console.warn("map:", error?.message ?? error));
+    this.base.watch(map);
     map.on("webglcontextlost", () => this.say("The map's graphics were lost; waiting for the browser to restore them.", this.notice));
     map.on("webglcontextrestored", () => this.say("", this.notice));
     map.once("load", () => this.loaded(map, tiles));
@@ -140,6 +141,7 @@ export default {
     this.say("", this.notice);
     this.say("");
     this.updated();
+    this.base.start();
     for (const [name, payload] of Object.entries(this.last)) this[name](payload);
     this.last = {};
     // For tests, and for a look from the browser's console.
@@ -163,7 +165,8 @@ export default {
       { name: "rings", label: "Range rings around the selected vehicles", toggle: true, press: () => this.showRings(!this.ringsOn) },
       { name: "measure", label: "Measure distances", toggle: true, press: () => this.setTool(this.tool === "measure" ? this.el.dataset.tool : "measure") },
     ];
-    const { bar, press } = toolbar(all.filter(({ name }) => wanted.includes(name)));
+    const layers = { name: "layers", label: "Base map", toggle: true, press: () => this.base.toggle() };
+    const { bar, press } = toolbar([...all.filter(({ name }) => wanted.includes(name)), ...(this.base.offer.layers.length ? [layers] : [])]);
     this.pressed = press;
     this.el.append(bar);
     this.showTracks(true);

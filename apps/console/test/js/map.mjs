@@ -222,6 +222,68 @@ const tasks = {
     equal("the reason", complaints.splice(0).filter((text) => text.startsWith("map: the tiles cannot be read")).length, 1);
   },
 
+  // Without a layer: an admin (`count`) is asked and says yes, others are told.
+  async base() {
+    const page = await open();
+    const foreign = [];
+    page.on("request", (request) => { if (new URL(request.url()).origin !== new URL(url).origin && !request.url().startsWith("blob:")) foreign.push(request.url()); });
+    await page.reload();
+    await ready(page);
+    const question = page.locator(".map-panel[data-name=map-question]");
+    await question.waitFor();
+    if (shots) await page.screenshot({ path: `${shots}/map-question-${name}.png` });
+    if (count !== "admin") {
+      equal("what others are told", /admin can choose/.test(await question.textContent()), true);
+      equal("what others can press", await question.locator("button, a").allTextContents(), ["Hide"]);
+      await question.locator("button").click();
+      await page.reload();
+      await ready(page);
+      equal("it is said once", await question.count(), 0);
+      return;
+    }
+    equal("the choices", await question.locator("button, a").allTextContents(), ["Use OpenStreetMap", "Stay without"]);
+    await question.getByText("Use OpenStreetMap").click();
+    await until("the tiles are drawn", () => page.evaluate(() => {
+      const { map } = document.querySelector("#fleet-map").fleetMap;
+      return map.getLayer("tiles")?.type === "raster" && map.isSourceLoaded("tiles") && map.areTilesLoaded();
+    }));
+    equal("the question is gone", await question.count(), 0);
+    equal("the attribution", await page.textContent(".map-attribution"), "© OpenStreetMap contributors");
+    if (shots) await page.screenshot({ path: `${shots}/map-osm.png` });
+    equal("requests to other hosts", foreign, []);
+  },
+
+  // Several layers, the first of which is called `count`: the keyboard chooses none, and that is remembered.
+  async layers() {
+    const page = await open();
+    await ready(page);
+    const tiles = () => page.evaluate(() => document.querySelector("#fleet-map").fleetMap.map.getSource("tiles") !== undefined);
+    equal("a layer is there", await tiles(), true);
+    await page.focus("[data-tool=layers]");
+    await page.keyboard.press("Enter");
+    equal("the choices", await page.locator(".map-panel label").allTextContents(), [count, "None"]);
+    if (shots) await page.screenshot({ path: `${shots}/map-layers.png` });
+    await page.keyboard.press("ArrowDown");
+    await until("no layer", async () => !(await tiles()));
+    equal("no attribution", await page.isVisible(".map-attribution"), false);
+    await page.keyboard.press("Escape");
+    equal("closed", await page.locator(".map-panel").count(), 0);
+    equal("the focus is back", await page.evaluate(() => document.activeElement.dataset.tool), "layers");
+    await page.reload();
+    await ready(page);
+    equal("remembered", await tiles(), false);
+    await page.click("[data-tool=layers]");
+    await page.getByText(count).click();
+    await until("the layer again", tiles);
+  },
+
+  async missing() {
+    const page = await open();
+    await ready(page);
+    await until("the map says it", async () => /cannot fetch/.test(await page.textContent(".map-status")));
+    complaints.length = 0; // the browser names each
+  },
+
   async nowebgl() {
     const page = await open();
     await page.waitForSelector("#fleet-map.map-failed");

@@ -6,14 +6,14 @@ defmodule Aerie.MapPage do
   alias ExUnit.Callbacks
 
   @doc "Does a task of `map.mjs`. Screenshots, for a look: `AERIE_SHOTS=FOLDER`."
-  @spec browse_map(Aerie.ConsoleCase.t(), String.t(), [String.t()]) :: String.t()
-  def browse_map(console, task, more \\ []) do
+  @spec browse_map(Aerie.ConsoleCase.t(), String.t(), [String.t()], atom()) :: String.t()
+  def browse_map(console, task, more \\ [], who \\ :operator) do
     shots = List.wrap(System.get_env("AERIE_SHOTS"))
 
     browse(
       console,
       "map.mjs",
-      ["operator", password(:operator), task] ++ if(more == [], do: ["-"], else: more) ++ shots
+      ["#{who}", password(who), task] ++ if(more == [], do: ["-"], else: more) ++ shots
     )
   end
 

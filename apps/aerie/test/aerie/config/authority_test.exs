@@ -49,7 +49,10 @@ defmodule Aerie.Config.AuthorityTest do
     shadow.max_tries shadow.lease_s shadow.dir shadow.buckets.desired_max_mb shadow.buckets.desired_history
     shadow.buckets.reported_max_mb shadow.buckets.reported_max_age_days shadow.buckets.plans_max_mb
     shadow.buckets.plans_max_age_days
-    http.port console.dir console.max_pages console.tiles console.tiles_attribution
+    http.port console.dir console.max_pages console.map.dir console.map.cache_mb
+    console.map.layers[].id console.map.layers[].name console.map.layers[].kind console.map.layers[].url
+    console.map.layers[].file console.map.layers[].key_file console.map.layers[].attribution
+    console.map.layers[].min_zoom console.map.layers[].max_zoom
     websocket.port websocket.max_clients
     sockets.dir sockets.state_hz sockets.max_clients
     shell.dir
@@ -225,6 +228,7 @@ defmodule Aerie.Config.AuthorityTest do
       {"http.address", %{}, "127.0.0.1", "0.0.0.0", & &1},
       {"http.enabled", %{}, true, false, &Aerie.Api.Settings.from(&1).http.enabled},
       {"console.enabled", %{}, true, false, &Aerie.Api.Settings.from(&1).console.enabled},
+      {"console.map.openstreetmap", %{}, true, false, &Aerie.Api.Settings.from(&1).console.map.openstreetmap},
       {"websocket.enabled", %{}, true, false, &Aerie.Api.Settings.from(&1).websocket.enabled},
       {"websocket.address", %{}, "127.0.0.1", "0.0.0.0", & &1},
       {"websocket.sign", %{}, true, false, &Aerie.Api.Settings.from(&1).websocket.sign},

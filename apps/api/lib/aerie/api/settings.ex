@@ -5,6 +5,7 @@ defmodule Aerie.Api.Settings do
   import Aerie.Base.Settings.Rules
 
   alias Aerie.Base.Secret
+  alias Aerie.Api.Settings
   alias Aerie.Base.Settings.Types
   alias Aerie.Access.Keys
   alias Aerie.Access.Users
@@ -77,18 +78,13 @@ defmodule Aerie.Api.Settings do
       field(:max_pages, {:integer, 1, 10_000}, "Open pages at a time; further ones are refused.",
         default: 200
       ),
-      field(
-        :tiles,
-        :file,
-        """
-        Map tiles of your own, which the gateway serves itself: a PMTiles file, or a folder of Z/X/Y.png, .jpg, .webp or .pbf. Without
-        it the map has coastlines, borders and a graticule.
-        """,
-        example: ~S("/srv/maps/field.pmtiles")
-      ),
-      field(:tiles_attribution, :string, "What the map says about the source of its tiles.",
-        example: ~S|"(c) OpenStreetMap contributors"|
-      )
+      %{
+        section(:map, "What the map stands on.", Settings.Map.fields())
+        | was: %{
+            "tiles" => "write map: {layers: [{id: field, file: FILE}]}",
+            "tiles_attribution" => "write it as attribution of the layer in map.layers"
+          }
+      }
     ]
   end
 
@@ -169,7 +165,7 @@ defmodule Aerie.Api.Settings do
        "a loopback address as long as there is no key (api.key or api.keys_file)", websocket.address},
       {websocket.enabled and http.enabled and websocket.port == http.port and websocket.port != 0,
        ["websocket", "port"], "another port than http.port", "#{websocket.port}"}
-    ])
+    ]) ++ Settings.Map.problems(console.map)
   end
 
   @impl Aerie.Base.Settings

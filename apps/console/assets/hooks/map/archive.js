@@ -6,7 +6,7 @@ const TYPES = { 1: "vector", 2: "raster", 3: "raster", 4: "raster", 5: "raster" 
 let protocol; // one for all maps of the page
 
 export async function described(tiles, { addProtocol }) {
-  if (!tiles?.archive) return tiles;
+  if (!tiles.archive) return tiles;
   try {
     protocol ??= register(addProtocol);
     const { PMTiles } = await script("pmtiles/pmtiles.js");

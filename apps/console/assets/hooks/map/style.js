@@ -15,6 +15,9 @@ export const colours = () => Object.fromEntries(COLOURS.map((name) => [name, col
 
 const source = () => ({ type: "geojson", data: collection() });
 
+const COARSE = 8; // zoom from which the coastlines are beside those of a base map
+const ONLY_COARSE = ["coast", "borders"];
+
 // `tiles`: null, or {type: "raster" | "vector", url, minzoom, maxzoom, bounds, layers}; see the README.
 export function style(c, tiles) {
   return {
@@ -31,12 +34,24 @@ export function style(c, tiles) {
       { id: "water", type: "background", paint: { "background-color": c.water } },
       { id: "land", type: "fill", source: "land", paint: { "fill-color": c.land, "fill-antialias": false } },
       ...(tiles ? tileLayers(c, tiles) : []),
-      { id: "coast", type: "line", source: "coast", paint: { "line-color": c.coast, "line-width": 1 } },
-      { id: "borders", type: "line", source: "borders", paint: { "line-color": c.border, "line-dasharray": [3, 2] } },
+      { id: "coast", type: "line", source: "coast", ...coarse(tiles), paint: { "line-color": c.coast, "line-width": 1 } },
+      { id: "borders", type: "line", source: "borders", ...coarse(tiles), paint: { "line-color": c.border, "line-dasharray": [3, 2] } },
       { id: "graticule", type: "line", source: "graticule", paint: { "line-color": c.grid, "line-width": 0.7 } },
       ...["top", "left"].map((edge) => graticuleLabels(c, edge)),
     ],
   };
+}
+
+const coarse = (tiles) => (tiles ? { maxzoom: COARSE } : {});
+
+// Other tiles below everything else of a map that is there already.
+export function swap(map, c, tiles) {
+  for (const { id, source } of map.getStyle().layers) if (source === "tiles") map.removeLayer(id);
+  if (map.getSource("tiles")) map.removeSource("tiles");
+  for (const id of ONLY_COARSE) map.setLayerZoomRange(id, 0, tiles ? COARSE : 24);
+  if (!tiles) return;
+  map.addSource("tiles", tileSource(tiles));
+  for (const layer of tileLayers(c, tiles)) map.addLayer(layer, "coast");
 }
 
 // What a change of the theme sets anew in a map that is there already.
@@ -75,9 +90,12 @@ const tileSource = ({ type, url, minzoom, maxzoom, bounds }) => ({
 // Layers of vector tiles are known by the names that the OpenMapTiles and Protomaps schemas give them; others are drawn as lines.
 const FILLS = { earth: "land", land: "land", landcover: "border", landuse: "border", park: "border", water: "water", ocean: "water", building: "coast", buildings: "coast" };
 
+// Of both schemas: a server and a folder do not say which layers their tiles have.
+const COMMON = ["earth", "land", "landcover", "landuse", "park", "water", "ocean", "waterway", "transportation", "roads", "building", "buildings", "boundary", "boundaries"];
+
 function tileLayers(c, { type, layers }) {
   if (type === "raster") return [{ id: "tiles", type: "raster", source: "tiles", paint: { "raster-fade-duration": 0 } }];
-  return (layers ?? []).map((name) => {
+  return (layers ?? COMMON).map((name) => {
     const layer = { id: `tiles-${name}`, source: "tiles", "source-layer": name };
     const colour = FILLS[name];
     if (!colour) return { ...layer, type: "line", paint: { "line-color": c.coast, "line-width": 1 } };

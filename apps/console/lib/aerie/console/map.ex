@@ -12,7 +12,6 @@ defmodule Aerie.Console.Map do
   attr :selected, :list, default: []
   attr :tool, :string, default: "select", values: ~w(select point plan)
   attr :tools, :list, default: @tools
-  attr :tiles, :map, default: nil
   attr :class, :string, default: nil
 
   @doc "The map. Its content is pushed to it."
@@ -30,7 +29,6 @@ defmodule Aerie.Console.Map do
       data-selected={JSON.encode!(@selected)}
       data-tool={@tool}
       data-tools={JSON.encode!(@tools)}
-      data-tiles={@tiles && JSON.encode!(@tiles)}
     ></div>
     """
   end

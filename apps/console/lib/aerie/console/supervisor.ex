@@ -8,7 +8,8 @@ defmodule Aerie.Console.Supervisor do
   ├─ Access.Users               owns the table of users, writes their file
   ├─ Access.Sessions            owns the table of open sessions, writes their file
   ├─ Access.Limiter             counts failed sign-ins
-  ├─ Map.Tiles                  knows the file or folder of map tiles
+  ├─ Map.Tiles                  knows the layers of the map
+  ├─ Map.Tiles.Fetcher          fetches tiles of servers, and keeps them
   ├─ Access.Launch              the token of the address that `bin/run` prints
   ├─ Alarms              the alarms, for all operators
   ├─ Aerie.Fleet.Inspector      the messages on the links, while somebody looks
@@ -43,7 +44,11 @@ defmodule Aerie.Console.Supervisor do
         {Access.Users, gateway: gateway, file: Access.Users.file(dir)},
         {Access.Sessions, gateway: gateway, file: Path.join(dir, "sessions.json")},
         {Access.Limiter, gateway: gateway},
-        {Console.Map.Tiles, gateway: gateway, path: settings.tiles, attribution: settings.tiles_attribution},
+        {Console.Map.Tiles, gateway: gateway, settings: settings.map},
+        {Console.Map.Tiles.Fetcher,
+         gateway: gateway,
+         dir: Console.Map.Tiles.cache(settings.map.dir),
+         most: settings.map.cache_mb * 1_000_000},
         {Access.Launch, gateway: gateway, file: Path.join(dir, "url")},
         {Alarms, gateway: gateway},
         {Aerie.Fleet.Inspector, gateway: gateway},

@@ -27,6 +27,7 @@ defmodule Aerie.Access.Changes.Rights do
       :make_key,
       :revoke_key,
       :change_users,
+      :change_map,
       :change_log,
       :reload_config,
       :reload_policy

@@ -18,14 +18,14 @@ defmodule Aerie.Base.Settings.Field do
 
   A key that may be left out without a default has the default nil. A list that is `filled` has an item: left out it
   means all, so an empty one would mean the opposite of what it says. `schema` describes a type that has a function
-  (`schema/1`).
+  (`schema/1`). `was`: keys beside this one that it replaced, each with what to write instead.
   """
 
   import Aerie.Base.Json.Schema,
     only: [bytes: 1, described: 3, integer: 2, nullable: 1, number: 2, text: 2, token: 0]
 
   @enforce_keys [:key, :type, :doc]
-  defstruct [:key, :type, :doc, :default, :example, :unit, :schema, required: false, filled: false]
+  defstruct [:key, :type, :doc, :default, :example, :unit, :schema, required: false, filled: false, was: %{}]
 
   @type type ::
           :string
@@ -55,7 +55,8 @@ defmodule Aerie.Base.Settings.Field do
           unit: String.t() | nil,
           schema: Aerie.Base.Json.Schema.t() | nil,
           required: boolean(),
-          filled: boolean()
+          filled: boolean(),
+          was: %{String.t() => hint :: String.t()}
         }
 
   @doc """

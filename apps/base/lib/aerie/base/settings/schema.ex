@@ -82,7 +82,9 @@ defmodule Aerie.Base.Settings.Schema do
 
     unknown =
       for {name, _value} <- Enum.sort(raw), name not in names do
-        problem(path ++ [name], "a known key", nil, did_you_mean(name, names) || known_keys(names))
+        hint = replaced(fields, name) || did_you_mean(name, names) || known_keys(names)
+
+        problem(path ++ [name], "a known key", nil, hint)
         |> Map.put(:got, "an unknown one")
       end
 
@@ -98,6 +100,8 @@ defmodule Aerie.Base.Settings.Schema do
   defp section(fields, raw, path) do
     {defaults(fields), [problem(path, Field.expected({:section, fields}), raw)]}
   end
+
+  defp replaced(fields, name), do: Enum.find_value(fields, & &1.was[name])
 
   defp known_keys(names) do
     shown = names |> Enum.take(12) |> Enum.join(", ")

@@ -70,8 +70,9 @@ defmodule Aerie.Console.HTTP.Routes do
       downloads ++
       [
         {"/assets/:version/[...]", Assets.Handler, gateway},
-        {"/tiles/archive", Tiles.Handler, Map.put(access, :archive, true)},
-        {"/tiles/:z/:x/:y", Tiles.Handler, access}
+        {"/tiles", Tiles.Handler, Map.put(access, :what, :layers)},
+        {"/tiles/:layer", Tiles.Handler, Map.put(access, :what, :archive)},
+        {"/tiles/:layer/:z/:x/:y", Tiles.Handler, Map.put(access, :what, :tile)}
       ] ++ pages
   end
 end

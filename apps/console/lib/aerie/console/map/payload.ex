@@ -6,7 +6,8 @@ defmodule Aerie.Console.Map.Payload do
   alias Aerie.Vehicle.Snapshot
 
   @typedoc """
-  `[id, lat, lon, heading, course, speed, height, kind, state, in_air]`: degrees, m/s, metres above home; nil where not known.
+  `[id, lat, lon, heading, course, speed, height, kind, state, in_air]`: degrees, m/s, metres above home; nil where
+  not known.
   """
   @type row :: [term(), ...]
   @type sent :: %{String.t() => row()}
@@ -37,7 +38,8 @@ defmodule Aerie.Console.Map.Payload do
   end
 
   @doc """
-  How a vehicle is drawn: `lost` and `stale` come first, because then nothing else is known; then `failsafe`, `armed`, `disarmed`.
+  How a vehicle is drawn: `lost` and `stale` come first, because then nothing else is known; then `failsafe`,
+  `armed`, `disarmed`.
   """
   @spec state(map()) :: :lost | :stale | :failsafe | :armed | :disarmed
   def state(%{status: status}) when status in [:lost, :stale], do: status
@@ -78,7 +80,10 @@ defmodule Aerie.Console.Map.Payload do
   def encoded(rows),
     do: %Encoded{json: IO.iodata_to_binary(["[", Enum.intersperse(rows, ","), "]"])}
 
-  @doc "Where a vehicle's home is drawn, to about a metre: vehicles that stand together share one symbol. Nil where it is not known."
+  @doc """
+  Where a vehicle's home is drawn, to about a metre: vehicles that stand together share one symbol. Nil where it is
+  not known.
+  """
   @spec home(map()) :: [float()] | nil
   def home(%{groups: %{home: %{data: %{lat: lat, lon: lon}}}}) when is_number(lat) and is_number(lon),
     do: [rounded(lat, 5), rounded(lon, 5)]

@@ -1,127 +1,199 @@
 defmodule Aerie.Console.Map.Tiles do
   @moduledoc """
-  The operator's own map tiles (`console.tiles`), served to signed-in users: a folder, whose tiles are at
-  `/tiles/Z/X/Y`, or a PMTiles file, which pages read in ranges from `/tiles/archive`. They are looked at once at
-  start; if they cannot be used, that is logged and the map does without them.
+  What the map of all pages stands on: the layers of `console.map.layers`, and OpenStreetMap once an admin has said
+  yes. Pages ask only the gateway (`Aerie.Console.Map.Tiles.Handler`), which fetches tiles of servers (`Fetcher`) and
+  keeps them. Layers that cannot be used are named in the log; the map does without them.
+
+  The answer about OpenStreetMap is in `map.json` of `console.map.dir`, and in the audit log.
   """
   use GenServer
 
   require Logger
 
+  alias Aerie.Access.{Changes, PrivateFile}
+  alias Aerie.Base.Files.Private
   alias Aerie.Base.Names
+  alias Aerie.Console.Map.Tiles.{Fetcher, Layer}
 
-  @formats %{
-    "png" => {"raster", "image/png"},
-    "jpg" => {"raster", "image/jpeg"},
-    "webp" => {"raster", "image/webp"},
-    "pbf" => {"vector", "application/x-protobuf"}
-  }
-  # The layers of both common schemas; a folder does not say which layers its vector tiles have.
-  @common ~w(earth land landcover landuse park water ocean waterway transportation roads building buildings boundary boundaries)
-  @max_zoom 24
+  @role :console_tiles
 
-  @typedoc "`:source`: the file, or the folder with the extension of its files; `:shown`: what the map gets."
-  @type t :: %{
-          source: {:archive, Path.t()} | {Path.t(), String.t()},
-          type: String.t(),
-          gzip?: boolean(),
-          shown: map()
-        }
+  @typedoc "`type`, `gzip?`: of the bytes."
+  @type tile :: %{body: binary(), type: String.t(), gzip?: boolean()}
 
-  @doc "Options: `:gateway`, `:path` (nil: none), `:attribution`."
+  @doc "Options: `:gateway`, `:settings`: `console.map`."
   @spec start_link(keyword()) :: GenServer.on_start()
   def start_link(options),
-    do: GenServer.start_link(__MODULE__, options, name: Names.via(options[:gateway], :console_tiles))
+    do: GenServer.start_link(__MODULE__, options, name: Names.via(options[:gateway], @role))
 
-  @doc "The map's description of the tiles (`tiles` of `Aerie.Console.Map.map/1`); nil without any."
-  @spec description(Names.gateway()) :: map() | nil
-  def description(gateway), do: with(%{shown: shown} <- Names.value(gateway, :console_tiles), do: shown)
+  @doc "The layers as pages learn of them, and whether somebody has to decide about OpenStreetMap."
+  @spec description(Names.gateway()) :: %{layers: [map()], ask: boolean()}
+  def description(gateway) do
+    case Names.value(gateway, @role) do
+      %{layers: layers, openstreetmap: answer} ->
+        %{layers: Enum.map(layers, & &1.shown), ask: answer == nil and layers == []}
 
-  @doc "A tile of a folder with its content type and whether it is compressed, or nil."
-  @spec tile(Names.gateway(), integer(), integer(), integer()) ::
-          {binary(), String.t(), gzip? :: boolean()} | nil
-  def tile(gateway, z, x, y) do
-    with %{source: {"" <> folder, ending}, type: type, gzip?: gzip?} <- Names.value(gateway, :console_tiles),
-         {:ok, <<_, _::binary>> = bytes} <- File.read(Path.join([folder, "#{z}", "#{x}", "#{y}.#{ending}"])) do
-      {bytes, type, gzip?}
+      nil ->
+        %{layers: [], ask: false}
+    end
+  end
+
+  @doc "For the page of settings: layers, who decided about OpenStreetMap and how, the folder, and the fetched tiles."
+  @spec status(Names.gateway()) :: map()
+  def status(gateway) do
+    case Names.value(gateway, @role) do
+      nil ->
+        %{layers: [], openstreetmap: nil, fixed?: true, dir: nil, cache_bytes: nil, servers: %{}, most: nil}
+
+      state ->
+        Map.merge(Map.delete(state, :by_id), fetched(gateway))
+    end
+  end
+
+  defp fetched(gateway) do
+    %{servers: servers, bytes: bytes} = Fetcher.status(gateway)
+    %{servers: servers, cache_bytes: bytes}
+  end
+
+  @doc "A tile of a folder or a server; nil if the layer has none there, or if there is no such layer."
+  @spec tile(Names.gateway(), id :: String.t(), {integer(), integer(), integer()}) ::
+          {:ok, tile()} | nil | {:error, String.t()}
+  def tile(gateway, id, place) do
+    with %{by_id: %{^id => layer}} = state <- Names.value(gateway, @role),
+         true <- Layer.holds?(layer, place) do
+      read(gateway, state, layer, place)
     else
       _none -> nil
     end
   end
 
-  @doc "The PMTiles file, or nil."
-  @spec archive(Names.gateway()) :: Path.t() | nil
-  def archive(gateway) do
-    with %{source: source} <- Names.value(gateway, :console_tiles),
-         do: if(match?({:archive, _path}, source), do: elem(source, 1))
+  defp read(_gateway, _state, %{source: {:folder, path, ending}} = layer, {z, x, y}) do
+    case File.read(Path.join([path, "#{z}", "#{x}", "#{y}.#{ending}"])) do
+      {:ok, <<_, _::binary>> = body} -> {:ok, %{body: body, type: layer.type, gzip?: layer.gzip?}}
+      _none -> nil
+    end
+  end
+
+  defp read(gateway, state, %{source: {:server, _url, _key}} = layer, place) do
+    case Fetcher.tile(gateway, cache(state.dir), layer, place) do
+      {:ok, %{body: ""}} -> nil
+      {:ok, entry} -> {:ok, entry}
+      error -> error
+    end
+  end
+
+  defp read(_gateway, _state, _archive, _place), do: nil
+
+  @doc "The folder of fetched tiles."
+  @spec cache(Path.t()) :: Path.t()
+  def cache(dir), do: Path.join(dir, "cache")
+
+  @doc "The PMTiles file of a layer, or nil."
+  @spec archive(Names.gateway(), id :: String.t()) :: Path.t() | nil
+  def archive(gateway, id) do
+    case Names.value(gateway, @role) do
+      %{by_id: %{^id => %{source: {:archive, path, _kind}}}} -> path
+      _none -> nil
+    end
+  end
+
+  @doc "An admin's answer: whether OpenStreetMap may be asked for tiles."
+  @spec openstreetmap(Names.gateway(), boolean(), Changes.by()) :: :ok | {:error, String.t()}
+  def openstreetmap(gateway, yes?, by), do: change(gateway, {:openstreetmap, yes?, by})
+
+  defp change(gateway, change) do
+    GenServer.call(Names.via(gateway, @role), change)
+  catch
+    :exit, _gone -> {:error, "the map cannot be changed just now; try again"}
   end
 
   @impl GenServer
   def init(options) do
     gateway = Keyword.fetch!(options, :gateway)
-    Process.set_label({:console_tiles, gateway})
-    Names.put_value(gateway, :console_tiles, open(options[:path], options[:attribution]))
-    {:ok, gateway}
+    Process.set_label({@role, gateway})
+    settings = options[:settings]
+
+    state = %{
+      gateway: gateway,
+      settings: settings,
+      # Tests put another address there.
+      osm: nil,
+      own: own(settings.layers),
+      answer: nil
+    }
+
+    {:ok, state |> remembered() |> publish()}
   end
 
-  defp open(nil, _attribution), do: nil
+  # What the configuration says stands above the answer.
+  defp remembered(%{settings: %{openstreetmap: said}} = state) when is_boolean(said),
+    do: %{state | answer: said}
 
-  defp open(path, attribution) do
-    case if(File.dir?(path), do: folder(path), else: file(path)) do
-      {:ok, tiles} ->
-        put_in(tiles.shown[:attribution], attribution)
+  defp remembered(state) do
+    read = fn path ->
+      with {:ok, text} <- PrivateFile.read(path) do
+        case JSON.decode(text) do
+          {:ok, %{"openstreetmap" => answer}} when is_boolean(answer) -> {:ok, answer}
+          _damaged -> {:error, "expected JSON with openstreetmap"}
+        end
+      end
+    end
 
-      {:error, reason} ->
-        Logger.warning("console.tiles: #{path}: #{reason}; the map does without tiles")
-        nil
+    case PrivateFile.open(state.gateway, file(state), read, "admins are asked about OpenStreetMap again", nil) do
+      {:ok, answer} -> %{state | answer: answer}
+      {:error, :enoent} -> state
+      {:error, words} -> unusable(state, words)
     end
   end
 
-  # Everything else about it is found out by the pages that read it.
-  defp file(path) do
-    case File.open(path, [:read, :binary], &IO.binread(&1, 8)) do
-      {:ok, <<"PMTiles", 3>>} ->
-        {:ok, %{source: {:archive, path}, type: nil, gzip?: false, shown: %{archive: "/tiles/archive"}}}
+  defp unusable(state, words) do
+    Logger.warning("console.map: #{words}; OpenStreetMap is off")
+    %{state | answer: false}
+  end
 
-      {:ok, <<"PMTiles", version>>} ->
-        {:error, "it is PMTiles version #{version}; only version 3 is supported"}
+  defp file(state), do: Path.join(state.settings.dir, "map.json")
 
-      {:ok, _other} ->
-        {:error, "it is not a PMTiles file"}
+  defp own(layers) do
+    for layer <- layers, {:ok, found} <- [opened(layer)], do: found
+  end
 
-      {:error, reason} ->
-        {:error, "#{:file.format_error(reason)}"}
+  defp opened(layer) do
+    with {:error, reason} <- Layer.new(layer) do
+      Logger.warning(
+        "console.map.layers, #{layer.id}: #{layer[:file]}#{if layer[:file], do: ": "}#{reason}; the map does without it"
+      )
+
+      :unusable
     end
   end
 
-  defp folder(path) do
-    zooms =
-      for name <- list(path), {z, ""} when z in 0..@max_zoom <- [Integer.parse(name)], do: z
+  defp publish(state) do
+    osm = if state.answer, do: [Layer.openstreetmap(state.osm)], else: []
+    layers = state.own ++ osm
 
-    with [_ | _] <- zooms,
-         first = Path.join(path, Integer.to_string(Enum.max(zooms))),
-         [column | _] <- list(first),
-         [tile | _] <- list(Path.join(first, column)),
-         "." <> ending <- Path.extname(tile),
-         %{^ending => {type, content}} <- @formats do
-      {low, high} = Enum.min_max(zooms)
-      gzip? = type == "vector" and match?(<<31, 139, _::binary>>, start(Path.join([first, column, tile])))
-      layers = if type == "vector", do: @common, else: []
-      shown = %{type: type, url: "/tiles/{z}/{x}/{y}", minzoom: low, maxzoom: high, layers: layers}
-      {:ok, %{source: {path, ending}, type: content, gzip?: gzip?, shown: shown}}
+    Names.put_value(state.gateway, @role, %{
+      layers: layers,
+      by_id: Map.new(layers, &{&1.id, &1}),
+      openstreetmap: state.answer,
+      fixed?: is_boolean(state.settings.openstreetmap),
+      dir: state.settings.dir,
+      most: state.settings.cache_mb * 1_000_000
+    })
+
+    state
+  end
+
+  @impl GenServer
+  def handle_call({:openstreetmap, _yes?, _by}, _from, %{settings: %{openstreetmap: said}} = state)
+      when is_boolean(said),
+      do: {:reply, {:error, "console.map.openstreetmap in the configuration says it: change it there"}, state}
+
+  def handle_call({:openstreetmap, yes?, by}, _from, state) do
+    with :ok <- Private.new_folder(state.settings.dir),
+         :ok <- Private.write(file(state), JSON.encode!(%{openstreetmap: yes?})) do
+      Changes.note(state.gateway, by, "change", %{"action" => "change_map", "openstreetmap" => yes?})
+      {:reply, :ok, publish(%{state | answer: yes?})}
     else
-      _no_tiles -> {:error, "expected a PMTiles file, or a folder of Z/X/Y.png, .jpg, .webp or .pbf"}
+      {:error, reason} -> {:reply, {:error, "#{file(state)}: #{:file.format_error(reason)}"}, state}
     end
-  end
-
-  defp list(folder) do
-    case File.ls(folder) do
-      {:ok, names} -> Enum.sort(names)
-      {:error, _reason} -> []
-    end
-  end
-
-  defp start(path) do
-    with {:ok, bytes} <- File.read(path), do: bytes
   end
 end

@@ -1,16 +1,14 @@
 defmodule Aerie.Console.Map.TilesTest do
   use Aerie.ConsoleCase, async: true
 
-  import Aerie.MapPage, only: [browse_map: 2, browse_map: 3]
+  import Aerie.MapPage, only: [browse_map: 2, browse_map: 3, browse_map: 4]
   import ExUnit.CaptureLog
 
   alias Aerie.Console.Map.Tiles
+  alias Aerie.TileServer
 
   @moduletag :tmp_dir
-  # One white pixel.
-  @png Base.decode64!(
-         "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAAAAAA6fptVAAAACklEQVR4nGP4DwABAQEAsTj2FAAAAABJRU5ErkJggg=="
-       )
+  @png Aerie.TileServer.png()
 
   defp varint(n) when n < 128, do: <<n>>
   defp varint(n), do: <<1::1, Bitwise.band(n, 127)::7, varint(div(n, 128))::binary>>
@@ -59,35 +57,70 @@ defmodule Aerie.Console.Map.TilesTest do
     {status, Map.new(headers, fn {name, value} -> {to_string(name), to_string(value)} end), body}
   end
 
-  defp signed_in(console) do
+  defp signed_in(console, who \\ :viewer) do
     session =
       Aerie.Access.Session.of_user(
         console.gateway,
-        Aerie.Access.Users.find(console.gateway, "viewer")
+        Aerie.Access.Users.find(console.gateway, Atom.to_string(who))
       )
 
     %{secret: secret, cookie: name} = console.server
     [{~c"cookie", ~c"#{name}=#{Phoenix.LiveView.Token.sign(secret, "cookie", session)}"}]
   end
 
-  defp start(dir, tiles) do
-    config = %{console: %{dir: Path.join(dir, "c"), tiles: tiles, tiles_attribution: "(c) me"}}
-    [console: console] = start_console(config: config, dir: Path.join(dir, "c"))
+  defp layer(more),
+    do: Map.merge(%{id: "own", kind: :raster, url: nil, file: nil, min_zoom: 0, max_zoom: 19}, more)
+
+  defp start(dir, layers, more \\ %{}) do
+    map = Map.merge(%{layers: Enum.map(layers, &layer/1), dir: Path.join(dir, "map")}, more)
+
+    [console: console] =
+      start_console(config: %{console: %{dir: Path.join(dir, "c"), map: map}}, dir: Path.join(dir, "c"))
+
     console
+  end
+
+  defp description(console, who \\ :viewer) do
+    {200, %{"cache-control" => "no-store"}, json} = get(console, "/tiles", signed_in(console, who))
+    JSON.decode!(json)
+  end
+
+  defp answer(console, who, json, more \\ []) do
+    {:ok, {{_, status, _}, _headers, body}} =
+      :httpc.request(
+        :post,
+        {~c"#{console.url}/tiles", more ++ signed_in(console, who), ~c"application/json", json},
+        [],
+        []
+      )
+
+    {status, to_string(body)}
   end
 
   test "ranges of a PMTiles file go to signed-in users, and the map knows its address", %{tmp_dir: dir} do
     whole = pmtiles(2, "tile!")
     path = file(dir, whole)
-    console = start(dir, path)
-    assert Tiles.description(console.gateway) == %{archive: "/tiles/archive", attribution: "(c) me"}
+    console = start(dir, [%{file: path, name: "Field", attribution: "(c) me"}])
 
-    {:ok, view, _html} = live(conn(console, :viewer), "/")
-    assert view |> element("#fleet-map") |> render() =~ "/tiles/archive"
+    assert description(console) == %{
+             "ask" => false,
+             "may" => false,
+             "layers" => [
+               %{
+                 "id" => "own",
+                 "name" => "Field",
+                 "attribution" => "(c) me",
+                 "archive" => "/tiles/own",
+                 "minzoom" => 0,
+                 "maxzoom" => 0
+               }
+             ]
+           }
 
-    assert {401, _headers, _body} = get(console, "/tiles/archive", range("0-9"))
+    assert {401, _headers, _body} = get(console, "/tiles", [])
+    assert {401, _headers, _body} = get(console, "/tiles/own", range("0-9"))
     cookie = signed_in(console)
-    get = fn range -> get(console, "/tiles/archive", range(range) ++ cookie) end
+    get = fn range -> get(console, "/tiles/own", range(range) ++ cookie) end
 
     assert {206, %{"content-range" => range, "etag" => etag}, <<"PMTiles", 3, _::binary-2>>} = get.("0-9")
     assert range == "bytes 0-9/#{byte_size(whole)}"
@@ -100,32 +133,61 @@ defmodule Aerie.Console.Map.TilesTest do
       assert {^expected, _headers, _body} = get.(range)
     end
 
-    assert {416, _headers, "ask for one range" <> _} = get(console, "/tiles/archive", cookie)
+    assert {416, _headers, "ask for one range" <> _} = get(console, "/tiles/own", cookie)
     File.write!(path, whole <> String.duplicate("x", 20_000_000))
     assert {416, _headers, _body} = get.("0-17000000")
     File.rm!(path)
     assert {404, _headers, _body} = get.("0-9")
-    assert {404, _headers, _body} = get(console, "/tiles/0/0/0", cookie)
+
+    for path <- ["/tiles/own/0/0/0", "/tiles/osm", "/tiles/x"],
+        do: assert({404, _, _} = get(console, path, cookie))
   end
 
-  describe "in a browser, a PMTiles file" do
+  describe "in a browser" do
     @describetag :chromium
 
-    test "of vectors is drawn by the names of its layers", %{tmp_dir: dir} do
+    test "a PMTiles file of vectors is drawn by the names of its layers", %{tmp_dir: dir} do
       metadata = JSON.encode!(%{vector_layers: [%{id: "water"}]})
-      console = start(dir, file(dir, pmtiles(1, water(), metadata)))
+      console = start(dir, [%{file: file(dir, pmtiles(1, water(), metadata))}])
       assert browse_map(console, "tiles", ["vector"]) =~ "ok"
     end
 
-    test "of images is drawn", %{tmp_dir: dir} do
-      console = start(dir, file(dir, pmtiles(2, @png)))
+    test "a PMTiles file of images is drawn", %{tmp_dir: dir} do
+      console = start(dir, [%{file: file(dir, pmtiles(2, @png))}])
       assert browse_map(console, "tiles", ["raster"]) =~ "ok"
     end
 
-    test "that is damaged is left out, and the map says so in the browser's log", %{tmp_dir: dir} do
-      console = start(dir, file(dir, <<"PMTiles", 3>> <> String.duplicate("x", 300)))
+    test "one that is damaged behind its header is left out, and the browser's log says so", %{tmp_dir: dir} do
+      whole = pmtiles(1, water())
+      <<header::binary-127, rest::binary>> = whole
+      console = start(dir, [%{file: file(dir, header <> String.duplicate("x", byte_size(rest)))}])
       assert browse_map(console, "notiles") =~ "ok"
     end
+
+    test "an admin says yes to OpenStreetMap, a choice is remembered, and the page asks only the gateway",
+         %{tmp_dir: dir} do
+      console = start(dir, [])
+      osm(console, TileServer.start() <> "/{z}/{x}/{y}.png")
+      assert browse_map(console, "base", ["admin"], :admin) =~ "ok"
+      # The gateway itself has asked.
+      assert_received {:asked, "/" <> _tile, %{"user-agent" => "Aerie/" <> _version}}
+      assert browse_map(console, "layers", ["OpenStreetMap"]) =~ "ok"
+    end
+
+    test "an operator reads that an admin can choose", %{tmp_dir: dir} do
+      assert browse_map(start(dir, []), "base", ["operator"]) =~ "ok"
+    end
+
+    test "the map says that tiles cannot be fetched", %{tmp_dir: dir} do
+      url = TileServer.start(fn _asked -> {500, %{}, "no"} end)
+      console = start(dir, [%{url: url <> "/{z}/{x}/{y}"}])
+      assert browse_map(console, "missing") =~ "ok"
+    end
+  end
+
+  # No test asks the real one.
+  defp osm(console, url) do
+    :sys.replace_state(Aerie.Base.Names.whereis(console.gateway, :console_tiles), &%{&1 | osm: url})
   end
 
   defp range(text), do: [{~c"range", ~c"bytes=#{text}"}]
@@ -133,46 +195,154 @@ defmodule Aerie.Console.Map.TilesTest do
   test "tiles of a folder go to signed-in users", %{tmp_dir: dir} do
     File.mkdir_p!(Path.join(dir, "tiles/0/0"))
     File.write!(Path.join(dir, "tiles/0/0/0.png"), "world")
-    console = start(dir, Path.join(dir, "tiles"))
+    console = start(dir, [%{file: Path.join(dir, "tiles")}])
 
-    assert %{type: "raster", url: "/tiles/{z}/{x}/{y}", maxzoom: 0, attribution: "(c) me"} =
+    assert %{layers: [%{type: "raster", url: "/tiles/own/{z}/{x}/{y}", maxzoom: 0}]} =
              Tiles.description(console.gateway)
 
-    assert {401, _headers, _body} = get(console, "/tiles/0/0/0", [])
+    assert {401, _headers, _body} = get(console, "/tiles/own/0/0/0", [])
     cookie = signed_in(console)
-    assert {200, %{"content-type" => "image/png"}, "world"} = get(console, "/tiles/0/0/0", cookie)
+    assert {200, %{"content-type" => "image/png"}, "world"} = get(console, "/tiles/own/0/0/0", cookie)
 
-    for path <- ["/tiles/archive", "/tiles/1/0/0", "/tiles/-1/0/0", "/tiles/0/0/x", "/tiles/0/0/99999999999"],
-        do: assert({404, _, _} = get(console, path, cookie))
-  end
-
-  test "a folder of images", %{tmp_dir: dir} do
-    File.mkdir_p!(Path.join(dir, "tiles/3/4"))
-    File.write!(Path.join(dir, "tiles/3/4/2.png"), "image")
-    gateway = make_ref()
-    start_supervised!({Tiles, gateway: gateway, path: Path.join(dir, "tiles"), attribution: nil})
-    assert %{type: "raster", minzoom: 3, maxzoom: 3} = Tiles.description(gateway)
-    assert Tiles.tile(gateway, 3, 4, 2) == {"image", "image/png", false}
-    assert Tiles.tile(gateway, 3, 4, 3) == nil
+    for path <- ~w(own own/1/0/0 own/-1/0/0 own/0/0/x own/0/0/99999999999 other/0/0/0 ../0/0/0),
+        do: assert({404, _, _} = get(console, "/tiles/" <> path, cookie))
   end
 
   test "what holds no tiles is said, and the map goes on without", %{tmp_dir: dir} do
-    for {path, reason} <- [
-          {dir, "expected a PMTiles file, or a folder"},
-          {file(dir, "PMTile", "short"), "it is not a PMTiles file"},
-          {file(dir, <<"PMTiles", 2>>, "old"), "it is PMTiles version 2; only version 3 is supported"},
-          {Path.join(dir, "nowhere"), "no such file"}
+    whole = pmtiles(2, "tile!")
+
+    for {given, reason} <- [
+          {%{file: dir}, "expected a PMTiles file, or a folder"},
+          {%{file: file(dir, "PMTile", "short")}, "it is not a PMTiles file"},
+          {%{file: file(dir, <<"PMTiles", 2>>, "old")},
+           "it is PMTiles version 2; only version 3 is supported"},
+          {%{file: file(dir, <<"PMTiles", 3>>, "head")}, "it is cut off after 8 bytes"},
+          {%{file: file(dir, binary_part(whole, 0, byte_size(whole) - 1), "cut")}, "it is cut off: "},
+          {%{file: file(dir, pmtiles(9, "x"), "odd")}, "its tiles are of an unknown type (9)"},
+          {%{file: Path.join(dir, "nowhere")}, "no such file"},
+          {%{url: "http://a/{z}/{x}/{y}/{key}", key_file: Path.join(dir, "nokey")}, "there is no such file"},
+          {%{url: "http://a/{z}/{x}/{y}/{key}", key_file: open_file(dir)}, "others can read it"}
         ] do
       gateway = make_ref()
+      settings = %{layers: [layer(given)], openstreetmap: false, dir: Path.join(dir, "map"), cache_mb: 10}
 
       log =
-        capture_log(fn ->
-          start_supervised!({Tiles, gateway: gateway, path: path, attribution: nil}, id: gateway)
-        end)
+        capture_log(fn -> start_supervised!({Tiles, gateway: gateway, settings: settings}, id: gateway) end)
 
       assert log =~ reason
-      assert Tiles.description(gateway) == nil
-      assert Tiles.archive(gateway) == nil
+      assert Tiles.description(gateway) == %{layers: [], ask: false}
+      assert Tiles.archive(gateway, "own") == nil
     end
+  end
+
+  defp open_file(dir) do
+    path = Path.join(dir, "open")
+    File.write!(path, "key")
+    File.chmod!(path, 0o644)
+    path
+  end
+
+  test "tiles of a server: fetched once, kept, asked for by ETag, shown when the server is gone",
+       %{tmp_dir: dir} do
+    key = Path.join(dir, "key")
+    File.write!(key, "s3cret\n")
+    File.chmod!(key, 0o600)
+    status = :atomics.new(1, [])
+    headers = %{"etag" => ~s("1"), "cache-control" => "max-age=1"}
+
+    url =
+      TileServer.start(fn {_path, asked} ->
+        cond do
+          :atomics.get(status, 1) == 1 -> {500, %{}, "s3cret is wrong"}
+          asked["if-none-match"] == ~s("1") -> {304, headers, ""}
+          true -> {200, headers, @png}
+        end
+      end)
+
+    console = start(dir, [%{url: url <> "/t/{z}/{x}/{y}.png?key={key}", key_file: key, max_zoom: 5}])
+    cookie = signed_in(console)
+    get = fn path -> get(console, "/tiles/own/" <> path, cookie) end
+
+    assert {200, %{"content-type" => "image/png", "x-content-type-options" => "nosniff"}, @png} =
+             get.("1/0/1")
+
+    assert_received {:asked, "/t/1/0/1.png?key=s3cret", %{"user-agent" => "Aerie/" <> _}}
+    assert {200, _headers, @png} = get.("1/0/1")
+    refute_received {:asked, _path, _headers}
+
+    # Neither beyond its zooms, nor beside the earth, nor anything else of the server.
+    for path <- ~w(6/0/0 1/2/0 1/0/2 0/0/0/0 0/0/0.png), do: assert({404, _, _} = get.(path))
+    refute_received {:asked, _path, _headers}
+
+    [path] = Path.wildcard(Path.join(dir, "map/cache/*/1/0/1"))
+    age = fn -> File.write!(path, path |> File.read!() |> String.replace(~r/"until":\d+/, ~s("until":1))) end
+    age.()
+    assert {200, _headers, @png} = get.("1/0/1")
+    assert_received {:asked, _path, %{"if-none-match" => ~s("1")}}
+    assert {200, _headers, @png} = get.("1/0/1")
+    refute_received {:asked, _path, _headers}
+
+    age.()
+    :atomics.put(status, 1, 1)
+
+    log =
+      capture_log(fn ->
+        assert {200, _headers, @png} = get.("1/0/1")
+        assert {502, _headers, text} = get.("1/1/1")
+        assert text =~ "it answered 500"
+        refute text =~ "s3cret"
+      end)
+
+    assert log =~ "it answered 500"
+    refute log =~ "s3cret"
+    refute JSON.encode!(description(console)) =~ "s3cret"
+    refute inspect(Tiles.status(console.gateway), limit: :infinity) =~ "s3cret"
+    assert %{servers: %{} = servers} = Tiles.status(console.gateway)
+    assert [%{fetched: 2, errors: 1}] = Map.values(servers)
+  end
+
+  test "OpenStreetMap waits for an admin, whose answer is kept and in the audit log", %{tmp_dir: dir} do
+    console = start(dir, [])
+    assert %{"layers" => [], "ask" => true, "may" => false} = description(console, :operator)
+    assert %{"ask" => true, "may" => true} = description(console, :admin)
+    assert {404, _headers, _body} = get(console, "/tiles/osm/0/0/0", signed_in(console))
+
+    yes = ~s({"openstreetmap": true})
+    for who <- [:viewer, :operator], do: assert({403, "an admin chooses" <> _} = answer(console, who, yes))
+    assert {403, _words} = answer(console, :admin, yes, [{~c"origin", ~c"https://evil.example"}])
+
+    for {odd, expected} <- [
+          {"{}", 400},
+          {"[", 400},
+          {~s({"openstreetmap": "yes"}), 400},
+          {String.duplicate("x", 2_000), 413}
+        ],
+        do: assert({^expected, _words} = answer(console, :admin, odd))
+
+    assert description(console, :admin)["ask"]
+
+    osm(console, TileServer.start() <> "/{z}/{x}/{y}.png")
+    assert {200, _words} = answer(console, :admin, yes)
+
+    assert %{"ask" => false, "layers" => [%{"id" => "osm", "attribution" => "© OpenStreetMap contributors"}]} =
+             description(console)
+
+    assert {200, _headers, @png} = get(console, "/tiles/osm/0/0/0", signed_in(console))
+    assert {200, _words} = answer(console, :admin, ~s({"openstreetmap": false}))
+    assert %{"ask" => false, "layers" => []} = description(console)
+    assert {404, _headers, _body} = get(console, "/tiles/osm/0/0/0", signed_in(console))
+
+    # After a restart it is known.
+    stop_supervised!({:endpoint, console.gateway})
+    gateway = make_ref()
+    settings = %{layers: [], openstreetmap: nil, dir: Path.join(dir, "map"), cache_mb: 10}
+    start_supervised!({Tiles, gateway: gateway, settings: settings})
+    assert Tiles.description(gateway) == %{layers: [], ask: false}
+  end
+
+  test "what the configuration says about OpenStreetMap is not changed here", %{tmp_dir: dir} do
+    console = start(dir, [], %{openstreetmap: false})
+    assert %{"ask" => false, "layers" => []} = description(console, :admin)
+    assert {409, "console.map.openstreetmap" <> _} = answer(console, :admin, ~s({"openstreetmap": true}))
   end
 end

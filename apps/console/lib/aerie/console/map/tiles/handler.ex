@@ -1,41 +1,85 @@
 defmodule Aerie.Console.Map.Tiles.Handler do
   @moduledoc """
-  Serves `Aerie.Console.Map.Tiles` to signed-in users: a tile, whose path consists of three numbers, or a range of the
-  PMTiles file (RFC 9110, section 14).
+  Serves `Aerie.Console.Map.Tiles` to signed-in users:
+
+    * `/tiles`: the layers, and what an admin has to decide, as JSON; a POST is an admin's answer
+    * `/tiles/LAYER/Z/X/Y`: a tile, of layers that are declared and places that they can have, so nothing else
+      can be fetched through the gateway
+    * `/tiles/LAYER`: a range of a PMTiles file (RFC 9110, section 14)
   """
 
   @behaviour :cowboy_handler
 
-  alias Aerie.Access.HTTP.{Admission, Request}
-  alias Aerie.Access.Session
+  alias Aerie.Access.HTTP.{Admission, Error, Request}
+  alias Aerie.Access.{Changes, Session}
+  alias Aerie.Access.Changes.Rights
   alias Aerie.Console.Map.Tiles
+  alias Aerie.Control.Policy.Roles
   alias Phoenix.LiveView.Cookie
 
   # More than any directory or tile has.
   @longest 16 * 1_048_576
+  @max_answer 1_000
 
   @impl :cowboy_handler
   def init(request, %{gateway: gateway, policy: policy, server: server} = state) do
-    session = Cookie.read(request, server.secret, server.cookie)
+    facts = Request.facts(request)
 
-    found =
-      with :ok <- Admission.host(policy, Request.facts(request)),
-           %{} <- Session.user(gateway, session) do
-        if state[:archive],
-          do: range(Tiles.archive(gateway), request),
-          else: tile(gateway, Enum.map([:z, :x, :y], &number(:cowboy_req.binding(&1, request))))
+    request =
+      with :ok <- Admission.host(policy, facts),
+           :ok <- Admission.origin(policy, facts),
+           %{} = user <- Session.user(gateway, Cookie.read(request, server.secret, server.cookie)) do
+        serve(state.what, :cowboy_req.method(request), gateway, user, request)
       else
-        nil -> 401
-        {:error, error} -> error.status
+        nil -> text(request, 401, "sign in first")
+        {:error, error} -> text(request, error.status, error.message)
       end
 
-    {:ok, answer(request, found), state}
+    {:ok, request, state}
   end
 
-  defp tile(gateway, [z, x, y]) when is_integer(z) and is_integer(x) and is_integer(y),
-    do: Tiles.tile(gateway, z, x, y) || 404
+  defp serve(:layers, "GET", gateway, user, request) do
+    described = Map.put(Tiles.description(gateway), :may, may?(user))
+    json = Map.put(headers("application/json"), "cache-control", "no-store")
+    :cowboy_req.reply(200, json, JSON.encode!(described), request)
+  end
 
-  defp tile(_gateway, _others), do: 404
+  defp serve(:layers, "POST", gateway, user, request) do
+    with {:may, true} <- {:may, may?(user)},
+         {:ok, bytes, request} <- Request.json(request, @max_answer),
+         {:ok, %{"openstreetmap" => yes?}} when is_boolean(yes?) <- Request.decode(bytes),
+         :ok <- Tiles.openstreetmap(gateway, yes?, by(user, request)) do
+      text(request, 200, "kept")
+    else
+      {:may, false} -> text(request, 403, "an admin chooses what the map stands on")
+      {:error, %Error{} = error, request} -> text(request, error.status, error.message)
+      {:error, words} when is_binary(words) -> text(request, 409, words)
+      _other -> text(request, 400, ~s(expected {"openstreetmap": true or false}))
+    end
+  end
+
+  defp serve(:tile, method, gateway, _user, request) when method in ["GET", "HEAD"] do
+    [id, z, x, y] = for name <- [:layer, :z, :x, :y], do: :cowboy_req.binding(name, request)
+    place = {number(z), number(x), number(y)}
+
+    case place |> Tuple.to_list() |> Enum.all?() && Tiles.tile(gateway, id, place) do
+      {:ok, tile} -> tile(request, tile)
+      {:error, words} -> text(request, 502, words)
+      _none -> text(request, 404, "no tile")
+    end
+  end
+
+  defp serve(:archive, method, gateway, _user, request) when method in ["GET", "HEAD"],
+    do: gateway |> Tiles.archive(:cowboy_req.binding(:layer, request)) |> range(request)
+
+  defp serve(_what, _method, _gateway, _user, request), do: text(request, 405, "method not allowed")
+
+  defp may?(user), do: Roles.at_least?(user.role, Rights.least(:change_map))
+
+  defp by(user, request) do
+    {peer, _port} = :cowboy_req.peer(request)
+    Changes.user(%{user: user, peer: peer})
+  end
 
   defp number(text) when byte_size(text) <= 9 do
     case Integer.parse(text) do
@@ -46,17 +90,24 @@ defmodule Aerie.Console.Map.Tiles.Handler do
 
   defp number(_long), do: nil
 
-  defp range(nil, _request), do: 404
+  defp tile(request, %{body: body, type: type, gzip?: gzip?}) do
+    more = if gzip?, do: %{"content-encoding" => "gzip"}, else: %{}
+    :cowboy_req.reply(200, Map.merge(headers(type), more), body, request)
+  end
+
+  defp range(nil, request), do: text(request, 404, "no map file")
 
   defp range(path, request) do
-    with {:ok, %File.Stat{size: size} = stat} <- File.stat(path, time: :posix),
+    with {:ok, %File.Stat{size: size, mtime: changed}} <- File.stat(path, time: :posix),
          {:bytes, [{from, to}]} when is_integer(from) and is_integer(to) <- asked(request),
          to = min(to, size - 1),
          true <- from <= to and to - from < @longest do
-      {:range, path, from, to, stat}
+      more = %{"content-range" => "bytes #{from}-#{to}/#{size}", "etag" => ~s("#{size}-#{changed}")}
+      headers = Map.merge(headers("application/vnd.pmtiles"), more)
+      :cowboy_req.reply(206, headers, {:sendfile, from, to - from + 1, path}, request)
     else
-      {:error, _posix} -> 404
-      _not_one_range -> 416
+      {:error, _posix} -> text(request, 404, "no map file")
+      _not_one_range -> text(request, 416, "ask for one range of at most #{@longest} bytes that the file has")
     end
   end
 
@@ -66,35 +117,15 @@ defmodule Aerie.Console.Map.Tiles.Handler do
     _kind, _malformed -> nil
   end
 
-  defp answer(request, {bytes, type, gzip?}) do
-    more = if gzip?, do: %{"content-encoding" => "gzip"}, else: %{}
-    :cowboy_req.reply(200, headers(type, more), bytes, request)
-  end
-
-  defp answer(request, {:range, path, from, to, %{size: size, mtime: changed}}) do
-    headers =
-      headers("application/vnd.pmtiles", %{
-        "content-range" => "bytes #{from}-#{to}/#{size}",
-        "etag" => ~s("#{size}-#{changed}")
-      })
-
-    :cowboy_req.reply(206, headers, {:sendfile, from, to - from + 1, path}, request)
-  end
-
-  defp answer(request, 416),
-    do: text(request, 416, "ask for one range of at most #{@longest} bytes that the file has")
-
-  defp answer(request, status), do: text(request, status, "no tile")
-
   defp text(request, status, text),
-    do: :cowboy_req.reply(status, %{"content-type" => "text/plain"}, text <> "\n", request)
+    do: :cowboy_req.reply(status, %{"content-type" => "text/plain; charset=utf-8"}, text <> "\n", request)
 
-  defp headers(type, more) do
-    Map.merge(more, %{
+  defp headers(type) do
+    %{
       "content-type" => type,
       "cache-control" => "private, max-age=86400",
       "x-content-type-options" => "nosniff",
       "cross-origin-resource-policy" => "same-origin"
-    })
+    }
   end
 end

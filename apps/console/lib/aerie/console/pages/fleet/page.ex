@@ -27,7 +27,7 @@ defmodule Aerie.Console.Pages.Fleet.Page do
   alias Aerie.Console.Pages.Fleet.Sequence
   alias Aerie.Console.Pages.Fleet.Actions.Tagging
 
-  alias Aerie.Console.Map.{Tiles, Zones}
+  alias Aerie.Console.Map.Zones
 
   @map "fleet-map"
   @rows_each_time 20
@@ -389,7 +389,7 @@ defmodule Aerie.Console.Pages.Fleet.Page do
           <:tab patch={Address.of(@filter, @order, "table")} current={@view == "table"} icon="list">Table ({length(@all)})</:tab>
         </.tabs>
       </div>
-      <.map id="fleet-map" class="fleet-map" label="Map of all vehicles" tiles={Tiles.description(@gateway)} selected={Selection.among(@selection, ids(@all))} follow={@follow} />
+      <.map id="fleet-map" class="fleet-map" label="Map of all vehicles" selected={Selection.among(@selection, ids(@all))} follow={@follow} />
       <section class="fleet-list" aria-label="Vehicles">
         {@tools}
         <.status all={@all} shown={length(@rows)} selected={Selection.size(@selection)} sequence={@sequence} now={now_ms()} />

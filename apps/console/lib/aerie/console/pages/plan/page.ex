@@ -20,7 +20,7 @@ defmodule Aerie.Console.Pages.Plan.Page do
   alias Aerie.Control.{Missions, Policy}
   alias Aerie.Fleet
   alias Protocols.Mission.Plan
-  alias Aerie.Console.Map.{Payload, Tiles, Zones}
+  alias Aerie.Console.Map.{Payload, Zones}
   alias Aerie.Console.Pages.Plan.{Check, Draft, Edit, MapPayload, Profile, Transfer}
   alias Aerie.Access.WorkLimit
 
@@ -349,7 +349,7 @@ defmodule Aerie.Console.Pages.Plan.Page do
     <div class="plan" id="plan" phx-hook="PlanFile">
       <h1 class="visually-hidden">Plan</h1>
       <div class="plan-left">
-        <.map id="plan-map" class="plan-map" label="Map on which the plan is drawn" tiles={Tiles.description(@gateway)} tool="plan" tools={~w(in out north fit measure)} />
+        <.map id="plan-map" class="plan-map" label="Map on which the plan is drawn" tool="plan" tools={~w(in out north fit measure)} />
         <.profile points={@profile} problems={@problems} />
       </div>
       <section class="plan-panel" aria-label="The plan">

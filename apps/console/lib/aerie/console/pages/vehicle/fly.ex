@@ -21,7 +21,6 @@ defmodule Aerie.Console.Pages.Vehicle.Fly do
   attr :following, :boolean, required: true
   attr :lines, :list, required: true
   attr :events_path, :string, required: true
-  attr :tiles, :map, required: true, doc: "the map's own, nil without any"
 
   @doc "The flight section."
   def fly(assigns) do
@@ -43,7 +42,6 @@ defmodule Aerie.Console.Pages.Vehicle.Fly do
           follow={if @following, do: @view.vehicle.id}
           selected={[@view.vehicle.id]}
           tool={if @aiming, do: "point", else: "select"}
-          tiles={@tiles}
           class="vehicle-map"
         />
         <div :if={Actions.able?("goto", assigns)} class="fly-aim">

@@ -4,7 +4,6 @@ defmodule Aerie.Console.Pages.Vehicle.Section do
 
   alias Aerie.Vehicle.{Firmware, Snapshot}
   alias Aerie.Console.Commands.{Catalog, EntryList, Form, Panel}
-  alias Aerie.Console.Map.Tiles
 
   alias Aerie.Console.Pages.Vehicle.{Charts, Events, Fly, Health, LinkTable}
   alias Aerie.Console.Pages.Vehicle.Health.Calibration
@@ -29,7 +28,6 @@ defmodule Aerie.Console.Pages.Vehicle.Section do
       following={@following}
       lines={@events |> Timeline.lines() |> Enum.take(6)}
       events_path={Sections.path(@id, "events")}
-      tiles={Tiles.description(@gateway)}
     />
     """
   end

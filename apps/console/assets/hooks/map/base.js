@@ -1,0 +1,136 @@
+// What the map stands on: the layers that the gateway offers (`/tiles`), the one that this browser shows, what its licence asks to
+// say, and the question to an admin while there is none. Nothing is loaded from elsewhere.
+import { described } from "./archive.js";
+import { swap } from "./style.js";
+
+const KEPT = "map-layer"; // the id of the layer, or NONE
+const NONE = "none";
+const ASKED = "map-base-asked";
+const MISSING = "Parts of the map are missing: the gateway cannot fetch them now.";
+
+export async function offered() {
+  try {
+    const answer = await fetch("/tiles");
+    if (!answer.ok) throw new Error(`${answer.status}`);
+    return await answer.json();
+  } catch (error) {
+    console.warn("map: the layers cannot be read:", error?.message ?? error);
+    return { layers: [], ask: false, may: false };
+  }
+}
+
+export class Base {
+  // `hook`: that of the map; `offer`: what `offered` gives.
+  constructor(hook, library, offer) {
+    Object.assign(this, { hook, library, offer });
+    this.attribution = hook.child("map-attribution");
+  }
+
+  // What style.js draws; null for nothing.
+  async tiles() {
+    const layer = this.offer.layers.find(({ id }) => id === this.chosen());
+    const tiles = layer ? await described(layer, this.library) : null;
+    this.hook.say(tiles?.attribution ?? "", this.attribution);
+    return tiles;
+  }
+
+  chosen() {
+    const kept = localStorage.getItem(KEPT);
+    return kept === NONE || this.offer.layers.some(({ id }) => id === kept) ? kept : (this.offer.layers[0]?.id ?? NONE);
+  }
+
+  // Tiles come, or do not, before the map is there.
+  watch(map) {
+    this.map = map;
+    map.on("error", ({ sourceId }) => sourceId === "tiles" && this.miss(true));
+    map.on("sourcedata", ({ sourceId, tile }) => sourceId === "tiles" && tile?.state === "loaded" && this.miss(false));
+  }
+
+  miss(missing) {
+    this.missing = missing;
+    if (missing) this.hook.say(MISSING);
+    else if (this.hook.status.textContent === MISSING) this.hook.say("");
+  }
+
+  // The map is there.
+  start() {
+    if (this.missing) this.miss(true);
+    this.show();
+  }
+
+  async choose(id) {
+    localStorage.setItem(KEPT, id);
+    this.hook.tiles = await this.tiles();
+    if (!this.hook.gone) swap(this.map, this.hook.colours(), this.hook.tiles);
+  }
+
+  show() {
+    this.panel?.remove();
+    this.panel = null;
+    this.hook.pressed("layers", false);
+    if (this.offer.ask && (this.offer.may || !sessionStorage.getItem(ASKED))) this.ask();
+  }
+
+  ask() {
+    const hide = () => { sessionStorage.setItem(ASKED, "1"); this.show(); };
+    const answer = (yes) => async () => {
+      const kept = await fetch("/tiles", { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify({ openstreetmap: yes }) });
+      if (!kept.ok) return this.panel.append(element("p", { role: "alert", textContent: await kept.text() }));
+      this.offer = await offered();
+      this.show();
+      await this.choose(this.chosen());
+    };
+    const parts = this.offer.may
+      ? [
+          element("p", { textContent: "The gateway can fetch the map of OpenStreetMap and keep what was looked at, so that it is there without internet. This page itself loads nothing from elsewhere." }),
+          button("Use OpenStreetMap", answer(true)),
+          button("Stay without", answer(false)),
+        ]
+      : [element("p", { textContent: "An admin can choose one on this map." }), button("Hide", hide)];
+    this.open("map-question", "No base map", parts);
+  }
+
+  // The layers to choose from.
+  toggle() {
+    if (this.panel?.dataset.name === "map-layers") return this.show();
+    const offers = [...this.offer.layers, { id: NONE, name: "None" }];
+    const chosen = this.chosen();
+    const radios = offers.map(({ id, name }) => {
+      const input = element("input", { type: "radio", name: `${this.hook.el.id}-layer`, value: id, checked: id === chosen });
+      input.addEventListener("change", () => this.choose(id));
+      const label = element("label");
+      label.append(input, name);
+      return label;
+    });
+    this.open("map-layers", "Base map", radios);
+    this.hook.pressed("layers", true);
+    this.panel.querySelector("input:checked").focus();
+    this.panel.addEventListener("keydown", (event) => {
+      if (event.key !== "Escape") return;
+      this.show();
+      this.hook.el.querySelector("[data-tool=layers]").focus();
+    });
+  }
+
+  open(name, title, parts) {
+    this.panel?.remove();
+    this.panel = element("section", { className: "map-panel" });
+    this.panel.dataset.name = name;
+    this.panel.setAttribute("aria-label", title);
+    this.panel.append(element("h3", { textContent: title }), ...parts);
+    this.hook.el.append(this.panel);
+  }
+}
+
+const element = (name, properties = {}) => {
+  const { role, ...others } = properties;
+  const made = Object.assign(document.createElement(name), others);
+  if (role) made.setAttribute("role", role);
+  return made;
+};
+
+function button(text, press) {
+  const made = element("button", { type: "button", className: "button", textContent: text });
+  made.addEventListener("click", press);
+  return made;
+}

@@ -151,7 +151,7 @@ defmodule Aerie.Gateway do
       {Params.Cache.Writer, settings: Params.Cache.Settings.from(config)},
       {ReadCache.Supervisor, []},
       {Shadow.Supervisor, settings: Shadow.Settings.from(config)},
-      {Operations.Supervisor, []},
+      {Operations.Supervisor, dir: Path.join(config.shadow.dir, "operations")},
       {Link.Supervisor, settings: Link.Settings.from(config)}
     ] ++ Fleet.Parts.last(config)
   end

@@ -42,6 +42,44 @@ defmodule Aerie.Fleet do
           %{String.t() => Readiness.t()}
   defdelegate readinesses(gateway, vehicles, viewer \\ :anybody), to: Readiness, as: :all
 
+  @doc "Begins an operation on many vehicles (`Aerie.Fleet.Operations.begin/4`), as all that follows in its changes."
+  @spec begin_operation(Names.gateway(), map(), Operations.source(), via :: String.t()) :: Operations.answer()
+  defdelegate begin_operation(gateway, request, source, via), to: Operations, as: :begin
+
+  @doc "Pauses, continues, stops or aborts an operation; the last by `hold`, `rtl` or `land`."
+  @spec change_operation(
+          Names.gateway(),
+          String.t(),
+          :pause | :continue | :stop | {:abort, String.t()},
+          Operations.source(),
+          String.t()
+        ) :: Operations.answer()
+  defdelegate change_operation(gateway, id, change, source, via), to: Operations, as: :change
+
+  @doc "Ends all flights that are in somebody's charge or in nobody's (`Aerie.Fleet.Operations.abort_all/4`)."
+  @spec abort_all(Names.gateway(), type :: String.t(), Operations.source(), via :: String.t()) ::
+          Operations.answer()
+  defdelegate abort_all(gateway, type, source, via), to: Operations
+
+  @doc "An operation with what became of each vehicle."
+  @spec operation(Names.gateway(), String.t()) :: Operations.answer()
+  defdelegate operation(gateway, id), to: Operations, as: :get
+  @doc "All operations that are known, the latest first, without their vehicles."
+  @spec recent_operations(Names.gateway()) :: [map()]
+  defdelegate recent_operations(gateway), to: Operations, as: :list
+
+  @doc "A refusal of an operation in words."
+  @spec refusal(Operations.refusal()) :: String.t()
+  defdelegate refusal(refusal), to: Operations, as: :text
+
+  @doc "The vehicles in the air, each with the name of its holder; nil for nobody."
+  @spec airborne(Names.gateway()) :: [{String.t(), String.t() | nil}]
+  defdelegate airborne(gateway), to: Operations
+
+  @doc "A vehicle of a take-off sequence: to `height`, and `above_m` up before the next one begins."
+  @spec take_off(Snapshot.t(), height :: number(), above_m :: number(), anyway? :: boolean()) :: map()
+  defdelegate take_off(snapshot, height, above_m, anyway? \\ false), to: Operations
+
   @doc "The latest events of a vehicle, or of `:all`, oldest first."
   @spec events(Names.gateway(), String.t() | :all, keyword()) :: [Event.t()]
   defdelegate events(gateway, vehicle, options \\ []), to: Journal, as: :recent

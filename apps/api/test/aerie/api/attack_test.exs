@@ -13,6 +13,10 @@ defmodule Aerie.Api.AttackTest do
     {"POST", "/api/plans", 403},
     {"POST", "/api/operations", 403},
     {"DELETE", "/api/operations/x", 403},
+    {"POST", "/api/operations/x/pause", 403},
+    {"POST", "/api/operations/x/continue", 403},
+    {"POST", "/api/operations/x/abort", 403},
+    {"POST", "/api/abort", 403},
     {"DELETE", "/api/vehicles/x/shadow", 403}
   ]
 

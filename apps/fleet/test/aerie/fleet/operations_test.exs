@@ -3,18 +3,23 @@ defmodule Aerie.Fleet.OperationsTest do
   use Aerie.CommandCase, async: true
 
   alias Aerie.Base.Names
+  alias Aerie.Control.Commands
+  alias Aerie.Control.Policy.Audit
   alias Aerie.Fleet.Operations
+  alias Aerie.Fleet.Operations.Readiness
   alias Aerie.Vehicle.Command.Result
 
   @moduletag :tmp_dir
   @moduletag :capture_log
   @viewer %{name: "guest", role: :viewer, permissions: []}
+  @operator %{name: "ops", role: :operator, permissions: []}
+  @other %{name: "other", role: :operator, permissions: []}
 
   setup %{tmp_dir: dir} do
     gateway = start_commands(dir)
-    start_supervised!({Operations.Supervisor, gateway: gateway})
+    start_supervised!({Operations.Supervisor, gateway: gateway, dir: Path.join(dir, "operations")})
     executors = for n <- 11..16, do: executor(gateway, n)
-    %{gateway: gateway, executors: executors}
+    %{gateway: gateway, executors: executors, kept: Path.join(dir, "operations")}
   end
 
   # A vehicle whose executor does what its id says: odd ones obey, even ones refuse.
@@ -51,7 +56,7 @@ defmodule Aerie.Fleet.OperationsTest do
   end
 
   # A command has time to be sent on a busy machine.
-  defp begin(gateway, object, source \\ %{name: "ops", role: :operator, permissions: []}) do
+  defp begin(gateway, object, source \\ @operator) do
     object = Map.merge(%{"command" => %{"type" => "rtl"}, "timeout_s" => 300}, object)
     Operations.begin(gateway, object, source)
   end
@@ -100,11 +105,11 @@ defmodule Aerie.Fleet.OperationsTest do
       match?({:ok, %{"counts" => %{"ok" => 1, "waiting" => 1}}}, Operations.get(gateway, "slow"))
     end)
 
-    assert {:error, {:role, _why}} = Operations.stop(gateway, "slow", @viewer)
-    assert {:ok, %{"state" => "stopped", "done_at" => at}} = Operations.stop(gateway, "slow")
+    assert {:error, {:role, _why}} = Operations.change(gateway, "slow", :stop, @viewer)
+    assert {:ok, %{"state" => "stopped", "done_at" => at}} = Operations.change(gateway, "slow", :stop)
     assert is_binary(at)
-    assert {:ok, %{"state" => "stopped"}} = Operations.stop(gateway, "slow")
-    assert {:error, {:unknown, _why}} = Operations.stop(gateway, "none")
+    assert {:ok, %{"state" => "stopped"}} = Operations.change(gateway, "slow", :stop)
+    assert {:error, {:unknown, _why}} = Operations.change(gateway, "none", :stop)
   end
 
   test "a tag that no vehicle has begins nothing", %{gateway: gateway} do
@@ -121,13 +126,288 @@ defmodule Aerie.Fleet.OperationsTest do
   end
 
   test "killed, it tells what it does not know; not more than eight run at once", %{gateway: gateway} do
-    slow = &%{"id" => "slow-#{&1}", "vehicles" => ["VID-011", "VID-013"], "step" => 1, "pause_s" => 3600}
+    slow =
+      &%{
+        "id" => "slow-#{&1}",
+        "vehicles" => ["VID-011", "VID-013"],
+        "step" => 1,
+        "pause_s" => 3600,
+        "command" => %{"type" => "disarm"}
+      }
+
     for n <- 1..8, do: assert({:ok, _begun} = begin(gateway, slow.(n)))
     assert {:error, {:busy, _why}} = begin(gateway, slow.(9))
+    # What ends a flight does not wait for them.
+    assert {:ok, _begun} = begin(gateway, %{"vehicles" => ["VID-011"]})
     old = Names.whereis(gateway, :operations)
     Process.exit(old, :kill)
     eventually(fn -> Names.whereis(gateway, :operations) not in [nil, old] end)
     eventually(fn -> match?({:ok, %{"state" => "interrupted"}}, Operations.get(gateway, "slow-1")) end)
     assert {:ok, _begun} = begin(gateway, slow.(9))
+  end
+
+  # --- Sequences, pauses, aborts, restarts
+
+  # What the vehicles say from now on.
+  defp vehicle(gateway, n, mode, position \\ %{}) do
+    snapshot = Store.vehicle(gateway, {"main", n})
+    now = System.os_time(:microsecond)
+    mode = %{data: Map.merge(snapshot.groups[:mode].data, mode), at: now}
+    position = %{data: Map.merge((snapshot.groups[:position] || %{data: %{}}).data, position), at: now}
+    groups = Map.merge(snapshot.groups, %{mode: mode, position: position})
+    :ok = Store.put_vehicle(gateway, {"main", n}, %{snapshot | status: :online, groups: groups})
+  end
+
+  defp one(n, steps), do: %{"vehicle" => "VID-0#{n}", "steps" => steps, "anyway" => true}
+
+  defp up(n),
+    do: one(n, [%{"type" => "arm"}, %{"type" => "takeoff", "params" => %{"altitude" => 10 + n}}, above()])
+
+  defp above, do: %{"wait" => "above", "m" => 5, "timeout_s" => 300}
+
+  defp sequence(gateway, vehicles, more \\ %{}, source \\ @operator) do
+    object =
+      Map.merge(%{"id" => "up", "name" => "Take off", "sequence" => vehicles, "timeout_s" => 300}, more)
+
+    Operations.begin(gateway, object, source)
+  end
+
+  # Each of them at a home of its own.
+  defp grounded(gateway, ns) do
+    for n <- ns do
+      place = %{lat: 47.0 + n / 1000, lon: 8.0, alt_msl: 400.0}
+      vehicle(gateway, n, %{armed: false, in_air: false}, Map.put(place, :alt_rel, 0.0))
+      home(gateway, n, place)
+    end
+  end
+
+  defp home(gateway, n, place) do
+    snapshot = Store.vehicle(gateway, {"main", n})
+    home = %{data: place, at: System.os_time(:microsecond)}
+    :ok = Store.put_vehicle(gateway, {"main", n}, put_in(snapshot.groups[:home], home))
+  end
+
+  defp state(gateway, id \\ "up"), do: gateway |> Operations.get(id) |> elem(1)
+  defp await(gateway, id \\ "up", fun), do: eventually(fn -> fun.(state(gateway, id)) end)
+
+  test "each vehicle has its own steps, and begins when the one before is up", %{gateway: gateway} do
+    grounded(gateway, [11, 13])
+    assert {:ok, %{"order" => ["VID-013", "VID-011"]}} = sequence(gateway, [up(13), up(11)])
+    assert_receive {:commanded, "VID-013", "arm"}, Aerie.Patience.ms()
+    assert_receive {:commanded, "VID-013", "takeoff"}, Aerie.Patience.ms()
+    await(gateway, &(&1["vehicles"]["VID-013"]["step"] == "wait_above"))
+    assert %{"state" => "waiting"} = state(gateway)["vehicles"]["VID-011"]
+    refute_received {:commanded, "VID-011", _type}
+    vehicle(gateway, 13, %{armed: true, in_air: true}, %{alt_rel: 6.0})
+    assert_receive {:commanded, "VID-011", "arm"}, Aerie.Patience.ms()
+    vehicle(gateway, 11, %{armed: true, in_air: true}, %{alt_rel: 6.0})
+    assert %{"state" => "done", "counts" => %{"ok" => 2}} = over(gateway, "up")
+  end
+
+  test "one that fails leaves the rest on the ground; continued, the next is not armed beside one that stands armed",
+       c do
+    grounded(c.gateway, [11, 12, 13])
+    assert {:ok, _begun} = sequence(c.gateway, [up(12), up(11), up(13)])
+    halted = over(c.gateway, "up")
+    assert %{"state" => "halted", "counts" => %{"waiting" => 2, "failed" => 1}} = halted
+    assert halted["vehicles"]["VID-012"]["reason"] == "arm: as it is"
+    # It armed after all, and stands there.
+    vehicle(c.gateway, 12, %{armed: true})
+    assert {:ok, %{"state" => "running"}} = Operations.change(c.gateway, "up", :continue, @operator)
+    await(c.gateway, &(&1["vehicles"]["VID-011"]["step"] == "wait_alone"))
+    refute_received {:commanded, "VID-011", "arm"}
+    vehicle(c.gateway, 12, %{armed: false})
+    assert_receive {:commanded, "VID-011", "arm"}, Aerie.Patience.ms()
+  end
+
+  test "a take-off is refused as a whole when one flies, another stands near, or somebody else is in charge",
+       c do
+    grounded(c.gateway, [11, 13, 15])
+    vehicle(c.gateway, 13, %{in_air: true})
+    assert {:error, {:conflict, why}} = sequence(c.gateway, [up(11), up(15), up(11)])
+    assert why =~ "VID-011 is in the sequence twice"
+    assert {:error, {:conflict, why}} = sequence(c.gateway, [up(11), up(15)], %{"step" => 2})
+    assert why =~ "step is 2, but of vehicles that arm or take off one begins at a time"
+    assert {:error, {:conflict, why}} = sequence(c.gateway, [up(11), up(13), one(99, [%{"type" => "arm"}])])
+    assert why == "nothing was begun: VID-013 is in the air; VID-099 is not known"
+    vehicle(c.gateway, 13, %{in_air: false}, %{lat: 47.011 + 2.0 / 111_000})
+    assert {:error, {:conflict, why}} = sequence(c.gateway, [up(11), up(13)])
+    assert why =~ ~r/VID-011 and VID-013 stand 2\.\d m apart, nearer than 3\.0 m/
+
+    assert {:ok, _in_charge} =
+             Commands.submit(c.gateway, vehicle: "VID-015", type: "take_control", as: @other)
+
+    assert {:error, {:conflict, why}} = sequence(c.gateway, [up(11), up(15)])
+    assert why =~ "VID-015 is in the charge of other"
+    # Two may stand as near as the request says, and a vehicle is part of one sequence.
+    assert {:ok, _begun} = sequence(c.gateway, [up(11), up(13)], %{"radius_m" => 0.5})
+    assert {:error, {:conflict, why}} = sequence(c.gateway, [up(13)], %{"id" => "other"})
+    assert why =~ "VID-013 is part of the operation up, which runs"
+    refute_received {:commanded, "VID-013", _type}
+  end
+
+  test "a take-off is refused when one is not ready, unless that is said of it, or when one changed since it was shown",
+       c do
+    grounded(c.gateway, [11, 13])
+    ready = &Atom.to_string(Readiness.of(c.gateway, &1, "ops").state)
+    refute ready.("VID-011") in ["ready", "check"]
+    assert {:error, {:conflict, why}} = sequence(c.gateway, [Map.delete(up(11), "anyway"), up(13)])
+    assert why =~ ~r/begun: VID-011 is not (ready|known to be ready): /
+    refute why =~ "VID-013"
+    shown = %{"VID-011" => "ready", "VID-013" => ready.("VID-013"), "VID-404" => "ready"}
+    assert {:error, {:conflict, why}} = sequence(c.gateway, [up(11), up(13)], %{"shown" => shown})
+    assert why == "nothing was begun: VID-011 is #{ready.("VID-011")} now, not ready"
+    hold = %{"vehicles" => ["VID-011"], "shown" => %{"VID-011" => "ready"}}
+    assert {:error, {:conflict, ^why}} = begin(c.gateway, hold)
+    refute_received {:commanded, _vehicle, _type}
+
+    assert {:ok, _begun} =
+             sequence(c.gateway, [up(11), up(13)], %{"shown" => %{shown | "VID-011" => ready.("VID-011")}})
+  end
+
+  test "paused by one operator, another may stop but not continue it; what is under way comes to its end",
+       c do
+    grounded(c.gateway, [11, 13])
+    assert {:ok, _begun} = sequence(c.gateway, [up(11), up(13)])
+    assert {:ok, %{"state" => "paused"}} = Operations.change(c.gateway, "up", :pause, @operator)
+    vehicle(c.gateway, 11, %{armed: true, in_air: true}, %{alt_rel: 6.0})
+    await(c.gateway, &(&1["counts"]["ok"] == 1))
+
+    assert {:error, {:role, "ops has paused it" <> _more}} =
+             Operations.change(c.gateway, "up", :continue, @other)
+
+    assert {:error, {:role, _viewer}} = Operations.change(c.gateway, "up", :continue, @viewer)
+    assert {:ok, %{"state" => "running"}} = Operations.change(c.gateway, "up", :continue, @operator)
+    assert_receive {:commanded, "VID-013", "arm"}, Aerie.Patience.ms()
+    assert {:ok, %{"state" => "stopped"}} = Operations.change(c.gateway, "up", :stop, @other)
+
+    assert {:error, {:conflict, "the operation up is stopped: it cannot continue"}} =
+             Operations.change(c.gateway, "up", :continue, @operator)
+  end
+
+  test "aborted by another operator, its next steps do not come, and those that had begun return", c do
+    grounded(c.gateway, [11, 13, 15])
+    assert {:ok, _begun} = sequence(c.gateway, [up(11), up(13), up(15)])
+    assert_receive {:commanded, "VID-011", "takeoff"}, Aerie.Patience.ms()
+    vehicle(c.gateway, 11, %{armed: true, in_air: true}, %{alt_rel: 6.0})
+    assert_receive {:commanded, "VID-013", "takeoff"}, Aerie.Patience.ms()
+    # It climbs already, and the page does not see it yet.
+    vehicle(c.gateway, 13, %{armed: true})
+
+    assert {:ok, %{"state" => "stopped", "then" => back}} =
+             Operations.change(c.gateway, "up", {:abort, "rtl"}, @other)
+
+    assert_receive {:commanded, "VID-011", "rtl"}, Aerie.Patience.ms()
+    assert_receive {:commanded, "VID-013", "disarm"}, Aerie.Patience.ms()
+    refute_received {:commanded, "VID-015", _type}
+    assert %{"state" => "done", "source" => "other", "counts" => %{"ok" => 2}} = over(c.gateway, back)
+    assert {:ok, %{"then" => ^back}} = Operations.change(c.gateway, "up", {:abort, "rtl"}, @operator)
+  end
+
+  test "with on_halt, those that have begun return by themselves, and be it the last that fails", c do
+    grounded(c.gateway, [11, 12])
+    assert {:ok, _begun} = sequence(c.gateway, [up(11), up(12)], %{"on_halt" => "return"})
+    assert_receive {:commanded, "VID-011", "takeoff"}, Aerie.Patience.ms()
+    vehicle(c.gateway, 11, %{armed: true, in_air: true}, %{alt_rel: 6.0})
+    await(c.gateway, &(&1["state"] == "done" and &1["then"] != nil))
+    assert_receive {:commanded, "VID-011", "rtl"}, Aerie.Patience.ms()
+  end
+
+  test "abort all: mine and nobody's that fly, whatever runs; several return at heights of their own", c do
+    grounded(c.gateway, [11, 12, 13, 15, 16])
+
+    assert {:error, {:conflict, "no vehicle in the air" <> _more}} =
+             Operations.abort_all(c.gateway, "hold", @operator)
+
+    assert {:ok, _begun} = sequence(c.gateway, [up(15), up(16)])
+    for n <- [11, 12, 13], do: vehicle(c.gateway, n, %{armed: true, in_air: true}, %{alt_rel: 50.0})
+
+    assert {:ok, _in_charge} =
+             Commands.submit(c.gateway, vehicle: "VID-013", type: "take_control", as: @other)
+
+    assert {:error, {:role, _why}} = Operations.abort_all(c.gateway, "rtl", @viewer)
+    assert {:ok, %{"id" => id, "order" => order}} = Operations.abort_all(c.gateway, "rtl", @operator)
+    assert Enum.sort(order) == ["VID-011", "VID-012", "VID-015"]
+    assert %{"state" => "stopped"} = state(c.gateway)
+    assert_receive {:commanded, "VID-011", "set_altitude"}, Aerie.Patience.ms()
+    # The one that refuses to climb is told to return all the same.
+    assert_receive {:commanded, "VID-012", "rtl"}, Aerie.Patience.ms()
+    vehicle(c.gateway, 12, %{}, %{alt_msl: 433.0})
+    assert_receive {:commanded, "VID-011", "rtl"}, Aerie.Patience.ms()
+
+    assert %{"VID-012" => %{"reason" => "set_altitude: as it is; then: rtl: as it is"}} =
+             over(c.gateway, id)["vehicles"]
+  end
+
+  test "a gateway that starts again knows who had begun, and goes on with the others only", %{
+    gateway: gateway,
+    kept: kept
+  } do
+    grounded(gateway, [11, 13, 15])
+    assert {:ok, _begun} = sequence(gateway, [up(11), up(13), up(15)])
+    vehicle(gateway, 11, %{armed: true, in_air: true}, %{alt_rel: 6.0})
+    assert_receive {:commanded, "VID-013", "arm"}, Aerie.Patience.ms()
+    assert_receive {:commanded, "VID-013", "takeoff"}, Aerie.Patience.ms()
+    restart(gateway, kept)
+    interrupted = state(gateway)
+
+    assert %{"state" => "interrupted", "source" => "ops", "counts" => %{"waiting" => 1, "ok" => 1}} =
+             interrupted
+
+    assert %{"result" => "unknown"} = interrupted["vehicles"]["VID-013"]
+    # The same request is the same operation, which begins nobody.
+    assert {:ok, %{"state" => "interrupted"}} = sequence(gateway, [up(11), up(13), up(15)])
+    refute_received {:commanded, "VID-015", _type}
+    vehicle(gateway, 13, %{armed: true, in_air: true}, %{alt_rel: 6.0})
+
+    assert {:ok, %{"state" => "running", "source" => "other"}} =
+             Operations.change(gateway, "up", :continue, @other)
+
+    assert_receive {:commanded, "VID-015", "arm"}, Aerie.Patience.ms()
+    vehicle(gateway, 15, %{armed: true, in_air: true}, %{alt_rel: 6.0})
+    assert %{"state" => "done", "counts" => %{"ok" => 2, "failed" => 1}} = over(gateway, "up")
+    refute_received {:commanded, "VID-013", "arm"}
+    restart(gateway, kept)
+    assert %{"state" => "done", "counts" => %{"ok" => 2, "failed" => 1}} = state(gateway)
+  end
+
+  test "a file that is damaged costs its own operation, and half a line what it was about", %{
+    gateway: gateway,
+    kept: kept
+  } do
+    for id <- ["a", "b", "c"],
+        do: assert({:ok, _begun} = begin(gateway, %{"id" => id, "vehicles" => ["VID-011"]}))
+
+    for id <- ["a", "b", "c"], do: over(gateway, id)
+    File.write!(Path.join(kept, "a.jsonl"), "{\"state\": ", [:append])
+    File.write!(Path.join(kept, "b.jsonl"), "nonsense\n", [:append])
+    File.write!(Path.join(kept, "x.jsonl"), "")
+    restart(gateway, kept)
+    assert [%{"id" => "c"}, %{"id" => "a"}] = gateway |> Operations.list() |> Enum.sort_by(& &1["id"], :desc)
+    assert String.ends_with?(File.read!(Path.join(kept, "a.jsonl")), "\n")
+    assert [_b, _x] = Path.wildcard(Path.join(kept, "*.damaged-*"))
+  end
+
+  # As after the end of the gateway: the store is empty.
+  defp restart(gateway, kept) do
+    :ok = stop_supervised!(Operations.Supervisor)
+    for %{"id" => id} <- Operations.list(gateway), do: Store.forget(gateway, {:operation, id})
+    start_supervised!({Operations.Supervisor, gateway: gateway, dir: kept})
+  end
+
+  test "each act is one entry of the audit log", %{gateway: gateway, tmp_dir: dir} do
+    grounded(gateway, [11, 13])
+    assert {:ok, _begun} = sequence(gateway, [up(11), up(13)])
+
+    for change <- [:pause, :continue, :stop],
+        do: assert({:ok, _now} = apply(Operations, :change, [gateway, "up", change, @operator, "console"]))
+
+    assert {:ok, _now} = Operations.change(gateway, "up", {:abort, "hold"}, @operator, "console")
+
+    eventually(fn ->
+      {:ok, %{records: records}} = Audit.page(Path.join(dir, "audit"), %{type: "operation"})
+      changes = for %{"id" => "up", "source" => "ops"} = record <- records, do: record["change"]
+      Enum.reverse(changes) == ~w(begin pause continue stop abort)
+    end)
   end
 end

@@ -8,7 +8,11 @@ defmodule Aerie.Fleet.Operations.Requests do
     Aerie.Fleet.Operations.Requests.List,
     Aerie.Fleet.Operations.Requests.Begin,
     Aerie.Fleet.Operations.Requests.Get,
+    Aerie.Fleet.Operations.Requests.Pause,
+    Aerie.Fleet.Operations.Requests.Continue,
     Aerie.Fleet.Operations.Requests.Stop,
+    Aerie.Fleet.Operations.Requests.Abort,
+    Aerie.Fleet.Operations.Requests.AbortAll,
     Aerie.Fleet.Operations.Requests.Readiness
   ]
 end

@@ -4,7 +4,7 @@ defmodule Aerie.Fleet.Operations.Schema do
   import Aerie.Base.Json.Schema
 
   alias Aerie.Base.Settings.Field
-  alias Aerie.Fleet.Operations.Request
+  alias Aerie.Fleet.Operations.{Request, Sequence}
   alias Aerie.Fleet.Shadow
   alias Aerie.Vehicle.Command
 
@@ -16,14 +16,19 @@ defmodule Aerie.Fleet.Operations.Schema do
   @doc "The request that begins one."
   @spec request() :: t()
   def request do
-    # None of them may be null.
-    all = Map.new(Request.fields(), &{&1.key, %{&1 | required: true}})
-
     kinds =
-      for {what, own} <- [command: [], shadow: [:await]], target <- [:vehicles, :tag] do
-        fields = Map.update!(all, :timeout_s, &%{&1 | schema: number(1, Request.longest_s(what))})
-        keys = [:id, :step, :pause_s, :halt_ratio, :timeout_s, what, target] ++ own
-        object(Map.new(keys, &{&1, Field.schema(fields[&1])}), [what, target])
+      for {kind, required} <- [
+            command: [:command, :vehicles],
+            command: [:command, :tag],
+            shadow: [:shadow, :vehicles],
+            shadow: [:shadow, :tag],
+            sequence: [:sequence]
+          ] do
+        # None of them may be null.
+        fields =
+          for field <- Request.fields(kind), field.key not in ([:vehicles, :tag] -- required), do: field
+
+        object(Map.new(fields, &{&1.key, Field.schema(%{&1 | required: true})}), required)
       end
 
     %{oneOf: kinds}
@@ -42,6 +47,7 @@ defmodule Aerie.Fleet.Operations.Schema do
 
     %{
       "command_of_operation" => %{oneOf: commands},
+      "step_of_operation" => Sequence.step_schema(),
       "change_of_operation" => %{change | properties: Map.delete(change.properties, :version)}
     }
   end
@@ -54,6 +60,11 @@ defmodule Aerie.Fleet.Operations.Schema do
     Field.field(:id, {:term, check, words}, "its id", required: true, schema: id_schema())
   end
 
+  @doc "The field that says how flights are ended."
+  @spec ending(default :: :hold | :rtl) :: Field.t()
+  def ending(default),
+    do: Field.field(:command, {:enum, [:hold, :rtl, :land]}, "what ends the flights", default: default)
+
   defp id_schema, do: %{type: :string, pattern: @id}
 
   @doc "The properties of an operation in answers. `vehicles?`: with what became of each vehicle."
@@ -63,27 +74,41 @@ defmodule Aerie.Fleet.Operations.Schema do
 
     vehicle =
       object(
-        %{state: %{enum: ~w(waiting under_way ok failed)}, result: %{}, reason: %{type: [:string, :null]}},
+        %{
+          state: %{enum: ~w(waiting under_way ok failed)},
+          step: described(%{type: [:string, :null]}, "of one under way in a sequence: its step"),
+          result: %{},
+          reason: %{type: [:string, :null]}
+        },
         [:state],
         open: true
       )
 
     properties = %{
       id: id_schema(),
-      state: %{enum: ~w(running done halted stopped interrupted)},
+      name: described(%{type: [:string, :null]}, "what it is called on the pages"),
+      state: %{enum: ~w(running paused done halted stopped interrupted)},
       source: described(%{type: :string}, "who began it"),
       begun_at: %{type: :string, format: :"date-time"},
       done_at: %{type: [:string, :null], format: :"date-time"},
-      what: described(what(), "its command, or its change of the desired state"),
+      what:
+        described(what(), "its command, its change of the desired state, or the steps of its first vehicle"),
       step: %{type: :integer, minimum: 1},
+      then:
+        described(%{type: [:string, :null]}, "the operation that ends the flights of those that had begun"),
       counts: object(Map.new(~w(waiting under_way ok failed)a, &{&1, count}), [], open: true)
     }
 
-    vehicles = if vehicles?, do: %{vehicles: %{type: :object, additionalProperties: vehicle}}, else: %{}
-    Map.merge(properties, vehicles)
+    vehicles = %{
+      order: described(%{type: :array, items: %{type: :string}}, "its vehicles as they begin"),
+      vehicles: %{type: :object, additionalProperties: vehicle}
+    }
+
+    Map.merge(properties, if(vehicles?, do: vehicles, else: %{}))
   end
 
   defp what do
-    %{anyOf: for({key, name} <- @what, do: object(%{key => ref(name)}, [key]))}
+    steps = object(%{sequence: %{type: :array, items: %{type: :string}}}, [:sequence])
+    %{anyOf: for({key, name} <- @what, do: object(%{key => ref(name)}, [key])) ++ [steps]}
   end
 end

@@ -1,48 +1,82 @@
 defmodule Aerie.Fleet.Operations.Server do
   @moduledoc """
-  Keeps the operations of a gateway: `Aerie.Fleet.Operations.Core` with tasks and timers. What became of each vehicle is in the store, so that it
-  outlives this process; an operation does not, and is reported as `interrupted`.
+  Keeps the operations of a gateway: `Aerie.Fleet.Operations.Core` with tasks and timers. What became of each vehicle
+  is in the store, so that it outlives this process, and in a file (`Aerie.Fleet.Operations.Journal`), so that it
+  outlives the gateway; an operation that ran then is `interrupted`.
 
   | what | limit | beyond it |
   |---|---|---|
-  | operations that run | 8 | refused with `busy` |
+  | operations that run | 8, and 8 more that only hold, return or land | refused with `busy` |
   | operations that are known | 64 | the oldest ended one is forgotten |
   | vehicles at once, of one operation | its `step`, 100 at most | they wait |
   """
   use GenServer
 
+  require Logger
+
   alias Aerie.Base.{Names, Store}
-  alias Aerie.Fleet.Operations.{Core, Request, Work}
-  alias Aerie.Control.Policy.Roles
+  alias Aerie.Fleet.Operations.{Core, Journal, Request, Work}
+  alias Aerie.Fleet.Operations.Sequence.Ending
+  alias Aerie.Control.Policy.{Audit, Roles}
   alias Aerie.Base.PubSub
 
   @max_running 8
   @max_known 64
+  @ending ~w(hold rtl land)
+  # So many vehicles of an operation are named in the audit log.
+  @noted 100
 
-  @typedoc "An operation as it is kept."
+  @typedoc """
+  An operation as it is kept: `:object` is the request as it came, `:doing` the step of each vehicle that is under
+  way, `:then` the id of the operation that brings back those that had begun.
+  """
   @type entry :: %{
           id: String.t(),
+          object: map(),
           request: Request.t(),
+          vehicles: [String.t(), ...],
           core: Core.t(),
           source: Roles.source(),
           via: String.t(),
           at: integer(),
-          done_at: integer() | nil
+          done_at: integer() | nil,
+          doing: %{String.t() => String.t()},
+          then: String.t() | nil
         }
+  @type answer :: {:ok, entry()} | {:error, {:busy | :conflict | :role | :unknown | :unavailable, String.t()}}
 
-  @spec start_link(gateway: Names.gateway()) :: GenServer.on_start()
+  @doc "Options: `:gateway`; `:dir`, the folder of its files: without one nothing outlives the gateway."
+  @spec start_link(keyword()) :: GenServer.on_start()
   def start_link(options),
     do: GenServer.start_link(__MODULE__, options, name: Names.via(options[:gateway], :operations))
 
   @doc "Begins an operation. The same id again gives the one that is there."
-  @spec begin(Names.gateway(), Request.t(), [String.t(), ...], Roles.source(), String.t()) ::
-          {:ok, entry()} | {:error, {:busy | :conflict | :unavailable, String.t()}}
-  def begin(gateway, request, vehicles, source, via),
-    do: call(gateway, {:begin, request, vehicles, source, via})
+  @spec begin(Names.gateway(), map(), Request.t(), [String.t(), ...], Roles.source(), String.t()) :: answer()
+  def begin(gateway, object, request, vehicles, source, via),
+    do: call(gateway, {:begin, object, request, vehicles, source, via})
 
-  @doc "Nothing of it begins any more."
-  @spec stop(Names.gateway(), String.t()) :: {:ok, entry()} | {:error, {:unknown | :unavailable, String.t()}}
-  def stop(gateway, id), do: call(gateway, {:stop, id})
+  @doc """
+  Pauses, continues or stops an operation, or aborts it: it stops, what is under way is given up, and a second
+  operation ends the flight of those that have begun by the command `:type`.
+  """
+  @spec change(
+          Names.gateway(),
+          String.t(),
+          :pause | :continue | :stop | {:abort, String.t()},
+          Roles.source(),
+          String.t()
+        ) ::
+          answer()
+  def change(gateway, id, change, source, via), do: call(gateway, {:change, id, change, source, via})
+
+  @doc """
+  Aborts all operations that run, and ends the flight of `vehicles` and of those that were under way by the command
+  `type`, in one operation; nil if all of them are at rest.
+  """
+  @spec abort_all(Names.gateway(), [String.t()], type :: String.t(), Roles.source(), String.t()) ::
+          answer() | {:ok, nil}
+  def abort_all(gateway, vehicles, type, source, via),
+    do: call(gateway, {:abort_all, vehicles, type, source, via})
 
   @doc "An operation that is known; nil for none."
   @spec entry(Names.gateway(), String.t()) :: entry() | nil
@@ -62,63 +96,86 @@ defmodule Aerie.Fleet.Operations.Server do
   end
 
   @impl GenServer
-  def init(gateway: gateway) do
+  def init(options) do
+    gateway = options[:gateway]
     Process.set_label({:operations, gateway})
     {:ok, tasks} = Task.Supervisor.start_link()
+    state = %{gateway: gateway, dir: options[:dir], tasks: tasks, running: %{}, work: %{}}
+    state = load(state)
 
-    for entry <- entries(gateway), not Core.over?(entry.core) do
-      Store.remember(gateway, {:operation, entry.id}, %{
-        entry
-        | core: Core.interrupted(entry.core),
-          done_at: now()
-      })
+    for entry <- entries(gateway),
+        not Core.over?(entry.core),
+        do: keep(state, entry, Core.interrupted(entry.core), [])
+
+    forget(state, @max_known)
+    {:ok, state}
+  end
+
+  defp load(%{dir: nil} = state), do: state
+
+  defp load(%{gateway: gateway, dir: dir} = state) do
+    case Journal.load(gateway, dir) do
+      {:ok, loaded} ->
+        for %{id: id} = entry <- loaded,
+            entry(gateway, id) == nil,
+            do: Store.remember(gateway, {:operation, id}, entry)
+
+        state
+
+      {:error, reason} ->
+        Logger.error(
+          "operations: #{dir}: #{:file.format_error(reason)}: operations do not outlive the gateway"
+        )
+
+        %{state | dir: nil}
     end
-
-    {:ok, %{gateway: gateway, tasks: tasks, running: %{}, work: %{}}}
   end
 
   @impl GenServer
-  def handle_call({:begin, %{id: id} = request, vehicles, source, via}, _from, state) do
+  def handle_call({:begin, object, %{id: id} = request, vehicles, source, via}, _from, state) do
     case entry(state.gateway, id) do
-      %{request: ^request, source: ^source} = entry ->
+      %{request: ^request, source: %{name: name}} = entry when name == source.name ->
         {:reply, {:ok, entry}, state}
 
       %{} ->
         {:reply, {:error, {:conflict, "the id #{id} is that of another operation"}}, state}
 
-      nil when map_size(state.running) >= @max_running ->
-        {:reply, {:error, {:busy, "#{@max_running} operations run, as many as there may be; try again"}},
-         state}
-
       nil ->
-        forget(state.gateway)
-        {core, actions} = Core.new(vehicles, request.plan)
-
-        entry = %{
-          id: id,
-          request: request,
-          core: core,
-          source: source,
-          via: via,
-          at: now(),
-          done_at: nil
-        }
-
-        state = go_on(entry, {core, actions}, state)
-        {:reply, {:ok, entry(state.gateway, id)}, state}
+        with :ok <- room(state, request), :ok <- apart(state, request, vehicles) do
+          state = begin_now(state, object, request, vehicles, source, via)
+          {:reply, {:ok, entry(state.gateway, id)}, state}
+        else
+          refusal -> {:reply, refusal, state}
+        end
     end
   end
 
-  def handle_call({:stop, id}, _from, state) do
-    case {state.running[id], entry(state.gateway, id)} do
-      {nil, nil} ->
+  def handle_call({:change, id, change, source, via}, _from, state) do
+    case entry(state.gateway, id) do
+      nil ->
         {:reply, {:error, {:unknown, "there is no operation #{id}"}}, state}
 
-      {nil, ended} ->
-        {:reply, {:ok, ended}, state}
+      entry ->
+        {answer, state} = turn(change, entry, source, via, state)
+        {:reply, with(:ok <- answer, do: {:ok, entry(state.gateway, id)}), state}
+    end
+  end
 
-      {entry, _kept} ->
-        state = go_on(entry, Core.stop(entry.core), state)
+  def handle_call({:abort_all, vehicles, type, source, via}, _from, state) do
+    under_way =
+      for {_id, entry} <- state.running, vehicle <- entry.core.under_way, into: MapSet.new(), do: vehicle
+
+    state =
+      for {_id, entry} <- state.running, reduce: state do
+        state -> abort(entry, source, via, state)
+      end
+
+    case Ending.request(state.gateway, Enum.uniq(vehicles ++ MapSet.to_list(under_way)), under_way, type) do
+      nil ->
+        {:reply, {:ok, nil}, state}
+
+      object ->
+        {id, state} = begin_own(state, object, source, via)
         {:reply, {:ok, entry(state.gateway, id)}, state}
     end
   end
@@ -134,52 +191,253 @@ defmodule Aerie.Fleet.Operations.Server do
     {:noreply, ended(state, task, %{verdict: :failed, status: "unknown", reason: reason})}
   end
 
-  def handle_info({:timeout, _timer, {:paused, id, n}}, state) do
+  def handle_info({:doing, id, vehicle, word}, state) do
     case state.running do
-      %{^id => entry} -> {:noreply, go_on(entry, Core.paused(entry.core, n), state)}
+      %{^id => entry} ->
+        entry = put_in(entry.doing[vehicle], word)
+        show(state, entry)
+        {:noreply, put_in(state.running[id], entry)}
+
+      _ended ->
+        {:noreply, state}
+    end
+  end
+
+  def handle_info({:timeout, _timer, {:wait, id, n}}, state) do
+    case state.running do
+      %{^id => entry} -> {:noreply, go_on(entry, Core.waited(entry.core, n), state)}
       _ended -> {:noreply, state}
     end
   end
 
   def handle_info(_late, state), do: {:noreply, state}
 
+  # --- Beginning
+
+  # What ends a flight is not kept waiting by operations that do something else.
+  defp room(state, request) do
+    most = if ends?(request), do: 2 * @max_running, else: @max_running
+
+    if map_size(state.running) >= most,
+      do: {:error, {:busy, "#{map_size(state.running)} operations run, as many as there may be; try again"}},
+      else: :ok
+  end
+
+  defp ends?(%{what: {:command, type, _params}}), do: type in @ending
+  defp ends?(%{what: _other}), do: false
+
+  # Two sequences of one vehicle would be two hands on it.
+  defp apart(state, %{what: {:sequence, _vehicles}}, vehicles) do
+    taken =
+      for {id, %{request: %{what: {:sequence, _theirs}}, core: core}} <- state.running,
+          vehicle <- vehicles,
+          vehicle in core.waiting or vehicle in core.under_way,
+          do: "#{vehicle} is part of the operation #{id}, which runs"
+
+    if taken == [], do: :ok, else: {:error, {:conflict, "nothing was begun: " <> hd(taken)}}
+  end
+
+  defp apart(_state, _request, _vehicles), do: :ok
+
+  defp begin_now(state, object, request, vehicles, source, via) do
+    state = forget(state, @max_known - 2 * @max_running - 1)
+    {core, actions} = Core.new(vehicles, request.plan)
+
+    entry = %{
+      id: request.id,
+      object: object,
+      request: request,
+      vehicles: vehicles,
+      core: core,
+      source: source,
+      via: via,
+      at: now(),
+      done_at: nil,
+      doing: %{},
+      then: nil
+    }
+
+    note(state, entry, "begin", source, via)
+    written(state, entry.id, fn dir -> Journal.begin(dir, entry) end)
+    none = %{core | waiting: vehicles, under_way: MapSet.new()}
+    go_on(%{entry | core: none}, {core, actions}, state)
+  end
+
+  # One that the gateway begins by itself: room is made for it.
+  defp begin_own(state, object, source, via) do
+    {:ok, request} = Request.parse(object, now())
+    {:vehicles, vehicles} = request.targets
+    {request.id, begin_now(state, object, request, vehicles, source, via)}
+  end
+
+  # --- Changes
+
+  defp turn(:pause, %{core: %{state: :running}} = entry, source, via, state),
+    do: {:ok, changed("pause", entry, Core.pause(entry.core), source, via, state)}
+
+  defp turn(:continue, %{core: %{state: :paused}, source: %{name: name}}, %{name: other}, _via, state)
+       when name != other,
+       do: {{:error, {:role, "#{name} has paused it, and may continue it; you may stop or abort it"}}, state}
+
+  defp turn(:continue, %{core: %{state: from, waiting: [_ | _]}} = entry, source, via, state)
+       when from in [:paused, :halted, :interrupted] do
+    others = Map.delete(state.running, entry.id)
+
+    with :ok <- room(%{state | running: others}, entry.request),
+         :ok <- apart(%{state | running: others}, entry.request, entry.core.waiting) do
+      entry = %{entry | source: source, via: via}
+      {:ok, changed("continue", entry, Core.continue(entry.core), source, via, state)}
+    else
+      refusal -> {refusal, state}
+    end
+  end
+
+  defp turn(:stop, %{core: %{state: from}} = entry, source, via, state) when from not in [:stopped, :done],
+    do: {:ok, changed("stop", entry, Core.stop(entry.core), source, via, state)}
+
+  defp turn({:abort, type}, %{then: nil} = entry, source, via, state) do
+    under_way = entry.core.under_way
+    begun = Core.begun(entry.core)
+    state = abort(entry, source, via, state)
+    {:ok, bring_back(entry(state.gateway, entry.id), begun, under_way, type, source, via, state)}
+  end
+
+  # It is so already, or cannot be any more.
+  defp turn(change, %{core: %{state: from}, id: id}, _source, _via, state) do
+    done? =
+      {change, from} in [pause: :paused, continue: :running, stop: :stopped, stop: :done] or
+        match?({:abort, _type}, change)
+
+    if done?,
+      do: {:ok, state},
+      else: {{:error, {:conflict, "the operation #{id} is #{from}: it cannot #{change}"}}, state}
+  end
+
+  defp abort(entry, source, via, state),
+    do: changed("abort", entry, Core.abort(entry.core), source, via, state)
+
+  defp changed(change, entry, {core, actions}, source, via, state) do
+    note(state, entry, change, source, via)
+    go_on(entry, {core, actions}, state)
+  end
+
+  defp bring_back(entry, begun, under_way, type, source, via, state) do
+    case Ending.request(state.gateway, begun, under_way, type) do
+      nil ->
+        state
+
+      object ->
+        {id, state} = begin_own(state, object, source, via)
+        show(state, %{entry | then: id})
+        state
+    end
+  end
+
+  # --- Going on
+
   defp ended(state, task, result) do
-    {{id, vehicle}, work} = Map.pop!(state.work, task)
+    {{id, vehicle, _pid}, work} = Map.pop!(state.work, task)
     state = %{state | work: work}
-    entry = Map.fetch!(state.running, id)
-    go_on(entry, Core.ended(entry.core, vehicle, result), state)
+
+    case state.running do
+      %{^id => entry} -> go_on(entry, Core.ended(entry.core, vehicle, result), state)
+      _aborted -> state
+    end
   end
 
   defp go_on(entry, {core, actions}, state) do
-    over? = Core.over?(core)
-    entry = %{entry | core: core, done_at: if(over?, do: now())}
-    :ok = Store.remember(state.gateway, {:operation, entry.id}, entry)
-    PubSub.publish(state.gateway, {:notice, :operations}, entry.id)
+    entry = keep(state, entry, core, for({:begin, vehicle} <- actions, do: vehicle))
 
     running =
-      if over?, do: Map.delete(state.running, entry.id), else: Map.put(state.running, entry.id, entry)
+      if Core.over?(core),
+        do: Map.delete(state.running, entry.id),
+        else: Map.put(state.running, entry.id, entry)
 
-    Enum.reduce(actions, %{state | running: running}, &act(&1, entry, &2))
+    state = Enum.reduce(actions, %{state | running: running}, &act(&1, entry, &2))
+
+    # The rest stays where it is; those that have begun come back if that was asked for.
+    if core.state in [:halted, :done] and Core.failing?(core) and entry.request.on_halt == :return and
+         entry.then == nil,
+       do: bring_back(entry, Core.begun(core), MapSet.new(), "rtl", entry.source, entry.via, state),
+       else: state
+  end
+
+  # What is written is written before it is done.
+  defp keep(state, entry, core, begun) do
+    over? = Core.over?(core)
+    written(state, entry.id, fn dir -> Journal.note(dir, entry.id, entry.core, core, begun, now()) end)
+    doing = Map.take(entry.doing, MapSet.to_list(core.under_way))
+    entry = %{entry | core: core, doing: doing, done_at: if(over?, do: entry.done_at || now())}
+    show(state, entry)
+    entry
+  end
+
+  defp show(state, entry) do
+    :ok = Store.remember(state.gateway, {:operation, entry.id}, entry)
+    PubSub.publish(state.gateway, {:notice, :operations}, entry.id)
+  end
+
+  defp written(%{dir: nil}, _id, _write), do: :ok
+
+  defp written(%{dir: dir}, id, write) do
+    with {:error, reason} <- write.(dir),
+         do: Logger.error("operation #{id} cannot be written to #{dir}: #{:file.format_error(reason)}")
   end
 
   defp act({:begin, vehicle}, entry, state) do
-    %{gateway: gateway} = state
-    %{request: request, source: source, via: via} = entry
-    task = Task.Supervisor.async_nolink(state.tasks, Work, :run, [gateway, vehicle, request, source, via])
-    %{state | work: Map.put(state.work, task.ref, {entry.id, vehicle})}
+    {server, id} = {self(), entry.id}
+
+    job = %{
+      gateway: state.gateway,
+      request: entry.request,
+      vehicles: entry.vehicles,
+      source: entry.source,
+      via: entry.via,
+      step: &send(server, {:doing, id, vehicle, &1})
+    }
+
+    task = Task.Supervisor.async_nolink(state.tasks, Work, :run, [job, vehicle])
+    %{state | work: Map.put(state.work, task.ref, {id, vehicle, task.pid})}
   end
 
-  defp act({:pause, ms, n}, entry, state) do
-    _timer = :erlang.start_timer(ms, self(), {:paused, entry.id, n})
+  # The command that it waits for goes on; the next step does not come any more.
+  defp act({:cancel, vehicle}, %{id: id}, state) do
+    {task, {_id, _vehicle, pid}} = Enum.find(state.work, &match?({_task, {^id, ^vehicle, _pid}}, &1))
+    Process.demonitor(task, [:flush])
+    _ = Task.Supervisor.terminate_child(state.tasks, pid)
+    %{state | work: Map.delete(state.work, task)}
+  end
+
+  defp act({:wait, ms, n}, entry, state) do
+    _timer = :erlang.start_timer(ms, self(), {:wait, entry.id, n})
     state
   end
 
-  defp forget(gateway) do
-    gateway
+  defp note(state, entry, change, source, via) do
+    Audit.note(state.gateway, %{
+      "type" => "operation",
+      "change" => change,
+      "id" => entry.id,
+      "name" => entry.request.name,
+      "vehicles" => Enum.take(entry.vehicles, @noted),
+      "count" => length(entry.vehicles),
+      "waiting" => length(entry.core.waiting),
+      "source" => source.name,
+      "via" => via
+    })
+  end
+
+  defp forget(state, keep) do
+    state.gateway
     |> entries()
     |> Enum.filter(& &1.done_at)
-    |> Enum.drop(@max_known - @max_running - 1)
-    |> Enum.each(&Store.forget(gateway, {:operation, &1.id}))
+    |> Enum.drop(keep)
+    |> Enum.each(fn %{id: id} ->
+      Store.forget(state.gateway, {:operation, id})
+      written(state, id, &Journal.forget(&1, id))
+    end)
+
+    state
   end
 
   defp now, do: System.os_time(:microsecond)

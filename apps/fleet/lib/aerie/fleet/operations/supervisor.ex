@@ -1,22 +1,24 @@
 defmodule Aerie.Fleet.Operations.Supervisor do
-  @moduledoc "The processes of `Aerie.Fleet.Operations`. A restart interrupts the operations that run; their commands go on."
+  @moduledoc """
+  The processes of `Aerie.Fleet.Operations`. A restart interrupts the operations that run; their commands go on.
+  Options: `:gateway`; `:dir`, the folder of the operations, without which none outlives the gateway.
+  """
   use Supervisor
 
   alias Aerie.Base.Names
   alias Aerie.Fleet.Bridge
   alias Aerie.Fleet.Bridge.Commands.Service
-  alias Aerie.Fleet.Operations.{Requests, Server}
+  alias Aerie.Fleet.Operations.{Request, Requests, Server}
 
-  @max_bytes 131_072
-
-  @spec start_link(gateway: Names.gateway()) :: Supervisor.on_start()
+  @spec start_link(keyword()) :: Supervisor.on_start()
   def start_link(options),
     do: Supervisor.start_link(__MODULE__, options, name: Names.via(options[:gateway], :operations_supervisor))
 
   @impl Supervisor
-  def init(gateway: gateway) do
+  def init(options) do
+    gateway = options[:gateway]
     Process.set_label({:operations, gateway})
-    Supervisor.init([{Server, gateway: gateway}, {Service, service(gateway)}], strategy: :rest_for_one)
+    Supervisor.init([{Server, options}, {Service, service(gateway)}], strategy: :rest_for_one)
   end
 
   defp service(gateway) do
@@ -25,7 +27,7 @@ defmodule Aerie.Fleet.Operations.Supervisor do
       name: :operations_nats,
       operations: Requests.all(),
       subject: "fleet.#{Bridge.environment(gateway)}.#{Bridge.name(gateway)}.operation.*",
-      max_bytes: @max_bytes
+      max_bytes: Request.max_bytes()
     ]
   end
 end

@@ -1,30 +1,83 @@
 defmodule Aerie.Fleet.Operations.Work do
   @moduledoc """
-  What an operation does to one vehicle, in a task of its own: a command, or a change of its desired state. Either is
-  done in the name of the operation's author, and policy, rates and permissions hold for each vehicle by itself.
+  What an operation does to one vehicle, in a task of its own: a command, a change of its desired state, or a sequence
+  of both. All is done in the name of the operation's author, and policy, rates and permissions hold for each vehicle
+  by itself.
   """
 
   alias Aerie.Base.Names
   alias Aerie.Control.Commands
   alias Aerie.Fleet.Shadow
   alias Aerie.Vehicle.Command.Result
-  alias Aerie.Fleet.Operations.{Core, Request}
+  alias Aerie.Fleet.Operations.{Core, Request, Sequence}
+  alias Aerie.Fleet.Operations.Sequence.Wait
   alias Aerie.Control.Policy.Roles
 
   @look_ms 500
+  # A vehicle that was not lifted disarms by itself after some seconds.
+  @alone {:wait, %{for: :alone, m: nil, timeout_ms: 60_000, go_on?: false}}
+
+  @typedoc "What the work needs of an operation, beside the vehicle; `:step` is called with each step as it begins."
+  @type job :: %{
+          gateway: Names.gateway(),
+          request: Request.t(),
+          vehicles: [String.t(), ...],
+          source: Roles.source(),
+          via: String.t(),
+          step: (word :: String.t() -> term())
+        }
 
   @doc "Does it, and gives what became of it."
-  @spec run(Names.gateway(), String.t(), Request.t(), Roles.source(), via :: String.t()) :: Core.result()
-  def run(gateway, vehicle, %{what: {:command, type, params}} = request, source, via) do
+  @spec run(job(), vehicle :: String.t()) :: Core.result()
+  def run(%{request: %{what: {:sequence, all}}} = job, vehicle) do
+    own = Enum.find(all, &(&1.vehicle == vehicle))
+    result = steps(job, vehicle, guarded(own.steps), 0)
+
+    # What stands in for the steps makes up for them.
+    if result.verdict == :failed and own.else != [] do
+      instead = steps(job, vehicle, own.else, length(own.steps) + 1)
+      words = for %{reason: reason} when reason != nil <- [result, instead], do: reason
+      %{instead | reason: Enum.join(words, "; then: ")}
+    else
+      result
+    end
+  end
+
+  def run(%{request: %{what: what}} = job, vehicle),
+    do: step(job, vehicle, what, command_id(job.request.id, vehicle))
+
+  # Whatever a request says: of vehicles that stand on the ground one is armed at a time.
+  defp guarded(steps),
+    do:
+      Enum.flat_map(steps, fn step ->
+        if match?({:command, "arm", _params}, step), do: [@alone, step], else: [step]
+      end)
+
+  defp steps(job, vehicle, steps, first) do
+    steps
+    |> Enum.with_index(first)
+    |> Enum.reduce_while(nil, fn {step, i}, _last ->
+      job.step.(Sequence.word(step))
+      result = step(job, vehicle, step, command_id("#{job.request.id} #{i}", vehicle))
+      if result.verdict == :ok, do: {:cont, result}, else: {:halt, named(result, step)}
+    end)
+  end
+
+  defp named(result, {:command, type, _params}),
+    do: %{result | reason: "#{type}: #{result.reason || result.status}"}
+
+  defp named(result, _step), do: result
+
+  defp step(%{request: request} = job, vehicle, {:command, type, params} = step, id) do
     envelope = %{
-      "id" => command_id(request.id, vehicle),
+      "id" => id,
       "vehicle" => vehicle,
       "type" => type,
       "params" => params,
-      "deadline" => (System.os_time(:millisecond) + request.timeout_ms) / 1000
+      "deadline" => (System.os_time(:millisecond) + timeout_ms(request, step)) / 1000
     }
 
-    case Commands.submit(gateway, envelope, source, via: via) do
+    case Commands.submit(job.gateway, envelope, job.source, via: job.via) do
       {:ok, %{status: status} = result} when status in [:accepted, :completed] -> ok(status, result.reason)
       {:ok, %Result{status: status, reason: reason}} -> failed(status, reason)
       {:pending, _id} -> failed(:unknown, "it is under way for somebody else")
@@ -32,18 +85,42 @@ defmodule Aerie.Fleet.Operations.Work do
     end
   end
 
-  def run(gateway, vehicle, %{what: {:shadow, update}} = request, source, via) do
-    case Shadow.update(gateway, vehicle, update, source, via) do
+  defp step(%{gateway: gateway, request: request} = job, vehicle, {:shadow, update} = step, _id) do
+    case Shadow.update(gateway, vehicle, update, job.source, job.via) do
       {:ok, %{"version" => version}} when request.await == :written ->
         ok(:written, "version #{version}")
 
       {:ok, %{"version" => version}} ->
-        converge(gateway, vehicle, {version, paths(update)}, now() + request.timeout_ms)
+        converge(gateway, vehicle, {version, paths(update)}, now() + timeout_ms(request, step))
 
       {:error, {kind, _why} = refusal} ->
         failed(kind, Shadow.text(refusal))
     end
   end
+
+  defp step(job, vehicle, {:wait, wait}, _id), do: await(job, vehicle, wait, now() + wait.timeout_ms)
+
+  defp await(job, vehicle, wait, until) do
+    case Wait.look(job.gateway, vehicle, job.vehicles, wait) do
+      :ok ->
+        ok(:completed, nil)
+
+      {:waiting, why} ->
+        cond do
+          now() < until ->
+            Process.sleep(@look_ms)
+            await(job, vehicle, wait, until)
+
+          wait.go_on? ->
+            ok(:completed, why)
+
+          true ->
+            failed(:timeout, "#{why} after #{div(wait.timeout_ms, 1000)} s")
+        end
+    end
+  end
+
+  defp timeout_ms(request, step), do: request.timeout_ms || Request.usual_ms(step)
 
   # The id of an operation's command for a vehicle: an operation that comes twice commands nobody twice.
   defp command_id(operation, vehicle) do

@@ -51,7 +51,8 @@ defmodule Aerie.Fleet.Shadow.Settings do
           default: 10.0,
           times: 1000
 
-  setting :dir, :path, "Folder with copies of the desired states, for its owner only.", default: "var/shadow"
+  setting :dir, :path, "Folder with copies of the desired states, and with operations, for its owner only.",
+    default: "var/shadow"
 
   setting :buckets,
           {:section, bucket_fields()},

@@ -36,13 +36,13 @@ defmodule Aerie.Fleet.Operations.CoreTest do
 
   test "a pause between steps, of which only the last counts" do
     {core, _first} = Core.new(ids(3), plan(1, pause_ms: 500))
-    assert {core, [{:pause, 500, 1}]} = Core.ended(core, "V-1", @ok)
-    assert {core, [{:begin, "V-2"}]} = Core.paused(core, 1)
-    assert {^core, []} = Core.paused(core, 1)
-    assert {core, [{:pause, 500, 2}]} = Core.ended(core, "V-2", @ok)
+    assert {core, [{:wait, 500, 1}]} = Core.ended(core, "V-1", @ok)
+    assert {core, [{:begin, "V-2"}]} = Core.waited(core, 1)
+    assert {^core, []} = Core.waited(core, 1)
+    assert {core, [{:wait, 500, 2}]} = Core.ended(core, "V-2", @ok)
     assert {%{state: :stopped} = core, []} = Core.stop(core)
     assert Core.over?(core)
-    assert {^core, []} = Core.paused(core, 2)
+    assert {^core, []} = Core.waited(core, 2)
   end
 
   test "too many failures at the end of a step halt it; a stop lets what is under way come to its end" do
@@ -69,12 +69,50 @@ defmodule Aerie.Fleet.Operations.CoreTest do
     assert Core.interrupted(core) == core
   end
 
-  test "whatever comes: each vehicle begins once, never more than a step at once, none after a stop or a halt" do
+  test "paused, nothing begins until it goes on, which takes the time between two steps" do
+    {core, _first} = Core.new(ids(4), plan(1, pause_ms: 500))
+    assert {%{state: :paused} = core, []} = Core.pause(core)
+    assert {%{state: :paused} = core, []} = Core.ended(core, "V-1", @ok)
+    assert {^core, []} = Core.waited(core, 1)
+    refute Core.over?(core)
+    assert {%{state: :running} = core, [{:wait, 500, 1}]} = Core.continue(core)
+    assert {core, [{:begin, "V-2"}]} = Core.waited(core, 1)
+    {core, []} = Core.pause(core)
+    # While the second is under way, the third is not begun.
+    assert {%{state: :running} = core, []} = Core.continue(core)
+    assert {core, [{:wait, 500, 2}]} = Core.ended(core, "V-2", @ok)
+    assert {%{state: :stopped} = core, []} = core |> Core.pause() |> elem(0) |> Core.stop()
+    assert {^core, []} = Core.continue(core)
+  end
+
+  test "halted or interrupted, it goes on with those that have not begun; what has failed does not halt it again" do
+    {core, _first} = Core.new(ids(4), plan(1, halt_ratio: 0.0))
+    assert {%{state: :halted} = core, []} = Core.ended(core, "V-1", @failed)
+    assert {core, [{:begin, "V-2"}]} = Core.continue(core)
+    core = Core.interrupted(core)
+    assert Core.begun(core) -- ["V-1", "V-2"] == []
+    assert {core, [{:begin, "V-3"}]} = Core.continue(core)
+    assert {core, [{:begin, "V-4"}]} = Core.ended(core, "V-3", @ok)
+    assert {%{state: :done}, []} = Core.ended(core, "V-4", @ok)
+  end
+
+  test "aborted, what is under way is given up and nothing begins" do
+    {core, _first} = Core.new(ids(4), plan(2))
+    {core, []} = Core.ended(core, "V-1", @ok)
+    assert {%{state: :stopped} = core, [{:cancel, "V-2"}]} = Core.abort(core)
+    assert Core.over?(core)
+    assert %{"V-1" => @ok, "V-2" => %{status: "unknown"}} = core.results
+    assert {^core, []} = Core.ended(core, "V-2", @ok)
+    assert {^core, []} = Core.abort(core)
+  end
+
+  test "whatever comes: each vehicle begins once, never more than a step, none unless it runs, none after a stop" do
     event =
       :proper_types.frequency([
         {12, {:ended, :proper_types.integer(1, 12), :proper_types.boolean()}},
         {3, {:paused, :proper_types.integer(1, 6)}},
-        {1, :stop}
+        {2, :proper_types.oneof([:pause, :continue, :interrupted])},
+        {1, :proper_types.oneof([:stop, :abort])}
       ])
 
     property =
@@ -89,13 +127,15 @@ defmodule Aerie.Fleet.Operations.CoreTest do
           {core, all} =
             Enum.reduce(events, {core, begun(actions)}, fn event, {core, all} ->
               {next, actions} = handle(core, event)
-              if core.state != :running, do: [] = actions
+              if core.state != :running and event != :continue, do: [] = begun(actions)
+              if core.state == :stopped, do: :stopped = next.state
+              if core.state == :stopped, do: [] = begun(actions)
               all = all ++ begun(actions)
               sound!(next, all, vehicles, step)
               {next, all}
             end)
 
-          finish(core, all, vehicles, step, ratio)
+          finish(core, all, vehicles, step)
         end
       )
 
@@ -103,8 +143,9 @@ defmodule Aerie.Fleet.Operations.CoreTest do
   end
 
   defp handle(core, {:ended, n, ok?}), do: Core.ended(core, "V-#{n}", if(ok?, do: @ok, else: @failed))
-  defp handle(core, {:paused, n}), do: Core.paused(core, n)
-  defp handle(core, :stop), do: Core.stop(core)
+  defp handle(core, {:paused, n}), do: Core.waited(core, n)
+  defp handle(core, :interrupted), do: {Core.interrupted(core), []}
+  defp handle(core, change), do: apply(Core, change, [core])
 
   defp sound!(core, begun, vehicles, step) do
     true = begun == Enum.uniq(begun)
@@ -118,26 +159,28 @@ defmodule Aerie.Fleet.Operations.CoreTest do
   end
 
   # Everything that begins has its end, and every pause: then it is over.
-  defp finish(core, begun, vehicles, step, ratio) do
+  defp finish(core, begun, vehicles, step) do
     sound!(core, begun, vehicles, step)
 
     cond do
       Core.over?(core) ->
-        too_many? = Core.failed(core) > ratio * map_size(core.results)
-
         case core.state do
           :done -> core.waiting == []
-          :halted -> core.waiting != [] and too_many?
-          :stopped -> true
+          :halted -> core.waiting != [] and Core.failing?(core)
+          _stopped_or_interrupted -> true
         end
 
       MapSet.size(core.under_way) > 0 ->
         {core, actions} = Core.ended(core, Enum.at(core.under_way, 0), @ok)
-        finish(core, begun ++ begun(actions), vehicles, step, ratio)
+        finish(core, begun ++ begun(actions), vehicles, step)
+
+      core.state == :paused ->
+        {core, actions} = Core.continue(core)
+        finish(core, begun ++ begun(actions), vehicles, step)
 
       true ->
-        {core, actions} = Core.paused(core, core.steps)
-        finish(core, begun ++ begun(actions), vehicles, step, ratio)
+        {core, actions} = Core.waited(core, core.steps)
+        finish(core, begun ++ begun(actions), vehicles, step)
     end
   end
 end

@@ -79,4 +79,77 @@ defmodule Aerie.Fleet.Operations.RequestTest do
     assert wrong(shadow.(%{"desired" => %{"mode" => "RTL"}, "version" => 3})) == ["shadow.version"]
     assert [_some | _] = wrong(shadow.(7))
   end
+
+  @arm %{"type" => "arm"}
+  @up %{
+    "sequence" => [
+      %{"vehicle" => "V-1", "steps" => [@arm, %{"type" => "takeoff", "params" => %{"altitude" => 20}}]},
+      %{
+        "vehicle" => "V-2",
+        "steps" => [%{"shadow" => %{"desired" => %{"mode" => "LOITER"}}}, %{"wait" => "above", "m" => 5}],
+        "else" => [%{"type" => "rtl"}],
+        "anyway" => true
+      }
+    ]
+  }
+
+  test "a sequence: each vehicle with its own steps, one after the other unless it says otherwise" do
+    assert {:ok, request} = Request.parse(@up, @now)
+    assert request.targets == {:vehicles, ["V-1", "V-2"]}
+    assert request.plan == %{step: 1, pause_ms: 0, halt_ratio: 0.0}
+    assert %{on_halt: :hold, radius_m: 1.5, shown: %{}, timeout_ms: nil} = request
+    assert {:sequence, [first, second]} = request.what
+    assert first.steps == [{:command, "arm", %{}}, {:command, "takeoff", %{"altitude" => 20}}]
+    assert {first.else, first.anyway?, second.anyway?} == {[], false, true}
+
+    assert [{:shadow, _update}, {:wait, %{for: :above, m: 5, timeout_ms: 60_000, go_on?: false}}] =
+             second.steps
+
+    more = %{
+      "halt_ratio" => 1,
+      "on_halt" => "return",
+      "radius_m" => 3,
+      "name" => "Up",
+      "shown" => %{"V-1" => "ready"}
+    }
+
+    assert {:ok, request} = Request.parse(Map.merge(@up, more), @now)
+    assert %{on_halt: :return, radius_m: 3.0, name: "Up", shown: %{"V-1" => "ready"}} = request
+    assert request.plan.halt_ratio == 1.0
+  end
+
+  test "what is wrong with a sequence is named by its place" do
+    steps = &%{"sequence" => [%{"vehicle" => "V-1", "steps" => &1}]}
+    assert wrong(%{"sequence" => []}) == ["sequence"]
+
+    assert wrong(%{"sequence" => [7, %{"vehicle" => "V 1", "steps" => []}]}) == [
+             "sequence[0]",
+             "sequence[1].vehicle",
+             "sequence[1].steps"
+           ]
+
+    assert wrong(steps.(List.duplicate(@arm, 9))) == ["sequence[0].steps"]
+    assert wrong(steps.([%{"type" => "takeoff"}])) == ["sequence[0].steps[0].params.altitude"]
+    assert wrong(steps.([%{"type" => "arm", "id" => "x"}])) == ["sequence[0].steps[0].id"]
+    assert wrong(steps.([@arm, %{"wait" => "above"}])) == ["sequence[0].steps[1].m"]
+    assert wrong(steps.([%{"wait" => "landed", "m" => 2}])) == ["sequence[0].steps[0].m"]
+    assert wrong(steps.([%{"wait" => "later"}])) == ["sequence[0].steps[0].wait"]
+
+    assert wrong(steps.([%{"wait" => "alone", "timeout_s" => 0, "go_on" => 1}])) == [
+             "sequence[0].steps[0].timeout_s",
+             "sequence[0].steps[0].go_on"
+           ]
+
+    assert wrong(steps.([%{"shadow" => %{"desired" => %{"mood" => 1}}}])) == [
+             "sequence[0].steps[0].shadow.desired.mood"
+           ]
+
+    assert wrong(Map.merge(@up, %{"vehicles" => ["V-1"], "command" => @arm})) == ["command"]
+    assert wrong(Map.put(@up, "tag", "x")) == ["tag"]
+    assert wrong(Map.put(@up, "shown", %{"V-1" => 7})) == ["shown"]
+    assert wrong(Map.put(@rtl, "on_halt", "return")) == ["on_halt"]
+    # Many errors are a few, and cost no more than that.
+    many = %{"sequence" => for(n <- 1..2_000, do: %{"vehicle" => "V-#{n}", "steps" => []})}
+    assert length(wrong(many)) == 8
+  end
 end

@@ -61,7 +61,7 @@ defmodule Aerie.Fleet.Operations.RequestsTest do
   end
 
   test "without a signature nobody begins or stops one, but everybody may read", c do
-    for action <- ["begin", "stop"] do
+    for action <- ["begin", "pause", "continue", "stop", "abort", "abort_all"] do
       assert %{"result" => "refused", "rule" => "signature"} = ask(c, action, @operation)
     end
 
@@ -80,6 +80,8 @@ defmodule Aerie.Fleet.Operations.RequestsTest do
              ask(c, "get", %{"id" => 7})
 
     assert %{"rule" => "malformed", "reason" => "the last word" <> _} = ask(c, "destroy", "{}")
-    assert %{"rule" => "size"} = ask(c, "list", String.duplicate(" ", 131_073))
+
+    assert %{"rule" => "size"} =
+             ask(c, "list", String.duplicate(" ", Aerie.Fleet.Operations.Request.max_bytes() + 1))
   end
 end

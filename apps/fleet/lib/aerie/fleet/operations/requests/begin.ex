@@ -3,7 +3,7 @@ defmodule Aerie.Fleet.Operations.Requests.Begin do
   use Aerie.Control.Operations.Operation
 
   alias Aerie.Fleet.Operations
-  alias Aerie.Fleet.Operations.Schema
+  alias Aerie.Fleet.Operations.{Request, Schema}
 
   @impl true
   def operation do
@@ -18,7 +18,7 @@ defmodule Aerie.Fleet.Operations.Requests.Begin do
       once: {"id", :always, "id: an operation over NATS has one, so that a copy of it is the same one"},
       answer: Schema.operation(true),
       answer_as: "operation",
-      routes: [post("/api/operations", summary, status: 202)]
+      routes: [post("/api/operations", summary, status: 202, max_bytes: Request.max_bytes())]
     }
   end
 

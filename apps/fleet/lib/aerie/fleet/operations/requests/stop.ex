@@ -20,5 +20,5 @@ defmodule Aerie.Fleet.Operations.Requests.Stop do
   end
 
   @impl true
-  def run(%{id: id}, context), do: Operations.stop(context.gateway, id, context.source)
+  def run(%{id: id}, context), do: Operations.change(context.gateway, id, :stop, context.source, context.via)
 end

@@ -1,0 +1,237 @@
+defmodule Aerie.Fleet.Operations.Sequence do
+  @moduledoc """
+  What each vehicle of an operation does by itself: a list of steps, done one after the other. Pure.
+
+      [{"vehicle": "sim-001", "steps": [{"type": "arm"}, {"type": "takeoff", "params": {"altitude": 20}},
+                                        {"wait": "above", "m": 5, "timeout_s": 60}]}, …]
+
+  A step is a command, a change of the desired state (`{"shadow": {"desired": {…}}}`), or a wait. A vehicle has its
+  end when its last step has, so a wait at the end holds back the next vehicle:
+
+  | wait | until |
+  |---|---|
+  | `above` | it is more than `m` metres above home |
+  | `landed` | it is on the ground |
+  | `apart` | no other vehicle of the operation that flies within 20 m of it is nearer than `m` metres in height |
+  | `alone` | no other vehicle of the operation stands armed on the ground; waited for before each `arm` anyway |
+
+  A wait fails after `timeout_s`, unless it has `go_on`. The first step that fails ends a vehicle; its `else` is done
+  then.
+  """
+
+  import Aerie.Base.Json.Schema
+
+  alias Aerie.Base.Json.Schema
+  alias Aerie.Fleet.Shadow.Update
+  alias Aerie.Vehicle.{Command, Firmware, Snapshot}
+  alias Aerie.Vehicle.Command.Error
+
+  @waits [:above, :landed, :apart, :alone]
+  @measured [:above, :apart]
+  @max_steps 8
+  @max_s 3_600
+  @min_m 0.1
+  @max_m 10_000
+  @max_errors 8
+  @lifting ~w(arm takeoff)
+
+  @type wait :: %{
+          for: :above | :landed | :apart | :alone,
+          m: number() | nil,
+          timeout_ms: pos_integer(),
+          go_on?: boolean()
+        }
+  @type step :: {:command, String.t(), map()} | {:shadow, map()} | {:wait, wait()}
+
+  @typedoc "`:anyway?`: it takes off although it is not ready."
+  @type vehicle :: %{vehicle: String.t(), steps: [step(), ...], else: [step()], anyway?: boolean()}
+
+  @doc "Reads the vehicles of a sequence at `now` (unix microseconds); errors have the keys below `sequence`."
+  @spec parse(term(), max :: pos_integer(), now :: integer()) ::
+          {:ok, [vehicle(), ...]} | {:error, [Error.t(), ...]}
+  def parse([_ | _] = list, max, now) when length(list) <= max do
+    read =
+      list
+      |> Stream.with_index()
+      |> Enum.reduce_while({[], []}, fn {given, i}, {vehicles, errors} ->
+        case vehicle(given, "sequence[#{i}]", now) do
+          {:ok, vehicle} ->
+            {:cont, {[vehicle | vehicles], errors}}
+
+          {:error, more} when length(errors) + length(more) < @max_errors ->
+            {:cont, {vehicles, errors ++ more}}
+
+          {:error, more} ->
+            {:halt, {vehicles, Enum.take(errors ++ more, @max_errors)}}
+        end
+      end)
+
+    case read do
+      {vehicles, []} -> {:ok, Enum.reverse(vehicles)}
+      {_vehicles, errors} -> {:error, errors}
+    end
+  end
+
+  def parse(other, max, _now), do: {:error, [Error.new("sequence", "a list of 1 to #{max} vehicles", other)]}
+
+  defp vehicle(%{"vehicle" => id} = given, key, now) do
+    checks = [
+      closed(given, ~w(vehicle steps else anyway), key),
+      if(is_binary(id) and Command.token?(id), do: [], else: [Error.new(key <> ".vehicle", "an id", id)]),
+      if(is_boolean(Map.get(given, "anyway", false)),
+        do: [],
+        else: [Error.new(key <> ".anyway", "true or false", given["anyway"])]
+      )
+    ]
+
+    {steps, wrong} = steps(given["steps"], key <> ".steps", 1, now)
+    {otherwise, wrong_else} = steps(Map.get(given, "else", []), key <> ".else", 0, now)
+
+    case Enum.concat(checks) ++ wrong ++ wrong_else do
+      [] -> {:ok, %{vehicle: id, steps: steps, else: otherwise, anyway?: given["anyway"] == true}}
+      errors -> {:error, errors}
+    end
+  end
+
+  defp vehicle(other, key, _now),
+    do: {:error, [Error.new(key, "an object with a vehicle and its steps", other)]}
+
+  defp steps(list, key, min, now) when is_list(list) and length(list) in min..@max_steps//1 do
+    list
+    |> Enum.with_index()
+    |> Enum.reduce({[], []}, fn {given, i}, {steps, errors} ->
+      case step(given, "#{key}[#{i}]", now) do
+        {:ok, step} -> {steps ++ [step], errors}
+        {:error, more} -> {steps, errors ++ more}
+      end
+    end)
+  end
+
+  defp steps(other, key, min, _now),
+    do: {[], [Error.new(key, "a list of #{min} to #{@max_steps} steps", other)]}
+
+  @doc "Reads one command, or one change of the desired state, whose keys stand below `key`."
+  @spec step(term(), key :: String.t(), now :: integer()) :: {:ok, step()} | {:error, [Error.t(), ...]}
+  def step(%{"type" => _type, "params" => params}, key, _now) when params != nil and not is_map(params),
+    do: {:error, [Error.new(key <> ".params", "an object", params)]}
+
+  # As a command for a vehicle that any name may be; each is parsed again with its own.
+  def step(%{"type" => type} = command, key, _now) do
+    params = Map.get(command, "params") || %{}
+
+    with [] <- closed(command, ~w(type params), key),
+         {:ok, _command} <- Command.new(vehicle: "V", type: type, params: params) do
+      {:ok, {:command, type, params}}
+    else
+      {:error, errors} -> {:error, below(key, errors)}
+      errors -> {:error, errors}
+    end
+  end
+
+  def step(%{"shadow" => shadow} = given, key, now) when map_size(given) == 1,
+    do: shadow(shadow, key <> ".shadow", now)
+
+  def step(%{"wait" => name} = given, key, _now) do
+    wait = Enum.find(@waits, &(Atom.to_string(&1) == name))
+    {m, timeout, go_on} = {given["m"], Map.get(given, "timeout_s", 60), Map.get(given, "go_on", false)}
+    m? = if wait in @measured, do: is_number(m) and m >= @min_m and m <= @max_m, else: m == nil
+
+    wrong =
+      for {false, name, expected, got} <- [
+            {wait != nil, "wait", "one of #{Enum.join(@waits, ", ")}", name},
+            {wait == nil or m?, "m",
+             "a number from #{@min_m} to #{@max_m} (m), for #{Enum.join(@measured, " and ")} only", m},
+            {is_number(timeout) and timeout >= 1 and timeout <= @max_s, "timeout_s",
+             "a number from 1 to #{@max_s}", timeout},
+            {is_boolean(go_on), "go_on", "true or false", go_on}
+          ],
+          do: Error.new("#{key}.#{name}", expected, got)
+
+    case closed(given, ~w(wait m timeout_s go_on), key) ++ wrong do
+      [] -> {:ok, {:wait, %{for: wait, m: m, timeout_ms: round(timeout * 1000), go_on?: go_on}}}
+      errors -> {:error, errors}
+    end
+  end
+
+  def step(other, key, _now),
+    do: {:error, [Error.new(key, "an object with a type, a shadow or a wait", other)]}
+
+  @doc "Reads a change of the desired state."
+  @spec shadow(term(), key :: String.t(), now :: integer()) :: {:ok, step()} | {:error, [Error.t(), ...]}
+  def shadow(%{"version" => _one}, key, _now),
+    do: {:error, [Error.new(key <> ".version", "no version: each vehicle has another", :rule)]}
+
+  def shadow(shadow, key, now) do
+    case Update.parse(shadow, now) do
+      {:ok, _update} -> {:ok, {:shadow, shadow}}
+      {:error, errors} -> {:error, below(key, errors)}
+    end
+  end
+
+  defp below(key, errors), do: for(error <- errors, do: %{error | key: key <> "." <> error.key})
+
+  defp closed(given, keys, key) do
+    for name <- Enum.take(Map.keys(given) -- keys, @max_errors),
+        do: Error.new("#{key}.#{Error.key(name)}", "only #{Enum.join(keys, ", ")}", :unknown)
+  end
+
+  @doc "Whether a vehicle arms or takes off by its steps."
+  @spec lifts?(vehicle()) :: boolean()
+  def lifts?(%{steps: steps}),
+    do: Enum.any?(steps, &match?({:command, type, _params} when type in @lifting, &1))
+
+  @doc "A step in a word: the type of a command, `wait_above`, or `shadow`."
+  @spec word(step()) :: String.t()
+  def word({:command, type, _params}), do: type
+  def word({:shadow, _update}), do: "shadow"
+  def word({:wait, %{for: wait}}), do: "wait_#{wait}"
+
+  @doc """
+  A vehicle of a take-off: into a mode in which it can be armed, arm, take off to `height`, and `above_m` metres up
+  before the next one begins.
+  """
+  @spec take_off(snapshot :: map(), height :: number(), above_m :: number(), anyway? :: boolean()) :: map()
+  def take_off(%{id: id} = snapshot, height, above_m, anyway? \\ false) do
+    first = Firmware.arm_first(snapshot, Snapshot.data(snapshot, :mode)[:mode])
+    mode = if first, do: [%{"type" => "set_mode", "params" => %{"mode" => first}}], else: []
+    up = %{"type" => "takeoff", "params" => %{"altitude" => height}}
+    gate = %{"wait" => "above", "m" => above_m, "timeout_s" => 60}
+    vehicle = %{"vehicle" => id, "steps" => mode ++ [%{"type" => "arm"}, up, gate]}
+    if anyway?, do: Map.put(vehicle, "anyway", true), else: vehicle
+  end
+
+  @doc "The JSON Schema of a sequence of at most `max` vehicles."
+  @spec schema(max :: pos_integer()) :: Schema.t()
+  def schema(max) do
+    steps = %{type: :array, maxItems: @max_steps, items: ref("step_of_operation")}
+
+    vehicle = %{
+      vehicle: token(),
+      steps: described(Map.put(steps, :minItems, 1), "what it does, one after the other"),
+      else: described(steps, "what it does when one of them has failed"),
+      anyway: described(%{type: :boolean}, "it takes off although it is not ready")
+    }
+
+    %{type: :array, minItems: 1, maxItems: max, items: object(vehicle, [:vehicle, :steps])}
+  end
+
+  @doc "The JSON Schema of a step."
+  @spec step_schema() :: Schema.t()
+  def step_schema do
+    wait = fn waits, more, required ->
+      properties = %{wait: %{enum: waits}, timeout_s: number(1, @max_s), go_on: %{type: :boolean}}
+      object(Map.merge(properties, more), [:wait | required])
+    end
+
+    metres = number(@min_m, @max_m)
+
+    %{
+      oneOf: [
+        ref("command_of_operation"),
+        object(%{shadow: ref("change_of_operation")}, [:shadow]),
+        wait.(@measured, %{m: metres}, [:m]),
+        wait.(@waits -- @measured, %{}, [])
+      ]
+    }
+  end
+end

@@ -23,6 +23,17 @@ defmodule Aerie.Console.Pages.AlarmsTest do
 
     eventually(fn -> render(other) =~ "alarm-row active" end)
     assert has_element?(other, "#alarms a[href='/vehicles/VID-009']", "VID-009")
+    # Why, what to do, and where to go; a viewer is not offered what the server would refuse.
+    for text <- ["What to do", "Its own failsafe acts now."],
+        do: assert(has_element?(other, "#alarms .alarm-row", text))
+
+    assert has_element?(one, "#alarm-strip .alarm-text[role=alert]", "VID-009")
+
+    for selector <- ["#alarms", "#alarm-strip"],
+        do: refute(has_element?(other, selector <> " button", "Acknowledge"))
+
+    {:ok, operator, _html} = live(conn(console, :operator), "/alarms")
+    assert has_element?(operator, "#alarms section[aria-label='Alarms of VID-009'] button", "Acknowledge")
     one |> element("#alarm-strip button", "Acknowledge") |> render_click()
     eventually(fn -> other |> element("#alarms") |> render() =~ "operator" end)
 

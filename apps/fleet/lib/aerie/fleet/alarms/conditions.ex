@@ -11,6 +11,7 @@ defmodule Aerie.Fleet.Alarms.Conditions do
 
   # Which conditions of the diagnosis are also alarms, and how severe.
   @diagnosed [:two_vehicles_one_id, :overload, :noisy_link, :hub_not_confirming, :tracks_failing]
+  @silent "Its own failsafe acts now. Clear its way home, and look at the links: aerial, distance, power."
   @severities %{error: :critical, warning: :warning}
 
   @doc "Conditions of a vehicle's snapshot."
@@ -22,15 +23,27 @@ defmodule Aerie.Fleet.Alarms.Conditions do
 
     silent(vehicle.status, id, flying?) ++
       if emergency?,
-        do: [condition(:emergency, id, :critical, "Emergency reported by the vehicle", id)],
+        do: [
+          condition(
+            :emergency,
+            id,
+            :critical,
+            "Vehicle reports an emergency",
+            id,
+            "Look at its mode and its texts, and clear its way."
+          )
+        ],
         else: []
   end
 
   defp silent(:lost, id, true),
-    do: [condition(:vehicle, id, :critical, "Lost contact while armed", id)]
+    do: [condition(:vehicle, id, :critical, "Lost contact while armed", id, @silent)]
 
   defp silent(:lost, id, false), do: [condition(:vehicle, id, :notice, "Lost contact", id)]
-  defp silent(:stale, id, true), do: [condition(:vehicle, id, :warning, "No contact while armed", id)]
+
+  defp silent(:stale, id, true),
+    do: [condition(:vehicle, id, :warning, "No contact while armed", id, @silent)]
+
   defp silent(_status, _id, _flying?), do: []
 
   @doc "Conditions of a link's snapshot."
@@ -44,7 +57,8 @@ defmodule Aerie.Fleet.Alarms.Conditions do
         id,
         :warning,
         "Link #{id} is #{status}" <> if(link[:text], do: ": #{link.text}", else: ""),
-        nil
+        nil,
+        "Look at the link's page: cable, address, radio."
       )
     ]
 
@@ -54,13 +68,15 @@ defmodule Aerie.Fleet.Alarms.Conditions do
   """
   @spec diagnosed([Condition.t()]) :: [Core.condition()]
   def diagnosed(conditions) do
-    for %{name: name, subject: subject, severity: severity, title: title} <- conditions,
+    for %{name: name, subject: subject, severity: severity, title: title} = condition <- conditions,
         name in @diagnosed,
         do: %{
           key: {name, subject},
           severity: severity(name, severity),
           text: title,
-          vehicle: vehicle_of(subject)
+          vehicle: vehicle_of(subject),
+          why: Enum.join(condition.evidence, "; "),
+          mend: condition.mend
         }
   end
 
@@ -84,6 +100,6 @@ defmodule Aerie.Fleet.Alarms.Conditions do
         do: %{key: {kind, :gateway}, severity: severity, text: text, vehicle: nil}
   end
 
-  defp condition(kind, id, severity, text, vehicle),
-    do: %{key: {kind, id}, severity: severity, text: text, vehicle: vehicle}
+  defp condition(kind, id, severity, text, vehicle, mend \\ nil),
+    do: %{key: {kind, id}, severity: severity, text: text, vehicle: vehicle, mend: mend}
 end

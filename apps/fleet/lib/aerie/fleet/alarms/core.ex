@@ -29,13 +29,15 @@ defmodule Aerie.Fleet.Alarms.Core do
   @type key :: {kind :: atom(), subject :: term()}
   @typedoc """
   `:vehicle` is the one that it is about, and its page's name; the text does not name it again.
-  `:since`: if that is not now.
+  `:why` and `:mend` are sentences of what shows it, and of what to do. `:since`: if that is not now.
   """
   @type condition :: %{
           :key => key(),
           :severity => severity(),
           :text => String.t(),
           :vehicle => String.t() | nil,
+          optional(:why) => String.t() | nil,
+          optional(:mend) => String.t() | nil,
           optional(:since) => integer()
         }
   @type alarm :: %{
@@ -44,6 +46,8 @@ defmodule Aerie.Fleet.Alarms.Core do
           severity: severity(),
           text: String.t(),
           vehicle: String.t() | nil,
+          why: String.t() | nil,
+          mend: String.t() | nil,
           source: term(),
           since: integer(),
           over: integer() | nil,
@@ -76,12 +80,13 @@ defmodule Aerie.Fleet.Alarms.Core do
     case alarms.alarms do
       %{^key => %{over: nil} = alarm} ->
         worse? = @rank[condition.severity] < @rank[alarm.severity]
-        kept = Map.merge(alarm, Map.take(condition, [:severity, :text]))
+        kept = Map.merge(alarm, Map.take(condition, [:severity, :text, :why, :mend]))
         store(alarms, if(worse?, do: %{kept | by: nil, since: since}, else: kept))
 
       _new_or_again ->
         alarm =
-          Map.merge(condition, %{id: "a#{alarms.next}", source: source, since: since, over: nil, by: nil})
+          Map.merge(%{why: nil, mend: nil}, condition)
+          |> Map.merge(%{id: "a#{alarms.next}", source: source, since: since, over: nil, by: nil})
 
         %{alarms | next: alarms.next + 1} |> store(alarm) |> bound()
     end

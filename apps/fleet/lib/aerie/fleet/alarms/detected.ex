@@ -58,7 +58,18 @@ defmodule Aerie.Fleet.Alarms.Detected do
   defp condition(vehicle, %{type: type, subject: subject} = one) do
     {kind, severity, _text} = begins(type)
     key = {kind, if(subject == nil, do: vehicle, else: {vehicle, subject})}
-    %{key: key, severity: severity, text: text(one, %{}), vehicle: vehicle, since: one.since}
+    row = Event.Types.get(type)
+    why = one.data["text"] || row.when <> if(row.over, do: "; over with #{row.over}", else: "")
+
+    %{
+      key: key,
+      severity: severity,
+      text: text(one, %{}),
+      vehicle: vehicle,
+      since: one.since,
+      why: why,
+      mend: row.mend
+    }
   end
 
   # An event says only what a value was when it began; the snapshot has what it is.
@@ -75,7 +86,8 @@ defmodule Aerie.Fleet.Alarms.Detected do
 
   defp detail(:failsafe, data, _vehicle) do
     action = if data["action"] in [nil, "none"], do: "", else: " → #{spaced(data["action"])}"
-    ": #{spaced(data["reason"] || data["type"] || "unknown")}#{action}"
+    reason = data["reason"] || data["type"]
+    if(reason in [nil, "unknown"], do: " (no reason given)", else: ": #{spaced(reason)}") <> action
   end
 
   defp detail(:fence, %{"breach" => breach}, _vehicle) when is_binary(breach), do: " (#{spaced(breach)})"

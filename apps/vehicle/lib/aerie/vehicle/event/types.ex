@@ -21,7 +21,7 @@ defmodule Aerie.Vehicle.Event.Types do
       square brackets is left out if that value is not known. nil: the type and its data
     * `begins` - the alarm that it raises: it holds as long as the detector has the condition
       (`t:Aerie.Vehicle.Events.Detector.condition/0`), so that a lost end leaves no alarm. `over`: what else
-      ends it
+      ends it; `mend`: what to do while it holds
     * `ends` - the alarm whose end it tells; `:all`: it tells the end of all
   """
   @type t :: %{
@@ -33,6 +33,7 @@ defmodule Aerie.Vehicle.Event.Types do
           text: String.t() | nil,
           begins: {kind :: atom(), :warning | :critical, text :: String.t()} | nil,
           over: String.t() | nil,
+          mend: String.t() | nil,
           ends: atom()
         }
 
@@ -96,6 +97,7 @@ defmodule Aerie.Vehicle.Event.Types do
      ],
      severity: 2,
      begins: {:failsafe, :critical, "Failsafe"},
+     mend: "Let it finish what it does by itself, and clear its way; take over only if that is worse.",
      over: "normal system status; if that never showed it, disarming and arming"},
     {"failsafe.cleared", "a failsafe is over",
      "system status, a text (… Cleared), a report, the end of a breach; disarming, if the system status never showed the failsafe",
@@ -114,6 +116,7 @@ defmodule Aerie.Vehicle.Event.Types do
      severity: 3,
      text: "outside the fence[ ({breach})][ ({text})]",
      begins: {:fence, :critical, "Fence breached"},
+     mend: "Bring it back inside, or let it return.",
      over: "a fence that is whole or off; if only a text told of it, disarming"},
     {"geofence.cleared", "the vehicle is inside its fence again, or the fence is disabled",
      "as `geofence`, but never a text; the parameter FENCE_ENABLE",
@@ -127,11 +130,13 @@ defmodule Aerie.Vehicle.Event.Types do
      severity: 4,
      text: "battery low",
      begins: {:battery, :warning, "Battery low"},
+     mend: "Let it return while the charge lasts.",
      over: "a charge 5 % above the threshold, or a battery that is not there any more"},
     {"battery.critical", "a battery is nearly empty", "as `battery.low`", @battery,
      severity: 2,
      text: "battery critical",
      begins: {:battery, :critical, "Battery nearly empty"},
+     mend: "Land it now, or let it return if home is near.",
      over: "as for `battery.low`"},
     {"battery.recovered", "a battery that was low or critical is better: charged, changed or taken out",
      "as `battery.low`; 5 % above the threshold, or no BATTERY_STATUS of it while those of others come",
@@ -145,6 +150,7 @@ defmodule Aerie.Vehicle.Event.Types do
      severity: 3,
      text: "remote control lost",
      begins: {:rc, :warning, "Remote control lost"},
+     mend: "Be ready for its failsafe. Check the transmitter and its distance.",
      over: "a healthy receiver in SYS_STATUS"},
     {"rc.restored", "the remote control is back", "as `rc.lost`", [@text, @lasted],
      text: "remote control restored", ends: :rc},
@@ -153,6 +159,7 @@ defmodule Aerie.Vehicle.Event.Types do
      severity: 3,
      text: "GNSS position lost[ ({fix_name})]",
      begins: {:gps, :critical, "GNSS position lost"},
+     mend: "Have its pilot take over in a mode without a position, or land it.",
      over: "a fix; disarming"},
     {"gps.restored", "the GNSS position is back", "GPS_RAW_INT", [@lasted],
      text: "GNSS position restored", ends: :gps},
@@ -161,6 +168,7 @@ defmodule Aerie.Vehicle.Event.Types do
      severity: 2,
      text: "position estimate lost",
      begins: {:position, :critical, "Position estimate lost"},
+     mend: "Have its pilot take over in a mode without a position, or land it.",
      over: "a position; landing"},
     {"position.restored", "the estimator knows the position again", "as `position.lost`", [@lasted],
      text: "position estimate restored", ends: :position},
@@ -169,6 +177,7 @@ defmodule Aerie.Vehicle.Event.Types do
      severity: 1,
      text: "kill switch engaged",
      begins: {:kill_switch, :critical, "Kill switch engaged"},
+     mend: "Keep away from it: it falls, or may start again when the switch is released.",
      over: "arming, take-off; the end of PX4's system status FLIGHT_TERMINATION"},
     {"kill_switch.released", "the kill switch is released", "as `kill_switch.engaged`", [@text],
      text: "kill switch released", ends: :kill_switch},
@@ -266,6 +275,7 @@ defmodule Aerie.Vehicle.Event.Types do
      severity: 4,
      text: "ground station[ {system}] lost",
      begins: {:gcs, :warning, "Ground station lost"},
+     mend: "Start the ground station again, or be ready for the vehicle's failsafe.",
      over: "any heartbeat that the failsafe listens to, also the first after a restart"},
     {"gcs.restored", "that ground station is heard again", "as `gcs.lost`",
      [{"system", :integer, nil, "system id of the ground station"}],
@@ -339,6 +349,7 @@ defmodule Aerie.Vehicle.Event.Types do
           text: nil,
           begins: nil,
           over: nil,
+          mend: nil,
           ends: nil
         },
         Map.new(options)

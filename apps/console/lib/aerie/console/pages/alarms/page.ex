@@ -1,5 +1,5 @@
 defmodule Aerie.Console.Pages.Alarms.Page do
-  @moduledoc "The page of all alarms: which vehicle, what, how old, and who has acknowledged them."
+  @moduledoc "The page of all alarms, those of a vehicle together: what, since when, why, what to do, and who has acknowledged them."
   use Aerie.Console, :page
 
   alias Aerie.Fleet.Alarms
@@ -22,6 +22,12 @@ defmodule Aerie.Console.Pages.Alarms.Page do
     assign(socket, rows: rows, dropped: dropped, may?: Strip.may?(socket.assigns.user))
   end
 
+  # In the order of each vehicle's first alarm.
+  defp groups(rows) do
+    by_vehicle = Enum.group_by(rows, & &1.vehicle)
+    for vehicle <- rows |> Enum.map(& &1.vehicle) |> Enum.uniq(), do: {vehicle, by_vehicle[vehicle]}
+  end
+
   @impl Phoenix.LiveView
   def render(assigns) do
     ~H"""
@@ -33,20 +39,33 @@ defmodule Aerie.Console.Pages.Alarms.Page do
     <.empty :if={@rows == []} icon="check" title="No alarms">
       Lost vehicles and links, failsafes, batteries, fences and duplicate system ids appear here.
     </.empty>
-    <.data_table :if={@rows != []} id="alarms" label="Alarms" rows={@rows} row_id={&"alarm-#{&1.id}"} row_class={&"alarm-row #{&1.state}"}>
-      <:col :let={row} label="Severity"><.badge kind={Strip.kind_of(row)}>{row.severity}</.badge></:col>
-      <:col :let={row} label="Vehicle"><.link :if={row.vehicle} navigate={Sections.path(row.vehicle, "fly")}>{row.vehicle}</.link></:col>
-      <:col :let={row} label="What" class="grow">{row.text}</:col>
-      <:col :let={row} label="Age" number><time title={Clock.full(row.since)}>{Age.text(row.age)}</time></:col>
-      <:col :let={row} label="State">{state(row)}</:col>
-      <:col :let={row} label="Acknowledged by">
-        <span :if={row.by}>{row.by}</span>
-        <.button :if={row.by == nil && @may?} small phx-click="alarm-acknowledge" phx-value-alarm={row.id}>Acknowledge</.button>
-      </:col>
-    </.data_table>
+    <div :if={@rows != []} id="alarms">
+      <section :for={{vehicle, rows} <- groups(@rows)} :key={vehicle || "gateway"} class="alarm-group" aria-label={"Alarms of #{vehicle || "the gateway"}"}>
+        <div class="spread">
+          <h2>{vehicle || "Gateway"}</h2>
+          <.button :if={vehicle} small icon="goto" navigate={Sections.path(vehicle, "fly")}>Go to {vehicle}</.button>
+        </div>
+        <ul class="stack">
+          <li :for={row <- rows} :key={row.id} id={"alarm-#{row.id}"} class={["card alarm-row", Atom.to_string(row.state), Strip.kind_of(row)]}>
+            <div class="spread">
+              <h3><.badge kind={Strip.kind_of(row)}><.icon name={if row.state == :over, do: "check", else: "alert"} />{row.severity}</.badge> {row.text}</h3>
+              <span class="muted"><time title={Clock.full(row.since)}>{Age.text(row.age)}</time>, {state(row)}</span>
+            </div>
+            <dl :if={row.why || row.mend} class="facts">
+              <div :if={row.mend}><dt>What to do</dt><dd>{row.mend}</dd></div>
+              <div :if={row.why}><dt>Why</dt><dd>{row.why}</dd></div>
+            </dl>
+            <.button :if={row.by == nil && @may?} small icon="check" phx-click="alarm-acknowledge" phx-value-alarm={row.id}>Acknowledge</.button>
+          </li>
+        </ul>
+      </section>
+    </div>
     """
   end
 
-  defp state(%{over: over}) when over != nil, do: "Cleared"
-  defp state(_alarm), do: "Active"
+  defp state(%{by: by} = alarm) when by != nil, do: "#{word(alarm)}, acknowledged by #{by}"
+  defp state(alarm), do: word(alarm)
+
+  defp word(%{over: over}) when over != nil, do: "Cleared"
+  defp word(_alarm), do: "Active"
 end

@@ -22,17 +22,16 @@ defmodule Aerie.Console.Pages.Alarms.Strip do
     <div
       id="alarm-strip"
       class={["alarm-strip", @kind]}
-      role="status"
-      aria-live="polite"
       phx-hook="AlarmSound"
       data-sound={@alarms.sound}
     >
       <.icon name={if(@alarms.first, do: "alert", else: "check")} />
       <.link :if={@alarms.first && @alarms.first.vehicle} navigate={Sections.path(@alarms.first.vehicle, "fly")} class="alarm-vehicle">{@alarms.first.vehicle}</.link>
       <.link navigate="/alarms" class="alarm-first">
-        <span :if={@alarms.first} class="alarm-text">{@alarms.first.text}</span>
+        <%!-- The age beside it would be read out each second. --%>
+        <span :if={@alarms.first} class="alarm-text" role={if @kind == "bad", do: "alert", else: "status"}><span class="visually-hidden">{@alarms.first.vehicle} </span>{@alarms.first.text}</span>
         <span :if={@alarms.first} class="alarm-age">{@age}</span>
-        <span :if={!@alarms.first} class="alarm-text">No alarms</span>
+        <span :if={!@alarms.first} class="alarm-text" role="status">No alarms</span>
         <.badge :if={@total > 1} kind={@kind}>{@total}<span class="visually-hidden"> alarms</span></.badge>
         <span :if={@alarms.first && Alarms.state(@alarms.first) == :over} class="muted">Cleared</span>
       </.link>

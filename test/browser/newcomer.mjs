@@ -34,7 +34,7 @@ main(async (browser) => {
 
   async function land() {
     await hold(page, "#action-land");
-    await status(".vehicle-air", "on the ground");
+    await status(".vehicle-air", "On the ground");
     await status(".vehicle-armed", "disarmed");
   }
 
@@ -56,12 +56,12 @@ main(async (browser) => {
     await hold(page, "#action-takeoff");
     const next = await until(page, () => {
       const head = document.querySelector(".vehicle-head");
-      if (head.querySelector(".vehicle-air")?.textContent.includes("in the air")) return "flies";
+      if (head.querySelector(".vehicle-air")?.textContent.includes("Flying")) return "flies";
       return head.querySelector(".vehicle-armed").textContent.includes("disarmed") && "disarmed";
     });
     flying = (await next.jsonValue()) === "flies";
   }
-  await until(page, () => /^1[3-7]\./.test(document.querySelector(".readout dd").textContent.trim()));
+  await until(page, () => /^1[3-7]\./.test(document.querySelector("#fly-line dd").textContent.trim()));
   console.log("in the air");
 
   // A click on the map gives the place; the page shows that the policy allows it before anything is sent.

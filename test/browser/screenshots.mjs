@@ -46,7 +46,7 @@ const scenes = {
   vehicle: {
     path: `/vehicles/${vehicle(1)}`, map: true,
     async ready(page) {
-      await contains(page, ".vehicle-air", "in the air");
+      await contains(page, ".vehicle-air", "Flying");
       await pause(8_000); // a track
     },
   },

@@ -64,6 +64,8 @@ export default {
     // A letter that somebody types is none that is held.
     if (target && text(target) && !event.repeat) return;
     if (target) return hint(`${key} does nothing while “${called(target)}” has the focus. Move the focus away, then hold ${key}.`);
+    const { keyRefusal } = this.el.dataset;
+    if (keyRefusal) return event.repeat || hint(keyRefusal);
     this.press(event, [event.key]);
   },
   begin(by, event) {

@@ -16,6 +16,8 @@ export default {
   mounted() {
     this.motion = new Motion();
     this.still = window.matchMedia("(prefers-reduced-motion: reduce)");
+    // On a phone they would cover the map.
+    if (window.matchMedia("(max-width: 700px)").matches) this.el.closest("details")?.removeAttribute("open");
     this.draw();
     this.handleEvent("instruments", (sample) => {
       if (sample.vehicle === this.el.dataset.vehicle) this.sample(sample);

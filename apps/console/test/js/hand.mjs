@@ -128,7 +128,7 @@ const tasks = {
   // Before a page is live it says so, and nothing on it can be pressed.
   async live(page) {
     await say("signed in", "held");
-    for (const [path, button] of [["/", "#fleet-search"], ["/vehicles/V1", "#action-hold"], ["/vehicles/V1", "#action-disarm"]]) {
+    for (const [path, button] of [["/", "#fleet-search"], ["/vehicles/V1", "#action-hold"], ["/vehicles/V1", "#action-arm"]]) {
       await page.goto(base + path, { waitUntil: "domcontentloaded" });
       equal(`${path} says so`, /^Connecting…, values of \d\d:\d\d:\d\d UTC$/.test(await page.textContent(".top > .badge")), true);
       equal(`${button} is off`, await page.isDisabled(button), true);

@@ -20,11 +20,11 @@ main(async (browser) => {
   await contains(page, "#commands-now .life[data-state=denied]", "100");
   await page.fill("#takeoff-altitude", "12");
   await hold(page, "#action-takeoff");
-  await contains(page, ".vehicle-air", "in the air");
+  await contains(page, ".vehicle-air", "Flying");
 
   // A short press does nothing.
   await press(page, "#action-rtl", { brief: true });
-  await page.click("button:has-text('Click to go')");
+  await page.click("button:has-text('Go to…')");
   await page.waitForSelector("#vehicle-map.map-ready[data-tool=point]");
   await page.waitForFunction(() => document.querySelector("#vehicle-map").fleetMap?.fleet.size === 1);
   const map = page.locator("#vehicle-map");
@@ -43,7 +43,7 @@ main(async (browser) => {
   await page.waitForSelector("#events");
   await page.locator("h1").click();
   await holdKey(page, "#action-land", "l");
-  await contains(page, ".vehicle-air", "on the ground");
+  await contains(page, ".vehicle-air", "On the ground");
   await page.waitForFunction(() => !document.querySelector("#events").textContent.includes("RTL"));
   equal("complaints of the browser", JSON.stringify(page.complaints), "[]");
 });

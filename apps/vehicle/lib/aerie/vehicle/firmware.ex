@@ -71,6 +71,10 @@ defmodule Aerie.Vehicle.Firmware do
   @spec arm_first(map(), mode :: String.t() | nil) :: String.t() | nil
   def arm_first(%{autopilot: firmware, vehicle_type: kind}, mode), do: Modes.arm_first(firmware, kind, mode)
 
+  @doc "What a vehicle does by itself in a mode; nil for one in which a pilot flies, and one that is not known."
+  @spec action(mode :: String.t() | nil) :: Modes.Action.t() | nil
+  defdelegate action(mode), to: Modes.Action, as: :of
+
   @doc "The name of a firmware for people."
   @spec title(name()) :: String.t()
   def title(name), do: traits(name).title

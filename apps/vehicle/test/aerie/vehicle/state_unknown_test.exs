@@ -30,6 +30,7 @@ defmodule Aerie.Vehicle.StateUnknownTest do
       voltages_ext: {:battery, :voltage},
       current_battery: {:battery, :current},
       current_consumed: {:battery, :consumed_mah},
+      time_remaining: {:battery, :time_remaining},
       battery_remaining: {:battery, :remaining}
     },
     M.MissionCurrent => %{total: {:mission, :total}, mission_state: {:mission, :state}},
@@ -52,7 +53,7 @@ defmodule Aerie.Vehicle.StateUnknownTest do
       :serial_number
     ],
     M.AttitudeQuaternion => [:repr_offset_q],
-    M.BatteryStatus => [:energy_consumed, :time_remaining],
+    M.BatteryStatus => [:energy_consumed],
     M.MissionCurrent => [:mission_mode, :mission_id, :fence_id, :rally_points_id],
     M.HomePosition => [:q],
     M.CurrentMode => [:intended_custom_mode],

@@ -167,16 +167,20 @@ defmodule Aerie.Console.Commands.Outcome do
 
   defp height_left(_entry, _vehicle), do: nil
 
-  @doc "The progress of a course: `118 m, 20 s`."
-  @spec progress(Commands.entry(), map()) :: String.t() | nil
+  @doc "The progress of a course: `118 m from home, 20 s`. Needs no more of a command than its type where that says all."
+  @spec progress(%{:type => String.t(), optional(atom()) => term()}, map()) :: String.t() | nil
   def progress(%{type: type} = entry, vehicle) when type in ["goto", "rtl"] do
     case Snapshot.distance(vehicle, target(entry, vehicle)) do
-      nil -> nil
-      metres -> metres(metres) <> time(metres, Snapshot.data(vehicle, :velocity)[:groundspeed])
+      nil ->
+        nil
+
+      metres ->
+        "#{metres(metres)} #{if type == "rtl", do: "from home", else: "to go"}" <>
+          time(metres, Snapshot.data(vehicle, :velocity)[:groundspeed])
     end
   end
 
-  def progress(%{type: "land"}, vehicle), do: now_at(vehicle)
+  def progress(%{type: type}, vehicle) when type in ["land", "hold"], do: now_at(vehicle)
 
   def progress(%{type: type, params: %{altitude: wanted}}, vehicle)
       when type in ["takeoff", "set_altitude"] do
@@ -207,11 +211,13 @@ defmodule Aerie.Console.Commands.Outcome do
 
   defp time(_metres, _still), do: ""
 
-  defp metres(metres) when metres < 1000, do: "#{round(metres)} m"
-  defp metres(metres), do: :erlang.float_to_binary(metres / 1000, decimals: 1) <> " km"
+  @doc "A distance in words: `118 m`, `1.2 km`."
+  @spec metres(number()) :: String.t()
+  def metres(metres) when metres < 1000, do: "#{round(metres)} m"
+  def metres(metres), do: :erlang.float_to_binary(metres / 1000, decimals: 1) <> " km"
 
   @doc "Where a command sends the vehicle, `{lat, lon}`; nil if nowhere."
-  @spec target(Commands.entry(), map()) :: {float(), float()} | nil
+  @spec target(%{:type => String.t(), optional(atom()) => term()}, map()) :: {float(), float()} | nil
   def target(%{type: "goto", params: %{lat: lat, lon: lon}}, _vehicle) when is_number(lat) and is_number(lon),
     do: {lat, lon}
 

@@ -21,6 +21,11 @@ defmodule Aerie.Console.UI.HoldButton do
   attr :hold_ms, :integer, default: 800, values: [500, 800, 1500]
   attr :shortcut, :string, default: nil, doc: "a key that is held instead, wherever the focus is"
   attr :refusal, :string, default: nil, doc: "why it does nothing now, by its key or the hand"
+
+  attr :key_refusal, :string,
+    default: nil,
+    doc: "why the key does nothing, where the hand does something else"
+
   attr :value, :map, default: %{}, doc: "what it is for, as the operator sees it"
   attr :disabled, :boolean, default: false
   attr :reason, :string, default: nil, doc: "why it is disabled"
@@ -28,7 +33,7 @@ defmodule Aerie.Console.UI.HoldButton do
   attr :rest, :global
   slot :inner_block, required: true
 
-  @doc "A button that has to be held."
+  @doc "A button that has to be held, as `#hold-note` says to screen readers (`Aerie.Console.Frame`)."
   def hold_button(assigns) do
     ~H"""
     <button
@@ -41,13 +46,14 @@ defmodule Aerie.Console.UI.HoldButton do
       data-hold={@hold_ms}
       data-shortcut={@shortcut}
       data-refusal={@refusal}
+      data-key-refusal={@key_refusal}
       aria-disabled={@refusal && "true"}
       data-value={JSON.encode!(@value)}
       disabled={@disabled}
       title={if(@disabled, do: @reason, else: @refusal || "Press and hold")}
-      aria-description="Press and hold"
+      aria-describedby={if(!@disabled and @refusal == nil, do: "hold-note")}
       {@rest}
-    ><.icon :if={@icon} name={@icon} /><span>{render_slot(@inner_block)}</span><kbd :if={@shortcut}>{@shortcut}</kbd></button>
+    ><.icon :if={@icon} name={@icon} /><span>{render_slot(@inner_block)}</span><kbd :if={@shortcut && @key_refusal == nil}>{@shortcut}</kbd></button>
     """
   end
 end

@@ -51,9 +51,9 @@ defmodule Aerie.Console.Commands.OutcomeTest do
 
   test "a flight to a place: how far and how long, until it is there (F7)" do
     fast = [velocity: %{groundspeed: 5.9}]
-    assert shown(entry("goto", @there), away(118, fast)) == {:going, "On its way", "118 m, 20 s"}
-    assert shown(entry("goto", @there), away(118)) == {:going, "On its way", "118 m"}
-    assert shown(entry("goto", @there), away(2_340, fast)) == {:going, "On its way", "2.3 km, 6 min"}
+    assert shown(entry("goto", @there), away(118, fast)) == {:going, "On its way", "118 m to go, 20 s"}
+    assert shown(entry("goto", @there), away(118)) == {:going, "On its way", "118 m to go"}
+    assert shown(entry("goto", @there), away(2_340, fast)) == {:going, "On its way", "2.3 km to go, 6 min"}
     assert shown(entry("goto", @there), away(3)) == {:there, "Arrived", nil}
     # Above its place, and still climbing.
     assert {:going, _label, _text} = shown(entry("goto", %{@there | altitude: 60.0}), away(3))
@@ -72,7 +72,7 @@ defmodule Aerie.Console.Commands.OutcomeTest do
       )
 
     assert shown(entry("land"), air) == {:going, "Landing", "22 m above home"}
-    assert shown(entry("rtl"), air) == {:going, "Returning", "111 m"}
+    assert shown(entry("rtl"), air) == {:going, "Returning", "111 m from home"}
 
     for type <- ["land", "rtl"],
         ended <- ["landed", "disarmed"],
@@ -145,7 +145,7 @@ defmodule Aerie.Console.Commands.OutcomeTest do
     goto = entry("goto", @there)
     going = Outcome.of(goto, [], away(118), [])
 
-    assert %{label: "On its way", text: "118 m", tone: :going, going: true, state: :completed} =
+    assert %{label: "On its way", text: "118 m to go", tone: :going, going: true, state: :completed} =
              Entry.of(goto, going)
 
     there = Outcome.of(goto, [], away(1), [])

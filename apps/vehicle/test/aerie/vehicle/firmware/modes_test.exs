@@ -220,4 +220,16 @@ defmodule Aerie.Vehicle.Firmware.ModesTest do
       assert Modes.arm_first(:ardupilot, kind, first) == nil
     end
   end
+
+  test "what a vehicle does in a mode agrees with MAVLink's standard modes" do
+    same = %{"safe_recovery" => :return, "mission" => :mission, "land" => :land, "takeoff" => :take_off}
+
+    for firmware <- [:ardupilot, :px4],
+        kind <- ~w(copter plane vtol rover boat sub blimp),
+        {standard, mode} <- Aerie.Vehicle.Firmware.traits(firmware).modes.standard(kind),
+        action = same[standard],
+        do: assert(Aerie.Vehicle.Firmware.action(mode) == action, "#{firmware} #{kind} #{mode}")
+
+    for mode <- ["ACRO", "MODE(27)", "", nil], do: assert(Aerie.Vehicle.Firmware.action(mode) == nil)
+  end
 end

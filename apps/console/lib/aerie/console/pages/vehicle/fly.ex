@@ -1,5 +1,5 @@
 defmodule Aerie.Console.Pages.Vehicle.Fly do
-  @moduledoc "The section of a vehicle's page for flying: instruments, map, control, battery, GPS, latest events."
+  @moduledoc "The section of a vehicle's page for flying: the map with a line of values and the instruments over it, control, battery, GPS, latest events."
   use Aerie.Console, :component
 
   import Aerie.Console.Pages.Vehicle.GroupCard
@@ -7,7 +7,7 @@ defmodule Aerie.Console.Pages.Vehicle.Fly do
   alias Aerie.Console.Map, as: ConsoleMap
   alias Aerie.Console.Pages.Vehicle.{Events, View}
   alias Aerie.Console.Pages.Vehicle.Control.Actions
-  alias Aerie.Console.Pages.Vehicle.Fly.Route
+  alias Aerie.Console.Pages.Vehicle.Fly.{Line, Route}
 
   attr :view, View, required: true
   attr :user, :map, required: true
@@ -20,32 +20,31 @@ defmodule Aerie.Console.Pages.Vehicle.Fly do
   attr :aiming, :boolean, required: true
   attr :following, :boolean, required: true
   attr :lines, :list, required: true
+  attr :events, :list, required: true
   attr :events_path, :string, required: true
 
   @doc "The flight section."
   def fly(assigns) do
     ~H"""
     <div class="fly">
-      <div class="fly-instruments">
-        <div id="instruments" class="pfd" phx-hook="Instruments" phx-update="ignore" data-vehicle={@view.vehicle.id} data-status={@view.vehicle.status}></div>
-        <dl class="readout">
-          <div :for={{name, [group | _] = path, decimals} <- readout()} :key={name}>
-            <dt>{name} <.age us={View.get(@view, path) && View.age(@view, group)} limit_us={3_000_000} /></dt>
-            <dd>{value(@view, path, decimals)}</dd>
-          </div>
-        </dl>
-      </div>
-      <div class="fly-map">
-        <ConsoleMap.map
-          id="vehicle-map"
-          label={"Where #{@view.vehicle.id} is"}
-          follow={if @following, do: @view.vehicle.id}
-          selected={[@view.vehicle.id]}
-          tool={if @aiming, do: "point", else: "select"}
-          class="vehicle-map"
-        />
+      <div class="fly-main">
+        <Line.line view={@view} events={@events} />
+        <div class="fly-map">
+          <ConsoleMap.map
+            id="vehicle-map"
+            label={"Where #{@view.vehicle.id} is"}
+            follow={if @following, do: @view.vehicle.id}
+            selected={[@view.vehicle.id]}
+            tool={if @aiming, do: "point", else: "select"}
+            class="vehicle-map"
+          />
+          <details id="fly-instruments" class="fly-instruments" open phx-mounted={JS.ignore_attributes("open")}>
+            <summary>Instruments</summary>
+            <div id="instruments" class="pfd" phx-hook="Instruments" phx-update="ignore" data-vehicle={@view.vehicle.id} data-status={@view.vehicle.status}></div>
+          </details>
+        </div>
         <div :if={Actions.able?("goto", assigns)} class="fly-aim">
-          <.button small={true} icon="goto" phx-click="aim" aria-pressed={to_string(@aiming)}>Click to go</.button>
+          <.button small={true} icon="goto" phx-click="aim" aria-pressed={to_string(@aiming)}>Go to…</.button>
           <span :if={@aiming} class="hint">Click the map. Nothing is sent until you confirm.</span>
         </div>
       </div>
@@ -56,7 +55,7 @@ defmodule Aerie.Console.Pages.Vehicle.Fly do
       </div>
       <div class="cards fly-cards">
         <.facts id="battery" title="Battery" view={@view} group={:battery} old_us={15_000_000} fields={battery()}>
-          <.meter value={View.get(@view, [:battery, :remaining])} label="Remaining charge" kind={charge(View.get(@view, [:battery, :remaining]))} />
+          <.meter value={View.get(@view, [:battery, :remaining])} label="Remaining charge" kind={Line.charge(View.get(@view, [:battery, :remaining])) || "ok"} />
           <ul :if={length(batteries(@view)) > 1} class="batteries">
             <li :for={battery <- batteries(@view)} :key={battery.id}>
               #{battery.id}: {View.number(battery.voltage, 2)} V, {View.number(battery.current, 1)} A, {percent(battery.remaining)}
@@ -64,6 +63,7 @@ defmodule Aerie.Console.Pages.Vehicle.Fly do
           </ul>
         </.facts>
         <.facts id="gps" title="GPS" view={@view} group={:gps} fields={gps()} />
+        <.facts id="motion" title="Motion" view={@view} group={:velocity} fields={[climb: "Climb", airspeed: "Airspeed", throttle: "Throttle"]} />
         <section class="card" aria-labelledby="latest-title">
           <div class="spread"><h2 id="latest-title">Latest</h2><.link patch={@events_path}>All events</.link></div>
           <p :if={@lines == []} class="muted">{if @view.vehicle.via, do: "The gateway #{@view.vehicle.via} has its events.", else: "No events yet"}</p>
@@ -74,42 +74,13 @@ defmodule Aerie.Console.Pages.Vehicle.Fly do
     """
   end
 
-  # {name, path, decimals}: more decimals change too fast to be read.
-  defp readout do
-    [
-      {"Height", [:position, :alt_rel], 1},
-      {"Altitude (MSL)", [:position, :alt_msl], 0},
-      {"Speed", [:velocity, :groundspeed], 1},
-      {"Climb", [:velocity, :climb], 1},
-      {"Heading", [:position, :heading], 0},
-      {"Throttle", [:velocity, :throttle], 0}
-    ]
-  end
-
-  # As the compass above says it.
-  defp value(view, [:position, :heading] = path, _decimals) do
-    case View.get(view, path) do
-      nil ->
-        "–"
-
-      degrees ->
-        degrees
-        |> round()
-        |> Integer.mod(360)
-        |> Integer.to_string()
-        |> String.pad_leading(3, "0")
-        |> Kernel.<>("°")
-    end
-  end
-
-  defp value(view, path, decimals), do: View.text(view, path, %{decimals: decimals})
-
   defp battery,
     do: [
       voltage: "Voltage",
       current: "Current",
       remaining: "Remaining",
       consumed_mah: "Used",
+      time_remaining: "Lasts (by the firmware)",
       charge_state: "State"
     ]
 
@@ -122,16 +93,12 @@ defmodule Aerie.Console.Pages.Vehicle.Fly do
       h_acc: "Horizontal accuracy",
       v_acc: "Vertical accuracy",
       lat: "Latitude",
-      lon: "Longitude"
+      lon: "Longitude",
+      alt_msl: "Altitude (MSL)"
     ]
 
   defp batteries(view), do: View.get(view, [:battery, :batteries]) || []
 
   defp percent(nil), do: "–"
   defp percent(share), do: "#{round(share * 100)} %"
-
-  defp charge(nil), do: nil
-  defp charge(share) when share < 0.15, do: "bad"
-  defp charge(share) when share < 0.3, do: "warn"
-  defp charge(_share), do: "ok"
 end

@@ -1,5 +1,5 @@
 defmodule Aerie.Console.Pages.Vehicle.Header do
-  @moduledoc "The header above every section of a vehicle's page: name, reception, present action, problems."
+  @moduledoc "The header above every section of a vehicle's page: name, reception, what it does now, problems."
   use Aerie.Console, :component
 
   alias Aerie.Vehicle.Firmware
@@ -7,6 +7,7 @@ defmodule Aerie.Console.Pages.Vehicle.Header do
   alias Aerie.Console.Pages.Vehicle.View
 
   attr :view, View, required: true
+  attr :doing, :string, required: true, doc: "`Aerie.Console.Pages.Vehicle.Fly.Doing`"
 
   @doc "The header."
   def header(assigns) do
@@ -15,13 +16,12 @@ defmodule Aerie.Console.Pages.Vehicle.Header do
     ~H"""
     <header class="vehicle-head" data-status={@status}>
       <h1>{@vehicle.id}</h1>
-      <span class="muted">{@vehicle.vehicle_type}, {firmware(@vehicle)}</span>
+      <p class="vehicle-doing">{@doing}</p>
+      <span class="muted">{kind_of(@vehicle.vehicle_type)} · {firmware(@vehicle)}</span>
       <.badge :if={@vehicle.via} kind="info" class="vehicle-via">via {@vehicle.via}</.badge>
       <.badge kind={kind(@status)} class="vehicle-status">{status(@status)}</.badge>
-      <.badge kind={armed_kind(View.get(@view, [:mode, :armed]))} class="vehicle-armed">{armed(View.get(@view, [:mode, :armed]))}</.badge>
+      <.badge kind={armed_kind(View.get(@view, [:mode, :armed]))}><span class="vehicle-air">{air(View.get(@view, [:mode, :in_air]))}</span><span class="vehicle-armed">{armed(View.get(@view, [:mode, :armed]))}</span></.badge>
       <.badge class="vehicle-mode">{View.get(@view, [:mode, :mode]) || "mode unknown"}</.badge>
-      <.badge :if={View.get(@view, [:mode, :in_air]) == true} kind="info" class="vehicle-air">in the air</.badge>
-      <.badge :if={View.get(@view, [:mode, :in_air]) == false} class="vehicle-air">on the ground</.badge>
       <.badge :for={{tone, text} <- View.warnings(@view)} kind={Atom.to_string(tone)}><.icon name="alert" />{text}</.badge>
       <span class="vehicle-elsewhere">
         <.link navigate={"/params?" <> URI.encode_query(vehicle: @vehicle.id)}>Parameters</.link>
@@ -40,11 +40,18 @@ defmodule Aerie.Console.Pages.Vehicle.Header do
   defp firmware(%{autopilot: autopilot, firmware: firmware}),
     do: Enum.join([Firmware.title(autopilot) | List.wrap(firmware)], " ")
 
+  defp kind_of("vtol"), do: "VTOL"
+  defp kind_of(type), do: String.capitalize(type)
+
   defp status(status), do: Atom.to_string(status)
 
   defp kind(:online), do: "ok"
   defp kind(:stale), do: "warn"
   defp kind(:lost), do: "bad"
+
+  defp air(true), do: "Flying, "
+  defp air(false), do: "On the ground, "
+  defp air(nil), do: ""
 
   defp armed(true), do: "ARMED"
   defp armed(false), do: "disarmed"

@@ -26,6 +26,7 @@ defmodule Aerie.Console.Pages.Vehicle.Section do
       route={@route}
       aiming={@aiming}
       following={@following}
+      events={@events}
       lines={@events |> Timeline.lines() |> Enum.take(6)}
       events_path={Sections.path(@id, "events")}
     />

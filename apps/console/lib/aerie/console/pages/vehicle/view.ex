@@ -15,6 +15,15 @@ defmodule Aerie.Console.Pages.Vehicle.View do
               into: %{},
               do: {[group | field.path], field}
 
+  @fixes %{
+    "NO_GPS" => "no GPS",
+    "NO_FIX" => "no fix",
+    "2D_FIX" => "2D",
+    "3D_FIX" => "3D",
+    "RTK_FLOAT" => "RTK float",
+    "RTK_FIXED" => "RTK fixed"
+  }
+
   @doc "The view of a snapshot, with the gateway's links (`Aerie.Base.Store.links/1`)."
   @spec new(map(), [map()], now :: integer()) :: t()
   def new(vehicle, links, now) do
@@ -42,7 +51,14 @@ defmodule Aerie.Console.Pages.Vehicle.View do
 
   @doc "A value as text with its unit; ratios are per cent; `–` if it is not known. `changes` of the field, such as fewer `decimals`."
   @spec text(t(), path(), %{optional(:decimals) => non_neg_integer()}) :: String.t()
-  def text(view, path, changes \\ %{}) do
+  def text(view, path, changes \\ %{})
+
+  def text(view, [:gps, :fix_name] = path, _changes) do
+    name = get(view, path)
+    Map.get(@fixes, name, name || "–")
+  end
+
+  def text(view, path, changes) do
     field = Map.get(@fields, path, %{decimals: nil, unit: nil})
     format(get(view, path), Map.merge(field, changes))
   end

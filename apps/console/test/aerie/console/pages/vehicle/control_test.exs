@@ -13,7 +13,7 @@ defmodule Aerie.Console.Pages.Vehicle.ControlTest do
     give(view, "goto", "g1", %{"fields" => %{"lat" => "47.3987", "lon" => "8.5456", "altitude" => "20"}})
     answer(executing(%{id: "g1"}), "g1", :completed)
     eventually(fn -> has_element?(view, "#commands-now-g1.going[data-state=completed]", "On its way") end)
-    assert has_element?(view, "#commands-now-g1", "111 m, 37 s")
+    assert has_element?(view, "#commands-now-g1", "111 m to go, 37 s")
     marked = %{map: "vehicle-map", place: %{lat: 47.3987, lon: 8.5456, text: "on its way"}}
     assert_push_event(view, "map:target", ^marked, Aerie.Patience.ms())
 
@@ -69,7 +69,11 @@ defmodule Aerie.Console.Pages.Vehicle.ControlTest do
   end
 
   test "take off is offered on the ground, and is the first choice only there (F6)", %{console: console} do
-    refute console |> open() |> has_element?("#action-takeoff")
+    # In the air it keeps its place, and refuses the hand and the key.
+    assert console
+           |> open()
+           |> has_element?("#action-takeoff[data-refusal='It is in the air.'][data-shortcut=T]")
+
     put(console, mode: %{armed: true, in_air: false})
     assert console |> open() |> has_element?("#action-takeoff.primary")
     put(console, mode: %{armed: true, in_air: nil})
@@ -99,10 +103,13 @@ defmodule Aerie.Console.Pages.Vehicle.ControlTest do
     put(console, mission: %{seq: 3, total: 7})
     view = open(console)
     assert has_element?(view, "#mission", "Item 3 of 7")
+    refused = &has_element?(view, "#action-#{&1}[data-refusal]")
     for name <- ~w(mission_start mission_pause resume), do: assert(has_element?(view, "#action-#{name}"))
+    assert Enum.filter(~w(mission_start mission_pause resume), refused) == []
     assert has_element?(view, "#mission button[phx-click=route][aria-pressed=false]")
     put(console, mission: %{seq: 3, total: 7}, mode: %{mode: "AUTO"})
     eventually(fn -> has_element?(view, "#mission button[phx-click=route][aria-pressed=true]") end)
+    assert Enum.filter(~w(mission_start mission_pause resume), refused) == ~w(mission_start resume)
     view |> element("#mission button[phx-click=route]") |> render_click()
     assert has_element?(view, "#mission button[phx-click=route][aria-pressed=false]")
     refute console |> open(:viewer) |> has_element?("#mission .hold")
@@ -111,18 +118,38 @@ defmodule Aerie.Console.Pages.Vehicle.ControlTest do
   test "a mode in which the firmware does not arm offers the one to be set first", %{console: console} do
     put(console, mode: %{armed: false, in_air: false, mode: "LAND"})
     view = open(console)
-    assert has_element?(view, "#action-arm-first", "Set GUIDED first")
-    assert has_element?(view, "#action-arm-first[phx-value-type=set_mode][phx-value-mode=GUIDED]")
-    assert has_element?(view, "#action-arm")
+
+    assert has_element?(
+             view,
+             "#action-arm[phx-value-type=set_mode][phx-value-mode=GUIDED]",
+             "Set GUIDED first"
+           )
+
+    assert has_element?(view, "#action-arm[data-key-refusal='It cannot be armed in LAND. Set GUIDED first.']")
+    assert has_element?(view, "#action-arm-other[phx-value-type=arm]")
     give(view, "set_mode", "m1", %{"mode" => "GUIDED"})
     from = executing(%{type: "set_mode", params: %{mode: "GUIDED"}, id: "m1"})
     answer(from, "m1", :completed)
 
     put(console, mode: %{armed: false, in_air: false, mode: "GUIDED"})
     send(view.pid, :refresh)
-    refute has_element?(view, "#action-arm-first")
+    # The same button is the next step, so the keyboard's focus stays on it.
+    assert has_element?(
+             view,
+             "#action-arm[phx-value-type=arm][data-shortcut=A]:not([data-key-refusal])",
+             "Arm"
+           )
+
+    refute has_element?(view, "#action-arm-other")
+    put(console, mode: %{armed: true, in_air: false, mode: "GUIDED"})
+    send(view.pid, :refresh)
+    assert has_element?(view, "#action-arm[phx-value-type=disarm][data-key-refusal='It is armed already.']")
+    put(console, mode: %{armed: nil, in_air: false, mode: "GUIDED"})
+    send(view.pid, :refresh)
+    assert has_element?(view, "#action-arm[phx-value-type=arm]")
+    assert has_element?(view, "#action-arm-other[phx-value-type=disarm]")
     put(console, mode: %{armed: false, mode: "LAND"})
-    refute open(console, :viewer) |> has_element?("#action-arm-first")
+    refute open(console, :viewer) |> has_element?("#action-arm")
   end
 
   test "the workshop is not offered in the air, nor where that is not known", %{console: console} do

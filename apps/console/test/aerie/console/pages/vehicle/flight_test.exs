@@ -46,7 +46,7 @@ defmodule Aerie.Console.Pages.Vehicle.FlightTest do
       assert give(view, "takeoff", %{"altitude" => "150"}) =~ "Not allowed"
       assert give(view, "takeoff", %{"altitude" => "10"}) =~ ~r/Climbing|At height/
       SimVehicle.await(sim, &(&1.alt_rel > 8))
-      eventually(fn -> has_element?(view, ".vehicle-air", "in the air") end)
+      eventually(fn -> has_element?(view, ".vehicle-air", "Flying") end)
       eventually(fn -> has_element?(view, "#latest", "took off") end)
 
       %{lat: lat, lon: lon} = data(console.gateway, :position)
@@ -61,7 +61,7 @@ defmodule Aerie.Console.Pages.Vehicle.FlightTest do
       assert give(view, "land") =~ ~r/Landing|Landed/
       SimVehicle.await(sim, &(not &1.armed))
       eventually(fn -> has_element?(view, "#commands-now .good", "Landed") end)
-      eventually(fn -> has_element?(view, ".vehicle-air", "on the ground") end)
+      eventually(fn -> has_element?(view, ".vehicle-air", "On the ground") end)
       assert view |> element("a.tab", "Events") |> render_click() =~ "took off"
     end
   end
@@ -84,6 +84,15 @@ defmodule Aerie.Console.Pages.Vehicle.FlightTest do
        %{tmp_dir: dir} do
     {console, sim} = start(dir, :ardupilot)
     browse(console, "vehicle_flight.mjs")
+    SimVehicle.await(sim, &(not &1.armed))
+  end
+
+  @tag :chromium
+  test "in a browser: flown by the keyboard alone; every button keeps its place, and the focus its button", %{
+    tmp_dir: dir
+  } do
+    {console, sim} = start(dir, :ardupilot)
+    browse(console, "vehicle_hand.mjs")
     SimVehicle.await(sim, &(not &1.armed))
   end
 

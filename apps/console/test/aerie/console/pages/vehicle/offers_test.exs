@@ -41,7 +41,10 @@ defmodule Aerie.Console.Pages.Vehicle.OffersTest do
 
     assert [] = console |> open(:viewer) |> buttons()
     msp(console, :betaflight, %{}, armed: true)
-    assert ["disarm"] = console |> open() |> buttons()
+    # The one button is there, and disarms.
+    view = open(console)
+    assert ["arm"] = buttons(view)
+    assert has_element?(view, "#action-arm[phx-value-type=disarm]", "Disarm")
   end
 
   test "a user who was given the permission has the buttons", %{console: console} do
@@ -58,7 +61,7 @@ defmodule Aerie.Console.Pages.Vehicle.OffersTest do
     msp(console, :inav)
     view = open(console)
     assert has_element?(view, ".vehicle-head", "iNav 4.5.5")
-    assert has_element?(view, ".fly-aim", "Click to go")
+    assert has_element?(view, ".fly-aim", "Go to…")
     assert buttons(view) == []
   end
 

@@ -181,7 +181,7 @@ defmodule Aerie.Console.Pages.Vehicle.PageTest do
 
   test "a click on the map: the policy's answer before anything is sent", %{console: console} do
     view = open(console)
-    view |> element("button", "Click to go") |> render_click()
+    view |> element("button", "Go to…") |> render_click()
     assert has_element?(view, "#vehicle-map[data-tool=point]")
     render_hook(view, "map_point", %{"map" => "vehicle-map", "lat" => 47.398, "lon" => 8.5456})
 

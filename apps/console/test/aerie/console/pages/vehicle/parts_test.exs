@@ -4,7 +4,7 @@ defmodule Aerie.Console.Pages.Vehicle.PartsTest do
 
   alias Aerie.Vehicle.{Event, Snapshot}
   alias Aerie.Console.Pages.Vehicle.View
-  alias Aerie.Console.Pages.Vehicle.Fly.Instruments
+  alias Aerie.Console.Pages.Vehicle.Fly.{Doing, Instruments, Line}
   alias Aerie.Console.Pages.Vehicle.LinkTable.Links
   alias Aerie.Console.Pages.Vehicle.Charts.Series
   alias Aerie.Console.Pages.Vehicle.Events.Timeline
@@ -44,6 +44,70 @@ defmodule Aerie.Console.Pages.Vehicle.PartsTest do
 
     assert %{roll: nil, heading: nil, speed: nil} = Instruments.sample(vehicle(groups), @now + 3_000_001)
     assert %{heading: 12.5} = Instruments.sample(vehicle([position: %{heading: 12.5}] ++ groups), @now)
+  end
+
+  @flying [
+    mode: %{armed: true, in_air: true, mode: "GUIDED"},
+    position: %{lat: 47.0, lon: 8.0, alt_rel: 12.4},
+    velocity: %{groundspeed: 5.0},
+    home: %{lat: 47.001, lon: 8.0}
+  ]
+  defp doing(groups, entries \\ [], courses \\ %{}, status \\ :online) do
+    vehicle = vehicle(Keyword.merge(@flying, groups), %{status: status, vehicle_type: "copter"})
+    Doing.of(%View{vehicle: vehicle, now: @now, silent_us: 0}, entries, courses)
+  end
+
+  test "what it does now, in one sentence: by its command, else by its mode" do
+    mode = fn changes -> [mode: Map.merge(@flying[:mode], Map.new(changes))] end
+    assert doing([]) == "Waiting for a command, 12 m above home"
+    assert doing(mode.(mode: "RTL")) == "Returning, 111 m from home, 22 s"
+    assert doing(mode.(mode: "AUTO_LAND")) == "Landing, 12 m above home"
+    assert doing([mission: %{seq: 2, total: 3}] ++ mode.(mode: "AUTO")) == "Flying the mission, item 2 of 3"
+    assert doing(mode.(mode: "ACRO")) == "Flying in ACRO, 12 m above home"
+    assert doing(mode.(mode: nil)) == "Flying, mode unknown, 12 m above home"
+    assert doing(mode.(in_air: false)) == "Armed on the ground"
+    assert doing(mode.(in_air: false, armed: false)) == "On the ground, disarmed"
+    assert doing(mode: %{}, position: %{}) == "State unknown"
+    assert doing([position: %{}, home: %{}] ++ mode.(mode: "RTL")) == "Returning"
+
+    course = %{stage: :going, label: "On its way", text: "118 m to go", at: nil}
+    entries = [%{id: "b"}, %{id: "a"}]
+    assert doing([], entries, %{"a" => course, "b" => %{course | stage: :ended}}) == "On its way, 118 m to go"
+    assert doing([], entries, %{"a" => course}, :lost) == "Last known: On its way, 118 m to go"
+  end
+
+  test "the line over the map: what is known, what is low, and what is unknown" do
+    items = fn groups, events ->
+      view = %View{vehicle: vehicle(groups, %{vehicle_type: "copter"}), now: @now, silent_us: 0}
+      for item <- Line.items(view, events), into: %{}, do: {item.name, {item.text, item.more, item.tone}}
+    end
+
+    groups = [
+      battery: %{remaining: 0.12, voltage: 11.26, time_remaining: 540},
+      gps: %{satellites: 10, fix: 6, fix_name: "RTK_FIXED"}
+    ]
+
+    took_off = event("takeoff", %{}, 252)
+
+    assert items.(@flying ++ groups, [event("landed", %{}, 900), took_off, event("armed", %{}, 3)]) == %{
+             "Height" => {"12.4 m", [], nil},
+             "Speed" => {"5.0 m/s", [], nil},
+             "Home" => {"111 m", [], nil},
+             "Battery" => {"12 %", ["11.3 V", "9 min left"], :bad},
+             "Satellites" => {"10", ["RTK fixed"], nil},
+             "Flight" => {"04:12", [], nil}
+           }
+
+    assert %{"Flight" => {nil, [], nil}} = items.(@flying, [took_off, event("landed", %{}, 3)])
+    assert %{"Flight" => {"–", [], nil}} = items.([mode: %{in_air: false}], [took_off])
+    assert %{"Flight" => {"1:01:05", [], nil}} = items.(@flying, [event("takeoff", %{}, 3665)])
+
+    assert for({_name, {text, more, tone}} <- items.([], []), uniq: true, do: {text, more, tone}) == [
+             {nil, [], nil}
+           ]
+
+    assert %{"Satellites" => {"0", ["no fix"], :bad}} =
+             items.([gps: %{satellites: 0, fix: 1, fix_name: "NO_FIX"}], [])
   end
 
   test "numbers as text: as many decimals as are asked for, and no minus before a zero" do

@@ -31,8 +31,8 @@ defmodule Aerie.Vehicle.State.Groups.Battery do
   }
   # Ids have 8 bits. No vehicle has more than a few batteries, and a faulty one must not fill the memory.
   @max_batteries 16
-  @unknown %{id: nil, voltage: nil, current: nil, consumed_mah: nil}
-  @own [:id, :voltage, :current, :remaining, :consumed_mah]
+  @unknown %{id: nil, voltage: nil, current: nil, consumed_mah: nil, time_remaining: nil}
+  @own [:id, :voltage, :current, :remaining, :consumed_mah, :time_remaining]
 
   use Group,
     name: :battery,
@@ -49,6 +49,7 @@ defmodule Aerie.Vehicle.State.Groups.Battery do
       {:remaining, 2, "0..1", "remaining charge", "SYS_STATUS, BATTERY_STATUS, HIGH_LATENCY2",
        metric: {"gateway_vehicle_battery_ratio", "Remaining charge, 0 to 1."}},
       {:consumed_mah, 0, "mAh", "consumed charge", "BATTERY_STATUS"},
+      {:time_remaining, 0, "s", "how long it lasts, as the firmware reckons", "BATTERY_STATUS"},
       {:charge_state, :text, nil, "MAV_BATTERY_CHARGE_STATE, the worst of all batteries", "BATTERY_STATUS"},
       {:batteries, {:list, :group}, nil, "a list of all batteries, each with the fields above and these:",
        "BATTERY_STATUS"},
@@ -64,6 +65,7 @@ defmodule Aerie.Vehicle.State.Groups.Battery do
       current: current(m.current_battery, state.autopilot),
       remaining: remaining(m.battery_remaining),
       consumed_mah: if(m.current_consumed >= 0, do: m.current_consumed),
+      time_remaining: if(m.time_remaining > 0, do: m.time_remaining),
       temperature: Value.signed(m.temperature, 16, 100),
       charge_state: charge_state(m.charge_state)
     }

@@ -7,7 +7,7 @@ defmodule Aerie.Console.Pages.Vehicle.Control.Actions do
 
   alias Aerie.Control.Commands
   alias Aerie.Vehicle.{Firmware, Snapshot}
-  alias Aerie.Console.Commands.{Catalog, Panel}
+  alias Aerie.Console.Commands.{Catalog, Outcome, Panel}
   alias Aerie.Console.Pages.Vehicle.View
   alias Aerie.Console.Pages.Vehicle.Control.Target
 
@@ -42,17 +42,20 @@ defmodule Aerie.Console.Pages.Vehicle.Control.Actions do
   attr :inputs, :map, required: true, doc: "texts of the fields: `takeoff`, `mode`"
   attr :modes, :list, required: true
 
-  @doc "Arm or disarm, take off, change the mode."
+  @doc """
+  Arm or disarm, take off, change the mode. Each has its place, whatever the vehicle's state, and the first keeps its id: what it does next
+  stands on the same button, so neither the hand nor the focus of the keyboard has to look for it.
+  """
   def flight(assigns) do
     assigns =
       assign(assigns,
-        armed: View.get(assigns.view, [:mode, :armed]),
         in_air: View.get(assigns.view, [:mode, :in_air]),
-        first: Firmware.arm_first(assigns.view.vehicle, View.get(assigns.view, [:mode, :mode])),
         able: for({name, _title} <- @flight, able?(name, assigns), do: name),
         modes: for(mode <- assigns.modes, able?("set_mode", assigns, %{mode: mode}), do: mode),
         locked: locked(@flight, assigns)
       )
+
+    assigns = assign(assigns, :next, next(assigns))
 
     ~H"""
     <section class="card" aria-labelledby="flight-title">
@@ -60,15 +63,14 @@ defmodule Aerie.Console.Pages.Vehicle.Control.Actions do
       <p :if={@able == [] and @locked == []} class="muted"><.icon name="eye" /> {watches(@user)}</p>
       <p :for={text <- @locked} class="muted locked"><.icon name="lock" /> {text}</p>
       <div class="controls">
-        <.hold_button :if={"arm" in @able and @armed != true} id="action-arm" event="command" icon="arm" phx-value-type="arm">Arm</.hold_button>
-        <div :if={"arm" in @able and "set_mode" in @able and @armed == false and @first != nil} class="control">
-          <p class="hint">It cannot be armed in {View.get(@view, [:mode, :mode])}.</p>
-          <.hold_button id="action-arm-first" event="command" kind="plain" phx-value-type="set_mode" phx-value-mode={@first}>Set {@first} first</.hold_button>
+        <div :if={@next} class="control">
+          <p class="hint control-note">{@next.note}</p>
+          <.hold_button id="action-arm" event="command" icon={@next.icon} kind={@next.kind} shortcut="A" key_refusal={@next.refusal} {@next.values}>{@next.label}</.hold_button>
+          <.hold_button :if={@next.other} id="action-arm-other" event="command" kind="plain" phx-value-type={elem(@next.other, 0)}>{elem(@next.other, 1)}</.hold_button>
         </div>
-        <.hold_button :if={"disarm" in @able and @armed != false} id="action-disarm" event="command" icon="stop" kind="plain" phx-value-type="disarm">Disarm</.hold_button>
-        <form :if={"takeoff" in @able and @in_air != true} id="takeoff-form" class="control" phx-change="input" phx-auto-recover="ignore" phx-submit="noop">
-          <.field id="takeoff-altitude" name="altitude" label="Take-off height" unit="m" inputmode="decimal" autocomplete="off" value={@inputs["altitude"]} />
-          <.hold_button id="action-takeoff" event="command" icon="takeoff" kind={if @in_air == false, do: "primary", else: "plain"} phx-value-type="takeoff">Take off</.hold_button>
+        <form :if={"takeoff" in @able} id="takeoff-form" class="control" phx-change="input" phx-auto-recover="ignore" phx-submit="noop">
+          <.field id="takeoff-altitude" name="altitude" label="Height (above home)" unit="m" inputmode="decimal" autocomplete="off" value={@inputs["altitude"]} />
+          <.hold_button id="action-takeoff" event="command" icon="takeoff" kind={if @in_air == false, do: "primary", else: "plain"} shortcut="T" refusal={if @in_air, do: "It is in the air."} phx-value-type="takeoff">Take off</.hold_button>
         </form>
         <form :if={"set_mode" in @able and @modes != []} id="mode-form" class="control" phx-change="input" phx-auto-recover="ignore" phx-submit="noop">
           <.field id="mode-choice" name="mode" type="select" label="Mode" options={[{"choose", ""} | Enum.map(@modes, &{&1, &1})]} value={@inputs["mode"]} />
@@ -77,6 +79,45 @@ defmodule Aerie.Console.Pages.Vehicle.Control.Actions do
       </div>
     </section>
     """
+  end
+
+  # What the first button does: the step that comes next. Beside it stands what may be meant as well: an option of the firmware may let it arm in
+  # this mode, and nothing may say whether it is armed.
+  defp next(%{view: view, able: able}) do
+    mode = View.get(view, [:mode, :mode])
+    armed = View.get(view, [:mode, :armed])
+    first = if "set_mode" in able, do: Firmware.arm_first(view.vehicle, mode)
+
+    cond do
+      armed == true and "disarm" in able ->
+        step("Disarm", %{"phx-value-type": "disarm"}, icon: "stop", refusal: "It is armed already.")
+
+      "arm" not in able ->
+        nil
+
+      armed == false and first != nil ->
+        note = "It cannot be armed in #{mode}."
+        values = %{"phx-value-type": "set_mode", "phx-value-mode": first}
+        other = {"arm", "Arm all the same"}
+        step("Set #{first} first", values, note: note, refusal: "#{note} Set #{first} first.", other: other)
+
+      armed == true ->
+        nil
+
+      true ->
+        step("Arm", %{"phx-value-type": "arm"},
+          icon: "arm",
+          kind: "primary",
+          other: if(armed == nil and "disarm" in able, do: {"disarm", "Disarm"})
+        )
+    end
+  end
+
+  defp step(label, values, more) do
+    Map.merge(
+      %{label: label, values: values, icon: nil, kind: "plain", note: nil, refusal: nil, other: nil},
+      Map.new(more)
+    )
   end
 
   attr :view, View, required: true
@@ -94,7 +135,7 @@ defmodule Aerie.Console.Pages.Vehicle.Control.Actions do
       </div>
       <p class="mono">{View.number(@target.lat, 6)}, {View.number(@target.lon, 6)}<span :if={far(@target, @view)}>, {far(@target, @view)} away</span></p>
       <form id="goto-form" class="control" phx-change="aim_altitude" phx-auto-recover="ignore" phx-submit="noop">
-        <.field id="goto-altitude" name="altitude" label="Height above home" unit="m" inputmode="decimal" autocomplete="off" value={@target.altitude} />
+        <.field id="goto-altitude" name="altitude" label="Height (above home)" unit="m" inputmode="decimal" autocomplete="off" value={@target.altitude} />
         <input :for={{name, text} <- place(@target)} type="hidden" name={name} value={text} />
         <.hold_button id="action-goto" event="command" icon="goto" phx-value-type="goto" disabled={@answer != :allow} reason="It would be refused: see below">Go there</.hold_button>
       </form>
@@ -108,8 +149,7 @@ defmodule Aerie.Console.Pages.Vehicle.Control.Actions do
   defp far(target, view) do
     case Snapshot.distance(view.vehicle, {target.lat, target.lon}) do
       nil -> nil
-      metres when metres < 1000 -> "#{round(metres)} m"
-      metres -> "#{View.number(metres / 1000, 1)} km"
+      metres -> Outcome.metres(metres)
     end
   end
 

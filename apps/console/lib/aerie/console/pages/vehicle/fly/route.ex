@@ -33,6 +33,22 @@ defmodule Aerie.Console.Pages.Vehicle.Fly.Route do
       else: Plans.keep(plans, gateway, counts)
   end
 
+  # Only what the vehicle itself shows refuses a button, and never *Pause*.
+  defp refusal("mission_pause", _view), do: nil
+
+  defp refusal(name, view) do
+    cond do
+      flying?(view) and View.get(view, [:mode, :in_air]) == true ->
+        "It flies the mission."
+
+      name == "resume" and View.get(view, [:mode, :in_air]) == false ->
+        "It is on the ground: start the mission."
+
+      true ->
+        nil
+    end
+  end
+
   attr :view, View, required: true
   attr :user, :map, required: true
   attr :route, :map, required: true
@@ -58,7 +74,7 @@ defmodule Aerie.Console.Pages.Vehicle.Fly.Route do
       <.meter :if={(@total || 0) > 0} value={@seq && min(@seq / @total, 1)} label="Progress of the mission" text={if @seq, do: "Item #{@seq} of #{@total}", else: "#{@total} items"} />
       <p :for={words <- Plans.summary(@route)} class="muted" role="status">{words}</p>
       <div :if={@commands != []} class="controls">
-        <.hold_button :for={{name, label, icon} <- @commands} id={"action-#{name}"} event="command" kind="plain" icon={icon} phx-value-type={name}>{label}</.hold_button>
+        <.hold_button :for={{name, label, icon} <- @commands} id={"action-#{name}"} event="command" kind="plain" icon={icon} refusal={refusal(name, @view)} phx-value-type={name}>{label}</.hold_button>
       </div>
     </section>
     """

@@ -13,11 +13,12 @@ import FleetMap from "./hooks/fleet_map.js";
 import FleetTable from "./hooks/fleet_table.js";
 import HoldButton from "./hooks/hold_button.js";
 import Instruments from "./hooks/instruments.js";
+import Palette from "./hooks/palette.js";
 import ParamsFile from "./hooks/params_file.js";
 import PlanFile from "./hooks/plan_file.js";
 import Toast from "./hooks/toast.js";
 
-const hooks = { AlarmSound, Chart, CommandForm, Dialog, FleetMap, FleetTable, HoldButton, Instruments, ParamsFile, PlanFile, Toast };
+const hooks = { AlarmSound, Chart, CommandForm, Dialog, FleetMap, FleetTable, HoldButton, Instruments, Palette, ParamsFile, PlanFile, Toast };
 
 // A gateway that starts again is back within a second; the client's own pauses grow to five.
 const pause = (tries) => [50, 100, 200, 500][tries - 1] ?? 1000;

@@ -1,4 +1,4 @@
-// Keys that work everywhere but where somebody types: g and a letter go to a page, ? lists all. Holding a key for a button is the button's
+// Keys that work everywhere but where somebody types: g and a letter go to a page, / to its search, ? lists all. Holding a key for a button is the button's
 // own affair (hooks/hold_button.js).
 const WAIT_MS = 1500;
 let going;
@@ -17,6 +17,9 @@ export function keyboard() {
       if (link) { event.preventDefault(); event.stopImmediatePropagation(); link.click(); }
     } else if (key === "g") {
       going = setTimeout(stop, WAIT_MS);
+    } else if (event.key === "/") {
+      const search = document.querySelector("#main input[type=search]");
+      if (search) { event.preventDefault(); search.focus(); search.select(); }
     } else if (event.key === "?") {
       event.preventDefault();
       help();

@@ -69,6 +69,8 @@ defmodule Aerie.Console do
           into: %{},
           do: {name, role}
 
-    %{role: options[:role], events: Map.merge(events, changes), costly: options[:costly]}
+    # Every page answers the palette (`Aerie.Console.Frame`).
+    events = events |> Map.merge(changes) |> Map.put("palette", :viewer)
+    %{role: options[:role], events: events, costly: options[:costly]}
   end
 end

@@ -5,8 +5,9 @@ defmodule Aerie.Console.Frame do
   """
   use Aerie.Console, :component
 
-  import Phoenix.LiveView, only: [attach_hook: 4]
+  import Phoenix.LiveView, only: [attach_hook: 4, push_event: 3]
 
+  alias Aerie.Console.Frame.Palette
   alias Aerie.Console.Pages
 
   @doc false
@@ -14,8 +15,20 @@ defmodule Aerie.Console.Frame do
     {:cont,
      socket
      |> frame()
-     |> attach_hook(:console_frame, :handle_params, fn _params, _uri, socket -> {:cont, frame(socket)} end)}
+     |> attach_hook(:console_frame, :handle_params, fn _params, _uri, socket -> {:cont, frame(socket)} end)
+     |> attach_hook(:console_palette, :handle_event, &palette/3)}
   end
+
+  defp palette(
+         "palette",
+         %{"query" => query},
+         %{assigns: %{gateway: gateway, user: user, path: path}} = socket
+       ),
+       do:
+         {:halt,
+          push_event(socket, "palette", %{query: query, items: Palette.find(gateway, user, path, query)})}
+
+  defp palette(_event, _value, socket), do: {:cont, socket}
 
   defp frame(%{assigns: %{user: user, path: path}} = socket) do
     entries = Pages.entries(user.role)
@@ -26,7 +39,10 @@ defmodule Aerie.Console.Frame do
   defp nav(assigns) do
     ~H"""
     <nav class="nav" aria-label="Pages">
-      <.nav_link :for={entry <- @entries} entry={entry} path={@path} class={if(not entry.main, do: "wide-only")} />
+      <.nav_link :for={entry <- @entries} :if={not entry.gateway} entry={entry} path={@path} class={if(not entry.main, do: "wide-only")} />
+      <div class="nav-group wide-only" role="group" aria-label="Gateway">
+        <.nav_link :for={entry <- @entries} :if={entry.gateway} entry={entry} path={@path} />
+      </div>
     </nav>
     """
   end
@@ -34,6 +50,7 @@ defmodule Aerie.Console.Frame do
   defp menu(assigns) do
     ~H"""
     <.nav_link :for={entry <- @entries} :if={not entry.main} entry={entry} path={@path} class="phone-only" />
+    <button type="button" data-action="palette"><.icon name="search" /> Go to… <kbd>Ctrl K</kbd></button>
     <button type="button" data-action="theme"><.icon name="contrast" /> Dark or light</button>
     <button type="button" data-action="help"><.icon name="keyboard" /> Keyboard shortcuts <kbd>?</kbd></button>
     <form action="/sign-out" method="post">
@@ -45,6 +62,12 @@ defmodule Aerie.Console.Frame do
 
   defp help(assigns) do
     ~H"""
+    <p id="hold-note" hidden>Press and hold</p>
+    <dialog id="palette" class="dialog palette" aria-label="Go to" phx-hook="Palette" phx-update="ignore">
+      <input type="text" role="combobox" aria-label="Vehicle, page, command or parameter" aria-expanded="true" aria-controls="palette-list" aria-autocomplete="list" autocomplete="off" spellcheck="false" maxlength="60" placeholder="Vehicle, page, command, parameter" />
+      <ul id="palette-list" role="listbox" aria-label="Found"></ul>
+      <p class="hint" role="status"></p>
+    </dialog>
     <dialog id="help" class="dialog" aria-labelledby="help-title" phx-mounted={JS.ignore_attributes("open")}>
       <header>
         <h2 id="help-title">Keyboard shortcuts</h2>
@@ -58,6 +81,14 @@ defmodule Aerie.Console.Frame do
           <dd>return the selected vehicle to its home</dd>
           <dt><kbd>l</kbd> held</dt>
           <dd>land the selected vehicle where it is</dd>
+          <dt><kbd>a</kbd> held</dt>
+          <dd>arm the vehicle, on its page</dd>
+          <dt><kbd>t</kbd> held</dt>
+          <dd>take off to the height in the card, on the vehicle's page</dd>
+          <dt><kbd>Ctrl</kbd> <kbd>k</kbd></dt>
+          <dd>go to a vehicle, page, command or parameter by its name</dd>
+          <dt><kbd>/</kbd></dt>
+          <dd>the page's search</dd>
           <.go :for={entry <- @entries} entry={entry} />
           <dt><kbd>?</kbd></dt>
           <dd>this list</dd>

@@ -26,6 +26,8 @@ defmodule Aerie.Console.Layout do
       </head>
       <body>
         <a class="skip" href="#main">Skip to the content</a>
+        <a class="skip to-table" href="#main" data-action="table">To the table</a>
+        <a class="skip to-actions" href="#main" data-action="actions">To the actions</a>
         <div id="gateway-lost" class="banner bad" role="alert" hidden>
           <.icon name="link-off" /> <strong>Gateway lost.</strong>
           <span>What you see is <b id="gateway-lost-age"></b> old. Commands are off. Reconnecting…</span>

@@ -14,6 +14,7 @@ defmodule Aerie.Console.Pages do
     * `icon` - a name of `Aerie.Console.UI.Icon`
     * `key` - the letter that opens the page, after `g`
     * `main` - whether a phone shows it in the bar; the others are in the menu
+    * `gateway` - whether it is about the gateway and not about vehicles
   """
   @type row :: %{
           path: String.t(),
@@ -21,7 +22,8 @@ defmodule Aerie.Console.Pages do
           label: String.t() | nil,
           icon: String.t() | nil,
           key: String.t() | nil,
-          main: boolean()
+          main: boolean(),
+          gateway: boolean()
         }
 
   rows = [
@@ -41,8 +43,18 @@ defmodule Aerie.Console.Pages do
     {"/settings", Pages.Settings.Page, "Settings", "settings", "s", false}
   ]
 
+  @gateway ~w(/links /inspector /diagnosis /system /audit /settings)
+
   @rows for {path, page, label, icon, key, main} <- rows,
-            do: %{path: path, page: page, label: label, icon: icon, key: key, main: main}
+            do: %{
+              path: path,
+              page: page,
+              label: label,
+              icon: icon,
+              key: key,
+              main: main,
+              gateway: path in @gateway
+            }
 
   @doc "All pages; the first path that matches counts."
   @spec all() :: [row()]

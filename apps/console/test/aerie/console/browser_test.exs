@@ -33,6 +33,12 @@ defmodule Aerie.Console.BrowserTest do
     assert Enum.frequencies(types(console)) == %{"hold" => holds, "rtl" => rtls}
   end
 
+  test "the palette, the search and the skip links by the keyboard alone", %{console: console} do
+    put_vehicle(console, "V<i>8", [], %{key: {"main", 8}, system_id: 8, component: 1})
+    browse(console, "palette.mjs")
+    assert types(console) == []
+  end
+
   @tag Aerie.Browser.long()
   test "every page, narrow and wide, dark and light, is sound, accessible and small", %{console: console} do
     browse(console, "pages.mjs", paths())

@@ -59,14 +59,19 @@ defmodule Aerie.Console.Pages.Params.Page do
   def handle_params(params, _uri, socket) do
     id = if Fleet.vehicle(socket.assigns.gateway, params["vehicle"] || ""), do: params["vehicle"]
     component = component(params["component"])
+    search = params["search"]
 
     socket =
       if {id, component} == {socket.assigns.vehicle, socket.assigns.component},
         do: socket,
         else: choose(socket, id, component)
 
+    socket = if is_binary(search), do: searched(socket, search), else: socket
     {:noreply, assign(socket, open: params["p"], given: given(params["value"]), error: nil)}
   end
+
+  defp searched(socket, text),
+    do: socket |> assign(:filter, %{@all | search: String.slice(text, 0, 100)}) |> relist()
 
   defp given(text) when is_binary(text), do: String.slice(text, 0, 128)
   defp given(_none), do: nil

@@ -1,0 +1,87 @@
+defmodule Aerie.Console.Frame.Palette do
+  @moduledoc """
+  What a few letters lead to (Ctrl+K): vehicles, pages, and for the vehicle whose page is shown its commands' forms and its parameters. It only leads
+  there: nothing is sent from it.
+  """
+
+  alias Aerie.Base.Names
+  alias Aerie.Fleet
+  alias Aerie.Console.Commands.Catalog
+  alias Aerie.Console.Pages
+  alias Aerie.Console.Pages.Vehicle.Sections
+  alias Aerie.Control.Policy.Roles
+
+  @most 20
+  @longest 60
+
+  @type item :: %{label: String.t(), note: String.t(), to: String.t()}
+
+  @doc "The items whose words contain all words of the query, at most #{@most}, those that begin with it first."
+  @spec find(Names.gateway(), Roles.source(), path :: String.t(), query :: term()) :: [item()]
+  def find(gateway, user, path, query) do
+    query =
+      if is_binary(query),
+        do: query |> String.slice(0, @longest) |> String.downcase() |> String.trim(),
+        else: ""
+
+    words = String.split(query)
+    shown = shown(gateway, path)
+
+    items =
+      vehicles(gateway) ++
+        pages(user) ++ if(shown, do: sections(shown) ++ commands(shown, user, words), else: [])
+
+    items
+    |> Enum.filter(&fits?(&1, words))
+    |> Enum.sort_by(&(not String.starts_with?(String.downcase(&1.label), query)))
+    |> Enum.concat(parameters(shown, query))
+    |> Enum.take(@most)
+  end
+
+  defp fits?(item, words) do
+    text = String.downcase("#{item.label} #{item.note}")
+    Enum.all?(words, &String.contains?(text, &1))
+  end
+
+  defp shown(gateway, path) do
+    with ["vehicles", id | _section] <- String.split(path, "/", trim: true),
+         do: Fleet.vehicle(gateway, URI.decode(id)),
+         else: (_other -> nil)
+  end
+
+  defp vehicles(gateway) do
+    for %{id: id, vehicle_type: kind, status: status} <- Fleet.vehicles(gateway),
+        do: %{label: id, note: "#{kind}, #{status}", to: Sections.path(id, "fly")}
+  end
+
+  defp pages(user),
+    do:
+      for(
+        %{label: label, path: path} <- Pages.entries(user.role),
+        do: %{label: label, note: "page", to: path}
+      )
+
+  defp sections(%{id: id}),
+    do:
+      for({name, label, _icon} <- Sections.all(), do: %{label: label, note: id, to: Sections.path(id, name)})
+
+  # All of them would only hide what else there is.
+  defp commands(_vehicle, _user, []), do: []
+
+  defp commands(%{id: id} = vehicle, user, words) do
+    for {_group, entries} <- Catalog.groups(vehicle, user, Enum.join(words, " ")),
+        %{gap: nil, denied: nil, type: %{name: name}, title: title} <- entries,
+        do: %{label: title, note: "command of #{id}", to: Sections.command_path(id, name)}
+  end
+
+  # They are not read for a palette; their page reads them, and shows those with this in their names.
+  defp parameters(nil, _query), do: []
+
+  defp parameters(%{id: id}, query) do
+    to = "/params?" <> URI.encode_query(vehicle: id, search: query)
+
+    if query =~ ~r/\A[a-z0-9_]{3,}\z/,
+      do: [%{label: String.upcase(query), note: "parameters of #{id}", to: to}],
+      else: []
+  end
+end

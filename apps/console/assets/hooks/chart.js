@@ -31,6 +31,12 @@ export default {
     this.handleEvent("chart", (row) => {
       if (row.chart === this.el.id) this.row(row);
     });
+    // It may come before the package that draws.
+    this.handleEvent("chart_history", ({ chart, rows }) => {
+      if (chart !== this.el.id) return;
+      this.history = rows;
+      if (this.uPlot) this.show();
+    });
     this.tools();
     this.colors();
     const { default: uPlot } = await import("../npm/uplot/uPlot.esm.js");
@@ -79,6 +85,8 @@ export default {
     const keys = this.series.map(({ key }) => key);
     this.samples.choose(keys);
     this.plots.forEach(({ plot }) => plot.destroy());
+    if (this.history) this.samples.before(this.history);
+    this.history = undefined;
     const units = [...new Set(this.series.map(({ unit }) => unit))];
     this.plots = units.map((unit) => this.plot(unit, this.series.filter((one) => one.unit === unit)));
   },
@@ -140,6 +148,8 @@ export default {
   },
 
   show() {
+    if (this.history) this.samples.before(this.history);
+    this.history = undefined;
     for (const { plot, keys } of this.plots) plot.setData(this.samples.data(keys));
   },
 

@@ -17,6 +17,25 @@ export class Samples {
     if (this.times.length > 0 && time <= this.times.at(-1)) return;
     this.times.push(time);
     for (const [key, column] of this.columns) column.push(values[key] ?? null);
+    this.bound();
+  }
+
+  // Rows of before: those that are older than the first sample come in front, and a field that was chosen later gets its values where it has none.
+  before(rows) {
+    const places = new Map(this.times.map((time, i) => [time, i]));
+    const first = this.times[0] ?? Infinity;
+    const older = rows.filter(([time]) => time < first && !places.has(time));
+    for (const [time, values] of rows) {
+      const i = places.get(time);
+      if (i === undefined) continue;
+      for (const [key, value] of Object.entries(values)) if (this.columns.has(key)) this.columns.get(key)[i] ??= value;
+    }
+    this.times.unshift(...older.map(([time]) => time));
+    for (const [key, column] of this.columns) column.unshift(...older.map(([, values]) => values[key] ?? null));
+    this.bound();
+  }
+
+  bound() {
     const over = this.times.length - this.limit;
     if (over <= 0) return;
     this.times.splice(0, over);

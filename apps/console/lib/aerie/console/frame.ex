@@ -50,7 +50,7 @@ defmodule Aerie.Console.Frame do
   defp menu(assigns) do
     ~H"""
     <.nav_link :for={entry <- @entries} :if={not entry.main} entry={entry} path={@path} class="phone-only" />
-    <button type="button" data-action="palette"><.icon name="search" /> Go to… <kbd>Ctrl K</kbd></button>
+    <button type="button" data-action="palette"><.icon name="search" /> Find… <kbd>Ctrl K</kbd></button>
     <button type="button" data-action="theme"><.icon name="contrast" /> Dark or light</button>
     <button type="button" data-action="help"><.icon name="keyboard" /> Keyboard shortcuts <kbd>?</kbd></button>
     <form action="/sign-out" method="post">

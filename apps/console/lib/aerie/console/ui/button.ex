@@ -12,7 +12,8 @@ defmodule Aerie.Console.UI.Button do
   attr :class, :string, default: nil
 
   attr(:rest, :global,
-    include: ~w(disabled name value form autofocus navigate patch href download aria-pressed aria-expanded)
+    include:
+      ~w(disabled name value form autofocus navigate patch href download aria-pressed aria-expanded aria-current)
   )
 
   slot :inner_block

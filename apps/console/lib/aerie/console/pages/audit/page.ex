@@ -9,10 +9,11 @@ defmodule Aerie.Console.Pages.Audit.Page do
   alias Aerie.Control.Policy.Audit
   alias Aerie.Control.Policy.Roles
   alias Aerie.Console.Clock
+  alias Aerie.Console.Commands.{Catalog, Wording}
   alias Aerie.Access.WorkLimit
 
   @limit 50
-  @own ~w(n at prev hash type decision source vehicle command reason)
+  @own ~w(n at prev hash type decision source vehicle command reason rule result id digest role via says)
   @decisions ~w(allow deny)
 
   @impl Phoenix.LiveView
@@ -147,14 +148,19 @@ defmodule Aerie.Console.Pages.Audit.Page do
     <.loading :if={@page == nil && @error == nil} />
     <.empty :if={@page && @page.records == []} icon="audit" title="No record matches">{@page.searched} records searched</.empty>
     <.data_table :if={@page && @page.records != []} id="records" label="Records of the audit log" rows={@page.records} row_id={&"record-#{&1["n"]}"}>
-      <:col :let={record} label="No." number>{record["n"]}</:col>
-      <:col :let={record} label="Time"><time class="mono" title={record["at"]}>{Clock.stamp(record["at"])}</time></:col>
-      <:col :let={record} label="Type">{record["type"]}</:col>
-      <:col :let={record} label="Decision"><.badge :if={record["decision"]} kind={if(record["decision"] == "allow", do: "ok", else: "bad")}>{record["decision"]}</.badge></:col>
+      <:col :let={record} label="Time" class="audit-time"><time title={record["at"]}>{Clock.stamp(record["at"])}</time></:col>
       <:col :let={record} label="Who">{value(record["source"])}</:col>
       <:col :let={record} label="Vehicle">{value(record["vehicle"])}</:col>
-      <:col :let={record} label="What">{value(record["command"])}</:col>
-      <:col :let={record} label="Details" class="grow">{value(record["reason"])} <span class="muted">{more(record)}</span></:col>
+      <:col :let={record} label="What" class="grow"><strong>{what(record)}</strong> {params(record)}</:col>
+      <:col :let={record} label="Outcome"><.badge :if={outcome(record)} kind={kind(record)}>{outcome(record)}</.badge> {why(record)}</:col>
+      <:col :let={record} label="Details">
+        <details id={"details-#{record["n"]}"} phx-mounted={JS.ignore_attributes("open")}>
+          <summary>No. {record["n"]}</summary>
+          <dl class="facts">
+            <div :for={{key, value} <- Enum.sort(record)}><dt>{key}</dt><dd>{value(value)}</dd></div>
+          </dl>
+        </details>
+      </:col>
     </.data_table>
     <div :if={@page} class="row section">
       <.button :if={@before} phx-click="newest">Newest</.button>
@@ -194,11 +200,36 @@ defmodule Aerie.Console.Pages.Audit.Page do
   defp value(nil), do: ""
   defp value(value), do: Audit.format(value)
 
-  defp more(record) do
-    record
-    |> Map.drop(@own)
-    |> Enum.sort()
-    |> Enum.map_join(", ", fn {key, value} -> "#{key} #{Audit.format(value)}" end)
-    |> String.slice(0, 300)
+  # A command by its name for people, anything else by the record's type.
+  defp what(%{"command" => command}) when is_binary(command), do: Catalog.title(command)
+  defp what(%{"type" => type}), do: type |> value() |> String.replace("_", " ") |> String.capitalize()
+
+  # In words, without what only programs compare; shortened, because the details have it in full.
+  defp params(record) do
+    of = if is_map(record["params"]), do: record["params"], else: Map.drop(record, @own)
+
+    record["command"]
+    |> value()
+    |> Wording.params(of)
+    |> String.slice(0, 200)
   end
+
+  defp outcome(%{"decision" => "allow"}), do: "Allowed"
+  defp outcome(%{"decision" => "deny"}), do: "Not allowed"
+
+  defp outcome(%{"type" => "result", "result" => status}) when is_binary(status),
+    do: String.capitalize(status)
+
+  defp outcome(_note), do: nil
+
+  defp kind(%{"decision" => "allow"}), do: "ok"
+  defp kind(%{"decision" => "deny"}), do: "bad"
+  defp kind(%{"result" => status}) when status in ["completed", "accepted"], do: "ok"
+  defp kind(_other), do: "warn"
+
+  defp why(record),
+    do:
+      [record["reason"], record["rule"] && "rule #{value(record["rule"])}"]
+      |> Enum.filter(& &1)
+      |> Enum.map_join(", ", &value/1)
 end

@@ -39,6 +39,8 @@ defmodule Aerie.Console.Pages.Vehicle.Page do
   # How long an ended command stays in sight in all sections.
   @shown_us 20_000_000
   @max_events 256
+  # As long as the charts reach.
+  @history_us 600_000_000
   @no_errors %{fields: %{}, general: []}
 
   @impl Phoenix.LiveView
@@ -101,8 +103,25 @@ defmodule Aerie.Console.Pages.Vehicle.Page do
     errors = if command == socket.assigns.command, do: socket.assigns.errors, else: @no_errors
     socket = assign(socket, section: section, series: series, command: command, form: form, errors: errors)
     # The map is new when its section is shown again.
-    {:noreply, socket |> assign(map: %{}, homes: nil, marked: nil, route_shown: nil) |> listen() |> load()}
+    {:noreply,
+     socket |> assign(map: %{}, homes: nil, marked: nil, route_shown: nil) |> listen() |> load() |> history()}
   end
+
+  # What was before the page was opened, or the field chosen.
+  defp history(%{assigns: %{section: "charts", series: [_ | _] = series, gateway: gateway, id: id}} = socket) do
+    now = System.os_time(:microsecond)
+
+    with true <- connected?(socket),
+         {:ok, %{vehicles: %{^id => samples}}} <- Fleet.tracks(gateway, [id], now - @history_us, now, 1),
+         [_ | _] = rows <- Series.history(samples, series) do
+      rows = for {time, values} <- rows, do: [time, values]
+      push_event(socket, "chart_history", %{chart: "charts", rows: rows})
+    else
+      _none -> socket
+    end
+  end
+
+  defp history(socket), do: socket
 
   # Messages are watched only while they are charted, because watching costs the links time.
   defp listen(%{assigns: %{section: section, gateway: gateway, listening: listening}} = socket) do

@@ -42,40 +42,60 @@ defmodule Aerie.Console.Pages.Audit.PageTest do
   test "records, newest first, and new ones as they come", %{console: console} do
     write(console, [
       decision("allow", "arm"),
-      decision("deny", "goto", %{"reason" => "outside the fence", "rule" => "geofence"})
+      decision("deny", "goto", %{
+        "reason" => "outside the fence",
+        "rule" => "geofence",
+        "params" => %{"lat" => 47.5, "lon" => 8.5, "altitude" => 20.0},
+        "digest" => String.duplicate("ab", 32)
+      }),
+      %{
+        "type" => "result",
+        "vehicle" => "VID-001",
+        "command" => "arm",
+        "source" => "ann",
+        "result" => "completed"
+      }
     ])
 
     view = open(console)
-    assert has_element?(view, "#records .badge.bad", "deny")
+    assert has_element?(view, "#records .badge.bad", "Not allowed")
+    assert has_element?(view, "#records .badge.ok", "Completed")
+    assert has_element?(view, "#records td", "47.50000, 8.50000 at 20")
+    # What only programs compare is in the details.
+    assert has_element?(view, "#records details dd", String.duplicate("ab", 32))
+    refute has_element?(view, "#records td[data-label=What]", "abab")
     assert has_element?(view, "#records td", "outside the fence")
     assert render(view) =~ "rule geofence"
     write(console, [decision("allow", "land")])
-    eventually(fn -> has_element?(view, "#records td", "land") end)
+    eventually(fn -> has_element?(view, "#records td[data-label=What]", "Land") end)
   end
 
   test "filter and pages", %{console: console} do
     write(console, for(n <- 1..120, do: decision(if(rem(n, 2) == 0, do: "allow", else: "deny"), "c#{n}")))
     view = open(console)
-    assert has_element?(view, "#records td", "c120")
+    assert has_element?(view, "#records td[data-label=What]", "C120")
     refute has_element?(view, "button", "Newest")
     view |> element("button", "Older") |> render_click()
 
     eventually(fn ->
-      has_element?(view, "#records td", "c70") and not has_element?(view, "#records td", "c120")
+      has_element?(view, "#records td[data-label=What]", "C70") and
+        not has_element?(view, "#records td[data-label=What]", "C120")
     end)
 
     view |> element("button", "Newest") |> render_click()
-    eventually(fn -> has_element?(view, "#records td", "c120") end)
+    eventually(fn -> has_element?(view, "#records td[data-label=What]", "C120") end)
     view |> element("#audit-filter") |> render_change(%{"text" => "C99"})
 
     eventually(fn ->
-      has_element?(view, "#records td", "c99") and not has_element?(view, "#records td", "c120")
+      has_element?(view, "#records td[data-label=What]", "C99") and
+        not has_element?(view, "#records td[data-label=What]", "C120")
     end)
 
     view |> element("#audit-filter") |> render_change(%{"text" => "", "decision" => "allow"})
 
     eventually(fn ->
-      has_element?(view, "#records td", "c120") and not has_element?(view, "#records td", "c119")
+      has_element?(view, "#records td[data-label=What]", "C120") and
+        not has_element?(view, "#records td[data-label=What]", "C119")
     end)
 
     view |> element("#audit-filter") |> render_change(%{"text" => "nowhere"})

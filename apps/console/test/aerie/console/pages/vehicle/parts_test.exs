@@ -149,6 +149,25 @@ defmodule Aerie.Console.Pages.Vehicle.PartsTest do
     assert %{"battery.voltage" => nil} = Series.sample(vehicle, chosen, @now + 6_000_000)
   end
 
+  test "series: what the tracks have of them, without what was old then" do
+    keys = Enum.map(Series.all(), & &1.key)
+    for {_name, preset} <- Series.presets(), do: assert(preset -- keys == [])
+
+    series = Series.choose(~w(position.alt_rel battery.voltage battery.remaining))
+    sample = %{at: 1_500_000, age: 0, height: 12.5, battery: 0.5, speed: 3.0}
+
+    assert Series.history(
+             [sample, %{sample | at: 2_500_000, age: 6}, %{sample | at: 3_500_000, age: nil}],
+             series
+           ) == [
+             {1.5, %{"position.alt_rel" => 12.5, "battery.remaining" => 0.5}},
+             {2.5, %{"position.alt_rel" => nil, "battery.remaining" => nil}},
+             {3.5, %{"position.alt_rel" => nil, "battery.remaining" => nil}}
+           ]
+
+    assert Series.history([sample], Series.choose(["battery.voltage"])) == []
+  end
+
   test "what keeps it from arming: checks, texts of the last half minute, sensors" do
     events = [
       event("statustext", %{"text" => "PreArm: old complaint", "severity" => 2}, 60),

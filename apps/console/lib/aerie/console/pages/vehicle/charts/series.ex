@@ -115,6 +115,39 @@ defmodule Aerie.Console.Pages.Vehicle.Charts.Series do
   @spec sample(map(), [t()], integer()) :: %{String.t() => number() | nil}
   def sample(vehicle, series, now), do: Map.new(series, &{&1.key, value(vehicle.groups, &1.path, now)})
 
+  # What the gateway's tracks have of a vehicle (`Aerie.Fleet.tracks/6`), and their names there.
+  @tracked %{
+    "position.lat" => :lat,
+    "position.lon" => :lon,
+    "position.alt_rel" => :height,
+    "position.heading" => :heading,
+    "velocity.groundspeed" => :speed,
+    "battery.remaining" => :battery
+  }
+
+  @presets [
+    {"Flight", ~w(position.alt_rel velocity.groundspeed velocity.climb)},
+    {"Battery", ~w(battery.voltage battery.current battery.remaining)},
+    {"Attitude", ~w(attitude.roll attitude.pitch attitude.yaw)},
+    {"Vibration", ~w(health.vibration.x health.vibration.y health.vibration.z)},
+    {"Link", ~w(link.frames_per_s link.bytes_per_s health.drop_rate)}
+  ]
+
+  @doc "Choices that are often needed: a name and its keys."
+  @spec presets() :: [{String.t(), [String.t()]}]
+  def presets, do: @presets
+
+  @doc "What samples of the tracks have of these series, oldest first: the time in seconds, and the values by key. Old values are null."
+  @spec history([map()], [t()]) :: [{float(), %{String.t() => number() | nil}}]
+  def history(samples, series) do
+    tracked = Map.take(@tracked, Enum.map(series, & &1.key))
+
+    for %{at: at} = sample <- samples, tracked != %{} do
+      fresh? = sample.age != nil and sample.age * 1_000_000 <= @fresh_us
+      {at / 1_000_000, Map.new(tracked, fn {key, name} -> {key, if(fresh?, do: sample[name])} end)}
+    end
+  end
+
   @doc "Whether a value that was heard at `at` is recent enough for a chart."
   @spec fresh?(integer(), integer()) :: boolean()
   def fresh?(at, now), do: now - at <= @fresh_us

@@ -39,7 +39,10 @@ defmodule Aerie.Console.Frame do
   defp nav(assigns) do
     ~H"""
     <nav class="nav" aria-label="Pages">
-      <.nav_link :for={entry <- @entries} :if={not entry.gateway} entry={entry} path={@path} class={if(not entry.main, do: "wide-only")} />
+      <.nav_link
+        :for={entry <- @entries} :if={not entry.gateway} entry={entry} path={@path}
+        class={if(not entry.main, do: "wide-only")}
+      />
       <div class="nav-group wide-only" role="group" aria-label="Gateway">
         <.nav_link :for={entry <- @entries} :if={entry.gateway} entry={entry} path={@path} />
       </div>
@@ -64,7 +67,11 @@ defmodule Aerie.Console.Frame do
     ~H"""
     <p id="hold-note" hidden>Press and hold</p>
     <dialog id="palette" class="dialog palette" aria-label="Go to" phx-hook="Palette" phx-update="ignore">
-      <input type="text" role="combobox" aria-label="Vehicle, page, command or parameter" aria-expanded="true" aria-controls="palette-list" aria-autocomplete="list" autocomplete="off" spellcheck="false" maxlength="60" placeholder="Vehicle, page, command, parameter" />
+      <input
+        type="text" role="combobox" aria-label="Vehicle, page, command or parameter" aria-expanded="true"
+        aria-controls="palette-list" aria-autocomplete="list" autocomplete="off" spellcheck="false"
+        maxlength="60" placeholder="Vehicle, page, command, parameter"
+      />
       <ul id="palette-list" role="listbox" aria-label="Found"></ul>
       <p class="hint" role="status"></p>
     </dialog>

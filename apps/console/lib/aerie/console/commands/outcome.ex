@@ -167,7 +167,7 @@ defmodule Aerie.Console.Commands.Outcome do
 
   defp height_left(_entry, _vehicle), do: nil
 
-  @doc "The progress of a course: `118 m from home, 20 s`. Needs no more of a command than its type where that says all."
+  @doc "The progress of a course: `118 m from home, 20 s`. Where its type says all, a command needs no more."
   @spec progress(%{:type => String.t(), optional(atom()) => term()}, map()) :: String.t() | nil
   def progress(%{type: type} = entry, vehicle) when type in ["goto", "rtl"] do
     case Snapshot.distance(vehicle, target(entry, vehicle)) do

@@ -1,7 +1,7 @@
 defmodule Aerie.Console.Frame.Palette do
   @moduledoc """
-  What a few letters lead to (Ctrl+K): vehicles, pages, and for the vehicle whose page is shown its commands' forms and its parameters. It only leads
-  there: nothing is sent from it.
+  What a few letters lead to (Ctrl+K): vehicles, pages, and for the vehicle whose page is shown its commands' forms
+  and its parameters. It only leads there: nothing is sent from it.
   """
 
   alias Aerie.Base.Names

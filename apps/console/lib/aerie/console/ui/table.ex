@@ -36,7 +36,9 @@ defmodule Aerie.Console.UI.Table do
               <button :if={col[:sort]} type="button" class="sort" phx-click={@sort_event} phx-value-by={col[:sort]}>
                 {col.label}<.icon :if={direction(@sort, col)} name={direction(@sort, col)} />
               </button>
-              <span :if={!col[:sort]} class={col.label == "" && "visually-hidden"}>{if col.label == "", do: "Actions", else: col.label}</span>
+              <span
+                :if={!col[:sort]} class={col.label == "" && "visually-hidden"}
+              >{if col.label == "", do: "Actions", else: col.label}</span>
             </th>
           </tr>
         </thead>

@@ -1,5 +1,5 @@
 defmodule Aerie.Console.Pages.Alarms.Page do
-  @moduledoc "The page of all alarms, those of a vehicle together: what, since when, why, what to do, and who has acknowledged them."
+  @moduledoc "The alarms, those of a vehicle together: what, since when, why, what to do, and who acknowledged them."
   use Aerie.Console, :page
 
   alias Aerie.Fleet.Alarms
@@ -40,13 +40,19 @@ defmodule Aerie.Console.Pages.Alarms.Page do
       Lost vehicles and links, failsafes, batteries, fences and duplicate system ids appear here.
     </.empty>
     <div :if={@rows != []} id="alarms">
-      <section :for={{vehicle, rows} <- groups(@rows)} :key={vehicle || "gateway"} class="alarm-group" aria-label={"Alarms of #{vehicle || "the gateway"}"}>
+      <section
+        :for={{vehicle, rows} <- groups(@rows)} :key={vehicle || "gateway"} class="alarm-group"
+        aria-label={"Alarms of #{vehicle || "the gateway"}"}
+      >
         <div class="spread">
           <h2>{vehicle || "Gateway"}</h2>
           <.button :if={vehicle} small icon="goto" navigate={Sections.path(vehicle, "fly")}>Go to {vehicle}</.button>
         </div>
         <ul class="stack">
-          <li :for={row <- rows} :key={row.id} id={"alarm-#{row.id}"} class={["card alarm-row", Atom.to_string(row.state), Strip.kind_of(row)]}>
+          <li
+            :for={row <- rows} :key={row.id} id={"alarm-#{row.id}"}
+            class={["card alarm-row", Atom.to_string(row.state), Strip.kind_of(row)]}
+          >
             <div class="spread">
               <h3><.badge kind={Strip.kind_of(row)}><.icon name={if row.state == :over, do: "check", else: "alert"} />{row.severity}</.badge> {row.text}</h3>
               <span class="muted"><time title={Clock.full(row.since)}>{Age.text(row.age)}</time>, {state(row)}</span>
@@ -55,7 +61,10 @@ defmodule Aerie.Console.Pages.Alarms.Page do
               <div :if={row.mend}><dt>What to do</dt><dd>{row.mend}</dd></div>
               <div :if={row.why}><dt>Why</dt><dd>{row.why}</dd></div>
             </dl>
-            <.button :if={row.by == nil && @may?} small icon="check" phx-click="alarm-acknowledge" phx-value-alarm={row.id}>Acknowledge</.button>
+            <.button
+              :if={row.by == nil && @may?} small icon="check" phx-click="alarm-acknowledge"
+              phx-value-alarm={row.id}
+            >Acknowledge</.button>
           </li>
         </ul>
       </section>

@@ -29,7 +29,9 @@ defmodule Aerie.Console.Pages.Alarms.Strip do
       <.link :if={@alarms.first && @alarms.first.vehicle} navigate={Sections.path(@alarms.first.vehicle, "fly")} class="alarm-vehicle">{@alarms.first.vehicle}</.link>
       <.link navigate="/alarms" class="alarm-first">
         <%!-- The age beside it would be read out each second. --%>
-        <span :if={@alarms.first} class="alarm-text" role={if @kind == "bad", do: "alert", else: "status"}><span class="visually-hidden">{@alarms.first.vehicle} </span>{@alarms.first.text}</span>
+        <span
+          :if={@alarms.first} class="alarm-text" role={if @kind == "bad", do: "alert", else: "status"}
+        ><span class="visually-hidden">{@alarms.first.vehicle} </span>{@alarms.first.text}</span>
         <span :if={@alarms.first} class="alarm-age">{@age}</span>
         <span :if={!@alarms.first} class="alarm-text" role="status">No alarms</span>
         <.badge :if={@total > 1} kind={@kind}>{@total}<span class="visually-hidden"> alarms</span></.badge>

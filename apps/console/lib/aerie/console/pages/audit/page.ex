@@ -148,11 +148,15 @@ defmodule Aerie.Console.Pages.Audit.Page do
     <.loading :if={@page == nil && @error == nil} />
     <.empty :if={@page && @page.records == []} icon="audit" title="No record matches">{@page.searched} records searched</.empty>
     <.data_table :if={@page && @page.records != []} id="records" label="Records of the audit log" rows={@page.records} row_id={&"record-#{&1["n"]}"}>
-      <:col :let={record} label="Time" class="audit-time"><time title={record["at"]}>{Clock.stamp(record["at"])}</time></:col>
+      <:col
+        :let={record} label="Time" class="audit-time"
+      ><time title={record["at"]}>{Clock.stamp(record["at"])}</time></:col>
       <:col :let={record} label="Who">{value(record["source"])}</:col>
       <:col :let={record} label="Vehicle">{value(record["vehicle"])}</:col>
       <:col :let={record} label="What" class="grow"><strong>{what(record)}</strong> {params(record)}</:col>
-      <:col :let={record} label="Outcome"><.badge :if={outcome(record)} kind={kind(record)}>{outcome(record)}</.badge> {why(record)}</:col>
+      <:col
+        :let={record} label="Outcome"
+      ><.badge :if={outcome(record)} kind={kind(record)}>{outcome(record)}</.badge> {why(record)}</:col>
       <:col :let={record} label="Details">
         <details id={"details-#{record["n"]}"} phx-mounted={JS.ignore_attributes("open")}>
           <summary>No. {record["n"]}</summary>

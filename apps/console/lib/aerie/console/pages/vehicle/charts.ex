@@ -26,7 +26,10 @@ defmodule Aerie.Console.Pages.Vehicle.Charts do
         <.field id="chart-field" name="key" type="select" label="Add a field" options={options(@series, @message)} value="" disabled={length(@series) >= Series.max()} />
       </form>
       <nav class="row chips" aria-label="Often needed">
-        <.button :for={{name, keys} <- Series.presets()} small patch={@path.(keys)} aria-current={if(keys(@series) == keys, do: "true")}>{name}</.button>
+        <.button
+          :for={{name, keys} <- Series.presets()} small patch={@path.(keys)}
+          aria-current={if(keys(@series) == keys, do: "true")}
+        >{name}</.button>
         <span class="hint">Last 10 minutes, from when you opened this page; height, speed, heading, position and charge from before it, where the gateway keeps tracks.</span>
       </nav>
       <ul class="row chips" aria-label="Charted fields">
@@ -35,7 +38,9 @@ defmodule Aerie.Console.Pages.Vehicle.Charts do
           <.link patch={@path.(List.delete(keys(@series), one.key))} aria-label={"Remove #{one.label}"}><.icon name="x" /></.link>
         </li>
       </ul>
-      <.empty :if={@series == []} icon="chart" title="No field chosen">Choose a group above, or add up to {Series.max()} fields one by one.</.empty>
+      <.empty
+        :if={@series == []} icon="chart" title="No field chosen"
+      >Choose a group above, or add up to {Series.max()} fields one by one.</.empty>
       <div id="charts" class="card" hidden={@series == []} phx-hook="Chart" data-vehicle={@vehicle} data-series={JSON.encode!(drawn(@series))}>
         <div id="charts-place" phx-update="ignore" data-plots></div>
       </div>

@@ -1,5 +1,5 @@
 defmodule Aerie.Console.Pages.Vehicle.Fly do
-  @moduledoc "The section of a vehicle's page for flying: the map with a line of values and the instruments over it, control, battery, GPS, latest events."
+  @moduledoc "The section for flying: the map, a line of values and the instruments over it, control, cards below."
   use Aerie.Console, :component
 
   import Aerie.Console.Pages.Vehicle.GroupCard
@@ -40,7 +40,10 @@ defmodule Aerie.Console.Pages.Vehicle.Fly do
           />
           <details id="fly-instruments" class="fly-instruments" open phx-mounted={JS.ignore_attributes("open")}>
             <summary>Instruments</summary>
-            <div id="instruments" class="pfd" phx-hook="Instruments" phx-update="ignore" data-vehicle={@view.vehicle.id} data-status={@view.vehicle.status}></div>
+            <div
+              id="instruments" class="pfd" phx-hook="Instruments" phx-update="ignore"
+              data-vehicle={@view.vehicle.id} data-status={@view.vehicle.status}
+            ></div>
           </details>
         </div>
         <div :if={Actions.able?("goto", assigns)} class="fly-aim">
@@ -55,7 +58,10 @@ defmodule Aerie.Console.Pages.Vehicle.Fly do
       </div>
       <div class="cards fly-cards">
         <.facts id="battery" title="Battery" view={@view} group={:battery} old_us={15_000_000} fields={battery()}>
-          <.meter value={View.get(@view, [:battery, :remaining])} label="Remaining charge" kind={Line.charge(View.get(@view, [:battery, :remaining])) || "ok"} />
+          <.meter
+            value={View.get(@view, [:battery, :remaining])} label="Remaining charge"
+            kind={Line.charge(View.get(@view, [:battery, :remaining])) || "ok"}
+          />
           <ul :if={length(batteries(@view)) > 1} class="batteries">
             <li :for={battery <- batteries(@view)} :key={battery.id}>
               #{battery.id}: {View.number(battery.voltage, 2)} V, {View.number(battery.current, 1)} A, {percent(battery.remaining)}
@@ -63,7 +69,10 @@ defmodule Aerie.Console.Pages.Vehicle.Fly do
           </ul>
         </.facts>
         <.facts id="gps" title="GPS" view={@view} group={:gps} fields={gps()} />
-        <.facts id="motion" title="Motion" view={@view} group={:velocity} fields={[climb: "Climb", airspeed: "Airspeed", throttle: "Throttle"]} />
+        <.facts
+          id="motion" title="Motion" view={@view} group={:velocity}
+          fields={[climb: "Climb", airspeed: "Airspeed", throttle: "Throttle"]}
+        />
         <section class="card" aria-labelledby="latest-title">
           <div class="spread"><h2 id="latest-title">Latest</h2><.link patch={@events_path}>All events</.link></div>
           <p :if={@lines == []} class="muted">{if @view.vehicle.via, do: "The gateway #{@view.vehicle.via} has its events.", else: "No events yet"}</p>

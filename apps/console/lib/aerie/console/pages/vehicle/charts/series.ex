@@ -137,7 +137,7 @@ defmodule Aerie.Console.Pages.Vehicle.Charts.Series do
   @spec presets() :: [{String.t(), [String.t()]}]
   def presets, do: @presets
 
-  @doc "What samples of the tracks have of these series, oldest first: the time in seconds, and the values by key. Old values are null."
+  @doc "What samples of the tracks have of these series: the time in seconds, and the values by key, null where old."
   @spec history([map()], [t()]) :: [{float(), %{String.t() => number() | nil}}]
   def history(samples, series) do
     tracked = Map.take(@tracked, Enum.map(series, & &1.key))

@@ -43,8 +43,8 @@ defmodule Aerie.Console.Pages.Vehicle.Control.Actions do
   attr :modes, :list, required: true
 
   @doc """
-  Arm or disarm, take off, change the mode. Each has its place, whatever the vehicle's state, and the first keeps its id: what it does next
-  stands on the same button, so neither the hand nor the focus of the keyboard has to look for it.
+  Arm or disarm, take off, change the mode. Each has its place, whatever the vehicle's state, and the first keeps its
+  id: what it does next stands on the same button, so neither hand nor focus has to look for it.
   """
   def flight(assigns) do
     assigns =
@@ -65,12 +65,28 @@ defmodule Aerie.Console.Pages.Vehicle.Control.Actions do
       <div class="controls">
         <div :if={@next} class="control">
           <p class="hint control-note">{@next.note}</p>
-          <.hold_button id="action-arm" event="command" icon={@next.icon} kind={@next.kind} shortcut="A" key_refusal={@next.refusal} {@next.values}>{@next.label}</.hold_button>
-          <.hold_button :if={@next.other} id="action-arm-other" event="command" kind="plain" phx-value-type={elem(@next.other, 0)}>{elem(@next.other, 1)}</.hold_button>
+          <.hold_button
+            id="action-arm" event="command" icon={@next.icon} kind={@next.kind} shortcut="A"
+            key_refusal={@next.refusal} {@next.values}
+          >{@next.label}</.hold_button>
+          <.hold_button
+            :if={@next.other} id="action-arm-other" event="command" kind="plain"
+            phx-value-type={elem(@next.other, 0)}
+          >{elem(@next.other, 1)}</.hold_button>
         </div>
-        <form :if={"takeoff" in @able} id="takeoff-form" class="control" phx-change="input" phx-auto-recover="ignore" phx-submit="noop">
-          <.field id="takeoff-altitude" name="altitude" label="Height (above home)" unit="m" inputmode="decimal" autocomplete="off" value={@inputs["altitude"]} />
-          <.hold_button id="action-takeoff" event="command" icon="takeoff" kind={if @in_air == false, do: "primary", else: "plain"} shortcut="T" refusal={if @in_air, do: "It is in the air."} phx-value-type="takeoff">Take off</.hold_button>
+        <form
+          :if={"takeoff" in @able} id="takeoff-form" class="control" phx-change="input"
+          phx-auto-recover="ignore" phx-submit="noop"
+        >
+          <.field
+            id="takeoff-altitude" name="altitude" label="Height (above home)" unit="m" inputmode="decimal"
+            autocomplete="off" value={@inputs["altitude"]}
+          />
+          <.hold_button
+            id="action-takeoff" event="command" icon="takeoff"
+            kind={if @in_air == false, do: "primary", else: "plain"} shortcut="T"
+            refusal={if @in_air, do: "It is in the air."} phx-value-type="takeoff"
+          >Take off</.hold_button>
         </form>
         <form :if={"set_mode" in @able and @modes != []} id="mode-form" class="control" phx-change="input" phx-auto-recover="ignore" phx-submit="noop">
           <.field id="mode-choice" name="mode" type="select" label="Mode" options={[{"choose", ""} | Enum.map(@modes, &{&1, &1})]} value={@inputs["mode"]} />
@@ -81,8 +97,8 @@ defmodule Aerie.Console.Pages.Vehicle.Control.Actions do
     """
   end
 
-  # What the first button does: the step that comes next. Beside it stands what may be meant as well: an option of the firmware may let it arm in
-  # this mode, and nothing may say whether it is armed.
+  # What the first button does: the step that comes next. Beside it stands what may be meant as well: an option of the
+  # firmware may let it arm in this mode, and nothing may say whether it is armed.
   defp next(%{view: view, able: able}) do
     mode = View.get(view, [:mode, :mode])
     armed = View.get(view, [:mode, :armed])
@@ -135,7 +151,10 @@ defmodule Aerie.Console.Pages.Vehicle.Control.Actions do
       </div>
       <p class="mono">{View.number(@target.lat, 6)}, {View.number(@target.lon, 6)}<span :if={far(@target, @view)}>, {far(@target, @view)} away</span></p>
       <form id="goto-form" class="control" phx-change="aim_altitude" phx-auto-recover="ignore" phx-submit="noop">
-        <.field id="goto-altitude" name="altitude" label="Height (above home)" unit="m" inputmode="decimal" autocomplete="off" value={@target.altitude} />
+        <.field
+          id="goto-altitude" name="altitude" label="Height (above home)" unit="m" inputmode="decimal"
+          autocomplete="off" value={@target.altitude}
+        />
         <input :for={{name, text} <- place(@target)} type="hidden" name={name} value={text} />
         <.hold_button id="action-goto" event="command" icon="goto" phx-value-type="goto" disabled={@answer != :allow} reason="It would be refused: see below">Go there</.hold_button>
       </form>

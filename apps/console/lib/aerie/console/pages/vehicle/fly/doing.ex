@@ -1,7 +1,7 @@
 defmodule Aerie.Console.Pages.Vehicle.Fly.Doing do
   @moduledoc """
-  One sentence of what a vehicle does now: `Returning, 118 m from home, 20 s`. It comes from the command that it carries out
-  (`Aerie.Console.Commands.Outcome`), or else from its mode, because a failsafe or a pilot gives no command. Pure.
+  One sentence of what a vehicle does now: `Returning, 118 m from home, 20 s`. It comes from the command that it carries
+  out (`Aerie.Console.Commands.Outcome`), or else from its mode: a failsafe or a pilot gives no command. Pure.
   """
 
   alias Aerie.Console.Commands.Outcome

@@ -26,7 +26,10 @@ defmodule Aerie.Console.Pages.Vehicle.Fly.Line do
     <dl id="fly-line" class="fly-line">
       <div :for={item <- @items} :key={item.name} class={item.tone && Atom.to_string(item.tone)}>
         <dt>{item.name} <.age us={item.text && item.age} limit_us={3_000_000} /></dt>
-        <dd><.icon :if={item.tone} name="alert" />{item.text || "unknown"} <small :for={text <- item.more}>{text}</small></dd>
+        <dd>
+          <.icon :if={item.tone} name="alert" />{item.text || "unknown"}
+          <small :for={text <- item.more}>{text}</small>
+        </dd>
       </div>
     </dl>
     """

@@ -74,7 +74,10 @@ defmodule Aerie.Console.Pages.Vehicle.Fly.Route do
       <.meter :if={(@total || 0) > 0} value={@seq && min(@seq / @total, 1)} label="Progress of the mission" text={if @seq, do: "Item #{@seq} of #{@total}", else: "#{@total} items"} />
       <p :for={words <- Plans.summary(@route)} class="muted" role="status">{words}</p>
       <div :if={@commands != []} class="controls">
-        <.hold_button :for={{name, label, icon} <- @commands} id={"action-#{name}"} event="command" kind="plain" icon={icon} refusal={refusal(name, @view)} phx-value-type={name}>{label}</.hold_button>
+        <.hold_button
+          :for={{name, label, icon} <- @commands} id={"action-#{name}"} event="command" kind="plain"
+          icon={icon} refusal={refusal(name, @view)} phx-value-type={name}
+        >{label}</.hold_button>
       </div>
     </section>
     """

@@ -4,10 +4,12 @@ defmodule Aerie.Console.Pages.Vehicle.Header do
 
   alias Aerie.Vehicle.Firmware
   alias Aerie.Console.UI
+  alias Aerie.Console.Pages.Vehicle.Fly.Doing
   alias Aerie.Console.Pages.Vehicle.View
 
   attr :view, View, required: true
-  attr :doing, :string, required: true, doc: "`Aerie.Console.Pages.Vehicle.Fly.Doing`"
+  attr :entries, :list, required: true, doc: "the latest commands"
+  attr :courses, :map, required: true, doc: "how far they are, by id"
 
   @doc "The header."
   def header(assigns) do
@@ -16,7 +18,7 @@ defmodule Aerie.Console.Pages.Vehicle.Header do
     ~H"""
     <header class="vehicle-head" data-status={@status}>
       <h1>{@vehicle.id}</h1>
-      <p class="vehicle-doing">{@doing}</p>
+      <p class="vehicle-doing">{Doing.of(@view, @entries, @courses)}</p>
       <span class="muted">{kind_of(@vehicle.vehicle_type)} · {firmware(@vehicle)}</span>
       <.badge :if={@vehicle.via} kind="info" class="vehicle-via">via {@vehicle.via}</.badge>
       <.badge kind={kind(@status)} class="vehicle-status">{status(@status)}</.badge>

@@ -26,7 +26,7 @@ defmodule Aerie.Console.Pages.Vehicle.Page do
 
   alias Aerie.Console.Pages.Vehicle.Header
   alias Aerie.Console.Pages.Vehicle.Control.{Actions, CommandCheck, ControlBanner}
-  alias Aerie.Console.Pages.Vehicle.Fly.{Doing, Instruments}
+  alias Aerie.Console.Pages.Vehicle.Fly.Instruments
   alias Aerie.Console.Pages.Vehicle.LinkTable.Links
   alias Aerie.Console.Pages.Vehicle.{Section, Sections}
   alias Aerie.Console.Pages.Vehicle.Charts.{MessageSeries, Series}
@@ -394,7 +394,7 @@ defmodule Aerie.Console.Pages.Vehicle.Page do
   def render(assigns) do
     ~H"""
     <div class={["vehicle-page", "is-#{@view.vehicle.status}"]}>
-      <Header.header view={@view} doing={Doing.of(@view, @entries, @courses)} />
+      <Header.header view={@view} entries={@entries} courses={@courses} />
       <ControlBanner.charge view={@view} user={@user} lease={@lease} />
       <.tabs label="Parts of the page">
         <:tab :for={{name, label, icon} <- Sections.all()} patch={Sections.path(@id, name)} current={name == @section} icon={icon}>{label}</:tab>

@@ -166,7 +166,7 @@ export default {
       { name: "measure", label: "Measure distances", toggle: true, press: () => this.setTool(this.tool === "measure" ? this.el.dataset.tool : "measure") },
     ];
     const layers = { name: "layers", label: "Base map", toggle: true, press: () => this.base.toggle() };
-    const { bar, press } = toolbar([...all.filter(({ name }) => wanted.includes(name)), ...(this.base.offer.layers.length ? [layers] : [])]);
+    const { bar, press } = toolbar([...all.filter(({ name }) => wanted.includes(name)), ...(this.base.open ? [layers] : [])]);
     this.pressed = press;
     this.el.append(bar);
     this.showTracks(true);

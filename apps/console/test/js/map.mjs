@@ -250,6 +250,12 @@ const tasks = {
     equal("the question is gone", await question.count(), 0);
     equal("the attribution", await page.textContent(".map-attribution"), "© OpenStreetMap contributors");
     if (shots) await page.screenshot({ path: `${shots}/map-osm.png` });
+    await page.click("[data-tool=layers]");
+    await page.getByText("Stop using OpenStreetMap").click();
+    await until("no tiles", () => page.evaluate(() => !document.querySelector("#fleet-map").fleetMap.map.getSource("tiles")));
+    await page.click("[data-tool=layers]");
+    await page.getByText("Use OpenStreetMap for all").click();
+    await until("the attribution again", () => page.isVisible(".map-attribution"));
     equal("requests to other hosts", foreign, []);
   },
 

@@ -15,7 +15,7 @@ export async function offered() {
     return await answer.json();
   } catch (error) {
     console.warn("map: the layers cannot be read:", error?.message ?? error);
-    return { layers: [], ask: false, may: false };
+    return { layers: [], ask: false, may: false, fixed: true };
   }
 }
 
@@ -60,6 +60,10 @@ export class Base {
 
   async choose(id) {
     localStorage.setItem(KEPT, id);
+    await this.apply();
+  }
+
+  async apply() {
     this.hook.tiles = await this.tiles();
     if (!this.hook.gone) swap(this.map, this.hook.colours(), this.hook.tiles);
   }
@@ -73,24 +77,35 @@ export class Base {
 
   ask() {
     const hide = () => { sessionStorage.setItem(ASKED, "1"); this.show(); };
-    const answer = (yes) => async () => {
-      const kept = await fetch("/tiles", { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify({ openstreetmap: yes }) });
-      if (!kept.ok) return this.panel.append(element("p", { role: "alert", textContent: await kept.text() }));
-      this.offer = await offered();
-      this.show();
-      await this.choose(this.chosen());
-    };
     const parts = this.offer.may
       ? [
           element("p", { textContent: "The gateway can fetch the map of OpenStreetMap and keep what was looked at, so that it is there without internet. This page itself loads nothing from elsewhere." }),
-          button("Use OpenStreetMap", answer(true)),
-          button("Stay without", answer(false)),
+          button("Use OpenStreetMap", () => this.answer(true)),
+          button("Stay without", () => this.answer(false)),
         ]
       : [element("p", { textContent: "An admin can choose one on this map." }), button("Hide", hide)];
-    this.open("map-question", "No base map", parts);
+    this.panelOf("map-question", "No base map", parts);
   }
 
-  // The layers to choose from.
+  async answer(yes) {
+    const kept = await fetch("/tiles", { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify({ openstreetmap: yes }) });
+    if (!kept.ok) return this.panel.append(element("p", { role: "alert", textContent: await kept.text() }));
+    this.offer = await offered();
+    this.show();
+    localStorage.removeItem(KEPT);
+    await this.apply();
+  }
+
+  // Whether there is anything to choose from, or to decide.
+  get open() {
+    return this.offer.layers.length > 0 || this.decides;
+  }
+
+  get decides() {
+    return this.offer.may && !this.offer.fixed;
+  }
+
+  // The layers to choose from, and for an admin the answer about OpenStreetMap.
   toggle() {
     if (this.panel?.dataset.name === "map-layers") return this.show();
     const offers = [...this.offer.layers, { id: NONE, name: "None" }];
@@ -102,7 +117,9 @@ export class Base {
       label.append(input, name);
       return label;
     });
-    this.open("map-layers", "Base map", radios);
+    const use = !this.offer.openstreetmap;
+    const change = button(use ? "Use OpenStreetMap for all" : "Stop using OpenStreetMap", () => this.answer(use));
+    this.panelOf("map-layers", "Base map", this.decides ? [...radios, change] : radios);
     this.hook.pressed("layers", true);
     this.panel.querySelector("input:checked").focus();
     this.panel.addEventListener("keydown", (event) => {
@@ -112,7 +129,7 @@ export class Base {
     });
   }
 
-  open(name, title, parts) {
+  panelOf(name, title, parts) {
     this.panel?.remove();
     this.panel = element("section", { className: "map-panel" });
     this.panel.dataset.name = name;

@@ -25,33 +25,25 @@ defmodule Aerie.Console.Map.Tiles do
   def start_link(options),
     do: GenServer.start_link(__MODULE__, options, name: Names.via(options[:gateway], @role))
 
-  @doc "The layers as pages learn of them, and whether somebody has to decide about OpenStreetMap."
-  @spec description(Names.gateway()) :: %{layers: [map()], ask: boolean()}
+  @doc """
+  The layers as pages learn of them, the answer about OpenStreetMap (nil: nobody has given one), whether the
+  configuration gave it, and whether a map without any layer should ask for it.
+  """
+  @spec description(Names.gateway()) :: %{
+          layers: [map()],
+          openstreetmap: boolean() | nil,
+          fixed: boolean(),
+          ask: boolean()
+        }
   def description(gateway) do
     case Names.value(gateway, @role) do
-      %{layers: layers, openstreetmap: answer} ->
-        %{layers: Enum.map(layers, & &1.shown), ask: answer == nil and layers == []}
+      %{layers: layers, openstreetmap: answer, fixed?: fixed?} ->
+        ask? = answer == nil and layers == []
+        %{layers: Enum.map(layers, & &1.shown), openstreetmap: answer, fixed: fixed?, ask: ask?}
 
       nil ->
-        %{layers: [], ask: false}
+        %{layers: [], openstreetmap: nil, fixed: true, ask: false}
     end
-  end
-
-  @doc "For the page of settings: layers, who decided about OpenStreetMap and how, the folder, and the fetched tiles."
-  @spec status(Names.gateway()) :: map()
-  def status(gateway) do
-    case Names.value(gateway, @role) do
-      nil ->
-        %{layers: [], openstreetmap: nil, fixed?: true, dir: nil, cache_bytes: nil, servers: %{}, most: nil}
-
-      state ->
-        Map.merge(Map.delete(state, :by_id), fetched(gateway))
-    end
-  end
-
-  defp fetched(gateway) do
-    %{servers: servers, bytes: bytes} = Fetcher.status(gateway)
-    %{servers: servers, cache_bytes: bytes}
   end
 
   @doc "A tile of a folder or a server; nil if the layer has none there, or if there is no such layer."
@@ -175,8 +167,7 @@ defmodule Aerie.Console.Map.Tiles do
       by_id: Map.new(layers, &{&1.id, &1}),
       openstreetmap: state.answer,
       fixed?: is_boolean(state.settings.openstreetmap),
-      dir: state.settings.dir,
-      most: state.settings.cache_mb * 1_000_000
+      dir: state.settings.dir
     })
 
     state

@@ -104,6 +104,8 @@ defmodule Aerie.Console.Map.TilesTest do
 
     assert description(console) == %{
              "ask" => false,
+             "openstreetmap" => nil,
+             "fixed" => false,
              "may" => false,
              "layers" => [
                %{
@@ -230,7 +232,7 @@ defmodule Aerie.Console.Map.TilesTest do
         capture_log(fn -> start_supervised!({Tiles, gateway: gateway, settings: settings}, id: gateway) end)
 
       assert log =~ reason
-      assert Tiles.description(gateway) == %{layers: [], ask: false}
+      assert %{layers: [], ask: false} = Tiles.description(gateway)
       assert Tiles.archive(gateway, "own") == nil
     end
   end
@@ -296,8 +298,8 @@ defmodule Aerie.Console.Map.TilesTest do
     assert log =~ "it answered 500"
     refute log =~ "s3cret"
     refute JSON.encode!(description(console)) =~ "s3cret"
-    refute inspect(Tiles.status(console.gateway), limit: :infinity) =~ "s3cret"
-    assert %{servers: %{} = servers} = Tiles.status(console.gateway)
+    assert %{servers: servers, bytes: _counted_later} = status = Tiles.Fetcher.status(console.gateway)
+    refute inspect(status, limit: :infinity) =~ "s3cret"
     assert [%{fetched: 2, errors: 1}] = Map.values(servers)
   end
 
@@ -337,7 +339,7 @@ defmodule Aerie.Console.Map.TilesTest do
     gateway = make_ref()
     settings = %{layers: [], openstreetmap: nil, dir: Path.join(dir, "map"), cache_mb: 10}
     start_supervised!({Tiles, gateway: gateway, settings: settings})
-    assert Tiles.description(gateway) == %{layers: [], ask: false}
+    assert %{layers: [], ask: false} = Tiles.description(gateway)
   end
 
   test "what the configuration says about OpenStreetMap is not changed here", %{tmp_dir: dir} do

@@ -22,7 +22,7 @@ export default {
     this.listen(el, "blur", () => this.end());
     this.listen(el, "keydown", (event) => this.press(event, ["Enter", " "]));
     this.listen(window, "keydown", (event) => this.shortcut(event));
-    this.listen(window, "keyup", (event) => this.release(event.key, event));
+    this.listen(window, "keyup", (event) => this.release(event.key === "Shift" && this.by === "Escape" ? this.by : event.key, event));
     this.listen(window, "blur", () => this.end());
     this.listen(window, "gateway", () => this.end());
   },
@@ -50,14 +50,17 @@ export default {
     if (x < left || x > right || y < top || y > bottom) this.end("pointer");
   },
   press(event, keys) {
-    if (event.key === "Escape") return this.end();
+    if (event.key === "Escape" && !keys.includes("Escape")) return this.end();
     if (!keys.includes(event.key)) return;
     event.preventDefault();
     if (!event.repeat) this.begin(event.key, event);
   },
   shortcut(event) {
     const { shortcut: key } = this.el.dataset;
-    if (!key || event.ctrlKey || event.metaKey || event.altKey || event.key.toLowerCase() !== key.toLowerCase()) return;
+    if (!key || event.ctrlKey || event.metaKey || event.altKey) return;
+    // Nobody types Shift and Escape, and no dialog keeps them to itself.
+    if (key === "Shift+Escape") return event.shiftKey && this.press(event, [event.key === "Escape" ? event.key : undefined]);
+    if (event.key.toLowerCase() !== key.toLowerCase()) return;
     // A dialog in front of the button keeps its keys to itself.
     if (document.querySelector("dialog[open]") && !this.el.closest("dialog[open]")) return;
     const target = field(event.target);

@@ -72,9 +72,13 @@ defmodule Aerie.Fleet do
   @spec refusal(Operations.refusal()) :: String.t()
   defdelegate refusal(refusal), to: Operations, as: :text
 
-  @doc "The vehicles in the air, each with the name of its holder; nil for nobody."
+  @doc "The vehicles in the air as they were a second ago at most, each with the name of its holder; nil for nobody."
   @spec airborne(Names.gateway()) :: [{String.t(), String.t() | nil}]
-  defdelegate airborne(gateway), to: Operations
+  defdelegate airborne(gateway), to: Operations, as: :airborne_lately
+
+  @doc "Operations that somebody should see: not over, waiting for somebody, or over for less than `shown_s`."
+  @spec open_operations(Names.gateway(), shown_s :: non_neg_integer()) :: [map()]
+  defdelegate open_operations(gateway, shown_s), to: Operations, as: :open
 
   @doc "A vehicle of a take-off sequence: to `height`, and `above_m` up before the next one begins."
   @spec take_off(Snapshot.t(), height :: number(), above_m :: number(), anyway? :: boolean()) :: map()

@@ -82,6 +82,8 @@ defmodule Aerie.Console.Frame do
       </header>
       <div class="dialog-body">
         <dl class="facts">
+          <dt><kbd>Shift</kbd> <kbd>Esc</kbd> held</dt>
+          <dd>hold all in the air that are yours or nobody's</dd>
           <dt><kbd>h</kbd> held</dt>
           <dd>hold: the selected vehicle stays where it is</dd>
           <dt><kbd>r</kbd> held</dt>

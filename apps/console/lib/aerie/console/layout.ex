@@ -79,6 +79,7 @@ defmodule Aerie.Console.Layout do
         <.link navigate="/" class="brand" aria-label="Aerie, to the fleet"><.logo /><span>Aerie</span></.link>
         <p :if={@connecting} class="badge warn" role="status">Connecting…, values of {@connecting}</p>
         {@alarm_strip}
+        {@abort_all}
         <span id="clock" class="clock wide-only" title="All times are UTC">{@clock}</span>
         <details class="menu" id="user-menu" phx-mounted={JS.ignore_attributes("open")}>
           <summary aria-label={"#{@user.name}, #{@user.role}: account and look"}>
@@ -92,6 +93,7 @@ defmodule Aerie.Console.Layout do
       </header>
       {@frame.nav}
       <main id="main" class="main" tabindex="-1">{@inner_content}</main>
+      {@operation_strip}
       <.flash flash={@flash} />
       {@frame.help}
     </div>

@@ -13,7 +13,7 @@ defmodule Aerie.Fleet.Operations do
 
   alias Aerie.Vehicle.Command.Error
   alias Aerie.Base.Json
-  alias Aerie.Base.Names
+  alias Aerie.Base.{Names, Store}
   alias Aerie.Fleet.Remote.Merge
   alias Aerie.Fleet.Shadow
   alias Aerie.Fleet.Operations.{Core, Guard, Request, Sequence, Server}
@@ -26,6 +26,8 @@ defmodule Aerie.Fleet.Operations do
   @type refusal ::
           {:malformed, [Error.t(), ...]}
           | {:role | :busy | :conflict | :unknown | :unavailable, String.t()}
+
+  @lately_ms 900
 
   @type source :: Roles.source()
   @type answer :: {:ok, map()} | {:error, refusal()}
@@ -96,6 +98,16 @@ defmodule Aerie.Fleet.Operations do
     end
   end
 
+  @doc "Those that are not over, wait for somebody, or were over less than `shown_s` ago, the latest first."
+  @spec open(Names.gateway(), shown_s :: non_neg_integer()) :: [map()]
+  def open(gateway, shown_s) do
+    since = System.os_time(:microsecond) - shown_s * 1_000_000
+
+    for %{core: %{state: state}, done_at: done_at} = entry <- Server.entries(gateway),
+        done_at == nil or state in [:halted, :interrupted] or done_at > since,
+        do: plain(entry)
+  end
+
   @doc "The vehicles in the air as they are now, each with the name of its holder; nil for nobody."
   @spec airborne(Names.gateway()) :: [{String.t(), String.t() | nil}]
   def airborne(gateway) do
@@ -105,6 +117,22 @@ defmodule Aerie.Fleet.Operations do
         vehicle.status != :lost,
         Snapshot.data(vehicle, :mode)[:in_air] == true,
         do: {id, with(%{holder: holder} <- leases[vehicle.key], do: holder)}
+  end
+
+  @doc "The same as they were a second ago at most, for all pages together."
+  @spec airborne_lately(Names.gateway()) :: [{String.t(), String.t() | nil}]
+  def airborne_lately(gateway) do
+    now = System.monotonic_time(:millisecond)
+
+    case Store.recall(gateway, :airborne) do
+      {at, vehicles} when now - at < @lately_ms ->
+        vehicles
+
+      _old ->
+        vehicles = airborne(gateway)
+        Store.remember(gateway, :airborne, {now, vehicles})
+        vehicles
+    end
   end
 
   @doc "The steps of a take-off for one vehicle of a sequence (`Aerie.Fleet.Operations.Sequence.take_off/4`)."

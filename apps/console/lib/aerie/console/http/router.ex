@@ -4,10 +4,12 @@ defmodule Aerie.Console.HTTP.Router do
   import Phoenix.LiveView.Router
 
   alias Aerie.Console.{Frame, Layout, Pages}
-  alias Aerie.Console.Pages.Alarms
+  alias Aerie.Console.Pages.{Alarms, Operations}
   alias Aerie.Console.SignIn.OnMount
 
-  live_session :console, on_mount: [OnMount, Frame, Alarms.OnMount], layout: {Layout, :app} do
+  live_session :console,
+    on_mount: [OnMount, Frame, Operations.OnMount, Alarms.OnMount],
+    layout: {Layout, :app} do
     for %{path: path, page: page} <- Pages.all(), do: live(path, page)
   end
 end

@@ -16,9 +16,12 @@ import Instruments from "./hooks/instruments.js";
 import Palette from "./hooks/palette.js";
 import ParamsFile from "./hooks/params_file.js";
 import PlanFile from "./hooks/plan_file.js";
+import Replay from "./hooks/replay.js";
 import Toast from "./hooks/toast.js";
 
-const hooks = { AlarmSound, Chart, CommandForm, Dialog, FleetMap, FleetTable, HoldButton, Instruments, Palette, ParamsFile, PlanFile, Toast };
+const hooks = {
+  AlarmSound, Chart, CommandForm, Dialog, FleetMap, FleetTable, HoldButton, Instruments, Palette, ParamsFile, PlanFile, Replay, Toast,
+};
 
 // A gateway that starts again is back within a second; the client's own pauses grow to five.
 const pause = (tries) => [50, 100, 200, 500][tries - 1] ?? 1000;

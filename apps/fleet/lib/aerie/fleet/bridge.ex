@@ -20,6 +20,7 @@ defmodule Aerie.Fleet.Bridge do
   @behaviour Aerie.Vehicle.Session.Publisher
 
   alias Aerie.Fleet.Bridge.{Metrics, State}
+  alias Aerie.Fleet.Bridge.Events.History
   alias Aerie.Fleet.Bridge.NatsServer.Token
   alias Aerie.Fleet.Bridge.State.LastPublished
   alias Aerie.Fleet.Bridge.Status.Tables
@@ -135,6 +136,13 @@ defmodule Aerie.Fleet.Bridge do
   @spec connection(Names.gateway()) :: pid() | nil
   def connection(gateway) do
     with %{} = tables <- Tables.get(gateway), do: Map.get(Tables.info(tables, :connection), :conn)
+  end
+
+  @doc "The events of all vehicles from one time to another (unix microseconds), also of earlier runs."
+  @spec past_events(Names.gateway(), from :: integer(), to :: integer()) :: History.t()
+  def past_events(gateway, from, to) do
+    subjects = "fleet.#{environment(gateway)}.*.event.>"
+    History.read(gateway, if(off?(gateway), do: :off, else: {connection(gateway), subjects}), from, to)
   end
 
   @doc "The bridge's metrics, for `/metrics`; without samples while it does not run."

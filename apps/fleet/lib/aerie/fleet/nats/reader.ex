@@ -4,6 +4,7 @@ defmodule Aerie.Fleet.Nats.Reader do
   removes when nobody reads any more. Messages are fetched in batches, so that they wait in NATS while the function is at work.
   """
 
+  alias Aerie.Base.Json
   alias Aerie.Fleet.Nats
   alias Aerie.Fleet.Nats.JetStream
 
@@ -39,6 +40,34 @@ defmodule Aerie.Fleet.Nats.Reader do
   end
 
   @doc """
+  Calls `fun` with the messages that were stored from a time on (unix microseconds), the oldest first, but only with the
+  `limit` newest ones. Returns how many were left out. What is stored meanwhile is not waited for.
+  """
+  @spec since(
+          Nats.conn(),
+          stream :: String.t(),
+          subjects :: String.t(),
+          from :: integer(),
+          limit :: pos_integer(),
+          (Nats.message() -> any())
+        ) ::
+          {:ok, left_out :: non_neg_integer()} | {:error, Nats.reason()}
+  def since(conn, stream, subjects, from, limit, fun) do
+    start = %{deliver_policy: :by_start_time, opt_start_time: Json.time(from)}
+
+    with {:ok, consumer, count} <- consumer(conn, stream, subjects, start),
+         skip = max(count - limit, 0),
+         skipped = :counters.new(1, []),
+         taken = &if(:counters.get(skipped, 1) < skip, do: :counters.add(skipped, 1, 1), else: fun.(&1)),
+         {:ok, reader} <- subscribe(conn, stream, consumer, taken, no_wait: true) do
+      result = first(reader, count)
+      _ = Nats.unsub(conn, reader.sid)
+      _ = JetStream.ask(conn, "$JS.API.CONSUMER.DELETE.#{stream}.#{consumer}", "")
+      with :ok <- result, do: {:ok, skip}
+    end
+  end
+
+  @doc """
   Calls `fun` with the last message of each subject and then with every later one, in a process that is linked to the caller. The
   process ends with its connection, or when the consumer is gone.
   """
@@ -60,17 +89,16 @@ defmodule Aerie.Fleet.Nats.Reader do
 
   defp endlessly(reader), do: with({:ok, _read} <- batch(reader, @batch), do: endlessly(reader))
 
-  defp consumer(conn, stream, subjects) do
+  defp consumer(conn, stream, subjects, start \\ %{deliver_policy: :last_per_subject}) do
     config = %{
       ack_policy: :none,
-      deliver_policy: :last_per_subject,
       filter_subject: subjects,
       inactive_threshold: 60 * @second,
       # It goes with its connection, so its place need not be written at each message.
       mem_storage: true
     }
 
-    body = JSON.encode_to_iodata!(%{stream_name: stream, config: config})
+    body = JSON.encode_to_iodata!(%{stream_name: stream, config: Map.merge(config, start)})
 
     case JetStream.ask(conn, "$JS.API.CONSUMER.CREATE.#{stream}", body) do
       {:ok, %{"name" => name, "num_pending" => count}} when is_binary(name) and is_integer(count) ->

@@ -390,6 +390,9 @@ defmodule Aerie.Console.Pages.Fleet.Page do
         </.tabs>
       </div>
       <.map id="fleet-map" class="fleet-map" label="Map of all vehicles" selected={Selection.among(@selection, ids(@all))} follow={@follow} />
+      <.link navigate="/replay" class="button small fleet-replay">
+        <.icon name="restart" /> Replay: the last 24 hours
+      </.link>
       <section class="fleet-list" aria-label="Vehicles">
         {@tools}
         <.status all={@all} shown={length(@rows)} selected={Selection.size(@selection)} sequence={@sequence} now={now_ms()} />

@@ -17,10 +17,12 @@ import Palette from "./hooks/palette.js";
 import ParamsFile from "./hooks/params_file.js";
 import PlanFile from "./hooks/plan_file.js";
 import Replay from "./hooks/replay.js";
+import SheetOrder from "./hooks/sheet_order.js";
 import Toast from "./hooks/toast.js";
 
 const hooks = {
-  AlarmSound, Chart, CommandForm, Dialog, FleetMap, FleetTable, HoldButton, Instruments, Palette, ParamsFile, PlanFile, Replay, Toast,
+  AlarmSound, Chart, CommandForm, Dialog, FleetMap, FleetTable, HoldButton, Instruments, Palette, ParamsFile, PlanFile, Replay,
+  SheetOrder, Toast,
 };
 
 // A gateway that starts again is back within a second; the client's own pauses grow to five.

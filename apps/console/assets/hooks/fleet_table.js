@@ -12,11 +12,14 @@ export default {
     this.el.addEventListener("pointerenter", () => { this.over = true; this.hand(); });
     this.el.addEventListener("pointerleave", () => { this.over = false; this.hand(); });
     for (const name of ["focusin", "focusout"]) this.el.addEventListener(name, () => setTimeout(() => this.hand()));
+    this.digits = (event) => this.digit(event);
+    window.addEventListener("keydown", this.digits);
     this.again(loadedAgain());
   },
 
   destroyed() {
     this.gone = true;
+    window.removeEventListener("keydown", this.digits);
     clearTimeout(this.away);
   },
 
@@ -66,6 +69,13 @@ export default {
     if (event.shiftKey) getSelection()?.removeAllRanges();
     row.focus({ preventScroll: true });
     this.select(row, how);
+  },
+
+  // The keys 1 to 9 press the chips that show them.
+  digit({ key, target, repeat, ctrlKey, metaKey, altKey }) {
+    if (!/^[1-9]$/.test(key) || repeat || ctrlKey || metaKey || altKey) return;
+    if (target.closest?.("input:not([type=checkbox]), select, textarea") || document.querySelector("dialog[open]")) return;
+    document.querySelector(`.fleet-groups [data-digit="${key}"]`)?.click();
   },
 
   key(event) {

@@ -70,8 +70,8 @@ const tasks = {
     }
     await say("ended", "go on");
     await hold(page, "#fleet-rtl");
-    await page.waitForSelector("#fleet-batch li");
-    equal("of the one that is shown", await page.locator("#fleet-batch li span").first().textContent(), "V3");
+    await page.waitForSelector("#fleet-results li");
+    equal("of the one that is shown", await page.locator("#fleet-results li span").first().textContent(), "V3");
   },
 
   // Rows keep their places under the pointer, and what appears moves none.
@@ -103,7 +103,7 @@ const tasks = {
     await page.waitForSelector("#fleet-actions");
     equal("after a selection", await places(page), where);
     await hold(page, "#fleet-hold");
-    await page.waitForSelector("#fleet-batch li");
+    await page.waitForSelector("#fleet-results li");
     equal("with results", await places(page), where);
     await say("full", "alarmed");
     await page.waitForSelector(`${row("V2")} .fleet-problems .badge:nth-child(2)`);
@@ -149,15 +149,15 @@ const tasks = {
     await page.keyboard.press("h");
     await shows(page, "#hint", "H does nothing while “Select all that are shown” has the focus. Move the focus away, then hold H.");
     await page.fill("#fleet-search", "V2");
-    await contains(page, ".fleet-hidden", "1 selected, not in this list: V1");
+    await contains(page, ".fleet-hidden", "1 selected vehicle is hidden by the filter: V1");
     await page.evaluate(() => document.activeElement.blur());
     await page.keyboard.press("l");
-    await shows(page, "#hint", "Land does nothing: 1 selected, not in this list: V1. Clear the filter or the selection first.");
+    await shows(page, "#hint", "Hidden vehicles are selected. Clear the filter or the selection first.");
     // The button does the same as its key and shows the reason.
     await page.evaluate(() => { document.getElementById("hint").hidden = true; });
     await page.hover("#fleet-hold");
     await page.mouse.down();
-    await shows(page, "#hint", "Hold does nothing: 1 selected, not in this list: V1. Clear the filter or the selection first.");
+    await shows(page, "#hint", "Hidden vehicles are selected. Clear the filter or the selection first.");
     await page.mouse.up();
     for (const button of ["#fleet-land", "#fleet-hold"]) equal("no press began", (await presses(page, button)).ended, 0);
     await page.fill("#fleet-search", "");
@@ -181,7 +181,7 @@ const tasks = {
     await steady(page);
     await late(false);
     equal("held long enough", (await presses(page, "#fleet-land")).held, 1);
-    await page.waitForSelector("#fleet-batch li");
+    await page.waitForSelector("#fleet-results li");
 
     // A lost gateway's banner covers nothing. What was selected is so again, even if the page has to be loaded.
     await say("selected", "gone");

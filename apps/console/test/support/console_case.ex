@@ -194,6 +194,11 @@ defmodule Aerie.ConsoleCase do
     end)
   end
 
+  @doc "Starts what keeps the gateway's operations, for pages that act on several vehicles."
+  @spec start_operations(t()) :: pid()
+  def start_operations(%ConsoleCase{gateway: gateway}),
+    do: ExUnit.Callbacks.start_supervised!({Aerie.Fleet.Operations.Supervisor, gateway: gateway})
+
   @doc "Puts a link into the store: an UDP port on which somebody is heard, and `fields`."
   @spec put_link(t(), String.t(), map()) :: :ok
   def put_link(%ConsoleCase{gateway: gateway}, id, fields \\ %{}) do

@@ -91,9 +91,12 @@ defmodule Aerie.Console.Commands.Entry do
 
   defp reason(%{reason: reason}), do: reason && Command.on_pages(reason)
 
-  @doc "A result's tone and word."
-  @spec result(atom()) :: {:good | :plain | :bad | :unsure, String.t()}
-  def result(status), do: Map.fetch!(@results, status)
+  @words Map.new(@results, fn {status, shown} -> {Atom.to_string(status), shown} end)
+
+  @doc "A result's tone and word; by its name, that of an operation, which may also be a refusal of the shadow."
+  @spec result(atom() | String.t()) :: {:good | :plain | :bad | :unsure, String.t()}
+  def result(status) when is_atom(status), do: Map.fetch!(@results, status)
+  def result(name), do: Map.get(@words, name, {:bad, "Failed"})
 
   @doc "The kind of badge for a tone."
   @spec badge(:busy | :going | :good | :plain | :bad | :unsure) :: String.t()

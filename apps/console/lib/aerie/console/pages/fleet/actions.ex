@@ -9,7 +9,9 @@ defmodule Aerie.Console.Pages.Fleet.Actions do
   alias Aerie.Vehicle.Snapshot
   alias Aerie.Console.Commands.Catalog
   alias Aerie.Console.Pages.Fleet.{Plans, Selection}
-  alias Aerie.Console.Commands.Batch
+  alias Aerie.Console.Pages.Fleet.Act.Results
+
+  @most_reasons 20
 
   attr :selection, :map, required: true
   attr :all, :list, required: true
@@ -17,7 +19,7 @@ defmodule Aerie.Console.Pages.Fleet.Actions do
   attr :user, :map, required: true
   attr :plans, Plans, required: true
 
-  @doc "Hold, return and land for the selection, who is in charge of it, its plans on the map and its tags. It takes the same room without a selection."
+  @doc "What can be done with the selection. It takes the same room without one, but on a phone."
   def actions(assigns) do
     chosen = Selection.chosen(assigns.selection, assigns.all)
     ids = Enum.map(chosen, & &1.id)
@@ -25,8 +27,14 @@ defmodule Aerie.Console.Pages.Fleet.Actions do
     {seen, hidden} =
       Selection.summary(assigns.selection, ids, if(ids != [], do: Enum.map(assigns.rows, & &1.id), else: []))
 
-    assigns = assign(assigns, chosen: chosen, value: %{ids: ids}, seen: seen, hidden: hidden)
+    {ground, air} = Enum.split_with(chosen, &(&1.in_air != true))
+    refusal = hidden && Selection.hidden_refusal()
+
+    assigns =
+      assign(assigns, chosen: chosen, value: %{ids: ids}, seen: seen, hidden: hidden, refusal: refusal)
+
     assigns = assign(assigns, able: able(chosen, assigns.user), locked: locked(chosen, assigns.user))
+    assigns = assign(assigns, ground: lifting(ground, assigns.user), mixed: air != [])
 
     ~H"""
     <div class="fleet-dock">
@@ -35,6 +43,7 @@ defmodule Aerie.Console.Pages.Fleet.Actions do
         <p class="fleet-selected">
           <strong :if={@seen}>{@seen}</strong>
           <strong :if={@hidden} class="fleet-hidden" role="status"><.icon name="alert" /> {@hidden}</strong>
+          <.button :if={@hidden} small phx-click="show_hidden">Show them</.button>
         </p>
         <div :if={Roles.at_least?(@user.role, :operator)} class="row">
           <.hold_button
@@ -43,22 +52,30 @@ defmodule Aerie.Console.Pages.Fleet.Actions do
             event="command"
             icon={icon}
             shortcut={key}
-            refusal={@hidden && "#{label} does nothing: #{Selection.hidden_refusal(@hidden)}"}
+            refusal={@refusal}
             value={@value}
             phx-value-type={type}
           >{label}</.hold_button>
+          <.button
+            :if={@ground != []}
+            icon="takeoff"
+            disabled={@refusal != nil}
+            title={@refusal}
+            phx-click={JS.push("sheet_take_off", value: Map.put(@value, :ground, @ground))}
+          >Take off {if @mixed, do: "#{length(@ground)} "}…</.button>
           <.button icon="tag" phx-click={JS.push("tag", value: @value)}>Tags</.button>
         </div>
         <p :for={text <- @locked} class="muted locked"><.icon name="lock" /> {text}</p>
         <.button icon="plan" phx-click={JS.push("plans", value: @value)} aria-pressed={to_string(Enum.all?(@chosen, &Plans.on?(@plans, &1.id)))}>Missions</.button>
         <.button kind="quiet" icon="x" label="Select none" phx-click="none" />
+        <.why :if={Enum.any?(@chosen, & &1.readiness)} rows={@chosen} />
         <.charge :if={@hidden == nil and Roles.at_least?(@user.role, :operator)} rows={@chosen} user={@user} />
       </div>
     </div>
     """
   end
 
-  attr :batch, :map, required: true
+  attr :results, :any, required: true
   attr :plans, Plans, required: true
 
   @doc "The results of the last action, and what is said of plans, over the map's lower part."
@@ -66,20 +83,8 @@ defmodule Aerie.Console.Pages.Fleet.Actions do
     assigns = assign(assigns, :words, Plans.summary(assigns.plans))
 
     ~H"""
-    <div :if={@batch != nil or @words != []} class="fleet-results">
-      <section :if={@batch} id="fleet-batch" class="fleet-batch card" aria-label="Results">
-        <header class="spread">
-          <h2>{title(@batch)}</h2>
-          <.button kind="quiet" icon="x" label="Close" phx-click="close_batch" />
-        </header>
-        <ul aria-live="polite">
-          <li :for={entry <- Batch.by_need(@batch)} :key={entry.id}>
-            <span>{entry.vehicle}</span>
-            <.badge kind={kind(@batch, entry)}>{word(@batch, entry)}</.badge>
-            <span class="muted">{reason(entry.state)}</span>
-          </li>
-        </ul>
-      </section>
+    <div :if={@results != nil or @words != []} class="fleet-results">
+      <Results.card :if={@results} results={@results} />
       <p :for={words <- @words} class="hint fleet-plans" role="status">{words}</p>
     </div>
     """
@@ -109,14 +114,47 @@ defmodule Aerie.Console.Pages.Fleet.Actions do
     """
   end
 
-  defp title(batch) do
-    {over, not_done} = Batch.count(batch)
-    failed = if not_done > 0, do: ", #{not_done} not done"
-    "#{Catalog.title(batch.type)}: #{over} of #{length(batch.entries)} ended#{failed}"
-  end
-
   defp save([]), do: "Save"
   defp save(left), do: "Saving, #{length(left)} left"
+
+  attr :rows, :list, required: true
+
+  # Which of the selected vehicles on the ground are not ready, and why; open by a click, Enter or Space.
+  defp why(assigns) do
+    rows = Enum.filter(assigns.rows, & &1.readiness)
+    {open, more} = rows |> Enum.reject(&(&1.readiness == :ready)) |> Enum.split(@most_reasons)
+
+    words =
+      for {state, word} <- [ready: "ready", check: "to check", not_ready: "not ready", unknown: "unknown"],
+          n = Enum.count(rows, &(&1.readiness == state)),
+          n > 0,
+          do: "#{n} #{word}"
+
+    assigns = assign(assigns, words: Enum.join(words, ", "), open: open, more: length(more))
+
+    ~H"""
+    <details class="charge fleet-why" id="fleet-why" phx-mounted={JS.ignore_attributes("open")}>
+      <summary><span>{@words}</span></summary>
+      <div class="charge-forms">
+        <p :if={@open == []}>All that are on the ground are ready.</p>
+        <ul>
+          <li :for={row <- @open} :key={row.id}>
+            <strong>{row.id}</strong> <.readiness state={row.readiness} />
+            <span class="muted">{Enum.join(row.open, " ")}</span>
+          </li>
+        </ul>
+        <p :if={@more > 0} class="muted">and {@more} more</p>
+      </div>
+    </details>
+    """
+  end
+
+  # The ids of those on the ground of a kind that the user can let take off.
+  defp lifting(ground, user) do
+    lifts? = &(Commands.lacks(&1, "takeoff", user) == nil)
+    kinds = for kind <- kinds(ground), lifts?.(kind), do: {kind.autopilot, kind.vehicle_type}
+    for row <- ground, {row.autopilot, row.kind} in kinds, do: row.id
+  end
 
   # Those that the user may give to at least one of the selected vehicles. The results of the others say why not.
   defp able(chosen, user) do
@@ -147,9 +185,4 @@ defmodule Aerie.Console.Pages.Fleet.Actions do
 
   defp types,
     do: [{"hold", "Hold", "hold", "H"}, {"rtl", "Return", "rtl", "R"}, {"land", "Land", "land", "L"}]
-
-  defp kind(batch, entry), do: batch.type |> Batch.badge(entry.state) |> elem(0)
-  defp word(batch, entry), do: batch.type |> Batch.badge(entry.state) |> elem(1)
-  defp reason({:done, _status, reason}), do: reason
-  defp reason(_state), do: nil
 end

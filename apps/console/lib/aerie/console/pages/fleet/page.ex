@@ -10,19 +10,20 @@ defmodule Aerie.Console.Pages.Fleet.Page do
       {:page,
        events: [
          viewer:
-           ~w(select all none again pointer sort_now filter flag sort plans map_select map_follow map_menu map_escape)
+           ~w(select all none again pointer sort_now filter flag sort plans map_select map_follow map_menu map_escape
+              group show_hidden close_results)
        ],
        costly: ~w(all filter flag sort sort_now plans)}
 
   import Aerie.Console.Pages.Fleet.{Actions, Table, Toolbar}
   import Aerie.Console.Map, only: [map: 1]
 
-  alias Aerie.Control.{Commands, Policy}
+  alias Aerie.Control.Policy
   alias Aerie.Fleet.Shadow
-  alias Aerie.Base.PubSub
 
   alias Aerie.Console.Pages.Fleet.{Address, Board, Filter, OnMap, Order, Plans, Selection}
-  alias Aerie.Console.Commands.{Batch, Submit}
+  alias Aerie.Console.Pages.Fleet.Act
+  alias Aerie.Console.Pages.Fleet.Act.{Groups, TakeOffSheet}
   alias Aerie.Console.Pages.Fleet.Actions.ControlForms
   alias Aerie.Console.Pages.Fleet.Sequence
   alias Aerie.Console.Pages.Fleet.Actions.Tagging
@@ -46,7 +47,6 @@ defmodule Aerie.Console.Pages.Fleet.Page do
        selection: %Selection{},
        sequence: %Sequence{},
        hand: false,
-       batch: nil,
        tagging: nil,
        plans: %Plans{},
        rows: [],
@@ -62,7 +62,8 @@ defmodule Aerie.Console.Pages.Fleet.Page do
        current: %{},
        round: 0
      })
-     |> subscribe([:vehicles, :links, :leases])
+     |> subscribe([:vehicles, :links, :leases, {:notice, :operations}])
+     |> Act.Live.mount()
      |> push_event("map:zones", %{map: @map, zones: Zones.of(Policy.in_force(socket.assigns.gateway))})
      |> read()
      |> assign_view()}
@@ -90,6 +91,7 @@ defmodule Aerie.Console.Pages.Fleet.Page do
     socket =
       if due? or not :erts_debug.same(socket.assigns.all, before), do: assign_view(socket), else: socket
 
+    socket = Act.Live.follow(socket, socket.private.fleet.rows)
     {:noreply, update_private(socket, &%{&1 | round: next(&1.round)})}
   end
 
@@ -99,18 +101,7 @@ defmodule Aerie.Console.Pages.Fleet.Page do
     {:noreply, socket |> update(:plans, &Plans.update(&1, id, ref, message)) |> tell_plans()}
   end
 
-  def handle_info({:submit, press}, %{assigns: %{batch: %{press: press} = batch}} = socket) do
-    case Batch.next(batch) do
-      nil ->
-        {:noreply, socket}
-
-      entry ->
-        send(self(), {:submit, press})
-        {:noreply, assign(socket, :batch, Batch.put(batch, entry.id, submit(socket, batch, entry)))}
-    end
-  end
-
-  def handle_info({:submit, _earlier}, socket), do: {:noreply, socket}
+  def handle_info({:fleet, {:notice, :operations}, id}, socket), do: {:noreply, Act.Live.changed(socket, id)}
 
   def handle_info(:tag, %{assigns: %{tagging: %{left: [{id, words} | left]} = tagging} = assigns} = socket) do
     case Shadow.tag(assigns.gateway, id, words, assigns.user, "console") do
@@ -132,16 +123,6 @@ defmodule Aerie.Console.Pages.Fleet.Page do
 
   # The dialog was closed: vehicles that were left keep their tags.
   def handle_info(:tag, socket), do: {:noreply, socket}
-
-  def handle_info({:fleet, {:commands, vehicle}, id}, %{assigns: %{batch: batch, gateway: gateway}} = socket) do
-    with %{} <- Batch.find(batch, id),
-         {:ok, result} <- Commands.state(gateway, vehicle, id) do
-      PubSub.unsubscribe(gateway, {:commands, vehicle})
-      {:noreply, assign(socket, :batch, Batch.put(batch, id, Submit.state(result)))}
-    else
-      _other_or_under_way -> {:noreply, socket}
-    end
-  end
 
   @impl Phoenix.LiveView
   def handle_event("select", %{"id" => id, "how" => how}, socket) do
@@ -207,20 +188,31 @@ defmodule Aerie.Console.Pages.Fleet.Page do
      end)}
   end
 
-  def handle_event("command", %{"type" => _type} = event, %{assigns: %{rows: rows} = assigns} = socket) do
+  def handle_event("command", %{"type" => type} = event, socket) do
     {:noreply,
-     meant(socket, event, fn chosen ->
-       case Selection.summary(assigns.selection, ids(chosen), ids(rows)) do
-         {_seen, nil} -> command(socket, event, chosen)
-         {_seen, hidden} -> put_flash(socket, :error, "Nothing was sent: #{Selection.hidden_refusal(hidden)}")
-       end
+     seen(socket, event, fn chosen ->
+       Act.Live.command(socket, event, ControlForms.concerned(type, chosen, socket.assigns.user.name))
      end)}
   end
 
-  def handle_event("close_batch", _value, socket) do
-    forget(socket.assigns.gateway, socket.assigns.batch)
-    {:noreply, assign(socket, :batch, nil)}
+  # The button names those of the selected that were on the ground.
+  def handle_event("sheet_take_off", %{"ground" => ground} = event, socket) when is_list(ground) do
+    {:noreply,
+     seen(socket, event, fn chosen ->
+       Act.Live.open(socket, for(%{id: id} <- chosen, id in ground, do: id))
+     end)}
   end
+
+  def handle_event("sheet_" <> _what = event, value, socket),
+    do: {:noreply, Act.Live.sheet(socket, event, value)}
+
+  def handle_event("take_off", event, socket), do: {:noreply, Act.Live.take_off(socket, event)}
+  def handle_event("close_results", _value, socket), do: {:noreply, assign(socket, :results, nil)}
+
+  def handle_event("group", %{"name" => name}, %{assigns: %{selection: selection, rows: rows}} = socket),
+    do: {:noreply, assign(socket, :selection, Groups.select(selection, Groups.of(rows), name))}
+
+  def handle_event("show_hidden", _value, socket), do: {:noreply, patch(socket, filter: %Filter{})}
 
   def handle_event("tag", event, socket),
     do: {:noreply, meant(socket, event, &assign(socket, :tagging, Tagging.new(&1)))}
@@ -254,30 +246,15 @@ defmodule Aerie.Console.Pages.Fleet.Page do
     end
   end
 
-  defp command(socket, event, chosen) do
-    %{gateway: gateway, batch: last, user: user} = socket.assigns
-
-    case Batch.new(event, ControlForms.concerned(event["type"], chosen, user.name)) do
-      {:ok, %{press: press} = batch} when last == nil or last.press != press ->
-        forget(gateway, last)
-        for entry <- batch.entries, do: PubSub.subscribe(gateway, {:commands, entry.vehicle})
-        send(self(), {:submit, press})
-        socket |> clear_flash() |> assign(:batch, batch)
-
-      _twice_or_wrong ->
-        socket
-    end
+  # The same, unless some of them are hidden by the filter: for a key and a button alike.
+  defp seen(%{assigns: %{selection: selection}} = socket, event, act) do
+    meant(socket, event, fn chosen ->
+      case Selection.summary(selection, ids(chosen), ids(socket.assigns.rows)) do
+        {_seen, nil} -> act.(chosen)
+        {_seen, _hidden} -> put_flash(socket, :error, "Nothing was sent. #{Selection.hidden_refusal()}")
+      end
+    end)
   end
-
-  defp submit(%{assigns: %{gateway: gateway, user: user}}, batch, entry) do
-    with {:invalid, _type, errors} <- Submit.give(gateway, entry.vehicle, user, Batch.event(batch, entry)),
-         do: {:done, :rejected, Submit.text(errors)}
-  end
-
-  defp forget(_gateway, nil), do: :ok
-
-  defp forget(gateway, batch),
-    do: Enum.each(batch.entries, &PubSub.unsubscribe(gateway, {:commands, &1.vehicle}))
 
   defp select(socket, id, change) do
     if Enum.any?(socket.assigns.all, &(&1.id == id)), do: assign(socket, :selection, change.()), else: socket
@@ -403,9 +380,11 @@ defmodule Aerie.Console.Pages.Fleet.Page do
           <:action><.button patch={Address.of(%Filter{}, @order, @view)}>Show all {length(@all)}</.button></:action>
         </.empty>
         <.vehicles :if={@rows != []} rows={@rows} heads={@heads} selection={@selection} filter={@filter} />
+        <Groups.groups :if={@rows != []} groups={Groups.of(@rows)} selection={@selection} />
         <.actions selection={@selection} all={@all} rows={@rows} user={@user} plans={@plans} />
       </section>
-      <.results batch={@batch} plans={@plans} />
+      <.results results={@results} plans={@plans} />
+      <TakeOffSheet.sheet :if={@sheet} sheet={@sheet} facts={@facts} error={@sheet_error} />
       <.tag_dialog :if={@tagging} tagging={@tagging} words={@choices.tags} />
     </div>
     """

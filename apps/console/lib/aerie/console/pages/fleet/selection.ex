@@ -68,12 +68,15 @@ defmodule Aerie.Console.Pages.Fleet.Selection do
     {seen, hidden} = selection |> among(all) |> Enum.split_with(&(&1 in listed))
 
     {if(seen != [], do: names(seen)),
-     if(hidden != [], do: "#{length(hidden)} selected, not in this list: #{names(hidden)}")}
+     if(hidden != [], do: "#{count(hidden)} hidden by the filter: #{names(hidden)}")}
   end
 
-  @doc "Why nothing is done with such a selection, and what to do."
-  @spec hidden_refusal(hidden :: String.t()) :: String.t()
-  def hidden_refusal(hidden), do: "#{hidden}. Clear the filter or the selection first."
+  defp count([_one]), do: "1 selected vehicle is"
+  defp count(ids), do: "#{length(ids)} selected vehicles are"
+
+  @doc "Why nothing is done with such a selection, by a button or a key, and what to do."
+  @spec hidden_refusal() :: String.t()
+  def hidden_refusal, do: "Hidden vehicles are selected. Clear the filter or the selection first."
 
   @doc "Vehicles in a few words."
   @spec names([String.t()]) :: String.t()

@@ -4,7 +4,6 @@ defmodule Aerie.Console.Pages.Fleet.HandTest do
 
   alias Aerie.Control.Commands
   alias Aerie.Console.Pages.Fleet.{Order, Selection, Sequence}
-  alias Aerie.Console.Commands.Batch
   alias Aerie.Console.Pages.Fleet.Board.Row
 
   @changed "The selection changed; nothing was sent."
@@ -12,6 +11,7 @@ defmodule Aerie.Console.Pages.Fleet.HandTest do
   describe "a press" do
     setup do
       [console: console] = start_console()
+      start_operations(console)
       for n <- 1..3, do: put_vehicle(console, "V#{n}", [], %{key: {"main", n}, system_id: n})
       {:ok, view, _html} = live(conn(console, :operator), "/")
       {:ok, console: console, view: view}
@@ -40,18 +40,18 @@ defmodule Aerie.Console.Pages.Fleet.HandTest do
       for type <- ~w(hold rtl land),
           ids <- [["V1"], ["V1", "V2"], [], nil, "V2", %{"V2" => 1}, [["V2"], 2]] do
         assert press(view, type, ids) =~ @changed
-        refute has_element?(view, "#fleet-batch")
+        refute has_element?(view, "#fleet-results")
       end
 
       select(view, "V1", "toggle")
       assert press(view, "land", ["V2"]) =~ @changed
       render_hook(view, "none", %{})
       assert press(view, "land", ["V2"]) =~ @changed
-      refute has_element?(view, "#fleet-batch")
+      refute has_element?(view, "#fleet-results")
 
       select(view, "V2")
       refute press(view, "land", ["V2"], "web-2") =~ @changed
-      assert has_element?(view, "#fleet-batch li", "V2")
+      assert has_element?(view, "#fleet-results li", "V2")
     end
 
     test "on Tags and Missions is also for the same vehicles", %{view: view} do
@@ -79,18 +79,20 @@ defmodule Aerie.Console.Pages.Fleet.HandTest do
       {:ok, alarms, _html} = live(conn(console, :operator), "/alarms")
 
       button =
-        eventually(fn -> has_element?(alarms, "tr", "V1") && element(alarms, "button", "Acknowledge all") end)
+        eventually(fn ->
+          has_element?(alarms, ".alarm-group", "V1") && element(alarms, "button", "Acknowledge all")
+        end)
 
       assert render(button) =~ ~r/alarms.*a1/
       assert is_pid(server)
       render_click(button)
-      eventually(fn -> has_element?(alarms, "tr", "operator") end)
+      eventually(fn -> has_element?(alarms, ".alarm-row", "operator") end)
       # What somebody sends who saw none acknowledges none.
       put_vehicle(console, "V2", [mode: %{failsafe: true}], %{key: {"main", 2}, system_id: 2})
-      eventually(fn -> has_element?(alarms, "tr", "V2") end)
+      eventually(fn -> has_element?(alarms, ".alarm-group", "V2") end)
       render_click(alarms, "alarm-acknowledge", %{"all" => "yes"})
       render_click(alarms, "alarm-acknowledge", %{"alarms" => []})
-      assert has_element?(alarms, "tr button", "Acknowledge")
+      assert has_element?(alarms, ".alarm-row button", "Acknowledge")
     end
   end
 
@@ -107,16 +109,16 @@ defmodule Aerie.Console.Pages.Fleet.HandTest do
       refute has_element?(view, ".fleet-hidden")
       refute view |> element("#fleet-hold") |> render() =~ "data-refusal"
       view |> form("#fleet-filter", %{q: "V2"}) |> render_change()
-      assert has_element?(view, ".fleet-hidden", "1 selected, not in this list: V1")
+      assert has_element?(view, ".fleet-hidden", "1 selected vehicle is hidden by the filter: V1")
       refute has_element?(view, ".fleet-selected > strong:not(.fleet-hidden)")
 
-      for {type, label} <- [{"hold", "Hold"}, {"rtl", "Return"}, {"land", "Land"}] do
+      for type <- ~w(hold rtl land) do
         assert view |> element("#fleet-#{type}[aria-disabled=true]") |> render() =~
-                 ~s(data-refusal="#{label} does nothing: 1 selected, not in this list: V1. Clear the filter)
+                 ~s(data-refusal="Hidden vehicles are selected. Clear the filter or the selection first.")
 
         # A press that was made before the filter.
         press = %{"type" => type, "id" => "p-#{type}", "ids" => ["V1"]}
-        assert render_hook(view, "command", press) =~ "Nothing was sent: 1 selected, not in this list: V1."
+        assert render_hook(view, "command", press) =~ "Nothing was sent. Hidden vehicles are selected."
       end
 
       refute has_element?(view, "#fleet-charge")
@@ -134,11 +136,11 @@ defmodule Aerie.Console.Pages.Fleet.HandTest do
       all = ~w(a b c d e f)
       assert Selection.summary(selection, all, all) == {"5 vehicles (a, b, c …)", nil}
 
-      assert {"a", "4 selected, not in this list: 4 vehicles (b, c, d …)"} =
+      assert {"a", "4 selected vehicles are hidden by the filter: 4 vehicles (b, c, d …)"} =
                Selection.summary(selection, all, ~w(a f))
 
       assert Selection.summary(%Selection{ids: MapSet.new(["a"])}, all, []) ==
-               {nil, "1 selected, not in this list: a"}
+               {nil, "1 selected vehicle is hidden by the filter: a"}
     end
   end
 
@@ -283,18 +285,5 @@ defmodule Aerie.Console.Pages.Fleet.HandTest do
     assert Sequence.follow(sequence, ~w(b a), ~w(a b), false, 4_999).ids == ~w(a b)
     assert Sequence.follow(sequence, ~w(b a), ~w(a b), false, 5_000).ids == ~w(b a)
     assert Sequence.follow(sequence, ~w(c b a), ~w(a b c), false, 1).ids == ~w(c b a)
-  end
-
-  test "results: those that need somebody come first, and Done is said of nothing that has only begun" do
-    {:ok, batch} = Batch.new(%{"id" => "press", "type" => "land"}, ~w(a b c d))
-    [a, b, c, d] = batch.entries
-    batch = batch |> Batch.put(a.id, {:done, :completed, nil}) |> Batch.put(b.id, {:done, :timeout, nil})
-    batch = Batch.put(batch, d.id, {:done, :denied, "no"})
-    assert Enum.map(Batch.by_need(batch), & &1.vehicle) == ~w(d b c a)
-    assert Batch.count(batch) == {3, 2}
-    assert c.state == :waiting
-
-    assert for(type <- ~w(hold rtl land), do: Batch.badge(type, {:done, :completed, nil})) ==
-             [{"ok", "Holding"}, {"ok", "Returning"}, {"ok", "Landing"}]
   end
 end

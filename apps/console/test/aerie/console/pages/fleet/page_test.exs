@@ -234,6 +234,7 @@ defmodule Aerie.Console.Pages.Fleet.PageTest do
 
   describe "commands for the selection" do
     setup %{console: console} do
+      start_operations(console)
       for n <- 1..3, do: put_vehicle(console, "V#{n}", [], %{key: {"main", n}, system_id: n})
       :ok
     end
@@ -244,13 +245,15 @@ defmodule Aerie.Console.Pages.Fleet.PageTest do
       render_hook(view, "command", %{"type" => "rtl", "id" => "web-0001", "ids" => ["V1", "V3"]})
 
       # This gateway takes no commands, so each is denied, with the reason.
-      html = eventually(fn -> (html = render(view)) =~ "2 of 2 ended, 2 not done" && html end)
-      assert html =~ "Return to launch"
+      html = eventually(fn -> (html = render(view)) =~ "Return: all 2 not allowed" && html end)
       assert html |> String.split("the gateway takes no commands just now") |> length() == 3
 
+      render_hook(view, "close_results", %{})
+      refute has_element?(view, "#fleet-results")
+
       # The same press again is not a second one.
-      render_hook(view, "close_batch", %{})
-      refute has_element?(view, "#fleet-batch")
+      render_hook(view, "command", %{"type" => "rtl", "id" => "web-0001", "ids" => ["V1", "V3"]})
+      assert [%{"id" => "web-0001"}] = Aerie.Fleet.recent_operations(console.gateway)
     end
 
     test "are not for viewers, whatever their browser sends", %{console: console} do
@@ -259,7 +262,7 @@ defmodule Aerie.Console.Pages.Fleet.PageTest do
       assert has_element?(view, "#fleet-actions")
       refute has_element?(view, "#fleet-rtl")
       render_hook(view, "command", %{"type" => "rtl", "id" => "web-0001"})
-      refute has_element?(view, "#fleet-batch")
+      refute has_element?(view, "#fleet-results")
     end
 
     test "what is not a command of this page does nothing", %{console: console} do
@@ -267,7 +270,7 @@ defmodule Aerie.Console.Pages.Fleet.PageTest do
       render_hook(view, "select", %{"id" => "V1", "how" => "only"})
       render_hook(view, "command", %{"type" => "terminate", "id" => "web-0001", "ids" => ["V1"]})
       render_hook(view, "command", %{"type" => "rtl", "id" => "not an id", "ids" => ["V1"]})
-      refute has_element?(view, "#fleet-batch")
+      refute has_element?(view, "#fleet-results")
     end
   end
 
@@ -318,6 +321,7 @@ defmodule Aerie.Console.Pages.Fleet.PageTest do
 
   describe "who is in charge" do
     setup %{console: console} do
+      start_operations(console)
       for n <- 1..3, do: put_vehicle(console, "V#{n}", [], %{key: {"main", n}, system_id: n})
       :ok
     end
@@ -354,14 +358,14 @@ defmodule Aerie.Console.Pages.Fleet.PageTest do
       earlier = Map.merge(take, %{shown | "holders" => %{"V2" => "operator"}})
       assert render_hook(view, "command", earlier) =~ "Who is in charge changed; nothing was sent."
       render_hook(view, "command", Map.merge(take, shown))
-      assert has_element?(view, "#fleet-batch", "V1")
-      assert has_element?(view, "#fleet-batch", "V3")
-      refute has_element?(view, "#fleet-batch li", "V2")
+      assert has_element?(view, "#fleet-results", "V1")
+      assert has_element?(view, "#fleet-results", "V3")
+      refute has_element?(view, "#fleet-results li", "V2")
 
       release = %{"type" => "release_control", "id" => "press-2", "fields" => %{}}
       render_hook(view, "command", Map.merge(release, shown))
-      assert has_element?(view, "#fleet-batch li", "V2")
-      refute has_element?(view, "#fleet-batch li", "V1")
+      assert has_element?(view, "#fleet-results li", "V2")
+      refute has_element?(view, "#fleet-results li", "V1")
     end
   end
 

@@ -2,7 +2,6 @@ defmodule Aerie.Console.Pages.Fleet.RowsTest do
   use ExUnit.Case, async: true
 
   alias Aerie.Console.Pages.Fleet.{Filter, Order, Selection}
-  alias Aerie.Console.Commands.Batch
   alias Aerie.Console.Pages.Fleet.Board.{Problems, Row}
   alias Aerie.Console.Map.Payload
 
@@ -259,34 +258,6 @@ defmodule Aerie.Console.Pages.Fleet.RowsTest do
 
       assert :proper.quickcheck(property, [:quiet, {:numtests, 200}]) == true,
              inspect(:proper.counterexample())
-    end
-  end
-
-  describe "a batch" do
-    test "commands each vehicle under an id of its own, the same for the same press" do
-      {:ok, batch} = Batch.new(%{"id" => "web-1", "type" => "rtl"}, ["A", "B"])
-      {:ok, again} = Batch.new(%{"id" => "web-1", "type" => "rtl"}, ["B", "A"])
-      {:ok, other} = Batch.new(%{"id" => "web-2", "type" => "rtl"}, ["A", "B"])
-      ids = for entry <- batch.entries, do: entry.id
-      assert length(Enum.uniq(ids)) == 2
-      assert Enum.sort(ids) == Enum.sort(for entry <- again.entries, do: entry.id)
-      assert Enum.all?(ids, &(&1 =~ ~r/\A[A-Za-z0-9_-]{1,64}\z/))
-      assert ids -- for(entry <- other.entries, do: entry.id) == ids
-    end
-
-    test "takes only its own commands and good ids" do
-      assert Batch.new(%{"id" => "web-1", "type" => "arm"}, ["A"]) == :error
-      assert Batch.new(%{"id" => "no id!", "type" => "rtl"}, ["A"]) == :error
-      assert Batch.new(%{"id" => nil, "type" => "rtl"}, ["A"]) == :error
-    end
-
-    test "a result is final" do
-      {:ok, batch} = Batch.new(%{"id" => "web-1", "type" => "land"}, ["A", "B"])
-      %{id: id} = Batch.next(batch)
-      batch = batch |> Batch.put(id, {:done, :completed, nil}) |> Batch.put(id, :under_way)
-      assert Batch.find(batch, id).state == {:done, :completed, nil}
-      assert Batch.count(batch) == {1, 0}
-      assert Batch.next(batch).vehicle == "B"
     end
   end
 

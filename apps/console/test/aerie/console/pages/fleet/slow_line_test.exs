@@ -14,6 +14,7 @@ defmodule Aerie.Console.Pages.Fleet.SlowLineTest do
   setup %{tmp_dir: dir} do
     [console: console] = start_console()
     Aerie.CommandCase.start_commands(dir, gateway: console.gateway)
+    start_operations(console)
     :ok = Store.delete_vehicle(console.gateway, {"main", 7})
     put_link(console, "radio")
     for n <- 1..4, do: vehicle(console, n, 0.5 + n / 100)

@@ -1,0 +1,164 @@
+defmodule Aerie.Console.Pages.Fleet.Act.Live do
+  @moduledoc """
+  What the page of the fleet keeps of its acts: the results of the latest operation (`@results`), and the sheet that is
+  being prepared (`@sheet`, with `@facts` of its vehicles and `@sheet_error`). Each act is one operation of the gateway,
+  so it goes on without the page.
+  """
+  import Phoenix.Component, only: [assign: 2, assign: 3]
+  import Phoenix.LiveView, only: [clear_flash: 1, put_flash: 3]
+
+  alias Aerie.Console.Pages.Fleet.Act.{Press, Results, TakeOff}
+  alias Aerie.Control.Commands
+  alias Aerie.Fleet
+  alias Aerie.Vehicle.Snapshot
+  alias Phoenix.LiveView.Socket
+
+  @doc "Finds the operation that the user began just before, for a page that was loaded again."
+  @spec mount(Socket.t()) :: Socket.t()
+  def mount(%{assigns: %{gateway: gateway, user: user}} = socket) do
+    socket = assign(socket, results: nil, sheet: nil, facts: %{}, sheet_error: nil)
+
+    case Results.latest(Fleet.recent_operations(gateway), user.name, System.os_time(:second)) do
+      nil -> socket
+      id -> show(socket, Fleet.operation(gateway, id))
+    end
+  end
+
+  @doc "After an operation has changed."
+  @spec changed(Socket.t(), id :: String.t()) :: Socket.t()
+  def changed(%{assigns: %{results: %{operation: %{"id" => id}}, gateway: gateway}} = socket, id),
+    do: show(socket, Fleet.operation(gateway, id))
+
+  def changed(socket, _other), do: socket
+
+  defp show(%{assigns: %{gateway: gateway, results: results}} = socket, {:ok, operation}) do
+    mode = &with(%{} = vehicle <- Fleet.vehicle(gateway, &1), do: Snapshot.data(vehicle, :mode)[:mode])
+    assign(socket, :results, Results.new(results, operation, mode))
+  end
+
+  # The gateway has forgotten it.
+  defp show(socket, {:error, _unknown}), do: socket
+
+  @doc "After the rows of the vehicles, by id, have changed."
+  @spec follow(Socket.t(), %{String.t() => map()}) :: Socket.t()
+  def follow(%{assigns: %{results: results, sheet: sheet}} = socket, rows) do
+    socket = if results, do: assign(socket, :results, Results.follow(results, rows)), else: socket
+    if sheet, do: look(socket), else: socket
+  end
+
+  @doc "Begins what a press asks for, for these vehicles."
+  @spec command(Socket.t(), event :: map(), [String.t()]) :: Socket.t()
+  def command(socket, event, ids) do
+    with {:ok, request} <- Press.request(event, ids),
+         {:ok, socket} <- begin(socket, request) do
+      clear_flash(socket)
+    else
+      {:error, text} -> put_flash(socket, :error, "Nothing was sent: #{text}")
+    end
+  end
+
+  defp begin(%{assigns: %{gateway: gateway, user: user}} = socket, request) do
+    case Fleet.begin_operation(gateway, request, user, "console") do
+      {:ok, operation} -> {:ok, show(socket, {:ok, operation})}
+      {:error, refusal} -> {:error, Fleet.refusal(refusal)}
+    end
+  end
+
+  @doc "Opens the sheet for a take-off of these vehicles."
+  @spec open(Socket.t(), [String.t()]) :: Socket.t()
+  def open(%{assigns: %{gateway: gateway}} = socket, ids) do
+    vehicles = for id <- ids, vehicle = Fleet.vehicle(gateway, id), do: vehicle
+
+    cond do
+      vehicles == [] ->
+        put_flash(socket, :error, "None of these vehicles is known any more.")
+
+      length(vehicles) > TakeOff.most() ->
+        put_flash(socket, :error, "At most #{TakeOff.most()} vehicles take off together.")
+
+      true ->
+        socket |> assign(sheet: TakeOff.new(vehicles), sheet_error: nil) |> look()
+    end
+  end
+
+  @doc "What is done in the sheet; without one, nothing."
+  @spec sheet(Socket.t(), event :: String.t(), value :: map()) :: Socket.t()
+  def sheet(%{assigns: %{sheet: nil}} = socket, _event, _value), do: socket
+  def sheet(socket, "sheet_close", _value), do: assign(socket, sheet: nil, facts: %{})
+
+  def sheet(%{assigns: %{sheet: sheet}} = socket, event, value) do
+    sheet =
+      case {event, value} do
+        {"sheet_change", fields} -> TakeOff.change(sheet, fields)
+        {"sheet_move", %{"id" => id, "to" => to}} -> TakeOff.move(sheet, id, to)
+        {"sheet_leave", %{"id" => id}} -> TakeOff.leave(sheet, id)
+        {"sheet_anyway", %{"id" => id}} -> TakeOff.anyway(sheet, id)
+        _unknown -> sheet
+      end
+
+    socket |> assign(sheet: sheet, sheet_error: nil) |> look()
+  end
+
+  @doc "Begins the take-off that a held press shows, if the sheet shows the same."
+  @spec take_off(Socket.t(), event :: map()) :: Socket.t()
+  def take_off(%{assigns: %{sheet: nil}} = socket, _event), do: socket
+
+  def take_off(socket, event) do
+    %{assigns: %{sheet: sheet, facts: facts, gateway: gateway}} = socket = look(socket)
+    lines = TakeOff.lines(sheet, facts)
+    shown = TakeOff.shown(sheet, lines)
+    refusal = TakeOff.refusal(sheet, lines, TakeOff.nearest(lines, facts))
+
+    cond do
+      not TakeOff.meant?(event, shown) ->
+        assign(socket, :sheet_error, "What was shown has changed; nothing was sent. Look again, then hold.")
+
+      refusal != nil ->
+        assign(socket, :sheet_error, "Nothing was sent: #{refusal}")
+
+      true ->
+        steps = &Fleet.take_off(Fleet.vehicle(gateway, &1) || facts[&1].snapshot, &2, &3, &4)
+
+        with :ok <- Press.id(event["id"]),
+             {:ok, socket} <- begin(socket, TakeOff.request(event["id"], shown, steps)) do
+          socket |> clear_flash() |> assign(sheet: nil, facts: %{})
+        else
+          {:error, text} -> assign(socket, :sheet_error, "Nothing was sent: #{text}")
+        end
+    end
+  end
+
+  # What is known of its vehicles now, each at the height that the sheet has for it.
+  defp look(%{assigns: %{gateway: gateway, user: user, sheet: sheet}} = socket) do
+    vehicles = for id <- sheet.order, vehicle = Fleet.vehicle(gateway, id), do: vehicle
+    readiness = Fleet.readinesses(gateway, vehicles, user.name)
+    heights = for %{id: id, height: height} <- TakeOff.lines(sheet, %{}), into: %{}, do: {id, height}
+
+    facts =
+      for %{id: id} = vehicle <- vehicles, into: %{} do
+        {id,
+         %{snapshot: vehicle, readiness: readiness[id], refusal: refusal(gateway, vehicle, heights[id], user)}}
+      end
+
+    assign(socket, :facts, facts)
+  end
+
+  defp refusal(_gateway, _vehicle, nil, _user), do: nil
+
+  defp refusal(gateway, vehicle, height, user) do
+    lack = Commands.lacks(vehicle, "takeoff", user) || Commands.lacks(vehicle, "arm", user)
+
+    case lack || check(gateway, vehicle.id, height, user) do
+      {:permission, _permission, reason} -> reason
+      # It is armed first.
+      {:deny, :firmware, _state} -> nil
+      {:firmware, reason} -> reason
+      {:deny, _rule, reason} -> reason
+      {:error, errors} -> Enum.join(errors, "; ")
+      :allow -> nil
+    end
+  end
+
+  defp check(gateway, id, height, user),
+    do: Commands.check(gateway, vehicle: id, type: "takeoff", params: %{altitude: height}, as: user)
+end

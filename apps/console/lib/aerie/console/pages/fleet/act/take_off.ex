@@ -1,0 +1,255 @@
+defmodule Aerie.Console.Pages.Fleet.Act.TakeOff do
+  @moduledoc """
+  A take-off of several vehicles as it is prepared: who, in which order, how high, and when the next one begins. Pure.
+  Nothing is sent before the held press, and that carries all that was shown (`shown/2`).
+  """
+
+  alias Aerie.Vehicle.Snapshot
+
+  @enforce_keys [:order]
+  defstruct [:order, out: MapSet.new(), anyway: MapSet.new()] ++
+              [height: 20, stacked: true, gap: 3, interval: 6, above: 5, on_fail: "hold", error: nil]
+
+  @typedoc """
+    * `:order` - the ids of all of them; `:out` - those that are left out; `:anyway` - those that take off although it
+      is not known whether they are ready
+    * `:height` - m above home; `:stacked` - each `:gap` m higher than the one before
+    * `:interval` - s between two; `:above` - m above home that one has to reach before the next one begins
+    * `:on_fail` - `hold`: the rest stays on the ground; `continue`: without it; `return`: all come back
+  """
+  @type t :: %__MODULE__{}
+
+  @typedoc "What is known of a vehicle: its snapshot, its readiness, and why the policy or the firmware refuses it."
+  @type facts :: %{snapshot: Snapshot.t(), readiness: map(), refusal: String.t() | nil}
+
+  @typedoc "A line of the sheet. `:height` is nil for one that is left out; `:blocks`: why nothing begins with it."
+  @type line :: %{
+          id: String.t(),
+          n: pos_integer() | nil,
+          height: number() | nil,
+          after_s: number() | nil,
+          state: atom(),
+          why: String.t() | nil,
+          blocks: String.t() | nil
+        }
+
+  @most 100
+  # Twice the room of a vehicle.
+  @near_m 3.0
+  @limits %{height: {1, 1_000}, gap: {0, 100}, interval: {0, 600}, above: {1, 100}}
+  @on_fail ~w(hold continue return)
+
+  @doc "As many vehicles as a sheet takes."
+  @spec most() :: pos_integer()
+  def most, do: @most
+
+  @doc "What may happen when one fails, with words for it."
+  @spec on_fail() :: [{String.t(), String.t()}]
+  def on_fail,
+    do: [
+      {"hold", "Hold the rest on the ground"},
+      {"continue", "Continue without it"},
+      {"return", "Bring all back"}
+    ]
+
+  @doc "The limits of the numbers."
+  @spec limits() :: %{atom() => {number(), number()}}
+  def limits, do: @limits
+
+  @doc "A sheet for these vehicles, from south to north."
+  @spec new([Snapshot.t(), ...]) :: t()
+  def new(vehicles) do
+    order = Enum.sort_by(vehicles, &{Snapshot.data(&1, :position)[:lat] || 90, &1.id})
+    %__MODULE__{order: Enum.map(order, & &1.id)}
+  end
+
+  @doc "After the fields were changed. A number beyond its limits, or another text, changes nothing and is said."
+  @spec change(t(), map()) :: t()
+  def change(sheet, fields) do
+    {numbers, wrong} =
+      for {key, {min, max}} <- @limits, text = fields[Atom.to_string(key)], reduce: {%{}, []} do
+        {numbers, wrong} ->
+          case number(text, min, max) do
+            {:ok, number} -> {Map.put(numbers, key, number), wrong}
+            :error -> {numbers, ["#{key}: expected a number from #{min} to #{max}" | wrong]}
+          end
+      end
+
+    on_fail = if fields["on_fail"] in @on_fail, do: fields["on_fail"], else: sheet.on_fail
+    stacked = if fields["stacked"] in ["true", "false"], do: fields["stacked"] == "true", else: sheet.stacked
+    error = if wrong != [], do: Enum.join(wrong, "; ")
+    struct!(sheet, Map.merge(numbers, %{on_fail: on_fail, stacked: stacked, error: error}))
+  end
+
+  defp number(text, min, max) when is_binary(text) do
+    case Float.parse(text) do
+      {number, ""} when number >= min and number <= max -> {:ok, whole(Float.round(number, 1))}
+      _other -> :error
+    end
+  end
+
+  defp number(_other, _min, _max), do: :error
+
+  defp whole(number) when trunc(number) == number, do: trunc(number)
+  defp whole(number), do: number
+
+  @doc "Moves a vehicle to the place of another, or by one place up or down."
+  @spec move(t(), String.t(), to :: String.t()) :: t()
+  def move(%{order: order} = sheet, id, to) do
+    at = Enum.find_index(order, &(&1 == id))
+
+    place =
+      case to do
+        "up" -> at && at - 1
+        "down" -> at && at + 1
+        other -> Enum.find_index(order, &(&1 == other))
+      end
+
+    if at == nil or place == nil or place < 0,
+      do: sheet,
+      else: %{sheet | order: order |> List.delete_at(at) |> List.insert_at(place, id)}
+  end
+
+  @doc "Leaves a vehicle out, or takes it along again."
+  @spec leave(t(), String.t()) :: t()
+  def leave(%{out: out} = sheet, id) do
+    cond do
+      id not in sheet.order -> sheet
+      MapSet.member?(out, id) -> %{sheet | out: MapSet.delete(out, id)}
+      true -> %{sheet | out: MapSet.put(out, id), anyway: MapSet.delete(sheet.anyway, id)}
+    end
+  end
+
+  @doc "Takes a vehicle along although it is not known whether it is ready."
+  @spec anyway(t(), String.t()) :: t()
+  def anyway(sheet, id),
+    do: if(id in sheet.order, do: %{sheet | anyway: MapSet.put(sheet.anyway, id)}, else: sheet)
+
+  @doc "The lines in their order, with what is known of each vehicle, by id."
+  @spec lines(t(), %{String.t() => facts()}) :: [line()]
+  def lines(sheet, facts) do
+    {lines, _n} =
+      Enum.map_reduce(sheet.order, 0, fn id, n ->
+        if MapSet.member?(sheet.out, id),
+          do: {line(sheet, id, nil, facts[id]), n},
+          else: {line(sheet, id, n, facts[id]), n + 1}
+      end)
+
+    lines
+  end
+
+  defp line(sheet, id, n, facts) do
+    readiness = (facts && facts.readiness) || %{state: :unknown, points: []}
+    why = worst(readiness) || (facts && facts.refusal)
+
+    %{
+      id: id,
+      n: n && n + 1,
+      height: n && height(sheet, n),
+      after_s: n && n * sheet.interval,
+      state: readiness.state,
+      why: why,
+      blocks: n && blocks(sheet, id, readiness.state, facts)
+    }
+  end
+
+  defp height(%{stacked: true} = sheet, n), do: sheet.height + n * sheet.gap
+  defp height(sheet, _n), do: sheet.height
+
+  defp worst(%{state: state, points: points}) when state != :ready,
+    do: with(%{title: title, text: text} <- Enum.find(points, &(&1.state == state)), do: "#{title}: #{text}")
+
+  defp worst(_ready), do: nil
+
+  defp blocks(_sheet, id, _state, nil), do: "#{id} is not known any more: leave it out."
+  defp blocks(_sheet, id, :not_ready, _facts), do: "#{id} is not ready: leave it out."
+  defp blocks(_sheet, id, _state, %{refusal: <<_::binary>> = why}), do: "#{id}: #{why}"
+
+  defp blocks(sheet, id, :unknown, _facts) do
+    if not MapSet.member?(sheet.anyway, id),
+      do: "It is not known whether #{id} is ready: leave it out, or take it along anyway."
+  end
+
+  defp blocks(_sheet, _id, _ready, _facts), do: nil
+
+  @doc "The two nearest to each other of those that take off, with the metres between them; nil without two places."
+  @spec nearest([line()], %{String.t() => facts()}) :: {String.t(), String.t(), float()} | nil
+  def nearest(lines, facts) do
+    seen = for %{n: n, id: id} when n != nil <- lines, %{snapshot: snapshot} <- [facts[id]], do: snapshot
+
+    for {one, i} <- Enum.with_index(seen),
+        other <- Enum.drop(seen, i + 1),
+        metres = Snapshot.distance(one, place(other)),
+        reduce: nil do
+      {_one, _other, least} = nearest when least <= metres -> nearest
+      _farther -> {one.id, other.id, metres}
+    end
+  end
+
+  defp place(snapshot) do
+    with %{lat: lat, lon: lon} when is_number(lat) and is_number(lon) <- Snapshot.data(snapshot, :position),
+         do: {lat, lon},
+         else: (_unknown -> nil)
+  end
+
+  @doc "Why nothing can begin; nil if it can."
+  @spec refusal(t(), [line()], {String.t(), String.t(), float()} | nil) :: String.t() | nil
+  def refusal(sheet, lines, nearest) do
+    going = Enum.filter(lines, & &1.n)
+
+    cond do
+      sheet.error -> sheet.error
+      going == [] -> "All are left out."
+      blocked = Enum.find_value(going, & &1.blocks) -> blocked
+      match?({_one, _other, m} when m < @near_m, nearest) -> near(nearest)
+      true -> nil
+    end
+  end
+
+  defp near({one, other, metres}),
+    do:
+      "#{one} and #{other} stand #{Float.round(metres, 1)} m apart; #{@near_m} m are wanted. Leave one of them out."
+
+  @doc "What the press carries: all that it does, as the operator sees it."
+  @spec shown(t(), [line()]) :: map()
+  def shown(sheet, lines) do
+    vehicles =
+      for %{n: n} = line when n != nil <- lines,
+          do: [line.id, line.height, Atom.to_string(line.state), MapSet.member?(sheet.anyway, line.id)]
+
+    %{
+      "vehicles" => vehicles,
+      "interval" => sheet.interval,
+      "above" => sheet.above,
+      "on_fail" => sheet.on_fail
+    }
+  end
+
+  @doc "Whether a press was made for what is shown now."
+  @spec meant?(event :: map(), shown :: map()) :: boolean()
+  def meant?(event, shown), do: Map.take(event, Map.keys(shown)) == shown
+
+  @doc "The operation that such a press asks for. `steps` gives a vehicle's part of it (`Aerie.Fleet.take_off/4`)."
+  @spec request(id :: String.t(), shown :: map(), (id :: String.t(), number(), number(), boolean() -> map())) ::
+          map()
+  def request(id, shown, steps) do
+    plan =
+      case shown["on_fail"] do
+        "hold" -> %{"halt_ratio" => 0}
+        "continue" -> %{"halt_ratio" => 1}
+        "return" -> %{"halt_ratio" => 0, "on_halt" => "return"}
+      end
+
+    Map.merge(plan, %{
+      "id" => id,
+      "name" => "Take off",
+      "pause_s" => shown["interval"],
+      "sequence" =>
+        for(
+          [vehicle, height, _word, anyway?] <- shown["vehicles"],
+          do: steps.(vehicle, height, shown["above"], anyway?)
+        ),
+      "shown" => for([vehicle, _height, word, _anyway] <- shown["vehicles"], into: %{}, do: {vehicle, word})
+    })
+  end
+end

@@ -1,0 +1,163 @@
+defmodule Aerie.Console.Pages.Fleet.Act.TakeOffSheet do
+  @moduledoc "The dialog of a take-off of several vehicles (`Aerie.Console.Pages.Fleet.Act.TakeOff`)."
+  use Aerie.Console, :component
+
+  alias Aerie.Console.Pages.Fleet.Act.TakeOff
+
+  attr :sheet, :any, required: true
+  attr :facts, :map, required: true, doc: "`t:Aerie.Console.Pages.Fleet.Act.TakeOff.facts/0` by id"
+  attr :error, :string, default: nil, doc: "why the gateway has not begun it"
+
+  @doc "The dialog."
+  def sheet(%{sheet: sheet, facts: facts} = assigns) do
+    lines = TakeOff.lines(sheet, facts)
+    nearest = TakeOff.nearest(lines, facts)
+    going = Enum.count(lines, & &1.n)
+
+    assigns =
+      assign(assigns,
+        lines: lines,
+        nearest: nearest,
+        going: going,
+        refusal: TakeOff.refusal(sheet, lines, nearest),
+        shown: TakeOff.shown(sheet, lines),
+        limits: TakeOff.limits()
+      )
+
+    ~H"""
+    <.dialog id="take-off" title={"Take off #{count(length(@lines))}"} cancel="sheet_close" kind="wide">
+      <form id="take-off-form" class="sheet-fields" phx-change="sheet_change" phx-submit="sheet_change">
+        <.number name="height" label="Height above home" unit="m" value={@sheet.height} limits={@limits.height} />
+        <.field
+          id="take-off-stacked"
+          type="select"
+          name="stacked"
+          label="Heights"
+          value={to_string(@sheet.stacked)}
+          options={[{"Stacked", "true"}, {"The same for all", "false"}]}
+        />
+        <.number :if={@sheet.stacked} name="gap" label="More each" unit="m" value={@sheet.gap} limits={@limits.gap} />
+        <.number name="interval" label="Between two" unit="s" value={@sheet.interval} limits={@limits.interval} />
+        <.number name="above" label="Next one only above" unit="m" value={@sheet.above} limits={@limits.above} />
+        <.field
+          id="take-off-on-fail"
+          type="select"
+          name="on_fail"
+          label="If one fails"
+          value={@sheet.on_fail}
+          options={for {value, label} <- TakeOff.on_fail(), do: {label, value}}
+        />
+      </form>
+      <ol class="sheet-lines" id="take-off-lines" phx-hook="SheetOrder" aria-label="Order of the take-off">
+        <li
+          :for={line <- @lines}
+          :key={line.id}
+          id={"take-off-#{line.id}"}
+          data-id={line.id}
+          draggable="true"
+          class={line.n == nil && "sheet-out"}
+        >
+          <span class="sheet-n">{line.n || "–"}</span>
+          <strong>{line.id}</strong>
+          <.readiness state={line.state} />
+          <span class="muted sheet-why">{line.why}</span>
+          <span class="number">{if line.n, do: "#{line.height} m", else: "left out"}</span>
+          <span class="number">{line.n && "+#{line.after_s} s"}</span>
+          <span class="sheet-buttons">
+            <.button
+              :for={{to, icon, word} <- [{"up", "chevron-up", "earlier"}, {"down", "chevron-down", "later"}]}
+              small
+              icon={icon}
+              label={"#{line.id} #{word}"}
+              phx-click="sheet_move"
+              phx-value-id={line.id}
+              phx-value-to={to}
+            />
+            <.button
+              :if={line.n && line.state == :unknown && line.blocks}
+              small
+              phx-click="sheet_anyway"
+              phx-value-id={line.id}
+            >Take along anyway</.button>
+            <.button small phx-click="sheet_leave" phx-value-id={line.id}>
+              {if line.n, do: "Leave out", else: "Take along"}
+            </.button>
+          </span>
+        </li>
+      </ol>
+      <p class="sheet-summary">{summary(@lines)} {apart(@nearest)} {stack(@sheet, @going)}</p>
+      <p :if={@error} class="field-error" role="alert">{@error}</p>
+      <p :if={@refusal} class="field-error" role="status">{@refusal}</p>
+      <:action>
+        <.button phx-click="sheet_close">Cancel</.button>
+        <.hold_button
+          id="take-off-go"
+          event="take_off"
+          icon="takeoff"
+          hold_ms={1500}
+          value={@shown}
+          refusal={@refusal}
+        >Take off {@going}{if @going > 1, do: ", one after the other"}</.hold_button>
+      </:action>
+    </.dialog>
+    """
+  end
+
+  attr :name, :string, required: true
+  attr :label, :string, required: true
+  attr :unit, :string, required: true
+  attr :value, :any, required: true
+  attr :limits, :any, required: true
+
+  defp number(assigns) do
+    {min, max} = assigns.limits
+    assigns = assign(assigns, min: min, max: max)
+
+    ~H"""
+    <.field
+      id={"take-off-#{@name}"}
+      type="number"
+      name={@name}
+      label={@label}
+      unit={@unit}
+      value={@value}
+      min={@min}
+      max={@max}
+      step="any"
+      inputmode="decimal"
+      phx-debounce="300"
+      autocomplete="off"
+    />
+    """
+  end
+
+  defp count(1), do: "1 vehicle"
+  defp count(n), do: "#{n} vehicles"
+
+  defp summary(lines) do
+    words =
+      for {state, word} <- [
+            ready: "ready",
+            check: "to be checked",
+            unknown: "unknown",
+            not_ready: "not ready"
+          ],
+          n = Enum.count(lines, &(&1.state == state)),
+          n > 0,
+          do: "#{n} #{word}"
+
+    refused = Enum.count(lines, &(&1.n && &1.blocks))
+
+    "#{Enum.join(words, ", ")}. " <>
+      if(refused == 0, do: "Policy and firmware: allowed for all that take off.", else: "")
+  end
+
+  defp apart(nil), do: nil
+
+  defp apart({one, other, metres}),
+    do: "Nearest on the ground: #{one} and #{other}, #{Float.round(metres, 1)} m."
+
+  defp stack(_sheet, going) when going < 2, do: nil
+  defp stack(%{stacked: true, gap: gap}, _going), do: "In the stack #{gap} m apart in height."
+  defp stack(_sheet, _going), do: "All at the same height."
+end

@@ -1,0 +1,332 @@
+defmodule Aerie.Console.Pages.Fleet.ActTest do
+  @moduledoc "Acting on several vehicles, without a page: presses, groups, results, and the take-off that is prepared."
+  use ExUnit.Case, async: true
+
+  alias Aerie.Console.Pages.Fleet.Act.{Groups, Press, Results, TakeOff}
+  alias Aerie.Console.Pages.Fleet.Board.Row
+  alias Aerie.Console.Pages.Fleet.Selection
+  alias Aerie.Vehicle.Snapshot
+
+  defp row(id, more) do
+    fields = [
+      id: id,
+      network: "main",
+      system_id: 1,
+      kind: "copter",
+      autopilot: :px4,
+      status: :online,
+      state: :armed
+    ]
+
+    struct!(Row, Keyword.merge(fields, more))
+  end
+
+  describe "a press" do
+    test "is one operation with its id, for all at once" do
+      assert {:ok, request} = Press.request(%{"id" => "web-1", "type" => "rtl"}, ~w(A B))
+
+      assert request == %{
+               "id" => "web-1",
+               "name" => "Return",
+               "vehicles" => ~w(A B),
+               "command" => %{"type" => "rtl", "params" => %{}},
+               "step" => 100
+             }
+    end
+
+    test "with fields has them as the command reads them" do
+      event = %{"id" => "web-1", "type" => "take_control", "fields" => %{"reason" => "storm"}}
+      assert {:ok, %{"command" => %{"params" => %{"reason" => "storm"}}}} = Press.request(event, ["A"])
+    end
+
+    test "of another kind, without a usable id or without vehicles is refused" do
+      for event <- [
+            %{"id" => "web-1", "type" => "arm"},
+            %{"type" => "rtl"},
+            %{},
+            %{"id" => "a b", "type" => "rtl"}
+          ],
+          do: assert({:error, _text} = Press.request(event, ["A"]))
+
+      for id <- [nil, 7, "", String.duplicate("x", 33), "no id!"],
+          do: assert({:error, _text} = Press.request(%{"id" => id, "type" => "rtl"}, ["A"]))
+
+      assert {:error, "no vehicle is concerned"} =
+               Press.request(%{"id" => "w", "type" => "release_control"}, [])
+    end
+  end
+
+  describe "groups" do
+    @rows [
+      %{id: "A", in_air: true, readiness: nil, tags: ["red"]},
+      %{id: "B", in_air: false, readiness: :ready, tags: ["blue", "red"]},
+      %{id: "C", in_air: nil, readiness: :unknown, tags: []}
+    ]
+
+    defp rows, do: for(fields <- @rows, do: row(fields.id, Map.to_list(fields)))
+
+    test "are those that have vehicles, and the first nine tags have digits" do
+      assert for(group <- Groups.of(rows()), do: {group.name, group.key, group.ids}) == [
+               {"all", nil, ~w(A B C)},
+               {"air", nil, ["A"]},
+               {"ready", nil, ["B"]},
+               {"tag:blue", "1", ["B"]},
+               {"tag:red", "2", ~w(A B)}
+             ]
+
+      many = [row("A", tags: for(n <- 1..30, do: "t#{n}"))]
+      keys = for %{name: "tag:" <> _, key: key} <- Groups.of(many), do: key
+      assert Enum.take(keys, 10) == ~w(1 2 3 4 5 6 7 8 9) ++ [nil]
+      assert length(keys) == 24
+      assert Groups.of([]) == []
+    end
+
+    test "a press selects one, and a second press none; an unknown one changes nothing" do
+      groups = Groups.of(rows())
+      red = Groups.select(%Selection{}, groups, "tag:red")
+      assert Selection.among(red, ~w(A B C)) == ~w(A B)
+      assert Groups.select(red, groups, "tag:red") == %Selection{}
+      assert Selection.size(Groups.select(red, groups, "all")) == 3
+      for odd <- ["tag:none", nil, 7], do: assert(Groups.select(red, groups, odd) == red)
+    end
+  end
+
+  describe "results" do
+    defp operation(type, vehicles, state \\ "running") do
+      %{
+        "id" => "o",
+        "name" => "Act",
+        "state" => state,
+        "what" => %{"command" => %{"type" => type}},
+        "vehicles" => vehicles
+      }
+    end
+
+    @ok %{"state" => "ok", "result" => "completed", "reason" => nil}
+    @no %{"state" => "failed", "result" => "denied", "reason" => "it is on the ground"}
+
+    defp results(type, vehicles, state \\ "running"),
+      do: Results.new(nil, operation(type, vehicles, state), fn _id -> "LOITER" end)
+
+    defp title(results), do: Results.title(results, Results.entries(results))
+    defp words(results), do: for(entry <- Results.entries(results), do: {entry.vehicle, entry.word})
+
+    test "are said by what was reached, and those that need somebody come first" do
+      assert title(results("hold", %{"A" => @ok, "B" => @ok})) == "Act: all 2 holding"
+      assert title(results("land", %{"A" => @ok})) == "Act: A landing"
+
+      mixed =
+        results("rtl", %{
+          "A" => @ok,
+          "B" => @no,
+          "C" => %{"state" => "waiting"},
+          "D" => %{"state" => "under_way"}
+        })
+
+      assert title(mixed) == "Act: 1 not allowed, 1 waiting, 1 under way, 1 returning"
+      assert [{"B", "Not allowed"} | _] = words(mixed)
+      assert [%{reason: "it is on the ground"} | _] = Results.entries(mixed)
+      assert words(results("rtl", %{"C" => %{"state" => "waiting"}}, "stopped")) == [{"C", "Not begun"}]
+      assert words(results("take_control", %{"A" => @ok})) == [{"A", "In charge"}]
+      # A word that no command has, such as a refusal of the shadow.
+      assert [{"A", "Failed"}] = words(results("hold", %{"A" => %{@no | "result" => "unheard of"}}))
+    end
+
+    test "a landing has landed when it is on the ground, whatever the vehicle does later" do
+      landing = Results.new(nil, operation("land", %{"A" => @ok}), fn "A" -> "LAND" end)
+      going = Results.follow(landing, %{"A" => row("A", mode: "LAND", in_air: true)})
+      assert title(going) == "Act: A landing"
+      landed = Results.follow(going, %{"A" => row("A", mode: "LAND", in_air: false)})
+      assert title(landed) == "Act: A landed"
+
+      assert landed |> Results.follow(%{"A" => row("A", mode: "AUTO", in_air: true)}) |> title() ==
+               "Act: A landed"
+
+      # What is told again of the same operation forgets nothing.
+      assert landed |> Results.new(landed.operation, fn _id -> "AUTO" end) |> title() == "Act: A landed"
+    end
+
+    test "another mode ends it, but a row that is older than the command does not" do
+      holding = results("hold", %{"A" => @ok})
+      old = Results.follow(holding, %{"A" => row("A", mode: "AUTO", in_air: true)})
+      assert title(old) == "Act: A holding"
+      shown = Results.follow(old, %{"A" => row("A", mode: "LOITER", in_air: true)})
+      left = Results.follow(shown, %{"A" => row("A", mode: "AUTO", in_air: true)})
+      assert title(left) == "Act: A no longer holding"
+      # A return that ends in a landing is still the same.
+      returning = Results.new(nil, operation("rtl", %{"A" => @ok}), fn "A" -> "AUTO_RTL" end)
+      rows = for mode <- ["AUTO_RTL", "AUTO_LAND"], do: %{"A" => row("A", mode: mode, in_air: true)}
+      assert rows |> Enum.reduce(returning, &Results.follow(&2, &1)) |> title() == "Act: A returning"
+      # A vehicle that is gone stays as it was.
+      assert title(Results.follow(shown, %{})) == "Act: A holding"
+    end
+
+    test "a page that is loaded again finds one's own that runs or has just ended" do
+      now = 1_800_000_000
+      ended = fn ago -> DateTime.to_iso8601(DateTime.from_unix!(now - ago)) end
+
+      list = [
+        %{"id" => "b", "source" => "bob", "done_at" => nil},
+        %{"id" => "a", "source" => "ann", "done_at" => ended.(59)}
+      ]
+
+      assert Results.latest(list, "ann", now) == "a"
+      assert Results.latest(list, "ann", now + 5) == nil
+      assert Results.latest(list, "bob", now) == "b"
+      assert Results.latest([], "ann", now) == nil
+    end
+  end
+
+  describe "a take-off" do
+    defp vehicle(id, lat) do
+      position = %{at: 0, data: %{lat: lat, lon: 8.0}}
+      %Snapshot{id: id, autopilot: :px4, vehicle_type: "copter", groups: %{position: position}}
+    end
+
+    defp facts(states) do
+      for {{id, state}, i} <- Enum.with_index(states), into: %{} do
+        points = [%{name: :gps, title: "GPS", state: state, text: "is #{state}.", todo: nil}]
+
+        {id,
+         %{snapshot: vehicle(id, 47.0 + i / 1000), readiness: %{state: state, points: points}, refusal: nil}}
+      end
+    end
+
+    defp sheet(ids), do: TakeOff.new(for {id, i} <- Enum.with_index(ids), do: vehicle(id, 47.0 + i / 1000))
+
+    defp refusal(sheet, facts) do
+      lines = TakeOff.lines(sheet, facts)
+      TakeOff.refusal(sheet, lines, TakeOff.nearest(lines, facts))
+    end
+
+    test "goes from south to north, each higher and later than the one before" do
+      sheet = TakeOff.new([vehicle("N", 48.0), vehicle("S", 46.0), vehicle("M", 47.0)])
+      lines = TakeOff.lines(sheet, facts(S: :ready) |> Map.new(fn {id, fact} -> {"#{id}", fact} end))
+
+      assert for(line <- lines, do: {line.id, line.n, line.height, line.after_s}) ==
+               [{"S", 1, 20, 0}, {"M", 2, 23, 6}, {"N", 3, 26, 12}]
+
+      same = TakeOff.change(sheet, %{"stacked" => "false", "height" => "15.5"})
+      assert for(line <- TakeOff.lines(same, %{}), do: line.height) == [15.5, 15.5, 15.5]
+    end
+
+    test "one that is left out makes room for those after it" do
+      sheet = ~w(A B C) |> sheet() |> TakeOff.leave("B")
+      facts = facts([{"A", :ready}, {"B", :not_ready}, {"C", :check}])
+
+      assert [%{n: 1, height: 20}, %{n: nil, height: nil}, %{id: "C", n: 2, height: 23}] =
+               TakeOff.lines(sheet, facts)
+
+      assert refusal(sheet, facts) == nil
+
+      assert TakeOff.shown(sheet, TakeOff.lines(sheet, facts))["vehicles"] == [
+               ["A", 20, "ready", false],
+               ["C", 23, "check", false]
+             ]
+
+      assert %{n: 2} = sheet |> TakeOff.leave("B") |> TakeOff.lines(facts) |> Enum.at(1)
+    end
+
+    test "is refused while one is not ready, unknown, refused, gone, or too near, and if none is left" do
+      two = sheet(~w(A B))
+      assert refusal(two, facts([{"A", :ready}, {"B", :not_ready}])) == "B is not ready: leave it out."
+      unknown = facts([{"A", :ready}, {"B", :unknown}])
+      assert refusal(two, unknown) =~ "not known whether B is ready"
+      assert refusal(TakeOff.anyway(two, "B"), unknown) == nil
+      # Not ready is never taken along.
+      assert refusal(TakeOff.anyway(two, "B"), facts([{"A", :ready}, {"B", :not_ready}])) =~ "B is not ready"
+      ready = facts([{"A", :ready}, {"B", :ready}])
+      assert refusal(two, put_in(ready["B"].refusal, "too high")) == "B: too high"
+      assert refusal(two, Map.delete(ready, "A")) =~ "A is not known any more"
+      near = put_in(ready["B"].snapshot, vehicle("B", 47.00001))
+      assert refusal(two, near) == "A and B stand 1.1 m apart; 3.0 m are wanted. Leave one of them out."
+      assert two |> TakeOff.leave("A") |> TakeOff.leave("B") |> refusal(ready) == "All are left out."
+      assert refusal(two, ready) == nil
+    end
+
+    test "a field with another text or a number beyond its limits keeps what was there, and says so" do
+      for {field, text} <- [
+            {"height", "0"},
+            {"height", "1e9"},
+            {"gap", "x"},
+            {"interval", ""},
+            {"above", "-1"},
+            {"above", "5 m"}
+          ] do
+        sheet = TakeOff.change(sheet(["A"]), %{field => text})
+        assert refusal(sheet, facts([{"A", :ready}])) =~ "#{field}: expected a number from"
+        assert Map.delete(Map.from_struct(sheet), :error) == Map.delete(Map.from_struct(sheet(["A"])), :error)
+      end
+
+      odd =
+        TakeOff.change(sheet(["A"]), %{
+          "height" => ["30"],
+          "on_fail" => "explode",
+          "stacked" => "maybe",
+          "gap" => %{}
+        })
+
+      assert {odd.height, odd.on_fail, odd.stacked} == {20, "hold", true}
+      assert %{height: 30, error: nil} = TakeOff.change(odd, %{"height" => "30"})
+    end
+
+    test "lines are moved to a place, up and down, and never lost" do
+      sheet = sheet(~w(A B C))
+      assert TakeOff.move(sheet, "C", "A").order == ~w(C A B)
+      assert TakeOff.move(sheet, "A", "down").order == ~w(B A C)
+
+      for {id, to} <- [{"A", "up"}, {"X", "A"}, {"A", "X"}, {"C", "down"}],
+          do: assert(TakeOff.move(sheet, id, to).order == sheet.order)
+
+      property =
+        :proper.forall(
+          :proper_types.list(
+            {:proper_types.oneof(~w(A B C X)), :proper_types.oneof(~w(A B C X up down)),
+             :proper_types.boolean()}
+          ),
+          fn steps ->
+            moved =
+              Enum.reduce(steps, sheet, fn
+                {id, to, true}, sheet -> TakeOff.move(sheet, id, to)
+                {id, _to, false}, sheet -> TakeOff.leave(sheet, id)
+              end)
+
+            ns = for %{n: n} when n != nil <- TakeOff.lines(moved, %{}), do: n
+            Enum.sort(moved.order) == ~w(A B C) and ns == Enum.to_list(1..length(ns)//1)
+          end
+        )
+
+      assert :proper.quickcheck(property, [:quiet, {:numtests, 200}]) == true,
+             inspect(:proper.counterexample())
+    end
+
+    test "a press is for all that was shown, and becomes one sequence with the readiness that was shown" do
+      sheet = TakeOff.change(sheet(~w(A B)), %{"on_fail" => "return", "interval" => "4"})
+      facts = facts([{"A", :ready}, {"B", :check}])
+      shown = TakeOff.shown(sheet, TakeOff.lines(sheet, facts))
+      press = shown |> Map.put("id", "web-1") |> JSON.encode!() |> JSON.decode!()
+      assert TakeOff.meant?(press, shown)
+
+      for {changed, seen} <- [
+            {TakeOff.move(sheet, "A", "down"), facts},
+            {TakeOff.leave(sheet, "A"), facts},
+            {TakeOff.change(sheet, %{"height" => "21"}), facts},
+            {sheet, facts([{"A", :ready}, {"B", :ready}])}
+          ],
+          do: refute(TakeOff.meant?(press, TakeOff.shown(changed, TakeOff.lines(changed, seen))))
+
+      refute TakeOff.meant?(%{"id" => "web-1"}, shown)
+
+      assert TakeOff.request("web-1", shown, fn id, height, above, anyway? -> {id, height, above, anyway?} end) ==
+               %{
+                 "id" => "web-1",
+                 "name" => "Take off",
+                 "pause_s" => 4,
+                 "halt_ratio" => 0,
+                 "on_halt" => "return",
+                 "sequence" => [{"A", 20, 5, false}, {"B", 23, 5, false}],
+                 "shown" => %{"A" => "ready", "B" => "check"}
+               }
+    end
+  end
+end

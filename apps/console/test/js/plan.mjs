@@ -79,7 +79,10 @@ main(async (browser) => {
 
   // A zone around, one corner moved.
   await page.click("button:has-text('Fence (0)')");
-  await click(0, 0);
+  for (const [x, y] of [[-170, -170], [170, -170], [170, 170], [-170, 170]]) await click(x, y);
+  await contains(page, "#plan-corners", "Corner 4 of a zone");
+  await handles(1);
+  await click(-170, -170);
   await count("#plan-zones > li", 1);
   await handles(4);
   const corner = await at("zone", 0, 0);

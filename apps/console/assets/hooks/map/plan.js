@@ -4,7 +4,7 @@ import { collection, destination, distance, feature } from "./geo.js";
 import { zoneFeature } from "./overlays.js";
 import { FONT } from "./style.js";
 
-const EMPTY = { items: [], zones: [], rally: [], home: null, part: "mission" };
+const EMPTY = { items: [], zones: [], corners: [], rally: [], home: null, part: "mission" };
 const REACH = 12; // pixels
 
 export class PlanEditor {
@@ -47,7 +47,8 @@ export class PlanEditor {
   // True if the click was for the editor.
   clicked(point, lngLat) {
     const handle = this.handleAt(point);
-    if (handle && !handle.middle) this.push("plan_pick", handle);
+    if (handle?.part === "corners") this.push("close_zone", {});
+    else if (handle && !handle.middle) this.push("plan_pick", handle);
     else this.add(lngLat);
     return true;
   }
@@ -66,7 +67,7 @@ export class PlanEditor {
   grab(down) {
     if (!this.enabled || down.originalEvent.button > 0 || down.points?.length > 1) return;
     const handle = this.handleAt(down.point);
-    if (!handle) return;
+    if (!handle || handle.part === "corners") return;
     down.preventDefault();
     this.held = { ...handle, from: down.point, moved: false };
   }
@@ -127,13 +128,15 @@ export function inserted(plan, { part, index, corner }, { lng, lat }) {
   return { ...plan, zones: replaced(plan.zones, index, { ...zone, ring: spliced(zone.ring, corner, [lat, lng]) }) };
 }
 
-function shapes({ items, zones, rally, home }) {
+function shapes({ items, zones, corners, rally, home }) {
   const way = [...(home ? [at(home)] : []), ...items.filter(({ lat }) => lat != null).map(at)];
   const problems = items.flatMap((item, n) => (item.problem && item.lat != null ? [feature("Point", at(item), { shape: "problem", index: n })] : []));
   return [
     ...zones.map((zone) => zoneFeature(zone, { shape: "zone", picked: zone.picked ?? false })),
     ...(way.length > 1 ? [feature("LineString", way, { shape: "way" })] : []),
     ...problems,
+    ...(corners.length > 1 ? [feature("LineString", corners.map(([lat, lon]) => [lon, lat]), { shape: "open" })] : []),
+    ...corners.map(([lat, lon], n) => feature("Point", [lon, lat], { shape: "rally", text: `${n + 1}`, picked: n === 0 })),
     ...items.flatMap((item) => (item.lat == null ? [] : [feature("Point", at(item), { shape: "item", text: item.text ?? "", picked: item.picked ?? false })])),
     ...rally.map((place, n) => feature("Point", at(place), { shape: "rally", text: `R${n + 1}`, picked: place.picked ?? false })),
     ...(home ? [feature("Point", at(home), { shape: "home", text: "H", picked: false })] : []),
@@ -141,7 +144,7 @@ function shapes({ items, zones, rally, home }) {
 }
 
 // What can be grabbed: everything of the part that is edited.
-function handles({ items, zones, rally, home, part }) {
+function handles({ items, zones, corners, rally, home, part }) {
   const handle = (place, properties) => feature("Point", place, { shape: "handle", part, ...properties });
   const between = (place, properties) => feature("Point", place, { shape: "middle", middle: true, part, ...properties });
   if (part === "rally") return rally.map((place, index) => handle(at(place), { index }));
@@ -153,6 +156,9 @@ function handles({ items, zones, rally, home, part }) {
       ...(home ? [handle(at(home), { part: "home", index: 0 })] : []),
     ];
   }
+  // A click on the first corner closes the zone that is being drawn; until then the others stand back.
+  if (corners.length > 2) return [feature("Point", [corners[0][1], corners[0][0]], { shape: "handle", part: "corners", index: 0 })];
+  if (corners.length > 0) return [];
   return zones.flatMap(({ ring, centre, radius }, index) => {
     if (!ring) {
       const place = [centre[1], centre[0]];
@@ -183,6 +189,7 @@ function layers(c) {
     },
     { id: "plan-inclusion", type: "line", source: "plan", filter: zone("inclusion"), layout: {}, paint: { "line-color": c.inclusion, "line-width": 2 } },
     { id: "plan-exclusion", type: "line", source: "plan", filter: zone("exclusion"), layout: {}, paint: { "line-color": c.exclusion, "line-width": 2, "line-dasharray": [2, 1.5] } },
+    { id: "plan-open", type: "line", source: "plan", filter: shape("open"), layout: { "line-join": "round" }, paint: { "line-color": c.tool, "line-width": 2, "line-dasharray": [1, 1] } },
     { id: "plan-way", type: "line", source: "plan", filter: shape("way"), layout: { "line-join": "round" }, paint: { "line-color": c.mission, "line-width": 3 } },
     { id: "plan-problem", type: "circle", source: "plan", filter: shape("problem"), layout: {}, paint: { "circle-radius": 17, "circle-color": c.problem, "circle-opacity": 0.5 } },
     marker("home", c.home, 10),

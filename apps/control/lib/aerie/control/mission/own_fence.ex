@@ -3,8 +3,8 @@ defmodule Aerie.Control.Mission.OwnFence do
   Checks a plan against the fence in it, and that fence against the place of the vehicle that it is for. Pure.
 
   ArduPilot wants a vehicle inside every stay-inside zone unless FENCE_OPTIONS has the bit for their union
-  (`AC_PolyFence_loader::breached`); for PX4 one of them is enough (`Geofence::checkPolygons`). Places are judged, not the ways between
-  them.
+  (`AC_PolyFence_loader::breached`); for PX4 one of them is enough (`Geofence::checkPolygons`). Straight ways between the items are judged as well, in the order
+  of the list: not those of jumps, nor the way to the first item and home.
   """
 
   alias Aerie.Control.Policy.Mavlink.Review
@@ -32,12 +32,14 @@ defmodule Aerie.Control.Mission.OwnFence do
 
   @typedoc """
   `index` in the list of the part, nil for the part as a whole. `breach?`: with this fence the vehicle, which flies, breaches it at once.
+  `outside?`: the plan itself makes the vehicle leave the fence.
   """
   @type finding :: %{
           part: :mission | :fence | :rally,
           index: non_neg_integer() | nil,
           text: String.t(),
-          breach?: boolean()
+          breach?: boolean(),
+          outside?: boolean()
         }
 
   @doc "The vehicle of a snapshot at a time (unix microseconds); nil: nothing is known of it."
@@ -93,7 +95,9 @@ defmodule Aerie.Control.Mission.OwnFence do
       do:
         [finding(:fence, nil, "the plan is too large to be checked against its own fence")] ++
           here(areas, vehicle),
-      else: here(areas, vehicle) ++ apart(areas, vehicle) ++ outside(places, areas, vehicle)
+      else:
+        here(areas, vehicle) ++
+          apart(areas, vehicle) ++ outside(places, areas, vehicle) ++ ways(places, areas, vehicle)
   end
 
   defp corners({_kind, {:polygon, corners}}), do: length(corners)
@@ -122,8 +126,29 @@ defmodule Aerie.Control.Mission.OwnFence do
   defp outside(places, areas, vehicle) do
     for {part, index, name, place} <- places,
         how = wrong(place, areas, vehicle),
-        do: finding(part, index, "#{name} is #{elem(how, 1)}")
+        do: %{finding(part, index, "#{name} is #{elem(how, 1)}") | outside?: true}
   end
+
+  # Ways whose ends are right, at least one place between each two crossings of a border.
+  defp ways(places, areas, vehicle) do
+    flown = for {:mission, _n, _name, _place} = item <- places, do: item
+
+    for {{_, _, _, from}, {_, index, name, to}} <- Enum.zip(flown, Enum.drop(flown, 1)),
+        wrong(from, areas, vehicle) == nil and wrong(to, areas, vehicle) == nil,
+        how = areas |> between(from, to) |> Enum.find_value(&wrong(&1, areas, vehicle)),
+        do: %{finding(:mission, index, "the way to #{name} goes #{way(elem(how, 1))}") | outside?: true}
+  end
+
+  defp between(areas, {lat1, lon1} = from, {lat2, lon2} = to) do
+    shares = areas |> Enum.flat_map(&Area.crossings(&1, from, to)) |> Enum.sort()
+
+    for {one, two} <- Enum.zip([0.0 | shares], shares ++ [1.0]),
+        at = (one + two) / 2,
+        do: {lat1 + at * (lat2 - lat1), lon1 + at * (lon2 - lon1)}
+  end
+
+  defp way("in " <> zone), do: "through " <> zone
+  defp way(outside), do: outside
 
   defp here(_areas, %{place: nil}), do: []
 
@@ -179,5 +204,6 @@ defmodule Aerie.Control.Mission.OwnFence do
 
   defp union?(vehicle), do: Firmware.traits(vehicle.autopilot).any_zone?
 
-  defp finding(part, index, text), do: %{part: part, index: index, text: text, breach?: false}
+  defp finding(part, index, text),
+    do: %{part: part, index: index, text: text, breach?: false, outside?: false}
 end

@@ -49,6 +49,82 @@ defmodule Aerie.Control.Mission.OwnFenceTest do
     assert texts(%{plan | fence: [], items: plan.items}) == []
   end
 
+  test "the ways between the items are judged, by all zones and exactly" do
+    through = fn fence, items, vehicle -> texts(%Plan{fence: fence, items: items}, vehicle) end
+
+    ring =
+      {:polygon,
+       [
+         at(0, 0),
+         at(300, 0),
+         at(300, 300),
+         at(200, 300),
+         at(200, 100),
+         at(100, 100),
+         at(100, 300),
+         at(0, 300)
+       ]}
+
+    ends = [waypoint(50, 250), waypoint(250, 250)]
+
+    assert through.([{:inclusion, ring}], ends, @copter) ==
+             ["the way to item 2 goes outside the plan's stay-inside zone 1"]
+
+    around = [waypoint(50, 250), waypoint(50, 50), waypoint(250, 50), waypoint(250, 250)]
+    assert through.([{:inclusion, ring}], around, @copter) == []
+    thin = {:exclusion, {:polygon, [at(150, -500), at(150.5, -500), at(150.5, 500), at(150, 500)]}}
+    assert through.([thin], ends, @copter) == ["the way to item 2 goes through the plan's keep-out zone 1"]
+    circle = fn east, radius -> {:exclusion, {:circle, at(east, 250), radius}} end
+
+    assert through.([circle.(150, 5.0)], ends, @copter) == [
+             "the way to item 2 goes through the plan's keep-out zone 1"
+           ]
+
+    assert through.([{:exclusion, {:circle, at(150, 260), 9.0}}, circle.(400, 50.0)], ends, @copter) == []
+    # Two zones that overlap: PX4 may fly from one to the other, ArduPilot has to be in both.
+    both = [{:inclusion, square(0, 200, 160)}, {:inclusion, square(140, 200, 160)}]
+    assert through.(both, ends, @px4) == []
+    gap = [{:inclusion, square(0, 200, 100)}, {:inclusion, square(200, 200, 100)}]
+    assert ["the way to item 2 goes outside the plan's stay-inside zones 1, 2"] = through.(gap, ends, @px4)
+    # A way that is no way, and one along a border.
+    assert through.([thin], [waypoint(50, 250), waypoint(50, 250)], @copter) == []
+    assert is_list(through.([{:inclusion, square(0, 0, 100)}], [waypoint(0, 0), waypoint(0, 100)], @copter))
+  end
+
+  test "for any way and zones, a place on the way that is wrong is found" do
+    place = {:proper_types.integer(-200, 200), :proper_types.integer(-200, 200)}
+
+    zone =
+      {:proper_types.oneof([:inclusion, :exclusion]), :proper_types.list(place), place,
+       :proper_types.integer(1, 150)}
+
+    property =
+      :proper.forall({:proper_types.non_empty(:proper_types.list(zone)), place, place}, fn {zones, {x1, y1},
+                                                                                            {x2, y2}} ->
+        fence =
+          for {kind, corners, {x, y}, radius} <- zones do
+            if length(corners) > 2,
+              do: {kind, {:polygon, for({e, n} <- corners, do: at(e + 0.3, n + 0.4))}},
+              else: {kind, {:circle, at(x, y), radius / 1}}
+          end
+
+        wrong? = fn share ->
+          {e, n} = {x1 + share * (x2 - x1), y1 + share * (y2 - y1)}
+          Enum.any?(texts(%Plan{fence: fence, items: [waypoint(e, n)]}, @px4), &(&1 =~ "item 1"))
+        end
+
+        ways =
+          for "the way" <> _ <- texts(%Plan{fence: fence, items: [waypoint(x1, y1), waypoint(x2, y2)]}, @px4),
+              do: :found
+
+        sampled? = Enum.any?(1..99, &wrong?.(&1 / 100))
+        # A finding may be between two samples; a sample that is wrong has to be found.
+        wrong?.(0) or wrong?.(1) or ways != [] or not sampled?
+      end)
+
+    assert :proper.quickcheck(property, [:quiet, {:numtests, 200}]) == true, inspect(:proper.counterexample())
+  end
+
   test "only what a vehicle flies to is judged" do
     items = [
       waypoint(500, 500, command: 201),

@@ -14,13 +14,21 @@ defmodule Aerie.Console.Pages.Plan.Check do
   @takeoff Enum.map([:MAV_CMD_NAV_TAKEOFF, :MAV_CMD_NAV_VTOL_TAKEOFF], &MavCmd.value/1)
   @long_leg 20_000.0
 
-  @typedoc "`index` of the item in the plan; nil for the plan as a whole. A plan with a `:bad` finding cannot be sent."
+  @typedoc """
+  `index` of the item in the plan; nil for the plan as a whole. A plan with a `:bad` finding cannot be sent; one that is
+  `outside?` of a fence only after somebody has agreed to it.
+  """
   @type problem :: %{
-          kind: :bad | :warn,
-          part: :mission | :fence | :rally,
-          index: non_neg_integer() | nil,
-          text: String.t()
+          required(:kind) => :bad | :warn,
+          required(:part) => :mission | :fence | :rally,
+          required(:index) => non_neg_integer() | nil,
+          required(:text) => String.t(),
+          optional(:outside?) => boolean()
         }
+
+  @doc "Whether somebody has to agree that the plan leaves a fence."
+  @spec outside?([problem()]) :: boolean()
+  def outside?(problems), do: Enum.any?(problems, &(&1[:outside?] == true))
 
   @doc "Checks the plan by itself."
   @spec alone(Plan.t()) :: [problem()]
@@ -61,9 +69,19 @@ defmodule Aerie.Console.Pages.Plan.Check do
           )
   end
 
-  @doc "Checks the plan against its own fence, and the fence, if it is sent, against the vehicle of a snapshot; nil for none."
-  @spec own(Plan.t(), map() | nil, fence_sent? :: boolean()) :: [problem()]
-  def own(plan, snapshot, fence_sent?) do
+  @doc """
+  Checks the plan against its own fence, and the fence, if it is sent, against the vehicle of a snapshot; nil for none.
+  A plan without a fence is checked against that of `read`, the plan that was read from the vehicle, because it stays.
+  """
+  @spec own(Plan.t(), map() | nil, fence_sent? :: boolean(), read :: Plan.t() | nil) :: [problem()]
+  def own(plan, snapshot, fence_sent?, read \\ nil)
+
+  def own(%{fence: []} = plan, snapshot, _sent?, %{fence: [_ | _]} = read) do
+    for %{outside?: true} = found <- own(%{plan | fence: read.fence}, snapshot, false),
+        do: %{found | text: String.replace(found.text, "the plan's", "the vehicle's")}
+  end
+
+  def own(plan, snapshot, fence_sent?, _read) do
     for found <- Missions.own_fence(plan, snapshot),
         do:
           Map.put(
@@ -84,6 +102,11 @@ defmodule Aerie.Console.Pages.Plan.Check do
     do: for({part, index, reason} <- denied, do: %{bad(index, reason) | part: part})
 
   defp reviewed({:error, reason}), do: [bad(nil, reason)]
+
+  @doc "What keeps a draft from being sent: a zone that is still being drawn."
+  @spec unfinished([term()]) :: [problem()]
+  def unfinished([]), do: []
+  def unfinished(_corners), do: [%{bad(nil, "a zone is not closed yet") | part: :fence}]
 
   defp bad(index, text), do: %{kind: :bad, part: :mission, index: index, text: text}
   defp warn(index, text), do: %{bad(index, text) | kind: :warn}

@@ -6,7 +6,8 @@ defmodule Aerie.Console.Pages.Plan.Draft do
   @moduledoc """
   A plan that is being drawn: the plan, the part that is edited, the selection, and the undo history. A pure value.
 
-  An invalid change is refused with the reason; one without an effect adds no undo step. The last #{@undo} steps can be undone.
+  An invalid change is refused with the reason; one without an effect adds no undo step. The last #{@undo} steps can
+  be undone.
   """
 
   alias Protocols.Mission.{Item, Plan}
@@ -15,11 +16,11 @@ defmodule Aerie.Console.Pages.Plan.Draft do
 
   @relative 3
   @jump MavCmd.value(:MAV_CMD_DO_JUMP)
-  # The size of the shape that a click creates; its corners can then be dragged.
-  @half_side 100.0
-  @metres_per_degree 111_320.0
+  # A click creates a circle of so many metres.
+  @radius 100.0
+  @most_corners 200
 
-  defstruct plan: %Plan{}, part: :mission, picked: nil, undo: [], redo: [], changed?: false
+  defstruct plan: %Plan{}, part: :mission, picked: nil, undo: [], redo: [], changed?: false, corners: []
 
   @type part :: :mission | :fence | :rally
 
@@ -35,14 +36,16 @@ defmodule Aerie.Console.Pages.Plan.Draft do
           picked: {non_neg_integer(), non_neg_integer() | nil} | nil,
           undo: [Plan.t()],
           redo: [Plan.t()],
-          changed?: boolean()
+          changed?: boolean(),
+          # The polygon that is being drawn, in the order of the clicks.
+          corners: [Plan.position()]
         }
 
   @type result :: {:ok, t()} | {:error, String.t()}
 
   @doc "A draft of a plan from a file or a vehicle. Undo restores the previous drawing."
   @spec replace(t(), Plan.t()) :: t()
-  def replace(draft, plan), do: %{step(draft, plan) | picked: nil, changed?: false}
+  def replace(draft, plan), do: %{step(draft, plan) | picked: nil, changed?: false, corners: []}
 
   @doc "Chooses the part that is edited."
   @spec part(t(), part()) :: t()
@@ -57,8 +60,10 @@ defmodule Aerie.Console.Pages.Plan.Draft do
   def pick(draft, nil), do: %{draft | picked: nil}
 
   @doc """
-  Adds what a click on the map stands for: an item of a kind (MAV_CMD) after the selected one or at the end, a zone around the position
-  (`{:inclusion | :exclusion, :polygon | :circle}`), or a rally point. `altitude`: metres above home.
+  Adds what a click on the map stands for: an item of a kind (MAV_CMD) after the selected one or at the end, a zone
+  around the position
+  (`{:inclusion | :exclusion, :circle}`), a corner of the polygon that is being drawn, or a rally point. `altitude`:
+  metres above home.
   """
   @spec add(t(), place(), what :: term(), altitude :: float()) :: result()
   def add(draft, place, what, altitude)
@@ -68,11 +73,11 @@ defmodule Aerie.Console.Pages.Plan.Draft do
     insert_item(draft, at, item(command, place, altitude))
   end
 
-  def add(%{part: :fence, plan: plan} = draft, place, {kind, shape}, _altitude)
-      when kind in [:inclusion, :exclusion] do
-    with :ok <- room(plan.fence, @limits.zones, "zones"), {:ok, position} <- position(place) do
-      zone = if shape == :circle, do: {:circle, position, @half_side}, else: {:polygon, square(place)}
-      done(draft, %{plan | fence: plan.fence ++ [{kind, zone}]}, {length(plan.fence), nil})
+  def add(%{part: :fence} = draft, place, {kind, shape}, _altitude) when kind in [:inclusion, :exclusion] do
+    with {:ok, position} <- position(place) do
+      if shape == :circle,
+        do: zone(draft, {kind, {:circle, position, @radius}}),
+        else: corner(draft, position)
     end
   end
 
@@ -81,6 +86,31 @@ defmodule Aerie.Console.Pages.Plan.Draft do
       done(draft, %{plan | rally: plan.rally ++ [{position, altitude / 1}]}, {length(plan.rally), nil})
     end
   end
+
+  # A double click is one corner.
+  defp corner(draft, position) do
+    with :ok <- room(draft.corners, @most_corners, "corners in a zone") do
+      corners = if position in draft.corners, do: draft.corners, else: draft.corners ++ [position]
+      {:ok, %{draft | corners: corners, picked: nil, changed?: true}}
+    end
+  end
+
+  defp zone(%{plan: plan} = draft, zone) do
+    with :ok <- room(plan.fence, @limits.zones, "zones"),
+         do: done(draft, %{plan | fence: plan.fence ++ [zone]}, {length(plan.fence), nil})
+  end
+
+  @doc "Makes a zone of the polygon that is being drawn."
+  @spec close(t(), :inclusion | :exclusion) :: result()
+  def close(%{corners: [_, _, _ | _] = corners} = draft, kind),
+    do: zone(%{draft | corners: []}, {kind, {:polygon, corners}})
+
+  def close(_draft, _kind), do: {:error, "a zone has at least three corners"}
+
+  @doc "Removes the last corner of the polygon that is being drawn, or all of them."
+  @spec drop(t(), :last | :all) :: t()
+  def drop(draft, :last), do: %{draft | corners: Enum.drop(draft.corners, -1)}
+  def drop(draft, :all), do: %{draft | corners: []}
 
   @doc "Adds an item without a position, such as a change of speed, after the selected one or at the end."
   @spec add_action(t(), command :: integer()) :: result()
@@ -210,11 +240,17 @@ defmodule Aerie.Console.Pages.Plan.Draft do
   @doc "Removes everything in the part that is edited."
   @spec clear(t()) :: result()
   def clear(%{plan: plan, part: part} = draft) do
+    draft = if part == :fence, do: drop(draft, :all), else: draft
     done(draft, %{Plan.put_part(plan, part, %Plan{}) | home: plan.home}, nil)
   end
 
-  @doc "The plan before the last change; the draft itself if there was none."
+  @doc """
+  Without the last corner while a polygon is being drawn, else the plan before the last change; the draft itself if
+  there
+  was none.
+  """
   @spec undo(t()) :: t()
+  def undo(%{corners: [_ | _]} = draft), do: drop(draft, :last)
   def undo(%{undo: []} = draft), do: draft
 
   def undo(%{undo: [plan | undo]} = draft),
@@ -314,18 +350,6 @@ defmodule Aerie.Console.Pages.Plan.Draft do
     do: {:error, "radius: expected more than 0 and at most 1000000 m"}
 
   defp radius(_polygon, _metres), do: {:error, "a polygon has no radius"}
-
-  defp square({lat, lon}) do
-    north = @half_side / @metres_per_degree
-    east = north / max(:math.cos(lat * :math.pi() / 180), 0.01)
-
-    for {n, e} <- [{1, -1}, {1, 1}, {-1, 1}, {-1, -1}] do
-      {:ok, position} = position({clamp(lat + n * north, 90), clamp(lon + e * east, 180)})
-      position
-    end
-  end
-
-  defp clamp(value, limit), do: value |> max(-limit) |> min(limit)
 
   defp numbers(%{params: params, z: z}) do
     if Enum.all?([z | Tuple.to_list(params)], &(&1 == nil or (is_number(&1) and Item.fits?(&1)))),

@@ -25,6 +25,7 @@ defmodule Aerie.Console.Pages.Plan.MapPayload do
           {zone, n} <- Enum.with_index(plan.fence),
           do: Map.put(zone(zone), :picked, picked?(draft, :fence, n))
         ),
+      corners: Enum.map(draft.corners, &pair/1),
       rally:
         for {{position, _altitude}, n} <- Enum.with_index(plan.rally) do
           Map.put(place(position), :picked, picked?(draft, :rally, n))

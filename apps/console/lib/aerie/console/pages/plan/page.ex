@@ -9,7 +9,7 @@ defmodule Aerie.Console.Pages.Plan.Page do
       {:page,
        events: [
          viewer:
-           ~w(plan_add plan_move plan_insert plan_pick part what altitude undo redo remove shift set clear_part action vehicle home
+           ~w(plan_add plan_move plan_insert plan_pick part what altitude undo redo remove shift set clear_part close_zone drop_corners agree action vehicle home
               import export restore download verify close_transfer map_select map_follow map_menu map_escape)
        ],
        costly: ~w(import export restore download verify look)}
@@ -33,7 +33,13 @@ defmodule Aerie.Console.Pages.Plan.Page do
     {:ok,
      socket
      |> assign(page_title: "Plan", draft: %Draft{}, problems: [], vehicle: nil, vehicles: [], transfer: nil)
-     |> assign(what: %{mission: 16, fence: {:inclusion, :polygon}}, altitude: 30.0, error: nil, parts: [])
+     |> assign(
+       what: %{mission: 16, fence: {:inclusion, :polygon}},
+       altitude: 30.0,
+       error: nil,
+       parts: [],
+       agreed: nil
+     )
      |> put_private(:plan, %{sent: %{}, judged: {[], []}, read: nil})
      |> subscribe()
      |> read()
@@ -108,6 +114,22 @@ defmodule Aerie.Console.Pages.Plan.Page do
   end
 
   def handle_event("what", value, socket), do: {:noreply, update(socket, :what, &Edit.what(&1, value))}
+
+  def handle_event(
+        "close_zone",
+        _value,
+        %{assigns: %{draft: draft, what: %{fence: {kind, _shape}}}} = socket
+      ),
+      do: {:noreply, result(socket, Draft.close(draft, kind))}
+
+  def handle_event("drop_corners", value, socket) do
+    which = if value["which"] == "last", do: :last, else: :all
+    {:noreply, changed(socket, Draft.drop(socket.assigns.draft, which))}
+  end
+
+  # For the plan that was shown and the vehicle, and no other.
+  def handle_event("agree", value, socket),
+    do: {:noreply, assign(socket, :agreed, if(value["agreed"] == "true", do: value["shown"]))}
 
   def handle_event("altitude", value, socket) do
     case Edit.number(value["altitude"]) do
@@ -216,6 +238,13 @@ defmodule Aerie.Console.Pages.Plan.Page do
       what == "upload" and value["shown"] != Transfer.target(vehicle, socket.assigns.draft.plan) ->
         {:noreply, assign(socket, :error, "the plan or the vehicle changed; nothing was sent")}
 
+      what == "upload" and socket.assigns.draft.corners != [] ->
+        {:noreply, assign(socket, :error, "a zone is not closed yet; nothing was sent")}
+
+      what == "upload" and Check.outside?(socket.assigns.problems) and socket.assigns.agreed != value["shown"] ->
+        {:noreply,
+         assign(socket, :error, "the plan leaves a fence, and nobody has agreed to that; nothing was sent")}
+
       not (press =~ ~r/\A[A-Za-z0-9_-]{1,64}\z/) ->
         {:noreply, socket}
 
@@ -288,7 +317,8 @@ defmodule Aerie.Console.Pages.Plan.Page do
     parts = Transfer.parts(plan, was_read(socket))
     sent = for {kind, :send} <- parts, do: kind
     denied = if snapshot && plan != %Plan{}, do: Check.policy(gateway, plan, sent, snapshot, user), else: []
-    own = Check.own(plan, snapshot, :fence in sent)
+    own = Check.own(plan, snapshot, :fence in sent, was_read(socket))
+    denied = Check.unfinished(socket.assigns.draft.corners) ++ denied
 
     socket
     |> put_private(:plan, %{socket.private.plan | judged: {denied, Check.alone(plan)}})
@@ -305,7 +335,11 @@ defmodule Aerie.Console.Pages.Plan.Page do
          } = socket
        ) do
     {denied, alone} = socket.private.plan.judged
-    problems = denied ++ Check.own(plan, Fleet.vehicle(gateway, vehicle), {:fence, :send} in parts) ++ alone
+
+    problems =
+      denied ++
+        Check.own(plan, Fleet.vehicle(gateway, vehicle), {:fence, :send} in parts, was_read(socket)) ++ alone
+
     if problems == known, do: socket, else: socket |> assign(:problems, problems) |> draw()
   end
 
@@ -353,7 +387,16 @@ defmodule Aerie.Console.Pages.Plan.Page do
         <.profile points={@profile} problems={@problems} />
       </div>
       <section class="plan-panel" aria-label="The plan">
-        <.head vehicle={@vehicle} vehicles={@vehicles} parts={@parts} draft={@draft} user={@user} transfer={@transfer} problems={@problems} />
+        <.head
+          vehicle={@vehicle}
+          vehicles={@vehicles}
+          parts={@parts}
+          draft={@draft}
+          user={@user}
+          transfer={@transfer}
+          problems={@problems}
+          agreed={@agreed}
+        />
         <.outcome :if={@transfer} transfer={@transfer} vehicle={@vehicle} user={@user} />
         <p :if={@error} class="notice bad" role="alert"><.icon name="alert" /> <span>{@error}</span></p>
         <.tools

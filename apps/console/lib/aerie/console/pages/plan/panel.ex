@@ -4,7 +4,7 @@ defmodule Aerie.Console.Pages.Plan.Panel do
 
   alias Protocols.Mission.{Item, Plan}
   alias Aerie.Control.Policy.Roles
-  alias Aerie.Console.Pages.Plan.{Edit, Kinds, Profile, Transfer}
+  alias Aerie.Console.Pages.Plan.{Check, Edit, Kinds, Profile, Transfer}
 
   @width 600
   @height 90
@@ -17,11 +17,18 @@ defmodule Aerie.Console.Pages.Plan.Panel do
   attr :transfer, :map, required: true
   attr :problems, :list, required: true
 
+  attr :agreed, :string,
+    default: nil,
+    doc: "the plan and vehicle for which somebody agreed that a fence is left"
+
   @doc "The choice of vehicle, and the buttons to send, read, open and save a plan."
   def head(assigns) do
     sent =
       for {kind, :send} <- assigns.parts,
           do: "#{Transfer.label(kind)} (#{Plan.contents(assigns.draft.plan, kind)})"
+
+    shown = Transfer.target(assigns.vehicle, assigns.draft.plan)
+    outside? = Check.outside?(assigns.problems)
 
     why =
       why(
@@ -29,11 +36,13 @@ defmodule Aerie.Console.Pages.Plan.Panel do
         busy?(assigns.transfer),
         sent == [],
         Enum.any?(assigns.problems, &(&1.kind == :bad))
-      )
+      ) || if(outside? and assigns.agreed != shown, do: "Tick that the plan may leave the fence")
 
     gap = gap(assigns.vehicles, assigns.vehicle)
     idle? = assigns.vehicle == nil or busy?(assigns.transfer) or gap != nil
-    assigns = assign(assigns, idle?: idle?, sent: sent, gap: gap, why: gap || why)
+
+    assigns =
+      assign(assigns, idle?: idle?, sent: sent, gap: gap, why: gap || why, shown: shown, outside?: outside?)
 
     ~H"""
     <div class="plan-head">
@@ -55,7 +64,7 @@ defmodule Aerie.Console.Pages.Plan.Panel do
           :if={Roles.at_least?(@user.role, :operator)}
           id="plan-upload"
           event="upload"
-          value={%{shown: Transfer.target(@vehicle, @draft.plan)}}
+          value={%{shown: @shown}}
           icon="upload"
           disabled={@why != nil}
           reason={@why}
@@ -73,6 +82,22 @@ defmodule Aerie.Console.Pages.Plan.Panel do
         <.button icon="download" phx-click="export" phx-value-format="mission">Save as .mission</.button>
       </span>
       <p :if={@gap} id="plan-gap" class="notice info" role="note"><.icon name="info" /> <span>{@gap}.</span></p>
+      <form
+        :if={@vehicle && @outside? && Roles.at_least?(@user.role, :operator)}
+        id="plan-agree"
+        phx-change="agree"
+        phx-submit="agree"
+        phx-auto-recover="ignore"
+      >
+        <input type="hidden" name="shown" value={@shown} />
+        <.field
+          id="plan-agreed"
+          type="checkbox"
+          name="agreed"
+          label="Send it although it leaves the fence (below)"
+          value={@agreed == @shown}
+        />
+      </form>
       <p :if={@gap == nil && @vehicle && @sent != [] && Roles.at_least?(@user.role, :operator)} id="plan-sends" class="muted">Send sends: {Enum.join(@sent, ", ")}. What is aboard otherwise stays.</p>
     </div>
     """
@@ -114,6 +139,19 @@ defmodule Aerie.Console.Pages.Plan.Panel do
       <form :if={@draft.part == :fence} id="plan-shape" phx-change="what" phx-submit="what">
         <.field id="plan-zone" type="select" name="shape" label="Click to add" value={Edit.shape(@what.fence)} options={Edit.shapes()} />
       </form>
+      <div :if={@draft.part == :fence && @draft.corners != []} id="plan-corners" class="row" role="status">
+        <span>Corner {length(@draft.corners)} of a zone</span>
+        <.button
+          small
+          kind="primary"
+          icon="check"
+          phx-click="close_zone"
+          disabled={length(@draft.corners) < 3}
+          title="Or click its first corner"
+        >Close the zone</.button>
+        <.button small phx-click="drop_corners" phx-value-which="last">Remove last corner</.button>
+        <.button small phx-click="drop_corners" phx-value-which="all">Drop</.button>
+      </div>
       <form :if={@draft.part != :fence} id="plan-altitude" phx-change="altitude" phx-submit="altitude">
         <.field id="plan-altitude-field" type="number" step="any" name="altitude" label="Altitude" unit="m" value={number(@altitude)} phx-debounce="300" />
       </form>
@@ -122,7 +160,7 @@ defmodule Aerie.Console.Pages.Plan.Panel do
         <.button type="submit" icon="plus" label="Add" />
       </form>
       <div class="row">
-        <.button small phx-click="undo" disabled={@draft.undo == []}>Undo</.button>
+        <.button small phx-click="undo" disabled={@draft.undo == [] and @draft.corners == []}>Undo</.button>
         <.button small phx-click="redo" disabled={@draft.redo == []}>Redo</.button>
         <.button :if={@draft.part == :mission} small icon="home" phx-click="home" disabled={@vehicle == nil}>Use vehicle's home</.button>
         <.button small icon="trash" phx-click="clear_part">Clear</.button>

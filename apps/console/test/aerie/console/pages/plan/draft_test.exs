@@ -88,11 +88,48 @@ defmodule Aerie.Console.Pages.Plan.DraftTest do
   describe "a fence" do
     setup do
       %{
-        draft: %Draft{} |> Draft.part(:fence) |> added({:inclusion, :polygon}) |> added({:exclusion, :circle})
+        draft: %Draft{} |> Draft.part(:fence) |> zone(4) |> added({:exclusion, :circle})
       }
     end
 
-    test "begins as a square and a circle around the place", %{draft: draft} do
+    defp corners(draft, n),
+      do:
+        Enum.reduce(
+          1..n,
+          draft,
+          &added(&2, {:inclusion, :polygon}, {47.0 + rem(&1, 2) / 100, 8.0 + div(&1, 2) / 100})
+        )
+
+    defp zone(draft, n) do
+      {:ok, draft} = draft |> corners(n) |> Draft.close(:inclusion)
+      draft
+    end
+
+    test "a polygon is drawn corner by corner, and the same place twice is one corner" do
+      draft = %Draft{} |> Draft.part(:fence) |> corners(2)
+      assert {[], [_, _]} = {draft.plan.fence, draft.corners}
+      assert {:error, "a zone has at least three corners"} = Draft.close(draft, :exclusion)
+
+      draft =
+        draft |> added({:inclusion, :polygon}, {46.0, 7.0}) |> added({:inclusion, :polygon}, {46.0, 7.0})
+
+      assert [_, _, {460_000_000, 70_000_000}] = draft.corners
+      # Undo takes one after the other back, and then what was there before.
+      assert [_, _] = Draft.undo(draft).corners
+      assert Draft.drop(draft, :all).corners == []
+      assert {:ok, %{corners: []}} = Draft.clear(draft)
+      assert Draft.replace(draft, draft.plan).corners == []
+      {:ok, closed} = Draft.close(draft, :exclusion)
+      assert [{:exclusion, {:polygon, corners}}] = closed.plan.fence
+      assert {corners, closed.corners} == {draft.corners, []}
+      assert Draft.undo(closed).plan.fence == []
+      full = corners(%{draft | corners: []}, 200)
+
+      assert {:error, "a plan has at most 200 corners in a zone"} =
+               Draft.add(full, {1.0, 1.0}, {:inclusion, :polygon}, 0.0)
+    end
+
+    test "a circle begins around the place", %{draft: draft} do
       assert [
                {:inclusion, {:polygon, [_, _, _, _]}},
                {:exclusion, {:circle, {473_977_420, 85_455_940}, 100.0}}
@@ -129,7 +166,7 @@ defmodule Aerie.Console.Pages.Plan.DraftTest do
       place = {:proper_types.float(-91.0, 91.0), :proper_types.float(-181.0, 181.0)}
       index = :proper_types.range(0, 5)
       part = :proper_types.oneof([:mission, :fence, :rally])
-      what = :proper_types.oneof([:add, :move, :insert, :remove, :shift, :clear, :part, :pick])
+      what = :proper_types.oneof([:add, :move, :insert, :remove, :shift, :clear, :part, :pick, :close])
 
       property =
         :proper.forall(:proper_types.list({what, part, index, index, place}), fn steps ->
@@ -217,6 +254,9 @@ defmodule Aerie.Console.Pages.Plan.DraftTest do
 
         :clear ->
           Draft.clear(draft)
+
+        :close ->
+          Draft.close(draft, :exclusion)
       end
 
     case result do

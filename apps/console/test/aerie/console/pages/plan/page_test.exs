@@ -17,6 +17,17 @@ defmodule Aerie.Console.Pages.Plan.PageTest do
     view
   end
 
+  # A square around the place, 200 m wide, corner by corner.
+  defp zone(view) do
+    for {north, east} <- [{1, -1}, {1, 1}, {-1, 1}, {-1, -1}] do
+      lat = @place["lat"] + north * 100 / 111_320
+      render_hook(view, "plan_add", %{@place | "lat" => lat, "lon" => @place["lon"] + east * 100 / 75_360})
+    end
+
+    view |> element("#plan-corners button", "Close the zone") |> render_click()
+    view
+  end
+
   defp plan_of(view) do
     render_hook(view, "export", %{"format" => "plan"})
     assert_push_event(view, "plan:file", %{name: "aerie.plan", text: text})
@@ -83,6 +94,12 @@ defmodule Aerie.Console.Pages.Plan.PageTest do
       view = open(console)
       view |> element("button", "Fence (0)") |> render_click()
       add(view, 0)
+      assert has_element?(view, "#plan-corners button[disabled]", "Close the zone")
+      assert view |> element("#plan-problems") |> render() =~ "a zone is not closed yet"
+      view |> element("#plan-corners button", "Drop") |> render_click()
+      refute has_element?(view, "#plan-problems")
+      zone(view)
+      refute has_element?(view, "#plan-corners")
       view |> form("#plan-shape", %{shape: "exclusion circle"}) |> render_change()
       add(view, 50)
       view |> form("#plan-zone-1", %{radius: "25"}) |> render_change()
@@ -287,12 +304,25 @@ defmodule Aerie.Console.Pages.Plan.PageTest do
       add(view, 500)
       view |> element("button", "Fence (0)") |> render_click()
       add(view, 0)
+      render_hook(view, "upload", %{"id" => "web-0000", "shown" => shown(view)})
+      assert render(view) =~ "a zone is not closed yet; nothing was sent"
+      view |> element("#plan-corners button", "Drop") |> render_click()
+      zone(view)
       view |> element("button", "Rally points (0)") |> render_click()
       add(view, 500)
       problems = view |> element("#plan-problems") |> render()
       assert problems =~ "item 1 is outside the plan&#39;s stay-inside zone 1"
       assert problems =~ "rally point 1 is outside the plan&#39;s stay-inside zone 1"
       assert problems =~ "the vehicle is outside the plan&#39;s stay-inside zone 1"
+      # The plan leaves its fence: somebody has to agree, to this plan and no other.
+      assert has_element?(view, "#plan-upload[disabled][title*='may leave the fence']")
+      render_hook(view, "upload", %{"id" => "web-0000", "shown" => shown(view)})
+      assert render(view) =~ "nobody has agreed to that; nothing was sent"
+      view |> form("#plan-agree", %{agreed: "true"}) |> render_change()
+      assert has_element?(view, "#plan-upload:not([disabled])")
+      add(view, 600)
+      assert has_element?(view, "#plan-upload[disabled]")
+      view |> element("button", "Undo") |> render_click()
       # It stands on the ground: that is told, and does not stop.
       assert send_plan(view, "web-0001") =~ "4 corners, verified; but the vehicle is outside"
     end

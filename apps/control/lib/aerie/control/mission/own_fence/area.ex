@@ -72,6 +72,35 @@ defmodule Aerie.Control.Mission.OwnFence.Area do
   defp crosses?({{x1, y1}, {x2, y2}}, {x, y}),
     do: y1 > y != y2 > y and x < (x2 - x1) * (y - y1) / (y2 - y1) + x1
 
+  @doc """
+  Where the straight way between two places, in degrees, meets the area's border: shares of the way from 0 to 1, in no
+  order. Between two of them the way is inside or outside as a whole.
+  """
+  @spec crossings(t(), {number(), number()}, {number(), number()}) :: [float()]
+  def crossings(area, {lat1, lon1}, {lat2, lon2}) do
+    from = metres({lat1 / 1, lon1 / 1}, area.origin)
+    to = metres({lat2 / 1, lon2 / 1}, area.origin)
+    if boxes?(area.box, box({:polygon, [from, to]})), do: met(area.shape, from, to), else: []
+  end
+
+  defp met({:polygon, corners}, from, to) do
+    for {a, b} = side <- sides(corners), cut?(side, {from, to}), do: share(turn(a, b, from), turn(a, b, to))
+  end
+
+  # |from + share * (to - from) - centre| = radius
+  defp met({:circle, {cx, cy}, radius}, {x1, y1}, {x2, y2}) do
+    {dx, dy, fx, fy} = {x2 - x1, y2 - y1, x1 - cx, y1 - cy}
+    {a, b} = {dx * dx + dy * dy, fx * dx + fy * dy}
+    root = b * b - a * (fx * fx + fy * fy - radius * radius)
+
+    if a == 0.0 or root < 0.0,
+      do: [],
+      else: for(sign <- [-1, 1], at = (-b + sign * :math.sqrt(root)) / a, at >= 0.0 and at <= 1.0, do: at)
+  end
+
+  # Both are 0 where the way lies on the side.
+  defp share(one, two), do: if(one == two, do: 0.0, else: one / (one - two))
+
   @doc "Whether two areas have no place in common."
   @spec apart?(t(), t()) :: boolean()
   def apart?(one, two), do: not boxes?(one.box, two.box) or not meet?(one, two)

@@ -110,8 +110,8 @@ defmodule Aerie.Console.RemoteTest do
     })
 
     {view, _html} = open(console, "/alarms")
-    eventually(fn -> has_element?(view, "#alarms td", "Emergency reported by the vehicle") end)
+    eventually(fn -> has_element?(view, "#alarms .alarm-row", "Vehicle reports an emergency") end)
     Table.put_gateway(console.gateway, @id, @via, %{context.facts | status: :lost}, now)
-    eventually(fn -> has_element?(view, "#alarms td", "Lost contact while armed") end)
+    eventually(fn -> has_element?(view, "#alarms .alarm-row", "Lost contact while armed") end)
   end
 end

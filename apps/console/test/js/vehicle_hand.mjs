@@ -16,7 +16,7 @@ main(async (browser) => {
   equal("instruments are over its lower left", instruments.x < map.x + 20 && instruments.y + instruments.height > map.y + map.height - 20, true);
 
   await page.selectOption("#mode-choice", "LAND");
-  await page.focus("#action-mode");
+  await page.focus("#action-mode:not([disabled])");
   await holdKey(page, "#action-mode", " ");
   await contains(page, "#action-arm", "Set GUIDED first");
   const places = async () => Promise.all(["#action-arm", "#action-takeoff", "#mode-choice"].map(async (id) => (await box(page, id)).y));

@@ -90,7 +90,7 @@ defmodule Aerie.Console.AccessTest do
     refute has_element?(view, "button", "Acknowledge all")
 
     assert render_click(view, "alarm-acknowledge", %{"all" => "yes"}) =~
-             "As viewer you may not do this"
+             "Viewers can&#39;t do this"
   end
 
   test "a page is left when its user gets another role or password, or is removed", %{console: console} do

@@ -16,7 +16,7 @@ defmodule Aerie.Console.Commands.Catalog do
     manual: "Manual control and set-points",
     maintenance: "Maintenance",
     telemetry: "Telemetry",
-    control: "In charge"
+    control: "Control"
   ]
   # The page shows these elsewhere.
   @stream ~w(rc_override manual_control)

@@ -21,7 +21,7 @@ defmodule Aerie.Console.Commands.Panel do
     <section class="card command-panel" aria-labelledby="command-title">
       <h2 id="command-title">{@entry.title}</h2>
       <p>{@entry.type.meaning}</p>
-      <p class="hint">{nature(@entry.type)}</p>
+      <details class="hint"><summary>How it is done</summary>{nature(@entry.type)}</details>
       <p :if={@entry.gap} class="notice warn" role="note"><.icon name="info" /> <span>Not available on this vehicle: {@entry.gap}.</span></p>
       <p :if={@entry.denied} class="notice info" role="note">
         <.icon name="lock" /> <span>Not allowed: {@entry.denied}.</span>
@@ -77,19 +77,19 @@ defmodule Aerie.Console.Commands.Panel do
       <.icon name={if(@answer == :allow, do: "check", else: "alert")} />
       <span>{verdict_text(@answer)}</span>
     </p>
-    <ul :if={@answer == :allow and @obstacles != []} class="reasons obstacles" aria-label="What speaks against it">
+    <ul :if={@answer == :allow and @obstacles != []} class="reasons obstacles" aria-label="Before you send">
       <li :for={text <- @obstacles}><.icon name="alert" /> {text}</li>
     </ul>
     """
   end
 
-  defp verdict_text(:allow), do: "The policy allows it"
+  defp verdict_text(:allow), do: "Allowed"
   defp verdict_text({:deny, :firmware, reason}), do: "The vehicle cannot do it: #{reason}"
 
   defp verdict_text({:deny, _rule, reason}),
-    do: "The policy refuses it: #{Aerie.Vehicle.Command.on_pages(reason)}"
+    do: "Not allowed: #{Aerie.Vehicle.Command.on_pages(reason)}"
 
-  defp verdict_text({:error, errors}), do: "Not complete: #{Enum.join(errors, "; ")}"
+  defp verdict_text({:error, errors}), do: "Missing: #{Enum.join(errors, "; ")}"
 
   attr :field, :map, required: true
   attr :error, :string, default: nil
@@ -190,18 +190,18 @@ defmodule Aerie.Console.Commands.Panel do
       <div :for={{title, entries} <- @groups} :key={title}>
         <h3>{title}</h3>
         <ul>
-          <li :for={entry <- entries} :key={entry.type.name}>
+          <li :for={%{gap: nil} = entry <- entries} :key={entry.type.name}>
             <.link
               patch={@path.(entry.type.name)}
-              class={["command-link", (entry.gap || entry.denied) && "unavailable"]}
+              class={["command-link", entry.denied && "unavailable"]}
               aria-current={if(entry.type.name == @chosen, do: "true")}
             >
               <span>{entry.title}</span>
-              <.badge :if={entry.gap} kind="off" title={entry.gap}>not on this firmware</.badge>
-              <.icon :if={entry.denied != nil and entry.gap == nil} name="lock" />
+              <.icon :if={entry.denied} name="lock" />
             </.link>
           </li>
         </ul>
+        <p :if={(n = Enum.count(entries, & &1.gap)) > 0} class="hint">{n} more: not on this firmware</p>
       </div>
     </section>
     """

@@ -91,7 +91,7 @@ defmodule Aerie.Console.SignIn.OnMount do
 
     cond do
       not WorkLimit.spend(gateway, user.name, cost) ->
-        {:halt, flash(socket, "That was too much at once. Wait a moment, and try again.")}
+        {:halt, flash(socket, "Too many clicks. Try again in 2 s.")}
 
       Session.user(gateway, session) != user ->
         {:halt, leave(socket)}
@@ -100,7 +100,7 @@ defmodule Aerie.Console.SignIn.OnMount do
         {:cont, socket}
 
       true ->
-        {:halt, flash(socket, "As #{user.role} you may not do this: it needs the role #{least}.")}
+        {:halt, flash(socket, "#{String.capitalize("#{user.role}")}s can't do this. Ask an #{least}.")}
     end
   end
 

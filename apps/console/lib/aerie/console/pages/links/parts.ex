@@ -88,6 +88,10 @@ defmodule Aerie.Console.Pages.Links.Parts do
             <dt>Recording</dt>
             <dd>{recording(@link[:recording])}</dd>
           </dl>
+          <details>
+            <summary>As configuration</summary>
+            <pre id="link-configuration" class="hex" tabindex="0">{View.configuration(@link)}</pre>
+          </details>
         </div>
         <.chart title="Frames a second" line={View.line(@samples, :frames, 1)} text={"#{round(@row.in)}/s"} top={&"#{round(&1)}/s"} />
         <.chart title="Loss" line={View.line(@samples, :loss, 0.01)} text={percent(@row.loss)} top={&percent/1} />
@@ -108,7 +112,7 @@ defmodule Aerie.Console.Pages.Links.Parts do
           <:col :let={peer} label="Peer" class="grow">{peer.text}</:col>
           <:col :let={peer} label="Frames" number>{peer.frames_in}</:col>
           <:col :let={peer} label="Bytes" number>{peer.bytes_in}</:col>
-          <:col :let={peer} label="Silent" number>{Age.text(peer.silent_ms * 1000)}</:col>
+          <:col :let={peer} label="Last heard" number>{Age.text(peer.silent_ms * 1000)} ago</:col>
         </.data_table>
       </section>
       <.endpoint_table :if={@endpoints != []} endpoints={@endpoints} title="Queues and drops" />
@@ -149,7 +153,7 @@ defmodule Aerie.Console.Pages.Links.Parts do
         <:col :let={row} label="Out" number>{round(row.out)}/s, {rate(row.bytes_out)}</:col>
         <:col :let={row} label="Waiting" number>{row.waiting}</:col>
         <:col :let={row} label="Dropped" number>{row.dropped}</:col>
-        <:col :let={row} label="Counted">{row.notes}</:col>
+        <:col :let={row} label="Notes">{row.notes}</:col>
       </.data_table>
     </section>
     """
@@ -171,7 +175,7 @@ defmodule Aerie.Console.Pages.Links.Parts do
       <:col :let={row} label="In, out" number>{round(row.in)}/s, {round(row.out)}/s</:col>
       <:col :let={row} label="Waiting" number>{row.waiting}</:col>
       <:col :let={row} label="Dropped" number>{row.dropped}</:col>
-      <:col :let={row} label="Counted">{row.notes}</:col>
+      <:col :let={row} label="Notes">{row.notes}</:col>
       <:col :let={row} label=""><.button :if={@admin?} small icon="trash" label={"Remove client #{row.owner}"} phx-click="ask" phx-value-what="remove-client" phx-value-id={row.owner} /></:col>
     </.data_table>
     """
@@ -208,7 +212,7 @@ defmodule Aerie.Console.Pages.Links.Parts do
       <:col :let={row} label="Link">{row.link}</:col>
       <:col :let={row} label="Peer" class="grow">{row.peer}</:col>
       <:col :let={row} label="Heard" number>{Age.text(row.age_ms * 1000)} ago</:col>
-      <:col :let={row} label="Known" number>{Age.text(row.known_ms * 1000)}</:col>
+      <:col :let={row} label="First heard" number>{Age.text(row.known_ms * 1000)} ago</:col>
     </.data_table>
     <p :if={@more > 0} class="muted">{@more} more.</p>
     """
@@ -246,7 +250,7 @@ defmodule Aerie.Console.Pages.Links.Parts do
         <.field id="add-url" name="url" label="Address" value={@form["url"]} required autofocus spellcheck="false" hint="udpin:0.0.0.0:14551, tcp:HOST:5760, serial:auto, /dev/ttyUSB0,57600, ws://HOST/PATH" errors={List.wrap(@error)} />
         <.field id="add-id" name="id" label="Name" value={@form["id"]} hint="Default: the address" />
         <.field id="add-network" name="network" label="Network" value={@form["network"]} hint="Default: main" />
-        <p class="muted">Temporary: gone when the gateway stops. For a permanent link, edit the configuration.</p>
+        <p class="muted">Temporary: gone when the gateway stops. Its page has it as configuration, to make it permanent.</p>
         <.button type="submit" kind="primary">Add</.button>
       </form>
     </.dialog>
@@ -283,8 +287,8 @@ defmodule Aerie.Console.Pages.Links.Parts do
     do: "Its connections are closed. A ground station may reconnect by itself."
 
   defp kind(status) when status in [:up], do: "ok"
-  defp kind(status) when status in [:idle, :connecting], do: "warn"
-  defp kind(:ended), do: "off"
+  defp kind(:connecting), do: "warn"
+  defp kind(status) when status in [:idle, :ended], do: "off"
   defp kind(_down), do: "bad"
 
   defp recording(nil), do: "none"

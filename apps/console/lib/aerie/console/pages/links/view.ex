@@ -40,6 +40,15 @@ defmodule Aerie.Console.Pages.Links.View do
   defp dropped(nil), do: 0
   defp dropped(counters), do: @drops |> Enum.map(&(Map.get(counters, &1) || 0)) |> Enum.sum()
 
+  @doc "A link as lines of the configuration's file."
+  @spec configuration(map()) :: String.t()
+  def configuration(link) do
+    pairs =
+      for key <- [:id, :url, :network, :label], is_binary(link[key]), do: "#{key}: #{JSON.encode!(link[key])}"
+
+    "links:\n  - {#{Enum.join(pairs, ", ")}}\n"
+  end
+
   @doc "The non-zero counters of a link by name, without those by message."
   @spec counters(map()) :: [{String.t(), non_neg_integer()}]
   def counters(%{counters: counters}) do

@@ -48,7 +48,7 @@ defmodule Aerie.Console.Pages.Params.Parts do
     ~H"""
     <div class="notice info" role="status" id="params-progress">
       <span class="spinner small"></span>
-      <span>Reading {if @reading.what == :descriptions, do: "the descriptions", else: "the parameters"}{if @reading.progress, do: ": #{@reading.progress["phase"]}"}</span>
+      <span>Reading {if @reading.what == :descriptions, do: "descriptions", else: "parameters"}</span>
       <.meter value={Reading.share(@reading)} label="Parameters read" text={count(@reading.progress)} />
       <.button small={true} icon="x" phx-click="stop_reading">Stop</.button>
     </div>

@@ -64,9 +64,10 @@ defmodule Aerie.Console.Pages.Plan.Outcome do
   defp name(:fence), do: "fence"
   defp name(:rally), do: "rally points"
 
+  # The vehicle's home counts as an item while a mission is transferred, so per cent say it better.
   defp phase(%{"phase" => phase, "done" => done, "total" => total})
-       when is_integer(total) and is_integer(done),
-       do: "#{phase} #{done} of #{total}"
+       when is_integer(total) and is_integer(done) and total > 0,
+       do: "#{phase}, #{min(100, div(100 * done, total))} %"
 
   defp phase(%{"phase" => phase}) when is_binary(phase), do: phase
   defp phase(_nothing), do: "waiting"

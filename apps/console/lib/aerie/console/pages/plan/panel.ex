@@ -81,6 +81,7 @@ defmodule Aerie.Console.Pages.Plan.Panel do
         <.button icon="download" phx-click="export" phx-value-format="waypoints">Save as .waypoints</.button>
         <.button icon="download" phx-click="export" phx-value-format="mission">Save as .mission</.button>
       </span>
+      <p :if={@why && @gap == nil && Roles.at_least?(@user.role, :operator)} id="plan-why" class="hint">{@why}.</p>
       <p :if={@gap} id="plan-gap" class="notice info" role="note"><.icon name="info" /> <span>{@gap}.</span></p>
       <form
         :if={@vehicle && @outside? && Roles.at_least?(@user.role, :operator)}
@@ -98,7 +99,7 @@ defmodule Aerie.Console.Pages.Plan.Panel do
           value={@agreed == @shown}
         />
       </form>
-      <p :if={@gap == nil && @vehicle && @sent != [] && Roles.at_least?(@user.role, :operator)} id="plan-sends" class="muted">Send sends: {Enum.join(@sent, ", ")}. What is aboard otherwise stays.</p>
+      <p :if={@gap == nil && @vehicle && @sent != [] && Roles.at_least?(@user.role, :operator)} id="plan-sends" class="muted">Sends: {Enum.join(@sent, ", ")}. What else is aboard stays as it is.</p>
     </div>
     """
   end
@@ -156,7 +157,7 @@ defmodule Aerie.Console.Pages.Plan.Panel do
         <.field id="plan-altitude-field" type="number" step="any" name="altitude" label="Altitude" unit="m" value={number(@altitude)} phx-debounce="300" />
       </form>
       <form :if={@draft.part == :mission} id="plan-action" phx-submit="action">
-        <.field id="plan-action-field" type="select" name="command" label="Add command without a position" options={Kinds.options(false)} />
+        <.field id="plan-action-field" type="select" name="command" label="Add action" options={Kinds.options(false)} />
         <.button type="submit" icon="plus" label="Add" />
       </form>
       <div class="row">
@@ -349,7 +350,7 @@ defmodule Aerie.Console.Pages.Plan.Panel do
 
   defp summary(drawing),
     do:
-      "Length #{kilometres(drawing.length)}, #{round(drawing.low)} to #{round(drawing.high)} m above home; no terrain data"
+      "#{kilometres(drawing.length)} · #{round(drawing.low)} to #{round(drawing.high)} m above home · terrain unknown"
 
   defp kilometres(metres) when metres < 1000, do: "#{round(metres)} m"
   defp kilometres(metres), do: "#{:erlang.float_to_binary(metres / 1000, decimals: 1)} km"

@@ -22,6 +22,12 @@ defmodule Aerie.Console.Pages.Settings.Page do
   alias Aerie.Access.Users.Password
   alias Aerie.Console.Pages.Settings.Configuration
 
+  @needed %{
+    "add" => ~w(name role password),
+    "change-password" => ~w(name password),
+    "add-key" => ~w(name role expires)
+  }
+
   @impl Phoenix.LiveView
   def mount(_params, _session, socket) do
     %{user: user, gateway: gateway} = socket.assigns
@@ -148,8 +154,10 @@ defmodule Aerie.Console.Pages.Settings.Page do
   def handle_event("configuration", form, socket),
     do: {:noreply, assign(socket, :filter, Configuration.filter(form))}
 
-  def handle_event(_event, _value, socket),
-    do: {:noreply, put_flash(socket, :error, "Fill in all fields.")}
+  def handle_event(event, value, socket) do
+    missing = Enum.reject(Map.get(@needed, event, []), &is_map_key(value, &1))
+    {:noreply, put_flash(socket, :error, "Fill in #{Enum.join(missing, " and ")}.")}
+  end
 
   defp change(socket, what, value, fun) do
     case with({:ok, value} <- value, do: fun.(value)) do

@@ -11,10 +11,10 @@ defmodule Aerie.Console.Pages.Shadow.Parts do
   @doc "The desired state, and the status of each field."
   def fields(assigns) do
     ~H"""
-    <.data_table id="shadow" label="Desired and reported" rows={@rows} row_id={&"field-#{&1.path}"}>
+    <.data_table id="shadow" label="Wanted and actual" rows={@rows} row_id={&"field-#{&1.path}"}>
       <:col :let={row} label="Field"><code>{row.path}</code></:col>
-      <:col :let={row} label="Desired"><strong class="mono">{row.desired}</strong></:col>
-      <:col :let={row} label="Reported"><span class="mono">{row.actual || "–"}</span></:col>
+      <:col :let={row} label="Wanted"><strong class="mono">{row.desired}</strong></:col>
+      <:col :let={row} label="Actual"><span class="mono">{row.actual || "–"}</span></:col>
       <:col :let={row} label="State"><.badge kind={kind(row.state)}>{row.state || "not compared"}</.badge> <span :if={row.why} class="muted">{row.why}</span></:col>
       <:col :let={row} label="Set by">{row.set}<span :if={row.expires} class="muted">, ends {row.expires}</span></:col>
       <:col :let={row} label="">
@@ -45,7 +45,7 @@ defmodule Aerie.Console.Pages.Shadow.Parts do
 
     ~H"""
     <section class="card" aria-labelledby="desire-title">
-      <h2 id="desire-title">Set a desired value</h2>
+      <h2 id="desire-title">Set a wanted value</h2>
       <form id="desire" class="form-row" phx-hook="CommandForm" phx-change="form" phx-auto-recover="ignore">
         <input type="hidden" name="version" value={@version} />
         <.field id="desire-field" name="field" type="select" label="Field" options={[{"choose", ""} | Enum.map(@names, &{&1, &1})]} value={@form["field"]} hint={@field && @field.meaning} />
@@ -56,7 +56,7 @@ defmodule Aerie.Console.Pages.Shadow.Parts do
         <.hold_button :if={@field} id="desire-set" event="desire">Set</.hold_button>
       </form>
       <p :if={@error} class="notice bad" role="alert">{@error}</p>
-      <p class="hint">The gateway brings the vehicle to this state as the policy allows, once nobody else is in charge of it. It never makes a vehicle take off.</p>
+      <p class="hint">The gateway applies this when it is allowed and nobody else is in control. It never takes off.</p>
     </section>
     """
   end

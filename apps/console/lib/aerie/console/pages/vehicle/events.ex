@@ -22,7 +22,7 @@ defmodule Aerie.Console.Pages.Vehicle.Events do
         <.field id="events-level" name="level" type="select" label="Severity" options={levels()} value={@level} />
         <.field id="events-search" name="search" type="search" label="Search" value={@search} phx-debounce="150" autocomplete="off" />
         <.button icon={if @paused, do: "play", else: "pause"} phx-click="events_pause" aria-pressed={to_string(@paused)}>{if @paused, do: "Resume", else: "Pause"}</.button>
-        <span class="muted" role="status">{length(@lines)} of the last {@total}</span>
+        <span class="muted" role="status">{if length(@lines) == @total, do: "#{@total} events", else: "#{length(@lines)} of #{@total} events"}</span>
       </form>
       <.empty :if={@lines == []} icon="list" title={nothing(@total, @via)}>
         Texts from the vehicle, mode changes, failsafes and other events appear here.

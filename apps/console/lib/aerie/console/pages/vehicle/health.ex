@@ -62,7 +62,7 @@ defmodule Aerie.Console.Pages.Vehicle.Health do
             <dd><.meter value={@ekf[key] && @ekf[key] / 1} label={name} text={View.number(@ekf[key], 2)} kind={ratio(@ekf[key])} /></dd>
           </div>
         </dl>
-        <p class="hint">Innovation test ratios: below 0.5 is good; at 1 or more the estimator rejects the measurement.</p>
+        <p class="hint">Below 0.5 good, 1 or more: measurement rejected.</p>
       </section>
       <section id="rc" class="card" aria-labelledby="rc-title">
         <div class="spread"><h2 id="rc-title">Remote control</h2><.age us={View.age(@view, :rc)} limit_us={5_000_000} /></div>
@@ -75,15 +75,15 @@ defmodule Aerie.Console.Pages.Vehicle.Health do
       <.facts id="home" title="Home" view={@view} group={:home} old_us={3_600_000_000} fields={[lat: "Latitude", lon: "Longitude", alt_msl: "Altitude (MSL)"]} />
       <section :if={@calibrate != []} id="calibration" class="card calibration" aria-labelledby="calibration-title">
         <h2 id="calibration-title">Calibration</h2>
-        <p :if={@workshop == nil} class="hint">Keep the vehicle still. Its instructions appear below.</p>
+        <p :if={@workshop == nil} class="hint">Put the vehicle down, disarmed and still. Follow its prompts below.</p>
         <p :if={@workshop} class="notice info" role="note"><.icon name="lock" /> <span>Not now: {@workshop}.</span></p>
         <EntryList.lives id="calibrations" lives={@calibrations} now={@now} user={@user} />
         <div :if={@workshop == nil} class="row">
-          <.hold_button :for={sensor <- @calibrate} id={"calibrate-#{sensor}"} event="command" kind="plain" hold_ms={500} phx-value-type="calibrate" phx-value-sensor={sensor}>{String.replace(sensor, "_", " ")}</.hold_button>
+          <.hold_button :for={sensor <- @calibrate} id={"calibrate-#{sensor}"} event="command" kind="plain" hold_ms={500} phx-value-type="calibrate" phx-value-sensor={sensor}>{Calibration.title(sensor)}</.hold_button>
         </div>
         <div :if={@workshop == nil and Actions.able?("calibrate_position", assigns)} class="row" role="group" aria-label="Position">
           <span class="muted">Position:</span>
-          <.hold_button :for={position <- Calibration.positions()} id={"lies-#{position}"} event="command" kind="plain" hold_ms={500} phx-value-type="calibrate_position" phx-value-position={position}>{String.replace(position, "_", " ")}</.hold_button>
+          <.hold_button :for={position <- Calibration.positions()} id={"lies-#{position}"} event="command" kind="plain" hold_ms={500} phx-value-type="calibrate_position" phx-value-position={position}>{Calibration.title(position)}</.hold_button>
         </div>
         <div class="row">
           <.hold_button :if={@workshop == nil and Actions.able?("calibrate_accept", assigns)} id="calibrate-accept" event="command" kind="plain" hold_ms={500} icon="check" phx-value-type="calibrate_accept">Save compass calibration</.hold_button>

@@ -45,7 +45,7 @@ defmodule Aerie.Console.Pages.Vehicle.Section do
       <div class="stack">
         <Panel.panel :if={@entry} entry={@entry} fields={Form.fields(@entry.type, @view.vehicle, @form)} errors={@errors} answer={@answer} obstacles={@obstacles} />
         <section class="card" aria-labelledby="history-title">
-          <h2 id="history-title">Commands of all operators</h2>
+          <h2 id="history-title">Command history</h2>
           <p :if={@lives == []} class="muted">No commands yet</p>
           <EntryList.lives id="history" lives={@lives} now={@now} user={@user} />
         </section>

@@ -113,7 +113,7 @@ defmodule Aerie.Console.Pages.Inspector.PageTest do
   test "a viewer can send nothing, whatever the browser says", %{console: console} do
     view = open(console)
     refute has_element?(view, "button", "Send a message")
-    assert render_click(view, "compose", %{}) =~ "it needs the role operator"
+    assert render_click(view, "compose", %{}) =~ "Ask an operator."
     render_click(view, "send", %{"message" => "HEARTBEAT"})
     refute has_element?(view, "#sent")
   end

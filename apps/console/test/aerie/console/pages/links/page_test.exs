@@ -61,9 +61,9 @@ defmodule Aerie.Console.Pages.Links.PageTest do
 
     for role <- [:viewer, :operator] do
       view = open(c.console, "/links?link=radio", role)
-      assert render_click(view, "ask", %{"what" => "remove", "id" => "radio"}) =~ "it needs the role admin"
-      assert render_click(view, "add", %{"url" => "udpin:127.0.0.1:0"}) =~ "it needs the role admin"
-      assert render_click(view, "remove", %{}) =~ "it needs the role admin"
+      assert render_click(view, "ask", %{"what" => "remove", "id" => "radio"}) =~ "Ask an admin."
+      assert render_click(view, "add", %{"url" => "udpin:127.0.0.1:0"}) =~ "Ask an admin."
+      assert render_click(view, "remove", %{}) =~ "Ask an admin."
     end
 
     assert [%{id: "radio"}] = Link.list(c.gateway)

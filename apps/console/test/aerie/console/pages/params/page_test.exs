@@ -185,7 +185,7 @@ defmodule Aerie.Console.Pages.Params.PageTest do
 
   test "a viewer reads; neither viewer nor operator sets", %{console: console} do
     view = open(console, :viewer)
-    assert command(view, "set", "p1", %{"name" => "RTL_ALT", "value" => "1"}) =~ "As viewer"
+    assert command(view, "set", "p1", %{"name" => "RTL_ALT", "value" => "1"}) =~ "Viewers can"
     view = open(console, :operator)
     {:ok, _view, html} = live(conn(console, :operator), @path <> "&p=RTL_ALT")
     refute html =~ "param-form"

@@ -119,9 +119,9 @@ defmodule Aerie.Console.Pages.Recordings.PageTest do
     for role <- [:viewer, :operator] do
       view = open(c.console, role)
       refute has_element?(view, "button[aria-label='Delete #{name}']")
-      assert render_click(view, "ask", %{"name" => name}) =~ "it needs the role admin"
-      assert render_click(view, "delete", %{}) =~ "it needs the role admin"
-      assert render_click(view, "play", %{"name" => name, "speed" => "1"}) =~ "it needs the role admin"
+      assert render_click(view, "ask", %{"name" => name}) =~ "Ask an admin."
+      assert render_click(view, "delete", %{}) =~ "Ask an admin."
+      assert render_click(view, "play", %{"name" => name, "speed" => "1"}) =~ "Ask an admin."
     end
 
     view = open(c.console, :admin)

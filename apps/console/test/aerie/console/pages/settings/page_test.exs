@@ -84,7 +84,7 @@ defmodule Aerie.Console.Pages.Settings.PageTest do
     {:ok, view, _html} = live(conn(console, :admin), "/settings")
     fields = %{"name" => "ann", "role" => "viewer", "password" => "short"}
     assert view |> form("#add-user", fields) |> render_submit() =~ "10 characters or more"
-    assert render_click(view, "add", %{"name" => "x"}) =~ "Fill in all fields."
+    assert render_click(view, "add", %{"name" => "x"}) =~ "Fill in role and password."
     assert length(Users.list(console.gateway)) == 3
   end
 
@@ -99,7 +99,7 @@ defmodule Aerie.Console.Pages.Settings.PageTest do
           {"change-password", %{"name" => "admin", "password" => "a-password-of-eve"}},
           {"remove", %{"name" => "admin"}}
         ],
-        do: assert(render_click(view, event, value) =~ "it needs the role admin")
+        do: assert(render_click(view, event, value) =~ "Ask an admin.")
 
     assert Enum.map(Users.list(console.gateway), & &1.role) == [:admin, :operator, :viewer]
 
@@ -162,8 +162,8 @@ defmodule Aerie.Console.Pages.Settings.PageTest do
     refute File.exists?(Path.join(console.dir, "keys"))
     {:ok, operator, _html} = live(conn(console, :operator), "/settings")
     form = %{"name" => "eve", "role" => "admin", "expires" => ""}
-    assert render_click(operator, "add-key", form) =~ "it needs the role admin"
-    assert render_click(operator, "revoke-key", %{"name" => "wall"}) =~ "it needs the role admin"
+    assert render_click(operator, "add-key", form) =~ "Ask an admin."
+    assert render_click(operator, "revoke-key", %{"name" => "wall"}) =~ "Ask an admin."
   end
 
   defp status(console, key) do

@@ -98,7 +98,7 @@ defmodule Aerie.Console.Pages.Shadow.PageTest do
 
     viewer = open(console, :viewer)
     refute has_element?(viewer, "#desire")
-    assert render_click(viewer, "remove_all") =~ "As viewer you may not do this"
+    assert render_click(viewer, "remove_all") =~ "Viewers can&#39;t do this"
 
     admin = open(console)
     admin |> element("button", "Remove all") |> render_click()

@@ -89,7 +89,7 @@ defmodule Aerie.Console.Pages.Vehicle.ControlTest do
     assert obstacles.("takeoff") =~ ~r"it is in the air"i
     put(console, mode: %{failsafe: true, system_status: "CRITICAL"}, battery: %{charge_state: "CRITICAL"})
     html = obstacles.("mission_start")
-    for words <- ["The policy allows it", "Battery critical.", "Failsafe active"], do: assert(html =~ words)
+    for words <- ["Allowed", "Battery critical.", "Failsafe active"], do: assert(html =~ words)
     refute obstacles.("land") =~ "obstacles"
     put(console, mission: %{total: 0})
     assert obstacles.("mission_start") =~ "It has no mission."

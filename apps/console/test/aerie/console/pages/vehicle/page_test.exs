@@ -39,10 +39,10 @@ defmodule Aerie.Console.Pages.Vehicle.PageTest do
       refute has_element?(view, "form[phx-hook=CommandForm]")
     end
 
-    assert give(view, "land", "a") =~ "As viewer you may not do this"
+    assert give(view, "land", "a") =~ "Viewers can&#39;t do this"
 
     for {event, value} <- [{"cancel", %{"id" => "a"}}, {"aim", %{}}],
-        do: assert(render_hook(view, event, value) =~ "As viewer")
+        do: assert(render_hook(view, event, value) =~ "Viewers can")
 
     render_hook(view, "map_point", %{"lat" => 47.0, "lon" => 8.0})
     refute has_element?(view, "#goto-title")
@@ -147,10 +147,10 @@ defmodule Aerie.Console.Pages.Vehicle.PageTest do
     assert has_element?(view, "#command-altitude")
 
     fields = %{"lat" => "47.0001", "lon" => "8.0", "altitude" => "500"}
-    assert view |> element("#command-form-goto") |> render_change(fields) =~ "The policy refuses it"
+    assert view |> element("#command-form-goto") |> render_change(fields) =~ "Not allowed"
 
     assert view |> element("#command-form-goto") |> render_change(%{fields | "altitude" => "50"}) =~
-             "The policy allows it"
+             "Allowed"
 
     assert give(view, "goto", "g1", %{"fields" => %{fields | "altitude" => "high"}}) =~
              "expected a number from -11000"
@@ -195,7 +195,7 @@ defmodule Aerie.Console.Pages.Vehicle.PageTest do
     assert has_element?(view, ".goto-panel [data-answer=allow]")
     assert has_element?(view, ".goto-panel", "33 m away")
 
-    assert view |> element("#goto-form") |> render_change(%{"altitude" => "300"}) =~ "The policy refuses it"
+    assert view |> element("#goto-form") |> render_change(%{"altitude" => "300"}) =~ "Not allowed"
     assert has_element?(view, "#action-goto[disabled]")
     assert view |> element("#goto-form") |> render_change(%{"altitude" => "x"}) =~ "expected a number"
     view |> element("#goto-form") |> render_change(%{"altitude" => "30"})

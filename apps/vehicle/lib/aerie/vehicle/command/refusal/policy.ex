@@ -86,7 +86,7 @@ defmodule Aerie.Vehicle.Command.Refusal.Policy do
      breach: "%{how}; force sends it nevertheless"},
     {:disarmed, @by, :denied, 403, "a disarmed vehicle would store it, and move when it is armed",
      "arm the vehicle first",
-     disarmed: "the vehicle is disarmed, and %{command} would move it as soon as it is armed: arm it first"},
+     disarmed: "arm the vehicle first: %{command} now would move it as soon as it is armed"},
     {:rate, @by, :denied, 429, "this source sends more than the rates allow",
      "send less often, or change `policy.rates`",
      rate: "%{source} may command %{command} of %{vehicle} %{rate}; the next one is allowed in %{seconds} s",

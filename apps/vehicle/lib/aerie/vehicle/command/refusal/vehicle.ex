@@ -33,7 +33,7 @@ defmodule Aerie.Vehicle.Command.Refusal.Vehicle do
       answered_busy: "the vehicle answered TEMPORARILY_REJECTED",
       answered_form: "the vehicle answered %{result}, and there is no other way to say it",
       mavlink_1: "this vehicle speaks MAVLink 1, which has no %{lacking}; set its port to MAVLink 2",
-      stored: "it is disarmed, and %{command} would move it as soon as it is armed: arm it first",
+      stored: "arm it first: %{command} now would move it as soon as it is armed",
       on_ground: "it is on the ground",
       home_height_unknown: "the height of its home is not known yet",
       no_terrain: "it takes no heights above the ground below",

@@ -22,7 +22,7 @@ defmodule Aerie.Console.Pages.Vehicle.Charts.Series do
     "position.lat" => "Latitude",
     "position.lon" => "Longitude",
     "position.alt_msl" => "Altitude (MSL)",
-    "position.alt_rel" => "Height above home",
+    "position.alt_rel" => "Height (above home)",
     "position.heading" => "Heading",
     "attitude.roll" => "Roll",
     "attitude.pitch" => "Pitch",

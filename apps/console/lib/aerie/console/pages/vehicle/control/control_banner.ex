@@ -33,14 +33,14 @@ defmodule Aerie.Console.Pages.Vehicle.Control.ControlBanner do
           <.button type="submit" kind="primary">{if @relation == :other, do: "Take over", else: "Take charge"}</.button>
         </form>
         <form :if={@relation == :own} id="charge-offer" class="control" phx-hook="CommandForm" phx-auto-recover="ignore" data-type="hand_over_control" data-value={@value}>
-          <.field id="charge-to" name="to" label="Hand over to (blank = anyone)" maxlength="64" autocomplete="off" />
+          <.field id="charge-to" name="to" label="Hand over to (blank: anyone)" maxlength="64" autocomplete="off" />
           <.button type="submit">Hand over</.button>
         </form>
         <form :if={@relation == :own or (@relation == :other and @user.role == :admin)} id="charge-release" phx-hook="CommandForm" phx-auto-recover="ignore" data-type="release_control" data-value={@value}>
           <.button type="submit">Release</.button>
         </form>
       </div>
-      <p class="hint">Everyone allowed to may still hold, return or land it.</p>
+      <p class="hint">Anyone with the right can still hold, return or land it.</p>
     </details>
     """
   end

@@ -20,6 +20,18 @@ defmodule Aerie.Console.Pages.Vehicle.Health.Calibration do
   @spec positions() :: [String.t()]
   def positions, do: values("calibrate_position", :position)
 
+  @titles %{
+    "accelerometer_simple" => "Accelerometer (one position)",
+    "rc" => "Radio",
+    "esc" => "ESCs",
+    "compass_motor" => "Compass/motor",
+    "magnetometer" => "Compass"
+  }
+
+  @doc "A sensor or position for people."
+  @spec title(String.t()) :: String.t()
+  def title(name), do: @titles[name] || name |> String.replace("_", " ") |> String.capitalize()
+
   @doc "Whether a command belongs to calibration."
   @spec command?(String.t()) :: boolean()
   def command?(name), do: name in @commands

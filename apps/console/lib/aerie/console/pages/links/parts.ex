@@ -250,7 +250,9 @@ defmodule Aerie.Console.Pages.Links.Parts do
         <.field id="add-url" name="url" label="Address" value={@form["url"]} required autofocus spellcheck="false" hint="udpin:0.0.0.0:14551, tcp:HOST:5760, serial:auto, /dev/ttyUSB0,57600, ws://HOST/PATH" errors={List.wrap(@error)} />
         <.field id="add-id" name="id" label="Name" value={@form["id"]} hint="Default: the address" />
         <.field id="add-network" name="network" label="Network" value={@form["network"]} hint="Default: main" />
-        <p class="muted">Temporary: gone when the gateway stops. Its page has it as configuration, to make it permanent.</p>
+        <p class="muted">
+          Temporary: gone when the gateway stops. Its page has it as configuration, to make it permanent.
+        </p>
         <.button type="submit" kind="primary">Add</.button>
       </form>
     </.dialog>

@@ -83,7 +83,7 @@ defmodule Aerie.Console.Pages.Plan.Panel do
       </span>
       <p :if={@why && @gap == nil && Roles.at_least?(@user.role, :operator)} id="plan-why" class="hint">{@why}.</p>
       <p :if={@gap} id="plan-gap" class="notice info" role="note"><.icon name="info" /> <span>{@gap}.</span></p>
-      <form
+          <form
         :if={@vehicle && @outside? && Roles.at_least?(@user.role, :operator)}
         id="plan-agree"
         phx-change="agree"
@@ -99,8 +99,11 @@ defmodule Aerie.Console.Pages.Plan.Panel do
           value={@agreed == @shown}
         />
       </form>
-      <p :if={@gap == nil && @vehicle && @sent != [] && Roles.at_least?(@user.role, :operator)} id="plan-sends" class="muted">Sends: {Enum.join(@sent, ", ")}. What else is aboard stays as it is.</p>
-    </div>
+      <p
+        :if={@gap == nil && @vehicle && @sent != [] && Roles.at_least?(@user.role, :operator)} id="plan-sends"
+        class="muted"
+      >Sends: {Enum.join(@sent, ", ")}. What else is aboard stays as it is.</p>
+        </div>
     """
   end
 

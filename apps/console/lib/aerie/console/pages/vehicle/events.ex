@@ -22,7 +22,7 @@ defmodule Aerie.Console.Pages.Vehicle.Events do
         <.field id="events-level" name="level" type="select" label="Severity" options={levels()} value={@level} />
         <.field id="events-search" name="search" type="search" label="Search" value={@search} phx-debounce="150" autocomplete="off" />
         <.button icon={if @paused, do: "play", else: "pause"} phx-click="events_pause" aria-pressed={to_string(@paused)}>{if @paused, do: "Resume", else: "Pause"}</.button>
-        <span class="muted" role="status">{if length(@lines) == @total, do: "#{@total} events", else: "#{length(@lines)} of #{@total} events"}</span>
+        <span class="muted" role="status">{count(length(@lines), @total)}</span>
       </form>
       <.empty :if={@lines == []} icon="list" title={nothing(@total, @via)}>
         Texts from the vehicle, mode changes, failsafes and other events appear here.
@@ -31,6 +31,9 @@ defmodule Aerie.Console.Pages.Vehicle.Events do
     </section>
     """
   end
+
+  defp count(total, total), do: "#{total} events"
+  defp count(shown, total), do: "#{shown} of #{total} events"
 
   defp nothing(0, nil), do: "No events yet"
   defp nothing(0, _via), do: "This gateway has no events from it"

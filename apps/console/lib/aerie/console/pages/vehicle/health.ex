@@ -79,11 +79,17 @@ defmodule Aerie.Console.Pages.Vehicle.Health do
         <p :if={@workshop} class="notice info" role="note"><.icon name="lock" /> <span>Not now: {@workshop}.</span></p>
         <EntryList.lives id="calibrations" lives={@calibrations} now={@now} user={@user} />
         <div :if={@workshop == nil} class="row">
-          <.hold_button :for={sensor <- @calibrate} id={"calibrate-#{sensor}"} event="command" kind="plain" hold_ms={500} phx-value-type="calibrate" phx-value-sensor={sensor}>{Calibration.title(sensor)}</.hold_button>
+          <.hold_button
+            :for={sensor <- @calibrate} id={"calibrate-#{sensor}"} event="command" kind="plain" hold_ms={500}
+            phx-value-type="calibrate" phx-value-sensor={sensor}
+          >{Calibration.title(sensor)}</.hold_button>
         </div>
         <div :if={@workshop == nil and Actions.able?("calibrate_position", assigns)} class="row" role="group" aria-label="Position">
           <span class="muted">Position:</span>
-          <.hold_button :for={position <- Calibration.positions()} id={"lies-#{position}"} event="command" kind="plain" hold_ms={500} phx-value-type="calibrate_position" phx-value-position={position}>{Calibration.title(position)}</.hold_button>
+          <.hold_button
+            :for={position <- Calibration.positions()} id={"lies-#{position}"} event="command" kind="plain"
+            hold_ms={500} phx-value-type="calibrate_position" phx-value-position={position}
+          >{Calibration.title(position)}</.hold_button>
         </div>
         <div class="row">
           <.hold_button :if={@workshop == nil and Actions.able?("calibrate_accept", assigns)} id="calibrate-accept" event="command" kind="plain" hold_ms={500} icon="check" phx-value-type="calibrate_accept">Save compass calibration</.hold_button>

@@ -1,5 +1,5 @@
 defmodule Aerie.System.TracksTest do
-  @moduledoc "An ArduPilot, a PX4 and an iNav while the gateway is killed: their tracks have both parts, and nothing between them."
+  @moduledoc "An ArduPilot, a PX4 and an iNav while the gateway is killed: their tracks have both parts and the gap."
 
   use Aerie.RunCase, async: true
 

@@ -34,6 +34,7 @@ defmodule Aerie.Console.Pages do
     {"/plan", Pages.Plan.Page, "Plan", "plan", "p", true},
     {"/params", Pages.Params.Page, "Parameters", "params", "m", false},
     {"/alarms", Pages.Alarms.Page, "Alarms", "bell", "a", true},
+    {"/events", Pages.Events.Page, "Events", "list", "e", false},
     {"/replay", Pages.Replay.Page, "Replay", "restart", "t", false},
     {"/links", Pages.Links.Page, "Links", "link", "l", false},
     {"/inspector", Pages.Inspector.Page, "Inspector", "inspector", "i", false},

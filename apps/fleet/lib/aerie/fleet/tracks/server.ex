@@ -52,15 +52,16 @@ defmodule Aerie.Fleet.Tracks.Server do
   @impl GenServer
   def handle_continue(:open, state) do
     state = open(state)
-    if state.timer?, do: Process.send_after(self(), :tick, @first_ms)
+    _ = if state.timer?, do: Process.send_after(self(), :tick, @first_ms)
     {:noreply, state}
   end
 
   @impl GenServer
   def handle_info(:tick, state) do
     # At full seconds, so that all vehicles have the same ones.
-    if state.timer?,
-      do: Process.send_after(self(), :tick, @tick_ms - rem(System.os_time(:millisecond), @tick_ms))
+    _ =
+      if state.timer?,
+        do: Process.send_after(self(), :tick, @tick_ms - rem(System.os_time(:millisecond), @tick_ms))
 
     {:noreply, state |> open() |> tick(System.os_time(:microsecond))}
   end

@@ -10,6 +10,7 @@ defmodule Aerie.Console.Pages.Vehicle.Events.Timeline do
   @typedoc "`:tone` of `severity` (0 emergency to 7 debug): `:bad` to 3, `:warn` for 4, `:plain` for the rest."
   @type line :: %{
           id: String.t(),
+          vehicle: String.t(),
           time: integer(),
           type: String.t(),
           severity: 0..7,
@@ -43,7 +44,7 @@ defmodule Aerie.Console.Pages.Vehicle.Events.Timeline do
     %{severity: severity} = shown = Fleet.describe_event(event)
 
     event
-    |> Map.take([:id, :time, :type])
+    |> Map.take([:id, :vehicle, :time, :type])
     |> Map.merge(shown)
     |> Map.merge(%{name: Enum.at(@names, severity), tone: tone(severity)})
   end

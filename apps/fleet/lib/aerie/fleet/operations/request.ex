@@ -171,7 +171,7 @@ defmodule Aerie.Fleet.Operations.Request do
            targets: targets(what, got),
            what: what,
            plan: %{step: got.step, pause_ms: round(got.pause_s * 1000), halt_ratio: got.halt_ratio / 1},
-           timeout_ms: ms(got.timeout_s || usual_s(what)),
+           timeout_ms: timeout_ms(what, got.timeout_s),
            name: got.name,
            await: got.await,
            on_halt: got.on_halt,
@@ -257,15 +257,15 @@ defmodule Aerie.Fleet.Operations.Request do
 
   @doc "The time of a step, if the request does not say: in milliseconds."
   @spec usual_ms(Sequence.step()) :: pos_integer()
-  def usual_ms(step), do: ms(usual_s(step))
+  def usual_ms(step), do: round(usual_s(step) * 1000)
 
-  defp ms(nil), do: nil
-  defp ms(seconds), do: round(seconds * 1000)
+  # In a sequence each step has its own.
+  defp timeout_ms({:sequence, _vehicles}, nil), do: nil
+  defp timeout_ms(what, nil), do: usual_ms(what)
+  defp timeout_ms(_what, seconds), do: round(seconds * 1000)
 
   # By a slow radio a field takes seconds, and a plan minutes.
   defp usual_s({:command, _type, _params}), do: 10
-  # Each step has its own.
-  defp usual_s({:sequence, _vehicles}), do: nil
 
   defp usual_s({:shadow, %{"desired" => desired}}) do
     fields = for {_name, value} <- desired, do: if(is_map(value), do: map_size(value), else: 1)

@@ -103,12 +103,9 @@ defmodule Aerie.Fleet.Operations.Server do
     state = %{gateway: gateway, dir: options[:dir], tasks: tasks, running: %{}, work: %{}}
     state = load(state)
 
-    for entry <- entries(gateway),
-        not Core.over?(entry.core),
-        do: keep(state, entry, Core.interrupted(entry.core), [])
-
-    forget(state, @max_known)
-    {:ok, state}
+    stale = Enum.reject(entries(gateway), &Core.over?(&1.core))
+    state = Enum.reduce(stale, state, &go_on(&1, {Core.interrupted(&1.core), []}, &2))
+    {:ok, forget(state, @max_known)}
   end
 
   defp load(%{dir: nil} = state), do: state

@@ -1,0 +1,132 @@
+defmodule Aerie.System.SequenceTest do
+  @moduledoc """
+  A take-off of ArduPilot, PX4 and Betaflight together behind a whole gateway: one after the other, with one that
+  cannot, with another operator, and with a gateway that is started again in the middle.
+  """
+
+  use Aerie.SystemCase, async: true
+
+  alias Aerie.Control.Commands
+  alias Aerie.Control.Policy.Audit
+  alias Aerie.Fleet
+  alias SimVehicle.Msp
+
+  @moduletag :tmp_dir
+  @moduletag :capture_log
+  @ann %{name: "ann", role: :operator, permissions: []}
+  @ben %{name: "ben", role: :operator, permissions: []}
+  # Two of each firmware and one of MSP; a hundred metres apart.
+  @fleet [{1, :ardupilot}, {2, :px4}, {3, :ardupilot}, {4, :px4}]
+  @msp 7
+
+  setup %{tmp_dir: folder} do
+    msp = start_supervised!({Msp, firmware: :betaflight, uid: @msp})
+    links = ["udpin:127.0.0.1:0", "msp:tcp:127.0.0.1:#{Msp.port(msp)}?sysid=#{@msp}"]
+    # A battery of the simulator need not have the reserve.
+    overrides = %{"timeouts" => patient(), "shadow" => %{"dir" => Path.join(folder, "shadow")}}
+    c = %{folder: folder, links: links, overrides: overrides}
+    %{gateway: gateway} = started = start_gateway(folder, links: links, overrides: overrides)
+    port = link_port(gateway, "link-1")
+
+    sims =
+      Map.new(@fleet, fn {n, firmware} ->
+        home = {47.39 + n / 1000, 8.54, 488.0}
+        options = [link: "udpout:127.0.0.1:#{port}", system: n, home: home] ++ fast_vehicle(firmware)
+        sim = start_supervised!({SimVehicle, options}, id: n)
+        SimVehicle.await(sim, & &1.ready)
+        {n, sim}
+      end)
+
+    for {n, _firmware} <- @fleet, do: await_standing(gateway, {"main", n})
+    eventually(fn -> data(gateway, :health, {"main", @msp})[:ready_to_arm] end, "the one with MSP is known")
+    Map.merge(c, %{gateway: gateway, started: started, sims: sims, port: port})
+  end
+
+  defp id(n), do: "VID-00#{n}"
+
+  # What is asked of readiness is tested elsewhere; here the vehicles are simulated ones.
+  defp take_off(c, ns, more \\ %{}) do
+    sequence =
+      for n <- ns do
+        c.gateway |> Fleet.vehicle(id(n)) |> Fleet.take_off(10 + n, 3, true) |> patiently()
+      end
+
+    request = %{"id" => "up", "name" => "Take off", "sequence" => sequence, "timeout_s" => 120}
+    Fleet.begin_operation(c.gateway, Map.merge(request, more), @ann, "elixir")
+  end
+
+  # A busy machine flies slowly.
+  defp patiently(%{"steps" => steps} = vehicle),
+    do: %{
+      vehicle
+      | "steps" => for(step <- steps, do: if(step["wait"], do: %{step | "timeout_s" => 600}, else: step))
+    }
+
+  defp look(c, id \\ "up"), do: c.gateway |> Fleet.operation(id) |> elem(1)
+  defp await(c, id \\ "up", words, holds), do: eventually(fn -> holds.(look(c, id)) end, words)
+  defp armed(c, n), do: SimVehicle.state(c.sims[n]).armed
+
+  test "ArduPilot and PX4 go up one after the other; one that has MSP and no permission halts it, and the rest stays",
+       c do
+    {:ok, _begun} = take_off(c, [1, 2, @msp, 3, 4])
+    halted = await(c, "it is halted", &(&1["state"] == "halted" && &1))
+    assert %{"counts" => %{"ok" => 2, "failed" => 1, "waiting" => 2}} = halted
+    assert %{"result" => "denied", "reason" => reason} = halted["vehicles"][id(@msp)]
+    assert reason =~ "receiver"
+    for n <- [1, 2], do: assert(SimVehicle.state(c.sims[n]).alt_rel > 2)
+    for n <- [3, 4], do: refute(armed(c, n))
+
+    # Another operator goes on without it, and aborts when the next one is up.
+    {:ok, %{"source" => "ben"}} = Fleet.change_operation(c.gateway, "up", :continue, @ben, "elixir")
+    await(c, "the third is up", &(&1["vehicles"][id(3)]["state"] == "ok"))
+    {:ok, %{"then" => back}} = Fleet.change_operation(c.gateway, "up", {:abort, "land"}, @ben, "elixir")
+    done = await(c, back, "all have been told", &(&1["state"] == "done" && &1))
+    for n <- [1, 2, 3], do: assert(%{"state" => "ok"} = done["vehicles"][id(n)])
+    for n <- [1, 2, 3, 4], do: SimVehicle.await(c.sims[n], &(not &1.armed))
+    assert %{"state" => "stopped"} = look(c)
+  end
+
+  test "a gateway that is killed in the middle knows who had begun, and goes on with the others only", c do
+    {:ok, _begun} = take_off(c, [1, 2, 3])
+    await(c, "the second is under way", &(&1["vehicles"][id(2)]["step"] == "takeoff"))
+    stop_gateway(c.started)
+    links = ["udpin:127.0.0.1:#{c.port}" | tl(c.links)]
+    %{gateway: gateway} = start_gateway(c.folder, links: links, overrides: c.overrides)
+    c = %{c | gateway: gateway}
+    assert %{"state" => "interrupted", "source" => "ann", "counts" => %{"waiting" => 1}} = look(c)
+    assert %{"result" => "unknown"} = look(c)["vehicles"][id(2)]
+    for n <- [1, 2, 3], do: await_standing_or_flying(gateway, n)
+    refute armed(c, 3)
+
+    # Whether the second got its take-off before the end is chance. The third is not armed while it stands armed.
+    settled = fn -> data(gateway, :mode, {"main", 2}) |> then(&(&1[:in_air] or not &1[:armed])) end
+
+    eventually(
+      fn -> settled.() or (disarm(gateway, id(2)) && settled.()) end,
+      "the second one flies, or was disarmed"
+    )
+
+    eventually(
+      fn -> match?({:ok, _now}, Fleet.change_operation(gateway, "up", :continue, @ben, "elixir")) end,
+      "it goes on, once the vehicles are known again"
+    )
+
+    done = await(c, "the third is up", &(&1["state"] == "done" && &1))
+    assert %{"state" => "ok"} = done["vehicles"][id(3)]
+    # The second was not commanded again.
+    takeoffs = for %{"command" => "takeoff", "vehicle" => vehicle} <- decisions(c), do: vehicle
+    assert Enum.sort(takeoffs) == [id(1), id(2), id(3)]
+  end
+
+  defp await_standing_or_flying(gateway, n),
+    do:
+      eventually(fn -> is_boolean(data(gateway, :mode, {"main", n})[:in_air]) end, "#{id(n)} is heard again")
+
+  defp disarm(gateway, id),
+    do: Commands.submit(gateway, vehicle: id, type: "disarm", deadline: System.os_time(:second) + 60)
+
+  defp decisions(c) do
+    {:ok, %{records: records}} = Audit.page(Path.join(c.folder, "audit"), %{type: "decision", limit: 200})
+    records
+  end
+end

@@ -242,6 +242,11 @@ const tasks = {
       return;
     }
     equal("the choices", await question.locator("button, a").allTextContents(), ["Use OpenStreetMap", "Stay without"]);
+    await question.getByLabel("Open a file…").setInputFiles({ name: "bad.pmtiles", mimeType: "", buffer: Buffer.from("SQLite format 3\0") });
+    await until("why it is not taken", async () => /MBTiles/.test(await page.textContent(".map-panel")));
+    complaints.length = 0; // the browser names the refusal
+    await page.click(".map-panel button");
+
     await question.getByText("Use OpenStreetMap").click();
     await until("the tiles are drawn", () => page.evaluate(() => {
       const { map } = document.querySelector("#fleet-map").fleetMap;
@@ -281,6 +286,21 @@ const tasks = {
     await page.click("[data-tool=layers]");
     await page.getByText(count).click();
     await until("the layer again", tiles);
+  },
+
+  // An admin opens the file `count`, sees it, and removes it.
+  async upload() {
+    const page = await open();
+    await ready(page);
+    await page.locator(".map-panel").getByLabel("Open a file…").setInputFiles(count);
+    const drawn = () => page.evaluate(() => { const { map } = document.querySelector("#fleet-map").fleetMap; return map.getLayer("tiles")?.type === "raster" && map.areTilesLoaded(); });
+    await until("the file is drawn", drawn);
+    equal("the question is gone", await page.locator(".map-panel").count(), 0);
+    await page.click("[data-tool=layers]");
+    equal("the choices", await page.locator(".map-panel label:has([type=radio])").allTextContents(), ["own", "None"]);
+    page.once("dialog", (dialog) => dialog.accept());
+    await page.getByText("Remove own").click();
+    await until("it is gone", async () => !(await drawn()) && page.locator(".map-panel[data-name=map-question]").isVisible());
   },
 
   async missing() {

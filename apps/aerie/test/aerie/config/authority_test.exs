@@ -49,7 +49,7 @@ defmodule Aerie.Config.AuthorityTest do
     shadow.max_tries shadow.lease_s shadow.dir shadow.buckets.desired_max_mb shadow.buckets.desired_history
     shadow.buckets.reported_max_mb shadow.buckets.reported_max_age_days shadow.buckets.plans_max_mb
     shadow.buckets.plans_max_age_days
-    http.port console.dir console.max_pages console.map.dir console.map.cache_mb
+    http.port console.dir console.max_pages console.map.dir console.map.cache_mb console.map.upload_mb
     console.map.layers[].id console.map.layers[].name console.map.layers[].kind console.map.layers[].url
     console.map.layers[].file console.map.layers[].key_file console.map.layers[].attribution
     console.map.layers[].min_zoom console.map.layers[].max_zoom

@@ -13,7 +13,8 @@ export async function described(tiles, { addProtocol }) {
     const url = new URL(tiles.archive, location.href).href;
     const file = new PMTiles(url);
     (await protocol).add(file);
-    return { ...tiles, ...(await contents(file)), url: `pmtiles://${url}/{z}/{x}/{y}` };
+    const found = await contents(file);
+    return { ...tiles, ...found, attribution: tiles.attribution ?? found.attribution, url: `pmtiles://${url}/{z}/{x}/{y}` };
   } catch (error) {
     console.warn("map: the tiles cannot be read:", error?.message ?? error);
     return null;
@@ -31,10 +32,13 @@ async function contents(file) {
   const { tileType, minZoom, maxZoom, minLon, minLat, maxLon, maxLat } = await file.getHeader();
   const type = TYPES[tileType];
   if (!type) throw new Error("their type is unknown");
-  const layers = type === "vector" ? ((await file.getMetadata())?.vector_layers ?? []).map(({ id }) => id) : [];
+  const metadata = await file.getMetadata();
+  const layers = type === "vector" ? (metadata?.vector_layers ?? []).map(({ id }) => id) : [];
+  // Writers put links into it.
+  const attribution = new DOMParser().parseFromString(`${metadata?.attribution ?? ""}`, "text/html").body.textContent.slice(0, 200);
   // Many writers omit the bounds.
   const bounds = minLon < maxLon && minLat < maxLat ? [minLon, minLat, maxLon, maxLat] : null;
-  return { type, layers, minzoom: minZoom, maxzoom: maxZoom, bounds };
+  return { type, layers, attribution, minzoom: minZoom, maxzoom: maxZoom, bounds };
 }
 
 // The package sets a global; it is not a module.

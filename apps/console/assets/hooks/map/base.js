@@ -81,6 +81,7 @@ export class Base {
       ? [
           element("p", { textContent: "The gateway can fetch the map of OpenStreetMap and keep what was looked at, so that it is there without internet. This page itself loads nothing from elsewhere." }),
           button("Use OpenStreetMap", () => this.answer(true)),
+          this.file("Open a file…"),
           button("Stay without", () => this.answer(false)),
         ]
       : [element("p", { textContent: "An admin can choose one on this map." }), button("Hide", hide)];
@@ -90,15 +91,53 @@ export class Base {
   async answer(yes) {
     const kept = await fetch("/tiles", { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify({ openstreetmap: yes }) });
     if (!kept.ok) return this.panel.append(element("p", { role: "alert", textContent: await kept.text() }));
+    await this.renew(null);
+  }
+
+  // A button that sends a PMTiles file to the gateway; while it is under way, the button stops it.
+  file(text) {
+    const label = element("label", { className: "button", textContent: text });
+    const input = element("input", { type: "file", accept: ".pmtiles", className: "visually-hidden" });
+    input.addEventListener("change", () => input.files[0] && this.send(input.files[0]));
+    label.append(input);
+    return label;
+  }
+
+  send(file) {
+    const name = file.name.replace(/\.pmtiles$/i, "").replace(/[^A-Za-z0-9_-]+/g, "-").slice(0, 40) || "map";
+    const request = new XMLHttpRequest();
+    const progress = element("p", { role: "status", textContent: `Sending ${file.name} …` });
+    this.panelOf("map-upload", "Map file", [progress, button("Cancel", () => { request.abort(); this.show(); })]);
+    request.upload.addEventListener("progress", ({ loaded, total }) => { progress.textContent = `Sending ${file.name}: ${Math.floor((100 * loaded) / total)} %`; });
+    request.addEventListener("loadend", async () => {
+      if (request.status === 200) return this.renew(`file-${name}`);
+      progress.textContent = request.responseText || "It was not sent.";
+      progress.setAttribute("role", "alert");
+    });
+    request.open("PUT", `/tiles/${name}`);
+    request.setRequestHeader("content-type", "application/vnd.pmtiles");
+    request.send(file);
+  }
+
+  async remove(id, name) {
+    if (!window.confirm(`Remove the map file ${name} from the gateway, for all?`)) return;
+    const gone = await fetch(`/tiles/${id}`, { method: "DELETE" });
+    if (!gone.ok) return this.panel.append(element("p", { role: "alert", textContent: await gone.text() }));
+    await this.renew(null);
+  }
+
+  // Other layers are offered now; `id` is the one to show.
+  async renew(id) {
     this.offer = await offered();
+    if (id) localStorage.setItem(KEPT, id);
+    else localStorage.removeItem(KEPT);
     this.show();
-    localStorage.removeItem(KEPT);
     await this.apply();
   }
 
   // Whether there is anything to choose from, or to decide.
   get open() {
-    return this.offer.layers.length > 0 || this.decides;
+    return this.offer.layers.length > 0 || this.offer.may;
   }
 
   get decides() {
@@ -119,7 +158,8 @@ export class Base {
     });
     const use = !this.offer.openstreetmap;
     const change = button(use ? "Use OpenStreetMap for all" : "Stop using OpenStreetMap", () => this.answer(use));
-    this.panelOf("map-layers", "Base map", this.decides ? [...radios, change] : radios);
+    const removals = this.offer.layers.filter(({ uploaded }) => uploaded).map(({ id, name }) => button(`Remove ${name}`, () => this.remove(id, name)));
+    this.panelOf("map-layers", "Base map", [...radios, ...(this.decides ? [change] : []), ...(this.offer.may ? [this.file("Add a map file…"), ...removals] : [])]);
     this.hook.pressed("layers", true);
     this.panel.querySelector("input:checked").focus();
     this.panel.addEventListener("keydown", (event) => {

@@ -38,11 +38,14 @@ defmodule Aerie.Api.Settings.Map do
       field(
         :dir,
         :path,
-        "Folder of fetched tiles, which can be deleted any time, and of what admins decided about the map.",
+        "Folder of fetched tiles, which can be deleted any time, of uploaded map files, and of what admins decided.",
         default: "var/map"
       ),
       field(:cache_mb, {:integer, 10, 100_000}, "Fetched tiles on the disk; beyond that the oldest ones go.",
         default: 500
+      ),
+      field(:upload_mb, {:integer, 1, 100_000}, "The largest map file that an admin may upload.",
+        default: 4_096
       )
     ]
   end

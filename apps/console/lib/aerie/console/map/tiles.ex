@@ -13,7 +13,7 @@ defmodule Aerie.Console.Map.Tiles do
   alias Aerie.Access.{Changes, PrivateFile}
   alias Aerie.Base.Files.Private
   alias Aerie.Base.Names
-  alias Aerie.Console.Map.Tiles.{Fetcher, Layer}
+  alias Aerie.Console.Map.Tiles.{Fetcher, Layer, Upload}
 
   @role :console_tiles
 
@@ -92,6 +92,19 @@ defmodule Aerie.Console.Map.Tiles do
   @spec openstreetmap(Names.gateway(), boolean(), Changes.by()) :: :ok | {:error, String.t()}
   def openstreetmap(gateway, yes?, by), do: change(gateway, {:openstreetmap, yes?, by})
 
+  @doc "The folder of uploaded files, and how many bytes one may have; nil if the map is not there just now."
+  @spec files(Names.gateway()) :: {Path.t(), pos_integer()} | nil
+  def files(gateway),
+    do: with(%{dir: dir, upload: most} <- Names.value(gateway, @role), do: {Path.join(dir, "files"), most})
+
+  @doc "A file was uploaded: it becomes a layer."
+  @spec uploaded(Names.gateway(), name :: String.t(), Changes.by()) :: :ok | {:error, String.t()}
+  def uploaded(gateway, name, by), do: change(gateway, {:uploaded, name, by})
+
+  @doc "Removes an uploaded file."
+  @spec remove(Names.gateway(), id :: String.t(), Changes.by()) :: :ok | {:error, String.t()}
+  def remove(gateway, id, by), do: change(gateway, {:remove, id, by})
+
   defp change(gateway, change) do
     GenServer.call(Names.via(gateway, @role), change)
   catch
@@ -158,16 +171,29 @@ defmodule Aerie.Console.Map.Tiles do
     end
   end
 
+  # A file that somebody has damaged since is left out.
+  defp files(dir, :all) do
+    dir = Path.join(dir, "files")
+
+    for name <- Upload.names(dir),
+        {:ok, layer} <- [
+          Layer.new(%{id: "file-" <> name, name: name, url: nil, file: Upload.path(dir, name)})
+        ],
+        do: put_in(layer.shown[:uploaded], true)
+  end
+
   defp publish(state) do
     osm = if state.answer, do: [Layer.openstreetmap(state.osm)], else: []
-    layers = state.own ++ osm
+    # A name of the configuration comes first.
+    layers = Enum.uniq_by(state.own ++ files(state.settings.dir, :all) ++ osm, & &1.id)
 
     Names.put_value(state.gateway, @role, %{
       layers: layers,
       by_id: Map.new(layers, &{&1.id, &1}),
       openstreetmap: state.answer,
       fixed?: is_boolean(state.settings.openstreetmap),
-      dir: state.settings.dir
+      dir: state.settings.dir,
+      upload: state.settings.upload_mb * 1_000_000
     })
 
     state
@@ -187,4 +213,23 @@ defmodule Aerie.Console.Map.Tiles do
       {:error, reason} -> {:reply, {:error, "#{file(state)}: #{:file.format_error(reason)}"}, state}
     end
   end
+
+  def handle_call({:uploaded, name, by}, _from, state) do
+    Changes.note(state.gateway, by, "change", %{"action" => "change_map", "uploaded" => name})
+    {:reply, :ok, publish(state)}
+  end
+
+  def handle_call({:remove, "file-" <> name = id, by}, _from, state) do
+    with true <- Upload.name?(name),
+         :ok <- File.rm(Upload.path(Path.join(state.settings.dir, "files"), name)) do
+      Changes.note(state.gateway, by, "change", %{"action" => "change_map", "removed" => name})
+      {:reply, :ok, publish(state)}
+    else
+      {:error, reason} -> {:reply, {:error, "#{id}: #{:file.format_error(reason)}"}, state}
+      false -> {:reply, {:error, "there is no such file"}, state}
+    end
+  end
+
+  def handle_call({:remove, _id, _by}, _from, state),
+    do: {:reply, {:error, "only uploaded files can be removed here"}, state}
 end

@@ -176,6 +176,11 @@ defmodule Aerie.Console.Map.TilesTest do
       assert browse_map(console, "layers", ["OpenStreetMap"]) =~ "ok"
     end
 
+    test "an admin opens a file of this machine", %{tmp_dir: dir} do
+      path = file(dir, pmtiles(2, @png), "own")
+      assert browse_map(start(dir, []), "upload", [path], :admin) =~ "ok"
+    end
+
     test "an operator reads that an admin can choose", %{tmp_dir: dir} do
       assert browse_map(start(dir, []), "base", ["operator"]) =~ "ok"
     end
@@ -226,7 +231,14 @@ defmodule Aerie.Console.Map.TilesTest do
           {%{url: "http://a/{z}/{x}/{y}/{key}", key_file: open_file(dir)}, "others can read it"}
         ] do
       gateway = make_ref()
-      settings = %{layers: [layer(given)], openstreetmap: false, dir: Path.join(dir, "map"), cache_mb: 10}
+
+      settings = %{
+        layers: [layer(given)],
+        openstreetmap: false,
+        dir: Path.join(dir, "map"),
+        cache_mb: 10,
+        upload_mb: 1
+      }
 
       log =
         capture_log(fn -> start_supervised!({Tiles, gateway: gateway, settings: settings}, id: gateway) end)
@@ -337,9 +349,97 @@ defmodule Aerie.Console.Map.TilesTest do
     # After a restart it is known.
     stop_supervised!({:endpoint, console.gateway})
     gateway = make_ref()
-    settings = %{layers: [], openstreetmap: nil, dir: Path.join(dir, "map"), cache_mb: 10}
+    settings = %{layers: [], openstreetmap: nil, dir: Path.join(dir, "map"), cache_mb: 10, upload_mb: 1}
     start_supervised!({Tiles, gateway: gateway, settings: settings})
     assert %{layers: [], ask: false} = Tiles.description(gateway)
+  end
+
+  defp send_file(console, who, name, bytes, more \\ []) do
+    type = Keyword.get(more, :type, ~c"application/vnd.pmtiles")
+    headers = signed_in(console, who) ++ Keyword.get(more, :headers, [])
+
+    {:ok, {{_, status, _}, _headers, body}} =
+      :httpc.request(:put, {~c"#{console.url}/tiles/#{name}", headers, type, bytes}, [], [])
+
+    {status, to_string(body)}
+  end
+
+  defp delete(console, who, id) do
+    {:ok, {{_, status, _}, _headers, body}} =
+      :httpc.request(:delete, {~c"#{console.url}/tiles/#{id}", signed_in(console, who)}, [], [])
+
+    {status, to_string(body)}
+  end
+
+  test "an admin uploads a map file, which is a layer at once and after a restart, and removes it", %{
+    tmp_dir: dir
+  } do
+    console = start(dir, [], %{upload_mb: 1})
+    whole = pmtiles(2, "tile!")
+    assert {200, _words} = send_file(console, :admin, "field", whole)
+
+    assert %{"ask" => false, "layers" => [%{"id" => "file-field", "name" => "field", "uploaded" => true}]} =
+             description(console)
+
+    assert {206, _headers, "PMTiles"} = get(console, "/tiles/file-field", range("0-6") ++ signed_in(console))
+    assert [path] = Path.wildcard(Path.join(dir, "map/files/*"))
+    assert %{mode: mode} = File.stat!(path)
+    assert Bitwise.band(mode, 0o777) == 0o600
+
+    # Nothing else is taken, and nothing is left of it.
+    for {status, words, who, name, bytes, more} <- [
+          {403, "an admin chooses", :viewer, "b", whole, []},
+          {403, "an admin chooses", :operator, "b", whole, []},
+          {403, "origin", :admin, "b", whole, [headers: [{~c"origin", ~c"https://evil.example"}]]},
+          {415, "application/vnd.pmtiles", :admin, "b", whole, [type: ~c"text/plain"]},
+          {422, "a name has", :admin, "b.c", whole, []},
+          {422, "a name has", :admin, "..%2Fb", whole, []},
+          {422, "it is cut off", :admin, "b", binary_part(whole, 0, byte_size(whole) - 1), []},
+          {422, "it is cut off", :admin, "b", "PMTiles" <> <<3>>, []},
+          {422, "not a PMTiles file", :admin, "b", "<html>" <> whole, []},
+          {422, "not a PMTiles file", :admin, "b", "", []},
+          {422, "it is an MBTiles file", :admin, "b", "SQLite format 3" <> <<0>>, []},
+          {413, "console.map.upload_mb", :admin, "b", whole <> String.duplicate("x", 1_000_001), []}
+        ] do
+      assert {^status, text} = send_file(console, who, name, bytes, more)
+      assert text =~ words
+      assert Path.wildcard(Path.join(dir, "map/files/*"), match_dot: true) == [path]
+    end
+
+    :ok = Aerie.Base.Names.register(console.gateway, :console_map_upload, nil)
+    assert {409, "another file" <> _} = send_file(console, :admin, "b", whole)
+
+    gateway = make_ref()
+    settings = %{layers: [], openstreetmap: nil, dir: Path.join(dir, "map"), cache_mb: 10, upload_mb: 1}
+    start_supervised!({Tiles, gateway: gateway, settings: settings})
+    assert %{layers: [%{id: "file-field"}]} = Tiles.description(gateway)
+
+    for who <- [:viewer, :operator], do: assert({403, _words} = delete(console, who, "file-field"))
+    for id <- ~w(file-x field osm file-..%2F..%2Fmap), do: assert({409, _words} = delete(console, :admin, id))
+    assert {200, _words} = delete(console, :admin, "file-field")
+    assert %{"ask" => true, "layers" => []} = description(console)
+    refute File.exists?(path)
+  end
+
+  test "an upload that breaks off leaves nothing in the way of the next", %{tmp_dir: dir} do
+    console = start(dir, [])
+    [{~c"cookie", cookie}] = signed_in(console, :admin)
+    {:ok, socket} = :gen_tcp.connect({127, 0, 0, 1}, console.port, [:binary, active: false])
+
+    :ok =
+      :gen_tcp.send(socket, [
+        "PUT /tiles/a HTTP/1.1\r\nhost: localhost\r\ncontent-type: application/vnd.pmtiles\r\n",
+        "content-length: 5000000\r\ncookie: ",
+        cookie,
+        "\r\n\r\nPMTiles",
+        String.duplicate("x", 2_000_000)
+      ])
+
+    part = Path.join(dir, "map/files/.upload")
+    eventually(fn -> match?({:ok, %{size: size}} when size > 0, File.stat(part)) end)
+    :gen_tcp.close(socket)
+    eventually(fn -> match?({200, _words}, send_file(console, :admin, "a", pmtiles(2, "tile!"))) end)
+    assert [%{"id" => "file-a"}] = description(console)["layers"]
   end
 
   test "what the configuration says about OpenStreetMap is not changed here", %{tmp_dir: dir} do

@@ -5,7 +5,8 @@ defmodule Aerie.Console.Map.Tiles.Handler do
     * `/tiles`: the layers, and what an admin has to decide, as JSON; a POST is an admin's answer
     * `/tiles/LAYER/Z/X/Y`: a tile, of layers that are declared and places that they can have, so nothing else
       can be fetched through the gateway
-    * `/tiles/LAYER`: a range of a PMTiles file (RFC 9110, section 14)
+    * `/tiles/LAYER`: a range of a PMTiles file (RFC 9110, section 14); a PUT by an admin uploads such a file under this
+      name, a DELETE removes an uploaded one
   """
 
   @behaviour :cowboy_handler
@@ -14,6 +15,7 @@ defmodule Aerie.Console.Map.Tiles.Handler do
   alias Aerie.Access.{Changes, Session}
   alias Aerie.Access.Changes.Rights
   alias Aerie.Console.Map.Tiles
+  alias Aerie.Console.Map.Tiles.Upload
   alias Aerie.Control.Policy.Roles
   alias Phoenix.LiveView.Cookie
 
@@ -72,7 +74,37 @@ defmodule Aerie.Console.Map.Tiles.Handler do
   defp serve(:archive, method, gateway, _user, request) when method in ["GET", "HEAD"],
     do: gateway |> Tiles.archive(:cowboy_req.binding(:layer, request)) |> range(request)
 
+  # Pages of other sites cannot send this type without asking first, and the Origin was compared.
+  defp serve(:archive, "PUT", gateway, user, request) do
+    with true <- may?(user),
+         "application/vnd.pmtiles" <- Request.header(request, "content-type"),
+         {dir, most} <- Tiles.files(gateway) do
+      name = :cowboy_req.binding(:layer, request)
+
+      case Upload.store(gateway, dir, name, most, Request.patient(request, 30_000)) do
+        {:ok, request} -> changed(Tiles.uploaded(gateway, name, by(user, request)), request)
+        # The rest of the body is not read.
+        {:error, status, words, request} -> text(closing(request), status, words)
+      end
+    else
+      false -> text(closing(request), 403, "an admin chooses what the map stands on")
+      nil -> text(closing(request), 503, "the map cannot be changed just now; try again")
+      _type -> text(closing(request), 415, "the body must be application/vnd.pmtiles")
+    end
+  end
+
+  defp serve(:archive, "DELETE", gateway, user, request) do
+    if may?(user),
+      do: changed(Tiles.remove(gateway, :cowboy_req.binding(:layer, request), by(user, request)), request),
+      else: text(request, 403, "an admin chooses what the map stands on")
+  end
+
   defp serve(_what, _method, _gateway, _user, request), do: text(request, 405, "method not allowed")
+
+  defp changed(:ok, request), do: text(request, 200, "kept")
+  defp changed({:error, words}, request), do: text(request, 409, words)
+
+  defp closing(request), do: :cowboy_req.set_resp_header("connection", "close", request)
 
   defp may?(user), do: Roles.at_least?(user.role, Rights.least(:change_map))
 

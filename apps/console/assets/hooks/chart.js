@@ -93,6 +93,7 @@ export default {
 
   plot(unit, series) {
     const axis = () => this.muted;
+    const font = `12px ${getComputedStyle(this.el).fontFamily}`;
     const grid = { stroke: () => this.grid, width: 1 };
     const lines = series.map(({ key, label }) => {
       const n = this.series.findIndex((one) => one.key === key);
@@ -105,8 +106,8 @@ export default {
       tzDate: (seconds) => this.uPlot.tzDate(new Date(seconds * 1000), ZONE),
       series: [{ label: ZONE, value: (_plot, v) => (v === null ? "–" : time(v)) }, ...lines],
       // uPlot's own labels have the browser's language: 2:39pm, 1,5.
-      axes: [{ stroke: axis, grid, ticks: grid, values: (_plot, times, _axis, _space, step) => times.map((at) => time(at, step >= 60)) },
-        { stroke: axis, grid, ticks: grid, values: (_plot, values) => values.map(number), label: unit || undefined, labelSize: unit ? 18 : 0, size: 56 }],
+      axes: [{ stroke: axis, font, grid, ticks: grid, values: (_plot, times, _axis, _space, step) => times.map((at) => time(at, step >= 60)) },
+        { stroke: axis, font, labelFont: font, grid, ticks: grid, values: (_plot, values) => values.map(number), label: unit || undefined, labelSize: unit ? 18 : 0, size: 56 }],
       cursor: { sync: { key: this.el.id }, drag: { x: true, y: false, setScale: false } },
       hooks: { setSelect: [(plot) => this.select(plot)] },
     }, this.samples.data(keys), this.list);

@@ -48,7 +48,12 @@ const tasks = {
     await page.setViewportSize({ width: 390, height: 844 });
     const wider = await page.evaluate(() => document.documentElement.scrollWidth - document.documentElement.clientWidth);
     equal("not wider than 390 px", wider, 0);
-    await until(page, () => document.querySelector("#abort-hold").getBoundingClientRect().right <= 390);
+    await page.waitForSelector("#abort-menu[open]");
+    for (const id of ["abort-hold", "abort-menu", "abort-rtl", "abort-land"]) {
+      await until(page, (id) => { const { left, right } = document.getElementById(id).getBoundingClientRect(); return left >= 0 && right > left && right <= 390; }, id);
+    }
+    await page.click("#abort-menu summary");
+    await page.waitForSelector("#abort-menu:not([open])");
   },
 };
 

@@ -53,7 +53,7 @@ defmodule Aerie.Console.UI.HoldButton do
       title={if(@disabled, do: @reason, else: @refusal || "Press and hold")}
       aria-describedby={if(!@disabled and @refusal == nil, do: "hold-note")}
       {@rest}
-    ><.icon :if={@icon} name={@icon} /><span>{render_slot(@inner_block)}</span><kbd :if={@shortcut && @key_refusal == nil}>{@shortcut}</kbd></button>
+    ><.icon :if={@icon} name={@icon} /><span>{render_slot(@inner_block)}</span><kbd :if={@shortcut && @key_refusal == nil}>{String.replace(@shortcut, "Escape", "Esc")}</kbd></button>
     """
   end
 end

@@ -66,7 +66,7 @@ defmodule Aerie.Console.Pages.Operations.StripTest do
     viewer = open(console, :viewer)
     assert has_element?(viewer, "#operation-strip", "1 climbing")
     refute has_element?(viewer, "#operation-strip button")
-    assert render_click(viewer, "operation-stop", %{"operation" => "up"}) =~ "needs the role operator"
+    assert render_click(viewer, "operation-stop", %{"operation" => "up"}) =~ "Ask an operator"
 
     mine = open(console, :operator)
     mine |> element("#operation-strip button", "Pause") |> render_click()
@@ -144,7 +144,7 @@ defmodule Aerie.Console.Pages.Operations.StripTest do
     refute console |> open(:viewer) |> has_element?("#abort-all")
 
     assert console |> open(:viewer) |> render_hook("abort-all", %{"command" => "hold"}) =~
-             "needs the role operator"
+             "Ask an operator"
 
     assert render_hook(view, "abort-all", %{"command" => "terminate"})
     assert Operations.list(console.gateway) == []

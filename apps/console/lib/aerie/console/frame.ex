@@ -94,6 +94,8 @@ defmodule Aerie.Console.Frame do
           <dd>arm the vehicle, on its page</dd>
           <dt><kbd>t</kbd> held</dt>
           <dd>take off to the height in the card, on the vehicle's page</dd>
+          <dt><kbd>1</kbd> to <kbd>9</kbd></dt>
+          <dd>select the vehicles of a tag, on the fleet's page</dd>
           <dt><kbd>Ctrl</kbd> <kbd>k</kbd></dt>
           <dd>go to a vehicle, page, command or parameter by its name</dd>
           <dt><kbd>/</kbd></dt>

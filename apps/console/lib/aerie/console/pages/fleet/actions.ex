@@ -9,7 +9,7 @@ defmodule Aerie.Console.Pages.Fleet.Actions do
   alias Aerie.Vehicle.Snapshot
   alias Aerie.Console.Commands.Catalog
   alias Aerie.Console.Pages.Fleet.{Plans, Selection}
-  alias Aerie.Console.Pages.Fleet.Act.Results
+  alias Aerie.Console.Pages.Fleet.Act.{Height, Results}
 
   @most_reasons 20
 
@@ -34,7 +34,9 @@ defmodule Aerie.Console.Pages.Fleet.Actions do
       assign(assigns, chosen: chosen, value: %{ids: ids}, seen: seen, hidden: hidden, refusal: refusal)
 
     assigns = assign(assigns, able: able(chosen, assigns.user), locked: locked(chosen, assigns.user))
-    assigns = assign(assigns, ground: lifting(ground, assigns.user), mixed: air != [])
+    assigns = assign(assigns, ground: offered(ground, "takeoff", assigns.user), mixed: air != [])
+    climbing = if hidden == nil, do: offered(air, "set_altitude", assigns.user), else: []
+    assigns = assign(assigns, :air, climbing)
 
     ~H"""
     <div class="fleet-dock">
@@ -69,6 +71,7 @@ defmodule Aerie.Console.Pages.Fleet.Actions do
         <.button icon="plan" phx-click={JS.push("plans", value: @value)} aria-pressed={to_string(Enum.all?(@chosen, &Plans.on?(@plans, &1.id)))}>Missions</.button>
         <.button kind="quiet" icon="x" label="Select none" phx-click="none" />
         <.why :if={Enum.any?(@chosen, & &1.readiness)} rows={@chosen} />
+        <Height.height :if={@air != []} value={@value} air={@air} />
         <.charge :if={@hidden == nil and Roles.at_least?(@user.role, :operator)} rows={@chosen} user={@user} />
       </div>
     </div>
@@ -149,11 +152,16 @@ defmodule Aerie.Console.Pages.Fleet.Actions do
     """
   end
 
-  # The ids of those on the ground of a kind that the user can let take off.
-  defp lifting(ground, user) do
-    lifts? = &(Commands.lacks(&1, "takeoff", user) == nil)
-    kinds = for kind <- kinds(ground), lifts?.(kind), do: {kind.autopilot, kind.vehicle_type}
-    for row <- ground, {row.autopilot, row.kind} in kinds, do: row.id
+  # The ids of those of a kind that the user can give this command.
+  defp offered(_rows, _type, %{role: :viewer}), do: []
+
+  defp offered(rows, type, user) do
+    kinds =
+      for kind <- kinds(rows),
+          Commands.lacks(kind, type, user) == nil,
+          do: {kind.autopilot, kind.vehicle_type}
+
+    for row <- rows, {row.autopilot, row.kind} in kinds, do: row.id
   end
 
   # Those that the user may give to at least one of the selected vehicles. The results of the others say why not.

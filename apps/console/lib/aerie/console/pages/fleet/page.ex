@@ -206,6 +206,9 @@ defmodule Aerie.Console.Pages.Fleet.Page do
   def handle_event("sheet_" <> _what = event, value, socket),
     do: {:noreply, Act.Live.sheet(socket, event, value)}
 
+  def handle_event("height", event, socket),
+    do: {:noreply, seen(socket, event, &Act.Live.height(socket, event, &1))}
+
   def handle_event("take_off", event, socket), do: {:noreply, Act.Live.take_off(socket, event)}
   def handle_event("close_results", _value, socket), do: {:noreply, assign(socket, :results, nil)}
 

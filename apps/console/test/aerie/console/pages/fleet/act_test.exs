@@ -2,7 +2,7 @@ defmodule Aerie.Console.Pages.Fleet.ActTest do
   @moduledoc "Acting on several vehicles, without a page: presses, groups, results, and the take-off that is prepared."
   use ExUnit.Case, async: true
 
-  alias Aerie.Console.Pages.Fleet.Act.{Groups, Press, Results, TakeOff}
+  alias Aerie.Console.Pages.Fleet.Act.{Groups, Height, Press, Results, TakeOff}
   alias Aerie.Console.Pages.Fleet.Board.Row
   alias Aerie.Console.Pages.Fleet.Selection
   alias Aerie.Vehicle.Snapshot
@@ -53,6 +53,43 @@ defmodule Aerie.Console.Pages.Fleet.ActTest do
 
       assert {:error, "no vehicle is concerned"} =
                Press.request(%{"id" => "w", "type" => "release_control"}, [])
+    end
+  end
+
+  describe "another height" do
+    defp press(metres, air),
+      do: %{"id" => "web-1", "air" => air, "fields" => %{"metres" => metres}}
+
+    defp higher(event, rows \\ flying()),
+      do: Height.request(event, rows, &%{"A" => 20.04, "B" => 5, "C" => nil}[&1])
+
+    defp flying, do: [row("A", in_air: true), row("B", in_air: true), row("G", in_air: false)]
+
+    test "is as many metres for each, all at once, so that they stay apart" do
+      assert {:ok, %{"id" => "web-1", "name" => "Height -2.5 m", "step" => 100, "sequence" => sequence}} =
+               higher(press("-2.5", ~w(A B)))
+
+      steps = fn altitude -> [%{"type" => "set_altitude", "params" => %{"altitude" => altitude}}] end
+
+      assert sequence == [
+               %{"vehicle" => "A", "steps" => steps.(17.5)},
+               %{"vehicle" => "B", "steps" => steps.(2.5)}
+             ]
+    end
+
+    test "is refused for others than those that were shown, and near the ground" do
+      assert {:error, "B would fly at 1.0 m: land it instead"} = higher(press("-4", ~w(A B)))
+      assert {:error, "not all of them are in the air any more"} = higher(press("5", ~w(A G)))
+      assert {:error, "not all of them are in the air any more"} = higher(press("5", ~w(A X)))
+      assert {:error, "the height of C is not known"} = higher(press("5", ["C"]), [row("C", in_air: true)])
+
+      for metres <- ["", "0", "x", "5 m", "101", "-1e9", nil, 5],
+          do: assert({:error, "give metres" <> _} = higher(press(metres, ["A"])))
+
+      for odd <- [%{}, %{"id" => "w"}, %{press("5", []) | "air" => "A"}],
+          do: assert({:error, _text} = higher(odd))
+
+      assert {:error, _no_id} = higher(%{press("5", ["A"]) | "id" => "no id!"})
     end
   end
 

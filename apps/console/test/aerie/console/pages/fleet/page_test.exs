@@ -49,7 +49,9 @@ defmodule Aerie.Console.Pages.Fleet.PageTest do
 
   test "a row on the ground has its readiness in place of alarms, with every reason", %{console: console} do
     ground = [mode: %{armed: false, in_air: false}, health: %{ready_to_arm: true}]
-    booted = %{time_boot_ms: 60_000, memory: %{mode_names: %{}}}
+    # However slow the machine is, they were heard just now.
+    heard = System.os_time(:microsecond) + 3_600_000_000
+    booted = %{time_boot_ms: 60_000, last_heard: heard, memory: %{mode_names: %{}}}
     put_vehicle(console, "READY", ground, booted)
     put_vehicle(console, "LOW", ground ++ [battery: %{remaining: 0.2}, gps: %{satellites: 6}], booted)
     put_vehicle(console, "FLIES", [], booted)

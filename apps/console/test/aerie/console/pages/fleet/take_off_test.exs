@@ -40,6 +40,12 @@ defmodule Aerie.Console.Pages.Fleet.TakeOffTest do
       time_boot_ms: 60_000,
       memory: %{sources: %{}, mode_names: %{}}
     })
+
+    # However slow the machine is, it was heard just now.
+    later = System.os_time(:microsecond) + 3_600_000_000
+    vehicle = Store.vehicle(console.gateway, "V#{n}")
+    groups = Map.new(vehicle.groups, fn {name, group} -> {name, %{group | at: later}} end)
+    :ok = Store.put_vehicle(console.gateway, vehicle.key, %{vehicle | last_heard: later, groups: groups})
   end
 
   # Takes the commands of a vehicle, tells the test of each, and has them completed.
@@ -234,6 +240,30 @@ defmodule Aerie.Console.Pages.Fleet.TakeOffTest do
     view |> element("#take-off-V2 button", "Leave out") |> render_click()
     assert line(view, "V3") =~ ~r/23 m above home/
     assert view |> element("#take-off-go") |> render() =~ "V3: "
+  end
+
+  test "those in the air fly higher together, those on the ground do not", %{console: console} do
+    for n <- 2..3, do: ground(console, n, mode: %{armed: true, in_air: true}, position: %{alt_rel: 20.0 + n})
+    for n <- 2..3, do: executor(console, n)
+    view = open(console)
+    render_click(view, "all")
+    assert view |> element("#fleet-height-go") |> render() =~ "Change 2 by this"
+    event = %{"ids" => ~w(V1 V2 V3), "air" => ~w(V2 V3), "id" => "web-2", "fields" => %{"metres" => "5"}}
+
+    assert render_hook(view, "height", %{event | "ids" => ["V2"]}) =~
+             "The selection changed; nothing was sent."
+
+    assert render_hook(view, "height", %{event | "air" => ["V1"]}) =~
+             "not all of them are in the air any more"
+
+    assert operations(console) == []
+    render_hook(view, "height", event)
+    for id <- ~w(V2 V3), do: assert_receive({:commanded, ^id, "set_altitude"}, Aerie.Patience.ms())
+    eventually(fn -> match?({:ok, %{"state" => "done"}}, Fleet.operation(console.gateway, "web-2")) end)
+    assert has_element?(view, "#fleet-results h2", "Height +5 m: all 2 done")
+    viewer = open(console, :viewer)
+    render_click(viewer, "all")
+    refute has_element?(viewer, "#fleet-height")
   end
 
   test "a viewer has neither the button nor the events", %{console: console} do

@@ -7,7 +7,7 @@ defmodule Aerie.Console.Pages.Fleet.Act.Live do
   import Phoenix.Component, only: [assign: 2, assign: 3]
   import Phoenix.LiveView, only: [clear_flash: 1, put_flash: 3]
 
-  alias Aerie.Console.Pages.Fleet.Act.{Press, Results, TakeOff}
+  alias Aerie.Console.Pages.Fleet.Act.{Height, Press, Results, TakeOff}
   alias Aerie.Control.Commands
   alias Aerie.Fleet
   alias Aerie.Vehicle.Snapshot
@@ -48,9 +48,19 @@ defmodule Aerie.Console.Pages.Fleet.Act.Live do
 
   @doc "Begins what a press asks for, for these vehicles."
   @spec command(Socket.t(), event :: map(), [String.t()]) :: Socket.t()
-  def command(socket, event, ids) do
-    with {:ok, request} <- Press.request(event, ids),
-         {:ok, socket} <- begin(socket, request) do
+  def command(socket, event, ids), do: pressed(socket, Press.request(event, ids))
+
+  @doc "Begins another height for those of these rows that are in the air."
+  @spec height(Socket.t(), event :: map(), [map()]) :: Socket.t()
+  def height(%{assigns: %{gateway: gateway}} = socket, event, rows) do
+    height =
+      &with(%{} = vehicle <- Fleet.vehicle(gateway, &1), do: Snapshot.data(vehicle, :position)[:alt_rel])
+
+    pressed(socket, Height.request(event, rows, height))
+  end
+
+  defp pressed(socket, request) do
+    with {:ok, request} <- request, {:ok, socket} <- begin(socket, request) do
       clear_flash(socket)
     else
       {:error, text} -> put_flash(socket, :error, "Nothing was sent: #{text}")

@@ -62,7 +62,8 @@ export default {
     const { key, target, ctrlKey, metaKey, altKey } = event;
     if (ctrlKey || metaKey || altKey || typing(target) || document.querySelector("dialog[open]")) return;
     const onMap = target.closest?.(".map");
-    if (key === "Escape") return this.el.querySelector("#replay-live").click();
+    // With Shift it is the header's, which aborts what flies now.
+    if (key === "Escape") return event.shiftKey ? undefined : this.el.querySelector("#replay-live").click();
     if (this.at === null || !this.to || onMap) return;
     if (key === " " && !target.closest?.("button, a, summary")) this.play(!this.timer);
     else if (key === "ArrowLeft") event.shiftKey ? this.seek(this.at - 1) : this.event(-1);

@@ -16,7 +16,10 @@ main(async (browser) => {
   await contains(page, "#replay-badge", `REPLAY ${clock(end - 400)}`);
   await contains(page, "#replay-badge", "min");
   await shown(page, "eagle,kite");
-  equal("buttons that command", await page.locator(".hold-button, [data-hold]").count(), 0);
+  equal("buttons that command", await page.locator("#replay .hold-button, #replay [phx-hook=HoldButton]").count(), 0);
+  // Shift and Escape abort what flies now; they do not lead away.
+  await page.keyboard.press("Shift+Escape");
+  equal("still the replay", new URL(page.url()).pathname, "/replay");
   equal("frame", await page.$eval("#replay", (el) => getComputedStyle(el).borderTopColor), await page.$eval("#replay-badge", (el) => getComputedStyle(el).color));
 
   // A gap is a gap: the eagle is nowhere, on the map and on the time line.

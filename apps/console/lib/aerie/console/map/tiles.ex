@@ -135,17 +135,18 @@ defmodule Aerie.Console.Map.Tiles do
 
   defp remembered(state) do
     read = fn path ->
-      with {:ok, text} <- PrivateFile.read(path) do
-        case JSON.decode(text) do
-          {:ok, %{"openstreetmap" => answer}} when is_boolean(answer) -> {:ok, answer}
-          _damaged -> {:error, "expected JSON with openstreetmap"}
-        end
+      with {:ok, text} <- PrivateFile.read(path),
+           {:ok, %{"openstreetmap" => answer}} when is_boolean(answer) <- JSON.decode(text) do
+        {:ok, answer}
+      else
+        {:error, :enoent} -> {:ok, nil}
+        {:error, words} when is_binary(words) -> {:error, words}
+        _damaged -> {:error, "expected JSON with openstreetmap"}
       end
     end
 
     case PrivateFile.open(state.gateway, file(state), read, "admins are asked about OpenStreetMap again", nil) do
       {:ok, answer} -> %{state | answer: answer}
-      {:error, :enoent} -> state
       {:error, words} -> unusable(state, words)
     end
   end

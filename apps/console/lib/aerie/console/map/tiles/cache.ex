@@ -34,7 +34,7 @@ defmodule Aerie.Console.Map.Tiles.Cache do
          [head, body] <- :binary.split(bytes, "\n"),
          {:ok, %{"until" => until, "bytes" => size} = head} when is_integer(until) <- JSON.decode(head),
          ^size <- byte_size(body) do
-      touch(path, now)
+      _ = touch(path, now)
       %{type: head["type"], gzip?: head["gzip"] == true, etag: head["etag"], until: until, body: body}
     else
       _none -> nil
@@ -62,7 +62,7 @@ defmodule Aerie.Console.Map.Tiles.Cache do
   end
 
   @doc "Removes tiles until at most so many bytes are left, and says how many that are."
-  @spec sweep(Path.t(), most :: non_neg_integer()) :: non_neg_integer()
+  @spec sweep(Path.t(), most :: non_neg_integer()) :: number()
   def sweep(dir, most) do
     files = dir |> files(5) |> Enum.take(@most_files) |> Enum.sort()
     bytes = files |> Enum.map(&elem(&1, 1)) |> Enum.sum()

@@ -50,7 +50,7 @@ defmodule Aerie.Console.Map.Tiles.Fetcher do
   end
 
   @doc "Servers by name with their counts, and the bytes on the disk (nil: not counted yet)."
-  @spec status(Names.gateway()) :: %{servers: %{String.t() => Queue.server()}, bytes: non_neg_integer() | nil}
+  @spec status(Names.gateway()) :: %{servers: %{String.t() => Queue.server()}, bytes: number() | nil}
   def status(gateway) do
     GenServer.call(Names.via(gateway, :console_tile_fetcher), :status)
   catch
@@ -123,7 +123,7 @@ defmodule Aerie.Console.Map.Tiles.Fetcher do
   defp act({:start, key, name, work}, state) do
     case List.keytake(state.idle, name, 0) do
       {{_name, worker, timer}, idle} ->
-        Process.cancel_timer(timer)
+        _ = Process.cancel_timer(timer)
         Worker.fetch(worker, key, work)
         %{state | idle: idle}
 

@@ -30,7 +30,7 @@ defmodule Aerie.Console.Map.Tiles.Fetcher.Worker do
     now = System.os_time(:second)
     answer = Answer.read(answer, work.layer.kind, work.held, now)
     # A full disk keeps nobody from seeing the tile.
-    with {:ok, entry} <- answer, do: Cache.write(work.path, entry)
+    _ = with {:ok, entry} <- answer, do: Cache.write(work.path, entry)
     send(state.owner, {:fetched, self(), key, answer})
     {:noreply, %{state | conn: conn}}
   end

@@ -86,7 +86,7 @@ defmodule Aerie.Control.Mission.OwnFenceTest do
     assert through.(both, ends, @px4) == []
     gap = [{:inclusion, square(0, 200, 100)}, {:inclusion, square(200, 200, 100)}]
     assert ["the way to item 2 goes outside the plan's stay-inside zones 1, 2"] = through.(gap, ends, @px4)
-    # A way that is no way, and one along a border.
+    # A leg of no length, and one along a border.
     assert through.([thin], [waypoint(50, 250), waypoint(50, 250)], @copter) == []
     assert is_list(through.([{:inclusion, square(0, 0, 100)}], [waypoint(0, 0), waypoint(0, 100)], @copter))
   end

@@ -44,7 +44,7 @@ defmodule Aerie.Fleet.Operations.ReadinessTest do
   defp point(gateway, name, viewer \\ :anybody),
     do: Enum.find(Fleet.readiness(gateway, "VID-007", viewer).points, &(&1.name == name))
 
-  test "of a vehicle that nobody knows there is none", %{gateway: gateway} do
+  test "an unknown vehicle has no readiness", %{gateway: gateway} do
     assert Fleet.readiness(gateway, "VID-404") == nil
     assert %{state: :ready} = Fleet.readiness(gateway, "VID-007")
     vehicles = Fleet.vehicles(gateway)
@@ -90,7 +90,7 @@ defmodule Aerie.Fleet.Operations.ReadinessTest do
     assert %{state: :unknown} = Fleet.readiness(gateway, "VID-007")
   end
 
-  test "over NATS and REST it is the same, in the name of the one who asks", %{gateway: gateway} do
+  test "NATS and REST give the same, in the name of the caller", %{gateway: gateway} do
     context = %{gateway: gateway, vehicle: "VID-007", source: nil}
 
     assert {:ok, %{state: :ready, points: [%{name: :link} | _]}} =

@@ -192,7 +192,7 @@ defmodule Aerie.Fleet.Tracks.ServerTest do
     assert File.stat!(first).size > offset
   end
 
-  test "a file that is gone or is none of ours costs only itself", %{tmp_dir: dir} do
+  test "a file that is gone or foreign costs only itself", %{tmp_dir: dir} do
     gateway = gateway()
     File.write!(Path.join(dir, "0000000000000007.tracks"), :binary.copy("nothing of ours", 100))
     File.mkdir_p!(Path.join(dir, "0000000000000008.tracks"))
@@ -312,7 +312,7 @@ defmodule Aerie.Fleet.Tracks.ServerTest do
     assert Settings.on?(settings(dir))
   end
 
-  test "a killed process goes on, and another one's death is none of its", %{tmp_dir: dir} do
+  test "a killed process goes on, and the death of another one does not matter", %{tmp_dir: dir} do
     gateway = gateway()
     put_vehicle(gateway, vehicle())
     first = server(gateway, dir)

@@ -27,7 +27,7 @@ defmodule Aerie.Vehicle.Snapshot.Readiness do
     * `:now` - unix microseconds; `:links` - snapshots of the gateway's links; `:events` - its latest
     * `:aboard` - the state of its desired fields by path (docs/shadow.md), `:unseen` for one that nobody reports;
       without a desired plan there is none
-    * `:holder` - who is in charge; `:viewer` - who asks, `:anybody` for a look as its holder has it
+    * `:holder` - who is in charge; `:viewer` - the name of the caller, `:anybody` for the answer that its holder gets
     * `:reserve` - the charge that it should have, `:floor` - that without which the policy refuses a take-off
   """
   @type beside :: %{

@@ -179,7 +179,7 @@ defmodule Aerie.Console.Pages.Fleet.ActTest do
       assert landed |> Results.follow(%{"A" => row("A", mode: "AUTO", in_air: true)}) |> title() ==
                "Act: A landed"
 
-      # What is told again of the same operation forgets nothing.
+      # A repeated notice of the same operation forgets nothing.
       assert landed |> Results.new(landed.operation, fn _id -> "AUTO" end) |> title() == "Act: A landed"
     end
 

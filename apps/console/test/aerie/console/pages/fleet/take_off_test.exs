@@ -173,7 +173,7 @@ defmodule Aerie.Console.Pages.Fleet.TakeOffTest do
     assert ["V2", 23, "unknown", true] in JSON.decode!(value(view))["vehicles"]
   end
 
-  test "a press for what is no longer so sends nothing", %{console: console} do
+  test "a press for what has changed since sends nothing", %{console: console} do
     view = console |> open() |> sheet()
     shown = value(view)
     ground(console, 2, gps: %{fix: 1})

@@ -123,7 +123,7 @@ defmodule Aerie.Console.Pages.Replay.PageTest do
     assert overview.marks == []
     assert has_element?(view, "#replay[data-at='1796032692'][data-vehicles=kite]")
     assert has_element?(view, "#replay-live[href='/vehicles/kite']")
-    # Nonsense in the address is none of the page's.
+    # The page ignores nonsense in the address.
     {_view, %{rows: []}} = overview(console, :operator, "?vehicles=../x,%00&at=never")
   end
 

@@ -34,7 +34,7 @@ defmodule Aerie.Fleet.Bridge.Events.HistoryTest do
 
       other = start_bridge(config)
       conn = client(await_up(other))
-      # What is none of a vehicle's events.
+      # What is not an event of a vehicle.
       Gnat.pub(conn, "fleet.test.V-1.event.landed", "{")
       Gnat.pub(conn, "fleet.test.V-1.event.landed", JSON.encode!(%{id: 7, vehicle: [], type: "landed"}))
 
@@ -58,7 +58,7 @@ defmodule Aerie.Fleet.Bridge.Events.HistoryTest do
     end
   end
 
-  test "without NATS those of this run, and why there are no others" do
+  test "without NATS, events of this run and the reason why older ones are missing" do
     gateway = make_ref()
     start_supervised!({Store, [gateway: gateway] ++ Aerie.GatewayCase.plugs(%{})})
     start_supervised!({PubSub, gateway: gateway})

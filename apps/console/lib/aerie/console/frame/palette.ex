@@ -16,7 +16,10 @@ defmodule Aerie.Console.Frame.Palette do
 
   @type item :: %{label: String.t(), note: String.t(), to: String.t()}
 
-  @doc "The items whose words contain all words of the query, at most #{@most}, those that begin with it first."
+  @doc """
+  The items whose words contain all words of the query, at most #{@most}, those that begin with it first. Pages and
+  commands of the vehicle that is shown come before pages of the fleet.
+  """
   @spec find(Names.gateway(), Roles.source(), path :: String.t(), query :: term()) :: [item()]
   def find(gateway, user, path, query) do
     query =
@@ -27,11 +30,9 @@ defmodule Aerie.Console.Frame.Palette do
     words = String.split(query)
     shown = shown(gateway, path)
 
-    items =
-      vehicles(gateway) ++
-        pages(user) ++ if(shown, do: sections(shown) ++ commands(shown, user, words), else: [])
+    of_shown = if shown, do: sections(shown) ++ commands(shown, user, words), else: []
 
-    items
+    (vehicles(gateway) ++ of_shown ++ pages(user))
     |> Enum.filter(&fits?(&1, words))
     |> Enum.sort_by(&(not String.starts_with?(String.downcase(&1.label), query)))
     |> Enum.concat(parameters(shown, query))

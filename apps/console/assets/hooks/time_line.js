@@ -14,7 +14,7 @@ const SVG = "http://www.w3.org/2000/svg";
 export class TimeLine {
   constructor(el, { seek, mark, viewed }) {
     Object.assign(this, { el, seek, onMark: mark, viewed, rows: [], marks: [], fine: new Map(), chosen: null });
-    el.innerHTML = `<div class="time-line-scroll"><svg role="slider" tabindex="0" aria-label="Time of the replay"></svg></div>`;
+    el.innerHTML = `<div class="time-line-scroll"><svg role="slider" tabindex="0" aria-label="Time of the replay" aria-valuenow="0" aria-valuetext="Not loaded yet"></svg></div>`;
     this.svg = el.querySelector("svg");
     this.resize = new ResizeObserver(() => this.draw());
     this.resize.observe(el);

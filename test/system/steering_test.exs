@@ -162,7 +162,7 @@ defmodule Aerie.System.SteeringTest do
   test "a disarmed rover is given no target, and so does not drive off when it is armed", %{tmp_dir: folder} do
     c = start(folder, :ardurover, %{})
     target = %{lat: @lat + 0.0003, lon: @lon, altitude: 0}
-    assert %{status: :rejected, reason: "it is disarmed" <> _} = submit(c, "goto", target)
+    assert %{status: :rejected, reason: "arm it first" <> _} = submit(c, "goto", target)
 
     assert %{status: :rejected, reason: "it has no height to change"} =
              submit(c, "set_altitude", %{altitude: 10})

@@ -20,7 +20,8 @@ defmodule Aerie.Fleet.Operations.Readiness do
   @type t :: Snapshot.readiness()
 
   @doc """
-  Whether a vehicle is ready; nil if no gateway knows it. `viewer`: the name of the caller, or `:anybody` for its holder.
+  Whether a vehicle is ready; nil if no gateway knows it. `viewer`: the name of the caller, or `:anybody` for its
+  holder.
   """
   @spec of(Names.gateway(), String.t(), viewer :: String.t() | nil | :anybody) :: t() | nil
   def of(gateway, id, viewer) do

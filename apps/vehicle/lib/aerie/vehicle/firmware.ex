@@ -75,6 +75,17 @@ defmodule Aerie.Vehicle.Firmware do
   @spec action(mode :: String.t() | nil) :: Modes.Action.t() | nil
   defdelegate action(mode), to: Modes.Action, as: :of
 
+  @doc "What a vehicle does in a mode, in one or two words, whatever its firmware calls it: `Hold` for AUTO_LOITER."
+  @spec meaning(mode :: String.t() | nil) :: String.t() | nil
+  def meaning(mode), do: if(action = action(mode), do: Modes.Action.word(action))
+
+  @doc """
+  The mode in which a vehicle (its snapshot) does this by itself; nil if it has none. Holding, returning and landing are
+  commands of their own, for which each firmware has its way.
+  """
+  @spec mode_for(map(), Modes.Action.t()) :: String.t() | nil
+  def mode_for(vehicle, action), do: Modes.Action.among(action, modes(vehicle))
+
   @doc "The name of a firmware for people."
   @spec title(name()) :: String.t()
   def title(name), do: traits(name).title

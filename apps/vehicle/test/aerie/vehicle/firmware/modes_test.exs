@@ -232,4 +232,24 @@ defmodule Aerie.Vehicle.Firmware.ModesTest do
 
     for mode <- ["ACRO", "MODE(27)", "", nil], do: assert(Aerie.Vehicle.Firmware.action(mode) == nil)
   end
+
+  test "a mode by its meaning, and its meaning in words" do
+    alias Aerie.Vehicle.Firmware
+    vehicle = fn firmware, kind -> %{autopilot: firmware, vehicle_type: kind, memory: %{}} end
+    mode = fn firmware, kind, action -> Firmware.mode_for(vehicle.(firmware, kind), action) end
+
+    assert {mode.(:ardupilot, "copter", :mission), mode.(:px4, "copter", :mission)} ==
+             {"AUTO", "AUTO_MISSION"}
+
+    assert {mode.(:ardupilot, "plane", :guided), mode.(:ardupilot, "vtol", :return)} == {"GUIDED", "RTL"}
+    assert {mode.(:ardupilot, "plane", :take_off), mode.(:ardupilot, "copter", :take_off)} == {"TAKEOFF", nil}
+    # Betaflight says by itself which modes it has.
+    own = %{vehicle.(:betaflight, "copter") | memory: %{mode_names: %{7 => "ALTHOLD"}}}
+    assert {Firmware.mode_for(own, :hold_height), Firmware.mode_for(own, :mission)} == {"ALTHOLD", nil}
+
+    assert Enum.map(~w(AUTO_LOITER AUTO_LAND OFFBOARD RTL), &Firmware.meaning/1) ==
+             ~w(Hold Land Guided Return)
+
+    assert Enum.map(["ACRO", "MODE(27)", nil], &Firmware.meaning/1) == [nil, nil, nil]
+  end
 end

@@ -12,6 +12,17 @@ defmodule Aerie.Vehicle.Firmware.Modes.Action do
     follow: ~w(FOLLOW AUTO_FOLLOW_TARGET),
     guided: ~w(GUIDED OFFBOARD GUIDED_NOGPS)
   }
+  @words %{
+    return: "Return",
+    land: "Land",
+    mission: "Mission",
+    take_off: "Take off",
+    hold: "Hold",
+    hold_height: "Hold height",
+    orbit: "Orbit",
+    follow: "Follow",
+    guided: "Guided"
+  }
   @by_mode for {action, modes} <- @actions, mode <- modes, into: %{}, do: {mode, action}
 
   @type t ::
@@ -20,4 +31,12 @@ defmodule Aerie.Vehicle.Firmware.Modes.Action do
   @doc "The action of a mode; nil for one in which a pilot flies, and one that is not known."
   @spec of(mode :: String.t() | nil) :: t() | nil
   def of(mode), do: @by_mode[mode]
+
+  @doc "An action for people."
+  @spec word(t()) :: String.t()
+  def word(action), do: Map.fetch!(@words, action)
+
+  @doc "The mode for an action among those of a vehicle; nil if it has none. A firmware's usual one comes first."
+  @spec among(t(), modes :: [String.t()]) :: String.t() | nil
+  def among(action, modes), do: Enum.find(Map.fetch!(@actions, action), &(&1 in modes))
 end

@@ -30,6 +30,7 @@ export default {
         else this.last[name] = payload;
       });
     }
+    this.handleEvent("map:layers", () => this.base?.changed());
     this.build();
     if (!document.createElement("canvas").getContext("webgl2")) return this.fail(NO_WEBGL);
     try {
@@ -166,7 +167,7 @@ export default {
       { name: "measure", label: "Measure distances", toggle: true, press: () => this.setTool(this.tool === "measure" ? this.el.dataset.tool : "measure") },
     ];
     const layers = { name: "layers", label: "Base map", toggle: true, press: () => this.base.toggle() };
-    const { bar, press } = toolbar([...all.filter(({ name }) => wanted.includes(name)), ...(this.base.open ? [layers] : [])]);
+    const { bar, press } = toolbar([...all.filter(({ name }) => wanted.includes(name)), layers]);
     this.pressed = press;
     this.el.append(bar);
     this.showTracks(true);

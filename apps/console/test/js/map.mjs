@@ -242,6 +242,11 @@ const tasks = {
       return;
     }
     equal("the choices", await question.locator("button, a").allTextContents(), ["Use OpenStreetMap", "Stay without"]);
+    const other = await open("/plan");
+    await other.waitForSelector(".map-panel[data-name=map-question]");
+    // One line at the map's lower edge.
+    const [line, whole] = [await other.locator(".map-panel").boundingBox(), await other.locator("#plan-map").boundingBox()];
+    equal("one line", [line.height < 44, whole.y + whole.height - line.y - line.height < 12], [true, true]);
     await question.getByLabel("Open a file…").setInputFiles({ name: "bad.pmtiles", mimeType: "", buffer: Buffer.from("SQLite format 3\0") });
     await until("why it is not taken", async () => /MBTiles/.test(await page.textContent(".map-panel")));
     complaints.length = 0; // the browser names the refusal
@@ -253,11 +258,15 @@ const tasks = {
       return map.getLayer("tiles")?.type === "raster" && map.isSourceLoaded("tiles") && map.areTilesLoaded();
     }));
     equal("the question is gone", await question.count(), 0);
+    // Another page learns of it without being loaded again, and later of the removal.
+    await other.waitForSelector(".map-panel[data-name=map-question]", { state: "detached" });
+    await until("the other page's attribution", async () => (await other.textContent(".map-attribution")) === "© OpenStreetMap contributors");
     equal("the attribution", await page.textContent(".map-attribution"), "© OpenStreetMap contributors");
     if (shots) await page.screenshot({ path: `${shots}/map-osm.png` });
     await page.click("[data-tool=layers]");
     await page.getByText("Stop using OpenStreetMap").click();
-    await until("no tiles", () => page.evaluate(() => !document.querySelector("#fleet-map").fleetMap.map.getSource("tiles")));
+    for (const [one, id] of [[page, "#fleet-map"], [other, "#plan-map"]])
+      await until("no tiles", () => one.evaluate((id) => !document.querySelector(id).fleetMap.map.getSource("tiles"), id));
     await page.click("[data-tool=layers]");
     await page.getByText("Use OpenStreetMap for all").click();
     await until("the attribution again", () => page.isVisible(".map-attribution"));

@@ -15,7 +15,7 @@ export async function offered() {
     return await answer.json();
   } catch (error) {
     console.warn("map: the layers cannot be read:", error?.message ?? error);
-    return { layers: [], ask: false, may: false, fixed: true };
+    return { layers: [], ask: false, may: false, fixed: true, failed: true };
   }
 }
 
@@ -28,6 +28,7 @@ export class Base {
 
   // What style.js draws; null for nothing.
   async tiles() {
+    this.drawn = this.shown();
     const layer = this.offer.layers.find(({ id }) => id === this.chosen());
     const tiles = layer ? await described(layer, this.library) : null;
     this.hook.say(tiles?.attribution ?? "", this.attribution);
@@ -77,13 +78,10 @@ export class Base {
 
   ask() {
     const hide = () => { sessionStorage.setItem(ASKED, "1"); this.show(); };
+    const use = button("Use OpenStreetMap", () => this.answer(true));
+    use.title = "The gateway fetches it, and keeps what was looked at for a place without internet. Pages load nothing from elsewhere.";
     const parts = this.offer.may
-      ? [
-          element("p", { textContent: "The gateway can fetch the map of OpenStreetMap and keep what was looked at, so that it is there without internet. This page itself loads nothing from elsewhere." }),
-          button("Use OpenStreetMap", () => this.answer(true)),
-          this.file("Open a file…"),
-          button("Stay without", () => this.answer(false)),
-        ]
+      ? [use, this.file("Open a file…"), button("Stay without", () => this.answer(false))]
       : [element("p", { textContent: "An admin can choose one on this map." }), button("Hide", hide)];
     this.panelOf("map-question", "No base map", parts);
   }
@@ -96,7 +94,7 @@ export class Base {
 
   // A button that sends a PMTiles file to the gateway; while it is under way, the button stops it.
   file(text) {
-    const label = element("label", { className: "button", textContent: text });
+    const label = element("label", { className: "button small", textContent: text });
     const input = element("input", { type: "file", accept: ".pmtiles", className: "visually-hidden" });
     input.addEventListener("change", () => input.files[0] && this.send(input.files[0]));
     label.append(input);
@@ -126,18 +124,29 @@ export class Base {
     await this.renew(null);
   }
 
-  // Other layers are offered now; `id` is the one to show.
+  // This page has changed what is offered; `id` is the layer to show.
   async renew(id) {
-    this.offer = await offered();
     if (id) localStorage.setItem(KEPT, id);
     else localStorage.removeItem(KEPT);
-    this.show();
-    await this.apply();
+    this.panel?.remove();
+    this.panel = null;
+    await this.changed();
   }
 
-  // Whether there is anything to choose from, or to decide.
-  get open() {
-    return this.offer.layers.length > 0 || this.offer.may;
+  // The gateway has told that other layers are offered, or this page knows it. A file that is being sent goes on.
+  async changed() {
+    const offer = await offered();
+    if (this.hook.gone || offer.failed) return;
+    this.offer = offer;
+    const open = this.panel?.dataset.name;
+    if (open === "map-layers") this.toggle(true);
+    else if (open !== "map-upload") this.show();
+    if (this.shown() !== this.drawn) await this.apply();
+  }
+
+  // What decides how the tiles look: the layer with all that the gateway says of it.
+  shown() {
+    return JSON.stringify(this.offer.layers.find(({ id }) => id === this.chosen()) ?? null);
   }
 
   get decides() {
@@ -145,8 +154,9 @@ export class Base {
   }
 
   // The layers to choose from, and for an admin the answer about OpenStreetMap.
-  toggle() {
-    if (this.panel?.dataset.name === "map-layers") return this.show();
+  toggle(again = false) {
+    if (!again && this.panel?.dataset.name === "map-layers") return this.show();
+    const focused = !again || this.panel.contains(document.activeElement);
     const offers = [...this.offer.layers, { id: NONE, name: "None" }];
     const chosen = this.chosen();
     const radios = offers.map(({ id, name }) => {
@@ -161,7 +171,7 @@ export class Base {
     const removals = this.offer.layers.filter(({ uploaded }) => uploaded).map(({ id, name }) => button(`Remove ${name}`, () => this.remove(id, name)));
     this.panelOf("map-layers", "Base map", [...radios, ...(this.decides ? [change] : []), ...(this.offer.may ? [this.file("Add a map file…"), ...removals] : [])]);
     this.hook.pressed("layers", true);
-    this.panel.querySelector("input:checked").focus();
+    if (focused) this.panel.querySelector("input:checked").focus();
     this.panel.addEventListener("keydown", (event) => {
       if (event.key !== "Escape") return;
       this.show();
@@ -187,7 +197,7 @@ const element = (name, properties = {}) => {
 };
 
 function button(text, press) {
-  const made = element("button", { type: "button", className: "button", textContent: text });
+  const made = element("button", { type: "button", className: "button small", textContent: text });
   made.addEventListener("click", press);
   return made;
 }

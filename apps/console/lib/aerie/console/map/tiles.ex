@@ -4,7 +4,8 @@ defmodule Aerie.Console.Map.Tiles do
   yes. Pages ask only the gateway (`Aerie.Console.Map.Tiles.Handler`), which fetches tiles of servers (`Fetcher`) and
   keeps them. Layers that cannot be used are named in the log; the map does without them.
 
-  The answer about OpenStreetMap is in `map.json` of `console.map.dir`, and in the audit log.
+  The answer about OpenStreetMap is in `map.json` of `console.map.dir`, and in the audit log. A change of layers is
+  the notice `:console_map` (`Aerie.Base.PubSub`).
   """
   use GenServer
 
@@ -12,7 +13,7 @@ defmodule Aerie.Console.Map.Tiles do
 
   alias Aerie.Access.{Changes, PrivateFile}
   alias Aerie.Base.Files.Private
-  alias Aerie.Base.Names
+  alias Aerie.Base.{Names, PubSub}
   alias Aerie.Console.Map.Tiles.{Fetcher, Layer, Upload}
 
   @role :console_tiles
@@ -197,6 +198,7 @@ defmodule Aerie.Console.Map.Tiles do
       upload: state.settings.upload_mb * 1_000_000
     })
 
+    PubSub.publish(state.gateway, {:notice, :console_map}, nil)
     state
   end
 

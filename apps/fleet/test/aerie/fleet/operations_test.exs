@@ -3,6 +3,7 @@ defmodule Aerie.Fleet.OperationsTest do
   use Aerie.CommandCase, async: true
 
   alias Aerie.Base.Names
+  alias Aerie.Base.Names.Book
   alias Aerie.Control.Commands
   alias Aerie.Control.Policy.Audit
   alias Aerie.Fleet.Operations
@@ -198,7 +199,11 @@ defmodule Aerie.Fleet.OperationsTest do
     await(gateway, &(&1["vehicles"]["VID-013"]["step"] == "wait_above"))
     assert %{"state" => "waiting"} = state(gateway)["vehicles"]["VID-011"]
     refute_received {:commanded, "VID-011", _type}
+    # It is told when the vehicle changes, and no more once it is up.
+    told = fn -> Book.members({gateway, {:vehicle, "VID-013"}}) end
+    eventually(fn -> match?([_wait], told.()) end)
     vehicle(gateway, 13, %{armed: true, in_air: true}, %{alt_rel: 6.0})
+    eventually(fn -> told.() == [] end)
     assert_receive {:commanded, "VID-011", "arm"}, Aerie.Patience.ms()
     vehicle(gateway, 11, %{armed: true, in_air: true}, %{alt_rel: 6.0})
     assert %{"state" => "done", "counts" => %{"ok" => 2}} = over(gateway, "up")

@@ -34,6 +34,8 @@ defmodule Aerie.Fleet.Operations.Sequence do
   @max_m 10_000
   @max_errors 8
   @lifting ~w(arm takeoff)
+  # A vehicle that was not lifted disarms by itself after some seconds.
+  @alone {:wait, %{for: :alone, m: nil, timeout_ms: 60_000, go_on?: false}}
 
   @type wait :: %{
           for: :above | :landed | :apart | :alone,
@@ -179,6 +181,11 @@ defmodule Aerie.Fleet.Operations.Sequence do
   @spec lifts?(vehicle()) :: boolean()
   def lifts?(%{steps: steps}),
     do: Enum.any?(steps, &match?({:command, type, _params} when type in @lifting, &1))
+
+  @doc "Steps as they are done: whatever they say, of vehicles that stand on the ground one is armed at a time."
+  @spec guarded([step()]) :: [step()]
+  def guarded(steps),
+    do: Enum.flat_map(steps, &if(match?({:command, "arm", _params}, &1), do: [@alone, &1], else: [&1]))
 
   @doc "A step in a word: the type of a command, `wait_above`, or `shadow`."
   @spec word(step()) :: String.t()

@@ -5,7 +5,7 @@ defmodule Aerie.Fleet.Operations.Work do
   by itself.
   """
 
-  alias Aerie.Base.Names
+  alias Aerie.Base.{Names, PubSub}
   alias Aerie.Control.Commands
   alias Aerie.Fleet.Shadow
   alias Aerie.Vehicle.Command.Result
@@ -14,8 +14,8 @@ defmodule Aerie.Fleet.Operations.Work do
   alias Aerie.Control.Policy.Roles
 
   @look_ms 500
-  # A vehicle that was not lifted disarms by itself after some seconds.
-  @alone {:wait, %{for: :alone, m: nil, timeout_ms: 60_000, go_on?: false}}
+  # A vehicle that another gateway hears gives no notice.
+  @unnoticed_ms 2_000
 
   @typedoc "What the work needs of an operation, beside the vehicle; `:step` is called with each step as it begins."
   @type job :: %{
@@ -31,7 +31,7 @@ defmodule Aerie.Fleet.Operations.Work do
   @spec run(job(), vehicle :: String.t()) :: Core.result()
   def run(%{request: %{what: {:sequence, all}}} = job, vehicle) do
     own = Enum.find(all, &(&1.vehicle == vehicle))
-    result = steps(job, vehicle, guarded(own.steps), 0)
+    result = steps(job, vehicle, Sequence.guarded(own.steps), 0)
 
     # What stands in for the steps makes up for them.
     if result.verdict == :failed and own.else != [] do
@@ -45,13 +45,6 @@ defmodule Aerie.Fleet.Operations.Work do
 
   def run(%{request: %{what: what}} = job, vehicle),
     do: step(job, vehicle, what, command_id(job.request.id, vehicle))
-
-  # Whatever a request says: of vehicles that stand on the ground one is armed at a time.
-  defp guarded(steps),
-    do:
-      Enum.flat_map(steps, fn step ->
-        if match?({:command, "arm", _params}, step), do: [@alone, step], else: [step]
-      end)
 
   defp steps(job, vehicle, steps, first) do
     steps
@@ -105,10 +98,10 @@ defmodule Aerie.Fleet.Operations.Work do
       :ok ->
         ok(:completed, nil)
 
-      {:waiting, why} ->
+      {:waiting, why, for_whom} ->
         cond do
           now() < until ->
-            Process.sleep(@look_ms)
+            changed(job.gateway, for_whom)
             await(job, vehicle, wait, until)
 
           wait.go_on? ->
@@ -117,6 +110,23 @@ defmodule Aerie.Fleet.Operations.Work do
           true ->
             failed(:timeout, "#{why} after #{div(wait.timeout_ms, 1000)} s")
         end
+    end
+  end
+
+  # Subscribed only while it waits: what a vehicle tells during a command is not kept.
+  defp changed(gateway, vehicle) do
+    topic = {:vehicle, vehicle}
+    :ok = PubSub.subscribe(gateway, topic)
+    noticed(topic, @unnoticed_ms)
+    PubSub.unsubscribe(gateway, topic)
+    noticed(topic, 0)
+  end
+
+  defp noticed(topic, ms) do
+    receive do
+      {:fleet, ^topic, _id} -> :ok
+    after
+      ms -> :ok
     end
   end
 

@@ -10,40 +10,45 @@ defmodule Aerie.Fleet.Operations.Sequence.Wait do
   # Farther off than this, height does not keep two vehicles apart.
   @near_m 20
 
+  @typedoc "What it waits for, and the vehicle whose change may end that."
+  @type waiting :: {:waiting, String.t(), vehicle :: String.t()}
+
   @doc "Whether a vehicle of an operation on `vehicles` may go on, or what it waits for."
-  @spec look(Names.gateway(), String.t(), [String.t()], Sequence.wait()) :: :ok | {:waiting, String.t()}
+  @spec look(Names.gateway(), String.t(), [String.t()], Sequence.wait()) :: :ok | waiting()
   def look(gateway, vehicle, vehicles, wait) do
     read = &Merge.vehicle(gateway, &1)
 
     case read.(vehicle) do
-      nil -> {:waiting, "nobody hears it"}
-      %{status: :lost} -> {:waiting, "it is lost"}
+      nil -> {:waiting, "nobody hears it", vehicle}
+      %{status: :lost} -> {:waiting, "it is lost", vehicle}
       snapshot -> look(wait, snapshot, Stream.map(vehicles -- [vehicle], read))
     end
   end
 
-  defp look(%{for: :above, m: m}, snapshot, _others) do
+  @doc "The same of a snapshot, and those of the other vehicles."
+  @spec look(Sequence.wait(), Snapshot.t(), Enumerable.t(Snapshot.t() | nil)) :: :ok | waiting()
+  def look(%{for: :above, m: m}, %{id: id} = snapshot, _others) do
     case Snapshot.data(snapshot, :position)[:alt_rel] do
       height when is_number(height) and height > m -> :ok
-      height when is_number(height) -> {:waiting, "#{round(height)} m high, not above #{m} m"}
-      _unknown -> {:waiting, "its height is not known"}
+      height when is_number(height) -> {:waiting, "#{round(height)} m high, not above #{m} m", id}
+      _unknown -> {:waiting, "its height is not known", id}
     end
   end
 
-  defp look(%{for: :landed}, snapshot, _others),
-    do: if(in_air(snapshot) == false, do: :ok, else: {:waiting, "not known to be on the ground"})
+  def look(%{for: :landed}, %{id: id} = snapshot, _others),
+    do: if(in_air(snapshot) == false, do: :ok, else: {:waiting, "not known to be on the ground", id})
 
-  defp look(%{for: :alone}, _snapshot, others) do
+  def look(%{for: :alone}, _snapshot, others) do
     case Enum.find(others, &(&1 != nil and armed?(&1) and in_air(&1) != true)) do
       nil -> :ok
-      other -> {:waiting, "#{other.id} stands armed on the ground"}
+      other -> {:waiting, "#{other.id} stands armed on the ground", other.id}
     end
   end
 
-  defp look(%{for: :apart, m: m}, snapshot, others) do
+  def look(%{for: :apart, m: m}, %{id: id} = snapshot, others) do
     case height(snapshot) do
       nil ->
-        {:waiting, "its height is not known"}
+        {:waiting, "its height is not known", id}
 
       height ->
         near =
@@ -52,7 +57,8 @@ defmodule Aerie.Fleet.Operations.Sequence.Wait do
             &(&1 != nil and in_air(&1) != false and near?(&1, snapshot) and level?(&1, height, m))
           )
 
-        if near == nil, do: :ok, else: {:waiting, "not yet #{m} m above or below #{near.id}"}
+        # It is itself on the way there.
+        if near == nil, do: :ok, else: {:waiting, "not yet #{m} m above or below #{near.id}", id}
     end
   end
 

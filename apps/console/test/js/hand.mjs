@@ -70,8 +70,8 @@ const tasks = {
     }
     await say("ended", "go on");
     await hold(page, "#fleet-rtl");
-    await page.waitForSelector("#fleet-results li");
-    equal("of the one that is shown", await page.locator("#fleet-results li span").first().textContent(), "V3");
+    await page.waitForSelector("#operation-strip li", { state: "attached" });
+    equal("of the one that is shown", await page.locator("#operation-strip li a").first().textContent(), "V3");
   },
 
   // Rows keep their places under the pointer, and what appears moves none.
@@ -103,7 +103,7 @@ const tasks = {
     await page.waitForSelector("#fleet-actions");
     equal("after a selection", await places(page), where);
     await hold(page, "#fleet-hold");
-    await page.waitForSelector("#fleet-results li");
+    await page.waitForSelector("#operation-strip li", { state: "attached" });
     equal("with results", await places(page), where);
     await say("full", "alarmed");
     await page.waitForSelector(`${row("V2")} .fleet-problems .badge:nth-child(2)`);
@@ -181,7 +181,7 @@ const tasks = {
     await steady(page);
     await late(false);
     equal("held long enough", (await presses(page, "#fleet-land")).held, 1);
-    await page.waitForSelector("#fleet-results li");
+    await page.waitForSelector("#operation-strip li", { state: "attached" });
 
     // A lost gateway's banner covers nothing. What was selected is so again, even if the page has to be loaded.
     await say("selected", "gone");

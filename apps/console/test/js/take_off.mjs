@@ -68,20 +68,20 @@ main(async (browser) => {
   await page.evaluate(() => { document.querySelector("#take-off-go").dataset.hold = "1500"; });
   await hold(page, "#take-off-go");
   await page.waitForSelector("#take-off", { state: "detached" });
-  await contains(page, "#fleet-results h2", "Take off:");
+  await contains(page, "#operation-strip", "Take off 4:");
   await say("begun", "killed");
 
-  // The page that was killed comes back and shows the same operation, as another operator's does not as its own.
+  // The page that was killed comes back and shows the same operation, as another operator's does.
   await live(page);
-  await contains(page, "#fleet-results h2", "Take off:");
+  await contains(page, "#operation-strip", "Take off 4:");
   await say("back", "done");
-  await contains(page, "#fleet-results h2", "Take off: all 4 up");
+  await contains(page, "#operation-strip", "Take off 4: all up");
 
   const admin = await open(browser, { viewport: { width: 390, height: 844 } });
   await signIn(admin, base, "admin");
   await admin.click(".fleet-tabs .tab >> nth=1");
   await admin.waitForSelector(".fleet[data-view=table]");
   equal("no dock without a selection on a phone", await admin.isVisible(".fleet-dock"), false);
-  equal("nobody else's results", await admin.locator("#fleet-results").count(), 0);
+  await contains(admin, "#operation-strip", "Take off 4: all up");
   equal("no complaints", JSON.stringify([page.complaints, admin.complaints]), "[[],[]]");
 });

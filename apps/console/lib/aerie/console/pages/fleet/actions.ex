@@ -1,5 +1,5 @@
 defmodule Aerie.Console.Pages.Fleet.Actions do
-  @moduledoc "The actions for the selected vehicles, with the result for each. Their events say for which vehicles the operator saw them."
+  @moduledoc "The actions for the selected vehicles. Their events say for which vehicles the operator saw them."
   use Aerie.Console, :component
 
   import Aerie.Console.Pages.Fleet.Actions.ControlForms, only: [charge: 1]
@@ -9,7 +9,7 @@ defmodule Aerie.Console.Pages.Fleet.Actions do
   alias Aerie.Vehicle.Snapshot
   alias Aerie.Console.Commands.Catalog
   alias Aerie.Console.Pages.Fleet.{Plans, Selection}
-  alias Aerie.Console.Pages.Fleet.Act.{Height, Results}
+  alias Aerie.Console.Pages.Fleet.Act.Height
 
   @most_reasons 20
 
@@ -78,17 +78,15 @@ defmodule Aerie.Console.Pages.Fleet.Actions do
     """
   end
 
-  attr :results, :any, required: true
   attr :plans, Plans, required: true
 
-  @doc "The results of the last action, and what is said of plans, over the map's lower part."
-  def results(assigns) do
+  @doc "What is said of plans, over the map's lower part."
+  def plan_words(assigns) do
     assigns = assign(assigns, :words, Plans.summary(assigns.plans))
 
     ~H"""
-    <div :if={@results != nil or @words != []} class="fleet-results">
-      <Results.card :if={@results} results={@results} />
-      <p :for={words <- @words} class="hint fleet-plans" role="status">{words}</p>
+    <div :if={@words != []} class="fleet-plans">
+      <p :for={words <- @words} class="hint" role="status">{words}</p>
     </div>
     """
   end

@@ -11,7 +11,7 @@ defmodule Aerie.Console.Pages.Fleet.Page do
        events: [
          viewer:
            ~w(select all none again pointer sort_now filter flag sort plans map_select map_follow map_menu map_escape
-              group show_hidden close_results)
+              group show_hidden)
        ],
        costly: ~w(all filter flag sort sort_now plans)}
 
@@ -62,7 +62,7 @@ defmodule Aerie.Console.Pages.Fleet.Page do
        current: %{},
        round: 0
      })
-     |> subscribe([:vehicles, :links, :leases, {:notice, :operations}])
+     |> subscribe([:vehicles, :links, :leases])
      |> Act.Live.mount()
      |> push_event("map:zones", %{map: @map, zones: Zones.of(Policy.in_force(socket.assigns.gateway))})
      |> read()
@@ -91,7 +91,7 @@ defmodule Aerie.Console.Pages.Fleet.Page do
     socket =
       if due? or not :erts_debug.same(socket.assigns.all, before), do: assign_view(socket), else: socket
 
-    socket = Act.Live.follow(socket, socket.private.fleet.rows)
+    socket = Act.Live.follow(socket)
     {:noreply, update_private(socket, &%{&1 | round: next(&1.round)})}
   end
 
@@ -100,8 +100,6 @@ defmodule Aerie.Console.Pages.Fleet.Page do
   def handle_info({:plan, id, ref, message}, socket) do
     {:noreply, socket |> update(:plans, &Plans.update(&1, id, ref, message)) |> tell_plans()}
   end
-
-  def handle_info({:fleet, {:notice, :operations}, id}, socket), do: {:noreply, Act.Live.changed(socket, id)}
 
   def handle_info(:tag, %{assigns: %{tagging: %{left: [{id, words} | left]} = tagging} = assigns} = socket) do
     case Shadow.tag(assigns.gateway, id, words, assigns.user, "console") do
@@ -210,7 +208,6 @@ defmodule Aerie.Console.Pages.Fleet.Page do
     do: {:noreply, seen(socket, event, &Act.Live.height(socket, event, &1))}
 
   def handle_event("take_off", event, socket), do: {:noreply, Act.Live.take_off(socket, event)}
-  def handle_event("close_results", _value, socket), do: {:noreply, assign(socket, :results, nil)}
 
   def handle_event("group", %{"name" => name}, %{assigns: %{selection: selection, rows: rows}} = socket),
     do: {:noreply, assign(socket, :selection, Groups.select(selection, Groups.of(rows), name))}
@@ -386,7 +383,7 @@ defmodule Aerie.Console.Pages.Fleet.Page do
         <Groups.groups :if={@rows != []} groups={Groups.of(@rows)} selection={@selection} />
         <.actions selection={@selection} all={@all} rows={@rows} user={@user} plans={@plans} />
       </section>
-      <.results results={@results} plans={@plans} />
+      <.plan_words plans={@plans} />
       <TakeOffSheet.sheet :if={@sheet} sheet={@sheet} facts={@facts} error={@sheet_error} />
       <.tag_dialog :if={@tagging} tagging={@tagging} words={@choices.tags} />
     </div>

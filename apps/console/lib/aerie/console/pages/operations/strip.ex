@@ -79,6 +79,14 @@ defmodule Aerie.Console.Pages.Operations.Strip do
       >
         Leave
       </.button>
+      <.button
+        :if={@row.over?}
+        kind="quiet"
+        icon="x"
+        label={"Close #{@row.line}"}
+        phx-click="operation-close"
+        phx-value-operation={@row.id}
+      />
       <.hold_button
         :if={@row.up? and @row.then == nil and @row.begun > 0}
         id={"operation-abort-#{@row.id}"}

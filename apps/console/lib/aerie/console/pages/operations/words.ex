@@ -1,5 +1,12 @@
 defmodule Aerie.Console.Pages.Operations.Words do
-  @moduledoc "What becomes of each vehicle of an operation, and of all of them, in words. Pure."
+  @moduledoc """
+  What becomes of each vehicle of an operation, and of all of them, in words of what was reached: a landing is *Landing*
+  until the vehicle has landed, whatever it does later. Pure: all of it comes from the operation, the vehicles and their
+  events, so each page says the same, however late it is opened.
+  """
+
+  alias Aerie.Console.Commands.Entry
+  alias Aerie.Vehicle.{Firmware, Snapshot}
 
   @under_way %{
     "set_mode" => "Setting the mode",
@@ -22,14 +29,37 @@ defmodule Aerie.Console.Pages.Operations.Words do
     "rtl" => "Returning",
     "land" => "Landing",
     "hold" => "Holding",
+    "set_mode" => "In the mode",
+    "set_altitude" => "Height set",
     "mission_start" => "Flying the mission",
+    "take_control" => "In charge",
+    "release_control" => "Released",
     "shadow" => "Sent"
   }
-  @refused ~w(rejected denied)
+  # Actions of a mode in which a command is still carried out.
+  @same %{"Landing" => [:land, :return], "Returning" => [:land, :return], "Holding" => [:hold, :hold_height]}
+  @landed ~w(landed disarmed)
   @named 3
+  @shown_us 60_000_000
+  # A landing that nobody has seen end.
+  @flight_us 900_000_000
 
-  @typedoc "`:kind` of a badge; `:group` is the word without what is different for each vehicle."
-  @type word :: %{vehicle: String.t(), kind: String.t(), group: String.t(), text: String.t()}
+  @typedoc """
+    * `:kind` - of a badge; `:group` - the word without what is different for each vehicle; `:reason` - of a failure
+    * `:going?` - the vehicle is still at what it was told; `:at` - when that ended, where it is known
+  """
+  @type word :: %{
+          vehicle: String.t(),
+          kind: String.t(),
+          group: String.t(),
+          text: String.t(),
+          reason: String.t() | nil,
+          going?: boolean(),
+          at: integer() | nil
+        }
+
+  @typedoc "Reads a vehicle, and its events since a time."
+  @type look :: {(String.t() -> Snapshot.t() | nil), (String.t(), since :: integer() | nil -> [map()])}
 
   @doc "What an operation is called."
   @spec name(map()) :: String.t()
@@ -41,75 +71,125 @@ defmodule Aerie.Console.Pages.Operations.Words do
   def name(%{"what" => %{"shadow" => _change}}), do: "Desired state"
   def name(_sequence), do: "Operation"
 
-  @doc "A word for each vehicle, in their order. `height` gives the metres of one that climbs; nil: not known."
-  @spec vehicles(map(), (String.t() -> number() | nil)) :: [word()]
-  def vehicles(%{"order" => order, "vehicles" => vehicles} = operation, height) do
-    for id <- order, do: Map.put(word(vehicles[id], operation, fn -> height.(id) end), :vehicle, id)
+  @doc "A word for each vehicle: first those that need somebody, the others in their order."
+  @spec vehicles(map(), look()) :: [word()]
+  def vehicles(%{"order" => order, "vehicles" => vehicles} = operation, {vehicle, events}) do
+    words =
+      for id <- order do
+        look = {fn -> vehicle.(id) end, fn -> events.(id, unix(operation["begun_at"])) end}
+        vehicles[id] |> word(operation, look) |> Map.put(:vehicle, id)
+      end
+
+    Enum.sort_by(words, &need(&1.kind))
   end
 
-  defp word(%{"state" => "waiting"}, %{"state" => state}, _height) when state in ~w(running paused),
+  defp need("bad"), do: 0
+  defp need("warn"), do: 1
+  defp need(_other), do: 2
+
+  defp word(%{"state" => "waiting"}, %{"state" => state}, _look) when state in ~w(running paused),
     do: say("plain", "Waiting")
 
-  defp word(%{"state" => "waiting"}, %{"state" => "stopped"}, _height), do: say("plain", "Stopped")
-  defp word(%{"state" => "waiting"}, _halted, _height), do: say("plain", "Not begun")
+  defp word(%{"state" => "waiting"}, %{"state" => "stopped"}, _look), do: say("plain", "Stopped")
+  defp word(%{"state" => "waiting"}, _halted, _look), do: say("plain", "Not begun")
 
-  defp word(%{"state" => "under_way"} = vehicle, operation, height) do
+  defp word(%{"state" => "under_way"} = vehicle, operation, {snapshot, _events}) do
     group = Map.get(@under_way, vehicle["step"] || List.last(steps(operation)), "Under way")
-    metres = if group == "Climbing", do: height.()
-    say("info", group, if(metres, do: "#{group} #{round(metres)} m", else: group))
+    metres = if group == "Climbing", do: height(snapshot.())
+    %{say("info", group) | text: if(metres, do: "#{group} #{round(metres)} m", else: group), going?: true}
   end
 
-  defp word(%{"state" => "ok"}, operation, _height),
-    do: say("ok", operation |> steps() |> Enum.reverse() |> Enum.find_value("Done", &@reached[&1]))
+  defp word(%{"state" => "ok"}, operation, look) do
+    word = operation |> steps() |> Enum.reverse() |> Enum.find_value("Done", &@reached[&1])
+    if is_map_key(@same, word), do: later(word, look), else: say("ok", word)
+  end
 
-  defp word(%{"result" => "unknown", "reason" => reason}, _operation, _height),
-    do: failed("warn", "Not known", reason)
+  defp word(%{"result" => result, "reason" => reason}, _operation, _look) do
+    {tone, group} = Entry.result(result)
+    word = say(Entry.badge(tone), group)
+    if reason, do: %{word | reason: reason, text: "#{group}: #{reason}"}, else: word
+  end
 
-  defp word(%{"result" => result, "reason" => reason}, _operation, _height) when result in @refused,
-    do: failed("bad", "Refused", reason)
+  # What the vehicle makes of it afterwards.
+  defp later(word, {snapshot, events}) do
+    data = with(%{} = seen <- snapshot.(), do: Snapshot.data(seen, :mode), else: (nil -> %{}))
+    same? = Firmware.action(data[:mode]) in [nil | @same[word]]
 
-  defp word(%{"result" => "timeout", "reason" => reason}, _operation, _height),
-    do: failed("bad", "No answer", reason)
+    cond do
+      same? and data[:in_air] != false -> %{say("ok", word) | going?: word != "Holding"}
+      word == "Holding" and (same? or data[:in_air] == false) -> say("ok", word)
+      landed = word != "Holding" && Enum.find(events.(), &(&1.type in @landed)) -> landed(landed.time)
+      data[:in_air] == false -> landed(nil)
+      true -> say("plain", "No longer #{String.downcase(word)}")
+    end
+  end
 
-  defp word(%{"reason" => reason}, _operation, _height), do: failed("bad", "Failed", reason)
+  defp landed(at), do: %{say("ok", "Landed") | at: at}
 
-  defp failed(kind, group, reason), do: say(kind, group, if(reason, do: "#{group}: #{reason}", else: group))
-  defp say(kind, group, text \\ nil), do: %{kind: kind, group: group, text: text || group}
+  defp height(nil), do: nil
+  defp height(snapshot), do: Snapshot.data(snapshot, :position)[:alt_rel]
+
+  defp say(kind, group),
+    do: %{kind: kind, group: group, text: group, reason: nil, going?: false, at: nil}
+
+  @doc "Whether it is shown at `now` (unix microseconds): until a minute after its end, and that of its landings."
+  @spec shown?(map(), [word()], now :: integer()) :: boolean()
+  def shown?(%{"done_at" => done_at, "state" => state}, words, now) do
+    ends = for %{at: at} when at != nil <- words, do: at
+    latest = Enum.max([unix(done_at) || now | ends])
+    going? = Enum.any?(words, & &1.going?)
+    state in ~w(halted interrupted) or now - latest < if(going?, do: @flight_us, else: @shown_us)
+  end
+
+  defp unix(nil), do: nil
+
+  defp unix(text) do
+    {:ok, at, _offset} = DateTime.from_iso8601(text)
+    DateTime.to_unix(at, :microsecond)
+  end
 
   defp steps(%{"what" => %{"sequence" => steps}}), do: steps
   defp steps(%{"what" => %{"command" => %{"type" => type}}}), do: [type]
   defp steps(%{"what" => %{"shadow" => _change}}), do: ["shadow"]
 
-  @doc "How many are how: `3 up, 1 climbing, 1 refused: sim-004`; those that went wrong with their names."
+  @doc """
+  How many are how: `3 up, 1 climbing, 1 not allowed: sim-004 (arm: no)`; those that went wrong with their names, and
+  the reason if it is the same for all of them.
+  """
   @spec counts([word()]) :: String.t()
   def counts(words) do
-    for group <- words |> Enum.map(& &1.group) |> Enum.uniq() do
-      of_group = Enum.filter(words, &(&1.group == group))
+    groups = words |> Enum.map(& &1.group) |> Enum.uniq()
 
-      "#{length(of_group)} #{String.downcase(group)}#{names(hd(of_group).kind, Enum.map(of_group, & &1.vehicle))}"
+    for group <- groups, of_group = Enum.filter(words, &(&1.group == group)) do
+      many = if tl(groups) == [] and tl(words) != [], do: "all", else: length(of_group)
+      "#{many} #{String.downcase(group)}#{names(of_group)}"
     end
     |> Enum.join(", ")
   end
 
-  defp names(kind, vehicles) when kind in ~w(bad warn) do
-    {named, more} = Enum.split(vehicles, @named)
-    ": " <> Enum.join(named, ", ") <> if(more == [], do: "", else: " and #{length(more)} more")
+  defp names([%{kind: kind, reason: reason} | _] = words) when kind in ~w(bad warn) do
+    {named, more} = words |> Enum.map(& &1.vehicle) |> Enum.split(@named)
+    why = if reason && Enum.all?(words, &(&1.reason == reason)), do: " (#{reason})"
+    ": #{Enum.join(named, ", ")}#{if more != [], do: " and #{length(more)} more"}#{why}"
   end
 
-  defp names(_kind, _vehicles), do: ""
+  defp names(_words), do: ""
 
-  @doc "The line of an operation: `Take off 5: 3 up, 1 climbing, 1 waiting`."
+  @doc "The line of an operation: `Take off 5: 3 up, 1 climbing, 1 waiting`, `Land: sim-002 landed`."
   @spec line(map(), [word()]) :: String.t()
   def line(operation, words) do
     waiting = operation["counts"]["waiting"]
     all = length(words)
     name = name(operation)
 
-    case operation["state"] do
-      "interrupted" -> "#{name}: interrupted at #{all - waiting} of #{all}; #{waiting} not begun"
-      "halted" -> "#{name}: halted at #{all - waiting} of #{all}; #{counts(words)}"
-      "paused" -> "#{name} #{all}, paused: #{counts(words)}"
-      _state -> "#{name} #{all}: #{counts(words)}"
+    case {operation["state"], words} do
+      {"interrupted", _words} -> "#{name}: interrupted at #{all - waiting} of #{all}; #{waiting} not begun"
+      {"halted", _words} -> "#{name}: halted at #{all - waiting} of #{all}; #{counts(words)}"
+      {"paused", _words} -> "#{name} #{all}, paused: #{counts(words)}"
+      {_state, [word]} -> "#{name}: #{word.vehicle} #{lower(word.text)}"
+      _several -> "#{name} #{all}: #{counts(words)}"
     end
   end
+
+  defp lower(<<first::utf8, rest::binary>>), do: String.downcase(<<first::utf8>>) <> rest
 end

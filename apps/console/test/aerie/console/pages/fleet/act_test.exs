@@ -1,8 +1,8 @@
 defmodule Aerie.Console.Pages.Fleet.ActTest do
-  @moduledoc "Acting on several vehicles, without a page: presses, groups, results, and the take-off that is prepared."
+  @moduledoc "Acting on several vehicles, without a page: presses, groups, and the take-off that is prepared."
   use ExUnit.Case, async: true
 
-  alias Aerie.Console.Pages.Fleet.Act.{Groups, Height, Press, Results, TakeOff}
+  alias Aerie.Console.Pages.Fleet.Act.{Groups, Height, Press, TakeOff}
   alias Aerie.Console.Pages.Fleet.Board.Row
   alias Aerie.Console.Pages.Fleet.Selection
   alias Aerie.Vehicle.Snapshot
@@ -125,92 +125,6 @@ defmodule Aerie.Console.Pages.Fleet.ActTest do
       assert Groups.select(red, groups, "tag:red") == %Selection{}
       assert Selection.size(Groups.select(red, groups, "all")) == 3
       for odd <- ["tag:none", nil, 7], do: assert(Groups.select(red, groups, odd) == red)
-    end
-  end
-
-  describe "results" do
-    defp operation(type, vehicles, state \\ "running") do
-      %{
-        "id" => "o",
-        "name" => "Act",
-        "state" => state,
-        "what" => %{"command" => %{"type" => type}},
-        "vehicles" => vehicles
-      }
-    end
-
-    @ok %{"state" => "ok", "result" => "completed", "reason" => nil}
-    @no %{"state" => "failed", "result" => "denied", "reason" => "it is on the ground"}
-
-    defp results(type, vehicles, state \\ "running"),
-      do: Results.new(nil, operation(type, vehicles, state), fn _id -> "LOITER" end)
-
-    defp title(results), do: Results.title(results, Results.entries(results))
-    defp words(results), do: for(entry <- Results.entries(results), do: {entry.vehicle, entry.word})
-
-    test "are said by what was reached, and those that need somebody come first" do
-      assert title(results("hold", %{"A" => @ok, "B" => @ok})) == "Act: all 2 holding"
-      assert title(results("land", %{"A" => @ok})) == "Act: A landing"
-
-      mixed =
-        results("rtl", %{
-          "A" => @ok,
-          "B" => @no,
-          "C" => %{"state" => "waiting"},
-          "D" => %{"state" => "under_way"}
-        })
-
-      assert title(mixed) == "Act: 1 not allowed, 1 waiting, 1 under way, 1 returning"
-      assert [{"B", "Not allowed"} | _] = words(mixed)
-      assert [%{reason: "it is on the ground"} | _] = Results.entries(mixed)
-      assert words(results("rtl", %{"C" => %{"state" => "waiting"}}, "stopped")) == [{"C", "Not begun"}]
-      assert words(results("take_control", %{"A" => @ok})) == [{"A", "In charge"}]
-      # A word that no command has, such as a refusal of the shadow.
-      assert [{"A", "Failed"}] = words(results("hold", %{"A" => %{@no | "result" => "unheard of"}}))
-    end
-
-    test "a landing has landed when it is on the ground, whatever the vehicle does later" do
-      landing = Results.new(nil, operation("land", %{"A" => @ok}), fn "A" -> "LAND" end)
-      going = Results.follow(landing, %{"A" => row("A", mode: "LAND", in_air: true)})
-      assert title(going) == "Act: A landing"
-      landed = Results.follow(going, %{"A" => row("A", mode: "LAND", in_air: false)})
-      assert title(landed) == "Act: A landed"
-
-      assert landed |> Results.follow(%{"A" => row("A", mode: "AUTO", in_air: true)}) |> title() ==
-               "Act: A landed"
-
-      # A repeated notice of the same operation forgets nothing.
-      assert landed |> Results.new(landed.operation, fn _id -> "AUTO" end) |> title() == "Act: A landed"
-    end
-
-    test "another mode ends it, but a row that is older than the command does not" do
-      holding = results("hold", %{"A" => @ok})
-      old = Results.follow(holding, %{"A" => row("A", mode: "AUTO", in_air: true)})
-      assert title(old) == "Act: A holding"
-      shown = Results.follow(old, %{"A" => row("A", mode: "LOITER", in_air: true)})
-      left = Results.follow(shown, %{"A" => row("A", mode: "AUTO", in_air: true)})
-      assert title(left) == "Act: A no longer holding"
-      # A return that ends in a landing is still the same.
-      returning = Results.new(nil, operation("rtl", %{"A" => @ok}), fn "A" -> "AUTO_RTL" end)
-      rows = for mode <- ["AUTO_RTL", "AUTO_LAND"], do: %{"A" => row("A", mode: mode, in_air: true)}
-      assert rows |> Enum.reduce(returning, &Results.follow(&2, &1)) |> title() == "Act: A returning"
-      # A vehicle that is gone stays as it was.
-      assert title(Results.follow(shown, %{})) == "Act: A holding"
-    end
-
-    test "a page that is loaded again finds one's own that runs or has just ended" do
-      now = 1_800_000_000
-      ended = fn ago -> DateTime.to_iso8601(DateTime.from_unix!(now - ago)) end
-
-      list = [
-        %{"id" => "b", "source" => "bob", "done_at" => nil},
-        %{"id" => "a", "source" => "ann", "done_at" => ended.(59)}
-      ]
-
-      assert Results.latest(list, "ann", now) == "a"
-      assert Results.latest(list, "ann", now + 5) == nil
-      assert Results.latest(list, "bob", now) == "b"
-      assert Results.latest([], "ann", now) == nil
     end
   end
 

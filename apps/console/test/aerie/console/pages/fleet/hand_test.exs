@@ -40,18 +40,18 @@ defmodule Aerie.Console.Pages.Fleet.HandTest do
       for type <- ~w(hold rtl land),
           ids <- [["V1"], ["V1", "V2"], [], nil, "V2", %{"V2" => 1}, [["V2"], 2]] do
         assert press(view, type, ids) =~ @changed
-        refute has_element?(view, "#fleet-results")
+        refute has_element?(view, "#operation-strip")
       end
 
       select(view, "V1", "toggle")
       assert press(view, "land", ["V2"]) =~ @changed
       render_hook(view, "none", %{})
       assert press(view, "land", ["V2"]) =~ @changed
-      refute has_element?(view, "#fleet-results")
+      refute has_element?(view, "#operation-strip")
 
       select(view, "V2")
       refute press(view, "land", ["V2"], "web-2") =~ @changed
-      assert has_element?(view, "#fleet-results li", "V2")
+      assert has_element?(view, "#operation-web-2 li", "V2")
     end
 
     test "on Tags and Missions is also for the same vehicles", %{view: view} do

@@ -247,11 +247,15 @@ defmodule Aerie.Console.Pages.Fleet.PageTest do
       render_hook(view, "command", %{"type" => "rtl", "id" => "web-0001", "ids" => ["V1", "V3"]})
 
       # This gateway takes no commands, so each is denied, with the reason.
-      html = eventually(fn -> (html = render(view)) =~ "Return: all 2 not allowed" && html end)
-      assert html |> String.split("the gateway takes no commands just now") |> length() == 3
+      line = "Return 2: all not allowed: V1, V3 (the gateway takes no commands just now; nothing was sent)"
 
-      render_hook(view, "close_results", %{})
-      refute has_element?(view, "#fleet-results")
+      eventually(fn ->
+        send(view.pid, :console_clock)
+        has_element?(view, "#operation-web-0001", line)
+      end)
+
+      for id <- ["V1", "V3"],
+          do: assert(has_element?(view, "#operation-web-0001 li", ~r/#{id}.*takes no commands just now/s))
 
       # The same press again is not a second one.
       render_hook(view, "command", %{"type" => "rtl", "id" => "web-0001", "ids" => ["V1", "V3"]})
@@ -264,7 +268,7 @@ defmodule Aerie.Console.Pages.Fleet.PageTest do
       assert has_element?(view, "#fleet-actions")
       refute has_element?(view, "#fleet-rtl")
       render_hook(view, "command", %{"type" => "rtl", "id" => "web-0001"})
-      refute has_element?(view, "#fleet-results")
+      refute has_element?(view, "#operation-strip")
     end
 
     test "what is not a command of this page does nothing", %{console: console} do
@@ -272,7 +276,7 @@ defmodule Aerie.Console.Pages.Fleet.PageTest do
       render_hook(view, "select", %{"id" => "V1", "how" => "only"})
       render_hook(view, "command", %{"type" => "terminate", "id" => "web-0001", "ids" => ["V1"]})
       render_hook(view, "command", %{"type" => "rtl", "id" => "not an id", "ids" => ["V1"]})
-      refute has_element?(view, "#fleet-results")
+      refute has_element?(view, "#operation-strip")
     end
   end
 
@@ -360,14 +364,13 @@ defmodule Aerie.Console.Pages.Fleet.PageTest do
       earlier = Map.merge(take, %{shown | "holders" => %{"V2" => "operator"}})
       assert render_hook(view, "command", earlier) =~ "Who is in charge changed; nothing was sent."
       render_hook(view, "command", Map.merge(take, shown))
-      assert has_element?(view, "#fleet-results", "V1")
-      assert has_element?(view, "#fleet-results", "V3")
-      refute has_element?(view, "#fleet-results li", "V2")
+      for id <- ["V1", "V3"], do: assert(has_element?(view, "#operation-press-1 li", id))
+      refute has_element?(view, "#operation-press-1 li", "V2")
 
       release = %{"type" => "release_control", "id" => "press-2", "fields" => %{}}
       render_hook(view, "command", Map.merge(release, shown))
-      assert has_element?(view, "#fleet-results li", "V2")
-      refute has_element?(view, "#fleet-results li", "V1")
+      assert has_element?(view, "#operation-press-2 li", "V2")
+      refute has_element?(view, "#operation-press-2 li", "V1")
     end
   end
 

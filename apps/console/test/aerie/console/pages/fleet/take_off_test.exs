@@ -136,7 +136,7 @@ defmodule Aerie.Console.Pages.Fleet.TakeOffTest do
     value = value(view)
     hold(view, value)
     refute has_element?(view, "#take-off")
-    assert has_element?(view, "#fleet-results[data-operation=web-1]", "V1")
+    assert has_element?(view, "#operation-web-1", "V1")
     for type <- ~w(arm takeoff), do: assert_receive({:commanded, "V1", ^type}, Aerie.Patience.ms())
     # The same press again, late.
     hold(view, value)
@@ -148,7 +148,7 @@ defmodule Aerie.Console.Pages.Fleet.TakeOffTest do
     assert_receive {:DOWN, ^ref, :process, _pid, _killed}
     ground(console, 1, mode: %{armed: true, in_air: true}, position: %{alt_rel: 12.0})
     eventually(fn -> match?({:ok, %{"state" => "done"}}, Fleet.operation(console.gateway, "web-1")) end)
-    assert has_element?(open(console), "#fleet-results[data-operation=web-1]", "Take off: V1 up")
+    assert has_element?(open(console), "#operation-web-1", "Take off: V1 up")
   end
 
   test "one that is not ready has to be left out", %{console: console} do
@@ -260,7 +260,7 @@ defmodule Aerie.Console.Pages.Fleet.TakeOffTest do
     render_hook(view, "height", event)
     for id <- ~w(V2 V3), do: assert_receive({:commanded, ^id, "set_altitude"}, Aerie.Patience.ms())
     eventually(fn -> match?({:ok, %{"state" => "done"}}, Fleet.operation(console.gateway, "web-2")) end)
-    assert has_element?(view, "#fleet-results h2", "Height +5 m: all 2 done")
+    assert has_element?(open(console), "#operation-web-2", "Height +5 m 2: all height set")
     viewer = open(console, :viewer)
     render_click(viewer, "all")
     refute has_element?(viewer, "#fleet-height")

@@ -103,7 +103,7 @@ defmodule Aerie.Console.Pages.Operations.StripTest do
     assert %{"state" => "stopped", "then" => back} = state(console)
     # It stands, but may have been commanded just now.
     assert is_binary(back)
-    assert has_element?(view, "#operation-#{back}", "Return all 1")
+    assert has_element?(view, "#operation-#{back}", "Return all: V1")
     refute has_element?(view, "#operation-abort-up")
   end
 
@@ -151,6 +151,28 @@ defmodule Aerie.Console.Pages.Operations.StripTest do
     render_hook(view, "abort-all", %{"command" => "land"})
     assert [%{"name" => "Land all", "source" => "operator", "id" => id}] = Operations.list(console.gateway)
     assert has_element?(view, "#operation-#{id}", "Land all 3")
+  end
+
+  test "what is over is closed by each for all of their pages", %{console: console} do
+    {:ok, _operation} =
+      Operations.begin(
+        console.gateway,
+        %{"id" => "in", "name" => "Land", "vehicles" => ["V1"], "command" => %{"type" => "land"}},
+        @operator,
+        "console"
+      )
+
+    mine = open(console, :operator)
+    # This gateway takes no commands.
+    eventually(fn -> look(mine) =~ "Land: V1 not allowed: the gateway takes no commands just now" end)
+    mine |> element("#operation-in button[aria-label^=Close]") |> render_click()
+    refute has_element?(mine, "#operation-in")
+    refute console |> open(:operator, "/alarms") |> has_element?("#operation-in")
+    assert console |> open(:admin) |> has_element?("#operation-in")
+    viewer = open(console, :viewer)
+    assert has_element?(viewer, "#operation-in")
+    refute has_element?(viewer, "#operation-in button")
+    assert render_hook(mine, "operation-close", %{"operation" => ["in"]})
   end
 
   test "sixty vehicles are one row", %{console: console} do

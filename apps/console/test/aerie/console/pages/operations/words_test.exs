@@ -3,7 +3,11 @@ defmodule Aerie.Console.Pages.Operations.WordsTest do
   use ExUnit.Case, async: true
 
   alias Aerie.Console.Pages.Operations.Words
+  alias Aerie.Vehicle.{Event, Snapshot}
 
+  # Unix microseconds, and the same as text.
+  @begun 1_800_000_000_000_000
+  @begun_at "2027-01-15T08:00:00Z"
   @up ["set_mode", "arm", "takeoff", "wait_above"]
 
   defp operation(vehicles, more \\ %{}) do
@@ -13,6 +17,8 @@ defmodule Aerie.Console.Pages.Operations.WordsTest do
       %{
         "name" => "Take off",
         "state" => "running",
+        "begun_at" => @begun_at,
+        "done_at" => nil,
         "what" => %{"sequence" => @up},
         "counts" => %{"waiting" => waiting},
         "order" => for({id, _vehicle} <- vehicles, do: id),
@@ -22,10 +28,18 @@ defmodule Aerie.Console.Pages.Operations.WordsTest do
     )
   end
 
-  defp texts(operation, height \\ nil),
-    do: for(word <- Words.vehicles(operation, fn _id -> height end), do: word.text)
+  defp seen(mode, in_air, height \\ nil) do
+    groups = %{mode: %{mode: mode, in_air: in_air}, position: %{alt_rel: height}}
+    %Snapshot{id: "A", groups: Map.new(groups, fn {name, data} -> {name, %{at: 0, data: data}} end)}
+  end
 
-  defp line(operation), do: Words.line(operation, Words.vehicles(operation, fn _id -> 12.3 end))
+  defp words(operation, vehicle, events \\ []),
+    do: Words.vehicles(operation, {fn _id -> vehicle end, fn _id, @begun -> events end})
+
+  defp texts(operation, height \\ nil),
+    do: for(word <- words(operation, seen("GUIDED", true, height)), do: word.text)
+
+  defp line(operation), do: Words.line(operation, words(operation, seen(nil, true, 12.3)))
   defp at(step), do: %{"state" => "under_way", "step" => step}
   defp ended(state, result, reason), do: %{"state" => state, "result" => result, "reason" => reason}
 
@@ -51,17 +65,17 @@ defmodule Aerie.Console.Pages.Operations.WordsTest do
     ]
 
     assert texts(operation(vehicles)) == [
-             "Refused: arm: no",
+             "Not allowed: arm: no",
+             "Failed",
              "No answer: no answer",
-             "Not known: restarted",
-             "Failed"
+             "Unknown: restarted"
            ]
 
     assert line(operation(vehicles)) ==
-             "Take off 4: 1 refused: A, 1 no answer: B, 1 not known: C, 1 failed: D"
+             "Take off 4: 1 not allowed: A (arm: no), 1 failed: D, 1 no answer: B (no answer), 1 unknown: C (restarted)"
 
     many = for n <- 1..60, do: {"V#{n}", ended("failed", "timeout", nil)}
-    assert line(operation(many)) == "Take off 60: 60 no answer: V1, V2, V3 and 57 more"
+    assert line(operation(many)) == "Take off 60: all no answer: V1, V2, V3 and 57 more"
   end
 
   test "the rest by what becomes of it" do
@@ -83,7 +97,7 @@ defmodule Aerie.Console.Pages.Operations.WordsTest do
     unnamed =
       operation([{"A", at(nil)}, {"B", ended("ok", "completed", nil)}], %{"name" => nil, "what" => what})
 
-    assert line(unnamed) == "Rtl 2: 2 returning"
+    assert line(unnamed) == "Rtl 2: all returning"
 
     all =
       operation([{"A", ended("ok", "completed", nil)}], %{
@@ -91,8 +105,96 @@ defmodule Aerie.Console.Pages.Operations.WordsTest do
         "what" => %{"sequence" => ["hold"]}
       })
 
-    assert line(all) == "Hold all 1: 1 holding"
+    assert line(all) == "Hold all: A holding"
     assert Words.name(%{"what" => %{"shadow" => %{}}}) == "Desired state"
     assert Words.name(%{"what" => %{"sequence" => @up}}) == "Operation"
+  end
+
+  describe "what the vehicle makes of it later" do
+    @ok %{"state" => "ok", "result" => "completed", "reason" => nil}
+
+    defp told(type, more \\ %{}),
+      do:
+        operation(
+          [{"A", @ok}],
+          Map.merge(%{"name" => "Act", "what" => %{"command" => %{"type" => type}}}, more)
+        )
+
+    defp event(type, after_s), do: Event.new("A", type, 1, @begun + after_s * 1_000_000, nil, %{})
+    defp word(type, vehicle, events \\ []), do: type |> told() |> words(vehicle, events) |> hd()
+
+    test "a landing has landed when it is on the ground, whatever the vehicle does then" do
+      for {type, going, mode} <- [{"land", "Landing", "LAND"}, {"rtl", "Returning", "AUTO_RTL"}] do
+        assert %{text: ^going, going?: true} = word(type, seen(mode, true))
+        # Some firmwares show the last part of a return as a landing.
+        assert %{text: ^going} = word(type, seen("AUTO_LAND", true))
+        assert %{text: "Landed", going?: false, at: nil} = word(type, seen(mode, false))
+        at = @begun + 60_000_000
+        assert %{text: "Landed", at: ^at} = word(type, seen(mode, false), [event("landed", 60)])
+        assert %{text: "Landed", at: ^at} = word(type, seen("AUTO", true), [event("landed", 60)])
+
+        assert %{text: "No longer " <> _, kind: "plain"} =
+                 word(type, seen("AUTO", true), [event("armed", 60)])
+
+        # What is not known changes nothing.
+        assert %{text: ^going} = word(type, seen(nil, nil))
+        assert %{text: ^going} = word(type, nil)
+      end
+
+      assert Words.line(told("land"), [word("land", seen("LAND", false)) |> Map.put(:vehicle, "A")]) ==
+               "Act: A landed"
+    end
+
+    test "another mode ends a hold in the air" do
+      for mode <- ["LOITER", "BRAKE", "AUTO_LOITER", "ALT_HOLD"],
+          do: assert(%{text: "Holding", kind: "ok"} = word("hold", seen(mode, true)))
+
+      assert %{text: "No longer holding", kind: "plain"} = word("hold", seen("AUTO", true))
+      assert %{text: "Holding"} = word("hold", seen("STABILIZE", false))
+
+      for {type, text} <- [{"take_control", "In charge"}, {"release_control", "Released"}],
+          do: assert(%{text: ^text} = word(type, nil))
+    end
+
+    test "it is shown until a minute after its end, or that of its landings" do
+      minute = 60_000_000
+      ended = told("land", %{"state" => "done", "done_at" => "2027-01-15T08:00:10Z"})
+      done = @begun + 10_000_000
+      shown? = fn operation, words, now -> Words.shown?(operation, words, now) end
+      landing = words(ended, seen("LAND", true))
+      assert shown?.(ended, landing, done + 10 * minute)
+      refute shown?.(ended, landing, done + 15 * minute)
+      landed = words(ended, seen("LAND", false), [event("landed", 300)])
+      assert shown?.(ended, landed, @begun + 300_000_000 + minute - 1)
+      refute shown?.(ended, landed, @begun + 300_000_000 + minute)
+
+      failed =
+        operation([{"A", ended("failed", "denied", nil)}], %{"state" => "done", "done_at" => @begun_at})
+
+      assert shown?.(failed, words(failed, nil), @begun + minute - 1)
+      refute shown?.(failed, words(failed, nil), @begun + minute)
+      # What waits for somebody waits.
+      assert shown?.(%{failed | "state" => "interrupted"}, words(failed, nil), @begun + 100 * minute)
+      running = told("land")
+      assert shown?.(running, words(running, seen("LAND", true)), @begun + 100 * minute)
+    end
+  end
+
+  test "those that need somebody come first, with reasons in full; the others stay in their order" do
+    why = String.duplicate("a long reason ", 30)
+    ok = ended("ok", "completed", nil)
+
+    vehicles =
+      [{"A", %{"state" => "waiting"}}, {"B", ok}, {"C", ended("failed", "timeout", "late")}] ++
+        [
+          {"D", ended("failed", "denied", why)},
+          {"E", %{"state" => "waiting"}},
+          {"F", ended("failed", "denied", why)}
+        ]
+
+    words = words(operation(vehicles), nil)
+    assert for(word <- words, do: word.vehicle) == ~w(D F C A B E)
+    assert hd(words).text == "Not allowed: " <> why
+    assert Words.counts(words) =~ "2 not allowed: D, F (#{why}), 1 no answer: C (late), 2 waiting, 1 up"
   end
 end

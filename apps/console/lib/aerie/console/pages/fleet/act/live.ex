@@ -1,50 +1,26 @@
 defmodule Aerie.Console.Pages.Fleet.Act.Live do
   @moduledoc """
-  What the page of the fleet keeps of its acts: the results of the latest operation (`@results`), and the sheet that is
-  being prepared (`@sheet`, with `@facts` of its vehicles and `@sheet_error`). Each act is one operation of the gateway,
-  so it goes on without the page.
+  What the page of the fleet keeps of its acts: the sheet that is being prepared (`@sheet`, with `@facts` of its
+  vehicles and `@sheet_error`). Each act is one operation of the gateway, so it goes on without the page, and the strip
+  of all pages shows what becomes of it.
   """
   import Phoenix.Component, only: [assign: 2, assign: 3]
   import Phoenix.LiveView, only: [clear_flash: 1, put_flash: 3]
 
-  alias Aerie.Console.Pages.Fleet.Act.{Height, Press, Results, TakeOff}
+  alias Aerie.Console.Pages.Fleet.Act.{Height, Press, TakeOff}
   alias Aerie.Control.Commands
   alias Aerie.Fleet
   alias Aerie.Vehicle.Snapshot
   alias Phoenix.LiveView.Socket
 
-  @doc "Finds the operation that the user began just before, for a page that was loaded again."
+  @doc "Without a sheet."
   @spec mount(Socket.t()) :: Socket.t()
-  def mount(%{assigns: %{gateway: gateway, user: user}} = socket) do
-    socket = assign(socket, results: nil, sheet: nil, facts: %{}, sheet_error: nil)
+  def mount(socket), do: assign(socket, sheet: nil, facts: %{}, sheet_error: nil)
 
-    case Results.latest(Fleet.recent_operations(gateway), user.name, System.os_time(:second)) do
-      nil -> socket
-      id -> show(socket, Fleet.operation(gateway, id))
-    end
-  end
-
-  @doc "After an operation has changed."
-  @spec changed(Socket.t(), id :: String.t()) :: Socket.t()
-  def changed(%{assigns: %{results: %{operation: %{"id" => id}}, gateway: gateway}} = socket, id),
-    do: show(socket, Fleet.operation(gateway, id))
-
-  def changed(socket, _other), do: socket
-
-  defp show(%{assigns: %{gateway: gateway, results: results}} = socket, {:ok, operation}) do
-    mode = &with(%{} = vehicle <- Fleet.vehicle(gateway, &1), do: Snapshot.data(vehicle, :mode)[:mode])
-    assign(socket, :results, Results.new(results, operation, mode))
-  end
-
-  # The gateway has forgotten it.
-  defp show(socket, {:error, _unknown}), do: socket
-
-  @doc "After the rows of the vehicles, by id, have changed."
-  @spec follow(Socket.t(), %{String.t() => map()}) :: Socket.t()
-  def follow(%{assigns: %{results: results, sheet: sheet}} = socket, rows) do
-    socket = if results, do: assign(socket, :results, Results.follow(results, rows)), else: socket
-    if sheet, do: look(socket), else: socket
-  end
+  @doc "After the vehicles have changed."
+  @spec follow(Socket.t()) :: Socket.t()
+  def follow(%{assigns: %{sheet: nil}} = socket), do: socket
+  def follow(socket), do: look(socket)
 
   @doc "Begins what a press asks for, for these vehicles."
   @spec command(Socket.t(), event :: map(), [String.t()]) :: Socket.t()
@@ -69,8 +45,13 @@ defmodule Aerie.Console.Pages.Fleet.Act.Live do
 
   defp begin(%{assigns: %{gateway: gateway, user: user}} = socket, request) do
     case Fleet.begin_operation(gateway, request, user, "console") do
-      {:ok, operation} -> {:ok, show(socket, {:ok, operation})}
-      {:error, refusal} -> {:error, Fleet.refusal(refusal)}
+      {:ok, _operation} ->
+        # The strip shows it at once.
+        send(self(), :console_operations)
+        {:ok, socket}
+
+      {:error, refusal} ->
+        {:error, Fleet.refusal(refusal)}
     end
   end
 

@@ -1,9 +1,11 @@
 // The hook of `Aerie.Console.Map.map/1`; the README in lib/aerie/console/map describes attributes and events.
 import { Base, offered } from "./map/base.js";
+import { box } from "./map/box.js";
 import { Coastlines } from "./map/coastlines.js";
 import { bounds } from "./map/geo.js";
 import { graticule } from "./map/graticule.js";
 import { Measure } from "./map/measure.js";
+import { PlaceMenu, whenResting } from "./map/menu.js";
 import { npm } from "./map/npm.js";
 import { Overlays } from "./map/overlays.js";
 import { PlanEditor } from "./map/plan.js";
@@ -176,8 +178,11 @@ export default {
   listen() {
     const { map } = this;
     map.on("click", (event) => this.clicked(event));
-    // A touch that rests is the other button.
-    map.on("contextmenu", ({ lngLat }) => this.tool === "measure" || this.push("map_menu", place(lngLat)));
+    this.menu = new PlaceMenu(this.el, (act) => this.chosen(act), () => this.aim());
+    map.on("contextmenu", ({ point, lngLat }) => this.ask(point, lngLat));
+    whenResting(map, ({ point, lngLat }) => this.ask(point, lngLat));
+    map.on("movestart", ({ originalEvent }) => originalEvent && this.menu.close());
+    if ("box" in this.el.dataset) box(map, this.canvas, (within, less) => this.boxed(within, less));
     // While a finger is on the map, it is not moved from below it.
     for (const event of ["mousedown", "touchstart"]) map.on(event, () => { this.held = true; });
     this.released = () => { this.held = false; };
@@ -189,7 +194,35 @@ export default {
     this.canvas.addEventListener("keydown", (event) => this.key(event));
   },
 
+  // The menu of a place, on pages that have one.
+  ask(point, lngLat) {
+    if (!this.el.dataset.menu || this.tool === "measure" || this.menu.isOpen) return;
+    const { vehicle, path, items, note } = JSON.parse(this.el.dataset.menu);
+    const here = place(lngLat);
+    this.asking = { vehicle, path, ...here };
+    const measure = { act: "measure", label: "Measure from here" };
+    this.menu.open({ title: vehicle ?? "This place", items: [...items, measure], note }, here, point);
+    this.overlays.target({ ...here, text: "here" });
+  },
+
+  chosen(act) {
+    const { vehicle, path, lat, lon } = this.asking;
+    if (act === "measure") {
+      this.setTool("measure");
+      this.measure.add([lon, lat]);
+    } else if (path) this.js().navigate(`${path}?${new URLSearchParams({ act, lat, lon })}`);
+    else this.push("map_guided", { act, vehicle, lat, lon });
+  },
+
+  boxed(within, less) {
+    const ids = [...this.fleet].filter(([, { position }]) => within(this.map.project(position))).map(([id]) => id);
+    if (ids.length) this.push("map_box", { ids, less });
+    this.say(`${ids.length === 1 ? "1 vehicle" : `${ids.length} vehicles`} in the box${ids.length ? (less ? ", removed from the selection" : ", added to the selection") : ""}.`);
+  },
+
   clicked({ point, lngLat, originalEvent }) {
+    // The end of the touch that has opened it.
+    if (this.menu.isOpen) return;
     if (this.tool === "measure") return this.measure.add([lngLat.lng, lngLat.lat]);
     if (this.tool === "plan" && this.editor.clicked(point, lngLat)) return;
     if (this.tool === "point") return this.push("map_point", place(lngLat));
@@ -200,7 +233,8 @@ export default {
   // With the keyboard, a place is the centre of the view, which a cross marks.
   key(event) {
     const centre = this.map.getCenter();
-    if (event.key === "Escape" && this.tool === "measure") this.setTool(this.el.dataset.tool);
+    if (event.key === "ContextMenu" || (event.key === "F10" && event.shiftKey)) this.ask(this.map.project(centre), centre);
+    else if (event.key === "Escape" && this.tool === "measure") this.setTool(this.el.dataset.tool);
     else if (event.key === "Escape") this.push("map_escape", {});
     else if (event.key === "Backspace" && this.tool === "measure") this.measure.removeLast();
     else if (event.key === "Enter" && this.tool === "measure") this.measure.add([centre.lng, centre.lat]);
@@ -232,7 +266,8 @@ export default {
       this.fitted = true;
       if (!this.hadView && !this.following) this.fit({ animate: false });
     }
-    if (this.following && !this.held) this.chase();
+    if (this.following && !this.held && !this.menu.isOpen) this.chase();
+    if (this.aimed?.from && !this.menu.isOpen) this.aim();
     this.ring();
   },
 
@@ -249,7 +284,13 @@ export default {
   },
 
   target({ place: target }) {
-    this.overlays.target(target);
+    this.aimed = target;
+    if (!this.menu.isOpen) this.aim();
+  },
+
+  // The place that a vehicle may go to, with the way there from where it is now.
+  aim() {
+    this.overlays.target(this.aimed, this.fleet.get(this.aimed?.from)?.position);
   },
 
   plan({ plan }) {
@@ -261,8 +302,9 @@ export default {
   },
 
   fit({ ids, animate = true }) {
-    const box = bounds([...this.positions(ids), ...(ids?.length ? [] : this.editor.positions())]);
-    if (box) this.map.fitBounds(box, { padding: 60, maxZoom: CLOSEST, animate });
+    const aimed = ids?.includes(this.aimed?.from) ? [[this.aimed.lon, this.aimed.lat]] : [];
+    const view = bounds([...this.positions(ids), ...aimed, ...(ids?.length ? [] : this.editor.positions())]);
+    if (view) this.map.fitBounds(view, { padding: 60, maxZoom: CLOSEST, animate });
   },
 
   positions(ids = [...this.fleet.keys()]) {

@@ -1,6 +1,6 @@
 // What belongs to vehicles and to the gateway: homes, missions, fences and rally points of vehicles, the policy's zones, range rings,
 // and the place that a vehicle was told to go to. One source.
-import { circle, collection, destination, feature, metresText } from "./geo.js";
+import { circle, collection, continuous, destination, feature, metresText } from "./geo.js";
 import { FONT } from "./style.js";
 
 const RINGS = 3;
@@ -39,8 +39,16 @@ export class Overlays {
     this.set("zones", zones.map(({ kind, name, rings }) => feature("Polygon", rings.map(closed), { kind, text: name })));
   }
 
-  target(place) {
-    this.set("target", place ? [feature("Point", [place.lon, place.lat], { kind: "target", text: place.text ?? "" })] : []);
+  // `from`: where the vehicle is that may go there. `ring`: {metres, text}.
+  target(place, from) {
+    if (!place) return this.set("target", []);
+    const { text = "", way = "", ring } = place;
+    const at = [place.lon, place.lat];
+    this.set("target", [
+      feature("Point", at, { kind: "target", text }),
+      ...(from ? [feature("LineString", continuous([from, at]), { kind: "way", text: way })] : []),
+      ...(ring ? [feature("LineString", circle(at, ring.metres), { kind: "ring" }), feature("Point", destination(at, 0, ring.metres), { kind: "ring", text: ring.text })] : []),
+    ]);
   }
 
   // Rings around places at round distances that suit the zoom; null: none.
@@ -126,6 +134,15 @@ function layers(c) {
     {
       id: "overlays-target", type: "circle", source: "overlays", filter: all("Point", "target"), layout: {},
       paint: { "circle-radius": 9, "circle-color": "rgba(0,0,0,0)", "circle-stroke-color": c.selected, "circle-stroke-width": 4 },
+    },
+    {
+      id: "overlays-way", type: "line", source: "overlays", filter: all("LineString", "way"), layout: {},
+      paint: { "line-color": c.selected, "line-width": 2, "line-dasharray": [2, 1] },
+    },
+    {
+      id: "overlays-way-text", type: "symbol", source: "overlays", filter: all("LineString", "way"),
+      layout: { "symbol-placement": "line-center", "text-field": ["get", "text"], "text-font": FONT, "text-size": 12, "text-offset": [0, -0.9], "text-allow-overlap": true },
+      paint: { "text-color": c.text, "text-halo-color": c.halo, "text-halo-width": 2 },
     },
     {
       id: "overlays-text", type: "symbol", source: "overlays", filter: all("Point", "home", "rally", "waypoint"),

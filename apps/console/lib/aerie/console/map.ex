@@ -14,6 +14,12 @@ defmodule Aerie.Console.Map do
   attr :tools, :list, default: @tools
   attr :class, :string, default: nil
 
+  attr :menu, :map,
+    default: nil,
+    doc: "what a place's menu offers (`Aerie.Console.Commands.Guided.menu/3`); nil: no menu"
+
+  attr :box, :boolean, default: false, doc: "whether Shift and a drag select vehicles"
+
   @doc "The map. Its content is pushed to it."
   def map(assigns) do
     ~H"""
@@ -29,6 +35,8 @@ defmodule Aerie.Console.Map do
       data-selected={JSON.encode!(@selected)}
       data-tool={@tool}
       data-tools={JSON.encode!(@tools)}
+      data-menu={@menu && JSON.encode!(@menu)}
+      data-box={@box}
     ></div>
     """
   end

@@ -175,8 +175,11 @@ defmodule Aerie.Console.Commands.Outcome do
         nil
 
       metres ->
-        "#{metres(metres)} #{if type == "rtl", do: "from home", else: "to go"}" <>
-          time(metres, Snapshot.data(vehicle, :velocity)[:groundspeed])
+        way(
+          metres,
+          if(type == "rtl", do: " from home", else: " to go"),
+          Snapshot.data(vehicle, :velocity)[:groundspeed]
+        )
     end
   end
 
@@ -205,6 +208,10 @@ defmodule Aerie.Console.Commands.Outcome do
          do: "#{round(height)} m above home",
          else: (_unknown -> nil)
   end
+
+  @doc "A distance with words about it, and how long it takes at this speed if that is one: `118 m to go, 20 s`."
+  @spec way(number(), String.t(), number() | nil) :: String.t()
+  def way(metres, words, speed), do: metres(metres) <> words <> time(metres, speed)
 
   defp time(metres, speed) when is_number(speed) and speed >= @least_speed,
     do: ", " <> Age.text(round(metres / speed) * 1_000_000)

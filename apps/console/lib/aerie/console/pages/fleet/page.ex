@@ -10,7 +10,7 @@ defmodule Aerie.Console.Pages.Fleet.Page do
       {:page,
        events: [
          viewer:
-           ~w(select all none again pointer sort_now filter flag sort plans map_select map_follow map_menu map_escape
+           ~w(select all none again pointer sort_now filter flag sort plans map_select map_follow map_box map_escape
               group show_hidden)
        ],
        costly: ~w(all filter flag sort sort_now plans)}
@@ -174,7 +174,12 @@ defmodule Aerie.Console.Pages.Fleet.Page do
     {:noreply, assign(socket, :follow, Enum.find(ids(socket.assigns.all), &(&1 == id)))}
   end
 
-  def handle_event("map_menu", _place, socket), do: {:noreply, socket}
+  def handle_event("map_box", %{"ids" => meant, "less" => less}, %{assigns: %{all: all}} = socket)
+      when is_list(meant) do
+    known = for %{id: id} <- all, id in meant, do: id
+    change = if less == true, do: &Selection.remove/2, else: &Selection.add/2
+    {:noreply, update(socket, :selection, &change.(&1, known))}
+  end
 
   # The missions of those that are selected, on the map.
   def handle_event("plans", event, socket) do
@@ -366,7 +371,7 @@ defmodule Aerie.Console.Pages.Fleet.Page do
           <:tab patch={Address.of(@filter, @order, "table")} current={@view == "table"} icon="list">Table ({length(@all)})</:tab>
         </.tabs>
       </div>
-      <.map id="fleet-map" class="fleet-map" label="Map of all vehicles" selected={Selection.among(@selection, ids(@all))} follow={@follow} />
+      <.map id="fleet-map" class="fleet-map" label="Map of all vehicles" selected={Selection.among(@selection, ids(@all))} follow={@follow} menu={OnMap.menu(Selection.among(@selection, ids(@all)), @gateway, @user)} box />
       <.link navigate="/replay" class="button small fleet-replay">
         <.icon name="restart" /> Replay: the last 24 hours
       </.link>

@@ -31,6 +31,14 @@ defmodule Aerie.Console.Pages.Fleet.Selection do
       else: only(selection, id)
   end
 
+  @doc "Adds these vehicles."
+  @spec add(t(), [String.t()]) :: t()
+  def add(selection, ids), do: %{selection | ids: MapSet.union(selection.ids, MapSet.new(ids))}
+
+  @doc "Removes these vehicles."
+  @spec remove(t(), [String.t()]) :: t()
+  def remove(selection, ids), do: %{selection | ids: MapSet.difference(selection.ids, MapSet.new(ids))}
+
   @doc "Selects all of these, or none if all are selected."
   @spec all(t(), [String.t()]) :: t()
   def all(selection, ids) do

@@ -10,7 +10,7 @@ defmodule Aerie.Console.Pages.Plan.Page do
        events: [
          viewer:
            ~w(plan_add plan_move plan_insert plan_pick part what altitude undo redo remove shift set clear_part close_zone drop_corners agree action vehicle home
-              import export restore download verify close_transfer map_select map_follow map_menu map_escape)
+              import export restore download verify close_transfer map_select map_follow map_escape)
        ],
        costly: ~w(import export restore download verify look)}
 

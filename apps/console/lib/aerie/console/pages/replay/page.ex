@@ -3,7 +3,7 @@ defmodule Aerie.Console.Pages.Replay.Page do
   The last 24 hours: a time line with a row for each vehicle, and the map at a second of it. The browser moves through
   the time (`assets/hooks/replay.js`) and asks for chunks of two minutes; the page commands nothing.
   """
-  use Aerie.Console, {:page, events: [viewer: ~w(chunk map_select map_follow map_menu map_escape)]}
+  use Aerie.Console, {:page, events: [viewer: ~w(chunk map_select map_follow map_escape)]}
 
   import Aerie.Console.Map, only: [map: 1]
 

@@ -4,6 +4,7 @@ defmodule Aerie.Console.Pages.Vehicle.Fly do
 
   import Aerie.Console.Pages.Vehicle.GroupCard
 
+  alias Aerie.Console.Commands.Guided
   alias Aerie.Console.Map, as: ConsoleMap
   alias Aerie.Console.Pages.Vehicle.{Events, View}
   alias Aerie.Console.Pages.Vehicle.Control.Actions
@@ -36,6 +37,7 @@ defmodule Aerie.Console.Pages.Vehicle.Fly do
             follow={if @following, do: @view.vehicle.id}
             selected={[@view.vehicle.id]}
             tool={if @aiming, do: "point", else: "select"}
+            menu={Guided.menu(@view.vehicle, @user)}
             class="vehicle-map"
           />
           <details id="fly-instruments" class="fly-instruments" open phx-mounted={JS.ignore_attributes("open")}>

@@ -10,7 +10,7 @@ defmodule Aerie.Console.Pages.Vehicle.Page do
       {:page,
        events: [
          viewer:
-           ~w(noop input events_filter events_pause chart_add command_search map_select map_follow map_menu map_escape map_point route)
+           ~w(noop input events_filter events_pause chart_add command_search map_select map_follow map_escape map_point route)
        ]}
 
   alias Aerie.Base.Store
@@ -102,10 +102,24 @@ defmodule Aerie.Console.Pages.Vehicle.Page do
     form = if command == socket.assigns.command, do: socket.assigns.form, else: %{}
     errors = if command == socket.assigns.command, do: socket.assigns.errors, else: @no_errors
     socket = assign(socket, section: section, series: series, command: command, form: form, errors: errors)
+    if connected?(socket) and params["act"], do: send(self(), {:guided, place(params)})
     # The map is new when its section is shown again.
     {:noreply,
      socket |> assign(map: %{}, homes: nil, marked: nil, route_shown: nil) |> listen() |> load() |> history()}
   end
+
+  # A place that was chosen on the fleet's map.
+  defp place(%{"act" => act, "lat" => lat, "lon" => lon}) do
+    with true <- is_binary(lat) and is_binary(lon),
+         {lat, ""} <- Float.parse(lat),
+         {lon, ""} <- Float.parse(lon) do
+      %{"act" => act, "lat" => lat, "lon" => lon}
+    else
+      _other -> %{}
+    end
+  end
+
+  defp place(_incomplete), do: %{}
 
   # What was before the page was opened, or the field chosen.
   defp history(%{assigns: %{section: "charts", series: [_ | _] = series, gateway: gateway, id: id}} = socket) do
@@ -140,6 +154,12 @@ defmodule Aerie.Console.Pages.Vehicle.Page do
     do: {:noreply, update(socket, :events, &Enum.take(&1 ++ [event], -@max_events))}
 
   def handle_info({:fleet, :leases, _change}, socket), do: {:noreply, load(socket)}
+
+  # Its address must not prepare it again when the page is loaded again.
+  def handle_info({:guided, event}, %{assigns: %{id: id}} = socket) do
+    {:noreply, socket} = handle_event("map_guided", event, socket)
+    {:noreply, socket |> assign(:following, false) |> push_patch(to: Sections.path(id, "fly"), replace: true)}
+  end
 
   def handle_info({:plan, id, ref, message}, socket),
     do: {:noreply, socket |> update(:route, &Plans.update(&1, id, ref, message)) |> route()}
@@ -206,13 +226,15 @@ defmodule Aerie.Console.Pages.Vehicle.Page do
   def handle_event("aim", _value, socket), do: {:noreply, update(socket, :aiming, &not/1)}
   def handle_event("aim_end", _value, socket), do: {:noreply, aim(socket, nil)}
 
-  def handle_event("aim_altitude", %{"altitude" => text}, %{assigns: %{target: %{} = target}} = socket),
-    do: {:noreply, aim(socket, %{target | altitude: String.slice(text, 0, 20)})}
+  def handle_event("aim_change", fields, %{assigns: %{target: %{} = target}} = socket),
+    do: {:noreply, aim(socket, Target.change(target, fields))}
 
   # A viewer's map cannot set a target, so such an event is ignored.
   def handle_event(name, place, %{assigns: %{view: %View{} = view, user: %{role: role}}} = socket)
-      when name in ["map_point", "map_menu"] and role != :viewer,
-      do: {:noreply, aim(socket, Target.new(view, place))}
+      when name in ["map_point", "map_guided"] and role != :viewer do
+    act = if name == "map_point", do: "goto", else: place["act"]
+    {:noreply, socket |> assign(:aiming, false) |> aim(Target.new(view, act, place))}
+  end
 
   def handle_event("map_escape", _value, socket), do: {:noreply, socket |> assign(:aiming, false) |> aim(nil)}
 
@@ -243,7 +265,9 @@ defmodule Aerie.Console.Pages.Vehicle.Page do
         do: {name, String.slice(text, 0, 60)}
       )
 
-  defp sent(socket, "goto"), do: socket |> assign(aiming: false) |> aim(nil)
+  defp sent(%{assigns: %{target: %{type: type}}} = socket, type),
+    do: socket |> assign(aiming: false) |> aim(nil)
+
   defp sent(socket, "set_mode"), do: update(socket, :inputs, &%{&1 | "mode" => ""})
   defp sent(socket, _type), do: socket
 
@@ -258,11 +282,11 @@ defmodule Aerie.Console.Pages.Vehicle.Page do
   end
 
   # A prepared target comes first, then the one that the vehicle flies to.
-  defp mark(%{assigns: %{target: target, marked: marked, entries: entries, courses: courses}} = socket) do
+  defp mark(%{assigns: %{target: target, marked: marked, view: view} = assigns} = socket) do
     place =
-      if target,
-        do: %{lat: target.lat, lon: target.lon, text: "go here"},
-        else: Target.on_its_way(entries, courses)
+      if target && view,
+        do: Target.drawn(target, view),
+        else: Target.on_its_way(assigns.entries, assigns.courses)
 
     if place == marked,
       do: socket,

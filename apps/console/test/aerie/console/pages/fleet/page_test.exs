@@ -204,6 +204,10 @@ defmodule Aerie.Console.Pages.Fleet.PageTest do
       assert selected(view) == ["V2", "V4", "V5"]
       render_hook(view, "map_select", %{"map" => "fleet-map", "id" => "V1", "add" => false})
       assert selected(view) == ["V1"]
+      render_hook(view, "map_box", %{"ids" => ["V2", "V4", "stranger"], "less" => false})
+      assert selected(view) == ["V1", "V2", "V4"]
+      render_hook(view, "map_box", %{"ids" => ["V1", "V4"], "less" => true})
+      assert selected(view) == ["V2"]
       render_hook(view, "all", %{})
       assert length(selected(view)) == 5
       render_hook(view, "none", %{})

@@ -45,7 +45,7 @@ defmodule Aerie.Console.Pages.Vehicle.PageTest do
         do: assert(render_hook(view, event, value) =~ "Viewers can")
 
     render_hook(view, "map_point", %{"lat" => 47.0, "lon" => 8.0})
-    refute has_element?(view, "#goto-title")
+    refute has_element?(view, "#target-title")
     refute_submitted()
     assert Aerie.Control.Commands.recent(console.gateway, @id) == []
   end
@@ -209,6 +209,80 @@ defmodule Aerie.Console.Pages.Vehicle.PageTest do
         do: render_hook(view, "map_point", place)
 
     refute has_element?(view, ".goto-panel")
+  end
+
+  test "a place's menu: what the firmware and the user can, and for the others why not", %{console: console} do
+    menu = fn view ->
+      [json] = Regex.run(~r/data-menu="([^"]*)"/, render(view), capture: :all_but_first)
+      json |> String.replace("&quot;", "\"") |> JSON.decode!()
+    end
+
+    assert %{"vehicle" => @id, "path" => nil, "items" => items} = menu.(open(console))
+
+    assert [{"goto", nil}, {"set_roi", nil}, {"orbit", "Not available: only ArduPlane" <> _}, home] =
+             for(item <- items, do: {item["act"], item["refusal"]})
+
+    # In the air, where it would return to protects it.
+    assert {"set_home", "Not allowed: set_home needs the permission protection" <> _} = home
+
+    assert %{"items" => [], "note" => "viewer can only watch this vehicle."} = menu.(open(console, :viewer))
+    put(console, [], %{autopilot: :betaflight})
+    assert Enum.all?(menu.(open(console))["items"], &(&1["refusal"] =~ "Not available"))
+  end
+
+  test "each act of a place has its card, and nothing else makes one", %{console: console} do
+    home = %{lat: 47.397, lon: 8.5456, alt_msl: 488.0}
+    put(console, [home: home], %{autopilot: :px4})
+    view = open(console)
+    place = %{"lat" => 47.398, "lon" => 8.5456}
+
+    for {act, title, fields} <- [
+          {"goto", "Go to a place", %{"altitude" => "20", "speed" => ""}},
+          {"set_roi", "Look at a place", %{"altitude" => "0"}},
+          {"orbit", "Circle around a place", %{"radius" => "20", "altitude" => "20", "speed" => ""}},
+          {"set_home", "Set home at a place", %{"altitude_msl" => "488.0"}}
+        ] do
+      if act == "set_home", do: put(console, [home: home, mode: %{in_air: false}], %{autopilot: :px4})
+      render_hook(view, "map_guided", Map.put(place, "act", act))
+      assert has_element?(view, "#target-title", title)
+      for {name, text} <- fields, do: assert(has_element?(view, "##{act}-#{name}[value='#{text}']"))
+      assert has_element?(view, "#action-#{act}:not([disabled])")
+    end
+
+    give(view, "set_home", "h1", %{"fields" => Map.merge(stringed(place), %{"altitude_msl" => "488.0"})})
+    answer(executing(%{id: "h1", params: %{lat: 47.398, altitude_msl: 488.0}}), "h1", :completed)
+    refute has_element?(view, ".goto-panel")
+
+    for act <- ["land_now", "arm", nil, %{}], do: render_hook(view, "map_guided", Map.put(place, "act", act))
+    refute has_element?(view, ".goto-panel")
+    viewer = open(console, :viewer)
+    assert render_hook(viewer, "map_guided", Map.put(place, "act", "goto")) =~ "Viewers can"
+    refute has_element?(viewer, ".goto-panel")
+  end
+
+  defp stringed(place), do: Map.new(place, fn {name, number} -> {name, to_string(number)} end)
+
+  test "an address that names a place prepares it once; one that is wrong prepares nothing", %{
+    console: console
+  } do
+    {:ok, view, _html} = live(conn(console), @path <> "?act=orbit&lat=47.398&lon=8.5456")
+    eventually(fn -> has_element?(view, "#target-title", "Circle") end)
+    assert_patch(view, @path, Aerie.Patience.ms())
+    assert has_element?(view, ".goto-panel [data-answer=deny]", "only ArduPlane")
+
+    for query <- ["act=goto", "act=goto&lat=x&lon=1", "act=goto&lat=91&lon=1"] do
+      {:ok, view, _html} = live(conn(console), @path <> "?" <> query)
+      assert_patch(view, @path, Aerie.Patience.ms())
+      refute has_element?(view, ".goto-panel")
+    end
+  end
+
+  @tag :chromium
+  test "in a browser: the menu of a place by mouse, keyboard and touch; a box selects", %{console: console} do
+    put_vehicle(console, "VID-008", [position: %{lat: 47.3974, lon: 8.546}], %{key: {"main", 8}, system_id: 8})
+
+    browse(console, "guided.mjs")
+    executing(%{type: "set_roi"})
   end
 
   test "a lost vehicle is plainly lost, and old values have their age", %{console: console} do

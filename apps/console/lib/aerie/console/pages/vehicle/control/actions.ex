@@ -6,8 +6,8 @@ defmodule Aerie.Console.Pages.Vehicle.Control.Actions do
   use Aerie.Console, :component
 
   alias Aerie.Control.Commands
-  alias Aerie.Vehicle.{Firmware, Snapshot}
-  alias Aerie.Console.Commands.{Catalog, Outcome, Panel}
+  alias Aerie.Vehicle.Firmware
+  alias Aerie.Console.Commands.{Catalog, Guided, Panel}
   alias Aerie.Console.Pages.Vehicle.View
   alias Aerie.Console.Pages.Vehicle.Control.Target
 
@@ -141,36 +141,36 @@ defmodule Aerie.Console.Pages.Vehicle.Control.Actions do
   attr :answer, :any, required: true
   attr :obstacles, :list, required: true
 
-  @doc "A position that was clicked on the map, with the policy's answer, before anything is sent."
-  def target(assigns) do
+  @doc "A place that was chosen on the map, and the command for it, with the policy's answer, before anything is sent."
+  def target(%{target: %{type: type}} = assigns) do
+    assigns = assign(assigns, type: type, act: Guided.act(type))
+
     ~H"""
-    <section class="card goto-panel" aria-labelledby="goto-title">
+    <section class="card goto-panel" aria-labelledby="target-title">
       <div class="spread">
-        <h2 id="goto-title">Go to a place</h2>
+        <h2 id="target-title">{@act.title}</h2>
         <.button kind="quiet" small={true} icon="x" label="Cancel" phx-click="aim_end" />
       </div>
-      <p class="mono">{View.number(@target.lat, 6)}, {View.number(@target.lon, 6)}<span :if={far(@target, @view)}>, {far(@target, @view)} away</span></p>
-      <form id="goto-form" class="control" phx-change="aim_altitude" phx-auto-recover="ignore" phx-submit="noop">
+      <p class="mono">{View.number(@target.lat, 6)}, {View.number(@target.lon, 6)}<span :if={way = Target.way(@target, @view, " away")}>, {way}</span></p>
+      <form id={"#{@type}-form"} class="control" phx-change="aim_change" phx-auto-recover="ignore" phx-submit="noop">
         <.field
-          id="goto-altitude" name="altitude" label="Height (above home)" unit="m" inputmode="decimal"
-          autocomplete="off" value={@target.altitude}
+          :for={name <- @act.fields} id={"#{@type}-#{name}"} name={name} label={label(@type, name)}
+          unit={if name == "speed", do: "m/s", else: "m"} inputmode="decimal" autocomplete="off"
+          value={@target.fields[name]}
         />
-        <input :for={{name, text} <- place(@target)} type="hidden" name={name} value={text} />
-        <.hold_button id="action-goto" event="command" icon="goto" phx-value-type="goto" disabled={@answer != :allow} reason="It would be refused: see below">Go there</.hold_button>
+        <input :for={{name, text} <- Target.place(@target)} type="hidden" name={name} value={text} />
+        <.hold_button id={"action-#{@type}"} event="command" icon={@act.icon} phx-value-type={@type} disabled={@answer != :allow} reason="It would be refused: see below">{@act.press}</.hold_button>
       </form>
       <Panel.answer answer={@answer} obstacles={@obstacles} />
     </section>
     """
   end
 
-  defp place(target), do: target |> Target.fields() |> Map.delete("altitude") |> Enum.sort()
-
-  defp far(target, view) do
-    case Snapshot.distance(view.vehicle, {target.lat, target.lon}) do
-      nil -> nil
-      metres -> Outcome.metres(metres)
-    end
-  end
+  defp label("set_roi", "altitude"), do: "Height of the place (above home)"
+  defp label(_type, "altitude"), do: "Height (above home)"
+  defp label(_type, "altitude_msl"), do: "Altitude (MSL)"
+  defp label(_type, "radius"), do: "Radius"
+  defp label(_type, "speed"), do: "Speed (optional)"
 
   @doc "Whether the firmware has the command, with these parameters if they are given, and the user may give it."
   @spec able?(String.t(), map(), params :: map()) :: boolean()

@@ -18,9 +18,9 @@ defmodule Aerie.Console.Pages.Vehicle.Control.CommandCheck do
   end
 
   def of(%{target: %{} = target} = assigns) do
-    case Form.read(Command.type("goto"), Target.fields(target)) do
+    case Form.read(Command.type(target.type), Target.fields(target)) do
       {:ok, params} ->
-        check(assigns, "goto", params)
+        check(assigns, target.type, params)
 
       {:error, %{fields: fields}} ->
         {:deny, :form, Enum.map_join(fields, "; ", fn {name, text} -> "#{name}: #{text}" end)}

@@ -76,6 +76,6 @@ defmodule Aerie.Console.Pages.Vehicle.Health.Obstacles do
   @doc "The command that is being prepared on the page, of its assigns; nil if none."
   @spec prepared(map()) :: String.t() | nil
   def prepared(%{section: "commands", command: name}), do: name
-  def prepared(%{target: %{}}), do: "goto"
+  def prepared(%{target: %{type: type}}), do: type
   def prepared(_assigns), do: nil
 end

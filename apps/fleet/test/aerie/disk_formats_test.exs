@@ -16,6 +16,8 @@ defmodule Aerie.DiskFormatsTest do
   alias Aerie.Fleet.Shadow.Document.Sealed
   alias Aerie.Fleet.Shadow.Store.LocalStore
   alias Aerie.Fleet.Shadow.Keys
+  alias Aerie.Base.Store
+  alias Aerie.Fleet.{Operations, Tracks}
 
   @moduletag :tmp_dir
   @fixtures Path.expand("../fixtures/disk", __DIR__)
@@ -83,6 +85,45 @@ defmodule Aerie.DiskFormatsTest do
         assert %{hash: 77, params: %{"A" => %{value: 5, default: 3}, "B" => %{value: 0.5}}} = table
       end
 
+      test "tracks: each sample is read as it was written", %{tmp_dir: dir, version: version} do
+        gateway = tracks_gateway()
+        folder = Path.join(copy(version, dir), "tracks")
+        assert {:ok, files, 0} = Tracks.Files.open(gateway, folder, max_bytes: 1_048_576, keep_ms: 86_400_000)
+        Tracks.Metrics.status(gateway, %{dir: folder, bytes: Tracks.Files.bytes(files), problem: nil})
+        first = 1_795_213_200_000_000
+
+        assert {:ok, %{next: nil, since: ^first, vehicles: %{"VID-001" => flying, "VID-002" => lost}}} =
+                 Tracks.Reader.read(gateway, :all, first, first + 7_200_000_000, 1)
+
+        assert for(sample <- flying, do: div(sample.at - first, 1000)) == [0, 1_000, 2_000, 3_600_000]
+
+        assert %{lat: 47.39770, lon: 8.5456, height: 20.0, heading: 90, speed: 3.5, age: 0, battery: 0.8} =
+                 hd(flying)
+
+        assert %{mode: "GUIDED", armed: true, in_air: true, status: :online, lat: 47.7577} = List.last(flying)
+
+        assert %{battery: nil, height: nil, lon: -8.5456, age: 300, status: :lost, mode: "AUTO_LOITER"} =
+                 hd(lost)
+
+        Tracks.Files.close(files)
+      end
+
+      test "operations: vehicles that had begun are interrupted, the others wait", %{
+        tmp_dir: dir,
+        version: version
+      } do
+        folder = Path.join(copy(version, dir), "operations")
+
+        assert {:ok, [%{id: "up-1", source: %{name: "ann"}} = entry]} =
+                 Operations.Journal.load(make_ref(), folder)
+
+        assert %{state: :interrupted, waiting: ["VID-003"], results: results} = entry.core
+        assert %{"VID-001" => %{verdict: :ok}, "VID-002" => %{verdict: :failed}} = results
+
+        assert {:sequence, [_one, _two, %{steps: [_arm, {:command, "takeoff", _height}]}]} =
+                 entry.request.what
+      end
+
       test "desired states and the key that seals them", %{tmp_dir: dir, version: version} do
         shadow = Path.join(copy(version, dir), "shadow")
         assert {:ok, %{key: key}} = LocalStore.open(make_ref(), shadow, nil)
@@ -96,6 +137,16 @@ defmodule Aerie.DiskFormatsTest do
                  Sealed.decode(text, "test", "VID-001", keys)
       end
     end
+  end
+
+  defp tracks_gateway do
+    gateway = make_ref()
+
+    start_supervised!(
+      Supervisor.child_spec({Store, gateway: gateway, tables: [Tracks.Files.table()]}, id: gateway)
+    )
+
+    gateway
   end
 
   describe "stores that a kill or a bad disk has left" do
@@ -155,6 +206,14 @@ defmodule Aerie.DiskFormatsTest do
     File.write!(Path.join(dir, "shadow/FORMAT"), "aerie-shadow 2\n")
     assert {:error, text} = LocalStore.open(make_ref(), Path.join(dir, "shadow"), nil)
     assert text =~ "newer version"
+
+    tracks = Path.join(dir, "tracks")
+    File.write!(Path.join(tracks, "FORMAT"), "aerie-tracks 2\n")
+    files = File.ls!(tracks)
+    limits = [max_bytes: 1_048_576, keep_ms: 86_400_000]
+    assert {:error, text} = Tracks.Files.open(tracks_gateway(), tracks, limits)
+    assert text =~ tracks and text =~ "newer version"
+    assert File.ls!(tracks) == files
 
     ledger = Path.join(dir, "ledger")
     file = Path.join(ledger, "ledger")

@@ -200,10 +200,9 @@ defmodule Aerie.Fleet.OperationsTest do
     assert %{"state" => "waiting"} = state(gateway)["vehicles"]["VID-011"]
     refute_received {:commanded, "VID-011", _type}
     # It is told when the vehicle changes, and no more once it is up.
-    told = fn -> Book.members({gateway, {:vehicle, "VID-013"}}) end
-    eventually(fn -> match?([_wait], told.()) end)
+    eventually(fn -> match?([_wait], told(gateway, 13)) end)
     vehicle(gateway, 13, %{armed: true, in_air: true}, %{alt_rel: 6.0})
-    eventually(fn -> told.() == [] end)
+    eventually(fn -> told(gateway, 13) == [] end)
     assert_receive {:commanded, "VID-011", "arm"}, Aerie.Patience.ms()
     vehicle(gateway, 11, %{armed: true, in_air: true}, %{alt_rel: 6.0})
     assert %{"state" => "done", "counts" => %{"ok" => 2}} = over(gateway, "up")
@@ -392,6 +391,50 @@ defmodule Aerie.Fleet.OperationsTest do
     assert String.ends_with?(File.read!(Path.join(kept, "a.jsonl")), "\n")
     assert [_b, _x] = Path.wildcard(Path.join(kept, "*.damaged-*"))
   end
+
+  test "a full disk: the operation goes on, and a restart does not take up what was not written to its end",
+       c do
+    grounded(c.gateway, [11, 13, 15])
+    assert {:ok, _begun} = sequence(c.gateway, [up(11), up(13), up(15)])
+    assert_receive {:commanded, "VID-011", "takeoff"}, Aerie.Patience.ms()
+    # /dev/full says "no space left" to every write, as a full disk does.
+    path = Path.join(c.kept, "up.jsonl")
+    File.rm!(path)
+    File.ln_s!("/dev/full", path)
+    vehicle(c.gateway, 11, %{armed: true, in_air: true}, %{alt_rel: 6.0})
+    assert_receive {:commanded, "VID-013", "takeoff"}, Aerie.Patience.ms()
+    refute File.exists?(path)
+    # There is room again, and the rest would be a file without its beginning.
+    vehicle(c.gateway, 13, %{armed: true, in_air: true}, %{alt_rel: 6.0})
+    assert_receive {:commanded, "VID-015", "takeoff"}, Aerie.Patience.ms()
+    restart(c.gateway, c.kept)
+    assert {:error, {:unknown, _why}} = Operations.change(c.gateway, "up", :continue, @operator)
+    assert Path.wildcard(Path.join(c.kept, "*")) == []
+  end
+
+  test "killed while a vehicle climbs, its operations command nobody any more", c do
+    grounded(c.gateway, [11, 13])
+    assert {:ok, _begun} = sequence(c.gateway, [up(11), up(13)])
+    await(c.gateway, &(&1["vehicles"]["VID-011"]["step"] == "wait_above"))
+    assert_received {:commanded, "VID-011", "arm"}
+    [{wait, _value}] = eventually(fn -> told(c.gateway, 11) != [] && told(c.gateway, 11) end)
+    reference = Process.monitor(wait)
+    Process.exit(Names.whereis(c.gateway, :operations), :kill)
+    # Its tasks end with it, and what they would have done next.
+    assert_receive {:DOWN, ^reference, :process, ^wait, _with_it}, Aerie.Patience.ms()
+    eventually(fn -> match?({:ok, %{"state" => "interrupted"}}, Operations.get(c.gateway, "up")) end)
+
+    assert %{"VID-011" => %{"result" => "unknown"}, "VID-013" => %{"state" => "waiting"}} =
+             state(c.gateway)["vehicles"]
+
+    refute_received {:commanded, "VID-013", _type}
+    vehicle(c.gateway, 11, %{armed: true, in_air: true}, %{alt_rel: 6.0})
+    assert {:ok, _now} = Operations.change(c.gateway, "up", :continue, @other)
+    assert_receive {:commanded, "VID-013", "arm"}, Aerie.Patience.ms()
+    refute_received {:commanded, "VID-011", "arm"}
+  end
+
+  defp told(gateway, n), do: Book.members({gateway, {:vehicle, "VID-0#{n}"}})
 
   # As after the end of the gateway: the store is empty.
   defp restart(gateway, kept) do

@@ -45,18 +45,18 @@ defmodule Aerie.Fleet.Operations.Journal do
     begun = if begun == [], do: [], else: [%{begun: begun}]
     state = if core.state == before.state, do: [], else: [%{state: Atom.to_string(core.state), at: now}]
 
-    case begun ++ ended ++ state do
-      [] ->
-        :ok
+    lines = begun ++ ended ++ state
 
-      lines ->
-        File.write(path(dir, id), for(line <- lines, do: [JSON.encode_to_iodata!(line), ?\n]), [:append, :raw])
-    end
+    # A file that was given up does not come back without its beginning.
+    if lines != [] and File.exists?(path(dir, id)),
+      do:
+        File.write(path(dir, id), for(line <- lines, do: [JSON.encode_to_iodata!(line), ?\n]), [:append, :raw]),
+      else: :ok
   end
 
   @doc "Forgets an operation."
   @spec forget(Path.t(), String.t()) :: :ok | {:error, File.posix()}
-  def forget(dir, id), do: File.rm(path(dir, id))
+  def forget(dir, id), do: with({:error, :enoent} <- File.rm(path(dir, id)), do: :ok)
 
   # An id has letters, digits, - and _ only.
   defp path(dir, id), do: Path.join(dir, id <> ".jsonl")

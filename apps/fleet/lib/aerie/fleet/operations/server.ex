@@ -377,8 +377,12 @@ defmodule Aerie.Fleet.Operations.Server do
   defp written(%{dir: nil}, _id, _write), do: :ok
 
   defp written(%{dir: dir}, id, write) do
-    with {:error, reason} <- write.(dir),
-         do: Logger.error("operation #{id} cannot be written to #{dir}: #{:file.format_error(reason)}")
+    with {:error, reason} <- write.(dir) do
+      # After a restart, a file without its last lines would have vehicles begin that had begun.
+      _ = Journal.forget(dir, id)
+      why = "cannot be written to #{dir}: #{:file.format_error(reason)}"
+      Logger.error("operation #{id} #{why}: it goes on, and does not outlive the gateway")
+    end
   end
 
   defp act({:begin, vehicle}, entry, state) do

@@ -234,7 +234,11 @@ defmodule Aerie.Fleet.OperationsTest do
     assert why =~ "step is 2, but of vehicles that arm or take off one begins at a time"
     assert {:error, {:conflict, why}} = sequence(c.gateway, [up(11), up(13), one(99, [%{"type" => "arm"}])])
     assert why == "nothing was begun: VID-013 is in the air; VID-099 is not known"
-    vehicle(c.gateway, 13, %{in_air: false}, %{lat: 47.011 + 2.0 / 111_000})
+    # As after a start of the gateway beside vehicles that fly.
+    vehicle(c.gateway, 13, %{in_air: nil, armed: true})
+    assert {:error, {:conflict, why}} = sequence(c.gateway, [up(11), up(13)])
+    assert why == "nothing was begun: VID-013 is not known to be on the ground"
+    vehicle(c.gateway, 13, %{in_air: false, armed: false}, %{lat: 47.011 + 2.0 / 111_000})
     assert {:error, {:conflict, why}} = sequence(c.gateway, [up(11), up(13)])
     assert why =~ ~r/VID-011 and VID-013 stand 2\.\d m apart, nearer than 3\.0 m/
 

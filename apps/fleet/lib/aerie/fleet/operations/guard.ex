@@ -5,7 +5,7 @@ defmodule Aerie.Fleet.Operations.Guard do
     * one of them is not as `shown` said
     * one of them has two lists of steps
     * several that arm or take off would begin at once
-    * a vehicle that is to arm or take off is not known, flies already, is not ready (unless `anyway` says so), or is in
+    * a vehicle that is to arm or take off is not known, flies already or may, is not ready (unless `anyway` says so), or is in
       the charge of somebody else
     * two that are to take off stand, or have their homes, nearer than twice `radius_m`
   """
@@ -80,9 +80,11 @@ defmodule Aerie.Fleet.Operations.Guard do
 
   defp refusal(gateway, vehicle, snapshot, source) do
     lease = Policy.control_lease(gateway, snapshot.key)
+    mode = Snapshot.data(snapshot, :mode)
 
     cond do
-      Snapshot.data(snapshot, :mode)[:in_air] == true -> "is in the air"
+      mode[:in_air] == true -> "is in the air"
+      mode[:in_air] == nil and mode[:armed] != false -> "is not known to be on the ground"
       lease != nil and lease.holder != ControlLease.who(source) -> "is in the charge of #{lease.holder}"
       vehicle.anyway? -> nil
       true -> unready(gateway, vehicle.vehicle, source)

@@ -447,6 +447,33 @@ defmodule Aerie.Fleet.OperationsTest do
     start_supervised!({Operations.Supervisor, gateway: gateway, dir: kept})
   end
 
+  test "a flood of large requests: eight run, the others are refused, and Abort all is not kept waiting",
+       c do
+    vehicle(c.gateway, 11, %{armed: true, in_air: true}, %{alt_rel: 6.0})
+    ids = for n <- 1..2_000, do: "V-#{n}"
+
+    object =
+      &%{
+        "id" => "flood-#{&1}",
+        "vehicles" => ids,
+        "step" => 1,
+        "pause_s" => 3600,
+        "command" => %{"type" => "disarm"}
+      }
+
+    answers =
+      1..40
+      |> Task.async_stream(&begin(c.gateway, object.(&1)), max_concurrency: 40, timeout: :infinity)
+      |> Enum.frequencies_by(fn {:ok, {word, _what}} -> word end)
+
+    assert answers == %{ok: 8, error: 32}
+    assert {:ok, %{"order" => ["VID-011"]}} = Operations.abort_all(c.gateway, "land", @operator)
+    assert_receive {:commanded, "VID-011", "land"}, Aerie.Patience.ms()
+
+    for %{"id" => "flood-" <> _n, "state" => state} <- Operations.list(c.gateway),
+        do: assert(state == "stopped")
+  end
+
   test "each act is one entry of the audit log", %{gateway: gateway, tmp_dir: dir} do
     grounded(gateway, [11, 13])
     assert {:ok, _begun} = sequence(gateway, [up(11), up(13)])

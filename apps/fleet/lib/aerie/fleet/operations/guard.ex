@@ -5,8 +5,8 @@ defmodule Aerie.Fleet.Operations.Guard do
     * one of them is not as `shown` said
     * one of them has two lists of steps
     * several that arm or take off would begin at once
-    * a vehicle that is to arm or take off is not known, flies already or may, is not ready (unless `anyway` says so), or is in
-      the charge of somebody else
+    * a vehicle that is to arm or take off is not known, flies already or may, is not ready (unless `anyway` says so),
+      or is in the charge of somebody else
     * two that are to take off stand, or have their homes, nearer than twice `radius_m`
   """
 

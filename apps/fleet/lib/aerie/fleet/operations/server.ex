@@ -227,8 +227,9 @@ defmodule Aerie.Fleet.Operations.Server do
   defp apart(state, %{what: {:sequence, _vehicles}}, vehicles) do
     taken =
       for {id, %{request: %{what: {:sequence, _theirs}}, core: core}} <- state.running,
+          theirs = MapSet.union(MapSet.new(core.waiting), core.under_way),
           vehicle <- vehicles,
-          vehicle in core.waiting or vehicle in core.under_way,
+          vehicle in theirs,
           do: "#{vehicle} is part of the operation #{id}, which runs"
 
     if taken == [], do: :ok, else: {:error, {:conflict, "nothing was begun: " <> hd(taken)}}

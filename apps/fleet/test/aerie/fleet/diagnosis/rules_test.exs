@@ -193,7 +193,7 @@ defmodule Aerie.Fleet.Diagnosis.RulesTest do
              conditions(facts(%{endpoints: [endpoint.(2)]}), facts(%{endpoints: [endpoint.(42)]}))
   end
 
-  test "a vehicle that answers and does not send what is wanted; rates that another program changes" do
+  test "a vehicle that answers and does not send what is wanted; rates that are not what was asked" do
     streams =
       for id <- [30, 33, 24, 74], into: %{}, do: {id, %{state: :missing, wanted: 4, asked: 4, measured: nil}}
 
@@ -203,8 +203,16 @@ defmodule Aerie.Fleet.Diagnosis.RulesTest do
     assert evidence =~ "4 of 4" and evidence =~ "ATTITUDE"
     yielded = %{30 => %{state: :yielded, wanted: 10, asked: 10, measured: 4.0}}
 
-    assert [%{name: :contested_streams, evidence: ["ATTITUDE: requested 10.0 Hz, measured 4.0 Hz"]}] =
+    assert [
+             %{
+               name: :contested_streams,
+               title: title,
+               evidence: ["ATTITUDE: requested 10.0 Hz, measured 4.0 Hz"]
+             }
+           ] =
              conditions(facts(%{vehicles: [vehicle(%{streams: yielded})]}))
+
+    refute title =~ "another program"
 
     # A recording answers nothing.
     replayed = facts(%{links: [link(%{kind: :replay})], vehicles: [vehicle(%{streams: streams})]})

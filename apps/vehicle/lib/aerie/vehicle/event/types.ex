@@ -280,12 +280,12 @@ defmodule Aerie.Vehicle.Event.Types do
     {"gcs.restored", "that ground station is heard again", "as `gcs.lost`",
      [{"system", :integer, nil, "system id of the ground station"}],
      text: "ground station[ {system}] restored", ends: :gcs},
-    {"stream.contested", "another program changes message rates that the gateway requested",
+    {"stream.contested", "the message rates that a vehicle reports are not those that the gateway asked for",
      "measured rates, MESSAGE_INTERVAL",
      [
        {"messages", :list, nil,
         "for each message: id, name, asked_hz, found_hz, yielded (whether the gateway leaves the rate to the other program)"}
-     ], severity: 4, text: "another program changes the message rates"},
+     ], severity: 4, text: "message rates differ from what was asked"},
     {"displaced", "a lost vehicle makes room for another one", "limits.max_vehicles",
      [
        {"by", :string, nil, "the vehicle that takes its place"},

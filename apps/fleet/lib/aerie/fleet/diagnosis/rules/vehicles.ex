@@ -20,7 +20,7 @@ defmodule Aerie.Fleet.Diagnosis.Rules.Vehicles do
       one_way_link: "a vehicle is heard, but answers nothing",
       mavlink1_only: "a vehicle speaks MAVLink 1",
       no_streams: "a vehicle answers, but does not send its telemetry",
-      contested_streams: "another program keeps changing a vehicle's stream rates",
+      contested_streams: "a vehicle keeps other stream rates than the gateway asked for",
       gcs_id_mismatch: "a vehicle's failsafe listens to a ground station that is not there",
       signing_refused: "all frames of a vehicle are refused because of their signatures"
     ]
@@ -163,14 +163,15 @@ defmodule Aerie.Fleet.Diagnosis.Rules.Vehicles do
           vehicle,
           :contested_streams,
           :notice,
-          "another program changes stream rates of #{vehicle.id}",
+          "#{vehicle.id} keeps other stream rates than the gateway asked for",
           evidence:
             for(
               {id, stream} <- Enum.take(yielded, 6),
               do: "#{All.name(id) || id}: requested #{hz(stream.wanted)}, measured #{hz(stream.measured)}"
             ),
           mend:
-            "Connect that program to the gateway rather than to the vehicle, or set the rate there. The gateway has stopped asking."
+            "Look first whether its link loses data. Otherwise another program changes them: connect that to the gateway rather than to the " <>
+              "vehicle, or set the rate there. The gateway has stopped asking."
         )
     end
   end

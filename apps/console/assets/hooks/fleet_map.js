@@ -14,8 +14,8 @@ import { toolbar } from "./map/toolbar.js";
 import { Tracks } from "./map/tracks.js";
 import { update, Vehicles } from "./map/vehicles.js";
 
-const NO_WEBGL = "The map needs WebGL 2, which this browser or machine does not offer. The table shows every vehicle.";
-const NO_MAP = "The map could not be loaded. The table shows every vehicle.";
+const NO_WEBGL = "The map needs WebGL 2, which this browser or machine does not offer.";
+const NO_MAP = "The map could not be loaded.";
 const still = window.matchMedia("(prefers-reduced-motion: reduce)");
 const CLOSEST = 16; // zoom of a view that fits everything
 
@@ -92,7 +92,7 @@ export default {
 
   fail(text) {
     this.el.classList.add("map-failed");
-    this.say(text, this.notice);
+    this.say(this.el.id === "fleet-map" ? `${text} The table shows every vehicle.` : text, this.notice);
   },
 
   open({ Map, ScaleControl }, tiles) {

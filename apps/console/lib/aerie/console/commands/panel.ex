@@ -135,6 +135,11 @@ defmodule Aerie.Console.Commands.Panel do
   defp label(%{required: true, label: label}), do: label
   defp label(%{label: label}), do: label <> " (optional)"
 
+  defp hint(%{name: "lat"}), do: "north is positive, such as 47.39771"
+  defp hint(%{name: "lon"}), do: "east is positive, such as 8.54556"
+  # No vehicle comes near its limits.
+  defp hint(%{name: "altitude" <> _of, min: "-" <> _deep} = field), do: field.meaning
+
   defp hint(%{min: min, max: max} = field) when min != nil and max != nil,
     do: "#{field.meaning}; #{min} to #{max}"
 

@@ -27,7 +27,7 @@ defmodule Aerie.Console.Pages.Fleet.Act.TakeOffSheet do
     ~H"""
     <.dialog id="take-off" title={"Take off #{count(length(@lines))}"} cancel="sheet_close" kind="wide">
       <form id="take-off-form" class="sheet-fields" phx-change="sheet_change" phx-submit="sheet_change">
-        <.number name="height" label="Height above home" unit="m" value={@sheet.height} limits={@limits.height} />
+        <.number name="height" label="Height (above home)" unit="m" value={@sheet.height} limits={@limits.height} />
         <.field
           id="take-off-stacked"
           type="select"

@@ -39,6 +39,13 @@ defmodule Aerie.Console.UI.State do
     """
   end
 
+  @doc "Where the buttons would be that a viewer lacks."
+  def watching(assigns) do
+    ~H"""
+    <p class="muted"><.icon name="eye" /> Viewers watch. Ask an operator or admin for more.</p>
+    """
+  end
+
   attr :via, :string, required: true
   slot :inner_block, required: true
 

@@ -67,6 +67,7 @@ defmodule Aerie.Console.Pages.Fleet.Actions do
           >Take off {if @mixed, do: "#{length(@ground)} "}…</.button>
           <.button icon="tag" phx-click={JS.push("tag", value: @value)}>Tags</.button>
         </div>
+        <.watching :if={@user.role == :viewer} />
         <p :for={text <- @locked} class="muted locked"><.icon name="lock" /> {text}</p>
         <.button icon="plan" phx-click={JS.push("plans", value: @value)} aria-pressed={to_string(Enum.all?(@chosen, &Plans.on?(@plans, &1.id)))}>Missions</.button>
         <.button kind="quiet" icon="x" label="Select none" phx-click="none" />

@@ -215,11 +215,11 @@ defmodule Aerie.Console.Pages.Vehicle.ControlTest do
 
   test "one operator is in charge; another one takes over with a reason", %{console: console} do
     {one, other} = {open(console), open(console, :admin)}
-    assert has_element?(one, "#charge.free", "Nobody is in charge")
+    assert has_element?(one, "#charge.free", "Control: free")
     give(one, "take_control", "t1")
 
     eventually(fn ->
-      has_element?(one, "#charge.own") and has_element?(other, "#charge.other", "operator has been in charge")
+      has_element?(one, "#charge.own") and has_element?(other, "#charge.other", "Control: operator, since")
     end)
 
     give(other, "set_mode", "m1", %{"mode" => "GUIDED"})

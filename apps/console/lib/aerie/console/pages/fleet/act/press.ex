@@ -12,7 +12,7 @@ defmodule Aerie.Console.Pages.Fleet.Act.Press do
     "hold" => "Hold",
     "rtl" => "Return",
     "land" => "Land",
-    "take_control" => "Take charge",
+    "take_control" => "Take control",
     "release_control" => "Release"
   }
   # What ends a danger waits for nothing.

@@ -17,11 +17,11 @@ defmodule Aerie.Console.Pages.Fleet.Actions.ControlForms do
 
     ~H"""
     <details class={["charge", if(@others != [], do: "other", else: "free")]} id="fleet-charge" phx-mounted={JS.ignore_attributes("open")}>
-      <summary><.icon name={if @others != [], do: "lock", else: "user"} /> <span>{lease_text(@own, @others, @free)}</span></summary>
+      <summary><.icon name={if @others != [], do: "lock", else: "user"} /> <span>{lease_text(@own, @others, @free)}</span> <span class="charge-open">{offer(@own, @others)}</span></summary>
       <div class="charge-forms">
         <form :if={@others != [] or @free != []} id="fleet-take" class="control" phx-hook="CommandForm" phx-auto-recover="ignore" data-type="take_control" data-value={@value}>
-          <.field :if={@others != []} id="fleet-take-reason" name="reason" label="Reason, for the one in charge" maxlength="200" required={true} autocomplete="off" />
-          <.button type="submit" kind="primary">{if @others != [], do: "Take over", else: "Take charge"}</.button>
+          <.field :if={@others != []} id="fleet-take-reason" name="reason" label="Reason (the operator in charge sees it)" maxlength="200" required={true} autocomplete="off" />
+          <.button type="submit" kind="primary">{if @others != [], do: "Take over", else: "Take control"}</.button>
         </form>
         <form :if={@own != []} id="fleet-release" phx-hook="CommandForm" phx-auto-recover="ignore" data-type="release_control" data-value={@value}>
           <.button type="submit">Release</.button>
@@ -60,16 +60,20 @@ defmodule Aerie.Console.Pages.Fleet.Actions.ControlForms do
     {own, others, free}
   end
 
-  defp lease_text([], [], _free), do: "Nobody is in charge"
-  defp lease_text(_own, [], []), do: "You are in charge"
+  # A summary has no other sign that it opens.
+  defp offer(_own, [_ | _]), do: "Take over"
+  defp offer([], []), do: "Take control"
+  defp offer(_own, []), do: "Change"
+
+  defp lease_text([], [], _free), do: "Control: free"
+  defp lease_text(_own, [], []), do: "Control: you"
 
   defp lease_text(own, others, free) do
     held =
-      for {holder, rows} <- Enum.group_by(others, & &1.holder),
-          do: "#{holder} is in charge of #{vehicles(rows)}"
+      for {holder, rows} <- Enum.group_by(others, & &1.holder), do: "#{holder} controls #{vehicles(rows)}"
 
-    yours = if own != [], do: ["you of #{vehicles(own)}"], else: []
-    nobody = if free != [], do: ["nobody of #{vehicles(free)}"], else: []
+    yours = if own != [], do: ["you control #{vehicles(own)}"], else: []
+    nobody = if free != [], do: ["free: #{vehicles(free)}"], else: []
     Enum.join(held ++ yours ++ nobody, ", ")
   end
 

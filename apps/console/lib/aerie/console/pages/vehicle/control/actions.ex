@@ -60,7 +60,8 @@ defmodule Aerie.Console.Pages.Vehicle.Control.Actions do
     ~H"""
     <section class="card" aria-labelledby="flight-title">
       <h2 id="flight-title">Control</h2>
-      <p :if={@able == [] and @locked == []} class="muted"><.icon name="eye" /> {watches(@user)}</p>
+      <.watching :if={@user.role == :viewer} />
+      <p :if={@able == [] and @locked == [] and @user.role != :viewer} class="muted">The firmware of this vehicle has none of these commands here.</p>
       <p :for={text <- @locked} class="muted locked"><.icon name="lock" /> {text}</p>
       <div class="controls">
         <div :if={@next} class="control">
@@ -180,7 +181,4 @@ defmodule Aerie.Console.Pages.Vehicle.Control.Actions do
   # What a viewer lacks is a role, which the note of each command would repeat.
   defp locked(_commands, %{user: %{role: :viewer}}), do: []
   defp locked(commands, %{view: view, user: user}), do: Catalog.locked(commands, view.vehicle, user)
-
-  defp watches(%{role: :viewer, name: name}), do: "#{name} can only watch this vehicle."
-  defp watches(_user), do: "The firmware of this vehicle has none of these commands here."
 end

@@ -30,7 +30,7 @@ defmodule Aerie.Console.Pages.Vehicle.Control.ControlBanner do
       <div :if={@able} class="charge-forms">
         <form :if={@relation != :own} id="charge-take" class="control" phx-hook="CommandForm" phx-auto-recover="ignore" data-type="take_control" data-value={@value}>
           <.field :if={@relation == :other} id="charge-reason" name="reason" label="Reason (the operator in charge sees it)" maxlength="200" required={true} autocomplete="off" />
-          <.button type="submit" kind="primary">{if @relation == :other, do: "Take over", else: "Take charge"}</.button>
+          <.button type="submit" kind="primary">{if @relation == :other, do: "Take over", else: "Take control"}</.button>
         </form>
         <form :if={@relation == :own} id="charge-offer" class="control" phx-hook="CommandForm" phx-auto-recover="ignore" data-type="hand_over_control" data-value={@value}>
           <.field id="charge-to" name="to" label="Hand over to (blank: anyone)" maxlength="64" autocomplete="off" />
@@ -59,21 +59,21 @@ defmodule Aerie.Console.Pages.Vehicle.Control.ControlBanner do
   # A summary has no other sign that it opens.
   defp offer(:own), do: "Hand over or release"
   defp offer(:other), do: "Take over"
-  defp offer(_free), do: "Take charge"
+  defp offer(_free), do: "Take control"
 
   defp relation(nil, _user), do: :free
   defp relation(%{holder: name}, %{name: name}), do: :own
   defp relation(%{offered_to: to}, %{name: name}) when to == :anyone or to == name, do: :offered
   defp relation(_lease, _user), do: :other
 
-  defp lease_text(:free, _lease), do: "Nobody is in charge"
+  defp lease_text(:free, _lease), do: "Control: free"
 
   defp lease_text(:own, %{offered_to: nil} = lease),
-    do: "You have been in charge since #{Clock.minute(lease.since)}"
+    do: "Control: you, since #{Clock.minute(lease.since)}"
 
-  defp lease_text(:own, lease), do: "You are in charge and offer to hand over to #{to(lease)}"
-  defp lease_text(:offered, lease), do: "#{lease.holder} offers to hand over"
-  defp lease_text(:other, lease), do: "#{lease.holder} has been in charge since #{Clock.minute(lease.since)}"
+  defp lease_text(:own, lease), do: "Control: you, offered to #{to(lease)}"
+  defp lease_text(:offered, lease), do: "Control: #{lease.holder}, offered to you"
+  defp lease_text(:other, lease), do: "Control: #{lease.holder}, since #{Clock.minute(lease.since)}"
 
   defp to(%{offered_to: :anyone}), do: "anyone"
   defp to(%{offered_to: name}), do: name

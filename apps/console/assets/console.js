@@ -18,11 +18,12 @@ import ParamsFile from "./hooks/params_file.js";
 import PlanFile from "./hooks/plan_file.js";
 import Replay from "./hooks/replay.js";
 import SheetOrder from "./hooks/sheet_order.js";
+import Splitter from "./hooks/splitter.js";
 import Toast from "./hooks/toast.js";
 
 const hooks = {
   AlarmSound, Chart, CommandForm, Dialog, FleetMap, FleetTable, HoldButton, Instruments, Palette, ParamsFile, PlanFile, Replay,
-  SheetOrder, Toast,
+  SheetOrder, Splitter, Toast,
 };
 
 // A gateway that starts again is back within a second; the client's own pauses grow to five.

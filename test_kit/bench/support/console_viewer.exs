@@ -13,7 +13,7 @@ defmodule Bench.Viewer do
     query = URI.encode_query(%{"_csrf_token" => csrf, "vsn" => "2.0.0"})
     headers = "sec-websocket-extensions: permessage-deflate\r\ncookie: #{cookie}\r\n"
     {socket, rest} = Socket.upgrade(port, "/live/websocket?#{query}", headers)
-    url = "http://127.0.0.1:#{port}/?view=table"
+    url = "http://127.0.0.1:#{port}/"
     join = %{url: url, params: %{_mounts: 0, _csrf_token: csrf}, session: session, static: nil}
     :ok = :gen_tcp.send(socket, masked(JSON.encode!(["4", "4", "lv:" <> id, "phx_join", join])))
     z = :zlib.open()
@@ -25,7 +25,7 @@ defmodule Bench.Viewer do
     socket = Socket.open({:tcp, port})
 
     head =
-      "GET /?view=table HTTP/1.1\r\nhost: 127.0.0.1:#{port}\r\nconnection: close\r\ncookie: #{cookie}\r\n\r\n"
+      "GET / HTTP/1.1\r\nhost: 127.0.0.1:#{port}\r\nconnection: close\r\ncookie: #{cookie}\r\n\r\n"
 
     :ok = :gen_tcp.send(socket, head)
     Socket.all(socket)

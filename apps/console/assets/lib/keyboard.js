@@ -3,7 +3,7 @@
 const WAIT_MS = 1500;
 let going;
 
-const typing = (target) => target.closest?.("input, select, textarea, [contenteditable]");
+export const typing = (target) => target.closest?.("input, select, textarea, [contenteditable]");
 
 export function keyboard() {
   document.addEventListener("keydown", (event) => {

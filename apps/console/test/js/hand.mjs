@@ -92,7 +92,7 @@ const tasks = {
     const now = (await page.evaluate(order)).split(",");
     equal("under the pointer", now.filter((id) => before.split(",").includes(id)).join(), before);
     await say("held", "changed");
-    await shows(page, mode("V2"), "RTL");
+    await shows(page, mode("V2"), "Return RTL");
     equal("still", await page.evaluate(order), now.join());
     await contains(page, ".fleet-order", "Sort now");
 
@@ -111,8 +111,6 @@ const tasks = {
     equal("with alarms and somebody in charge", await places(page), where);
     // On a phone the boxes and the dock are in reach.
     await page.setViewportSize({ width: 390, height: 844 });
-    await page.click(".fleet-tabs .tab >> nth=1");
-    await page.waitForSelector(".fleet[data-view=table]");
     await page.click(`${row("V4")} td.fleet-check input`);
     await until(page, () => document.querySelectorAll("#fleet-table tr[aria-selected=true]").length === 2);
     equal("the dock is in sight", await page.locator("#fleet-actions").evaluate((dock) => {

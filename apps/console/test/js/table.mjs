@@ -24,6 +24,13 @@ main(async (browser) => {
     if (width >= 1440) equal("in sight", await page.evaluate(() => { const box = document.querySelector("#fleet-table"); return box.scrollWidth - box.clientWidth; }), 0);
     const heights = await page.evaluate(() => [...new Set([...document.querySelectorAll("#fleet-table tbody tr:not(:last-child)")].map((row) => row.offsetHeight))]);
     equal("rows of one height", heights.length === 1 ? 1 : heights.join(), 1);
+    // Beside a wide map, one line for each: name, mode in words, charge, height.
+    await page.focus(".fleet-bar");
+    await page.keyboard.press("End");
+    await page.waitForFunction(() => document.querySelector("#fleet-table tbody tr").offsetHeight === 64);
+    const short = await page.evaluate(() => [...document.querySelectorAll("#fleet-table tbody :is(th, [data-label=Battery], [data-label=Height])")]
+      .filter((cell) => cell.scrollWidth > cell.clientWidth).map((cell) => cell.textContent.trim()));
+    equal(`cut in a line at ${width}`, JSON.stringify(short), "[]");
     await page.context().close();
   }
 });

@@ -79,8 +79,7 @@ main(async (browser) => {
 
   const admin = await open(browser, { viewport: { width: 390, height: 844 } });
   await signIn(admin, base, "admin");
-  await admin.click(".fleet-tabs .tab >> nth=1");
-  await admin.waitForSelector(".fleet[data-view=table]");
+  await live(admin);
   equal("no dock without a selection on a phone", await admin.isVisible(".fleet-dock"), false);
   await contains(admin, "#operation-strip", "Take off 4: all up");
   equal("no complaints", JSON.stringify([page.complaints, admin.complaints]), "[[],[]]");

@@ -96,6 +96,8 @@ defmodule Aerie.Console.Frame do
           <dd>take off to the height in the card, on the vehicle's page</dd>
           <dt><kbd>1</kbd> to <kbd>9</kbd></dt>
           <dd>select the vehicles of a tag, on the fleet's page</dd>
+          <dt><kbd>\</kbd></dt>
+          <dd>fold the fleet's table away, or show it</dd>
           <dt><kbd>Ctrl</kbd> <kbd>k</kbd></dt>
           <dd>go to a vehicle, page, command or parameter by its name</dd>
           <dt><kbd>/</kbd></dt>

@@ -83,7 +83,8 @@ defmodule Aerie.Console.Layout do
         <span id="clock" class="clock wide-only" title="All times are UTC">{@clock}</span>
         <details class="menu" id="user-menu" phx-mounted={JS.ignore_attributes("open")}>
           <summary aria-label={"#{@user.name}, #{@user.role}: account and look"}>
-            <.icon name="user" /><span class="wide-only">{@user.name}</span><.badge :if={@user.role == :viewer}>viewer</.badge><.icon name="chevron-down" />
+            <.icon name="user" /><span class="wide-only">{@user.name}</span>
+            <.badge :if={@user.role == :viewer}>viewer</.badge><.icon name="chevron-down" />
           </summary>
           <div class="menu-list">
             <p class="menu-head">{@user.name} <.badge>{@user.role}</.badge> <span class="clock phone-only">{@clock}</span></p>

@@ -13,7 +13,8 @@ defmodule Aerie.Console.UI.Button do
 
   attr(:rest, :global,
     include:
-      ~w(disabled name value form autofocus navigate patch href download aria-pressed aria-expanded aria-current)
+      ~w(disabled name value form autofocus navigate patch href download popovertarget aria-pressed aria-expanded
+       aria-current)
   )
 
   slot :inner_block

@@ -1,15 +1,12 @@
 defmodule Aerie.Console.Pages.Fleet.Address do
-  @moduledoc "The address of the page: filter, order and the part that a phone shows. Pure."
+  @moduledoc "The address of the page: filter and order. Pure."
 
   alias Aerie.Console.Pages.Fleet.{Filter, Order}
 
   @doc "The address; `Aerie.Console.Pages.Fleet.Filter.parse/1` and `Order.parse/1` read it."
-  @spec of(Filter.t(), Order.t(), view :: String.t()) :: String.t()
-  def of(filter, order, view) do
-    sort = if column = Order.param(order), do: [{"sort", column}], else: []
-    view = if view == "table", do: [{"view", view}], else: []
-
-    case Filter.params(filter) ++ sort ++ view do
+  @spec of(Filter.t(), Order.t()) :: String.t()
+  def of(filter, order) do
+    case Filter.params(filter) ++ for(column <- List.wrap(Order.param(order)), do: {"sort", column}) do
       [] -> "/"
       params -> "/?" <> URI.encode_query(params)
     end

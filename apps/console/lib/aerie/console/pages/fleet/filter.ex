@@ -4,6 +4,7 @@ defmodule Aerie.Console.Pages.Fleet.Filter do
   """
 
   alias Aerie.Console.Pages.Fleet.Board.Row
+  alias Aerie.Vehicle.Firmware
 
   @flags ~w(armed air unready stale problem)a
   @max 64
@@ -88,7 +89,8 @@ defmodule Aerie.Console.Pages.Fleet.Filter do
   defp found?("", _row), do: true
 
   defp found?(search, row) do
-    hay = String.downcase(Enum.join([row.id, row.mode, row.kind, row.autopilot | row.tags], " "))
+    words = [row.id, row.mode, Firmware.meaning(row.mode), row.kind, row.autopilot | row.tags]
+    hay = words |> Enum.join(" ") |> String.downcase()
     system = Integer.to_string(row.system_id)
     search |> String.downcase() |> String.split() |> Enum.all?(&(&1 == system or String.contains?(hay, &1)))
   end

@@ -2,6 +2,7 @@ defmodule Aerie.Console.Pages.Fleet.Order do
   @moduledoc "The order of the table. Pure. Unknown values come last in either direction; the id decides between equal ones."
 
   alias Aerie.Console.Pages.Fleet.Board.Row
+  alias Aerie.Vehicle.Firmware
 
   @columns ~w(id state mode battery gps height speed link age problems)
   @states %{lost: 0, failsafe: 1, stale: 2, armed: 3, disarmed: 4}
@@ -39,7 +40,7 @@ defmodule Aerie.Console.Pages.Fleet.Order do
 
   defp value(row, "id"), do: row.order
   defp value(row, "state"), do: Map.fetch!(@states, row.state)
-  defp value(row, "mode"), do: row.mode
+  defp value(row, "mode"), do: row.mode && {Firmware.meaning(row.mode) || row.mode, row.mode}
   defp value(row, "battery"), do: row.battery
   defp value(row, "gps"), do: row.fix && {row.fix, row.satellites || 0}
   defp value(row, "height"), do: row.height

@@ -1,6 +1,7 @@
 defmodule Aerie.Console.Pages.Fleet.Page do
   @moduledoc """
-  The page of all vehicles: a map beside a table. Filter, order and the part that a phone shows are in the address.
+  The page of all vehicles: a map, and beside it a table whose width the browser keeps (hook `Splitter`). Filter and order
+  are in the address.
 
   The map gets all changes, at most five times a second. For less than 40 vehicles the table's numbers change as often,
   from 40 each second time, and from 100 once a second, because nobody reads many rows five times a second; a change of
@@ -42,7 +43,7 @@ defmodule Aerie.Console.Pages.Fleet.Page do
   def mount(_params, _session, socket) do
     {:ok,
      socket
-     |> assign(page_title: "Fleet", view: "map", filter: %Filter{}, order: {"id", :asc}, follow: nil)
+     |> assign(page_title: "Fleet", filter: %Filter{}, order: {"id", :asc}, follow: nil)
      |> assign(
        selection: %Selection{},
        sequence: %Sequence{},
@@ -71,12 +72,8 @@ defmodule Aerie.Console.Pages.Fleet.Page do
 
   @impl Phoenix.LiveView
   def handle_params(params, _uri, %{assigns: %{filter: filter, order: order}} = socket) do
-    view = if params["view"] == "table", do: "table", else: "map"
-
     socket =
-      socket
-      |> assign(filter: Filter.parse(params), order: Order.parse(params["sort"]), view: view)
-      |> tools()
+      socket |> assign(filter: Filter.parse(params), order: Order.parse(params["sort"])) |> tools()
 
     same? = {socket.assigns.filter, socket.assigns.order} == {filter, order}
     {:noreply, if(same?, do: assign_view(socket), else: sort(socket))}
@@ -266,8 +263,8 @@ defmodule Aerie.Console.Pages.Fleet.Page do
   end
 
   defp patch(socket, changes) do
-    %{filter: filter, order: order, view: view} = Map.merge(socket.assigns, Map.new(changes))
-    push_patch(socket, to: Address.of(filter, order, view), replace: true)
+    %{filter: filter, order: order} = Map.merge(socket.assigns, Map.new(changes))
+    push_patch(socket, to: Address.of(filter, order), replace: true)
   end
 
   # Takes what is new on the board and updates the map.
@@ -363,31 +360,26 @@ defmodule Aerie.Console.Pages.Fleet.Page do
   @impl Phoenix.LiveView
   def render(assigns) do
     ~H"""
-    <div class="fleet" data-view={@view}>
+    <div class="fleet">
       <h1 class="visually-hidden">Fleet</h1>
-      <div class="fleet-tabs">
-        <.tabs label="Map or table">
-          <:tab patch={Address.of(@filter, @order, "map")} current={@view == "map"} icon="map">Map</:tab>
-          <:tab patch={Address.of(@filter, @order, "table")} current={@view == "table"} icon="list">Table ({length(@all)})</:tab>
-        </.tabs>
-      </div>
       <.map id="fleet-map" class="fleet-map" label="Map of all vehicles" selected={Selection.among(@selection, ids(@all))} follow={@follow} menu={OnMap.menu(Selection.among(@selection, ids(@all)), @gateway, @user)} box />
       <.link navigate="/replay" class="button small fleet-replay">
-        <.icon name="restart" /> Replay: the last 24 hours
+        <.icon name="restart" /> <span>Replay<span class="wide-only">: the last 24 hours</span></span>
       </.link>
-      <section class="fleet-list" aria-label="Vehicles">
+      <.splitter />
+      <section id="fleet-list" class="fleet-list" aria-label="Vehicles">
         {@tools}
-        <.status all={@all} shown={length(@rows)} selected={Selection.size(@selection)} sequence={@sequence} now={now_ms()} />
+        <.status all={@all} shown={length(@rows)} selected={Selection.size(@selection)} filter={@filter} sequence={@sequence} now={now_ms()} />
         <.empty :if={@all == []} icon="vehicle" title="No vehicle has been heard yet">
           Vehicles appear by themselves when their first heartbeat arrives. <.link navigate="/links">Links</.link> shows what is connected.
         </.empty>
         <.empty :if={@all != [] and @rows == []} icon="filter" title="No vehicle matches">
-          <:action><.button patch={Address.of(%Filter{}, @order, @view)}>Show all {length(@all)}</.button></:action>
+          <:action><.button patch={Address.of(%Filter{}, @order)}>Show all {length(@all)}</.button></:action>
         </.empty>
         <.vehicles :if={@rows != []} rows={@rows} heads={@heads} selection={@selection} filter={@filter} />
         <Groups.groups :if={@rows != []} groups={Groups.of(@rows)} selection={@selection} />
-        <.actions selection={@selection} all={@all} rows={@rows} user={@user} plans={@plans} />
       </section>
+      <.actions selection={@selection} all={@all} rows={@rows} user={@user} plans={@plans} />
       <.plan_words plans={@plans} />
       <TakeOffSheet.sheet :if={@sheet} sheet={@sheet} facts={@facts} error={@sheet_error} />
       <.tag_dialog :if={@tagging} tagging={@tagging} words={@choices.tags} />

@@ -80,11 +80,11 @@ defmodule Aerie.Console.Pages.Fleet.Table do
     <td data-label="State" class="fleet-state">{flat(state(assigns))}</td>
     <td data-label={if @row.readiness, do: "Readiness", else: "Alarms"} class="fleet-problems" title={wrong(@row)}>{flat(problems(assigns))}</td>
     <td data-label="Mode" class="fleet-mode" title={@row.mode}>{mode(@row.mode)}</td>
-    <td data-label="Battery">{flat(battery(assigns))}</td>
+    <td data-label="Battery" class={["number", @row.battery && "fleet-share"]}>{flat(battery(assigns))}</td>
     <td data-label="GPS" class={gps(@row.fix)}>{fix(@row)}</td>
-    <td data-label="Height" class="number">{unit(@row.height, "m")}</td>
-    <td data-label="Speed" class="number">{unit(@row.speed, "m/s")}</td>
-    <td data-label="Link" class={["number", weak(@row.link)]}>{unit(@row.link, "%")}</td>
+    <td data-label="Height" class="number">{known(@row.height)}</td>
+    <td data-label="Speed" class="number">{known(@row.speed)}</td>
+    <td data-label="Link" class={["number", weak(@row.link)]}>{known(@row.link)}</td>
     """
   end
 
@@ -95,17 +95,24 @@ defmodule Aerie.Console.Pages.Fleet.Table do
       <.badge :if={@row.holder} kind="info" title={"In charge: #{@row.holder}"}><.icon name="lock" />{@row.holder}</.badge>
     </div>
     <div class="fleet-line muted" title={Enum.join(@row.tags, ", ")}>
-      <span class="fleet-kind" title={kind_of(@row)}>{kind_of(@row)}</span>
+      <span class="fleet-kind" title={"#{@row.kind} #{firmware(@row)}"}>
+        <span class="fleet-what">{@row.kind}</span> {firmware(@row)}
+      </span>
       <span :if={@row.via} class="fleet-via">via {@row.via}</span>
       <span :for={tag <- @row.tags} class="badge">{tag}</span>
     </div>
     """
   end
 
-  defp kind_of(row), do: "#{row.kind} #{Firmware.title(row.autopilot)} #{row.firmware}"
+  defp firmware(row), do: "#{Firmware.title(row.autopilot)} #{row.firmware}"
 
-  defp state(assigns),
-    do: ~H"<.badge kind={kind(@row.state)}>{word(@row)}</.badge><.age us={@row.silent_us} />"
+  # What is well is plain text: a frame and a colour are for what is not.
+  defp state(assigns) do
+    ~H"""
+    <.badge :if={kind(@row.state)} kind={kind(@row.state)}>{word(@row)}</.badge>
+    <span :if={!kind(@row.state)}>{word(@row)}</span><.age us={@row.silent_us} />
+    """
+  end
 
   defp wrong(%{readiness: nil, problems: problems}), do: Enum.map_join(problems, ", ", &elem(&1, 1))
   defp wrong(%{open: open}), do: Enum.join(open, "\n")
@@ -130,7 +137,8 @@ defmodule Aerie.Console.Pages.Fleet.Table do
     """
   end
 
-  # AUTO_LOITER and AUTO_LAND must not look alike: a name that is too long goes on in the next line.
+  # AUTO_LOITER and AUTO_LAND must not look alike: first what the vehicle does in it, then the firmware's name, which
+  # goes on in the next line if it is too long.
   defp mode(nil), do: "–"
 
   defp mode(name) do
@@ -138,11 +146,28 @@ defmodule Aerie.Console.Pages.Fleet.Table do
       for part <- String.split(name, "_"),
           do: part |> Phoenix.HTML.html_escape() |> Phoenix.HTML.Safe.to_iodata()
 
-    {:safe, parts |> Enum.intersperse("_<wbr>") |> IO.iodata_to_binary()}
+    name_there = Enum.intersperse(parts, "_<wbr>")
+    meaning = Firmware.meaning(name)
+
+    cond do
+      meaning == nil -> {:safe, IO.iodata_to_binary(name_there)}
+      String.upcase(meaning) == name -> meaning
+      true -> {:safe, IO.iodata_to_binary([meaning, " <small>", name_there, "</small>"])}
+    end
   end
 
-  defp battery(assigns),
-    do: ~H[<.meter value={@row.battery} label="Battery" kind={charged(@row.battery)} text={charge(@row)} />]
+  # A bar only where the charge begins to matter.
+  defp battery(%{row: %{battery: left}} = assigns) when left != nil and left < 0.4 do
+    text = "#{round(left * 100)}"
+    assigns = assign(assigns, kind: charged(left), text: text)
+    ~H[<.meter value={@row.battery} label="Battery" kind={@kind} text={@text} />]
+  end
+
+  # Many vehicles report only the voltage.
+  defp battery(%{row: %{battery: nil, voltage: volts}} = assigns) when is_number(volts),
+    do: ~H"{@row.voltage} V"
+
+  defp battery(assigns), do: ~H"{known(@row.battery && round(@row.battery * 100))}"
 
   defp flat(rendered), do: {:safe, rendered |> Phoenix.HTML.Safe.to_iodata() |> IO.iodata_to_binary()}
 
@@ -155,24 +180,24 @@ defmodule Aerie.Console.Pages.Fleet.Table do
     <.head order={@order} by="state" label="State" />
     <.head order={@order} by="problems" label="Ready, alarms" />
     <.head order={@order} by="mode" label="Mode" />
-    <.head order={@order} by="battery" label="Battery" />
+    <.head order={@order} by="battery" label="Battery" unit="%" />
     <.head order={@order} by="gps" label="GPS" />
-    <.head order={@order} by="height" label="Height" number />
-    <.head order={@order} by="speed" label="Speed" number />
-    <.head order={@order} by="link" label="Link" number />
+    <.head order={@order} by="height" label="Height" unit="m" />
+    <.head order={@order} by="speed" label="Speed" unit="m/s" />
+    <.head order={@order} by="link" label="Link" unit="%" />
     """
   end
 
   attr :order, :any, required: true
   attr :by, :string, required: true
   attr :label, :string, required: true
-  attr :number, :boolean, default: false
+  attr :unit, :string, default: nil, doc: "of its numbers"
 
   defp head(assigns) do
     ~H"""
-    <th scope="col" class={@number && "number"} aria-sort={sorted(@order, @by)}>
+    <th scope="col" class={@unit && "number"} aria-sort={sorted(@order, @by)}>
       <button type="button" class="sort" phx-click="sort" phx-value-by={@by}>
-        {@label}<.icon :if={elem(@order, 0) == @by} name={if elem(@order, 1) == :asc, do: "chevron-up", else: "chevron-down"} />
+        <span>{@label} <small :if={@unit}>{@unit}</small></span><.icon :if={elem(@order, 0) == @by} name={if elem(@order, 1) == :asc, do: "chevron-up", else: "chevron-down"} />
       </button>
     </th>
     """
@@ -187,21 +212,15 @@ defmodule Aerie.Console.Pages.Fleet.Table do
   defp kind(:lost), do: "bad"
   defp kind(:failsafe), do: "bad"
   defp kind(:stale), do: "warn"
-  defp kind(:armed), do: "ok"
-  defp kind(:disarmed), do: "plain"
+  defp kind(_well), do: nil
 
   defp word(%{state: :armed, in_air: true}), do: "in air"
   defp word(%{armed: nil, state: :disarmed}), do: "unknown"
   defp word(%{state: state}), do: Atom.to_string(state)
 
-  defp charged(nil), do: nil
   defp charged(left) when left <= 0.15, do: "bad"
   defp charged(left) when left <= 0.3, do: "warn"
-  defp charged(_left), do: "ok"
-
-  # Many vehicles report only the voltage.
-  defp charge(%{battery: nil, voltage: volts}) when is_number(volts), do: "#{volts} V"
-  defp charge(_row), do: nil
+  defp charged(_left), do: nil
 
   defp fix(%{fix: nil}), do: "–"
   defp fix(%{fix: fix}) when fix < 2, do: "none"
@@ -220,6 +239,6 @@ defmodule Aerie.Console.Pages.Fleet.Table do
   defp weak(score) when is_integer(score) and score < 30, do: "fleet-bad"
   defp weak(_score), do: nil
 
-  defp unit(nil, _unit), do: "–"
-  defp unit(number, unit), do: "#{number} #{unit}"
+  defp known(nil), do: "–"
+  defp known(number), do: number
 end

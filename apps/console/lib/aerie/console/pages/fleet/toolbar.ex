@@ -18,10 +18,10 @@ defmodule Aerie.Console.Pages.Fleet.Toolbar do
   attr :filter, :map, required: true
   attr :choices, :map, required: true, doc: "of `Aerie.Console.Pages.Fleet.Board.news/3`"
 
-  @doc "Search and filters."
+  @doc "Search and filters, on a phone behind the button of `status/1`."
   def toolbar(assigns) do
     ~H"""
-    <form id="fleet-filter" class="fleet-filter" phx-change="filter" phx-submit="filter" role="search">
+    <form id="fleet-filter" class="fleet-filter" popover phx-change="filter" phx-submit="filter" role="search">
       <.field id="fleet-search" type="search" name="q" label="Search" label_hidden placeholder="Search" value={@filter.search} phx-debounce="150" autocomplete="off" />
       <.field id="fleet-type" type="select" name="type" label="Type" label_hidden value={@filter.type} options={options("All types", @filter.type, @choices.kinds)} />
       <.field
@@ -41,9 +41,26 @@ defmodule Aerie.Console.Pages.Fleet.Toolbar do
     """
   end
 
+  @doc "What stands between map and table: it gives each its share of the width, and folds the table away."
+  def splitter(assigns) do
+    ~H"""
+    <div id="fleet-split" class="fleet-split" phx-hook="Splitter" phx-update="ignore">
+      <div
+        class="fleet-bar" role="separator" tabindex="0" aria-orientation="vertical" aria-controls="fleet-map"
+        aria-label="Width of the map, in per cent" aria-valuemin="20" aria-valuemax="80" aria-valuenow="50"
+      ></div>
+      <.button
+        icon="chevron-right" label="Fold the table away, or show it" small aria-expanded="true"
+        aria-controls="fleet-list" aria-keyshortcuts="\"
+      />
+    </div>
+    """
+  end
+
   attr :all, :list, required: true
   attr :shown, :integer, required: true
   attr :selected, :integer, required: true
+  attr :filter, Filter, required: true
   attr :sequence, Sequence, required: true
   attr :now, :integer, required: true, doc: "as of `Sequence`"
 
@@ -54,9 +71,13 @@ defmodule Aerie.Console.Pages.Fleet.Toolbar do
       <p class="fleet-count muted" aria-live="polite">{count(@shown, length(@all), @selected)}</p>
       <span :if={@all != [] and Enum.all?(@all, &(&1.status != :online))} class="fleet-bad" role="status"><.icon name="clock" /> No vehicle is heard. What you see is what was last known.</span>
       <span :if={@sequence.differs} class="fleet-order muted">
-        Order from {Age.text((@now - @sequence.at) * 1000)} ago
+        <span class="wide-only">Order from {Age.text((@now - @sequence.at) * 1000)} ago</span>
         <.button small phx-click="sort_now">Sort now</.button>
       </span>
+      <.button
+        small icon="filter" class="phone-only" popovertarget="fleet-filter"
+        aria-pressed={to_string(Filter.any?(@filter))}
+      >Filter</.button>
     </div>
     """
   end

@@ -174,7 +174,7 @@ defmodule Aerie.Console.Pages.Fleet.BoardTest do
 
   test "the line is that of the table", %{} do
     html = row("V1", mode: "AUTO", speed: 3.0) |> Table.line() |> Phoenix.LiveViewTest.rendered_to_string()
-    assert html =~ "AUTO"
-    assert html =~ "3.0 m/s"
+    assert html =~ "Mission <small>AUTO</small>"
+    assert html =~ ~r/data-label="Speed" class="number">3.0</
   end
 end

@@ -39,8 +39,15 @@ defmodule Aerie.Console.Pages.Fleet.PageTest do
     view = open(console)
     html = render(view)
 
-    for text <- ["failsafe", "GUIDED", "12 %", "3D · 14", "20 m", "3.0 m/s", "battery 12 %"],
-        do: assert(html =~ text)
+    for text <- ["failsafe", "Guided", "3D · 14", "battery 12 %"], do: assert(html =~ text)
+
+    # Units stand once in the heads; a bar is for a charge that begins to matter.
+    for {name, text} <- [{"Battery", "12"}, {"Height", "20"}, {"Speed", "3.0"}],
+        do: assert(has_element?(view, "#vehicle-VID-001 td[data-label=#{name}]", ~r/\A\s*#{text}\s*\z/))
+
+    assert has_element?(view, "thead", ~r/Speed\s+m\/s/)
+    assert has_element?(view, "#vehicle-VID-001 .meter.bad")
+    refute has_element?(view, "#vehicle-VID-002 .meter")
 
     assert view |> element("#vehicle-VID-002") |> render() =~ "90 min"
     assert view |> element("#vehicle-VID-002") |> render() =~ "lost"
@@ -112,9 +119,9 @@ defmodule Aerie.Console.Pages.Fleet.PageTest do
   test "what changes is shown by itself", %{console: console} do
     put_vehicle(console, "VID-001")
     view = open(console, "/", :viewer)
-    assert view |> element("#vehicle-VID-001") |> render() =~ "GUIDED"
-    put_vehicle(console, "VID-001", mode: %{mode: "RTL"})
-    eventually(fn -> view |> element("#vehicle-VID-001") |> render() =~ "RTL" end)
+    assert has_element?(view, "#vehicle-VID-001 td.fleet-mode", ~r/\AGuided\z/)
+    put_vehicle(console, "VID-001", mode: %{mode: "AUTO_RTL"})
+    eventually(fn -> has_element?(view, "#vehicle-VID-001 td[title=AUTO_RTL]", ~r/\AReturn AUTO_RTL\z/) end)
   end
 
   test "the map gets all vehicles, then those that changed, then those that are gone", %{
@@ -166,7 +173,8 @@ defmodule Aerie.Console.Pages.Fleet.PageTest do
       assert render(view) =~ "1 of 3 vehicles"
 
       assert console |> open("/?type=plane") |> shown() == ["PLANE"]
-      assert console |> open("/?firmware=px4&view=table") |> shown() == ["PLANE"]
+      assert console |> open("/?q=guided+vid-10") |> shown() == ["VID-10"]
+      assert console |> open("/?firmware=px4") |> shown() == ["PLANE"]
       assert console |> open("/?sort=battery") |> shown() == ["VID-10", "PLANE", "VID-2"]
     end
 
@@ -269,7 +277,9 @@ defmodule Aerie.Console.Pages.Fleet.PageTest do
     test "are not for viewers, whatever their browser sends", %{console: console} do
       view = open(console, "/", :viewer)
       render_hook(view, "select", %{"id" => "V1", "how" => "only"})
-      assert has_element?(view, "#fleet-actions")
+      assert has_element?(view, "#fleet-actions", "Viewers watch. Ask an operator or admin for more.")
+      assert has_element?(view, "#user-menu summary .badge", "viewer")
+      refute console |> open() |> has_element?("#user-menu summary .badge")
       refute has_element?(view, "#fleet-rtl")
       render_hook(view, "command", %{"type" => "rtl", "id" => "web-0001"})
       refute has_element?(view, "#operation-strip")
@@ -349,9 +359,9 @@ defmodule Aerie.Console.Pages.Fleet.PageTest do
       take(console, 1, "olga")
       eventually(fn -> has_element?(view, "#vehicle-V1", "olga") end)
       render_click(view, "all")
-      assert has_element?(view, "#fleet-charge", "olga is in charge of V1, nobody of V2, V3")
+      assert has_element?(view, "#fleet-charge", "olga controls V1, free: V2, V3")
       take(console, 2, "operator")
-      eventually(fn -> has_element?(view, "#fleet-charge", "you of V2") end)
+      eventually(fn -> has_element?(view, "#fleet-charge", "you control V2") end)
       refute has_element?(open(console, "/", :viewer), "#fleet-charge")
     end
 

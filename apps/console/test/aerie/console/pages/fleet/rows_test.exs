@@ -137,6 +137,7 @@ defmodule Aerie.Console.Pages.Fleet.RowsTest do
       for {params, shown?} <- [
             {%{}, true},
             {%{"q" => "vid guided"}, true},
+            {%{"q" => "return"}, false},
             {%{"q" => "7"}, true},
             {%{"q" => "NORTH"}, true},
             {%{"q" => "vid auto"}, false},

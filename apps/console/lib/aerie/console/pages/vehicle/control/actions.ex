@@ -61,7 +61,9 @@ defmodule Aerie.Console.Pages.Vehicle.Control.Actions do
     <section class="card" aria-labelledby="flight-title">
       <h2 id="flight-title">Control</h2>
       <.watching :if={@user.role == :viewer} />
-      <p :if={@able == [] and @locked == [] and @user.role != :viewer} class="muted">The firmware of this vehicle has none of these commands here.</p>
+      <p :if={@able == [] and @locked == [] and @user.role != :viewer} class="muted">
+        The firmware of this vehicle has none of these commands here.
+      </p>
       <p :for={text <- @locked} class="muted locked"><.icon name="lock" /> {text}</p>
       <div class="controls">
         <div :if={@next} class="control">

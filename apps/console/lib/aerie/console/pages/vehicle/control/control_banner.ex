@@ -29,7 +29,10 @@ defmodule Aerie.Console.Pages.Vehicle.Control.ControlBanner do
       </summary>
       <div :if={@able} class="charge-forms">
         <form :if={@relation != :own} id="charge-take" class="control" phx-hook="CommandForm" phx-auto-recover="ignore" data-type="take_control" data-value={@value}>
-          <.field :if={@relation == :other} id="charge-reason" name="reason" label="Reason (the operator in charge sees it)" maxlength="200" required={true} autocomplete="off" />
+          <.field
+            :if={@relation == :other} id="charge-reason" name="reason" maxlength="200" required={true}
+            label="Reason (the operator in charge sees it)" autocomplete="off"
+          />
           <.button type="submit" kind="primary">{if @relation == :other, do: "Take over", else: "Take control"}</.button>
         </form>
         <form :if={@relation == :own} id="charge-offer" class="control" phx-hook="CommandForm" phx-auto-recover="ignore" data-type="hand_over_control" data-value={@value}>

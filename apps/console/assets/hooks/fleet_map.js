@@ -78,8 +78,8 @@ export default {
     this.say("Loading the map …", this.notice);
   },
 
-  child(name) {
-    const element = document.createElement("div");
+  child(name, kind = "div") {
+    const element = document.createElement(kind);
     element.className = name;
     this.el.append(element);
     return element;
@@ -136,7 +136,7 @@ export default {
     this.tracks = new Tracks(map, this.colours);
     this.measure = new Measure(map, this.colours, (text) => this.say(text));
     this.editor = new PlanEditor(map, this.colours, (event, payload) => this.push(event, payload));
-    this.vehiclesLayer = new Vehicles(map, this.colours);
+    this.vehiclesLayer = new Vehicles(map, this.colours, (tags) => this.legend(tags));
 
     this.buttons();
     this.listen();
@@ -227,7 +227,20 @@ export default {
     if (this.tool === "plan" && this.editor.clicked(point, lngLat)) return;
     if (this.tool === "point") return this.push("map_point", place(lngLat));
     const id = this.vehiclesLayer.at(point);
+    if (!id && this.vehiclesLayer.open(point)) return;
     if (id) this.push("map_select", { id, add: originalEvent.shiftKey || originalEvent.ctrlKey || originalEvent.metaKey });
+  },
+
+  // Which tag has which colour.
+  legend(tags) {
+    this.tagList ??= this.child("map-legend", "ul");
+    this.tagList.setAttribute("aria-label", "Colours of tags");
+    this.tagList.replaceChildren(...[...tags].slice(0, 10).map(([tag, colour]) => {
+      const item = Object.assign(document.createElement("li"), { textContent: tag });
+      item.style.setProperty("--tag", `var(--map-tag-${colour})`);
+      return item;
+    }));
+    this.tracks.tags = tags;
   },
 
   // With the keyboard, a place is the centre of the view, which a cross marks.

@@ -222,7 +222,7 @@ export default {
     }
     map.map.getSource("replay-tails").setData(collection(tails));
     // As if the server had pushed it.
-    window.dispatchEvent(new CustomEvent("phx:map:vehicles", { detail: { map: "replay-map", all: true, vehicles: rows, gone: [] } }));
+    window.dispatchEvent(new CustomEvent("phx:map:vehicles", { detail: { map: "replay-map", all: true, exact: true, vehicles: rows, gone: [] } }));
   },
 };
 

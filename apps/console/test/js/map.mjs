@@ -148,6 +148,42 @@ const tasks = {
     if (shots) await phone.screenshot({ path: `${shots}/fleet-phone-table.png` });
   },
 
+  // VID-1 and VID-3 stand, VID-1 with the tag `survey`; VID-2 is lost.
+  async symbols() {
+    const page = await open();
+    await ready(page);
+    const first = await until("three vehicles are drawn", async () => { const all = await drawn(page); return Object.keys(all).length === 3 && all; });
+    const number = /^vehicle-copter-armed-(\d)$/.exec(first["VID-1"].symbol)?.[1];
+    equal("the others have the colours of their state", [first["VID-2"].symbol, first["VID-3"].symbol], ["vehicle-plane-lost", "vehicle-rover-disarmed"]);
+    equal("the legend", await page.textContent(".map-legend"), "survey");
+    equal("its colour", await page.evaluate(() => document.querySelector(".map-legend li").style.getPropertyValue("--tag")), `var(--map-tag-${number})`);
+    if (shots) await page.screenshot({ path: `${shots}/map-tags.png` });
+    const shown = () => page.evaluate(() => {
+      const { map } = document.querySelector("#fleet-map").fleetMap;
+      const of = (layer) => map.queryRenderedFeatures({ layers: [layer] }).map(({ properties }) => properties);
+      return { ids: of("vehicles").map(({ id }) => id).sort().join(), clusters: of("vehicles-cluster").map(({ count, symbol }) => `${count} ${symbol}`).join(), faint: of("vehicles").some(({ id, opacity }) => id === "VID-2" && opacity < 1) };
+    });
+    await until("the lost one fades", async () => (await shown()).faint);
+
+    // From far: the lost one stays beside the cluster, and so does a selected one.
+    await page.evaluate(() => document.querySelector("#fleet-map").fleetMap.map.setZoom(10));
+    await until("a cluster", async () => { const { ids, clusters } = await shown(); return ids === "VID-2" && clusters === "2 vehicle-cluster-armed"; });
+    if (shots) await page.screenshot({ path: `${shots}/map-cluster.png` });
+    await page.click("#vehicle-VID-3 td[data-label=Mode]");
+    await until("the selected one is no part of it", async () => { const { ids, clusters } = await shown(); return ids === "VID-1,VID-2,VID-3" && clusters === ""; });
+    await page.keyboard.press("Escape");
+    await until("the cluster again", async () => (await shown()).clusters !== "");
+    const at = await page.evaluate(() => {
+      const { map } = document.querySelector("#fleet-map").fleetMap;
+      const box = map.getCanvas().getBoundingClientRect();
+      const { x, y } = map.project(map.queryRenderedFeatures({ layers: ["vehicles-cluster"] })[0].geometry.coordinates);
+      return [box.x + x, box.y + y];
+    });
+    await page.mouse.click(...at);
+    await until("a click looks at it from nearer", async () => (await shown()).ids.includes("VID-1,"));
+    equal("and selects nothing", await selected(page), []);
+  },
+
   // Figures of many vehicles that change five times a second.
   async fleet() {
     const page = await open();

@@ -2,6 +2,7 @@
 // this machine. Colours are the custom properties of css/map.css, so that they follow the page's theme.
 import { color } from "../../lib/theme.js";
 import { collection } from "./geo.js";
+import { TAG_COLOURS } from "./tags.js";
 
 // Families of whichever this machine has.
 export const FONT = ["Segoe UI", "Roboto", "Noto Sans", "Liberation Sans", "DejaVu Sans", "sans-serif"];
@@ -9,6 +10,7 @@ export const FONT = ["Segoe UI", "Roboto", "Noto Sans", "Liberation Sans", "Deja
 const COLOURS = [
   "water", "land", "coast", "border", "grid", "text", "halo", "armed", "disarmed", "stale", "lost", "failsafe", "selected", "track",
   "course", "home", "mission", "inclusion", "exclusion", "rally", "tool", "problem",
+  ...Array.from({ length: TAG_COLOURS }, (_, n) => `tag-${n}`),
 ];
 
 export const colours = () => Object.fromEntries(COLOURS.map((name) => [name, color(`--map-${name}`)]));

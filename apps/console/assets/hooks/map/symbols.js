@@ -4,6 +4,8 @@
 //   disarmed  outline         armed     filled        failsafe  filled, with ! beside it
 //   stale     dashed outline  lost      thin outline, crossed out
 //
+// What is armed or disarmed may have the colour of its tag; a disc is a cluster.
+//
 // Symbols point to the north; the map turns them.
 
 const SIZE = 40; // CSS pixels
@@ -30,30 +32,34 @@ const KINDS = {
     p.closePath();
     polygon(p, [[-9, 11], [9, 11], [9, 14], [-9, 14]]);
   },
+  cluster: (p) => circle(p, 0, 0, 17),
   unknown: (p) => polygon(p, [[0, -14], [10, 12], [0, 7], [-10, 12]]),
 };
 const LIKE = { blimp: "sub", balloon: "unknown", rocket: "unknown", kite: "plane", flapping_wing: "plane", parafoil: "plane", spacecraft: "unknown", tracker: "unknown" };
 
 export const STATES = ["disarmed", "armed", "failsafe", "stale", "lost"];
 
-export const symbolName = (kind, state) => `vehicle-${KINDS[kind] ? kind : (LIKE[kind] ?? "unknown")}-${state}`;
+// `tag`: the number of a tag's colour.
+export const symbolName = (kind, state, tag) =>
+  `vehicle-${KINDS[kind] ? kind : (LIKE[kind] ?? "unknown")}-${state}${tag === undefined || !["armed", "disarmed"].includes(state) ? "" : `-${tag}`}`;
 
 // Draws what the style asks for and does not have yet; `colours()` gives the theme's.
 export function provideSymbols(map, colours) {
   map.setMissingStyleImageResolver((id) => {
-    const [prefix, kind, state] = id.split("-");
-    if (prefix === "vehicle") map.addImage(id, image(kind, state, colours()), { pixelRatio: RATIO });
+    const [prefix, ...what] = id.split("-");
+    if (prefix === "vehicle") map.addImage(id, image(colours(), ...what), { pixelRatio: RATIO });
   });
 }
 
 export function redrawSymbols(map, colours) {
   for (const id of map.listImages()) {
-    const [prefix, kind, state] = id.split("-");
-    if (prefix === "vehicle") map.updateImage(id, image(kind, state, colours()));
+    const [prefix, ...what] = id.split("-");
+    if (prefix === "vehicle") map.updateImage(id, image(colours(), ...what));
   }
 }
 
-function image(kind, state, c) {
+function image(c, kind, state, tag) {
+  const colour = c[tag === undefined ? state : `tag-${tag}`];
   const canvas = document.createElement("canvas");
   canvas.width = canvas.height = SIZE * RATIO;
   const p = canvas.getContext("2d");
@@ -67,11 +73,12 @@ function image(kind, state, c) {
   p.lineWidth = 5;
   p.stroke(shape);
   const filled = state === "armed" || state === "failsafe";
-  p.fillStyle = filled ? c[state] : c.halo;
+  // The number of a cluster stands on it.
+  p.fillStyle = filled && kind !== "cluster" ? colour : c.halo;
   p.fill(shape);
   p.setLineDash(state === "stale" ? [3, 2] : []);
-  p.strokeStyle = filled ? c.text : c[state];
-  p.lineWidth = filled || state === "lost" ? 1 : 2.5;
+  p.strokeStyle = filled && kind !== "cluster" ? c.text : colour;
+  p.lineWidth = kind === "cluster" && filled ? 5 : filled || state === "lost" ? 1 : 2.5;
   p.stroke(shape);
   p.setLineDash([]);
 

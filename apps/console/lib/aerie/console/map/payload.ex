@@ -6,15 +6,15 @@ defmodule Aerie.Console.Map.Payload do
   alias Aerie.Vehicle.Snapshot
 
   @typedoc """
-  `[id, lat, lon, heading, course, speed, height, kind, state, in_air]`: degrees, m/s, metres above home; nil where
-  not known.
+  `[id, lat, lon, heading, course, speed, height, kind, state, in_air, tag, urgent]`: degrees, m/s, metres above home;
+  nil where not known. The tag gives the symbol's colour; an urgent one is not put into a cluster.
   """
   @type row :: [term(), ...]
   @type sent :: %{String.t() => row()}
 
   @doc "The row of a vehicle's snapshot; nil while its position is not known."
-  @spec row(map()) :: row() | nil
-  def row(%{groups: groups} = vehicle) do
+  @spec row(map(), tag :: String.t() | nil, urgent :: boolean()) :: row() | nil
+  def row(%{groups: groups} = vehicle, tag \\ nil, urgent? \\ false) do
     with %{position: %{data: %{lat: lat, lon: lon} = position}} when is_number(lat) and is_number(lon) <-
            groups do
       velocity = Snapshot.data(vehicle, :velocity)
@@ -30,7 +30,9 @@ defmodule Aerie.Console.Map.Payload do
         rounded(position[:alt_rel], 1),
         vehicle.vehicle_type,
         state(vehicle),
-        Snapshot.data(vehicle, :mode)[:in_air] == true
+        Snapshot.data(vehicle, :mode)[:in_air] == true,
+        tag,
+        urgent?
       ]
     else
       _no_position -> nil

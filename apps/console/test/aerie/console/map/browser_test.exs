@@ -2,6 +2,7 @@ defmodule Aerie.Console.Map.BrowserTest do
   use Aerie.ConsoleCase, async: true
 
   import Aerie.MapPage
+  import Aerie.ShadowCase, only: [start_shadow: 2]
 
   @moduletag :chromium
 
@@ -35,6 +36,25 @@ defmodule Aerie.Console.Map.BrowserTest do
     three(console)
     fly(console, 1, 47.3977)
     assert browse_map(console, "flows") =~ "ok"
+  end
+
+  @tag :tmp_dir
+  test "tags colour symbols, far vehicles are a cluster without those that matter, and the lost fade", %{
+    console: console,
+    tmp_dir: dir
+  } do
+    start_shadow(console.gateway, dir)
+    three(console)
+    # Beside the cluster of the other two, at the zoom where they are one.
+    put_vehicle(console, "VID-2", [position: %{lat: 47.43, heading: 200.0}], %{
+      key: {"main", 2},
+      system_id: 2,
+      vehicle_type: "plane",
+      status: :lost
+    })
+
+    :ok = Aerie.Fleet.Shadow.tag(console.gateway, "VID-1", ["survey"])
+    assert browse_map(console, "symbols") =~ "ok"
   end
 
   test "without WebGL the page says so, and its table works", %{console: console} do

@@ -271,7 +271,9 @@ defmodule Aerie.Console.Pages.Fleet.RowsTest do
       }
 
       assert Payload.row(snapshot(groups)) ==
-               ["VID-001", 47.1234568, 8.5, 93, 270, 5.0, 12.3, "copter", :armed, true]
+               ["VID-001", 47.1234568, 8.5, 93, 270, 5.0, 12.3, "copter", :armed, true, nil, false]
+
+      assert ["survey", true] = groups |> snapshot() |> Payload.row("survey", true) |> Enum.take(-2)
 
       assert Payload.row(snapshot(%{position: %{lat: 47.1, lon: :nan}})) == nil
       assert Payload.row(snapshot()) == nil

@@ -112,6 +112,8 @@ defmodule Aerie.Console.Pages.Fleet.Board.Row do
     battery = Snapshot.data(vehicle, :battery)
     gps = Snapshot.data(vehicle, :gps)
     readiness = if mode[:armed] != true, do: readiness[vehicle.id]
+    tags = Map.get(tags, vehicle.id, [])
+    problems = Problems.of(vehicle)
 
     %__MODULE__{
       id: vehicle.id,
@@ -135,14 +137,14 @@ defmodule Aerie.Console.Pages.Fleet.Board.Row do
       silent_us: seconds(Snapshot.silent_us(vehicle, own, now)),
       via: vehicle.via,
       order: order(vehicle.id),
-      on_map: Payload.row(vehicle),
+      on_map: Payload.row(vehicle, List.first(tags), match?([{:bad, _text} | _more], problems)),
       home: Payload.home(vehicle),
       mission: mission(vehicle, Snapshot.data(vehicle, :mission)),
       readiness: readiness && readiness.state,
       open: open(readiness),
-      problems: Problems.of(vehicle),
+      problems: problems,
       holder: with(%{holder: name} <- leases[vehicle.key], do: name),
-      tags: Map.get(tags, vehicle.id, [])
+      tags: tags
     }
   end
 

@@ -1,6 +1,7 @@
 // What the map stands on: the layers that the gateway offers (`/tiles`), the one that this browser shows, what its licence asks to
 // say, and the question to an admin while there is none. Nothing is loaded from elsewhere.
 import { described } from "./archive.js";
+import { npm } from "./npm.js";
 import { swap } from "./style.js";
 
 const KEPT = "map-layer"; // the id of the layer, or NONE
@@ -31,6 +32,7 @@ export class Base {
     this.drawn = this.shown();
     const layer = this.offer.layers.find(({ id }) => id === this.chosen());
     const tiles = layer ? await described(layer, this.library) : null;
+    if (tiles?.type === "vector") tiles.basemaps = await import(npm("@protomaps/basemaps/index.js"));
     this.hook.say(tiles?.attribution ?? "", this.attribution);
     return tiles;
   }

@@ -1,11 +1,10 @@
-// The map's style: land, borders, own tiles where configured, graticule. It needs no network; labels are drawn with the fonts of
-// this machine. Colours are the custom properties of css/map.css, so that they follow the page's theme.
-import { color } from "../../lib/theme.js";
+// The map's style: land, borders, tiles, graticule. It needs no network; labels are drawn with the font of the pages. Colours are the custom properties of css/map.css, so that they follow the page's theme.
+import { color, dark } from "../../lib/theme.js";
 import { collection } from "./geo.js";
 import { TAG_COLOURS } from "./tags.js";
 
-// Families of whichever this machine has.
-export const FONT = ["Segoe UI", "Roboto", "Noto Sans", "Liberation Sans", "DejaVu Sans", "sans-serif"];
+// The first is ours; the others have the signs that it lacks.
+export const FONT = ["Inter", "Segoe UI", "Roboto", "Noto Sans", "Liberation Sans", "DejaVu Sans", "sans-serif"];
 
 const COLOURS = [
   "water", "land", "coast", "border", "grid", "text", "halo", "armed", "disarmed", "stale", "lost", "failsafe", "selected", "track",
@@ -20,7 +19,7 @@ const source = () => ({ type: "geojson", data: collection() });
 const COARSE = 8; // zoom from which the coastlines are beside those of a base map
 const ONLY_COARSE = ["coast", "borders"];
 
-// `tiles`: null, or {type: "raster" | "vector", url, minzoom, maxzoom, bounds, layers}; see the README.
+// `tiles`: null, or {type: "raster" | "vector", url, minzoom, maxzoom, bounds, layers, basemaps}; see the README.
 export function style(c, tiles) {
   return {
     version: 8,
@@ -89,19 +88,22 @@ const tileSource = ({ type, url, minzoom, maxzoom, bounds }) => ({
   ...(bounds ? { bounds } : {}),
 });
 
-// Layers of vector tiles are known by the names that the OpenMapTiles and Protomaps schemas give them; others are drawn as lines.
-const FILLS = { earth: "land", land: "land", landcover: "border", landuse: "border", park: "border", water: "water", ocean: "water", building: "coast", buildings: "coast" };
+// Fonts of a server in the style of Protomaps. Without such a server MapLibre draws labels with the fonts of the page.
+const FONTS = /"Noto Sans (Regular|Medium|Italic|Devanagari Regular v1)"/g;
+// Of the OpenMapTiles schema, where nothing says which layers there are: a server and a folder do not.
+const OTHERS = ["waterway", "transportation", "building", "boundary"];
 
-// Of both schemas: a server and a folder do not say which layers their tiles have.
-const COMMON = ["earth", "land", "landcover", "landuse", "park", "water", "ocean", "waterway", "transportation", "roads", "building", "buildings", "boundary", "boundaries"];
-
-function tileLayers(c, { type, layers }) {
+// Vectors look as npm's @protomaps/basemaps says (`basemaps`), without its pictures; what its schema does not have is drawn as lines.
+function tileLayers(c, { type, layers, basemaps }) {
   if (type === "raster") return [{ id: "tiles", type: "raster", source: "tiles", paint: { "raster-fade-duration": 0 } }];
-  return (layers ?? COMMON).map((name) => {
-    const layer = { id: `tiles-${name}`, source: "tiles", "source-layer": name };
-    const colour = FILLS[name];
-    if (!colour) return { ...layer, type: "line", paint: { "line-color": c.coast, "line-width": 1 } };
-    const opacity = colour === "land" || colour === "water" ? 1 : 0.35;
-    return { ...layer, type: "fill", filter: ["==", ["geometry-type"], "Polygon"], paint: { "fill-color": c[colour], "fill-opacity": opacity } };
-  });
+  const drawn = basemaps
+    // Water and land as without tiles.
+    .layers("tiles", { ...basemaps.namedFlavor(dark() ? "dark" : "light"), water: c.water, earth: c.land }, { lang: navigator.language.slice(0, 2) })
+    .filter(({ id, source }) => source && id !== "roads_oneway")
+    .map(({ id, layout: { "icon-image": _picture, ...layout } = {}, ...layer }) => ({ ...layer, id: `tiles-${id}`, layout }));
+  const known = new Set(drawn.map((layer) => layer["source-layer"]));
+  const lines = (layers ?? OTHERS).filter((name) => !known.has(name)).map((name) => ({
+    id: `tiles-line-${name}`, type: "line", source: "tiles", "source-layer": name, paint: { "line-color": c.coast, "line-width": 1 },
+  }));
+  return [...JSON.parse(JSON.stringify(drawn).replaceAll(FONTS, JSON.stringify(FONT).slice(1, -1))), ...lines];
 }

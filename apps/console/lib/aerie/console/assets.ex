@@ -18,6 +18,7 @@ defmodule Aerie.Console.Assets do
     {"@fontsource-variable/inter", "files", ~w(inter-latin-wght-normal.woff2)},
     {"phoenix", "priv/static", ~w(phoenix.mjs)},
     {"phoenix_live_view", "priv/static", ~w(phoenix_live_view.esm.js)},
+    {"@protomaps/basemaps", "dist/esm", ~w(index.js)},
     {"pmtiles", "dist", ~w(pmtiles.js)},
     {"maplibre-gl", "dist", ~w(maplibre-gl.mjs maplibre-gl-worker.mjs)},
     {"world-atlas", "", ~w(countries-50m.json countries-10m.json)},

@@ -247,6 +247,17 @@ const tasks = {
       const { minzoom, maxzoom, type } = document.querySelector("#fleet-map").fleetMap.map.getSource("tiles");
       return [type, minzoom, maxzoom];
     }), [count, 0, 0]);
+    if (count === "vector") {
+      const of = (layer, property) => page.evaluate(([layer, property]) => document.querySelector("#fleet-map").fleetMap.map.getPaintProperty(layer, property), [layer, property]);
+      equal("what the style does not know is a line", await of("tiles-line-waterway", "line-width"), 1);
+      const fonts = await page.evaluate(() => JSON.stringify(document.querySelector("#fleet-map").fleetMap.map.getStyle().layers));
+      equal("no fonts or pictures of a server", /Noto Sans (Regular|Medium|Italic|Dev)|"icon-image":(?!\["get","symbol"\])/.test(fonts), false);
+      await until("the town's name is drawn", () => page.evaluate(() => document.querySelector("#fleet-map").fleetMap.map.queryRenderedFeatures({ layers: ["tiles-places_locality"] }).length > 0));
+      if (shots) await page.screenshot({ path: `${shots}/map-vector-light.png` });
+      const light = await of("tiles-water", "fill-color");
+      await page.evaluate(() => { document.documentElement.dataset.theme = "dark"; window.dispatchEvent(new CustomEvent("theme")); });
+      await until("its colours are dark", async () => (await of("tiles-water", "fill-color")) !== light);
+    }
     if (shots) await page.screenshot({ path: `${shots}/fleet-tiles.png` });
   },
 
@@ -331,6 +342,28 @@ const tasks = {
     await page.click("[data-tool=layers]");
     await page.getByText(count).click();
     await until("the layer again", tiles);
+  },
+
+  // An admin fetches the tiles of what is in view; with the keyboard.
+  async area() {
+    const page = await open();
+    await ready(page);
+    await page.evaluate(() => document.querySelector("#fleet-map").fleetMap.map.jumpTo({ center: [8.5, 47.3], zoom: 10 }));
+    await page.click("[data-tool=layers]");
+    await page.getByText("Prepare an area…").press("Enter");
+    const panel = page.locator(".map-panel[data-name=map-area]");
+    const says = (words) => until(words, async () => words.test(await panel.textContent()));
+    await says(/What is in view: \d+ tiles, about \d+ MB|Not possible: /);
+    equal("the zoom has the focus", await page.evaluate(() => document.activeElement.type), "number");
+    await page.keyboard.press("Control+a");
+    await page.keyboard.type("11");
+    await page.keyboard.press("Tab");
+    await says(/What is in view: \d{2} tiles, about 1 MB/);
+    if (shots) await page.screenshot({ path: `${shots}/map-area.png` });
+    await page.keyboard.press("Enter");
+    await says(/Fetched: (\d+) of \1 tiles/);
+    await page.getByText("Back").click();
+    equal("the layers again", await page.locator(".map-panel[data-name=map-layers]").count(), 1);
   },
 
   // An admin opens the file `count`, sees it, and removes it.

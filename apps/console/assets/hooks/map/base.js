@@ -119,6 +119,48 @@ export class Base {
     request.send(file);
   }
 
+  // The tiles of what is in view, down to a zoom, before somebody goes where there is no internet; `asked`: one was begun just now.
+  async area(layer, asked = false) {
+    const { map } = this;
+    const url = `/tiles/${layer.id}/area`;
+    const words = element("p", { role: "status" });
+    const zoom = element("input", { type: "number", min: layer.minzoom, max: layer.maxzoom, value: Math.min(layer.maxzoom, Math.max(16, Math.ceil(map.getZoom()))) });
+    const ask = async (begin) => {
+      const box = map.getBounds().toArray().flat();
+      const answer = await fetch(url, { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify({ box, zoom: zoom.valueAsNumber, begin }) });
+      if (!answer.ok) words.textContent = `Not possible: ${await answer.text()}`;
+      else if (begin) this.area(layer, true);
+      else words.textContent = await answer.json().then(({ tiles, bytes }) => `What is in view: ${tiles} tiles, about ${Math.ceil(bytes / 1e6)} MB.`);
+    };
+    const state = await this.fetching(url);
+    const busy = state && !state.ended;
+    const far = ({ done, total, bytes }) => `${done} of ${total} tiles, ${Math.ceil(bytes / 1e6)} MB`;
+    if (asked && state?.ended) words.textContent = state.ended === "done" ? `Fetched: ${far(state)}.` : `Ended after ${far(state)}: ${state.ended}.`;
+    const back = button("Back", () => this.toggle());
+    const label = element("label", { textContent: "Down to zoom" });
+    label.append(zoom);
+    this.panelOf("map-area", "Prepare an area", busy ? [words, button("Cancel", () => fetch(url, { method: "DELETE" })), back] : [label, words, button("Fetch", () => ask(true)), back]);
+    const { panel } = this;
+    panel.querySelector("input, button").focus();
+    const here = () => this.panel === panel && !this.hook.gone;
+    const follow = async () => {
+      const now = await this.fetching(url);
+      if (!here() || !now) return;
+      if (now.ended) return this.area(layer, true);
+      words.textContent = `Fetching: ${far(now)}.`;
+      setTimeout(follow, 1000);
+    };
+    if (busy) return follow();
+    const changed = () => (here() ? ask(false) : map.off("moveend", changed));
+    zoom.addEventListener("change", changed);
+    map.on("moveend", changed);
+    if (!words.textContent) changed();
+  }
+
+  async fetching(url) {
+    return fetch(url).then((answer) => (answer.ok ? answer.json() : null));
+  }
+
   async remove(id, name) {
     if (!window.confirm(`Remove the map file ${name} from the gateway, for all?`)) return;
     const gone = await fetch(`/tiles/${id}`, { method: "DELETE" });
@@ -142,7 +184,7 @@ export class Base {
     this.offer = offer;
     const open = this.panel?.dataset.name;
     if (open === "map-layers") this.toggle(true);
-    else if (open !== "map-upload") this.show();
+    else if (!["map-upload", "map-area"].includes(open)) this.show();
     if (this.shown() !== this.drawn) await this.apply();
   }
 
@@ -171,7 +213,9 @@ export class Base {
     const use = !this.offer.openstreetmap;
     const change = button(use ? "Use OpenStreetMap for all" : "Stop using OpenStreetMap", () => this.answer(use));
     const removals = this.offer.layers.filter(({ uploaded }) => uploaded).map(({ id, name }) => button(`Remove ${name}`, () => this.remove(id, name)));
-    this.panelOf("map-layers", "Base map", [...radios, ...(this.decides ? [change] : []), ...(this.offer.may ? [this.file("Add a map file…"), ...removals] : [])]);
+    const layer = this.offer.layers.find(({ id }) => id === chosen);
+    const prepare = this.offer.may && layer?.prepares ? [button("Prepare an area…", () => this.area(layer))] : [];
+    this.panelOf("map-layers", "Base map", [...radios, ...prepare, ...(this.decides ? [change] : []), ...(this.offer.may ? [this.file("Add a map file…"), ...removals] : [])]);
     this.hook.pressed("layers", true);
     if (focused) this.panel.querySelector("input:checked").focus();
     this.panel.addEventListener("keydown", (event) => {

@@ -10,6 +10,7 @@ defmodule Aerie.Console.Supervisor do
   ├─ Access.Limiter             counts failed sign-ins
   ├─ Map.Tiles                  knows the layers of the map
   ├─ Map.Tiles.Fetcher          fetches tiles of servers, and keeps them
+  ├─ Map.Tiles.Area             fetches those of an area beforehand
   ├─ Access.Launch              the token of the address that `bin/run` prints
   ├─ Alarms              the alarms, for all operators
   ├─ Aerie.Fleet.Inspector      the messages on the links, while somebody looks
@@ -49,6 +50,7 @@ defmodule Aerie.Console.Supervisor do
          gateway: gateway,
          dir: Console.Map.Tiles.cache(settings.map.dir),
          most: settings.map.cache_mb * 1_000_000},
+        {Console.Map.Tiles.Area, gateway: gateway, dir: Console.Map.Tiles.cache(settings.map.dir)},
         {Access.Launch, gateway: gateway, file: Path.join(dir, "url")},
         {Alarms, gateway: gateway},
         {Aerie.Fleet.Inspector, gateway: gateway},

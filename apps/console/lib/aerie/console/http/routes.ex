@@ -72,6 +72,7 @@ defmodule Aerie.Console.HTTP.Routes do
         {"/assets/:version/[...]", Assets.Handler, gateway},
         {"/tiles", Tiles.Handler, Map.put(access, :what, :layers)},
         {"/tiles/:layer", Tiles.Handler, Map.put(access, :what, :archive)},
+        {"/tiles/:layer/area", Tiles.Handler, Map.put(access, :what, :area)},
         {"/tiles/:layer/:z/:x/:y", Tiles.Handler, Map.put(access, :what, :tile)}
       ] ++ pages
   end

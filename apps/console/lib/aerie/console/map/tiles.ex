@@ -14,7 +14,7 @@ defmodule Aerie.Console.Map.Tiles do
   alias Aerie.Access.{Changes, PrivateFile}
   alias Aerie.Base.Files.Private
   alias Aerie.Base.{Names, PubSub}
-  alias Aerie.Console.Map.Tiles.{Fetcher, Layer, Upload}
+  alias Aerie.Console.Map.Tiles.{Area, Cache, Fetcher, Layer, Upload}
 
   @role :console_tiles
 
@@ -40,7 +40,13 @@ defmodule Aerie.Console.Map.Tiles do
     case Names.value(gateway, @role) do
       %{layers: layers, openstreetmap: answer, fixed?: fixed?} ->
         ask? = answer == nil and layers == []
-        %{layers: Enum.map(layers, & &1.shown), openstreetmap: answer, fixed: fixed?, ask: ask?}
+
+        %{
+          layers: Enum.map(layers, &Map.put(&1.shown, :prepares, Layer.prepares?(&1))),
+          openstreetmap: answer,
+          fixed: fixed?,
+          ask: ask?
+        }
 
       nil ->
         %{layers: [], openstreetmap: nil, fixed: true, ask: false}
@@ -86,6 +92,101 @@ defmodule Aerie.Console.Map.Tiles do
     case Names.value(gateway, @role) do
       %{by_id: %{^id => %{source: {:archive, path, _kind}}}} -> path
       _none -> nil
+    end
+  end
+
+  @typedoc """
+  A layer for an admin: `from` is a server, or `"file"` or `"folder"`. A server also has what is kept of it (nil: not
+  counted yet), and its counts; `failing`: why, and for how many seconds it is left alone.
+  """
+  @type overview :: %{
+          id: String.t(),
+          name: String.t(),
+          from: String.t(),
+          server?: boolean(),
+          held: {tiles :: non_neg_integer(), bytes :: non_neg_integer()} | nil,
+          fetched: non_neg_integer(),
+          errors: non_neg_integer(),
+          failing: {String.t(), seconds :: non_neg_integer()} | nil
+        }
+
+  @doc "All layers, for admins."
+  @spec overview(Names.gateway()) :: [overview()]
+  def overview(gateway) do
+    now = System.monotonic_time(:millisecond)
+    %{servers: servers, held: held} = Fetcher.status(gateway)
+    layers = with(%{layers: layers} <- Names.value(gateway, @role), do: layers) || []
+
+    for %{source: source, shown: shown} = layer <- layers do
+      base = %{id: layer.id, name: shown.name, server?: false, held: nil, fetched: 0, errors: 0, failing: nil}
+
+      with {:server, _url, _key} <- source do
+        counts = servers[Fetcher.server(layer)]
+        until = counts && counts.until
+        wait = until && until > now && {counts.words, div(until - now, 1_000) + 1}
+        kept = held && Map.get(held, Cache.folder(layer), {0, 0})
+        more = %{from: Fetcher.server(layer), server?: true, held: kept, failing: wait || nil}
+        base |> Map.merge(more) |> Map.merge(Map.take(counts || %{}, [:fetched, :errors]))
+      else
+        {kind, _path, _more} -> Map.put(base, :from, if(kind == :archive, do: "file", else: "folder"))
+      end
+    end
+  end
+
+  @doc "Removes what is kept of a server's layer."
+  @spec clear(Names.gateway(), id :: String.t(), Changes.by()) :: :ok | {:error, String.t()}
+  def clear(gateway, id, by) do
+    with %{dir: dir, by_id: %{^id => %{source: {:server, _url, _key}} = layer}} <- Names.value(gateway, @role),
+         :ok <- Fetcher.clear(gateway, cache(dir), layer) do
+      Changes.note(gateway, by, "change", %{"action" => "change_map", "cleared" => id})
+    else
+      {:error, words} -> {:error, words}
+      _none -> {:error, "nothing is kept of #{id}"}
+    end
+  end
+
+  # A tile has so many bytes, while fewer than so many are kept.
+  @usual_bytes 20_000
+  @enough 50
+
+  @doc """
+  What it takes to fetch the tiles of a box down to a zoom beforehand: the number of tiles, about how many bytes, and
+  why it cannot be done.
+  """
+  @spec area(Names.gateway(), id :: String.t(), Area.Plan.box(), zoom :: non_neg_integer()) ::
+          {:ok, Layer.t(), Area.Plan.t(), bytes :: pos_integer()} | {:error, String.t()}
+  def area(gateway, id, box, zoom) do
+    with %{most: most, by_id: %{^id => layer}} <- Names.value(gateway, @role),
+         {:may, true} <- {:may, Layer.prepares?(layer)},
+         {:ok, plan} <- Area.Plan.new(box, layer.zooms.first..min(zoom, layer.zooms.last)//1, most) do
+      bytes = plan.total * tile_bytes(gateway, layer)
+
+      words =
+        "about #{div(bytes, 1_000_000)} MB; the gateway keeps #{div(most, 1_000_000)} (console.map.cache_mb)"
+
+      if bytes <= most, do: {:ok, layer, plan, bytes}, else: {:error, words}
+    else
+      {:error, words} -> {:error, words}
+      _none -> {:error, "areas of this layer cannot be prepared"}
+    end
+  end
+
+  defp tile_bytes(gateway, layer) do
+    case Fetcher.status(gateway).held[Cache.folder(layer)] do
+      {tiles, bytes} when tiles >= @enough -> div(bytes, tiles) + 1
+      _few -> @usual_bytes
+    end
+  end
+
+  @doc "Begins to fetch an area (`area/4`)."
+  @spec prepare(Names.gateway(), Layer.t(), Area.Plan.t(), Changes.by()) :: :ok | {:error, String.t()}
+  def prepare(gateway, layer, plan, by) do
+    with :ok <- Area.begin(gateway, layer, plan) do
+      Changes.note(gateway, by, "change", %{
+        "action" => "change_map",
+        "prepared" => layer.id,
+        "tiles" => plan.total
+      })
     end
   end
 
@@ -195,7 +296,8 @@ defmodule Aerie.Console.Map.Tiles do
       openstreetmap: state.answer,
       fixed?: is_boolean(state.settings.openstreetmap),
       dir: state.settings.dir,
-      upload: state.settings.upload_mb * 1_000_000
+      upload: state.settings.upload_mb * 1_000_000,
+      most: state.settings.cache_mb * 900_000
     })
 
     PubSub.publish(state.gateway, {:notice, :console_map}, nil)

@@ -34,15 +34,25 @@ defmodule Aerie.Console.Map.TilesTest do
     header <> root <> metadata <> tile
   end
 
-  # A vector tile with the layer `water`, whose one polygon is all of it (Mapbox's specification, version 2.1).
-  defp water do
+  # A vector tile (Mapbox's specification, version 2.1): the layer `water`, whose one polygon is all of it, and a town.
+  defp vectors do
     zigzag = fn n -> Bitwise.bxor(Bitwise.bsl(n, 1), Bitwise.bsr(n, 63)) end
-    moves = [9, 0, 0, 26, zigzag.(4096), 0, 0, zigzag.(4096), zigzag.(-4096), 0, 15]
-    geometry = for n <- moves, into: "", do: varint(n)
-    feature = <<24, 3, 34, byte_size(geometry)>> <> geometry
-    layer = <<10, 5, "water", 18, byte_size(feature)>> <> feature <> <<40>> <> varint(4096) <> <<120, 2>>
-    <<26, byte_size(layer)>> <> layer
+    all = [9, 0, 0, 26, zigzag.(4096), 0, 0, zigzag.(4096), zigzag.(-4096), 0, 15]
+    town = [{"kind", "locality"}, {"name", "Uster"}, {"min_zoom", 3}, {"population_rank", 12}]
+    layer("water", 3, all, []) <> layer("places", 1, [9, zigzag.(2048), zigzag.(2048)], town)
   end
+
+  defp layer(name, type, moves, facts) do
+    keys = for {key, _value} <- facts, into: "", do: bytes(3, key)
+    values = for {_key, value} <- facts, into: "", do: bytes(4, value(value))
+    tags = for {_fact, n} <- Enum.with_index(facts), into: "", do: varint(n) <> varint(n)
+    feature = bytes(2, tags) <> <<24, type>> <> bytes(4, for(n <- moves, into: "", do: varint(n)))
+    bytes(3, bytes(1, name) <> bytes(2, feature) <> keys <> values <> <<40>> <> varint(4096) <> <<120, 2>>)
+  end
+
+  defp value(text) when is_binary(text), do: bytes(1, text)
+  defp value(number), do: <<40>> <> varint(number)
+  defp bytes(field, value), do: <<field * 8 + 2>> <> varint(byte_size(value)) <> value
 
   defp file(dir, bytes, name \\ "map") do
     path = Path.join(dir, name <> ".pmtiles")
@@ -113,6 +123,7 @@ defmodule Aerie.Console.Map.TilesTest do
                  "name" => "Field",
                  "attribution" => "(c) me",
                  "archive" => "/tiles/own",
+                 "prepares" => false,
                  "minzoom" => 0,
                  "maxzoom" => 0
                }
@@ -148,9 +159,11 @@ defmodule Aerie.Console.Map.TilesTest do
   describe "in a browser" do
     @describetag :chromium
 
-    test "a PMTiles file of vectors is drawn by the names of its layers", %{tmp_dir: dir} do
-      metadata = JSON.encode!(%{vector_layers: [%{id: "water"}]})
-      console = start(dir, [%{file: file(dir, pmtiles(1, water(), metadata))}])
+    test "a PMTiles file of vectors is drawn in the style of Protomaps, light and dark, with our font", %{
+      tmp_dir: dir
+    } do
+      metadata = JSON.encode!(%{vector_layers: [%{id: "water"}, %{id: "places"}, %{id: "waterway"}]})
+      console = start(dir, [%{file: file(dir, pmtiles(1, vectors(), metadata))}])
       assert browse_map(console, "tiles", ["vector"]) =~ "ok"
     end
 
@@ -160,7 +173,7 @@ defmodule Aerie.Console.Map.TilesTest do
     end
 
     test "one that is damaged behind its header is left out, and the browser's log says so", %{tmp_dir: dir} do
-      whole = pmtiles(1, water())
+      whole = pmtiles(1, vectors())
       <<header::binary-127, rest::binary>> = whole
       console = start(dir, [%{file: file(dir, header <> String.duplicate("x", byte_size(rest)))}])
       assert browse_map(console, "notiles") =~ "ok"
@@ -179,6 +192,11 @@ defmodule Aerie.Console.Map.TilesTest do
     test "an admin opens a file of this machine", %{tmp_dir: dir} do
       path = file(dir, pmtiles(2, @png), "own")
       assert browse_map(start(dir, []), "upload", [path], :admin) =~ "ok"
+    end
+
+    test "an admin prepares the area in view", %{tmp_dir: dir} do
+      console = start(dir, [%{url: TileServer.start() <> "/{z}/{x}/{y}"}])
+      assert browse_map(console, "area", [], :admin) =~ "ok"
     end
 
     test "an operator reads that an admin can choose", %{tmp_dir: dir} do
@@ -310,7 +328,7 @@ defmodule Aerie.Console.Map.TilesTest do
     assert log =~ "it answered 500"
     refute log =~ "s3cret"
     refute JSON.encode!(description(console)) =~ "s3cret"
-    assert %{servers: servers, bytes: _counted_later} = status = Tiles.Fetcher.status(console.gateway)
+    assert %{servers: servers} = status = Tiles.Fetcher.status(console.gateway)
     refute inspect(status, limit: :infinity) =~ "s3cret"
     assert [%{fetched: 2, errors: 1}] = Map.values(servers)
   end
@@ -353,6 +371,127 @@ defmodule Aerie.Console.Map.TilesTest do
     start_supervised!({Tiles, gateway: gateway, settings: settings})
     assert %{layers: [], ask: false} = Tiles.description(gateway)
   end
+
+  test "the settings say what is kept of each layer, and empty it; only for admins", %{tmp_dir: dir} do
+    status = :atomics.new(1, [])
+
+    url =
+      TileServer.start(fn _asked ->
+        if :atomics.get(status, 1) == 1, do: {503, %{}, "no"}, else: {200, %{}, @png}
+      end)
+
+    console = start(dir, [%{url: url <> "/{z}/{x}/{y}", name: "Photos"}])
+    cookie = signed_in(console)
+    for y <- 0..1, do: assert({200, _headers, @png} = get(console, "/tiles/own/1/0/#{y}", cookie))
+    eventually(fn -> Tiles.Fetcher.status(console.gateway).held != nil end)
+
+    for who <- [:viewer, :operator] do
+      {:ok, view, html} = live(conn(console, who), "/settings?part=map")
+      refute html =~ "Photos"
+      render_hook(view, "clear-map", %{"name" => "own"})
+      assert {200, _headers, @png} = get(console, "/tiles/own/1/0/0", cookie)
+    end
+
+    {:ok, view, html} = live(conn(console, :admin), "/settings?part=map")
+    assert html =~ "Photos"
+    row = fn -> view |> element("#layer-own") |> render() end
+    eventually(fn -> row.() =~ ~r/2, 0\.\d MB/ and row.() =~ "Answers" end)
+    :atomics.put(status, 1, 1)
+    capture_log(fn -> assert {502, _headers, _body} = get(console, "/tiles/own/2/0/0", cookie) end)
+    send(view.pid, :refresh)
+    assert row.() =~ ~r/Failing: it answered 503.*Asked again in \d+ s/
+
+    # No other layer than a server's, and none that is not there.
+    for id <- ["other", "../files"],
+        do: assert({:error, "nothing is kept" <> _} = Tiles.clear(console.gateway, id, by()))
+
+    view |> element("#layer-own button", "Empty") |> render_click()
+    assert view |> element("#clear-map button.danger") |> render_click() =~ "is removed"
+    assert Path.wildcard(Path.join(dir, "map/cache/*/*/*/*")) == []
+    assert row.() =~ "0, 0.0 MB"
+  end
+
+  test "an admin prepares an area: its size first, then its tiles, which pages have without the server", %{
+    tmp_dir: dir
+  } do
+    console = start(dir, [%{url: TileServer.start() <> "/{z}/{x}/{y}", max_zoom: 14}])
+    osm(console, "https://tile.openstreetmap.org/{z}/{x}/{y}.png")
+    assert {200, _words} = answer(console, :admin, ~s({"openstreetmap": true}))
+    assert [%{"prepares" => true}, %{"id" => "osm", "prepares" => false}] = description(console)["layers"]
+    ask = &area(console, &1, :post, &2, JSON.encode!(%{box: [8.5, 47.3, 8.6, 47.4], zoom: 20, begin: &3}))
+
+    for who <- [:viewer, :operator],
+        method <- [:get, :post, :delete],
+        do: assert({403, "an admin prepares" <> _} = area(console, who, method, "own", "{}"))
+
+    for id <- ~w(osm other), do: assert({409, "areas of this layer cannot" <> _} = ask.(:admin, id, true))
+
+    for odd <- [
+          "{}",
+          "[",
+          ~s({"box": [1, 2, 3, "4"], "zoom": 3, "begin": true}),
+          ~s({"box": [1,2,3,4], "zoom": 99, "begin": true})
+        ],
+        do: assert({400, _words} = area(console, :admin, :post, "own", odd))
+
+    assert {409, "the area must lie" <> _} =
+             area(console, :admin, :post, "own", ~s({"box": [9, 1, 8, 2], "zoom": 3, "begin": true}))
+
+    assert {200, "null"} = area(console, :admin, :get, "own", "")
+    assert {200, size} = ask.(:admin, "own", false)
+    assert %{"tiles" => tiles, "bytes" => bytes} = JSON.decode!(size)
+    assert bytes == tiles * 20_000
+    refute_received {:asked, _path, _headers}
+
+    assert {200, _size} = ask.(:admin, "own", true)
+    status = fn -> console |> area(:admin, :get, "own", "") |> elem(1) |> JSON.decode!() end
+    eventually(fn -> status.()["ended"] == "done" end)
+    assert %{"layer" => "own", "total" => ^tiles, "done" => ^tiles} = status.()
+    assert length(Path.wildcard(Path.join(dir, "map/cache/own-*/*/*/*"))) == tiles
+    # Its own zooms only, and all of them.
+    assert dir |> Path.join("map/cache/own-*/*") |> Path.wildcard() |> length() == 15
+  end
+
+  test "an area that the disk has no room for is refused; one at a time; cancel ends it", %{tmp_dir: dir} do
+    test = self()
+
+    url =
+      TileServer.start(fn _asked ->
+        send(test, {:held, self()})
+        receive(do: (:go -> {200, %{}, @png}))
+      end)
+
+    console = start(dir, [%{url: url <> "/{z}/{x}/{y}", max_zoom: 19}], %{cache_mb: 10})
+    body = &JSON.encode!(%{box: [8.5, 47.3, 8.6, 47.4], zoom: &1, begin: true})
+    assert {409, words} = area(console, :admin, :post, "own", body.(18))
+    assert words =~ "console.map.cache_mb"
+    assert {200, _size} = area(console, :admin, :post, "own", body.(12))
+    assert {409, "another area" <> _} = area(console, :admin, :post, "own", body.(12))
+    assert_receive {:held, first}
+    assert_receive {:held, second}
+    assert {200, _words} = area(console, :admin, :delete, "own", "")
+    for server <- [first, second], do: send(server, :go)
+
+    eventually(fn ->
+      area(console, :admin, :get, "own", "") |> elem(1) |> JSON.decode!() |> Map.get("ended") == "cancelled"
+    end)
+
+    refute_received {:held, _third}
+  end
+
+  defp area(console, who, method, id, body) do
+    to = {~c"#{console.url}/tiles/#{id}/area", signed_in(console, who)}
+
+    request =
+      if method == :post,
+        do: Tuple.insert_at(to, 2, ~c"application/json") |> Tuple.insert_at(3, body),
+        else: to
+
+    {:ok, {{_, status, _}, _headers, body}} = :httpc.request(method, request, [], [])
+    {status, body |> to_string() |> String.trim()}
+  end
+
+  defp by, do: Aerie.Access.Changes.user(%{user: %{name: "a", role: :admin}, peer: {127, 0, 0, 1}})
 
   defp send_file(console, who, name, bytes, more \\ []) do
     type = Keyword.get(more, :type, ~c"application/vnd.pmtiles")

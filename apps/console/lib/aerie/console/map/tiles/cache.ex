@@ -20,12 +20,19 @@ defmodule Aerie.Console.Map.Tiles.Cache do
           body: binary()
         }
 
-  @doc "The file of a tile. Another address under the same id is another folder."
-  @spec path(Path.t(), Layer.t(), {integer(), integer(), integer()}) :: Path.t()
-  def path(dir, %Layer{id: id, source: {:server, url, _key}}, {z, x, y}) do
+  @typedoc "How many tiles a layer has on the disk, and their bytes, by `folder/1`."
+  @type held :: %{String.t() => {tiles :: non_neg_integer(), bytes :: non_neg_integer()}}
+
+  @doc "The folder of a layer's tiles. Another address under the same id is another folder."
+  @spec folder(Layer.t()) :: String.t()
+  def folder(%Layer{id: id, source: {:server, url, _key}}) do
     <<short::binary-4, _rest::binary>> = :crypto.hash(:sha256, url)
-    Path.join([dir, "#{id}-#{Base.encode16(short, case: :lower)}", "#{z}", "#{x}", "#{y}"])
+    "#{id}-#{Base.encode16(short, case: :lower)}"
   end
+
+  @doc "The file of a tile."
+  @spec path(Path.t(), Layer.t(), {integer(), integer(), integer()}) :: Path.t()
+  def path(dir, layer, {z, x, y}), do: Path.join([dir, folder(layer), "#{z}", "#{x}", "#{y}"])
 
   @doc "A tile that is there, or nil."
   @spec read(Path.t(), now :: integer()) :: entry() | nil
@@ -61,15 +68,24 @@ defmodule Aerie.Console.Map.Tiles.Cache do
          do: Private.write(path, [JSON.encode!(head), ?\n, body], false)
   end
 
-  @doc "Removes tiles until at most so many bytes are left, and says how many that are."
-  @spec sweep(Path.t(), most :: non_neg_integer()) :: number()
+  @doc "Removes tiles until at most so many bytes are left, and says what is left."
+  @spec sweep(Path.t(), most :: non_neg_integer()) :: held()
   def sweep(dir, most) do
     files = dir |> files(5) |> Enum.take(@most_files) |> Enum.sort()
     bytes = files |> Enum.map(&elem(&1, 1)) |> Enum.sum()
-
     # Not one for each that comes.
-    if bytes > most, do: remove(files, bytes, div(most * 9, 10)), else: bytes
+    left = if bytes > most, do: remove(files, bytes, div(most * 9, 10)), else: files
+    depth = length(Path.split(dir))
+
+    Enum.reduce(left, %{}, fn {_used, size, path}, held ->
+      add(held, Enum.at(Path.split(path), depth), size)
+    end)
   end
+
+  @doc "Counts a tile more."
+  @spec add(held(), folder :: String.t(), bytes :: non_neg_integer()) :: held()
+  def add(held, folder, size),
+    do: Map.update(held, folder, {1, size}, fn {tiles, bytes} -> {tiles + 1, bytes + size} end)
 
   defp remove([{_used, size, path} | files], bytes, most) when bytes > most do
     _ = Raw.rm(path)
@@ -77,7 +93,7 @@ defmodule Aerie.Console.Map.Tiles.Cache do
     remove(files, bytes - size, most)
   end
 
-  defp remove(_files, bytes, _most), do: bytes
+  defp remove(files, _bytes, _most), do: files
 
   # {last used, bytes, path}; layers, zooms and columns are folders.
   defp files(_path, 0), do: []

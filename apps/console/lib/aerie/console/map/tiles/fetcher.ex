@@ -49,12 +49,29 @@ defmodule Aerie.Console.Map.Tiles.Fetcher do
     :exit, _gone -> {:error, "tiles cannot be fetched just now"}
   end
 
-  @doc "Servers by name with their counts, and the bytes on the disk (nil: not counted yet)."
-  @spec status(Names.gateway()) :: %{servers: %{String.t() => Queue.server()}, bytes: number() | nil}
+  @doc "Servers by `server/1` with their counts, and what layers have on the disk (nil: not counted yet)."
+  @spec status(Names.gateway()) :: %{servers: %{String.t() => Queue.server()}, held: Cache.held() | nil}
   def status(gateway) do
     GenServer.call(Names.via(gateway, :console_tile_fetcher), :status)
   catch
-    :exit, _gone -> %{servers: %{}, bytes: nil}
+    :exit, _gone -> %{servers: %{}, held: nil}
+  end
+
+  @doc "Removes what is kept of a layer. The caller does the work; this process forgets its count."
+  @spec clear(Names.gateway(), Path.t(), Layer.t()) :: :ok | {:error, String.t()}
+  def clear(gateway, dir, layer) do
+    with {:ok, _removed} <- File.rm_rf(Path.join(dir, Cache.folder(layer))) do
+      GenServer.cast(Names.via(gateway, :console_tile_fetcher), {:cleared, Cache.folder(layer)})
+    else
+      {:error, reason, path} -> {:error, "#{path}: #{:file.format_error(reason)}"}
+    end
+  end
+
+  @doc "The server of a layer, as `status/1` names it."
+  @spec server(Layer.t()) :: String.t()
+  def server(layer) do
+    %URI{host: host, port: port, scheme: scheme} = layer |> Layer.url({0, 0, 0}) |> URI.parse()
+    if URI.default_port(scheme) == port, do: host, else: "#{host}:#{port}"
   end
 
   @impl GenServer
@@ -67,7 +84,7 @@ defmodule Aerie.Console.Map.Tiles.Fetcher do
       dir: options[:dir],
       most: options[:most],
       connection: options[:connection],
-      bytes: nil,
+      held: nil,
       new: 0,
       sweeping: nil
     }
@@ -77,26 +94,27 @@ defmodule Aerie.Console.Map.Tiles.Fetcher do
 
   @impl GenServer
   def handle_call({:ask, work, deadline}, from, state) do
-    name = work.layer |> Layer.url(work.tile) |> server()
-    {:noreply, step(state, {:ask, work.path, name, from, work, deadline})}
+    {:noreply, step(state, {:ask, work.path, server(work.layer), from, work, deadline})}
   end
 
   def handle_call(:status, _from, state),
-    do: {:reply, %{servers: state.queue.servers, bytes: state.bytes && state.bytes + state.new}, state}
+    do: {:reply, %{servers: state.queue.servers, held: state.held}, state}
+
+  # What is being counted just now has it still.
+  @impl GenServer
+  def handle_cast({:cleared, folder}, state),
+    do: {:noreply, %{state | held: state.held && Map.delete(state.held, folder)}}
 
   @impl GenServer
   def handle_info({:fetched, worker, key, answer}, state) do
-    name = state.queue.jobs[key].server
+    %{server: name, work: work} = state.queue.jobs[key]
     timer = Process.send_after(self(), {:idle, worker}, @idle_ms)
     state = step(%{state | idle: [{name, worker, timer} | state.idle]}, {:done, key, answer})
 
-    new =
-      case answer do
-        {:ok, %{body: body}} -> state.new + byte_size(body)
-        _error -> state.new
-      end
+    state =
+      with {:ok, %{body: body}} <- answer, do: count(state, work, byte_size(body)), else: (_error -> state)
 
-    {:noreply, if(new > @sweep_after, do: sweep(%{state | new: new}), else: %{state | new: new})}
+    {:noreply, if(state.new > @sweep_after, do: sweep(state), else: state)}
   end
 
   def handle_info({:idle, worker}, state) do
@@ -105,10 +123,16 @@ defmodule Aerie.Console.Map.Tiles.Fetcher do
     {:noreply, %{state | idle: idle}}
   end
 
-  def handle_info({task, bytes}, %{sweeping: task} = state) do
+  def handle_info({task, held}, %{sweeping: task} = state) do
     Process.demonitor(task, [:flush])
-    {:noreply, %{state | bytes: bytes, sweeping: nil}}
+    {:noreply, %{state | held: held, sweeping: nil}}
   end
+
+  # One that was renewed is counted already.
+  defp count(state, %{held: nil, layer: layer}, size),
+    do: %{state | new: state.new + size, held: state.held && Cache.add(state.held, Cache.folder(layer), size)}
+
+  defp count(state, _renewed, size), do: %{state | new: state.new + size}
 
   defp step(state, event) do
     {queue, actions} = Queue.handle(state.queue, event, System.monotonic_time(:millisecond))
@@ -147,13 +171,8 @@ defmodule Aerie.Console.Map.Tiles.Fetcher do
   # Looking at tens of thousands of files takes a second, so another process does it.
   defp sweep(%{sweeping: nil} = state) do
     task = Task.async(fn -> Cache.sweep(state.dir, state.most) end)
-    %{state | sweeping: task.ref, bytes: state.bytes && state.bytes + state.new, new: 0}
+    %{state | sweeping: task.ref, new: 0}
   end
 
   defp sweep(state), do: state
-
-  defp server(url) do
-    %URI{host: host, port: port, scheme: scheme} = URI.parse(url)
-    if URI.default_port(scheme) == port, do: host, else: "#{host}:#{port}"
-  end
 end

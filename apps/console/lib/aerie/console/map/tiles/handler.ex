@@ -5,6 +5,8 @@ defmodule Aerie.Console.Map.Tiles.Handler do
     * `/tiles`: the layers, and what an admin has to decide, as JSON; a POST is an admin's answer
     * `/tiles/LAYER/Z/X/Y`: a tile, of layers that are declared and places that they can have, so nothing else
       can be fetched through the gateway
+    * `/tiles/LAYER/area`: for admins, an area that is fetched beforehand: a POST says what it takes, or begins; GET,
+      DELETE
     * `/tiles/LAYER`: a range of a PMTiles file (RFC 9110, section 14); a PUT by an admin uploads such a file under this
       name, a DELETE removes an uploaded one
   """
@@ -15,7 +17,7 @@ defmodule Aerie.Console.Map.Tiles.Handler do
   alias Aerie.Access.{Changes, Session}
   alias Aerie.Access.Changes.Rights
   alias Aerie.Console.Map.Tiles
-  alias Aerie.Console.Map.Tiles.Upload
+  alias Aerie.Console.Map.Tiles.{Area, Upload}
   alias Aerie.Control.Policy.Roles
   alias Phoenix.LiveView.Cookie
 
@@ -41,9 +43,7 @@ defmodule Aerie.Console.Map.Tiles.Handler do
   end
 
   defp serve(:layers, "GET", gateway, user, request) do
-    described = Map.put(Tiles.description(gateway), :may, may?(user))
-    json = Map.put(headers("application/json"), "cache-control", "no-store")
-    :cowboy_req.reply(200, json, JSON.encode!(described), request)
+    json(request, Map.put(Tiles.description(gateway), :may, may?(user)))
   end
 
   defp serve(:layers, "POST", gateway, user, request) do
@@ -58,6 +58,12 @@ defmodule Aerie.Console.Map.Tiles.Handler do
       {:error, words} when is_binary(words) -> text(request, 409, words)
       _other -> text(request, 400, ~s(expected {"openstreetmap": true or false}))
     end
+  end
+
+  defp serve(:area, method, gateway, user, request) do
+    if may?(user),
+      do: area(method, gateway, user, request),
+      else: text(request, 403, "an admin prepares areas of the map")
   end
 
   defp serve(:tile, method, gateway, _user, request) when method in ["GET", "HEAD"] do
@@ -100,6 +106,38 @@ defmodule Aerie.Console.Map.Tiles.Handler do
   end
 
   defp serve(_what, _method, _gateway, _user, request), do: text(request, 405, "method not allowed")
+
+  defp area("GET", gateway, _user, request), do: json(request, Area.status(gateway))
+  defp area("DELETE", gateway, _user, request), do: changed(Area.cancel(gateway), request)
+
+  defp area("POST", gateway, user, request) do
+    id = :cowboy_req.binding(:layer, request)
+
+    with {:ok, bytes, request} <- Request.json(request, @max_answer),
+         {:ok, %{"box" => [west, south, east, north] = box, "zoom" => zoom, "begin" => begin?}} <-
+           Request.decode(bytes),
+         true <- Enum.all?(box, &is_number/1) and is_integer(zoom) and zoom in 0..24 and is_boolean(begin?) do
+      with {:ok, layer, plan, bytes} <-
+             Tiles.area(gateway, id, %{west: west, south: south, east: east, north: north}, zoom),
+           :ok <- if(begin?, do: Tiles.prepare(gateway, layer, plan, by(user, request)), else: :ok) do
+        json(request, %{tiles: plan.total, bytes: bytes})
+      else
+        {:error, words} -> text(request, 409, words)
+      end
+    else
+      {:error, %Error{} = error, request} ->
+        text(request, error.status, error.message)
+
+      _other ->
+        text(
+          request,
+          400,
+          ~s(expected {"box": [west, south, east, north], "zoom": 0 to 24, "begin": true or false})
+        )
+    end
+  end
+
+  defp area(_method, _gateway, _user, request), do: text(request, 405, "method not allowed")
 
   defp changed(:ok, request), do: text(request, 200, "kept")
   defp changed({:error, words}, request), do: text(request, 409, words)
@@ -151,6 +189,11 @@ defmodule Aerie.Console.Map.Tiles.Handler do
 
   defp text(request, status, text),
     do: :cowboy_req.reply(status, %{"content-type" => "text/plain; charset=utf-8"}, text <> "\n", request)
+
+  defp json(request, value) do
+    headers = Map.put(headers("application/json"), "cache-control", "no-store")
+    :cowboy_req.reply(200, headers, JSON.encode!(value), request)
+  end
 
   defp headers(type) do
     %{

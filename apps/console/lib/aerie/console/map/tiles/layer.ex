@@ -108,6 +108,13 @@ defmodule Aerie.Console.Map.Tiles.Layer do
     String.replace(url, Map.keys(values), &Map.fetch!(values, &1))
   end
 
+  @doc "Whether an area of a layer may be fetched beforehand. The rules of OpenStreetMap's own servers forbid it."
+  @spec prepares?(t()) :: boolean()
+  def prepares?(%{source: {:server, url, _key}}),
+    do: not (URI.parse(url).host =~ ~r/(^|\.)openstreetmap\.org$/i)
+
+  def prepares?(_file), do: false
+
   @doc "Whether a tile can be in a layer."
   @spec holds?(t(), {integer(), integer(), integer()}) :: boolean()
   def holds?(%{zooms: zooms}, {z, x, y}), do: z in zooms and x in 0..(2 ** z - 1) and y in 0..(2 ** z - 1)

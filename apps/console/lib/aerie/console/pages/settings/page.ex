@@ -1,5 +1,5 @@
 defmodule Aerie.Console.Pages.Settings.Page do
-  @moduledoc "The page of the settings: one's own password; for admins also users, API keys and the configuration."
+  @moduledoc "The page of the settings: one's own password; for admins users, API keys, the map, the configuration."
   use Aerie.Console,
       {:page,
        events: [
@@ -9,10 +9,12 @@ defmodule Aerie.Console.Pages.Settings.Page do
        changes: [
          change_users: ~w(add change-role change-permissions change-password remove),
          make_key: ~w(add-key),
-         revoke_key: ~w(revoke-key)
+         revoke_key: ~w(revoke-key),
+         change_map: ~w(clear-map)
        ]}
 
   import Aerie.Console.Pages.Settings.Configuration, only: [configuration: 1]
+  import Aerie.Console.Pages.Settings.BaseMap, only: [base_map: 1]
   import Aerie.Console.Pages.Settings.ProgramKeys
 
   alias Aerie.Access.KeyRing
@@ -20,6 +22,7 @@ defmodule Aerie.Console.Pages.Settings.Page do
   alias Aerie.Access.Changes
   alias Aerie.Access.Users
   alias Aerie.Access.Users.Password
+  alias Aerie.Console.Map.Tiles
   alias Aerie.Console.Pages.Settings.Configuration
 
   @needed %{
@@ -42,6 +45,7 @@ defmodule Aerie.Console.Pages.Settings.Page do
         made: nil,
         part: "access",
         sections: [],
+        layers: [],
         filter: Configuration.filter(%{})
       )
 
@@ -54,7 +58,16 @@ defmodule Aerie.Console.Pages.Settings.Page do
       {:noreply,
        assign(socket, part: "configuration", sections: Configuration.sections(socket.assigns.gateway))}
 
+  def handle_params(%{"part" => "map"}, _uri, %{assigns: %{admin?: true}} = socket),
+    do: {:noreply, socket |> subscribe([]) |> assign(:part, "map") |> layers()}
+
   def handle_params(_params, _uri, socket), do: {:noreply, assign(socket, part: "access")}
+
+  @impl Phoenix.LiveView
+  def handle_info(:refresh, %{assigns: %{part: "map"}} = socket), do: {:noreply, layers(socket)}
+  def handle_info(_message, socket), do: {:noreply, socket}
+
+  defp layers(socket), do: assign(socket, :layers, Tiles.overview(socket.assigns.gateway))
 
   defp load(%{assigns: %{gateway: gateway}} = socket),
     do: assign(socket, users: Users.list(gateway), keys: KeyRing.list(gateway))
@@ -81,7 +94,7 @@ defmodule Aerie.Console.Pages.Settings.Page do
   end
 
   def handle_event("ask", %{"what" => what, "name" => name}, socket)
-      when what in ~w(remove password permissions revoke),
+      when what in ~w(remove password permissions revoke clear),
       do: {:noreply, assign(socket, asking: {what, name}, errors: %{})}
 
   def handle_event("cancel", _value, socket), do: {:noreply, assign(socket, asking: nil, errors: %{})}
@@ -151,6 +164,18 @@ defmodule Aerie.Console.Pages.Settings.Page do
         &KeyRing.revoke(socket.assigns.gateway, &1, Changes.user(socket.assigns))
       )
 
+  def handle_event("clear-map", %{"name" => name}, socket) do
+    {:noreply, socket} =
+      change(
+        socket,
+        :clear,
+        {:ok, name},
+        &Tiles.clear(socket.assigns.gateway, &1, Changes.user(socket.assigns))
+      )
+
+    {:noreply, layers(socket)}
+  end
+
   def handle_event("configuration", form, socket),
     do: {:noreply, assign(socket, :filter, Configuration.filter(form))}
 
@@ -171,6 +196,7 @@ defmodule Aerie.Console.Pages.Settings.Page do
 
   defp done(:add), do: "User added. They can sign in now."
   defp done(:remove), do: "User removed and signed out."
+  defp done(:clear), do: "What was kept of the layer is removed."
   defp done(:revoke), do: "Key revoked."
   defp done(:role), do: "Role changed."
   defp done(:permissions), do: "Permissions changed. The user's next session has them."
@@ -182,9 +208,11 @@ defmodule Aerie.Console.Pages.Settings.Page do
     <h1 class="page-title">Settings</h1>
     <.tabs :if={@admin?} label="Parts of the settings">
       <:tab patch="/settings" current={@part == "access"} icon="user">Access</:tab>
+      <:tab patch="/settings?part=map" current={@part == "map"} icon="map">Map</:tab>
       <:tab patch="/settings?part=configuration" current={@part == "configuration"} icon="list">Configuration</:tab>
     </.tabs>
     <.configuration :if={@part == "configuration"} sections={@sections} filter={@filter} />
+    <.base_map :if={@part == "map"} layers={@layers} />
     <div :if={@part == "access"} class="stack settings">
       <section :if={@admin?} class="card" aria-labelledby="users-title">
         <h2 id="users-title">Users</h2>
@@ -248,6 +276,18 @@ defmodule Aerie.Console.Pages.Settings.Page do
       <p :if={@errors[:remove]} class="notice bad" role="alert">{@errors[:remove]}</p>
       <:action><.button phx-click="cancel">Keep</.button></:action>
       <:action><.button kind="danger" phx-click="remove" phx-value-name={elem(@asking, 1)}>Remove</.button></:action>
+    </.dialog>
+    <.dialog
+      :if={match?({"clear", _}, @asking)}
+      id="clear-map"
+      title={"Empty what is kept of #{elem(@asking, 1)}?"}
+      cancel="cancel"
+      kind="danger"
+    >
+      <p>The map is fetched again where somebody looks. Without internet it stays empty.</p>
+      <p :if={@errors[:clear]} class="notice bad" role="alert">{@errors[:clear]}</p>
+      <:action><.button phx-click="cancel">Keep</.button></:action>
+      <:action><.button kind="danger" phx-click="clear-map" phx-value-name={elem(@asking, 1)}>Empty</.button></:action>
     </.dialog>
     <.dialog :if={match?({"revoke", _}, @asking)} id="revoke-key" title={"Revoke the key #{elem(@asking, 1)}?"} cancel="cancel" kind="danger">
       <p>Programs that use it are refused at once, and their WebSockets are closed.</p>

@@ -46,13 +46,15 @@ defmodule Aerie.Console.Map.Tiles.CacheTest do
 
     # The oldest is looked at again.
     assert Cache.read(hd(paths), 102 * day)
-    assert Cache.sweep(dir, 200_000) in 100_000..102_000
-    left = Cache.sweep(dir, 50_000)
-    assert left in 30_000..50_000
+    folder = Cache.folder(layer)
+    assert %{^folder => {10, bytes}} = Cache.sweep(dir, 200_000)
+    assert bytes in 100_000..102_000
+    assert %{^folder => {tiles, bytes}} = Cache.sweep(dir, 50_000)
+    assert bytes in 30_000..50_000 and tiles in 3..4
     assert File.exists?(hd(paths)) and File.exists?(List.last(paths))
     refute File.exists?(Enum.at(paths, 1))
     refute File.exists?(Path.dirname(Enum.at(paths, 1)))
-    assert Cache.sweep(dir, 0) == 0
-    assert Cache.sweep(Path.join(dir, "nowhere"), 1) == 0
+    assert Cache.sweep(dir, 0) == %{}
+    assert Cache.sweep(Path.join(dir, "nowhere"), 1) == %{}
   end
 end

@@ -33,6 +33,7 @@ export default {
     on("after", "click", () => this.event(1));
     on("in", "click", () => this.line.zoom(0.5, this.at));
     on("out", "click", () => this.line.zoom(2, this.at));
+    this.el.addEventListener("submit", (event) => this.choose(event));
     this.keys = (event) => this.key(event);
     window.addEventListener("keydown", this.keys);
     this.clock = setInterval(() => this.badge(), 1000);
@@ -113,7 +114,7 @@ export default {
     if (mark.took_ms != null) lines.push(`Took ${mark.took_ms} ms`);
     this.say(lines.join(" · "));
     if (mark.record) {
-      const link = Object.assign(document.createElement("a"), { href: "/audit", textContent: `Audit, record ${mark.record}` });
+      const link = Object.assign(document.createElement("a"), { href: `/audit?record=${mark.record}`, textContent: `Audit, record ${mark.record}` });
       this.el.querySelector("#replay-card").append(" ", link);
     }
   },
@@ -151,6 +152,16 @@ export default {
     clearTimeout(this.writing);
     // Browsers refuse too many changes of the address.
     this.writing = setTimeout(() => history.replaceState(history.state, "", `/replay?${query.toString().replaceAll("%3A", ":").replaceAll("%2C", ",")}`), 300);
+  },
+
+  // Other vehicles at the same second: the page is read anew for them.
+  choose(event) {
+    event.preventDefault();
+    const boxes = [...event.target.querySelectorAll("input[name=vehicle]")];
+    const ids = boxes.filter(({ checked }) => checked).map(({ value }) => value);
+    const vehicles = ids.length && ids.length < boxes.length ? { vehicles: ids.join(",") } : {};
+    const at = this.at === null ? {} : { at: new Date(Math.round(this.at) * 1000).toISOString() };
+    this.js().navigate(`/replay?${new URLSearchParams({ ...at, ...vehicles })}`);
   },
 
   viewed() {

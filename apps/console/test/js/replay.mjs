@@ -87,6 +87,22 @@ main(async (browser) => {
   equal("play is off", await page.getAttribute("[data-play]", "aria-pressed"), "false");
   if (!(await page.$eval("#replay-line svg", (svg) => svg.getAttribute("aria-valuetext"))).includes("UTC")) throw new Error("the slider says no time");
 
+  // Some vehicles at the same second, all again; a link to the record of the audit log.
+  const chosen = iso(await now(page));
+  await page.click("summary:has-text('Vehicles: all')");
+  await page.check("input[name=vehicle][value=kite]");
+  await page.click("button:has-text('Show these')");
+  await until(page, () => [...document.querySelectorAll("#replay-line .name")].map(({ textContent }) => textContent).join() === "kite");
+  equal("the same second", iso(await now(page)), chosen);
+  await page.click("summary:has-text('Vehicles: 1 of 2')");
+  await page.uncheck("input[name=vehicle][value=kite]");
+  await page.click("button:has-text('Show these')");
+  await until(page, () => document.querySelectorAll("#replay-line .name").length === 2);
+  await page.focus("#replay-line svg");
+  await page.keyboard.press("End");
+  await page.keyboard.press("ArrowLeft");
+  await until(page, () => /^\/audit\?record=\d+$/.test(document.querySelector("#replay-card a")?.getAttribute("href") ?? ""));
+
   // On a phone, light; Escape goes back to what is live.
   await page.setViewportSize({ width: 390, height: 844 });
   await page.emulateMedia({ colorScheme: "light" });

@@ -37,6 +37,17 @@ defmodule Aerie.Console.Pages.Audit.Page do
      |> load()}
   end
 
+  # A link to one record shows it first.
+  @impl Phoenix.LiveView
+  def handle_params(%{"record" => text}, _uri, socket) when is_binary(text) do
+    case Integer.parse(text) do
+      {n, ""} when n in 1..1_000_000_000_000 -> {:noreply, socket |> assign(:before, n + 1) |> read()}
+      _none -> {:noreply, socket}
+    end
+  end
+
+  def handle_params(_params, _uri, socket), do: {:noreply, socket}
+
   @impl Phoenix.LiveView
   def handle_event("filter", params, socket) do
     filter = for key <- ~w(text type decision), into: %{}, do: {key, short(params[key])}

@@ -1,9 +1,14 @@
 defmodule Aerie.Console.Pages.Events.Page do
-  @moduledoc "The events of the whole fleet, newest first, filtered, also those of earlier runs; new ones as they come."
+  @moduledoc """
+  The events of the whole fleet, newest first, filtered, also those of earlier runs; new ones as they come. For
+  operators the commands of the audit log stand among them (kinds `command.done` and `command.refused`), as they were
+  when the page was read.
+  """
   use Aerie.Console, {:page, events: [viewer: ~w(filter older newest)], costly: ~w(filter older newest)}
 
   alias Aerie.Access.WorkLimit
   alias Aerie.Console.Clock
+  alias Aerie.Console.Pages.Replay.Marks
   alias Aerie.Console.Pages.Vehicle.Events.Timeline
   alias Aerie.Console.Pages.Vehicle.Sections
   alias Aerie.Fleet.Bridge
@@ -84,7 +89,7 @@ defmodule Aerie.Console.Pages.Events.Page do
     if connected?(socket) do
       task =
         Task.async(fn ->
-          WorkLimit.run(gateway, :read, {:name, user.name}, fn -> page(gateway, filter, before) end)
+          WorkLimit.run(gateway, :read, {:name, user.name}, fn -> page(gateway, user, filter, before) end)
         end)
 
       assign(socket, reading: task.ref, again?: false)
@@ -93,14 +98,17 @@ defmodule Aerie.Console.Pages.Events.Page do
     end
   end
 
-  defp page(gateway, filter, before) do
+  defp page(gateway, user, filter, before) do
     now = System.os_time(:microsecond)
+    from = now - hours(filter)
+    to = before || now
+    %{events: events, cut: cut, problem: problem} = Bridge.past_events(gateway, from, to)
 
-    %{events: events, cut: cut, problem: problem} =
-      Bridge.past_events(gateway, now - hours(filter), before || now)
+    commands =
+      for %{vehicle: id} = mark when id != nil <- Marks.commands(gateway, user, from, to), do: line(mark)
 
-    lines = events |> Enum.reverse() |> lines(filter)
-    {shown, more} = Enum.split(lines, @limit)
+    lines = lines(events, filter) ++ wanted(commands, filter)
+    {shown, more} = lines |> Enum.sort_by(& &1.time, :desc) |> Enum.split(@limit)
 
     notes = [
       problem && "Events of earlier runs are missing: #{problem}",
@@ -121,11 +129,29 @@ defmodule Aerie.Console.Pages.Events.Page do
     end
   end
 
+  # A refusal is a notice: it says nothing of the vehicle's state.
+  defp line(%{kind: kind, record: record} = mark) do
+    more =
+      for {name, value} when value != nil <- [{"rule", mark[:rule]}, {"by", mark.who}], do: "#{name} #{value}"
+
+    Timeline.named(%{
+      id: "record-#{record}",
+      record: record,
+      vehicle: mark.vehicle,
+      time: round(mark.at * 1_000_000),
+      type: "command.#{kind}",
+      severity: if(kind == "done", do: 6, else: 5),
+      text: Enum.join([mark.text | more], ", ")
+    })
+  end
+
   # The oldest event comes first in `events`.
-  defp lines(events, %{"vehicle" => vehicle, "type" => type, "level" => level, "text" => text}) do
-    events
-    |> Enum.filter(&(String.contains?(&1.vehicle, vehicle) and String.contains?(&1.type, type)))
-    |> Timeline.lines(level, text)
+  defp lines(events, filter), do: events |> Enum.reverse() |> Stream.map(&Timeline.line/1) |> wanted(filter)
+
+  defp wanted(lines, %{"vehicle" => vehicle, "type" => type, "level" => level, "text" => text}) do
+    lines
+    |> Stream.filter(&(String.contains?(&1.vehicle, vehicle) and String.contains?(&1.type, type)))
+    |> Timeline.keep(level, text)
   end
 
   @impl Phoenix.LiveView
@@ -171,7 +197,10 @@ defmodule Aerie.Console.Pages.Events.Page do
       </:col>
       <:col :let={line} label="Severity"><.badge kind={kind(line.tone)}>{line.name}</.badge></:col>
       <:col :let={line} label="Kind">{line.type}</:col>
-      <:col :let={line} label="Text" class="grow">{line.text}</:col>
+      <:col :let={line} label="Text" class="grow">
+        {line.text}
+        <.link :if={line[:record]} navigate={"/audit?record=#{line.record}"}>Audit, record {line.record}</.link>
+      </:col>
     </.data_table>
     <div class="row section">
       <.button :if={@before} phx-click="newest">Newest</.button>

@@ -25,7 +25,7 @@ defmodule Aerie.Console.Pages.Replay.Marks do
   @spec read(term(), Roles.source(), from :: integer(), to :: integer()) :: {[mark()], notes :: [String.t()]}
   def read(gateway, user, from, to) do
     %{events: events, cut: cut, problem: problem} = Fleet.Bridge.past_events(gateway, from, to)
-    commands = if Roles.at_least?(user.role, :operator), do: commands(gateway, from, to), else: []
+    commands = commands(gateway, user, from, to)
     marks = Enum.flat_map(events, &event/1) ++ commands
     shown = marks |> Enum.sort_by(& &1.at, :desc) |> Enum.take(@max) |> Enum.reverse()
 
@@ -56,10 +56,14 @@ defmodule Aerie.Console.Pages.Replay.Marks do
   defp kind(_type, 4), do: "warning"
   defp kind(_type, _severity), do: nil
 
-  defp commands(gateway, from, to) do
-    case Audit.status(gateway) do
-      {:ok, %{dir: dir}} -> dir |> records(from, nil, @max_pages, []) |> marks(to)
-      {:error, _text} -> []
+  @doc "The marks of the commands of a span (unix microseconds), newest first; none for those who may not see them."
+  @spec commands(term(), Roles.source(), from :: integer(), to :: integer()) :: [mark()]
+  def commands(gateway, user, from, to) do
+    with true <- Roles.at_least?(user.role, :operator),
+         {:ok, %{dir: dir}} <- Audit.status(gateway) do
+      dir |> records(from, nil, @max_pages, []) |> marks(to)
+    else
+      _none -> []
     end
   end
 

@@ -34,7 +34,8 @@ defmodule Aerie.Console.Pages.Replay.Page do
        reading: nil,
        since: nil,
        at: nil,
-       vehicles: []
+       vehicles: [],
+       known: []
      )}
   end
 
@@ -106,8 +107,8 @@ defmodule Aerie.Console.Pages.Replay.Page do
       {:ok, {:ok, overview}} ->
         {:noreply,
          socket
-         |> assign(problem: nil, notes: overview.notes, since: overview.since)
-         |> push_event("replay:overview", Map.drop(overview, [:notes, :since]))}
+         |> assign(problem: nil, notes: overview.notes, since: overview.since, known: overview.known)
+         |> push_event("replay:overview", Map.drop(overview, [:notes, :since, :known]))}
 
       {:ok, {:error, text}} ->
         {:noreply, assign(socket, :problem, text)}
@@ -133,7 +134,7 @@ defmodule Aerie.Console.Pages.Replay.Page do
       notes =
         for(
           {true, text} <- [
-            {more != [], "#{length(more)} further vehicles: choose some in the address (?vehicles=…)"},
+            {more != [], "#{length(more)} further vehicles: choose some"},
             {next != nil, "The newest part of the time line is missing: choose fewer vehicles"}
           ],
           do: text
@@ -148,7 +149,8 @@ defmodule Aerie.Console.Pages.Replay.Page do
          rows: rows,
          marks: marks,
          notes: notes,
-         since: since
+         since: since,
+         known: (Map.keys(kinds) ++ Map.keys(found)) |> Enum.uniq() |> Enum.sort()
        }}
     end
   end
@@ -197,8 +199,20 @@ defmodule Aerie.Console.Pages.Replay.Page do
       <p class="muted">
         ▲ critical △ warning ◆ command done ◇ refused ⌂ landed. Thin: heard; thick: in the air; hatched: lost; nothing:
         nothing is known. Times are UTC. <span :if={@since}>Kept from {Clock.full(@since)} on.</span>
-        <.link :if={@vehicles != []} href="/replay">All vehicles</.link>
       </p>
+      <details :if={@known != []}>
+        <summary>
+          Vehicles: {if @vehicles == [], do: "all", else: "#{length(@vehicles)} of #{length(@known)}"}
+        </summary>
+        <form id={"replay-vehicles-#{:erlang.phash2(@known)}"} phx-update="ignore">
+          <div class="replay-vehicles">
+            <label :for={id <- @known}>
+              <input type="checkbox" name="vehicle" value={id} checked={id in @vehicles} /> {id}
+            </label>
+          </div>
+          <button type="submit" class="button">Show these, or all if none is ticked</button>
+        </form>
+      </details>
       <details>
         <summary>Incident…</summary>
         <p>On the gateway's machine, this packs what is known of a vehicle in the time in view into one archive:</p>

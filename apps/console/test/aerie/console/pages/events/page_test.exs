@@ -1,6 +1,7 @@
 defmodule Aerie.Console.Pages.Events.PageTest do
   use Aerie.ConsoleCase, async: true
 
+  alias Aerie.Control.Policy.Audit
   alias Aerie.Vehicle.Event
   alias Aerie.Vehicle.Events.Journal
 
@@ -73,6 +74,48 @@ defmodule Aerie.Console.Pages.Events.PageTest do
     assert hd(texts(view)) == "t50"
     view |> element("button", "Newest") |> render_click()
     eventually(fn -> texts(view) |> hd() == "t151" end)
+  end
+
+  @tag :tmp_dir
+  test "commands stand among the events for operators, each with its record", %{
+    console: console,
+    now: now,
+    tmp_dir: dir
+  } do
+    start_supervised!({Audit, gateway: console.gateway, dir: Path.join(dir, "audit"), max_bytes: 8_000_000})
+    put(console, "eagle", "landed", 1, now - 3_000_000, %{})
+    given = %{"command" => "goto", "vehicle" => "eagle", "source" => "ann", "type" => "decision"}
+    refused = Map.merge(given, %{"decision" => "deny", "rule" => "geofence", "reason" => "outside the fence"})
+    {:ok, n} = Audit.append(console.gateway, refused)
+    {:ok, _n} = Audit.append(console.gateway, Map.merge(refused, %{"vehicle" => nil}))
+    done = Map.merge(given, %{"command" => "rtl", "type" => "result", "result" => "completed"})
+    {:ok, _n} = Audit.append(console.gateway, done)
+
+    view = open(console, :operator)
+    eventually(fn -> has_element?(view, "#events a[href='/audit?record=#{n}']") end)
+
+    assert ["rtl completed, by ann", "goto refused: outside the fence, rule geofence, by ann", "landed"] =
+             texts(view)
+
+    for {change, expected} <- [
+          {%{"type" => "command.refused"}, 1},
+          {%{"type" => "command"}, 2},
+          {%{"text" => "GEOFENCE"}, 1},
+          {%{"level" => "notice", "vehicle" => "eagle"}, 1}
+        ] do
+      filter(view, change)
+      eventually(fn -> length(texts(view)) == expected end)
+    end
+
+    viewer = open(console)
+    eventually(fn -> texts(viewer) == ["landed"] end)
+    # The link shows this record first.
+    {:ok, audit, _html} = live(conn(console, :operator), "/audit?record=#{n}")
+    eventually(fn -> has_element?(audit, "#record-#{n}", "geofence") end)
+    refute has_element?(audit, "#record-#{n + 1}")
+
+    for wrong <- ["x", "-1", "99999999999999999999"],
+        do: {:ok, _view, _html} = live(conn(console), "/audit?record=#{wrong}")
   end
 
   test "an empty fleet, and what else a stranger sends", %{console: console} do

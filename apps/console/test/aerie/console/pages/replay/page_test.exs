@@ -17,7 +17,7 @@ defmodule Aerie.Console.Pages.Replay.PageTest do
   end
 
   # Ten minutes: the eagle flies with a gap of a minute in the middle, the kite stands, and is lost at the end.
-  defp flown(%{gateway: gateway}, dir, now) do
+  defp flown(%{gateway: gateway}, dir, now, more \\ 0) do
     {:ok, files, 0} =
       Tracks.Files.open(gateway, Path.join(dir, "tracks"), max_bytes: 100_000_000, keep_ms: 86_400_000)
 
@@ -43,7 +43,13 @@ defmodule Aerie.Console.Pages.Replay.PageTest do
           flags: if(ago < 60, do: 8, else: 0)
         }
 
-        samples = [{"eagle", %{eagle | mode: "AUTO", age: 0}}, {"kite", %{kite | mode: "STABILIZE"}}]
+        others = for n <- 1..more//1, do: {"other-#{n}", %{eagle | lon: 85_456_000 + n * 1_000}}
+
+        samples = [
+          {"eagle", %{eagle | mode: "AUTO", age: 0}},
+          {"kite", %{kite | mode: "STABILIZE"}} | others
+        ]
+
         {core, [{:write, ^at, begins?, block, _n}]} = Tracks.Core.handle(core, {:tick, at, samples})
         {:ok, files, 0} = Tracks.Files.write(files, at, begins?, block)
         {files, core}
@@ -163,5 +169,23 @@ defmodule Aerie.Console.Pages.Replay.PageTest do
     flown(console, dir, now)
     put_vehicle(console, "eagle")
     browse(console, "replay.mjs", ["#{now}"])
+  end
+
+  @tag :chromium
+  test "sixty vehicles; a page that is killed comes back at the same second", %{
+    console: console,
+    tmp_dir: dir,
+    now: now
+  } do
+    flown(console, dir, now, 60)
+    script = browser(console, "replay_many.mjs", ["#{now}"])
+    await_line(script, "there")
+    pages = Aerie.Console.Supervisor.pages(console.gateway)
+    [{_id, pid, _type, _modules}] = DynamicSupervisor.which_children(pages)
+    ref = Process.monitor(pid)
+    Process.exit(pid, :kill)
+    assert_receive {:DOWN, ^ref, :process, _pid, :killed}
+    Port.command(script, "killed\n")
+    await_line(script, "ok")
   end
 end

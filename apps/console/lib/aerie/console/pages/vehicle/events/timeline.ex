@@ -25,13 +25,16 @@ defmodule Aerie.Console.Pages.Vehicle.Events.Timeline do
 
   @doc "The lines of events, newest first, at most #{@max}. `level`: one of `levels/0`; `search`: a part of the type or text."
   @spec lines([map()], level :: String.t(), search :: String.t()) :: [line()]
-  def lines(events, level \\ "all", search \\ "") do
+  def lines(events, level \\ "all", search \\ ""),
+    do: events |> Enum.reverse() |> Stream.map(&line/1) |> keep(level, search)
+
+  @doc "The first #{@max} of these lines that are of the level and have the text."
+  @spec keep(Enumerable.t(line()), level :: String.t(), search :: String.t()) :: [line()]
+  def keep(lines, level, search) do
     least = for({name, least} <- @levels, Atom.to_string(name) == level, do: least) |> List.first(7)
     search = String.downcase(search)
 
-    events
-    |> Enum.reverse()
-    |> Stream.map(&line/1)
+    lines
     |> Stream.filter(
       &(&1.severity <= least and String.contains?(String.downcase("#{&1.type} #{&1.text}"), search))
     )
@@ -41,13 +44,18 @@ defmodule Aerie.Console.Pages.Vehicle.Events.Timeline do
   @doc "The line of an event."
   @spec line(map()) :: line()
   def line(event) do
-    %{severity: severity} = shown = Fleet.describe_event(event)
+    shown = Fleet.describe_event(event)
 
     event
     |> Map.take([:id, :vehicle, :time, :type])
     |> Map.merge(shown)
-    |> Map.merge(%{name: Enum.at(@names, severity), tone: tone(severity)})
+    |> named()
   end
+
+  @doc "A line with the name and the tone of its severity."
+  @spec named(map()) :: line()
+  def named(%{severity: severity} = line),
+    do: Map.merge(line, %{name: Enum.at(@names, severity), tone: tone(severity)})
 
   defp tone(severity) when severity <= 3, do: :bad
   defp tone(4), do: :warn

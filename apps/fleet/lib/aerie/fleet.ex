@@ -84,6 +84,14 @@ defmodule Aerie.Fleet do
   @spec take_off(Snapshot.t(), height :: number(), above_m :: number(), anyway? :: boolean()) :: map()
   defdelegate take_off(snapshot, height, above_m, anyway? \\ false), to: Operations
 
+  @doc "A vehicle that returns with others (`Aerie.Fleet.Operations.return_home/3`)."
+  @spec return_home(String.t(), height :: number() | nil, other :: String.t() | nil) :: map()
+  defdelegate return_home(id, height, other), to: Operations
+
+  @doc "The height to which a vehicle climbs by itself before it returns: 0 for none, nil if it is not known."
+  @spec own_return_m(Names.gateway(), String.t()) :: number() | nil
+  defdelegate own_return_m(gateway, id), to: Operations
+
   @doc "The latest events of a vehicle, or of `:all`, oldest first."
   @spec events(Names.gateway(), String.t() | :all, keyword()) :: [Event.t()]
   defdelegate events(gateway, vehicle, options \\ []), to: Journal, as: :recent

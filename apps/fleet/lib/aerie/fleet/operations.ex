@@ -139,6 +139,14 @@ defmodule Aerie.Fleet.Operations do
   @spec take_off(map(), number(), number(), boolean()) :: map()
   defdelegate take_off(snapshot, height, above_m, anyway? \\ false), to: Sequence
 
+  @doc "The steps of one that returns with others (`Aerie.Fleet.Operations.Sequence.Returning.steps/3`)."
+  @spec return_home(String.t(), number() | nil, String.t() | nil) :: map()
+  defdelegate return_home(id, height, other), to: Sequence.Returning, as: :steps
+
+  @doc "The height to which a vehicle climbs by itself before it returns: 0 for none, nil if it is not known."
+  @spec own_return_m(Names.gateway(), String.t()) :: number() | nil
+  defdelegate own_return_m(gateway, id), to: Sequence.Returning, as: :own_m
+
   @doc "An operation with what became of each vehicle."
   @spec get(Names.gateway(), String.t()) :: answer()
   def get(gateway, id) do

@@ -11,9 +11,11 @@ defmodule Aerie.Fleet.Operations.Sequence do
   | wait | until |
   |---|---|
   | `above` | it is more than `m` metres above home |
-  | `landed` | it is on the ground |
+  | `at` | it is within 2 m of `m` metres above home |
+  | `landed` | it is on the ground, or the vehicle `of` is |
   | `apart` | no other vehicle of the operation that flies within 20 m of it is nearer than `m` metres in height |
   | `alone` | no other vehicle of the operation stands armed on the ground; waited for before each `arm` anyway |
+  | `time` | `timeout_s` have passed |
 
   A wait fails after `timeout_s`, unless it has `go_on`. The first step that fails ends a vehicle; its `else` is done
   then.
@@ -26,8 +28,8 @@ defmodule Aerie.Fleet.Operations.Sequence do
   alias Aerie.Vehicle.{Command, Firmware, Snapshot}
   alias Aerie.Vehicle.Command.Error
 
-  @waits [:above, :landed, :apart, :alone]
-  @measured [:above, :apart]
+  @waits [:above, :at, :landed, :apart, :alone, :time]
+  @measured [:above, :at, :apart]
   @max_steps 8
   @max_s 3_600
   @min_m 0.1
@@ -35,11 +37,12 @@ defmodule Aerie.Fleet.Operations.Sequence do
   @max_errors 8
   @lifting ~w(arm takeoff)
   # A vehicle that was not lifted disarms by itself after some seconds.
-  @alone {:wait, %{for: :alone, m: nil, timeout_ms: 60_000, go_on?: false}}
+  @alone {:wait, %{for: :alone, m: nil, of: nil, timeout_ms: 60_000, go_on?: false}}
 
   @type wait :: %{
-          for: :above | :landed | :apart | :alone,
+          for: :above | :at | :landed | :apart | :alone | :time,
           m: number() | nil,
+          of: String.t() | nil,
           timeout_ms: pos_integer(),
           go_on?: boolean()
         }
@@ -136,6 +139,7 @@ defmodule Aerie.Fleet.Operations.Sequence do
   def step(%{"wait" => name} = given, key, _now) do
     wait = Enum.find(@waits, &(Atom.to_string(&1) == name))
     {m, timeout, go_on} = {given["m"], Map.get(given, "timeout_s", 60), Map.get(given, "go_on", false)}
+    of = given["of"]
     m? = if wait in @measured, do: is_number(m) and m >= @min_m and m <= @max_m, else: m == nil
 
     wrong =
@@ -145,13 +149,19 @@ defmodule Aerie.Fleet.Operations.Sequence do
              "a number from #{@min_m} to #{@max_m} (m), for #{Enum.join(@measured, " and ")} only", m},
             {is_number(timeout) and timeout >= 1 and timeout <= @max_s, "timeout_s",
              "a number from 1 to #{@max_s}", timeout},
-            {is_boolean(go_on), "go_on", "true or false", go_on}
+            {is_boolean(go_on), "go_on", "true or false", go_on},
+            {of == nil or (wait == :landed and is_binary(of) and Command.token?(of)), "of",
+             "an id, for landed only", of}
           ],
           do: Error.new("#{key}.#{name}", expected, got)
 
-    case closed(given, ~w(wait m timeout_s go_on), key) ++ wrong do
-      [] -> {:ok, {:wait, %{for: wait, m: m, timeout_ms: round(timeout * 1000), go_on?: go_on}}}
-      errors -> {:error, errors}
+    case closed(given, ~w(wait m of timeout_s go_on), key) ++ wrong do
+      [] ->
+        go_on? = go_on or wait == :time
+        {:ok, {:wait, %{for: wait, m: m, of: of, timeout_ms: round(timeout * 1000), go_on?: go_on?}}}
+
+      errors ->
+        {:error, errors}
     end
   end
 
@@ -187,10 +197,11 @@ defmodule Aerie.Fleet.Operations.Sequence do
   def guarded(steps),
     do: Enum.flat_map(steps, &if(match?({:command, "arm", _params}, &1), do: [@alone, &1], else: [&1]))
 
-  @doc "A step in a word: the type of a command, `wait_above`, or `shadow`."
+  @doc "A step in a word: the type of a command, `wait_above`, `wait_turn` for another vehicle's landing, or `shadow`."
   @spec word(step()) :: String.t()
   def word({:command, type, _params}), do: type
   def word({:shadow, _update}), do: "shadow"
+  def word({:wait, %{of: other}}) when other != nil, do: "wait_turn"
   def word({:wait, %{for: wait}}), do: "wait_#{wait}"
 
   @doc """
@@ -237,7 +248,8 @@ defmodule Aerie.Fleet.Operations.Sequence do
         ref("command_of_operation"),
         object(%{shadow: ref("change_of_operation")}, [:shadow]),
         wait.(@measured, %{m: metres}, [:m]),
-        wait.(@waits -- @measured, %{}, [])
+        wait.([:landed], %{of: token()}, []),
+        wait.(@waits -- [:landed | @measured], %{}, [])
       ]
     }
   end

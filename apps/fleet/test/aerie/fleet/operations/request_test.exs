@@ -133,6 +133,9 @@ defmodule Aerie.Fleet.Operations.RequestTest do
     assert wrong(steps.([%{"type" => "arm", "id" => "x"}])) == ["sequence[0].steps[0].id"]
     assert wrong(steps.([@arm, %{"wait" => "above"}])) == ["sequence[0].steps[1].m"]
     assert wrong(steps.([%{"wait" => "landed", "m" => 2}])) == ["sequence[0].steps[0].m"]
+    assert wrong(steps.([%{"wait" => "at"}])) == ["sequence[0].steps[0].m"]
+    assert wrong(steps.([%{"wait" => "landed", "of" => "V 1"}])) == ["sequence[0].steps[0].of"]
+    assert wrong(steps.([%{"wait" => "time", "of" => "V-1"}])) == ["sequence[0].steps[0].of"]
     assert wrong(steps.([%{"wait" => "later"}])) == ["sequence[0].steps[0].wait"]
 
     assert wrong(steps.([%{"wait" => "alone", "timeout_s" => 0, "go_on" => 1}])) == [

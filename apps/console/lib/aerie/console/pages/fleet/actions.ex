@@ -36,7 +36,8 @@ defmodule Aerie.Console.Pages.Fleet.Actions do
     assigns = assign(assigns, able: able(chosen, assigns.user), locked: locked(chosen, assigns.user))
     assigns = assign(assigns, ground: offered(ground, "takeoff", assigns.user), mixed: air != [])
     climbing = if hidden == nil, do: offered(air, "set_altitude", assigns.user), else: []
-    assigns = assign(assigns, :air, climbing)
+    returning = if hidden == nil, do: offered(air, "rtl", assigns.user), else: []
+    assigns = assign(assigns, air: climbing, returning: returning)
 
     ~H"""
     <div class="fleet-dock">
@@ -63,8 +64,15 @@ defmodule Aerie.Console.Pages.Fleet.Actions do
             icon="takeoff"
             disabled={@refusal != nil}
             title={@refusal}
-            phx-click={JS.push("sheet_take_off", value: Map.put(@value, :ground, @ground))}
+            phx-click={JS.push("sheet_take_off", value: Map.put(@value, :of, @ground))}
           >Take off {if @mixed, do: "#{length(@ground)} "}…</.button>
+          <.button
+            :if={length(@returning) > 1}
+            icon="rtl"
+            disabled={@refusal != nil}
+            title={@refusal}
+            phx-click={JS.push("sheet_return", value: Map.put(@value, :of, @returning))}
+          >Return {length(@returning)} …</.button>
           <.button icon="tag" phx-click={JS.push("tag", value: @value)}>Tags</.button>
         </div>
         <.watching :if={@user.role == :viewer} />

@@ -24,7 +24,7 @@ defmodule Aerie.Console.Pages.Fleet.Page do
 
   alias Aerie.Console.Pages.Fleet.{Address, Board, Filter, OnMap, Order, Plans, Selection}
   alias Aerie.Console.Pages.Fleet.Act
-  alias Aerie.Console.Pages.Fleet.Act.{Groups, TakeOffSheet}
+  alias Aerie.Console.Pages.Fleet.Act.{Groups, Sheets}
   alias Aerie.Console.Pages.Fleet.Actions.ControlForms
   alias Aerie.Console.Pages.Fleet.Sequence
   alias Aerie.Console.Pages.Fleet.Actions.Tagging
@@ -35,6 +35,7 @@ defmodule Aerie.Console.Pages.Fleet.Page do
   @rows_each_time 20
   # A second between two readings of the numbers.
   @most_rounds 5
+  @sheets Sheets.names()
   @changed "The selection changed; nothing was sent."
   # Desired states take ten changes a second from one user.
   @tag_again_ms 200
@@ -195,11 +196,12 @@ defmodule Aerie.Console.Pages.Fleet.Page do
      end)}
   end
 
-  # The button names those of the selected that were on the ground.
-  def handle_event("sheet_take_off", %{"ground" => ground} = event, socket) when is_list(ground) do
+  # The button names those of the selected that it is for.
+  def handle_event("sheet_" <> name, %{"of" => shown} = event, socket)
+      when name in @sheets and is_list(shown) do
     {:noreply,
      seen(socket, event, fn chosen ->
-       Act.Live.open(socket, for(%{id: id} <- chosen, id in ground, do: id))
+       Act.Live.open(socket, name, for(%{id: id} <- chosen, id in shown, do: id))
      end)}
   end
 
@@ -208,8 +210,6 @@ defmodule Aerie.Console.Pages.Fleet.Page do
 
   def handle_event("height", event, socket),
     do: {:noreply, seen(socket, event, &Act.Live.height(socket, event, &1))}
-
-  def handle_event("take_off", event, socket), do: {:noreply, Act.Live.take_off(socket, event)}
 
   def handle_event("group", %{"name" => name}, %{assigns: %{selection: selection, rows: rows}} = socket),
     do: {:noreply, assign(socket, :selection, Groups.select(selection, Groups.of(rows), name))}
@@ -381,7 +381,7 @@ defmodule Aerie.Console.Pages.Fleet.Page do
       </section>
       <.actions selection={@selection} all={@all} rows={@rows} user={@user} plans={@plans} />
       <.plan_words plans={@plans} />
-      <TakeOffSheet.sheet :if={@sheet} sheet={@sheet} facts={@facts} error={@sheet_error} />
+      <Sheets.dialog_of sheet={@sheet} facts={@facts} error={@sheet_error} />
       <.tag_dialog :if={@tagging} tagging={@tagging} words={@choices.tags} />
     </div>
     """

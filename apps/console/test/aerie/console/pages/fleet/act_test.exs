@@ -2,7 +2,7 @@ defmodule Aerie.Console.Pages.Fleet.ActTest do
   @moduledoc "Acting on several vehicles, without a page: presses, groups, and the take-off that is prepared."
   use ExUnit.Case, async: true
 
-  alias Aerie.Console.Pages.Fleet.Act.{Groups, Height, Press, TakeOff}
+  alias Aerie.Console.Pages.Fleet.Act.{Groups, Height, Press, Return, Sheet, TakeOff}
   alias Aerie.Console.Pages.Fleet.Board.Row
   alias Aerie.Console.Pages.Fleet.Selection
   alias Aerie.Vehicle.Snapshot
@@ -145,10 +145,7 @@ defmodule Aerie.Console.Pages.Fleet.ActTest do
 
     defp sheet(ids), do: TakeOff.new(for {id, i} <- Enum.with_index(ids), do: vehicle(id, 47.0 + i / 1000))
 
-    defp refusal(sheet, facts) do
-      lines = TakeOff.lines(sheet, facts)
-      TakeOff.refusal(sheet, lines, TakeOff.nearest(lines, facts))
-    end
+    defp refusal(sheet, facts), do: TakeOff.refusal(sheet, facts)
 
     test "goes from south to north, each higher and later than the one before" do
       sheet = TakeOff.new([vehicle("N", 48.0), vehicle("S", 46.0), vehicle("M", 47.0)])
@@ -162,7 +159,7 @@ defmodule Aerie.Console.Pages.Fleet.ActTest do
     end
 
     test "one that is left out makes room for those after it" do
-      sheet = ~w(A B C) |> sheet() |> TakeOff.leave("B")
+      sheet = ~w(A B C) |> sheet() |> Sheet.leave("B")
       facts = facts([{"A", :ready}, {"B", :not_ready}, {"C", :check}])
 
       assert [%{n: 1, height: 20}, %{n: nil, height: nil}, %{id: "C", n: 2, height: 23}] =
@@ -170,12 +167,12 @@ defmodule Aerie.Console.Pages.Fleet.ActTest do
 
       assert refusal(sheet, facts) == nil
 
-      assert TakeOff.shown(sheet, TakeOff.lines(sheet, facts))["vehicles"] == [
+      assert TakeOff.shown(sheet, facts)["vehicles"] == [
                ["A", 20, "ready", false],
                ["C", 23, "check", false]
              ]
 
-      assert %{n: 2} = sheet |> TakeOff.leave("B") |> TakeOff.lines(facts) |> Enum.at(1)
+      assert %{n: 2} = sheet |> Sheet.leave("B") |> TakeOff.lines(facts) |> Enum.at(1)
     end
 
     test "is refused while one is not ready, unknown, refused, gone, or too near, and if none is left" do
@@ -191,7 +188,7 @@ defmodule Aerie.Console.Pages.Fleet.ActTest do
       assert refusal(two, Map.delete(ready, "A")) =~ "A is not known any more"
       near = put_in(ready["B"].snapshot, vehicle("B", 47.00001))
       assert refusal(two, near) == "A and B stand 1.1 m apart; 3.0 m are wanted. Leave one of them out."
-      assert two |> TakeOff.leave("A") |> TakeOff.leave("B") |> refusal(ready) == "All are left out."
+      assert two |> Sheet.leave("A") |> Sheet.leave("B") |> refusal(ready) == "All are left out."
       assert refusal(two, ready) == nil
     end
 
@@ -223,11 +220,11 @@ defmodule Aerie.Console.Pages.Fleet.ActTest do
 
     test "lines are moved to a place, up and down, and never lost" do
       sheet = sheet(~w(A B C))
-      assert TakeOff.move(sheet, "C", "A").order == ~w(C A B)
-      assert TakeOff.move(sheet, "A", "down").order == ~w(B A C)
+      assert Sheet.move(sheet, "C", "A").order == ~w(C A B)
+      assert Sheet.move(sheet, "A", "down").order == ~w(B A C)
 
       for {id, to} <- [{"A", "up"}, {"X", "A"}, {"A", "X"}, {"C", "down"}],
-          do: assert(TakeOff.move(sheet, id, to).order == sheet.order)
+          do: assert(Sheet.move(sheet, id, to).order == sheet.order)
 
       property =
         :proper.forall(
@@ -238,8 +235,8 @@ defmodule Aerie.Console.Pages.Fleet.ActTest do
           fn steps ->
             moved =
               Enum.reduce(steps, sheet, fn
-                {id, to, true}, sheet -> TakeOff.move(sheet, id, to)
-                {id, _to, false}, sheet -> TakeOff.leave(sheet, id)
+                {id, to, true}, sheet -> Sheet.move(sheet, id, to)
+                {id, _to, false}, sheet -> Sheet.leave(sheet, id)
               end)
 
             ns = for %{n: n} when n != nil <- TakeOff.lines(moved, %{}), do: n
@@ -254,19 +251,19 @@ defmodule Aerie.Console.Pages.Fleet.ActTest do
     test "a press is for all that was shown, and becomes one sequence with the readiness that was shown" do
       sheet = TakeOff.change(sheet(~w(A B)), %{"on_fail" => "return", "interval" => "4"})
       facts = facts([{"A", :ready}, {"B", :check}])
-      shown = TakeOff.shown(sheet, TakeOff.lines(sheet, facts))
+      shown = TakeOff.shown(sheet, facts)
       press = shown |> Map.put("id", "web-1") |> JSON.encode!() |> JSON.decode!()
-      assert TakeOff.meant?(press, shown)
+      assert Sheet.meant?(press, shown)
 
       for {changed, seen} <- [
-            {TakeOff.move(sheet, "A", "down"), facts},
-            {TakeOff.leave(sheet, "A"), facts},
+            {Sheet.move(sheet, "A", "down"), facts},
+            {Sheet.leave(sheet, "A"), facts},
             {TakeOff.change(sheet, %{"height" => "21"}), facts},
             {sheet, facts([{"A", :ready}, {"B", :ready}])}
           ],
-          do: refute(TakeOff.meant?(press, TakeOff.shown(changed, TakeOff.lines(changed, seen))))
+          do: refute(Sheet.meant?(press, TakeOff.shown(changed, seen)))
 
-      refute TakeOff.meant?(%{"id" => "web-1"}, shown)
+      refute Sheet.meant?(%{"id" => "web-1"}, shown)
 
       assert TakeOff.request("web-1", shown, fn id, height, above, anyway? -> {id, height, above, anyway?} end) ==
                %{
@@ -278,6 +275,115 @@ defmodule Aerie.Console.Pages.Fleet.ActTest do
                  "sequence" => [{"A", 20, 5, false}, {"B", 23, 5, false}],
                  "shown" => %{"A" => "ready", "B" => "check"}
                }
+    end
+  end
+
+  describe "a return" do
+    # Metres to the north of its home, which is as far from the others' as told.
+    defp away(id, metres, home_m) do
+      lat = 47.0 + home_m / 111_195
+      mode = %{at: 0, data: %{in_air: true}}
+      position = %{at: 0, data: %{lat: lat + metres / 111_195, lon: 8.0}}
+      groups = %{mode: mode, position: position, home: %{at: 0, data: %{lat: lat, lon: 8.0}}}
+      %Snapshot{id: id, autopilot: :px4, vehicle_type: "copter", groups: groups}
+    end
+
+    defp return(vehicles, own \\ %{}) do
+      facts =
+        for %{id: id} = vehicle <- vehicles,
+            into: %{},
+            do: {id, %{snapshot: vehicle, own: Map.get(own, id, 0), climbs?: true, refusal: nil}}
+
+      {Return.new(vehicles), facts}
+    end
+
+    test "gives the nearest to its home the lowest height, whatever the order of the selection" do
+      property =
+        :proper.forall(
+          :proper_types.non_empty(:proper_types.list(:proper_types.integer(0, 5_000))),
+          fn metres ->
+            vehicles = for {m, i} <- Enum.with_index(metres), do: away("V#{i}", m, i * 10)
+            {sheet, facts} = return(Enum.shuffle(vehicles))
+            lines = Return.lines(sheet, facts)
+            heights = for line <- lines, do: line.height
+            far = for line <- lines, do: line.home_m
+
+            heights == Enum.map(1..length(lines), &(30 + (&1 - 1) * 3)) and far == Enum.sort(far) and
+              Enum.all?(lines, &(&1.after == nil))
+          end
+        )
+
+      assert :proper.quickcheck(property, [:quiet, {:numtests, 200}]) == true,
+             inspect(:proper.counterexample())
+    end
+
+    test "lets those that land at one place wait for the one before, and leaves no gap for one that is left out" do
+      {sheet, facts} = return([away("A", 10, 0), away("B", 20, 2), away("C", 30, 100), away("D", 40, 1)])
+
+      assert for(line <- Return.lines(sheet, facts), do: {line.id, line.height, line.after}) ==
+               [{"A", 30, nil}, {"B", 33, "A"}, {"C", 36, nil}, {"D", 39, "B"}]
+
+      sheet =
+        sheet
+        |> Return.event("leave", %{"id" => "B"})
+        |> Return.event("change", %{"base" => "40", "step" => "5"})
+
+      assert for(line <- Return.lines(sheet, facts), do: {line.id, line.height, line.after}) ==
+               [{"A", 40, nil}, {"B", nil, nil}, {"C", 45, nil}, {"D", 50, "A"}]
+
+      assert Return.refusal(Return.event(sheet, "change", %{"step" => "1"}), facts) =~
+               "step: expected a number from 2"
+    end
+
+    test "names those whose firmware undoes the stack, and those of which it is not known" do
+      {sheet, facts} =
+        return([away("A", 10, 0), away("B", 20, 50), away("C", 30, 100)], %{"A" => 60, "B" => nil, "C" => 36})
+
+      assert [
+               %{warn: "It climbs to its own 60 m."},
+               %{warn: "Its own return height is not known" <> _},
+               %{warn: nil}
+             ] =
+               Return.lines(sheet, facts)
+
+      told = put_in(facts["C"].climbs?, false)
+
+      assert %{height: nil, warn: "It takes no other height" <> _} =
+               sheet |> Return.lines(told) |> List.last()
+
+      nowhere = update_in(facts["C"].snapshot.groups, &Map.delete(&1, :home))
+
+      assert %{home_m: nil, warn: "Its home is not known" <> _} =
+               sheet |> Return.lines(nowhere) |> List.last()
+    end
+
+    test "is refused for one on the ground, that is gone or not allowed; a press is for all that was shown" do
+      {sheet, facts} = return([away("A", 10, 0), away("B", 20, 50)])
+      assert Return.refusal(sheet, facts) == nil
+      assert Return.refusal(sheet, Map.delete(facts, "B")) =~ "B is not known any more"
+
+      assert Return.refusal(sheet, put_in(facts["B"].snapshot.groups.mode.data.in_air, nil)) =~
+               "B is not in the air"
+
+      assert Return.refusal(sheet, put_in(facts["B"].refusal, "no")) == "B: no"
+      none = sheet |> Sheet.leave("A") |> Sheet.leave("B")
+      assert Return.refusal(none, facts) == "All are left out."
+
+      shown = Return.shown(sheet, facts)
+      press = shown |> Map.put("id", "web-1") |> JSON.encode!() |> JSON.decode!()
+      assert Sheet.meant?(press, shown)
+      refute Sheet.meant?(press, Return.shown(sheet, put_in(facts["A"].own, 70)))
+      refute Sheet.meant?(press, Return.shown(Sheet.leave(sheet, "B"), facts))
+      # A press for another sheet.
+      refute Sheet.meant?(%{"vehicles" => []}, shown)
+
+      assert Return.request("web-1", shown, fn id, height, other -> {id, height, other} end) == %{
+               "id" => "web-1",
+               "name" => "Return",
+               "step" => 100,
+               "halt_ratio" => 1,
+               "sequence" => [{"A", 30, nil}, {"B", 33, nil}]
+             }
     end
   end
 end

@@ -90,7 +90,7 @@ defmodule Aerie.Console.Pages.Fleet.TakeOffTest do
   end
 
   defp hold(view, value, id \\ "web-1"),
-    do: render_hook(view, "take_off", Map.put(JSON.decode!(value), "id", id))
+    do: render_hook(view, "sheet_go", Map.put(JSON.decode!(value), "id", id))
 
   defp operations(console), do: Fleet.recent_operations(console.gateway)
 
@@ -186,7 +186,7 @@ defmodule Aerie.Console.Pages.Fleet.TakeOffTest do
     assert hold(view, shown) =~ "What was shown has changed"
 
     for odd <- [%{}, %{"id" => 7, "vehicles" => "all"}],
-        do: assert(render_hook(view, "take_off", odd) =~ "has changed")
+        do: assert(render_hook(view, "sheet_go", odd) =~ "has changed")
 
     assert operations(console) == []
   end
@@ -196,7 +196,7 @@ defmodule Aerie.Console.Pages.Fleet.TakeOffTest do
   } do
     view = open(console)
     render_hook(view, "select", %{"id" => "V1", "how" => "only"})
-    press = %{"ids" => ["V2"], "ground" => ["V2"]}
+    press = %{"ids" => ["V2"], "of" => ["V2"]}
     assert render_click(view, "sheet_take_off", press) =~ "The selection changed; nothing was sent."
     refute has_element?(view, "#take-off")
 
@@ -205,14 +205,14 @@ defmodule Aerie.Console.Pages.Fleet.TakeOffTest do
     render_click(view, "all")
 
     assert view |> element("#fleet-actions button", "Take off 2") |> render() =~
-             ~s(&quot;ground&quot;:[&quot;V1&quot;,&quot;V2&quot;])
+             ~s(&quot;of&quot;:[&quot;V1&quot;,&quot;V2&quot;])
 
     view |> element("#fleet-actions button", "Take off 2") |> render_click()
     assert has_element?(view, "#take-off h2", "Take off 2 vehicles")
     # Hidden vehicles are nobody's to act on.
     render_hook(view, "sheet_close", %{})
     view |> form("#fleet-filter", %{q: "V1"}) |> render_change()
-    all = %{"ids" => ~w(V1 V2 V3), "ground" => ~w(V1 V2)}
+    all = %{"ids" => ~w(V1 V2 V3), "of" => ~w(V1 V2)}
     assert render_click(view, "sheet_take_off", all) =~ "Hidden vehicles are selected."
     refute has_element?(view, "#take-off")
   end
@@ -271,8 +271,8 @@ defmodule Aerie.Console.Pages.Fleet.TakeOffTest do
     render_click(view, "all")
     refute has_element?(view, "#fleet-actions button", "Take off")
 
-    for event <- ~w(sheet_take_off sheet_leave take_off),
-        do: render_hook(view, event, %{"ids" => [], "ground" => []})
+    for event <- ~w(sheet_take_off sheet_leave sheet_go),
+        do: render_hook(view, event, %{"ids" => [], "of" => []})
 
     refute has_element?(view, "#take-off")
     assert operations(console) == []

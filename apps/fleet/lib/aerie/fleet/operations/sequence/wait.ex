@@ -7,6 +7,8 @@ defmodule Aerie.Fleet.Operations.Sequence.Wait do
   alias Aerie.Fleet.Operations.Sequence
   alias Aerie.Vehicle.Snapshot
 
+  # So near to a height it is there.
+  @level_m 2
   # Farther off than this, height does not keep two vehicles apart.
   @near_m 20
 
@@ -17,6 +19,7 @@ defmodule Aerie.Fleet.Operations.Sequence.Wait do
   @spec look(Names.gateway(), String.t(), [String.t()], Sequence.wait()) :: :ok | waiting()
   def look(gateway, vehicle, vehicles, wait) do
     read = &Merge.vehicle(gateway, &1)
+    vehicle = wait.of || vehicle
 
     case read.(vehicle) do
       nil -> {:waiting, "nobody hears it", vehicle}
@@ -35,8 +38,18 @@ defmodule Aerie.Fleet.Operations.Sequence.Wait do
     end
   end
 
+  def look(%{for: :at, m: m}, %{id: id} = snapshot, _others) do
+    case Snapshot.data(snapshot, :position)[:alt_rel] do
+      height when is_number(height) and abs(height - m) <= @level_m -> :ok
+      height when is_number(height) -> {:waiting, "#{round(height)} m high, not at #{m} m", id}
+      _unknown -> {:waiting, "its height is not known", id}
+    end
+  end
+
+  def look(%{for: :time}, %{id: id}, _others), do: {:waiting, "its time is not over", id}
+
   def look(%{for: :landed}, %{id: id} = snapshot, _others),
-    do: if(in_air(snapshot) == false, do: :ok, else: {:waiting, "not known to be on the ground", id})
+    do: if(in_air(snapshot) == false, do: :ok, else: {:waiting, "#{id} is not known to be on the ground", id})
 
   def look(%{for: :alone}, _snapshot, others) do
     case Enum.find(others, &(&1 != nil and armed?(&1) and in_air(&1) != true)) do

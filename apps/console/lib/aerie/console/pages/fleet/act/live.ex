@@ -7,7 +7,7 @@ defmodule Aerie.Console.Pages.Fleet.Act.Live do
   import Phoenix.Component, only: [assign: 2, assign: 3]
   import Phoenix.LiveView, only: [clear_flash: 1, put_flash: 3]
 
-  alias Aerie.Console.Pages.Fleet.Act.{Height, Press, TakeOff}
+  alias Aerie.Console.Pages.Fleet.Act.{Height, Press, Return, Sheet, Sheets, TakeOff}
   alias Aerie.Control.Commands
   alias Aerie.Fleet
   alias Aerie.Vehicle.Snapshot
@@ -55,20 +55,20 @@ defmodule Aerie.Console.Pages.Fleet.Act.Live do
     end
   end
 
-  @doc "Opens the sheet for a take-off of these vehicles."
-  @spec open(Socket.t(), [String.t()]) :: Socket.t()
-  def open(%{assigns: %{gateway: gateway}} = socket, ids) do
+  @doc "Opens a sheet for these vehicles."
+  @spec open(Socket.t(), name :: String.t(), [String.t()]) :: Socket.t()
+  def open(%{assigns: %{gateway: gateway}} = socket, name, ids) do
     vehicles = for id <- ids, vehicle = Fleet.vehicle(gateway, id), do: vehicle
 
     cond do
       vehicles == [] ->
         put_flash(socket, :error, "None of these vehicles is known any more.")
 
-      length(vehicles) > TakeOff.most() ->
-        put_flash(socket, :error, "At most #{TakeOff.most()} vehicles take off together.")
+      length(vehicles) > Sheet.most() ->
+        put_flash(socket, :error, "At most #{Sheet.most()} vehicles go together.")
 
       true ->
-        socket |> assign(sheet: TakeOff.new(vehicles), sheet_error: nil) |> look()
+        socket |> assign(sheet: Sheets.module(name).new(vehicles), sheet_error: nil) |> look()
     end
   end
 
@@ -76,42 +76,27 @@ defmodule Aerie.Console.Pages.Fleet.Act.Live do
   @spec sheet(Socket.t(), event :: String.t(), value :: map()) :: Socket.t()
   def sheet(%{assigns: %{sheet: nil}} = socket, _event, _value), do: socket
   def sheet(socket, "sheet_close", _value), do: assign(socket, sheet: nil, facts: %{})
+  def sheet(socket, "sheet_go", event), do: go(socket, event)
 
-  def sheet(%{assigns: %{sheet: sheet}} = socket, event, value) do
-    sheet =
-      case {event, value} do
-        {"sheet_change", fields} -> TakeOff.change(sheet, fields)
-        {"sheet_move", %{"id" => id, "to" => to}} -> TakeOff.move(sheet, id, to)
-        {"sheet_leave", %{"id" => id}} -> TakeOff.leave(sheet, id)
-        {"sheet_anyway", %{"id" => id}} -> TakeOff.anyway(sheet, id)
-        _unknown -> sheet
-      end
+  def sheet(%{assigns: %{sheet: %module{} = sheet}} = socket, "sheet_" <> event, value),
+    do: socket |> assign(sheet: module.event(sheet, event, value), sheet_error: nil) |> look()
 
-    socket |> assign(sheet: sheet, sheet_error: nil) |> look()
-  end
-
-  @doc "Begins the take-off that a held press shows, if the sheet shows the same."
-  @spec take_off(Socket.t(), event :: map()) :: Socket.t()
-  def take_off(%{assigns: %{sheet: nil}} = socket, _event), do: socket
-
-  def take_off(socket, event) do
-    %{assigns: %{sheet: sheet, facts: facts, gateway: gateway}} = socket = look(socket)
-    lines = TakeOff.lines(sheet, facts)
-    shown = TakeOff.shown(sheet, lines)
-    refusal = TakeOff.refusal(sheet, lines, TakeOff.nearest(lines, facts))
+  # Begins what a held press shows, if the sheet shows the same.
+  defp go(socket, event) do
+    %{assigns: %{sheet: %module{} = sheet, facts: facts}} = socket = look(socket)
+    shown = module.shown(sheet, facts)
+    refusal = module.refusal(sheet, facts)
 
     cond do
-      not TakeOff.meant?(event, shown) ->
+      not Sheet.meant?(event, shown) ->
         assign(socket, :sheet_error, "What was shown has changed; nothing was sent. Look again, then hold.")
 
       refusal != nil ->
         assign(socket, :sheet_error, "Nothing was sent: #{refusal}")
 
       true ->
-        steps = &Fleet.take_off(Fleet.vehicle(gateway, &1) || facts[&1].snapshot, &2, &3, &4)
-
         with :ok <- Press.id(event["id"]),
-             {:ok, socket} <- begin(socket, TakeOff.request(event["id"], shown, steps)) do
+             {:ok, socket} <- begin(socket, request(socket, sheet, event["id"], shown)) do
           socket |> clear_flash() |> assign(sheet: nil, facts: %{})
         else
           {:error, text} -> assign(socket, :sheet_error, "Nothing was sent: #{text}")
@@ -119,19 +104,46 @@ defmodule Aerie.Console.Pages.Fleet.Act.Live do
     end
   end
 
+  defp request(%{assigns: %{gateway: gateway, facts: facts}}, %TakeOff{}, id, shown) do
+    steps = &Fleet.take_off(Fleet.vehicle(gateway, &1) || facts[&1].snapshot, &2, &3, &4)
+    TakeOff.request(id, shown, steps)
+  end
+
+  defp request(_socket, %Return{}, id, shown), do: Return.request(id, shown, &Fleet.return_home/3)
+
   # What is known of its vehicles now, each at the height that the sheet has for it.
-  defp look(%{assigns: %{gateway: gateway, user: user, sheet: sheet}} = socket) do
+  defp look(%{assigns: %{gateway: gateway, sheet: sheet}} = socket) do
     vehicles = for id <- sheet.order, vehicle = Fleet.vehicle(gateway, id), do: vehicle
+    assign(socket, :facts, facts(socket, sheet, vehicles))
+  end
+
+  defp facts(%{assigns: %{gateway: gateway, user: user}}, %TakeOff{} = sheet, vehicles) do
     readiness = Fleet.readinesses(gateway, vehicles, user.name)
     heights = for %{id: id, height: height} <- TakeOff.lines(sheet, %{}), into: %{}, do: {id, height}
 
-    facts =
-      for %{id: id} = vehicle <- vehicles, into: %{} do
-        {id,
-         %{snapshot: vehicle, readiness: readiness[id], refusal: refusal(gateway, vehicle, heights[id], user)}}
-      end
+    for %{id: id} = vehicle <- vehicles, into: %{} do
+      {id,
+       %{snapshot: vehicle, readiness: readiness[id], refusal: refusal(gateway, vehicle, heights[id], user)}}
+    end
+  end
 
-    assign(socket, :facts, facts)
+  defp facts(%{assigns: %{gateway: gateway, user: user}}, %Return{} = sheet, vehicles) do
+    heights = for {id, n} <- Sheet.places(sheet), n != nil, into: %{}, do: {id, Return.height(sheet, n)}
+
+    for %{id: id} = vehicle <- vehicles, into: %{} do
+      climbs? = Commands.lacks(vehicle, "set_altitude", user) == nil
+
+      wanted =
+        [{"rtl", %{}}] ++
+          if(climbs? and heights[id], do: [{"set_altitude", %{altitude: heights[id]}}], else: [])
+
+      refusal =
+        Enum.find_value(wanted, fn {type, params} ->
+          why(Commands.lacks(vehicle, type, user) || check(gateway, id, type, params, user))
+        end)
+
+      {id, %{snapshot: vehicle, own: Fleet.own_return_m(gateway, id), climbs?: climbs?, refusal: refusal}}
+    end
   end
 
   defp refusal(_gateway, _vehicle, nil, _user), do: nil
@@ -139,17 +151,19 @@ defmodule Aerie.Console.Pages.Fleet.Act.Live do
   defp refusal(gateway, vehicle, height, user) do
     lack = Commands.lacks(vehicle, "takeoff", user) || Commands.lacks(vehicle, "arm", user)
 
-    case lack || check(gateway, vehicle.id, height, user) do
-      {:permission, _permission, reason} -> reason
+    case lack || check(gateway, vehicle.id, "takeoff", %{altitude: height}, user) do
       # It is armed first.
       {:deny, :firmware, _state} -> nil
-      {:firmware, reason} -> reason
-      {:deny, _rule, reason} -> reason
-      {:error, errors} -> Enum.join(errors, "; ")
-      :allow -> nil
+      answer -> why(answer)
     end
   end
 
-  defp check(gateway, id, height, user),
-    do: Commands.check(gateway, vehicle: id, type: "takeoff", params: %{altitude: height}, as: user)
+  defp why({:permission, _permission, reason}), do: reason
+  defp why({:firmware, reason}), do: reason
+  defp why({:deny, _rule, reason}), do: reason
+  defp why({:error, errors}), do: Enum.join(errors, "; ")
+  defp why(:allow), do: nil
+
+  defp check(gateway, id, type, params, user),
+    do: Commands.check(gateway, vehicle: id, type: type, params: params, as: user)
 end

@@ -3,7 +3,9 @@ defmodule Aerie.Console.Pages.Fleet.Act.TakeOff do
   A take-off of several vehicles as it is prepared: who, in which order, how high, and when the next one begins. Pure.
   Nothing is sent before the held press, and that carries all that was shown (`shown/2`).
   """
+  @behaviour Aerie.Console.Pages.Fleet.Act.Sheet
 
+  alias Aerie.Console.Pages.Fleet.Act.Sheet
   alias Aerie.Vehicle.Snapshot
 
   @enforce_keys [:order]
@@ -33,15 +35,10 @@ defmodule Aerie.Console.Pages.Fleet.Act.TakeOff do
           blocks: String.t() | nil
         }
 
-  @most 100
   # Twice the room of a vehicle.
   @near_m 3.0
   @limits %{height: {1, 1_000}, gap: {0, 100}, interval: {0, 600}, above: {1, 100}}
   @on_fail ~w(hold continue return)
-
-  @doc "As many vehicles as a sheet takes."
-  @spec most() :: pos_integer()
-  def most, do: @most
 
   @doc "What may happen when one fails, with words for it."
   @spec on_fail() :: [{String.t(), String.t()}]
@@ -66,59 +63,21 @@ defmodule Aerie.Console.Pages.Fleet.Act.TakeOff do
   @doc "After the fields were changed. A number beyond its limits, or another text, changes nothing and is said."
   @spec change(t(), map()) :: t()
   def change(sheet, fields) do
-    {numbers, wrong} =
-      for {key, {min, max}} <- @limits, text = fields[Atom.to_string(key)], reduce: {%{}, []} do
-        {numbers, wrong} ->
-          case number(text, min, max) do
-            {:ok, number} -> {Map.put(numbers, key, number), wrong}
-            :error -> {numbers, ["#{key}: expected a number from #{min} to #{max}" | wrong]}
-          end
-      end
-
+    {numbers, error} = Sheet.numbers(@limits, fields)
     on_fail = if fields["on_fail"] in @on_fail, do: fields["on_fail"], else: sheet.on_fail
     stacked = if fields["stacked"] in ["true", "false"], do: fields["stacked"] == "true", else: sheet.stacked
-    error = if wrong != [], do: Enum.join(wrong, "; ")
     struct!(sheet, Map.merge(numbers, %{on_fail: on_fail, stacked: stacked, error: error}))
   end
 
-  defp number(text, min, max) when is_binary(text) do
-    case Float.parse(text) do
-      {number, ""} when number >= min and number <= max -> {:ok, whole(Float.round(number, 1))}
-      _other -> :error
-    end
-  end
+  @impl Sheet
+  def event(sheet, "change", fields), do: change(sheet, fields)
+  def event(sheet, "move", %{"id" => id, "to" => to}), do: Sheet.move(sheet, id, to)
+  def event(sheet, "anyway", %{"id" => id}), do: anyway(sheet, id)
 
-  defp number(_other, _min, _max), do: :error
+  def event(sheet, "leave", %{"id" => id}),
+    do: Sheet.leave(%{sheet | anyway: MapSet.delete(sheet.anyway, id)}, id)
 
-  defp whole(number) when trunc(number) == number, do: trunc(number)
-  defp whole(number), do: number
-
-  @doc "Moves a vehicle to the place of another, or by one place up or down."
-  @spec move(t(), String.t(), to :: String.t()) :: t()
-  def move(%{order: order} = sheet, id, to) do
-    at = Enum.find_index(order, &(&1 == id))
-
-    place =
-      case to do
-        "up" -> at && at - 1
-        "down" -> at && at + 1
-        other -> Enum.find_index(order, &(&1 == other))
-      end
-
-    if at == nil or place == nil or place < 0,
-      do: sheet,
-      else: %{sheet | order: order |> List.delete_at(at) |> List.insert_at(place, id)}
-  end
-
-  @doc "Leaves a vehicle out, or takes it along again."
-  @spec leave(t(), String.t()) :: t()
-  def leave(%{out: out} = sheet, id) do
-    cond do
-      id not in sheet.order -> sheet
-      MapSet.member?(out, id) -> %{sheet | out: MapSet.delete(out, id)}
-      true -> %{sheet | out: MapSet.put(out, id), anyway: MapSet.delete(sheet.anyway, id)}
-    end
-  end
+  def event(sheet, _unknown, _value), do: sheet
 
   @doc "Takes a vehicle along although it is not known whether it is ready."
   @spec anyway(t(), String.t()) :: t()
@@ -127,16 +86,7 @@ defmodule Aerie.Console.Pages.Fleet.Act.TakeOff do
 
   @doc "The lines in their order, with what is known of each vehicle, by id."
   @spec lines(t(), %{String.t() => facts()}) :: [line()]
-  def lines(sheet, facts) do
-    {lines, _n} =
-      Enum.map_reduce(sheet.order, 0, fn id, n ->
-        if MapSet.member?(sheet.out, id),
-          do: {line(sheet, id, nil, facts[id]), n},
-          else: {line(sheet, id, n, facts[id]), n + 1}
-      end)
-
-    lines
-  end
+  def lines(sheet, facts), do: for({id, n} <- Sheet.places(sheet), do: line(sheet, id, n, facts[id]))
 
   defp line(sheet, id, n, facts) do
     readiness = (facts && facts.readiness) || %{state: :unknown, points: []}
@@ -179,23 +129,18 @@ defmodule Aerie.Console.Pages.Fleet.Act.TakeOff do
 
     for {one, i} <- Enum.with_index(seen),
         other <- Enum.drop(seen, i + 1),
-        metres = Snapshot.distance(one, place(other)),
+        metres = Snapshot.distance(one, Sheet.place(other)),
         reduce: nil do
       {_one, _other, least} = nearest when least <= metres -> nearest
       _farther -> {one.id, other.id, metres}
     end
   end
 
-  defp place(snapshot) do
-    with %{lat: lat, lon: lon} when is_number(lat) and is_number(lon) <- Snapshot.data(snapshot, :position),
-         do: {lat, lon},
-         else: (_unknown -> nil)
-  end
-
-  @doc "Why nothing can begin; nil if it can."
-  @spec refusal(t(), [line()], {String.t(), String.t(), float()} | nil) :: String.t() | nil
-  def refusal(sheet, lines, nearest) do
+  @impl Sheet
+  def refusal(sheet, facts) do
+    lines = lines(sheet, facts)
     going = Enum.filter(lines, & &1.n)
+    nearest = nearest(lines, facts)
 
     cond do
       sheet.error -> sheet.error
@@ -210,11 +155,10 @@ defmodule Aerie.Console.Pages.Fleet.Act.TakeOff do
     do:
       "#{one} and #{other} stand #{Float.round(metres, 1)} m apart; #{@near_m} m are wanted. Leave one of them out."
 
-  @doc "What the press carries: all that it does, as the operator sees it."
-  @spec shown(t(), [line()]) :: map()
-  def shown(sheet, lines) do
+  @impl Sheet
+  def shown(sheet, facts) do
     vehicles =
-      for %{n: n} = line when n != nil <- lines,
+      for %{n: n} = line when n != nil <- lines(sheet, facts),
           do: [line.id, line.height, Atom.to_string(line.state), MapSet.member?(sheet.anyway, line.id)]
 
     %{
@@ -224,10 +168,6 @@ defmodule Aerie.Console.Pages.Fleet.Act.TakeOff do
       "on_fail" => sheet.on_fail
     }
   end
-
-  @doc "Whether a press was made for what is shown now."
-  @spec meant?(event :: map(), shown :: map()) :: boolean()
-  def meant?(event, shown), do: Map.take(event, Map.keys(shown)) == shown
 
   @doc "The operation that such a press asks for. `steps` gives a vehicle's part of it (`Aerie.Fleet.take_off/4`)."
   @spec request(id :: String.t(), shown :: map(), (id :: String.t(), number(), number(), boolean() -> map())) ::

@@ -2,6 +2,8 @@ defmodule Aerie.Console.Pages.Fleet.Act.TakeOffSheet do
   @moduledoc "The dialog of a take-off of several vehicles (`Aerie.Console.Pages.Fleet.Act.TakeOff`)."
   use Aerie.Console, :component
 
+  import Aerie.Console.Pages.Fleet.Act.SheetParts
+
   alias Aerie.Console.Pages.Fleet.Act.TakeOff
 
   attr :sheet, :any, required: true
@@ -19,15 +21,22 @@ defmodule Aerie.Console.Pages.Fleet.Act.TakeOffSheet do
         lines: lines,
         nearest: nearest,
         going: going,
-        refusal: TakeOff.refusal(sheet, lines, nearest),
-        shown: TakeOff.shown(sheet, lines),
+        refusal: TakeOff.refusal(sheet, facts),
+        shown: TakeOff.shown(sheet, facts),
         limits: TakeOff.limits()
       )
 
     ~H"""
     <.dialog id="take-off" title={"Take off #{count(length(@lines))}"} cancel="sheet_close" kind="wide">
       <form id="take-off-form" class="sheet-fields" phx-change="sheet_change" phx-submit="sheet_change">
-        <.number name="height" label="Height (above home)" unit="m" value={@sheet.height} limits={@limits.height} />
+        <.number
+          sheet="take-off"
+          name="height"
+          label="Height (above home)"
+          unit="m"
+          value={@sheet.height}
+          limits={@limits.height}
+        />
         <.field
           id="take-off-stacked"
           type="select"
@@ -36,9 +45,31 @@ defmodule Aerie.Console.Pages.Fleet.Act.TakeOffSheet do
           value={to_string(@sheet.stacked)}
           options={[{"Stacked", "true"}, {"The same for all", "false"}]}
         />
-        <.number :if={@sheet.stacked} name="gap" label="More each" unit="m" value={@sheet.gap} limits={@limits.gap} />
-        <.number name="interval" label="Between two" unit="s" value={@sheet.interval} limits={@limits.interval} />
-        <.number name="above" label="Next one only above" unit="m" value={@sheet.above} limits={@limits.above} />
+        <.number
+          :if={@sheet.stacked}
+          sheet="take-off"
+          name="gap"
+          label="More each"
+          unit="m"
+          value={@sheet.gap}
+          limits={@limits.gap}
+        />
+        <.number
+          sheet="take-off"
+          name="interval"
+          label="Between two"
+          unit="s"
+          value={@sheet.interval}
+          limits={@limits.interval}
+        />
+        <.number
+          sheet="take-off"
+          name="above"
+          label="Next one only above"
+          unit="m"
+          value={@sheet.above}
+          limits={@limits.above}
+        />
         <.field
           id="take-off-on-fail"
           type="select"
@@ -79,60 +110,20 @@ defmodule Aerie.Console.Pages.Fleet.Act.TakeOffSheet do
               phx-click="sheet_anyway"
               phx-value-id={line.id}
             >Take along anyway</.button>
-            <.button small phx-click="sheet_leave" phx-value-id={line.id}>
-              {if line.n, do: "Leave out", else: "Take along"}
-            </.button>
+            <.leave line={line} />
           </span>
         </li>
       </ol>
       <p class="sheet-summary">{summary(@lines)} {apart(@nearest)} {stack(@sheet, @going)}</p>
-      <p :if={@error} class="field-error" role="alert">{@error}</p>
-      <p :if={@refusal} class="field-error" role="status">{@refusal}</p>
+      <.errors error={@error} refusal={@refusal} />
       <:action>
-        <.button phx-click="sheet_close">Cancel</.button>
-        <.hold_button
-          id="take-off-go"
-          event="take_off"
-          icon="takeoff"
-          hold_ms={1500}
-          value={@shown}
-          refusal={@refusal}
-        >Take off {@going}{if @going > 1, do: ", one after the other"}</.hold_button>
+        <.go sheet="take-off" icon="takeoff" value={@shown} refusal={@refusal}>
+          Take off {@going}{if @going > 1, do: ", one after the other"}
+        </.go>
       </:action>
     </.dialog>
     """
   end
-
-  attr :name, :string, required: true
-  attr :label, :string, required: true
-  attr :unit, :string, required: true
-  attr :value, :any, required: true
-  attr :limits, :any, required: true
-
-  defp number(assigns) do
-    {min, max} = assigns.limits
-    assigns = assign(assigns, min: min, max: max)
-
-    ~H"""
-    <.field
-      id={"take-off-#{@name}"}
-      type="number"
-      name={@name}
-      label={@label}
-      unit={@unit}
-      value={@value}
-      min={@min}
-      max={@max}
-      step="any"
-      inputmode="decimal"
-      phx-debounce="300"
-      autocomplete="off"
-    />
-    """
-  end
-
-  defp count(1), do: "1 vehicle"
-  defp count(n), do: "#{n} vehicles"
 
   defp summary(lines) do
     words =

@@ -1,0 +1,205 @@
+defmodule Aerie.Console.Pages.Fleet.ReturnTest do
+  @moduledoc "The sheet for a return of several vehicles: heights apart, and a queue where they land at one place."
+  use Aerie.ConsoleCase, async: true
+
+  alias Aerie.Base.{Names, Store}
+  alias Aerie.Fleet
+  alias Aerie.Vehicle.Command.Result
+  alias Aerie.Vehicle.Events.Journal
+
+  @moduletag :tmp_dir
+  @moduletag :capture_log
+
+  setup %{tmp_dir: dir} do
+    [console: console] = start_console()
+    Aerie.CommandCase.start_commands(dir, gateway: console.gateway)
+    :ok = Store.delete_vehicle(console.gateway, {"main", 7})
+    start_operations(console)
+    # V1 and V2 land a metre apart, V3 far from them.
+    for {n, home_m} <- [{1, 0}, {2, 1}, {3, 200}], do: fly(console, n, home_m)
+    {:ok, console: console}
+  end
+
+  defp fly(console, n, home_m, groups \\ []) do
+    lat = 47.0 + home_m / 111_195
+
+    groups =
+      Keyword.merge(
+        [home: %{lat: lat, lon: 8.0}, position: %{lat: lat + n / 1_000, lon: 8.0, alt_rel: 20.0}],
+        groups
+      )
+
+    fields = %{
+      key: {"main", n},
+      system_id: n,
+      component: 1,
+      time_boot_ms: 60_000,
+      memory: %{sources: %{}, mode_names: %{}}
+    }
+
+    put_vehicle(console, "V#{n}", groups, fields)
+    # However slow the machine is, it was heard just now.
+    later = System.os_time(:microsecond) + 3_600_000_000
+    vehicle = Store.vehicle(console.gateway, "V#{n}")
+    groups = Map.new(vehicle.groups, fn {name, group} -> {name, %{group | at: later}} end)
+    :ok = Store.put_vehicle(console.gateway, vehicle.key, %{vehicle | last_heard: later, groups: groups})
+  end
+
+  # Takes the commands of a vehicle, tells the test of each, and has them completed.
+  defp executor(console, n) do
+    test = self()
+
+    start_supervised!(
+      {Task,
+       fn ->
+         Names.register(console.gateway, :commands, {"main", n})
+         serve(test)
+       end},
+      id: {:executor, n}
+    )
+  end
+
+  defp serve(test) do
+    receive do
+      {:"$gen_call", from, {:submit, command, _progress, _still?}} ->
+        send(test, {:commanded, command.vehicle, command.type, command.params})
+        GenServer.reply(from, Result.new(command.id, :completed))
+        serve(test)
+    end
+  end
+
+  defp open(console, role \\ :operator), do: console |> conn(role) |> live("/") |> elem(1)
+
+  defp sheet(view) do
+    render_click(view, "all")
+    view |> element("#fleet-actions button", ~r/Return \d/) |> render_click()
+    view
+  end
+
+  defp value(view) do
+    [_all, value] = Regex.run(~r/data-value="([^"]+)"/, view |> element("#return-go") |> render())
+    value |> String.replace("&quot;", "\"") |> String.replace("&#39;", "'") |> JSON.decode!()
+  end
+
+  defp hold(view, value, id \\ "web-1"), do: render_hook(view, "sheet_go", Map.put(value, "id", id))
+  defp operations(console), do: Fleet.recent_operations(console.gateway)
+
+  test "shows heights by distance, who waits for whom, and whose firmware undoes it; the plain Return stays",
+       %{
+         console: console
+       } do
+    :ok = Journal.commit(console.gateway, "V3", %{}, [], %{"RTL_ALT" => 6_000})
+    view = console |> open() |> sheet()
+    assert has_element?(view, "#fleet-rtl")
+    assert has_element?(view, "#return h2", "Return 3 vehicles")
+    assert has_element?(view, "#return-V1", "30 m")
+    assert has_element?(view, "#return-V2 .badge.bad", "One place with V1: waits until that has landed")
+    assert has_element?(view, "#return-V3", "36 m")
+    assert has_element?(view, "#return-V3 .badge.warn", "It climbs to its own 60 m.")
+    assert has_element?(view, "#return-V1 .badge.warn", "Its own return height is not known")
+    view |> form("#return-form", %{base: "50"}) |> render_change()
+    assert has_element?(view, "#return-V3", "56 m")
+    assert operations(console) == []
+  end
+
+  test "a held press is one operation: to the heights, then home, and the second one at a place waits", %{
+    console: console
+  } do
+    for n <- 1..3, do: executor(console, n)
+    view = console |> open() |> sheet()
+    hold(view, value(view))
+    refute has_element?(view, "#return")
+
+    for {id, height} <- [{"V1", 30}, {"V2", 33}, {"V3", 36}],
+        do:
+          assert_receive(
+            {:commanded, ^id, "set_altitude", %{altitude: altitude}} when altitude == height,
+            Aerie.Patience.ms()
+          )
+
+    # Nobody returns before it is at its height.
+    refute_received {:commanded, _id, "rtl", _params}
+
+    for {n, home_m, height} <- [{1, 0, 29.0}, {2, 1, 33.0}],
+        do: fly(console, n, home_m, position: %{lat: 47.001, lon: 8.0, alt_rel: height})
+
+    assert_receive {:commanded, "V1", "rtl", _params}, Aerie.Patience.ms()
+    eventually(fn -> step(console, "V2") == "wait_turn" end)
+    refute_received {:commanded, "V2", "rtl", _params}
+    fly(console, 1, 0, mode: %{armed: false, in_air: false})
+    eventually(fn -> step(console, "V2") == "wait_time" end)
+    send(view.pid, :console_clock)
+    assert has_element?(view, "#operation-web-1 li", ~r/V2.*Waiting for its turn/s)
+    assert has_element?(view, "#operation-web-1 li", ~r/V1.*Landed/s)
+    # One entry, whatever arrives twice.
+    assert [%{"id" => "web-1", "name" => "Return"}] = operations(console)
+  end
+
+  defp step(console, id) do
+    {:ok, operation} = Fleet.operation(console.gateway, "web-1")
+    operation["vehicles"][id]["step"]
+  end
+
+  test "a press for what has changed since, or for others, sends nothing", %{console: console} do
+    view = console |> open() |> sheet()
+    shown = value(view)
+    fly(console, 2, 1, mode: %{armed: false, in_air: false})
+    refresh_fleet(view)
+    assert has_element?(view, "#return .field-error", "V2 is not in the air: leave it out.")
+    # The refusal stands, whatever a browser sends.
+    assert hold(view, shown) =~ "Nothing was sent: V2 is not in the air"
+    fly(console, 2, 1)
+    :ok = Journal.commit(console.gateway, "V3", %{}, [], %{"RTL_ALT" => 6_000})
+    assert hold(view, shown) =~ "What was shown has changed; nothing was sent."
+
+    for odd <- [%{}, %{"return" => "all"}, %{"vehicles" => []}],
+        do: assert(render_hook(view, "sheet_go", odd) =~ "has changed")
+
+    assert operations(console) == []
+    render_hook(view, "sheet_close", %{})
+    press = %{"ids" => ["V1"], "of" => ["V1"]}
+    assert render_click(view, "sheet_return", press) =~ "The selection changed; nothing was sent."
+  end
+
+  test "a viewer has neither the button nor the events", %{console: console} do
+    view = open(console, :viewer)
+    render_click(view, "all")
+    refute has_element?(view, "#fleet-actions button", ~r/Return/)
+
+    for event <- ~w(sheet_return sheet_go),
+        do: render_hook(view, event, %{"ids" => ~w(V1 V2 V3), "of" => ~w(V1 V2 V3)})
+
+    refute has_element?(view, "#return")
+    assert operations(console) == []
+  end
+
+  test "sixty vehicles are one sheet and one operation", %{console: console} do
+    for n <- 1..60, do: fly(console, n, n * 10)
+    view = console |> open() |> sheet()
+    assert has_element?(view, "#return-V60", "207 m")
+    hold(view, value(view))
+    assert [%{"counts" => counts}] = operations(console)
+    assert counts |> Map.values() |> Enum.sum() == 60
+  end
+
+  @tag :chromium
+  test "by mouse and keyboard: fields, one that lands under the hand, a killed page, another operator", %{
+    console: console
+  } do
+    for n <- 1..3, do: executor(console, n)
+    script = browser(console, "return.mjs")
+    await_line(script, "holding")
+    fly(console, 3, 200, mode: %{armed: false, in_air: false})
+    Port.command(script, "landed\n")
+    await_line(script, "ended")
+    assert operations(console) == []
+    await_line(script, "begun")
+    assert [%{"name" => "Return"}] = operations(console)
+    pages = Aerie.Console.Supervisor.pages(console.gateway)
+    for {_id, pid, _type, _modules} <- DynamicSupervisor.which_children(pages), do: Process.exit(pid, :kill)
+    Port.command(script, "killed\n")
+    for id <- ~w(V1 V2), do: assert_received({:commanded, ^id, "set_altitude", _params})
+    refute_received {:commanded, "V3", _type, _params}
+    await_line(script, "ok")
+  end
+end

@@ -1,0 +1,56 @@
+// The sheet for a return of several vehicles, by mouse and keyboard. Argument: the console's address. It prints what it has done, and the test acts
+// in between.
+import { createInterface } from "node:readline";
+import { contains, equal, hold, live, main, open, press, presses, shows, until } from "../../../../test/browser/chromium.mjs";
+import { signIn } from "./sign_in.mjs";
+
+const [base] = process.argv.slice(2);
+const lines = createInterface({ input: process.stdin })[Symbol.asyncIterator]();
+const say = async (word, answer) => { console.log(word); equal("told", (await lines.next()).value, answer); };
+
+main(async (browser) => {
+  const page = await open(browser, { viewport: { width: 1280, height: 900 } });
+  await signIn(page, base, "operator");
+  await page.waitForSelector("#vehicle-V3");
+  await page.click(".fleet-groups button[phx-value-name=all]");
+  await page.click("#fleet-actions button:has-text('Return 3')");
+  await shows(page, "#return-title", "Return 3 vehicles");
+  await contains(page, "#return-V2", "One place with V1");
+  await page.fill("#return-step", "4");
+  await contains(page, "#return-V3", "38 m");
+  // What is said of a vehicle is not cut.
+  equal("not cut", await page.evaluate(() => [...document.querySelectorAll("#return-lines .badge")].filter((el) => el.scrollWidth > el.clientWidth).length), 0);
+
+  // One lands while the button is held: the press ends, and nothing is sent.
+  await page.evaluate(() => { document.querySelector("#return-go").dataset.hold = "600000"; });
+  await press(page, "#return-go");
+  await say("holding", "landed");
+  await contains(page, "#return", "V3 is not in the air: leave it out.");
+  await until(page, () => document.querySelector("#return-go").dataset.state !== "holding");
+  await page.mouse.up();
+  equal("nothing was held", (await presses(page, "#return-go")).held, 0);
+  console.log("ended");
+
+  // By keyboard: left out, and the rest begins.
+  await page.focus("#return-V3 button");
+  await page.keyboard.press("Enter");
+  await contains(page, "#return-go", "Return 2");
+  await page.evaluate(() => { document.querySelector("#return-go").dataset.hold = "1500"; });
+  await hold(page, "#return-go");
+  await page.waitForSelector("#return", { state: "detached" });
+  await contains(page, "#operation-strip", "Return 2: all changing height");
+  await say("begun", "killed");
+  await live(page);
+  await contains(page, "#operation-strip", "Return 2: all changing height");
+
+  // Another operator sees the same, and a second sheet for them is refused.
+  const admin = await open(browser, { viewport: { width: 1280, height: 900 } });
+  await signIn(admin, base, "admin");
+  await contains(admin, "#operation-strip", "Return 2: all changing height");
+  await admin.waitForSelector("#vehicle-V3");
+  await admin.click(".fleet-groups button[phx-value-name=air]");
+  await admin.click("#fleet-actions button:has-text('Return 2')");
+  await hold(admin, "#return-go");
+  await contains(admin, "#return", "is part of the operation");
+  equal("no complaints", JSON.stringify([page.complaints, admin.complaints]), "[[],[]]");
+});

@@ -1,0 +1,85 @@
+defmodule Aerie.Fleet.Operations.ReturningTest do
+  @moduledoc "The steps of vehicles that return together, and what they wait for."
+  use ExUnit.Case, async: true
+
+  alias Aerie.Base.Store
+  alias Aerie.Fleet.Operations.Sequence
+  alias Aerie.Fleet.Operations.Sequence.{Returning, Wait}
+  alias Aerie.Vehicle.Events.Journal
+  alias Aerie.Vehicle.Snapshot
+
+  defp words(vehicle) do
+    {:ok, [%{steps: steps}]} = Sequence.parse([vehicle], 1, 0)
+    for step <- steps, do: {Sequence.word(step), step}
+  end
+
+  test "to its height first, and where another one lands there, after that" do
+    assert [{"set_altitude", _command}, {"wait_at", {:wait, %{m: 30, go_on?: false}}}, {"rtl", _home}] =
+             words(Returning.steps("V-1", 30, nil))
+
+    steps = words(Returning.steps("V-2", 33, "V-1"))
+    assert for({word, _step} <- steps, do: word) == ~w(set_altitude wait_at wait_turn wait_time rtl)
+    assert {:wait, %{for: :landed, of: "V-1", go_on?: false}} = steps |> Enum.at(2) |> elem(1)
+    # What waits for a time goes on when it is over.
+    assert {:wait, %{for: :time, timeout_ms: 15_000, go_on?: true}} = steps |> Enum.at(3) |> elem(1)
+    assert [{"rtl", _home}] = words(Returning.steps("V-3", nil, nil))
+  end
+
+  test "a height is reached from below and from above, a time never by itself" do
+    at = fn height ->
+      seen = %Snapshot{id: "V-1", groups: %{position: %{at: 0, data: %{alt_rel: height}}}}
+      Wait.look(%{for: :at, m: 30, of: nil}, seen, [])
+    end
+
+    assert [at.(28), at.(30.5), at.(32)] == [:ok, :ok, :ok]
+    assert {:waiting, "50 m high, not at 30 m", "V-1"} = at.(50)
+    assert {:waiting, "27 m high, not at 30 m", "V-1"} = at.(27.4)
+    assert {:waiting, "its height is not known", "V-1"} = at.(nil)
+    assert {:waiting, _why, "V-1"} = Wait.look(%{for: :time, of: nil}, %Snapshot{id: "V-1"}, [])
+  end
+
+  test "a landing of another one is looked for at that one" do
+    gateway = make_ref()
+    start_supervised!({Store, [gateway: gateway] ++ Aerie.GatewayCase.plugs(%{})})
+
+    put = fn id, n, in_air ->
+      groups = %{mode: %{at: 0, data: %{in_air: in_air}}}
+
+      Store.put_vehicle(gateway, {"main", n}, %Snapshot{
+        id: id,
+        key: {"main", n},
+        network: "main",
+        system_id: n,
+        status: :online,
+        groups: groups
+      })
+    end
+
+    wait = %{for: :landed, m: nil, of: "V-1", timeout_ms: 1, go_on?: false}
+    put.("V-2", 2, true)
+    assert {:waiting, "nobody hears it", "V-1"} = Wait.look(gateway, "V-2", ["V-1", "V-2"], wait)
+    put.("V-1", 1, true)
+    assert {:waiting, "V-1 is not known" <> _, "V-1"} = Wait.look(gateway, "V-2", ["V-1", "V-2"], wait)
+    put.("V-1", 1, false)
+    assert :ok = Wait.look(gateway, "V-2", ["V-1", "V-2"], wait)
+  end
+
+  test "the height of the firmware's own is that of its parameters, as they were read the last time" do
+    gateway = make_ref()
+    start_supervised!({Store, [gateway: gateway] ++ Aerie.GatewayCase.plugs(%{})})
+    assert Returning.own_m(gateway, "V-1") == nil
+
+    for {name, value, metres} <- [
+          {"RTL_ALT", 6_000, 60.0},
+          {"RTL_ALT_M", 45, 45},
+          {"RTL_RETURN_ALT", 60.0, 60.0},
+          {"RTL_ALTITUDE", -1, 0},
+          {"RTL_ALT_FINAL", 900, nil},
+          {"WPNAV_SPEED", 500, nil}
+        ] do
+      id = "V-" <> name
+      :ok = Journal.commit(gateway, id, %{}, [], %{name => value})
+      assert Returning.own_m(gateway, id) == metres
+    end
+  end
+end

@@ -1,13 +1,11 @@
 defmodule Aerie.System.SequenceTest do
   @moduledoc """
   A take-off of ArduPilot, PX4 and Betaflight together behind a whole gateway: one after the other, with one that
-  cannot, with another operator, and with a gateway that is started again in the middle.
+  cannot, and with another operator.
   """
 
   use Aerie.SystemCase, async: true
 
-  alias Aerie.Control.Commands
-  alias Aerie.Control.Policy.Audit
   alias Aerie.Fleet
   alias SimVehicle.Msp
 
@@ -22,10 +20,7 @@ defmodule Aerie.System.SequenceTest do
   setup %{tmp_dir: folder} do
     msp = start_supervised!({Msp, firmware: :betaflight, uid: @msp})
     links = ["udpin:127.0.0.1:0", "msp:tcp:127.0.0.1:#{Msp.port(msp)}?sysid=#{@msp}"]
-    # A battery of the simulator need not have the reserve.
-    overrides = %{"timeouts" => patient(), "shadow" => %{"dir" => Path.join(folder, "shadow")}}
-    c = %{folder: folder, links: links, overrides: overrides}
-    %{gateway: gateway} = started = start_gateway(folder, links: links, overrides: overrides)
+    %{gateway: gateway} = start_gateway(folder, links: links, overrides: %{"timeouts" => patient()})
     port = link_port(gateway, "link-1")
 
     sims =
@@ -39,20 +34,20 @@ defmodule Aerie.System.SequenceTest do
 
     for {n, _firmware} <- @fleet, do: await_standing(gateway, {"main", n})
     eventually(fn -> data(gateway, :health, {"main", @msp})[:ready_to_arm] end, "the one with MSP is known")
-    Map.merge(c, %{gateway: gateway, started: started, sims: sims, port: port})
+    %{gateway: gateway, sims: sims}
   end
 
   defp id(n), do: "VID-00#{n}"
 
   # What is asked of readiness is tested elsewhere; here the vehicles are simulated ones.
-  defp take_off(c, ns, more \\ %{}) do
+  defp take_off(c, ns) do
     sequence =
       for n <- ns do
         c.gateway |> Fleet.vehicle(id(n)) |> Fleet.take_off(10 + n, 3, true) |> patiently()
       end
 
     request = %{"id" => "up", "name" => "Take off", "sequence" => sequence, "timeout_s" => 120}
-    Fleet.begin_operation(c.gateway, Map.merge(request, more), @ann, "elixir")
+    Fleet.begin_operation(c.gateway, request, @ann, "elixir")
   end
 
   # A busy machine flies slowly.
@@ -84,49 +79,5 @@ defmodule Aerie.System.SequenceTest do
     for n <- [1, 2, 3], do: assert(%{"state" => "ok"} = done["vehicles"][id(n)])
     for n <- [1, 2, 3, 4], do: SimVehicle.await(c.sims[n], &(not &1.armed))
     assert %{"state" => "stopped"} = look(c)
-  end
-
-  test "a gateway that is killed in the middle knows who had begun, and goes on with the others only", c do
-    {:ok, _begun} = take_off(c, [1, 2, 3])
-    await(c, "the second is under way", &(&1["vehicles"][id(2)]["step"] == "takeoff"))
-    stop_gateway(c.started)
-    links = ["udpin:127.0.0.1:#{c.port}" | tl(c.links)]
-    %{gateway: gateway} = start_gateway(c.folder, links: links, overrides: c.overrides)
-    c = %{c | gateway: gateway}
-    assert %{"state" => "interrupted", "source" => "ann", "counts" => %{"waiting" => 1}} = look(c)
-    assert %{"result" => "unknown"} = look(c)["vehicles"][id(2)]
-    for n <- [1, 2, 3], do: await_standing_or_flying(gateway, n)
-    refute armed(c, 3)
-
-    # Whether the second got its take-off before the end is chance. The third is not armed while it stands armed.
-    settled = fn -> data(gateway, :mode, {"main", 2}) |> then(&(&1[:in_air] or not &1[:armed])) end
-
-    eventually(
-      fn -> settled.() or (disarm(gateway, id(2)) && settled.()) end,
-      "the second one flies, or was disarmed"
-    )
-
-    eventually(
-      fn -> match?({:ok, _now}, Fleet.change_operation(gateway, "up", :continue, @ben, "elixir")) end,
-      "it goes on, once the vehicles are known again"
-    )
-
-    done = await(c, "the third is up", &(&1["state"] == "done" && &1))
-    assert %{"state" => "ok"} = done["vehicles"][id(3)]
-    # The second was not commanded again.
-    takeoffs = for %{"command" => "takeoff", "vehicle" => vehicle} <- decisions(c), do: vehicle
-    assert Enum.sort(takeoffs) == [id(1), id(2), id(3)]
-  end
-
-  defp await_standing_or_flying(gateway, n),
-    do:
-      eventually(fn -> is_boolean(data(gateway, :mode, {"main", n})[:in_air]) end, "#{id(n)} is heard again")
-
-  defp disarm(gateway, id),
-    do: Commands.submit(gateway, vehicle: id, type: "disarm", deadline: System.os_time(:second) + 60)
-
-  defp decisions(c) do
-    {:ok, %{records: records}} = Audit.page(Path.join(c.folder, "audit"), %{type: "decision", limit: 200})
-    records
   end
 end

@@ -1,14 +1,17 @@
-// Pictures of the console's pages, wide and on a phone, dark and light. Arguments: the address that signs in, and the folder for them.
+// The pictures of README.md and docs/console.md. Arguments: the address that signs in, the key of a program, the folder
+// for them, and words of which the names of those to take have one; without words all are taken.
 import { statSync } from "node:fs";
-import { contains, equal, hold, live, main, open, until } from "./chromium.mjs";
+import { contains, equal, live, main, open, until } from "./chromium.mjs";
 
-const [address, folder] = process.argv.slice(2);
+const [address, key, folder, ...wanted] = process.argv.slice(2);
 const MOST_BYTES = 300_000;
 const VEHICLES = 6;
 const looks = {
   wide: { viewport: { width: 1440, height: 900 } },
   phone: { viewport: { width: 390, height: 844 }, hasTouch: true, isMobile: true, deviceScaleFactor: 2 },
 };
+// So long that vehicles draw a track.
+const TRACKS_MS = 15_000;
 const pause = (ms) => new Promise((resolve) => setTimeout(resolve, ms));
 const vehicle = (n) => `sim-${String(n).padStart(3, "0")}`;
 
@@ -31,27 +34,30 @@ function plan() {
 
 const mapDrawn = (page) => until(page, () => {
   const all = [...document.querySelectorAll(".map:not(.map-failed)")].filter((map) => map.offsetParent);
-  return all.every(({ fleetMap }) => fleetMap?.map.isSourceLoaded("land") && fleetMap.map.querySourceFeatures("land").length > 0);
+  return all.every(({ fleetMap }) => fleetMap?.map.isSourceLoaded("tiles") && fleetMap.map.areTilesLoaded());
 });
+const rows = (page) => until(page, (n) => document.querySelectorAll("#fleet-table tr[data-id]").length >= n, VEHICLES);
 
-// What each page is to show, once it lives.
+// One vehicle after the other returns; slowly, so that it runs while the pictures are taken.
+async function operation(origin) {
+  const vehicles = Array.from({ length: VEHICLES }, (_, n) => vehicle(n + 1));
+  const body = JSON.stringify({ id: "home", name: "Return", vehicles, step: 1, pause_s: 60, command: { type: "rtl" } });
+  const headers = { "x-aerie-key": key, "content-type": "application/json" };
+  const answer = await fetch(`${origin}/api/operations`, { method: "POST", headers, body });
+  if (!answer.ok && answer.status !== 409) throw new Error(`the operation: ${answer.status} ${await answer.text()}`);
+}
+
+// What a picture shows, in the order in which they are taken: `looks` are those that the documents show.
 const scenes = {
-  fleet: {
-    path: "/", map: true,
-    async ready(page) {
-      await until(page, (n) => document.querySelectorAll("#fleet-table tr[data-id]").length >= n, VEHICLES);
-      await pause(15_000); // tracks
-    },
-  },
   vehicle: {
-    path: `/vehicles/${vehicle(1)}`, map: true,
+    path: `/vehicles/${vehicle(1)}`, looks: ["wide-light", "phone-dark"],
     async ready(page) {
       await contains(page, ".vehicle-air", "Flying");
-      await pause(8_000); // a track
+      await pause(TRACKS_MS);
     },
   },
   plan: {
-    path: `/plan?vehicle=${vehicle(1)}`, map: true,
+    path: `/plan?vehicle=${vehicle(1)}`, looks: ["wide-light", "phone-light"],
     async ready(page) {
       const file = { name: "field.plan", mimeType: "application/json", buffer: Buffer.from(JSON.stringify(plan())) };
       await page.setInputFiles("#plan-import", file);
@@ -60,81 +66,60 @@ const scenes = {
       await page.waitForSelector("#plan-item-3");
     },
   },
-  "vehicle-commands": { path: `/vehicles/${vehicle(1)}/commands?c=goto` },
-  "vehicle-charts": {
-    path: `/vehicles/${vehicle(1)}/charts?f=position.alt_rel,velocity.groundspeed,battery.voltage`,
-    ready: () => pause(15_000), // samples
-  },
-  "vehicle-health": { path: `/vehicles/${vehicle(1)}/health` },
-  params: { path: `/params?vehicle=${vehicle(1)}`, ready: (page) => page.waitForSelector("#params") },
-  inspector: {
-    path: "/inspector",
+  fleet: {
+    path: "/", looks: ["wide-dark", "wide-light", "phone-light"],
     async ready(page) {
-      await page.click("#messages button.link-button:text-is('ATTITUDE')");
-      await contains(page, "pre.hex", "FD ");
-      await pause(3_000);
+      await rows(page);
+      await pause(TRACKS_MS);
+    },
+  },
+  operation: {
+    path: "/", looks: ["wide-light", "wide-dark", "phone-dark"], before: operation,
+    async ready(page) {
+      await rows(page);
+      await page.waitForSelector("#operation-stop-home, [phx-value-operation=home]");
+      await pause(TRACKS_MS);
+    },
+  },
+  replay: {
+    path: () => `/replay?at=${new Date(Date.now() - 180_000).toISOString()}`,
+    looks: ["wide-dark", "wide-light", "phone-light"],
+    async ready(page) {
+      await until(page, (n) => document.querySelectorAll("#replay-line .name").length >= n, VEHICLES);
+      await page.focus("#replay-line svg");
+      for (let times = 0; times < 7; times += 1) await page.keyboard.press("+");
+      await page.waitForFunction(() => document.querySelector("#replay").dataset.shown);
     },
   },
 };
 
 main(async (browser) => {
-  // What the pages tell of: a command, users.
-  const first = await open(browser, { ...looks.wide, reducedMotion: "reduce" });
+  const first = await open(browser, looks.wide);
   await first.goto(address);
   await live(first);
   const origin = new URL(first.url()).origin;
   const cookies = await first.context().cookies();
-  await first.goto(`${origin}/vehicles/${vehicle(VEHICLES)}/events`);
-  await live(first);
-  await hold(first, "#action-hold");
-  const links = await first.$$eval(".nav .nav-link", (all) => all.map((a) => new URL(a.href).pathname));
-  await first.goto(`${origin}/settings`);
-  await live(first);
-  for (const [name, role] of [["ann", "operator"], ["bob", "viewer"]]) {
-    if ((await first.locator(`#user-${name}`).count()) > 0) continue;
-    await first.fill("#new-name", name);
-    await first.selectOption("#new-role", role);
-    await first.fill("#new-password", crypto.randomUUID());
-    await first.click("#add-user button[type=submit]");
-    await first.waitForSelector(`#user-${name}`);
-  }
   await first.context().close();
 
-  // Pages without a map first: they take little time.
-  const all = [...others(links), ...Object.entries(scenes)];
-  for (const maps of [false, true]) {
-    for (const [width, options] of Object.entries(looks)) {
-      for (const colorScheme of ["dark", "light"]) {
-        const name = (scene) => `${folder}/${scene}-${width}-${colorScheme}.png`;
-        const look = { ...options, colorScheme, reducedMotion: "reduce" };
-        const page = await open(browser, look);
-        if (!maps) {
-          await page.goto(`${origin}/sign-in`);
-          await shot(page, name("sign-in"));
-        }
-        await page.context().addCookies(cookies);
-        for (const [scene, { path, ready, map = false }] of all) {
-          if (map !== maps) continue;
-          await page.goto(origin + path);
-          await live(page);
-          await ready?.(page);
-          await until(page, () => !document.querySelector("#main .spinner"));
-          if (map) await mapDrawn(page);
-          await pause(2_000);
-          await shot(page, name(scene));
-        }
-        equal("complaints", JSON.stringify(page.complaints), "[]");
-        await page.context().close();
-      }
+  for (const [scene, { path, looks: shown, before, ready }] of Object.entries(scenes)) {
+    const take = (name) => !wanted.length || wanted.some((word) => name.includes(word));
+    const names = shown.map((look) => `${scene}-${look}`).filter(take);
+    if (names.length) await before?.(origin);
+    for (const name of names) {
+      const [width, colorScheme] = name.slice(scene.length + 1).split("-");
+      const page = await open(browser, { ...looks[width], colorScheme });
+      await page.context().addCookies(cookies);
+      await page.goto(origin + (typeof path === "string" ? path : path()));
+      await live(page);
+      await ready(page);
+      await mapDrawn(page);
+      await pause(2_000);
+      await shot(page, `${folder}/${name}.png`);
+      equal("complaints", JSON.stringify(page.complaints), "[]");
+      await page.context().close();
     }
   }
 });
-
-// The pages of the navigation that are no scene.
-function others(links) {
-  const known = ["/", ...Object.values(scenes).map(({ path }) => path.split("?")[0])];
-  return links.filter((path) => !known.includes(path)).map((path) => [path.slice(1).replaceAll("/", "-"), { path }]);
-}
 
 async function shot(page, path) {
   await page.screenshot({ path });

@@ -1,7 +1,7 @@
 // The sheet for a return of several vehicles, by mouse and keyboard. Argument: the console's address. It prints what it has done, and the test acts
 // in between.
 import { createInterface } from "node:readline";
-import { contains, equal, hold, live, main, open, press, presses, shows, until } from "../../../../test/browser/chromium.mjs";
+import { contains, equal, hold, live, main, open, press, presses, shows, slip, until } from "../../../../test/browser/chromium.mjs";
 import { signIn } from "./sign_in.mjs";
 
 const [base] = process.argv.slice(2);
@@ -13,6 +13,14 @@ main(async (browser) => {
   await signIn(page, base, "operator");
   await page.waitForSelector("#vehicle-V3");
   await page.click(".fleet-groups button[phx-value-name=all]");
+  // A mode by its meaning: a press that is too short sends nothing.
+  await page.focus("#fleet-mode summary");
+  await page.keyboard.press("Enter");
+  await contains(page, "#fleet-mode", "ArduPilot: GUIDED");
+  await slip(page, "#fleet-mode-guided");
+  equal("no operation", await page.locator("#operation-strip").count(), 0);
+  await page.focus("#fleet-mode summary");
+  await page.keyboard.press("Enter");
   await page.click("#fleet-actions button:has-text('Return 3')");
   await shows(page, "#return-title", "Return 3 vehicles");
   await contains(page, "#return-V2", "One place with V1");

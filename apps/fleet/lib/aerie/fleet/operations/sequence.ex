@@ -11,7 +11,7 @@ defmodule Aerie.Fleet.Operations.Sequence do
   | wait | until |
   |---|---|
   | `above` | it is more than `m` metres above home |
-  | `at` | it is within 2 m of `m` metres above home |
+  | `at` | it is within 1 m of `m` metres above home |
   | `landed` | it is on the ground, or the vehicle `of` is |
   | `apart` | no other vehicle of the operation that flies within 20 m of it is nearer than `m` metres in height |
   | `alone` | no other vehicle of the operation stands armed on the ground; waited for before each `arm` anyway |

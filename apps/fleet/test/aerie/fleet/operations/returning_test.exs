@@ -31,9 +31,9 @@ defmodule Aerie.Fleet.Operations.ReturningTest do
       Wait.look(%{for: :at, m: 30, of: nil}, seen, [])
     end
 
-    assert [at.(28), at.(30.5), at.(32)] == [:ok, :ok, :ok]
+    assert [at.(29), at.(30.5), at.(31)] == [:ok, :ok, :ok]
     assert {:waiting, "50 m high, not at 30 m", "V-1"} = at.(50)
-    assert {:waiting, "27 m high, not at 30 m", "V-1"} = at.(27.4)
+    assert {:waiting, "29 m high, not at 30 m", "V-1"} = at.(28.9)
     assert {:waiting, "its height is not known", "V-1"} = at.(nil)
     assert {:waiting, _why, "V-1"} = Wait.look(%{for: :time, of: nil}, %Snapshot{id: "V-1"}, [])
   end

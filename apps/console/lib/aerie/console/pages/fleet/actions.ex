@@ -9,7 +9,7 @@ defmodule Aerie.Console.Pages.Fleet.Actions do
   alias Aerie.Vehicle.Snapshot
   alias Aerie.Console.Commands.Catalog
   alias Aerie.Console.Pages.Fleet.{Plans, Selection}
-  alias Aerie.Console.Pages.Fleet.Act.Height
+  alias Aerie.Console.Pages.Fleet.Act.{Height, Mode}
 
   @most_reasons 20
 
@@ -37,7 +37,13 @@ defmodule Aerie.Console.Pages.Fleet.Actions do
     assigns = assign(assigns, ground: offered(ground, "takeoff", assigns.user), mixed: air != [])
     climbing = if hidden == nil, do: offered(air, "set_altitude", assigns.user), else: []
     returning = if hidden == nil, do: offered(air, "rtl", assigns.user), else: []
-    assigns = assign(assigns, air: climbing, returning: returning)
+    # A mode is for all of them or for none.
+    steered =
+      if hidden == nil and length(offered(chosen, "set_mode", assigns.user)) == length(chosen),
+        do: chosen,
+        else: []
+
+    assigns = assign(assigns, air: climbing, returning: returning, steered: steered)
 
     ~H"""
     <div class="fleet-dock">
@@ -80,6 +86,7 @@ defmodule Aerie.Console.Pages.Fleet.Actions do
         <.button icon="plan" phx-click={JS.push("plans", value: @value)} aria-pressed={to_string(Enum.all?(@chosen, &Plans.on?(@plans, &1.id)))}>Missions</.button>
         <.button kind="quiet" icon="x" label="Select none" phx-click="none" />
         <.why :if={Enum.any?(@chosen, & &1.readiness)} rows={@chosen} />
+        <Mode.mode :if={@steered != []} value={@value} rows={@steered} />
         <Height.height :if={@air != []} value={@value} air={@air} />
         <.charge :if={@hidden == nil and Roles.at_least?(@user.role, :operator)} rows={@chosen} user={@user} />
       </div>

@@ -211,6 +211,9 @@ defmodule Aerie.Console.Pages.Fleet.Page do
   def handle_event("height", event, socket),
     do: {:noreply, seen(socket, event, &Act.Live.height(socket, event, &1))}
 
+  def handle_event("mode", event, socket),
+    do: {:noreply, seen(socket, event, &Act.Live.mode(socket, event, &1))}
+
   def handle_event("group", %{"name" => name}, %{assigns: %{selection: selection, rows: rows}} = socket),
     do: {:noreply, assign(socket, :selection, Groups.select(selection, Groups.of(rows), name))}
 

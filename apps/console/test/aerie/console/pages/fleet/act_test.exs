@@ -2,7 +2,7 @@ defmodule Aerie.Console.Pages.Fleet.ActTest do
   @moduledoc "Acting on several vehicles, without a page: presses, groups, and the take-off that is prepared."
   use ExUnit.Case, async: true
 
-  alias Aerie.Console.Pages.Fleet.Act.{Groups, Height, Press, Return, Sheet, TakeOff}
+  alias Aerie.Console.Pages.Fleet.Act.{Groups, Height, Mode, Press, Return, Sheet, TakeOff}
   alias Aerie.Console.Pages.Fleet.Board.Row
   alias Aerie.Console.Pages.Fleet.Selection
   alias Aerie.Vehicle.Snapshot
@@ -90,6 +90,58 @@ defmodule Aerie.Console.Pages.Fleet.ActTest do
           do: assert({:error, _text} = higher(odd))
 
       assert {:error, _no_id} = higher(%{press("5", ["A"]) | "id" => "no id!"})
+    end
+  end
+
+  describe "a mode" do
+    defp copters(autopilots),
+      do: for({id, autopilot} <- autopilots, do: row(id, autopilot: autopilot, in_air: true))
+
+    defp labels(rows) do
+      {meant, manual} = Mode.choices(rows)
+      {for(choice <- meant, do: {choice.label, choice.words}), for(choice <- manual, do: choice.label)}
+    end
+
+    test "is offered by its meaning, with the firmwares' words beside, if all of them have it" do
+      assert {[{"Guided", "ArduPilot: GUIDED"}, {"Mission", "ArduPilot: AUTO"}], manual} =
+               labels(copters(A: :ardupilot))
+
+      assert "STABILIZE" in manual
+      refute "RTL" in manual
+
+      both = copters([{"A", :ardupilot}, {"B", :px4}])
+      assert {[_guided, {"Mission", "ArduPilot: AUTO, PX4: AUTO_MISSION"}], manual} = labels(both)
+      refute "STABILIZE" in manual
+      # One without modes that are known takes all away.
+      assert labels(copters([{"A", :ardupilot}, {"G", :generic}])) == {[], []}
+    end
+
+    test "a press gives each vehicle its own word, and only the one that was shown" do
+      both = copters([{"A", :ardupilot}, {"B", :px4}])
+      modes = %{"A" => "AUTO", "B" => "AUTO_MISSION"}
+      press = %{"id" => "web-1", "mode" => "mission", "modes" => modes}
+
+      assert {:ok, %{"id" => "web-1", "name" => "Mode Mission", "sequence" => sequence}} =
+               Mode.request(press, both)
+
+      assert for(
+               %{"vehicle" => id, "steps" => [%{"type" => "set_mode", "params" => %{"mode" => mode}}]} <-
+                 sequence,
+               do: {id, mode}
+             ) ==
+               [{"A", "AUTO"}, {"B", "AUTO_MISSION"}]
+
+      for odd <- [
+            %{press | "modes" => %{"A" => "AUTO"}},
+            %{press | "modes" => %{"A" => "RTL", "B" => "AUTO_MISSION"}},
+            %{press | "mode" => "STABILIZE"},
+            %{press | "mode" => ["mission"]},
+            %{press | "id" => "no id!"},
+            %{}
+          ],
+          do: assert({:error, _text} = Mode.request(odd, both))
+
+      assert {:error, _text} = Mode.request(press, tl(both))
     end
   end
 
@@ -332,7 +384,7 @@ defmodule Aerie.Console.Pages.Fleet.ActTest do
                [{"A", 40, nil}, {"B", nil, nil}, {"C", 45, nil}, {"D", 50, "A"}]
 
       assert Return.refusal(Return.event(sheet, "change", %{"step" => "1"}), facts) =~
-               "step: expected a number from 2"
+               "step: expected a number from 3"
     end
 
     test "names those whose firmware undoes the stack, and those of which it is not known" do

@@ -120,7 +120,7 @@ defmodule Aerie.Console.Pages.Fleet.ReturnTest do
     # Nobody returns before it is at its height.
     refute_received {:commanded, _id, "rtl", _params}
 
-    for {n, home_m, height} <- [{1, 0, 29.0}, {2, 1, 33.0}],
+    for {n, home_m, height} <- [{1, 0, 29.0}, {2, 1, 33.4}],
         do: fly(console, n, home_m, position: %{lat: 47.001, lon: 8.0, alt_rel: height})
 
     assert_receive {:commanded, "V1", "rtl", _params}, Aerie.Patience.ms()
@@ -159,6 +159,29 @@ defmodule Aerie.Console.Pages.Fleet.ReturnTest do
     render_hook(view, "sheet_close", %{})
     press = %{"ids" => ["V1"], "of" => ["V1"]}
     assert render_click(view, "sheet_return", press) =~ "The selection changed; nothing was sent."
+  end
+
+  test "a mode by its meaning is one operation for those that were shown", %{console: console} do
+    for n <- 1..3, do: executor(console, n)
+    view = open(console)
+    render_click(view, "all")
+    assert has_element?(view, "#fleet-mode p", ~r/Mission.*ArduPilot: AUTO/s)
+    modes = for n <- 1..3, into: %{}, do: {"V#{n}", "AUTO"}
+    press = %{"ids" => ~w(V1 V2 V3), "id" => "web-3", "mode" => "mission", "modes" => modes}
+    assert render_hook(view, "mode", %{press | "ids" => ~w(V1)}) =~ "The selection changed; nothing was sent."
+    assert render_hook(view, "mode", %{press | "modes" => %{}}) =~ "not all of them have this mode any more"
+    assert operations(console) == []
+    render_hook(view, "mode", press)
+
+    for id <- ~w(V1 V2 V3),
+        do: assert_receive({:commanded, ^id, "set_mode", %{mode: "AUTO"}}, Aerie.Patience.ms())
+
+    assert has_element?(view, "#operation-web-3", "Mode Mission")
+    viewer = open(console, :viewer)
+    render_click(viewer, "all")
+    refute has_element?(viewer, "#fleet-mode")
+    render_hook(viewer, "mode", %{press | "id" => "web-4"})
+    assert [%{"id" => "web-3"}] = operations(console)
   end
 
   test "a viewer has neither the button nor the events", %{console: console} do

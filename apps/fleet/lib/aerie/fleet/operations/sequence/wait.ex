@@ -8,7 +8,7 @@ defmodule Aerie.Fleet.Operations.Sequence.Wait do
   alias Aerie.Vehicle.Snapshot
 
   # So near to a height it is there.
-  @level_m 2
+  @level_m 1
   # Farther off than this, height does not keep two vehicles apart.
   @near_m 20
 

@@ -7,7 +7,7 @@ defmodule Aerie.Console.Pages.Fleet.Act.Live do
   import Phoenix.Component, only: [assign: 2, assign: 3]
   import Phoenix.LiveView, only: [clear_flash: 1, put_flash: 3]
 
-  alias Aerie.Console.Pages.Fleet.Act.{Height, Press, Return, Sheet, Sheets, TakeOff}
+  alias Aerie.Console.Pages.Fleet.Act.{Height, Mode, Press, Return, Sheet, Sheets, TakeOff}
   alias Aerie.Control.Commands
   alias Aerie.Fleet
   alias Aerie.Vehicle.Snapshot
@@ -34,6 +34,10 @@ defmodule Aerie.Console.Pages.Fleet.Act.Live do
 
     pressed(socket, Height.request(event, rows, height))
   end
+
+  @doc "Sets the mode of these rows that was shown of them."
+  @spec mode(Socket.t(), event :: map(), [map()]) :: Socket.t()
+  def mode(socket, event, rows), do: pressed(socket, Mode.request(event, rows))
 
   defp pressed(socket, request) do
     with {:ok, request} <- request, {:ok, socket} <- begin(socket, request) do

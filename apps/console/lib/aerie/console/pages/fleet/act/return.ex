@@ -45,7 +45,7 @@ defmodule Aerie.Console.Pages.Fleet.Act.Return do
 
   # Homes nearer than this are one place to land.
   @pad_m 3
-  @limits %{base: {5, 500}, step: {2, 50}}
+  @limits %{base: {5, 500}, step: {3, 50}}
 
   @doc "The limits of the numbers."
   @spec limits() :: Sheet.limits()

@@ -19,11 +19,12 @@ import PlanFile from "./hooks/plan_file.js";
 import Replay from "./hooks/replay.js";
 import SheetOrder from "./hooks/sheet_order.js";
 import Splitter from "./hooks/splitter.js";
+import TimeStrip from "./hooks/time_strip.js";
 import Toast from "./hooks/toast.js";
 
 const hooks = {
   AlarmSound, Chart, CommandForm, Dialog, FleetMap, FleetTable, HoldButton, Instruments, Palette, ParamsFile, PlanFile, Replay,
-  SheetOrder, Splitter, Toast,
+  SheetOrder, Splitter, TimeStrip, Toast,
 };
 
 // A gateway that starts again is back within a second; the client's own pauses grow to five.

@@ -12,7 +12,28 @@ const shown = (page, count) => until(page, (count) => (document.querySelector("#
 
 main(async (browser) => {
   const page = await open(browser, { viewport: SMALL });
-  await signIn(page, base, "operator", `/replay?at=${iso(end - 100)}`);
+  // The strip below the fleet's map is folded; it opens the replay at the second that is clicked, or by the keyboard, and stays open.
+  await signIn(page, base, "operator", "/");
+  const rows = () => page.locator("#time-strip .name").count();
+  equal("folded", await page.locator("#time-strip[open]").count(), 0);
+  equal("nothing is read", await rows(), 0);
+  await page.focus("#time-strip summary");
+  await page.keyboard.press("Enter");
+  await until(page, () => document.querySelectorAll("#time-strip .name").length === 62);
+  const strip = await page.locator("#time-strip svg").last().boundingBox();
+  await page.mouse.click(strip.x + strip.width - 108, strip.y + 10);
+  await until(page, () => location.pathname === "/replay" && document.querySelectorAll("#replay-line .name").length === 62);
+  // A hundred pixels before the end of the day.
+  equal("hours before the end", Math.round((end - (await now(page))) / 3600), Math.round((100 * 24) / (strip.width - 128)));
+  await page.goto(base + "/");
+  await until(page, () => document.querySelectorAll("#time-strip[open] .name").length === 62);
+  await page.focus("#time-strip svg[role=slider]");
+  await page.keyboard.press("ArrowLeft");
+  await page.keyboard.press("Enter");
+  await until(page, () => location.pathname === "/replay" && document.querySelectorAll("#replay-line .name").length === 62);
+  equal("ten minutes before the end", Math.abs(end - 600 - (await now(page))) < 300, true);
+
+  await page.goto(`${base}/replay?at=${iso(end - 100)}`);
   await until(page, () => document.querySelectorAll("#replay-line .name").length === 62);
   await shown(page, 62);
   await page.focus("#replay-line svg");

@@ -4,6 +4,8 @@ defmodule Aerie.Console.Pages.Fleet.OnMap do
   import Phoenix.LiveView
 
   alias Aerie.Console.Commands.Guided
+  alias Aerie.Console.Map.Zones
+  alias Aerie.Control.Policy
   alias Aerie.Fleet
   alias Phoenix.LiveView.Socket
 
@@ -16,6 +18,11 @@ defmodule Aerie.Console.Pages.Fleet.OnMap do
       _none_or_many -> %{items: [], note: "Select one vehicle to send it here."}
     end
   end
+
+  @doc "Pushes the policy's zones."
+  @spec push_zones(Socket.t(), map_id :: String.t()) :: Socket.t()
+  def push_zones(%{assigns: %{gateway: gateway}} = socket, map),
+    do: push_event(socket, "map:zones", %{map: map, zones: Zones.of(Policy.in_force(gateway))})
 
   @doc "Pushes the vehicles and homes that have changed since the last time; nothing before the page is connected."
   @spec push_vehicles(Socket.t(), map_id :: String.t(), news :: map()) :: Socket.t()

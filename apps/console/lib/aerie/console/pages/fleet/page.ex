@@ -12,14 +12,13 @@ defmodule Aerie.Console.Pages.Fleet.Page do
        events: [
          viewer:
            ~w(select all none again pointer sort_now filter flag sort plans map_select map_follow map_box map_escape
-              group show_hidden)
+              group show_hidden strip)
        ],
-       costly: ~w(all filter flag sort sort_now plans)}
+       costly: ~w(all filter flag sort sort_now plans strip)}
 
   import Aerie.Console.Pages.Fleet.{Actions, Table, Toolbar}
   import Aerie.Console.Map, only: [map: 1]
 
-  alias Aerie.Control.Policy
   alias Aerie.Fleet.Shadow
 
   alias Aerie.Console.Pages.Fleet.{Address, Board, Filter, OnMap, Order, Plans, Selection}
@@ -29,7 +28,7 @@ defmodule Aerie.Console.Pages.Fleet.Page do
   alias Aerie.Console.Pages.Fleet.Sequence
   alias Aerie.Console.Pages.Fleet.Actions.Tagging
 
-  alias Aerie.Console.Map.Zones
+  alias Aerie.Console.Pages.Replay.Strip
 
   @map "fleet-map"
   @rows_each_time 20
@@ -66,7 +65,8 @@ defmodule Aerie.Console.Pages.Fleet.Page do
      })
      |> subscribe([:vehicles, :links, :leases])
      |> Act.Live.mount()
-     |> push_event("map:zones", %{map: @map, zones: Zones.of(Policy.in_force(socket.assigns.gateway))})
+     |> Strip.mount()
+     |> OnMap.push_zones(@map)
      |> read()
      |> assign_view()}
   end
@@ -366,9 +366,7 @@ defmodule Aerie.Console.Pages.Fleet.Page do
     <div class="fleet">
       <h1 class="visually-hidden">Fleet</h1>
       <.map id="fleet-map" class="fleet-map" label="Map of all vehicles" selected={Selection.among(@selection, ids(@all))} follow={@follow} menu={OnMap.menu(Selection.among(@selection, ids(@all)), @gateway, @user)} box />
-      <.link navigate="/replay" class="button small fleet-replay">
-        <.icon name="restart" /> <span>Replay<span class="wide-only">: the last 24 hours</span></span>
-      </.link>
+      <Strip.strip class="fleet-strip" />
       <.splitter />
       <section id="fleet-list" class="fleet-list" aria-label="Vehicles">
         {@tools}

@@ -7,18 +7,13 @@ defmodule Aerie.Console.Pages.Replay.Page do
 
   import Aerie.Console.Map, only: [map: 1]
 
-  alias Aerie.Access.WorkLimit
   alias Aerie.Console.Clock
-  alias Aerie.Console.Pages.Replay.{Marks, TimeLine}
+  alias Aerie.Console.Pages.Replay.{Overview, TimeLine}
   alias Aerie.Fleet
 
-  @day_us 24 * 3_600_000_000
   @chunk_s 120
   @chunk_samples 30_000
   @overview_ms 60_000
-  @max_vehicles 200
-  # A day of 200 vehicles, a sample a minute.
-  @overview_samples 300_000
 
   @impl Phoenix.LiveView
   def mount(_params, _session, socket) do
@@ -44,7 +39,7 @@ defmodule Aerie.Console.Pages.Replay.Page do
     vehicles =
       if is_binary(params["vehicles"]), do: String.split(params["vehicles"], ",", trim: true), else: []
 
-    {:noreply, assign(socket, at: at(params["at"]), vehicles: Enum.take(vehicles, @max_vehicles))}
+    {:noreply, assign(socket, at: at(params["at"]), vehicles: Enum.take(vehicles, Overview.max_vehicles()))}
   end
 
   defp at(text) when is_binary(text) do
@@ -86,12 +81,7 @@ defmodule Aerie.Console.Pages.Replay.Page do
     %{gateway: gateway, user: user} = assigns
     whose = whose(assigns)
 
-    task =
-      Task.async(fn ->
-        WorkLimit.run(gateway, :read, {:name, user.name}, fn -> overview(gateway, user, whose, now) end)
-      end)
-
-    {:noreply, assign(socket, reading: task.ref, now: now)}
+    {:noreply, assign(socket, reading: Overview.task(gateway, user, whose, now).ref, now: now)}
   end
 
   def handle_info(:overview, socket) do
@@ -120,40 +110,6 @@ defmodule Aerie.Console.Pages.Replay.Page do
   end
 
   def handle_info(_stray, socket), do: {:noreply, socket}
-
-  defp overview(gateway, user, whose, now) do
-    from = now - @day_us
-
-    with {:ok, %{vehicles: found, since: since, next: next}} <-
-           Fleet.tracks(gateway, whose, from, now, 60, limit: @overview_samples) do
-      {marks, notes} = Marks.read(gateway, user, from, now)
-      kinds = for vehicle <- Fleet.vehicles(gateway), into: %{}, do: {vehicle.id, vehicle.vehicle_type}
-      marks = if whose == :all, do: marks, else: Enum.filter(marks, &(&1.vehicle in whose))
-      {shown, more} = found |> Enum.sort() |> Enum.split(@max_vehicles)
-
-      notes =
-        for(
-          {true, text} <- [
-            {more != [], "#{length(more)} further vehicles: choose some"},
-            {next != nil, "The newest part of the time line is missing: choose fewer vehicles"}
-          ],
-          do: text
-        ) ++ notes
-
-      rows = for {id, samples} <- shown, do: %{id: id, kind: kinds[id], spans: TimeLine.spans(samples)}
-
-      {:ok,
-       %{
-         from: div(from, 1_000_000),
-         to: div(now, 1_000_000),
-         rows: rows,
-         marks: marks,
-         notes: notes,
-         since: since,
-         known: (Map.keys(kinds) ++ Map.keys(found)) |> Enum.uniq() |> Enum.sort()
-       }}
-    end
-  end
 
   @impl Phoenix.LiveView
   def render(assigns) do

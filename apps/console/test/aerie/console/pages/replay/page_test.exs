@@ -122,6 +122,31 @@ defmodule Aerie.Console.Pages.Replay.PageTest do
     refute render(view) =~ "hold-button"
   end
 
+  test "the strip below the fleet's map is read when it is opened, for viewers without commands", %{
+    console: console,
+    tmp_dir: dir,
+    now: now
+  } do
+    {:ok, view, _html} = live(conn(console, :viewer), "/")
+    render_hook(view, "strip", %{})
+
+    assert_push_event(
+      view,
+      "strip:overview",
+      %{problem: "this gateway keeps no tracks" <> _},
+      Aerie.Patience.ms()
+    )
+
+    flown(console, dir, now)
+
+    for {role, kinds} <- [viewer: ~w(critical landed), operator: ~w(critical landed refused done)] do
+      {:ok, view, _html} = live(conn(console, role), "/")
+      for _twice <- 1..2, do: render_hook(view, "strip", %{})
+      assert_push_event(view, "strip:overview", %{rows: [_eagle, _kite], marks: marks}, Aerie.Patience.ms())
+      assert for(%{kind: kind} <- marks, do: kind) == kinds
+    end
+  end
+
   test "some vehicles, and a time", %{console: console, tmp_dir: dir, now: now} do
     flown(console, dir, now)
     {view, overview} = overview(console, :operator, "?vehicles=kite&at=2026-11-30T09:58:12Z")

@@ -72,7 +72,8 @@ defmodule Aerie.Console.Pages.Operations.OnMount do
       waiting: counts["waiting"],
       begun: all - counts["waiting"],
       over: counts["ok"] + counts["failed"],
-      up?: "takeoff" in (operation["what"]["sequence"] || [])
+      up?: "takeoff" in (operation["what"]["sequence"] || []),
+      home?: "rtl" in (operation["what"]["sequence"] || [])
     }
   end
 
@@ -90,7 +91,8 @@ defmodule Aerie.Console.Pages.Operations.OnMount do
   defp asked("operation-continue", %{"operation" => id, "waiting" => waiting}, socket),
     do: continue(socket, id, waiting)
 
-  defp asked("operation-abort", %{"operation" => id}, socket), do: change(socket, id, {:abort, "rtl"})
+  defp asked("operation-abort", %{"operation" => id, "command" => type}, socket) when type in ~w(rtl hold),
+    do: change(socket, id, {:abort, type})
 
   defp asked("abort-all", %{"command" => type}, %{assigns: %{gateway: gateway, user: user}} = socket)
        when type in ~w(hold rtl land),

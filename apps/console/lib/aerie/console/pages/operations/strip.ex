@@ -93,9 +93,19 @@ defmodule Aerie.Console.Pages.Operations.Strip do
         event="operation-abort"
         kind="danger"
         class="small"
-        value={%{operation: @row.id}}
+        value={%{operation: @row.id, command: "rtl"}}
       >
         Abort: return all
+      </.hold_button>
+      <.hold_button
+        :if={@row.home? and not @row.up? and @row.then == nil and not @row.over?}
+        id={"operation-abort-#{@row.id}"}
+        event="operation-abort"
+        kind="danger"
+        class="small"
+        value={%{operation: @row.id, command: "hold"}}
+      >
+        Abort: hold all
       </.hold_button>
     </span>
     """

@@ -99,7 +99,7 @@ defmodule Aerie.Console.Pages.Operations.StripTest do
   } do
     up(console, @other)
     view = open(console, :operator)
-    render_hook(view, "operation-abort", %{"operation" => "up"})
+    render_hook(view, "operation-abort", %{"operation" => "up", "command" => "rtl"})
     assert %{"state" => "stopped", "then" => back} = state(console)
     # It stands, but may have been commanded just now.
     assert is_binary(back)
@@ -151,6 +151,29 @@ defmodule Aerie.Console.Pages.Operations.StripTest do
     render_hook(view, "abort-all", %{"command" => "land"})
     assert [%{"name" => "Land all", "source" => "operator", "id" => id}] = Operations.list(console.gateway)
     assert has_element?(view, "#operation-#{id}", "Land all 3")
+  end
+
+  test "those that return and wait for their turn are stopped in the air", %{console: console} do
+    put_vehicle(console, "V1", [], %{key: {"main", 1}, system_id: 1})
+    steps = [%{"wait" => "landed", "of" => "V1", "timeout_s" => 900}, %{"type" => "rtl"}]
+
+    request = %{
+      "id" => "up",
+      "name" => "Return",
+      "step" => 100,
+      "sequence" => [%{"vehicle" => "V1", "steps" => steps}]
+    }
+
+    {:ok, _operation} = Operations.begin(console.gateway, request, @other, "console")
+    view = open(console, :operator)
+    eventually(fn -> look(view) =~ "Return: V1 waiting for its turn" end)
+    assert has_element?(view, "#operation-abort-up", "Abort: hold all")
+    render_hook(view, "operation-abort", %{"operation" => "up", "command" => "land"})
+    assert %{"state" => "running"} = state(console)
+    render_hook(view, "operation-abort", %{"operation" => "up", "command" => "hold"})
+    assert %{"state" => "stopped", "then" => held} = state(console)
+    assert has_element?(view, "#operation-#{held}", "Hold all: V1")
+    refute has_element?(view, "#operation-abort-up")
   end
 
   test "what is over is closed by each for all of their pages", %{console: console} do

@@ -56,6 +56,15 @@ defmodule Aerie.Control.Params do
     end
   end
 
+  @doc "The names of the list that was last read of the autopilot of a snapshot, before a restart too; asks no vehicle."
+  @spec names(Names.gateway(), map()) :: [String.t()]
+  def names(gateway, snapshot) do
+    case CacheWriter.stored(gateway, snapshot) do
+      nil -> []
+      table -> LongNames.shown(table, snapshot.autopilot).params |> Map.keys() |> Enum.sort()
+    end
+  end
+
   # The request to the gateway that hears the vehicle.
   defp of(nil, body), do: body
   defp of(component, body), do: Map.put(body, "component", component)

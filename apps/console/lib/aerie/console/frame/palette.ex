@@ -4,15 +4,17 @@ defmodule Aerie.Console.Frame.Palette do
   and its parameters. It only leads there: nothing is sent from it.
   """
 
-  alias Aerie.Base.Names
+  alias Aerie.Base.{Names, Store}
   alias Aerie.Fleet
   alias Aerie.Console.Commands.Catalog
   alias Aerie.Console.Pages
   alias Aerie.Console.Pages.Vehicle.Sections
+  alias Aerie.Control.Params
   alias Aerie.Control.Policy.Roles
 
   @most 20
   @longest 60
+  @most_parameters 8
 
   @type item :: %{label: String.t(), note: String.t(), to: String.t()}
 
@@ -35,7 +37,7 @@ defmodule Aerie.Console.Frame.Palette do
     (vehicles(gateway) ++ of_shown ++ pages(user))
     |> Enum.filter(&fits?(&1, words))
     |> Enum.sort_by(&(not String.starts_with?(String.downcase(&1.label), query)))
-    |> Enum.concat(parameters(shown, query))
+    |> Enum.concat(parameters(gateway, shown, query))
     |> Enum.take(@most)
   end
 
@@ -75,14 +77,36 @@ defmodule Aerie.Console.Frame.Palette do
         do: %{label: title, note: "command of #{id}", to: Sections.command_path(id, name)}
   end
 
-  # They are not read for a palette; their page reads them, and shows those with this in their names.
-  defp parameters(nil, _query), do: []
+  # By the names that were read of the vehicle. None are read for a palette: the last item leads to their page, which
+  # reads them, and shows those with this in their names.
+  defp parameters(_gateway, nil, _query), do: []
 
-  defp parameters(%{id: id}, query) do
-    to = "/params?" <> URI.encode_query(vehicle: id, search: query)
+  defp parameters(gateway, %{id: id} = vehicle, query) do
+    to = &("/params?" <> URI.encode_query(vehicle: id, search: &1))
 
-    if query =~ ~r/\A[a-z0-9_]{3,}\z/,
-      do: [%{label: String.upcase(query), note: "parameters of #{id}", to: to}],
-      else: []
+    if query =~ ~r/\A[a-z0-9_]{3,}\z/ do
+      named =
+        for name <- names(gateway, vehicle),
+            String.contains?(String.downcase(name), query),
+            do: %{label: name, note: "parameter of #{id}", to: to.(name)}
+
+      more = %{label: String.upcase(query), note: "parameters of #{id}", to: to.(query)}
+      Enum.take(named, @most_parameters) ++ [more]
+    else
+      []
+    end
+  end
+
+  # Kept for the vehicle that was asked for last: a list is some hundred kilobytes on the disk, and each letter asks.
+  defp names(gateway, %{id: id} = vehicle) do
+    case Store.recall(gateway, :palette_names) do
+      {^id, names} ->
+        names
+
+      _other ->
+        names = Params.names(gateway, vehicle)
+        if names != [], do: Store.remember(gateway, :palette_names, {id, names})
+        names
+    end
   end
 end

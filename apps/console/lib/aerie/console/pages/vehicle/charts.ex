@@ -30,11 +30,11 @@ defmodule Aerie.Console.Pages.Vehicle.Charts do
           :for={{name, keys} <- Series.presets()} small patch={@path.(keys)}
           aria-current={if(keys(@series) == keys, do: "true")}
         >{name}</.button>
-        <span class="hint">Last 10 minutes, from when you opened this page; height, speed, heading, position and charge from before it, where the gateway keeps tracks.</span>
+        <span class="hint">Last 10 minutes, where the gateway keeps tracks; “from now on”: from when you opened this page, because the gateway does not record the field.</span>
       </nav>
       <ul class="row chips" aria-label="Charted fields">
         <li :for={one <- @series} :key={one.key} class="chip" title={one.meaning}>
-          {one.label}
+          {one.label} <small :if={not Series.tracked?(one)} class="muted">from now on</small>
           <.link patch={@path.(List.delete(keys(@series), one.key))} aria-label={"Remove #{one.label}"}><.icon name="x" /></.link>
         </li>
       </ul>

@@ -125,6 +125,10 @@ defmodule Aerie.Console.Pages.Vehicle.Charts.Series do
     "battery.remaining" => :battery
   }
 
+  @doc "Whether the gateway's tracks have it, from before a page was opened."
+  @spec tracked?(t()) :: boolean()
+  def tracked?(%{key: key}), do: is_map_key(@tracked, key)
+
   @presets [
     {"Flight", ~w(position.alt_rel velocity.groundspeed velocity.climb)},
     {"Battery", ~w(battery.voltage battery.current battery.remaining)},

@@ -10,13 +10,14 @@ import { tagColours } from "./tags.js";
 const LOOKAHEAD_S = 10; // of the course line
 const WORDS = { failsafe: "! FAILSAFE", stale: "STALE", lost: "LOST" };
 const FRAME_MS = 66;
+const SLOW_MS = 100;
 const SHARE = 5; // of the time that the map needs to draw, at least so often; a browser without a graphics processor needs long
 const still = window.matchMedia("(prefers-reduced-motion: reduce)");
 
 export class Vehicles {
   // `tagged(tags)` is told the numbers of the tags' colours.
   constructor(map, colours, tagged = () => {}) {
-    Object.assign(this, { map, colours, tagged, selected: new Set(), fleet: new Map(), tags: new Map(), clusters: [], began: null, took: 0 });
+    Object.assign(this, { map, colours, tagged, selected: new Set(), fleet: new Map(), tags: new Map(), clusters: [], began: null, ended: 0, took: 0, due: false });
     provideSymbols(map, colours);
     map.addSource("vehicles", { type: "geojson", data: collection(), buffer: 64 });
     for (const layer of layers(colours())) map.addLayer(layer);
@@ -24,8 +25,10 @@ export class Vehicles {
     // From the data to the picture.
     map.on("render", () => {
       if (this.began === null || !map.isSourceLoaded("vehicles")) return;
-      this.took = performance.now() - this.began;
+      this.ended = performance.now();
+      this.took = this.ended - this.began;
       this.began = null;
+      if (this.due) this.soon();
     });
     map.on("remove", () => clearTimeout(this.timer));
   }
@@ -40,7 +43,17 @@ export class Vehicles {
     const tags = tagColours([...fleet.values()].flatMap(({ tag }) => tag ?? []));
     if ([...tags].join() !== [...this.tags].join()) this.tagged(tags);
     this.tags = tags;
-    this.paint();
+    this.soon();
+  }
+
+  // One drawing at a time; a page on which that takes long has as long for everything else.
+  soon() {
+    this.due = true;
+    if (this.began !== null) return;
+    clearTimeout(this.timer);
+    const wait = this.took < SLOW_MS ? 0 : this.ended + this.took - performance.now();
+    if (wait <= 0) this.paint();
+    else this.timer = setTimeout(() => this.paint(), wait);
   }
 
   // The zoom as far as clusters depend on it.
@@ -51,6 +64,7 @@ export class Vehicles {
   paint() {
     const now = performance.now();
     this.began ??= now;
+    this.due = false;
     const all = [...this.fleet.values()];
     this.stepped = this.step();
     const { singles, clusters } = clustered(all, this.stepped, (vehicle) => this.selected.has(vehicle.id) || vehicle.urgent);

@@ -7,7 +7,7 @@ defmodule Aerie.Console.Map.OnMount do
 
   @doc false
   def on_mount(:default, _params, _session, %{assigns: %{gateway: gateway}} = socket) do
-    if connected?(socket), do: PubSub.subscribe(gateway, {:notice, :console_map})
+    _subscribed = if connected?(socket), do: PubSub.subscribe(gateway, {:notice, :console_map})
     {:cont, attach_hook(socket, :console_map, :handle_info, &notice/2)}
   end
 

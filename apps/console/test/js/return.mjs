@@ -21,6 +21,18 @@ main(async (browser) => {
   equal("no operation", await page.locator("#operation-strip").count(), 0);
   await page.focus("#fleet-mode summary");
   await page.keyboard.press("Enter");
+  // Missions one after the other: the order by hand and by keyboard, and a press that is too short.
+  await page.click("#fleet-actions button:has-text('Start 3 missions')");
+  await shows(page, "#start-title", "Start the missions of 3 vehicles");
+  await page.dragAndDrop("#start-V3 strong", "#start-V1 strong");
+  await contains(page, "#start-V3", "+0 s");
+  await page.focus("#start-V3 button[aria-label='V3 later']");
+  await page.keyboard.press("Enter");
+  await contains(page, "#start-V3", "+10 s");
+  await slip(page, "#start-go");
+  await page.click("#start footer button:has-text('Cancel')");
+  await page.waitForSelector("#start", { state: "detached" });
+  equal("still no operation", await page.locator("#operation-strip").count(), 0);
   await page.click("#fleet-actions button:has-text('Return 3')");
   await shows(page, "#return-title", "Return 3 vehicles");
   await contains(page, "#return-V2", "One place with V1");

@@ -37,13 +37,14 @@ defmodule Aerie.Console.Pages.Fleet.Actions do
     assigns = assign(assigns, ground: offered(ground, "takeoff", assigns.user), mixed: air != [])
     climbing = if hidden == nil, do: offered(air, "set_altitude", assigns.user), else: []
     returning = if hidden == nil, do: offered(air, "rtl", assigns.user), else: []
+    starting = if hidden == nil, do: offered(air, "mission_start", assigns.user), else: []
     # A mode is for all of them or for none.
     steered =
       if hidden == nil and length(offered(chosen, "set_mode", assigns.user)) == length(chosen),
         do: chosen,
         else: []
 
-    assigns = assign(assigns, air: climbing, returning: returning, steered: steered)
+    assigns = assign(assigns, air: climbing, returning: returning, starting: starting, steered: steered)
 
     ~H"""
     <div class="fleet-dock">
@@ -79,6 +80,13 @@ defmodule Aerie.Console.Pages.Fleet.Actions do
             title={@refusal}
             phx-click={JS.push("sheet_return", value: Map.put(@value, :of, @returning))}
           >Return {length(@returning)} …</.button>
+          <.button
+            :if={length(@starting) > 1}
+            icon="play"
+            disabled={@refusal != nil}
+            title={@refusal}
+            phx-click={JS.push("sheet_start", value: Map.put(@value, :of, @starting))}
+          >Start {length(@starting)} missions …</.button>
           <.button icon="tag" phx-click={JS.push("tag", value: @value)}>Tags</.button>
         </div>
         <.watching :if={@user.role == :viewer} />

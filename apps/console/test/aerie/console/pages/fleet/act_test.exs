@@ -3,6 +3,7 @@ defmodule Aerie.Console.Pages.Fleet.ActTest do
   use ExUnit.Case, async: true
 
   alias Aerie.Console.Pages.Fleet.Act.{Groups, Height, Mode, Press, Return, Sheet, TakeOff}
+  alias Aerie.Console.Pages.Fleet.Act.Mission.Start
   alias Aerie.Console.Pages.Fleet.Board.Row
   alias Aerie.Console.Pages.Fleet.Selection
   alias Aerie.Vehicle.Snapshot
@@ -436,6 +437,61 @@ defmodule Aerie.Console.Pages.Fleet.ActTest do
                "halt_ratio" => 1,
                "sequence" => [{"A", 30, nil}, {"B", 33, nil}]
              }
+    end
+  end
+
+  describe "missions that are started one after the other" do
+    defp aboard(id, total, in_air \\ true) do
+      groups = %{mode: %{at: 0, data: %{in_air: in_air}}, mission: %{at: 0, data: %{total: total}}}
+      {id, %{snapshot: %Snapshot{id: id, groups: groups}, refusal: nil}}
+    end
+
+    defp starts(sheet, facts), do: for(line <- Start.lines(sheet, facts), do: {line.id, line.n, line.after_s})
+
+    test "go by name, with the seconds between them, unless moved or left out" do
+      facts = Map.new([aboard("A", 3), aboard("B", 4), aboard("C", nil)])
+      sheet = Start.new(for {_id, %{snapshot: snapshot}} <- facts, do: snapshot)
+      assert starts(sheet, facts) == [{"A", 1, 0}, {"B", 2, 10}, {"C", 3, 20}]
+      assert Start.refusal(sheet, facts) == nil
+
+      sheet =
+        sheet |> Start.event("move", %{"id" => "C", "to" => "A"}) |> Start.event("leave", %{"id" => "A"})
+
+      sheet = Start.event(sheet, "change", %{"interval" => "4.5"})
+      assert starts(sheet, facts) == [{"C", 1, 0.0}, {"A", nil, nil}, {"B", 2, 4.5}]
+      assert Start.refusal(Start.event(sheet, "change", %{"interval" => "-1"}), facts) =~ "interval: expected"
+
+      for {event, odd} <- [{"move", %{}}, {"leave", %{"id" => 7}}, {"x", %{}}],
+          do: assert(Start.event(sheet, event, odd) == sheet)
+
+      shown = Start.shown(sheet, facts)
+      press = shown |> Map.put("id", "web-1") |> JSON.encode!() |> JSON.decode!()
+      assert Sheet.meant?(press, shown)
+      # Another mission has come aboard.
+      refute Sheet.meant?(
+               press,
+               Start.shown(sheet, Map.new([aboard("A", 3), aboard("B", 5), aboard("C", nil)]))
+             )
+
+      assert Start.request("web-1", shown) == %{
+               "id" => "web-1",
+               "name" => "Start missions",
+               "pause_s" => 4.5,
+               "halt_ratio" => 0,
+               "sequence" =>
+                 for(id <- ~w(C B), do: %{"vehicle" => id, "steps" => [%{"type" => "mission_start"}]})
+             }
+    end
+
+    test "are refused for one on the ground, without a mission, that is gone or not allowed" do
+      facts = Map.new([aboard("A", 3), aboard("B", 4)])
+      sheet = Start.new(for {_id, %{snapshot: snapshot}} <- facts, do: snapshot)
+      refused = fn {id, fact} -> Start.refusal(sheet, Map.put(facts, id, fact)) end
+      assert refused.(aboard("B", 0)) == "B has no mission aboard: leave it out."
+      assert refused.(aboard("B", 4, false)) == "B is not in the air: leave it out."
+      assert refused.({"B", nil}) == "B is not known any more: leave it out."
+      assert Start.refusal(sheet, put_in(facts["A"].refusal, "no")) == "A: no"
+      assert sheet |> Sheet.leave("A") |> Sheet.leave("B") |> Start.refusal(facts) == "All are left out."
     end
   end
 end

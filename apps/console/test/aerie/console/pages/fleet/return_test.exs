@@ -184,6 +184,34 @@ defmodule Aerie.Console.Pages.Fleet.ReturnTest do
     assert [%{"id" => "web-3"}] = operations(console)
   end
 
+  test "missions start one after the other, and the first failure keeps the rest from beginning", %{
+    console: console
+  } do
+    for n <- 1..3, do: fly(console, n, n * 50, mission: %{seq: 0, total: 4})
+    executor(console, 1)
+    view = open(console)
+    render_click(view, "all")
+    view |> element("#fleet-actions button", "Start 3 missions") |> render_click()
+    assert has_element?(view, "#start-V2", ~r/4 items.*\+10 s/s)
+    view |> form("#start-form", %{interval: "0"}) |> render_change()
+    [_all, value] = Regex.run(~r/data-value="([^"]+)"/, view |> element("#start-go") |> render())
+    value = value |> String.replace("&quot;", "\"") |> JSON.decode!()
+    # What another sheet showed is for that one.
+    assert hold(view, %{"return" => []}) =~ "What was shown has changed"
+    hold(view, value)
+    assert_receive {:commanded, "V1", "mission_start", _params}, Aerie.Patience.ms()
+    # Nobody takes the commands of V2.
+    eventually(fn ->
+      match?(
+        {:ok, %{"state" => "halted", "counts" => %{"waiting" => 1}}},
+        Fleet.operation(console.gateway, "web-1")
+      )
+    end)
+
+    send(view.pid, :console_clock)
+    assert has_element?(view, "#operation-web-1", "Start missions: halted at 2 of 3")
+  end
+
   test "a viewer has neither the button nor the events", %{console: console} do
     view = open(console, :viewer)
     render_click(view, "all")

@@ -8,6 +8,7 @@ defmodule Aerie.Console.Pages.Fleet.Act.Live do
   import Phoenix.LiveView, only: [clear_flash: 1, put_flash: 3]
 
   alias Aerie.Console.Pages.Fleet.Act.{Height, Mode, Press, Return, Sheet, Sheets, TakeOff}
+  alias Aerie.Console.Pages.Fleet.Act.Mission.Start
   alias Aerie.Control.Commands
   alias Aerie.Fleet
   alias Aerie.Vehicle.Snapshot
@@ -113,6 +114,8 @@ defmodule Aerie.Console.Pages.Fleet.Act.Live do
     TakeOff.request(id, shown, steps)
   end
 
+  defp request(_socket, %Start{}, id, shown), do: Start.request(id, shown)
+
   defp request(_socket, %Return{}, id, shown), do: Return.request(id, shown, &Fleet.return_home/3)
 
   # What is known of its vehicles now, each at the height that the sheet has for it.
@@ -128,6 +131,15 @@ defmodule Aerie.Console.Pages.Fleet.Act.Live do
     for %{id: id} = vehicle <- vehicles, into: %{} do
       {id,
        %{snapshot: vehicle, readiness: readiness[id], refusal: refusal(gateway, vehicle, heights[id], user)}}
+    end
+  end
+
+  defp facts(%{assigns: %{gateway: gateway, user: user}}, %Start{}, vehicles) do
+    for %{id: id} = vehicle <- vehicles, into: %{} do
+      answer =
+        Commands.lacks(vehicle, "mission_start", user) || check(gateway, id, "mission_start", %{}, user)
+
+      {id, %{snapshot: vehicle, refusal: why(answer)}}
     end
   end
 

@@ -34,6 +34,23 @@ defmodule Aerie.Console.Pages.Fleet.Act.SheetParts do
 
   attr :line, :map, required: true
 
+  @doc "The buttons that move a vehicle to an earlier or later place."
+  def order(assigns) do
+    ~H"""
+    <.button
+      :for={{to, icon, word} <- [{"up", "chevron-up", "earlier"}, {"down", "chevron-down", "later"}]}
+      small
+      icon={icon}
+      label={"#{@line.id} #{word}"}
+      phx-click="sheet_move"
+      phx-value-id={@line.id}
+      phx-value-to={to}
+    />
+    """
+  end
+
+  attr :line, :map, required: true
+
   @doc "The button that leaves a vehicle out or takes it along."
   def leave(assigns) do
     ~H"""

@@ -2,9 +2,10 @@ defmodule Aerie.Console.Pages.Fleet.Act.Sheets do
   @moduledoc "The sheets by their names, each with its dialog."
   use Aerie.Console, :component
 
+  alias Aerie.Console.Pages.Fleet.Act.Mission.{Start, StartSheet}
   alias Aerie.Console.Pages.Fleet.Act.{Return, ReturnSheet, TakeOff, TakeOffSheet}
 
-  @modules %{"take_off" => TakeOff, "return" => Return}
+  @modules %{"take_off" => TakeOff, "return" => Return, "start" => Start}
 
   @doc "The names."
   @spec names() :: [String.t()]
@@ -22,4 +23,5 @@ defmodule Aerie.Console.Pages.Fleet.Act.Sheets do
   def dialog_of(%{sheet: nil} = assigns), do: ~H""
   def dialog_of(%{sheet: %TakeOff{}} = assigns), do: TakeOffSheet.sheet(assigns)
   def dialog_of(%{sheet: %Return{}} = assigns), do: ReturnSheet.return_sheet(assigns)
+  def dialog_of(%{sheet: %Start{}} = assigns), do: StartSheet.start_sheet(assigns)
 end

@@ -95,15 +95,7 @@ defmodule Aerie.Console.Pages.Fleet.Act.TakeOffSheet do
           <span class="number">{if line.n, do: "#{line.height} m", else: "left out"}</span>
           <span class="number">{line.n && "+#{line.after_s} s"}</span>
           <span class="sheet-buttons">
-            <.button
-              :for={{to, icon, word} <- [{"up", "chevron-up", "earlier"}, {"down", "chevron-down", "later"}]}
-              small
-              icon={icon}
-              label={"#{line.id} #{word}"}
-              phx-click="sheet_move"
-              phx-value-id={line.id}
-              phx-value-to={to}
-            />
+            <.order line={line} />
             <.button
               :if={line.n && line.state == :unknown && line.blocks}
               small

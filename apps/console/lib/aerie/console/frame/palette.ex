@@ -105,7 +105,7 @@ defmodule Aerie.Console.Frame.Palette do
 
       _other ->
         names = Params.names(gateway, vehicle)
-        if names != [], do: Store.remember(gateway, :palette_names, {id, names})
+        _ = if names != [], do: Store.remember(gateway, :palette_names, {id, names})
         names
     end
   end

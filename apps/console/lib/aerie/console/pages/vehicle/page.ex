@@ -102,7 +102,7 @@ defmodule Aerie.Console.Pages.Vehicle.Page do
     form = if command == socket.assigns.command, do: socket.assigns.form, else: %{}
     errors = if command == socket.assigns.command, do: socket.assigns.errors, else: @no_errors
     socket = assign(socket, section: section, series: series, command: command, form: form, errors: errors)
-    if connected?(socket) and params["act"], do: send(self(), {:guided, place(params)})
+    _ = if connected?(socket) and params["act"], do: send(self(), {:guided, place(params)})
     # The map is new when its section is shown again.
     {:noreply,
      socket |> assign(map: %{}, homes: nil, marked: nil, route_shown: nil) |> listen() |> load() |> history()}

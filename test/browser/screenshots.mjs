@@ -51,10 +51,8 @@ async function operation(origin) {
 const scenes = {
   vehicle: {
     path: `/vehicles/${vehicle(1)}`, looks: ["wide-light", "phone-dark"],
-    async ready(page) {
-      await contains(page, ".vehicle-air", "Flying");
-      await pause(TRACKS_MS);
-    },
+    ready: () => pause(TRACKS_MS),
+    last: (page) => contains(page, ".vehicle-air", "Flying"),
   },
   plan: {
     path: `/plan?vehicle=${vehicle(1)}`, looks: ["wide-light", "phone-light"],
@@ -101,7 +99,7 @@ main(async (browser) => {
   const cookies = await first.context().cookies();
   await first.context().close();
 
-  for (const [scene, { path, looks: shown, before, ready }] of Object.entries(scenes)) {
+  for (const [scene, { path, looks: shown, before, ready, last }] of Object.entries(scenes)) {
     const take = (name) => !wanted.length || wanted.some((word) => name.includes(word));
     const names = shown.map((look) => `${scene}-${look}`).filter(take);
     if (names.length) await before?.(origin);
@@ -114,6 +112,7 @@ main(async (browser) => {
       await ready(page);
       await mapDrawn(page);
       await pause(2_000);
+      await last?.(page);
       await shot(page, `${folder}/${name}.png`);
       equal("complaints", JSON.stringify(page.complaints), "[]");
       await page.context().close();

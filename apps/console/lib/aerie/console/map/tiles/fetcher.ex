@@ -71,7 +71,7 @@ defmodule Aerie.Console.Map.Tiles.Fetcher do
   @spec server(Layer.t()) :: String.t()
   def server(layer) do
     %URI{host: host, port: port, scheme: scheme} = layer |> Layer.url({0, 0, 0}) |> URI.parse()
-    if URI.default_port(scheme) == port, do: host, else: "#{host}:#{port}"
+    if URI.default_port(scheme) == port, do: "#{host}", else: "#{host}:#{port}"
   end
 
   @impl GenServer

@@ -12,6 +12,8 @@ const looks = {
 };
 // So long that vehicles draw a track.
 const TRACKS_MS = 15_000;
+// So long before the picture is what the replay shows.
+const HISTORY_MS = 60_000;
 const pause = (ms) => new Promise((resolve) => setTimeout(resolve, ms));
 const vehicle = (n) => `sim-${String(n).padStart(3, "0")}`;
 
@@ -80,8 +82,8 @@ const scenes = {
     },
   },
   replay: {
-    path: () => `/replay?at=${new Date(Date.now() - 180_000).toISOString()}`,
-    looks: ["wide-dark", "wide-light", "phone-light"],
+    path: () => `/replay?at=${new Date(Date.now() - HISTORY_MS).toISOString()}`,
+    looks: ["wide-light", "phone-light"], before: () => pause(HISTORY_MS),
     async ready(page) {
       await until(page, (n) => document.querySelectorAll("#replay-line .name").length >= n, VEHICLES);
       await page.focus("#replay-line svg");
@@ -112,6 +114,8 @@ main(async (browser) => {
       await ready(page);
       await mapDrawn(page);
       await pause(2_000);
+      // It may have moved.
+      await mapDrawn(page);
       await last?.(page);
       await shot(page, `${folder}/${name}.png`);
       equal("complaints", JSON.stringify(page.complaints), "[]");

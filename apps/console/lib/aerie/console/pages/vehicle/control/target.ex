@@ -93,7 +93,7 @@ defmodule Aerie.Console.Pages.Vehicle.Control.Target do
   """
   @spec way(t(), View.t(), String.t()) :: String.t() | nil
   def way(target, view, words) do
-    with metres when metres != nil <- Snapshot.distance(view.vehicle, {target.lat, target.lon}) do
+    with metres when is_number(metres) <- Snapshot.distance(view.vehicle, {target.lat, target.lon}) do
       speed =
         if Guided.act(target.type).moves?,
           do: number(target.fields["speed"]) || View.get(view, [:velocity, :groundspeed])

@@ -80,4 +80,24 @@ defmodule Aerie.System.SequenceTest do
     for n <- [1, 2, 3, 4], do: SimVehicle.await(c.sims[n], &(not &1.armed))
     assert %{"state" => "stopped"} = look(c)
   end
+
+  test "returned all, each is at a height of its own before it goes home", c do
+    {:ok, _begun} = take_off(c, [1, 2, 3, 4])
+    await(c, "all are up", &(&1["state"] == "done"))
+
+    # As high as it was when it began to go home.
+    heights =
+      for {_n, sim} <- c.sims do
+        Task.async(fn ->
+          SimVehicle.await(sim, &(String.contains?(to_string(&1.mode), "RTL") && &1.alt_rel), :infinity)
+        end)
+      end
+
+    {:ok, %{"id" => back}} = Fleet.abort_all(c.gateway, "rtl", @ann, "elixir")
+    assert [lowest | _higher] = heights = heights |> Task.await_many(:infinity) |> Enum.sort()
+    assert_in_delta lowest, 30, 1.5
+    for [one, other] <- Enum.chunk_every(heights, 2, 1, :discard), do: assert(other - one > 1)
+    done = await(c, back, "all have been told", &(&1["state"] == "done" && &1))
+    for n <- 1..4, do: assert(%{"state" => "ok"} = done["vehicles"][id(n)])
+  end
 end

@@ -329,6 +329,8 @@ defmodule Aerie.Fleet.OperationsTest do
 
     assert {:ok, _begun} = sequence(c.gateway, [up(15), up(16)])
     for n <- [11, 12, 13], do: vehicle(c.gateway, n, %{armed: true, in_air: true}, %{alt_rel: 50.0})
+    # 55 m from its home.
+    vehicle(c.gateway, 12, %{}, %{lat: 47.0125})
 
     assert {:ok, _in_charge} =
              Commands.submit(c.gateway, vehicle: "VID-013", type: "take_control", as: @other)
@@ -340,7 +342,9 @@ defmodule Aerie.Fleet.OperationsTest do
     assert_receive {:commanded, "VID-011", "set_altitude"}, Aerie.Patience.ms()
     # The one that refuses to climb is told to return all the same.
     assert_receive {:commanded, "VID-012", "rtl"}, Aerie.Patience.ms()
-    vehicle(c.gateway, 12, %{}, %{alt_msl: 433.0})
+    await(c.gateway, id, &(&1["vehicles"]["VID-011"]["step"] == "wait_at"))
+    refute_received {:commanded, "VID-011", "rtl"}
+    vehicle(c.gateway, 11, %{}, %{alt_rel: 30.5})
     assert_receive {:commanded, "VID-011", "rtl"}, Aerie.Patience.ms()
 
     assert %{"VID-012" => %{"reason" => "set_altitude: as it is; then: rtl: as it is"}} =

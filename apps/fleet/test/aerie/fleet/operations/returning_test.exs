@@ -4,7 +4,7 @@ defmodule Aerie.Fleet.Operations.ReturningTest do
 
   alias Aerie.Base.Store
   alias Aerie.Fleet.Operations.Sequence
-  alias Aerie.Fleet.Operations.Sequence.{Returning, Wait}
+  alias Aerie.Fleet.Operations.Sequence.{Ending, Returning, Wait}
   alias Aerie.Vehicle.Events.Journal
   alias Aerie.Vehicle.Snapshot
 
@@ -62,6 +62,59 @@ defmodule Aerie.Fleet.Operations.ReturningTest do
     assert {:waiting, "V-1 is not known" <> _, "V-1"} = Wait.look(gateway, "V-2", ["V-1", "V-2"], wait)
     put.("V-1", 1, false)
     assert :ok = Wait.look(gateway, "V-2", ["V-1", "V-2"], wait)
+  end
+
+  test "Return all: each to its own height at once, waiting for itself only, and not for ever" do
+    gateway = make_ref()
+    start_supervised!({Store, [gateway: gateway] ++ Aerie.GatewayCase.plugs(%{})})
+
+    # So many metres from its home, and so high.
+    fly = fn {id, metres, height, autopilot}, n ->
+      position = %{lat: 47.0 + metres / 111_000, lon: 8.0, alt_rel: height}
+      home = %{lat: 47.0, lon: 8.0}
+      data = %{mode: %{in_air: true, armed: true}, position: position, home: home}
+
+      Store.put_vehicle(gateway, {"main", n}, %Snapshot{
+        id: id,
+        key: {"main", n},
+        network: "main",
+        system_id: n,
+        status: :online,
+        autopilot: autopilot,
+        vehicle_type: "copter",
+        groups: Map.new(data, fn {group, data} -> {group, %{at: 0, data: data}} end)
+      })
+    end
+
+    flying = [
+      {"FAR", 100, 36.5, :ardupilot},
+      {"NEAR", 10, 20.0, :px4},
+      {"MSP", 50, 40.0, :betaflight},
+      {"DEEP", 200, nil, :ardupilot},
+      {"HIGH", 300, 300.0, :px4}
+    ]
+
+    flying |> Enum.with_index(1) |> Enum.each(fn {vehicle, n} -> fly.(vehicle, n) end)
+    ids = for {id, _metres, _height, _firmware} <- flying, do: id
+    assert %{"step" => 100, "halt_ratio" => 1} = request = Ending.request(gateway, ids, MapSet.new(), "rtl")
+    {:ok, parsed} = Sequence.parse(request["sequence"], 5, 0)
+    home = {:command, "rtl", %{}}
+    assert Enum.all?(parsed, &(List.last(&1.steps) == home))
+
+    waits =
+      for %{vehicle: id, steps: [{:command, "set_altitude", %{"altitude" => to}}, {:wait, wait}, ^home]} <-
+            parsed do
+        assert %{for: :at, m: ^to, of: nil, go_on?: true} = wait
+        {id, to, wait.timeout_ms}
+      end
+
+    assert waits == [{"NEAR", 30, 20_000}, {"FAR", 36, 10_500}, {"DEEP", 39, 49_000}, {"HIGH", 42, 90_000}]
+    # Its firmware takes no height, so it asks for none.
+    assert %{steps: [^home]} = Enum.find(parsed, &(&1.vehicle == "MSP"))
+
+    # One alone meets nobody.
+    assert %{"sequence" => [%{"steps" => [%{"type" => "rtl"}]}]} =
+             Ending.request(gateway, ["FAR"], MapSet.new(), "rtl")
   end
 
   test "the height of the firmware's own is that of its parameters, as they were read the last time" do

@@ -3,17 +3,22 @@ defmodule Aerie.Fleet.Operations.Sequence.Ending do
   The operation that ends the flights of vehicles, all at once: in the air by the command; armed on the ground, or
   commanded just now, they are disarmed, and get the command if they fly after all. Those at rest are left alone.
 
-  Several that return climb or descend first, to heights 3 m apart from 30 m on, the nearest to its home lowest. A
-  vehicle that does not do that in 20 s returns all the same, and at home each firmware's own height counts.
+  Several that return climb or descend first, to heights 3 m apart from 30 m on, the nearest to its home lowest. Each
+  begins at once and waits for itself only: for 10 s and one more for each metre, 90 s at most. A vehicle that is not
+  there then returns all the same, as one whose firmware takes no height does at once; at home each firmware's own
+  height counts.
   """
 
   alias Aerie.Base.Names
+  alias Aerie.Fleet.Operations.Sequence.Returning
   alias Aerie.Fleet.Remote.Merge
-  alias Aerie.Vehicle.Snapshot
+  alias Aerie.Vehicle.{Firmware, Snapshot}
 
   @lowest_m 30
   @apart_m 3
-  @climb_s 20
+  # Those that obey climb and descend faster than a metre a second.
+  @least_s 10
+  @most_s 90
   @words %{"hold" => "Hold all", "rtl" => "Return all", "land" => "Land all"}
 
   @doc "The commands that it can be, with their names on the pages."
@@ -40,16 +45,25 @@ defmodule Aerie.Fleet.Operations.Sequence.Ending do
   defp flying([_one, _two | _more] = vehicles, "rtl") do
     vehicles
     |> Enum.sort_by(fn {_id, snapshot} -> home_m(snapshot) end)
-    |> Enum.with_index(fn {id, _snapshot}, i ->
-      climb = %{"type" => "set_altitude", "params" => %{"altitude" => @lowest_m + i * @apart_m}}
-      apart = %{"wait" => "apart", "m" => @apart_m - 0.5, "timeout_s" => @climb_s, "go_on" => true}
-      home = %{"type" => "rtl"}
-      %{"vehicle" => id, "steps" => [climb, apart, home], "else" => [home]}
+    |> Enum.with_index(fn {id, snapshot}, i ->
+      home = [%{"type" => "rtl"}]
+      %{"vehicle" => id, "steps" => climb(snapshot, @lowest_m + i * @apart_m) ++ home, "else" => home}
     end)
   end
 
   defp flying(vehicles, type),
     do: for({id, _snapshot} <- vehicles, do: %{"vehicle" => id, "steps" => [%{"type" => type}]})
+
+  defp climb(nil, _height), do: []
+
+  defp climb(snapshot, height) do
+    if Firmware.of(snapshot.autopilot).gap("set_altitude", snapshot.vehicle_type) == nil do
+      way = abs(height - (Snapshot.data(snapshot, :position)[:alt_rel] || 0))
+      Returning.climb(height, %{"go_on" => true, "timeout_s" => min(@least_s + way, @most_s)})
+    else
+      []
+    end
+  end
 
   # What is not known is far away.
   defp home_m(nil), do: :unknown

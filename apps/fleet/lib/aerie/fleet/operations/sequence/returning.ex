@@ -20,13 +20,7 @@ defmodule Aerie.Fleet.Operations.Sequence.Returning do
   @doc "A vehicle that returns at `height` (m; nil: as it is), after `other` has landed (nil: at once)."
   @spec steps(vehicle :: String.t(), height :: number() | nil, other :: String.t() | nil) :: map()
   def steps(id, height, other) do
-    climb =
-      if height,
-        do: [
-          %{"type" => "set_altitude", "params" => %{"altitude" => height}},
-          %{"wait" => "at", "m" => height, "timeout_s" => @climb_s}
-        ],
-        else: []
+    climb = if height, do: climb(height), else: []
 
     queue =
       if other,
@@ -37,6 +31,13 @@ defmodule Aerie.Fleet.Operations.Sequence.Returning do
         else: []
 
     %{"vehicle" => id, "steps" => climb ++ queue ++ [%{"type" => "rtl"}]}
+  end
+
+  @doc "To its height, with `more` keys of the wait for it: 90 s, and one that is not there then has failed."
+  @spec climb(height :: number(), more :: map()) :: [map()]
+  def climb(height, more \\ %{}) do
+    wait = %{"wait" => "at", "m" => height, "timeout_s" => @climb_s}
+    [%{"type" => "set_altitude", "params" => %{"altitude" => height}}, Map.merge(wait, more)]
   end
 
   @doc """

@@ -17,7 +17,8 @@ defmodule Aerie.Fleet.Operations.Sequence do
   | `alone` | no other vehicle of the operation stands armed on the ground; waited for before each `arm` anyway |
   | `time` | `timeout_s` have passed |
 
-  A wait fails after `timeout_s`, unless it has `go_on`. The first step that fails ends a vehicle; its `else` is done
+  A wait for a height to which the vehicle's own steps before it do not bring it is refused. A wait fails after
+  `timeout_s`, unless it has `go_on`. The first step that fails ends a vehicle; its `else` is done
   then.
   """
 
@@ -34,8 +35,11 @@ defmodule Aerie.Fleet.Operations.Sequence do
   @max_s 3_600
   @min_m 0.1
   @max_m 10_000
+  # So near to a height it is there.
+  @level_m 1
   @max_errors 8
   @lifting ~w(arm takeoff)
+  @levels ~w(takeoff set_altitude)
   # A vehicle that was not lifted disarms by itself after some seconds.
   @alone {:wait, %{for: :alone, m: nil, of: nil, timeout_ms: 60_000, go_on?: false}}
 
@@ -92,8 +96,10 @@ defmodule Aerie.Fleet.Operations.Sequence do
     {steps, wrong} = steps(given["steps"], key <> ".steps", 1, now)
     {otherwise, wrong_else} = steps(Map.get(given, "else", []), key <> ".else", 0, now)
 
-    case Enum.concat(checks) ++ wrong ++ wrong_else do
-      [] -> {:ok, %{vehicle: id, steps: steps, else: otherwise, anyway?: given["anyway"] == true}}
+    with [] <- Enum.concat(checks) ++ wrong ++ wrong_else,
+         [] <- futile(steps, id, key <> ".steps") ++ futile(otherwise, id, key <> ".else") do
+      {:ok, %{vehicle: id, steps: steps, else: otherwise, anyway?: given["anyway"] == true}}
+    else
       errors -> {:error, errors}
     end
   end
@@ -114,6 +120,33 @@ defmodule Aerie.Fleet.Operations.Sequence do
 
   defp steps(other, key, min, _now),
     do: {[], [Error.new(key, "a list of #{min} to #{@max_steps} steps", other)]}
+
+  # What waits for a height that its steps before do not reach. What else moves it leaves its height unknown.
+  defp futile(steps, id, key) do
+    {errors, _height} =
+      steps
+      |> Enum.with_index()
+      |> Enum.flat_map_reduce(nil, fn {step, i}, height -> futile(step, height, id, "#{key}[#{i}].m") end)
+
+    errors
+  end
+
+  defp futile({:wait, %{for: :above, m: m}}, height, id, key) when height != nil and m >= height,
+    do: {[Error.new(key, "less than the height of #{id} by then, #{height} m", m)], height}
+
+  defp futile({:wait, %{for: :at, m: m}}, height, id, key) when height != nil and abs(m - height) > @level_m,
+    do: {[Error.new(key, "the height of #{id} by then, #{height} m", m)], height}
+
+  defp futile({:wait, _wait}, height, _id, _key), do: {[], height}
+
+  defp futile({:command, type, %{"altitude" => to} = params}, _height, _id, _key)
+       when type in @levels and is_number(to),
+       do: {[], if(Map.get(params, "altitude_reference", "home") == "home", do: to)}
+
+  defp futile({:command, type, _params}, height, _id, _key),
+    do: {[], if(not Command.type(type).moves_vehicle?, do: height)}
+
+  defp futile({:shadow, _update}, _height, _id, _key), do: {[], nil}
 
   @doc "Reads one command, or one change of the desired state, whose keys stand below `key`."
   @spec step(term(), key :: String.t(), now :: integer()) :: {:ok, step()} | {:error, [Error.t(), ...]}
@@ -186,6 +219,10 @@ defmodule Aerie.Fleet.Operations.Sequence do
     for name <- Enum.take(Map.keys(given) -- keys, @max_errors),
         do: Error.new("#{key}.#{Error.key(name)}", "only #{Enum.join(keys, ", ")}", :unknown)
   end
+
+  @doc "A vehicle so many metres from a height is there."
+  @spec level_m() :: number()
+  def level_m, do: @level_m
 
   @doc "Whether a vehicle arms or takes off by its steps."
   @spec lifts?(vehicle()) :: boolean()

@@ -118,6 +118,51 @@ defmodule Aerie.Fleet.Operations.RequestTest do
     assert request.plan.halt_ratio == 1.0
   end
 
+  test "a wait for a height to which the steps before do not bring it is refused" do
+    up = &%{"type" => "takeoff", "params" => %{"altitude" => &1}}
+    to = &%{"type" => "set_altitude", "params" => Map.merge(%{"altitude" => &1}, &2)}
+    wait = &%{"wait" => &1, "m" => &2}
+
+    refused = fn steps, more ->
+      vehicle = Map.merge(%{"vehicle" => "V-1", "steps" => steps}, more)
+
+      case Request.parse(%{"sequence" => [vehicle]}, @now) do
+        {:ok, _request} -> nil
+        {:error, errors} -> Enum.map_join(errors, "; ", &to_string/1)
+      end
+    end
+
+    assert refused.([@arm, up.(10), wait.("above", 20)], %{}) ==
+             "sequence[0].steps[2].m: expected less than the height of V-1 by then, 10 m, got 20"
+
+    assert refused.([up.(10), wait.("above", 10)], %{}) =~ "less than the height of V-1 by then, 10 m"
+
+    assert refused.(
+             [
+               up.(10),
+               %{"type" => "request_message", "params" => %{"message_id" => 242}},
+               wait.("above", 10)
+             ],
+             %{}
+           ) =~ "less than"
+
+    assert refused.([to.(30, %{}), wait.("at", 33)], %{}) =~
+             "steps[1].m: expected the height of V-1 by then, 30 m, got 33"
+
+    assert refused.([@arm], %{"else" => [to.(30, %{}), wait.("at", 28.5)]}) =~ "sequence[0].else[1].m"
+
+    for steps <- [
+          [up.(10), wait.("above", 9.5)],
+          [to.(30, %{}), wait.("at", 31), wait.("at", 29)],
+          [up.(10), to.(30, %{}), wait.("above", 20)],
+          # What else moves it, or is measured from elsewhere, may bring it there.
+          [up.(10), %{"type" => "mission_start"}, wait.("above", 20)],
+          [to.(30, %{"altitude_reference" => "msl"}), wait.("at", 10)],
+          [wait.("above", 5)]
+        ],
+        do: assert(refused.(steps, %{}) == nil)
+  end
+
   test "what is wrong with a sequence is named by its place" do
     steps = &%{"sequence" => [%{"vehicle" => "V-1", "steps" => &1}]}
     assert wrong(%{"sequence" => []}) == ["sequence"]

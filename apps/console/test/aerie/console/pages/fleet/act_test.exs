@@ -271,6 +271,33 @@ defmodule Aerie.Console.Pages.Fleet.ActTest do
       assert %{height: 30, error: nil} = TakeOff.change(odd, %{"height" => "30"})
     end
 
+    test "the next one begins below the height of the lowest, or the field says why not" do
+      ready = facts([{"A", :ready}])
+      form = &TakeOff.change(&1, %{"height" => &2, "above" => to_string(TakeOff.above(&1))})
+
+      heights = for height <- ~w(20 10 9.5 7 2 1.5 1 20), do: height
+
+      {above, _sheet} =
+        Enum.map_reduce(heights, sheet(["A"]), fn height, sheet ->
+          sheet = form.(sheet, height)
+          assert {TakeOff.futile(sheet), refusal(sheet, ready)} == {nil, nil}
+          {TakeOff.above(sheet), sheet}
+        end)
+
+      assert above == [5, 5, 4, 3, 1, 0.5, 0.5, 5]
+
+      # What somebody has set stays.
+      twenty = sheet(["A"]) |> TakeOff.change(%{"height" => "30", "above" => "20"}) |> form.("10")
+      assert TakeOff.shown(twenty, ready)["above"] == 20
+      words = "The lowest flies at 10 m and is never above 20 m: give less than 10 m."
+      assert {TakeOff.futile(twenty), refusal(twenty, ready)} == {words, words}
+
+      assert refusal(TakeOff.change(twenty, %{"height" => "10", "above" => "10"}), ready) =~
+               "never above 10 m"
+
+      assert refusal(TakeOff.change(twenty, %{"height" => "10", "above" => "9"}), ready) == nil
+    end
+
     test "lines are moved to a place, up and down, and never lost" do
       sheet = sheet(~w(A B C))
       assert Sheet.move(sheet, "C", "A").order == ~w(C A B)

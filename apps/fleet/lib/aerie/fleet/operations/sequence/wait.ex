@@ -7,8 +7,7 @@ defmodule Aerie.Fleet.Operations.Sequence.Wait do
   alias Aerie.Fleet.Operations.Sequence
   alias Aerie.Vehicle.Snapshot
 
-  # So near to a height it is there.
-  @level_m 1
+  @level_m Sequence.level_m()
   # Farther off than this, height does not keep two vehicles apart.
   @near_m 20
 

@@ -8,6 +8,7 @@ defmodule Aerie.Console.Pages.Fleet.Act.SheetParts do
   attr :unit, :string, required: true
   attr :value, :any, required: true
   attr :limits, :any, required: true
+  attr :error, :string, default: nil
 
   @doc "A number of the form."
   def number(assigns) do
@@ -22,6 +23,7 @@ defmodule Aerie.Console.Pages.Fleet.Act.SheetParts do
       label={@label}
       unit={@unit}
       value={@value}
+      errors={List.wrap(@error)}
       min={@min}
       max={@max}
       step="any"

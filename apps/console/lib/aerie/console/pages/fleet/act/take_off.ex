@@ -10,13 +10,14 @@ defmodule Aerie.Console.Pages.Fleet.Act.TakeOff do
 
   @enforce_keys [:order]
   defstruct [:order, out: MapSet.new(), anyway: MapSet.new()] ++
-              [height: 20, stacked: true, gap: 3, interval: 6, above: 5, on_fail: "hold", error: nil]
+              [height: 20, stacked: true, gap: 3, interval: 6, above: nil, on_fail: "hold", error: nil]
 
   @typedoc """
     * `:order` - the ids of all of them; `:out` - those that are left out; `:anyway` - those that take off although it
       is not known whether they are ready
     * `:height` - m above home; `:stacked` - each `:gap` m higher than the one before
-    * `:interval` - s between two; `:above` - m above home that one has to reach before the next one begins
+    * `:interval` - s between two; `:above` - m above home that one has to reach before the next one begins, nil as
+      long as nobody has changed it (`above/1`)
     * `:on_fail` - `hold`: the rest stays on the ground; `continue`: without it; `return`: all come back
   """
   @type t :: %__MODULE__{}
@@ -37,7 +38,7 @@ defmodule Aerie.Console.Pages.Fleet.Act.TakeOff do
 
   # Twice the room of a vehicle.
   @near_m 3.0
-  @limits %{height: {1, 1_000}, gap: {0, 100}, interval: {0, 600}, above: {1, 100}}
+  @limits %{height: {1, 1_000}, gap: {0, 100}, interval: {0, 600}, above: {0.5, 100}}
   @on_fail ~w(hold continue return)
 
   @doc "What may happen when one fails, with words for it."
@@ -64,9 +65,23 @@ defmodule Aerie.Console.Pages.Fleet.Act.TakeOff do
   @spec change(t(), map()) :: t()
   def change(sheet, fields) do
     {numbers, error} = Sheet.numbers(@limits, fields)
+    # A form has all its fields.
+    numbers = if numbers[:above] == above(sheet), do: Map.delete(numbers, :above), else: numbers
     on_fail = if fields["on_fail"] in @on_fail, do: fields["on_fail"], else: sheet.on_fail
     stacked = if fields["stacked"] in ["true", "false"], do: fields["stacked"] == "true", else: sheet.stacked
     struct!(sheet, Map.merge(numbers, %{on_fail: on_fail, stacked: stacked, error: error}))
+  end
+
+  @doc "The height above which the next one begins: 5 m, or half of a height below 10 m, if it was not changed."
+  @spec above(t()) :: number()
+  def above(%{above: nil, height: height}), do: min(5, max(trunc(height / 2), 0.5))
+  def above(%{above: above}), do: above
+
+  @doc "Why the next one would never begin; nil if it does."
+  @spec futile(t()) :: String.t() | nil
+  def futile(%{height: height} = sheet) do
+    if above(sheet) >= height,
+      do: "The lowest flies at #{height} m and is never above #{above(sheet)} m: give less than #{height} m."
   end
 
   @impl Sheet
@@ -144,6 +159,7 @@ defmodule Aerie.Console.Pages.Fleet.Act.TakeOff do
 
     cond do
       sheet.error -> sheet.error
+      futile = futile(sheet) -> futile
       going == [] -> "All are left out."
       blocked = Enum.find_value(going, & &1.blocks) -> blocked
       match?({_one, _other, m} when m < @near_m, nearest) -> near(nearest)
@@ -164,7 +180,7 @@ defmodule Aerie.Console.Pages.Fleet.Act.TakeOff do
     %{
       "vehicles" => vehicles,
       "interval" => sheet.interval,
-      "above" => sheet.above,
+      "above" => above(sheet),
       "on_fail" => sheet.on_fail
     }
   end

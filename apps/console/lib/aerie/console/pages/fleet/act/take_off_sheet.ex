@@ -67,8 +67,9 @@ defmodule Aerie.Console.Pages.Fleet.Act.TakeOffSheet do
           name="above"
           label="Next one only above"
           unit="m"
-          value={@sheet.above}
+          value={TakeOff.above(@sheet)}
           limits={@limits.above}
+          error={TakeOff.futile(@sheet)}
         />
         <.field
           id="take-off-on-fail"

@@ -18,8 +18,7 @@ defmodule Aerie.Fleet.Operations.Sequence do
   | `time` | `timeout_s` have passed |
 
   A wait for a height to which the vehicle's own steps before it do not bring it is refused. A wait fails after
-  `timeout_s`, unless it has `go_on`. The first step that fails ends a vehicle; its `else` is done
-  then.
+  `timeout_s`, unless it has `go_on`. The first step that fails ends a vehicle; its `else` is done then.
   """
 
   import Aerie.Base.Json.Schema
@@ -250,7 +249,8 @@ defmodule Aerie.Fleet.Operations.Sequence do
     first = Firmware.arm_first(snapshot, Snapshot.data(snapshot, :mode)[:mode])
     mode = if first, do: [%{"type" => "set_mode", "params" => %{"mode" => first}}], else: []
     up = %{"type" => "takeoff", "params" => %{"altitude" => height}}
-    gate = %{"wait" => "above", "m" => above_m, "timeout_s" => 60}
+    # Firmwares take off by more than a metre a second.
+    gate = %{"wait" => "above", "m" => above_m, "timeout_s" => 60 + above_m}
     vehicle = %{"vehicle" => id, "steps" => mode ++ [%{"type" => "arm"}, up, gate]}
     if anyway?, do: Map.put(vehicle, "anyway", true), else: vehicle
   end

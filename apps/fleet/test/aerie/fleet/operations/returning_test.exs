@@ -19,10 +19,23 @@ defmodule Aerie.Fleet.Operations.ReturningTest do
 
     steps = words(Returning.steps("V-2", 33, "V-1"))
     assert for({word, _step} <- steps, do: word) == ~w(set_altitude wait_at wait_turn wait_time rtl)
+    # Time enough for the way down from 400 m.
+    assert {:wait, %{for: :at, timeout_ms: 300_000}} = steps |> Enum.at(1) |> elem(1)
     assert {:wait, %{for: :landed, of: "V-1", go_on?: false}} = steps |> Enum.at(2) |> elem(1)
     # What waits for a time goes on when it is over.
     assert {:wait, %{for: :time, timeout_ms: 15_000, go_on?: true}} = steps |> Enum.at(3) |> elem(1)
     assert [{"rtl", _home}] = words(Returning.steps("V-3", nil, nil))
+  end
+
+  test "a take-off has a second more for each metre that the next one waits for" do
+    seen = %Snapshot{id: "V-1", autopilot: :px4, groups: %{mode: %{at: 0, data: %{mode: "AUTO_LOITER"}}}}
+
+    for {above, seconds} <- [{5, 65}, {99.5, 159.5}],
+        do:
+          assert(
+            %{"wait" => "above", "m" => ^above, "timeout_s" => ^seconds} =
+              List.last(Sequence.take_off(seen, 100, above)["steps"])
+          )
   end
 
   test "a height is reached from below and from above, a time never by itself" do

@@ -10,7 +10,8 @@ defmodule Aerie.Fleet.Operations.Sequence.Returning do
   alias Aerie.Vehicle.Events.Journal
   alias MavCodec.Meaning.Shaping
 
-  @climb_s 90
+  # Firmwares descend by 1.5 m/s, and somebody may come down from 400 m.
+  @climb_s 300
   @landing_s 900
   # The place is free when the one before has landed, and this later.
   @clear_s 15
@@ -33,7 +34,7 @@ defmodule Aerie.Fleet.Operations.Sequence.Returning do
     %{"vehicle" => id, "steps" => climb ++ queue ++ [%{"type" => "rtl"}]}
   end
 
-  @doc "To its height, with `more` keys of the wait for it: 90 s, and one that is not there then has failed."
+  @doc "To its height, with `more` keys of the wait for it: 300 s, and one that is not there then has failed."
   @spec climb(height :: number(), more :: map()) :: [map()]
   def climb(height, more \\ %{}) do
     wait = %{"wait" => "at", "m" => height, "timeout_s" => @climb_s}

@@ -2,7 +2,7 @@ defmodule Aerie.System.ManyTest do
   @moduledoc """
   Simulated vehicles of ArduPilot, PX4 and Betaflight behind a gateway: they take off one after the other, with a
   vehicle that cannot, with two operators, and with *Abort all* in the middle. Twelve, or as many as
-  `AERIE_VEHICLES` says, 60 at most: those want a machine with nothing else to do.
+  `MANY_VEHICLES` says, 60 at most: those want a machine with nothing else to do.
   """
 
   use Aerie.SystemCase, async: true
@@ -18,7 +18,7 @@ defmodule Aerie.System.ManyTest do
   @moduletag timeout: 2_400_000
   @ann %{name: "ann", role: :operator, permissions: []}
   @ben %{name: "ben", role: :operator, permissions: []}
-  @vehicles String.to_integer(System.get_env("AERIE_VEHICLES", "12"))
+  @vehicles String.to_integer(System.get_env("MANY_VEHICLES", "12"))
   @msp 57..60
   @flyers 1..(@vehicles - 4)
   @links 4

@@ -13,7 +13,6 @@ defmodule Aerie.Fleet.Operations.Sequence do
   | `above` | it is more than `m` metres above home |
   | `at` | it is within 1 m of `m` metres above home |
   | `landed` | it is on the ground, or the vehicle `of` is |
-  | `apart` | no other vehicle of the operation that flies within 20 m of it is nearer than `m` metres in height |
   | `alone` | no other vehicle of the operation stands armed on the ground; waited for before each `arm` anyway |
   | `time` | `timeout_s` have passed |
 
@@ -28,8 +27,8 @@ defmodule Aerie.Fleet.Operations.Sequence do
   alias Aerie.Vehicle.{Command, Firmware, Snapshot}
   alias Aerie.Vehicle.Command.Error
 
-  @waits [:above, :at, :landed, :apart, :alone, :time]
-  @measured [:above, :at, :apart]
+  @waits [:above, :at, :landed, :alone, :time]
+  @measured [:above, :at]
   @max_steps 8
   @max_s 3_600
   @min_m 0.1
@@ -43,7 +42,7 @@ defmodule Aerie.Fleet.Operations.Sequence do
   @alone {:wait, %{for: :alone, m: nil, of: nil, timeout_ms: 60_000, go_on?: false}}
 
   @type wait :: %{
-          for: :above | :at | :landed | :apart | :alone | :time,
+          for: :above | :at | :landed | :alone | :time,
           m: number() | nil,
           of: String.t() | nil,
           timeout_ms: pos_integer(),

@@ -16,7 +16,6 @@ defmodule Aerie.Console.Pages.Operations.Words do
     "takeoff" => "Climbing",
     "wait_above" => "Climbing",
     "set_altitude" => "Changing height",
-    "wait_apart" => "Changing height",
     "wait_at" => "Changing height",
     "wait_turn" => "Waiting for its turn",
     "wait_time" => "Waiting for its turn",

@@ -1,15 +1,12 @@
 defmodule Aerie.Fleet.Operations.Sequence.Wait do
   @moduledoc "Whether what a step of a sequence waits for is there, by the vehicles as they are seen just now."
 
-  alias Aerie.Base.Geo.Earth
   alias Aerie.Base.Names
   alias Aerie.Fleet.Remote.Merge
   alias Aerie.Fleet.Operations.Sequence
   alias Aerie.Vehicle.Snapshot
 
   @level_m Sequence.level_m()
-  # Farther off than this, height does not keep two vehicles apart.
-  @near_m 20
 
   @typedoc "What it waits for, and the vehicle whose change may end that."
   @type waiting :: {:waiting, String.t(), vehicle :: String.t()}
@@ -55,41 +52,6 @@ defmodule Aerie.Fleet.Operations.Sequence.Wait do
       nil -> :ok
       other -> {:waiting, "#{other.id} stands armed on the ground", other.id}
     end
-  end
-
-  def look(%{for: :apart, m: m}, %{id: id} = snapshot, others) do
-    case height(snapshot) do
-      nil ->
-        {:waiting, "its height is not known", id}
-
-      height ->
-        near =
-          Enum.find(
-            others,
-            &(&1 != nil and in_air(&1) != false and near?(&1, snapshot) and level?(&1, height, m))
-          )
-
-        # It is itself on the way there.
-        if near == nil, do: :ok, else: {:waiting, "not yet #{m} m above or below #{near.id}", id}
-    end
-  end
-
-  # What is not known counts as near.
-  defp near?(other, snapshot) do
-    with %{lat: lat, lon: lon} when is_number(lat) and is_number(lon) <- Snapshot.data(other, :position),
-         %{lat: own_lat, lon: own_lon} when is_number(own_lat) and is_number(own_lon) <-
-           Snapshot.data(snapshot, :position) do
-      Earth.distance(Earth.point(own_lat, own_lon), Earth.point(lat, lon)) <= @near_m
-    else
-      _unknown -> true
-    end
-  end
-
-  defp level?(other, height, m), do: with(nil <- height(other), do: true, else: (at -> abs(at - height) < m))
-
-  defp height(snapshot) do
-    position = Snapshot.data(snapshot, :position)
-    position[:alt_msl] || position[:alt_rel]
   end
 
   defp in_air(snapshot), do: Snapshot.data(snapshot, :mode)[:in_air]

@@ -149,7 +149,7 @@ defmodule Aerie.System.OperationsTest do
     assert %{"result" => "refused", "rule" => "unknown"} = nats(c, "get", %{"id" => "none"})
   end
 
-  test "a command for several in the air, stopped between two of them", c do
+  defp take_off(c) do
     for id <- @ids do
       for {type, params} <- [
             {"set_mode", %{"mode" => "GUIDED"}},
@@ -161,6 +161,40 @@ defmodule Aerie.System.OperationsTest do
     end
 
     for sim <- c.sims, do: SimVehicle.await(sim, &(&1.alt_rel > 8))
+  end
+
+  test "one that is given hold while it waits for its turn to return holds, and the other returns", c do
+    take_off(c)
+    turn = %{"wait" => "landed", "of" => "VID-001", "timeout_s" => 600}
+    home = %{"type" => "rtl"}
+
+    begin = %{
+      "id" => "turns",
+      "step" => 2,
+      "halt_ratio" => 1,
+      "timeout_s" => 120,
+      "sequence" => [
+        %{"vehicle" => "VID-002", "steps" => [turn, home]},
+        %{"vehicle" => "VID-003", "steps" => [turn, home]}
+      ]
+    }
+
+    assert {_status, %{"state" => "running"}} = ask(c, :post, "operations", begin)
+    command!(c, "VID-002", "hold", %{})
+    [_first, held, last] = c.sims
+    SimVehicle.await(held, &(&1.mode not in ["GUIDED", "RTL", "LAND"]))
+    %{mode: mode} = SimVehicle.state(held)
+    command!(c, "VID-001", "rtl", %{})
+    done = over(fn -> c |> ask(:get, "operations/turns") |> elem(1) end)
+    assert %{"state" => "done", "counts" => %{"ok" => 1, "failed" => 1}} = done
+    assert %{"result" => "rejected", "reason" => why} = done["vehicles"]["VID-002"]
+    assert why =~ "it was given hold by chief at "
+    SimVehicle.await(last, &(&1.mode in ["RTL", "LAND"]))
+    assert %{mode: ^mode} = SimVehicle.state(held)
+  end
+
+  test "a command for several in the air, stopped between two of them", c do
+    take_off(c)
 
     begin = %{
       "id" => "home",

@@ -5,9 +5,11 @@ defmodule Aerie.Fleet.OperationsTest do
   alias Aerie.Base.Names
   alias Aerie.Base.Names.Book
   alias Aerie.Control.Commands
-  alias Aerie.Control.Policy.Audit
+  alias Aerie.Control.Policy.{Audit, Intent}
+  alias Aerie.Control.Policy.Memory.RecentCommands
   alias Aerie.Fleet.Operations
   alias Aerie.Fleet.Operations.Readiness
+  alias Aerie.Fleet.Operations.Sequence.GivingWay
   alias Aerie.Vehicle.Command.Result
 
   @moduletag :tmp_dir
@@ -319,6 +321,103 @@ defmodule Aerie.Fleet.OperationsTest do
     vehicle(c.gateway, 11, %{armed: true, in_air: true}, %{alt_rel: 6.0})
     await(c.gateway, &(&1["state"] == "done" and &1["then"] != nil))
     assert_receive {:commanded, "VID-011", "rtl"}, Aerie.Patience.ms()
+  end
+
+  # A command by hand; odd vehicles obey.
+  defp by_hand(gateway, n, type, source \\ @other) do
+    assert {:ok, %{status: :completed}} =
+             Commands.submit(gateway, vehicle: "VID-0#{n}", type: type, params: %{}, as: source)
+
+    assert_receive {:commanded, _vehicle, ^type}, Aerie.Patience.ms()
+  end
+
+  defp home_after(n, other),
+    do: one(n, [%{"wait" => "landed", "of" => "VID-0#{other}", "timeout_s" => 300}, %{"type" => "rtl"}])
+
+  test "one that somebody commands while it waits is left alone, and the others return by the halt ratio",
+       c do
+    for n <- [11, 13, 15], do: vehicle(c.gateway, n, %{armed: true, in_air: true})
+    turns = [home_after(13, 11), one(11, [%{"type" => "rtl"}]), home_after(15, 11)]
+    # The same person by hand, and before: that was so when it began.
+    by_hand(c.gateway, 15, "hold", @operator)
+    assert {:ok, _begun} = sequence(c.gateway, turns, %{"step" => 3, "halt_ratio" => 1})
+    assert_receive {:commanded, "VID-011", "rtl"}, Aerie.Patience.ms()
+    await(c.gateway, &(&1["vehicles"]["VID-013"]["step"] == "wait_turn"))
+    by_hand(c.gateway, 13, "hold")
+    # What moves nothing is no reason.
+    assert {:ok, _in_charge} =
+             Commands.submit(c.gateway, vehicle: "VID-015", type: "take_control", as: @operator)
+
+    vehicle(c.gateway, 11, %{armed: false, in_air: false})
+    assert_receive {:commanded, "VID-015", "rtl"}, Aerie.Patience.ms()
+    vehicle(c.gateway, 13, %{armed: true})
+    done = over(c.gateway, "up")
+    assert %{"state" => "done", "counts" => %{"ok" => 2, "failed" => 1}} = done
+    assert %{"result" => "rejected", "reason" => why} = done["vehicles"]["VID-013"]
+    assert why =~ ~r/^it was given hold by other at \d\d:\d\d:\d\d UTC; this operation left it alone$/
+    refute_received {:commanded, "VID-013", "rtl"}
+  end
+
+  test "one that has not begun is left alone, with its `else`; on_halt returns the others only", c do
+    grounded(c.gateway, [11, 13, 15])
+    spare = Map.put(up(15), "else", [%{"type" => "arm"}])
+    assert {:ok, _begun} = sequence(c.gateway, [up(11), up(13), spare], %{"on_halt" => "return"})
+    assert_receive {:commanded, "VID-011", "takeoff"}, Aerie.Patience.ms()
+    vehicle(c.gateway, 11, %{armed: true, in_air: true}, %{alt_rel: 6.0})
+    assert_receive {:commanded, "VID-013", "takeoff"}, Aerie.Patience.ms()
+    # By its own author.
+    by_hand(c.gateway, 15, "disarm", @operator)
+    by_hand(c.gateway, 11, "land")
+    vehicle(c.gateway, 13, %{armed: true, in_air: true}, %{alt_rel: 6.0})
+    await(c.gateway, &(&1["state"] == "done" and &1["then"] != nil))
+    assert_receive {:commanded, "VID-013", "rtl"}, Aerie.Patience.ms()
+    last = state(c.gateway)
+    assert last["vehicles"]["VID-015"]["reason"] =~ "it was given disarm by ops"
+    assert %{"order" => ["VID-013"]} = over(c.gateway, last["then"])
+    refute_received {:commanded, "VID-015", _type}
+    refute_received {:commanded, "VID-011", "rtl"}
+  end
+
+  test "a command for many leaves alone what was commanded before its turn; a hold for many does not mind a goto",
+       c do
+    for n <- [11, 13], do: vehicle(c.gateway, n, %{armed: true, in_air: true})
+    slow = %{"id" => "slow", "vehicles" => ["VID-011", "VID-013"], "step" => 1, "pause_s" => 3600}
+
+    for {id, command, by_hand, result} <- [
+          {"high", %{"type" => "set_altitude", "params" => %{"altitude" => 20}}, "mission_start", "failed"},
+          {"hold", %{"type" => "hold"}, "mission_start", "ok"},
+          {"home", %{"type" => "rtl"}, "hold", "failed"}
+        ] do
+      assert {:ok, _begun} = begin(c.gateway, %{slow | "id" => id} |> Map.put("command", command))
+      await(c.gateway, id, &(&1["counts"]["ok"] == 1))
+      by_hand(c.gateway, 13, by_hand)
+      assert {:ok, _paused} = Operations.change(c.gateway, id, :pause, @operator)
+      # As after the pause between its steps.
+      %{core: %{steps: n}} = Operations.Server.entry(c.gateway, id)
+      assert {:ok, _running} = Operations.change(c.gateway, id, :continue, @operator)
+      send(Names.whereis(c.gateway, :operations), {:timeout, make_ref(), {:wait, id, n}})
+      assert over(c.gateway, id)["vehicles"]["VID-013"]["state"] == result
+    end
+  end
+
+  test "an abort does not mind what the aborted one had under way, nor a goto; it minds a hold by hand", c do
+    for n <- [11, 13, 15] do
+      vehicle(c.gateway, n, %{armed: true, in_air: true}, %{lat: 47.0, lon: 8.0, alt_rel: 6.0, alt_msl: 406.0})
+    end
+
+    turns = for n <- [11, 13, 15], do: one(n, [%{"wait" => "time", "timeout_s" => 300}])
+    assert {:ok, _begun} = sequence(c.gateway, turns, %{"step" => 3})
+    assert {:ok, %{"then" => back}} = Operations.change(c.gateway, "up", {:abort, "rtl"}, @other)
+    for n <- [11, 13, 15], do: await(c.gateway, back, &(&1["vehicles"]["VID-0#{n}"]["step"] == "wait_apart"))
+    late = GivingWay.command_id("up", "VID-011", 0)
+    RecentCommands.note(c.gateway, "VID-011", "ops", Intent.named("land"), late)
+    RecentCommands.note(c.gateway, "VID-015", "ops", Intent.named("goto"), "by-hand")
+    by_hand(c.gateway, 13, "hold")
+    for {n, i} <- [{11, 0}, {13, 5}, {15, 9}], do: vehicle(c.gateway, n, %{}, %{alt_msl: 430.0 + 3 * i})
+    done = over(c.gateway, back)["vehicles"]
+    assert %{"VID-011" => %{"state" => "ok"}, "VID-015" => %{"state" => "ok"}} = done
+    assert done["VID-013"]["reason"] =~ "it was given hold by other"
+    refute_received {:commanded, "VID-013", "rtl"}
   end
 
   test "abort all: mine and nobody's that fly, whatever runs; several return at heights of their own", c do

@@ -110,8 +110,9 @@ defmodule Aerie.Control.Commands.Pipeline do
   # Commands of the shadow do not count as operator activity.
   defp perform(:commanded, %{request: %{via: "shadow"}}, _environment), do: :ok
 
-  defp perform(:commanded, %{request: %{command: command} = request, intent: intent}, %{gateway: gateway}) do
-    RecentCommands.note(gateway, command.vehicle, request.source.name, intent)
+  defp perform(:commanded, %{request: %{command: command} = request, intent: intent}, environment) do
+    %{gateway: gateway, since: since} = environment
+    RecentCommands.note(gateway, command.vehicle, request.source.name, intent, command.id, since)
 
     case command do
       # The executor repeats it for as long as it is held.

@@ -18,6 +18,7 @@ defmodule Aerie.Fleet.Operations.Journal do
   alias Aerie.Base.Names
   alias Aerie.Control.Policy.Roles
   alias Aerie.Fleet.Operations.{Core, Request}
+  alias Aerie.Fleet.Operations.Sequence.GivingWay
 
   # A request, and for each vehicle two lines with reasons.
   @max_bytes 4_000_000
@@ -128,6 +129,7 @@ defmodule Aerie.Fleet.Operations.Journal do
          at: at,
          done_at: done_at || at,
          doing: %{},
+         way: GivingWay.new([request.id], GivingWay.ends?(request.what)),
          then: nil
        }}
     else

@@ -16,7 +16,7 @@ defmodule Aerie.Fleet.Operations.Server do
 
   alias Aerie.Base.{Names, Store}
   alias Aerie.Fleet.Operations.{Core, Journal, Request, Work}
-  alias Aerie.Fleet.Operations.Sequence.Ending
+  alias Aerie.Fleet.Operations.Sequence.{Ending, GivingWay}
   alias Aerie.Control.Policy.{Audit, Roles}
   alias Aerie.Base.PubSub
 
@@ -41,6 +41,7 @@ defmodule Aerie.Fleet.Operations.Server do
           at: integer(),
           done_at: integer() | nil,
           doing: %{String.t() => String.t()},
+          way: GivingWay.t(),
           then: String.t() | nil
         }
   @type answer :: {:ok, entry()} | {:error, {:busy | :conflict | :role | :unknown | :unavailable, String.t()}}
@@ -139,7 +140,8 @@ defmodule Aerie.Fleet.Operations.Server do
 
       nil ->
         with :ok <- room(state, request), :ok <- apart(state, request, vehicles) do
-          state = begin_now(state, object, request, vehicles, source, via)
+          way = GivingWay.new([id], GivingWay.ends?(request.what))
+          state = begin_now(state, object, request, vehicles, source, via, way)
           {:reply, {:ok, entry(state.gateway, id)}, state}
         else
           refusal -> {:reply, refusal, state}
@@ -159,6 +161,8 @@ defmodule Aerie.Fleet.Operations.Server do
   end
 
   def handle_call({:abort_all, vehicles, type, source, via}, _from, state) do
+    aborted = Map.values(state.running)
+
     under_way =
       for {_id, entry} <- state.running, vehicle <- entry.core.under_way, into: MapSet.new(), do: vehicle
 
@@ -172,7 +176,7 @@ defmodule Aerie.Fleet.Operations.Server do
         {:reply, {:ok, nil}, state}
 
       object ->
-        {id, state} = begin_own(state, object, source, via)
+        {id, state} = begin_own(state, object, source, via, aborted)
         {:reply, {:ok, entry(state.gateway, id)}, state}
     end
   end
@@ -237,7 +241,7 @@ defmodule Aerie.Fleet.Operations.Server do
 
   defp apart(_state, _request, _vehicles), do: :ok
 
-  defp begin_now(state, object, request, vehicles, source, via) do
+  defp begin_now(state, object, request, vehicles, source, via, way) do
     state = forget(state, @max_known - 2 * @max_running - 1)
     {core, actions} = Core.new(vehicles, request.plan)
 
@@ -252,6 +256,7 @@ defmodule Aerie.Fleet.Operations.Server do
       at: now(),
       done_at: nil,
       doing: %{},
+      way: way,
       then: nil
     }
 
@@ -261,11 +266,13 @@ defmodule Aerie.Fleet.Operations.Server do
     go_on(%{entry | core: none}, {core, actions}, state)
   end
 
-  # One that the gateway begins by itself: room is made for it.
-  defp begin_own(state, object, source, via) do
+  # One that the gateway begins by itself: room is made for it. What those that it follows have commanded is its own.
+  defp begin_own(state, object, source, via, followed) do
     {:ok, request} = Request.parse(object, now())
     {:vehicles, vehicles} = request.targets
-    {request.id, begin_now(state, object, request, vehicles, source, via)}
+    ours = Enum.uniq([request.id | Enum.flat_map(followed, & &1.way.ours)])
+    way = GivingWay.new(Enum.take(ours, @max_known), true)
+    {request.id, begin_now(state, object, request, vehicles, source, via, way)}
   end
 
   # --- Changes
@@ -325,7 +332,7 @@ defmodule Aerie.Fleet.Operations.Server do
         state
 
       object ->
-        {id, state} = begin_own(state, object, source, via)
+        {id, state} = begin_own(state, object, source, via, [entry])
         show(state, %{entry | then: id})
         state
     end
@@ -353,11 +360,15 @@ defmodule Aerie.Fleet.Operations.Server do
 
     state = Enum.reduce(actions, %{state | running: running}, &act(&1, entry, &2))
 
-    # The rest stays where it is; those that have begun come back if that was asked for.
+    # The rest stays where it is; those that have begun come back if that was asked for, and nobody else has commanded
+    # them meanwhile.
     if core.state in [:halted, :done] and Core.failing?(core) and entry.request.on_halt == :return and
-         entry.then == nil,
-       do: bring_back(entry, Core.begun(core), MapSet.new(), "rtl", entry.source, entry.via, state),
-       else: state
+         entry.then == nil do
+      begun = Enum.reject(Core.begun(core), &GivingWay.reason(state.gateway, &1, entry.way))
+      bring_back(entry, begun, MapSet.new(), "rtl", entry.source, entry.via, state)
+    else
+      state
+    end
   end
 
   # What is written is written before it is done.
@@ -395,6 +406,7 @@ defmodule Aerie.Fleet.Operations.Server do
       vehicles: entry.vehicles,
       source: entry.source,
       via: entry.via,
+      way: entry.way,
       step: &send(server, {:doing, id, vehicle, &1})
     }
 

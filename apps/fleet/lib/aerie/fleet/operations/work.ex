@@ -10,7 +10,7 @@ defmodule Aerie.Fleet.Operations.Work do
   alias Aerie.Fleet.Shadow
   alias Aerie.Vehicle.Command.Result
   alias Aerie.Fleet.Operations.{Core, Request, Sequence}
-  alias Aerie.Fleet.Operations.Sequence.Wait
+  alias Aerie.Fleet.Operations.Sequence.{GivingWay, Wait}
   alias Aerie.Control.Policy.Roles
 
   @look_ms 500
@@ -24,6 +24,7 @@ defmodule Aerie.Fleet.Operations.Work do
           vehicles: [String.t(), ...],
           source: Roles.source(),
           via: String.t(),
+          way: GivingWay.t(),
           step: (word :: String.t() -> term())
         }
 
@@ -37,22 +38,31 @@ defmodule Aerie.Fleet.Operations.Work do
     if result.verdict == :failed and own.else != [] do
       instead = steps(job, vehicle, own.else, length(own.steps) + 1)
       words = for %{reason: reason} when reason != nil <- [result, instead], do: reason
-      %{instead | reason: Enum.join(words, "; then: ")}
+      %{instead | reason: words |> Enum.uniq() |> Enum.join("; then: ")}
     else
       result
     end
   end
 
-  def run(%{request: %{what: what}} = job, vehicle),
-    do: step(job, vehicle, what, command_id(job.request.id, vehicle))
+  def run(%{request: %{what: what}} = job, vehicle) do
+    with nil <- if(GivingWay.moves?(what), do: given_way(job, vehicle)),
+         do: step(job, vehicle, what, GivingWay.command_id(job.request.id, vehicle))
+  end
+
+  defp given_way(job, vehicle),
+    do: with(<<why::binary>> <- GivingWay.reason(job.gateway, vehicle, job.way), do: failed(:rejected, why))
 
   defp steps(job, vehicle, steps, first) do
     steps
     |> Enum.with_index(first)
     |> Enum.reduce_while(nil, fn {step, i}, _last ->
-      job.step.(Sequence.word(step))
-      result = step(job, vehicle, step, command_id("#{job.request.id} #{i}", vehicle))
-      if result.verdict == :ok, do: {:cont, result}, else: {:halt, named(result, step)}
+      with nil <- given_way(job, vehicle) do
+        job.step.(Sequence.word(step))
+        result = step(job, vehicle, step, GivingWay.command_id(job.request.id, vehicle, i))
+        if result.verdict == :ok, do: {:cont, result}, else: {:halt, named(result, step)}
+      else
+        given_up -> {:halt, given_up}
+      end
     end)
   end
 
@@ -93,7 +103,10 @@ defmodule Aerie.Fleet.Operations.Work do
 
   defp step(job, vehicle, {:wait, wait}, _id), do: await(job, vehicle, wait, now() + wait.timeout_ms)
 
-  defp await(job, vehicle, wait, until) do
+  defp await(job, vehicle, wait, until),
+    do: with(nil <- given_way(job, vehicle), do: look(job, vehicle, wait, until))
+
+  defp look(job, vehicle, wait, until) do
     case Wait.look(job.gateway, vehicle, job.vehicles, wait) do
       :ok ->
         ok(:completed, nil)
@@ -131,12 +144,6 @@ defmodule Aerie.Fleet.Operations.Work do
   end
 
   defp timeout_ms(request, step), do: request.timeout_ms || Request.usual_ms(step)
-
-  # The id of an operation's command for a vehicle: an operation that comes twice commands nobody twice.
-  defp command_id(operation, vehicle) do
-    <<short::binary-18, _rest::binary>> = :crypto.hash(:sha256, [operation, 0, vehicle])
-    "op-" <> Base.url_encode64(short)
-  end
 
   # Fields that were removed agree with anything.
   defp paths(%{"desired" => desired}) do

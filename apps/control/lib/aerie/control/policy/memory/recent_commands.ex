@@ -9,17 +9,57 @@ defmodule Aerie.Control.Policy.Memory.RecentCommands do
 
   # PX4 wants 2 Hz.
   @setpoint_ms 500
+  # So many are kept of a vehicle that end its flight, and of the others. A stream has one place.
+  @kept 4
+  @sticks ~w(rc_override manual_control)
 
   @typedoc "`at` in unix microseconds."
   @type t :: %{at: integer(), source: String.t(), type: String.t()}
 
-  @doc "An allowed command is on its way to a vehicle. Requests for messages only are not noted."
-  @spec note(Names.gateway(), vehicle :: String.t(), source :: String.t(), Intent.t()) :: :ok
-  def note(_gateway, _vehicle, _source, %{permission: :telemetry}), do: :ok
+  @typedoc "The same of one that may have moved a vehicle, or ends a flight; `us`: when it was given (monotonic)."
+  @type moved :: %{
+          at: integer(),
+          source: String.t(),
+          type: String.t(),
+          id: String.t() | nil,
+          us: integer(),
+          ends?: boolean()
+        }
 
-  def note(gateway, vehicle, source, facts) do
+  @doc """
+  An allowed command is on its way to a vehicle. Requests for messages only are not noted. `id` is that of a command of
+  this gateway, nil for raw MAVLink, and `us` when it was given (monotonic).
+  """
+  @spec note(Names.gateway(), String.t(), String.t(), Intent.t(), id :: String.t() | nil, us :: integer()) ::
+          :ok
+  def note(gateway, vehicle, source, facts, id \\ nil, us \\ System.monotonic_time(:microsecond))
+  def note(_gateway, _vehicle, _source, %{permission: :telemetry}, _id, _us), do: :ok
+
+  def note(gateway, vehicle, source, facts, id, us) do
     note = %{at: System.os_time(:microsecond), source: source, type: facts.type}
+    moved(gateway, vehicle, facts, Map.merge(note, %{id: id, us: us, ends?: facts.ends_flight?}))
     Store.remember(gateway, {:commanded, vehicle}, note)
+  end
+
+  defp moved(_gateway, _vehicle, %{moves?: false, ends_flight?: false}, _note), do: :ok
+  # Ground stations with a joystick send them all the time, whether anybody steers or not.
+  defp moved(_gateway, _vehicle, %{type: type}, %{id: nil}) when type in @sticks, do: :ok
+
+  # Each has a place of its own, so that of two at the same moment none is lost.
+  defp moved(gateway, vehicle, %{type: type}, %{ends?: ends?} = note) do
+    place =
+      if String.starts_with?(type, "setpoint_") or type in @sticks,
+        do: :stream,
+        else: {ends?, rem(Store.count(gateway, {:vehicle, vehicle, {:moved, ends?}}), @kept)}
+
+    Store.remember(gateway, {:moved, vehicle, place}, note)
+  end
+
+  @doc "The last commands that may have moved a vehicle, or end its flight, in no order."
+  @spec moved(Names.gateway(), vehicle :: String.t()) :: [moved()]
+  def moved(gateway, vehicle) do
+    places = [:stream | for(ends? <- [true, false], n <- 0..(@kept - 1), do: {ends?, n})]
+    for place <- places, note = Store.recall(gateway, {:moved, vehicle, place}), do: note
   end
 
   @doc "A set-point is on its way to a vehicle, and counts for so many milliseconds."

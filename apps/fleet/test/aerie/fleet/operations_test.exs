@@ -408,12 +408,12 @@ defmodule Aerie.Fleet.OperationsTest do
     turns = for n <- [11, 13, 15], do: one(n, [%{"wait" => "time", "timeout_s" => 300}])
     assert {:ok, _begun} = sequence(c.gateway, turns, %{"step" => 3})
     assert {:ok, %{"then" => back}} = Operations.change(c.gateway, "up", {:abort, "rtl"}, @other)
-    for n <- [11, 13, 15], do: await(c.gateway, back, &(&1["vehicles"]["VID-0#{n}"]["step"] == "wait_apart"))
+    for n <- [11, 13, 15], do: await(c.gateway, back, &(&1["vehicles"]["VID-0#{n}"]["step"] == "wait_at"))
     late = GivingWay.command_id("up", "VID-011", 0)
     RecentCommands.note(c.gateway, "VID-011", "ops", Intent.named("land"), late)
     RecentCommands.note(c.gateway, "VID-015", "ops", Intent.named("goto"), "by-hand")
     by_hand(c.gateway, 13, "hold")
-    for {n, i} <- [{11, 0}, {13, 5}, {15, 9}], do: vehicle(c.gateway, n, %{}, %{alt_msl: 430.0 + 3 * i})
+    for {n, i} <- [{11, 0}, {13, 1}, {15, 2}], do: vehicle(c.gateway, n, %{}, %{alt_rel: 30.0 + 3 * i})
     done = over(c.gateway, back)["vehicles"]
     assert %{"VID-011" => %{"state" => "ok"}, "VID-015" => %{"state" => "ok"}} = done
     assert done["VID-013"]["reason"] =~ "it was given hold by other"

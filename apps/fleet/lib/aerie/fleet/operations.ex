@@ -38,6 +38,7 @@ defmodule Aerie.Fleet.Operations do
   def begin(gateway, object, source \\ @inside, via \\ "elixir") do
     with :ok <- permitted(source),
          {:ok, request} <- parsed(Request.parse(object, System.os_time(:microsecond))),
+         {:ok, request} <- parsed(possible(request)),
          {:ok, vehicles} <- vehicles(gateway, request.targets),
          # A copy of a request is the operation that is there, whatever its vehicles do now.
          :ok <-
@@ -168,6 +169,15 @@ defmodule Aerie.Fleet.Operations do
 
   defp permitted(%{role: :viewer}), do: {:error, {:role, "a viewer changes nothing"}}
   defp permitted(_source), do: :ok
+
+  defp possible(%{what: {:sequence, vehicles}} = request) do
+    case Sequence.futile(vehicles) do
+      [] -> {:ok, request}
+      errors -> {:error, errors}
+    end
+  end
+
+  defp possible(request), do: {:ok, request}
 
   defp parsed({:ok, request}), do: {:ok, request}
   defp parsed({:error, errors}), do: {:error, {:malformed, errors}}

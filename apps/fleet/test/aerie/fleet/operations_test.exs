@@ -115,6 +115,14 @@ defmodule Aerie.Fleet.OperationsTest do
     assert {:error, {:unknown, _why}} = Operations.change(gateway, "none", :stop)
   end
 
+  test "a wait that the heights of its own steps make impossible begins nothing", %{gateway: gateway} do
+    up = %{"type" => "takeoff", "params" => %{"altitude" => 10}}
+    sequence = [%{"vehicle" => "V-1", "steps" => [up, %{"wait" => "above", "m" => 20}]}]
+
+    assert {:error, {:malformed, [%{key: "sequence[0].steps[1].m"}]}} =
+             Operations.begin(gateway, %{"sequence" => sequence})
+  end
+
   test "a tag that no vehicle has begins nothing", %{gateway: gateway} do
     assert {:error, {:malformed, [%{key: "tag"}]}} = begin(gateway, %{"tag" => "nobody"})
     assert Operations.list(gateway) == []

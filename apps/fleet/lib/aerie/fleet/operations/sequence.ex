@@ -94,10 +94,8 @@ defmodule Aerie.Fleet.Operations.Sequence do
     {steps, wrong} = steps(given["steps"], key <> ".steps", 1, now)
     {otherwise, wrong_else} = steps(Map.get(given, "else", []), key <> ".else", 0, now)
 
-    with [] <- Enum.concat(checks) ++ wrong ++ wrong_else,
-         [] <- futile(steps, id, key <> ".steps") ++ futile(otherwise, id, key <> ".else") do
-      {:ok, %{vehicle: id, steps: steps, else: otherwise, anyway?: given["anyway"] == true}}
-    else
+    case Enum.concat(checks) ++ wrong ++ wrong_else do
+      [] -> {:ok, %{vehicle: id, steps: steps, else: otherwise, anyway?: given["anyway"] == true}}
       errors -> {:error, errors}
     end
   end
@@ -119,7 +117,20 @@ defmodule Aerie.Fleet.Operations.Sequence do
   defp steps(other, key, min, _now),
     do: {[], [Error.new(key, "a list of #{min} to #{@max_steps} steps", other)]}
 
-  # What waits for a height that its steps before do not reach. What else moves it leaves its height unknown.
+  @doc """
+  The waits for a height that the vehicle's own steps before them do not reach; what else moves it leaves its height
+  unknown. No part of `parse/3`, because a schema cannot say it.
+  """
+  @spec futile([vehicle()]) :: [Error.t()]
+  def futile(vehicles) do
+    vehicles
+    |> Stream.with_index()
+    |> Stream.flat_map(fn {%{vehicle: id} = vehicle, i} ->
+      futile(vehicle.steps, id, "sequence[#{i}].steps") ++ futile(vehicle.else, id, "sequence[#{i}].else")
+    end)
+    |> Enum.take(@max_errors)
+  end
+
   defp futile(steps, id, key) do
     {errors, _height} =
       steps

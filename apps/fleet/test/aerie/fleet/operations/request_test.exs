@@ -2,7 +2,7 @@ defmodule Aerie.Fleet.Operations.RequestTest do
   @moduledoc "Operations as they come from outside."
   use ExUnit.Case, async: true
 
-  alias Aerie.Fleet.Operations.Request
+  alias Aerie.Fleet.Operations.{Request, Sequence}
 
   @now 1_800_000_000_000_000
   @rtl %{"vehicles" => ["V-1", "V-2"], "command" => %{"type" => "rtl"}}
@@ -126,9 +126,11 @@ defmodule Aerie.Fleet.Operations.RequestTest do
     refused = fn steps, more ->
       vehicle = Map.merge(%{"vehicle" => "V-1", "steps" => steps}, more)
 
-      case Request.parse(%{"sequence" => [vehicle]}, @now) do
-        {:ok, _request} -> nil
-        {:error, errors} -> Enum.map_join(errors, "; ", &to_string/1)
+      {:ok, %{what: {:sequence, vehicles}}} = Request.parse(%{"sequence" => [vehicle]}, @now)
+
+      case Sequence.futile(vehicles) do
+        [] -> nil
+        errors -> Enum.map_join(errors, "; ", &to_string/1)
       end
     end
 

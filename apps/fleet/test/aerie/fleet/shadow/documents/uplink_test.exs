@@ -180,7 +180,8 @@ defmodule Aerie.Fleet.Shadow.Documents.UplinkTest do
     assert %{"reason" => "refused aboard" <> _, "removed" => ["params.RTL_ALT"]} =
              Enum.find(history, &(&1["actor"] == "shadow"))
 
-    assert Store.counter(leaf, {:shadow, :updates_refused}) >= 1
+    # Counted once both have the document.
+    eventually(fn -> Store.counter(leaf, {:shadow, :updates_refused}) >= 1 end)
 
     # Nor may it take away what somebody aboard desires.
     assert {:ok, _document} = desire(hub, %{"params" => %{"KEPT" => nil}})

@@ -62,6 +62,7 @@ export default {
     this.gone = true;
     window.removeEventListener("theme", this.theme);
     for (const event of ["pointerup", "pointercancel", "blur"]) window.removeEventListener(event, this.released);
+    delete this.el.fleetMap;
     this.map?.remove();
   },
 

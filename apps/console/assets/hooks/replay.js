@@ -203,7 +203,9 @@ export default {
   },
 
   draw() {
-    const map = this.el.querySelector("#replay-map").fleetMap;
+    // The page is left, and what plays has its last turn.
+    if (!this.el.isConnected) return;
+    const map = this.el.querySelector("#replay-map")?.fleetMap;
     const ids = new Set();
     for (const first of [this.chunk(this.at), this.chunk(this.at - GROUND_S)]) for (const id of Object.keys(this.chunks.get(first) ?? {})) ids.add(id);
     const tails = [];
@@ -216,7 +218,7 @@ export default {
       for (const tail of tailOf(rows.slice(0, index + 1), place, this.at)) tails.push(feature("LineString", tail, { id }));
     }
     this.el.dataset.shown = this.now.map(({ id }) => id).sort().join(",");
-    if (!map) return void setTimeout(() => this.el.isConnected && this.draw(), 500);
+    if (!map) return void setTimeout(() => this.draw(), 500);
     this.onMap(map, tails);
   },
 

@@ -6,7 +6,7 @@ defmodule Aerie.Console.Frame.PaletteTest do
   alias Aerie.Control.Params.{Cache, Param, Table}
 
   @moduletag :tmp_dir
-  @user %{name: "ann", role: :operator}
+  @user %{name: "ann", role: :operator, permissions: []}
 
   test "parameters are found by the names that were read of the vehicle that is shown", %{tmp_dir: dir} do
     [console: console] = start_console()
@@ -22,6 +22,7 @@ defmodule Aerie.Console.Frame.PaletteTest do
     more = {"RTL", "/params?vehicle=VID-007&search=rtl"}
     assert find.("/vehicles/VID-007", "rtl") == [more]
 
+    :ok = Names.register(console.gateway, :params_cache, nil)
     Names.put_value(console.gateway, :params_cache, dir)
     names = ~w(RTL_ALT RTL_SPEED WPNAV_SPEED) ++ for(n <- 1..20, do: "SERVO#{n}_MIN")
     table = Table.new(for(name <- names, do: %Param{name: name, value: 1, type: 4}), hash: 1)

@@ -252,8 +252,7 @@ defmodule Aerie.Control.CommandExecutor.Core do
             due: now + Timing.cancel(core.rtt)
         }
 
-        {core, actions} = Steps.keep(acc, job)
-        {core, [{:send, messages, Job.id(job)} | actions]}
+        Steps.send_cancel(acc, job, messages, now)
     end
   end
 

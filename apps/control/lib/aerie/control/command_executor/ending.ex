@@ -1,6 +1,7 @@
 defmodule Aerie.Control.CommandExecutor.Ending do
   @moduledoc """
-  Steps that end another one (`ends` of `Aerie.Vehicle.Protocol.Step`), by the same command of MAVLink: the vehicle's answers to both look alike.
+  Messages that end a step and look like another one, so that the vehicle's answers to both look alike: steps that end another
+  (`ends` of `Aerie.Vehicle.Protocol.Step`), and what cancels a step (`cancel_key`).
   """
 
   alias Aerie.Vehicle.Protocol.Step
@@ -27,5 +28,15 @@ defmodule Aerie.Control.CommandExecutor.Ending do
   def mistakable?(jobs, lanes, step, now) do
     (step.ends != nil and Turns.answers?(lanes, step.ends, now)) or
       Enum.any?(Map.values(jobs), &(Job.sent?(&1) and Job.step(&1).ends == step.key))
+  end
+
+  @doc "The jobs while a message is sent that cancels one and is like the steps of this key; nil: like no step."
+  @spec cancelled(jobs, key :: term()) :: jobs when jobs: %{String.t() => Job.t()}
+  def cancelled(jobs, nil), do: jobs
+
+  def cancelled(jobs, key) do
+    Map.new(jobs, fn {id, job} ->
+      {id, if(Job.sent?(job) and Job.key(job) == key, do: %{job | ambiguous?: true}, else: job)}
+    end)
   end
 end

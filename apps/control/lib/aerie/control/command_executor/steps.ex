@@ -252,6 +252,18 @@ defmodule Aerie.Control.CommandExecutor.Steps do
 
   # --- Time
 
+  @doc "Sends what cancels a job. A command that is the same message is not to take the answer to it for its own (C8)."
+  @spec send_cancel(Core.acc(), Job.t(), [struct()], now :: integer()) :: Core.acc()
+  def send_cancel({core, actions}, job, messages, now) do
+    key = Job.step(job).cancel_key
+
+    lanes =
+      if key == Job.key(job), do: core.lanes, else: Turns.hush(core.lanes, key, now + Timing.busy(core.rtt))
+
+    core = put(%{core | jobs: Ending.cancelled(core.jobs, key), lanes: lanes}, job)
+    {core, [{:send, messages, Job.id(job)} | actions]}
+  end
+
   @doc "Whether something is due about a job."
   @spec due?(Job.t(), now :: integer()) :: boolean()
   def due?(%{phase: :queued} = job, now), do: now >= job.until
@@ -292,8 +304,13 @@ defmodule Aerie.Control.CommandExecutor.Steps do
   def due({core, actions}, %{phase: :cancelling, cancels: sent} = job, now)
       when sent in 1..4 and not is_nil(hd(job.steps).cancel) do
     messages = core.protocol.cancel(Job.step(job), core.vehicle)
-    job = %{job | cancels: sent + 1, due: now + Timing.cancel(core.rtt)}
-    {put(core, job), [{:send, messages, Job.id(job)} | actions]}
+
+    send_cancel(
+      {core, actions},
+      %{job | cancels: sent + 1, due: now + Timing.cancel(core.rtt)},
+      messages,
+      now
+    )
   end
 
   def due(acc, %{phase: :cancelling} = job, now),

@@ -38,7 +38,7 @@ defmodule Aerie.Control.CommandExecutor.Turns do
   @spec leave(t(), key :: term(), id :: String.t(), quiet :: integer()) :: t()
   def leave(lanes, key, id, quiet) do
     update(lanes, key, fn
-      %{active: ^id} = lane -> %{lane | active: nil, quiet: quiet}
+      %{active: ^id} = lane -> %{lane | active: nil, quiet: max(lane.quiet || quiet, quiet)}
       lane -> %{lane | waiting: List.delete(lane.waiting, id)}
     end)
   end

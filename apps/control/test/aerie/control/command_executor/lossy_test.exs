@@ -197,6 +197,18 @@ defmodule Aerie.Control.CommandExecutor.LossyTest do
     end
   end
 
+  test "C8: the answer to what cancels a calibration is not taken for one to the same command" do
+    for seed <- 1..300, wait <- [100, 4_900] do
+      world = LossyVehicle.submit(LossyVehicle.new(:ardupilot, seed), calibrate("s#{seed}n1"), 8_375)
+      world = %{LossyVehicle.advance(world, 4_000) | loss: 0.6}
+      world = world |> LossyVehicle.cancel("s#{seed}n1") |> LossyVehicle.advance(wait)
+      world = LossyVehicle.submit(world, command("calibrate_cancel", %{}, "s#{seed}n2"), 10_097)
+      assert world |> LossyVehicle.advance(700_000) |> LossyVehicle.wrong() == []
+    end
+  end
+
+  defp calibrate(id), do: command("calibrate", %{"sensor" => "magnetometer"}, id)
+
   @tag :long
   test "the same, three thousand times" do
     assert :proper.quickcheck(property(), [:quiet, numtests: 3_000, max_size: 80]) == true,

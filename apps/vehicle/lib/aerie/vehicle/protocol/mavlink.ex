@@ -74,7 +74,12 @@ defmodule Aerie.Vehicle.Protocol.Mavlink do
   defp step(key, forms, options) do
     # A camera and an autopilot may get the same command at the same time; its own number means the autopilot (C8).
     component = if options[:component] != @autopilot, do: options[:component]
-    struct!(%Step{key: {component, key}, forms: forms}, options)
+    step = struct!(%Step{key: {component, key}, forms: forms}, options)
+
+    case step.cancel do
+      {:long, command, _params} -> %{step | cancel_key: {component, {:command, command}}}
+      _other -> step
+    end
   end
 
   defp number(name) do

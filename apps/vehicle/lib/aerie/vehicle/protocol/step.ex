@@ -15,6 +15,7 @@ defmodule Aerie.Vehicle.Protocol.Step do
     :watch,
     :stream,
     :cancel,
+    :cancel_key,
     :ends,
     :holds,
     :note,
@@ -42,6 +43,7 @@ defmodule Aerie.Vehicle.Protocol.Step do
     * `:note` - what the result of a stream says besides
     * `:cancel` - the message that cancels it, sent again until the vehicle says something; nil: MAVLink's COMMAND_CANCEL;
       `{:never, reason}`: nothing does
+    * `:cancel_key` - the key of the steps that send the same command as `:cancel` does
     * `:ends` - the key of steps in flight that the vehicle ends because of this one
     * `:holds` - what the vehicle is busy with from the acceptance until it tells the end (`busy_with` in `Aerie.Vehicle.Protocol.Vehicle`)
   """
@@ -60,6 +62,7 @@ defmodule Aerie.Vehicle.Protocol.Step do
           stream: %{hz: pos_integer(), ms: pos_integer(), release: form() | nil} | nil,
           note: String.t() | nil,
           cancel: form() | {:never, String.t()} | nil,
+          cancel_key: term(),
           ends: term(),
           holds: String.t() | nil
         }

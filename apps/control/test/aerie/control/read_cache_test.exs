@@ -245,27 +245,17 @@ defmodule Aerie.Control.ReadCacheTest do
   defp ftp(station, opcode, seq, fields) do
     fields = [opcode: Packet.opcode(opcode), size: byte_size(fields[:data] || "")] |> Keyword.merge(fields)
     message = Packet.message(struct!(%Packet{seq: seq, session: 7}, fields), {1, 1})
-    say(station, message)
-    {ip, system} = {station.socket, station.system}
+    system = station.system
 
-    Stream.repeatedly(fn ->
-      receive do
-        {:udp, ^ip, _from, _port, bytes} ->
-          {frames, _parser} = Parser.push_datagram(station.parser, bytes, nil)
+    ask(station, message, fn
+      %M.FileTransferProtocol{target_system: ^system} = m ->
+        with {_kind, %{seq: at} = packet} when at == seq + 1 <- Packet.answer(m),
+             do: packet,
+             else: (_other -> nil)
 
-          Enum.find_value(frames, fn frame ->
-            with {:ok, %M.FileTransferProtocol{target_system: ^system} = m} <- MavCodec.decode(frame),
-                 {_kind, %{seq: at} = packet} when at == seq + 1 <- Packet.answer(m),
-                 do: packet,
-                 else: (_other -> nil)
-          end)
-      after
-        1_000 ->
-          say(station, message)
-          nil
-      end
+      _other ->
+        nil
     end)
-    |> Enum.find(& &1)
   end
 
   defp read_plan(station) do

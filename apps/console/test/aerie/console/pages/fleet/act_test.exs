@@ -6,6 +6,7 @@ defmodule Aerie.Console.Pages.Fleet.ActTest do
   alias Aerie.Console.Pages.Fleet.Act.Mission.Start
   alias Aerie.Console.Pages.Fleet.Board.Row
   alias Aerie.Console.Pages.Fleet.Selection
+  alias Aerie.Fleet
   alias Aerie.Vehicle.Snapshot
 
   defp row(id, more) do
@@ -196,36 +197,41 @@ defmodule Aerie.Console.Pages.Fleet.ActTest do
       end
     end
 
-    defp sheet(ids), do: TakeOff.new(for {id, i} <- Enum.with_index(ids), do: vehicle(id, 47.0 + i / 1000))
+    defp sheet(ids),
+      do: Sheet.new(TakeOff, for({id, i} <- Enum.with_index(ids), do: vehicle(id, 47.0 + i / 1000)))
 
-    defp refusal(sheet, facts), do: TakeOff.refusal(sheet, facts)
+    defp change(sheet, fields), do: Sheet.event(sheet, "change", fields)
+    defp leave(sheet, id), do: Sheet.event(sheet, "leave", %{"id" => id})
+    defp move(sheet, id, to), do: Sheet.event(sheet, "move", %{"id" => id, "to" => to})
+    defp anyway(sheet, id), do: Sheet.event(sheet, "anyway", %{"id" => id})
+    defp refusal(sheet, facts), do: Sheet.refusal(sheet, facts)
 
     test "goes from south to north, each higher and later than the one before" do
-      sheet = TakeOff.new([vehicle("N", 48.0), vehicle("S", 46.0), vehicle("M", 47.0)])
-      lines = TakeOff.lines(sheet, facts(S: :ready) |> Map.new(fn {id, fact} -> {"#{id}", fact} end))
+      sheet = Sheet.new(TakeOff, [vehicle("N", 48.0), vehicle("S", 46.0), vehicle("M", 47.0)])
+      lines = Sheet.lines(sheet, facts(S: :ready) |> Map.new(fn {id, fact} -> {"#{id}", fact} end))
 
       assert for(line <- lines, do: {line.id, line.n, line.height, line.after_s}) ==
                [{"S", 1, 20, 0}, {"M", 2, 23, 6}, {"N", 3, 26, 12}]
 
-      same = TakeOff.change(sheet, %{"stacked" => "false", "height" => "15.5"})
-      assert for(line <- TakeOff.lines(same, %{}), do: line.height) == [15.5, 15.5, 15.5]
+      same = change(sheet, %{"stacked" => "false", "height" => "15.5"})
+      assert for(line <- Sheet.lines(same, %{}), do: line.height) == [15.5, 15.5, 15.5]
     end
 
     test "one that is left out makes room for those after it" do
-      sheet = ~w(A B C) |> sheet() |> Sheet.leave("B")
+      sheet = ~w(A B C) |> sheet() |> leave("B")
       facts = facts([{"A", :ready}, {"B", :not_ready}, {"C", :check}])
 
       assert [%{n: 1, height: 20}, %{n: nil, height: nil}, %{id: "C", n: 2, height: 23}] =
-               TakeOff.lines(sheet, facts)
+               Sheet.lines(sheet, facts)
 
       assert refusal(sheet, facts) == nil
 
-      assert TakeOff.shown(sheet, facts)["vehicles"] == [
+      assert Sheet.shown(sheet, facts)["vehicles"] == [
                ["A", 20, "ready", false],
                ["C", 23, "check", false]
              ]
 
-      assert %{n: 2} = sheet |> Sheet.leave("B") |> TakeOff.lines(facts) |> Enum.at(1)
+      assert %{n: 2} = sheet |> leave("B") |> Sheet.lines(facts) |> Enum.at(1)
     end
 
     test "is refused while one is not ready, unknown, refused, gone, or too near, and if none is left" do
@@ -233,15 +239,15 @@ defmodule Aerie.Console.Pages.Fleet.ActTest do
       assert refusal(two, facts([{"A", :ready}, {"B", :not_ready}])) == "B is not ready: leave it out."
       unknown = facts([{"A", :ready}, {"B", :unknown}])
       assert refusal(two, unknown) =~ "not known whether B is ready"
-      assert refusal(TakeOff.anyway(two, "B"), unknown) == nil
+      assert refusal(anyway(two, "B"), unknown) == nil
       # Not ready is never taken along.
-      assert refusal(TakeOff.anyway(two, "B"), facts([{"A", :ready}, {"B", :not_ready}])) =~ "B is not ready"
+      assert refusal(anyway(two, "B"), facts([{"A", :ready}, {"B", :not_ready}])) =~ "B is not ready"
       ready = facts([{"A", :ready}, {"B", :ready}])
       assert refusal(two, put_in(ready["B"].refusal, "too high")) == "B: too high"
       assert refusal(two, Map.delete(ready, "A")) =~ "A is not known any more"
       near = put_in(ready["B"].snapshot, vehicle("B", 47.00001))
       assert refusal(two, near) == "A and B stand 1.1 m apart; 3.0 m are wanted. Leave one of them out."
-      assert two |> Sheet.leave("A") |> Sheet.leave("B") |> refusal(ready) == "All are left out."
+      assert two |> leave("A") |> leave("B") |> refusal(ready) == "All are left out."
       assert refusal(two, ready) == nil
     end
 
@@ -254,57 +260,57 @@ defmodule Aerie.Console.Pages.Fleet.ActTest do
             {"above", "-1"},
             {"above", "5 m"}
           ] do
-        sheet = TakeOff.change(sheet(["A"]), %{field => text})
+        sheet = change(sheet(["A"]), %{field => text})
         assert refusal(sheet, facts([{"A", :ready}])) =~ "#{field}: expected a number from"
         assert Map.delete(Map.from_struct(sheet), :error) == Map.delete(Map.from_struct(sheet(["A"])), :error)
       end
 
       odd =
-        TakeOff.change(sheet(["A"]), %{
+        change(sheet(["A"]), %{
           "height" => ["30"],
           "on_fail" => "explode",
           "stacked" => "maybe",
           "gap" => %{}
         })
 
-      assert {odd.height, odd.on_fail, odd.stacked} == {20, "hold", true}
-      assert %{height: 30, error: nil} = TakeOff.change(odd, %{"height" => "30"})
+      assert %{height: 20, on_fail: "hold", stacked: "true"} = Sheet.values(odd)
+      assert %{values: %{height: 30}, error: nil} = change(odd, %{"height" => "30"})
     end
 
     test "the next one begins below the height of the lowest, or the field says why not" do
       ready = facts([{"A", :ready}])
-      form = &TakeOff.change(&1, %{"height" => &2, "above" => to_string(TakeOff.above(&1))})
+      form = &change(&1, %{"height" => &2, "above" => to_string(Sheet.values(&1).above)})
 
       heights = for height <- ~w(20 10 9.5 7 2 1.5 1 20), do: height
 
       {above, _sheet} =
         Enum.map_reduce(heights, sheet(["A"]), fn height, sheet ->
           sheet = form.(sheet, height)
-          assert {TakeOff.futile(sheet), refusal(sheet, ready)} == {nil, nil}
-          {TakeOff.above(sheet), sheet}
+          assert {Sheet.errors(sheet)[:above], refusal(sheet, ready)} == {nil, nil}
+          {Sheet.values(sheet).above, sheet}
         end)
 
       assert above == [5, 5, 4, 3, 1, 0.5, 0.5, 5]
 
       # What somebody has set stays.
-      twenty = sheet(["A"]) |> TakeOff.change(%{"height" => "30", "above" => "20"}) |> form.("10")
-      assert TakeOff.shown(twenty, ready)["above"] == 20
+      twenty = sheet(["A"]) |> change(%{"height" => "30", "above" => "20"}) |> form.("10")
+      assert Sheet.shown(twenty, ready)["values"]["above"] == 20
       words = "The lowest flies at 10 m and is never above 20 m: give less than 10 m."
-      assert {TakeOff.futile(twenty), refusal(twenty, ready)} == {words, words}
+      assert {Sheet.errors(twenty)[:above], refusal(twenty, ready)} == {words, words}
 
-      assert refusal(TakeOff.change(twenty, %{"height" => "10", "above" => "10"}), ready) =~
+      assert refusal(change(twenty, %{"height" => "10", "above" => "10"}), ready) =~
                "never above 10 m"
 
-      assert refusal(TakeOff.change(twenty, %{"height" => "10", "above" => "9"}), ready) == nil
+      assert refusal(change(twenty, %{"height" => "10", "above" => "9"}), ready) == nil
     end
 
     test "lines are moved to a place, up and down, and never lost" do
       sheet = sheet(~w(A B C))
-      assert Sheet.move(sheet, "C", "A").order == ~w(C A B)
-      assert Sheet.move(sheet, "A", "down").order == ~w(B A C)
+      assert move(sheet, "C", "A").order == ~w(C A B)
+      assert move(sheet, "A", "down").order == ~w(B A C)
 
       for {id, to} <- [{"A", "up"}, {"X", "A"}, {"A", "X"}, {"C", "down"}],
-          do: assert(Sheet.move(sheet, id, to).order == sheet.order)
+          do: assert(move(sheet, id, to).order == sheet.order)
 
       property =
         :proper.forall(
@@ -315,11 +321,11 @@ defmodule Aerie.Console.Pages.Fleet.ActTest do
           fn steps ->
             moved =
               Enum.reduce(steps, sheet, fn
-                {id, to, true}, sheet -> Sheet.move(sheet, id, to)
-                {id, _to, false}, sheet -> Sheet.leave(sheet, id)
+                {id, to, true}, sheet -> move(sheet, id, to)
+                {id, _to, false}, sheet -> leave(sheet, id)
               end)
 
-            ns = for %{n: n} when n != nil <- TakeOff.lines(moved, %{}), do: n
+            ns = for %{n: n} when n != nil <- Sheet.lines(moved, %{}), do: n
             Enum.sort(moved.order) == ~w(A B C) and ns == Enum.to_list(1..length(ns)//1)
           end
         )
@@ -329,30 +335,33 @@ defmodule Aerie.Console.Pages.Fleet.ActTest do
     end
 
     test "a press is for all that was shown, and becomes one sequence with the readiness that was shown" do
-      sheet = TakeOff.change(sheet(~w(A B)), %{"on_fail" => "return", "interval" => "4"})
+      sheet = change(sheet(~w(A B)), %{"on_fail" => "return", "interval" => "4"})
       facts = facts([{"A", :ready}, {"B", :check}])
-      shown = TakeOff.shown(sheet, facts)
+      shown = Sheet.shown(sheet, facts)
       press = shown |> Map.put("id", "web-1") |> JSON.encode!() |> JSON.decode!()
       assert Sheet.meant?(press, shown)
 
       for {changed, seen} <- [
-            {Sheet.move(sheet, "A", "down"), facts},
-            {Sheet.leave(sheet, "A"), facts},
-            {TakeOff.change(sheet, %{"height" => "21"}), facts},
+            {move(sheet, "A", "down"), facts},
+            {leave(sheet, "A"), facts},
+            {change(sheet, %{"height" => "21"}), facts},
             {sheet, facts([{"A", :ready}, {"B", :ready}])}
           ],
-          do: refute(Sheet.meant?(press, TakeOff.shown(changed, seen)))
+          do: refute(Sheet.meant?(press, Sheet.shown(changed, seen)))
 
       refute Sheet.meant?(%{"id" => "web-1"}, shown)
 
-      assert TakeOff.request("web-1", shown, fn id, height, above, anyway? -> {id, height, above, anyway?} end) ==
+      assert Sheet.request(sheet, "web-1", shown, facts) ==
                %{
                  "id" => "web-1",
                  "name" => "Take off",
                  "pause_s" => 4,
                  "halt_ratio" => 0,
                  "on_halt" => "return",
-                 "sequence" => [{"A", 20, 5, false}, {"B", 23, 5, false}],
+                 "sequence" => [
+                   Fleet.take_off(facts["A"].snapshot, 20, 5),
+                   Fleet.take_off(facts["B"].snapshot, 23, 5)
+                 ],
                  "shown" => %{"A" => "ready", "B" => "check"}
                }
     end
@@ -374,7 +383,7 @@ defmodule Aerie.Console.Pages.Fleet.ActTest do
             into: %{},
             do: {id, %{snapshot: vehicle, own: Map.get(own, id, 0), climbs?: true, refusal: nil}}
 
-      {Return.new(vehicles), facts}
+      {Sheet.new(Return, vehicles), facts}
     end
 
     test "gives the nearest to its home the lowest height, whatever the order of the selection" do
@@ -384,7 +393,7 @@ defmodule Aerie.Console.Pages.Fleet.ActTest do
           fn metres ->
             vehicles = for {m, i} <- Enum.with_index(metres), do: away("V#{i}", m, i * 10)
             {sheet, facts} = return(Enum.shuffle(vehicles))
-            lines = Return.lines(sheet, facts)
+            lines = Sheet.lines(sheet, facts)
             heights = for line <- lines, do: line.height
             far = for line <- lines, do: line.home_m
 
@@ -400,18 +409,18 @@ defmodule Aerie.Console.Pages.Fleet.ActTest do
     test "lets those that land at one place wait for the one before, and leaves no gap for one that is left out" do
       {sheet, facts} = return([away("A", 10, 0), away("B", 20, 2), away("C", 30, 100), away("D", 40, 1)])
 
-      assert for(line <- Return.lines(sheet, facts), do: {line.id, line.height, line.after}) ==
+      assert for(line <- Sheet.lines(sheet, facts), do: {line.id, line.height, line.after}) ==
                [{"A", 30, nil}, {"B", 33, "A"}, {"C", 36, nil}, {"D", 39, "B"}]
 
       sheet =
         sheet
-        |> Return.event("leave", %{"id" => "B"})
-        |> Return.event("change", %{"base" => "40", "step" => "5"})
+        |> Sheet.event("leave", %{"id" => "B"})
+        |> Sheet.event("change", %{"base" => "40", "step" => "5"})
 
-      assert for(line <- Return.lines(sheet, facts), do: {line.id, line.height, line.after}) ==
+      assert for(line <- Sheet.lines(sheet, facts), do: {line.id, line.height, line.after}) ==
                [{"A", 40, nil}, {"B", nil, nil}, {"C", 45, nil}, {"D", 50, "A"}]
 
-      assert Return.refusal(Return.event(sheet, "change", %{"step" => "1"}), facts) =~
+      assert Sheet.refusal(Sheet.event(sheet, "change", %{"step" => "1"}), facts) =~
                "step: expected a number from 3"
     end
 
@@ -424,45 +433,45 @@ defmodule Aerie.Console.Pages.Fleet.ActTest do
                %{warn: "Its own return height is not known" <> _},
                %{warn: nil}
              ] =
-               Return.lines(sheet, facts)
+               Sheet.lines(sheet, facts)
 
       told = put_in(facts["C"].climbs?, false)
 
       assert %{height: nil, warn: "It takes no other height" <> _} =
-               sheet |> Return.lines(told) |> List.last()
+               sheet |> Sheet.lines(told) |> List.last()
 
       nowhere = update_in(facts["C"].snapshot.groups, &Map.delete(&1, :home))
 
       assert %{home_m: nil, warn: "Its home is not known" <> _} =
-               sheet |> Return.lines(nowhere) |> List.last()
+               sheet |> Sheet.lines(nowhere) |> List.last()
     end
 
     test "is refused for one on the ground, that is gone or not allowed; a press is for all that was shown" do
       {sheet, facts} = return([away("A", 10, 0), away("B", 20, 50)])
-      assert Return.refusal(sheet, facts) == nil
-      assert Return.refusal(sheet, Map.delete(facts, "B")) =~ "B is not known any more"
+      assert Sheet.refusal(sheet, facts) == nil
+      assert Sheet.refusal(sheet, Map.delete(facts, "B")) =~ "B is not known any more"
 
-      assert Return.refusal(sheet, put_in(facts["B"].snapshot.groups.mode.data.in_air, nil)) =~
+      assert Sheet.refusal(sheet, put_in(facts["B"].snapshot.groups.mode.data.in_air, nil)) =~
                "B is not in the air"
 
-      assert Return.refusal(sheet, put_in(facts["B"].refusal, "no")) == "B: no"
-      none = sheet |> Sheet.leave("A") |> Sheet.leave("B")
-      assert Return.refusal(none, facts) == "All are left out."
+      assert Sheet.refusal(sheet, put_in(facts["B"].refusal, "no")) == "B: no"
+      none = sheet |> leave("A") |> leave("B")
+      assert Sheet.refusal(none, facts) == "All are left out."
 
-      shown = Return.shown(sheet, facts)
+      shown = Sheet.shown(sheet, facts)
       press = shown |> Map.put("id", "web-1") |> JSON.encode!() |> JSON.decode!()
       assert Sheet.meant?(press, shown)
-      refute Sheet.meant?(press, Return.shown(sheet, put_in(facts["A"].own, 70)))
-      refute Sheet.meant?(press, Return.shown(Sheet.leave(sheet, "B"), facts))
+      refute Sheet.meant?(press, Sheet.shown(sheet, put_in(facts["A"].own, 70)))
+      refute Sheet.meant?(press, Sheet.shown(leave(sheet, "B"), facts))
       # A press for another sheet.
       refute Sheet.meant?(%{"vehicles" => []}, shown)
 
-      assert Return.request("web-1", shown, fn id, height, other -> {id, height, other} end) == %{
+      assert Sheet.request(sheet, "web-1", shown, facts) == %{
                "id" => "web-1",
                "name" => "Return",
                "step" => 100,
                "halt_ratio" => 1,
-               "sequence" => [{"A", 30, nil}, {"B", 33, nil}]
+               "sequence" => [Fleet.return_home("A", 30, nil), Fleet.return_home("B", 33, nil)]
              }
     end
   end
@@ -473,34 +482,34 @@ defmodule Aerie.Console.Pages.Fleet.ActTest do
       {id, %{snapshot: %Snapshot{id: id, groups: groups}, refusal: nil}}
     end
 
-    defp starts(sheet, facts), do: for(line <- Start.lines(sheet, facts), do: {line.id, line.n, line.after_s})
+    defp starts(sheet, facts), do: for(line <- Sheet.lines(sheet, facts), do: {line.id, line.n, line.after_s})
 
     test "go by name, with the seconds between them, unless moved or left out" do
       facts = Map.new([aboard("A", 3), aboard("B", 4), aboard("C", nil)])
-      sheet = Start.new(for {_id, %{snapshot: snapshot}} <- facts, do: snapshot)
+      sheet = Sheet.new(Start, for({_id, %{snapshot: snapshot}} <- facts, do: snapshot))
       assert starts(sheet, facts) == [{"A", 1, 0}, {"B", 2, 10}, {"C", 3, 20}]
-      assert Start.refusal(sheet, facts) == nil
+      assert Sheet.refusal(sheet, facts) == nil
 
       sheet =
-        sheet |> Start.event("move", %{"id" => "C", "to" => "A"}) |> Start.event("leave", %{"id" => "A"})
+        sheet |> Sheet.event("move", %{"id" => "C", "to" => "A"}) |> Sheet.event("leave", %{"id" => "A"})
 
-      sheet = Start.event(sheet, "change", %{"interval" => "4.5"})
+      sheet = Sheet.event(sheet, "change", %{"interval" => "4.5"})
       assert starts(sheet, facts) == [{"C", 1, 0.0}, {"A", nil, nil}, {"B", 2, 4.5}]
-      assert Start.refusal(Start.event(sheet, "change", %{"interval" => "-1"}), facts) =~ "interval: expected"
+      assert Sheet.refusal(Sheet.event(sheet, "change", %{"interval" => "-1"}), facts) =~ "interval: expected"
 
       for {event, odd} <- [{"move", %{}}, {"leave", %{"id" => 7}}, {"x", %{}}],
-          do: assert(Start.event(sheet, event, odd) == sheet)
+          do: assert(Sheet.event(sheet, event, odd) == sheet)
 
-      shown = Start.shown(sheet, facts)
+      shown = Sheet.shown(sheet, facts)
       press = shown |> Map.put("id", "web-1") |> JSON.encode!() |> JSON.decode!()
       assert Sheet.meant?(press, shown)
       # Another mission has come aboard.
       refute Sheet.meant?(
                press,
-               Start.shown(sheet, Map.new([aboard("A", 3), aboard("B", 5), aboard("C", nil)]))
+               Sheet.shown(sheet, Map.new([aboard("A", 3), aboard("B", 5), aboard("C", nil)]))
              )
 
-      assert Start.request("web-1", shown) == %{
+      assert Sheet.request(sheet, "web-1", shown, facts) == %{
                "id" => "web-1",
                "name" => "Start missions",
                "pause_s" => 4.5,
@@ -512,13 +521,13 @@ defmodule Aerie.Console.Pages.Fleet.ActTest do
 
     test "are refused for one on the ground, without a mission, that is gone or not allowed" do
       facts = Map.new([aboard("A", 3), aboard("B", 4)])
-      sheet = Start.new(for {_id, %{snapshot: snapshot}} <- facts, do: snapshot)
-      refused = fn {id, fact} -> Start.refusal(sheet, Map.put(facts, id, fact)) end
+      sheet = Sheet.new(Start, for({_id, %{snapshot: snapshot}} <- facts, do: snapshot))
+      refused = fn {id, fact} -> Sheet.refusal(sheet, Map.put(facts, id, fact)) end
       assert refused.(aboard("B", 0)) == "B has no mission aboard: leave it out."
       assert refused.(aboard("B", 4, false)) == "B is not in the air: leave it out."
       assert refused.({"B", nil}) == "B is not known any more: leave it out."
-      assert Start.refusal(sheet, put_in(facts["A"].refusal, "no")) == "A: no"
-      assert sheet |> Sheet.leave("A") |> Sheet.leave("B") |> Start.refusal(facts) == "All are left out."
+      assert Sheet.refusal(sheet, put_in(facts["A"].refusal, "no")) == "A: no"
+      assert sheet |> leave("A") |> leave("B") |> Sheet.refusal(facts) == "All are left out."
     end
   end
 end

@@ -11,7 +11,6 @@ defmodule Aerie.Console.Pages.Fleet.Act.Height do
 
   @most_m 100
   @least_m 2
-  @at_once 100
 
   @doc "The request of a press for these rows, or why there is none. `height` gives a vehicle's metres above home."
   @spec request(event :: map(), [Row.t()], (String.t() -> number() | nil)) ::
@@ -19,29 +18,12 @@ defmodule Aerie.Console.Pages.Fleet.Act.Height do
   def request(%{"air" => [_ | _] = shown} = event, rows, height) do
     flying = for %{id: id, in_air: true} <- rows, id in shown, do: id
 
-    with :ok <- Press.id(event["id"]),
-         :ok <-
-           if(Enum.sort(flying) == Enum.sort(shown),
-             do: :ok,
-             else: {:error, "not all of them are in the air any more"}
-           ),
-         {:ok, metres} <- metres(event["fields"]),
-         {:ok, targets} <- targets(flying, metres, height) do
-      {:ok,
-       %{
-         "id" => event["id"],
-         "name" => "#{change(metres)} m",
-         "step" => @at_once,
-         "halt_ratio" => 1,
-         "sequence" =>
-           for(
-             {id, target} <- targets,
-             do: %{
-               "vehicle" => id,
-               "steps" => [%{"type" => "set_altitude", "params" => %{"altitude" => target}}]
-             }
-           )
-       }}
+    if Enum.sort(flying) == Enum.sort(shown) do
+      with {:ok, metres} <- metres(event["fields"]),
+           {:ok, targets} <- targets(flying, metres, height),
+           do: Press.each(event["id"], "#{change(metres)} m", "set_altitude", targets)
+    else
+      {:error, "not all of them are in the air any more"}
     end
   end
 
@@ -60,7 +42,7 @@ defmodule Aerie.Console.Pages.Fleet.Act.Height do
     Enum.reduce_while(ids, {:ok, []}, fn id, {:ok, targets} ->
       case height.(id) do
         present when is_number(present) and present + metres >= @least_m ->
-          {:cont, {:ok, targets ++ [{id, Float.round(present + metres, 1)}]}}
+          {:cont, {:ok, targets ++ [{id, %{"altitude" => Float.round(present + metres, 1)}}]}}
 
         present when is_number(present) ->
           {:halt, {:error, "#{id} would fly at #{Float.round(present + metres, 1)} m: land it instead"}}

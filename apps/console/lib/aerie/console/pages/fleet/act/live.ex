@@ -7,9 +7,7 @@ defmodule Aerie.Console.Pages.Fleet.Act.Live do
   import Phoenix.Component, only: [assign: 2, assign: 3]
   import Phoenix.LiveView, only: [clear_flash: 1, put_flash: 3]
 
-  alias Aerie.Console.Pages.Fleet.Act.{Height, Mode, Press, Return, Sheet, Sheets, TakeOff}
-  alias Aerie.Console.Pages.Fleet.Act.Mission.Start
-  alias Aerie.Control.Commands
+  alias Aerie.Console.Pages.Fleet.Act.{Ask, Height, Mode, Press, Sheet, Sheets}
   alias Aerie.Fleet
   alias Aerie.Vehicle.Snapshot
   alias Phoenix.LiveView.Socket
@@ -73,7 +71,7 @@ defmodule Aerie.Console.Pages.Fleet.Act.Live do
         put_flash(socket, :error, "At most #{Sheet.most()} vehicles go together.")
 
       true ->
-        socket |> assign(sheet: Sheets.module(name).new(vehicles), sheet_error: nil) |> look()
+        socket |> assign(sheet: Sheet.new(Sheets.kind(name), vehicles), sheet_error: nil) |> look()
     end
   end
 
@@ -83,14 +81,14 @@ defmodule Aerie.Console.Pages.Fleet.Act.Live do
   def sheet(socket, "sheet_close", _value), do: assign(socket, sheet: nil, facts: %{})
   def sheet(socket, "sheet_go", event), do: go(socket, event)
 
-  def sheet(%{assigns: %{sheet: %module{} = sheet}} = socket, "sheet_" <> event, value),
-    do: socket |> assign(sheet: module.event(sheet, event, value), sheet_error: nil) |> look()
+  def sheet(%{assigns: %{sheet: sheet}} = socket, "sheet_" <> event, value),
+    do: socket |> assign(sheet: Sheet.event(sheet, event, value), sheet_error: nil) |> look()
 
   # Begins what a held press shows, if the sheet shows the same.
   defp go(socket, event) do
-    %{assigns: %{sheet: %module{} = sheet, facts: facts}} = socket = look(socket)
-    shown = module.shown(sheet, facts)
-    refusal = module.refusal(sheet, facts)
+    %{assigns: %{sheet: sheet, facts: facts}} = socket = look(socket)
+    shown = Sheet.shown(sheet, facts)
+    refusal = Sheet.refusal(sheet, facts)
 
     cond do
       not Sheet.meant?(event, shown) ->
@@ -101,7 +99,7 @@ defmodule Aerie.Console.Pages.Fleet.Act.Live do
 
       true ->
         with :ok <- Press.id(event["id"]),
-             {:ok, socket} <- begin(socket, request(socket, sheet, event["id"], shown)) do
+             {:ok, socket} <- begin(socket, Sheet.request(sheet, event["id"], shown, facts)) do
           socket |> clear_flash() |> assign(sheet: nil, facts: %{})
         else
           {:error, text} -> assign(socket, :sheet_error, "Nothing was sent: #{text}")
@@ -109,77 +107,7 @@ defmodule Aerie.Console.Pages.Fleet.Act.Live do
     end
   end
 
-  defp request(%{assigns: %{gateway: gateway, facts: facts}}, %TakeOff{}, id, shown) do
-    steps = &Fleet.take_off(Fleet.vehicle(gateway, &1) || facts[&1].snapshot, &2, &3, &4)
-    TakeOff.request(id, shown, steps)
-  end
-
-  defp request(_socket, %Start{}, id, shown), do: Start.request(id, shown)
-
-  defp request(_socket, %Return{}, id, shown), do: Return.request(id, shown, &Fleet.return_home/3)
-
   # What is known of its vehicles now, each at the height that the sheet has for it.
-  defp look(%{assigns: %{gateway: gateway, sheet: sheet}} = socket) do
-    vehicles = for id <- sheet.order, vehicle = Fleet.vehicle(gateway, id), do: vehicle
-    assign(socket, :facts, facts(socket, sheet, vehicles))
-  end
-
-  defp facts(%{assigns: %{gateway: gateway, user: user}}, %TakeOff{} = sheet, vehicles) do
-    readiness = Fleet.readinesses(gateway, vehicles, user.name)
-    heights = for %{id: id, height: height} <- TakeOff.lines(sheet, %{}), into: %{}, do: {id, height}
-
-    for %{id: id} = vehicle <- vehicles, into: %{} do
-      {id,
-       %{snapshot: vehicle, readiness: readiness[id], refusal: refusal(gateway, vehicle, heights[id], user)}}
-    end
-  end
-
-  defp facts(%{assigns: %{gateway: gateway, user: user}}, %Start{}, vehicles) do
-    for %{id: id} = vehicle <- vehicles, into: %{} do
-      answer =
-        Commands.lacks(vehicle, "mission_start", user) || check(gateway, id, "mission_start", %{}, user)
-
-      {id, %{snapshot: vehicle, refusal: why(answer)}}
-    end
-  end
-
-  defp facts(%{assigns: %{gateway: gateway, user: user}}, %Return{} = sheet, vehicles) do
-    heights = for {id, n} <- Sheet.places(sheet), n != nil, into: %{}, do: {id, Return.height(sheet, n)}
-
-    for %{id: id} = vehicle <- vehicles, into: %{} do
-      climbs? = Commands.lacks(vehicle, "set_altitude", user) == nil
-
-      wanted =
-        [{"rtl", %{}}] ++
-          if(climbs? and heights[id], do: [{"set_altitude", %{altitude: heights[id]}}], else: [])
-
-      refusal =
-        Enum.find_value(wanted, fn {type, params} ->
-          why(Commands.lacks(vehicle, type, user) || check(gateway, id, type, params, user))
-        end)
-
-      {id, %{snapshot: vehicle, own: Fleet.own_return_m(gateway, id), climbs?: climbs?, refusal: refusal}}
-    end
-  end
-
-  defp refusal(_gateway, _vehicle, nil, _user), do: nil
-
-  defp refusal(gateway, vehicle, height, user) do
-    lack = Commands.lacks(vehicle, "takeoff", user) || Commands.lacks(vehicle, "arm", user)
-
-    case lack || check(gateway, vehicle.id, "takeoff", %{altitude: height}, user) do
-      # It is armed first.
-      {:deny, :firmware, _state} -> nil
-      answer -> why(answer)
-    end
-  end
-
-  defp why({:permission, _permission, reason}), do: reason
-  defp why({:firmware, reason}), do: reason
-  defp why({:deny, _rule, reason}), do: reason
-  defp why({:error, errors}), do: Enum.join(errors, "; ")
-  defp why(:allow), do: nil
-
-  defp check(gateway, id, type, params, user),
-    do: Commands.check(gateway, vehicle: id, type: type, params: params, as: user)
+  defp look(%{assigns: %{gateway: gateway, user: user, sheet: sheet}} = socket),
+    do: assign(socket, :facts, Sheet.facts(sheet, &Fleet.vehicle(gateway, &1), Ask.of(gateway, user)))
 end

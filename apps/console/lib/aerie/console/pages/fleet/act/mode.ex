@@ -12,7 +12,6 @@ defmodule Aerie.Console.Pages.Fleet.Act.Mode do
   @meanings [guided: "Guided", mission: "Mission"]
   # Modes that do nothing by themselves are for a pilot; these are for nobody.
   @not_offered ~w(INITIALISING INITIALIZING)
-  @at_once 100
 
   @typedoc "`:modes` - the mode of each vehicle; `:words` - the firmwares' own, if they differ from the name"
   @type choice :: %{
@@ -67,23 +66,11 @@ defmodule Aerie.Console.Pages.Fleet.Act.Mode do
     {meant, manual} = choices(rows)
     choice = Enum.find(meant ++ manual, &(&1.name == name))
 
-    with :ok <- Press.id(event["id"]),
-         true <- choice != nil and choice.modes == shown do
-      {:ok,
-       %{
-         "id" => event["id"],
-         "name" => "Mode #{choice.label}",
-         "step" => @at_once,
-         "halt_ratio" => 1,
-         "sequence" =>
-           for(
-             %{id: id} <- rows,
-             do: %{"vehicle" => id, "steps" => [%{"type" => "set_mode", "params" => %{"mode" => shown[id]}}]}
-           )
-       }}
+    if choice != nil and choice.modes == shown do
+      modes = for %{id: id} <- rows, do: {id, %{"mode" => shown[id]}}
+      Press.each(event["id"], "Mode #{choice.label}", "set_mode", modes)
     else
-      false -> {:error, "not all of them have this mode any more"}
-      error -> error
+      {:error, "not all of them have this mode any more"}
     end
   end
 

@@ -43,6 +43,26 @@ defmodule Aerie.Console.Pages.Fleet.Act.Press do
 
   def request(_event, _vehicles), do: {:error, "the page has no such action"}
 
+  @doc "The request of one command for each vehicle, all at once; what one of them refuses keeps no other from it."
+  @spec each(id :: term(), name :: String.t(), type :: String.t(), [{String.t(), params :: map()}]) ::
+          {:ok, map()} | {:error, String.t()}
+  def each(id, name, type, vehicles) do
+    with :ok <- id(id) do
+      {:ok,
+       %{
+         "id" => id,
+         "name" => name,
+         "step" => @at_once,
+         "halt_ratio" => 1,
+         "sequence" =>
+           for(
+             {vehicle, params} <- vehicles,
+             do: %{"vehicle" => vehicle, "steps" => [%{"type" => type, "params" => params}]}
+           )
+       }}
+    end
+  end
+
   @doc "Whether a browser's id of a press can be that of an operation."
   @spec id(term()) :: :ok | {:error, String.t()}
   def id(<<id::binary>>) when byte_size(id) <= 32 do

@@ -1,7 +1,7 @@
 defmodule Aerie.Console.Pages.Fleet.Act.Return do
   @moduledoc """
-  A return of several vehicles as it is prepared: each at a height of its own, the nearest to its home lowest, and one
-  after the other where they land at one place. Pure.
+  A return of several vehicles: each at a height of its own, the nearest to its home lowest, and one after the other
+  where they land at one place. Pure.
 
   A firmware that climbs by itself to a height of its own before it returns undoes its place in the stack: the line
   says so.
@@ -10,97 +10,86 @@ defmodule Aerie.Console.Pages.Fleet.Act.Return do
 
   alias Aerie.Base.Geo.Earth
   alias Aerie.Console.Pages.Fleet.Act.Sheet
+  alias Aerie.Fleet
   alias Aerie.Vehicle.Snapshot
-
-  @enforce_keys [:order]
-  defstruct [:order, out: MapSet.new(), base: 30, step: 3, error: nil]
-
-  @typedoc "`:base` - the lowest height, m above home; `:step` - how much higher the next one flies"
-  @type t :: %__MODULE__{}
-
-  @typedoc """
-  What is known of a vehicle: its snapshot, the height of its firmware's own (0: it keeps its height, nil: not known),
-  whether it takes another height, and why the policy or the firmware refuses it.
-  """
-  @type facts :: %{
-          snapshot: Snapshot.t(),
-          own: number() | nil,
-          climbs?: boolean(),
-          refusal: String.t() | nil
-        }
-
-  @typedoc """
-  A line of the sheet: `:height` - nil for one that takes none; `:after` - the vehicle that lands at the same place
-  before it; `:warn` - what undoes its height; `:blocks` - why nothing begins with it
-  """
-  @type line :: %{
-          id: String.t(),
-          n: pos_integer() | nil,
-          height: number() | nil,
-          home_m: number() | nil,
-          after: String.t() | nil,
-          warn: String.t() | nil,
-          blocks: String.t() | nil
-        }
 
   # Homes nearer than this are one place to land.
   @pad_m 3
-  @limits %{base: {5, 500}, step: {3, 50}}
-
-  @doc "The limits of the numbers."
-  @spec limits() :: Sheet.limits()
-  def limits, do: @limits
-
-  @doc "A sheet for these vehicles, the nearest to its home first. Distances that change later change no order."
-  @spec new([Snapshot.t(), ...]) :: t()
-  def new(vehicles),
-    do: %__MODULE__{order: vehicles |> Enum.sort_by(&{home_m(&1), &1.id}) |> Enum.map(& &1.id)}
 
   @impl Sheet
-  def event(sheet, "change", fields) do
-    {numbers, error} = Sheet.numbers(@limits, fields)
-    struct!(sheet, Map.put(numbers, :error, error))
-  end
-
-  def event(sheet, "leave", %{"id" => id}), do: Sheet.leave(sheet, id)
-  def event(sheet, _unknown, _value), do: sheet
-
-  @doc "The height of the one that so many fly below."
-  @spec height(t(), n :: non_neg_integer()) :: number()
-  def height(sheet, n), do: sheet.base + n * sheet.step
-
-  @doc "The lines in their order, with what is known of each vehicle, by id."
-  @spec lines(t(), %{String.t() => facts()}) :: [line()]
-  def lines(sheet, facts) do
-    {lines, _landing} =
-      Enum.map_reduce(Sheet.places(sheet), [], fn {id, n}, landing ->
-        line = line(sheet, {id, n}, facts[id], landing)
-        home = n && facts[id] && Sheet.place(facts[id].snapshot, :home)
-        {line, if(home, do: [{id, home} | landing], else: landing)}
-      end)
-
-    lines
-  end
-
-  defp line(sheet, {id, n}, facts, landing) do
-    height = n && facts && facts.climbs? && height(sheet, n)
-
+  def about do
     %{
-      id: id,
-      n: n && n + 1,
-      height: height || nil,
-      home_m: facts && metres(home_m(facts.snapshot)),
-      after: n && facts && before(Sheet.place(facts.snapshot, :home), landing),
-      warn: n && facts && warn(facts, height),
-      blocks: n && blocks(id, facts)
+      id: "return",
+      title: "Return",
+      go: "Return",
+      icon: "rtl",
+      order: "The nearest to its home flies lowest",
+      in_turn?: false
     }
   end
 
-  # The last one before it that lands there.
-  defp before(nil, _landing), do: nil
+  @impl Sheet
+  def fields do
+    [
+      %{name: :base, label: "Lowest, above home", unit: "m", range: {5, 500}, default: 30},
+      %{name: :step, label: "More each", unit: "m", range: {3, 50}, default: 3}
+    ]
+  end
 
-  defp before(home, landing),
-    do: Enum.find_value(landing, fn {id, other} -> if apart(home, other) < @pad_m, do: id end)
+  @impl Sheet
+  def rank(vehicle), do: home_m(vehicle)
+
+  # What is not known is far away: an atom is greater than a number.
+  defp home_m(snapshot), do: Snapshot.distance(snapshot, Sheet.place(snapshot, :home)) || :unknown
+
+  # `climbs?`: whether it takes another height; `own`: that of its firmware (0: it keeps its height).
+  @impl Sheet
+  def facts(sheet, vehicle, n, ask) do
+    climbs? = ask.refusal.(vehicle, [{"set_altitude", nil}], []) == nil
+    climb = if n && climbs?, do: [{"set_altitude", %{altitude: height(sheet, n)}}], else: []
+
+    %{
+      own: ask.own_return_m.(vehicle),
+      climbs?: climbs?,
+      refusal: ask.refusal.(vehicle, [{"rtl", %{}} | climb], [])
+    }
+  end
+
+  defp height(sheet, n) do
+    %{base: base, step: step} = Sheet.values(sheet)
+    base + n * step
+  end
+
+  @impl Sheet
+  def line(_sheet, _place, nil, _before), do: %{height: nil, home_m: nil, after: nil, warn: nil, blocks: nil}
+
+  def line(sheet, {id, n}, %{snapshot: snapshot} = facts, before) do
+    height = if n && facts.climbs?, do: height(sheet, n)
+
+    %{
+      height: height,
+      home_m: metres(home_m(snapshot)),
+      after: n && same_place(Sheet.place(snapshot, :home), before),
+      warn: n && warn(facts, height),
+      blocks:
+        if(Snapshot.data(snapshot, :mode)[:in_air] != true, do: "#{id} is not in the air: leave it out.")
+    }
+  end
+
+  defp metres(:unknown), do: nil
+  defp metres(metres), do: round(metres)
+
+  # The last one before it that lands there.
+  defp same_place(nil, _before), do: nil
+
+  defp same_place(home, before) do
+    Enum.find_value(before, fn {id, %{snapshot: other}} ->
+      if apart(home, Sheet.place(other, :home)) < @pad_m, do: id
+    end)
+  end
+
+  # An atom is greater than a number.
+  defp apart(_home, nil), do: :unknown
 
   defp apart({lat, lon}, {other_lat, other_lon}),
     do: Earth.distance(Earth.point(lat, lon), Earth.point(other_lat, other_lon))
@@ -116,51 +105,48 @@ defmodule Aerie.Console.Pages.Fleet.Act.Return do
     end
   end
 
-  defp blocks(id, nil), do: "#{id} is not known any more: leave it out."
-
-  defp blocks(id, %{snapshot: snapshot, refusal: refusal}) do
-    cond do
-      Snapshot.data(snapshot, :mode)[:in_air] != true -> "#{id} is not in the air: leave it out."
-      refusal -> "#{id}: #{refusal}"
-      true -> nil
-    end
-  end
-
-  # What is not known is far away.
-  defp home_m(snapshot), do: Snapshot.distance(snapshot, Sheet.place(snapshot, :home)) || :unknown
-  defp metres(:unknown), do: nil
-  defp metres(metres), do: round(metres)
-
   @impl Sheet
-  def refusal(sheet, facts) do
-    going = for %{n: n} = line when n != nil <- lines(sheet, facts), do: line
-
-    cond do
-      sheet.error -> sheet.error
-      going == [] -> "All are left out."
-      true -> Enum.find_value(going, & &1.blocks)
-    end
+  def cells(line) do
+    [
+      number:
+        cond do
+          line.n == nil -> "left out"
+          line.height == nil -> "own height"
+          true -> "#{line.height} m"
+        end,
+      number: if(line.home_m, do: "#{line.home_m} m away", else: "distance unknown"),
+      badges: [
+        {"bad", line.after && "One place with #{line.after}: waits until that has landed"},
+        {"warn", line.warn}
+      ]
+    ]
   end
 
   @impl Sheet
-  def shown(sheet, facts) do
-    vehicles =
-      for %{n: n} = line when n != nil <- lines(sheet, facts),
-          do: [line.id, line.height, line.after, line.warn]
+  def summary(_sheet, lines, _known) do
+    undone = Enum.count(lines, & &1.warn)
 
-    %{"return" => vehicles}
+    [
+      "Each goes to its height first, then home; one that does not reach it stays where it is.",
+      if(Enum.any?(lines, & &1.after),
+        do: "Those that wait go on 15 s after the other landing: clear the place by then."
+      ),
+      if(undone > 0, do: "#{undone} may leave the stack.")
+    ]
+    |> Enum.filter(& &1)
+    |> Enum.join(" ")
   end
 
-  @doc "The operation that such a press asks for. `steps` gives a vehicle's part of it (`Aerie.Fleet.return_home/3`)."
-  @spec request(id :: String.t(), shown :: map(), (String.t(), number() | nil, String.t() | nil -> map())) ::
-          map()
-  def request(id, %{"return" => vehicles}, steps) do
+  @impl Sheet
+  def shown(_sheet, line), do: [line.height, line.after, line.warn]
+
+  @impl Sheet
+  def request(%{"vehicles" => vehicles}, _known) do
     %{
-      "id" => id,
       "name" => "Return",
       "step" => Sheet.most(),
       "halt_ratio" => 1,
-      "sequence" => for([vehicle, height, other, _warn] <- vehicles, do: steps.(vehicle, height, other))
+      "sequence" => for([id, height, other, _warn] <- vehicles, do: Fleet.return_home(id, height, other))
     }
   end
 end

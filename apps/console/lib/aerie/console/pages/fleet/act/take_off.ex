@@ -1,146 +1,165 @@
 defmodule Aerie.Console.Pages.Fleet.Act.TakeOff do
-  @moduledoc """
-  A take-off of several vehicles as it is prepared: who, in which order, how high, and when the next one begins. Pure.
-  Nothing is sent before the held press, and that carries all that was shown (`shown/2`).
-  """
+  @moduledoc "A take-off of several vehicles: who, in which order, how high, and when the next one begins. Pure."
   @behaviour Aerie.Console.Pages.Fleet.Act.Sheet
 
   alias Aerie.Console.Pages.Fleet.Act.Sheet
+  alias Aerie.Fleet
   alias Aerie.Vehicle.Snapshot
-
-  @enforce_keys [:order]
-  defstruct [:order, out: MapSet.new(), anyway: MapSet.new()] ++
-              [height: 20, stacked: true, gap: 3, interval: 6, above: nil, on_fail: "hold", error: nil]
-
-  @typedoc """
-    * `:order` - the ids of all of them; `:out` - those that are left out; `:anyway` - those that take off although it
-      is not known whether they are ready
-    * `:height` - m above home; `:stacked` - each `:gap` m higher than the one before
-    * `:interval` - s between two; `:above` - m above home that one has to reach before the next one begins, nil as
-      long as nobody has changed it (`above/1`)
-    * `:on_fail` - `hold`: the rest stays on the ground; `continue`: without it; `return`: all come back
-  """
-  @type t :: %__MODULE__{}
-
-  @typedoc "What is known of a vehicle: its snapshot, its readiness, and why the policy or the firmware refuses it."
-  @type facts :: %{snapshot: Snapshot.t(), readiness: map(), refusal: String.t() | nil}
-
-  @typedoc "A line of the sheet. `:height` is nil for one that is left out; `:blocks`: why nothing begins with it."
-  @type line :: %{
-          id: String.t(),
-          n: pos_integer() | nil,
-          height: number() | nil,
-          after_s: number() | nil,
-          state: atom(),
-          why: String.t() | nil,
-          blocks: String.t() | nil
-        }
 
   # Twice the room of a vehicle.
   @near_m 3.0
-  @limits %{height: {1, 1_000}, gap: {0, 100}, interval: {0, 600}, above: {0.5, 100}}
-  @on_fail ~w(hold continue return)
-
-  @doc "What may happen when one fails, with words for it."
-  @spec on_fail() :: [{String.t(), String.t()}]
-  def on_fail,
-    do: [
-      {"hold", "Hold the rest on the ground"},
-      {"continue", "Continue without it"},
-      {"return", "Bring all back"}
-    ]
-
-  @doc "The limits of the numbers."
-  @spec limits() :: %{atom() => {number(), number()}}
-  def limits, do: @limits
-
-  @doc "A sheet for these vehicles, from south to north."
-  @spec new([Snapshot.t(), ...]) :: t()
-  def new(vehicles) do
-    order = Enum.sort_by(vehicles, &{Snapshot.data(&1, :position)[:lat] || 90, &1.id})
-    %__MODULE__{order: Enum.map(order, & &1.id)}
-  end
-
-  @doc "After the fields were changed. A number beyond its limits, or another text, changes nothing and is said."
-  @spec change(t(), map()) :: t()
-  def change(sheet, fields) do
-    {numbers, error} = Sheet.numbers(@limits, fields)
-    # A form has all its fields.
-    numbers = if numbers[:above] == above(sheet), do: Map.delete(numbers, :above), else: numbers
-    on_fail = if fields["on_fail"] in @on_fail, do: fields["on_fail"], else: sheet.on_fail
-    stacked = if fields["stacked"] in ["true", "false"], do: fields["stacked"] == "true", else: sheet.stacked
-    struct!(sheet, Map.merge(numbers, %{on_fail: on_fail, stacked: stacked, error: error}))
-  end
-
-  @doc "The height above which the next one begins: 5 m, or half of a height below 10 m, if it was not changed."
-  @spec above(t()) :: number()
-  def above(%{above: nil, height: height}), do: min(5, max(trunc(height / 2), 0.5))
-  def above(%{above: above}), do: above
-
-  @doc "Why the next one would never begin; nil if it does."
-  @spec futile(t()) :: String.t() | nil
-  def futile(%{height: height} = sheet) do
-    if above(sheet) >= height,
-      do: "The lowest flies at #{height} m and is never above #{above(sheet)} m: give less than #{height} m."
-  end
 
   @impl Sheet
-  def event(sheet, "change", fields), do: change(sheet, fields)
-  def event(sheet, "move", %{"id" => id, "to" => to}), do: Sheet.move(sheet, id, to)
-  def event(sheet, "anyway", %{"id" => id}), do: anyway(sheet, id)
-
-  def event(sheet, "leave", %{"id" => id}),
-    do: Sheet.leave(%{sheet | anyway: MapSet.delete(sheet.anyway, id)}, id)
-
-  def event(sheet, _unknown, _value), do: sheet
-
-  @doc "Takes a vehicle along although it is not known whether it is ready."
-  @spec anyway(t(), String.t()) :: t()
-  def anyway(sheet, id),
-    do: if(id in sheet.order, do: %{sheet | anyway: MapSet.put(sheet.anyway, id)}, else: sheet)
-
-  @doc "The lines in their order, with what is known of each vehicle, by id."
-  @spec lines(t(), %{String.t() => facts()}) :: [line()]
-  def lines(sheet, facts), do: for({id, n} <- Sheet.places(sheet), do: line(sheet, id, n, facts[id]))
-
-  defp line(sheet, id, n, facts) do
-    readiness = (facts && facts.readiness) || %{state: :unknown, points: []}
-    why = worst(readiness) || (facts && facts.refusal)
-
+  def about do
     %{
-      id: id,
-      n: n && n + 1,
-      height: n && height(sheet, n),
-      after_s: n && n * sheet.interval,
-      state: readiness.state,
-      why: why,
-      blocks: n && blocks(sheet, id, readiness.state, facts)
+      id: "take-off",
+      title: "Take off",
+      go: "Take off",
+      icon: "takeoff",
+      order: "Order of the take-off",
+      in_turn?: true
     }
   end
 
-  defp height(%{stacked: true} = sheet, n), do: sheet.height + n * sheet.gap
-  defp height(sheet, _n), do: sheet.height
+  @impl Sheet
+  def fields do
+    [
+      %{name: :height, label: "Height (above home)", unit: "m", range: {1, 1_000}, default: 20},
+      %{
+        name: :stacked,
+        label: "Heights",
+        options: [{"Stacked", "true"}, {"The same for all", "false"}],
+        default: "true"
+      },
+      %{
+        name: :gap,
+        label: "More each",
+        unit: "m",
+        range: {0, 100},
+        default: 3,
+        only: {:stacked, "true"}
+      },
+      %{name: :interval, label: "Between two", unit: "s", range: {0, 600}, default: 6},
+      %{name: :above, label: "Next one only above", unit: "m", range: {0.5, 100}, default: &above/1},
+      %{
+        name: :on_fail,
+        label: "If one fails",
+        options: [
+          {"Hold the rest on the ground", "hold"},
+          {"Continue without it", "continue"},
+          {"Bring all back", "return"}
+        ],
+        default: "hold"
+      }
+    ]
+  end
+
+  # 5 m, or half of a height below 10 m.
+  defp above(%{height: height}), do: min(5, max(trunc(height / 2), 0.5))
+
+  @impl Sheet
+  def errors(%{above: above, height: height}) when above >= height,
+    do: %{above: "The lowest flies at #{height} m and is never above #{above} m: give less than #{height} m."}
+
+  def errors(_values), do: %{}
+
+  # From south to north.
+  @impl Sheet
+  def rank(vehicle), do: Snapshot.data(vehicle, :position)[:lat] || 90
+
+  @impl Sheet
+  def facts(sheet, vehicle, n, ask) do
+    commands = [{"arm", nil}, {"takeoff", n && %{altitude: height(sheet, n)}}]
+    # It is armed before it takes off.
+    %{readiness: ask.readiness.(vehicle), refusal: n && ask.refusal.(vehicle, commands, [:firmware])}
+  end
+
+  @impl Sheet
+  def line(sheet, {id, n}, facts, _before) do
+    readiness = facts[:readiness] || %{state: :unknown, points: []}
+    open? = n != nil and readiness.state == :unknown and not MapSet.member?(sheet.anyway, id)
+
+    %{
+      height: n && height(sheet, n),
+      after_s: n && n * Sheet.values(sheet).interval,
+      state: readiness.state,
+      why: worst(readiness) || facts[:refusal],
+      anyway?: open?,
+      blocks:
+        cond do
+          readiness.state == :not_ready -> "#{id} is not ready: leave it out."
+          open? -> "It is not known whether #{id} is ready: leave it out, or take it along anyway."
+          true -> nil
+        end
+    }
+  end
+
+  defp height(sheet, n) do
+    %{height: height, gap: gap, stacked: stacked} = Sheet.values(sheet)
+    if stacked == "true", do: height + n * gap, else: height
+  end
 
   defp worst(%{state: state, points: points}) when state != :ready,
     do: with(%{title: title, text: text} <- Enum.find(points, &(&1.state == state)), do: "#{title}: #{text}")
 
   defp worst(_ready), do: nil
 
-  defp blocks(_sheet, id, _state, nil), do: "#{id} is not known any more: leave it out."
-  defp blocks(_sheet, id, :not_ready, _facts), do: "#{id} is not ready: leave it out."
-  defp blocks(_sheet, id, _state, %{refusal: <<_::binary>> = why}), do: "#{id}: #{why}"
-
-  defp blocks(sheet, id, :unknown, _facts) do
-    if not MapSet.member?(sheet.anyway, id),
-      do: "It is not known whether #{id} is ready: leave it out, or take it along anyway."
+  @impl Sheet
+  def cells(line) do
+    [
+      readiness: line.state,
+      muted: line.why,
+      number: if(line.n, do: "#{line.height} m", else: "left out"),
+      number: line.n && "+#{line.after_s} s"
+    ]
   end
 
-  defp blocks(_sheet, _id, _ready, _facts), do: nil
+  @impl Sheet
+  def summary(sheet, lines, known) do
+    counts =
+      for {state, word} <- [
+            ready: "ready",
+            check: "to be checked",
+            unknown: "unknown",
+            not_ready: "not ready"
+          ],
+          n = Enum.count(lines, &(&1.state == state)),
+          n > 0,
+          do: "#{n} #{word}"
 
-  @doc "The two nearest to each other of those that take off, with the metres between them; nil without two places."
-  @spec nearest([line()], %{String.t() => facts()}) :: {String.t(), String.t(), float()} | nil
-  def nearest(lines, facts) do
-    seen = for %{n: n, id: id} when n != nil <- lines, %{snapshot: snapshot} <- [facts[id]], do: snapshot
+    going = Enum.filter(lines, & &1.n)
+
+    [
+      "#{Enum.join(counts, ", ")}.",
+      if(Enum.all?(going, &(&1.blocks == nil)),
+        do: "Policy and firmware: allowed for all that take off."
+      ),
+      with(
+        {one, other, metres} <- nearest(going, known),
+        do: "Nearest on the ground: #{one} and #{other}, #{Float.round(metres, 1)} m."
+      ),
+      stack(Sheet.values(sheet), length(going))
+    ]
+    |> Enum.filter(& &1)
+    |> Enum.join(" ")
+  end
+
+  defp stack(_values, going) when going < 2, do: nil
+  defp stack(%{stacked: "true", gap: gap}, _going), do: "In the stack #{gap} m apart in height."
+  defp stack(_values, _going), do: "All at the same height."
+
+  @impl Sheet
+  def against(_sheet, going, known) do
+    with {one, other, metres} when metres < @near_m <- nearest(going, known) do
+      "#{one} and #{other} stand #{Float.round(metres, 1)} m apart; #{@near_m} m are wanted. Leave one of them out."
+    else
+      _far -> nil
+    end
+  end
+
+  # The two nearest to each other, with the metres between them; nil without two places.
+  defp nearest(going, known) do
+    seen = for %{id: id} <- going, %{snapshot: snapshot} <- [known[id]], do: snapshot
 
     for {one, i} <- Enum.with_index(seen),
         other <- Enum.drop(seen, i + 1),
@@ -152,60 +171,27 @@ defmodule Aerie.Console.Pages.Fleet.Act.TakeOff do
   end
 
   @impl Sheet
-  def refusal(sheet, facts) do
-    lines = lines(sheet, facts)
-    going = Enum.filter(lines, & &1.n)
-    nearest = nearest(lines, facts)
-
-    cond do
-      sheet.error -> sheet.error
-      futile = futile(sheet) -> futile
-      going == [] -> "All are left out."
-      blocked = Enum.find_value(going, & &1.blocks) -> blocked
-      match?({_one, _other, m} when m < @near_m, nearest) -> near(nearest)
-      true -> nil
-    end
-  end
-
-  defp near({one, other, metres}),
-    do:
-      "#{one} and #{other} stand #{Float.round(metres, 1)} m apart; #{@near_m} m are wanted. Leave one of them out."
+  def shown(sheet, line),
+    do: [line.height, Atom.to_string(line.state), MapSet.member?(sheet.anyway, line.id)]
 
   @impl Sheet
-  def shown(sheet, facts) do
-    vehicles =
-      for %{n: n} = line when n != nil <- lines(sheet, facts),
-          do: [line.id, line.height, Atom.to_string(line.state), MapSet.member?(sheet.anyway, line.id)]
-
-    %{
-      "vehicles" => vehicles,
-      "interval" => sheet.interval,
-      "above" => above(sheet),
-      "on_fail" => sheet.on_fail
-    }
-  end
-
-  @doc "The operation that such a press asks for. `steps` gives a vehicle's part of it (`Aerie.Fleet.take_off/4`)."
-  @spec request(id :: String.t(), shown :: map(), (id :: String.t(), number(), number(), boolean() -> map())) ::
-          map()
-  def request(id, shown, steps) do
+  def request(%{"vehicles" => vehicles, "values" => values}, known) do
     plan =
-      case shown["on_fail"] do
+      case values["on_fail"] do
         "hold" -> %{"halt_ratio" => 0}
         "continue" -> %{"halt_ratio" => 1}
         "return" -> %{"halt_ratio" => 0, "on_halt" => "return"}
       end
 
     Map.merge(plan, %{
-      "id" => id,
       "name" => "Take off",
-      "pause_s" => shown["interval"],
+      "pause_s" => values["interval"],
       "sequence" =>
         for(
-          [vehicle, height, _word, anyway?] <- shown["vehicles"],
-          do: steps.(vehicle, height, shown["above"], anyway?)
+          [id, height, _state, anyway?] <- vehicles,
+          do: Fleet.take_off(known[id].snapshot, height, values["above"], anyway?)
         ),
-      "shown" => for([vehicle, _height, word, _anyway] <- shown["vehicles"], into: %{}, do: {vehicle, word})
+      "shown" => for([id, _height, state, _anyway] <- vehicles, into: %{}, do: {id, state})
     })
   end
 end

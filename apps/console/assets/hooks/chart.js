@@ -2,6 +2,7 @@
 // keeps the picture while samples go on being collected; dragging zooms; a double click, or Live, goes back to the present.
 import { Samples } from "./chart/samples.js";
 import { time, ZONE } from "../lib/clock.js";
+import { button as plain, element } from "../lib/dom.js";
 import { save } from "../lib/files.js";
 import { color } from "../lib/theme.js";
 
@@ -12,11 +13,7 @@ const HEIGHT = 200;
 const COLORS = 8;
 const number = (v) => (v === null || v === undefined ? "–" : Number.parseFloat(v.toPrecision(7)).toString());
 
-function button(label, title, act) {
-  const node = Object.assign(document.createElement("button"), { type: "button", className: "button small", textContent: label, title });
-  node.addEventListener("click", act);
-  return node;
-}
+const button = (label, title, act) => Object.assign(plain(label, act), { title });
 
 export default {
   async mounted() {
@@ -64,17 +61,15 @@ export default {
   },
 
   tools() {
-    const span = document.createElement("select");
-    span.setAttribute("aria-label", "time shown");
+    const span = element("select", { "aria-label": "time shown" });
     for (const [seconds, label] of WINDOWS) span.add(new Option(label, seconds));
     span.addEventListener("change", () => { this.window = Number(span.value); this.live(); });
     this.pause = button("Pause", "freeze the picture; samples are still collected", () => this.hold(!this.paused));
     this.pause.setAttribute("aria-pressed", "false");
-    const bar = document.createElement("div");
-    bar.className = "chart-tools";
+    const bar = element("div", { className: "chart-tools" });
     bar.append(span, this.pause, button("Live", "back to the present", () => this.live()),
       button("Export CSV", "save what is shown as a file", () => this.save()));
-    this.list = document.createElement("div");
+    this.list = element("div");
     this.place.replaceChildren(bar, this.list);
   },
 

@@ -1,18 +1,20 @@
 // The hook of `Aerie.Console.Map.map/1`; the README in lib/aerie/console/map describes attributes and events.
-import { Base, offered } from "./map/base.js";
-import { box } from "./map/box.js";
-import { Coastlines } from "./map/coastlines.js";
+import { element } from "../lib/dom.js";
+import { Base, offered } from "./map/base/base.js";
+import { Coastlines } from "./map/base/coastlines.js";
+import { graticule } from "./map/base/graticule.js";
+import { colours, style } from "./map/base/style.js";
 import { bounds } from "./map/geo.js";
-import { graticule } from "./map/graticule.js";
-import { Measure } from "./map/measure.js";
-import { PlaceMenu, whenResting } from "./map/menu.js";
+import { repaint } from "./map/layers.js";
 import { npm } from "./map/npm.js";
 import { Overlays } from "./map/overlays.js";
-import { PlanEditor } from "./map/plan.js";
-import { colours, repaint, style } from "./map/style.js";
-import { toolbar } from "./map/toolbar.js";
-import { Tracks } from "./map/tracks.js";
-import { update, Vehicles } from "./map/vehicles.js";
+import { box } from "./map/tools/box.js";
+import { Measure } from "./map/tools/measure.js";
+import { PlaceMenu, whenResting } from "./map/tools/menu.js";
+import { PlanEditor } from "./map/tools/plan.js";
+import { toolbar } from "./map/tools/toolbar.js";
+import { Tracks } from "./map/vehicles/tracks.js";
+import { update, Vehicles } from "./map/vehicles/vehicles.js";
 
 const NO_WEBGL = "The map needs WebGL 2, which this browser or machine does not offer.";
 const NO_MAP = "The map could not be loaded.";
@@ -80,10 +82,9 @@ export default {
   },
 
   child(name, kind = "div") {
-    const element = document.createElement(kind);
-    element.className = name;
-    this.el.append(element);
-    return element;
+    const made = element(kind, { className: name });
+    this.el.append(made);
+    return made;
   },
 
   say(text, element = this.status) {
@@ -237,7 +238,7 @@ export default {
     this.tagList ??= this.child("map-legend", "ul");
     this.tagList.setAttribute("aria-label", "Colours of tags");
     this.tagList.replaceChildren(...[...tags].slice(0, 10).map(([tag, colour]) => {
-      const item = Object.assign(document.createElement("li"), { textContent: tag });
+      const item = element("li", { textContent: tag });
       item.style.setProperty("--tag", `var(--map-tag-${colour})`);
       return item;
     }));
@@ -394,7 +395,7 @@ export default {
 
   watchTheme() {
     this.theme = () => {
-      repaint(this.map, this.colours(), this.tiles);
+      repaint(this.map, style(this.colours(), this.tiles).layers);
       for (const part of [this.vehiclesLayer, this.tracks, this.overlays, this.measure, this.editor]) part.repaint();
     };
     window.addEventListener("theme", this.theme);

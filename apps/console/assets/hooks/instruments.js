@@ -2,7 +2,7 @@
 // interpolated. A vehicle that is silent keeps its last picture, crossed out, so that nobody takes it for the present.
 import { horizon } from "./instruments/horizon.js";
 import { Motion } from "./instruments/motion.js";
-import { element, line, put, text } from "./instruments/svg.js";
+import { element, line, put, text } from "../lib/svg.js";
 import { tape } from "./instruments/tape.js";
 
 const SILENT = 3000;

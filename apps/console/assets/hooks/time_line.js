@@ -1,6 +1,7 @@
 // The time line of the replay: a row for each vehicle, marks by their shape, a cursor. It is one slider for the keyboard and for screen
 // readers; its keys are those of the page (replay.js).
 import { time } from "../lib/clock.js";
+import { element } from "../lib/svg.js";
 
 const ROW = 20;
 const TOP = 22;
@@ -9,7 +10,6 @@ const NEAR = 9; // pixels around a mark
 const STEPS = [10, 30, 60, 300, 600, 1800, 3600, 3 * 3600, 6 * 3600];
 const CLASSES = { 1: "heard", 2: "air", 3: "lost" };
 const SIGNS = { critical: "▲", warning: "△", done: "◆", refused: "◇", landed: "⌂" };
-const SVG = "http://www.w3.org/2000/svg";
 
 export class TimeLine {
   constructor(el, { seek, mark, viewed }) {
@@ -103,11 +103,11 @@ export class TimeLine {
     const height = TOP + Math.max(1, this.rows.length) * ROW + 4;
     this.svg.setAttribute("width", this.el.clientWidth);
     this.svg.setAttribute("height", height);
-    const hatch = node("pattern", { id: "time-line-hatch", width: 6, height: 6, patternUnits: "userSpaceOnUse", patternTransform: "rotate(45)" }, [node("rect", { width: 3, height: 6, class: "hatch" })]);
-    const parts = [node("defs", {}, [hatch]), ...this.axis(height)];
+    const hatch = element("pattern", { id: "time-line-hatch", width: 6, height: 6, patternUnits: "userSpaceOnUse", patternTransform: "rotate(45)" }, element("rect", { width: 3, height: 6, class: "hatch" }));
+    const parts = [element("defs", {}, hatch), ...this.axis(height)];
     this.rows.forEach((row, index) => parts.push(...this.row(row, index)));
     for (const mark of this.marks) if (mark.at >= this.view.from && mark.at <= this.view.to) parts.push(this.sign(mark));
-    this.needle = node("line", { class: "cursor", y1: 0, y2: height });
+    this.needle = element("line", { class: "cursor", y1: 0, y2: height });
     this.svg.replaceChildren(...parts, this.needle);
     this.place();
     this.viewed();
@@ -126,7 +126,7 @@ export class TimeLine {
     const step = STEPS.find((s) => (to - from) / s <= most) ?? STEPS.at(-1);
     const parts = [];
     for (let at = Math.ceil(from / step) * step; at <= to; at += step) {
-      parts.push(node("line", { class: "tick", x1: this.x(at), x2: this.x(at), y1: TOP - 4, y2: height }));
+      parts.push(element("line", { class: "tick", x1: this.x(at), x2: this.x(at), y1: TOP - 4, y2: height }));
       parts.push(text("time", this.x(at), 12, time(at, step >= 60), "middle"));
     }
     return parts;
@@ -141,7 +141,7 @@ export class TimeLine {
       if (to < this.view.from || from > this.view.to) continue;
       const [x1, x2] = [Math.max(this.x(from), this.label), Math.min(this.x(to), this.el.clientWidth - 8)];
       const thick = state === 1 ? 2 : 8;
-      parts.push(node("rect", { class: CLASSES[state], x: x1, y: y - thick / 2, width: Math.max(x2 - x1, 1), height: thick }));
+      parts.push(element("rect", { class: CLASSES[state], x: x1, y: y - thick / 2, width: Math.max(x2 - x1, 1), height: thick }));
     }
     return parts;
   }
@@ -149,7 +149,7 @@ export class TimeLine {
   sign(mark) {
     const y = TOP + this.line(mark) * ROW + ROW / 2 + 5;
     const sign = text(`mark ${mark.kind}${mark === this.chosen ? " chosen" : ""}`, this.x(mark.at), y, SIGNS[mark.kind], "middle");
-    sign.append(node("title", {}, [`${time(mark.at)} ${mark.vehicle ?? ""}: ${mark.text}`]));
+    sign.append(element("title", {}, `${time(mark.at)} ${mark.vehicle ?? ""}: ${mark.text}`));
     return sign;
   }
 }
@@ -160,11 +160,4 @@ function without([from, to, state], first, last) {
   return [[from, first, state], [last, to, state]].filter(([a, b]) => b > a);
 }
 
-function node(name, attributes, children = []) {
-  const element = document.createElementNS(SVG, name);
-  for (const [key, value] of Object.entries(attributes)) element.setAttribute(key, value);
-  element.append(...children);
-  return element;
-}
-
-const text = (kind, x, y, words, anchor) => node("text", { class: kind, x, y, "text-anchor": anchor }, [words]);
+const text = (kind, x, y, words, anchor) => element("text", { class: kind, x, y, "text-anchor": anchor }, words);

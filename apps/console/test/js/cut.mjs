@@ -1,6 +1,6 @@
-// What is cut of rings and lines (assets/hooks/map/cut.js): needs no browser.
+// What is cut of rings and lines (assets/hooks/map/base/cut.js): needs no browser.
 import assert from "node:assert/strict";
-import { line, ring } from "../../assets/hooks/map/cut.js";
+import { line, ring } from "../../assets/hooks/map/base/cut.js";
 
 const box = { west: 0, south: 0, east: 10, north: 10 };
 const square = (west, south, size) => [[west, south], [west + size, south], [west + size, south + size], [west, south + size], [west, south]];

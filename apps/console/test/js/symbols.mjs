@@ -1,9 +1,9 @@
-// Clusters, motion and colours of tags (assets/hooks/map): needs no browser.
+// Clusters, motion and colours of tags (assets/hooks/map/vehicles): needs no browser.
 import assert from "node:assert/strict";
-import { clustered } from "../../assets/hooks/map/clusters.js";
+import { clustered } from "../../assets/hooks/map/vehicles/clusters.js";
 import { distance } from "../../assets/hooks/map/geo.js";
-import { again, opacity, shown } from "../../assets/hooks/map/motion.js";
-import { TAG_COLOURS, tagColours } from "../../assets/hooks/map/tags.js";
+import { again, opacity, shown } from "../../assets/hooks/map/vehicles/motion.js";
+import { TAG_COLOURS, tagColours } from "../../assets/hooks/map/vehicles/tags.js";
 
 const vehicle = (id, more = {}) => ({ id, position: [8.54, 47.39], state: "armed", speed: 0, course: null, at: 0, ...more });
 const never = () => false;

@@ -1,5 +1,5 @@
 // The artificial horizon: sky and ground turn behind a fixed symbol of the vehicle.
-import { element, line, text } from "./svg.js";
+import { element, line, text } from "../../lib/svg.js";
 
 const PER_DEGREE = 4;
 const ROLL_MARKS = [-60, -45, -30, -20, -10, 10, 20, 30, 45, 60];

@@ -1,6 +1,6 @@
 // A tape: a scale that moves behind a fixed window with the current value. Upright for height and speed. The heading's tape is level and has
 // its window below, because the numbers are so close together that the window would hide one of them.
-import { element, line, put, text } from "./svg.js";
+import { element, line, put, text } from "../../lib/svg.js";
 
 // Fades the ends of a level tape, where the numbers would be cut otherwise.
 function fade(id, box) {

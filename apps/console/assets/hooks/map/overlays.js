@@ -1,7 +1,7 @@
 // What belongs to vehicles and to the gateway: homes, missions, fences and rally points of vehicles, the policy's zones, range rings,
 // and the place that a vehicle was told to go to. One source.
 import { circle, collection, continuous, destination, feature, metresText } from "./geo.js";
-import { FONT } from "./style.js";
+import { along, FONT, label, repaint } from "./layers.js";
 
 const RINGS = 3;
 const RING_APART = 90; // pixels
@@ -65,9 +65,7 @@ export class Overlays {
   }
 
   repaint() {
-    for (const layer of layers(this.colours())) {
-      for (const [name, value] of Object.entries(layer.paint)) this.map.setPaintProperty(layer.id, name, value);
-    }
+    repaint(this.map, layers(this.colours()));
   }
 }
 
@@ -141,8 +139,8 @@ function layers(c) {
     },
     {
       id: "overlays-way-text", type: "symbol", source: "overlays", filter: all("LineString", "way"),
-      layout: { "symbol-placement": "line-center", "text-field": ["get", "text"], "text-font": FONT, "text-size": 12, "text-offset": [0, -0.9], "text-allow-overlap": true },
-      paint: { "text-color": c.text, "text-halo-color": c.halo, "text-halo-width": 2 },
+      layout: along,
+      paint: label(c),
     },
     {
       id: "overlays-text", type: "symbol", source: "overlays", filter: all("Point", "home", "rally", "waypoint"),
@@ -152,7 +150,7 @@ function layers(c) {
     {
       id: "overlays-name", type: "symbol", source: "overlays", filter: ["all", is("ring", "target", "inclusion", "exclusion"), ["has", "text"]],
       layout: { "text-field": ["get", "text"], "text-font": FONT, "text-size": 11, "text-offset": [0, 1], "text-anchor": "top" },
-      paint: { "text-color": c.text, "text-halo-color": c.halo, "text-halo-width": 2 },
+      paint: label(c),
     },
   ];
 }

@@ -112,7 +112,7 @@ defmodule Aerie.Console.Pages.Fleet.BoardTest do
     assert :proper.quickcheck(property, [:quiet, {:numtests, 300}]) == true, inspect(:proper.counterexample())
   end
 
-  # update() of assets/hooks/map/vehicles.js
+  # update() of assets/hooks/map/vehicles/vehicles.js
   defp draw(fleet, nil), do: fleet
 
   defp draw(fleet, %{"all" => all?, "vehicles" => rows, "gone" => gone}) do

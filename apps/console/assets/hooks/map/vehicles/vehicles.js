@@ -1,9 +1,9 @@
 // The vehicles: symbols turned by their heading, a line towards their course, names; from far, clusters. One update of one source for each
 // push, and between them only while something moves on the screen or fades, and the page is seen.
 import { BELOW, clustered } from "./clusters.js";
-import { bounds, collection, destination, feature } from "./geo.js";
+import { bounds, collection, destination, feature } from "../geo.js";
 import { again, opacity, shown } from "./motion.js";
-import { FONT } from "./style.js";
+import { FONT, label, repaint } from "../layers.js";
 import { provideSymbols, redrawSymbols, symbolName } from "./symbols.js";
 import { tagColours } from "./tags.js";
 
@@ -125,9 +125,7 @@ export class Vehicles {
 
   repaint() {
     redrawSymbols(this.map, this.colours);
-    for (const layer of layers(this.colours())) {
-      for (const [name, value] of Object.entries(layer.paint)) this.map.setPaintProperty(layer.id, name, value);
-    }
+    repaint(this.map, layers(this.colours()));
   }
 }
 
@@ -146,7 +144,7 @@ function read([id, lat, lon, heading, course, speed, height, kind, state, inAir,
 function layers(c) {
   const common = { source: "vehicles", filter: ["has", "id"] };
   const name = { "text-font": FONT, "text-size": 12, "text-anchor": "top", "text-offset": [0, 1.6] };
-  const text = { "text-color": c.text, "text-halo-color": c.halo, "text-halo-width": 2 };
+  const text = label(c);
   return [
     {
       id: "vehicles-cluster", type: "symbol", source: "vehicles", filter: ["has", "cluster"],

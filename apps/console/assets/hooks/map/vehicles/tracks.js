@@ -1,5 +1,5 @@
 // Where the vehicles have been since the page was opened. Bounded: with many vehicles each has a shorter track.
-import { collection, distance, feature } from "./geo.js";
+import { collection, distance, feature } from "../geo.js";
 import { TAG_COLOURS } from "./tags.js";
 
 const POINTS = 24_000; // of all tracks

@@ -1,7 +1,8 @@
 // What the map stands on: the layers that the gateway offers (`/tiles`), the one that this browser shows, what its licence asks to
 // say, and the question to an admin while there is none. Nothing is loaded from elsewhere.
 import { described } from "./archive.js";
-import { npm } from "./npm.js";
+import { button, element } from "../../../lib/dom.js";
+import { npm } from "../npm.js";
 import { swap } from "./style.js";
 
 const KEPT = "map-layer"; // the id of the layer, or NONE
@@ -227,23 +228,8 @@ export class Base {
 
   panelOf(name, title, parts) {
     this.panel?.remove();
-    this.panel = element("section", { className: "map-panel" });
-    this.panel.dataset.name = name;
-    this.panel.setAttribute("aria-label", title);
+    this.panel = element("section", { className: "map-panel", "data-name": name, "aria-label": title });
     this.panel.append(element("h3", { textContent: title }), ...parts);
     this.hook.el.append(this.panel);
   }
-}
-
-const element = (name, properties = {}) => {
-  const { role, ...others } = properties;
-  const made = Object.assign(document.createElement(name), others);
-  if (role) made.setAttribute("role", role);
-  return made;
-};
-
-function button(text, press) {
-  const made = element("button", { type: "button", className: "button small", textContent: text });
-  made.addEventListener("click", press);
-  return made;
 }

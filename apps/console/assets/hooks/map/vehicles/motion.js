@@ -1,5 +1,5 @@
 // Where a vehicle is drawn between what is heard of it, and how it fades when nothing more is heard. Pure; times are milliseconds.
-import { destination } from "./geo.js";
+import { destination } from "../geo.js";
 
 const GUESSED_MS = 1_000;
 const FADED_MS = 30_000;

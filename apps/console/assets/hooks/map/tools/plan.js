@@ -1,8 +1,8 @@
 // Draws a plan and its handles: a click adds, dragging a handle moves it, dragging the middle of a leg or edge inserts. What is
 // changed is told to the server, which keeps the plan and sends it back.
-import { collection, destination, distance, feature } from "./geo.js";
-import { zoneFeature } from "./overlays.js";
-import { FONT } from "./style.js";
+import { collection, destination, distance, feature } from "../geo.js";
+import { FONT, repaint } from "../layers.js";
+import { zoneFeature } from "../overlays.js";
 
 const EMPTY = { items: [], zones: [], corners: [], rally: [], home: null, part: "mission" };
 const REACH = 12; // pixels
@@ -99,9 +99,7 @@ export class PlanEditor {
   }
 
   repaint() {
-    for (const layer of layers(this.colours())) {
-      for (const [name, value] of Object.entries(layer.paint)) this.map.setPaintProperty(layer.id, name, value);
-    }
+    repaint(this.map, layers(this.colours()));
   }
 }
 

@@ -1,5 +1,5 @@
 // Tiles of one PMTiles file: npm's pmtiles reads the ranges that the map needs. `described` gives what style.js draws.
-import { npm } from "./npm.js";
+import { npm } from "../npm.js";
 
 // Of the file's tiles: 1 are vectors, the others images.
 const TYPES = { 1: "vector", 2: "raster", 3: "raster", 4: "raster", 5: "raster" };

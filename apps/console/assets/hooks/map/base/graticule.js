@@ -1,5 +1,5 @@
 // Parallels and meridians of what is in view, at a distance that suits the zoom, and their labels at the left and upper edge. Pure.
-import { collection, feature } from "./geo.js";
+import { collection, feature } from "../geo.js";
 
 // In seconds of arc: 30 degrees to 1 second.
 const STEPS = [108000, 54000, 36000, 18000, 7200, 3600, 1800, 600, 300, 120, 60, 30, 10, 5, 2, 1];

@@ -1,6 +1,6 @@
 // Distances along a line that is clicked, with the direction and length of each leg.
-import { bearing, collection, distance, feature, metresText } from "./geo.js";
-import { FONT } from "./style.js";
+import { bearing, collection, distance, feature, metresText } from "../geo.js";
+import { along, label, repaint } from "../layers.js";
 
 export class Measure {
   constructor(map, colours, say) {
@@ -42,9 +42,7 @@ export class Measure {
   }
 
   repaint() {
-    for (const layer of layers(this.colours())) {
-      for (const [name, value] of Object.entries(layer.paint)) this.map.setPaintProperty(layer.id, name, value);
-    }
+    repaint(this.map, layers(this.colours()));
   }
 }
 
@@ -57,8 +55,8 @@ function layers(c) {
     },
     {
       id: "measure-text", type: "symbol", source: "measure", filter: ["==", ["geometry-type"], "LineString"],
-      layout: { "symbol-placement": "line-center", "text-field": ["get", "text"], "text-font": FONT, "text-size": 12, "text-offset": [0, -0.9], "text-allow-overlap": true },
-      paint: { "text-color": c.text, "text-halo-color": c.halo, "text-halo-width": 2 },
+      layout: along,
+      paint: label(c),
     },
   ];
 }

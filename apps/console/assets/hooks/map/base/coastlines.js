@@ -1,8 +1,8 @@
 // Land and borders from npm's world-atlas (Natural Earth, public domain): coarse ones of the whole earth, and from FINE_ZOOM on fine ones of
 // what is around the view. All fine ones at once keep a computer busy for seconds.
 import { line, ring } from "./cut.js";
-import { collection, continuous, feature } from "./geo.js";
-import { npm } from "./npm.js";
+import { collection, continuous, feature } from "../geo.js";
+import { npm } from "../npm.js";
 
 const FINE_ZOOM = 4.5;
 const MARGIN = 1; // of the view's size, on each side

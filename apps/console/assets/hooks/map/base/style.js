@@ -1,10 +1,8 @@
 // The map's style: land, borders, tiles, graticule. It needs no network; labels are drawn with the font of the pages. Colours are the custom properties of css/map.css, so that they follow the page's theme.
-import { color, dark } from "../../lib/theme.js";
-import { collection } from "./geo.js";
-import { TAG_COLOURS } from "./tags.js";
-
-// The first is ours; the others have the signs that it lacks.
-export const FONT = ["Inter", "Segoe UI", "Roboto", "Noto Sans", "Liberation Sans", "DejaVu Sans", "sans-serif"];
+import { color, dark } from "../../../lib/theme.js";
+import { collection } from "../geo.js";
+import { FONT } from "../layers.js";
+import { TAG_COLOURS } from "../vehicles/tags.js";
 
 const COLOURS = [
   "water", "land", "coast", "border", "grid", "text", "halo", "armed", "disarmed", "stale", "lost", "failsafe", "selected", "track",
@@ -53,13 +51,6 @@ export function swap(map, c, tiles) {
   if (!tiles) return;
   map.addSource("tiles", tileSource(tiles));
   for (const layer of tileLayers(c, tiles)) map.addLayer(layer, "coast");
-}
-
-// What a change of the theme sets anew in a map that is there already.
-export function repaint(map, c, tiles) {
-  for (const layer of style(c, tiles).layers) {
-    for (const [name, value] of Object.entries(layer.paint ?? {})) map.setPaintProperty(layer.id, name, value);
-  }
 }
 
 function graticuleLabels(c, edge) {

@@ -1,6 +1,7 @@
 // The map's buttons: ordinary ones, in the order of the Tab key, with names for screen readers and tool tips.
+import { element } from "../../../lib/dom.js";
+import { element as svg } from "../../../lib/svg.js";
 
-const SVG = "http://www.w3.org/2000/svg";
 const ICONS = {
   in: "M12 5v14M5 12h14",
   out: "M5 12h14",
@@ -15,33 +16,15 @@ const ICONS = {
 
 // `buttons`: [{name, label, toggle?, press}]
 export function toolbar(buttons) {
-  const bar = document.createElement("div");
-  bar.className = "map-tools";
-  bar.setAttribute("role", "toolbar");
-  bar.setAttribute("aria-label", "Map");
+  const bar = element("div", { className: "map-tools", role: "toolbar", "aria-label": "Map" });
   const made = {};
   for (const { name, label, toggle, press } of buttons) {
-    const button = document.createElement("button");
-    button.type = "button";
-    button.className = "map-tool";
-    button.dataset.tool = name;
-    button.title = label;
-    button.setAttribute("aria-label", label);
+    const button = element("button", { type: "button", className: "map-tool", title: label, "aria-label": label, "data-tool": name });
     if (toggle) button.setAttribute("aria-pressed", "false");
-    button.append(icon(ICONS[name]));
+    button.append(svg("svg", { viewBox: "0 0 24 24", "aria-hidden": "true" }, svg("path", { d: ICONS[name] })));
     button.addEventListener("click", press);
     bar.append(button);
     made[name] = button;
   }
   return { bar, press: (name, pressed) => made[name]?.setAttribute("aria-pressed", String(pressed)) };
-}
-
-function icon(path) {
-  const svg = document.createElementNS(SVG, "svg");
-  svg.setAttribute("viewBox", "0 0 24 24");
-  svg.setAttribute("aria-hidden", "true");
-  const shape = document.createElementNS(SVG, "path");
-  shape.setAttribute("d", path);
-  svg.append(shape);
-  return svg;
 }

@@ -1,4 +1,5 @@
 // The menu of a place: by the other mouse button, by a finger that rests, or by the menu key, which takes the centre of the view.
+import { element } from "../../../lib/dom.js";
 
 const REST_MS = 500;
 const TREMBLE_PX = 10;
@@ -21,13 +22,11 @@ export class PlaceMenu {
     this.close();
     this.place = place;
     this.from = document.activeElement;
-    const menu = (this.menu = element("div", "map-menu"));
-    const list = element("div", "map-menu-items");
-    list.setAttribute("role", "menu");
-    list.setAttribute("aria-label", note ? `${title}. ${note}` : title);
+    const menu = (this.menu = element("div", { className: "map-menu" }));
+    const list = element("div", { className: "map-menu-items", role: "menu", "aria-label": note ? `${title}. ${note}` : title });
     list.append(...items.map((item) => this.item(item)));
-    menu.append(text("p", "map-menu-title", title), list);
-    if (note) menu.append(text("p", "map-menu-note", note));
+    menu.append(element("p", { className: "map-menu-title", textContent: title }), list);
+    if (note) menu.append(element("p", { className: "map-menu-note", textContent: note }));
     menu.addEventListener("keydown", (event) => this.key(event));
     menu.addEventListener("contextmenu", (event) => event.preventDefault());
     this.el.append(menu);
@@ -38,14 +37,10 @@ export class PlaceMenu {
   }
 
   item({ act, label, refusal }) {
-    const button = text("button", "map-menu-item", label);
-    button.type = "button";
-    button.dataset.act = act;
-    button.setAttribute("role", "menuitem");
-    button.tabIndex = -1;
+    const button = element("button", { type: "button", className: "map-menu-item", textContent: label, tabIndex: -1, role: "menuitem", "data-act": act });
     if (refusal) {
       button.setAttribute("aria-disabled", "true");
-      button.append(text("small", "", refusal));
+      button.append(element("small", { textContent: refusal }));
     }
     button.addEventListener("click", () => {
       if (refusal) return;
@@ -90,11 +85,3 @@ export function whenResting(map, rested) {
   map.on("touchmove", ({ point }) => Math.hypot(point.x - from.x, point.y - from.y) > TREMBLE_PX && end());
   for (const event of ["touchend", "touchcancel"]) map.on(event, end);
 }
-
-function element(name, kind) {
-  const made = document.createElement(name);
-  made.className = kind;
-  return made;
-}
-
-const text = (name, kind, words) => Object.assign(element(name, kind), { textContent: words });

@@ -59,6 +59,7 @@ defmodule Aerie.Console.Pages.Operations.OnMount do
 
   defp row(%{"counts" => counts} = operation, words) do
     all = length(words)
+    {listed, more} = Words.listed(words)
 
     %{
       id: operation["id"],
@@ -67,7 +68,9 @@ defmodule Aerie.Console.Pages.Operations.OnMount do
       source: operation["source"],
       then: operation["then"],
       line: Words.line(operation, words),
-      words: words,
+      listed: listed,
+      more: more,
+      outside: Words.outside(words),
       all: all,
       waiting: counts["waiting"],
       begun: all - counts["waiting"],

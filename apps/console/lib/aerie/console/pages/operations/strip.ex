@@ -8,7 +8,10 @@ defmodule Aerie.Console.Pages.Operations.Strip do
   alias Aerie.Console.Pages.Vehicle.Sections
   alias Aerie.Control.Policy.Roles
 
-  attr :rows, :list, required: true, doc: "of each operation: the answer of the fleet, its line and its words"
+  attr :rows, :list,
+    required: true,
+    doc: "of each operation: the answer of the fleet, its line, its words and how many more there are"
+
   attr :user, :map, required: true
 
   @doc "The strip; nothing without operations."
@@ -26,12 +29,14 @@ defmodule Aerie.Console.Pages.Operations.Strip do
             <span role="status">{row.line}</span>
           </summary>
           <ul>
-            <li :for={word <- row.words}>
+            <li :for={word <- row.listed}>
               <.link navigate={Sections.path(word.vehicle, "fly")}>{word.vehicle}</.link>
               <.badge kind={word.kind}>{word.text}</.badge>
             </li>
+            <li :if={row.more > 0} class="muted">and {row.more} more</li>
           </ul>
         </details>
+        <.badge :if={row.outside} kind="warn">{row.outside}</.badge>
         <progress max={row.all} value={row.over} aria-label={row.line}>{row.over} of {row.all}</progress>
         <.act :if={may?(@user)} row={row} mine={row.source == @user.name} />
       </div>

@@ -42,6 +42,9 @@ defmodule Aerie.Console.Pages.Operations.Words do
   @same %{"Landing" => [:land, :return], "Returning" => [:land, :return], "Holding" => [:hold, :hold_height]}
   @landed ~w(landed disarmed)
   @named 3
+  @listed 12
+  # Sequences that give each vehicle a height of its own before it returns.
+  @stacked ["Return", "Return all"]
   @shown_us 60_000_000
   # A landing that nobody has seen end.
   @flight_us 900_000_000
@@ -49,6 +52,7 @@ defmodule Aerie.Console.Pages.Operations.Words do
   @typedoc """
     * `:kind` - of a badge; `:group` - the word without what is different for each vehicle; `:reason` - of a failure
     * `:going?` - the vehicle is still at what it was told; `:at` - when that ended, where it is known
+    * `:outside?` - it returns outside of the stack of the others, because its firmware takes no height
   """
   @type word :: %{
           vehicle: String.t(),
@@ -57,6 +61,7 @@ defmodule Aerie.Console.Pages.Operations.Words do
           text: String.t(),
           reason: String.t() | nil,
           going?: boolean(),
+          outside?: boolean(),
           at: integer() | nil
         }
 
@@ -79,7 +84,8 @@ defmodule Aerie.Console.Pages.Operations.Words do
     words =
       for id <- order do
         look = {fn -> vehicle.(id) end, fn -> events.(id, unix(operation["begun_at"])) end}
-        vehicles[id] |> word(operation, look) |> Map.put(:vehicle, id)
+        outside? = stacked?(operation) and outside?(vehicle.(id))
+        vehicles[id] |> word(operation, look) |> Map.merge(%{vehicle: id, outside?: outside?})
       end
 
     Enum.sort_by(words, &need(&1.kind))
@@ -88,6 +94,16 @@ defmodule Aerie.Console.Pages.Operations.Words do
   defp need("bad"), do: 0
   defp need("warn"), do: 1
   defp need(_other), do: 2
+
+  defp stacked?(%{"name" => name, "what" => %{"sequence" => _steps}, "order" => [_one, _two | _more]}),
+    do: name in @stacked
+
+  defp stacked?(_other), do: false
+
+  defp outside?(nil), do: false
+
+  defp outside?(%{autopilot: autopilot, vehicle_type: kind}),
+    do: Firmware.of(autopilot).gap("set_altitude", kind) != nil
 
   defp word(%{"state" => "waiting"}, %{"state" => state}, _look) when state in ~w(running paused),
     do: say("plain", "Waiting")
@@ -170,12 +186,34 @@ defmodule Aerie.Console.Pages.Operations.Words do
   end
 
   defp names([%{kind: kind, reason: reason} | _] = words) when kind in ~w(bad warn) do
-    {named, more} = words |> Enum.map(& &1.vehicle) |> Enum.split(@named)
     why = if reason && Enum.all?(words, &(&1.reason == reason)), do: " (#{reason})"
-    ": #{Enum.join(named, ", ")}#{if more != [], do: " and #{length(more)} more"}#{why}"
+    ": #{named(words)}#{why}"
   end
 
   defp names(_words), do: ""
+
+  defp named(words) do
+    {named, more} = words |> Enum.map(& &1.vehicle) |> Enum.split(@named)
+    "#{Enum.join(named, ", ")}#{if more != [], do: " and #{length(more)} more"}"
+  end
+
+  @doc "Which vehicles are on their way home outside of the others' stack; nil for none."
+  @spec outside([word()]) :: String.t() | nil
+  def outside(words) do
+    case Enum.filter(words, &(&1.outside? and &1.going?)) do
+      [] -> nil
+      some -> "Outside the stack, at the firmware's own height: #{named(some)}"
+    end
+  end
+
+  @doc "Those that are listed, and how many more there are: of many, those still at it before those that are over."
+  @spec listed([word()]) :: {[word()], non_neg_integer()}
+  def listed(words) when length(words) <= @listed, do: {words, 0}
+
+  def listed(words) do
+    {listed, more} = words |> Enum.sort_by(&{need(&1.kind), not &1.going?}) |> Enum.split(@listed)
+    {listed, length(more)}
+  end
 
   @doc "The line of an operation: `Take off 5: 3 up, 1 climbing, 1 waiting`, `Land: sim-002 landed`."
   @spec line(map(), [word()]) :: String.t()

@@ -176,6 +176,20 @@ defmodule Aerie.Console.Pages.Operations.StripTest do
     refute has_element?(view, "#operation-abort-up")
   end
 
+  test "of those that return, it names whose firmware takes no height", %{console: console} do
+    for {n, autopilot} <- [{1, :px4}, {2, :betaflight}],
+        do: put_vehicle(console, "V#{n}", [], %{key: {"main", n}, system_id: n, autopilot: autopilot})
+
+    steps = [%{"wait" => "landed", "timeout_s" => 900}, %{"type" => "rtl"}]
+    sequence = for n <- 1..2, do: %{"vehicle" => "V#{n}", "steps" => steps}
+    request = %{"id" => "up", "name" => "Return", "step" => 2, "sequence" => sequence}
+    {:ok, _operation} = Operations.begin(console.gateway, request, @other, "console")
+
+    assert console
+           |> open(:operator)
+           |> has_element?("#operation-up .badge.warn", "Outside the stack, at the firmware's own height: V2")
+  end
+
   test "what is over is closed by each for all of their pages", %{console: console} do
     {:ok, _operation} =
       Operations.begin(
@@ -206,6 +220,7 @@ defmodule Aerie.Console.Pages.Operations.StripTest do
     {:ok, _operation} = Operations.begin(console.gateway, request, @operator, "console")
     view = open(console, :operator)
     assert has_element?(view, "#operation-strip", "Many 60: 50 landing, 10 waiting")
+    assert has_element?(view, "#operation-up li", "and 48 more")
     assert has_element?(view, "#operation-strip button", "Stop: the rest does not begin")
     refute has_element?(view, "#operation-abort-up")
   end

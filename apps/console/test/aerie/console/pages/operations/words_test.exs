@@ -180,6 +180,40 @@ defmodule Aerie.Console.Pages.Operations.WordsTest do
     end
   end
 
+  test "of several that return, those whose firmware takes no height are named until they have landed" do
+    vehicle = fn id ->
+      autopilot = if id in ~w(B C), do: :betaflight, else: :px4
+      groups = %{mode: %{at: 0, data: %{mode: nil, in_air: id != "C"}}}
+      %Snapshot{id: id, autopilot: autopilot, vehicle_type: "copter", groups: groups}
+    end
+
+    outside = fn ids, more ->
+      returning = for id <- ids, do: {id, ended("ok", "completed", nil)}
+
+      returning
+      |> operation(Map.merge(%{"name" => "Return all", "what" => %{"sequence" => ["rtl"]}}, more))
+      |> Words.vehicles({vehicle, fn _id, _since -> [] end})
+      |> Words.outside()
+    end
+
+    assert outside.(~w(A B C), %{}) == "Outside the stack, at the firmware's own height: B"
+    assert outside.(~w(A B), %{"name" => "Return"}) == "Outside the stack, at the firmware's own height: B"
+    # Without heights, or alone, there is no stack.
+    assert outside.(~w(A D), %{}) == nil
+    assert outside.(["B"], %{}) == nil
+    assert outside.(~w(A B), %{"what" => %{"command" => %{"type" => "rtl"}}}) == nil
+  end
+
+  test "of sixty, twelve are listed: what went wrong, then those still at it" do
+    up = for n <- 1..50, do: {"U#{n}", ended("ok", "completed", nil)}
+    going = for n <- 1..9, do: {"G#{n}", at("arm")}
+    words = (up ++ going ++ [{"F", ended("failed", "timeout", nil)}]) |> operation() |> words(nil)
+    {listed, 48} = Words.listed(words)
+    assert for(word <- listed, do: word.vehicle) == ["F"] ++ for(n <- 1..9, do: "G#{n}") ++ ["U1", "U2"]
+    few = Enum.take(words, 12)
+    assert Words.listed(few) == {few, 0}
+  end
+
   test "those that need somebody come first, with reasons in full; the others stay in their order" do
     why = String.duplicate("a long reason ", 30)
     ok = ended("ok", "completed", nil)

@@ -6,7 +6,9 @@ defmodule Aerie.System.SequenceTest do
 
   use Aerie.SystemCase, async: true
 
+  alias Aerie.Control.Commands
   alias Aerie.Fleet
+  alias Aerie.Vehicle.Snapshot
   alias SimVehicle.Msp
 
   @moduletag :tmp_dir
@@ -99,5 +101,43 @@ defmodule Aerie.System.SequenceTest do
     for [one, other] <- Enum.chunk_every(heights, 2, 1, :discard), do: assert(other - one > 1)
     done = await(c, back, "all have been told", &(&1["state"] == "done" && &1))
     for n <- 1..4, do: assert(%{"state" => "ok"} = done["vehicles"][id(n)])
+  end
+
+  # Some 60 metres north of its home.
+  defp land_at(c, n, id) do
+    place = %{"lat" => 47.39 + n / 1000 + 60 / 111_195, "lon" => 8.54, "altitude" => 8}
+    {:ok, steps} = c.gateway |> Fleet.vehicle(id(n)) |> Fleet.land_at(place)
+    request = %{"id" => id, "name" => "Land here", "sequence" => [patiently(steps)], "timeout_s" => 120}
+    {:ok, _begun} = Fleet.begin_operation(c.gateway, request, @ann, "elixir")
+    place
+  end
+
+  defp metres_from(c, n, %{"lat" => lat, "lon" => lon}),
+    do: c.gateway |> Fleet.vehicle(id(n)) |> Snapshot.distance({lat, lon})
+
+  test "ArduPilot and PX4 land at a place; one that is held on the way, or returns by its failsafe, does not",
+       c do
+    {:ok, _begun} = take_off(c, [1, 2, 3, 4])
+    await(c, "all are up", &(&1["state"] == "done"))
+    places = Map.new(1..4, &{&1, land_at(c, &1, "land-#{&1}")})
+
+    for n <- 1..4,
+        do: await(c, "land-#{n}", "it is on its way", &(&1["vehicles"][id(n)]["step"] == "wait_near"))
+
+    {:ok, %{status: :completed}} = Commands.submit(c.gateway, vehicle: id(3), type: "hold", as: @ben)
+    SimVehicle.failsafe(c.sims[4], :battery_critical)
+
+    for n <- 1..2 do
+      await(c, "land-#{n}", "it has been told", &(&1["state"] == "done" and &1["counts"]["ok"] == 1))
+      SimVehicle.await(c.sims[n], &(not &1.armed))
+      assert metres_from(c, n, places[n]) < 4
+    end
+
+    for {n, why} <- [{3, "given hold by ben"}, {4, "its mode was changed to AUTO_RTL"}] do
+      failed = await(c, "land-#{n}", "it is given up", &(&1["counts"]["failed"] == 1 and &1))
+      assert failed["vehicles"][id(n)]["reason"] =~ why
+      assert SimVehicle.state(c.sims[n]).alt_rel > 5
+      assert metres_from(c, n, places[n]) > 10
+    end
   end
 end

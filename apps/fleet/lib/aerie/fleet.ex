@@ -88,6 +88,14 @@ defmodule Aerie.Fleet do
   @spec return_home(String.t(), height :: number() | nil, other :: String.t() | nil) :: map()
   defdelegate return_home(id, height, other), to: Operations
 
+  @doc "A vehicle that lands at the place of a `goto`, or why it cannot (`Aerie.Fleet.Operations.land_at/2`)."
+  @spec land_at(Snapshot.t(), goto :: map()) :: {:ok, map()} | {:error, String.t()}
+  defdelegate land_at(snapshot, goto), to: Operations
+
+  @doc "Why a vehicle cannot land at a place now; nil if nothing speaks against it."
+  @spec cannot_land_at(Snapshot.t()) :: String.t() | nil
+  defdelegate cannot_land_at(snapshot), to: Operations
+
   @doc "The height to which a vehicle climbs by itself before it returns: 0 for none, nil if it is not known."
   @spec own_return_m(Names.gateway(), String.t()) :: number() | nil
   defdelegate own_return_m(gateway, id), to: Operations

@@ -144,6 +144,14 @@ defmodule Aerie.Fleet.Operations do
   @spec return_home(String.t(), number() | nil, String.t() | nil) :: map()
   defdelegate return_home(id, height, other), to: Sequence.Returning, as: :steps
 
+  @doc "The steps of one that lands at a place (`Aerie.Fleet.Operations.Sequence.Landing.steps/2`)."
+  @spec land_at(Snapshot.t(), goto :: map()) :: {:ok, map()} | {:error, String.t()}
+  defdelegate land_at(snapshot, goto), to: Sequence.Landing, as: :steps
+
+  @doc "Why a vehicle cannot land at a place now; nil if nothing speaks against it."
+  @spec cannot_land_at(Snapshot.t()) :: String.t() | nil
+  defdelegate cannot_land_at(snapshot), to: Sequence.Landing, as: :refusal
+
   @doc "The height to which a vehicle climbs by itself before it returns: 0 for none, nil if it is not known."
   @spec own_return_m(Names.gateway(), String.t()) :: number() | nil
   defdelegate own_return_m(gateway, id), to: Sequence.Returning, as: :own_m

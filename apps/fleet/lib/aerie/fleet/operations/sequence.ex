@@ -12,23 +12,28 @@ defmodule Aerie.Fleet.Operations.Sequence do
   |---|---|
   | `above` | it is more than `m` metres above home |
   | `at` | it is within 1 m of `m` metres above home |
+  | `near` | it is within `m` metres of `lat`, `lon` over the ground, and slower than 1 m/s |
   | `landed` | it is on the ground, or the vehicle `of` is |
   | `alone` | no other vehicle of the operation stands armed on the ground; waited for before each `arm` anyway |
   | `time` | `timeout_s` have passed |
 
-  A wait for a height to which the vehicle's own steps before it do not bring it is refused. A wait fails after
-  `timeout_s`, unless it has `go_on`. The first step that fails ends a vehicle; its `else` is done then.
+  A wait for a height or a place to which the vehicle's own steps before it do not bring it is refused, and so are
+  vehicles that wait for each other's landing. A wait fails after `timeout_s`, unless it has `go_on`; `near` also fails
+  when the vehicle's mode is changed meanwhile, because a pilot may have taken over. The first step that fails ends a
+  vehicle; its `else` is done then.
   """
 
   import Aerie.Base.Json.Schema
 
+  alias Aerie.Base.Geo.Earth
   alias Aerie.Base.Json.Schema
   alias Aerie.Fleet.Shadow.Update
   alias Aerie.Vehicle.{Command, Firmware, Snapshot}
   alias Aerie.Vehicle.Command.Error
 
-  @waits [:above, :at, :landed, :alone, :time]
-  @measured [:above, :at]
+  @waits [:above, :at, :near, :landed, :alone, :time]
+  @heights [:above, :at]
+  @measured [:near | @heights]
   @max_steps 8
   @max_s 3_600
   @min_m 0.1
@@ -38,12 +43,15 @@ defmodule Aerie.Fleet.Operations.Sequence do
   @max_errors 8
   @lifting ~w(arm takeoff)
   @levels ~w(takeoff set_altitude)
+  # What moves a vehicle and does not let it land.
+  @flying ~w(arm takeoff set_altitude set_yaw set_speed goto orbit hold mission_pause)
   # A vehicle that was not lifted disarms by itself after some seconds.
-  @alone {:wait, %{for: :alone, m: nil, of: nil, timeout_ms: 60_000, go_on?: false}}
+  @alone {:wait, %{for: :alone, m: nil, place: nil, of: nil, timeout_ms: 60_000, go_on?: false}}
 
   @type wait :: %{
-          for: :above | :at | :landed | :alone | :time,
+          for: :above | :at | :near | :landed | :alone | :time,
           m: number() | nil,
+          place: {lat :: number(), lon :: number()} | nil,
           of: String.t() | nil,
           timeout_ms: pos_integer(),
           go_on?: boolean()
@@ -118,8 +126,8 @@ defmodule Aerie.Fleet.Operations.Sequence do
     do: {[], [Error.new(key, "a list of #{min} to #{@max_steps} steps", other)]}
 
   @doc """
-  The waits for a height that the vehicle's own steps before them do not reach; what else moves it leaves its height
-  unknown. No part of `parse/3`, because a schema cannot say it.
+  The waits for a height or a place that the vehicle's own steps before them do not reach, where nothing else moves it,
+  and those for the landing of a vehicle that waits itself. No part of `parse/3`, because a schema cannot say it.
   """
   @spec futile([vehicle()]) :: [Error.t()]
   def futile(vehicles) do
@@ -128,34 +136,86 @@ defmodule Aerie.Fleet.Operations.Sequence do
     |> Stream.flat_map(fn {%{vehicle: id} = vehicle, i} ->
       futile(vehicle.steps, id, "sequence[#{i}].steps") ++ futile(vehicle.else, id, "sequence[#{i}].else")
     end)
+    |> Stream.concat(deadlocks(vehicles))
     |> Enum.take(@max_errors)
   end
 
   defp futile(steps, id, key) do
-    {errors, _height} =
+    {errors, _there} =
       steps
       |> Enum.with_index()
-      |> Enum.flat_map_reduce(nil, fn {step, i}, height -> futile(step, height, id, "#{key}[#{i}].m") end)
+      |> Enum.flat_map_reduce(%{m: nil, place: nil}, fn {step, i}, there ->
+        {List.wrap(misses(step, there, id, "#{key}[#{i}].m")), there(step, there)}
+      end)
 
     errors
   end
 
-  defp futile({:wait, %{for: :above, m: m}}, height, id, key) when height != nil and m >= height,
-    do: {[Error.new(key, "less than the height of #{id} by then, #{height} m", m)], height}
+  defp misses({:wait, %{for: :above, m: m}}, %{m: height}, id, key) when height != nil and m >= height,
+    do: Error.new(key, "less than the height of #{id} by then, #{height} m", m)
 
-  defp futile({:wait, %{for: :at, m: m}}, height, id, key) when height != nil and abs(m - height) > @level_m,
-    do: {[Error.new(key, "the height of #{id} by then, #{height} m", m)], height}
+  defp misses({:wait, %{for: :at, m: m}}, %{m: height}, id, key)
+       when height != nil and abs(m - height) > @level_m,
+       do: Error.new(key, "the height of #{id} by then, #{height} m", m)
 
-  defp futile({:wait, _wait}, height, _id, _key), do: {[], height}
+  defp misses({:wait, %{for: :near, m: m, place: {lat, lon}}}, %{place: {to_lat, to_lon}}, id, key) do
+    metres = Earth.distance(Earth.point(lat, lon), Earth.point(to_lat, to_lon))
+    if metres > m, do: Error.new(key, "more than the #{round(metres)} m from there to where #{id} goes", m)
+  end
 
-  defp futile({:command, type, %{"altitude" => to} = params}, _height, _id, _key)
-       when type in @levels and is_number(to),
-       do: {[], if(Map.get(params, "altitude_reference", "home") == "home", do: to)}
+  defp misses(_step, _there, _id, _key), do: nil
 
-  defp futile({:command, type, _params}, height, _id, _key),
-    do: {[], if(not Command.type(type).moves_vehicle?, do: height)}
+  # The height and the place to which the steps have brought it; nil where they do not say it.
+  defp there({:wait, _wait}, there), do: there
+  defp there({:command, type, params}, there) when type in @levels, do: %{there | m: height(params)}
 
-  defp futile({:shadow, _update}, _height, _id, _key), do: {[], nil}
+  defp there({:command, "goto", %{"lat" => lat, "lon" => lon} = params}, _there),
+    do: %{m: height(params), place: {lat, lon}}
+
+  defp there({:command, type, _params}, there),
+    do: if(Command.type(type).moves_vehicle?, do: %{m: nil, place: nil}, else: there)
+
+  defp there({:shadow, _update}, _there), do: %{m: nil, place: nil}
+
+  defp height(%{"altitude" => to} = params) when is_number(to),
+    do: if(Map.get(params, "altitude_reference", "home") == "home", do: to)
+
+  defp height(_params), do: nil
+
+  # Vehicles that wait for each other's landing before they do anything that may end in their own.
+  defp deadlocks(vehicles) do
+    waits =
+      for {%{vehicle: id, steps: steps}, i} <- Enum.with_index(vehicles),
+          own = steps |> Enum.with_index() |> Enum.take_while(fn {step, _j} -> not landing?(step) end),
+          [_ | _] = others <- [
+            for({{:wait, %{of: of}}, j} when of != nil <- own, do: {of, "sequence[#{i}].steps[#{j}].of"})
+          ],
+          do: {id, others}
+
+    waiting = stuck(waits, MapSet.new(waits, &elem(&1, 0)))
+
+    for {id, others} <- waits,
+        id in waiting,
+        {other, key} <- others,
+        other in waiting,
+        do: Error.new(key, "a vehicle that lands without waiting for #{id}", other)
+  end
+
+  defp landing?({:command, type, _params}), do: Command.type(type).moves_vehicle? and type not in @flying
+  defp landing?({:shadow, _update}), do: true
+  defp landing?({:wait, _wait}), do: false
+
+  # A vehicle that waits for none that waits comes free, again and again. Usually it waits for the one before or after.
+  defp stuck(waits, waiting) do
+    left =
+      Enum.reduce(waits, waiting, fn {id, others}, waiting ->
+        if Enum.any?(others, fn {other, _key} -> other in waiting end),
+          do: waiting,
+          else: MapSet.delete(waiting, id)
+      end)
+
+    if left == waiting, do: left, else: stuck(Enum.reverse(waits), left)
+  end
 
   @doc "Reads one command, or one change of the desired state, whose keys stand below `key`."
   @spec step(term(), key :: String.t(), now :: integer()) :: {:ok, step()} | {:error, [Error.t(), ...]}
@@ -181,14 +241,18 @@ defmodule Aerie.Fleet.Operations.Sequence do
   def step(%{"wait" => name} = given, key, _now) do
     wait = Enum.find(@waits, &(Atom.to_string(&1) == name))
     {m, timeout, go_on} = {given["m"], Map.get(given, "timeout_s", 60), Map.get(given, "go_on", false)}
-    of = given["of"]
+    {of, lat, lon} = {given["of"], given["lat"], given["lon"]}
     m? = if wait in @measured, do: is_number(m) and m >= @min_m and m <= @max_m, else: m == nil
+    near? = wait == :near
+    degrees? = &if near?, do: is_number(&1) and abs(&1) <= &2, else: &1 == nil
 
     wrong =
       for {false, name, expected, got} <- [
             {wait != nil, "wait", "one of #{Enum.join(@waits, ", ")}", name},
             {wait == nil or m?, "m",
              "a number from #{@min_m} to #{@max_m} (m), for #{Enum.join(@measured, " and ")} only", m},
+            {wait == nil or degrees?.(lat, 90), "lat", "a latitude from -90 to 90, for near only", lat},
+            {wait == nil or degrees?.(lon, 180), "lon", "a longitude from -180 to 180, for near only", lon},
             {is_number(timeout) and timeout >= 1 and timeout <= @max_s, "timeout_s",
              "a number from 1 to #{@max_s}", timeout},
             {is_boolean(go_on), "go_on", "true or false", go_on},
@@ -197,10 +261,11 @@ defmodule Aerie.Fleet.Operations.Sequence do
           ],
           do: Error.new("#{key}.#{name}", expected, got)
 
-    case closed(given, ~w(wait m of timeout_s go_on), key) ++ wrong do
+    case closed(given, ~w(wait m lat lon of timeout_s go_on), key) ++ wrong do
       [] ->
-        go_on? = go_on or wait == :time
-        {:ok, {:wait, %{for: wait, m: m, of: of, timeout_ms: round(timeout * 1000), go_on?: go_on?}}}
+        place = if near?, do: {lat, lon}
+        wait = %{for: wait, m: m, place: place, of: of, timeout_ms: round(timeout * 1000), go_on?: go_on}
+        {:ok, {:wait, %{wait | go_on?: go_on or wait.for == :time}}}
 
       errors ->
         {:error, errors}
@@ -294,7 +359,8 @@ defmodule Aerie.Fleet.Operations.Sequence do
       oneOf: [
         ref("command_of_operation"),
         object(%{shadow: ref("change_of_operation")}, [:shadow]),
-        wait.(@measured, %{m: metres}, [:m]),
+        wait.(@heights, %{m: metres}, [:m]),
+        wait.([:near], %{m: metres, lat: number(-90, 90), lon: number(-180, 180)}, [:m, :lat, :lon]),
         wait.([:landed], %{of: token()}, []),
         wait.(@waits -- [:landed | @measured], %{}, [])
       ]

@@ -101,7 +101,8 @@ defmodule Aerie.Fleet.Operations.Work do
     end
   end
 
-  defp step(job, vehicle, {:wait, wait}, _id), do: await(job, vehicle, wait, now() + wait.timeout_ms)
+  defp step(job, vehicle, {:wait, wait}, _id),
+    do: await(job, vehicle, Wait.begin(job.gateway, vehicle, wait), now() + wait.timeout_ms)
 
   defp await(job, vehicle, wait, until),
     do: with(nil <- given_way(job, vehicle), do: look(job, vehicle, wait, until))
@@ -110,6 +111,9 @@ defmodule Aerie.Fleet.Operations.Work do
     case Wait.look(job.gateway, vehicle, job.vehicles, wait) do
       :ok ->
         ok(:completed, nil)
+
+      {:failed, why} ->
+        failed(:rejected, why)
 
       {:waiting, why, for_whom} ->
         cond do

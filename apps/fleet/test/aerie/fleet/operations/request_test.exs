@@ -163,6 +163,49 @@ defmodule Aerie.Fleet.Operations.RequestTest do
           [wait.("above", 5)]
         ],
         do: assert(refused.(steps, %{}) == nil)
+
+    # A place: about 33 m from the other one.
+    there = &%{"type" => "goto", "params" => %{"lat" => 47.397, "lon" => 8.5, "altitude" => &1}}
+    near = &%{"wait" => "near", "lat" => &1, "lon" => 8.5, "m" => 3}
+    assert refused.([there.(20), near.(47.3973)], %{}) =~ "steps[1].m: expected more than the 33 m from there"
+    assert refused.([there.(20), wait.("above", 25)], %{}) =~ "less than the height of V-1 by then, 20 m"
+
+    for steps <- [
+          [there.(20), near.(47.397), wait.("at", 20)],
+          [there.(20), to.(30, %{}), near.(47.39701)],
+          [there.(20), %{"type" => "mission_start"}, near.(47.3973)],
+          [near.(47.3973)]
+        ],
+        do: assert(refused.(steps, %{}) == nil)
+  end
+
+  test "vehicles that wait for each other's landing are refused, whether directly or through others" do
+    wait = &%{"wait" => "landed", "of" => &1}
+    {rtl, climb} = {%{"type" => "rtl"}, %{"type" => "set_altitude", "params" => %{"altitude" => 30}}}
+
+    refused = fn steps ->
+      vehicles = for {id, steps} <- steps, do: %{"vehicle" => id, "steps" => steps}
+      {:ok, %{what: {:sequence, vehicles}}} = Request.parse(%{"sequence" => vehicles}, @now)
+      for error <- Sequence.futile(vehicles), do: to_string(error)
+    end
+
+    assert refused.(%{"V-1" => [climb, wait.("V-2"), rtl], "V-2" => [wait.("V-1"), rtl], "V-3" => [rtl]}) == [
+             "sequence[0].steps[1].of: expected a vehicle that lands without waiting for V-1, got \"V-2\"",
+             "sequence[1].steps[0].of: expected a vehicle that lands without waiting for V-2, got \"V-1\""
+           ]
+
+    circle = fn last -> for n <- 1..last, do: {"V-#{n}", [wait.("V-#{rem(n, last) + 1}"), rtl]} end
+    assert length(refused.(circle.(3))) == 3
+    assert [_itself] = refused.(circle.(1))
+    # 2,000 wait for the one before, or after, and end with one that waits for nobody.
+    for list <- [circle.(2_000), Enum.reverse(circle.(2_000))] do
+      assert length(refused.(list)) == 8
+      assert refused.(List.keyreplace(list, "V-2000", 0, {"V-2000", [rtl]})) == []
+    end
+
+    # What may land before it waits.
+    for first <- [rtl, %{"type" => "mission_start"}, %{"type" => "set_mode", "params" => %{"mode" => "LAND"}}],
+        do: assert(refused.(%{"V-1" => [first, wait.("V-2")], "V-2" => [first, wait.("V-1")]}) == [])
   end
 
   test "what is wrong with a sequence is named by its place" do
@@ -183,6 +226,11 @@ defmodule Aerie.Fleet.Operations.RequestTest do
     assert wrong(steps.([%{"wait" => "at"}])) == ["sequence[0].steps[0].m"]
     assert wrong(steps.([%{"wait" => "landed", "of" => "V 1"}])) == ["sequence[0].steps[0].of"]
     assert wrong(steps.([%{"wait" => "time", "of" => "V-1"}])) == ["sequence[0].steps[0].of"]
+    near = &Map.merge(%{"wait" => "near", "lat" => 47.0, "lon" => 8, "m" => 3}, &1)
+    assert {:ok, _request} = Request.parse(steps.([near.(%{})]), @now)
+    assert wrong(steps.([near.(%{"lat" => nil})])) == ["sequence[0].steps[0].lat"]
+    assert wrong(steps.([near.(%{"lat" => 91, "lon" => "8", "m" => 0})])) |> length() == 3
+    assert wrong(steps.([%{"wait" => "at", "m" => 3, "lat" => 47}])) == ["sequence[0].steps[0].lat"]
     assert wrong(steps.([%{"wait" => "later"}])) == ["sequence[0].steps[0].wait"]
 
     assert wrong(steps.([%{"wait" => "alone", "timeout_s" => 0, "go_on" => 1}])) == [

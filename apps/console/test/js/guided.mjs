@@ -8,7 +8,7 @@ const ready = (page, id, count) => until(page, ([id, count]) => document.querySe
 const menu = (page) => page.$$eval(".map-menu [role=menuitem]", (items) => items.map((item) => `${item.firstChild.textContent}${item.ariaDisabled === "true" ? " (no)" : ""}`).join(", "));
 const selected = (page, ids) => until(page, (ids) => [...document.querySelectorAll("#fleet-table tr[aria-selected=true]")].map(({ dataset }) => dataset.id).join() === ids, ids);
 const gone = (page) => until(page, () => !document.querySelector(".map-menu"));
-const ALL = "Go here, Look here, Orbit (no), Set home (no), Measure from here";
+const ALL = "Go here, Land here, Look here, Orbit (no), Set home (no), Measure from here";
 
 main(async (browser) => {
   const page = await open(browser, { viewport: SMALL });
@@ -52,7 +52,7 @@ main(async (browser) => {
   await page.keyboard.press("ContextMenu");
   await contains(page, ".map-menu-title", "VID-007");
   equal("for a copter", await menu(page), ALL);
-  for (let n = 0; n < 2; n += 1) await page.keyboard.press("ArrowDown");
+  for (let n = 0; n < 3; n += 1) await page.keyboard.press("ArrowDown");
   await contains(page, ".map-menu-item:focus", "Not available");
   await page.keyboard.press("Enter");
   await page.keyboard.press("ArrowUp");

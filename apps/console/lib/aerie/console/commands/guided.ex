@@ -5,6 +5,7 @@ defmodule Aerie.Console.Commands.Guided do
   """
 
   alias Aerie.Control.Commands
+  alias Aerie.Fleet
 
   @typedoc "`fields`: parameters beside the place, in their order. `moves?`: the vehicle flies there."
   @type act :: %{
@@ -23,6 +24,15 @@ defmodule Aerie.Console.Commands.Guided do
        title: "Go to a place",
        press: "Go there",
        icon: "goto",
+       fields: ~w(altitude speed),
+       moves?: true
+     }},
+    {"land_here",
+     %{
+       label: "Land here",
+       title: "Land at a place",
+       press: "Land there",
+       icon: "land",
        fields: ~w(altitude speed),
        moves?: true
      }},
@@ -55,9 +65,19 @@ defmodule Aerie.Console.Commands.Guided do
      }}
   ]
 
-  @doc "The acts, by the type of their command."
+  @doc "The acts, by the type of their command, or the name of the operation."
   @spec act(String.t()) :: act() | nil
   def act(type), do: with({_type, act} <- List.keyfind(@acts, type, 0), do: act)
+
+  @doc "The commands of an act, of which the first has its fields."
+  @spec commands(String.t()) :: [String.t(), ...]
+  def commands("land_here"), do: ~w(goto land)
+  def commands(type), do: [type]
+
+  @doc "Why a vehicle cannot do it now, beside what its firmware lacks and the policy says."
+  @spec cannot(vehicle :: map(), String.t()) :: String.t() | nil
+  def cannot(vehicle, "land_here"), do: Fleet.cannot_land_at(vehicle)
+  def cannot(_vehicle, _type), do: nil
 
   @doc """
   The menu of a vehicle's places, as the map has it: what the firmware lacks, or the user may not do, has the reason.
@@ -72,12 +92,16 @@ defmodule Aerie.Console.Commands.Guided do
   def menu(%{id: id} = vehicle, user, page) do
     items =
       for {type, act} <- @acts,
-          do: %{act: type, label: act.label, refusal: refusal(Commands.lacks(vehicle, type, user))}
+          do: %{act: type, label: act.label, refusal: refusal(vehicle, type, user)}
 
     %{vehicle: id, items: items, path: page}
   end
 
-  defp refusal(nil), do: nil
-  defp refusal({:firmware, reason}), do: "Not available: #{reason}"
-  defp refusal({:permission, _permission, reason}), do: "Not allowed: #{reason}"
+  defp refusal(vehicle, type, user) do
+    case Enum.find_value(commands(type), &Commands.lacks(vehicle, &1, user)) do
+      nil -> with(<<why::binary>> <- cannot(vehicle, type), do: "Not now: #{why}")
+      {:firmware, reason} -> "Not available: #{reason}"
+      {:permission, _permission, reason} -> "Not allowed: #{reason}"
+    end
+  end
 end

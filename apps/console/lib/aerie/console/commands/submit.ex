@@ -13,13 +13,32 @@ defmodule Aerie.Console.Commands.Submit do
   alias Aerie.Control.Commands
   alias Aerie.Control.Policy.Roles
   alias Aerie.Console.Commands.Form
+  alias Aerie.Fleet
 
   @typedoc "What became of a command, with a text for a page."
   @type state :: :under_way | {:done, atom(), text :: String.t() | nil}
 
-  @doc "Gives the command. `{:invalid, type, errors}`: its parameters are wrong."
+  @doc """
+  Gives the command. `{:invalid, type, errors}`: its parameters are wrong. `land_here` is an operation of the gateway,
+  which goes on without the page; its press names the vehicle.
+  """
   @spec give(Names.gateway(), vehicle :: String.t(), Roles.source(), event :: map()) ::
           state() | {:invalid, String.t(), Form.errors()}
+  def give(gateway, vehicle, user, %{"id" => id, "type" => "land_here", "vehicle" => vehicle} = event) do
+    with {:ok, goto} <- Form.read(Command.type("goto"), Map.merge(event, fields(event))),
+         %{} = seen <- Fleet.vehicle(gateway, vehicle),
+         {:ok, steps} <- Fleet.land_at(seen, goto),
+         request = %{"id" => id, "name" => "Land here", "sequence" => [steps]},
+         {:begun, {:ok, _operation}} <- {:begun, Fleet.begin_operation(gateway, request, user, "console")} do
+      :under_way
+    else
+      nil -> {:done, :rejected, "nobody hears the vehicle"}
+      {:begun, {:error, refusal}} -> {:done, :rejected, Fleet.refusal(refusal)}
+      {:error, <<why::binary>>} -> {:done, :rejected, why}
+      {:error, errors} -> {:invalid, "goto", errors}
+    end
+  end
+
   def give(gateway, vehicle, user, %{"id" => id, "type" => name} = event) do
     with %{} = type <- Command.type(name),
          {:ok, params} <- Form.read(type, Map.merge(event, fields(event))) do

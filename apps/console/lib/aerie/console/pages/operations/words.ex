@@ -19,6 +19,8 @@ defmodule Aerie.Console.Pages.Operations.Words do
     "wait_at" => "Changing height",
     "wait_turn" => "Waiting for its turn",
     "wait_time" => "Waiting for its turn",
+    "goto" => "Flying there",
+    "wait_near" => "Flying there",
     "rtl" => "Returning",
     "land" => "Landing",
     "wait_landed" => "Landing",

@@ -219,13 +219,26 @@ defmodule Aerie.Console.Pages.Vehicle.PageTest do
 
     assert %{"vehicle" => @id, "path" => nil, "items" => items} = menu.(open(console))
 
-    assert [{"goto", nil}, {"set_roi", nil}, {"orbit", "Not available: only ArduPlane" <> _}, home] =
+    assert [
+             {"goto", nil},
+             {"land_here", nil},
+             {"set_roi", nil},
+             {"orbit", "Not available: only ArduPlane" <> _},
+             home
+           ] =
              for(item <- items, do: {item["act"], item["refusal"]})
 
     # In the air, where it would return to protects it.
     assert {"set_home", "Not allowed: set_home needs the permission protection" <> _} = home
 
     assert %{"items" => [], "note" => "viewer can only watch this vehicle."} = menu.(open(console, :viewer))
+    land = fn -> Enum.find(menu.(open(console))["items"], &(&1["act"] == "land_here"))["refusal"] end
+    put(console, mode: %{in_air: false})
+    assert land.() == "Not now: it is on the ground"
+    put(console, [], %{vehicle_type: "plane"})
+    assert land.() =~ "Not available: ArduPlane lands by"
+    put(console, [], %{autopilot: :px4, vehicle_type: "plane"})
+    assert land.() =~ "Not now: what has wings circles"
     put(console, [], %{autopilot: :betaflight})
     assert Enum.all?(menu.(open(console))["items"], &(&1["refusal"] =~ "Not available"))
   end
@@ -238,6 +251,7 @@ defmodule Aerie.Console.Pages.Vehicle.PageTest do
 
     for {act, title, fields} <- [
           {"goto", "Go to a place", %{"altitude" => "20", "speed" => ""}},
+          {"land_here", "Land at a place", %{"altitude" => "20", "speed" => ""}},
           {"set_roi", "Look at a place", %{"altitude" => "0"}},
           {"orbit", "Circle around a place", %{"radius" => "20", "altitude" => "20", "speed" => ""}},
           {"set_home", "Set home at a place", %{"altitude_msl" => "488.0"}}
@@ -259,6 +273,44 @@ defmodule Aerie.Console.Pages.Vehicle.PageTest do
     assert render_hook(viewer, "map_guided", Map.put(place, "act", "goto")) =~ "Viewers can"
     refute has_element?(viewer, ".goto-panel")
   end
+
+  test "Land here is an operation for the vehicle of the press, which goes there first", %{console: console} do
+    start_operations(console)
+    # At the place already, and still.
+    place = %{"lat" => "47.397", "lon" => "8.5456", "altitude" => "25"}
+    put(console, position: %{lat: 47.397, lon: 8.5456}, velocity: %{groundspeed: 0.1})
+    view = open(console)
+    render_hook(view, "map_guided", %{"act" => "land_here", "lat" => 47.397, "lon" => 8.5456})
+    assert has_element?(view, "#action-land_here[phx-value-vehicle=#{@id}]:not([disabled])")
+
+    press = fn view, id, more ->
+      give(view, "land_here", id, Map.merge(%{"vehicle" => @id, "fields" => place}, more))
+    end
+
+    assert press.(view, "l0", %{"vehicle" => "VID-008"}) =~ "Not sent"
+    assert press.(view, "l0", %{"fields" => Map.delete(place, "altitude")}) =~ "Not sent: altitude"
+    assert press.(view, "l 0", %{}) =~ "Not sent: id"
+    assert press.(open(console, :viewer), "l0", %{}) =~ "Viewers can"
+    put(console, mode: %{in_air: false})
+    assert press.(view, "l0", %{}) =~ "Not sent: it is on the ground"
+    assert Aerie.Fleet.recent_operations(console.gateway) == []
+
+    put(console, position: %{lat: 47.397, lon: 8.5456}, velocity: %{groundspeed: 0.1})
+    press.(view, "l1", %{})
+    refute has_element?(view, ".goto-panel")
+    # The same press again is the same operation.
+    press.(view, "l1", %{})
+    goto = executing(%{type: "goto", params: %{lat: 47.397, altitude: 25.0}})
+    {:ok, %{"source" => "operator", "name" => "Land here"}} = Aerie.Fleet.operation(console.gateway, "l1")
+    answer(goto, command_id(console, "goto"), :completed)
+    land = executing(%{type: "land"})
+    answer(land, command_id(console, "land"), :completed)
+    eventually(fn -> match?({:ok, %{"state" => "done"}}, Aerie.Fleet.operation(console.gateway, "l1")) end)
+    assert [_one] = Aerie.Fleet.recent_operations(console.gateway)
+  end
+
+  defp command_id(console, type),
+    do: Enum.find(Aerie.Control.Commands.recent(console.gateway, @id), &(&1.type == type)).id
 
   defp stringed(place), do: Map.new(place, fn {name, number} -> {name, to_string(number)} end)
 

@@ -162,7 +162,7 @@ defmodule Aerie.Console.Pages.Vehicle.Control.Actions do
           value={@target.fields[name]}
         />
         <input :for={{name, text} <- Target.place(@target)} type="hidden" name={name} value={text} />
-        <.hold_button id={"action-#{@type}"} event="command" icon={@act.icon} phx-value-type={@type} disabled={@answer != :allow} reason="It would be refused: see below">{@act.press}</.hold_button>
+        <.hold_button id={"action-#{@type}"} event="command" icon={@act.icon} phx-value-type={@type} phx-value-vehicle={@view.vehicle.id} disabled={@answer != :allow} reason="It would be refused: see below">{@act.press}</.hold_button>
       </form>
       <Panel.answer answer={@answer} obstacles={@obstacles} />
     </section>
@@ -170,6 +170,7 @@ defmodule Aerie.Console.Pages.Vehicle.Control.Actions do
   end
 
   defp label("set_roi", "altitude"), do: "Height of the place (above home)"
+  defp label("land_here", "altitude"), do: "Height on the way (above home)"
   defp label(_type, "altitude"), do: "Height (above home)"
   defp label(_type, "altitude_msl"), do: "Altitude (MSL)"
   defp label(_type, "radius"), do: "Radius"

@@ -3,7 +3,7 @@ defmodule Aerie.Console.Pages.Vehicle.Control.CommandCheck do
 
   alias Aerie.Vehicle.Command
   alias Aerie.Control.Commands
-  alias Aerie.Console.Commands.Form
+  alias Aerie.Console.Commands.{Form, Guided}
   alias Aerie.Console.Pages.Vehicle.View
   alias Aerie.Console.Pages.Vehicle.Control.Target
 
@@ -17,10 +17,19 @@ defmodule Aerie.Console.Pages.Vehicle.Control.CommandCheck do
     end
   end
 
-  def of(%{target: %{} = target} = assigns) do
-    case Form.read(Command.type(target.type), Target.fields(target)) do
+  def of(%{target: %{type: type} = target} = assigns) do
+    [first | then] = Guided.commands(type)
+
+    case Form.read(Command.type(first), Target.fields(target)) do
       {:ok, params} ->
-        check(assigns, target.type, params)
+        with :allow <- check(assigns, first, params),
+             nil <- Enum.find_value(then, &refused(check(assigns, &1, %{}))),
+             nil <- Guided.cannot(assigns.view.vehicle, type),
+             do: :allow,
+             else: (
+               why when is_binary(why) -> {:deny, :vehicle, why}
+               answer -> answer
+             )
 
       {:error, %{fields: fields}} ->
         {:deny, :form, Enum.map_join(fields, "; ", fn {name, text} -> "#{name}: #{text}" end)}
@@ -28,6 +37,8 @@ defmodule Aerie.Console.Pages.Vehicle.Control.CommandCheck do
   end
 
   def of(_nothing), do: nil
+
+  defp refused(answer), do: if(answer != :allow, do: answer)
 
   @doc """
   Why the vehicle may not be calibrated now: the policy's condition, by default disarmed and on the ground; nil if it

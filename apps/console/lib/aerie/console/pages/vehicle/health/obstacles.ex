@@ -5,6 +5,7 @@ defmodule Aerie.Console.Pages.Vehicle.Health.Obstacles do
 
   alias Aerie.Vehicle.Command
   alias Aerie.Vehicle.{Firmware, Snapshot}
+  alias Aerie.Console.Commands.Guided
   alias Aerie.Console.UI.Age
   alias Aerie.Console.Pages.Vehicle.View
 
@@ -76,6 +77,6 @@ defmodule Aerie.Console.Pages.Vehicle.Health.Obstacles do
   @doc "The command that is being prepared on the page, of its assigns; nil if none."
   @spec prepared(map()) :: String.t() | nil
   def prepared(%{section: "commands", command: name}), do: name
-  def prepared(%{target: %{type: type}}), do: type
+  def prepared(%{target: %{type: type}}), do: hd(Guided.commands(type))
   def prepared(_assigns), do: nil
 end

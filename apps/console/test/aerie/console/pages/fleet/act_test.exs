@@ -118,6 +118,17 @@ defmodule Aerie.Console.Pages.Fleet.ActTest do
       assert labels(copters([{"A", :ardupilot}, {"G", :generic}])) == {[], []}
     end
 
+    test "that flies set-points only is shown with the reason, and no press sets it" do
+      both = copters([{"A", :ardupilot}, {"B", :px4}])
+      {[guided, mission], _manual} = Mode.choices(both)
+      assert guided.words == "ArduPilot: GUIDED, PX4: OFFBOARD"
+      assert guided.refusal =~ "PX4 flies OFFBOARD only while it gets set-points"
+      assert mission.refusal == nil
+      press = %{"id" => "web-1", "mode" => "guided", "modes" => guided.modes}
+      assert Mode.request(press, both) == {:error, guided.refusal}
+      assert {[%{name: "guided", refusal: nil}, _mission], _manual} = Mode.choices(copters(A: :ardupilot))
+    end
+
     test "a press gives each vehicle its own word, and only the one that was shown" do
       both = copters([{"A", :ardupilot}, {"B", :px4}])
       modes = %{"A" => "AUTO", "B" => "AUTO_MISSION"}

@@ -13,11 +13,15 @@ defmodule Aerie.Console.Pages.Fleet.Act.Mode do
   # Modes that do nothing by themselves are for a pilot; these are for nobody.
   @not_offered ~w(INITIALISING INITIALIZING)
 
-  @typedoc "`:modes` - the mode of each vehicle; `:words` - the firmwares' own, if they differ from the name"
+  @typedoc """
+    * `:modes` - the mode of each vehicle; `:words` - the firmwares' own, if they differ from the name
+    * `:refusal` - why this page cannot set it
+  """
   @type choice :: %{
           name: String.t(),
           label: String.t(),
           words: String.t() | nil,
+          refusal: String.t() | nil,
           modes: %{String.t() => String.t()}
         }
 
@@ -31,7 +35,7 @@ defmodule Aerie.Console.Pages.Fleet.Act.Mode do
       for {action, label} <- @meanings,
           words = Map.new(kinds, fn {kind, snapshot} -> {kind, Firmware.mode_for(snapshot, action)} end),
           Enum.all?(words, fn {_kind, mode} -> mode != nil end),
-          do: choice(Atom.to_string(action), label, rows, words)
+          do: %{choice(Atom.to_string(action), label, rows, words) | refusal: setpoints(words)}
 
     names =
       kinds
@@ -53,8 +57,21 @@ defmodule Aerie.Console.Pages.Fleet.Act.Mode do
       name: name,
       label: label,
       words: if(own != [], do: own |> Enum.uniq() |> Enum.join(", ")),
+      refusal: nil,
       modes: Map.new(rows, &{&1.id, words[{&1.autopilot, &1.kind}]})
     }
+  end
+
+  # A mode that flies set-points only is refused without them, and in the air it may end in a failsafe.
+  defp setpoints(words) do
+    Enum.find_value(words, fn {{autopilot, kind}, mode} ->
+      command = %{type: "set_mode", params: %{mode: mode}}
+      vehicle = %{autopilot: autopilot, kind: kind, mode_names: %{}, armed: true}
+
+      if Firmware.of(autopilot).setpoints_first?(command, vehicle),
+        do:
+          "#{Firmware.title(autopilot)} flies #{mode} only while it gets set-points, and this page sends none"
+    end)
   end
 
   defp snapshot(row),
@@ -66,11 +83,16 @@ defmodule Aerie.Console.Pages.Fleet.Act.Mode do
     {meant, manual} = choices(rows)
     choice = Enum.find(meant ++ manual, &(&1.name == name))
 
-    if choice != nil and choice.modes == shown do
-      modes = for %{id: id} <- rows, do: {id, %{"mode" => shown[id]}}
-      Press.each(event["id"], "Mode #{choice.label}", "set_mode", modes)
-    else
-      {:error, "not all of them have this mode any more"}
+    cond do
+      choice == nil or choice.modes != shown ->
+        {:error, "not all of them have this mode any more"}
+
+      choice.refusal ->
+        {:error, choice.refusal}
+
+      true ->
+        modes = for %{id: id} <- rows, do: {id, %{"mode" => shown[id]}}
+        Press.each(event["id"], "Mode #{choice.label}", "set_mode", modes)
     end
   end
 
@@ -108,9 +130,12 @@ defmodule Aerie.Console.Pages.Fleet.Act.Mode do
       <.hold_button
         id={"fleet-mode-" <> String.replace(@choice.name, ~r/[^A-Za-z0-9_]/, "-")}
         event="mode"
+        refusal={@choice.refusal}
         value={Map.merge(@value, %{mode: @choice.name, modes: @choice.modes})}
       >{@choice.label}</.hold_button>
-      <span :if={@choice.words} class="muted">{@choice.words}</span>
+      <span :if={@choice.words || @choice.refusal} class="muted">
+        {@choice.words}{if @choice.refusal, do: ". #{@choice.refusal}."}
+      </span>
     </p>
     """
   end

@@ -13,6 +13,7 @@ import { Measure } from "./map/tools/measure.js";
 import { PlaceMenu, whenResting } from "./map/tools/menu.js";
 import { PlanEditor } from "./map/tools/plan.js";
 import { toolbar } from "./map/tools/toolbar.js";
+import { paint } from "./map/vehicles/tags.js";
 import { Tracks } from "./map/vehicles/tracks.js";
 import { update, Vehicles } from "./map/vehicles/vehicles.js";
 
@@ -233,15 +234,12 @@ export default {
     if (id) this.push("map_select", { id, add: originalEvent.shiftKey || originalEvent.ctrlKey || originalEvent.metaKey });
   },
 
-  // Which tag has which colour.
+  // Which tag has which colour, here and on the page's chips.
   legend(tags) {
     this.tagList ??= this.child("map-legend", "ul");
     this.tagList.setAttribute("aria-label", "Colours of tags");
-    this.tagList.replaceChildren(...[...tags].slice(0, 10).map(([tag, colour]) => {
-      const item = element("li", { textContent: tag });
-      item.style.setProperty("--tag", `var(--map-tag-${colour})`);
-      return item;
-    }));
+    this.tagList.replaceChildren(...[...tags.keys()].slice(0, 10).map((tag) => element("li", { textContent: tag, "data-tag": tag })));
+    paint(tags);
     this.tracks.tags = tags;
   },
 

@@ -141,6 +141,12 @@ const tasks = {
     await ready(phone);
     await phone.waitForSelector("#fleet-table", { state: "visible" });
     if (shots) await phone.screenshot({ path: `${shots}/fleet-phone-map.png` });
+    const tools = () => phone.locator(".map-tools > button:visible").count();
+    equal("one button", await tools(), 1);
+    await phone.tap("[data-tool=more]");
+    equal("all of them", await tools(), 10);
+    await phone.tap("[data-tool=more]");
+    equal("one again", [await tools(), await phone.getAttribute("[data-tool=more]", "aria-expanded")], [1, "false"]);
     equal("no scrolling sideways", await phone.evaluate(() => document.documentElement.scrollWidth), 390);
     await phone.tap("#fleet-split button");
     await phone.waitForSelector("#fleet-table", { state: "hidden" });
@@ -155,7 +161,14 @@ const tasks = {
     const number = /^vehicle-copter-armed-(\d)$/.exec(first["VID-1"].symbol)?.[1];
     equal("the others have the colours of their state", [first["VID-2"].symbol, first["VID-3"].symbol], ["vehicle-plane-lost", "vehicle-rover-disarmed"]);
     equal("the legend", await page.textContent(".map-legend"), "survey");
-    equal("its colour", await page.evaluate(() => document.querySelector(".map-legend li").style.getPropertyValue("--tag")), `var(--map-tag-${number})`);
+    const colours = () => page.evaluate((number) => {
+      const of = (element, property, pseudo) => getComputedStyle(document.querySelector(element), pseudo)[property];
+      const probe = Object.assign(document.body.appendChild(document.createElement("i")), { style: `color: var(--map-tag-${number})` });
+      const wanted = getComputedStyle(probe).color;
+      probe.remove();
+      return [of(".map-legend li", "color", "::before"), of(".fleet-groups [data-tag=survey] .icon", "fill")].map((found) => found === wanted);
+    }, number);
+    equal("its colour, and that of its chip", await colours(), [true, true]);
     if (shots) await page.screenshot({ path: `${shots}/map-tags.png` });
     const shown = () => page.evaluate(() => {
       const { map } = document.querySelector("#fleet-map").fleetMap;
@@ -172,6 +185,21 @@ const tasks = {
     await until("the selected one is no part of it", async () => { const { ids, clusters } = await shown(); return ids === "VID-1,VID-2,VID-3" && clusters === ""; });
     await page.keyboard.press("Escape");
     await until("the cluster again", async () => (await shown()).clusters !== "");
+    // With the keyboard: it is beside the map, says who is inside, and leads to them.
+    await page.focus("#fleet-map canvas");
+    await page.keyboard.press("Tab");
+    equal("its name", await page.evaluate(() => document.activeElement.getAttribute("aria-label")), "2 vehicles, no trouble: zoom in");
+    await page.keyboard.press("Enter");
+    await until("Enter looks at it from nearer", async () => (await shown()).ids.includes("VID-1,"));
+    await until("the focus is on the map", () => page.evaluate(() => document.activeElement.matches("canvas")));
+    equal("nothing is selected by it", await selected(page), []);
+    await page.evaluate(() => document.querySelector("#fleet-map").fleetMap.map.setZoom(10));
+    await until("the cluster once more", async () => (await shown()).clusters !== "");
+    // One that is out of view has no button to get to.
+    await page.evaluate(() => document.querySelector("#fleet-map").fleetMap.map.jumpTo({ center: [20, 47.39] }));
+    await until("its button is away", async () => (await page.$$(".map-cluster:not([hidden])")).length === 0);
+    await page.evaluate(() => document.querySelector("#fleet-map").fleetMap.map.jumpTo({ center: [8.54, 47.39] }));
+    await until("the cluster is in view", async () => (await shown()).clusters !== "");
     const at = await page.evaluate(() => {
       const { map } = document.querySelector("#fleet-map").fleetMap;
       const box = map.getCanvas().getBoundingClientRect();

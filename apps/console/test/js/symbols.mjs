@@ -1,5 +1,6 @@
 // Clusters, motion and colours of tags (assets/hooks/map/vehicles): needs no browser.
 import assert from "node:assert/strict";
+import { named } from "../../assets/hooks/map/vehicles/cluster_keys.js";
 import { clustered } from "../../assets/hooks/map/vehicles/clusters.js";
 import { distance } from "../../assets/hooks/map/geo.js";
 import { again, opacity, shown } from "../../assets/hooks/map/vehicles/motion.js";
@@ -22,6 +23,8 @@ for (const zoom of [0, 3.7, 8, 11]) {
 }
 assert.deepEqual(clustered([], 0, never), { singles: [], clusters: [] });
 assert.equal(clustered([vehicle("A"), vehicle("B", { state: "disarmed" })], 1, never).clusters[0].state, "armed");
+assert.equal(named(fleet), "60 vehicles, 1 stale: zoom in");
+assert.equal(named([vehicle("A", { state: "lost" }), vehicle("B", { state: "failsafe" }), vehicle("C")]), "3 vehicles, 1 lost, 1 in failsafe: zoom in");
 
 // Motion: on its way for one second and no further; what stands, is not heard, or is told exactly is where it was told to be.
 const flies = vehicle("A", { speed: 10, course: 90 });

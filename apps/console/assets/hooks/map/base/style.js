@@ -86,7 +86,9 @@ const OTHERS = ["waterway", "transportation", "building", "boundary"];
 
 // Vectors look as npm's @protomaps/basemaps says (`basemaps`), without its pictures; what its schema does not have is drawn as lines.
 function tileLayers(c, { type, layers, basemaps }) {
-  if (type === "raster") return [{ id: "tiles", type: "raster", source: "tiles", paint: { "raster-fade-duration": 0 } }];
+  // Images are as bright at night.
+  const dimmed = { "raster-brightness-max": dark() ? 0.6 : 1, "raster-saturation": dark() ? -0.3 : 0 };
+  if (type === "raster") return [{ id: "tiles", type: "raster", source: "tiles", paint: { "raster-fade-duration": 0, ...dimmed } }];
   const drawn = basemaps
     // Water and land as without tiles.
     .layers("tiles", { ...basemaps.namedFlavor(dark() ? "dark" : "light"), water: c.water, earth: c.land }, { lang: navigator.language.slice(0, 2) })

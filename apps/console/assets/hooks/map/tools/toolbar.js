@@ -3,6 +3,7 @@ import { element } from "../../../lib/dom.js";
 import { element as svg } from "../../../lib/svg.js";
 
 const ICONS = {
+  more: "M4 6h16M4 12h16M4 18h16",
   in: "M12 5v14M5 12h14",
   out: "M5 12h14",
   north: "M12 3l5 16-5-4-5 4z",
@@ -18,7 +19,9 @@ const ICONS = {
 export function toolbar(buttons) {
   const bar = element("div", { className: "map-tools", role: "toolbar", "aria-label": "Map" });
   const made = {};
-  for (const { name, label, toggle, press } of buttons) {
+  // On a phone they would cover a quarter of the map.
+  const more = { name: "more", label: "Map buttons", press: () => more.button.setAttribute("aria-expanded", String(bar.classList.toggle("open"))) };
+  for (const { name, label, toggle, press } of [more, ...buttons]) {
     const button = element("button", { type: "button", className: "map-tool", title: label, "aria-label": label, "data-tool": name });
     if (toggle) button.setAttribute("aria-pressed", "false");
     button.append(svg("svg", { viewBox: "0 0 24 24", "aria-hidden": "true" }, svg("path", { d: ICONS[name] })));
@@ -26,5 +29,7 @@ export function toolbar(buttons) {
     bar.append(button);
     made[name] = button;
   }
+  more.button = made.more;
+  more.button.setAttribute("aria-expanded", "false");
   return { bar, press: (name, pressed) => made[name]?.setAttribute("aria-pressed", String(pressed)) };
 }

@@ -1,4 +1,4 @@
-// A colour for each tag, the same in every browser: by the tag's name, and the next one if another tag has that already. Pure.
+// A colour for each tag, the same in every browser: by the tag's name, and the next one if another tag has that already.
 
 export const TAG_COLOURS = 8; // --map-tag-0 … of css/map.css
 
@@ -13,4 +13,12 @@ export function tagColours(tags) {
     taken.set(tag, colour);
   }
   return taken;
+}
+
+const sheet = globalThis.document && new CSSStyleSheet();
+
+// Everything on the page that stands for a tag (`data-tag`) has its colour.
+export function paint(tags) {
+  sheet.replaceSync([...tags].map(([tag, colour]) => `[data-tag="${CSS.escape(tag)}"] { --tag: var(--map-tag-${colour}); }`).join("\n"));
+  if (!document.adoptedStyleSheets.includes(sheet)) document.adoptedStyleSheets.push(sheet);
 }

@@ -1,5 +1,6 @@
 // The vehicles: symbols turned by their heading, a line towards their course, names; from far, clusters. One update of one source for each
 // push, and between them only while something moves on the screen or fades, and the page is seen.
+import { ClusterKeys } from "./cluster_keys.js";
 import { BELOW, clustered } from "./clusters.js";
 import { bounds, collection, destination, feature } from "../geo.js";
 import { again, opacity, shown } from "./motion.js";
@@ -21,6 +22,7 @@ export class Vehicles {
     provideSymbols(map, colours);
     map.addSource("vehicles", { type: "geojson", data: collection(), buffer: 64 });
     for (const layer of layers(colours())) map.addLayer(layer);
+    this.keys = new ClusterKeys(map, (members) => this.nearer(members));
     map.on("zoom", () => this.step() !== this.stepped && this.paint());
     // From the data to the picture.
     map.on("render", () => {
@@ -69,6 +71,7 @@ export class Vehicles {
     this.stepped = this.step();
     const { singles, clusters } = clustered(all, this.stepped, (vehicle) => this.selected.has(vehicle.id) || vehicle.urgent);
     this.clusters = clusters;
+    this.keys.show(clusters);
     const groups = clusters.map(({ position, state, members }, cluster) => {
       const word = WORDS[state];
       return feature("Point", position, { cluster, symbol: symbolName("cluster", state), count: `${members.length}`, text: word ?? "" });
@@ -108,9 +111,12 @@ export class Vehicles {
   open(point) {
     const [found] = this.map.queryRenderedFeatures(point, { layers: ["vehicles-cluster"] });
     const members = found && this.clusters[found.properties.cluster]?.members;
-    if (!members) return false;
+    if (members) this.nearer(members);
+    return members !== undefined;
+  }
+
+  nearer(members) {
     this.map.fitBounds(bounds(members.map(({ position }) => position)), { padding: 60, maxZoom: 16 });
-    return true;
   }
 
   // The nearest vehicle to a point of the screen, within a finger's width; null if there is none.

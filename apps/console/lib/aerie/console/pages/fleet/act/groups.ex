@@ -56,13 +56,18 @@ defmodule Aerie.Console.Pages.Fleet.Act.Groups do
         phx-click="group"
         phx-value-name={group.name}
         data-digit={group.key}
+        data-tag={tag(group)}
         aria-keyshortcuts={group.key}
         aria-pressed={to_string(selected?(@selection, group))}
       >
-        <.icon :if={match?("tag:" <> _, group.name)} name="tag" />
+        <.icon :if={tag(group)} name="tag" />
         {group.label} {length(group.ids)}<kbd :if={group.key}>{group.key}</kbd>
       </.button>
     </div>
     """
   end
+
+  # Its colour is that on the map (hooks/map/vehicles/tags.js).
+  defp tag(%{name: "tag:" <> tag}), do: tag
+  defp tag(_own), do: nil
 end

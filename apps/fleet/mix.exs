@@ -9,6 +9,7 @@ defmodule Aerie.Fleet.MixProject do
         [
           {:mav_codec, in_umbrella: true},
           {:base, in_umbrella: true},
+          {:protocols, in_umbrella: true},
           {:mav_router, in_umbrella: true},
           {:vehicle, in_umbrella: true},
           {:control, in_umbrella: true},

@@ -12,6 +12,7 @@ defmodule Aerie.Fleet do
 
   alias Aerie.Base.Names
   alias Aerie.Fleet.{Operations, Shadow, Tracks}
+  alias Aerie.Fleet.Missions.Comparison
   alias Aerie.Fleet.Operations.Readiness
   alias Aerie.Fleet.Remote.Merge
   alias Aerie.Vehicle.{Command, Event, Snapshot}
@@ -96,6 +97,25 @@ defmodule Aerie.Fleet do
   @spec cannot_land_at(Snapshot.t()) :: String.t() | nil
   defdelegate cannot_land_at(snapshot), to: Operations
 
+  @doc "A plan as the vehicle flies it before which `n` others go, each so far beside the one before."
+  @spec offset_plan(Comparison.plan(), non_neg_integer(), Comparison.offset()) ::
+          {:ok, Comparison.plan()} | {:error, String.t()}
+  defdelegate offset_plan(plan, n, offset), to: Comparison, as: :offset
+
+  @doc "Which file's name is for which vehicle, by its id or a tag, and in words what is not certain."
+  @spec assign_plans([String.t()], [{String.t(), tags :: [String.t()]}]) ::
+          {%{String.t() => String.t()}, [String.t()]}
+  defdelegate assign_plans(names, vehicles), to: Comparison, as: :assign
+
+  @doc "How near vehicles come to each other by their plans (`Aerie.Fleet.Missions.Comparison.of/3`)."
+  @spec compare_plans(Names.gateway(), [{String.t(), Comparison.plan()}], interval_s :: number()) ::
+          Comparison.t()
+  defdelegate compare_plans(gateway, plans, interval_s), to: Comparison, as: :of
+
+  @doc "Nearer to each other than so many metres vehicles should not come."
+  @spec least_separation_m() :: float()
+  defdelegate least_separation_m, to: Comparison, as: :limit_m
+
   @doc "The height to which a vehicle climbs by itself before it returns: 0 for none, nil if it is not known."
   @spec own_return_m(Names.gateway(), String.t()) :: number() | nil
   defdelegate own_return_m(gateway, id), to: Operations
@@ -138,8 +158,6 @@ defmodule Aerie.Fleet do
   @doc "The schemas of commands and their results, and those that the schemas of operations refer to, by their names."
   @spec schemas() :: %{String.t() => map()}
   def schemas do
-    envelopes = for type <- Command.Types.all(), do: Command.Schema.envelope(type, type?: true)
-
     for shared <- [
           Command.Schema.shared(),
           Aerie.Control.Operations.shared(),
@@ -148,7 +166,7 @@ defmodule Aerie.Fleet do
         ],
         named <- shared,
         into: %{
-          "command" => %{oneOf: envelopes},
+          "command" => Command.Schema.any(),
           "result" => Command.Schema.result(),
           "reported" => Shadow.Document.Schema.reported()
         },

@@ -51,6 +51,10 @@ defmodule Aerie.Vehicle.Command.Schema do
     for type <- Types.all(), into: %{"moment" => moment}, do: {"params.#{type.name}", params(type)}
   end
 
+  @doc "The schema of any command with its type."
+  @spec any() :: Aerie.Base.Json.Schema.t()
+  def any, do: %{oneOf: for(type <- Types.all(), do: envelope(type, type?: true))}
+
   @doc """
   The body of a command of one type. `type?`: the body names it; over NATS the subject does. `id?`: it must have an id.
   Times are compared with the gateway's clock, which a schema cannot say.

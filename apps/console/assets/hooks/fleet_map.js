@@ -26,7 +26,7 @@ export default {
   async mounted() {
     this.fleet = new Map();
     this.last = {};
-    for (const name of ["vehicles", "homes", "plans", "zones", "target", "plan", "fit", "centre"]) {
+    for (const name of ["vehicles", "homes", "plans", "zones", "preview", "target", "plan", "fit", "centre"]) {
       this.handleEvent(`map:${name}`, (payload) => {
         if (payload.map !== this.el.id) return;
         if (name === "vehicles") update(this.fleet, payload);
@@ -294,6 +294,10 @@ export default {
 
   zones({ zones }) {
     this.overlays.zones(zones);
+  },
+
+  preview({ routes }) {
+    this.overlays.preview(routes);
   },
 
   target({ place: target }) {

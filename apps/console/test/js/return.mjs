@@ -1,12 +1,10 @@
 // The sheet for a return of several vehicles, by mouse and keyboard. Argument: the console's address. It prints what it has done, and the test acts
 // in between.
-import { createInterface } from "node:readline";
-import { contains, equal, hold, live, main, open, press, presses, shows, slip, until } from "../../../../test/browser/chromium.mjs";
+import { contains, equal, hold, live, main, open, shows, slip } from "../../../../test/browser/chromium.mjs";
 import { signIn } from "./sign_in.mjs";
+import { previewed, say, underHand } from "./told.mjs";
 
 const [base] = process.argv.slice(2);
-const lines = createInterface({ input: process.stdin })[Symbol.asyncIterator]();
-const say = async (word, answer) => { console.log(word); equal("told", (await lines.next()).value, answer); };
 
 main(async (browser) => {
   const page = await open(browser, { viewport: { width: 1280, height: 900 } });
@@ -42,20 +40,15 @@ main(async (browser) => {
   equal("not cut", await page.evaluate(() => [...document.querySelectorAll("#return-lines .badge")].filter((el) => el.scrollWidth > el.clientWidth).length), 0);
 
   // One lands while the button is held: the press ends, and nothing is sent.
-  await page.evaluate(() => { document.querySelector("#return-go").dataset.hold = "600000"; });
-  await press(page, "#return-go");
-  await say("holding", "landed");
-  await contains(page, "#return", "V3 is not in the air: leave it out.");
-  await until(page, () => document.querySelector("#return-go").dataset.state !== "holding");
-  await page.mouse.up();
-  equal("nothing was held", (await presses(page, "#return-go")).held, 0);
+  // The map has the ways home, and what lands at one place with another in red.
+  await previewed(page, "way,1: 30 m,conflict,✕ 2: 34 m,way,3: 38 m");
+  await underHand(page, "#return-go", ["holding", "landed"], () => contains(page, "#return", "V3 is not in the air: leave it out."));
   console.log("ended");
 
   // By keyboard: left out, and the rest begins.
   await page.focus("#return-V3 button");
   await page.keyboard.press("Enter");
   await contains(page, "#return-go", "Return 2");
-  await page.evaluate(() => { document.querySelector("#return-go").dataset.hold = "1500"; });
   await hold(page, "#return-go");
   await page.waitForSelector("#return", { state: "detached" });
   await contains(page, "#operation-strip", "Return 2: all changing height");

@@ -1,12 +1,10 @@
 // The sheet for a take-off of several vehicles, by mouse and keyboard. Argument: the console's address. It prints what it has done, and the test acts
 // in between.
-import { createInterface } from "node:readline";
-import { contains, equal, hold, live, main, open, press, presses, shows, until } from "../../../../test/browser/chromium.mjs";
+import { contains, equal, hold, live, main, open, presses, shows, until } from "../../../../test/browser/chromium.mjs";
 import { signIn } from "./sign_in.mjs";
+import { previewed, say, underHand } from "./told.mjs";
 
 const [base] = process.argv.slice(2);
-const lines = createInterface({ input: process.stdin })[Symbol.asyncIterator]();
-const say = async (word, answer) => { console.log(word); equal("told", (await lines.next()).value, answer); };
 const order = (page) => page.evaluate(() => [...document.querySelectorAll("#take-off-lines li")].map(({ dataset }) => dataset.id).join());
 const ordered = (page, ids) => until(page, (ids) => [...document.querySelectorAll("#take-off-lines li")].map(({ dataset }) => dataset.id).join() === ids, ids);
 const selected = (page, n) => until(page, (n) => document.querySelectorAll("#fleet-table tr[aria-selected=true]").length === n, n);
@@ -54,20 +52,16 @@ main(async (browser) => {
   await contains(page, "#take-off-V4", "33 m");
 
   // One stops being ready while the button is held: the press ends, and nothing is sent.
-  await page.evaluate(() => { document.querySelector("#take-off-go").dataset.hold = "600000"; });
-  await press(page, "#take-off-go");
-  await say("holding", "unready");
-  await contains(page, "#take-off", "V2 is not ready: leave it out.");
-  await until(page, () => document.querySelector("#take-off-go").dataset.state !== "holding");
-  await page.mouse.up();
-  equal("nothing was held", (await presses(page, "#take-off-go")).held, 0);
+  await underHand(page, "#take-off-go", ["holding", "unready"], () => contains(page, "#take-off", "V2 is not ready: leave it out."));
+  await previewed(page, "1: 30 m,2: 33 m,✕ 3: 36 m,4: 39 m");
   await say("ended", "ready");
   await until(page, () => !document.querySelector("#take-off-go").dataset.refusal);
 
   // A short press sends nothing; a long one begins it, and the sheet goes.
-  await page.evaluate(() => { document.querySelector("#take-off-go").dataset.hold = "1500"; });
+  await previewed(page, "1: 30 m,2: 33 m,3: 36 m,4: 39 m");
   await hold(page, "#take-off-go");
   await page.waitForSelector("#take-off", { state: "detached" });
+  await previewed(page, "");
   await contains(page, "#operation-strip", "Take off 4:");
   await say("begun", "killed");
 

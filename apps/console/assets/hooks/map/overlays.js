@@ -1,5 +1,5 @@
 // What belongs to vehicles and to the gateway: homes, missions, fences and rally points of vehicles, the policy's zones, range rings,
-// and the place that a vehicle was told to go to. One source.
+// the place that a vehicle was told to go to, and what a sheet prepares. One source.
 import { circle, collection, continuous, destination, feature, metresText } from "./geo.js";
 import { along, FONT, label, repaint } from "./layers.js";
 
@@ -11,7 +11,7 @@ export class Overlays {
   constructor(map, colours) {
     this.map = map;
     this.colours = colours;
-    this.parts = { homes: [], plans: [], zones: [], rings: [], target: [] };
+    this.parts = { homes: [], plans: [], zones: [], rings: [], target: [], preview: [] };
     this.ringed = null;
     map.addSource("overlays", { type: "geojson", data: collection() });
     for (const layer of layers(colours())) map.addLayer(layer);
@@ -37,6 +37,17 @@ export class Overlays {
   zones(zones) {
     const closed = (ring) => [...ring, ring[0]].map(([lat, lon]) => [lon, lat]);
     this.set("zones", zones.map(({ kind, name, rings }) => feature("Polygon", rings.map(closed), { kind, text: name })));
+  }
+
+  // [{text, way: [[lat, lon], …], bad}, …]: who goes when and how high, from where it is now
+  preview(routes) {
+    this.set("preview", routes.flatMap(({ text, way, bad }) => {
+      const points = way.map(([lat, lon]) => [lon, lat]);
+      return [
+        ...(points.length > 1 ? [feature("LineString", continuous(points), { kind: bad ? "conflict" : "way" })] : []),
+        feature("Point", points[0], { kind: "preview", text: bad ? `✕ ${text}` : text, bad }),
+      ];
+    }));
   }
 
   // `from`: where the vehicle is that may go there. `ring`: {metres, text}.
@@ -136,6 +147,15 @@ function layers(c) {
     {
       id: "overlays-way", type: "line", source: "overlays", filter: all("LineString", "way"), layout: {},
       paint: { "line-color": c.selected, "line-width": 2, "line-dasharray": [2, 1] },
+    },
+    {
+      id: "overlays-conflict", type: "line", source: "overlays", filter: all("LineString", "conflict"), layout: {},
+      paint: { "line-color": c.exclusion, "line-width": 3 },
+    },
+    {
+      id: "overlays-preview", type: "symbol", source: "overlays", filter: all("Point", "preview"),
+      layout: { "text-field": ["get", "text"], "text-font": FONT, "text-size": 14, "text-offset": [0, -1.8], "text-anchor": "bottom", "text-allow-overlap": true },
+      paint: { ...label(c), "text-color": ["case", ["to-boolean", ["get", "bad"]], c.exclusion, c.text] },
     },
     {
       id: "overlays-way-text", type: "symbol", source: "overlays", filter: all("LineString", "way"),

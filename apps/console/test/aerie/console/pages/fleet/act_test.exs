@@ -435,6 +435,28 @@ defmodule Aerie.Console.Pages.Fleet.ActTest do
                "step: expected a number from 3"
     end
 
+    test "shows on the map each at its height with its way home, and in red what lands at one place" do
+      {sheet, facts} = return([away("A", 10, 0), away("B", 20, 2), away("C", 30, 100)])
+      shown = fn sheet, facts -> for route <- Sheet.preview(sheet, facts), do: {route.text, route.bad} end
+      assert shown.(sheet, facts) == [{"1: 30 m", false}, {"2: 33 m", true}, {"3: 36 m", false}]
+      # One that is left out is not shown, nor one whose place is not known.
+      assert shown.(leave(sheet, "A"), facts) == [{"1: 30 m", false}, {"2: 33 m", false}]
+      nowhere = update_in(facts["A"].snapshot.groups, &Map.delete(&1, :position))
+      assert [{"2: 33 m", true}, {"3: 36 m", false}] = shown.(sheet, nowhere)
+
+      for %{way: way, n: n} <- Enum.with_index(Sheet.preview(sheet, facts), &Map.put(&1, :n, &2)) do
+        %{groups: %{position: position, home: home}} = facts[Enum.at(~w(A B C), n)].snapshot
+        assert way == [[position.data.lat, 8.0], [home.data.lat, 8.0]]
+      end
+    end
+
+    test "shows on the map of those that take off who stands too near to another one" do
+      ready = facts([{"A", :ready}, {"B", :ready}])
+      near = put_in(ready["B"].snapshot, vehicle("B", 47.00001))
+      texts = for route <- Sheet.preview(sheet(~w(A B)), near), do: {route.text, route.bad, length(route.way)}
+      assert texts == [{"1: 20 m", false, 1}, {"2: 23 m", true, 1}]
+    end
+
     test "names those whose firmware undoes the stack, and those of which it is not known" do
       {sheet, facts} =
         return([away("A", 10, 0), away("B", 20, 50), away("C", 30, 100)], %{"A" => 60, "B" => nil, "C" => 36})

@@ -2,19 +2,16 @@ defmodule Aerie.Console.Pages.Fleet.ReturnTest do
   @moduledoc "The sheet for a return of several vehicles: heights apart, and a queue where they land at one place."
   use Aerie.ConsoleCase, async: true
 
-  alias Aerie.Base.{Names, Store}
+  import Aerie.ActCase
+
   alias Aerie.Fleet
-  alias Aerie.Vehicle.Command.Result
   alias Aerie.Vehicle.Events.Journal
 
   @moduletag :tmp_dir
   @moduletag :capture_log
 
   setup %{tmp_dir: dir} do
-    [console: console] = start_console()
-    Aerie.CommandCase.start_commands(dir, gateway: console.gateway)
-    :ok = Store.delete_vehicle(console.gateway, {"main", 7})
-    start_operations(console)
+    console = Aerie.ActCase.start(dir)
     # V1 and V2 land a metre apart, V3 far from them.
     for {n, home_m} <- [{1, 0}, {2, 1}, {3, 200}], do: fly(console, n, home_m)
     {:ok, console: console}
@@ -29,43 +26,7 @@ defmodule Aerie.Console.Pages.Fleet.ReturnTest do
         groups
       )
 
-    fields = %{
-      key: {"main", n},
-      system_id: n,
-      component: 1,
-      time_boot_ms: 60_000,
-      memory: %{sources: %{}, mode_names: %{}}
-    }
-
-    put_vehicle(console, "V#{n}", groups, fields)
-    # However slow the machine is, it was heard just now.
-    later = System.os_time(:microsecond) + 3_600_000_000
-    vehicle = Store.vehicle(console.gateway, "V#{n}")
-    groups = Map.new(vehicle.groups, fn {name, group} -> {name, %{group | at: later}} end)
-    :ok = Store.put_vehicle(console.gateway, vehicle.key, %{vehicle | last_heard: later, groups: groups})
-  end
-
-  # Takes the commands of a vehicle, tells the test of each, and has them completed.
-  defp executor(console, n) do
-    test = self()
-
-    start_supervised!(
-      {Task,
-       fn ->
-         Names.register(console.gateway, :commands, {"main", n})
-         serve(test)
-       end},
-      id: {:executor, n}
-    )
-  end
-
-  defp serve(test) do
-    receive do
-      {:"$gen_call", from, {:submit, command, _progress, _still?}} ->
-        send(test, {:commanded, command.vehicle, command.type, command.params})
-        GenServer.reply(from, Result.new(command.id, :completed))
-        serve(test)
-    end
+    put(console, n, groups)
   end
 
   defp open(console, role \\ :operator), do: console |> conn(role) |> live("/") |> elem(1)
@@ -76,13 +37,7 @@ defmodule Aerie.Console.Pages.Fleet.ReturnTest do
     view
   end
 
-  defp value(view) do
-    [_all, value] = Regex.run(~r/data-value="([^"]+)"/, view |> element("#return-go") |> render())
-    value |> String.replace("&quot;", "\"") |> String.replace("&#39;", "'") |> JSON.decode!()
-  end
-
-  defp hold(view, value, id \\ "web-1"), do: render_hook(view, "sheet_go", Map.put(value, "id", id))
-  defp operations(console), do: Fleet.recent_operations(console.gateway)
+  defp value(view), do: value(view, "#return-go")
 
   test "shows heights by distance, who waits for whom, and whose firmware undoes it; the plain Return stays",
        %{
@@ -156,7 +111,15 @@ defmodule Aerie.Console.Pages.Fleet.ReturnTest do
         do: assert(render_hook(view, "sheet_go", odd) =~ "has changed")
 
     assert operations(console) == []
+
+    assert_push_event(view, "map:preview", %{
+      routes: [%{text: "1: 30 m", bad: false}, %{bad: true}, %{bad: false}]
+    })
+
+    # The page began without any.
+    assert_push_event(view, "map:preview", %{routes: []})
     render_hook(view, "sheet_close", %{})
+    assert_push_event(view, "map:preview", %{routes: []})
     press = %{"ids" => ["V1"], "of" => ["V1"]}
     assert render_click(view, "sheet_return", press) =~ "The selection changed; nothing was sent."
   end
@@ -194,8 +157,7 @@ defmodule Aerie.Console.Pages.Fleet.ReturnTest do
     view |> element("#fleet-actions button", "Start 3 missions") |> render_click()
     assert has_element?(view, "#start-V2", ~r/4 items.*\+10 s/s)
     view |> form("#start-form", %{interval: "0"}) |> render_change()
-    [_all, value] = Regex.run(~r/data-value="([^"]+)"/, view |> element("#start-go") |> render())
-    value = value |> String.replace("&quot;", "\"") |> JSON.decode!()
+    value = value(view, "#start-go")
     # What another sheet showed is for that one.
     assert hold(view, %{"return" => []}) =~ "What was shown has changed"
     hold(view, value)
@@ -246,8 +208,7 @@ defmodule Aerie.Console.Pages.Fleet.ReturnTest do
     assert operations(console) == []
     await_line(script, "begun")
     assert [%{"name" => "Return"}] = operations(console)
-    pages = Aerie.Console.Supervisor.pages(console.gateway)
-    for {_id, pid, _type, _modules} <- DynamicSupervisor.which_children(pages), do: Process.exit(pid, :kill)
+    kill_pages(console)
     Port.command(script, "killed\n")
     for id <- ~w(V1 V2), do: assert_received({:commanded, ^id, "set_altitude", _params})
     refute_received {:commanded, "V3", _type, _params}

@@ -2,19 +2,16 @@ defmodule Aerie.Console.Pages.Fleet.TakeOffTest do
   @moduledoc "The sheet for a take-off of several vehicles: nothing is sent before the held press for what was shown."
   use Aerie.ConsoleCase, async: true
 
-  alias Aerie.Base.{Names, Store}
+  import Aerie.ActCase
+
   alias Aerie.Control.Policy.ControlLease.Holders
   alias Aerie.Fleet
-  alias Aerie.Vehicle.Command.Result
 
   @moduletag :tmp_dir
   @moduletag :capture_log
 
   setup %{tmp_dir: dir} do
-    [console: console] = start_console()
-    Aerie.CommandCase.start_commands(dir, gateway: console.gateway)
-    :ok = Store.delete_vehicle(console.gateway, {"main", 7})
-    start_operations(console)
+    console = Aerie.ActCase.start(dir)
     for n <- 1..3, do: ground(console, n)
     {:ok, console: console}
   end
@@ -33,42 +30,7 @@ defmodule Aerie.Console.Pages.Fleet.TakeOffTest do
         fn _group, data, changes -> Map.merge(data, changes) end
       )
 
-    put_vehicle(console, "V#{n}", groups, %{
-      key: {"main", n},
-      system_id: n,
-      component: 1,
-      time_boot_ms: 60_000,
-      memory: %{sources: %{}, mode_names: %{}}
-    })
-
-    # However slow the machine is, it was heard just now.
-    later = System.os_time(:microsecond) + 3_600_000_000
-    vehicle = Store.vehicle(console.gateway, "V#{n}")
-    groups = Map.new(vehicle.groups, fn {name, group} -> {name, %{group | at: later}} end)
-    :ok = Store.put_vehicle(console.gateway, vehicle.key, %{vehicle | last_heard: later, groups: groups})
-  end
-
-  # Takes the commands of a vehicle, tells the test of each, and has them completed.
-  defp executor(console, n) do
-    test = self()
-
-    start_supervised!(
-      {Task,
-       fn ->
-         Names.register(console.gateway, :commands, {"main", n})
-         serve(test)
-       end},
-      id: {:executor, n}
-    )
-  end
-
-  defp serve(test) do
-    receive do
-      {:"$gen_call", from, {:submit, command, _progress, _still?}} ->
-        send(test, {:commanded, command.vehicle, command.type})
-        GenServer.reply(from, Result.new(command.id, :completed))
-        serve(test)
-    end
+    put(console, n, groups)
   end
 
   defp open(console, role \\ :operator) do
@@ -84,15 +46,7 @@ defmodule Aerie.Console.Pages.Fleet.TakeOffTest do
 
   defp line(view, id), do: view |> element("#take-off-#{id}") |> render() |> String.replace(~r/\s+/, " ")
 
-  defp value(view) do
-    [_all, value] = Regex.run(~r/data-value="([^"]+)"/, view |> element("#take-off-go") |> render())
-    String.replace(value, "&quot;", "\"")
-  end
-
-  defp hold(view, value, id \\ "web-1"),
-    do: render_hook(view, "sheet_go", Map.put(JSON.decode!(value), "id", id))
-
-  defp operations(console), do: Fleet.recent_operations(console.gateway)
+  defp value(view), do: value(view, "#take-off-go")
 
   test "shows who goes when and how high, and sends nothing before it is held", %{console: console} do
     ground(console, 3, position: %{lat: 46.9})
@@ -140,7 +94,7 @@ defmodule Aerie.Console.Pages.Fleet.TakeOffTest do
     hold(view, value)
     refute has_element?(view, "#take-off")
     assert has_element?(view, "#operation-web-1", "V1")
-    for type <- ~w(arm takeoff), do: assert_receive({:commanded, "V1", ^type}, Aerie.Patience.ms())
+    for type <- ~w(arm takeoff), do: assert_receive({:commanded, "V1", ^type, _params}, Aerie.Patience.ms())
     # The same press again, late.
     hold(view, value)
     assert [%{"id" => "web-1", "name" => "Take off"}] = operations(console)
@@ -164,7 +118,7 @@ defmodule Aerie.Console.Pages.Fleet.TakeOffTest do
     view |> element("#take-off-V2 button", "Leave out") |> render_click()
     assert line(view, "V2") =~ "left out"
     assert view |> element("#take-off-go") |> render() =~ "Take off 2, one after the other"
-    assert JSON.decode!(value(view))["vehicles"] == [["V1", 20, "ready", false], ["V3", 23, "ready", false]]
+    assert value(view)["vehicles"] == [["V1", 20, "ready", false], ["V3", 23, "ready", false]]
   end
 
   test "one of which not all is known is taken along only if somebody says so", %{console: console} do
@@ -173,7 +127,7 @@ defmodule Aerie.Console.Pages.Fleet.TakeOffTest do
     assert view |> element("#take-off-go") |> render() =~ "not known whether V2 is ready"
     view |> element("#take-off-V2 button", "Take along anyway") |> render_click()
     refute view |> element("#take-off-go") |> render() =~ "data-refusal"
-    assert ["V2", 23, "unknown", true] in JSON.decode!(value(view))["vehicles"]
+    assert ["V2", 23, "unknown", true] in value(view)["vehicles"]
   end
 
   test "a press for what has changed since sends nothing", %{console: console} do
@@ -261,7 +215,7 @@ defmodule Aerie.Console.Pages.Fleet.TakeOffTest do
 
     assert operations(console) == []
     render_hook(view, "height", event)
-    for id <- ~w(V2 V3), do: assert_receive({:commanded, ^id, "set_altitude"}, Aerie.Patience.ms())
+    for id <- ~w(V2 V3), do: assert_receive({:commanded, ^id, "set_altitude", _params}, Aerie.Patience.ms())
     eventually(fn -> match?({:ok, %{"state" => "done"}}, Fleet.operation(console.gateway, "web-2")) end)
     assert has_element?(open(console), "#operation-web-2", "Height +5 m 2: all height set")
     viewer = open(console, :viewer)
@@ -314,13 +268,12 @@ defmodule Aerie.Console.Pages.Fleet.TakeOffTest do
     await_line(script, "begun")
     assert [%{"id" => id, "state" => "running"}] = operations(console)
 
-    pages = Aerie.Console.Supervisor.pages(console.gateway)
-    for {_id, pid, _type, _modules} <- DynamicSupervisor.which_children(pages), do: Process.exit(pid, :kill)
+    kill_pages(console)
     Port.command(script, "killed\n")
     await_line(script, "back")
     # Each is up when its turn comes.
     for n <- [1, 4, 2, 3] do
-      assert_receive {:commanded, vehicle, "takeoff"}, Aerie.Patience.ms()
+      assert_receive {:commanded, vehicle, "takeoff", _params}, Aerie.Patience.ms()
       assert vehicle == "V#{n}"
       ground(console, n, mode: %{armed: true, in_air: true}, position: %{alt_rel: 30.0})
     end

@@ -1,11 +1,11 @@
 defmodule Aerie.Console.Pages.Fleet.Act.Live do
   @moduledoc """
-  What the page of the fleet keeps of its acts: the sheet that is being prepared (`@sheet`, with `@facts` of its
-  vehicles and `@sheet_error`). Each act is one operation of the gateway, so it goes on without the page, and the strip
-  of all pages shows what becomes of it.
+  What the page of the fleet keeps of its acts: the sheet that is being prepared (`@sheet`), `@facts` of its vehicles,
+  `@sheet_error`, and `@preview`, what the map shows of it. Each act is one operation of the gateway, so it goes on
+  without the page, and the strip of all pages shows what becomes of it.
   """
   import Phoenix.Component, only: [assign: 2, assign: 3]
-  import Phoenix.LiveView, only: [clear_flash: 1, put_flash: 3]
+  import Phoenix.LiveView, only: [clear_flash: 1, push_event: 3, put_flash: 3]
 
   alias Aerie.Console.Pages.Fleet.Act.{Ask, Height, Mode, Press, Sheet, Sheets}
   alias Aerie.Fleet
@@ -14,7 +14,8 @@ defmodule Aerie.Console.Pages.Fleet.Act.Live do
 
   @doc "Without a sheet."
   @spec mount(Socket.t()) :: Socket.t()
-  def mount(socket), do: assign(socket, sheet: nil, facts: %{}, sheet_error: nil)
+  # The map may still show the sheet of a page that has died.
+  def mount(socket), do: socket |> assign(sheet: nil, facts: %{}, sheet_error: nil) |> push_preview([])
 
   @doc "After the vehicles have changed."
   @spec follow(Socket.t()) :: Socket.t()
@@ -78,7 +79,7 @@ defmodule Aerie.Console.Pages.Fleet.Act.Live do
   @doc "What is done in the sheet; without one, nothing."
   @spec sheet(Socket.t(), event :: String.t(), value :: map()) :: Socket.t()
   def sheet(%{assigns: %{sheet: nil}} = socket, _event, _value), do: socket
-  def sheet(socket, "sheet_close", _value), do: assign(socket, sheet: nil, facts: %{})
+  def sheet(socket, "sheet_close", _value), do: close(socket)
   def sheet(socket, "sheet_go", event), do: go(socket, event)
 
   def sheet(%{assigns: %{sheet: sheet}} = socket, "sheet_" <> event, value),
@@ -100,7 +101,7 @@ defmodule Aerie.Console.Pages.Fleet.Act.Live do
       true ->
         with :ok <- Press.id(event["id"]),
              {:ok, socket} <- begin(socket, Sheet.request(sheet, event["id"], shown, facts)) do
-          socket |> clear_flash() |> assign(sheet: nil, facts: %{})
+          socket |> clear_flash() |> close()
         else
           {:error, text} -> assign(socket, :sheet_error, "Nothing was sent: #{text}")
         end
@@ -108,6 +109,16 @@ defmodule Aerie.Console.Pages.Fleet.Act.Live do
   end
 
   # What is known of its vehicles now, each at the height that the sheet has for it.
-  defp look(%{assigns: %{gateway: gateway, user: user, sheet: sheet}} = socket),
-    do: assign(socket, :facts, Sheet.facts(sheet, &Fleet.vehicle(gateway, &1), Ask.of(gateway, user)))
+  defp look(%{assigns: %{gateway: gateway, user: user, sheet: sheet}} = socket) do
+    facts = Sheet.facts(sheet, &Fleet.vehicle(gateway, &1), Ask.of(gateway, user))
+    socket = assign(socket, :facts, facts)
+    routes = Sheet.preview(sheet, facts)
+    if routes == socket.assigns.preview, do: socket, else: push_preview(socket, routes)
+  end
+
+  defp close(socket), do: socket |> assign(sheet: nil, facts: %{}) |> push_preview([])
+
+  defp push_preview(socket, routes) do
+    socket |> assign(:preview, routes) |> push_event("map:preview", %{map: "fleet-map", routes: routes})
+  end
 end

@@ -65,11 +65,15 @@ defmodule Aerie.Console.Pages.Fleet.Act.Return do
 
   def line(sheet, {id, n}, %{snapshot: snapshot} = facts, before) do
     height = if n && facts.climbs?, do: height(sheet, n)
+    home = Sheet.place(snapshot, :home)
+    other = n && same_place(home, before)
 
     %{
       height: height,
       home_m: metres(home_m(snapshot)),
-      after: n && same_place(Sheet.place(snapshot, :home), before),
+      way: List.wrap(home),
+      after: other,
+      conflict?: other != nil,
       warn: n && warn(facts, height),
       blocks:
         if(Snapshot.data(snapshot, :mode)[:in_air] != true, do: "#{id} is not in the air: leave it out.")

@@ -10,7 +10,8 @@ defmodule Aerie.Console.Pages.Fleet.Act.Sheet do
     * `facts/4`: what it asks of a vehicle, by the functions of `Aerie.Console.Pages.Fleet.Act.Ask`; `:refusal` keeps
       one from beginning, `:snapshot` is there already
     * `line/4`: what is made of the facts; `:blocks` says why nothing begins with it, `:anyway?` offers to take it
-      along although something is not known. `:id`, `:n` (its number from 1, nil if it is left out) are added
+      along although something is not known. `:id`, `:n` (its number from 1, nil if it is left out) are added. The map
+      shows its number, its `:height` and its `:way`, the places to which it flies, and as bad what `:conflict?` says
     * `cells/1` and `summary/3`: how a line and all of them are shown; `against/3`: why they cannot begin together
     * `shown/2` and `request/2`: what of a line a press carries, and the operation that such a press asks for
 
@@ -257,6 +258,20 @@ defmodule Aerie.Console.Pages.Fleet.Act.Sheet do
       "vehicles" => for(line <- sheet |> lines(known) |> going(), do: [line.id | kind.shown(sheet, line)]),
       "values" => for({name, value} <- values(sheet), into: %{}, do: {Atom.to_string(name), value})
     }
+  end
+
+  @doc "What the map shows of those that go, as far as their places are known (`map:preview`)."
+  @spec preview(t(), known()) :: [map()]
+  def preview(sheet, known) do
+    for line <- sheet |> lines(known) |> going(),
+        %{snapshot: snapshot} <- [known[line.id]],
+        at = place(snapshot) do
+      %{
+        text: "#{line.n}#{if line[:height], do: ": #{line.height} m"}",
+        way: for({lat, lon} <- [at | line[:way] || []], do: [lat, lon]),
+        bad: line[:conflict?] == true or line.blocks != nil
+      }
+    end
   end
 
   @doc "Whether a press was made for what is shown now."

@@ -155,11 +155,11 @@ defmodule Aerie.Console.Pages.Fleet.Act.Sheets do
   end
 
   defp cell(%{cell: {:badges, badges}} = assigns) do
-    assigns = assign(assigns, :badges, badges)
+    assigns = assign(assigns, :badges, Enum.filter(badges, &elem(&1, 1)))
 
     ~H"""
-    <span class="sheet-why">
-      <.badge :for={{kind, text} <- @badges} :if={text} kind={kind}>{text}</.badge>
+    <span :if={@badges != []} class="sheet-why">
+      <.badge :for={{kind, text} <- @badges} kind={kind}>{text}</.badge>
     </span>
     """
   end

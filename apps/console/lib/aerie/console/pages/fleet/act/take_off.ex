@@ -75,7 +75,7 @@ defmodule Aerie.Console.Pages.Fleet.Act.TakeOff do
   end
 
   @impl Sheet
-  def line(sheet, {id, n}, facts, _before) do
+  def line(sheet, {id, n}, facts, before) do
     readiness = facts[:readiness] || %{state: :unknown, points: []}
     open? = n != nil and readiness.state == :unknown and not MapSet.member?(sheet.anyway, id)
 
@@ -85,6 +85,8 @@ defmodule Aerie.Console.Pages.Fleet.Act.TakeOff do
       state: readiness.state,
       why: worst(readiness) || facts[:refusal],
       anyway?: open?,
+      conflict?:
+        facts != nil and Enum.any?(before, fn {_id, other} -> apart(facts.snapshot, other) < @near_m end),
       blocks:
         cond do
           readiness.state == :not_ready -> "#{id} is not ready: leave it out."
@@ -93,6 +95,9 @@ defmodule Aerie.Console.Pages.Fleet.Act.TakeOff do
         end
     }
   end
+
+  # What is not known is far away: an atom is greater than a number.
+  defp apart(one, %{snapshot: other}), do: Snapshot.distance(one, Sheet.place(other)) || :unknown
 
   defp height(sheet, n) do
     %{height: height, gap: gap, stacked: stacked} = Sheet.values(sheet)

@@ -45,6 +45,23 @@ defmodule Aerie.System.IncidentTest do
 
   defp lines(text), do: text |> String.split("\n", trim: true) |> Enum.map(&JSON.decode!/1)
 
+  # With the session of the address that the gateway writes for its own user.
+  defp downloaded(c, path) do
+    address = c.folder |> Path.join("console/url") |> File.read!() |> String.trim() |> String.to_charlist()
+
+    {:ok, {{_http, 303, _reason}, headers, _body}} =
+      :httpc.request(:get, {address, []}, [autoredirect: false], [])
+
+    {_name, cookie} = List.keyfind(headers, ~c"set-cookie", 0)
+    [cookie | _attributes] = :string.split(cookie, ";")
+    url = "http://127.0.0.1:#{c.http}#{path}"
+
+    {:ok, {{_http, status, _reason}, _headers, body}} =
+      :httpc.request(:get, {url, [{~c"cookie", cookie}]}, [autoredirect: false], body_format: :binary)
+
+    {status, body}
+  end
+
   test "flies, is commanded, is refused once; the archive has it all, twice the same, and no secret", c do
     port = open(["--config", c.config, "--quiet"])
 
@@ -122,6 +139,19 @@ defmodule Aerie.System.IncidentTest do
     assert {text, 0} = aerie(c, ["replay", flight, "--config", c.config])
     printed = for "{" <> _ = line <- String.split(text, "\n"), do: [line, "\n"]
     assert IO.iodata_to_binary(printed) == files["events.jsonl"]
+
+    # The console packs the same.
+    at = &(&1 |> DateTime.from_iso8601() |> elem(1) |> DateTime.to_unix())
+    span = "from=#{at.(begun)}&to=#{System.os_time(:second)}"
+    assert {200, archive} = downloaded(c, "/download/incident?vehicle=eagle&" <> span)
+    packed = Path.join(c.folder, "console.tar.gz")
+    File.write!(packed, archive)
+    packed = unpacked(packed, Path.join(c.folder, "console-packed"))
+    assert Map.keys(packed) -- Map.keys(files) == []
+    assert [%{"type" => "hold"}, %{"rule" => "altitude"}] = lines(packed["commands.jsonl"])
+    for {name, bytes} <- packed, do: refute(String.contains?(bytes, @secret), name)
+    assert {422, text} = downloaded(c, "/download/incident?vehicle=falcon&" <> span)
+    assert text =~ "no vehicle that this gateway hears has the name falcon"
 
     # Nothing is replaced.
     assert {text, 2} = aerie(c, ["incident", "eagle", "--from", begun, "--output", "now.tar.gz"])

@@ -5,6 +5,7 @@ defmodule Aerie.Incident do
   this module's folder tells what is in it.
   """
 
+  alias Aerie.Base.Names
   alias Aerie.Config
   alias Aerie.Fleet.Replay
   alias Aerie.Incident.{Archive, Commands, Flight, Hide, Page, Recordings, Records, Source, Span, Timeline}
@@ -44,6 +45,21 @@ defmodule Aerie.Incident do
   def name(vehicle, span),
     do:
       "incident-#{vehicle}-#{span.to |> DateTime.from_unix!(:microsecond) |> Calendar.strftime("%Y%m%dT%H%M%SZ")}"
+
+  @doc """
+  Makes the archive inside the gateway that it is about, in an empty folder of its own. Returns its path and what could
+  not be had.
+  """
+  @spec make_here(Names.gateway(), String.t(), Span.t(), map()) ::
+          {:ok, Path.t(), notes :: [String.t()]} | {:error, String.t()}
+  def make_here(gateway, vehicle, span, %{folder: folder, max_bytes: _, machine: _, note: _} = more) do
+    output = Path.join(folder, name(vehicle, span) <> ".tar.gz")
+
+    with {:ok, source} <- Source.running(&apply/3, gateway),
+         about = %{source: source, vehicle: vehicle, span: span, output: output},
+         {:ok, _bytes, notes} <- make(more |> Map.merge(about) |> Map.put(:now, System.os_time(:microsecond))),
+         do: {:ok, output, notes}
+  end
 
   @doc "Makes the archive. Returns its size in bytes, and what could not be had."
   @spec make(request()) :: {:ok, non_neg_integer(), notes :: [String.t()]} | {:error, String.t()}

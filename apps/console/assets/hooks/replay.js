@@ -38,6 +38,7 @@ export default {
     window.addEventListener("keydown", this.keys);
     this.clock = setInterval(() => this.badge(), 1000);
     this.handleEvent("replay:chunk", (chunk) => this.came(chunk));
+    this.handleEvent("replay:packing", ({ text }) => this.packing?.(`Packing… ${text}`));
     this.handleEvent("replay:overview", (overview) => this.overview(overview));
   },
 
@@ -157,6 +158,7 @@ export default {
   // Other vehicles at the same second: the page is read anew for them.
   choose(event) {
     event.preventDefault();
+    if ("incident" in event.target.dataset) return this.pack(event.target);
     const boxes = [...event.target.querySelectorAll("input[name=vehicle]")];
     const ids = boxes.filter(({ checked }) => checked).map(({ value }) => value);
     const vehicles = ids.length && ids.length < boxes.length ? { vehicles: ids.join(",") } : {};
@@ -166,9 +168,36 @@ export default {
 
   viewed() {
     const { from, to } = this.line.view;
-    const whose = this.el.dataset.vehicles.split(",")[0] || this.line.chosen?.vehicle || this.line.rows[0]?.id || "VEHICLE";
-    const iso = (at) => new Date(Math.round(at) * 1000).toISOString().replace(".000Z", "Z");
-    this.el.querySelector("[data-incident]").textContent = `aerie incident ${whose} --from ${iso(from)} --to ${iso(to)}`;
+    this.el.dataset.view = `${Math.round(from)} ${Math.round(to)}`;
+    const span = this.el.querySelector("[data-span]");
+    if (span) span.textContent = `${time(from)} to ${time(to)} UTC`;
+  },
+
+  // One vehicle and the time in view as an archive, which the gateway packs meanwhile.
+  async pack(form) {
+    const say = (text) => { form.querySelector("[data-packing]").textContent = text; };
+    const button = form.querySelector("button");
+    const { from, to } = this.line.view;
+    const query = new URLSearchParams({ vehicle: form.elements.vehicle.value, from: Math.floor(from), to: Math.ceil(to) });
+    button.disabled = true;
+    say("Packing…");
+    this.packing = say;
+    try {
+      const answer = await fetch(`/download/incident?${query}`);
+      if (answer.redirected) return location.assign("/sign-in");
+      if (!answer.ok) return say(await answer.text());
+      const file = await answer.blob();
+      const [, name] = answer.headers.get("content-disposition").match(/filename="(.*)"/);
+      const link = Object.assign(document.createElement("a"), { href: URL.createObjectURL(file), download: name });
+      link.click();
+      setTimeout(() => URL.revokeObjectURL(link.href), 60_000);
+      say(`${name}, ${(file.size / 1e6).toFixed(1)} MB`);
+    } catch {
+      say("The connection to the gateway broke off. Try again.");
+    } finally {
+      button.disabled = false;
+      this.packing = null;
+    }
   },
 
   // Chunks: the one of the second, the one of the tail, and the next one.

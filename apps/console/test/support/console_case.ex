@@ -42,7 +42,7 @@ defmodule Aerie.ConsoleCase do
   @doc """
   Starts a gateway without links and NATS, its HTTP server on a free port, and a console with the users `viewer`, `operator` and `admin`, whose
   passwords are `password/1`. Options: `:users` (false: none), `:port`, `:dir`, `:gateway` (one that runs), `:config` (sections),
-  `:configuration` (as of `Aerie.Console.HTTP.Routes.serve/4`).
+  `:configuration`, `:incident` (as of `Aerie.Console.HTTP.Routes.serve/4`).
   """
   @spec start_console(keyword()) :: [console: t()]
   def start_console(options \\ []) do
@@ -58,7 +58,8 @@ defmodule Aerie.ConsoleCase do
     gateway = options[:gateway] || start_gateway(config)
     settings = Aerie.Api.Settings.from(config)
 
-    pages = &Console.HTTP.Routes.serve(gateway, settings.console, options[:configuration], &1)
+    given = options |> Keyword.take([:configuration, :incident]) |> Map.new()
+    pages = &Console.HTTP.Routes.serve(gateway, settings.console, given, &1)
 
     ExUnit.Callbacks.start_supervised!(
       Supervisor.child_spec(

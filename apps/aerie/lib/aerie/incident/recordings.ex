@@ -217,7 +217,7 @@ defmodule Aerie.Incident.Recordings do
 
   defp too_large(want) do
     "the recordings from #{Span.text(want.span.from)} to #{Span.text(want.span.to)} have more than " <>
-      "#{div(want.max_bytes, 1_048_576)} MB: take a shorter span (--from, --to), or allow more (--max-mb)"
+      "#{div(want.max_bytes, 1_048_576)} MB: take a shorter span, or allow aerie incident more by --max-mb"
   end
 
   # A recording of a link has what was sent by it as well: what crosses between vehicles (heartbeats), and anything to a

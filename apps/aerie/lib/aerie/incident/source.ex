@@ -18,22 +18,22 @@ defmodule Aerie.Incident.Source do
   @second 1_000_000
 
   @enforce_keys [:config, :base]
-  defstruct [:config, :base, :call]
+  defstruct [:config, :base, :call, gateway: :default]
 
   @typedoc """
-  `base`: what relative paths of the configuration begin at; `call`: calls a function in the running gateway, nil if it
-  has stopped.
+  `base`: what relative paths of the configuration begin at; `call`: calls a function where the gateway runs, nil if it
+  has stopped; `gateway`: its name there.
   """
-  @type t :: %__MODULE__{config: Config.t(), base: Path.t(), call: call() | nil}
+  @type t :: %__MODULE__{config: Config.t(), base: Path.t(), call: call() | nil, gateway: Names.gateway()}
   @typedoc "Calls a function in a gateway; the error is a text."
   @type call :: (module(), function :: atom(), arguments :: [term()] -> term() | {:error, String.t()})
 
   @doc "A running gateway."
-  @spec running(call()) :: {:ok, t()} | {:error, String.t()}
-  def running(call) do
-    with %Config{} = config <- call.(Names, :value, [:default, :reload]),
+  @spec running(call(), Names.gateway()) :: {:ok, t()} | {:error, String.t()}
+  def running(call, gateway \\ :default) do
+    with %Config{} = config <- call.(Names, :value, [gateway, :reload]),
          base when is_binary(base) <- call.(File, :cwd!, []) do
-      {:ok, %__MODULE__{config: config, base: base, call: call}}
+      {:ok, %__MODULE__{config: config, base: base, call: call, gateway: gateway}}
     else
       {:error, text} -> {:error, text}
       _other -> {:error, "the gateway starts or stops just now; --config FILE reads the folders without it"}
@@ -45,7 +45,7 @@ defmodule Aerie.Incident.Source do
   def with_vehicle(%{call: nil} = source, _vehicle), do: source
 
   def with_vehicle(%{call: call, config: config} = source, vehicle) do
-    case call.(Store, :vehicle, [:default, vehicle]) do
+    case call.(Store, :vehicle, [source.gateway, vehicle]) do
       %{key: {network, system}} ->
         named = %{id: vehicle, network: network, system_id: system}
 
@@ -73,13 +73,13 @@ defmodule Aerie.Incident.Source do
   @spec save(t(), String.t(), Aerie.Incident.Span.t(), now :: integer()) :: [String.t()]
   def save(%{call: nil}, _vehicle, _span, _now), do: []
 
-  def save(%{call: call, config: config}, vehicle, span, now) do
+  def save(%{call: call, config: config} = source, vehicle, span, now) do
     ring_us = Recorder.Settings.from(config).ring_ms * 1000
     since = max(span.from, now - ring_us)
 
     # A recording that began later lacks what led up to it.
     recorded? =
-      case call.(Recorder, :status, [:default, {:vehicle, vehicle}]) do
+      case call.(Recorder, :status, [source.gateway, {:vehicle, vehicle}]) do
         %{state: :recording, since: begun} when is_integer(begun) -> begun * @second <= since
         _other -> false
       end
@@ -87,7 +87,7 @@ defmodule Aerie.Incident.Source do
     if recorded? or span.to < now - ring_us do
       []
     else
-      case call.(Recorder, :save, [:default, vehicle, "incident"]) do
+      case call.(Recorder, :save, [source.gateway, vehicle, "incident"]) do
         {:ok, _file} ->
           []
 
@@ -102,9 +102,9 @@ defmodule Aerie.Incident.Source do
   def events(%{call: nil}, _vehicle),
     do: {[], ["the gateway's own list of events: it is lost when a gateway stops"]}
 
-  def events(%{call: call}, vehicle) do
-    with events when is_list(events) <- call.(Journal, :recent, [:default, vehicle]),
-         epoch when is_integer(epoch) or is_nil(epoch) <- call.(Journal, :epoch, [:default]) do
+  def events(%{call: call} = source, vehicle) do
+    with events when is_list(events) <- call.(Journal, :recent, [source.gateway, vehicle]),
+         epoch when is_integer(epoch) or is_nil(epoch) <- call.(Journal, :epoch, [source.gateway]) do
       {for(event <- events, do: {event, Json.line(Message.event(event, epoch))}), []}
     else
       {:error, error} -> {[], ["the gateway's own list of events: #{reason(error)}"]}
@@ -124,8 +124,8 @@ defmodule Aerie.Incident.Source do
     end
   end
 
-  def shadow(%{call: call}, vehicle) do
-    case call.(Shadow, :get, [:default, vehicle]) do
+  def shadow(%{call: call} = source, vehicle) do
+    case call.(Shadow, :get, [source.gateway, vehicle]) do
       {:ok, shadow} -> {Json.plain(shadow), []}
       {:error, text} when is_binary(text) -> {nil, ["desired and reported state: #{text}"]}
       {:error, refusal} -> {nil, ["desired and reported state: #{Shadow.text(refusal)}"]}
@@ -136,8 +136,8 @@ defmodule Aerie.Incident.Source do
   @spec conditions(t(), String.t()) :: {[map()] | nil, notes :: [String.t()]}
   def conditions(%{call: nil}, _vehicle), do: {nil, ["the diagnosis: only a running gateway has one"]}
 
-  def conditions(%{call: call}, vehicle) do
-    case call.(Diagnosis, :list, [:default]) do
+  def conditions(%{call: call} = source, vehicle) do
+    case call.(Diagnosis, :list, [source.gateway]) do
       conditions when is_list(conditions) ->
         {for(c <- conditions, not other?(c.subject, vehicle), do: Diagnosis.Condition.plain(c)), []}
 

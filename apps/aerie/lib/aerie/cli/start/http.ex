@@ -1,9 +1,13 @@
 defmodule Aerie.CLI.Start.HTTP do
   @moduledoc "The HTTP server as a part of a plan, with the console's pages and what can be asked of the whole gateway."
 
-  alias Aerie.{Config, Reload}
+  alias Aerie.{Config, Incident, Reload}
   alias Aerie.Api.Endpoint
+  alias Aerie.CLI.Subcommand.Recordings
   alias Aerie.Console
+
+  # Flights go on while a page packs one.
+  @incident_bytes 134_217_728
 
   @doc "The server; no part if it is switched off."
   @spec part(term(), Config.t()) :: [{:http, {module(), keyword()}}]
@@ -11,13 +15,26 @@ defmodule Aerie.CLI.Start.HTTP do
 
   def part(gateway, config) do
     settings = Aerie.Api.Settings.from(config)
-    configuration = fn -> gateway |> Reload.in_force(config) |> Config.Listing.sections() end
+
+    given = %{
+      configuration: fn -> gateway |> Reload.in_force(config) |> Config.Listing.sections() end,
+      incident: fn vehicle, {from, to}, folder, note ->
+        more = %{
+          folder: folder,
+          max_bytes: @incident_bytes,
+          machine: Recordings.Incident.machine(config),
+          note: note
+        }
+
+        Incident.make_here(gateway, vehicle, %Incident.Span{from: from, to: to}, more)
+      end
+    }
 
     options = [
       gateway: gateway,
       settings: settings,
       reload: &Reload.run(gateway, &1),
-      pages: &Console.HTTP.Routes.serve(gateway, settings.console, configuration, &1)
+      pages: &Console.HTTP.Routes.serve(gateway, settings.console, given, &1)
     ]
 
     [{:http, {Endpoint, options}}]

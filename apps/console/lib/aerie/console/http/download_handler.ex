@@ -16,21 +16,30 @@ defmodule Aerie.Console.HTTP.DownloadHandler do
   @least %{recording: :viewer, audit: :admin}
 
   @impl :cowboy_handler
-  def init(request, %{policy: policy, what: what} = state) do
+  def init(request, %{what: what} = state) do
+    case allowed(request, Map.fetch!(@least, what), state) do
+      {:ok, _user} -> {:ok, answer(what, request, state), state}
+      {:refused, request} -> {:ok, request, state}
+    end
+  end
+
+  @doc "The user of a request from a page of ours who has at least this role; anything else is answered."
+  @spec allowed(:cowboy_req.req(), Roles.role(), map()) :: {:ok, map()} | {:refused, :cowboy_req.req()}
+  def allowed(request, least, %{policy: policy} = access) do
     facts = Request.facts(request)
 
     with :ok <- Admission.host(policy, facts),
          :ok <- Admission.origin(policy, facts),
-         {:ok, _user} <- allowed(request, Map.fetch!(@least, what), state) do
-      {:ok, answer(what, request, state), state}
+         {:ok, user} <- user(request, least, access) do
+      {:ok, user}
     else
-      {:error, :nobody} -> {:ok, :cowboy_req.reply(303, %{"location" => "/sign-in"}, "", request), state}
-      {:error, {:role, least}} -> {:ok, text(request, 403, "this needs the role #{least}"), state}
-      {:error, error} -> {:ok, text(request, error.status, error.message), state}
+      {:error, :nobody} -> {:refused, :cowboy_req.reply(303, %{"location" => "/sign-in"}, "", request)}
+      {:error, {:role, least}} -> {:refused, text(request, 403, "this needs the role #{least}")}
+      {:error, error} -> {:refused, text(request, error.status, error.message)}
     end
   end
 
-  defp allowed(request, least, %{gateway: gateway, server: server}) do
+  defp user(request, least, %{gateway: gateway, server: server}) do
     case Session.user(gateway, Cookie.read(request, server.secret, server.cookie)) do
       nil -> {:error, :nobody}
       user -> if Roles.at_least?(user.role, least), do: {:ok, user}, else: {:error, {:role, least}}
@@ -71,8 +80,9 @@ defmodule Aerie.Console.HTTP.DownloadHandler do
     end
   end
 
-  # Names of recordings have no quotes (`MavRouter.Recorder.Archive.Name`).
-  defp headers(type, name) do
+  @doc "The headers of a file. Names of recordings (`MavRouter.Recorder.Archive.Name`) and vehicles have no quotes."
+  @spec headers(type :: String.t(), name :: String.t()) :: %{String.t() => String.t()}
+  def headers(type, name) do
     %{
       "content-type" => type,
       "content-disposition" => ~s(attachment; filename="#{name}"),
@@ -81,6 +91,8 @@ defmodule Aerie.Console.HTTP.DownloadHandler do
     }
   end
 
-  defp text(request, status, words),
+  @doc "An answer in words."
+  @spec text(:cowboy_req.req(), status :: 400..599, String.t()) :: :cowboy_req.req()
+  def text(request, status, words),
     do: :cowboy_req.reply(status, %{"content-type" => "text/plain; charset=utf-8"}, words <> "\n", request)
 end

@@ -5,21 +5,24 @@ defmodule Aerie.Console.HTTP.Routes do
   alias Aerie.Access.Session
   alias Aerie.Base.Names
   alias Aerie.Console.{Assets, Layout, SignIn, Supervisor}
-  alias Aerie.Console.HTTP.{DownloadHandler, PageHandler, Router}
+  alias Aerie.Console.HTTP.{DownloadHandler, IncidentHandler, PageHandler, Router}
   alias Aerie.Console.Map.Tiles
   alias Aerie.Console.Pages.Settings.Configuration
   alias Phoenix.LiveView.Server
 
-  @doc """
-  The console's processes and routes, for the HTTP server. `configuration` gives what the page of settings shows;
-  without it the page has no configuration.
-  """
-  @spec serve(Names.gateway(), map(), (-> [Configuration.section()]) | nil, Admission.policy()) ::
+  @typedoc "What the console cannot do by itself: what the page of settings shows, and packing an incident."
+  @type given :: %{
+          optional(:configuration) => (-> [Configuration.section()]),
+          optional(:incident) => IncidentHandler.pack()
+        }
+
+  @doc "The console's processes and routes, for the HTTP server. What is not `given` its pages do not offer."
+  @spec serve(Names.gateway(), map(), given(), Admission.policy()) ::
           {:ok, [{module(), keyword()}], [tuple()]} | {:error, String.t()}
-  def serve(gateway, settings, configuration, policy) do
+  def serve(gateway, settings, given, policy) do
     with {:ok, secret} <- Session.secret(gateway, settings.dir) do
-      {:ok, [{Supervisor, gateway: gateway, settings: settings, configuration: configuration}],
-       routes(gateway, policy, secret)}
+      {:ok, [{Supervisor, gateway: gateway, settings: settings, configuration: given[:configuration]}],
+       routes(gateway, policy, secret, %{pack: given[:incident], dir: settings.dir})}
     end
   end
 
@@ -44,8 +47,8 @@ defmodule Aerie.Console.HTTP.Routes do
   end
 
   @doc "The routes for Cowboy. Pages of other sites may not use the console, even if they may use `/api`."
-  @spec routes(Names.gateway(), Admission.policy(), secret :: binary()) :: [tuple()]
-  def routes(gateway, policy, secret) do
+  @spec routes(Names.gateway(), Admission.policy(), secret :: binary(), incidents :: map()) :: [tuple()]
+  def routes(gateway, policy, secret, incidents) do
     policy = %{policy | origins: [], keys: []}
     server = server(gateway, policy, secret)
     access = %{gateway: gateway, policy: policy, server: server}
@@ -69,6 +72,7 @@ defmodule Aerie.Console.HTTP.Routes do
     entrance ++
       downloads ++
       [
+        {"/download/incident", IncidentHandler, Map.merge(access, incidents)},
         {"/assets/:version/[...]", Assets.Handler, gateway},
         {"/tiles", Tiles.Handler, Map.put(access, :what, :layers)},
         {"/tiles/:layer", Tiles.Handler, Map.put(access, :what, :archive)},

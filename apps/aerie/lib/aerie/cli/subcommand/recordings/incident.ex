@@ -29,7 +29,7 @@ defmodule Aerie.CLI.Subcommand.Recordings.Incident do
           vehicle: vehicle,
           span: span,
           output: output,
-          machine: for(finding <- Subcommand.Machine.Doctor.machine(source.config), do: text_keys(finding)),
+          machine: machine(source.config),
           max_bytes: max_mb * 1_048_576,
           now: now,
           note: &note/1
@@ -71,6 +71,10 @@ defmodule Aerie.CLI.Subcommand.Recordings.Incident do
         error
     end
   end
+
+  @doc "What is found about the machine, as the archive has it."
+  @spec machine(Config.t()) :: [map()]
+  def machine(config), do: for(finding <- Subcommand.Machine.Doctor.machine(config), do: text_keys(finding))
 
   defp text_keys(finding), do: Map.new(finding, fn {key, value} -> {to_string(key), plain(value)} end)
 

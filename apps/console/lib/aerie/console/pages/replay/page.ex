@@ -7,6 +7,7 @@ defmodule Aerie.Console.Pages.Replay.Page do
 
   import Aerie.Console.Map, only: [map: 1]
 
+  alias Aerie.Base.PubSub
   alias Aerie.Console.Clock
   alias Aerie.Console.Pages.Replay.{Overview, TimeLine}
   alias Aerie.Fleet
@@ -19,6 +20,9 @@ defmodule Aerie.Console.Pages.Replay.Page do
   def mount(_params, _session, socket) do
     now = System.os_time(:microsecond)
     if connected?(socket), do: send(self(), :overview)
+
+    if connected?(socket) and socket.assigns.user.role == :admin,
+      do: PubSub.subscribe(socket.assigns.gateway, {:notice, :incident})
 
     {:ok,
      assign(socket,
@@ -109,6 +113,9 @@ defmodule Aerie.Console.Pages.Replay.Page do
     end
   end
 
+  def handle_info({:fleet, {:notice, :incident}, text}, socket),
+    do: {:noreply, push_event(socket, "replay:packing", %{text: text})}
+
   def handle_info(_stray, socket), do: {:noreply, socket}
 
   @impl Phoenix.LiveView
@@ -169,10 +176,28 @@ defmodule Aerie.Console.Pages.Replay.Page do
           <button type="submit" class="button">Show these, or all if none is ticked</button>
         </form>
       </details>
-      <details>
+      <details id="replay-incident" phx-mounted={JS.ignore_attributes("open")}>
         <summary>Incident…</summary>
-        <p>On the gateway's machine, this packs what is known of a vehicle in the time in view into one archive:</p>
-        <p id="replay-incident" phx-update="ignore"><code data-incident></code></p>
+        <p>
+          Recordings, events, commands with their decisions and the audit log of a vehicle in the time in view, in one
+          archive with a page that plots it.
+        </p>
+        <p :if={@user.role != :admin} class="muted">
+          <.icon name="lock" /> Only an admin packs it: it has parts of the audit log.
+        </p>
+        <form
+          :if={@user.role == :admin and @known != []} id={"replay-pack-#{:erlang.phash2(@known)}"} class="row"
+          phx-update="ignore" data-incident
+        >
+          <label class="row">
+            Vehicle
+            <select name="vehicle">
+              <option :for={id <- @known} value={id} selected={id in @vehicles}>{id}</option>
+            </select>
+          </label>
+          <button type="submit" class="button">Pack <span data-span></span></button>
+          <span role="status" data-packing></span>
+        </form>
       </details>
     </div>
     """

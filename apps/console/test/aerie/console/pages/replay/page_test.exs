@@ -5,15 +5,31 @@ defmodule Aerie.Console.Pages.Replay.PageTest do
   alias Aerie.Console.Pages.Replay.{Marks, TimeLine}
   alias Aerie.Control.Policy.Audit
   alias Aerie.Fleet.Tracks
+  alias Aerie.HTTPClient
   alias Aerie.Vehicle.Event
   alias Aerie.Vehicle.Events.Journal
 
   @moduletag :tmp_dir
 
   setup %{tmp_dir: dir} do
-    [console: console] = start_console()
+    test = self()
+    [console: console] = start_console(incident: &pack(test, &1, &2, &3, &4))
     start_supervised!({Audit, gateway: console.gateway, dir: Path.join(dir, "audit"), max_bytes: 8_000_000})
     {:ok, console: console, now: System.os_time(:second)}
+  end
+
+  # In place of the gateway's own: the kite's archive is there at once, the eagle's is refused when the test says so.
+  defp pack(test, "eagle", _span, _folder, note) do
+    send(test, {:packing, self()})
+    receive do: (:goes_on -> :ok)
+    note.("reading eagle.tlog")
+    receive do: (:goes_on -> {:error, "nothing is known of eagle"})
+  end
+
+  defp pack(_test, vehicle, {from, to}, folder, _note) do
+    path = Path.join(folder, "incident-#{vehicle}.tar.gz")
+    File.write!(path, String.duplicate("x", 2_000_000 + rem(to - from, 1_000_000)))
+    {:ok, path, []}
   end
 
   # Ten minutes: the eagle flies with a gap of a minute in the middle, the kite stands, and is lost at the end.
@@ -212,5 +228,59 @@ defmodule Aerie.Console.Pages.Replay.PageTest do
     assert_receive {:DOWN, ^ref, :process, _pid, :killed}
     Port.command(script, "killed\n")
     await_line(script, "ok")
+  end
+
+  @tag :chromium
+  test "an incident is packed from the time in view", %{console: console, tmp_dir: dir, now: now} do
+    flown(console, dir, now)
+    script = browser(console, "incident.mjs", ["#{now}"])
+    await_line(script, "asks")
+    assert_receive {:packing, packer}, Aerie.Patience.ms()
+    send(packer, :goes_on)
+    await_line(script, "packing")
+    send(packer, :goes_on)
+    await_line(script, "ok")
+  end
+
+  test "incidents: for admins, one at a time, at most two hours, of a vehicle's name", %{
+    console: console,
+    now: now
+  } do
+    jar = HTTPClient.sign_in(console, "admin", password(:admin)).jar
+    get = fn jar, query -> HTTPClient.get(console, "/download/incident?" <> query, jar) end
+    span = "from=#{now - 60}&to=#{now}"
+
+    for query <- [
+          "",
+          span,
+          "vehicle=../kite&" <> span,
+          "vehicle=kite&from=x&to=7",
+          "vehicle=kite&from=7&to=7",
+          "vehicle=kite&from=-1&to=7"
+        ],
+        do: assert(%{status: 400} = get.(jar, query))
+
+    assert %{status: 413, body: "The time in view is longer than 2 hours" <> _} =
+             get.(jar, "vehicle=kite&from=0&to=7201")
+
+    for role <- [:viewer, :operator],
+        do:
+          assert(
+            %{status: 403} =
+              get.(HTTPClient.sign_in(console, "#{role}", password(role)).jar, "vehicle=kite&" <> span)
+          )
+
+    first = Task.async(fn -> get.(jar, "vehicle=eagle&" <> span) end)
+    assert_receive {:packing, packer}, Aerie.Patience.ms()
+    assert %{status: 429, body: "Another archive" <> _} = get.(jar, "vehicle=kite&" <> span)
+    for _twice <- 1..2, do: send(packer, :goes_on)
+    assert %{status: 422, body: "nothing is known of eagle" <> _} = Task.await(first, :infinity)
+
+    assert %{status: 200, body: archive} = get.(jar, "vehicle=kite&" <> span)
+    assert byte_size(archive) == 2_000_000
+    # It stays until the next one, and is nobody else's.
+    folder = Path.join(console.dir, "incident")
+    assert ["incident-kite.tar.gz"] = File.ls!(folder)
+    assert Bitwise.band(File.stat!(folder).mode, 0o777) == 0o700
   end
 end

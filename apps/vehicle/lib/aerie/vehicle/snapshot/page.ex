@@ -117,9 +117,11 @@ defmodule Aerie.Vehicle.Snapshot.Page do
 
   defp alarm(%{begins: nil}), do: ""
 
-  defp alarm(%{begins: {kind, severity, text}, over: over}) do
+  defp alarm(%{begins: {kind, severity, text}, over: over} = event) do
     [ends] = for %{ends: ^kind, type: type} <- Event.Types.all(), do: type
-    " Alarm: #{text} (#{severity}), until `#{ends}`, or until the state shows that it is over: #{over}."
+    mend = if event.mend, do: " What to do: #{event.mend}", else: ""
+
+    " Alarm: #{text} (#{severity}), until `#{ends}`, or until the state shows that it is over: #{over}.#{mend}"
   end
 
   defp sentence(<<first::utf8, rest::binary>>), do: String.upcase(<<first::utf8>>) <> rest <> "."

@@ -60,15 +60,25 @@ defmodule Aerie.Access.HTTP.Request do
     request
   end
 
-  # Any web page may send forms anywhere without a CORS preflight, so forms are never accepted.
+  # Any web page may send forms anywhere without a CORS preflight, so forms are never accepted. Nor is a request without
+  # a body, which it may send as well.
   defp json?(request) do
     case String.split(header(request, "content-type") || "", ";", parts: 2) do
       [type | _] ->
         if String.downcase(String.trim(type)) == "application/json",
           do: :ok,
-          else: {:error, Error.new(:unsupported_media_type, "the body must be application/json")}
+          else:
+            {:error,
+             Error.new(:unsupported_media_type, "the body must be application/json" <> empty(request))}
     end
   end
+
+  defp empty(request),
+    do:
+      if(:cowboy_req.body_length(request) == 0,
+        do: "; this request has none: send {} with that type",
+        else: ""
+      )
 
   defp body(request, max) do
     case :cowboy_req.body_length(request) do

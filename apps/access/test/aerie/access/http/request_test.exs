@@ -116,6 +116,8 @@ defmodule Aerie.Access.HTTP.RequestTest do
     for {headers, body, status, words} <- [
           {[], ~s({"a": 1}), 415, "must be application/json"},
           {[{"content-type", "application/x-www-form-urlencoded"}], "a=1", 415, "must be application/json"},
+          {[], "", 415, "this request has none: send {} with that type"},
+          {[@json], "", 400, "is not JSON"},
           {[@json], "[1]", 400, "must be a JSON object"},
           {[@json], "{", 400, "is not JSON"},
           {[@json], String.duplicate("1", 21), 413, "at most 20 bytes"},

@@ -59,7 +59,11 @@ defmodule Aerie.Console.Pages.Vehicle.PartsTest do
 
   test "what it does now, in one sentence: by its command, else by its mode" do
     mode = fn changes -> [mode: Map.merge(@flying[:mode], Map.new(changes))] end
-    assert doing([]) == "Waiting for a command, 12 m above home"
+    assert doing([]) == "Flying in GUIDED, 12 m above home"
+
+    for velocity <- [%{groundspeed: 0.6}, %{}],
+        do: assert(doing(velocity: velocity) == "Waiting for a command, 12 m above home")
+
     assert doing(mode.(mode: "RTL")) == "Returning, 111 m from home, 22 s"
     assert doing(mode.(mode: "AUTO_LAND")) == "Landing, 12 m above home"
     assert doing([mission: %{seq: 2, total: 3}] ++ mode.(mode: "AUTO")) == "Flying the mission, item 2 of 3"

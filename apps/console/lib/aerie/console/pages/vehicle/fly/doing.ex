@@ -18,8 +18,9 @@ defmodule Aerie.Console.Pages.Vehicle.Fly.Doing do
     hold_height: {"Holding its height", "hold"},
     orbit: {"Circling", "hold"},
     follow: {"Following", "hold"},
-    guided: {"Waiting for a command", "hold"}
+    waits: {"Waiting for a command", "hold"}
   }
+  @moving_m_s 1
 
   @doc "The sentence, of the latest commands and their courses by id."
   @spec of(View.t(), [map()], %{String.t() => Outcome.t()}) :: String.t()
@@ -46,6 +47,15 @@ defmodule Aerie.Console.Pages.Vehicle.Fly.Doing do
   defp by_mode(view, nil, mode, in_air) do
     words = if in_air, do: "Flying", else: "Armed"
     sentence(if(mode, do: "#{words} in #{mode}", else: "#{words}, mode unknown"), height(view))
+  end
+
+  # A program may steer it by set-points, or it is on its way since before the gateway was started.
+  defp by_mode(view, :guided, mode, in_air) do
+    speed = View.get(view, [:velocity, :groundspeed])
+
+    if is_number(speed) and speed >= @moving_m_s,
+      do: by_mode(view, nil, mode, in_air),
+      else: by_mode(view, :waits, mode, in_air)
   end
 
   defp by_mode(view, action, _mode, _in_air) do

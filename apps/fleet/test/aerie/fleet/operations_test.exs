@@ -490,6 +490,37 @@ defmodule Aerie.Fleet.OperationsTest do
     assert %{"state" => "done", "counts" => %{"ok" => 2, "failed" => 1}} = state(gateway)
   end
 
+  test "a sequence that an older version left running is interrupted, and can be continued and aborted", c do
+    grounded(c.gateway, [11, 13])
+    for n <- [11, 13], do: vehicle(c.gateway, n, %{armed: true, in_air: true}, %{alt_rel: 6.0})
+    steps = [%{"wait" => "above", "m" => 5, "timeout_s" => 60}, %{"type" => "rtl"}]
+    sequence = for id <- ["VID-011", "VID-013"], do: %{"vehicle" => id, "steps" => steps}
+
+    head = %{
+      "id" => "old",
+      "object" => %{"id" => "old", "sequence" => sequence},
+      "vehicles" => ["VID-011", "VID-013"]
+    }
+
+    head = Map.merge(head, %{"source" => "ops", "via" => "console", "at" => 1_795_000_000_000_000})
+    lines = [head, %{"begun" => ["VID-011"]}]
+
+    restart(c.gateway, c.kept, fn ->
+      File.write!(Path.join(c.kept, "old.jsonl"), for(line <- lines, do: [JSON.encode!(line), ?\n]))
+    end)
+
+    assert %{"state" => "interrupted", "vehicles" => %{"VID-011" => %{"result" => "unknown"}}} =
+             state(c.gateway, "old")
+
+    assert {:ok, _running} = Operations.change(c.gateway, "old", :continue, @operator)
+    assert_receive {:commanded, "VID-013", "rtl"}, Aerie.Patience.ms()
+
+    assert {:ok, %{"then" => <<_id::binary>>}} =
+             Operations.change(c.gateway, "old", {:abort, "hold"}, @operator)
+
+    assert_receive {:commanded, "VID-011", "hold"}, Aerie.Patience.ms()
+  end
+
   test "a file that is damaged costs its own operation, and half a line what it was about", %{
     gateway: gateway,
     kept: kept
@@ -552,8 +583,9 @@ defmodule Aerie.Fleet.OperationsTest do
   defp told(gateway, n), do: Book.members({gateway, {:vehicle, "VID-0#{n}"}})
 
   # As after the end of the gateway: the store is empty.
-  defp restart(gateway, kept) do
+  defp restart(gateway, kept, meanwhile \\ fn -> :ok end) do
     :ok = stop_supervised!(Operations.Supervisor)
+    meanwhile.()
     for %{"id" => id} <- Operations.list(gateway), do: Store.forget(gateway, {:operation, id})
     start_supervised!({Operations.Supervisor, gateway: gateway, dir: kept})
   end

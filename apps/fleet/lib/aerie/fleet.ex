@@ -85,6 +85,10 @@ defmodule Aerie.Fleet do
   @spec take_off(Snapshot.t(), height :: number(), above_m :: number(), anyway? :: boolean()) :: map()
   defdelegate take_off(snapshot, height, above_m, anyway? \\ false), to: Operations
 
+  @doc "How high a vehicle surely gets that goes to a height (m): what others may wait for."
+  @spec surely_above_m(number()) :: number()
+  defdelegate surely_above_m(height), to: Operations
+
   @doc "A vehicle that returns with others (`Aerie.Fleet.Operations.return_home/3`)."
   @spec return_home(String.t(), height :: number() | nil, other :: String.t() | nil) :: map()
   defdelegate return_home(id, height, other), to: Operations

@@ -140,6 +140,10 @@ defmodule Aerie.Fleet.Operations do
   @spec take_off(map(), number(), number(), boolean()) :: map()
   defdelegate take_off(snapshot, height, above_m, anyway? \\ false), to: Sequence
 
+  @doc "How high a vehicle surely gets that goes to a height (m)."
+  @spec surely_above_m(number()) :: number()
+  defdelegate surely_above_m(height), to: Sequence
+
   @doc "The steps of one that returns with others (`Aerie.Fleet.Operations.Sequence.Returning.steps/3`)."
   @spec return_home(String.t(), number() | nil, String.t() | nil) :: map()
   defdelegate return_home(id, height, other), to: Sequence.Returning, as: :steps

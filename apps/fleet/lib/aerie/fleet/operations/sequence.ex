@@ -151,8 +151,12 @@ defmodule Aerie.Fleet.Operations.Sequence do
     errors
   end
 
-  defp misses({:wait, %{for: :above, m: m}}, %{m: height}, id, key) when height != nil and m >= height,
-    do: Error.new(key, "less than the height of #{id} by then, #{height} m", m)
+  defp misses({:wait, %{for: :above, m: m}}, %{m: height}, id, key) when height != nil do
+    most = surely_above_m(height)
+
+    if m > most,
+      do: Error.new(key, "at most #{most} m: #{id} is not surely higher on its way to #{height} m", m)
+  end
 
   defp misses({:wait, %{for: :at, m: m}}, %{m: height}, id, key)
        when height != nil and abs(m - height) > @level_m,
@@ -293,6 +297,10 @@ defmodule Aerie.Fleet.Operations.Sequence do
     for name <- Enum.take(Map.keys(given) -- keys, @max_errors),
         do: Error.new("#{key}.#{Error.key(name)}", "only #{Enum.join(keys, ", ")}", :unknown)
   end
+
+  @doc "How high a vehicle surely gets that goes to a height: firmwares are content within a metre, or a tenth of it."
+  @spec surely_above_m(number()) :: number()
+  def surely_above_m(height), do: Float.round(height - min(@level_m / 1, 0.1 * height), 1)
 
   @doc "A vehicle so many metres from a height is there."
   @spec level_m() :: number()

@@ -135,9 +135,9 @@ defmodule Aerie.Fleet.Operations.RequestTest do
     end
 
     assert refused.([@arm, up.(10), wait.("above", 20)], %{}) ==
-             "sequence[0].steps[2].m: expected less than the height of V-1 by then, 10 m, got 20"
+             "sequence[0].steps[2].m: expected at most 9.0 m: V-1 is not surely higher on its way to 10 m, got 20"
 
-    assert refused.([up.(10), wait.("above", 10)], %{}) =~ "less than the height of V-1 by then, 10 m"
+    assert refused.([up.(10), wait.("above", 10)], %{}) =~ "at most 9.0 m: V-1"
 
     assert refused.(
              [
@@ -146,7 +146,7 @@ defmodule Aerie.Fleet.Operations.RequestTest do
                wait.("above", 10)
              ],
              %{}
-           ) =~ "less than"
+           ) =~ "at most 9.0 m"
 
     assert refused.([to.(30, %{}), wait.("at", 33)], %{}) =~
              "steps[1].m: expected the height of V-1 by then, 30 m, got 33"
@@ -154,7 +154,8 @@ defmodule Aerie.Fleet.Operations.RequestTest do
     assert refused.([@arm], %{"else" => [to.(30, %{}), wait.("at", 28.5)]}) =~ "sequence[0].else[1].m"
 
     for steps <- [
-          [up.(10), wait.("above", 9.5)],
+          [up.(10), wait.("above", 9)],
+          [up.(1), wait.("above", 0.9)],
           [to.(30, %{}), wait.("at", 31), wait.("at", 29)],
           [up.(10), to.(30, %{}), wait.("above", 20)],
           # What else moves it, or is measured from elsewhere, may bring it there.
@@ -168,7 +169,7 @@ defmodule Aerie.Fleet.Operations.RequestTest do
     there = &%{"type" => "goto", "params" => %{"lat" => 47.397, "lon" => 8.5, "altitude" => &1}}
     near = &%{"wait" => "near", "lat" => &1, "lon" => 8.5, "m" => 3}
     assert refused.([there.(20), near.(47.3973)], %{}) =~ "steps[1].m: expected more than the 33 m from there"
-    assert refused.([there.(20), wait.("above", 25)], %{}) =~ "less than the height of V-1 by then, 20 m"
+    assert refused.([there.(20), wait.("above", 25)], %{}) =~ "at most 19.0 m: V-1"
 
     for steps <- [
           [there.(20), near.(47.397), wait.("at", 20)],

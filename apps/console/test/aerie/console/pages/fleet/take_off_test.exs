@@ -76,8 +76,11 @@ defmodule Aerie.Console.Pages.Fleet.TakeOffTest do
     view |> form("#take-off-form", %{height: "0"}) |> render_change()
     assert view |> element("#take-off-go") |> render() =~ "height: expected a number from 1 to 1000"
     view |> form("#take-off-form", %{height: "10", above: "20"}) |> render_change()
-    assert view |> element("#take-off-above-errors") |> render() =~ "never above 20 m: give less than 10 m."
-    assert view |> element("#take-off-go") |> render() =~ "never above 20 m"
+
+    assert view |> element("#take-off-above-errors") |> render() =~
+             "not surely above 20 m: give at most 9.0 m."
+
+    assert view |> element("#take-off-go") |> render() =~ "not surely above 20 m"
     view |> element("#take-off footer button", "Cancel") |> render_click()
     refute has_element?(view, "#take-off")
     assert operations(console) == []

@@ -154,8 +154,8 @@ defmodule Aerie.Console.Pages.Operations.StripTest do
   end
 
   test "those that return and wait for their turn are stopped in the air", %{console: console} do
-    put_vehicle(console, "V1", [], %{key: {"main", 1}, system_id: 1})
-    steps = [%{"wait" => "landed", "of" => "V1", "timeout_s" => 900}, %{"type" => "rtl"}]
+    for n <- 1..2, do: put_vehicle(console, "V#{n}", [], %{key: {"main", n}, system_id: n})
+    steps = [%{"wait" => "landed", "of" => "V2", "timeout_s" => 900}, %{"type" => "rtl"}]
 
     request = %{
       "id" => "up",

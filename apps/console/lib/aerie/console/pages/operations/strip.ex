@@ -68,21 +68,8 @@ defmodule Aerie.Console.Pages.Operations.Strip do
       >
         Continue with {@row.waiting}
       </.hold_button>
-      <.button
-        :if={@row.state in ~w(running paused) and @row.waiting > 0}
-        small
-        phx-click="operation-stop"
-        phx-value-operation={@row.id}
-      >
-        Stop: the rest {if(@row.up?, do: "stays on the ground", else: "does not begin")}
-      </.button>
-      <.button
-        :if={@row.state in ~w(halted interrupted)}
-        small
-        phx-click="operation-stop"
-        phx-value-operation={@row.id}
-      >
-        Leave
+      <.button :for={words <- stop(@row)} small phx-click="operation-stop" phx-value-operation={@row.id}>
+        {words}
       </.button>
       <.button
         :if={@row.over?}
@@ -93,24 +80,14 @@ defmodule Aerie.Console.Pages.Operations.Strip do
         phx-value-operation={@row.id}
       />
       <.hold_button
-        :if={@row.up? and @row.then == nil and @row.begun > 0}
+        :for={{command, words} <- abort(@row)}
         id={"operation-abort-#{@row.id}"}
         event="operation-abort"
         kind="danger"
         class="small"
-        value={%{operation: @row.id, command: "rtl"}}
+        value={%{operation: @row.id, command: command}}
       >
-        Abort: return all
-      </.hold_button>
-      <.hold_button
-        :if={@row.home? and not @row.up? and @row.then == nil and not @row.over?}
-        id={"operation-abort-#{@row.id}"}
-        event="operation-abort"
-        kind="danger"
-        class="small"
-        value={%{operation: @row.id, command: "hold"}}
-      >
-        Abort: hold all
+        {words}
       </.hold_button>
     </span>
     """
@@ -162,6 +139,18 @@ defmodule Aerie.Console.Pages.Operations.Strip do
     </.hold_button>
     """
   end
+
+  defp stop(%{state: state}) when state in ~w(halted interrupted), do: ["Leave"]
+
+  defp stop(%{state: state, waiting: waiting, up?: up?}) when state in ~w(running paused) and waiting > 0,
+    do: ["Stop: the rest #{if up?, do: "stays on the ground", else: "does not begin"}"]
+
+  defp stop(_over), do: []
+
+  # Those that were sent up come back, and those on their way home stop where they are.
+  defp abort(%{then: nil, up?: true, begun: begun}) when begun > 0, do: [{"rtl", "Abort: return all"}]
+  defp abort(%{then: nil, up?: false, home?: true, over?: false}), do: [{"hold", "Abort: hold all"}]
+  defp abort(_row), do: []
 
   defp continues?(%{state: "paused"}, mine?), do: mine?
   defp continues?(%{state: state}, _mine?), do: state in ~w(halted interrupted)

@@ -157,7 +157,7 @@ defmodule Aerie.Console.Pages.Plan.Panel do
         <.button small phx-click="drop_corners" phx-value-which="all">Drop</.button>
       </div>
       <form :if={@draft.part != :fence} id="plan-altitude" phx-change="altitude" phx-submit="altitude">
-        <.field id="plan-altitude-field" type="number" step="any" name="altitude" label="Altitude" unit="m" value={number(@altitude)} phx-debounce="300" />
+        <.field id="plan-altitude-field" type="number" step="any" name="altitude" label="Height (above home)" unit="m" value={number(@altitude)} phx-debounce="300" />
       </form>
       <form :if={@draft.part == :mission} id="plan-action" phx-submit="action">
         <.field id="plan-action-field" type="select" name="command" label="Add action" options={Kinds.options(false)} />
@@ -225,7 +225,7 @@ defmodule Aerie.Console.Pages.Plan.Panel do
         <form :if={picked?(@draft, n)} id={"plan-item-#{n}"} class="plan-fields" phx-change="set" phx-submit="set" phx-auto-recover="ignore">
           <input type="hidden" name="part" value="mission" /><input type="hidden" name="index" value={n} />
           <.field id={"item-#{n}-command"} type="select" name="command" label="Kind" value={item.command} options={kinds(item)} />
-          <.field :if={item.frame != 2} id={"item-#{n}-z"} type="number" step="any" name="z" label="Altitude" unit="m" value={number(item.z)} phx-debounce="500" />
+          <.field :if={item.frame != 2} id={"item-#{n}-z"} type="number" step="any" name="z" label={height_label(item.frame)} unit="m" value={number(item.z)} phx-debounce="500" />
           <.field :if={item.frame != 2} id={"item-#{n}-frame"} type="select" name="frame" label="Reference" value={plain(item.frame)} options={frames(item)} />
           <.field :if={placed?(item)} id={"item-#{n}-lat"} type="number" step="any" name="lat" label="Latitude" unit="°" value={degrees(item.x)} phx-debounce="500" />
           <.field :if={placed?(item)} id={"item-#{n}-lon"} type="number" step="any" name="lon" label="Longitude" unit="°" value={degrees(item.y)} phx-debounce="500" />
@@ -312,7 +312,7 @@ defmodule Aerie.Console.Pages.Plan.Panel do
         </div>
         <form :if={picked?(@draft, n)} id={"plan-rally-#{n}"} class="plan-fields" phx-change="set" phx-submit="set" phx-auto-recover="ignore">
           <input type="hidden" name="part" value="rally" /><input type="hidden" name="index" value={n} />
-          <.field id={"rally-#{n}-z"} type="number" step="any" name="z" label={"Altitude #{Plan.above(altitude)}"} unit="m" value={number(metres(altitude))} phx-debounce="500" />
+          <.field id={"rally-#{n}-z"} type="number" step="any" name="z" label={height_label(frame(altitude))} unit="m" value={number(metres(altitude))} phx-debounce="500" />
           <.field id={"rally-#{n}-lat"} type="number" step="any" name="lat" label="Latitude" unit="°" value={degrees(lat)} phx-debounce="500" />
           <.field id={"rally-#{n}-lon"} type="number" step="any" name="lon" label="Longitude" unit="°" value={degrees(lon)} phx-debounce="500" />
         </form>
@@ -403,6 +403,14 @@ defmodule Aerie.Console.Pages.Plan.Panel do
   defp radius({:circle, _centre, metres}), do: number(metres)
 
   defp altitude(height), do: "#{number(metres(height))} m #{Plan.above(height)}"
+  defp frame({_metres, frame}), do: frame
+  defp frame(_above_home), do: 3
+
+  defp height_label(frame) do
+    labels = %{"0" => "Altitude (MSL)", "3" => "Height (above home)", "10" => "Height (above ground)"}
+    Map.get(labels, plain(frame), "Height")
+  end
+
   defp metres({metres, _frame}), do: metres
   defp metres(metres), do: metres
 

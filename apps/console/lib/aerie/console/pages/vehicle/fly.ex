@@ -92,7 +92,7 @@ defmodule Aerie.Console.Pages.Vehicle.Fly do
       remaining: "Remaining",
       consumed_mah: "Used",
       time_remaining: "Lasts (by the firmware)",
-      charge_state: "State"
+      charge_state: "Condition"
     ]
 
   defp gps,

@@ -3,13 +3,13 @@ defmodule Aerie.Control.Mission.OwnFence do
   Checks a plan against the fence in it, and that fence against the place of the vehicle that it is for. Pure.
 
   ArduPilot wants a vehicle inside every stay-inside zone unless FENCE_OPTIONS has the bit for their union
-  (`AC_PolyFence_loader::breached`); for PX4 one of them is enough (`Geofence::checkPolygons`). Straight ways between the items are judged as well, in the order
-  of the list: not those of jumps, nor the way to the first item and home.
+  (`AC_PolyFence_loader::breached`); for PX4 one of them is enough (`Geofence::checkPolygons`). Straight ways are judged as well (`Ways`): between the items, by
+  jumps, from home and back; home is the vehicle's, or while that is not known the plan's.
   """
 
   alias Aerie.Control.Policy.Mavlink.Review
   alias Protocols.Mission.Plan
-  alias Aerie.Control.Mission.OwnFence.Area
+  alias Aerie.Control.Mission.OwnFence.{Area, Ways}
   alias Aerie.Control.Policy.Intent.Context
   alias Aerie.Vehicle.Command.Refusal
   alias Aerie.Vehicle.Firmware
@@ -19,13 +19,14 @@ defmodule Aerie.Control.Mission.OwnFence do
   @shown 20
 
   @typedoc """
-  The vehicle that the plan is for: firmware and kind, and where it is just now, in degrees, nil if that is not known. `flying?`: it is known to be in
+  The vehicle that the plan is for: firmware and kind, and where it and its home are just now, in degrees, nil if that is not known. `flying?`: it is known to be in
   the air; `fenced?`: its fence is known to be on.
   """
   @type vehicle :: %{
           autopilot: Firmware.name(),
           vehicle_type: String.t(),
-          place: {number(), number()} | nil,
+          place: Ways.place() | nil,
+          home: Ways.place() | nil,
           flying?: boolean(),
           fenced?: boolean()
         }
@@ -45,7 +46,7 @@ defmodule Aerie.Control.Mission.OwnFence do
   @doc "The vehicle of a snapshot at a time (unix microseconds); nil: nothing is known of it."
   @spec vehicle(map() | nil, now :: integer()) :: vehicle()
   def vehicle(nil, _now),
-    do: %{autopilot: :generic, vehicle_type: "unknown", place: nil, flying?: false, fenced?: false}
+    do: %{autopilot: :generic, vehicle_type: "unknown", place: nil, home: nil, flying?: false, fenced?: false}
 
   def vehicle(snapshot, now) do
     context = Context.new(snapshot.groups, nil, now)
@@ -55,6 +56,7 @@ defmodule Aerie.Control.Mission.OwnFence do
       autopilot: snapshot.autopilot,
       vehicle_type: snapshot.vehicle_type,
       place: if(match?({lat, lon} when is_number(lat) and is_number(lon), place), do: place),
+      home: with(%{lat: lat, lon: lon} <- context.home, do: {lat, lon}),
       flying?: context.in_air == true,
       fenced?: match?(%{health: %{data: %{fence_enabled: true}}}, snapshot.groups)
     }
@@ -89,16 +91,20 @@ defmodule Aerie.Control.Mission.OwnFence do
   def check(plan, vehicle) do
     areas = Area.all(plan.fence)
     places = places(plan, vehicle)
+    ways = Ways.all(plan.items, vehicle, vehicle.home || home(plan))
     corners = plan.fence |> Enum.map(&corners/1) |> Enum.sum()
 
-    if corners * (length(places) + corners) > @most_work,
+    if corners * (length(places) + length(ways) + corners) > @most_work,
       do:
         [finding(:fence, nil, "the plan is too large to be checked against its own fence")] ++
           here(areas, vehicle),
       else:
         here(areas, vehicle) ++
-          apart(areas, vehicle) ++ outside(places, areas, vehicle) ++ ways(places, areas, vehicle)
+          apart(areas, vehicle) ++ outside(places, areas, vehicle) ++ ways(ways, areas, vehicle)
   end
+
+  defp home(%{home: {position, _altitude}}), do: degrees(position)
+  defp home(_unknown), do: nil
 
   defp corners({_kind, {:polygon, corners}}), do: length(corners)
   defp corners(_circle), do: 1
@@ -129,14 +135,12 @@ defmodule Aerie.Control.Mission.OwnFence do
         do: %{finding(part, index, "#{name} is #{elem(how, 1)}") | outside?: true}
   end
 
-  # Ways whose ends are right, at least one place between each two crossings of a border.
-  defp ways(places, areas, vehicle) do
-    flown = for {:mission, _n, _name, _place} = item <- places, do: item
-
-    for {{_, _, _, from}, {_, index, name, to}} <- Enum.zip(flown, Enum.drop(flown, 1)),
-        wrong(from, areas, vehicle) == nil and wrong(to, areas, vehicle) == nil,
+  # Ways whose items are right, at least one place between each two crossings of a border.
+  defp ways(ways, areas, vehicle) do
+    for %{from: from, to: to, index: index, name: name, items: items} <- ways,
+        Enum.all?(items, &(wrong(&1, areas, vehicle) == nil)),
         how = areas |> between(from, to) |> Enum.find_value(&wrong(&1, areas, vehicle)),
-        do: %{finding(:mission, index, "the way to #{name} goes #{way(elem(how, 1))}") | outside?: true}
+        do: %{finding(:mission, index, "#{name} goes #{way(elem(how, 1))}") | outside?: true}
   end
 
   defp between(areas, {lat1, lon1} = from, {lat2, lon2} = to) do

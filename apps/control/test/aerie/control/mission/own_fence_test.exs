@@ -4,7 +4,14 @@ defmodule Aerie.Control.Mission.OwnFenceTest do
   alias Aerie.Control.Mission.OwnFence
   alias Protocols.Mission.{Item, Plan}
 
-  @copter %{autopilot: :ardupilot, vehicle_type: "copter", place: nil, flying?: false, fenced?: false}
+  @copter %{
+    autopilot: :ardupilot,
+    vehicle_type: "copter",
+    place: nil,
+    home: nil,
+    flying?: false,
+    fenced?: false
+  }
   @px4 %{@copter | autopilot: :px4}
 
   # Metres from 47, 8.
@@ -89,6 +96,48 @@ defmodule Aerie.Control.Mission.OwnFenceTest do
     # A leg of no length, and one along a border.
     assert through.([thin], [waypoint(50, 250), waypoint(50, 250)], @copter) == []
     assert is_list(through.([{:inclusion, square(0, 0, 100)}], [waypoint(0, 0), waypoint(0, 100)], @copter))
+  end
+
+  test "the ways of jumps, from home and home are judged" do
+    wall = [{:exclusion, square(100, 0, 10)}]
+    jump = fn to -> %Item{command: 177, frame: 2, params: {to / 1, -1.0, 0.0, 0.0}} end
+    rtl = %Item{command: 20, frame: 2}
+    {west, east, over} = {waypoint(50, 5), waypoint(150, 5), waypoint(100, 300)}
+    found = fn items, vehicle -> texts(%Plan{fence: wall, items: items}, vehicle) end
+    through = "goes through the plan's keep-out zone 1"
+
+    # Around the wall, and back through it by the jump.
+    assert found.([west, over, east, jump.(1)], @copter) == [
+             "the way to item 1 by the jump of item 4 #{through}"
+           ]
+
+    assert [%{part: :mission, index: 0, outside?: true}] =
+             OwnFence.check(%Plan{fence: wall, items: [west, over, east, jump.(1)]}, @copter)
+
+    # One to the way that is flown anyway is told once; those to nowhere and to themselves end.
+    assert found.([west, east, jump.(2)], @copter) == ["the way to item 2 #{through}"]
+    assert found.([west, jump.(2), jump.(99), jump.(-3)], @copter) == []
+    tag = %Item{command: 600, frame: 2, params: {7.0, 0.0, 0.0, 0.0}}
+
+    assert found.([tag, west, over, east, %{tag | command: 601}], @copter) == [
+             "the way to item 2 by the jump of item 5 #{through}"
+           ]
+
+    at_home = %{@copter | home: degrees(0, 5)}
+    assert found.([east, over, west], at_home) == ["the way to item 1 from home #{through}"]
+    assert found.([west, over, east, rtl], at_home) == ["the way home (item 4) #{through}"]
+    assert found.([west, rtl], at_home) == []
+    # A take-off without a place is at home; the plan's home counts while the vehicle's is not known.
+    up = %Item{command: 22, frame: 3, x: 0, y: 0, z: 20.0}
+    assert found.([up, east], at_home) == ["the way to item 2 from home #{through}"]
+    plan = %Plan{fence: wall, items: [up, east, over, west], home: {at(0, 5), 400.0}}
+    assert texts(plan) == ["the way to item 2 from home #{through}"]
+    assert texts(plan, %{@copter | home: degrees(150, 50)}) == []
+    # Home itself is no item, so a home that is outside is told by the ways to and from it.
+    assert texts(%Plan{fence: [{:inclusion, square(40, 0, 400)}], items: [west, rtl]}, at_home) == [
+             "the way to item 1 from home goes outside the plan's stay-inside zone 1",
+             "the way home (item 2) goes outside the plan's stay-inside zone 1"
+           ]
   end
 
   test "for any way and zones, a place on the way that is wrong is found" do
@@ -229,16 +278,24 @@ defmodule Aerie.Control.Mission.OwnFenceTest do
       groups: %{
         position: group.(%{lat: 47.0, lon: 8.0}),
         mode: group.(%{in_air: true, armed: true}),
-        health: group.(%{fence_enabled: true})
+        health: group.(%{fence_enabled: true}),
+        home: group.(%{lat: 47.1, lon: 8.1, alt_msl: 400.0})
       }
     }
 
     assert OwnFence.vehicle(snapshot, now) ==
-             %{autopilot: :px4, vehicle_type: "copter", place: {47.0, 8.0}, flying?: true, fenced?: true}
+             %{
+               autopilot: :px4,
+               vehicle_type: "copter",
+               place: {47.0, 8.0},
+               home: {47.1, 8.1},
+               flying?: true,
+               fenced?: true
+             }
 
     # Where it was a minute ago tells nothing.
     assert %{place: nil} = OwnFence.vehicle(snapshot, now + 60_000_000)
     assert %{place: nil, flying?: false, fenced?: false} = OwnFence.vehicle(%{snapshot | groups: %{}}, now)
-    assert %{place: nil} = OwnFence.vehicle(nil, now)
+    assert %{place: nil, home: nil} = OwnFence.vehicle(nil, now)
   end
 end

@@ -168,6 +168,24 @@ defmodule Aerie.Console.Pages.Plan.PageTest do
       again = open(console)
       render_hook(again, "restore", %{"text" => text})
       assert [%{x: 474_000_000}] = plan_of(again).items
+      # With the zone that is being drawn, and what it is to be.
+      render_hook(again, "part", %{"part" => "fence"})
+      render_hook(again, "what", %{"shape" => "exclusion polygon"})
+      for n <- 1..3, do: add(again, n)
+
+      assert_push_event(again, "plan:keep", %{
+        text: text,
+        zone: %{shape: "exclusion polygon" = shape, corners: [_, _, _] = corners}
+      })
+
+      third = open(console)
+      bad = ["x", [1], [91.0, 0.0], nil]
+      render_hook(third, "restore", %{"text" => text, "shape" => shape, "corners" => bad ++ corners})
+      assert render(third) =~ "Corner 3 of a zone"
+      render_hook(third, "close_zone", %{})
+      assert [{:exclusion, {:polygon, [_, _, _]}}] = plan_of(third).fence
+      render_hook(again, "drop_corners", %{"which" => "all"})
+      render_hook(again, "part", %{"part" => "mission"})
       # Not over what was drawn since.
       again |> add(0) |> render_hook("restore", %{"text" => text})
       assert length(plan_of(again).items) == 2
@@ -360,6 +378,8 @@ defmodule Aerie.Console.Pages.Plan.PageTest do
   end
 
   defp send_plan(view, id) do
+    # Home is outside of the fence aboard.
+    render_hook(view, "agree", %{"agreed" => "true", "shown" => shown(view)})
     render_hook(view, "upload", %{"id" => id, "shown" => shown(view)})
     eventually(fn -> over?(view) && view |> element("#plan-transfer") |> render() =~ "Sent to" end)
     view |> element("#plan-transfer") |> render()

@@ -3,11 +3,15 @@
 import { chosen, save } from "../lib/files.js";
 
 const KEY = "plan";
+const ZONE = "plan-zone"; // the corners of one that is not closed yet
 
 export default {
   mounted() {
     this.el.addEventListener("change", (event) => event.target.id === "plan-import" && this.open(event.target));
-    this.handleEvent("plan:keep", ({ text }) => sessionStorage.setItem(KEY, text));
+    this.handleEvent("plan:keep", ({ text, zone }) => {
+      sessionStorage.setItem(KEY, text);
+      sessionStorage.setItem(ZONE, JSON.stringify(zone));
+    });
     this.handleEvent("plan:file", ({ name, text }) => save(name, text));
     this.restore();
   },
@@ -18,7 +22,7 @@ export default {
 
   restore() {
     const text = sessionStorage.getItem(KEY);
-    if (text) this.pushEvent("restore", { text });
+    if (text) this.pushEvent("restore", { text, ...JSON.parse(sessionStorage.getItem(ZONE)) });
   },
 
   async open(input) {

@@ -81,6 +81,10 @@ main(async (browser) => {
   await page.click("button:has-text('Fence (0)')");
   for (const [x, y] of [[-170, -170], [170, -170], [170, 170], [-170, 170]]) await click(x, y);
   await contains(page, "#plan-corners", "Corner 4 of a zone");
+  // It is not closed yet, and there again when the page is loaded anew.
+  await page.reload();
+  await page.waitForSelector("#plan-map.map-ready");
+  await contains(page, "#plan-corners", "Corner 4 of a zone");
   await handles(1);
   await click(-170, -170);
   await count("#plan-zones > li", 1);

@@ -100,6 +100,23 @@ defmodule Aerie.Console.Pages.Plan.Draft do
          do: done(draft, %{plan | fence: plan.fence ++ [zone]}, {length(plan.fence), nil})
   end
 
+  @doc "Goes on with the polygon that was being drawn on an earlier page; what is not one is left out."
+  @spec resume(t(), term()) :: t()
+  def resume(draft, [_ | _] = corners) do
+    Enum.reduce(Enum.take(corners, @most_corners), %{draft | part: :fence}, fn
+      [lat, lon], draft ->
+        with {:ok, position} <- position({lat, lon}),
+             {:ok, draft} <- corner(draft, position),
+             do: draft,
+             else: (_bad -> draft)
+
+      _bad, draft ->
+        draft
+    end)
+  end
+
+  def resume(draft, _none), do: draft
+
   @doc "Makes a zone of the polygon that is being drawn."
   @spec close(t(), :inclusion | :exclusion) :: result()
   def close(%{corners: [_, _, _ | _] = corners} = draft, kind),

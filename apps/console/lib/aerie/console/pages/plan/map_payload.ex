@@ -1,7 +1,7 @@
 defmodule Aerie.Console.Pages.Plan.MapPayload do
   @moduledoc "A draft as the map draws it: the payload of `map:plan`. Pure."
 
-  alias Aerie.Console.Pages.Plan.{Check, Draft, Kinds}
+  alias Aerie.Console.Pages.Plan.{Check, Draft, Edit, Kinds}
   alias Protocols.Mission.Item
 
   @doc "The payload without `map`."
@@ -49,6 +49,10 @@ defmodule Aerie.Console.Pages.Plan.MapPayload do
   @spec zone(Protocols.Mission.Plan.zone()) :: map()
   def zone({kind, {:polygon, corners}}), do: %{kind: kind, ring: Enum.map(corners, &pair/1)}
   def zone({kind, {:circle, centre, radius}}), do: %{kind: kind, centre: pair(centre), radius: radius}
+
+  @doc "A zone that is still being drawn, to be kept by the browser (`Draft.resume/2`)."
+  @spec open([Protocols.Mission.Plan.position()], term()) :: map()
+  def open(corners, fence), do: %{shape: Edit.shape(fence), corners: Enum.map(corners, &pair/1)}
 
   defp picked?(%{part: part, picked: {index, _corner}}, part, index), do: true
   defp picked?(_draft, _part, _index), do: false

@@ -113,7 +113,8 @@ defmodule Aerie.Console.Pages.Plan.Page do
     end
   end
 
-  def handle_event("what", value, socket), do: {:noreply, update(socket, :what, &Edit.what(&1, value))}
+  def handle_event("what", value, socket),
+    do: {:noreply, socket |> update(:what, &Edit.what(&1, value)) |> keep()}
 
   def handle_event(
         "close_zone",
@@ -213,11 +214,15 @@ defmodule Aerie.Console.Pages.Plan.Page do
   end
 
   # The copy of an earlier page; it never replaces a newer drawing.
-  def handle_event("restore", %{"text" => text}, %{assigns: %{draft: %{undo: []}}} = socket)
+  def handle_event("restore", %{"text" => text} = kept, %{assigns: %{draft: %{undo: []} = draft}} = socket)
       when is_binary(text) do
     case imported(socket, text, :plan) do
-      {:ok, plan} -> {:noreply, replace(socket, plan)}
-      {:error, _reason} -> {:noreply, socket}
+      {:ok, plan} ->
+        draft = draft |> Draft.replace(plan) |> Draft.resume(kept["corners"])
+        {:noreply, socket |> update(:what, &Edit.what(&1, kept)) |> changed(draft)}
+
+      {:error, _reason} ->
+        {:noreply, socket}
     end
   end
 
@@ -304,11 +309,11 @@ defmodule Aerie.Console.Pages.Plan.Page do
     do: socket |> assign(draft: draft, error: nil) |> check() |> draw() |> keep()
 
   # A copy that could not be read again must not replace an earlier one that could.
-  defp keep(%{assigns: %{draft: %{plan: plan}}} = socket) do
+  defp keep(%{assigns: %{draft: %{plan: plan, corners: corners}, what: what}} = socket) do
     {:ok, text} = Missions.export(plan, :plan)
 
     if connected?(socket) and byte_size(text) <= @max_kept and match?({:ok, _}, Missions.import(text, :plan)),
-      do: push_event(socket, "plan:keep", %{text: text}),
+      do: push_event(socket, "plan:keep", %{text: text, zone: MapPayload.open(corners, what.fence)}),
       else: socket
   end
 

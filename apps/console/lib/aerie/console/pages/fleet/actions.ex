@@ -8,6 +8,7 @@ defmodule Aerie.Console.Pages.Fleet.Actions do
   alias Aerie.Control.Policy.Roles
   alias Aerie.Vehicle.Snapshot
   alias Aerie.Console.Commands.Catalog
+  alias Aerie.Console.UI.Badge
   alias Aerie.Console.Pages.Fleet.{Plans, Selection}
   alias Aerie.Console.Pages.Fleet.Act.{Height, Mode}
 
@@ -149,13 +150,8 @@ defmodule Aerie.Console.Pages.Fleet.Actions do
     rows = Enum.filter(assigns.rows, & &1.readiness)
     {open, more} = rows |> Enum.reject(&(&1.readiness == :ready)) |> Enum.split(@most_reasons)
 
-    words =
-      for {state, word} <- [ready: "ready", check: "to check", not_ready: "not ready", unknown: "unknown"],
-          n = Enum.count(rows, &(&1.readiness == state)),
-          n > 0,
-          do: "#{n} #{word}"
-
-    assigns = assign(assigns, words: Enum.join(words, ", "), open: open, more: length(more))
+    words = rows |> Enum.map(& &1.readiness) |> Badge.counts()
+    assigns = assign(assigns, words: words, open: open, more: length(more))
 
     ~H"""
     <details class="charge fleet-why" id="fleet-why" phx-mounted={JS.ignore_attributes("open")}>

@@ -137,8 +137,6 @@ defmodule Aerie.Console.Pages.Fleet.Act.Return do
       ),
       if(undone > 0, do: "#{undone} may leave the stack.")
     ]
-    |> Enum.filter(& &1)
-    |> Enum.join(" ")
   end
 
   @impl Sheet

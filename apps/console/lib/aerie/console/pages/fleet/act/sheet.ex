@@ -88,7 +88,7 @@ defmodule Aerie.Console.Pages.Fleet.Act.Sheet do
               before :: [{String.t(), facts()}]
             ) :: line()
   @callback cells(line()) :: [cell()]
-  @callback summary(t(), [line()], known()) :: String.t()
+  @callback summary(t(), [line()], known()) :: String.t() | [String.t() | nil]
   @callback shown(t(), line()) :: [term()]
   @callback request(shown :: map(), known()) :: map()
   @doc "Why these lines cannot begin together; nil if they can."

@@ -82,7 +82,7 @@ defmodule Aerie.Console.Pages.Fleet.Act.Sheets do
           </span>
         </li>
       </ol>
-      <p class="sheet-summary">{@sheet.kind.summary(@sheet, @lines, @facts)}</p>
+      <p class="sheet-summary">{sentences(@sheet.kind.summary(@sheet, @lines, @facts))}</p>
       <p :if={@error} class="field-error" role="alert">{@error}</p>
       <p :if={@refusal} class="field-error" role="status">{@refusal}</p>
       <:action>
@@ -168,6 +168,8 @@ defmodule Aerie.Console.Pages.Fleet.Act.Sheets do
     assigns = assign(assigns, text: text, class: %{number: "number", muted: "muted sheet-why"}[kind])
     ~H"<span class={@class}>{@text}</span>"
   end
+
+  defp sentences(texts), do: texts |> List.wrap() |> Enum.filter(& &1) |> Enum.join(" ")
 
   defp count(1), do: "1 vehicle"
   defp count(n), do: "#{n} vehicles"

@@ -3,6 +3,7 @@ defmodule Aerie.Console.Pages.Fleet.Act.TakeOff do
   @behaviour Aerie.Console.Pages.Fleet.Act.Sheet
 
   alias Aerie.Console.Pages.Fleet.Act.Sheet
+  alias Aerie.Console.UI.Badge
   alias Aerie.Fleet
   alias Aerie.Vehicle.Snapshot
 
@@ -78,6 +79,7 @@ defmodule Aerie.Console.Pages.Fleet.Act.TakeOff do
   @impl Sheet
   def line(sheet, {id, n}, facts, before) do
     readiness = facts[:readiness] || %{state: :unknown, points: []}
+    near = near(facts, before)
     open? = n != nil and readiness.state == :unknown and not MapSet.member?(sheet.anyway, id)
 
     %{
@@ -86,8 +88,8 @@ defmodule Aerie.Console.Pages.Fleet.Act.TakeOff do
       state: readiness.state,
       why: worst(readiness) || facts[:refusal],
       anyway?: open?,
-      conflict?:
-        facts != nil and Enum.any?(before, fn {_id, other} -> apart(facts.snapshot, other) < @near_m end),
+      near: near,
+      conflict?: match?({_id, metres} when metres < @near_m, near),
       blocks:
         cond do
           readiness.state == :not_ready -> "#{id} is not ready: leave it out."
@@ -97,8 +99,17 @@ defmodule Aerie.Console.Pages.Fleet.Act.TakeOff do
     }
   end
 
-  # What is not known is far away: an atom is greater than a number.
-  defp apart(one, %{snapshot: other}), do: Snapshot.distance(one, Sheet.place(other)) || :unknown
+  # The nearest of those before it, with the metres; nil without two places.
+  defp near(nil, _before), do: nil
+
+  defp near(%{snapshot: snapshot}, before) do
+    distances =
+      for {id, %{snapshot: other}} <- before,
+          metres = Snapshot.distance(snapshot, Sheet.place(other)),
+          do: {id, metres}
+
+    Enum.min_by(distances, &elem(&1, 1), fn -> nil end)
+  end
 
   defp height(sheet, n) do
     %{height: height, gap: gap, stacked: stacked} = Sheet.values(sheet)
@@ -121,33 +132,20 @@ defmodule Aerie.Console.Pages.Fleet.Act.TakeOff do
   end
 
   @impl Sheet
-  def summary(sheet, lines, known) do
-    counts =
-      for {state, word} <- [
-            ready: "ready",
-            check: "to be checked",
-            unknown: "unknown",
-            not_ready: "not ready"
-          ],
-          n = Enum.count(lines, &(&1.state == state)),
-          n > 0,
-          do: "#{n} #{word}"
-
+  def summary(sheet, lines, _known) do
     going = Enum.filter(lines, & &1.n)
 
     [
-      "#{Enum.join(counts, ", ")}.",
+      "#{Badge.counts(Enum.map(lines, & &1.state))}.",
       if(Enum.all?(going, &(&1.blocks == nil)),
         do: "Policy and firmware: allowed for all that take off."
       ),
       with(
-        {one, other, metres} <- nearest(going, known),
+        {one, other, metres} <- nearest(going),
         do: "Nearest on the ground: #{one} and #{other}, #{Float.round(metres, 1)} m."
       ),
       stack(Sheet.values(sheet), length(going))
     ]
-    |> Enum.filter(& &1)
-    |> Enum.join(" ")
   end
 
   defp stack(_values, going) when going < 2, do: nil
@@ -155,25 +153,18 @@ defmodule Aerie.Console.Pages.Fleet.Act.TakeOff do
   defp stack(_values, _going), do: "All at the same height."
 
   @impl Sheet
-  def against(_sheet, going, known) do
-    with {one, other, metres} when metres < @near_m <- nearest(going, known) do
+  def against(_sheet, going, _known) do
+    with {one, other, metres} when metres < @near_m <- nearest(going) do
       "#{one} and #{other} stand #{Float.round(metres, 1)} m apart; #{@near_m} m are wanted. Leave one of them out."
     else
       _far -> nil
     end
   end
 
-  # The two nearest to each other, with the metres between them; nil without two places.
-  defp nearest(going, known) do
-    seen = for %{id: id} <- going, %{snapshot: snapshot} <- [known[id]], do: snapshot
-
-    for {one, i} <- Enum.with_index(seen),
-        other <- Enum.drop(seen, i + 1),
-        metres = Snapshot.distance(one, Sheet.place(other)),
-        reduce: nil do
-      {_one, _other, least} = nearest when least <= metres -> nearest
-      _farther -> {one.id, other.id, metres}
-    end
+  # The two nearest to each other; nil without two places.
+  defp nearest(going) do
+    pairs = for %{id: other, near: {one, metres}} <- going, do: {one, other, metres}
+    Enum.min_by(pairs, &elem(&1, 2), fn -> nil end)
   end
 
   @impl Sheet

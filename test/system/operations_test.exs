@@ -287,4 +287,52 @@ defmodule Aerie.System.OperationsTest do
     {200, metrics} = rest(c.gateway, :get, "/metrics", nil, key: @chief)
     for [name] <- Regex.scan(~r/gateway_shadow_\w+/, @shadow), do: assert(metrics =~ name)
   end
+
+  test "strangers and viewers begin nothing; what is too much, doubled or odd is refused", c do
+    goto = %{
+      "type" => "goto",
+      "params" => %{"lat" => 47.39771234567891, "lon" => 8.545600000001, "altitude" => 19.999999}
+    }
+
+    near = %{"wait" => "near", "lat" => 47.3977123, "lon" => 8.5456, "m" => 3}
+    landing = &%{"vehicle" => &1, "steps" => [goto, near, %{"type" => "land"}]}
+    back = &%{"vehicle" => &1, "steps" => [%{"type" => "rtl"}]}
+
+    begins = [
+      %{"sequence" => [landing.("VID-001")]},
+      %{"sequence" => [back.("VID-001"), back.("VID-002")]},
+      %{"vehicles" => @ids, "command" => %{"type" => "set_mode", "params" => %{"mode" => "LAND"}}},
+      %{"vehicles" => @ids, "command" => %{"type" => "mission_start"}}
+    ]
+
+    paths = ["operations/odd/pause", "operations/odd/continue", "operations/odd/abort", "abort"]
+
+    for {key, status} <- [{nil, 401}, {"key-of-a-stranger-01", 401}, {@wall, 403}] do
+      for begin <- begins, do: assert({^status, _refused} = ask(c, :post, "operations", begin, key))
+      for path <- paths, do: assert({^status, _refused} = ask(c, :post, path, %{}, key))
+    end
+
+    for {begin, refused, why} <- [
+          {%{"vehicles" => for(n <- 1..2_001, do: "V-#{n}"), "command" => %{"type" => "rtl"}}, 422,
+           "2000 ids"},
+          {%{"sequence" => for(n <- 1..2_001, do: back.("V-#{n}"))}, 422, "2000 vehicles"},
+          {%{"sequence" => [back.("VID-001"), back.("VID-001")]}, 409, "VID-001 is in the sequence twice"},
+          {%{
+             "sequence" => [
+               landing.("VID-001"),
+               put_in(landing.("VID-002"), ["steps", Access.at(1), "lat"], 48)
+             ]
+           }, 422, "steps[1].m"},
+          {%{"vehicles" => @ids, "command" => put_in(goto, ["params", "lat"], 1.0e308)}, 422, "lat"},
+          {%{"vehicles" => @ids, "command" => put_in(goto, ["params", "altitude"], nil)}, 422, "altitude"}
+        ] do
+      assert {^refused, answer} = ask(c, :post, "operations", begin)
+      assert inspect(answer) =~ why
+      assert %{"result" => result} = nats(c, "begin", Map.put(begin, "id", "odd"))
+      assert result in ["refused", "malformed", "error"]
+    end
+
+    assert {200, %{"operations" => []}} = ask(c, :get, "operations")
+    for sim <- c.sims, do: refute(SimVehicle.state(sim).armed)
+  end
 end

@@ -366,6 +366,55 @@ defmodule Aerie.Fleet.OperationsTest do
     refute_received {:commanded, "VID-013", "rtl"}
   end
 
+  test "one on its way to land at a place lands there; not after a hold, a pilot's mode, or when it is heard no more",
+       c do
+    there = {47.0005, 8.1}
+    goto = %{"type" => "goto", "params" => %{"lat" => 47.0005, "lon" => 8.1, "altitude" => 20}}
+    near = %{"wait" => "near", "lat" => 47.0005, "lon" => 8.1, "m" => 3}
+    landing = &one(&1, [goto, Map.put(near, "timeout_s", &2), %{"type" => "land"}])
+    away = %{lat: 47.0, lon: 8.1, alt_rel: 20.0}
+    for n <- [11, 13, 15], do: vehicle(c.gateway, n, %{armed: true, in_air: true, mode: "GUIDED"}, away)
+
+    assert {:ok, _begun} =
+             sequence(c.gateway, [landing.(11, 300), landing.(13, 300), landing.(15, 300)], %{
+               "step" => 3,
+               "halt_ratio" => 1
+             })
+
+    for n <- [11, 13, 15], do: await(c.gateway, &(&1["vehicles"]["VID-0#{n}"]["step"] == "wait_near"))
+    by_hand(c.gateway, 13, "hold")
+    vehicle(c.gateway, 13, %{}, place(there))
+    vehicle(c.gateway, 15, %{mode: "STABILIZE"}, place(there))
+    still(c.gateway, 11)
+    vehicle(c.gateway, 11, %{}, place(there))
+    assert_receive {:commanded, "VID-011", "land"}, Aerie.Patience.ms()
+    assert %{"counts" => %{"ok" => 1, "failed" => 2}, "vehicles" => vehicles} = over(c.gateway, "up")
+    assert vehicles["VID-013"]["reason"] =~ "given hold by other"
+
+    assert %{"result" => "rejected", "reason" => "its mode was changed to STABILIZE on the way"} =
+             vehicles["VID-015"]
+
+    gone = landing.(11, 1) |> Map.put("steps", [Map.put(near, "timeout_s", 1), %{"type" => "land"}])
+    Store.delete_vehicle(c.gateway, {"main", 11})
+    assert {:ok, _begun} = sequence(c.gateway, [gone], %{"id" => "gone"})
+
+    assert %{"VID-011" => %{"result" => "timeout", "reason" => "nobody hears it after 1 s"}} =
+             over(c.gateway, "gone")["vehicles"]
+
+    refute_received {:commanded, _vehicle, "land"}
+  end
+
+  defp place({lat, lon}), do: %{lat: lat, lon: lon}
+
+  defp still(gateway, n) do
+    snapshot = Store.vehicle(gateway, {"main", n})
+
+    groups =
+      Map.put(snapshot.groups, :velocity, %{data: %{groundspeed: 0.1}, at: System.os_time(:microsecond)})
+
+    :ok = Store.put_vehicle(gateway, {"main", n}, %{snapshot | groups: groups})
+  end
+
   test "one that has not begun is left alone, with its `else`; on_halt returns the others only", c do
     grounded(c.gateway, [11, 13, 15])
     spare = Map.put(up(15), "else", [%{"type" => "arm"}])

@@ -59,6 +59,7 @@ defmodule Aerie.Fleet.Operations.Sequence.Wait do
     now = mode(snapshot)[:mode]
 
     cond do
+      now == nil -> {:waiting, "its mode is not known", id}
       taken_over?(mode, now) -> {:failed, "its mode was changed to #{now} on the way"}
       metres == nil -> {:waiting, "its position is not known", id}
       metres > m -> {:waiting, "#{round(metres)} m from the place, not within #{m} m", id}

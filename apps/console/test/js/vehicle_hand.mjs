@@ -52,6 +52,8 @@ main(async (browser) => {
   await page.waitForSelector("#fly-instruments:not([open])");
   const tops = await Promise.all(["#vehicle-map", "#fly-line", "#action-arm", "#charge"].map(async (id) => (await box(page, id)).y));
   equal("map, line, actions, who is in charge", JSON.stringify(tops), JSON.stringify([...tops].sort((a, b) => a - b)));
+  equal("the head has two lines", (await box(page, ".vehicle-head")).height <= 110, true);
+  equal("no scrolling sideways", await page.evaluate(() => document.documentElement.scrollWidth), 390);
   const line = await box(page, "#fly-line");
   equal("the map and the line's first row are above the actions", line.y + line.height / 2 <= (await box(page, ".vehicle-foot")).y, true);
   if (process.env.AERIE_SHOTS) await page.screenshot({ path: `${process.env.AERIE_SHOTS}/fly-phone.png` });

@@ -20,16 +20,18 @@ defmodule Aerie.Console.Pages.Vehicle.Header do
       <h1>{@vehicle.id}</h1>
       <p class="vehicle-doing">{Doing.of(@view, @entries, @courses)}</p>
       <span class="muted">{kind_of(@vehicle.vehicle_type)} · {firmware(@vehicle)}</span>
-      <.badge :if={@vehicle.via} kind="info" class="vehicle-via">via {@vehicle.via}</.badge>
-      <.badge kind={kind(@status)} class="vehicle-status">{status(@status)}</.badge>
-      <.badge kind={armed_kind(View.get(@view, [:mode, :armed]))}><span class="vehicle-air">{air(View.get(@view, [:mode, :in_air]))}</span><span class="vehicle-armed">{armed(View.get(@view, [:mode, :armed]))}</span></.badge>
-      <.badge class="vehicle-mode">{View.get(@view, [:mode, :mode]) || "mode unknown"}</.badge>
-      <.badge :for={{tone, text} <- View.warnings(@view)} kind={Atom.to_string(tone)}><.icon name="alert" />{text}</.badge>
-      <span class="vehicle-elsewhere">
-        <.link navigate={"/params?" <> URI.encode_query(vehicle: @vehicle.id)}>Parameters</.link>
-        <.link navigate={"/plan?" <> URI.encode_query(vehicle: @vehicle.id)}>Plan</.link>
-        <.link navigate={"/vehicles/" <> URI.encode(@vehicle.id, &URI.char_unreserved?/1) <> "/shadow"}>Shadow</.link>
-      </span>
+      <div class="vehicle-facts">
+        <.badge :if={@vehicle.via} kind="info" class="vehicle-via">via {@vehicle.via}</.badge>
+        <.badge kind={kind(@status)} class="vehicle-status">{status(@status)}</.badge>
+        <.badge kind={armed_kind(View.get(@view, [:mode, :armed]))}><span class="vehicle-air">{air(View.get(@view, [:mode, :in_air]))}</span><span class="vehicle-armed">{armed(View.get(@view, [:mode, :armed]))}</span></.badge>
+        <.badge class="vehicle-mode">{mode(View.get(@view, [:mode, :mode]))}</.badge>
+        <.badge :for={{tone, text} <- View.warnings(@view)} kind={Atom.to_string(tone)}><.icon name="alert" />{text}</.badge>
+        <span class="vehicle-elsewhere">
+          <.link navigate={"/params?" <> URI.encode_query(vehicle: @vehicle.id)}>Parameters</.link>
+          <.link navigate={"/plan?" <> URI.encode_query(vehicle: @vehicle.id)}>Plan</.link>
+          <.link navigate={"/vehicles/" <> URI.encode(@vehicle.id, &URI.char_unreserved?/1) <> "/shadow"}>Shadow</.link>
+        </span>
+      </div>
     </header>
     <p :if={@status == :lost} class="notice bad" role="alert">
       <.icon name="link-off" />
@@ -58,6 +60,16 @@ defmodule Aerie.Console.Pages.Vehicle.Header do
   defp armed(true), do: "ARMED"
   defp armed(false), do: "disarmed"
   defp armed(_unknown), do: "armed state unknown"
+
+  # What it does in the mode, with the firmware's word if that is another one.
+  defp mode(nil), do: "mode unknown"
+
+  defp mode(mode) do
+    case Firmware.meaning(mode) do
+      nil -> mode
+      meaning -> if String.upcase(meaning) == mode, do: mode, else: "#{meaning} · #{mode}"
+    end
+  end
 
   defp armed_kind(true), do: "warn"
   defp armed_kind(_other), do: "plain"

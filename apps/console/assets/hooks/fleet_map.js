@@ -1,5 +1,6 @@
 // The hook of `Aerie.Console.Map.map/1`; the README in lib/aerie/console/map describes attributes and events.
 import { element } from "../lib/dom.js";
+import { hint } from "../lib/hint.js";
 import { Base, offered } from "./map/base/base.js";
 import { Coastlines } from "./map/base/coastlines.js";
 import { graticule } from "./map/base/graticule.js";
@@ -157,6 +158,7 @@ export default {
 
   push(event, payload) {
     if (this.liveSocket.isConnected()) this.pushEvent(event, { map: this.el.id, ...payload });
+    else hint("The gateway does not answer: nothing was done on the map.");
   },
 
   buttons() {

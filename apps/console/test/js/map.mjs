@@ -389,6 +389,11 @@ const tasks = {
     if (shots) await page.screenshot({ path: `${shots}/map-area.png` });
     await page.keyboard.press("Enter");
     await says(/Fetched: (\d+) of \1 tiles/);
+    const outlines = () => page.evaluate(() => {
+      const { map } = document.querySelector("#fleet-map").fleetMap;
+      return map.getSource("areas") ? map.querySourceFeatures("areas").map(({ properties }) => properties.text) : [];
+    });
+    await until("the map shows where it is", async () => (await outlines()).includes("Prepared to zoom 11"));
     await page.getByText("Back").click();
     equal("the layers again", await page.locator(".map-panel[data-name=map-layers]").count(), 1);
   },

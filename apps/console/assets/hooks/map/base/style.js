@@ -1,7 +1,7 @@
 // The map's style: land, borders, tiles, graticule. It needs no network; labels are drawn with the font of the pages. Colours are the custom properties of css/map.css, so that they follow the page's theme.
 import { color, dark } from "../../../lib/theme.js";
-import { collection } from "../geo.js";
-import { FONT } from "../layers.js";
+import { collection, feature } from "../geo.js";
+import { FONT, label } from "../layers.js";
 import { TAG_COLOURS } from "../vehicles/tags.js";
 
 const COLOURS = [
@@ -17,7 +17,7 @@ const source = () => ({ type: "geojson", data: collection() });
 const COARSE = 8; // zoom from which the coastlines are beside those of a base map
 const ONLY_COARSE = ["coast", "borders"];
 
-// `tiles`: null, or {type: "raster" | "vector", url, minzoom, maxzoom, bounds, layers, basemaps}; see the README.
+// `tiles`: null, or {type: "raster" | "vector", url, minzoom, maxzoom, bounds, layers, basemaps, areas}; see the README.
 export function style(c, tiles) {
   return {
     version: 8,
@@ -27,7 +27,7 @@ export function style(c, tiles) {
       coast: { ...source(), tolerance: 0.2 },
       borders: { ...source(), tolerance: 0.2 },
       graticule: source(),
-      ...(tiles ? { tiles: tileSource(tiles) } : {}),
+      ...(tiles ? { tiles: tileSource(tiles), areas: areaSource(tiles) } : {}),
     },
     layers: [
       { id: "water", type: "background", paint: { "background-color": c.water } },
@@ -37,6 +37,7 @@ export function style(c, tiles) {
       { id: "borders", type: "line", source: "borders", ...coarse(tiles), paint: { "line-color": c.border, "line-dasharray": [3, 2] } },
       { id: "graticule", type: "line", source: "graticule", paint: { "line-color": c.grid, "line-width": 0.7 } },
       ...["top", "left"].map((edge) => graticuleLabels(c, edge)),
+      ...(tiles ? areaLayers(c) : []),
     ],
   };
 }
@@ -45,12 +46,15 @@ const coarse = (tiles) => (tiles ? { maxzoom: COARSE } : {});
 
 // Other tiles below everything else of a map that is there already.
 export function swap(map, c, tiles) {
-  for (const { id, source } of map.getStyle().layers) if (source === "tiles") map.removeLayer(id);
-  if (map.getSource("tiles")) map.removeSource("tiles");
+  const sources = ["tiles", "areas"];
+  for (const { id, source } of map.getStyle().layers) if (sources.includes(source)) map.removeLayer(id);
+  for (const name of sources) if (map.getSource(name)) map.removeSource(name);
   for (const id of ONLY_COARSE) map.setLayerZoomRange(id, 0, tiles ? COARSE : 24);
   if (!tiles) return;
   map.addSource("tiles", tileSource(tiles));
+  map.addSource("areas", areaSource(tiles));
   for (const layer of tileLayers(c, tiles)) map.addLayer(layer, "coast");
+  for (const layer of areaLayers(c)) map.addLayer(layer, "graticule");
 }
 
 function graticuleLabels(c, edge) {
@@ -69,6 +73,24 @@ function graticuleLabels(c, edge) {
     paint: { "text-color": c.text, "text-halo-color": c.halo, "text-halo-width": 1.5, "text-opacity": 0.8 },
   };
 }
+
+// Where all tiles are there without internet: `areas` of the layer, [{box: [west, south, east, north], zoom}].
+const areaSource = ({ areas = [] }) => ({
+  type: "geojson",
+  data: collection(areas.flatMap(({ box: [west, south, east, north], zoom }) => {
+    const text = `Prepared to zoom ${zoom}`;
+    return [feature("LineString", [[west, south], [east, south], [east, north], [west, north], [west, south]], { text }), feature("Point", [west, north], { text })];
+  })),
+});
+
+const areaLayers = (c) => [
+  { id: "areas", type: "line", source: "areas", filter: ["==", ["geometry-type"], "LineString"], paint: { "line-color": c.tool, "line-width": 1.5, "line-dasharray": [6, 3] } },
+  {
+    id: "areas-text", type: "symbol", source: "areas", filter: ["==", ["geometry-type"], "Point"],
+    layout: { "text-field": ["get", "text"], "text-font": FONT, "text-size": 11, "text-anchor": "bottom-left", "text-offset": [0, -0.2] },
+    paint: label(c),
+  },
+];
 
 const tileSource = ({ type, url, minzoom, maxzoom, bounds }) => ({
   type,

@@ -4,15 +4,14 @@ defmodule Aerie.Console.Map.Tiles do
   yes. Pages ask only the gateway (`Aerie.Console.Map.Tiles.Handler`), which fetches tiles of servers (`Fetcher`) and
   keeps them. Layers that cannot be used are named in the log; the map does without them.
 
-  The answer about OpenStreetMap is in `map.json` of `console.map.dir`, and in the audit log. A change of layers is
-  the notice `:console_map` (`Aerie.Base.PubSub`).
+  The answer about OpenStreetMap and the areas that were prepared are in `map.json` of `console.map.dir`, and what an
+  admin does to them in the audit log. A change of layers is the notice `:console_map` (`Aerie.Base.PubSub`).
   """
   use GenServer
 
   require Logger
 
   alias Aerie.Access.{Changes, PrivateFile}
-  alias Aerie.Base.Files.Private
   alias Aerie.Base.{Names, PubSub}
   alias Aerie.Console.Map.Tiles.{Area, Cache, Fetcher, Layer, Upload}
 
@@ -38,11 +37,11 @@ defmodule Aerie.Console.Map.Tiles do
         }
   def description(gateway) do
     case Names.value(gateway, @role) do
-      %{layers: layers, openstreetmap: answer, fixed?: fixed?} ->
+      %{layers: layers, openstreetmap: answer, fixed?: fixed?, areas: areas} ->
         ask? = answer == nil and layers == []
 
         %{
-          layers: Enum.map(layers, &Map.put(&1.shown, :prepares, Layer.prepares?(&1))),
+          layers: Enum.map(layers, &shown(&1, areas)),
           openstreetmap: answer,
           fixed: fixed?,
           ask: ask?
@@ -51,6 +50,11 @@ defmodule Aerie.Console.Map.Tiles do
       nil ->
         %{layers: [], openstreetmap: nil, fixed: true, ask: false}
     end
+  end
+
+  defp shown(layer, areas) do
+    boxes = for %{layer: id, box: box, zoom: zoom} <- areas, id == layer.id, do: %{box: box, zoom: zoom}
+    Map.merge(layer.shown, %{prepares: Layer.prepares?(layer), areas: boxes})
   end
 
   @doc "A tile of a folder or a server; nil if the layer has none there, or if there is no such layer."
@@ -137,7 +141,8 @@ defmodule Aerie.Console.Map.Tiles do
   @spec clear(Names.gateway(), id :: String.t(), Changes.by()) :: :ok | {:error, String.t()}
   def clear(gateway, id, by) do
     with %{dir: dir, by_id: %{^id => %{source: {:server, _url, _key}} = layer}} <- Names.value(gateway, @role),
-         :ok <- Fetcher.clear(gateway, cache(dir), layer) do
+         :ok <- Fetcher.clear(gateway, cache(dir), layer),
+         :ok <- change(gateway, {:areas, &(&1.layer == id)}) do
       Changes.note(gateway, by, "change", %{"action" => "change_map", "cleared" => id})
     else
       {:error, words} -> {:error, words}
@@ -190,6 +195,22 @@ defmodule Aerie.Console.Map.Tiles do
     end
   end
 
+  @doc "The areas that were prepared; some of their tiles may have gone since, when room was needed."
+  @spec areas(Names.gateway()) :: [Area.Prepared.t()]
+  def areas(gateway), do: Names.read(gateway, @role, [], & &1.areas)
+
+  @doc "All tiles of an area have come."
+  @spec prepared(Names.gateway(), Layer.t(), Area.Plan.t()) :: :ok
+  def prepared(gateway, layer, plan),
+    do: GenServer.cast(Names.via(gateway, @role), {:prepared, layer.id, plan})
+
+  @doc "Takes an area off the list. Its tiles stay until room is needed."
+  @spec forget(Names.gateway(), at :: integer(), Changes.by()) :: :ok | {:error, String.t()}
+  def forget(gateway, at, by) do
+    with :ok <- change(gateway, {:areas, &(&1.at == at)}),
+         do: Changes.note(gateway, by, "change", %{"action" => "change_map", "forgot_area" => at})
+  end
+
   @doc "An admin's answer: whether OpenStreetMap may be asked for tiles."
   @spec openstreetmap(Names.gateway(), boolean(), Changes.by()) :: :ok | {:error, String.t()}
   def openstreetmap(gateway, yes?, by), do: change(gateway, {:openstreetmap, yes?, by})
@@ -225,30 +246,34 @@ defmodule Aerie.Console.Map.Tiles do
       # Tests put another address there.
       osm: nil,
       own: own(settings.layers),
-      answer: nil
+      answer: nil,
+      areas: []
     }
 
     {:ok, state |> remembered() |> publish()}
   end
 
-  # What the configuration says stands above the answer.
-  defp remembered(%{settings: %{openstreetmap: said}} = state) when is_boolean(said),
-    do: %{state | answer: said}
-
   defp remembered(state) do
     read = fn path ->
       with {:ok, text} <- PrivateFile.read(path),
-           {:ok, %{"openstreetmap" => answer}} when is_boolean(answer) <- JSON.decode(text) do
-        {:ok, answer}
+           {:ok, %{"openstreetmap" => answer} = kept} when answer in [true, false, nil] <- JSON.decode(text),
+           {:ok, areas} <- Area.Prepared.read(kept["areas"]) do
+        {:ok, {answer, areas}}
       else
-        {:error, :enoent} -> {:ok, nil}
+        {:error, :enoent} -> {:ok, {nil, []}}
         {:error, words} when is_binary(words) -> {:error, words}
-        _damaged -> {:error, "expected JSON with openstreetmap"}
+        _damaged -> {:error, "expected JSON with openstreetmap and areas"}
       end
     end
 
-    case PrivateFile.open(state.gateway, file(state), read, "admins are asked about OpenStreetMap again", nil) do
-      {:ok, answer} -> %{state | answer: answer}
+    case PrivateFile.open(
+           state.gateway,
+           file(state),
+           read,
+           "admins are asked about OpenStreetMap again",
+           {nil, []}
+         ) do
+      {:ok, {answer, areas}} -> %{state | answer: answer, areas: areas}
       {:error, words} -> unusable(state, words)
     end
   end
@@ -286,15 +311,19 @@ defmodule Aerie.Console.Map.Tiles do
   end
 
   defp publish(state) do
-    osm = if state.answer, do: [Layer.openstreetmap(state.osm)], else: []
+    # What the configuration says stands above the answer.
+    said = state.settings.openstreetmap
+    answer = if is_boolean(said), do: said, else: state.answer
+    osm = if answer, do: [Layer.openstreetmap(state.osm)], else: []
     # A name of the configuration comes first.
     layers = Enum.uniq_by(state.own ++ files(state.settings.dir, :all) ++ osm, & &1.id)
 
     Names.put_value(state.gateway, @role, %{
       layers: layers,
       by_id: Map.new(layers, &{&1.id, &1}),
-      openstreetmap: state.answer,
-      fixed?: is_boolean(state.settings.openstreetmap),
+      areas: state.areas,
+      openstreetmap: answer,
+      fixed?: is_boolean(said),
       dir: state.settings.dir,
       upload: state.settings.upload_mb * 1_000_000,
       most: state.settings.cache_mb * 900_000
@@ -310,12 +339,24 @@ defmodule Aerie.Console.Map.Tiles do
       do: {:reply, {:error, "console.map.openstreetmap in the configuration says it: change it there"}, state}
 
   def handle_call({:openstreetmap, yes?, by}, _from, state) do
-    with :ok <- Private.new_folder(state.settings.dir),
-         :ok <- Private.write(file(state), JSON.encode!(%{openstreetmap: yes?})) do
+    with {:ok, state} <- keep(%{state | answer: yes?}) do
       Changes.note(state.gateway, by, "change", %{"action" => "change_map", "openstreetmap" => yes?})
-      {:reply, :ok, publish(%{state | answer: yes?})}
+      {:reply, :ok, state}
     else
-      {:error, reason} -> {:reply, {:error, "#{file(state)}: #{:file.format_error(reason)}"}, state}
+      error -> {:reply, error, state}
+    end
+  end
+
+  # Those that are not wanted any more.
+  def handle_call({:areas, gone?}, _from, state) do
+    case Enum.reject(state.areas, gone?) do
+      areas when areas == state.areas ->
+        {:reply, :ok, state}
+
+      areas ->
+        with {:ok, state} <- keep(%{state | areas: areas}),
+             do: {:reply, :ok, state},
+             else: (error -> {:reply, error, state})
     end
   end
 
@@ -337,4 +378,24 @@ defmodule Aerie.Console.Map.Tiles do
 
   def handle_call({:remove, _id, _by}, _from, state),
     do: {:reply, {:error, "only uploaded files can be removed here"}, state}
+
+  @impl GenServer
+  def handle_cast({:prepared, id, %{box: box, zoom: zoom, total: tiles}}, state) do
+    now = System.os_time(:microsecond)
+    area = %{at: now, layer: id, box: [box.west, box.south, box.east, box.north], zoom: zoom, tiles: tiles}
+
+    case keep(%{state | areas: Area.Prepared.add(state.areas, area)}) do
+      {:ok, state} ->
+        {:noreply, state}
+
+      {:error, words} ->
+        Logger.warning("console.map: the area that was prepared is not listed: #{words}")
+        {:noreply, state}
+    end
+  end
+
+  defp keep(state) do
+    content = JSON.encode!(%{openstreetmap: state.answer, areas: state.areas})
+    with :ok <- PrivateFile.write(file(state), content), do: {:ok, publish(state)}
+  end
 end

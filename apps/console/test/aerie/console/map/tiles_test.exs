@@ -4,6 +4,7 @@ defmodule Aerie.Console.Map.TilesTest do
   import Aerie.MapPage, only: [browse_map: 2, browse_map: 3, browse_map: 4]
   import ExUnit.CaptureLog
 
+  alias Aerie.Base.Names
   alias Aerie.Console.Map.Tiles
   alias Aerie.TileServer
 
@@ -124,6 +125,7 @@ defmodule Aerie.Console.Map.TilesTest do
                  "attribution" => "(c) me",
                  "archive" => "/tiles/own",
                  "prepares" => false,
+                 "areas" => [],
                  "minzoom" => 0,
                  "maxzoom" => 0
                }
@@ -450,6 +452,34 @@ defmodule Aerie.Console.Map.TilesTest do
     assert length(Path.wildcard(Path.join(dir, "map/cache/own-*/*/*/*"))) == tiles
     # Its own zooms only, and all of them.
     assert dir |> Path.join("map/cache/own-*/*") |> Path.wildcard() |> length() == 15
+
+    # All maps show where it is, also after a restart; an admin takes it off the list, and only once it is all there.
+    listed = fn -> for(%{"id" => "own", "areas" => areas} <- description(console)["layers"], do: areas) end
+    eventually(fn -> listed.() == [[%{"box" => [8.5, 47.3, 8.6, 47.4], "zoom" => 14}]] end)
+    assert {200, _size} = ask.(:admin, "own", true)
+    tiles_process = Names.whereis(console.gateway, :console_tiles)
+    eventually(fn -> status.()["ended"] == "done" end)
+    Process.exit(tiles_process, :kill)
+    eventually(fn -> match?([[_one]], listed.()) and Tiles.areas(console.gateway) != [] end)
+    {:ok, view, _html} = live(conn(console, :admin), "/settings?part=map")
+    assert view |> element("#map-areas tbody") |> render() =~ "47.35, 8.55"
+    [%{at: at}] = Tiles.areas(console.gateway)
+    for odd <- ["1", "x", ""], do: render_hook(view, "forget-area", %{"at" => odd})
+    assert [_still] = Tiles.areas(console.gateway)
+    {:ok, stranger, _html} = live(conn(console, :operator), "/settings")
+    render_hook(stranger, "forget-area", %{"at" => "#{at}"})
+    assert [_still] = Tiles.areas(console.gateway)
+    view |> element("#area-#{at} button", "Forget") |> render_click()
+    refute has_element?(view, "#map-areas")
+    assert listed.() == [[]]
+    # Its tiles stay, and what is emptied has no areas.
+    assert length(Path.wildcard(Path.join(dir, "map/cache/own-*/*/*/*"))) == tiles
+    assert {200, _size} = ask.(:admin, "own", true)
+    eventually(fn -> match?([[_one]], listed.()) end)
+    assert :ok = Tiles.clear(console.gateway, "own", by())
+    assert listed.() == [[]]
+    # The answer is still there.
+    assert description(console)["openstreetmap"] == true
   end
 
   test "an area that the disk has no room for is refused; one at a time; cancel ends it", %{tmp_dir: dir} do

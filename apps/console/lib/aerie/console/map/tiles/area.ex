@@ -7,6 +7,7 @@ defmodule Aerie.Console.Map.Tiles.Area do
   use GenServer
 
   alias Aerie.Base.Names
+  alias Aerie.Console.Map.Tiles
   alias Aerie.Console.Map.Tiles.Area.Plan
   alias Aerie.Console.Map.Tiles.{Fetcher, Layer}
 
@@ -80,6 +81,7 @@ defmodule Aerie.Console.Map.Tiles.Area do
 
   defp step(state, event) do
     {plan, actions} = Plan.handle(state.plan, event)
+    if {state.plan.ended, plan.ended} == {nil, :done}, do: Tiles.prepared(state.gateway, state.layer, plan)
     Enum.reduce(actions, %{state | plan: plan}, &act/2)
   end
 

@@ -2,9 +2,13 @@ defmodule Aerie.Console.Pages.Settings.BaseMap do
   @moduledoc "The layers of the map for admins: where they are from, what is kept, and whether their servers answer."
   use Aerie.Console, :component
 
+  alias Aerie.Console.Clock
+
   attr :layers, :list, required: true, doc: "`t:Aerie.Console.Map.Tiles.overview/0`"
 
-  @doc "All layers."
+  attr :areas, :list, required: true, doc: "`t:Aerie.Console.Map.Tiles.Area.Prepared.t/0`"
+
+  @doc "All layers, and the areas that were prepared."
   def base_map(assigns) do
     ~H"""
     <section class="card" aria-labelledby="map-title">
@@ -39,9 +43,32 @@ defmodule Aerie.Console.Pages.Settings.BaseMap do
         </:col>
       </.data_table>
       <p class="hint">Counts are since the gateway was started.</p>
+      <.data_table
+        :if={@areas != []}
+        id="map-areas"
+        label="Areas that were prepared"
+        rows={@areas}
+        row_id={&"area-#{&1.at}"}
+      >
+        <:col :let={area} label="Prepared area">{place(area.box)}</:col>
+        <:col :let={area} label="Layer">{area.layer}</:col>
+        <:col :let={area} label="Down to zoom">{area.zoom}</:col>
+        <:col :let={area} label="Tiles">{area.tiles}</:col>
+        <:col :let={area} label="On">{Clock.full(area.at)}</:col>
+        <:col :let={area} label="Actions">
+          <.button small icon="trash" phx-click="forget-area" phx-value-at={area.at}>Forget</.button>
+        </:col>
+      </.data_table>
+      <p :if={@areas != []} class="hint">
+        A dashed line on the map shows each. Its tiles stay until the layer is emptied, or others need the room.
+      </p>
     </section>
     """
   end
+
+  # The middle of the box.
+  defp place([west, south, east, north]),
+    do: "#{Float.round((south + north) / 2, 4)}, #{Float.round((west + east) / 2, 4)}"
 
   defp kept(nil), do: "being counted"
   defp kept({tiles, bytes}), do: "#{tiles}, #{Float.round(bytes / 1_000_000, 1)} MB"

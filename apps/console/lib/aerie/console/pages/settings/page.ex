@@ -10,7 +10,7 @@ defmodule Aerie.Console.Pages.Settings.Page do
          change_users: ~w(add change-role change-permissions change-password remove),
          make_key: ~w(add-key),
          revoke_key: ~w(revoke-key),
-         change_map: ~w(clear-map)
+         change_map: ~w(clear-map forget-area)
        ]}
 
   import Aerie.Console.Pages.Settings.Configuration, only: [configuration: 1]
@@ -46,6 +46,7 @@ defmodule Aerie.Console.Pages.Settings.Page do
         part: "access",
         sections: [],
         layers: [],
+        areas: [],
         filter: Configuration.filter(%{})
       )
 
@@ -67,7 +68,8 @@ defmodule Aerie.Console.Pages.Settings.Page do
   def handle_info(:refresh, %{assigns: %{part: "map"}} = socket), do: {:noreply, layers(socket)}
   def handle_info(_message, socket), do: {:noreply, socket}
 
-  defp layers(socket), do: assign(socket, :layers, Tiles.overview(socket.assigns.gateway))
+  defp layers(%{assigns: %{gateway: gateway}} = socket),
+    do: assign(socket, layers: Tiles.overview(gateway), areas: Tiles.areas(gateway))
 
   defp load(%{assigns: %{gateway: gateway}} = socket),
     do: assign(socket, users: Users.list(gateway), keys: KeyRing.list(gateway))
@@ -176,6 +178,16 @@ defmodule Aerie.Console.Pages.Settings.Page do
     {:noreply, layers(socket)}
   end
 
+  def handle_event("forget-area", %{"at" => at}, %{assigns: %{areas: areas}} = socket) do
+    by = Changes.user(socket.assigns)
+    found = for %{at: known} <- areas, Integer.to_string(known) == at, do: known
+
+    case Enum.find_value(found, :ok, &Tiles.forget(socket.assigns.gateway, &1, by)) do
+      :ok -> {:noreply, layers(socket)}
+      {:error, words} -> {:noreply, put_flash(socket, :error, words)}
+    end
+  end
+
   def handle_event("configuration", form, socket),
     do: {:noreply, assign(socket, :filter, Configuration.filter(form))}
 
@@ -212,7 +224,7 @@ defmodule Aerie.Console.Pages.Settings.Page do
       <:tab patch="/settings?part=configuration" current={@part == "configuration"} icon="list">Configuration</:tab>
     </.tabs>
     <.configuration :if={@part == "configuration"} sections={@sections} filter={@filter} />
-    <.base_map :if={@part == "map"} layers={@layers} />
+    <.base_map :if={@part == "map"} layers={@layers} areas={@areas} />
     <div :if={@part == "access"} class="stack settings">
       <section :if={@admin?} class="card" aria-labelledby="users-title">
         <h2 id="users-title">Users</h2>

@@ -10,11 +10,13 @@ defmodule Aerie.Console.Map.Tiles.Area.Plan do
   @again_ms 5_000
   @failures 20
 
-  @enforce_keys [:ranges, :total, :most]
-  defstruct [:ranges, :total, :most, next: 0, done: 0, bytes: 0, failures: 0, ended: nil]
+  @enforce_keys [:box, :zoom, :ranges, :total, :most]
+  defstruct @enforce_keys ++ [next: 0, done: 0, bytes: 0, failures: 0, ended: nil]
 
   @typedoc "`most`: bytes that may come; `ended`: `:done` or why it ended before."
   @type t :: %__MODULE__{
+          box: box(),
+          zoom: non_neg_integer(),
           ranges: [{zoom :: non_neg_integer(), Range.t(), Range.t(), first :: non_neg_integer()}],
           total: non_neg_integer(),
           most: pos_integer(),
@@ -36,7 +38,7 @@ defmodule Aerie.Console.Map.Tiles.Area.Plan do
 
   @doc "A plan; `most`: bytes that may come."
   @spec new(box(), Range.t(), most :: pos_integer()) :: {:ok, t()} | {:error, String.t()}
-  def new(%{west: west, south: south, east: east, north: north}, zooms, most)
+  def new(%{west: west, south: south, east: east, north: north} = box, zooms, most)
       when west < east and south < north and west >= -180 and east <= 180 and south >= -85 and north <= 85 do
     {ranges, total} =
       Enum.map_reduce(zooms, 0, fn zoom, first ->
@@ -46,7 +48,7 @@ defmodule Aerie.Console.Map.Tiles.Area.Plan do
       end)
 
     if total <= @most,
-      do: {:ok, %__MODULE__{ranges: ranges, total: total, most: most}},
+      do: {:ok, %__MODULE__{box: box, zoom: zooms.last, ranges: ranges, total: total, most: most}},
       else:
         {:error, "#{total} tiles; at most #{@most} at a time: look at a smaller area, or take a lower zoom"}
   end

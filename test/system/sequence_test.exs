@@ -6,9 +6,10 @@ defmodule Aerie.System.SequenceTest do
 
   use Aerie.SystemCase, async: true
 
-  alias Aerie.Control.Commands
+  alias Aerie.Control.{Commands, Missions}
   alias Aerie.Fleet
   alias Aerie.Vehicle.Snapshot
+  alias Protocols.Mission.{Item, Plan}
   alias SimVehicle.Msp
 
   @moduletag :tmp_dir
@@ -101,6 +102,46 @@ defmodule Aerie.System.SequenceTest do
     for [one, other] <- Enum.chunk_every(heights, 2, 1, :discard), do: assert(other - one > 1)
     done = await(c, back, "all have been told", &(&1["state"] == "done" && &1))
     for n <- 1..4, do: assert(%{"state" => "ok"} = done["vehicles"][id(n)])
+  end
+
+  test "each gets its own mission by one operation; Betaflight, which has none, is refused with the reason",
+       c do
+    point = fn n, east ->
+      %Item{command: 16, frame: 3, x: 473_900_000 + n * 10_000, y: 85_400_000 + east, z: 20.0 + n}
+    end
+
+    hashes =
+      for n <- [1, 2, 3, 4, @msp], into: %{} do
+        {:ok, text} = Missions.export(%Plan{items: for(east <- 1..n, do: point.(n, east * 5_000))}, :plan)
+        {:ok, hash} = Fleet.Shadow.put_plan(c.gateway, text, @ann)
+        {n, hash}
+      end
+
+    sequence =
+      for {n, hash} <- hashes,
+          do: %{
+            "vehicle" => id(n),
+            "steps" => [%{"shadow" => %{"desired" => %{"mission" => %{"plan" => hash}}}}]
+          }
+
+    request = %{
+      "id" => "send",
+      "name" => "Send missions",
+      "await" => "converged",
+      "step" => 20,
+      "halt_ratio" => 1
+    }
+
+    {:ok, _begun} = Fleet.begin_operation(c.gateway, Map.put(request, "sequence", sequence), @ann, "elixir")
+    done = await(c, "send", "it is done", &(&1["state"] == "done" && &1))
+    for n <- 1..4, do: assert(%{"state" => "ok", "result" => "converged"} = done["vehicles"][id(n)])
+    assert %{"result" => "refused", "reason" => reason} = done["vehicles"][id(@msp)]
+    assert reason =~ "Betaflight has no missions"
+
+    for n <- 1..4 do
+      assert {:ok, %{plan: %{items: items}}} = Missions.download(c.gateway, id(n), :mission)
+      assert length(items) == n
+    end
   end
 
   # Some 60 metres north of its home.

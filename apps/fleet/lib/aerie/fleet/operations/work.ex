@@ -6,7 +6,8 @@ defmodule Aerie.Fleet.Operations.Work do
   """
 
   alias Aerie.Base.{Names, PubSub}
-  alias Aerie.Control.Commands
+  alias Aerie.Control.{Commands, Missions}
+  alias Aerie.Fleet.Remote.Merge
   alias Aerie.Fleet.Shadow
   alias Aerie.Vehicle.Command.Result
   alias Aerie.Fleet.Operations.{Core, Request, Sequence}
@@ -89,7 +90,10 @@ defmodule Aerie.Fleet.Operations.Work do
   end
 
   defp step(%{gateway: gateway, request: request} = job, vehicle, {:shadow, update} = step, _id) do
-    case Shadow.update(gateway, vehicle, update, job.source, job.via) do
+    case with(
+           nil <- lacking(gateway, vehicle, update),
+           do: Shadow.update(gateway, vehicle, update, job.source, job.via)
+         ) do
       {:ok, %{"version" => version}} when request.await == :written ->
         ok(:written, "version #{version}")
 
@@ -103,6 +107,16 @@ defmodule Aerie.Fleet.Operations.Work do
 
   defp step(job, vehicle, {:wait, wait}, _id),
     do: await(job, vehicle, Wait.begin(job.gateway, vehicle, wait), now() + wait.timeout_ms)
+
+  # The desired state of one that is away may have it; one that is known to have no missions would try for minutes.
+  defp lacking(gateway, vehicle, %{"desired" => %{"mission" => %{"plan" => <<_::binary>>}}}) do
+    with %{} = snapshot <- Merge.vehicle(gateway, vehicle),
+         <<why::binary>> <- Missions.gap(snapshot, :mission),
+         do: {:error, {:refused, why}},
+         else: (_may_have -> nil)
+  end
+
+  defp lacking(_gateway, _vehicle, _update), do: nil
 
   defp await(job, vehicle, wait, until),
     do: with(nil <- given_way(job, vehicle), do: look(job, vehicle, wait, until))

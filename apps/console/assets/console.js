@@ -15,6 +15,7 @@ import HoldButton from "./hooks/hold_button.js";
 import Instruments from "./hooks/instruments.js";
 import Palette from "./hooks/palette.js";
 import ParamsFile from "./hooks/params_file.js";
+import MissionFiles from "./hooks/mission_files.js";
 import PlanFile from "./hooks/plan_file.js";
 import Replay from "./hooks/replay.js";
 import SheetOrder from "./hooks/sheet_order.js";
@@ -23,7 +24,7 @@ import TimeStrip from "./hooks/time_strip.js";
 import Toast from "./hooks/toast.js";
 
 const hooks = {
-  AlarmSound, Chart, CommandForm, Dialog, FleetMap, FleetTable, HoldButton, Instruments, Palette, ParamsFile, PlanFile, Replay,
+  AlarmSound, Chart, CommandForm, Dialog, FleetMap, FleetTable, HoldButton, Instruments, MissionFiles, Palette, ParamsFile, PlanFile, Replay,
   SheetOrder, Splitter, TimeStrip, Toast,
 };
 

@@ -2,7 +2,7 @@
 // reload or a gateway that starts again does not lose it.
 import { chosen, save } from "../lib/files.js";
 
-const KEY = "plan";
+export const KEY = "plan";
 const ZONE = "plan-zone"; // the corners of one that is not closed yet
 
 export default {

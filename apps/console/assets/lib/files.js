@@ -16,6 +16,24 @@ export async function chosen(input) {
   return { name: file.name, text };
 }
 
+// All chosen files of an input, as { files: [{ name, text }, …] } that fit into a frame each, and { error } for what does not.
+export async function allChosen(input) {
+  const parts = [];
+  let size = Infinity;
+  for (const file of [...input.files]) {
+    if (file.size > MOST) {
+      parts.push({ error: `${file.name} is larger than ${MOST / 1000} kB; send it over REST instead` });
+      continue;
+    }
+    // Quotes take two bytes in a frame.
+    if (size + file.size > MOST / 2) { parts.push({ files: [] }); size = 0; }
+    size += file.size;
+    parts.findLast((part) => part.files).files.push({ name: file.name, text: await file.text() });
+  }
+  input.value = "";
+  return parts;
+}
+
 export function save(name, text, type = "application/octet-stream") {
   const link = document.createElement("a");
   link.href = URL.createObjectURL(new Blob([text], { type }));

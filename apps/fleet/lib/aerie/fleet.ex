@@ -106,9 +106,9 @@ defmodule Aerie.Fleet do
           {:ok, Comparison.plan()} | {:error, String.t()}
   defdelegate offset_plan(plan, n, offset), to: Comparison, as: :offset
 
-  @doc "Which file's name is for which vehicle, by its id or a tag, and in words what is not certain."
+  @doc "Which file's name is for which vehicle, by its id or a tag, or why none, and the names for none of them."
   @spec assign_plans([String.t()], [{String.t(), tags :: [String.t()]}]) ::
-          {%{String.t() => String.t()}, [String.t()]}
+          {%{String.t() => {:ok, String.t()} | {:error, String.t()}}, spare :: [String.t()]}
   defdelegate assign_plans(names, vehicles), to: Comparison, as: :assign
 
   @doc "How near vehicles come to each other by their plans (`Aerie.Fleet.Missions.Comparison.of/3`)."

@@ -52,7 +52,8 @@ defmodule Aerie.Fleet.Missions.Comparison do
   defdelegate offset(plan, n, offset), to: Variant
 
   @doc "Which file is for which vehicle (`Aerie.Fleet.Missions.Variant.assign/2`)."
-  @spec assign([String.t()], [{String.t(), [String.t()]}]) :: {%{String.t() => String.t()}, [String.t()]}
+  @spec assign([String.t()], [{String.t(), [String.t()]}]) ::
+          {%{String.t() => {:ok, String.t()} | {:error, String.t()}}, spare :: [String.t()]}
   defdelegate assign(names, vehicles), to: Variant
 
   @doc "Nearer to each other than so many metres they should not come."

@@ -95,21 +95,23 @@ defmodule Aerie.Fleet.Missions.Variant do
 
   @doc """
   Which file is for which vehicle: the one whose name has the vehicle's id in it as a word, or else one of its tags.
-  What is not certain is said.
+  Files that are for none of them are spare.
   """
   @spec assign([name :: String.t()], [{id :: String.t(), tags :: [String.t()]}]) ::
-          {%{(id :: String.t()) => name :: String.t()}, [String.t()]}
+          {%{(id :: String.t()) => {:ok, name :: String.t()} | {:error, String.t()}}, spare :: [String.t()]}
   def assign(names, vehicles) do
     found = for {id, tags} <- vehicles, do: {id, matching(names, [[id], tags])}
-    own = for {id, [name]} <- found, into: %{}, do: {id, name}
-    used = for {_id, names} <- found, name <- names, do: name
 
-    several =
-      for {id, [_, _ | _] = names} <- found, do: "#{Enum.join(names, ", ")} are all for #{id}: leave one"
+    own =
+      for {id, names} <- found, into: %{} do
+        case names do
+          [name] -> {id, {:ok, name}}
+          [] -> {id, {:error, "no file's name has #{id} or a tag of it"}}
+          names -> {id, {:error, "#{Enum.join(names, ", ")} are all for it: leave one"}}
+        end
+      end
 
-    none = for {id, []} <- found, do: "no file's name has #{id} or a tag of it"
-    spare = for name <- names -- used, do: "#{name} names none of these vehicles, by id or tag"
-    {own, several ++ none ++ spare}
+    {own, names -- Enum.flat_map(found, &elem(&1, 1))}
   end
 
   # An id says more than a tag.

@@ -124,7 +124,7 @@ defmodule Aerie.Fleet.Shadow.Settings do
       field(
         :plans_max_age_days,
         {:number, 0, 3650},
-        "Age at which a plan file goes, used or not; 0 keeps it. Gateways have copies of the last 100.",
+        "Age at which a plan file goes, used or not; 0 keeps it. Gateways have copies of the last 300.",
         default: 0.0
       )
     ]

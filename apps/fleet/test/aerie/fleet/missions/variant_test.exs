@@ -70,21 +70,19 @@ defmodule Aerie.Fleet.Missions.VariantTest do
     vehicles = [{"sim-1", ["north"]}, {"sim-10", ["north"]}, {"sim-2", []}]
 
     assert Variant.assign(["field SIM-10.plan", "North_1.waypoints", "sim-2.plan"], vehicles) ==
-             {%{"sim-1" => "North_1.waypoints", "sim-10" => "field SIM-10.plan", "sim-2" => "sim-2.plan"}, []}
+             {%{
+                "sim-1" => {:ok, "North_1.waypoints"},
+                "sim-10" => {:ok, "field SIM-10.plan"},
+                "sim-2" => {:ok, "sim-2.plan"}
+              }, []}
   end
 
   test "what is not certain about files is said" do
-    assert {%{"a" => "a.plan"}, words} =
-             Variant.assign(["a.plan", "b 1.plan", "b 2.plan", "ä.plan"], [
-               {"a", []},
-               {"b", []},
-               {"c", ["tag"]}
-             ])
-
-    assert words == [
-             "b 1.plan, b 2.plan are all for b: leave one",
-             "no file's name has c or a tag of it",
-             "ä.plan names none of these vehicles, by id or tag"
-           ]
+    assert Variant.assign(["a.plan", "b 1.plan", "b 2.plan", "ä.plan"], [{"a", []}, {"b", []}, {"c", ["tag"]}]) ==
+             {%{
+                "a" => {:ok, "a.plan"},
+                "b" => {:error, "b 1.plan, b 2.plan are all for it: leave one"},
+                "c" => {:error, "no file's name has c or a tag of it"}
+              }, ["ä.plan"]}
   end
 end

@@ -4,7 +4,7 @@ defmodule Aerie.Console.Pages.Fleet.Actions do
 
   import Aerie.Console.Pages.Fleet.Actions.ControlForms, only: [charge: 1]
 
-  alias Aerie.Control.Commands
+  alias Aerie.Control.{Commands, Missions}
   alias Aerie.Control.Policy.Roles
   alias Aerie.Vehicle.Snapshot
   alias Aerie.Console.Commands.Catalog
@@ -45,6 +45,9 @@ defmodule Aerie.Console.Pages.Fleet.Actions do
         do: chosen,
         else: []
 
+    # Those that have none are named on the sheet.
+    missions? = match?([_, _ | _], chosen) and Enum.any?(kinds(chosen), &(Missions.gap(&1, :mission) == nil))
+    assigns = assign(assigns, :missions, missions?)
     assigns = assign(assigns, air: climbing, returning: returning, starting: starting, steered: steered)
 
     ~H"""
@@ -88,6 +91,13 @@ defmodule Aerie.Console.Pages.Fleet.Actions do
             title={@refusal}
             phx-click={JS.push("sheet_start", value: Map.put(@value, :of, @starting))}
           >Start {length(@starting)} missions …</.button>
+          <.button
+            :if={@missions}
+            icon="plan"
+            disabled={@refusal != nil}
+            title={@refusal}
+            phx-click={JS.push("sheet_mission", value: Map.put(@value, :of, @value.ids))}
+          >Mission to {length(@chosen)} …</.button>
           <.button icon="tag" phx-click={JS.push("tag", value: @value)}>Tags</.button>
         </div>
         <.watching :if={@user.role == :viewer} />

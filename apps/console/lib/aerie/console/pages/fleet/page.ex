@@ -14,7 +14,7 @@ defmodule Aerie.Console.Pages.Fleet.Page do
            ~w(select all none again pointer sort_now filter flag sort plans map_select map_follow map_box map_escape
               group show_hidden strip)
        ],
-       costly: ~w(all filter flag sort sort_now plans strip)}
+       costly: ~w(all filter flag sort sort_now plans strip sheet_files)}
 
   import Aerie.Console.Pages.Fleet.{Actions, Table, Toolbar}
   import Aerie.Console.Map, only: [map: 1]
@@ -92,6 +92,12 @@ defmodule Aerie.Console.Pages.Fleet.Page do
     socket = Act.Live.follow(socket)
     {:noreply, update_private(socket, &%{&1 | round: next(&1.round)})}
   end
+
+  def handle_info({ref, _result} = message, socket) when is_reference(ref),
+    do: {:noreply, Act.Live.worked(socket, message)}
+
+  def handle_info({:DOWN, _ref, :process, _pid, _why} = message, socket),
+    do: {:noreply, Act.Live.worked(socket, message)}
 
   def handle_info({:fleet, :leases, _change}, socket), do: {:noreply, socket |> read() |> assign_view()}
 

@@ -119,6 +119,9 @@ defmodule Aerie.Console.Pages.Operations.Words do
     %{say("info", group) | text: if(metres, do: "#{group} #{round(metres)} m", else: group), going?: true}
   end
 
+  # Seen aboard, and not only wanted.
+  defp word(%{"state" => "ok", "result" => "converged"}, _operation, _look), do: say("ok", "Aboard")
+
   defp word(%{"state" => "ok"}, operation, look) do
     word = operation |> steps() |> Enum.reverse() |> Enum.find_value("Done", &@reached[&1])
     if is_map_key(@same, word), do: later(word, look), else: say("ok", word)

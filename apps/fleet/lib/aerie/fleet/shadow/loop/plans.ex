@@ -3,7 +3,7 @@ defmodule Aerie.Fleet.Shadow.Loop.Plans do
   Plan files by their hashes: the SHA-256 of a QGroundControl `.plan` file. A desired state refers to a hash. Storing
   a file commands nothing, and nobody can change the file behind a hash.
 
-  They are in the bucket `fleet_plans` with the hash as key. Copies of the last 100 are in `shadow.dir/plans`.
+  They are in the bucket `fleet_plans` with the hash as key. Copies of the last 300 are in `shadow.dir/plans`.
   """
 
   alias Aerie.Base.Files.Private
@@ -15,7 +15,7 @@ defmodule Aerie.Fleet.Shadow.Loop.Plans do
 
   # A NATS message has at most a megabyte by default.
   @max_bytes 524_288
-  @max_copies 100
+  @max_copies 300
 
   @doc "The largest file in bytes."
   @spec max_bytes() :: pos_integer()

@@ -15,7 +15,8 @@ defmodule Aerie.Console.Pages.Fleet.Act.Live do
   @doc "Without a sheet."
   @spec mount(Socket.t()) :: Socket.t()
   # The map may still show the sheet of a page that has died.
-  def mount(socket), do: socket |> assign(sheet: nil, facts: %{}, sheet_error: nil) |> push_preview([])
+  def mount(socket),
+    do: socket |> assign(sheet: nil, facts: %{}, sheet_error: nil, working: nil) |> push_preview([])
 
   @doc "After the vehicles have changed."
   @spec follow(Socket.t()) :: Socket.t()
@@ -83,7 +84,41 @@ defmodule Aerie.Console.Pages.Fleet.Act.Live do
   def sheet(socket, "sheet_go", event), do: go(socket, event)
 
   def sheet(%{assigns: %{sheet: sheet}} = socket, "sheet_" <> event, value),
-    do: socket |> assign(sheet: Sheet.event(sheet, event, value), sheet_error: nil) |> look()
+    do: socket |> assign(sheet: Sheet.event(sheet, event, value, ask(socket)), sheet_error: nil) |> look()
+
+  @doc "After a message of a task that works something out for a sheet."
+  @spec worked(Socket.t(), term()) :: Socket.t()
+  def worked(%{assigns: %{working: {ref, key}}} = socket, {ref, result}) do
+    Process.demonitor(ref, [:flush])
+    put_worked(assign(socket, :working, nil), key, result)
+  end
+
+  def worked(%{assigns: %{working: {ref, key}}} = socket, {:DOWN, ref, :process, _pid, _crash}),
+    do: put_worked(assign(socket, :working, nil), key, {:error, :crashed})
+
+  def worked(socket, _earlier), do: socket
+
+  defp put_worked(%{assigns: %{sheet: nil}} = socket, _key, _result), do: socket
+
+  defp put_worked(%{assigns: %{sheet: sheet}} = socket, key, result),
+    do: socket |> assign(:sheet, Sheet.worked(sheet, key, result)) |> look()
+
+  # One at a time, for what the sheet shows by then.
+  defp work(%{assigns: %{working: nil, sheet: sheet, facts: facts}} = socket) do
+    case Sheet.work(sheet, facts) do
+      {key, work} ->
+        {page, ask} = {self(), ask(socket)}
+        {:ok, pid} = Task.start(fn -> receive(do: (ref -> send(page, {ref, work.(ask)}))) end)
+        ref = Process.monitor(pid)
+        send(pid, ref)
+        assign(socket, :working, {ref, key})
+
+      _nothing ->
+        socket
+    end
+  end
+
+  defp work(socket), do: socket
 
   # Begins what a held press shows, if the sheet shows the same.
   defp go(socket, event) do
@@ -100,6 +135,7 @@ defmodule Aerie.Console.Pages.Fleet.Act.Live do
 
       true ->
         with :ok <- Press.id(event["id"]),
+             :ok <- Sheet.prepare(sheet, shown, facts, ask(socket)),
              {:ok, socket} <- begin(socket, Sheet.request(sheet, event["id"], shown, facts)) do
           socket |> clear_flash() |> close()
         else
@@ -109,12 +145,14 @@ defmodule Aerie.Console.Pages.Fleet.Act.Live do
   end
 
   # What is known of its vehicles now, each at the height that the sheet has for it.
-  defp look(%{assigns: %{gateway: gateway, user: user, sheet: sheet}} = socket) do
-    facts = Sheet.facts(sheet, &Fleet.vehicle(gateway, &1), Ask.of(gateway, user))
-    socket = assign(socket, :facts, facts)
+  defp look(%{assigns: %{gateway: gateway, sheet: sheet}} = socket) do
+    facts = Sheet.facts(sheet, &Fleet.vehicle(gateway, &1), ask(socket))
+    socket = socket |> assign(:facts, facts) |> work()
     routes = Sheet.preview(sheet, facts)
     if routes == socket.assigns.preview, do: socket, else: push_preview(socket, routes)
   end
+
+  defp ask(%{assigns: %{gateway: gateway, user: user}}), do: Ask.of(gateway, user)
 
   defp close(socket), do: socket |> assign(sheet: nil, facts: %{}) |> push_preview([])
 

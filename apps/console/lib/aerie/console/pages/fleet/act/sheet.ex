@@ -22,12 +22,13 @@ defmodule Aerie.Console.Pages.Fleet.Act.Sheet do
   alias Aerie.Vehicle.Snapshot
 
   @enforce_keys [:kind, :order]
-  defstruct [:kind, :order, :error, values: %{}, out: MapSet.new(), anyway: MapSet.new()]
+  defstruct [:kind, :order, :error, :own, values: %{}, out: MapSet.new(), anyway: MapSet.new()]
 
   @typedoc """
     * `:order` - the ids of all of them; `:out` - those that are left out; `:anyway` - those that are taken along
       although something is not known
     * `:values` - those fields that somebody has changed (`values/1` has all); `:error` - what is wrong with the others
+    * `:own` - what a kind keeps beside them (`own/0`)
   """
   @type t :: %__MODULE__{
           kind: module(),
@@ -35,7 +36,8 @@ defmodule Aerie.Console.Pages.Fleet.Act.Sheet do
           out: MapSet.t(),
           anyway: MapSet.t(),
           values: values(),
-          error: String.t() | nil
+          error: String.t() | nil,
+          own: term()
         }
   @type values :: %{atom() => number() | String.t()}
 
@@ -56,14 +58,16 @@ defmodule Aerie.Console.Pages.Fleet.Act.Sheet do
   @typedoc """
     * `:id` - of the dialog; `:title` - before the number of vehicles; `:go` - on the button
     * `:in_turn?` - one after the other, in an order that can be changed; `:order` - what the order means
+    * `:together?` - in that order, but at once
   """
   @type about :: %{
-          id: String.t(),
-          title: String.t(),
-          go: String.t(),
-          icon: String.t(),
-          order: String.t(),
-          in_turn?: boolean()
+          required(:id) => String.t(),
+          required(:title) => String.t(),
+          required(:go) => String.t(),
+          required(:icon) => String.t(),
+          required(:order) => String.t(),
+          required(:in_turn?) => boolean(),
+          optional(:together?) => boolean()
         }
 
   @typedoc "What is known of a vehicle: `:snapshot`, `:refusal` (why the policy or the firmware refuses it), and more."
@@ -95,7 +99,27 @@ defmodule Aerie.Console.Pages.Fleet.Act.Sheet do
   @callback against(t(), going :: [line()], known()) :: String.t() | nil
   @doc "What is wrong with fields, by their names."
   @callback errors(values()) :: %{atom() => String.t()}
-  @optional_callbacks against: 3, errors: 1
+  @doc "What it keeps beside its values at first, and after an event of its own."
+  @callback own() :: term()
+  @callback event(t(), event :: String.t(), value :: map(), Ask.t()) :: t()
+  @doc "What takes longer than a page may wait, done in a task: by which key its result is known, and the result."
+  @callback work(t(), known()) :: {key :: term(), (Ask.t() -> result :: term())} | nil
+  @callback worked(t(), key :: term(), result :: term()) :: t()
+  @doc "What is known, with what was worked out."
+  @callback known(t(), known()) :: known()
+  @doc "What is done before the operation begins."
+  @callback prepare(t(), shown :: map(), known(), Ask.t()) :: :ok | {:error, String.t()}
+  @doc "What it has above the lines."
+  @callback extra(assigns :: map()) :: Phoenix.LiveView.Rendered.t()
+  @optional_callbacks against: 3,
+                      errors: 1,
+                      own: 0,
+                      event: 4,
+                      work: 2,
+                      worked: 3,
+                      known: 2,
+                      prepare: 4,
+                      extra: 1
 
   @most 100
 
@@ -107,7 +131,7 @@ defmodule Aerie.Console.Pages.Fleet.Act.Sheet do
   @spec new(module(), [Snapshot.t(), ...]) :: t()
   def new(kind, vehicles) do
     order = vehicles |> Enum.sort_by(&{kind.rank(&1), &1.id}) |> Enum.map(& &1.id)
-    %__MODULE__{kind: kind, order: order}
+    %__MODULE__{kind: kind, order: order, own: optional(kind, :own, [], nil)}
   end
 
   @doc "The values of all fields."
@@ -129,21 +153,44 @@ defmodule Aerie.Console.Pages.Fleet.Act.Sheet do
   @spec errors(t()) :: %{atom() => String.t()}
   def errors(%{kind: kind} = sheet) do
     values = values(sheet)
-    if function_exported?(kind, :errors, 1), do: kind.errors(values), else: %{}
+    optional(kind, :errors, [values], %{})
+  end
+
+  defp optional(kind, name, arguments, otherwise) do
+    if function_exported?(kind, name, length(arguments)), do: apply(kind, name, arguments), else: otherwise
   end
 
   @doc "After an event of the page: its name without `sheet_`, and its value. One that does not fit changes nothing."
-  @spec event(t(), event :: String.t(), value :: map()) :: t()
-  def event(sheet, "change", fields), do: change(sheet, fields)
-  def event(sheet, "leave", %{"id" => id}), do: leave(sheet, id)
+  @spec event(t(), event :: String.t(), value :: map(), Ask.t() | nil) :: t()
+  def event(sheet, event, value, ask \\ nil)
+  def event(sheet, "change", fields, _ask), do: change(sheet, fields)
+  def event(sheet, "leave", %{"id" => id}, _ask), do: leave(sheet, id)
 
-  def event(%{kind: kind} = sheet, "move", %{"id" => id, "to" => to}),
+  def event(%{kind: kind} = sheet, "move", %{"id" => id, "to" => to}, _ask),
     do: if(kind.about().in_turn?, do: move(sheet, id, to), else: sheet)
 
-  def event(sheet, "anyway", %{"id" => id}),
+  def event(sheet, "anyway", %{"id" => id}, _ask),
     do: if(id in sheet.order, do: %{sheet | anyway: MapSet.put(sheet.anyway, id)}, else: sheet)
 
-  def event(sheet, _unknown, _value), do: sheet
+  def event(%{kind: kind} = sheet, event, value, ask),
+    do: optional(kind, :event, [sheet, event, value, ask], sheet)
+
+  @doc "What has to be worked out in a task (`c:work/2`), nil for nothing."
+  @spec work(t(), known()) :: {term(), (Ask.t() -> term())} | nil
+  def work(%{kind: kind} = sheet, known), do: optional(kind, :work, [sheet, known], nil)
+
+  @doc "With what was worked out."
+  @spec worked(t(), key :: term(), result :: term()) :: t()
+  def worked(%{kind: kind} = sheet, key, result), do: optional(kind, :worked, [sheet, key, result], sheet)
+
+  @doc "Does what is needed before the operation that a press asks for."
+  @spec prepare(t(), shown :: map(), known(), Ask.t()) :: :ok | {:error, String.t()}
+  def prepare(%{kind: kind} = sheet, shown, known, ask),
+    do: optional(kind, :prepare, [sheet, shown, known, ask], :ok)
+
+  @doc "What a kind has above the lines, with their assigns; nil for nothing."
+  @spec extra(t(), assigns :: map()) :: Phoenix.LiveView.Rendered.t() | nil
+  def extra(%{kind: kind}, assigns), do: optional(kind, :extra, [assigns], nil)
 
   # A number beyond its limits, or another text, changes nothing and is said.
   defp change(%{kind: kind} = sheet, fields) do
@@ -207,9 +254,12 @@ defmodule Aerie.Console.Pages.Fleet.Act.Sheet do
   @doc "What is known of those of its vehicles that are there."
   @spec facts(t(), (String.t() -> Snapshot.t() | nil), Ask.t()) :: known()
   def facts(%{kind: kind} = sheet, vehicle, ask) do
-    for {id, n} <- places(sheet), snapshot = vehicle.(id), into: %{} do
-      {id, sheet |> kind.facts(snapshot, n, ask) |> Map.put(:snapshot, snapshot)}
-    end
+    known =
+      for {id, n} <- places(sheet), snapshot = vehicle.(id), into: %{} do
+        {id, sheet |> kind.facts(snapshot, n, ask) |> Map.put(:snapshot, snapshot)}
+      end
+
+    optional(kind, :known, [sheet, known], known)
   end
 
   # The vehicles in their order, each with how many go before it; nil for one that is left out.
@@ -247,7 +297,7 @@ defmodule Aerie.Console.Pages.Fleet.Act.Sheet do
 
     sheet.error || sheet |> errors() |> Map.values() |> List.first() ||
       if(going == [], do: "All are left out.") || Enum.find_value(going, & &1.blocks) ||
-      if(function_exported?(kind, :against, 3), do: kind.against(sheet, going, known))
+      optional(kind, :against, [sheet, going, known], nil)
   end
 
   @doc "What a press carries: all that it does, as the operator sees it."

@@ -2,10 +2,10 @@ defmodule Aerie.Console.Pages.Fleet.Act.Sheets do
   @moduledoc "The kinds of sheets by their names, and the dialog of all (`Aerie.Console.Pages.Fleet.Act.Sheet`)."
   use Aerie.Console, :component
 
-  alias Aerie.Console.Pages.Fleet.Act.Mission.Start
+  alias Aerie.Console.Pages.Fleet.Act.Mission.{Send, Start}
   alias Aerie.Console.Pages.Fleet.Act.{Return, Sheet, TakeOff}
 
-  @kinds %{"take_off" => TakeOff, "return" => Return, "start" => Start}
+  @kinds %{"take_off" => TakeOff, "return" => Return, "start" => Start, "mission" => Send}
 
   @doc "The names."
   @spec names() :: [String.t()]
@@ -46,6 +46,7 @@ defmodule Aerie.Console.Pages.Fleet.Act.Sheets do
           error={@errors[field.name]}
         />
       </form>
+      {Sheet.extra(@sheet, assigns)}
       <ol
         class={["sheet-lines", "#{@about.id}-lines"]}
         id={"#{@about.id}-lines"}
@@ -95,12 +96,14 @@ defmodule Aerie.Console.Pages.Fleet.Act.Sheets do
           value={Sheet.shown(@sheet, @facts)}
           refusal={@refusal}
         >
-          {@about.go} {@going}{if @about.in_turn? and @going > 1, do: ", one after the other"}
+          {@about.go} {@going}{if in_turn?(@about) and @going > 1, do: ", one after the other"}
         </.hold_button>
       </:action>
     </.dialog>
     """
   end
+
+  defp in_turn?(about), do: about.in_turn? and about[:together?] != true
 
   defp places, do: [{"up", "chevron-up", "earlier"}, {"down", "chevron-down", "later"}]
 

@@ -29,18 +29,18 @@ defmodule Aerie.Control.Mission.OwnFence.Ways do
     tags = for {n, %{command: @tag, params: {tag, _, _, _}}} <- numbered, do: {tag, n}
     plan = %{items: numbered, tags: tags, vehicle: Map.take(vehicle, [:autopilot, :vehicle_type]), home: home}
     start = {0, if(home, do: {:home, home}), nil}
-    [start] |> walk(MapSet.new(), plan, []) |> Enum.uniq_by(&{&1.from, &1.to})
+    [start] |> walk(%{}, plan, []) |> Enum.uniq_by(&{&1.from, &1.to})
   end
 
   # To do: an item, where the vehicle is before it, and the jump that led to it.
   defp walk([], _seen, _plan, found), do: Enum.reverse(found)
 
   defp walk([{n, from, _jump} = next | to_do], seen, plan, found) do
-    if not is_map_key(plan.items, n) or {n, from} in seen or MapSet.size(seen) >= @most do
+    if not is_map_key(plan.items, n) or is_map_key(seen, {n, from}) or map_size(seen) >= @most do
       walk(to_do, seen, plan, found)
     else
       {ways, more} = step(plan.items[n], next, plan)
-      walk(more ++ to_do, MapSet.put(seen, {n, from}), plan, ways ++ found)
+      walk(more ++ to_do, Map.put(seen, {n, from}, true), plan, ways ++ found)
     end
   end
 

@@ -18,6 +18,7 @@ defmodule Aerie.Console.Pages.Fleet.Act.Mission.Routes do
 
   @typedoc """
     * `:name` - of the file; `:text`, `:hash` - the plan as it is stored; `:way` - places for the map
+    * `:at` of all - when it was worked out, from where the vehicles were
     * `:error` - why it cannot be sent; `:outside` - how it leaves the fence of its file
     * the rest as `t:Aerie.Fleet.Missions.Comparison.vehicle/0` has it
   """
@@ -27,6 +28,7 @@ defmodule Aerie.Console.Pages.Fleet.Act.Mission.Routes do
           nearest: map() | nil,
           limit_m: float(),
           spare: [String.t()],
+          at: integer(),
           warnings: [String.t()]
         }
 
@@ -60,6 +62,7 @@ defmodule Aerie.Console.Pages.Fleet.Act.Mission.Routes do
       nearest: compared.nearest,
       limit_m: Fleet.least_separation_m(),
       spare: spare,
+      at: System.os_time(:microsecond),
       warnings: []
     }
 

@@ -8,6 +8,7 @@ defmodule Aerie.Console.Pages.Fleet.Act.Mission.Send do
   """
   @behaviour Aerie.Console.Pages.Fleet.Act.Sheet
 
+  alias Aerie.Console.Clock
   alias Aerie.Console.Pages.Fleet.Act.Mission.{Routes, SendForm}
   alias Aerie.Console.Pages.Fleet.Act.Sheet
   alias Aerie.Vehicle.Snapshot
@@ -233,7 +234,8 @@ defmodule Aerie.Console.Pages.Fleet.Act.Mission.Send do
         said = routes.spare ++ List.wrap(Routes.nearest(routes)) ++ assumed(assumed)
 
         Enum.join(said, " ") <>
-          " Compared are straight ways at planned speeds, without wind. The gateway keeps these missions aboard " <>
+          " Compared at #{Clock.time(routes.at)} UTC, from where the vehicles were then: straight ways at planned " <>
+          "speeds, without wind. The gateway keeps these missions aboard " <>
           "until others are wanted; fences and rally points of the files are not sent. Start missions … starts " <>
           "those in the air."
     end

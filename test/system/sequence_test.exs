@@ -23,7 +23,10 @@ defmodule Aerie.System.SequenceTest do
   setup %{tmp_dir: folder} do
     msp = start_supervised!({Msp, firmware: :betaflight, uid: @msp})
     links = ["udpin:127.0.0.1:0", "msp:tcp:127.0.0.1:#{Msp.port(msp)}?sysid=#{@msp}"]
-    %{gateway: gateway} = start_gateway(folder, links: links, overrides: %{"timeouts" => patient()})
+
+    %{gateway: gateway} =
+      start_gateway(folder, links: links, overrides: %{"timeouts" => patient(), "shadow" => %{"hold_s" => 1}})
+
     port = link_port(gateway, "link-1")
 
     sims =
@@ -124,6 +127,8 @@ defmodule Aerie.System.SequenceTest do
             "steps" => [%{"shadow" => %{"desired" => %{"mission" => %{"plan" => hash}}}}]
           }
 
+    {:ok, %{status: :completed}} = Commands.submit(c.gateway, vehicle: id(1), type: "take_control", as: @ben)
+
     request = %{
       "id" => "send",
       "name" => "Send missions",
@@ -133,6 +138,13 @@ defmodule Aerie.System.SequenceTest do
     }
 
     {:ok, _begun} = Fleet.begin_operation(c.gateway, Map.put(request, "sequence", sequence), @ann, "elixir")
+    # One in somebody's charge waits until it is not, and the others do not wait for it.
+    await(c, "send", "the first is held", &(&1["vehicles"][id(1)]["step"] == "shadow_held"))
+    await(c, "send", "the others are aboard", &(&1["counts"]["ok"] == 3))
+
+    {:ok, %{status: :completed}} =
+      Commands.submit(c.gateway, vehicle: id(1), type: "release_control", as: @ben)
+
     done = await(c, "send", "it is done", &(&1["state"] == "done" && &1))
     for n <- 1..4, do: assert(%{"state" => "ok", "result" => "converged"} = done["vehicles"][id(n)])
     assert %{"result" => "refused", "reason" => reason} = done["vehicles"][id(@msp)]

@@ -98,7 +98,7 @@ defmodule Aerie.Fleet.Operations.Work do
         ok(:written, "version #{version}")
 
       {:ok, %{"version" => version}} ->
-        converge(gateway, vehicle, {version, paths(update)}, now() + timeout_ms(request, step))
+        converge(job, vehicle, {version, paths(update)}, now() + timeout_ms(request, step), "shadow")
 
       {:error, {kind, _why} = refusal} ->
         failed(kind, Shadow.text(refusal))
@@ -176,20 +176,23 @@ defmodule Aerie.Fleet.Operations.Work do
   end
 
   # The document may be another gateway's, so there is nobody who would tell.
-  defp converge(gateway, vehicle, {version, paths} = wanted, until) do
-    case standing(gateway, vehicle, version, paths) do
+  defp converge(job, vehicle, {version, paths} = wanted, until, said) do
+    case standing(job.gateway, vehicle, version, paths) do
       :converged ->
         ok(:converged, nil)
 
       {:refused, path, why} ->
         failed(:refused, "#{path}: #{why}")
 
-      {:waiting, what} ->
+      {waiting, what} ->
+        word = if waiting == :held, do: "shadow_held", else: "shadow"
+        if word != said, do: job.step.(word)
+
         if now() >= until do
           failed(:timeout, "not converged before the deadline: #{what}")
         else
           Process.sleep(@look_ms)
-          converge(gateway, vehicle, wanted, until)
+          converge(job, vehicle, wanted, until, word)
         end
     end
   end
@@ -216,6 +219,7 @@ defmodule Aerie.Fleet.Operations.Work do
 
     case {refused, open} do
       {{path, status}, _open} -> {:refused, path, status["why"]}
+      {nil, {path, %{"state" => "held"} = status}} -> {:held, "#{path} is held#{by(status)}"}
       {nil, {path, status}} -> {:waiting, "#{path} is #{status["state"]}#{by(status)}"}
       {nil, nil} -> :converged
     end

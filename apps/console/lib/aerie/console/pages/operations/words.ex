@@ -26,7 +26,9 @@ defmodule Aerie.Console.Pages.Operations.Words do
     "wait_landed" => "Landing",
     "hold" => "Stopping",
     "mission_start" => "Starting the mission",
-    "shadow" => "Sending"
+    "shadow" => "Sending",
+    # Somebody commanded it lately, or is in charge of it.
+    "shadow_held" => "Held off"
   }
   @reached %{
     "takeoff" => "Up",

@@ -110,6 +110,22 @@ defmodule Aerie.Console.Pages.Operations.WordsTest do
     assert Words.name(%{"what" => %{"sequence" => @up}}) == "Operation"
   end
 
+  test "a mission is sent, held off by somebody, and then aboard, or refused with the reason" do
+    sent =
+      operation(
+        [
+          {"A", at("shadow")},
+          {"B", at("shadow_held")},
+          {"C", ended("ok", "converged", nil)},
+          {"D", ended("failed", "refused", "Betaflight has no missions")}
+        ],
+        %{"name" => "Send missions", "what" => %{"sequence" => ["shadow"]}}
+      )
+
+    assert line(sent) ==
+             "Send missions 4: 1 failed: D (Betaflight has no missions), 1 sending, 1 held off, 1 aboard"
+  end
+
   describe "what the vehicle makes of it later" do
     @ok %{"state" => "ok", "result" => "completed", "reason" => nil}
 

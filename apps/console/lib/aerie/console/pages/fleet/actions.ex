@@ -71,33 +71,12 @@ defmodule Aerie.Console.Pages.Fleet.Actions do
             phx-value-type={type}
           >{label}</.hold_button>
           <.button
-            :if={@ground != []}
-            icon="takeoff"
+            :for={{sheet, icon, ids, words} <- sheets(assigns)}
+            icon={icon}
             disabled={@refusal != nil}
             title={@refusal}
-            phx-click={JS.push("sheet_take_off", value: Map.put(@value, :of, @ground))}
-          >Take off {if @mixed, do: "#{length(@ground)} "}…</.button>
-          <.button
-            :if={length(@returning) > 1}
-            icon="rtl"
-            disabled={@refusal != nil}
-            title={@refusal}
-            phx-click={JS.push("sheet_return", value: Map.put(@value, :of, @returning))}
-          >Return {length(@returning)} …</.button>
-          <.button
-            :if={length(@starting) > 1}
-            icon="play"
-            disabled={@refusal != nil}
-            title={@refusal}
-            phx-click={JS.push("sheet_start", value: Map.put(@value, :of, @starting))}
-          >Start {length(@starting)} missions …</.button>
-          <.button
-            :if={@missions}
-            icon="plan"
-            disabled={@refusal != nil}
-            title={@refusal}
-            phx-click={JS.push("sheet_mission", value: Map.put(@value, :of, @value.ids))}
-          >Mission to {length(@chosen)} …</.button>
+            phx-click={JS.push("sheet_#{sheet}", value: Map.put(@value, :of, ids))}
+          >{words} …</.button>
           <.button icon="tag" phx-click={JS.push("tag", value: @value)}>Tags</.button>
         </div>
         <.watching :if={@user.role == :viewer} />
@@ -111,6 +90,18 @@ defmodule Aerie.Console.Pages.Fleet.Actions do
       </div>
     </div>
     """
+  end
+
+  # The sheets that can be opened, each for those of the selected that it is for.
+  defp sheets(%{ground: ground, returning: returning, starting: starting} = assigns) do
+    for {true, sheet, icon, ids, words} <- [
+          {ground != [], "take_off", "takeoff", ground,
+           "Take off#{if assigns.mixed, do: " #{length(ground)}"}"},
+          {length(returning) > 1, "return", "rtl", returning, "Return #{length(returning)}"},
+          {length(starting) > 1, "start", "play", starting, "Start #{length(starting)} missions"},
+          {assigns.missions, "mission", "plan", assigns.value.ids, "Mission to #{length(assigns.chosen)}"}
+        ],
+        do: {sheet, icon, ids, words}
   end
 
   attr :plans, Plans, required: true

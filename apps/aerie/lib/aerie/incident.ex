@@ -50,14 +50,27 @@ defmodule Aerie.Incident do
   Makes the archive inside the gateway that it is about, in an empty folder of its own. Returns its path and what could
   not be had.
   """
-  @spec make_here(Names.gateway(), String.t(), Span.t(), map()) ::
-          {:ok, Path.t(), notes :: [String.t()]} | {:error, String.t()}
-  def make_here(gateway, vehicle, span, %{folder: folder, max_bytes: _, machine: _, note: _} = more) do
+  @spec make_here(Names.gateway(), String.t(), Span.t(), %{
+          folder: Path.t(),
+          max_bytes: pos_integer(),
+          machine: [map()],
+          note: (String.t() -> term())
+        }) :: {:ok, Path.t(), notes :: [String.t()]} | {:error, String.t()}
+  def make_here(gateway, vehicle, span, %{folder: folder, max_bytes: most, machine: machine, note: note}) do
     output = Path.join(folder, name(vehicle, span) <> ".tar.gz")
 
     with {:ok, source} <- Source.running(&apply/3, gateway),
-         about = %{source: source, vehicle: vehicle, span: span, output: output},
-         {:ok, _bytes, notes} <- make(more |> Map.merge(about) |> Map.put(:now, System.os_time(:microsecond))),
+         {:ok, _bytes, notes} <-
+           make(%{
+             source: source,
+             vehicle: vehicle,
+             span: span,
+             output: output,
+             machine: machine,
+             max_bytes: most,
+             now: System.os_time(:microsecond),
+             note: note
+           }),
          do: {:ok, output, notes}
   end
 

@@ -5,6 +5,7 @@ defmodule Aerie.Fleet.Operations.Sequence.Wait do
   alias Aerie.Fleet.Remote.Merge
   alias Aerie.Fleet.Operations.Sequence
   alias Aerie.Vehicle.{Firmware, Snapshot}
+  alias Aerie.Vehicle.Command.Refusal
 
   @level_m Sequence.level_m()
   # It has arrived, and does not only pass by.
@@ -60,7 +61,7 @@ defmodule Aerie.Fleet.Operations.Sequence.Wait do
 
     cond do
       now == nil -> {:waiting, "its mode is not known", id}
-      taken_over?(mode, now) -> {:failed, "its mode was changed to #{now} on the way"}
+      taken_over?(mode, now) -> {:failed, Refusal.text(:mode_changed, mode: now)}
       metres == nil -> {:waiting, "its position is not known", id}
       metres > m -> {:waiting, "#{round(metres)} m from the place, not within #{m} m", id}
       is_number(speed) and speed < @still_m_s -> :ok

@@ -36,6 +36,7 @@ defmodule Aerie.Vehicle.Command.Refusal.Vehicle do
       stored: "arm it first: %{command} now would move it as soon as it is armed",
       on_ground: "it is on the ground",
       home_height_unknown: "the height of its home is not known yet",
+      mode_changed: "its mode was changed to %{mode} on the way",
       no_terrain: "it takes no heights above the ground below",
       no_command_line: "only Betaflight and iNav have a command line"
     ],

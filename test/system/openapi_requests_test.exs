@@ -166,7 +166,8 @@ defmodule Aerie.System.OpenAPIRequestsTest do
     do:
       Enum.all?(
         errors,
-        &(&1["expected"] =~ ~r/ by then, | is not surely higher |^more than the .* goes$|^a vehicle that lands without/)
+        &(&1["expected"] =~
+            ~r/ by then, | is not surely higher |^more than the .* goes$|^a vehicle that lands without/)
       )
 
   defp futile?(_none), do: false

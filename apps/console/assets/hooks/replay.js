@@ -49,6 +49,13 @@ export default {
     this.line.destroy();
   },
 
+  // What the page asks while nobody answers is asked again.
+  disconnected() { this.cut = true; },
+  reconnected() {
+    this.cut = false;
+    if (this.to) this.need();
+  },
+
   overview({ from, to, rows, marks }) {
     this.from = from;
     this.to = to;
@@ -212,7 +219,7 @@ export default {
   },
 
   fetch(from) {
-    if (this.chunks.has(from) || from + this.chunkS < this.from || from > this.to) return;
+    if (this.cut || this.chunks.has(from) || from + this.chunkS < this.from || from > this.to) return;
     this.chunks.set(from, null);
     this.pushEvent("chunk", { from });
     // A request may be refused, or lost with the gateway.

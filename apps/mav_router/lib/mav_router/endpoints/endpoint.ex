@@ -88,13 +88,13 @@ defmodule MavRouter.Endpoints.Endpoint do
   def max_waiting, do: @max_waiting
 
   @doc """
-  Whether a frame of a class has room in the mailbox of an endpoint's process when so many wait. Data that the endpoint requested
-  (`requested/2`) has room when other frames have none any more.
+  Whether a frame of a class has room in the mailbox of an endpoint's process when so many wait. Data that the endpoint
+  requested (`requested/2`) has room when other frames have none any more, also while the endpoint takes nothing: a client
+  that pauses while it writes to its disk must not have to ask for each lost piece.
   """
   @spec room?(:atomics.atomics_ref(), MavRouter.Endpoints.Queue.TrafficClass.class(), integer) :: boolean
   def room?(waiting, class, n) do
-    limit = :atomics.get(waiting, 3)
-    n <= limit or (limit > 0 and requested?(waiting, class, n))
+    n <= :atomics.get(waiting, 3) or requested?(waiting, class, n)
   end
 
   defp requested?(waiting, class, n) when class in [:transfer, :bulk] and n <= @max_requested,
@@ -102,7 +102,7 @@ defmodule MavRouter.Endpoints.Endpoint do
 
   defp requested?(_waiting, _class, _n), do: false
 
-  @doc "From now on so many frames may wait in the mailbox; 0 for an endpoint that takes nothing."
+  @doc "From now on so many frames may wait in the mailbox beside requested data; 0 for an endpoint that takes nothing."
   @spec limit(t, non_neg_integer) :: :ok
   def limit(%__MODULE__{waiting: waiting}, n), do: :atomics.put(waiting, 3, min(n, @max_waiting))
 

@@ -2,8 +2,8 @@ defmodule MavRouter.Link.Core.Stall do
   @moduledoc """
   What is done about the peer of a link that takes nothing. For a second its frames wait in its queue and are tried often; after
   that senders drop its frames themselves (`MavRouter.Endpoints.Endpoint.limit/2`), so it costs the link's process
-  nothing, and a quarter of a second passes between two attempts. After ten seconds its connection is ended. Pure but
-  for that limit.
+  nothing, and a quarter of a second passes between two attempts. Only data that the peer requested still waits for it,
+  within its own bounds. After ten seconds its connection is ended. Pure but for that limit.
 
   The value is when the peer took something last, nil while it takes everything.
   """

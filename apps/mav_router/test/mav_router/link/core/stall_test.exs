@@ -10,16 +10,19 @@ defmodule MavRouter.Link.Core.StallTest do
 
   defp room?(endpoint), do: Endpoint.room?(endpoint.waiting, :state, 1)
 
-  test "a peer that takes nothing for a second gets nothing more, and all when it takes something", %{
-    endpoint: e
-  } do
+  test "a peer that takes nothing for a second gets only what it requested, and all when it takes something",
+       %{
+         endpoint: e
+       } do
     assert {0, 10} = Stall.busy(nil, e, 0)
     assert {0, 10} = Stall.busy(0, e, 999)
     assert room?(e)
     assert {0, 250} = Stall.busy(0, e, 1_000)
     refute room?(e)
-    :ok = Endpoint.requested(e, System.monotonic_time(:millisecond))
     refute Endpoint.room?(e.waiting, :transfer, 1)
+    :ok = Endpoint.requested(e, System.monotonic_time(:millisecond))
+    assert Endpoint.room?(e.waiting, :transfer, 1)
+    refute room?(e)
     refute Stall.stuck?(0, 9_999)
     assert Stall.stuck?(0, 10_000)
     assert Stall.took(0, e, 100) == nil

@@ -59,7 +59,7 @@ defmodule Aerie.Console.Pages.Fleet.Act.TakeOff do
   defp above(%{height: height}), do: min(5, max(trunc(height / 2), 0.5))
 
   @impl Sheet
-  def errors(%{above: above, height: height}) do
+  def errors(%{above: above, height: height}) when is_number(above) and is_number(height) do
     most = Fleet.surely_above_m(height)
     text = "The lowest flies at #{height} m and is not surely above #{above} m: give at most #{most} m."
     if above > most, do: %{above: text}, else: %{}

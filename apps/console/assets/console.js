@@ -38,6 +38,8 @@ sessionStorage.setItem("phx:live-socket:debug", "false");
 const liveSocket = new LiveSocket("/live", Socket, {
   params: { _csrf_token: csrf },
   hooks,
+  // The client loads the page again when it waits longer for an answer: no help to a gateway or a computer that is merely busy.
+  timeout: 30_000,
   reconnectAfterMs: pause,
   rejoinAfterMs: pause,
 });

@@ -10,6 +10,7 @@ const browser = await chromium.launch({
   args: ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", ...(task === "nowebgl" ? ["--disable-gpu", "--disable-webgl", "--disable-webgl2", "--disable-3d-apis"] : [])],
 });
 const complaints = [];
+const trouble = []; // of the pages' connections
 
 async function open(path = "/", options = {}) {
   const context = await browser.newContext({ viewport: { width: 1280, height: 720 }, ...options });
@@ -17,6 +18,10 @@ async function open(path = "/", options = {}) {
   page.setDefaultTimeout(PATIENCE_MS);
   page.on("console", (message) => { if (["error", "warning"].includes(message.type())) complaints.push(message.text()); });
   page.on("pageerror", (error) => complaints.push(error.stack));
+  page.on("websocket", (socket) => {
+    socket.on("close", () => trouble.push("closed"));
+    socket.on("framereceived", ({ payload }) => /"phx_(error|close)"|"(redirect|live_redirect|reload)"/.test(payload) && trouble.push(String(payload).slice(0, 200)));
+  });
   await page.goto(url + "/sign-in");
   await page.fill("input[name=name]", name);
   await page.fill("input[name=password]", password);
@@ -242,12 +247,14 @@ const tasks = {
       const seconds = (performance.now() - from) / 1000;
       return { seconds, pushes_per_s: pushes / seconds, frames_per_s: frames.length / seconds, frame_ms: { p50: at(0.5), p95: at(0.95), p99: at(0.99), worst: Math.round(frames.at(-1)) } };
     });
-    // Where software WebGL keeps the page from answering for so long that LiveView's client loads it again, the figures begin anew.
+    // On a computer that is too busy LiveView's client loads the page again: the figures begin anew.
+    const since = Date.now();
     let figures;
-    for (let tries = 3; !figures; tries -= 1) {
+    while (!figures) {
       before = await spent();
       try { figures = await measure(); } catch (error) {
-        if (tries === 1 || !/context was destroyed/.test(error.message)) throw error;
+        if (Date.now() - since > PATIENCE_MS || !/context was destroyed/.test(error.message)) throw error;
+        console.log(`loaded again after ${Date.now() - since} ms: ${trouble.splice(0).join(", ")}`);
         await ready(page);
         await all();
       }

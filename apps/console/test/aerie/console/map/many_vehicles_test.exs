@@ -1,7 +1,6 @@
 defmodule Aerie.Console.Map.ManyVehiclesTest do
   @moduledoc """
-  Many vehicles on the map. The test runs alone: where other browsers draw with software WebGL, too, the page's thread may not run for
-  ten seconds, and LiveView's client loads the page again.
+  Many vehicles on the map. The test runs alone, because other browsers that draw with software WebGL would take the processor from it.
   """
   use Aerie.ConsoleCase, async: false
 
@@ -9,7 +8,8 @@ defmodule Aerie.Console.Map.ManyVehiclesTest do
 
   @moduletag :chromium
 
-  setup do: {:ok, start_console()}
+  # As often as a gateway tells pages of changes: for each the browser compares the whole table.
+  setup do: {:ok, start_console(pubsub_tick_ms: 200)}
 
   @tag Aerie.Browser.long()
   test "200 vehicles that change five times a second", %{console: console} do

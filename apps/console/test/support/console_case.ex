@@ -15,6 +15,7 @@ defmodule Aerie.ConsoleCase do
 
   alias Aerie.Base.Store
   alias Aerie.Console
+  alias Aerie.Control.Policy.ControlLease.Holders
   alias Aerie.Access.{Session, Users}
   alias Aerie.Access.Users.Password
   alias Aerie.ConsoleCase
@@ -201,6 +202,15 @@ defmodule Aerie.ConsoleCase do
   @spec start_operations(t()) :: pid()
   def start_operations(%ConsoleCase{gateway: gateway}),
     do: ExUnit.Callbacks.start_supervised!({Aerie.Fleet.Operations.Supervisor, gateway: gateway})
+
+  @doc "Puts somebody in charge of the vehicle with a system id of network `main`."
+  @spec take_charge(t(), 1..255, String.t(), Aerie.Control.Policy.Roles.role()) :: :ok
+  def take_charge(%ConsoleCase{gateway: gateway}, system_id, name, role \\ :operator) do
+    source = %{name: name, role: role, permissions: []}
+    rules = %{required: false, take_over: :operator}
+    {:ok, _lease} = Holders.change(gateway, {"main", system_id}, {:take, nil, nil}, source, "rest", rules)
+    :ok
+  end
 
   @doc "Puts a link into the store: an UDP port on which somebody is heard, and `fields`."
   @spec put_link(t(), String.t(), map()) :: :ok

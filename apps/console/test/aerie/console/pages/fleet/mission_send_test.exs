@@ -6,7 +6,6 @@ defmodule Aerie.Console.Pages.Fleet.MissionSendTest do
 
   alias Aerie.Base.Store
   alias Aerie.Control.Missions
-  alias Aerie.Control.Policy.ControlLease.Holders
   alias Aerie.Fleet
   alias Protocols.Mission.{Item, Plan}
 
@@ -136,7 +135,7 @@ defmodule Aerie.Console.Pages.Fleet.MissionSendTest do
     untouched = value(view)
     assert hold(view, untouched) =~ "Nothing was sent: Somebody has to agree"
 
-    # A tick for something else is none for this.
+    # A tick for something else does not count.
     render_hook(view, "sheet_agree", %{"agreed" => "abc"})
     assert button(view) =~ "Somebody has to agree"
     agree(view)
@@ -205,15 +204,7 @@ defmodule Aerie.Console.Pages.Fleet.MissionSendTest do
     assert button(view) =~ "V1: Betaflight has no missions"
     view |> element("#mission-V1 button", "Leave out") |> render_click()
 
-    {:ok, _lease} =
-      Holders.change(
-        console.gateway,
-        {"main", 2},
-        {:take, nil, nil},
-        %{name: "olga", role: :operator, permissions: []},
-        "rest",
-        %{required: false, take_over: :operator}
-      )
+    take_charge(console, 2, "olga")
 
     refresh_fleet(view)
     compared(view)

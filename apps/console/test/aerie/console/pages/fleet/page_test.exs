@@ -3,7 +3,6 @@ defmodule Aerie.Console.Pages.Fleet.PageTest do
 
   import Aerie.ShadowCase, only: [start_shadow: 2]
 
-  alias Aerie.Control.Policy.ControlLease.Holders
   alias Aerie.Fleet.Shadow
   alias Aerie.Vehicle.Firmware.Modes
 
@@ -346,28 +345,20 @@ defmodule Aerie.Console.Pages.Fleet.PageTest do
       :ok
     end
 
-    defp take(console, n, name, role \\ :operator) do
-      rules = %{required: false, take_over: :operator}
-      source = %{name: name, role: role, permissions: []}
-
-      {:ok, _lease} =
-        Holders.change(console.gateway, {"main", n}, {:take, nil, nil}, source, "rest", rules)
-    end
-
     test "is in the table and beside the buttons, and follows at once", %{console: console} do
       view = open(console)
-      take(console, 1, "olga")
+      take_charge(console, 1, "olga")
       eventually(fn -> has_element?(view, "#vehicle-V1", "olga") end)
       render_click(view, "all")
       assert has_element?(view, "#fleet-charge", "olga controls V1, free: V2, V3")
-      take(console, 2, "operator")
+      take_charge(console, 2, "operator")
       eventually(fn -> has_element?(view, "#fleet-charge", "you control V2") end)
       refute has_element?(open(console, "/", :viewer), "#fleet-charge")
     end
 
     test "is taken over with a reason, and released, for those that it concerns", %{console: console} do
-      take(console, 1, "olga")
-      take(console, 2, "operator")
+      take_charge(console, 1, "olga")
+      take_charge(console, 2, "operator")
       view = open(console)
       render_click(view, "all")
       assert has_element?(view, "#fleet-take input[name=reason][required]")

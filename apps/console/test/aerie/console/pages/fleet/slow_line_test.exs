@@ -3,7 +3,6 @@ defmodule Aerie.Console.Pages.Fleet.SlowLineTest do
   use Aerie.ConsoleCase, async: true
 
   alias Aerie.Control.Commands
-  alias Aerie.Control.Policy.ControlLease.Holders
   alias Aerie.Base.Store
   alias Aerie.SlowLine
 
@@ -63,12 +62,7 @@ defmodule Aerie.Console.Pages.Fleet.SlowLineTest do
     tell(script, "changed")
     await_line(script, "full")
     vehicle(c.console, 2, 0.05, mode: %{mode: "RTL", failsafe: true})
-    rules = %{required: false, take_over: :operator}
-    olga = %{name: "olga", role: :operator, permissions: []}
-
-    {:ok, _lease} =
-      Holders.change(c.console.gateway, {"main", 2}, {:take, nil, nil}, olga, "rest", rules)
-
+    take_charge(c.console, 2, "olga")
     tell(script, "alarmed")
     await_line(script, "ok")
   end

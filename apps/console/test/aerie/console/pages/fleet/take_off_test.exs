@@ -4,7 +4,6 @@ defmodule Aerie.Console.Pages.Fleet.TakeOffTest do
 
   import Aerie.ActCase
 
-  alias Aerie.Control.Policy.ControlLease.Holders
   alias Aerie.Fleet
 
   @moduletag :tmp_dir
@@ -180,18 +179,7 @@ defmodule Aerie.Console.Pages.Fleet.TakeOffTest do
   test "somebody else in charge, a limit of the policy, and a firmware without it keep one on the ground", %{
     console: console
   } do
-    {:ok, _lease} =
-      Holders.change(
-        console.gateway,
-        {"main", 2},
-        {:take, nil, nil},
-        %{name: "olga", role: :operator, permissions: []},
-        "rest",
-        %{
-          required: false,
-          take_over: :operator
-        }
-      )
+    take_charge(console, 2, "olga")
 
     view = console |> open() |> sheet()
     assert line(view, "V2") =~ ~r/Not ready.*olga is in charge of it\./

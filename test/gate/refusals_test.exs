@@ -10,7 +10,7 @@ defmodule Aerie.Gate.RefusalsTest do
     ~r/\{:deny, :([a-z_]+)/,
     ~r/\{:stop, :[a-z]+, :([a-z_]+)/,
     ~r/\{:refuse, :(?:(?:denied|rejected), :)?([a-z_]+)/,
-    # A call of an Erlang module is no rule.
+    # Not a call of an Erlang module.
     ~r/\{:refused, :((?!rejected|failed)[a-z_]++)(?!\.)/,
     ~r/refuse\(core, :[a-z]+, :([a-z_]+)/,
     ~r/"rule" => "([a-z_]+)"/,

@@ -247,7 +247,7 @@ const tasks = {
       const seconds = (performance.now() - from) / 1000;
       return { seconds, pushes_per_s: pushes / seconds, frames_per_s: frames.length / seconds, frame_ms: { p50: at(0.5), p95: at(0.95), p99: at(0.99), worst: Math.round(frames.at(-1)) } };
     });
-    // On a computer that is too busy LiveView's client loads the page again: the figures begin anew.
+    // On a computer that is too busy LiveView's client loads the page again: the measurement begins again.
     const since = Date.now();
     let figures;
     while (!figures) {

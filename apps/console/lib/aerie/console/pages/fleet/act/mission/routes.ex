@@ -143,7 +143,7 @@ defmodule Aerie.Console.Pages.Fleet.Act.Mission.Routes do
     end
   end
 
-  @doc "The nearest pass of all, as a sentence; nil if there is none."
+  @doc "The nearest pass of all, as a sentence; nil where no two were compared."
   @spec nearest(t()) :: String.t() | nil
   def nearest(%{nearest: nil}), do: nil
 

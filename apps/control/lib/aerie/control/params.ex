@@ -101,8 +101,11 @@ defmodule Aerie.Control.Params do
         timeout_ms: @list_ms,
         share: {:params, refresh?},
         start: fn context, until ->
+          traits = context.protocol.traits()
+
           more = [
-            hash: context.protocol.traits().param_hash?,
+            hash: traits.param_hash?,
+            begins_us: traits.param_list_s * 1_000_000,
             file: file? and context.ftp?,
             stored: stored,
             us: context.us,

@@ -12,6 +12,7 @@ defmodule Aerie.Vehicle.Firmware.Traits do
             command_line: [],
             param_hash?: false,
             param_file?: false,
+            param_list_s: 15,
             fences?: false,
             any_zone?: false,
             logs_armed?: true,
@@ -32,6 +33,7 @@ defmodule Aerie.Vehicle.Firmware.Traits do
       parameters
     * `:param_hash?` - whether the parameter `_HASH_CHECK` says if others have changed (P6)
     * `:param_file?` - whether it offers all of them as a file
+    * `:param_list_s` - how many seconds may pass before it begins to list them
     * `:fences?` - whether the fence aboard can be read, to be compared with a new one
     * `:any_zone?` - whether it may be in any of its stay-inside zones; else it has to be in all of them
     * `:logs_armed?` - whether it answers questions about its logs while it is armed

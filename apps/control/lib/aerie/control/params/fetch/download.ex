@@ -28,7 +28,7 @@ defmodule Aerie.Control.Params.Fetch.Download do
   @window 10
   # Requests for the list, and the time, after which silence is an answer: on a fast link five are over in seconds, for which a computer stands still.
   @lists 5
-  @patience 15_000_000
+  @begins 15_000_000
   @repeats 12
   @resyncs 5
   @hash_reads 6
@@ -51,6 +51,7 @@ defmodule Aerie.Control.Params.Fetch.Download do
     :last_hash,
     :heard_at,
     each_us: 0,
+    begins_us: @begins,
     phase: :idle,
     hashed?: false,
     gap: 0,
@@ -95,7 +96,8 @@ defmodule Aerie.Control.Params.Fetch.Download do
   A download that has not begun. `target` is `{system, component}`, `deadline` in the clock of the events.
 
   Options: `:encoding` (`t:Aerie.Vehicle.Firmware.Traits.t/0`, or `:extended` for PARAM_EXT), `:hash` (whether the firmware has `_HASH_CHECK`), `:rtt_us`,
-  `:each_us` (what the deadline grows by for each parameter that the vehicle says it has).
+  `:each_us` (what the deadline grows by for each parameter that the vehicle says it has), `:begins_us` (the shortest
+  time for which its first parameter is waited for, 15 s).
   """
   @spec new({non_neg_integer(), 0..255}, deadline :: integer(), keyword()) :: t()
   def new(target, deadline, options \\ []) do
@@ -105,6 +107,7 @@ defmodule Aerie.Control.Params.Fetch.Download do
       hashed?: Keyword.get(options, :hash, false),
       deadline: deadline,
       each_us: Keyword.get(options, :each_us, 0),
+      begins_us: Keyword.get(options, :begins_us, @begins),
       trip: RoundTrip.new(options[:rtt_us])
     }
   end
@@ -219,14 +222,15 @@ defmodule Aerie.Control.Params.Fetch.Download do
   defp silence(d),
     do: (4 * d.gap) |> max(RoundTrip.timeout(d.trip)) |> max(@silence_shortest) |> min(@silence_longest)
 
-  defp tick(%{heard_at: heard, phase: phase} = d, now) when now - heard >= @dead and phase != :hash,
-    do: finish(d, {:error, Message.silence(d.target, d.encoding)})
+  defp tick(%{heard_at: heard, phase: phase} = d, now)
+       when now - heard >= @dead and phase != :hash and (phase != :start or now - heard >= d.begins_us),
+       do: finish(d, {:error, Message.silence(d.target, d.encoding)})
 
   defp tick(%{phase: :missing} = d, now), do: repeat(d, now)
   defp tick(%{due: due} = d, now) when now < due, do: {d, []}
 
   defp tick(%{phase: :start, sent: sent, heard_at: heard} = d, now)
-       when sent >= @lists and now - heard >= @patience,
+       when sent >= @lists and now - heard >= d.begins_us,
        do: finish(d, {:error, Message.silence(d.target, d.encoding)})
 
   defp tick(%{phase: :start} = d, now), do: request_list(d, now)

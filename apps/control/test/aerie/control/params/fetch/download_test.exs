@@ -124,6 +124,31 @@ defmodule Aerie.Control.Params.Fetch.DownloadTest do
     assert {_d, [{:done, {:error, {:too_many, 60_000}}}]} = Download.handle(d, {:message, many, {1, 1}, 1})
   end
 
+  test "one whose list is being read over MSP begins late, and is waited for" do
+    late = fn
+      v, message, now when now >= 40_000_000 -> ParamsVehicle.answer(v, message, now)
+      v, _message, _now -> {v, []}
+    end
+
+    run = fn options ->
+      LossyLink.run(
+        Download,
+        Download.new({1, 1}, @deadline, options),
+        ParamsVehicle.new(ParamsVehicle.some(20)),
+        late
+      )
+    end
+
+    assert run.([]).result == {:error, :no_answer}
+    assert {:ok, %Table{} = table} = run.(begins_us: 60_000_000).result
+    assert Table.count(table) == 20
+
+    silent = fn v, _message, _now -> {v, []} end
+    gave_up = LossyLink.run(Download, Download.new({1, 1}, @deadline, begins_us: 60_000_000), nil, silent)
+    assert gave_up.result == {:error, :no_answer}
+    assert gave_up.at in 60_000_000..70_000_000
+  end
+
   test "a vehicle that goes silent in the middle is given up after half a minute" do
     dies = fn v, message, now ->
       if now < 300_000, do: ParamsVehicle.answer(v, message, now), else: {v, []}

@@ -16,6 +16,8 @@ defmodule Aerie.Vehicle.Firmware.Betaflight.Adapter do
       vendor: "Betaflight",
       param_encoding: :bytewise,
       param_tables: :betaflight,
+      # The gateway reads them one by one before it lists them; on a slow line that takes long.
+      param_list_s: 60,
       command_line: ["Betaflight"]
     }
   end

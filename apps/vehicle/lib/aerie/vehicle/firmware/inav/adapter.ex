@@ -18,6 +18,8 @@ defmodule Aerie.Vehicle.Firmware.Inav.Adapter do
       vendor: "iNav",
       param_encoding: :bytewise,
       param_tables: :inav,
+      # The gateway reads them one by one before it lists them; on a slow line that takes long.
+      param_list_s: 60,
       command_line: ["INAV", "iNav"]
     }
   end
